@@ -1,0 +1,135 @@
+-- The catalogue of Taurus messages: data only, the file to edit when a firmware adds or changes a message.
+--
+-- A message is one entry of the list at the end; adding an entry is all it takes.  An entry has
+--   name    its filter name: taurus.<name>            title   what the packet list and the tree call it
+--   id      its default message ID, 0 .. 2047         size    its payload in bytes, checked against the rows
+--   info    what the Info column says: {field} or {field:format}, format as in string.format
+-- and rows, one a field, in the order of the payload: { filter name, type, title, options }
+--   types   uint8 uint16 uint32, int64_ns (a time in nanoseconds), float8 float16 (compressed, with min and max);
+--           all little endian
+--   unit    appended to the value
+--   values  { [0] = "meaning", ... }: any other value gets the expert item taurus.value.invalid,
+--           or the one that `invalid` names
+--   flags   a list of { filter name, mask, title }; `group` names it: taurus.<message>.<group>.<flag>.
+--           `alarm` puts this word and the names of the set flags into the Info column and raises taurus.fault.active
+--
+-- Sections in quotes are those of the vendor's document, 600-0055-000 Rev A.
+
+-- "Taurus Command", "Taurus Motor Data": Motor Mode
+local MOTOR_MODE = { [0] = "Torque Mode", [1] = "Speed Mode" }
+
+-- "Taurus Motor Data": Status Flags.  Damaged entries as settled by the order of the table and the example.
+local STATUS = {
+  { "foc_align", 0x2, "FOC in align" },
+  { "start_in_motion_no_bemf", 0x1000, "Start in Motion, Back EMF signal not detected" },
+  { "start_in_motion_bemf", 0x2000, "Start in Motion, Back EMF signal detected" },
+  { "waiting_for_stop", 0x4000, "Waiting for motor to stop" },
+  { "braking", 0x8000, "Motor is braking" },
+  { "stopped", 0x10000, "Motor is stopped" },
+  { "enabled", 0x20000, "Motor is enabled" },
+  { "open_loop", 0x40000, "FOC in open loop mode" },
+  { "closed_loop_ramp", 0x80000, "FOC in closed loop speed ramp up" },
+  { "closed_loop", 0x100000, "FOC in closed loop mode" },
+  { "closed_loop_2", 0x200000, "FOC in closed loop mode (second entry)" },
+  { "reverse_direction", 0x400000, "Motor in reverse direction mode" },
+  { "field_weakening", 0x800000, "Motor in Field Weakening range" },
+  { "overmodulation", 0x1000000, "Motor operating in Over-Modulation region" },
+  { "hall_position", 0x2000000, "Motor Position taken from Hall Sensor" },
+  { "mpos_update", 0x40000000, "Flag MPOS: Update motor position values" },
+}
+
+-- "Taurus Motor Data": Fault Flags
+local FAULT = {
+  { "oc_limit_unmeasurable", 0x1, "OC limit higher than measurable current" },
+  { "cbc_oc_lpdac", 0x2, "CBC OC LPDAC" },
+  { "pwm_saturated", 0x4, "PWM duty cycle is saturated" },
+  { "stack_overflow", 0x8, "Stack overflow or underflow" },
+  { "open_loop_speed_low", 0x10, "Open loop speed is lower than closed-loop minimum speed" },
+  { "est_angle_diff", 0x20, "Estimator AngleDiff out of range" },
+  { "foc_time_exceeded", 0x40, "FOC control time has been exceeded" },
+  { "bus_voltage_limit", 0x80, "Bus Voltage Min/Max limit exceeded" },
+  { "pi_gain_range", 0x100, "PI controller gain out of range" },
+  { "stall_filter_floor", 0x200, "Stall filter value floored at minimum" },
+  { "est_speed_diff", 0x400, "Estimator SpeedDiff out of range" },
+  { "atpi_warning", 0x800, "ATPI Warning (check ATPI Status)" },
+  { "control_freq_ratio", 0x1000, "Control Freq to Estimator > 10:1" },
+  { "hall_period_invalid", 0x2000, "Hall Timer Period Invalid" },
+  { "coast_timeout", 0x4000, "Motor Coast timeout" },
+  { "est_diff_timeout", 0x8000, "EstSpeed/AngleDiff timeout" },
+  { "motor_overcurrent", 0x10000, "Motor overcurrent" },
+  { "bus_voltage_disabled", 0x20000, "Motor disabled due to bus voltage min/max fault" },
+  { "open_phase", 0x40000, "Motor Open Phase Detection" },
+  { "flash_crc", 0x100000, "Flash CRC Test Status Failed" },
+  { "critical_parameter", 0x200000, "Attempted change to critical parameter while running" },
+  { "afe_init", 0x400000, "AFE not initialized properly" },
+  { "motor_stall", 0x800000, "Motor Stall Detection" },
+  { "ppm_timeout", 0x1000000, "PPM pulse timeout, no received valid PPM pulse" },
+  { "adc_calibration", 0x2000000, "ADC calibration failed" },
+  { "est_inputs_invalid", 0x4000000, "Estimator inputs are invalid" },
+  { "hall_timeout", 0x10000000, "Hall timer expired without detecting hall transition" },
+  { "start_wrong_direction", 0x20000000, "Start in motion, wrong direction detected" },
+  { "hardware_over_temperature", 0x40000000, "Hardware exceeded temperature threshold" },
+  { "reserved", 0x80000000, "Reserved" },
+}
+
+-- "Taurus Motor Data": Motor State
+local STATE = {
+  { "ready", 0x1, "Ready" },
+  { "running", 0x2, "Running" },
+  { "stopped", 0x4, "Stopped" },
+  { "overmodulated", 0x8, "Overmodulated" },
+  { "saturated", 0x10, "Saturated" },
+  { "faulted", 0x20, "Faulted" },
+}
+
+-- "Taurus Health": Taurus Status
+local HEALTH = {
+  { "regeneration_enabled", 0x1, "Regeneration Enabled" },
+  { "reversed", 0x2, "Reversed" },
+  { "precharging", 0x4, "Precharging" },
+}
+
+return {
+  { -- "Taurus Command", faster than 5 Hz
+    name = "command", title = "Command", id = 0x000, size = 7,
+    info = "{enabled}  {motor_mode}  {rpm:%.1f} RPM  {torque_iq:%.2f} A",
+    { "enabled", "uint8", "Enabled", values = { [0] = "Disabled", [1] = "Enabled" } },
+    { "key", "uint8", "Key", values = { [0xA5] = "Full Operation", [0x5A] = "No Regeneration Allowed" },
+      invalid = "command.key.invalid" },
+    { "motor_mode", "uint8", "Motor Mode", values = MOTOR_MODE },
+    { "torque_iq", "float16", "Torque IQ", min = -200, max = 200, unit = "A" },
+    { "rpm", "float16", "RPM", min = -100000, max = 100000, unit = "RPM" },
+  },
+  { -- "Taurus Motor Data", 10 Hz
+    name = "motor", title = "Motor Data", id = 0x210, size = 32,
+    info = "{rpm_commanded:%.1f}/{rpm_measured:%.1f} RPM  {dc_voltage:%.2f} V  {dc_current:%.2f} A",
+    { "torque_iq_commanded", "float16", "Torque IQ Commanded", min = -128, max = 128, unit = "A" },
+    { "torque_iq_measured", "float16", "Torque IQ Measured", min = -128, max = 128, unit = "A" },
+    { "rpm_commanded", "float16", "RPM Commanded", min = -60000, max = 60000, unit = "RPM" },
+    { "rpm_measured", "float16", "RPM Measured", min = -60000, max = 60000, unit = "RPM" },
+    { "dc_voltage", "float16", "DC Voltage", min = -128, max = 128, unit = "V" },
+    { "dc_current", "float16", "DC Current", min = -128, max = 128, unit = "A" },
+    { "motor_temperature", "float8", "Motor Temperature", min = -40, max = 210, unit = "°C" },
+    { "motor_mode", "uint8", "Motor Mode", values = MOTOR_MODE },
+    { "status_flags", "uint32", "Status Flags", flags = STATUS, group = "status" },
+    { "fault_flags", "uint32", "Fault Flags", flags = FAULT, group = "fault", alarm = "FAULT" },
+    { "timestamp", "int64_ns", "Timestamp" },
+    { "motor_state", "uint8", "Motor State", flags = STATE, group = "state" },
+    { "esc_temperature", "float8", "ESC Temperature", min = -40, max = 210, unit = "°C" },
+  },
+  { -- "Taurus Health", 2 Hz
+    name = "health", title = "Health", id = 0x200, size = 17,
+    info = "control {control_thread_cpu:%.0f} %, Taurus {taurus_thread_cpu:%.0f} %  " ..
+      "CPU {cpu_temperature:%.0f} °C, FET {fet_temperature:%.0f} °C",
+    { "timestamp", "int64_ns", "Timestamp" },
+    { "control_thread_cpu", "float8", "Control Thread CPU Usage", min = 0, max = 100, unit = "%" },
+    { "taurus_thread_cpu", "float8", "Taurus Thread CPU Usage", min = 0, max = 100, unit = "%" },
+    { "cpu_temperature", "float8", "CPU Temperature", min = -40, max = 210, unit = "°C" },
+    { "capacitor_temperature", "float8", "Capacitor Temperature", min = -40, max = 210, unit = "°C" },
+    { "fet_temperature", "float8", "FET Temperature", min = -40, max = 210, unit = "°C" },
+    { "vin_rms_ripple", "float8", "Vin RMS Ripple", min = 0, max = 12.5, unit = "V" },
+    { "vin_pp_ripple", "float8", "Vin Peak to Peak Ripple", min = 0, max = 12.5, unit = "V" },
+    { "taurus_status", "uint8", "Taurus Status", flags = HEALTH, group = "status" },
+    { "board_revision", "uint8", "Board Revision" },
+  },
+}

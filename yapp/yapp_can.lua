@@ -1,0 +1,60 @@
+-- YAPP's use of a CAN frame: the 29-bit id, CAN FD padding, the header that the CRC covers ("CAN Framing").
+-- Pure Lua, 5.2 and 5.4.
+
+local M = {}
+
+local char = string.char
+
+-- CAN CTRL
+M.SINGLE, M.START, M.MIDDLE, M.END = 0, 1, 2, 3
+M.KINDS = { [0] = "Single", "Start", "Middle", "End" }
+
+-- CAN FD has these lengths above 8: FD_LENGTH[n] is the shortest that holds n bytes.
+local FD_LENGTH = {}
+do
+  local n = 0
+  for _, length in ipairs { 8, 12, 16, 20, 24, 32, 48, 64 } do
+    while n <= length do FD_LENGTH[n], n = length, n + 1 end
+  end
+end
+
+M.MAX_KEPT = 4096 -- notes kept about ids: a bus has few, a hostile capture any number
+local addresses, address_count = {}, 0
+
+--- A 29-bit CAN id taken apart ("CAN Message IDs").
+-- returns { id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, key = what the frames of a message share };
+--         the same table for the same id: the caller may keep notes in it, but not rely on finding them
+function M.address(can_id)
+  local address = addresses[can_id]
+  if address then return address end
+  local seq = can_id % 0x100
+  local ctl = (can_id - seq) / 0x100 % 0x40
+  local ctrl = (can_id - can_id % 0x4000) / 0x4000 % 0x10
+  address = { id = (can_id - can_id % 0x40000) / 0x40000, ctrl = ctrl, ctl = ctl, seq = seq,
+    key = can_id - ctrl * 0x4000 }
+  if address_count == M.MAX_KEPT then addresses, address_count = {}, 0 end
+  addresses[can_id], address_count = address, address_count + 1
+  return address
+end
+
+--- How many bytes of CAN FD padding a last, or single, frame carries.
+-- data    its captured bytes; reported: its length on the bus; needed: what the message still lacks
+-- returns 0 when it fits exactly, the number of zero bytes when it is padded as CAN FD is, else nil
+function M.padding(data, reported, needed)
+  if reported == needed then return 0 end
+  if reported > 8 and needed > 0 and needed < reported and FD_LENGTH[needed] == reported and
+    not data:find("[^%z]", needed + 1) then
+    return reported - needed
+  end
+end
+
+--- The 12 bytes that the CRC covers before the payload ("Computing the UART and Ethernet Frame IDs from the CAN ID").
+-- message  { address = M.address(can_id), size =, reserved = number or nil }
+function M.header(message)
+  local address, size, reserved = message.address, message.size, message.reserved or 0
+  local id = address.id
+  return char(0x59, 0x50, address.seq, address.ctl, id % 0x100, (id - id % 0x100) / 0x100, 0, 0,
+    size % 0x100, (size - size % 0x100) / 0x100, reserved % 0x100, (reserved - reserved % 0x100) / 0x100)
+end
+
+return M

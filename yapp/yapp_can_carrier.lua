@@ -1,0 +1,197 @@
+-- YAPP on SocketCAN: which frames are ours, and what is shown of them.  Wireshark's API.
+
+local M = {}
+
+local STATUS_TEXT = {
+  bad = "  [BAD CRC]", short = "  [INCOMPLETE]", overrun = "  [OVERRUN]", unverified = "  [CUT SHORT]",
+}
+local MAX_KEPT = 64 -- texts kept for the parts of long messages
+
+local address_of, KINDS, START, LONE, ORPHAN -- of yapp_can and yapp_reassembly; set in M.new
+
+local Carrier = {}
+Carrier.__index = Carrier
+
+--- The CAN side of the plugin.
+-- parts   the modules { can =, crc =, interleave =, reassembly = }
+-- tree    a tree builder
+-- bus_of  function(pinfo, tree) -> number of the bus, nil where the capture does not say
+function M.new(parts, tree, bus_of)
+  local self = setmetatable({ parts = parts, tree = tree, bus_of = bus_of }, Carrier)
+  address_of, KINDS, START = parts.can.address, parts.can.KINDS, parts.can.START
+  LONE, ORPHAN = parts.reassembly.LONE, parts.reassembly.ORPHAN
+  self:reset()
+  return self
+end
+
+--- Forgets the capture file: nothing survives into the next one.
+function Carrier:reset()
+  local by_id = self.tree.by_id
+  self.state = self.parts.reassembly.new(self.parts, function(id)
+    local message = by_id[id]
+    return message and message.size
+  end)
+  self.last_time, self.deltas = {}, {}
+end
+
+-- The time since the previous message with this ID on this bus; kept, because only the first pass sees all in order.
+function Carrier:note_time(pinfo, bus, id, number)
+  local now, key = pinfo.rel_ts, (bus or -1) * 0x800 + id
+  local before = self.last_time[key]
+  self.last_time[key] = now
+  if before then self.deltas[number] = now - before end
+end
+
+--- Dissects one frame.
+-- id    29-bit CAN id
+-- wide  true when the user says that every extended frame is YAPP
+-- returns the number of bytes that are ours, 0 for a frame that is not
+function Carrier:dissect(tvb, pinfo, tree, id, wide)
+  local reported = tvb:reported_len()
+  if reported == 0 then return 0 end
+  local number, state = pinfo.number, self.state
+  local address, data, entry = address_of(id), tvb:raw(), nil
+  if not pinfo.visited then
+    local bus = self.bus_of(pinfo, tree)
+    if self.deltas[number] then self.deltas[number] = nil end
+    entry = state:frame(bus, address, data, reported, number, wide)
+    if not entry then return 0 end
+    if entry == LONE or entry.last == number then self:note_time(pinfo, bus, address.id, number) end
+  else
+    entry = state:entry(number)
+  end
+  if not entry then return 0 end
+  local builder = self.tree
+  local wanted = builder:wanted(tree, entry.kind or entry.last == number)
+  local item = wanted and self:item(tvb, tree, address) or tree
+  local columns = pinfo.cols
+  columns.protocol = "YAPP"
+  if entry.kind then
+    columns.info = self:show_lone(tvb, tree, item, address, data, reported, entry, wanted)
+  elseif entry.last == number then
+    columns.info = self:show_message(tvb, tree, item, address, data, entry, wanted)
+  else
+    columns.info = self:show_part(tvb, item, address, data, entry, number, wanted)
+  end
+  if #data < reported then
+    builder:expert(item, "truncated", ("The capture has %d of the frame's %d bytes"):format(#data, reported))
+  end
+  local faults = state.faults[number]
+  if faults then
+    for _, fault in ipairs(faults) do builder:expert(item, fault[1], fault[2]) end
+  end
+  if wanted then builder:add_delta(item, self.deltas[number]) end
+  return reported
+end
+
+-- YAPP's own tree item, with what the CAN id says.
+function Carrier:item(tvb, tree, address)
+  local builder = self.tree
+  local fields = builder.fields
+  local item = tree:add(builder.yapp, tvb())
+  item:append_text((", %s, %s"):format(builder:name(address.id), KINDS[address.ctrl] or "undefined frame"))
+  builder:add_id(item, nil, address.id)
+  item:add(fields.ctl, address.ctl):set_generated()
+  item:add(fields.seq, address.seq):set_generated()
+  item:add(fields["can.ctrl"], address.ctrl):set_generated()
+  return item
+end
+
+-- A frame that stands alone: a single-frame message, or what belongs to none.
+function Carrier:show_lone(tvb, tree, item, address, data, reported, entry, wanted)
+  local builder = self.tree
+  if entry == LONE then return self:show_single(tvb, tree, item, address.id, data, reported, wanted) end
+  if wanted and #data > 0 then item:add(builder.fields["fragment.data"], tvb()) end
+  local kind = KINDS[address.ctrl] or "CAN CTRL " .. address.ctrl
+  return ("%s  %s%s"):format(builder:name(address.id), kind, entry == ORPHAN and " without a Start" or "")
+end
+
+function Carrier:show_single(tvb, tree, item, msg, data, reported, wanted)
+  local builder = self.tree
+  local message = builder.by_id[msg]
+  local padding = message and self.parts.can.padding(data, reported, message.size) or 0
+  local payload = padding > 0 and data:sub(1, message.size) or data
+  local info = builder:payload(tree, item, msg, payload, wanted and tvb, 0, #data < reported)
+  if wanted and padding > 0 and #data > #payload then item:add(builder.fields.padding, tvb(#payload)) end
+  return info
+end
+
+-- "Motor Data  Middle, frame 2 of the message": the text is the same for every message of an ID, so it is kept.
+local function part_info(builder, address, entry, number)
+  local index = entry.count
+  while index > 1 and entry[index] ~= number do index = index - 1 end
+  local texts = address.part_info
+  if not texts or texts.name ~= builder:name(address.id) then
+    texts = { name = builder:name(address.id) }
+    address.part_info = texts
+  end
+  local key = address.ctrl == START and -entry.size or index
+  local text = texts[key]
+  if not text then
+    text = texts.name .. (key < 0 and ("  Start of %d bytes"):format(entry.size) or
+      ("  %s, frame %d of its message"):format(KINDS[address.ctrl], index))
+    if index <= MAX_KEPT then texts[key] = text end
+  end
+  return text
+end
+
+-- A Start, a Middle, or an End that completes nothing.
+function Carrier:show_part(tvb, item, address, data, entry, number, wanted)
+  local fields = self.tree.fields
+  if wanted then
+    if address.ctrl == START then
+      self:start_tree(tvb, item, entry)
+    elseif #data > 0 then
+      item:add(fields["fragment.data"], tvb())
+    end
+    if entry.last then item:add(fields["reassembled.in"], entry.last):set_generated() end
+  end
+  local text = part_info(self.tree, address, entry, number)
+  return entry.last and ("%s  [Reassembled in #%d]"):format(text, entry.last) or text
+end
+
+function Carrier:start_tree(tvb, item, entry)
+  local fields = self.tree.fields
+  item:add_le(fields.crc, tvb(0, 4))
+  item:add_le(fields.size, tvb(4, 2)):append_text(" bytes")
+  item:add_le(fields.reserved, tvb(6, 2))
+  item:append_text((" of %d bytes"):format(entry.size))
+end
+
+function Carrier:fragments_tree(item, tvb, entry)
+  local fields = self.tree.fields
+  local list = item:add(fields.fragments, tvb())
+  list:set_text(("%d fragments (%d bytes)"):format(entry.count, #entry.payload))
+  list:set_generated()
+  for i = 1, entry.count do list:add(fields.fragment, entry[i]):set_generated() end
+  list:add(fields["fragment.count"], entry.count):set_generated()
+  list:add(fields["reassembled.length"], #entry.payload):set_generated()
+end
+
+-- The last frame of a message: what was put together.
+function Carrier:show_message(tvb, tree, item, address, data, entry, wanted)
+  local builder, payload, status = self.tree, entry.payload, entry.status
+  local whole
+  if wanted then
+    if #payload > 0 then whole = ByteArray.new(payload, true):tvb("Reassembled YAPP") end
+    item:add(builder.fields["reassembled.in"], entry.last):set_generated()
+    item:add(builder.fields.size, entry.size):append_text(" bytes"):set_generated()
+    item:add(builder.fields.reserved, entry.reserved or 0):set_generated()
+    self.state:restore(entry, address)
+    builder:add_crc(item, nil, entry)
+    self:fragments_tree(item, whole or tvb, entry)
+    if entry.padding and entry.padding <= #data then
+      item:add(builder.fields.padding, tvb(#data - entry.padding))
+    end
+    item:append_text(", CRC " .. (status == "good" and "good" or status == "bad" and "BAD" or "unverified"))
+  end
+  if status == "bad" then builder:bad_crc(item, entry) end
+  if status == "short" or status == "overrun" then
+    if whole then item:add(builder.fields.payload, whole()) end
+    return ("%s  %d of %d bytes%s"):format(builder:name(address.id), entry.received, entry.size, STATUS_TEXT[status])
+  end
+  local info = builder:payload(tree, item, address.id, payload, whole, 0, status == "unverified")
+  return info .. (STATUS_TEXT[status] or "")
+end
+
+return M

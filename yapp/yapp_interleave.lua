@@ -1,0 +1,181 @@
+-- Messages of one key that interleave, where a capture does not tell its buses apart.  Pure Lua, 5.2 and 5.4.
+--
+-- A Start that arrives while a message with the same key is open may cut it off, or come from another bus.  From then
+-- on the frames of that key are pooled, and an End looks for the frames that, with it, make up one of the open
+-- messages: its size and its CRC decide.  The reassembler's credit bounds the search to a few steps a frame.
+
+local M = {}
+
+local concat = table.concat
+
+local MAX_OVERTAKEN = 3 -- a message that more Starts than this overtook is given up
+local MAX_WASTE = 4096  -- bytes in the pool beyond what its messages can use
+
+local Pool = {}
+Pool.__index = Pool
+
+--- A pool for one key.
+-- reassembler  gives seed, fault, orphan, finish, frames, and the modules can and crc
+-- first        the message that is open, with the numbers and chunks of its frames
+function M.new(reassembler, first)
+  local self = setmetatable({ reassembler = reassembler, messages = { first }, frames = {} }, Pool)
+  first.from = 1
+  for i = 1, first.parts do self.frames[i] = { number = first[i + 1], data = first.chunks[i] } end
+  return self
+end
+
+-- The frames since a message's Start that nobody else took, as they came.
+local function leftovers(self, message)
+  local taken, length = {}, 0
+  for i = message.from, #self.frames do
+    if not self.frames[i].used then
+      taken[#taken + 1] = i
+      length = length + #self.frames[i].data
+    end
+  end
+  return taken, length
+end
+
+--- How many bytes have come since the newest Start.
+function Pool:received()
+  local _, length = leftovers(self, self.messages[#self.messages])
+  return length
+end
+
+--- A Start arrived: the open messages are overtaken, and too old ones given up.
+-- message  the new one, nil for a Start that opens none
+function Pool:start(message)
+  local messages = self.messages
+  for i = #messages, 1, -1 do
+    local open = messages[i]
+    open.overtaken = (open.overtaken or 0) + 1
+    if open.overtaken > MAX_OVERTAKEN then
+      open.status = "cut"
+      table.remove(messages, i)
+    end
+  end
+  if message then
+    message.from = #self.frames + 1
+    messages[#messages + 1] = message
+  end
+  local first = messages[1] and messages[1].from or 1
+  if first > 64 then -- what lies before belongs to nobody any more
+    local rest = {}
+    for i = first, #self.frames do rest[#rest + 1] = self.frames[i] end
+    self.frames = rest
+    for _, open in ipairs(messages) do open.from = open.from - first + 1 end
+  end
+end
+
+-- Depth first over the unused frames from `at` on; the newest frame has to be the last taken.
+-- goal  { crc =, padding = (found) }
+local function search(self, goal, at, register, needed, taken)
+  local reassembler, frames = self.reassembler, self.frames
+  local last = #frames
+  while at <= last do
+    local frame = frames[at]
+    local length = #frame.data
+    if not frame.used then
+      reassembler.credit = reassembler.credit - 1
+      if reassembler.credit < 0 then return nil end
+      if at == last then
+        goal.padding = reassembler.can.padding(frame.data, length, needed)
+        if not goal.padding then return nil end
+        if reassembler.crc.update(register, frame.data, 1, needed) ~= goal.crc then return nil end
+        taken[#taken + 1] = at
+        return taken
+      elseif length < needed and not frame.is_end then
+        taken[#taken + 1] = at
+        local behind = reassembler.crc.update(register, frame.data)
+        if search(self, goal, at + 1, behind, needed - length, taken) then return taken end
+        taken[#taken] = nil
+      end
+    end
+    at = at + 1
+  end
+end
+
+-- Whether all that came since the newest Start makes up its message.
+local function all_since_start(self, goal, message)
+  local reassembler, frames = self.reassembler, self.frames
+  local taken, length = leftovers(self, message)
+  local last = frames[#frames].data
+  goal.padding = reassembler.can.padding(last, #last, message.size - length + #last)
+  if not goal.padding then return nil end
+  local register = reassembler:seed(message)
+  for _, at in ipairs(taken) do
+    local data = frames[at].data
+    register = reassembler.crc.update(register, data, 1, at == #frames and #data - goal.padding or #data)
+  end
+  return register == goal.crc and taken or nil
+end
+
+-- Gives frames to a message and ends it.  Frames of a message that is not good may still be another's.
+local function award(self, message, taken, status)
+  local reassembler, frames, chunks = self.reassembler, self.frames, {}
+  message.count = 1
+  for i, at in ipairs(taken) do
+    local frame = frames[at]
+    chunks[i], message.count, message[i + 1] = frame.data, i + 1, frame.number
+    reassembler:give(frame.number, message)
+  end
+  local payload = concat(chunks)
+  message.received = #payload
+  reassembler:finish(message, payload:sub(1, message.size), frames[#frames].number, status)
+  if message.status == "good" then
+    for _, at in ipairs(taken) do frames[at].used = true end
+  end
+  for i, open in ipairs(self.messages) do
+    if open == message then table.remove(self.messages, i) break end
+  end
+end
+
+-- An End: first the newest message with all that came since its Start, then, oldest first, whatever fits.
+local function complete(self)
+  local messages = self.messages
+  for i = 0, #messages do
+    local message = messages[i == 0 and #messages or i]
+    local goal, taken = { crc = message.crc }, nil
+    if i == 0 then
+      taken = all_since_start(self, goal, message)
+    else
+      taken = search(self, goal, message.from, self.reassembler:seed(message), message.size, {})
+    end
+    if taken then
+      message.padding = goal.padding > 0 and goal.padding or nil
+      award(self, message, taken)
+      return true
+    end
+  end
+end
+
+--- Takes a Middle or End.
+-- data     its bytes; number: of the frame
+-- returns  what the frame is: a message, or the reassembler's orphan
+function Pool:frame(data, number, is_end)
+  local messages, reassembler = self.messages, self.reassembler
+  local newest = messages[#messages]
+  self.frames[#self.frames + 1] = { number = number, data = data, is_end = is_end }
+  self.bytes = (self.bytes or 0) + #data
+  if is_end and complete(self) then return reassembler.frames[number] end
+  -- What nobody can use: the newest message ends, unless a Start has cut it off before.
+  if newest.overtaken then return reassembler:orphan(number, is_end) end
+  reassembler.frames[number] = newest
+  if is_end then
+    local taken, length = leftovers(self, newest)
+    local status = reassembler:misfit(newest, length, number)
+    newest.received = length
+    award(self, newest, taken, status)
+    return newest
+  end
+  local limit = MAX_WASTE
+  for _, message in ipairs(messages) do limit = limit + message.size end
+  if self.bytes > limit then
+    reassembler:misfit(newest, self.bytes, number)
+    for _, message in ipairs(messages) do message.status = message.status or "overrun" end
+    self.messages = {}
+  end
+  return newest
+end
+
+return M

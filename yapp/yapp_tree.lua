@@ -1,0 +1,302 @@
+-- What a user sees: the fields, the expert items, the trees of YAPP and of the Taurus messages, the Info column.
+-- Wireshark's API; what is shown comes in finished, from the reassembly or the framing.
+
+local M = {}
+
+local FRAME_KINDS = { [0] = "Single", "Start", "Middle", "End" }
+local CRC_STATUS = { [0] = "Bad", "Good", "Unverified" }
+local STATUS_CODE = { bad = 0, good = 1 } -- any other is unverified
+local UNVERIFIED = 2
+
+-- filter, kind, title, base or type, values
+local FIELDS = {
+  { "id", "uint32", "Message ID", "HEX" },
+  { "ctl", "uint8", "Control (CTL)", "DEC" },
+  { "seq", "uint8", "Sequence number", "DEC" },
+  { "size", "uint16", "Payload size", "DEC" },
+  { "reserved", "uint16", "Reserved", "HEX" },
+  { "sync", "uint16", "Sync", "HEX" },
+  { "can.ctrl", "uint8", "CAN frame", "DEC", FRAME_KINDS },
+  { "crc", "uint32", "CRC", "HEX" },
+  { "crc.status", "uint8", "CRC status", "DEC", CRC_STATUS },
+  { "crc.calculated", "uint32", "Calculated CRC", "HEX" },
+  { "payload", "bytes", "Payload" },
+  { "padding", "bytes", "CAN FD padding" },
+  { "fragments", "none", "Fragments" },
+  { "fragment", "framenum", "Fragment" },
+  { "fragment.data", "bytes", "Fragment data" },
+  { "fragment.count", "uint32", "Fragment count", "DEC" },
+  { "reassembled.in", "framenum", "Reassembled in" },
+  { "reassembled.length", "uint32", "Reassembled length", "DEC" },
+  { "skipped", "bytes", "Skipped bytes" },
+  { "time_delta", "relative_time", "Time since the previous message with this ID" },
+}
+
+-- filter, what it says by itself, group, severity
+local YAPP_EXPERTS = {
+  { "crc.bad", "Bad CRC", "CHECKSUM", "ERROR" },
+  { "fragment.orphan", "Middle or End without a Start", "SEQUENCE", "WARN" },
+  { "fragment.incomplete", "Message with bytes missing", "REASSEMBLE", "WARN" },
+  { "fragment.overrun", "More bytes than the message's size", "REASSEMBLE", "WARN" },
+  { "size.mismatch", "Payload length is not the catalogue's", "PROTOCOL", "WARN" },
+  { "id.unknown", "Message ID is not in the catalogue", "UNDECODED", "NOTE" },
+  { "reserved.nonzero", "Reserved bytes are not 0", "PROTOCOL", "WARN" },
+  { "can.ctrl.invalid", "CAN CTRL is not defined", "PROTOCOL", "WARN" },
+  { "can.id.missing", "The CAN id of this frame is not known", "UNDECODED", "WARN" },
+  { "stream.skipped", "Bytes that belong to no frame", "SEQUENCE", "NOTE" },
+  { "truncated", "The capture cut the packet short", "MALFORMED", "WARN" },
+}
+local TAURUS_EXPERTS = {
+  { "fault.active", "Fault flags are set", "RESPONSE_CODE", "ERROR" },
+  { "command.key.invalid", "Key is not valid: the command is ignored", "PROTOCOL", "WARN" },
+  { "value.special", "Reserved count of a compressed float", "PROTOCOL", "NOTE" },
+  { "flags.undefined", "A bit is set that no table defines", "PROTOCOL", "NOTE" },
+  { "value.invalid", "Value that the document does not define", "PROTOCOL", "WARN" },
+}
+
+local function make_experts(proto, prefix, rows)
+  local experts = {}
+  for _, row in ipairs(rows) do
+    experts[row[1]] = ProtoExpert.new(prefix .. row[1], row[2], expert.group[row[3]], expert.severity[row[4]])
+  end
+  proto.experts = experts
+  return experts
+end
+
+local function make_yapp_fields(names)
+  local fields = {}
+  for _, row in ipairs(FIELDS) do
+    local name, kind, title = row[1], row[2], row[3]
+    local filter, values = "yapp." .. name, row[5]
+    if name == "id" then values = names end
+    if kind == "framenum" then
+      fields[name] = ProtoField.framenum(filter, title, base.NONE)
+    elseif kind == "bytes" or kind == "none" or kind == "relative_time" then
+      fields[name] = ProtoField[kind](filter, title)
+    else
+      fields[name] = ProtoField[kind](filter, title, base[row[4]], values)
+    end
+  end
+  return fields
+end
+
+-- The ProtoFields of one catalogue field, kept in it: pf, and special_pf, flag.pf, undefined_pf.
+local function make_taurus_field(field, specials, add)
+  local bits = field.size * 8
+  if field.kind == "float" then
+    field.pf = add(ProtoField.double(field.filter, field.title))
+    field.special_pf = add(ProtoField.uint8(field.filter .. ".special", field.title, base.DEC, specials))
+  elseif field.kind == "time" then
+    field.pf = add(ProtoField.relative_time(field.filter, field.title))
+  elseif field.kind == "flags" then
+    field.pf = add(ProtoField["uint" .. bits](field.filter, field.title, base.HEX))
+    for _, flag in ipairs(field.flags) do
+      flag.pf = add(ProtoField.bool(flag.filter, flag.title, bits, nil, flag.mask))
+    end
+    field.undefined_pf = add(ProtoField.uint32(field.undefined_filter, "Undefined bits", base.HEX))
+  else
+    field.pf = add(ProtoField["uint" .. bits](field.filter, field.title, field.values and base.HEX or base.DEC,
+      field.values))
+  end
+end
+
+local Tree = {}
+Tree.__index = Tree
+
+--- Makes fields and expert items and hands them to the two protocols.
+-- yapp, taurus  Proto
+-- catalogue     compiled; its fields get their ProtoFields
+-- decode        the module yapp_decode
+-- returns       the tree builder; set its by_id ({ [id] = message }) before use
+function M.new(yapp, taurus, catalogue, decode)
+  local self = setmetatable({ yapp = yapp, taurus = taurus, decode = decode,
+    by_id = catalogue.by_id, default_names = {} }, Tree)
+  for id, message in pairs(catalogue.by_id) do self.default_names[id] = message.title end
+  self.fields = make_yapp_fields(self.default_names)
+  local list = {}
+  for _, row in ipairs(FIELDS) do list[#list + 1] = self.fields[row[1]] end
+  yapp.fields = list
+
+  list = {}
+  local function add(pf)
+    list[#list + 1] = pf
+    return pf
+  end
+  for _, message in ipairs(catalogue.messages) do
+    message.pf = add(ProtoField.none(message.filter, message.title))
+    for _, field in ipairs(message.fields) do make_taurus_field(field, self.decode.SPECIALS, add) end
+  end
+  taurus.fields = list
+  self.yapp_experts = make_experts(yapp, "yapp.", YAPP_EXPERTS)
+  self.taurus_experts = make_experts(taurus, "taurus.", TAURUS_EXPERTS)
+  return self
+end
+
+--- Whether anyone wants the tree of YAPP, or (with_taurus) of the message too: visible, filtered or printed.
+function Tree:wanted(tree, with_taurus)
+  if not self.handles then -- the API asks by dissector, and those exist only when loading has ended
+    self.handles = { Dissector.get("yapp"), Dissector.get("taurus") }
+  end
+  return tree:referenced(self.handles[1]) or with_taurus and tree:referenced(self.handles[2])
+end
+
+--- What an ID is called: "Motor Data", "ID 0x123".
+function Tree:name(id)
+  local message = self.by_id[id]
+  return message and message.title or string.format("ID 0x%x", id)
+end
+
+--- Adds an expert item of YAPP's.
+function Tree:expert(item, name, text)
+  item:add_proto_expert_info(self.yapp_experts[name], text)
+end
+
+local function generated(item)
+  item:set_generated()
+  return item
+end
+
+-- The id, with the name that the user's mapping gives it.
+function Tree:add_id(item, range, id)
+  local added = range and item:add(self.fields.id, range, id) or generated(item:add(self.fields.id, id))
+  local message = self.by_id[id]
+  local title = message and message.title
+  if title ~= self.default_names[id] then
+    added:set_text(string.format("Message ID: %s (0x%08x)", title or "Unknown", id))
+  end
+end
+
+--- Adds a CRC with its status, and the expert item when it is bad.
+-- range   TvbRange of the CRC or nil where it was sent in another frame
+-- message { crc, status, calculated }
+function Tree:add_crc(item, range, message)
+  local fields, status = self.fields, message.status
+  local crc = range and item:add_le(fields.crc, range) or generated(item:add(fields.crc, message.crc))
+  local code = STATUS_CODE[status] or UNVERIFIED
+  if status == "good" then
+    crc:append_text(" [correct]")
+  elseif status == "bad" then
+    crc:append_text(string.format(" [incorrect, should be 0x%08x]", message.calculated))
+  else
+    crc:append_text(" [unverified]")
+  end
+  generated(item:add(fields["crc.status"], code))
+  if status == "bad" then
+    generated(item:add(fields["crc.calculated"], message.calculated))
+  end
+  return crc
+end
+
+--- Says that a CRC is bad, with what was received and expected.
+function Tree:bad_crc(item, message)
+  self:expert(item, "crc.bad", string.format("Bad CRC: received 0x%08x, expected 0x%08x",
+    message.crc, message.calculated))
+end
+
+--- Adds a time since the previous message, in seconds.
+function Tree:add_delta(item, seconds)
+  if not seconds then return end
+  local negative = seconds < 0
+  local nanoseconds = string.format("%.0f", math.abs(seconds) * 1e9)
+  local whole, rest = tonumber(nanoseconds:sub(1, -10)) or 0, tonumber(nanoseconds:sub(-9))
+  if negative then whole, rest = -whole, -rest end
+  generated(item:add(self.fields.time_delta, NSTime.new(whole, rest)))
+end
+
+-- Taurus --------------------------------------------------------------------------------------------------------
+
+local adders = {}
+
+function adders.float(self, parent, range, field, raw)
+  local value, special = self.decode.float(field, raw)
+  if value then
+    local item = parent:add(field.pf, range, self.decode.round(value))
+    if field.unit then item:append_text(" " .. field.unit) end
+    return item
+  end
+  local item = parent:add(field.special_pf, range, special)
+  item:set_text(string.format("%s: %s (0x%0" .. field.size * 2 .. "x)", field.title,
+    self.decode.SPECIALS[special], raw))
+  return item
+end
+
+function adders.uint(_, parent, range, field)
+  local item = parent:add_le(field.pf, range)
+  if field.unit then item:append_text(" " .. field.unit) end
+  return item
+end
+
+function adders.flags(self, parent, range, field, raw)
+  local item = parent:add_le(field.pf, range)
+  if raw ~= 0 then item:append_text(" (" .. self.decode.flag_names(field, raw) .. ")") end
+  for _, flag in ipairs(field.flags) do item:add_le(flag.pf, range) end
+  local undefined = self.decode.undefined(field, raw)
+  if undefined ~= 0 then item:add(field.undefined_pf, range, undefined) end
+  return item
+end
+
+function adders.time(self, parent, range, field, _, payload)
+  return parent:add(field.pf, range, NSTime.new(self.decode.time(payload, field.offset)))
+end
+
+-- Whether a field is wanted when the tree is built but not shown: it, or one of those below it.
+local function field_wanted(tree, field)
+  if tree:referenced(field.pf) then return true end
+  if field.special_pf then return tree:referenced(field.special_pf) end
+  if field.flags then
+    for _, flag in ipairs(field.flags) do
+      if tree:referenced(flag.pf) then return true end
+    end
+    return tree:referenced(field.undefined_pf)
+  end
+  return false
+end
+
+-- The tree of a message; returns the items by index of field, for the remarks.
+function Tree:taurus_tree(tree, tvb, at, message, raws, payload)
+  local length = math.min(message.size, #payload)
+  local top = tree:add(self.taurus, tvb(at, length))
+  top:set_text("Taurus " .. message.title)
+  top:add(message.pf, tvb(at, length)):set_hidden()
+  local all, items = tree.visible, {}
+  for i, field in ipairs(message.fields) do
+    if field.offset + field.size > #payload then break end
+    if all or field_wanted(tree, field) then
+      items[i] = adders[field.kind](self, top, tvb(at + field.offset, field.size), field, raws[i], payload)
+    end
+  end
+  return items, top
+end
+
+--- Shows a payload: the message of the catalogue, or bytes.
+-- tree, item  where the Taurus tree goes, and YAPP's own item
+-- id          message ID; payload: string, may be shorter than the message where the capture cut it
+-- tvb, at     where the payload lies; nil when nobody wants a tree
+-- cut         true when the payload is only the first part of the message
+-- returns     what the Info column says of it
+function Tree:payload(tree, item, id, payload, tvb, at, cut)
+  local message, decode = self.by_id[id], self.decode
+  if not message or (#payload ~= message.size and not (cut and #payload < message.size)) then
+    if tvb and #payload > 0 then item:add(self.fields.payload, tvb(at, #payload)) end
+    if not message then
+      self:expert(item, "id.unknown", string.format("Message ID 0x%x is not in the catalogue", id))
+      return string.format("ID 0x%x  %d bytes", id, #payload)
+    end
+    self:expert(item, "size.mismatch", string.format("%s has %d bytes, the catalogue says %d",
+      message.title, #payload, message.size))
+    return string.format("%s  %d bytes, not %d", message.title, #payload, message.size)
+  end
+  local raws = decode.read(message, payload)
+  local items, top = {}, item
+  if tvb and #payload > 0 then items, top = self:taurus_tree(tree, tvb, at, message, raws, payload) end
+  local remarks = decode.remarks(message, raws)
+  if remarks then
+    for _, remark in ipairs(remarks) do
+      local target = items[remark[1]] or top
+      target:add_proto_expert_info(self.taurus_experts[remark[2]], remark[3])
+    end
+  end
+  return decode.info(message, raws)
+end
+
+return M
