@@ -14,7 +14,10 @@ end
 
 package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
 local parts = {}
-for _, name in ipairs { "can", "can_carrier", "catalogue", "crc", "decode", "interleave", "reassembly", "tree" } do
+for _, name in ipairs {
+  "bus", "can", "can_carrier", "can_id", "candump", "candump_reader", "catalogue", "crc", "decode", "interleave",
+  "reassembly", "serial_carrier", "stream", "tree",
+} do
   parts[name] = require("yapp_" .. name)
 end
 local decode = parts.decode
@@ -24,6 +27,14 @@ local function complain(text)
   if gui_enabled() and report_failure then return report_failure("YAPP: " .. text) end
   io.stderr:write("yapp: " .. text .. "\n")
 end
+
+local said = {}
+local function complain_once(text)
+  if not said[text] then complain(text) end
+  said[text] = true
+end
+
+local wide_open = false -- the preference "all extended CAN frames are YAPP"
 
 local function load_catalogue()
   local path = here .. "taurus_fields.lua"
@@ -41,6 +52,7 @@ end
 
 local catalogue = load_catalogue()
 local yapp = Proto("yapp", "Yet Another Packet Protocol")
+local serial = Proto("yapp_serial", "YAPP serial stream")
 local taurus = Proto("taurus", "Taurus motor controller")
 local tree = parts.tree.new(yapp, taurus, catalogue, decode)
 
@@ -59,59 +71,192 @@ yapp.prefs.all_extended = Pref.bool("All extended CAN frames are YAPP", false,
   "Switch it on for a bus that carries nothing but YAPP, to see unknown IDs, other YAPP CTL values and malformed " ..
   "frames too. By default only what is surely YAPP is taken.")
 
--- "0x210,0x300-0x303" as Wireshark gives it back
-local function parse_ids(text)
-  local ids = {}
+yapp.prefs.user_dlt = Pref.range("Link types that carry a serial stream", "",
+  "147 to 162, the numbers of DLT_USER0 to DLT_USER15: set it for serial captures with such a link type, where the " ..
+  "protocol's own DLT_USER table is not convenient. It takes the link type over from that table. Usually empty.", 162)
+
+-- "0x210,0x300-0x303" as a list of numbers
+local function parse_range(text, max)
+  local numbers = {}
   for part in tostring(text):gmatch("[^,%s]+") do
     local first, last = part:match("^(%w+)-(%w+)$")
     first, last = tonumber(first or part), tonumber(last or part)
-    for id = first or 1, first and math.min(last or -1, parts.catalogue.MAX_ID) or 0 do ids[#ids + 1] = id end
+    for n = first or 1, first and math.min(last or -1, max) or 0 do numbers[#numbers + 1] = n end
   end
-  return ids
+  return numbers
 end
 
-local frames = parts.can_carrier.new(parts, tree, function() end)
+-- Carriers ------------------------------------------------------------------------------------------------------
+
+local buses = parts.bus.watch()
+local candump = parts.candump_reader
+local ids = parts.can_id.new(parts.bus.fields)
+local frames = parts.can_carrier.new(parts, tree, function() return candump.current_bus or buses:current() end)
+local streams = parts.serial_carrier.new(parts, tree, function() return candump.current_bus or buses:current() end)
+
+-- The ids of a message are found by SocketCAN's table of ids: no other frame costs anything.
+local by_can_id = DissectorTable.get("can.extended_id")
+local registered = {}
+-- CAN id 0 by a Proto of its own: a call with match_uint 0 is from Decode As.
+local zero = Proto("yapp_zero", "YAPP, CAN id 0")
+
+local function register_range(first, last)
+  if first == 0 then
+    by_can_id:add(0, zero)
+    first = 1
+  end
+  by_can_id:add(("%d-%d"):format(first, last), yapp)
+end
+
+-- Every CAN CTRL and Seq No of a message ID, with YAPP CTL 0.
+local function register_id(id)
+  if registered[id] then return end
+  registered[id] = true
+  for ctrl = 0, 3 do
+    local first = id * 0x40000 + ctrl * 0x4000
+    register_range(first, first + 0xFF)
+  end
+end
+
+-- Starts of unknown messages: those that do not number their messages at once; the rest takes half a second and waits
+-- until a frame that may be one has been seen.
+local function register_starts(last_seq)
+  for id = 0, parts.catalogue.MAX_ID do
+    local first = id * 0x40000 + 0x4000
+    if not registered[id] then by_can_id:add(("%d-%d"):format(first, first + last_seq), yapp) end
+  end
+end
+local all_starts = false
+
+local wrapper = Proto("yapp_socketcan", "YAPP's look at CAN headers")
+
+local function dissect_id(tvb, pinfo, root, id, wide)
+  local length = frames:dissect(tvb, pinfo, root, id, wide)
+  if length == 0 then
+    ids:note(pinfo.number, id)
+  elseif not wide then
+    local message_id = (id - id % 0x40000) / 0x40000
+    if not registered[message_id] then register_id(message_id) end
+  end
+  return length
+end
+
+function zero.dissector(tvb, pinfo, root)
+  return dissect_id(tvb, pinfo, root, 0, yapp.prefs.all_extended)
+end
+
+-- Decode As on CAN: every extended data frame is YAPP's.
+local function dissect_all(tvb, pinfo, root)
+  local id, unknown = ids:find(pinfo)
+  ids:wrap(wrapper) -- from the next frame on the id is known
+  if id then return frames:dissect(tvb, pinfo, root, id, true) end
+  if unknown and tvb:reported_len() > 0 then return frames:without_id(tvb, pinfo, root) end
+  return 0
+end
 
 function yapp.dissector(tvb, pinfo, root)
-  return frames:dissect(tvb, pinfo, root, pinfo.match_uint, false)
+  local id = pinfo.match_uint
+  if id > 0xFFFF then return dissect_id(tvb, pinfo, root, id, wide_open) end
+  if pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
+  if id == 0 then return dissect_all(tvb, pinfo, root) end
+  return dissect_id(tvb, pinfo, root, id, wide_open)
+end
+
+-- Frames that nobody claimed: all of them where the preference says so, and Starts of unknown messages.
+local function unclaimed(tvb, pinfo, root)
+  if wide_open then
+    local id = ids:find(pinfo)
+    return id ~= nil and frames:dissect(tvb, pinfo, root, id, true) > 0
+  end
+  if tvb:reported_len() ~= 8 or tvb:len() ~= 8 then return false end
+  local data = tvb:raw()
+  if data:byte(7) ~= 0 or data:byte(8) ~= 0 or data:byte(5) <= 8 and data:byte(6) == 0 then return false end
+  local id, unknown = ids:find(pinfo)
+  if id then return dissect_id(tvb, pinfo, root, id, false) > 0 end
+  if unknown and not all_starts then
+    all_starts = true
+    register_starts(0xFF)
+  end
+  return false
+end
+
+function serial.dissector(tvb, pinfo, root)
+  return streams:dissect(tvb, pinfo, root)
 end
 
 -- Taurus messages arrive through YAPP alone; the handle is what "is this protocol wanted" is asked by.
 function taurus.dissector() return 0 end
 
-local by_can_id = DissectorTable.get("can.extended_id")
-local registered = {}
+-- A conversation is YAPP's when one whole frame with a good CRC has been seen in it.
+local function found_by_content(tvb, pinfo, root)
+  local raw = tvb:raw()
+  if not raw:find("YP", 1, true) or not streams:has_frame(raw) then return false end
+  pinfo.conversation = serial
+  streams:dissect(tvb, pinfo, root)
+  return true
+end
 
-local function register_ids(by_id)
-  for id in pairs(by_id) do
-    if not registered[id] then
-      registered[id] = true
-      for ctrl = 0, 3 do
-        local first = id * 0x40000 + ctrl * 0x4000
-        by_can_id:add(("%d-%d"):format(first, first + 0xFF), yapp)
-      end
+-- Preferences and files -----------------------------------------------------------------------------------------
+
+local taken_dlts = {}
+
+local function take_dlts()
+  local encapsulations, wanted = DissectorTable.get("wtap_encap"), {}
+  for _, dlt in ipairs(parse_range(yapp.prefs.user_dlt, 162)) do
+    if dlt < 147 then
+      complain_once(("preferences: link type %d is not a DLT_USER (147 to 162)"):format(dlt))
+    else
+      wanted[wtap.USER0 + dlt - 147] = true
+    end
+  end
+  for encapsulation in pairs(wanted) do
+    if not taken_dlts[encapsulation] then
+      taken_dlts[encapsulation] = encapsulations:get_dissector(encapsulation) or true
+      encapsulations:add(encapsulation, serial)
+    end
+  end
+  for encapsulation, before in pairs(taken_dlts) do
+    if not wanted[encapsulation] then
+      encapsulations:remove(encapsulation, serial)
+      if before ~= true then encapsulations:add(encapsulation, before) end
+      taken_dlts[encapsulation] = nil
     end
   end
 end
 
-local said = {}
 local function read_preferences()
   decode.use_divisor(catalogue, yapp.prefs.divisor)
-  local ids = {}
-  for _, message in ipairs(catalogue.messages) do ids[message.name] = parse_ids(yapp.prefs[message.name .. "_ids"]) end
-  local by_id, problems = parts.catalogue.assign(catalogue, ids)
-  for _, text in ipairs(problems) do
-    if not said[text] then complain("preferences: " .. text) end
-    said[text] = true
+  local chosen = {}
+  for _, message in ipairs(catalogue.messages) do
+    chosen[message.name] = parse_range(yapp.prefs[message.name .. "_ids"], parts.catalogue.MAX_ID)
   end
+  local by_id, problems = parts.catalogue.assign(catalogue, chosen)
+  for _, text in ipairs(problems) do complain_once("preferences: " .. text) end
   tree.by_id = by_id
-  register_ids(by_id)
+  for id in pairs(by_id) do register_id(id) end
+  wide_open = yapp.prefs.all_extended
+  if wide_open then ids:wrap(wrapper) end
+  take_dlts()
 end
 
 function yapp.init()
   read_preferences()
+  buses:init()
   frames:reset()
+  streams:reset()
 end
 yapp.prefs_changed = read_preferences
 
-package.loaded["yapp.plugin"] = { version = VERSION, path = here .. "yapp.lua" }
+register_starts(0)
+DissectorTable.get("can.subdissector"):add_for_decode_as(yapp)
+for _, name in ipairs { "tcp.port", "udp.port", "rtacser.data" } do
+  DissectorTable.get(name):add_for_decode_as(serial)
+end
+for _, name in ipairs { "tcp.port", "udp.port" } do DissectorTable.get(name):add_for_decode_as(yapp) end
+yapp:register_heuristic("can", unclaimed)
+serial:register_heuristic("tcp", found_by_content)
+serial:register_heuristic("udp", found_by_content)
+candump.register(parts.candump)
+
+local plugin = { version = VERSION, path = here .. "yapp.lua" }
+package.loaded["yapp.plugin"] = plugin

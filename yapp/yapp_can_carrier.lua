@@ -15,7 +15,7 @@ Carrier.__index = Carrier
 --- The CAN side of the plugin.
 -- parts   the modules { can =, crc =, interleave =, reassembly = }
 -- tree    a tree builder
--- bus_of  function(pinfo, tree) -> number of the bus, nil where the capture does not say
+-- bus_of  function() -> number of the bus, nil where the capture does not say
 function M.new(parts, tree, bus_of)
   local self = setmetatable({ parts = parts, tree = tree, bus_of = bus_of }, Carrier)
   address_of, KINDS, START = parts.can.address, parts.can.KINDS, parts.can.START
@@ -26,12 +26,17 @@ end
 
 --- Forgets the capture file: nothing survives into the next one.
 function Carrier:reset()
+  self.state, self.second, self.informed = self:new_state(), nil, false
+  self.last_time, self.deltas = {}, {}
+  self.highest, self.highest_again = 0, 0
+end
+
+function Carrier:new_state()
   local by_id = self.tree.by_id
-  self.state = self.parts.reassembly.new(self.parts, function(id)
+  return self.parts.reassembly.new(self.parts, function(id)
     local message = by_id[id]
     return message and message.size
   end)
-  self.last_time, self.deltas = {}, {}
 end
 
 -- The time since the previous message with this ID on this bus; kept, because only the first pass sees all in order.
@@ -51,14 +56,17 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
   if reported == 0 then return 0 end
   local number, state = pinfo.number, self.state
   local address, data, entry = address_of(id), tvb:raw(), nil
-  if not pinfo.visited then
-    local bus = self.bus_of(pinfo, tree)
+  -- Numbers grow on the first pass; a call saved for most frames.
+  if number > self.highest or not pinfo.visited then
+    self.highest = number
+    local bus = self.bus_of()
+    if bus then self.informed = true end
     if self.deltas[number] then self.deltas[number] = nil end
     entry = state:frame(bus, address, data, reported, number, wide)
     if not entry then return 0 end
     if entry == LONE or entry.last == number then self:note_time(pinfo, bus, address.id, number) end
   else
-    entry = state:entry(number)
+    entry, state = self:look_again(pinfo, address, data, reported, number, wide)
   end
   if not entry then return 0 end
   local builder = self.tree
@@ -84,6 +92,20 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
   return reported
 end
 
+--- A frame that is YAPP's by the user's word, but whose CAN id nothing says: Decode As on its first frame, on a pass
+-- that builds no tree.  Shown as bytes.
+function Carrier:without_id(tvb, pinfo, tree)
+  local builder = self.tree
+  local item = tree
+  if builder:wanted(tree, false) then
+    item = tree:add(builder.yapp, tvb())
+    item:add(builder.fields.payload, tvb())
+  end
+  pinfo.cols.protocol = "YAPP"
+  builder:expert(item, "can.id.missing", "The CAN id of this frame is not known yet; reload or redissect to see it")
+  return tvb:reported_len()
+end
+
 -- YAPP's own tree item, with what the CAN id says.
 function Carrier:item(tvb, tree, address)
   local builder = self.tree
@@ -95,6 +117,26 @@ function Carrier:item(tvb, tree, address)
   item:add(fields.seq, address.seq):set_generated()
   item:add(fields["can.ctrl"], address.ctrl):set_generated()
   return item
+end
+
+-- A later look at a frame.  A first pass without fields (tshark -2) cannot tell buses apart; where there are several,
+-- a second pass that has the fields and comes in order knows better, but what will come it has from the first.
+function Carrier:look_again(pinfo, address, data, reported, number, wide)
+  local first = self.state
+  local bus = not self.informed and self.bus_of()
+  if not bus then return first:entry(number), first end
+  local second = self.second
+  if not second then
+    second = self:new_state()
+    self.second, self.deltas, self.last_time = second, {}, {}
+  end
+  if number > self.highest_again then
+    self.highest_again = number
+    local entry = second:frame(bus, address, data, reported, number, wide)
+    if entry and (entry == LONE or entry.last == number) then self:note_time(pinfo, bus, address.id, number) end
+    return entry, second
+  end
+  return second:entry(number) or first:entry(number), second
 end
 
 -- A frame that stands alone: a single-frame message, or what belongs to none.

@@ -158,7 +158,7 @@ end
 local function compile_message(entry, where, problems)
   local complain = complainer(where, problems)
   local message = { name = entry.name, title = entry.title, id = entry.id, size = entry.size,
-    filter = "taurus." .. entry.name, fields = {}, by_name = {}, index = {}, alarms = {} }
+    filter = "taurus." .. entry.name, fields = {}, by_name = {}, index = {}, alarms = {}, raws = {} }
   if not is_text(entry.title) then complain("the title is missing") end
   if not is_integer(entry.id) or entry.id < 0 or entry.id > M.MAX_ID then
     complain("id %s is not one of 0 .. %d", shown(entry.id), M.MAX_ID)

@@ -36,7 +36,7 @@ end
 -- Native operators are syntax errors in Lua 5.2, so they hide in a string.
 local NATIVE = [[
   local TABLE, byte = ...
-  return function(register, data, from, to)
+  local function run(register, data, from, to)
     local at = from
     while at + 7 <= to do
       local a, b, c, d, e, f, g, h = byte(data, at, at + 7)
@@ -55,21 +55,55 @@ local NATIVE = [[
     end
     return register
   end
+  local function xor(a, b) return a ~ b end
+  local function apply(map, x)
+    return map[1][x & 255] ~ map[2][x >> 8 & 255] ~ map[3][x >> 16 & 255] ~ map[4][x >> 24]
+  end
+  return run, xor, apply
 ]]
 
 -- Lua 5.2: Wireshark has BitOp ("bit", signed results), plain Lua has "bit32" (unsigned).
 local function with_library(library)
-  local bxor, lshift, rshift = library.bxor, library.lshift, library.rshift
-  return function(register, data, from, to)
-    for i = from, to do
+  local bxor, band, lshift, rshift = library.bxor, library.band, library.lshift, library.rshift
+  -- A call costs more than a table look-up here: four bytes a step, each through its own table.
+  local NEXT = { [0] = TABLE }
+  for k = 1, 3 do
+    NEXT[k] = {}
+    for i = 0, 255 do
+      local register = NEXT[k - 1][i]
+      NEXT[k][i] = bxor(lshift(register, 8), TABLE[rshift(register, 24)]) % 0x100000000
+    end
+  end
+  local T0, T1, T2, T3 = TABLE, NEXT[1], NEXT[2], NEXT[3]
+  local function run(register, data, from, to)
+    local at = from
+    while at + 3 <= to do
+      local a, b, c, d = byte(data, at, at + 3)
+      local x = bxor(register, a * 0x1000000 + b * 0x10000 + c * 0x100 + d)
+      register = bxor(T3[rshift(x, 24)], T2[band(rshift(x, 16), 255)], T1[band(rshift(x, 8), 255)], T0[band(x, 255)])
+      at = at + 4
+    end
+    for i = at, to do
       register = bxor(lshift(register, 8), TABLE[bxor(rshift(register, 24), byte(data, i))])
     end
     return register % 0x100000000
   end
+  local function xor(a, b) return bxor(a, b) % 0x100000000 end
+  local function apply(map, x)
+    return bxor(map[1][band(x, 255)], map[2][band(rshift(x, 8), 255)],
+      map[3][band(rshift(x, 16), 255)], map[4][rshift(x, 24)]) % 0x100000000
+  end
+  return run, xor, apply
 end
 
+-- apply: a linear map of the register; the map is four tables, one for each byte of the register.
+local run, xor, apply
 local native = load(NATIVE, "=yapp_crc native")
-local run = native and native(TABLE, byte) or with_library(rawget(_G, "bit") or require("bit32"))
+if native then
+  run, xor, apply = native(TABLE, byte)
+else
+  run, xor, apply = with_library(rawget(_G, "bit") or require("bit32"))
+end
 
 --- Runs the register over data[from .. to].
 -- register  number 0 .. 0xFFFFFFFF, M.INITIAL to begin with
@@ -83,6 +117,42 @@ end
 --- The CRC of a string, from the initial value.
 function M.of(data)
   return run(M.INITIAL, data, 1, #data)
+end
+
+--- The exclusive or of two registers, 0 .. 0xFFFFFFFF each.
+M.xor = xor
+
+local POWERS = {} -- [k]: the map "2^k zero bytes go through the register", made when first asked for
+
+local function power(k)
+  if POWERS[k] then return POWERS[k] end
+  local half = k > 0 and power(k - 1)
+  local map, weight = {}, 1
+  for place = 1, 4 do
+    map[place] = {}
+    for i = 0, 255 do
+      local x = i * weight
+      map[place][i] = half and apply(half, apply(half, x)) or run(x, "\0", 1, 1)
+    end
+    weight = weight * 256
+  end
+  POWERS[k] = map
+  return map
+end
+
+--- Runs the register over zero bytes, in steps that grow with the logarithm of their number.
+-- The register is linear: update(a, data) xor update(b, data) = advance(a xor b, #data).  So the CRC of a
+-- part of some bytes follows from the registers at its two ends.
+-- register  number 0 .. 0xFFFFFFFF
+-- count     zero bytes, 0 or more
+-- returns   the new register, 0 .. 0xFFFFFFFF.  Document: "CRC Calculation".
+function M.advance(register, count)
+  local k = 0
+  while count > 0 and register ~= 0 do
+    if count % 2 == 1 then register = apply(power(k), register) end
+    count, k = (count - count % 2) / 2, k + 1
+  end
+  return register
 end
 
 return M

@@ -11,7 +11,7 @@ local SPECIALS_SHORT = { [0] = "NaN", "+inf", "-inf", "above range", "below rang
 M.SPECIALS = SPECIALS
 
 local byte, format, concat = string.byte, string.format, table.concat
-local unpack = table.unpack
+local unpack = rawget(table, "unpack")
 
 -- COMPAT 5.4: a quotient is a float there, and NSTime takes integers only.
 local integer = rawget(math, "tointeger") or function(n) return n end
@@ -24,14 +24,16 @@ local band = native and native() or function(a, b) return library.band(a, b) % 0
 --- The raw counts of a payload.
 -- message  compiled
 -- payload  string; may be shorter than the message where a capture cut it: only fields that are whole are read
--- returns  { [index of field] = unsigned number }, without times (see M.time) and without missing fields
+-- returns  { [index of field] = unsigned number }, without times (see M.time) and without missing fields; the same
+--          table for every payload of a message, since this runs for every packet
 function M.read(message, payload)
-  local raws, fields, length = {}, message.fields, #payload
+  local raws, fields, length = message.raws, message.fields, #payload
   for i = 1, #fields do
     local field = fields[i]
     local at, size = field.offset + 1, field.size
-    if at + size - 1 > length then break end
-    if size == 1 then
+    if at + size - 1 > length then
+      raws[i] = nil
+    elseif size == 1 then
       raws[i] = byte(payload, at)
     elseif size == 2 then
       local a, b = byte(payload, at, at + 1)

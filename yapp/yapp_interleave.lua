@@ -135,16 +135,13 @@ local function complete(self)
   local messages = self.messages
   for i = 0, #messages do
     local message = messages[i == 0 and #messages or i]
-    local goal, taken = { crc = message.crc }, nil
-    if i == 0 then
-      taken = all_since_start(self, goal, message)
-    else
-      taken = search(self, goal, message.from, self.reassembler:seed(message), message.size, {})
-    end
+    local goal = { crc = message.crc }
+    local taken = i == 0 and all_since_start(self, goal, message) or
+      i > 0 and search(self, goal, message.from, self.reassembler:seed(message), message.size, {})
     if taken then
       message.padding = goal.padding > 0 and goal.padding or nil
       award(self, message, taken)
-      return true
+      return message
     end
   end
 end
@@ -157,7 +154,8 @@ function Pool:frame(data, number, is_end)
   local newest = messages[#messages]
   self.frames[#self.frames + 1] = { number = number, data = data, is_end = is_end }
   self.bytes = (self.bytes or 0) + #data
-  if is_end and complete(self) then return reassembler.frames[number] end
+  local whole = is_end and complete(self)
+  if whole then return whole end
   -- What nobody can use: the newest message ends, unless a Start has cut it off before.
   if newest.overtaken then return reassembler:orphan(number, is_end) end
   reassembler.frames[number] = newest

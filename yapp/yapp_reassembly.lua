@@ -3,7 +3,8 @@
 
 local M = {}
 
-local byte, char, concat, unpack = string.byte, string.char, table.concat, table.unpack
+local byte, char, concat = string.byte, string.char, table.concat
+local unpack = rawget(table, "unpack")
 
 -- Bounds.  An open message costs memory until something ends it.
 local MAX_OPEN = 1024 -- open messages; the oldest make room

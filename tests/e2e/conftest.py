@@ -1,0 +1,20 @@
+import pathlib
+import shutil
+import sys
+
+import pytest
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
+import tshark  # noqa: E402
+
+
+@pytest.fixture
+def folder():
+    path = tshark.writable_folder()
+    yield path
+    shutil.rmtree(path, ignore_errors=True)
+
+
+def pytest_sessionfinish():
+    if tshark.home.cache_info().currsize:
+        shutil.rmtree(tshark.home(), ignore_errors=True)

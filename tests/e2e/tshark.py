@@ -1,0 +1,100 @@
+"""Runs the real tshark with the plugin.  Every run asserts that nothing went wrong in Lua: exit code 0 proves nothing.
+
+YAPP_ROUTE=script (the default) loads the plugin by -X lua_script, YAPP_ROUTE=plugin from a personal plugin folder.
+"""
+import functools
+import os
+import pathlib
+import shutil
+import subprocess
+import tempfile
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+CAPTURES = ROOT / "test_captures"
+PLUGIN_FILES = ["yapp.lua", "taurus_fields.lua", "yapp"]
+ROUTE = os.environ.get("YAPP_ROUTE", "script")
+TIMEOUT = 300
+
+
+@functools.lru_cache(None)
+def version():
+    """The version of the local tshark: (4, 0, 17)."""
+    first = subprocess.run(["tshark", "--version"], capture_output=True, text=True, check=True).stdout.split("\n")[0]
+    return tuple(int(part) for part in first.split("(Wireshark)")[1].split()[0].rstrip(".").split("."))
+
+
+@functools.lru_cache(None)
+def _user():
+    # As root, 4.4 and later ignore Lua plugins without a word.
+    return {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 and version() >= (4, 4) else {}
+
+
+@functools.lru_cache(None)
+def home():
+    """A home of its own for the tests: no profile of the user's has a say; with the plugin installed in it."""
+    path = pathlib.Path(tempfile.mkdtemp(prefix="yapp-home-"))
+    path.chmod(0o755)
+    folder = path / ".local/lib/wireshark/plugins/yapp"
+    folder.mkdir(parents=True)
+    if ROUTE == "plugin":
+        for name in PLUGIN_FILES:
+            source = ROOT / name
+            (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
+    if _user():
+        for entry in [path, *path.rglob("*")]:
+            os.chown(entry, 65534, 65534)
+    return path
+
+
+def load(script=None):
+    """The arguments that load the plugin, or another script."""
+    if script:
+        return ["-X", f"lua_script:{script}"]
+    return ["-X", f"lua_script:{ROOT / 'yapp.lua'}"] if ROUTE == "script" else []
+
+
+def run(*arguments, plugin=True, stdin=None, cwd=None, env=None, check=True, lua_errors=False):
+    """Runs tshark; returns the completed process (text).  Fails on a Lua error at load or in a tap, and on exit != 0."""
+    environment = {**os.environ, "HOME": str(home()), "LC_ALL": "C.UTF-8", "TZ": "UTC", **(env or {})}
+    environment.pop("XDG_CONFIG_HOME", None)
+    command = ["tshark", *(load() if plugin else []), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, stdin=stdin or subprocess.DEVNULL, cwd=cwd, env=environment,
+                          timeout=TIMEOUT, **_user())
+    done.stdout, done.stderr = done.stdout.decode("utf-8", "replace"), done.stderr.decode("utf-8", "replace")
+    if check:
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
+    if not lua_errors:
+        assert "Lua:" not in done.stderr, done.stderr
+    return done
+
+
+def assert_no_lua_errors(capture, *arguments, passes=((), ("-2",))):
+    """No dissector failed in Lua: such an error shows only as an item of the packet."""
+    for options in passes:
+        found = run(*options, *arguments, "-r", capture, "-Y", "_ws.lua.error", "-T", "fields", "-e", "frame.number")
+        assert found.stdout == "", f"Lua error in frames {found.stdout.split()} of {capture}"
+
+
+def fields(capture, names, *arguments, occurrence="a", separator="\t"):
+    """The fields of each frame: a list of lists, as -T fields prints them; several values are joined by commas."""
+    wanted = [argument for name in names for argument in ("-e", name)]
+    done = run(*arguments, "-r", capture, "-T", "fields", "-E", f"occurrence={occurrence}", "-E",
+               f"separator={separator}", *wanted)
+    return [line.split(separator) for line in done.stdout.splitlines()]
+
+
+def truth(text):
+    """A boolean field: 4.0 prints 1 and 0, later versions True and False."""
+    return {"1": True, "True": True, "0": False, "False": False}[text]
+
+
+def flag(value):
+    """A boolean for a display filter, the same in every version."""
+    return "1" if value else "0"
+
+
+def writable_folder():
+    """A folder that tshark, whoever it runs as, can read and write."""
+    path = pathlib.Path(tempfile.mkdtemp(prefix="yapp-test-"))
+    path.chmod(0o777)
+    return path

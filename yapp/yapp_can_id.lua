@@ -1,0 +1,89 @@
+-- The id of a CAN frame that came to us without one: by Decode As, by a heuristic.  Wireshark's API.
+--
+-- A dissector that SocketCAN calls gets the payload alone.  Called from the table of ids it finds the id in
+-- pinfo.match_uint; else there are the CAN header, which a wrapper around SocketCAN reads (exact, on every pass, at
+-- the cost of a name in frame.protocols: only where the user asked for all of a bus), the tree and the Info column.
+
+local M = {}
+
+local EXTENDED, REMOTE, ERROR, MASK = 0x80000000, 0x40000000, 0x20000000, 0x20000000
+
+local Ids = {}
+Ids.__index = Ids
+
+--- fields  function() -> { [filter name] = value } of the tree so far
+function M.new(fields)
+  return setmetatable({ fields = fields, number = 0 }, Ids)
+end
+
+--- Notes the id of a frame for those who are asked next; id is nil for a frame that is not extended, or remote.
+function Ids:note(number, id)
+  self.number, self.id = number, id
+end
+
+-- "Ext. ID: 138428416 (0x8404000), Length: 8", as SocketCAN leaves it
+local function from_column(pinfo)
+  local text = tostring(pinfo.cols.info)
+  if text:find("Remote", 1, true) then return nil end
+  return tonumber(text:match("Ext%. ID: (%d+)"))
+end
+
+local function truth(value) return value == true or value == 1 end
+
+--- The id of the current frame.
+-- returns  29-bit id; nil where it is not an extended data frame; nil and true where nothing says
+function Ids:find(pinfo)
+  if self.number == pinfo.number then return self.id end
+  local fields = self.fields()
+  local id = fields["can.id"]
+  if id then
+    local data = truth(fields["can.flags.xtd"]) and not truth(fields["can.flags.rtr"])
+    return data and id % MASK or nil
+  end
+  id = from_column(pinfo)
+  return id, not id
+end
+
+--- Whether a frame of zeros is a remote frame: those have no data, but some captures give them zeros.
+function Ids:is_remote(pinfo)
+  local rtr = self.fields()["can.flags.rtr"]
+  if rtr ~= nil then return truth(rtr) end
+  return tostring(pinfo.cols.info):find("Remote", 1, true) ~= nil
+end
+
+-- The first word of a SocketCAN record; big endian in its own encapsulation, host order in cooked captures.
+local function header_id(tvb, little)
+  if tvb:len() < 8 then return nil end
+  local word = little and tvb(0, 4):le_uint() or tvb(0, 4):uint()
+  if word < EXTENDED or word % (2 * REMOTE) >= REMOTE or word % (2 * ERROR) >= ERROR then return nil end
+  return word % MASK
+end
+
+--- Reads the CAN header of every frame from now on.
+-- proto  a Proto for the wrapper
+function Ids:wrap(proto)
+  if self.wrapped then return end
+  self.wrapped = true
+  local little = true -- the host's order, on every machine that Wireshark is built for today
+  local carriers = {}
+  for _, row in ipairs { { "wtap_encap", wtap.SOCKETCAN, false }, { "sll.ltype", 0x0C, little },
+    { "sll.ltype", 0x0D, little } } do
+    local tables = DissectorTable.get(row[1])
+    carriers[#carriers + 1] = { tables = tables, value = row[2], little = row[3], inner = tables:get_dissector(row[2]) }
+  end
+  function proto.dissector(tvb, pinfo, tree)
+    local key = pinfo.match_uint
+    for _, carrier in ipairs(carriers) do
+      if carrier.value == key and carrier.inner then
+        self:note(pinfo.number, header_id(tvb, carrier.little))
+        return carrier.inner:call(tvb, pinfo, tree)
+      end
+    end
+    return 0
+  end
+  for _, carrier in ipairs(carriers) do
+    if carrier.inner then carrier.tables:add(carrier.value, proto) end
+  end
+end
+
+return M
