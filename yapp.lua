@@ -242,6 +242,7 @@ end
 function yapp.init()
   read_preferences()
   buses:init()
+  candump.current_bus = nil -- sharkd opens the next file without closing the first
   frames:reset()
   streams:reset()
 end

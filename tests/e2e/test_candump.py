@@ -1,0 +1,315 @@
+"""candump text opened by name: every form gives the frames it was printed from, and no other file is taken.
+
+The captures are what candump 2020.11 (2023.03 for *_raw_dlc) and log2long print for the frames listed here. Written by
+hand: *_nanoseconds, *_broken_lines, and the two candump_document files, which are lines of the protocol's document.
+"""
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+CAPTURES = ROOT / "test_captures"
+TSHARK = os.environ.get("TSHARK", "tshark")
+
+REGISTER = """
+package.path = "%s/yapp/?.lua;" .. package.path
+local reader = require("yapp_candump_reader")
+reader.register(require("yapp_candump"))
+io.stderr:write("reader registered\\n")
+"""
+
+# What the reader says of the bus on the first pass, where there may be no tree; kept for the second.
+SHOW_BUS = """
+local proto = Proto("candumptest", "Bus of the record")
+proto.fields.bus = ProtoField.int32("candumptest.bus", "Bus")
+local buses = {}
+function proto.dissector(_, pinfo, tree)
+  if not pinfo.visited then buses[pinfo.number] = reader.current_bus or -1 end
+  tree:add(proto.fields.bus, buses[pinfo.number])
+end
+register_postdissector(proto)
+"""
+
+OTHER_READER = """
+local other = FileHandler.new("other text", "other_text", "other text", "rs")
+function other.read_open(file, capture)
+  if file:read(6) ~= "OTHER\\n" then return false end
+  capture.encap = wtap.USER0
+  return true
+end
+function other.read(file, capture, frame)
+  local line = file:read()
+  if not line then return false end
+  frame.data = line
+  return file:seek()
+end
+register_filehandler(other)
+"""
+
+
+def run(tmp_path, arguments, lua=REGISTER % ROOT, stdin=None):
+    """Runs tshark with the reader. Nothing may go wrong in Lua, and it must have been loaded: as root, tshark 4.4
+    leaves it out without a word. Returns (exit code, stdout, stderr)."""
+    script = tmp_path / "register.lua"
+    script.write_text(lua)
+    command = [TSHARK, "-X", f"lua_script:{script}", *map(str, arguments)]
+    done = subprocess.run(command, stdin=stdin or subprocess.DEVNULL, capture_output=True, check=False,
+                          env=dict(os.environ, TZ="UTC"))
+    errors = done.stderr.decode()
+    assert "Lua:" not in errors
+    assert not lua or "reader registered" in errors
+    return done.returncode, done.stdout.decode(errors="replace"), errors
+
+
+FIELDS = ["sll.ifindex", "sll.pkttype", "can.id", "can.flags.xtd", "can.flags.rtr", "can.flags.err", "can.len",
+          "canfd.flags.brs", "canfd.flags.esi", "data", "frame.time_epoch", "frame.protocols"]
+
+
+def rows(tmp_path, arguments, **options):
+    """One dictionary a frame. Flags are "0" or "1" whatever the version prints. No dissector may have failed."""
+    wanted = [part for name in [*FIELDS, "_ws.lua.error"] for part in ("-e", name)]
+    code, out, errors = run(tmp_path, [*arguments, "-T", "fields", *wanted], **options)
+    assert code == 0, errors
+    assert all(line.endswith("\t") for line in out.splitlines()), "_ws.lua.error"
+    flags = {"True": "1", "False": "0"}
+    return [dict(zip(FIELDS, (flags.get(value, value) for value in line.split("\t")))) for line in out.splitlines()]
+
+
+def frame(ident, data="", **other):
+    """A frame as FIELDS show it."""
+    extended, error = ident >= 0x800, ident & 0x20000000
+    values = {"sll.ifindex": "0", "sll.pkttype": "0", "can.id": "" if error else str(ident), "data": data.lower(),
+              "can.len": str(len(data) // 2), "can.flags.xtd": "" if error else str(int(extended)),
+              "can.flags.rtr": "" if error else "0", "can.flags.err": "1" if error else "0",
+              "canfd.flags.brs": "", "canfd.flags.esi": ""}
+    if error:
+        values["data"] = ""
+    values.update(other)
+    return values
+
+
+def fd_frame(ident, data, brs, esi):
+    return frame(ident, data, **{"canfd.flags.brs": str(brs), "canfd.flags.esi": str(esi), "can.flags.rtr": "",
+                                 "can.flags.err": ""})
+
+
+def remote(ident, length):
+    return frame(ident, "00" * length, **{"can.flags.rtr": "1"})
+
+
+def on_bus(number, one):
+    return dict(one, **{"sll.ifindex": str(number)})
+
+
+def sent(one):
+    return dict(one, **{"sll.pkttype": "4"})
+
+
+MESSAGE = [frame(0x08404000, "BBBE6FC720000000"), frame(0x08408000, "FD7FFD7FFD7FFD7F"),
+           frame(0x08408000, "F5AFFD7F18010000"), frame(0x08408000, "014000000000E38C"),
+           frame(0x0840C000, "D23CE04E000005FF")]
+TWO_BUSES = [on_bus(bus, one) for one in MESSAGE for bus in (0, 1)]
+STANDARD = [frame(0x123, "0102030405060708"), frame(0x7FF), frame(1, "FF")]
+ERRORS = [frame(0x20000004, "0008000000000000"), frame(0x20000088, "000002190000607F")]
+FD_DATA = ["0001020304050607", "000102030405060708090A0B", "".join(f"{255 - i:02X}" for i in range(64))]
+FD = [fd_frame(0x08404000, FD_DATA[0], 0, 0), fd_frame(0x123, FD_DATA[1], 1, 0),
+      fd_frame(0x08404001, FD_DATA[2], 1, 1)]
+# The screen tells the flags of CAN FD with -x only.
+FD_WITHOUT_FLAGS = [dict(one, **{"canfd.flags.brs": "0", "canfd.flags.esi": "0"}) for one in FD]
+SENT_AND_RECEIVED = [sent(one) if i % 2 == 0 else one for i, one in enumerate(MESSAGE)]
+
+# Microseconds from each frame to the next in the captures.
+GAPS = [130, 120, 141, 125, 118, 133, 127, 140, 119, 122]
+ABSOLUTE, RELATIVE = 1700000000000001000, 0
+
+
+def stamps(start, count):
+    """Times from `start` (nanoseconds) on, as frame.time_epoch prints them."""
+    times = [start + 1000 * sum(GAPS[:i]) for i in range(count)]
+    return [f"{time // 10 ** 9}.{time % 10 ** 9:09d}" for time in times]
+
+
+# File, its frames, the time of the first one; None where the file has no times.
+FILES = [
+    ("screen_none.txt", MESSAGE, None),
+    ("screen_absolute.txt", MESSAGE, ABSOLUTE),
+    ("screen_delta.txt", MESSAGE, RELATIVE),
+    ("screen_zero.txt", MESSAGE, RELATIVE),
+    ("screen_date.txt", MESSAGE, ABSOLUTE),
+    ("screen_ascii.txt", MESSAGE, RELATIVE),
+    ("screen_swapped.txt", MESSAGE, None),
+    ("screen_binary.txt", MESSAGE, None),
+    ("screen_binary_swapped.txt", MESSAGE, None),
+    ("screen_color1.txt", TWO_BUSES, None),
+    ("screen_color2.txt", TWO_BUSES, None),
+    ("screen_color3.txt", TWO_BUSES, ABSOLUTE),
+    ("screen_standard_ids.txt", STANDARD, RELATIVE),
+    ("screen_mixed_ids.txt", MESSAGE[:1] + STANDARD + MESSAGE[1:], RELATIVE),
+    ("screen_direction.txt", SENT_AND_RECEIVED + FD, RELATIVE),
+    ("screen_remote.txt", [remote(0x123, 0), remote(0x08404000, 8)] + MESSAGE, RELATIVE),
+    ("screen_errors.txt", MESSAGE[:2] + ERRORS + MESSAGE[2:], RELATIVE),
+    ("screen_drops.txt", MESSAGE, RELATIVE),
+    ("screen_fd.txt", FD_WITHOUT_FLAGS, RELATIVE),
+    ("screen_raw_dlc.txt", MESSAGE, RELATIVE),
+    ("screen_two_buses.txt", TWO_BUSES, ABSOLUTE),
+    ("log_two_buses.log", TWO_BUSES, ABSOLUTE),
+    ("log_bus_names.log", TWO_BUSES, ABSOLUTE),
+    ("log_direction.log", SENT_AND_RECEIVED, ABSOLUTE),
+    ("log_fd.log", FD, ABSOLUTE),
+    ("log_errors.log", MESSAGE[:2] + ERRORS + [remote(0x123, 0), remote(0x08404000, 8)] + MESSAGE[2:], ABSOLUTE),
+    ("log_raw_dlc.log", MESSAGE, ABSOLUTE),
+    ("log_broken_lines.log", MESSAGE, ABSOLUTE),
+    ("log2long.txt", TWO_BUSES, ABSOLUTE),
+    ("document.txt", MESSAGE, None),
+    ("document_crlf.txt", MESSAGE, None),
+]
+
+
+def assert_frames(shown, frames, times):
+    """`times` as in stamps(), or None to leave them out."""
+    assert [{name: row[name] for name in frames[0]} for row in shown] == frames
+    assert all(row["frame.protocols"].startswith("sll:can") for row in shown)
+    if times:
+        assert [row["frame.time_epoch"] for row in shown] == times
+
+
+@pytest.mark.parametrize("name, frames, start", FILES, ids=[row[0] for row in FILES])
+def test_form(tmp_path, name, frames, start):
+    path, written = CAPTURES / f"candump_{name}", tmp_path / "out.pcapng"
+    no_time = [""] * len(frames)
+    times = stamps(start, len(frames)) if start is not None else no_time
+    assert_frames(rows(tmp_path, ["-r", path]), frames, times)
+    assert_frames(rows(tmp_path, ["-2", "-r", path]), frames, times)
+    assert run(tmp_path, ["-r", path, "-w", written])[0] == 0
+    assert_frames(rows(tmp_path, ["-r", written]), frames, times if times != no_time else None)
+
+
+def test_nanoseconds(tmp_path):
+    times = [f"{int(time[:10])}.{int(time[11:]) + i * 111 + 1:09d}" for i, time in enumerate(stamps(ABSOLUTE, 5))]
+    path, written = CAPTURES / "candump_log_nanoseconds.log", tmp_path / "out.pcapng"
+    assert_frames(rows(tmp_path, ["-r", path]), MESSAGE, times)
+    assert run(tmp_path, ["-r", path, "-w", written])[0] == 0
+    assert_frames(rows(tmp_path, ["-r", written]), MESSAGE, times)
+
+
+@pytest.mark.parametrize("name, frames", [("plain", MESSAGE), ("plain_fd", FD)])
+def test_plain_logs_stay_with_the_builtin_reader(tmp_path, name, frames):
+    path = CAPTURES / f"candump_log_{name}.log"
+    shown = rows(tmp_path, ["-r", path])
+    assert [row["data"] for row in shown] == [one["data"] for one in frames]
+    assert not any("sll" in row["frame.protocols"] for row in shown)
+
+
+def test_a_named_reader_takes_plain_logs_too(tmp_path):
+    shown = rows(tmp_path, ["-X", "read_format:yapp_candump", "-r", CAPTURES / "candump_log_plain.log"])
+    assert_frames(shown, MESSAGE, stamps(ABSOLUTE, 5))
+
+
+def test_broken_lines_are_told(tmp_path):
+    path = CAPTURES / "candump_log_broken_lines.log"
+    errors = run(tmp_path, ["-r", path])[2]
+    for text in ("line 2: an empty line", "line 4: a comment", "line 5: not a candump line, skipped: \"(170",
+                 "line 7: not a candump line, skipped: \"can0  interface down\"",
+                 "line 9: the data bytes do not fit", "line 10: text behind the frame, ignored"):
+        assert f"candump reader: {text}" in errors
+    comments = run(tmp_path, ["-r", path, "-T", "fields", "-e", "frame.comment"])[1].splitlines()
+    assert "line 5: not a candump line" in comments[2]
+
+
+def test_names_of_buses_are_shown_once(tmp_path):
+    for extra in ([], ["-2"]):
+        path = CAPTURES / "candump_log_bus_names.log"
+        comments = run(tmp_path, [*extra, "-r", path, "-T", "fields", "-e", "frame.comment"])[1].splitlines()
+        assert comments[:2] == ["Interface index 0 is can0", "Interface index 1 is vcan0"]
+        assert not any(comments[2:])
+
+
+def test_lost_frames_are_shown(tmp_path):
+    comments = run(tmp_path, ["-r", CAPTURES / "candump_screen_drops.txt", "-T", "fields", "-e", "frame.comment"])[1]
+    assert "dropped 3 CAN frames on 'can0'" in comments.splitlines()[4]
+
+
+@pytest.mark.parametrize("extra", [[], ["-2"], ["-2", "-R", "sll.ifindex == 1"]])
+def test_bus_of_the_record_without_a_tree(tmp_path, extra):
+    arguments = [*extra, "-r", CAPTURES / "candump_log_two_buses.log", "-T", "fields", "-e", "candumptest.bus",
+                 "-e", "sll.ifindex"]
+    lines = run(tmp_path, arguments, lua=REGISTER % ROOT + SHOW_BUS)[1].splitlines()
+    assert lines == (["1\t1"] * 5 if "-R" in extra else ["0\t0", "1\t1"] * 5)
+
+
+def test_no_bus_in_files_of_others(tmp_path):
+    arguments = ["-r", CAPTURES / "candump_log_plain.log", "-T", "fields", "-e", "candumptest.bus"]
+    assert run(tmp_path, arguments, lua=REGISTER % ROOT + SHOW_BUS)[1].splitlines() == ["-1"] * 5
+
+
+def log_text(count, buses):
+    lines = [f"(17000{i // 1000:05d}.{i % 1000:06d}) can{buses(i)} 123#{i:08X}\n" for i in range(count)]
+    return "".join(lines)
+
+
+LARGE = {
+    "two buses": log_text(20000, lambda i: i % 2),
+    "one bus": log_text(20000, lambda i: 0),
+    "second bus at the end": log_text(20000, lambda i: i // 19999),
+}
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_files_redirections_and_pipes(tmp_path, name):
+    path = tmp_path / "large.log"
+    path.write_text(LARGE[name])
+    ways = [rows(tmp_path, ["-r", path]), rows(tmp_path, ["-2", "-r", path])]
+    with open(path, "rb") as stdin:
+        ways.append(rows(tmp_path, ["-r", "-"], stdin=stdin))
+    with subprocess.Popen(["cat", path], stdout=subprocess.PIPE) as cat:
+        ways.append(rows(tmp_path, ["-r", "-"], stdin=cat.stdout))
+    for shown in ways:
+        assert [row["data"] for row in shown] == [f"{i:08x}" for i in range(20000)]
+
+
+def test_deltas_of_a_long_file(tmp_path):
+    path = tmp_path / "delta.txt"
+    gaps = [0] + [i * 7919 % 1000 for i in range(1, 5000)]
+    path.write_text("".join(f" (000.{gap:06d})  can0  {291 + i % 3:03X}   [1]  11\n" for i, gap in enumerate(gaps)))
+    total, times = 0, []
+    for gap in gaps:
+        total += gap
+        times.append(f"{total // 10 ** 6}.{total % 10 ** 6:06d}000")
+    for extra in ([], ["-2"], ["-2", "-R", "can.id == 293"]):
+        shown = [row["frame.time_epoch"] for row in rows(tmp_path, [*extra, "-r", path])]
+        assert shown == (times[2::3] if "-R" in extra else times)
+
+
+LOG = (CAPTURES / "candump_log_two_buses.log").read_bytes()
+FOREIGN = {
+    "empty": b"",
+    "binary": bytes(range(256)) * 100,
+    "prose": b"The log below is from can0.\nIt has two frames.\nThey are old.\n" + LOG[:100],
+    "csv": b"time,id,dlc,data\n" + b"0.1,123,8,11 22 33 44 55 66 77 88\n" * 100,
+    "trc": b";$FILEVERSION=1.1\n;\n" + b"     1)       1.9  Rx         0123  2  11 22 \n" * 100,
+    "syslog": b"Nov 14 22:13:20 host kernel: [ 1.000000] can0: bus-off\n" * 100,
+    "isotpdump": b" (1700000000.000001)  can0  123  [8]  [SF] ln: 1    data: 11\n" * 100,
+    "nul": LOG + b"\0" * 10,
+}
+
+
+@pytest.mark.parametrize("name", [*FOREIGN, "asc"])
+def test_files_of_others_are_not_taken(tmp_path, name):
+    path = tmp_path / "foreign.txt"
+    path.write_bytes(FOREIGN.get(name, b""))
+    if name == "asc":
+        log2asc = ["log2asc", "-I", CAPTURES / "candump_log_two_buses.log", "-O", path, "can0", "can1"]
+        if subprocess.run(["which", "log2asc"], check=False, stdout=subprocess.DEVNULL).returncode:
+            pytest.skip("log2asc of can-utils is not installed")
+        subprocess.run(log2asc, check=True)
+    assert run(tmp_path, ["-r", path])[:2] == run(tmp_path, ["-r", path], lua="")[:2]
+
+
+def test_the_reader_of_another_plugin_keeps_its_files(tmp_path):
+    path = tmp_path / "other.txt"
+    path.write_bytes(b"OTHER\n" + LOG)
+    for lua in (OTHER_READER + REGISTER % ROOT, REGISTER % ROOT + OTHER_READER):
+        _, out, _ = run(tmp_path, ["-r", path, "-T", "fields", "-e", "frame.protocols"], lua=lua)
+        assert "sll" not in out and len(out.splitlines()) == 10

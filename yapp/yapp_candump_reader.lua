@@ -1,0 +1,79 @@
+-- Wireshark's file reader for candump text: thin, everything about the text is in yapp_candump.lua.
+local PACKET, HAS_TIME = wtap_rec_types.PACKET, wtap_presence_flags.TS
+local NSTime = NSTime
+
+local M = {}
+
+--- Number of the bus the record just read came from; nil when no candump text is being read. A dissector can
+-- ask on a first pass, where records are read and dissected in turns and fields may not be there. It must set this
+-- to nil in its init: sharkd opens another file without closing the first.
+M.current_bus = nil
+
+-- Two readers of one kind. The first is asked before Wireshark's own and takes what that gets wrong or not at
+-- all. The second is asked last, so it serves who names it: -X "read_format:yapp_candump" takes any candump text.
+local READERS = {
+  { "candump text (YAPP reader, automatic)", "yapp_candump_auto", "rs", all = false },
+  { "candump text (YAPP reader)", "yapp_candump", "r", all = true },
+}
+
+-- Wireshark names no file here.
+local function report(text)
+  io.stderr:write("candump reader: ", text, "\n")
+end
+
+-- Copies a record of the pure part to Wireshark's frame.
+local function fill(frame, record, packet, big_endian)
+  frame.rec_type = PACKET
+  if record.seconds then
+    frame.flags = HAS_TIME
+    frame.time = NSTime.new(record.seconds, record.nanoseconds)
+  else
+    frame.flags = 0
+  end
+  frame.data = packet(record, big_endian)
+  if record.comment then frame.comment = record.comment end
+  M.current_bus = record.number
+end
+
+local function make_reader(candump, row, big_endian)
+  local handler = FileHandler.new(row[1], row[2], row[1], row[3])
+
+  function handler.read_open(file, capture)
+    M.current_bus = nil
+    local log = candump.open(file, row.all, report)
+    if not log then return false end
+    capture.encap = wtap_encaps.SLL2
+    capture.time_precision = log.decimals == 9 and wtap_tsprecs.NSEC or wtap_tsprecs.USEC
+    capture.private_table = log
+    return true
+  end
+
+  function handler.read(file, capture, frame)
+    local record, offset = candump.read(capture.private_table, file)
+    if not record then return false end
+    fill(frame, record, candump.packet, big_endian)
+    return offset
+  end
+
+  function handler.seek_read(file, capture, frame, offset)
+    local record = candump.seek_read(capture.private_table, file, offset)
+    if not record then return false end
+    fill(frame, record, candump.packet, big_endian)
+    return true
+  end
+
+  function handler.read_close()
+    M.current_bus = nil
+  end
+
+  return handler
+end
+
+--- Makes the readers known to Wireshark. To be called once.
+-- @param candump the module yapp_candump
+function M.register(candump)
+  local big_endian = Struct.pack("=I4", 1):byte(4) == 1
+  for _, row in ipairs(READERS) do register_filehandler(make_reader(candump, row, big_endian)) end
+end
+
+return M
