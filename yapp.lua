@@ -15,8 +15,8 @@ end
 package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
 local parts = {}
 for _, name in ipairs {
-  "bus", "can", "can_carrier", "can_id", "candump", "candump_reader", "catalogue", "crc", "decode", "interleave",
-  "reassembly", "serial_carrier", "stream", "tree",
+  "bus", "can", "can_carrier", "can_id", "candump", "candump_reader", "catalogue", "crc", "decode", "dump",
+  "dump_reader", "head", "interleave", "reassembly", "serial_carrier", "stream", "tree",
 } do
   parts[name] = require("yapp_" .. name)
 end
@@ -71,6 +71,9 @@ yapp.prefs.all_extended = Pref.bool("All extended CAN frames are YAPP", false,
   "Switch it on for a bus that carries nothing but YAPP, to see unknown IDs, other YAPP CTL values and malformed " ..
   "frames too. By default only what is surely YAPP is taken.")
 
+yapp.prefs.search_all = Pref.bool("Look for YAPP in all TCP and UDP traffic", false,
+  "YAPP in TCP and UDP is found by itself where a frame is among the first 64 KB of a file, and in live captures. " ..
+  "Switch it on when YAPP comes later in your files; it costs about 1 µs for each packet that no other protocol takes.")
 yapp.prefs.user_dlt = Pref.range("Link types that carry a serial stream", "",
   "147 to 162, the numbers of DLT_USER0 to DLT_USER15: set it for serial captures with such a link type, where the " ..
   "protocol's own DLT_USER table is not convenient. It takes the link type over from that table. Usually empty.", 162)
@@ -88,7 +91,7 @@ end
 
 -- Carriers ------------------------------------------------------------------------------------------------------
 
-local buses = parts.bus.watch()
+local buses = parts.bus.watch(parts.head)
 local candump = parts.candump_reader
 local ids = parts.can_id.new(parts.bus.fields)
 local frames = parts.can_carrier.new(parts, tree, function() return candump.current_bus or buses:current() end)
@@ -196,6 +199,26 @@ local function found_by_content(tvb, pinfo, root)
   return true
 end
 
+-- Every call from a heuristic costs, and TCP and UDP are most of other people's captures: so the search begins where
+-- the first bytes of a file have what may be a frame, or nothing yet, as in a live capture.
+local searching = false
+
+local function search_streams()
+  if searching or not (yapp.prefs.search_all or buses:may_have_frames()) then return end
+  searching = true
+  serial:register_heuristic("tcp", found_by_content)
+  serial:register_heuristic("udp", found_by_content)
+end
+
+-- The controller's own time of a frame in a raw dump, "Nanoseconds since boot".
+local function controller_time(frame)
+  local low, high = frame:byte(5, 6)
+  local message = tree.by_id[low + high * 0x100]
+  if not message or not message.time then return nil end
+  local seconds, nanoseconds = decode.time(frame, parts.stream.HEADER + message.time.offset)
+  if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
+end
+
 -- Preferences and files -----------------------------------------------------------------------------------------
 
 local taken_dlts = {}
@@ -242,6 +265,7 @@ end
 function yapp.init()
   read_preferences()
   buses:init()
+  search_streams()
   candump.current_bus = nil -- sharkd opens the next file without closing the first
   frames:reset()
   streams:reset()
@@ -255,9 +279,8 @@ for _, name in ipairs { "tcp.port", "udp.port", "rtacser.data" } do
 end
 for _, name in ipairs { "tcp.port", "udp.port" } do DissectorTable.get(name):add_for_decode_as(yapp) end
 yapp:register_heuristic("can", unclaimed)
-serial:register_heuristic("tcp", found_by_content)
-serial:register_heuristic("udp", found_by_content)
 candump.register(parts.candump)
+parts.dump_reader.register(parts.dump, function() return streams:framer() end, controller_time)
 
 local plugin = { version = VERSION, path = here .. "yapp.lua" }
 package.loaded["yapp.plugin"] = plugin

@@ -6,82 +6,19 @@
 
 local M = {}
 
-local HEAD = 4096 -- within the first buffer: reading more could not be undone on a pipe
 local WANTED = "frame.interface_id || sll.ifindex || rtacser.eventtype"
-
--- Link types: SocketCAN, DLT_USER 0 .. 15, exported PDUs, RTAC serial
-local LINKTYPE_SLL2, LINKTYPE_RTAC = 276, 250
-local OURS = { [227] = true, [252] = true, [LINKTYPE_RTAC] = true }
-for linktype = 147, 162 do OURS[linktype] = true end
-
-local function number(head, at, size, little)
-  local value = 0
-  for i = 0, size - 1 do
-    local byte = head:byte(little and at + size - 1 - i or at + i)
-    if not byte then return nil end
-    value = value * 0x100 + byte
-  end
-  return value
-end
-
--- SLL2 has the protocol first: 0x000C CAN, 0x000D CAN FD.
-local function is_can_over_sll2(head, at)
-  local protocol = number(head, at, 2)
-  return protocol == 0x0C or protocol == 0x0D
-end
-
-local function pcap_has_sources(head, little)
-  local linktype = number(head, 21, 2, little)
-  return linktype == LINKTYPE_RTAC or linktype == LINKTYPE_SLL2 and is_can_over_sll2(head, 41)
-end
-
-local function pcapng_has_sources(head)
-  local little = head:sub(9, 12) == "\77\60\43\26"
-  local at, linktypes, sources = 1, {}, 0
-  while true do
-    local kind, length = number(head, at, 4, little), number(head, at + 4, 4, little)
-    if not length or length < 12 then return sources > 1 end
-    if kind == 1 then -- Interface Description Block
-      local linktype = number(head, at + 8, 2, little)
-      if linktype == LINKTYPE_RTAC then return true end
-      if OURS[linktype] then sources = sources + 1 end
-      linktypes[#linktypes + 1] = linktype
-    elseif kind == 6 then -- Enhanced Packet Block
-      local linktype = linktypes[(number(head, at + 8, 4, little) or 0) + 1]
-      if linktype == LINKTYPE_SLL2 and is_can_over_sll2(head, at + 28) then return true end
-    end
-    at = at + length
-  end
-end
-
-local READERS = {
-  ["\212\195\178\161"] = function(head) return pcap_has_sources(head, true) end,
-  ["\161\178\195\212"] = function(head) return pcap_has_sources(head, false) end,
-  ["\77\60\178\161"] = function(head) return pcap_has_sources(head, true) end, -- nanoseconds
-  ["\161\178\60\77"] = function(head) return pcap_has_sources(head, false) end,
-  ["\10\13\13\10"] = pcapng_has_sources,
-  ["LOGG"] = function() return true end, -- Vector BLF, a CAN logger's
-}
-
---- Whether the first bytes of a capture file say that it has several buses, interfaces or directions.
--- head  string, the first bytes.  Pure.
-function M.has_sources(head)
-  local reader = READERS[head:sub(1, 4)]
-  return reader ~= nil and reader(head)
-end
 
 local Buses = {}
 Buses.__index = Buses
 
 --- Looks at files from now on.  Call it once.
-function M.watch()
-  local self = setmetatable({}, Buses)
+-- head  the module yapp_head
+function M.watch(head)
+  local self = setmetatable({ found = head.read("") }, Buses)
   -- A reader that never reads: the only place where the API shows a file.
-  local handler = FileHandler.new("YAPP's look at interfaces (opens nothing)", "yapp_interfaces",
-    "Finds out whether a capture has several buses", "rms")
-  handler.extensions = ""
+  local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the first bytes", "rms")
   function handler.read_open(file)
-    self.file_has_sources = M.has_sources(file:read(HEAD) or "")
+    self.found = head.read(file:read(head.LENGTH) or "")
     return false
   end
   function handler.read() return false end
@@ -92,12 +29,17 @@ end
 
 --- A new file is about to be dissected.
 function Buses:init()
-  if self.file_has_sources and not self.tap then
+  if self.found.sources and not self.tap then
     self.tap = Listener.new("frame", WANTED)
-  elseif not self.file_has_sources and self.tap then
+  elseif not self.found.sources and self.tap then
     self.tap:remove()
     self.tap = nil
   end
+end
+
+--- Whether the file may have YAPP frames in TCP or UDP, by its first bytes.
+function Buses:may_have_frames()
+  return self.found.frames
 end
 
 --- Fields that are in the tree so far.

@@ -96,7 +96,6 @@ local function compile_row(row, prefix, offset, complain)
     name = name, title = title, type = kind, kind = def[3], filter = prefix .. "." .. name,
     offset = offset, size = def[1], top = def[2], unit = row.unit, values = row.values, alarm = row.alarm,
     invalid = row.invalid or row.values and "value.invalid" or nil,
-    ordinary = math.huge, -- counts up to this one need no second look
   }
   if row.unit ~= nil and not is_text(row.unit) then complain("unit must be a text") end
   if row.alarm ~= nil and not (is_text(row.alarm) and row.flags) then
@@ -180,6 +179,7 @@ local function compile_message(entry, where, problems)
       if message.by_name[field.name] then complain_of_row("the name is there twice") end
       message.fields[#message.fields + 1] = field
       message.by_name[field.name], message.index[field] = field, #message.fields
+      if field.kind == "time" then message.time = message.time or field end
       if field.alarm then message.alarms[#message.alarms + 1] = field end
       offset = offset + field.size
       local new = { field.filter, field.kind == "float" and field.filter .. ".special", field.undefined_filter }
@@ -206,6 +206,7 @@ end
 -- entries  what taurus_fields.lua returns: a list of messages, described there
 -- returns  { messages = list, by_id = { [id] = message } } of the messages without a fault, and a list of texts,
 --          each saying which message and field is wrong and why; empty when all is well.  Never raises.
+-- A field's ordinary is the highest count that needs no second look (nil: none does).
 -- A compiled message has name, title, id, size, filter, info, alarms and fields; a field has name, title, filter,
 -- offset, size, kind ("uint", "flags", "float", "time") and what its kind needs.
 function M.compile(entries)

@@ -13,6 +13,7 @@ local byte, find, sub = string.byte, string.find, string.sub
 local min, max = math.min, math.max
 
 local HEADER, CRC_SIZE = 12, 4
+M.HEADER = HEADER -- bytes before the payload
 local Y = byte("Y")
 local HIGHEST_ID_BYTE = 7 -- the second one of an id: they go from 0 to 2047
 

@@ -286,10 +286,10 @@ function Tree:payload(tree, item, id, payload, tvb, at, cut)
       message.title, #payload, message.size))
     return string.format("%s  %d bytes, not %d", message.title, #payload, message.size)
   end
-  local raws = decode.read(message, payload)
+  local raws, look = decode.read(message, payload)
   local items, top = {}, item
   if tvb and #payload > 0 then items, top = self:taurus_tree(tree, tvb, at, message, raws, payload) end
-  local remarks = decode.remarks(message, raws)
+  local remarks = look and decode.remarks(message, raws)
   if remarks then
     for _, remark in ipairs(remarks) do
       local target = items[remark[1]] or top

@@ -1,0 +1,75 @@
+# make demo, make test: a fresh Debian or Ubuntu is enough; what is missing gets installed (sudo when not root).
+
+SHELL := bash
+VERSION := $(shell sed -n 's/^local VERSION = "\(.*\)"/\1/p' yapp.lua)
+FILES := yapp.lua taurus_fields.lua yapp README.md
+SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
+CAPTURE ?=
+DEMO := can_motor_data can_command uart_motor_data
+# As root, Wireshark 4.4 and later ignore Lua plugins without a word.
+ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
+
+.PHONY: demo test unit e2e lint install uninstall dist soak matrix fuzz screenshots needs-tshark needs-tests
+
+# $(call install,commands that must be there,packages that bring them)
+define install-missing
+	@missing=; for command in $(1); do command -v $$command >/dev/null || missing=1; done; \
+	if [ -n "$$missing" ]; then \
+	  echo "Installing: $(2)"; \
+	  $(SUDO) apt-get update -qq && $(SUDO) env DEBIAN_FRONTEND=noninteractive \
+	    apt-get install -y -qq --no-install-recommends $(2) >/dev/null; \
+	fi
+endef
+
+needs-tshark:
+	$(call install-missing,tshark,tshark)
+
+needs-tests: needs-tshark
+	$(call install-missing,lua5.2 lua5.4 luacheck pytest-3 candump zip,lua5.2 lua5.4 lua-check lua-unit python3-pytest can-utils zip)
+
+## The packet list and the decoded tree: of the specification's captures, or of CAPTURE=file
+demo: needs-tshark
+	@tests/demo $(if $(CAPTURE),"$(CAPTURE)",$(DEMO:%=test_captures/%.pcap*))
+
+## Everything that a change must pass
+test: lint unit e2e
+
+lint: needs-tests
+	luacheck -q .
+
+unit: needs-tests
+	lua5.2 tests/unit/run.lua tests/unit/test_*.lua
+	lua5.4 tests/unit/run.lua tests/unit/test_*.lua
+
+e2e: needs-tests
+	pytest-3 -q -p no:cacheprovider tests/e2e
+
+## The same generators, many more captures: 1,000 CAN captures and 1,000 streams
+soak: needs-tests
+	YAPP_SOAK_CAPTURES=1000 YAPP_SOAK_FRAMES=1000 YAPP_SOAK_STREAMS=1000 \
+	  pytest-3 -q -s -p no:cacheprovider tests/e2e/test_can_soak.py tests/e2e/test_streams.py
+
+## The whole suite on Wireshark 4.0, 4.4 and 4.6
+matrix:
+	tests/matrix
+
+## Mutated captures: FRAMES=100000 SEED=1
+fuzz: needs-tests
+	/usr/bin/env python3 tests/fuzz.py --frames $(or $(FRAMES),100000) --seed $(or $(SEED),1)
+
+screenshots:
+	tests/screenshots
+
+## Into the personal plugin folder, and out of it
+install: needs-tshark
+	@folder="$$(tests/plugin_folder)" && rm -rf "$$folder/yapp" && mkdir -p "$$folder/yapp" && \
+	  cp -r yapp.lua taurus_fields.lua yapp "$$folder/yapp/" && echo "Installed in $$folder/yapp"
+
+uninstall: needs-tshark
+	@folder="$$(tests/plugin_folder)" && rm -rf "$$folder/yapp" && echo "Removed $$folder/yapp"
+
+## One zip to unpack in the plugin folder
+dist:
+	$(call install-missing,zip,zip)
+	@rm -rf dist && mkdir -p dist/yapp && cp -r $(FILES) dist/yapp/ && \
+	  (cd dist && zip -qr yapp-$(VERSION).zip yapp) && rm -r dist/yapp && echo dist/yapp-$(VERSION).zip
