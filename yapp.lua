@@ -94,7 +94,6 @@ end
 local buses = parts.bus.watch(parts.head)
 local candump = parts.candump_reader
 local ids = parts.can_id.new(parts.bus.fields)
-local frames = parts.can_carrier.new(parts, tree, function() return candump.current_bus or buses:current() end)
 local streams = parts.serial_carrier.new(parts, tree, function() return candump.current_bus or buses:current() end)
 
 -- The ids of a message are found by SocketCAN's table of ids: no other frame costs anything.
@@ -121,6 +120,9 @@ local function register_id(id)
   end
 end
 
+local frames = parts.can_carrier.new(parts, tree, function() return candump.current_bus or buses:current() end,
+  register_id)
+
 -- Starts of unknown messages: those that do not number their messages at once; the rest takes half a second and waits
 -- until a frame that may be one has been seen.
 local function register_starts(last_seq)
@@ -135,12 +137,7 @@ local wrapper = Proto("yapp_socketcan", "YAPP's look at CAN headers")
 
 local function dissect_id(tvb, pinfo, root, id, wide)
   local length = frames:dissect(tvb, pinfo, root, id, wide)
-  if length == 0 then
-    ids:note(pinfo.number, id)
-  elseif not wide then
-    local message_id = (id - id % 0x40000) / 0x40000
-    if not registered[message_id] then register_id(message_id) end
-  end
+  if length == 0 then ids:note(pinfo.number, id) end
   return length
 end
 

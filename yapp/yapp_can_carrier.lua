@@ -16,8 +16,9 @@ Carrier.__index = Carrier
 -- parts   the modules { can =, crc =, interleave =, reassembly = }
 -- tree    a tree builder
 -- bus_of  function() -> number of the bus, nil where the capture does not say
-function M.new(parts, tree, bus_of)
-  local self = setmetatable({ parts = parts, tree = tree, bus_of = bus_of }, Carrier)
+-- on_unknown  function(id): a frame of a message that is not in the catalogue was taken
+function M.new(parts, tree, bus_of, on_unknown)
+  local self = setmetatable({ parts = parts, tree = tree, bus_of = bus_of, on_unknown = on_unknown }, Carrier)
   address_of, KINDS, START = parts.can.address, parts.can.KINDS, parts.can.START
   LONE, ORPHAN = parts.reassembly.LONE, parts.reassembly.ORPHAN
   self:reset()
@@ -55,7 +56,8 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
   local reported = tvb:reported_len()
   if reported == 0 then return 0 end
   local number, state = pinfo.number, self.state
-  local address, data, entry = address_of(id), tvb:raw(), nil
+  local address, data = address_of(id), tvb:raw()
+  local entry
   -- Numbers grow on the first pass; a call saved for most frames.
   if number > self.highest or not pinfo.visited then
     self.highest = number
@@ -70,6 +72,7 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
   end
   if not entry then return 0 end
   local builder = self.tree
+  if not builder.by_id[address.id] then self.on_unknown(address.id) end
   local wanted = builder:wanted(tree, entry.kind or entry.last == number)
   local item = wanted and self:item(tvb, tree, address) or tree
   local columns = pinfo.cols
@@ -163,8 +166,8 @@ local function part_info(builder, address, entry, number)
   local index = entry.count
   while index > 1 and entry[index] ~= number do index = index - 1 end
   local texts = address.part_info
-  if not texts or texts.name ~= builder:name(address.id) then
-    texts = { name = builder:name(address.id) }
+  if not texts or texts.by_id ~= builder.by_id then
+    texts = { by_id = builder.by_id, name = builder:name(address.id) }
     address.part_info = texts
   end
   local key = address.ctrl == START and -entry.size or index

@@ -116,7 +116,7 @@ local function compile_row(row, prefix, offset, complain)
   elseif row.values then
     check_values(row, field.top, complain)
   elseif row.flags then
-    field.kind, field.ordinary = "flags", 0
+    field.kind, field.ordinary = "flags", row.alarm and 0 or nil
     field.flags, field.undefined = compile_flags(row, field.top, prefix, complain)
     field.undefined_filter = prefix .. "." .. tostring(row.group) .. ".undefined"
   end

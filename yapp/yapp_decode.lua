@@ -25,7 +25,7 @@ local band = native and native() or function(a, b) return library.band(a, b) % 0
 -- as a loop over the fields.  It fills raws and says whether any count needs a second look.
 --   raws[5] = p9 + p10 * 0x100    if raws[5] > 65530 then look = true end
 local function reader_source(message)
-  local lines = { "local byte, VALUES = ... return function(payload, raws) local look = false local a, b, c, d" }
+  local lines = { "local byte, band, VALUES = ... return function(payload, raws) local look = false local a, b, c, d" }
   for i, field in ipairs(message.fields) do
     local size = field.size
     if size <= 4 then
@@ -33,6 +33,9 @@ local function reader_source(message)
       lines[#lines + 1] = "a = a" .. (" + b * 0x100 + c * 0x10000 + d * 0x1000000"):sub(1, ({ 0, 12, 0, 42 })[size])
       lines[#lines + 1] = format("raws[%d] = a", i)
       if field.values then lines[#lines + 1] = format("if not VALUES[%d][a] then look = true end", i) end
+      if field.undefined and not field.alarm then
+        lines[#lines + 1] = format("if a ~= 0 and band(a, %d) ~= 0 then look = true end", field.undefined)
+      end
       if field.ordinary then lines[#lines + 1] = format("if a > %d then look = true end", field.ordinary) end
     end
   end
@@ -43,7 +46,7 @@ end
 local function make_reader(message)
   local values = {}
   for i, field in ipairs(message.fields) do values[i] = field.values end
-  return load(reader_source(message), "=reader of " .. message.name)(byte, values)
+  return load(reader_source(message), "=reader of " .. message.name)(byte, band, values)
 end
 
 --- The raw counts of a payload.
@@ -159,12 +162,12 @@ function M.remarks(message, raws)
   for i = 1, #fields do
     local field, raw = fields[i], raws[i]
     local values = field.values
-    if raw and (field.ordinary and raw > field.ordinary or values and not values[raw]) then
+    if raw and (field.flags or field.ordinary and raw > field.ordinary or values and not values[raw]) then
       remarks = remarks or {}
       remarks_of[field.kind](field, raw, function(expert, text) remarks[#remarks + 1] = { i, expert, text } end)
     end
   end
-  return remarks
+  return remarks and remarks[1] and remarks
 end
 
 --- The bits that are set and that no flag of the field defines, as a number.

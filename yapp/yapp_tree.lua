@@ -132,12 +132,16 @@ function M.new(yapp, taurus, catalogue, decode)
   return self
 end
 
+-- The API asks what is wanted by dissector, and those exist only when loading has ended.
+function Tree:find_handles()
+  self.yapp_handle, self.taurus_handle = Dissector.get("yapp"), Dissector.get("taurus")
+  return self.yapp_handle
+end
+
 --- Whether anyone wants the tree of YAPP, or (with_taurus) of the message too: visible, filtered or printed.
 function Tree:wanted(tree, with_taurus)
-  if not self.handles then -- the API asks by dissector, and those exist only when loading has ended
-    self.handles = { Dissector.get("yapp"), Dissector.get("taurus") }
-  end
-  return tree:referenced(self.handles[1]) or with_taurus and tree:referenced(self.handles[2])
+  return tree:referenced(self.yapp_handle or self:find_handles()) or
+    with_taurus and tree:referenced(self.taurus_handle)
 end
 
 --- What an ID is called: "Motor Data", "ID 0x123".
