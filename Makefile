@@ -5,7 +5,7 @@ VERSION := $(shell sed -n 's/^local VERSION = "\(.*\)"/\1/p' yapp.lua)
 FILES := yapp.lua taurus_fields.lua yapp README.md
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 CAPTURE ?=
-DEMO := can_motor_data can_command uart_motor_data
+DEMO := document_motor document_command document_uart
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
@@ -29,7 +29,7 @@ needs-tests: needs-tshark
 
 ## The packet list and the decoded tree: of the specification's captures, or of CAPTURE=file
 demo: needs-tshark
-	@tests/demo $(if $(CAPTURE),"$(CAPTURE)",$(DEMO:%=test_captures/%.pcap*))
+	@tests/demo $(if $(CAPTURE),"$(CAPTURE)",$(DEMO:%=test_captures/%.pcap))
 
 ## Everything that a change must pass
 test: lint unit e2e
