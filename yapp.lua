@@ -64,8 +64,8 @@ yapp.prefs.divisor = Pref.enum("Compressed floats divide by", decode.MAPPING,
   { { 1, "2^N - 6 (mapping)", decode.MAPPING }, { 2, "2^N - 5 (worked examples)", decode.WORKED_EXAMPLES } })
 for _, message in ipairs(catalogue.messages) do
   yapp.prefs[message.name .. "_ids"] = Pref.range(message.title .. " message IDs", ("0x%x"):format(message.id),
-    ("The IDs that carry Taurus %s. Change it when a controller is configured to other IDs than the default, or when " ..
-     "several controllers share a bus: 0x210,0x211,0x300-0x303."):format(message.title), parts.catalogue.MAX_ID)
+    ("The IDs that carry Taurus %s. Change it when a controller has other IDs than the default, or when several " ..
+     "controllers share a bus: 0x210,0x211,0x300-0x303."):format(message.title), parts.catalogue.MAX_ID)
 end
 yapp.prefs.all_extended = Pref.bool("All extended CAN frames are YAPP", false,
   "Switch it on for a bus that carries nothing but YAPP, to see unknown IDs, other YAPP CTL values and malformed " ..

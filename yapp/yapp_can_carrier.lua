@@ -161,21 +161,24 @@ function Carrier:show_single(tvb, tree, item, msg, data, reported, wanted)
   return info
 end
 
--- "Motor Data  Middle, frame 2 of the message": the text is the same for every message of an ID, so it is kept.
-local function part_info(builder, address, entry, number)
-  local index = entry.count
-  while index > 1 and entry[index] ~= number do index = index - 1 end
-  local texts = address.part_info
-  if not texts or texts.by_id ~= builder.by_id then
-    texts = { by_id = builder.by_id, name = builder:name(address.id) }
+-- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept.
+local function part_info(builder, address, entry, number, length)
+  local texts, size = address.part_info, entry.size
+  if not texts or texts.by_id ~= builder.by_id or texts.size ~= size then
+    texts = { by_id = builder.by_id, name = builder:name(address.id), size = size }
     address.part_info = texts
   end
-  local key = address.ctrl == START and -entry.size or index
-  local text = texts[key]
+  if address.ctrl == START then
+    texts.start = texts.start or ("%s  Start of %d bytes"):format(texts.name, size)
+    return texts.start
+  end
+  local index = entry.count
+  while index > 1 and entry[index] ~= number do index = index - 1 end
+  local text = texts[index]
   if not text then
-    text = texts.name .. (key < 0 and ("  Start of %d bytes"):format(entry.size) or
-      ("  %s, frame %d of its message"):format(KINDS[address.ctrl], index))
-    if index <= MAX_KEPT then texts[key] = text end
+    text = ("%s  part %d"):format(texts.name, index)
+    if length == 8 then text = ("%s of %d"):format(text, 1 + (size + 7 - (size + 7) % 8) / 8) end -- classic CAN
+    if index <= MAX_KEPT and length == 8 then texts[index] = text end
   end
   return text
 end
@@ -191,7 +194,7 @@ function Carrier:show_part(tvb, item, address, data, entry, number, wanted)
     end
     if entry.last then item:add(fields["reassembled.in"], entry.last):set_generated() end
   end
-  local text = part_info(self.tree, address, entry, number)
+  local text = part_info(self.tree, address, entry, number, #data)
   return entry.last and ("%s  [Reassembled in #%d]"):format(text, entry.last) or text
 end
 

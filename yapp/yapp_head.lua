@@ -30,7 +30,7 @@ local function is_can_over_sll2(head, at)
 end
 
 local function read_pcap(head, little)
-  local linktype = number(head, 21, 2, little)
+  local linktype = (number(head, 21, 4, little) or 0) % 0x10000 -- above it, what is said of frame check sequences
   return {
     packets = #head > 40,
     sources = linktype == LINKTYPE_RTAC or linktype == LINKTYPE_SLL2 and is_can_over_sll2(head, 41),
