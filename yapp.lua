@@ -121,7 +121,7 @@ local function register_id(id)
 end
 
 local frames = parts.can_carrier.new(parts, tree, function() return candump.current_bus or buses:current() end,
-  register_id)
+  function(pinfo) return ids:is_remote(pinfo) end, register_id)
 
 -- Starts of unknown messages: those that do not number their messages at once; the rest takes half a second and waits
 -- until a frame that may be one has been seen.

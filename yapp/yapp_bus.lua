@@ -42,12 +42,19 @@ function Buses:may_have_frames()
   return self.found.frames
 end
 
+-- all_field_infos raises where there is no tree.
+local function by_name(ok, ...)
+  local found = {}
+  if ok then
+    for _, info in ipairs { ... } do found[info.name] = info.value end
+  end
+  return found
+end
+
 --- Fields that are in the tree so far.
 -- returns { [filter name] = value }; empty on a pass that builds no tree
 function M.fields()
-  local found = {}
-  for _, info in ipairs { all_field_infos() } do found[info.name] = info.value end
-  return found
+  return by_name(pcall(all_field_infos))
 end
 
 local DIRECTION = { 0, 1, 0, 1 } -- of RTAC events: data sent, data received, ...

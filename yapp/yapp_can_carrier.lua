@@ -7,6 +7,10 @@ local STATUS_TEXT = {
 }
 local MAX_KEPT = 64 -- texts kept for the parts of long messages
 
+-- Remote frames come with as many zeros as their DLC says; SocketCAN does not tell a dissector.
+local ZEROS = {}
+for length = 1, 8 do ZEROS[("\0"):rep(length)] = true end
+
 local address_of, KINDS, START, LONE, ORPHAN -- of yapp_can and yapp_reassembly; set in M.new
 
 local Carrier = {}
@@ -16,9 +20,11 @@ Carrier.__index = Carrier
 -- parts   the modules { can =, crc =, interleave =, reassembly = }
 -- tree    a tree builder
 -- bus_of  function() -> number of the bus, nil where the capture does not say
+-- is_remote   function(pinfo) -> whether the frame is a remote frame, nil where nothing says
 -- on_unknown  function(id): a frame of a message that is not in the catalogue was taken
-function M.new(parts, tree, bus_of, on_unknown)
-  local self = setmetatable({ parts = parts, tree = tree, bus_of = bus_of, on_unknown = on_unknown }, Carrier)
+function M.new(parts, tree, bus_of, is_remote, on_unknown)
+  local self = setmetatable({ parts = parts, tree = tree, bus_of = bus_of, is_remote = is_remote,
+    on_unknown = on_unknown }, Carrier)
   address_of, KINDS, START = parts.can.address, parts.can.KINDS, parts.can.START
   LONE, ORPHAN = parts.reassembly.LONE, parts.reassembly.ORPHAN
   self:reset()
@@ -57,6 +63,12 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
   if reported == 0 then return 0 end
   local number, state = pinfo.number, self.state
   local address, data = address_of(id), tvb:raw()
+  local doubtful = false
+  if ZEROS[data] then
+    local remote = self.is_remote(pinfo)
+    if remote then return 0 end
+    doubtful = remote == nil
+  end
   local entry
   -- Numbers grow on the first pass; a call saved for most frames.
   if number > self.highest or not pinfo.visited then
@@ -64,7 +76,7 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
     local bus = self.bus_of()
     if bus then self.informed = true end
     if self.deltas[number] then self.deltas[number] = nil end
-    entry = state:frame(bus, address, data, reported, number, wide)
+    entry = state:frame(bus, address, data, reported, number, wide, doubtful)
     if not entry then return 0 end
     if entry == LONE or entry.last == number then self:note_time(pinfo, bus, address.id, number) end
   else

@@ -44,11 +44,14 @@ function Ids:find(pinfo)
   return id, not id
 end
 
---- Whether a frame of zeros is a remote frame: those have no data, but some captures give them zeros.
+--- Whether the current frame is a remote frame: those have no data, but captures give them zeros.
+-- returns  true or false; nil where nothing says
 function Ids:is_remote(pinfo)
   local rtr = self.fields()["can.flags.rtr"]
   if rtr ~= nil then return truth(rtr) end
-  return tostring(pinfo.cols.info):find("Remote", 1, true) ~= nil
+  local text = tostring(pinfo.cols.info)
+  if not text:find("ID: ", 1, true) then return nil end
+  return text:find("Remote", 1, true) ~= nil
 end
 
 -- The first word of a SocketCAN record; big endian in its own encapsulation, host order in cooked captures.

@@ -293,12 +293,16 @@ function Reassembler:complete(message, data, reported, number)
 end
 
 -- A Middle or End.
-function Reassembler:continue(key, address, data, reported, number, wide)
+function Reassembler:continue(key, address, data, reported, number, wide, doubtful)
   local is_end = address.ctrl == self.can.END
   local message = self.open[key]
   if not message then
     if not wide and not (address.ctl == 0 and self.size_of(address.id)) then return end
     return self:orphan(number, is_end)
+  end
+  if doubtful and not message.messages and not message.status and not message.truncated then
+    message = self.interleave.new(self, message)
+    self.open[key] = message
   end
   if message.messages then -- a pool
     local entry = message:frame(data, number, is_end)
@@ -334,8 +338,9 @@ end
 -- data      captured bytes; reported: its length on the bus
 -- number    frame number
 -- wide      true when the user says that every extended frame is YAPP; else only what is surely YAPP is claimed
+-- doubtful  true for a frame of zeros that may be a remote frame: size and CRC say whether it belongs
 -- returns   what the frame is (see entry), nil when it is not YAPP's.  A good message is valid until the next call.
-function Reassembler:frame(bus, address, data, reported, number, wide)
+function Reassembler:frame(bus, address, data, reported, number, wide, doubtful)
   -- A frame that a read filter rejected had the same number.  (Storing nil would make a new key in Lua 5.2.)
   if self.frames[number] then self.frames[number] = nil end
   if self.faults[number] then self.faults[number] = nil end
@@ -345,7 +350,7 @@ function Reassembler:frame(bus, address, data, reported, number, wide)
   local key = address.key
   if bus then key = key + (bus + 1) * 0x20000000 end
   if ctrl == 1 then return self:start(key, bus, address, data, reported, number, wide) end
-  if ctrl == 2 or ctrl == 3 then return self:continue(key, address, data, reported, number, wide) end
+  if ctrl == 2 or ctrl == 3 then return self:continue(key, address, data, reported, number, wide, doubtful) end
   if ctrl == 0 then
     local size = self.size_of(address.id)
     if not wide and not (size and address.ctl == 0 and self.can.padding(data, reported, size)) then return end

@@ -5,7 +5,6 @@ local M = {}
 local HEADER, CRC_SIZE = 12, 4
 local TCP, UDP = 2, 3 -- pinfo.port_type
 local ONE_MORE_SEGMENT = 0x0fffffff -- DESEGMENT_ONE_MORE_SEGMENT
-local PATIENCE = 4096 -- bytes up to which every new segment is looked at; a longer wait asks for more at a time
 
 local Carrier = {}
 Carrier.__index = Carrier
@@ -43,6 +42,11 @@ function Carrier:has_frame(bytes)
   return false
 end
 
+-- An empty tvb has no raw().
+local function bytes_of(tvb)
+  return tvb:len() > 0 and tvb:raw() or ""
+end
+
 -- What is shown -------------------------------------------------------------------------------------------------
 
 local function little(bytes, at, count)
@@ -59,8 +63,8 @@ local function printable(bytes)
 end
 
 -- A frame, good, bad or cut.  tvb and at: where its bytes are.
-function Carrier:show_frame(tree, tvb, at, event, wanted)
-  local builder, bytes = self.tree, event.bytes
+function Carrier:show_frame(tree, tvb, at, event, bytes, wanted)
+  local builder = self.tree
   local fields = builder.fields
   local id, size = little(bytes, 5, 4), little(bytes, 9, 2)
   local status = event.kind == "cut" and "cut" or event.good and "good" or "bad"
@@ -78,7 +82,7 @@ function Carrier:show_frame(tree, tvb, at, event, wanted)
     builder:add_id(item, tvb(at + 4, 4), id)
     item:add_le(fields.size, tvb(at + 8, 2)):append_text(" bytes")
     item:add_le(fields.reserved, tvb(at + 10, 2))
-    if event.parts then self:add_parts(item, tvb, event) end
+    if event.parts then self:add_parts(item, tvb, event.parts, #bytes) end
     if status ~= "cut" then builder:add_crc(item, tvb(at + HEADER + size, CRC_SIZE), message) end
     item:append_text(status == "good" and ", CRC good" or status == "bad" and ", CRC BAD" or ", not whole")
     builder:add_delta(item, event.delta)
@@ -93,20 +97,20 @@ function Carrier:show_frame(tree, tvb, at, event, wanted)
 end
 
 -- The packets that a frame came in.
-function Carrier:add_parts(item, tvb, event)
+function Carrier:add_parts(item, tvb, parts, length)
   local fields = self.tree.fields
-  local last = event.parts[#event.parts]
+  local last = parts[#parts]
   item:add(fields["reassembled.in"], last):set_generated()
   local list = item:add(fields.fragments, tvb())
-  list:set_text(("%d fragments (%d bytes)"):format(#event.parts, #event.bytes))
+  list:set_text(("%d fragments (%d bytes)"):format(#parts, length))
   list:set_generated()
-  for _, number in ipairs(event.parts) do list:add(fields.fragment, number):set_generated() end
-  list:add(fields["fragment.count"], #event.parts):set_generated()
-  list:add(fields["reassembled.length"], #event.bytes):set_generated()
+  for _, number in ipairs(parts) do list:add(fields.fragment, number):set_generated() end
+  list:add(fields["fragment.count"], #parts):set_generated()
+  list:add(fields["reassembled.length"], length):set_generated()
 end
 
-function Carrier:show_skipped(tree, tvb, at, event, wanted)
-  local builder, bytes = self.tree, event.bytes
+function Carrier:show_skipped(tree, tvb, at, bytes, wanted)
+  local builder = self.tree
   local text = printable(bytes)
   local item = tree
   if wanted then
@@ -120,19 +124,16 @@ function Carrier:show_skipped(tree, tvb, at, event, wanted)
   return ("Skipped %d bytes%s"):format(#bytes, text and " " .. text or "")
 end
 
--- Shows events.  base is the stream offset of the packet's first byte: what began in it, lies in the tvb.
+-- Shows events.  base is the stream offset of the packet's first byte: what lies in it has no bytes of its own.
 function Carrier:show(tvb, pinfo, tree, events, base, raw)
   local wanted = self.tree:wanted(tree, true)
   local infos = {}
   for i, event in ipairs(events) do
     local source, at = tvb, event.from - base
-    if at < 0 or event.to - base > #raw then
-      if wanted then source, at = ByteArray.new(event.bytes, true):tvb("Reassembled YAPP"), 0 end
-    elseif not event.bytes then
-      event = setmetatable({ bytes = raw:sub(at + 1, event.to - base) }, { __index = event })
-    end
-    local info = event.kind == "skipped" and self:show_skipped(tree, source, at, event, wanted) or
-      event.kind ~= "skipped" and self:show_frame(tree, source, at, event, wanted)
+    local bytes = event.bytes or raw:sub(at + 1, event.to - base)
+    if event.bytes and wanted then source, at = ByteArray.new(bytes, true):tvb("Reassembled YAPP"), 0 end
+    local info = event.kind == "skipped" and self:show_skipped(tree, source, at, bytes, wanted) or
+      event.kind ~= "skipped" and self:show_frame(tree, source, at, event, bytes, wanted)
     if i <= 10 then infos[i] = info end
   end
   if #events > 10 then infos[11] = ("and %d more"):format(#events - 10) end
@@ -141,7 +142,27 @@ function Carrier:show(tvb, pinfo, tree, events, base, raw)
   columns.info = table.concat(infos, " | ")
 end
 
--- Datagrams and TCP ---------------------------------------------------------------------------------------------
+-- Streams -------------------------------------------------------------------------------------------------------
+
+-- By which packets of one stream know each other.
+function Carrier:key(pinfo)
+  local kind = pinfo.port_type
+  local source = kind ~= TCP and kind ~= UDP and self.context(pinfo)
+  return ("%s|%s|%s|%s|%s|%s"):format(tostring(source), kind, tostring(pinfo.src), pinfo.src_port,
+    tostring(pinfo.dst), pinfo.dst_port)
+end
+
+-- What is known of the stream that a packet belongs to: when which message came, and of one that nobody joins for us
+-- its framer, its length, and the packets with bytes that wait.
+function Carrier:stream(pass, pinfo)
+  local key = self:key(pinfo)
+  local stream = pass.streams[key]
+  if not stream then
+    stream = { times = {}, length = 0, waiting = {}, first = 1, last = 0 }
+    pass.streams[key] = stream
+  end
+  return stream
+end
 
 -- The time since the previous message with this ID in the stream.
 local function note_times(pinfo, times, events)
@@ -156,107 +177,134 @@ local function note_times(pinfo, times, events)
   end
 end
 
--- By which packets of one stream know each other.
-function Carrier:key(pinfo)
-  return ("%s|%s|%s|%s|%s|%s"):format(tostring(self.context(pinfo)), pinfo.port_type, tostring(pinfo.src),
-    pinfo.src_port, tostring(pinfo.dst), pinfo.dst_port)
+-- Whatever waits in the framer is cut off.
+local function finish(framer, events, truncated)
+  for _, event in ipairs(framer:finish()) do
+    event.truncated = truncated
+    events[#events + 1] = event
+  end
 end
 
--- Times are known on the first pass only, where packets come in order; they are kept by packet, and where TCP shows
--- several pieces of one packet, by piece.
-function Carrier:deltas(pinfo, events, place)
-  local number = pinfo.number
-  local pass = self.passes[1]
-  if not pinfo.visited then
-    local key = self:key(pinfo)
-    local stream = pass.streams[key]
-    if not stream then
-      stream = { times = {} }
-      pass.streams[key] = stream
-    end
-    note_times(pinfo, stream.times, events)
-    local kept = {}
-    for i, event in ipairs(events) do kept[i] = event.delta or false end
-    local packet = pass.packets[number]
-    if place == 0 or not packet then
-      packet = {}
-      pass.packets[number] = packet
-    end
-    packet[place] = kept
-  else
-    local kept = (pass.packets[number] or {})[place] or {}
-    for i, event in ipairs(events) do event.delta = kept[i] or nil end
+local function is_truncated(tvb)
+  return tvb:reported_len() > tvb:len()
+end
+
+-- The capture cut the packet short: this is said at the frame that it cut, where there is one.
+function Carrier:say_truncated(tvb, tree, events)
+  local last = events[#events]
+  if is_truncated(tvb) and not (last and last.truncated) then
+    self.tree:expert(tree, "truncated", ("The capture has %d of the packet's %d bytes"):format(tvb:len(),
+      tvb:reported_len()))
   end
+end
+
+-- Datagrams and TCP ---------------------------------------------------------------------------------------------
+
+-- These are searched on the first pass only, where packets come in order.  What was found is kept by packet, and by
+-- the place of the bytes in it, where a packet has several pieces.  A conversation may have been recognized late: what
+-- came before and was not ours on the first pass, is not ours later.
+function Carrier:piece(tvb, pinfo, search)
+  local packets, number, place = self.passes[1].packets, pinfo.number, tvb:offset()
+  if pinfo.visited then return packets[number] and packets[number][place] end
+  local stream = self:stream(self.passes[1], pinfo)
+  local piece = search(self, bytes_of(tvb), stream, is_truncated(tvb))
+  note_times(pinfo, stream.times, piece.events)
+  for _, event in ipairs(piece.events) do event.bytes = nil end
+  packets[number] = packets[number] or {}
+  packets[number][place] = piece
+  return piece
 end
 
 -- A datagram is complete in itself.
-function Carrier:datagram(tvb, pinfo, tree)
-  local raw = tvb:raw()
+function Carrier:search_datagram(raw, _, truncated)
   local framer = self:framer()
   local events = framer:feed(raw)
-  for _, event in ipairs(framer:finish()) do
-    event.truncated = tvb:reported_len() > #raw
-    events[#events + 1] = event
-  end
-  self:deltas(pinfo, events, 0)
-  self:show(tvb, pinfo, tree, events, 0, raw)
+  finish(framer, events, truncated)
+  return { events = events, base = 0, done = #raw }
+end
+
+function Carrier:datagram(tvb, pinfo, tree)
+  local piece = self:piece(tvb, pinfo, self.search_datagram)
+  if not piece then return 0 end
+  self:show(tvb, pinfo, tree, piece.events, piece.base, bytes_of(tvb))
+  self:say_truncated(tvb, tree, piece.events)
   return tvb:len()
 end
 
--- TCP joins the segments: what is not yet whole comes again with what follows.
-function Carrier:segment(tvb, pinfo, tree)
-  local raw = tvb:raw()
-  local framer = self:framer()
-  local events = framer:feed(raw)
-  if #events > 0 then
-    self:deltas(pinfo, events, tvb:offset())
-    self:show(tvb, pinfo, tree, events, 0, raw)
+-- TCP hands over again what waits, with what follows: only this is new to the framer.
+function Carrier:search_segment(raw, stream)
+  local joined = stream.joined
+  local known = joined and #joined.waiting or 0
+  if not joined or raw:sub(1, known) ~= joined.waiting then
+    joined, known = { framer = self:framer(), events = {}, base = 0 }, 0
+    stream.joined = joined
   end
-  local pending = #raw - framer:offset()
-  if pending > 0 then
-    local missing = framer:waiting()
-    pinfo.desegment_offset = framer:offset()
-    pinfo.desegment_len = missing and pending > PATIENCE and math.min(missing, (pending - pending % 16) / 16) or
-      ONE_MORE_SEGMENT
+  local piece = { events = joined.events, base = joined.base }
+  for _, event in ipairs(joined.framer:feed(raw:sub(known + 1))) do piece.events[#piece.events + 1] = event end
+  piece.done = joined.framer:offset() - joined.base
+  if piece.done > known then
+    joined.events, joined.base = {}, joined.framer:offset()
+  else -- TCP takes nothing back as long as none of the new bytes go with it: these events wait too
+    piece = { events = {}, base = joined.base, done = 0 }
+  end
+  joined.waiting = raw:sub(piece.done + 1)
+  return piece
+end
+
+function Carrier:segment(tvb, pinfo, tree)
+  local piece = self:piece(tvb, pinfo, self.search_segment)
+  if not piece then return 0 end
+  if #piece.events > 0 then self:show(tvb, pinfo, tree, piece.events, piece.base, tvb:raw()) end
+  if piece.done < tvb:len() then
+    pinfo.desegment_offset, pinfo.desegment_len = piece.done, ONE_MORE_SEGMENT
   end
   return tvb:len()
 end
 
 -- Streams that nobody joins for us ------------------------------------------------------------------------------
 
--- Which packets the bytes of an event came in, and that those before the last lead to it.
+-- Which packets the bytes of an event came in; those of a frame before the last lead to it.
 local function link(stream, event, number)
-  local parts = {}
-  for _, packet in ipairs(stream.recent) do
-    if packet.to > event.from and packet.from < event.to then
-      parts[#parts + 1] = packet.number
-      if packet.number ~= number and event.kind == "frame" then packet.leads_to = number end
-    end
+  local waiting, parts = stream.waiting, {}
+  for i = stream.first, stream.last do
+    local packet = waiting[i]
+    if packet.from >= event.to then break end
+    parts[#parts + 1] = packet.number
+    if packet.number ~= number then packet.leads_to = number end
   end
-  if #parts > 1 and event.kind == "frame" then event.parts = parts end
+  event.parts = parts
+end
+
+-- The packets whose bytes are all before this offset wait no longer.
+local function forget(stream, offset)
+  local waiting = stream.waiting
+  while stream.first <= stream.last and waiting[stream.first].to <= offset do
+    waiting[stream.first] = nil
+    stream.first = stream.first + 1
+  end
 end
 
 -- Takes the packet's bytes into its stream; keeps what has to be shown, without the bytes that the packet has anyway.
-function Carrier:take(pass, pinfo, raw, number)
-  local key = self:key(pinfo)
-  local stream = pass.streams[key]
-  if not stream then
-    stream = { framer = self:framer(), length = 0, recent = {}, times = {} }
-    pass.streams[key] = stream
-  end
+function Carrier:take(pass, pinfo, raw, truncated)
+  local stream, number = self:stream(pass, pinfo), pinfo.number
+  stream.framer = stream.framer or self:framer()
   local packet = { number = number, from = stream.length, to = stream.length + #raw }
   stream.length = packet.to
-  stream.recent[#stream.recent + 1] = packet
+  stream.last = stream.last + 1
+  stream.waiting[stream.last] = packet
   packet.events = stream.framer:feed(raw)
+  if truncated then finish(stream.framer, packet.events, true) end
   note_times(pinfo, stream.times, packet.events)
   for _, event in ipairs(packet.events) do
-    if event.from < packet.from then link(stream, event, number) else event.bytes = nil end
+    forget(stream, event.from)
+    if event.from >= packet.from then
+      event.bytes = nil
+    elseif event.kind ~= "skipped" then
+      link(stream, event, number)
+    end
   end
-  local done, rest = stream.framer:offset(), {}
-  for _, recent in ipairs(stream.recent) do
-    if recent.to > done then rest[#rest + 1] = recent end
-  end
-  stream.recent = rest
+  local done = stream.framer:offset()
+  forget(stream, done)
   packet.pending, packet.missing = packet.to - math.max(done, packet.from), stream.framer:waiting()
   pass.packets[number] = packet
   return packet
@@ -264,45 +312,48 @@ end
 
 -- Which pass has what there is to show of a packet.  A first pass without fields cannot tell interfaces and
 -- directions apart; where they matter, a second pass that has the fields and comes in order knows better.
-function Carrier:packet(pinfo, raw)
+function Carrier:packet(pinfo, raw, truncated)
   local number = pinfo.number
   local first, second = self.passes[1], self.passes[2]
   if not pinfo.visited then
     if self.context(pinfo) then first.informed = true end
-    return self:take(first, pinfo, raw, number)
+    return self:take(first, pinfo, raw, truncated)
   end
   if not first.informed and self.context(pinfo) then
     if number > second.highest then
       second.highest = number
-      return self:take(second, pinfo, raw, number)
+      return self:take(second, pinfo, raw, truncated)
     end
     return second.packets[number] or first.packets[number]
   end
   return first.packets[number]
 end
 
+-- Shows the bytes at the packet's end that wait for more; returns what the Info column says of them.
+function Carrier:show_pending(tvb, tree, packet, size)
+  local builder, pending = self.tree, packet.pending
+  if builder:wanted(tree, false) then
+    local range = tvb(size - pending, pending)
+    local item = tree:add(builder.yapp, range)
+    item:append_text(", part of a frame")
+    item:add(builder.fields["fragment.data"], range)
+    if packet.leads_to then item:add(builder.fields["reassembled.in"], packet.leads_to):set_generated() end
+  end
+  return packet.leads_to and ("[Reassembled in #%d]"):format(packet.leads_to) or
+    packet.missing and ("[%d bytes of a frame, %d to come]"):format(pending, packet.missing) or
+    ("[%d bytes wait for more]"):format(pending)
+end
+
 function Carrier:serial(tvb, pinfo, tree)
-  local raw = tvb:len() > 0 and tvb:raw() or ""
-  local packet = self:packet(pinfo, raw)
+  local raw = bytes_of(tvb)
+  local packet = self:packet(pinfo, raw, is_truncated(tvb))
   if not packet then return 0 end
   self:show(tvb, pinfo, tree, packet.events, packet.from, raw)
-  local columns, builder = pinfo.cols, self.tree
   if packet.pending > 0 then
-    local wanted = builder:wanted(tree, false)
-    if wanted then
-      local item = tree:add(builder.yapp, tvb(#raw - packet.pending, packet.pending))
-      item:append_text(", part of a frame")
-      item:add(builder.fields["fragment.data"], tvb(#raw - packet.pending, packet.pending))
-      if packet.leads_to then item:add(builder.fields["reassembled.in"], packet.leads_to):set_generated() end
-    end
-    local text = packet.leads_to and ("[Reassembled in #%d]"):format(packet.leads_to) or
-      packet.missing and ("[%d bytes of a frame, %d to come]"):format(packet.pending, packet.missing) or
-      ("[%d bytes wait for more]"):format(packet.pending)
-    columns.info:append((#packet.events > 0 and " | " or "") .. text)
+    local text = self:show_pending(tvb, tree, packet, #raw)
+    pinfo.cols.info:append((#packet.events > 0 and " | " or "") .. text)
   end
-  if tvb:reported_len() > #raw then
-    builder:expert(tree, "truncated", ("The capture has %d of the packet's %d bytes"):format(#raw, tvb:reported_len()))
-  end
+  self:say_truncated(tvb, tree, packet.events)
   return tvb:len()
 end
 
@@ -311,7 +362,7 @@ end
 function Carrier:dissect(tvb, pinfo, tree)
   if tvb:reported_len() == 0 then return 0 end
   local kind = pinfo.port_type
-  if kind == UDP then return self:datagram(tvb, pinfo, tree) end
+  if kind == UDP or kind == TCP and is_truncated(tvb) then return self:datagram(tvb, pinfo, tree) end
   if kind == TCP and pinfo.can_desegment > 0 then return self:segment(tvb, pinfo, tree) end
   return self:serial(tvb, pinfo, tree)
 end
