@@ -92,7 +92,7 @@ local HEALTH = {
 return {
   { -- "Taurus Command", faster than 5 Hz
     name = "command", title = "Command", id = 0x000, size = 7,
-    info = "{enabled}  {motor_mode}  {rpm:%.1f} RPM  {torque_iq:%.2f} A",
+    info = "{enabled}, {key}  {motor_mode}  {rpm:%.1f} RPM  {torque_iq:%.2f} A",
     { "enabled", "uint8", "Enabled", values = { [0] = "Disabled", [1] = "Enabled" } },
     { "key", "uint8", "Key", values = { [0xA5] = "Full Operation", [0x5A] = "No Regeneration Allowed" },
       invalid = "command.key.invalid" },

@@ -9,7 +9,7 @@ local MAX_KEPT = 64 -- texts kept for the parts of long messages
 
 -- Remote frames come with as many zeros as their DLC says; SocketCAN does not tell a dissector.
 local ZEROS = {}
-for length = 1, 8 do ZEROS[("\0"):rep(length)] = true end
+for length = 0, 8 do ZEROS[("\0"):rep(length)] = true end
 
 local address_of, KINDS, START, LONE, ORPHAN -- of yapp_can and yapp_reassembly; set in M.new
 
@@ -54,6 +54,16 @@ function Carrier:note_time(pinfo, bus, id, number)
   if before then self.deltas[number] = now - before end
 end
 
+-- The first look at a frame, in the order of the capture.
+function Carrier:look(pinfo, address, data, reported, number, wide, doubtful)
+  local bus = self.bus_of()
+  if bus then self.informed = true end
+  if self.deltas[number] then self.deltas[number] = nil end
+  local entry = self.state:frame(bus, address, data, reported, number, wide, doubtful)
+  if entry and (entry == LONE or entry.last == number) then self:note_time(pinfo, bus, address.id, number) end
+  return entry
+end
+
 --- Dissects one frame.
 -- id    29-bit CAN id
 -- wide  true when the user says that every extended frame is YAPP
@@ -61,26 +71,20 @@ end
 function Carrier:dissect(tvb, pinfo, tree, id, wide)
   local reported = tvb:reported_len()
   if reported == 0 then return 0 end
-  local number, state = pinfo.number, self.state
+  local number, state, leads_to = pinfo.number, self.state, nil
   local address, data = address_of(id), tvb:raw()
   local doubtful = false
   if ZEROS[data] then
     local remote = self.is_remote(pinfo)
-    if remote then return 0 end
     doubtful = remote == nil
+    if remote or doubtful and data == "" then return 0 end
   end
   local entry
-  -- Numbers grow on the first pass; a call saved for most frames.
-  if number > self.highest or not pinfo.visited then
+  if number > self.highest or not pinfo.visited then -- numbers grow on the first pass: saves a call for most frames
     self.highest = number
-    local bus = self.bus_of()
-    if bus then self.informed = true end
-    if self.deltas[number] then self.deltas[number] = nil end
-    entry = state:frame(bus, address, data, reported, number, wide, doubtful)
-    if not entry then return 0 end
-    if entry == LONE or entry.last == number then self:note_time(pinfo, bus, address.id, number) end
+    entry = self:look(pinfo, address, data, reported, number, wide, doubtful)
   else
-    entry, state = self:look_again(pinfo, address, data, reported, number, wide)
+    entry, state, leads_to = self:look_again(pinfo, address, data, reported, number, wide)
   end
   if not entry then return 0 end
   local builder = self.tree
@@ -94,7 +98,7 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
   elseif entry.last == number then
     columns.info = self:show_message(tvb, tree, item, address, data, entry, wanted)
   else
-    columns.info = self:show_part(tvb, item, address, data, entry, number, wanted)
+    columns.info = self:show_part(tvb, item, address, data, entry, number, wanted, entry.last or leads_to)
   end
   if #data < reported then
     builder:expert(item, "truncated", ("The capture has %d of the frame's %d bytes"):format(#data, reported))
@@ -149,7 +153,8 @@ function Carrier:look_again(pinfo, address, data, reported, number, wide)
     self.highest_again = number
     local entry = second:frame(bus, address, data, reported, number, wide)
     if entry and (entry == LONE or entry.last == number) then self:note_time(pinfo, bus, address.id, number) end
-    return entry, second
+    local before = first:entry(number)
+    return entry, second, before and before.status == "good" and before.last or nil
   end
   return second:entry(number) or first:entry(number), second
 end
@@ -189,14 +194,15 @@ local function part_info(builder, address, entry, number, length)
   local text = texts[index]
   if not text then
     text = ("%s  part %d"):format(texts.name, index)
-    if length == 8 then text = ("%s of %d"):format(text, 1 + (size + 7 - (size + 7) % 8) / 8) end -- classic CAN
+    local parts = 1 + (size + 7 - (size + 7) % 8) / 8 -- of classic CAN
+    if length == 8 and index <= parts then text = ("%s of %d"):format(text, parts) end
     if index <= MAX_KEPT and length == 8 then texts[index] = text end
   end
   return text
 end
 
 -- A Start, a Middle, or an End that completes nothing.
-function Carrier:show_part(tvb, item, address, data, entry, number, wanted)
+function Carrier:show_part(tvb, item, address, data, entry, number, wanted, leads_to)
   local fields = self.tree.fields
   if wanted then
     if address.ctrl == START then
@@ -204,10 +210,10 @@ function Carrier:show_part(tvb, item, address, data, entry, number, wanted)
     elseif #data > 0 then
       item:add(fields["fragment.data"], tvb())
     end
-    if entry.last then item:add(fields["reassembled.in"], entry.last):set_generated() end
+    if leads_to then item:add(fields["reassembled.in"], leads_to):set_generated() end
   end
   local text = part_info(self.tree, address, entry, number, #data)
-  return entry.last and ("%s  [Reassembled in #%d]"):format(text, entry.last) or text
+  return leads_to and ("%s  [Reassembled in #%d]"):format(text, leads_to) or text
 end
 
 function Carrier:start_tree(tvb, item, entry)

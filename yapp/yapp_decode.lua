@@ -193,7 +193,7 @@ local function shown(part, raw)
     if raw > field.top - 5 then return SPECIALS_SHORT[field.top - raw] end
     return format(part.format, float(field, raw))
   end
-  return field.values and field.values[raw] or format("0x%x", raw)
+  return field.values and (field.values[raw] or format("invalid 0x%x", raw)) or format("%d", raw)
 end
 
 -- The parts of an Info text one by one, for values that the usual format cannot show.

@@ -147,9 +147,10 @@ local function complete(self)
 end
 
 --- Takes a Middle or End.
--- data     its bytes; number: of the frame
+-- data      its bytes; number: of the frame
+-- doubtful  true when it may not be part of anything: then it does not end a message that it does not complete
 -- returns  what the frame is: a message, or the reassembler's orphan
-function Pool:frame(data, number, is_end)
+function Pool:frame(data, number, is_end, doubtful)
   local messages, reassembler = self.messages, self.reassembler
   local newest = messages[#messages]
   self.frames[#self.frames + 1] = { number = number, data = data, is_end = is_end }
@@ -159,7 +160,7 @@ function Pool:frame(data, number, is_end)
   -- What nobody can use: the newest message ends, unless a Start has cut it off before.
   if newest.overtaken then return reassembler:orphan(number, is_end) end
   reassembler.frames[number] = newest
-  if is_end then
+  if is_end and not doubtful then
     local taken, length = leftovers(self, newest)
     local status = reassembler:misfit(newest, length, number)
     newest.received = length

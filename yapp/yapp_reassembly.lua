@@ -305,7 +305,7 @@ function Reassembler:continue(key, address, data, reported, number, wide, doubtf
     self.open[key] = message
   end
   if message.messages then -- a pool
-    local entry = message:frame(data, number, is_end)
+    local entry = message:frame(data, number, is_end, doubtful)
     if #message.messages == 0 then self:close(key) end
     return entry
   end

@@ -5,6 +5,7 @@ local M = {}
 local HEADER, CRC_SIZE = 12, 4
 local TCP, UDP = 2, 3 -- pinfo.port_type
 local ONE_MORE_SEGMENT = 0x0fffffff -- DESEGMENT_ONE_MORE_SEGMENT
+local PATIENCE = 2 * 65551 -- bytes, of two of the largest frames: TCP need not keep more for a frame that may yet come
 
 local Carrier = {}
 Carrier.__index = Carrier
@@ -82,7 +83,7 @@ function Carrier:show_frame(tree, tvb, at, event, bytes, wanted)
     builder:add_id(item, tvb(at + 4, 4), id)
     item:add_le(fields.size, tvb(at + 8, 2)):append_text(" bytes")
     item:add_le(fields.reserved, tvb(at + 10, 2))
-    if event.parts then self:add_parts(item, tvb, event.parts, #bytes) end
+    if event.parts then self:add_parts(item, tvb, event, #bytes) end
     if status ~= "cut" then builder:add_crc(item, tvb(at + HEADER + size, CRC_SIZE), message) end
     item:append_text(status == "good" and ", CRC good" or status == "bad" and ", CRC BAD" or ", not whole")
     builder:add_delta(item, event.delta)
@@ -97,10 +98,9 @@ function Carrier:show_frame(tree, tvb, at, event, bytes, wanted)
 end
 
 -- The packets that a frame came in.
-function Carrier:add_parts(item, tvb, parts, length)
-  local fields = self.tree.fields
-  local last = parts[#parts]
-  item:add(fields["reassembled.in"], last):set_generated()
+function Carrier:add_parts(item, tvb, event, length)
+  local fields, parts = self.tree.fields, event.parts
+  item:add(fields["reassembled.in"], event.shown_in):set_generated()
   local list = item:add(fields.fragments, tvb())
   list:set_text(("%d fragments (%d bytes)"):format(#parts, length))
   list:set_generated()
@@ -177,12 +177,23 @@ local function note_times(pinfo, times, events)
   end
 end
 
+-- Appends events; skipped bytes that follow skipped bytes are one event.
+local function append(events, more)
+  for _, event in ipairs(more) do
+    local last = events[#events]
+    if last and last.kind == "skipped" and event.kind == "skipped" then
+      last.to, last.bytes = event.to, last.bytes .. event.bytes
+    else
+      events[#events + 1] = event
+    end
+  end
+end
+
 -- Whatever waits in the framer is cut off.
 local function finish(framer, events, truncated)
-  for _, event in ipairs(framer:finish()) do
-    event.truncated = truncated
-    events[#events + 1] = event
-  end
+  local rest = framer:finish()
+  for _, event in ipairs(rest) do event.truncated = truncated end
+  append(events, rest)
 end
 
 local function is_truncated(tvb)
@@ -239,16 +250,17 @@ function Carrier:search_segment(raw, stream)
     joined, known = { framer = self:framer(), events = {}, base = 0 }, 0
     stream.joined = joined
   end
-  local piece = { events = joined.events, base = joined.base }
-  for _, event in ipairs(joined.framer:feed(raw:sub(known + 1))) do piece.events[#piece.events + 1] = event end
-  piece.done = joined.framer:offset() - joined.base
-  if piece.done > known then
-    joined.events, joined.base = {}, joined.framer:offset()
-  else -- TCP takes nothing back as long as none of the new bytes go with it: these events wait too
-    piece = { events = {}, base = joined.base, done = 0 }
+  local framer, events, base = joined.framer, joined.events, joined.base
+  append(events, framer:feed(raw:sub(known + 1)))
+  if #raw > PATIENCE and framer:offset() - base <= known then finish(framer, events) end
+  local done = framer:offset() - base
+  if done > known then
+    joined.events, joined.base = {}, framer:offset()
+  else -- TCP lets go of no bytes as long as none of the new ones go with them: what is found waits too
+    events, done = {}, 0
   end
-  joined.waiting = raw:sub(piece.done + 1)
-  return piece
+  joined.waiting = raw:sub(done + 1)
+  return { events = events, base = base, done = done }
 end
 
 function Carrier:segment(tvb, pinfo, tree)
@@ -263,7 +275,8 @@ end
 
 -- Streams that nobody joins for us ------------------------------------------------------------------------------
 
--- Which packets the bytes of an event came in; those of a frame before the last lead to it.
+-- Which packets the bytes of a frame came in; they lead to the one that shows it.  This may be a later one where a
+-- frame is bad and one that overlaps it was still open.
 local function link(stream, event, number)
   local waiting, parts = stream.waiting, {}
   for i = stream.first, stream.last do
@@ -272,7 +285,7 @@ local function link(stream, event, number)
     parts[#parts + 1] = packet.number
     if packet.number ~= number then packet.leads_to = number end
   end
-  event.parts = parts
+  event.parts, event.shown_in = parts, number
 end
 
 -- The packets whose bytes are all before this offset wait no longer.
