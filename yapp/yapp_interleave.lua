@@ -20,7 +20,10 @@ Pool.__index = Pool
 function M.new(reassembler, first)
   local self = setmetatable({ reassembler = reassembler, messages = { first }, frames = {} }, Pool)
   first.from = 1
-  for i = 1, first.parts do self.frames[i] = { number = first[i + 1], data = first.chunks[i] } end
+  for i = 1, first.parts do
+    local data = first.chunks[i]
+    self.frames[i] = { number = first[i + 1], data = data, length = #data }
+  end
   return self
 end
 
@@ -30,7 +33,7 @@ local function leftovers(self, message)
   for i = message.from, #self.frames do
     if not self.frames[i].used then
       taken[#taken + 1] = i
-      length = length + #self.frames[i].data
+      length = length + self.frames[i].length
     end
   end
   return taken, length
@@ -74,8 +77,8 @@ local function search(self, goal, at, register, needed, taken)
   local last = #frames
   while at <= last do
     local frame = frames[at]
-    local length = #frame.data
-    if not frame.used then
+    local length = frame.length
+    if not frame.used and length == #frame.data then -- what the capture cut proves nothing
       reassembler.credit = reassembler.credit - 1
       if reassembler.credit < 0 then return nil end
       if at == last then
@@ -99,34 +102,39 @@ end
 local function all_since_start(self, goal, message)
   local reassembler, frames = self.reassembler, self.frames
   local taken, length = leftovers(self, message)
-  local last = frames[#frames].data
-  goal.padding = reassembler.can.padding(last, #last, message.size - length + #last)
+  local last = frames[#frames]
+  goal.padding = reassembler.can.padding(last.data, last.length, message.size - length + last.length)
   if not goal.padding then return nil end
   local register = reassembler:seed(message)
   for _, at in ipairs(taken) do
     local data = frames[at].data
+    if #data < frames[at].length then return taken end -- all there, but not to be verified
     register = reassembler.crc.update(register, data, 1, at == #frames and #data - goal.padding or #data)
   end
   return register == goal.crc and taken or nil
 end
 
--- Gives frames to a message and ends it.  Frames of a message that is not good may still be another's.
+-- Gives frames to a message and ends it: status when it is known, else the CRC decides.
 local function award(self, message, taken, status)
   local reassembler, frames, chunks = self.reassembler, self.frames, {}
-  message.count = 1
+  message.count, message.received = 1, 0
   for i, at in ipairs(taken) do
     local frame = frames[at]
-    chunks[i], message.count, message[i + 1] = frame.data, i + 1, frame.number
+    message.count, message[i + 1] = i + 1, frame.number
+    message.received = message.received + frame.length
+    if not message.truncated then chunks[i] = frame.data end
+    message.truncated = message.truncated or #frame.data < frame.length
     reassembler:give(frame.number, message)
   end
-  local payload = concat(chunks)
-  message.received = #payload
-  reassembler:finish(message, payload:sub(1, message.size), frames[#frames].number, status)
-  if message.status == "good" then
+  reassembler:finish(message, concat(chunks):sub(1, status and -1 or message.size), frames[#frames].number, status)
+  if message.status == "good" then -- else its frames may still be another's
     for _, at in ipairs(taken) do frames[at].used = true end
   end
-  for i, open in ipairs(self.messages) do
-    if open == message then table.remove(self.messages, i) break end
+end
+
+local function remove(list, item)
+  for i = 1, #list do
+    if list[i] == item then return table.remove(list, i) end
   end
 end
 
@@ -140,33 +148,41 @@ local function complete(self)
       i > 0 and search(self, goal, message.from, self.reassembler:seed(message), message.size, {})
     if taken then
       message.padding = goal.padding > 0 and goal.padding or nil
+      remove(messages, message)
       award(self, message, taken)
       return message
     end
   end
 end
 
+-- An End that completes nothing: it ends the newest message, as far as anyone can see.  But it may be another bus's, so
+-- that message stays for what may come.
+local function end_newest(self, number)
+  local newest, reassembler = self.messages[#self.messages], self.reassembler
+  local ended = {}
+  for key, value in pairs(newest) do ended[key] = value end
+  local taken, length = leftovers(self, newest)
+  local status = reassembler:misfit(newest, length, number)
+  newest.overtaken = newest.overtaken or 0
+  if #self.messages == 1 then self.messages = {} end
+  award(self, ended, taken, status)
+  return ended
+end
+
 --- Takes a Middle or End.
--- data      its bytes; number: of the frame
+-- data      its captured bytes; length: on the bus; number: of the frame
 -- doubtful  true when it may not be part of anything: then it does not end a message that it does not complete
--- returns  what the frame is: a message, or the reassembler's orphan
-function Pool:frame(data, number, is_end, doubtful)
+-- returns   what the frame is: a message, or the reassembler's orphan
+function Pool:frame(data, length, number, is_end, doubtful)
   local messages, reassembler = self.messages, self.reassembler
   local newest = messages[#messages]
-  self.frames[#self.frames + 1] = { number = number, data = data, is_end = is_end }
-  self.bytes = (self.bytes or 0) + #data
+  self.frames[#self.frames + 1] = { number = number, data = data, length = length, is_end = is_end }
+  self.bytes = (self.bytes or 0) + length
   local whole = is_end and complete(self)
   if whole then return whole end
-  -- What nobody can use: the newest message ends, unless a Start has cut it off before.
   if newest.overtaken then return reassembler:orphan(number, is_end) end
   reassembler.frames[number] = newest
-  if is_end and not doubtful then
-    local taken, length = leftovers(self, newest)
-    local status = reassembler:misfit(newest, length, number)
-    newest.received = length
-    award(self, newest, taken, status)
-    return newest
-  end
+  if is_end and not doubtful then return end_newest(self, number) end
   local limit = MAX_WASTE
   for _, message in ipairs(messages) do limit = limit + message.size end
   if self.bytes > limit then

@@ -45,6 +45,10 @@ function Reassembler:fault(number, expert, text, message)
     self.faults[number] = list
   end
   list[#list + 1] = { expert, text, message }
+  if message then
+    message.blamed = message.blamed or {}
+    message.blamed[#message.blamed + 1] = number
+  end
 end
 
 function Reassembler:orphan(number, is_end)
@@ -58,11 +62,11 @@ end
 function Reassembler:misfit(message, received, number)
   if received < message.size then
     self:fault(number, "fragment.incomplete", ("The message that started in frame %d ends with %d of %d bytes")
-      :format(message[1], received, message.size))
+      :format(message[1], received, message.size), message)
     return "short"
   elseif received > message.size then
     self:fault(number, "fragment.overrun", ("%d bytes for the %d of the message that started in frame %d")
-      :format(received, message.size, message[1]))
+      :format(received, message.size, message[1]), message)
     return "overrun"
   end
 end
@@ -85,11 +89,13 @@ function Reassembler:give(number, message)
   self.frames[number] = message
 end
 
--- Takes back that a Start cut off this message.
+-- Takes back what was said of a message that came out good after all.
 function Reassembler:forgive(message)
-  local list = self.faults[message.overtaken_by] or {}
-  for i = #list, 1, -1 do
-    if list[i][3] == message then table.remove(list, i) end
+  for _, number in ipairs(message.blamed) do
+    local list = self.faults[number] or {}
+    for i = #list, 1, -1 do
+      if list[i][3] == message then table.remove(list, i) end
+    end
   end
 end
 
@@ -102,7 +108,7 @@ function Reassembler:finish(message, payload, number, status)
     local calculated = self.crc.update(self:seed(message), payload)
     if calculated == message.crc then
       message.status = "good"
-      if message.overtaken_by then return self:forgive(message) end
+      if message.blamed then return self:forgive(message) end
       return self:put_away(message)
     end
     message.status, message.calculated = "bad", calculated
@@ -208,7 +214,6 @@ function Reassembler:overtake(key, bus, open, number)
     self:fault(number, "fragment.incomplete",
       ("A new Start cuts off the message that started in frame %d: %d of %d bytes")
       :format(newest[1], received, newest.size), newest)
-    newest.overtaken_by = number
   end
   if bus or newest.status or newest.truncated then
     for _, message in ipairs(open.messages or { open }) do give_up(message) end
@@ -305,7 +310,7 @@ function Reassembler:continue(key, address, data, reported, number, wide, doubtf
     self.open[key] = message
   end
   if message.messages then -- a pool
-    local entry = message:frame(data, number, is_end, doubtful)
+    local entry = message:frame(data, reported, number, is_end, doubtful)
     if #message.messages == 0 then self:close(key) end
     return entry
   end

@@ -5,7 +5,7 @@ local M = {}
 local HEADER, CRC_SIZE = 12, 4
 local TCP, UDP = 2, 3 -- pinfo.port_type
 local ONE_MORE_SEGMENT = 0x0fffffff -- DESEGMENT_ONE_MORE_SEGMENT
-local PATIENCE = 2 * 65551 -- bytes, of two of the largest frames: TCP need not keep more for a frame that may yet come
+local PATIENCE = 65551 -- bytes, the largest frame: TCP keeps no more for a frame that may yet come
 
 local Carrier = {}
 Carrier.__index = Carrier
@@ -41,11 +41,6 @@ function Carrier:has_frame(bytes)
     if event.good then return true end
   end
   return false
-end
-
--- An empty tvb has no raw().
-local function bytes_of(tvb)
-  return tvb:len() > 0 and tvb:raw() or ""
 end
 
 -- What is shown -------------------------------------------------------------------------------------------------
@@ -203,7 +198,7 @@ end
 -- The capture cut the packet short: this is said at the frame that it cut, where there is one.
 function Carrier:say_truncated(tvb, tree, events)
   local last = events[#events]
-  if is_truncated(tvb) and not (last and last.truncated) then
+  if is_truncated(tvb) and not (last and last.kind == "cut") then
     self.tree:expert(tree, "truncated", ("The capture has %d of the packet's %d bytes"):format(tvb:len(),
       tvb:reported_len()))
   end
@@ -218,7 +213,7 @@ function Carrier:piece(tvb, pinfo, search)
   local packets, number, place = self.passes[1].packets, pinfo.number, tvb:offset()
   if pinfo.visited then return packets[number] and packets[number][place] end
   local stream = self:stream(self.passes[1], pinfo)
-  local piece = search(self, bytes_of(tvb), stream, is_truncated(tvb))
+  local piece = search(self, tvb, tvb:raw(), stream)
   note_times(pinfo, stream.times, piece.events)
   for _, event in ipairs(piece.events) do event.bytes = nil end
   packets[number] = packets[number] or {}
@@ -227,26 +222,26 @@ function Carrier:piece(tvb, pinfo, search)
 end
 
 -- A datagram is complete in itself.
-function Carrier:search_datagram(raw, _, truncated)
+function Carrier:search_datagram(tvb, raw)
   local framer = self:framer()
   local events = framer:feed(raw)
-  finish(framer, events, truncated)
+  finish(framer, events, is_truncated(tvb))
   return { events = events, base = 0, done = #raw }
 end
 
 function Carrier:datagram(tvb, pinfo, tree)
   local piece = self:piece(tvb, pinfo, self.search_datagram)
   if not piece then return 0 end
-  self:show(tvb, pinfo, tree, piece.events, piece.base, bytes_of(tvb))
+  self:show(tvb, pinfo, tree, piece.events, piece.base, tvb:raw())
   self:say_truncated(tvb, tree, piece.events)
   return tvb:len()
 end
 
--- TCP hands over again what waits, with what follows: only this is new to the framer.
-function Carrier:search_segment(raw, stream)
+-- TCP hands over again what waits, with what follows, in a tvb of its own: only what follows is new to the framer.
+function Carrier:search_segment(tvb, raw, stream)
   local joined = stream.joined
   local known = joined and #joined.waiting or 0
-  if not joined or raw:sub(1, known) ~= joined.waiting then
+  if not joined or known > 0 and (tvb:offset() > 0 or raw:sub(1, known) ~= joined.waiting) then
     joined, known = { framer = self:framer(), events = {}, base = 0 }, 0
     stream.joined = joined
   end
@@ -358,7 +353,7 @@ function Carrier:show_pending(tvb, tree, packet, size)
 end
 
 function Carrier:serial(tvb, pinfo, tree)
-  local raw = bytes_of(tvb)
+  local raw = tvb:raw()
   local packet = self:packet(pinfo, raw, is_truncated(tvb))
   if not packet then return 0 end
   self:show(tvb, pinfo, tree, packet.events, packet.from, raw)
@@ -373,7 +368,7 @@ end
 --- Dissects what a carrier hands over.
 -- returns the number of bytes that are ours
 function Carrier:dissect(tvb, pinfo, tree)
-  if tvb:reported_len() == 0 then return 0 end
+  if tvb:len() == 0 then return 0 end
   local kind = pinfo.port_type
   if kind == UDP or kind == TCP and is_truncated(tvb) then return self:datagram(tvb, pinfo, tree) end
   if kind == TCP and pinfo.can_desegment > 0 then return self:segment(tvb, pinfo, tree) end
