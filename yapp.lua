@@ -38,11 +38,14 @@ local wide_open = false -- the preference "all extended CAN frames are YAPP"
 
 local function load_catalogue()
   local path = here .. "taurus_fields.lua"
-  local chunk, problem = loadfile(path)
-  local ok, entries = false, problem
-  if chunk then ok, entries = pcall(chunk) end
+  local ok, entries, problem = pcall(loadfile, path) -- raises in 4.0 where plain Lua returns nil
+  if ok and entries then
+    ok, entries = pcall(entries)
+  elseif ok then
+    ok, entries = false, problem
+  end
   if not ok then
-    complain("the catalogue cannot be read, messages are shown as bytes: " .. tostring(entries))
+    complain(("%s: the catalogue cannot be read, messages are shown as bytes: %s"):format(path, tostring(entries)))
     entries = {}
   end
   local catalogue, problems = parts.catalogue.compile(entries)
@@ -99,8 +102,9 @@ local streams = parts.serial_carrier.new(parts, tree, function() return candump.
 -- The ids of a message are found by SocketCAN's table of ids: no other frame costs anything.
 local by_can_id = DissectorTable.get("can.extended_id")
 local registered = {}
--- CAN id 0 by a Proto of its own: a call with match_uint 0 is from Decode As.
+-- CAN id 0 by way of a Proto of its own: any other call with match_uint 0 is from Decode As.
 local zero = Proto("yapp_zero", "YAPP, CAN id 0")
+local from_zero = false
 
 local function register_range(first, last)
   if first == 0 then
@@ -142,7 +146,14 @@ local function dissect_id(tvb, pinfo, root, id, wide)
 end
 
 function zero.dissector(tvb, pinfo, root)
-  return dissect_id(tvb, pinfo, root, 0, yapp.prefs.all_extended)
+  if not frames:takes_single(tvb, pinfo, 0, wide_open) then
+    ids:note(pinfo.number, 0)
+    return 0
+  end
+  from_zero = true
+  local length = Dissector.get("yapp"):call(tvb, pinfo, root)
+  from_zero = false
+  return length
 end
 
 -- Decode As on CAN: every extended data frame is YAPP's.
@@ -157,7 +168,11 @@ end
 function yapp.dissector(tvb, pinfo, root)
   local id = pinfo.match_uint
   if id > 0xFFFF then return dissect_id(tvb, pinfo, root, id, wide_open) end
-  if pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
+  if not from_zero and pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
+  if from_zero then
+    from_zero = false
+    return dissect_id(tvb, pinfo, root, 0, wide_open)
+  end
   if id == 0 then return dissect_all(tvb, pinfo, root) end
   return dissect_id(tvb, pinfo, root, id, wide_open)
 end
@@ -189,7 +204,7 @@ function taurus.dissector() return 0 end
 
 -- A conversation is YAPP's when one whole frame with a good CRC has been seen in it.
 local function found_by_content(tvb, pinfo, root)
-  local raw = tvb:raw()
+  local raw = tvb:len() > 0 and tvb:raw() or ""
   if not raw:find("YP", 1, true) or not streams:has_frame(raw) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
@@ -211,7 +226,7 @@ end
 local function controller_time(frame)
   local low, high = frame:byte(5, 6)
   local message = tree.by_id[low + high * 0x100]
-  if not message or not message.time then return nil end
+  if not message or not message.time or #frame < parts.stream.HEADER + message.size then return nil end
   local seconds, nanoseconds = decode.time(frame, parts.stream.HEADER + message.time.offset)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end

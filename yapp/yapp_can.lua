@@ -5,6 +5,9 @@ local M = {}
 
 local char = string.char
 
+-- COMPAT 5.4: a quotient is a float there, and prints as one.
+local integer = rawget(math, "tointeger") or function(n) return n end
+
 -- CAN CTRL
 M.SINGLE, M.START, M.MIDDLE, M.END = 0, 1, 2, 3
 M.KINDS = { [0] = "Single", "Start", "Middle", "End" }
@@ -27,10 +30,10 @@ local addresses, address_count = {}, 0
 function M.address(can_id)
   local address = addresses[can_id]
   if address then return address end
-  local seq = can_id % 0x100
-  local ctl = (can_id - seq) / 0x100 % 0x40
-  local ctrl = (can_id - can_id % 0x4000) / 0x4000 % 0x10
-  address = { id = (can_id - can_id % 0x40000) / 0x40000, ctrl = ctrl, ctl = ctl, seq = seq,
+  local seq = integer(can_id % 0x100)
+  local ctl = integer((can_id - seq) / 0x100 % 0x40)
+  local ctrl = integer((can_id - can_id % 0x4000) / 0x4000 % 0x10)
+  address = { id = integer((can_id - can_id % 0x40000) / 0x40000), ctrl = ctrl, ctl = ctl, seq = seq,
     key = can_id - ctrl * 0x4000 }
   if address_count == M.MAX_KEPT then addresses, address_count = {}, 0 end
   addresses[can_id], address_count = address, address_count + 1

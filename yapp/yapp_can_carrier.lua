@@ -72,7 +72,8 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
   local reported = tvb:reported_len()
   if reported == 0 then return 0 end
   local number, state, leads_to = pinfo.number, self.state, nil
-  local address, data = address_of(id), tvb:raw()
+  -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
+  local address, data = address_of(id), tvb:len() > 0 and tvb:raw() or ""
   local doubtful = false
   if ZEROS[data] then
     local remote = self.is_remote(pinfo)
@@ -118,7 +119,7 @@ function Carrier:without_id(tvb, pinfo, tree)
   local item = tree
   if builder:wanted(tree, false) then
     item = tree:add(builder.yapp, tvb())
-    item:add(builder.fields.payload, tvb())
+    if tvb:len() > 0 then item:add(builder.fields.payload, tvb()) end
   end
   pinfo.cols.protocol = "YAPP"
   builder:expert(item, "can.id.missing", "The CAN id of this frame is not known yet; reload or redissect to see it")
@@ -143,7 +144,11 @@ end
 function Carrier:look_again(pinfo, address, data, reported, number, wide)
   local first = self.state
   local bus = not self.informed and self.bus_of()
-  if not bus then return first:entry(number), first end
+  if not bus then
+    local entry = first:entry(number)
+    if not entry and wide then entry = self:late(address, number) end
+    return entry, first
+  end
   local second = self.second
   if not second then
     second = self:new_state()
@@ -159,11 +164,37 @@ function Carrier:look_again(pinfo, address, data, reported, number, wide)
   return second:entry(number) or first:entry(number), second
 end
 
+-- A frame whose id was not known on the first pass, the first one under Decode As: what stands alone can still be
+-- shown, but a message that it began or ended is lost.
+function Carrier:late(address, number)
+  local state = self.state
+  if address.ctrl == 0 or address.ctrl > 3 then
+    return state:frame(nil, address, "?", 1, number, true)
+  end
+  if not state.faults[number] then
+    state:fault(number, "can.id.missing", "The CAN id was not known on the first pass: reload to see the message")
+  end
+  return ORPHAN
+end
+
+--- Whether a frame of a single-frame id would be taken.
+function Carrier:takes_single(tvb, pinfo, id, wide)
+  local reported = tvb:reported_len()
+  local data = tvb:len() > 0 and tvb:raw() or ""
+  if reported == 0 or ZEROS[data] and self.is_remote(pinfo) then return false end
+  local message = self.tree.by_id[id]
+  return wide or message ~= nil and self.parts.can.padding(data, reported, message.size) ~= nil
+end
+
 -- A frame that stands alone: a single-frame message, or what belongs to none.
 function Carrier:show_lone(tvb, tree, item, address, data, reported, entry, wanted)
   local builder = self.tree
   if entry == LONE then return self:show_single(tvb, tree, item, address.id, data, reported, wanted) end
-  if wanted and #data > 0 then item:add(builder.fields["fragment.data"], tvb()) end
+  if wanted and address.ctrl == START then
+    self:start_tree(tvb, item, #data)
+  elseif wanted and #data > 0 then
+    item:add(builder.fields["fragment.data"], tvb())
+  end
   local kind = KINDS[address.ctrl] or "CAN CTRL " .. address.ctrl
   return ("%s  %s%s"):format(builder:name(address.id), kind, entry == ORPHAN and " without a Start" or "")
 end
@@ -171,9 +202,10 @@ end
 function Carrier:show_single(tvb, tree, item, msg, data, reported, wanted)
   local builder = self.tree
   local message = builder.by_id[msg]
-  local padding = message and self.parts.can.padding(data, reported, message.size) or 0
+  local fits = message and self.parts.can.padding(data, reported, message.size)
+  local padding = fits or 0
   local payload = padding > 0 and data:sub(1, message.size) or data
-  local info = builder:payload(tree, item, msg, payload, wanted and tvb, 0, #data < reported)
+  local info = builder:payload(tree, item, msg, payload, wanted and tvb, 0, fits and #data < reported)
   if wanted and padding > 0 and #data > #payload then item:add(builder.fields.padding, tvb(#payload)) end
   return info
 end
@@ -191,13 +223,13 @@ local function part_info(builder, address, entry, number, length)
   end
   local index = entry.count
   while index > 1 and entry[index] ~= number do index = index - 1 end
-  local text = texts[index]
-  if not text then
-    text = ("%s  part %d"):format(texts.name, index)
-    local parts = 1 + (size + 7 - (size + 7) % 8) / 8 -- of classic CAN
-    if length == 8 and index <= parts then text = ("%s of %d"):format(text, parts) end
-    if index <= MAX_KEPT and length == 8 then texts[index] = text end
-  end
+  -- How many parts there are is sure in the end; before that, it is what classic CAN needs.
+  local parts = entry.status == "good" and entry.count or
+    length == 8 and 1 + (size + 7 - (size + 7) % 8) / 8
+  if not parts or index > parts then return ("%s  part %d"):format(texts.name, index) end
+  local key = parts * 0x100 + index
+  local text = texts[key] or ("%s  part %d of %d"):format(texts.name, index, parts)
+  if parts <= MAX_KEPT then texts[key] = text end
   return text
 end
 
@@ -206,7 +238,8 @@ function Carrier:show_part(tvb, item, address, data, entry, number, wanted, lead
   local fields = self.tree.fields
   if wanted then
     if address.ctrl == START then
-      self:start_tree(tvb, item, entry)
+      self:start_tree(tvb, item, #data)
+      item:append_text((" of %d bytes"):format(entry.size))
     elseif #data > 0 then
       item:add(fields["fragment.data"], tvb())
     end
@@ -216,12 +249,12 @@ function Carrier:show_part(tvb, item, address, data, entry, number, wanted, lead
   return leads_to and ("%s  [Reassembled in #%d]"):format(text, leads_to) or text
 end
 
-function Carrier:start_tree(tvb, item, entry)
+-- What a Start says, as far as it was captured.
+function Carrier:start_tree(tvb, item, length)
   local fields = self.tree.fields
-  item:add_le(fields.crc, tvb(0, 4))
-  item:add_le(fields.size, tvb(4, 2)):append_text(" bytes")
-  item:add_le(fields.reserved, tvb(6, 2))
-  item:append_text((" of %d bytes"):format(entry.size))
+  if length >= 4 then item:add_le(fields.crc, tvb(0, 4)) end
+  if length >= 6 then item:add_le(fields.size, tvb(4, 2)):append_text(" bytes") end
+  if length >= 8 then item:add_le(fields.reserved, tvb(6, 2)) end
 end
 
 function Carrier:fragments_tree(item, tvb, entry)
@@ -232,6 +265,12 @@ function Carrier:fragments_tree(item, tvb, entry)
   for i = 1, entry.count do list:add(fields.fragment, entry[i]):set_generated() end
   list:add(fields["fragment.count"], entry.count):set_generated()
   list:add(fields["reassembled.length"], #entry.payload):set_generated()
+end
+
+-- Whether a message of the right size lacks bytes that were not captured.
+function Carrier:is_cut(entry, address)
+  local message = self.tree.by_id[address.id]
+  return entry.status == "unverified" and message ~= nil and message.size == entry.size
 end
 
 -- The last frame of a message: what was put together.
@@ -256,7 +295,7 @@ function Carrier:show_message(tvb, tree, item, address, data, entry, wanted)
     if whole then item:add(builder.fields.payload, whole()) end
     return ("%s  %d of %d bytes%s"):format(builder:name(address.id), entry.received, entry.size, STATUS_TEXT[status])
   end
-  local info = builder:payload(tree, item, address.id, payload, whole, 0, status == "unverified")
+  local info = builder:payload(tree, item, address.id, payload, whole, 0, self:is_cut(entry, address))
   return info .. (STATUS_TEXT[status] or "")
 end
 

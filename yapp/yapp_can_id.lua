@@ -47,9 +47,12 @@ end
 --- Whether the current frame is a remote frame: those have no data, but captures give them zeros.
 -- returns  true or false; nil where nothing says
 function Ids:is_remote(pinfo)
-  local rtr = self.fields()["can.flags.rtr"]
+  local fields = self.fields()
+  local rtr = fields["can.flags.rtr"]
   if rtr ~= nil then return truth(rtr) end
+  if fields["can.flags.xtd"] ~= nil then return false end -- CAN FD has no remote frames
   local text = tostring(pinfo.cols.info)
+  if tostring(pinfo.cols.protocol) == "CANFD" then return false end
   if not text:find("ID: ", 1, true) then return nil end
   return text:find("Remote", 1, true) ~= nil
 end
@@ -79,7 +82,11 @@ function Ids:wrap(proto)
     for _, carrier in ipairs(carriers) do
       if carrier.value == key and carrier.inner then
         self:note(pinfo.number, header_id(tvb, carrier.little))
-        return carrier.inner:call(tvb, pinfo, tree)
+        -- SocketCAN throws past Lua where the capture has not the whole header; a frame that is malformed otherwise
+        -- has its item by the time pcall returns, and is no error of ours.
+        if tvb:len() < 8 then return 0 end
+        local ok, length = pcall(carrier.inner.call, carrier.inner, tvb, pinfo, tree)
+        return ok and length or tvb:len()
       end
     end
     return 0

@@ -15,6 +15,9 @@ local TYPES = {
   float8 = { 1, 0xFF, "float" }, float16 = { 2, 0xFFFF, "float" },
 }
 
+-- The expert items for a value that is not one of those listed.
+local INVALID = { ["value.invalid"] = true, ["command.key.invalid"] = true }
+
 local function is_integer(v) return type(v) == "number" and v % 1 == 0 end
 local function is_name(v) return type(v) == "string" and #v <= 64 and v:find("^[a-z][a-z0-9_]*$") ~= nil end
 local function is_text(v) return type(v) == "string" and #v > 0 and #v <= 200 end
@@ -97,6 +100,9 @@ local function compile_row(row, prefix, offset, complain)
     offset = offset, size = def[1], top = def[2], unit = row.unit, values = row.values, alarm = row.alarm,
     invalid = row.invalid or row.values and "value.invalid" or nil,
   }
+  if row.invalid ~= nil and not (INVALID[row.invalid] and row.values) then
+    complain("invalid is value.invalid or command.key.invalid, for a field with values")
+  end
   if row.unit ~= nil and not is_text(row.unit) then complain("unit must be a text") end
   if row.alarm ~= nil and not (is_text(row.alarm) and row.flags) then
     complain("alarm is a word, for a field with flags")

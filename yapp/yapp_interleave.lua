@@ -105,6 +105,9 @@ local function all_since_start(self, goal, message)
   local last = frames[#frames]
   goal.padding = reassembler.can.padding(last.data, last.length, message.size - length + last.length)
   if not goal.padding then return nil end
+  for i = 1, #taken - 1 do
+    if frames[taken[i]].is_end then return nil end
+  end
   local register = reassembler:seed(message)
   for _, at in ipairs(taken) do
     local data = frames[at].data
@@ -162,7 +165,10 @@ local function end_newest(self, number)
   local ended = {}
   for key, value in pairs(newest) do ended[key] = value end
   local taken, length = leftovers(self, newest)
-  local status = reassembler:misfit(newest, length, number)
+  local last = self.frames[#self.frames]
+  local padding = reassembler.can.padding(last.data, last.length, newest.size - length + last.length)
+  local status = not padding and reassembler:misfit(newest, length, number) or nil
+  ended.padding = padding and padding > 0 and padding or nil
   newest.overtaken = newest.overtaken or 0
   if #self.messages == 1 then self.messages = {} end
   award(self, ended, taken, status)
@@ -182,6 +188,7 @@ function Pool:frame(data, length, number, is_end, doubtful)
   if whole then return whole end
   if newest.overtaken then return reassembler:orphan(number, is_end) end
   reassembler.frames[number] = newest
+  newest.count, newest[newest.count + 1] = newest.count + 1, number -- as far as anyone can see
   if is_end and not doubtful then return end_newest(self, number) end
   local limit = MAX_WASTE
   for _, message in ipairs(messages) do limit = limit + message.size end

@@ -10,6 +10,8 @@ import subprocess
 import tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
+# YAPP_PLUGIN_ROOT: a copy of the plugin, with a fault put in to see whether the tests notice.
+PLUGIN = pathlib.Path(os.environ.get("YAPP_PLUGIN_ROOT", ROOT)).resolve()
 CAPTURES = ROOT / "test_captures"
 PLUGIN_FILES = ["yapp.lua", "taurus_fields.lua", "yapp"]
 ROUTE = os.environ.get("YAPP_ROUTE", "script")
@@ -38,7 +40,7 @@ def home():
     folder.mkdir(parents=True)
     if ROUTE == "plugin":
         for name in PLUGIN_FILES:
-            source = ROOT / name
+            source = PLUGIN / name
             (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
     if _user():
         for entry in [path, *path.rglob("*")]:
@@ -50,7 +52,7 @@ def load(script=None):
     """The arguments that load the plugin, or another script."""
     if script:
         return ["-X", f"lua_script:{script}"]
-    return ["-X", f"lua_script:{ROOT / 'yapp.lua'}"] if ROUTE == "script" else []
+    return ["-X", f"lua_script:{PLUGIN / 'yapp.lua'}"] if ROUTE == "script" else []
 
 
 def run(*arguments, plugin=True, stdin=None, cwd=None, env=None, check=True, lua_errors=False):

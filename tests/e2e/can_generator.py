@@ -1,0 +1,629 @@
+"""Random CAN captures of YAPP with their truth, from a seed.
+
+    capture = can_generator.capture(seed, layout="interfaces", wide=False, situations=20, frames=50)
+    capture.write(path)                 the file that tshark reads
+    capture.verdicts                    what each frame is, by frame number
+    can_generator.PREFERENCES           the message IDs that the captures use
+
+The truth is a strict state machine for each bus, written from the protocol's document and the rules of this project,
+not from the plugin: `Bus` below.  A capture consists of situations, each with message IDs of its own, one after the
+other or mixed.
+"""
+import dataclasses
+import itertools
+import random
+import struct
+
+POLYNOMIAL = 0x32C00699
+FD_LENGTHS = [*range(9), 12, 16, 20, 24, 32, 48, 64]
+SINGLE, START, MIDDLE, END = range(4)
+SIZES = {"command": 7, "motor": 32, "health": 17}
+
+SLOTS = 64  # situations in one capture at most: each has one ID of each kind, and three unknown ones
+FIRST_ID = {"command": 0x380, "motor": 0x300, "health": 0x340, "unknown": 0x400, "unknown 2": 0x500, "unknown 3": 0x600}
+DEFAULT_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
+PREFERENCES = [argument for kind, default in DEFAULT_ID.items() for argument in
+               ("-o", f"yapp.{kind}_ids:{default:#x},{FIRST_ID[kind]:#x}-{FIRST_ID[kind] + SLOTS - 1:#x}")]
+EVERY_EXTENDED = ["-o", "yapp.all_extended:TRUE"]
+
+
+def _table():
+    for register in range(256):
+        register <<= 24
+        for _ in range(8):
+            register = (register << 1 ^ (POLYNOMIAL if register >> 31 else 0)) & 0xFFFFFFFF
+        yield register
+
+
+TABLE = list(_table())
+
+
+def crc_of(data):
+    """CRC-32K of the document."""
+    register = 0xFFFFFFFF
+    for byte in data:
+        register = (register << 8 & 0xFFFFFFFF) ^ TABLE[register >> 24 ^ byte]
+    return register
+
+
+def message_crc(msg, ctl, seq, payload, reserved=0):
+    """The CRC of a message: over the header that it would have on a UART, and its payload."""
+    return crc_of(b"YP" + struct.pack("<BBIHH", seq, ctl, msg, len(payload), reserved) + payload)
+
+
+def kind_of(msg):
+    """The message of the catalogue that an ID carries in these captures, None for an unknown one."""
+    for kind, default in DEFAULT_ID.items():
+        if msg == default or FIRST_ID[kind] <= msg < FIRST_ID[kind] + SLOTS:
+            return kind
+    return None
+
+
+# What is on the bus ------------------------------------------------------------------------------------------------
+
+@dataclasses.dataclass
+class Frame:
+    """One CAN frame.  captured: bytes of the data that a snap length left, None for all."""
+    can_id: int
+    data: bytes
+    fd: bool = False
+    kind: str = "extended"  # or standard, remote, remote standard, error
+    captured: int | None = None
+    bus: int = 0
+    origin: object = None  # the message that this frame was sent for
+
+    @property
+    def kept(self):
+        return self.data if self.captured is None else self.data[:self.captured]
+
+    def record(self, little=False):
+        """The SocketCAN record: classic 16 bytes, CAN FD 72."""
+        flag = {"extended": 0x80000000, "standard": 0, "remote": 0xC0000000, "remote standard": 0x40000000,
+                "error": 0x20000000}[self.kind]
+        header = struct.pack("<I" if little else ">I", self.can_id | flag) + struct.pack(
+            "BB2x", len(self.data), 4 if self.fd else 0)
+        return header + self.data.ljust(64 if self.fd else 8, b"\0")
+
+
+@dataclasses.dataclass
+class Sent:
+    """A message as its sender means it."""
+    msg: int
+    ctl: int
+    seq: int
+    payload: bytes
+    reserved: int = 0
+
+    def id_for(self, ctrl):
+        return self.msg << 18 | ctrl << 14 | self.ctl << 8 | self.seq
+
+    def frame(self, ctrl, data, fd=False):
+        return Frame(self.id_for(ctrl), data, fd, origin=self)
+
+    def start(self, fd=False, crc=None, size=None):
+        crc = message_crc(self.msg, self.ctl, self.seq, self.payload, self.reserved) if crc is None else crc
+        size = len(self.payload) if size is None else size
+        return self.frame(START, struct.pack("<IHH", crc, size, self.reserved), fd)
+
+    def frames(self, fd=False, chunk=8):
+        """All frames of the message, in order."""
+        chunks = [self.payload[at:at + chunk] for at in range(0, len(self.payload), chunk)]
+        last = chunks.pop()
+        if fd:
+            last = padded(last)
+        return [self.start(fd), *(self.frame(MIDDLE, data, fd) for data in chunks), self.frame(END, last, fd)]
+
+
+def padded(data):
+    """CAN FD: zeros up to the next length that exists."""
+    return data.ljust(next(length for length in FD_LENGTHS if length >= len(data)), b"\0")
+
+
+# The truth ---------------------------------------------------------------------------------------------------------
+
+@dataclasses.dataclass
+class Verdict:
+    """What a frame is.  Frames that are not YAPP's have ours == False and nothing else."""
+    ours: bool = False
+    ctrl: int = 0
+    experts: set = dataclasses.field(default_factory=set)
+    status: int | None = None     # of the CRC, on the last frame of a message that has all its bytes
+    payload: bytes | None = None  # of a message that is whole: a single frame, or all bytes there
+    members: list = dataclasses.field(default_factory=list)  # numbers of all frames of such a message
+    reassembled_in: int | None = None
+    padding: int = 0
+    blurred: bool = False  # where the bus is not told: a message that broke may still be waiting under this key
+
+
+@dataclasses.dataclass
+class Open:
+    """A message whose Start has come."""
+    size: int
+    crc: int
+    reserved: int
+    members: list
+    data: bytes = b""
+    received: int = 0
+    snapped: bool = False
+    overrun: bool = False
+
+
+class Bus:
+    """One bus: says what each frame is, strictly by the rules."""
+
+    def __init__(self, wide):
+        self.wide, self.open, self.verdicts = wide, {}, {}
+        self.cuts = {}  # key: Starts to come until a broken message, which may be another bus's, is forgotten
+
+    def frame(self, number, frame):
+        verdict = self.verdicts[number] = Verdict()
+        if frame.kind != "extended" or not frame.data:
+            return verdict
+        msg, ctrl, ctl, seq = frame.can_id >> 18, frame.can_id >> 14 & 15, frame.can_id >> 8 & 63, frame.can_id & 255
+        key, kind = (msg, ctl, seq), kind_of(msg)
+        verdict.blurred = self.cuts.get(key, 0) > 0
+        if not self.wide and not self.claims(key, ctrl, kind, frame):
+            return verdict
+        verdict.ours, verdict.ctrl = True, ctrl
+        if len(frame.kept) < len(frame.data):
+            verdict.experts.add("truncated")
+        if ctrl == SINGLE:
+            self.single(verdict, kind, frame)
+        elif ctrl == START:
+            self.start(verdict, number, key, kind, frame)
+        elif ctrl in (MIDDLE, END):
+            self.part(verdict, number, key, kind, ctrl == END, frame)
+        else:
+            verdict.experts.add("can.ctrl.invalid")
+        return verdict
+
+    def claims(self, key, ctrl, kind, frame):
+        """By default: what is surely YAPP."""
+        if key[1] != 0 or ctrl > END:
+            return False
+        if ctrl == SINGLE:
+            return kind is not None and fits(frame, SIZES[kind]) is not None
+        if ctrl != START:
+            return kind is not None or key in self.open
+        if len(frame.data) != 8:
+            return False
+        if len(frame.kept) < 8:
+            return kind is not None
+        _, size, reserved = struct.unpack("<IHH", frame.data)
+        return reserved == 0 and size > 8 and (kind is None or size == SIZES[kind])
+
+    @staticmethod
+    def single(verdict, kind, frame):
+        verdict.payload = frame.data
+        if kind is None:
+            verdict.experts.add("id.unknown")
+            return
+        verdict.padding = fits(frame, SIZES[kind])
+        if verdict.padding is None:
+            verdict.experts.add("size.mismatch")
+            verdict.padding = 0
+        else:
+            verdict.payload = frame.data[:SIZES[kind]]
+
+    def start(self, verdict, number, key, kind, frame):
+        self.cuts[key] = max(0, self.cuts.get(key, 0) - 1)
+        before = self.open.pop(key, None)
+        if before:
+            if not before.overrun:
+                verdict.experts.add("fragment.incomplete")
+            self.cuts[key] = 4
+            verdict.blurred = True
+        if len(frame.data) < 8:
+            verdict.experts.add("fragment.incomplete")
+            return
+        if len(frame.data) > 8:
+            verdict.experts.add("size.mismatch")
+        if len(frame.kept) < 8:
+            return
+        crc, size, reserved = struct.unpack("<IHH", frame.data[:8])
+        if reserved:
+            verdict.experts.add("reserved.nonzero")
+        if size == 0 or kind and size != SIZES[kind]:
+            verdict.experts.add("size.mismatch")
+        if size:
+            self.open[key] = Open(size, crc, reserved, [number])
+
+    def part(self, verdict, number, key, kind, is_end, frame):
+        message = self.open.get(key)
+        if not message:
+            verdict.experts.add("fragment.orphan")
+            return
+        padding = fits(frame, message.size - message.received) if is_end else None
+        message.members.append(number)
+        message.received += len(frame.data) - (padding or 0)
+        message.data += frame.data[:len(frame.data) - (padding or 0)]
+        message.snapped = message.snapped or len(frame.kept) < len(frame.data)
+        if is_end:
+            del self.open[key]
+        if is_end and message.received != message.size:
+            self.cuts[key] = 4
+        if message.received > message.size:
+            message.overrun = True
+            verdict.experts.add("fragment.overrun")
+        elif is_end and message.received < message.size:
+            verdict.experts.add("fragment.incomplete")
+        elif is_end:
+            verdict.padding = padding or 0
+            self.whole(verdict, number, key, kind, message)
+
+    def whole(self, verdict, number, key, kind, message):
+        msg, ctl, seq = key
+        good = message_crc(msg, ctl, seq, message.data, message.reserved) == message.crc
+        verdict.status = 2 if message.snapped else 1 if good else 0
+        verdict.payload, verdict.members = message.data, message.members
+        if verdict.status == 0:
+            verdict.experts.add("crc.bad")
+            self.cuts[key] = 4
+        if kind is None:
+            verdict.experts.add("id.unknown")
+        elif message.size != SIZES[kind]:
+            verdict.experts.add("size.mismatch")
+        for member in message.members:
+            self.verdicts[member].reassembled_in = number
+
+
+def fits(frame, needed):
+    """How many bytes of CAN FD padding a frame has that should bring so many bytes; None when it does not fit."""
+    length = len(frame.data)
+    if length == needed:
+        return 0
+    if 0 < needed < length and length > 8 and length == len(padded(frame.data[:needed])) and \
+            not any(frame.kept[needed:]):
+        return length - needed
+    return None
+
+
+# Senders and what can go wrong -------------------------------------------------------------------------------------
+
+def motor_payload(rng, count):
+    """Motor Data; the time makes each payload a different one."""
+    return struct.pack("<6HBBIIqBB", *(rng.randrange(65536) for _ in range(6)), rng.randrange(256), rng.randrange(2),
+                       rng.choice([0x40010000, rng.getrandbits(32)]), rng.choice([0, 0, rng.getrandbits(32)]),
+                       count * 100_000_007 - 5, rng.randrange(64), rng.randrange(256))
+
+
+def health_payload(rng, count):
+    return struct.pack("<q", count * 500_000_003 - 5) + rng.randbytes(9)
+
+
+def command_payload(rng, _):
+    return struct.pack("<BBBHH", rng.randrange(2), rng.choice([0xA5, 0x5A, 0]), rng.randrange(2),
+                       rng.randrange(65536), rng.randrange(65536))
+
+
+class Sender:
+    """One message of one ESC: an ID, with Seq in use or not."""
+
+    def __init__(self, rng, msg, fd, style):
+        self.rng, self.msg, self.kind, self.fd, self.style = rng, msg, kind_of(msg), fd, style
+        self.numbered = rng.random() < 0.4
+        self.seq = rng.randrange(256) if self.numbered or rng.random() < 0.2 else 0
+        self.ctl = rng.randrange(64) if style.wide and rng.random() < 0.15 else 0
+        self.chunk = rng.choice(FD_LENGTHS[8:]) if fd else 8
+
+    def message(self):
+        rng = self.rng
+        serial = next(self.style.serial)
+        if self.kind:
+            payload = {"command": command_payload, "motor": motor_payload, "health": health_payload}[self.kind](
+                rng, serial)
+        else:
+            length = rng.choice([9, 12, 15, 16, 17, 32, 40] if self.style.short else
+                                [9, 12, 16, 17, 32, 40, 64, 65, 100, rng.randrange(9, 400)])
+            payload = struct.pack("<I", serial) + rng.randbytes(length - 4)
+        if rng.random() < 0.2:  # an idle motor has many zeros; the serial number stays
+            if self.kind == "motor":
+                payload = bytes(16) + payload[16:]
+            elif not self.kind:
+                payload = payload[:rng.randrange(8, len(payload))].ljust(len(payload), b"\0")
+        if self.style.wide and rng.random() < 0.05:  # another size than the catalogue's, or than a Start needs
+            payload = rng.randbytes(rng.choice([1, 5, 8, 9, 33]))
+        if self.numbered:
+            self.seq = (self.seq + 1) % 256
+        return Sent(self.msg, self.ctl, self.seq, payload, rng.getrandbits(16) if rng.random() < 0.02 else 0)
+
+    def frames(self):
+        """The frames of the next message, as they come over a bad bus."""
+        rng, sent = self.rng, self.message()
+        if len(sent.payload) <= 8 and rng.random() < 0.8 or self.fd and len(sent.payload) <= 64 and rng.random() < 0.3:
+            frames = [sent.frame(SINGLE, padded(sent.payload) if self.fd else sent.payload, self.fd)]
+        else:
+            frames = sent.frames(self.fd, self.chunk)
+        if rng.random() < self.style.fault_rate:
+            rng.choice(FAULTS)(rng, frames)
+        if rng.random() < self.style.snap_rate:
+            cut = rng.choice(frames) if frames else None
+            if cut and cut.data:
+                cut.captured = rng.randrange(len(cut.data))
+        return frames
+
+
+def _another(frame, data=None, ctrl=None):
+    can_id = frame.can_id if ctrl is None else frame.can_id & ~(15 << 14) | ctrl << 14
+    return dataclasses.replace(frame, can_id=can_id, data=frame.data if data is None else data)
+
+
+def lost(rng, frames):
+    del frames[rng.randrange(len(frames))]
+
+
+def lost_tail(rng, frames):
+    del frames[rng.randrange(len(frames)):]
+
+
+def lost_head(rng, frames):
+    del frames[:rng.randrange(len(frames)) + 1]
+
+
+def repeated(rng, frames):
+    at = rng.randrange(len(frames))
+    frames.insert(at, _another(frames[at]))
+
+
+def repeated_start(_, frames):
+    frames.insert(0, _another(frames[0]))
+
+
+def repeated_end(_, frames):
+    frames.append(_another(frames[-1]))
+
+
+def restarted(rng, frames):
+    """The sender gives up in the middle and begins again."""
+    frames[:0] = [_another(frame) for frame in frames[:rng.randrange(1, len(frames) + 1)]]
+
+
+def swapped(rng, frames):
+    at = rng.randrange(len(frames))
+    frames.insert(rng.randrange(len(frames)), frames.pop(at))
+
+
+def flipped(rng, frames):
+    at = rng.randrange(len(frames))
+    data = bytearray(frames[at].data)
+    data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    frames[at] = _another(frames[at], bytes(data))
+
+
+def shortened(rng, frames):
+    at = rng.randrange(len(frames))
+    shorter = [length for length in FD_LENGTHS if length < len(frames[at].data)]
+    frames[at] = _another(frames[at], frames[at].data[:rng.choice(shorter)])
+
+
+def lengthened(rng, frames):
+    at = rng.randrange(len(frames))
+    top = 64 if frames[at].fd else 8
+    longer = [length for length in FD_LENGTHS if len(frames[at].data) < length <= top]
+    if longer:
+        frames[at] = _another(frames[at], frames[at].data + rng.choice([bytes, rng.randbytes])(
+            rng.choice(longer) - len(frames[at].data)))
+
+
+def too_many(rng, frames):
+    """Frames more than the size says."""
+    at = rng.randrange(len(frames))
+    extra = [_another(frames[-1], rng.randbytes(rng.choice([1, 8])), MIDDLE) for _ in range(rng.randrange(1, 5))]
+    frames[at + 1:at + 1] = extra
+
+
+def another_control(rng, frames):
+    at = rng.randrange(len(frames))
+    frames[at] = _another(frames[at], None, rng.randrange(16))
+
+
+def another_size(rng, frames):
+    if len(frames[0].data) == 8:
+        frames[0] = _another(frames[0], frames[0].data[:4] + struct.pack(
+            "<H", rng.choice([0, 1, 8, 9, 31, 33, 65535])) + frames[0].data[6:])
+
+
+def wrong_crc(rng, frames):
+    frames[0] = _another(frames[0], rng.randbytes(4) + frames[0].data[4:])
+
+
+FAULTS = [lost, lost, lost_tail, lost_head, repeated, repeated_start, repeated_end, restarted, swapped, flipped,
+          flipped, shortened, lengthened, too_many, another_control, another_size, wrong_crc]
+
+
+def foreign_frame(rng, ids):
+    """A frame of somebody else's; a random extended one may be YAPP's all the same: the truth decides.  Remote frames
+    ask for anything, also for the IDs that are in use."""
+    data = rng.randbytes(rng.randrange(9))
+    kind = rng.choice(["standard", "extended", "extended", "remote", "remote standard", "error"])
+    if kind == "remote":  # as the kernel records it: the length asked for, no data
+        can_id = rng.choice([rng.getrandbits(29), rng.choice(ids) << 18 | rng.randrange(4) << 14])
+        return Frame(can_id, bytes(len(data)), kind=kind)
+    if kind == "remote standard":
+        return Frame(rng.getrandbits(11), bytes(len(data)), kind=kind)
+    if kind == "error":
+        return Frame(rng.getrandbits(9), bytes(8), kind=kind)
+    return Frame(rng.getrandbits(11 if kind == "standard" else 29), data, kind=kind)
+
+
+# Captures ----------------------------------------------------------------------------------------------------------
+
+@dataclasses.dataclass
+class Style:
+    """What a situation is like."""
+    wide: bool
+    short: bool
+    fault_rate: float
+    snap_rate: float
+    foreign_rate: float
+    serial: object  # counts messages, so that no payload is there twice
+
+
+def _bus(rng, senders, style, count):
+    """Frames of one bus: the messages of its ESCs interleave, each ESC sends its own in order."""
+    waiting, frames = [[] for _ in senders], []
+    while len(frames) < count:
+        if rng.random() < style.foreign_rate:
+            frames.append(foreign_frame(rng, [sender.msg for sender in senders]))
+        at = rng.randrange(len(senders))
+        if not waiting[at]:
+            waiting[at] = senders[at].frames()
+            if rng.random() < 0.3:  # in one burst
+                frames += waiting[at]
+                waiting[at] = []
+        elif waiting[at]:
+            frames.append(waiting[at].pop(0))
+    return frames
+
+
+def merge(rng, streams):
+    """Several streams as one, each in its own order."""
+    order = [i for i, stream in enumerate(streams) for _ in stream]
+    rng.shuffle(order)
+    iterators = [iter(stream) for stream in streams]
+    return [next(iterators[i]) for i in order]
+
+
+def _situation(rng, serial, slot, layout, wide, count):
+    fd = rng.random() < 0.35
+    faultless = layout == "merged" and rng.random() < 0.5
+    style = Style(wide, layout == "merged", 0 if faultless else rng.choice([0, 0.1, 0.3, 0.6]),
+                  0 if faultless else rng.choice([0, 0, 0, 0.2]),
+                  rng.choice([0, 0.1]), serial)
+    kinds = rng.sample(list(FIRST_ID), rng.randrange(1, 6))
+    ids = [FIRST_ID[kind] + slot if slot or kind not in DEFAULT_ID else DEFAULT_ID[kind] for kind in kinds]
+    buses = []
+    for bus in range(1 if layout in ONE_BUS else 2):
+        senders = [Sender(rng, msg, fd, style) for msg in ids]
+        frames = _bus(rng, senders, style, count)
+        for frame in frames:
+            frame.bus = bus
+        buses.append(frames)
+    return merge(rng, buses)
+
+
+LAYOUTS = ["plain", "one interface", "interfaces", "sll2", "merged"]
+BUS_IS_TOLD = {"interfaces", "sll2"}
+ONE_BUS = {"plain", "one interface"}
+
+
+def payload_of(frames):
+    """The payload of a Start and what follows it; None where these make up no good message."""
+    if [frame.can_id >> 14 & 15 for frame in frames] != [START, *[MIDDLE] * (len(frames) - 2), END] or \
+            len({frame.can_id & ~(15 << 14) for frame in frames}) != 1:
+        return None
+    crc, size, reserved = struct.unpack("<IHH", frames[0].data[:8])
+    data, can_id = b"".join(frame.data for frame in frames[1:]), frames[0].can_id
+    payload = data[:size]
+    good = len(payload) == size and crc == message_crc(
+        can_id >> 18, can_id >> 8 & 63, can_id & 255, payload, reserved)
+    return payload if good and fits(frames[-1], size - len(data) + len(frames[-1].data)) is not None else None
+
+
+class Capture:
+    """Frames, what they are, and the file they are written to."""
+
+    def __init__(self, frames, layout, wide):
+        self.frames, self.layout, self.wide = frames, layout, wide
+        buses = {}
+        for number, frame in enumerate(frames, 1):
+            buses.setdefault(frame.bus, Bus(wide)).frame(number, frame)
+        self.verdicts = {number: verdict for bus in buses.values() for number, verdict in bus.verdicts.items()}
+        self.numbers_of, self.status_of = {}, {}
+        for number, frame in enumerate(frames, 1):
+            if frame.kind == "extended" and frame.can_id >> 14 & 15 in (START, MIDDLE, END):
+                self.numbers_of.setdefault(frame.can_id & ~(15 << 14), []).append(number)
+        for verdict in self.verdicts.values():
+            self.status_of.update({member: verdict.status for member in verdict.members})
+
+    def asked_for(self, members):
+        """Whether the plugin must find this message where it does not know the bus: it keeps four messages of one key
+        open."""
+        return sum(self.frames[number - 1].can_id >> 14 & 15 == START for number in self.between(members)) <= 3
+
+    def calm(self, members):
+        """Whether no frame of a broken message with this key came among its frames or shortly before."""
+        numbers = self.numbers_of[self.frames[members[0] - 1].can_id & ~(15 << 14)]
+        end = numbers.index(members[-1]) + 1
+        return all(self.status_of.get(number) == 1 for number in numbers[max(0, end - 60):end])
+
+    def between(self, members):
+        """The frames with the key of a message that come while it is open."""
+        key = self.frames[members[0] - 1].can_id & ~(15 << 14)
+        return [number for number in self.numbers_of[key] if members[0] < number < members[-1]]
+
+    @property
+    def preferences(self):
+        return PREFERENCES + (EVERY_EXTENDED if self.wide else [])
+
+    def write(self, path):
+        write(path, self.frames, self.layout)
+
+
+def capture(seed, layout, wide=False, situations=1, frames=50):
+    """A random capture: so many situations, of about so many frames each."""
+    rng, serial = random.Random(f"{seed} {layout} {wide}"), itertools.count(1)
+    count = frames // (1 if layout in ONE_BUS else 2)
+    parts = [_situation(rng, serial, slot, layout, wide, count) for slot in range(situations)]
+    while len(parts) > 1 and rng.random() < 0.7:  # some at the same time, the others one after the other
+        parts[:2] = [merge(rng, parts[:2])]
+        rng.shuffle(parts)
+    return Capture([frame for part in parts for frame in part], layout, wide)
+
+
+# Files -------------------------------------------------------------------------------------------------------------
+
+LINKTYPE_SOCKETCAN, LINKTYPE_SLL2, LINKTYPE_SLL = 227, 276, 113
+
+
+def _captured(frame, record, header):
+    return len(record) if frame.captured is None else header + 8 + frame.captured
+
+
+def _block(kind, body):
+    body += bytes(-len(body) % 4)
+    return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
+
+
+def pcapng_head(linktypes):
+    """Section header and one interface for each link type."""
+    return _block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)) + b"".join(
+        _block(1, struct.pack("<HHI", linktype, 0, 0)) for linktype in linktypes)
+
+
+def pcapng_packet(number, interface, record, captured):
+    return _block(6, struct.pack("<IIIII", interface, 0, number * 1000, captured, len(record)) + record[:captured])
+
+
+def pcap_head(linktype):
+    return struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, linktype)
+
+
+def pcap_packet(number, record, captured):
+    return struct.pack("<IIII", number // 1000, number % 1000 * 1000, captured, len(record)) + record[:captured]
+
+
+def sll2_head(frame):
+    return struct.pack(">HHIHBB8x", 0x0D if frame.fd else 0x0C, 0, frame.bus + 3, 280, 0, 0)
+
+
+def sll_head(frame):
+    return struct.pack(">HHH8xH", 0, 280, 0, 0x0D if frame.fd else 0x0C)
+
+
+def write(path, frames, layout):
+    """Writes frames as pcap or pcapng; the layout says how the file tells its buses, if it does."""
+    with open(path, "wb") as file:
+        if layout in ("interfaces", "one interface"):
+            file.write(pcapng_head([LINKTYPE_SOCKETCAN] * (2 if layout == "interfaces" else 1)))
+            for number, frame in enumerate(frames, 1):
+                record = frame.record()
+                file.write(pcapng_packet(number, frame.bus, record, _captured(frame, record, 0)))
+            return
+        linktype, head = {"sll2": (LINKTYPE_SLL2, sll2_head), "sll": (LINKTYPE_SLL, sll_head)}.get(
+            layout, (LINKTYPE_SOCKETCAN, None))
+        file.write(pcap_head(linktype))
+        for number, frame in enumerate(frames, 1):
+            before = head(frame) if head else b""
+            record = before + frame.record(little=head is not None)
+            file.write(pcap_packet(number, record, _captured(frame, record, len(before))))

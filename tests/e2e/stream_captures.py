@@ -1,0 +1,526 @@
+"""Random serial streams with known truth, and the captures that carry them.
+
+The rules of the framing are read plainly here, everything anew for each prefix of a stream (Oracle): slow, and written
+without a look at the plugin.  A stream is cut at random places into packets of a carrier (CARRIERS); what each packet
+has to show is its list of events.
+"""
+import random
+import struct
+
+KNOWN = {0x000: 7, 0x200: 17, 0x210: 32}  # payload sizes of the catalogue
+HEADER, CRC = 12, 4
+EPOCH = 1_700_000_000_000_000
+
+
+# YAPP ------------------------------------------------------------------------------------------------------------
+
+def _crc_table():
+    table = []
+    for index in range(256):
+        register = index << 24
+        for _ in range(8):
+            register = register << 1 ^ (0x132C00699 if register >> 31 else 0)
+        table.append(register)
+    return table
+
+
+TABLE = _crc_table()
+
+
+def crc32k(data):
+    register = 0xFFFFFFFF
+    for byte in data:
+        register = register << 8 & 0xFFFFFFFF ^ TABLE[register >> 24 ^ byte]
+    return register
+
+
+def header(ident, size, seq=0, ctl=0):
+    return b"YP" + struct.pack("<BBIHH", seq, ctl, ident, size, 0)
+
+
+def sealed(data):
+    return data + struct.pack("<I", crc32k(data))
+
+
+def frame(ident, payload, seq=0, ctl=0):
+    return sealed(header(ident, len(payload), seq, ctl) + payload)
+
+
+# What a stream is made of ----------------------------------------------------------------------------------------
+
+TEXT = [b"> ", b"login: ", b"ps -a\r\n", b"  1 root  0:00 /sbin/init\r\n", b"\x1b[0m$ ", b"ok\r\n", b"YPres\r\n", b"Y"]
+
+
+def good(rng):
+    ident = rng.choice([*KNOWN, rng.randrange(0x300, 0x800), rng.choice([1, 0x20F, 0x211])])
+    payload = rng.randbytes(KNOWN.get(ident, rng.choice([0, rng.randrange(40), rng.randrange(300)])))
+    return frame(ident, payload, rng.randrange(256), rng.choice([0, 0, rng.randrange(256)]))
+
+
+def text(rng):
+    return b"".join(rng.choices(TEXT, k=rng.randrange(1, 8)))
+
+
+def noise(rng):
+    return rng.randbytes(rng.randrange(1, 60))
+
+
+def flipped_bit(rng):
+    data = bytearray(good(rng))
+    data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    return bytes(data)
+
+
+def dropped_byte(rng):
+    data = good(rng)
+    at = rng.randrange(len(data))
+    return data[:at] + data[at + 1:]
+
+
+def damaged_size(rng):
+    data = good(rng)
+    return data[:8] + struct.pack("<H", rng.choice([rng.randrange(60), rng.randrange(600), 65535])) + data[10:]
+
+
+def cut(rng):
+    data = good(rng)
+    return data[:rng.randrange(1, len(data))]
+
+
+def beheaded(rng):
+    data = good(rng)
+    return data[rng.randrange(1, len(data)):]
+
+
+def false_sync(rng):
+    return header(rng.randrange(0x300, 0x800), rng.choice([0, rng.randrange(60), rng.randrange(300)])) + noise(rng)
+
+
+def ruled_out(rng):
+    ident, size = rng.randrange(0x800), rng.randrange(40)
+    return rng.choice([header(rng.randrange(0x800, 0x10000), size), header(0x10000 + ident, size),
+                       header(0x210, rng.choice([31, 33, 0])), header(ident, size)[:10] + b"\0\1"]) + noise(rng)
+
+
+def many_claims(rng):
+    return b"".join(header(rng.randrange(0x300, 0x800), rng.choice([0, rng.randrange(200), 65535])) +
+                    rng.randbytes(rng.randrange(5)) for _ in range(rng.randrange(1, 8)))
+
+
+def inside_a_good_one(rng):
+    return frame(rng.randrange(0x300, 0x800), noise(rng) + good(rng) + noise(rng))
+
+
+def two_that_overlap(rng):
+    """Both have a good CRC; the second one's header is the end of the first one's payload."""
+    rest = rng.randbytes(rng.randrange(20))
+    second = header(0x400, CRC + len(rest))
+    first = frame(0x401, noise(rng) + second)
+    return first + rest + sealed(second + first[-CRC:] + rest)[-CRC:]
+
+
+def yp(rng):
+    return b"YP" * rng.randrange(1, 40) + rng.choice([b"", b"Y"])
+
+
+PIECES = [good] * 8 + [text, text, noise, flipped_bit, dropped_byte, damaged_size, cut, beheaded, false_sync, ruled_out,
+                       many_claims, inside_a_good_one, two_that_overlap, yp]
+
+
+def stream(rng, start=b""):
+    """The bytes of a stream; starts in the middle of a frame where no start is given."""
+    pieces = [rng.choice(PIECES)(rng) for _ in range(rng.randrange(2, 16))]
+    return (start or rng.choice([b"", beheaded(rng)])) + b"".join(pieces)
+
+
+def cuts(rng, data):
+    """The bytes in pieces of random length: of one byte each, short, long, or mixed."""
+    longest = rng.choice([1, 7, 60, 300, 300]) if len(data) < 600 else rng.choice([20, 60, 300, 1400])
+    pieces = []
+    while data:
+        length = rng.randrange(1, longest + 1)
+        pieces.append(data[:length])
+        data = data[length:]
+    return pieces
+
+
+# The truth -------------------------------------------------------------------------------------------------------
+
+class Event:
+    """What a packet shows: kind is good, bad, cut or skipped; data its bytes, start their offset in the stream."""
+
+    def __init__(self, kind, data, start):
+        self.kind, self.data, self.start, self.end = kind, data, start, start + len(data)
+        self.parts, self.delta = [], None
+
+    @property
+    def ident(self):
+        return struct.unpack("<I", self.data[4:8])[0]
+
+    @property
+    def payload(self):
+        return self.data[HEADER:HEADER + struct.unpack("<H", self.data[8:10])[0]]
+
+    @property
+    def sent_crc(self):
+        return struct.unpack("<I", self.data[-CRC:])[0]
+
+
+def plausible(start):
+    """Whether bytes may be the start of a header, by the fields that are whole in them."""
+    if not b"YP".startswith(start[:2]) or any(start[6:8]) or any(start[10:12]) or start[5:6] > b"\7":
+        return False
+    if len(start) < 10:
+        return True
+    ident, size = struct.unpack("<IH", start[4:10])
+    return KNOWN.get(ident, size) == size
+
+
+class Oracle:
+    """Which frames a stream has, and what of them is certain when so many bytes have come."""
+
+    def __init__(self, data):
+        self.data = data
+        self.starts = [at for at in range(len(data)) if plausible(data[at:at + HEADER])]
+        self.whole, self.open = [], []  # the candidates: (start, end, good), and those whose end never comes
+        for at in self.starts:
+            if at + HEADER <= len(data):
+                end = at + HEADER + struct.unpack("<H", data[at + 8:at + 10])[0] + CRC
+                if end > len(data):
+                    self.open.append((at, end))
+                else:
+                    sent = struct.unpack("<I", data[end - CRC:end])[0]
+                    self.whole.append((at, end, crc32k(data[at:end - CRC]) == sent))
+
+    def good(self, came):
+        """The good frames: where two overlap, the one that ends first, of those that end together the longer one."""
+        taken = []
+        for start, end, is_good in sorted(self.whole, key=lambda one: (one[1], one[0])):
+            if is_good and end <= came and (not taken or start >= taken[-1][1]):
+                taken.append((start, end))
+        return taken
+
+    def waiting(self, came, after):
+        """Where the first candidate begins that may still prove good, or what may be a header."""
+        whole = [start for start, end, _ in self.whole if start >= after and start + HEADER <= came < end]
+        unfinished = [start for start, _ in self.open if start >= after and start + HEADER <= came]
+        headers = [at for at in range(max(after, came - HEADER + 1), came) if plausible(self.data[at:came])]
+        return min(whole + unfinished + headers, default=came)
+
+    def failed(self, candidates, start, limit):
+        """What lies between good frames, the candidates that start first going first; None behind what is open."""
+        events, at = [], start
+        for kind, first, end in sorted(candidates, key=lambda one: one[1]):
+            if at <= first < limit and end <= limit:
+                events += [("skipped", at, first), (kind, first, end)]
+                at = end
+        return events + [("skipped", at, limit)]
+
+    def tiles(self, came, ended):
+        """The events of a prefix, and where what waits begins."""
+        events, at = [], 0
+        bad = [("bad", start, end) for start, end, _ in self.whole if end <= came]
+        for start, end in self.good(came):
+            events += self.failed([one for one in bad if one[1] >= at], at, start) + [("good", start, end)]
+            at = end
+        if ended:
+            cut_off = [("cut", start, came) for start, end, *_ in [*self.whole, *self.open] if start + HEADER <= came < end]
+            return events + self.failed(bad + cut_off, at, came), came
+        limit = self.waiting(came, at)
+        while True:  # a failed candidate that reaches into what waits, waits with it
+            rest = self.failed(bad, at, limit)
+            shown = [one for one in rest if one[0] == "bad"]
+            reaching = [first for _, first, end in bad if at <= first < limit < end and
+                        not any(start < first < stop for _, start, stop in shown)]
+            if not reaching:
+                return events + rest, limit
+            limit = min(reaching)
+
+    def events(self, came, known=0, ended=False):
+        """The events that are certain when `came` bytes have come, from the offset `known` on; and how far they go."""
+        tiles, done = self.tiles(came, ended)
+        assert done >= known
+        events = [Event(kind, self.data[max(start, known):end], max(start, known)) for kind, start, end in tiles
+                  if end > known and end > start]
+        assert all(event.kind == "skipped" or event.start >= known for event in events)
+        assert b"".join(event.data for event in events) == self.data[known:done]
+        return events, done
+
+
+class Packet:
+    """A packet of a capture, and what it has to show."""
+
+    def __init__(self, data, place, captured=None):
+        self.data, self.place = data, place
+        self.captured = len(data) if captured is None else captured
+        self.events, self.pending, self.leads_to, self.ours = [], b"", set(), True
+        self.time = self.number = self.sequence = None
+        self.link = lambda packet: packet.data
+
+
+# How the pieces of a stream come ---------------------------------------------------------------------------------
+
+def note_parts(packets, last):
+    """Which packets the frames came in that the last one shows."""
+    for event in last.events:
+        if event.kind != "skipped":
+            event.parts = [one for one in packets if one.end > event.start and one.start < event.end]
+            for one in event.parts:
+                one.leads_to |= {last} - {one}
+
+
+def joined_by_us(rng, data, place):
+    """A stream that the plugin joins: packets tell which bytes wait, and frames which packets they came in."""
+    packets, came, done, oracle = [], 0, 0, Oracle(data)
+    for piece in cuts(rng, data):
+        packet = Packet(piece, place)
+        packet.start, packet.end = came, came + len(piece)
+        came = packet.end
+        packet.events, done = oracle.events(came, done)
+        packet.pending = data[max(done, packet.start):came]
+        packets.append(packet)
+        note_parts(packets, packet)
+    return packets
+
+
+def datagrams(rng, data, place):
+    """Each complete in itself; the first one has a whole frame and so tells what the conversation is."""
+    packets = []
+    for piece in [good(rng), *cuts(rng, data)]:
+        packet = Packet(piece, place)
+        packet.events, _ = Oracle(piece).events(len(piece), ended=True)
+        packets.append(packet)
+    return packets
+
+
+def events_over_tcp(oracle, before, came, known):
+    """Wireshark's TCP does not let go of bytes of earlier segments unless some of the current one go with them."""
+    events, done = oracle.events(came, known)
+    return (events, done) if done > before else ([], known)
+
+
+def segments(rng, data, place, lost=0.0):
+    """TCP in order; what is lost is never sent again, and the stream starts anew behind it."""
+    packets, sequence, run, done = [], 1, b"", 0
+    for piece in [good(rng), *cuts(rng, data)]:
+        if packets and rng.random() < lost:
+            sequence += len(piece)
+            run, done = b"", 0
+            continue
+        packet = Packet(piece, place)
+        packet.sequence = sequence
+        sequence += len(piece)
+        run += piece
+        packet.events, done = events_over_tcp(Oracle(run), len(run) - len(piece), len(run), done)
+        packet.done = done
+        packets.append(packet)
+    return packets
+
+
+def segments_lost(rng, data, place):
+    return segments(rng, data, place, lost=0.2)
+
+
+def segments_repeated(rng, data, place):
+    """Some segments come twice: the second time they show nothing.  Not those of one byte, which are keep-alives to
+    Wireshark's TCP; and not those inside what waits, with which it is a segment late from 4.4 on, see
+    test_repeated_inside_a_frame."""
+    packets = []
+    for packet in segments(rng, data, place):
+        packets.append(packet)
+        if rng.random() < 0.3:
+            again = rng.choice([one for one in packets if one.sequence - 1 <= packet.done and len(one.data) > 1])
+            packet = Packet(again.data, place)
+            packet.sequence, packet.ours, packet.late = again.sequence, False, True
+            packets.append(packet)
+    return packets
+
+
+def segments_disordered(rng, data, place):
+    """Some segments come late: what waits for them shows when they come."""
+    packets = segments(rng, data, place)
+    order = sorted(range(len(packets)), key=lambda i: i if i == 0 or rng.random() < 0.7 else i + rng.randrange(1, 5))
+    whole, came, done, arrived = b"".join(packet.data for packet in packets), 0, 0, set()
+    oracle, result = Oracle(whole), []
+    for i in order:
+        packet, before = packets[i], came
+        arrived.add(i)
+        while len(arrived) and came < len(whole):
+            following = next((j for j in arrived if packets[j].sequence == came + 1), None)
+            if following is None:
+                break
+            came += len(packets[following].data)
+        packet.events = []
+        if came > before:
+            packet.events, done = events_over_tcp(oracle, before, came, done)
+        result.append(packet)
+    return result
+
+
+# Carriers --------------------------------------------------------------------------------------------------------
+
+USER0, ETHERNET, RTAC, EXPORTED_PDU = 147, 1, 250, 252
+
+
+class Place:
+    """Where a stream was captured: interface, and the number of the stream, of which come two to a conversation."""
+
+    def __init__(self, linktype, interface, number, address=None):
+        self.linktype, self.interface, self.address = linktype, interface, address
+        self.direction, self.pair = number % 2, number // 2
+
+
+def addresses(place):
+    here, there = bytes([192, 0, 2, 1]), bytes([198, 51, 100, place.pair % 250 + 1])
+    ports = (50000 + place.pair, 20001)
+    return (here, there, *ports) if place.direction == 0 else (there, here, *ports[::-1])
+
+
+def raw(packet):
+    return packet.data
+
+
+def rtac(packet):
+    return struct.pack(">IIBBH", packet.time // 10**6, packet.time % 10**6, 1 + packet.place.direction, 0, 0) + packet.data
+
+
+def exported_pdu(packet):
+    tags = [(12, b"yapp_serial\0")]
+    if packet.place.address:
+        source, target, source_port, target_port = addresses(packet.place)
+        tags += [(20, source), (21, target), (24, bytes(4)), (25, struct.pack(">I", source_port)),
+                 (26, struct.pack(">I", target_port))]
+    return b"".join(struct.pack(">HH", tag, len(value)) + value for tag, value in [*tags, (0, b"")]) + packet.data
+
+
+def ethernet(packet, protocol, transport):
+    source, target = addresses(packet.place)[:2]
+    return (bytes(12) + b"\x08\0" + struct.pack(">BBHIBBH", 0x45, 0, 20 + len(transport), 0, 64, protocol, 0) + source +
+            target + transport)
+
+
+def udp(packet):
+    ports = addresses(packet.place)[2:]
+    return ethernet(packet, 17, struct.pack(">HHHH", *ports, 8 + len(packet.data), 0) + packet.data)
+
+
+def tcp(packet):
+    ports = addresses(packet.place)[2:]
+    return ethernet(packet, 6, struct.pack(">HHIIHHHH", *ports, packet.sequence, 1, 0x5018, 65535, 0, 0) + packet.data)
+
+
+LINKS = {USER0: raw, RTAC: rtac, EXPORTED_PDU: exported_pdu}
+UAT = ["-o", 'uat:user_dlts:"User 0 (DLT=147)","yapp_serial","0","","0",""']
+AS_SERIAL = ["-d", "rtacser.data,yapp_serial"]
+
+
+def interfaces(linktype):
+    return lambda number: Place(linktype, number, number)
+
+
+def in_pairs(linktype):
+    """Two streams on each interface, told apart by direction."""
+    return lambda number: Place(linktype, number // 2, number)
+
+
+def on_one(linktype):
+    return lambda number: Place(linktype, 0, number, address=True)
+
+
+def mixed(number):
+    kinds = [(USER0, 0), (EXPORTED_PDU, 0), (RTAC, 0), (RTAC, 1), (EXPORTED_PDU, 2), (EXPORTED_PDU, 3)]
+    linktype, direction = kinds[number % 6]
+    group = number // 6 * 4
+    interface = group + [0, 1, 2, 2, 3, 3][number % 6]
+    return Place(linktype, interface, 2 * number + direction % 2, address=direction >= 2)
+
+
+# Name: where the streams are, how their pieces come, how a packet looks on the link, and what tshark needs.
+CARRIERS = {
+    "DLT_USER, by the table": (interfaces(USER0), joined_by_us, raw, UAT),
+    "DLT_USER, by the preference": (interfaces(USER0), joined_by_us, raw, ["-o", "yapp.user_dlt:147"]),
+    "exported PDU, by interface": (interfaces(EXPORTED_PDU), joined_by_us, exported_pdu, []),
+    "exported PDU, by address": (on_one(EXPORTED_PDU), joined_by_us, exported_pdu, []),
+    "RTAC": (in_pairs(RTAC), joined_by_us, rtac, AS_SERIAL),
+    "several kinds of link": (mixed, joined_by_us, None, [*UAT, *AS_SERIAL]),
+    "UDP": (on_one(ETHERNET), datagrams, udp, []),
+    "UDP, Decode As": (on_one(ETHERNET), datagrams, udp, ["-d", "udp.port==20001,yapp_serial"]),
+    "UDP, Decode As yapp": (on_one(ETHERNET), datagrams, udp, ["-d", "udp.port==20001,yapp"]),
+    "TCP": (on_one(ETHERNET), segments, tcp, []),
+    "TCP, Decode As": (on_one(ETHERNET), segments, tcp, ["-d", "tcp.port==20001,yapp_serial"]),
+    "TCP, Decode As yapp": (on_one(ETHERNET), segments, tcp, ["-d", "tcp.port==20001,yapp"]),
+    "TCP, segments missing": (on_one(ETHERNET), segments_lost, tcp, []),
+    "TCP, segments repeated": (on_one(ETHERNET), segments_repeated, tcp, []),
+    "TCP, out of order": (on_one(ETHERNET), segments_disordered, tcp, ["-o", "tcp.reassemble_out_of_order:TRUE"]),
+    "TCP that joins nothing": (on_one(ETHERNET), joined_by_us, tcp, ["-o", "tcp.desegment_tcp_streams:FALSE", "-d",
+                                                                    "tcp.port==20001,yapp_serial"]),
+}
+
+
+# The files -------------------------------------------------------------------------------------------------------
+
+def block(kind, body):
+    body += b"\0" * (-len(body) % 4)
+    return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
+
+
+class Capture:
+    """Streams of one carrier in a pcapng file."""
+
+    def __init__(self, carrier, packets, link, options):
+        self.carrier, self.link, self.options = carrier, link, options
+        self.packets = packets
+        places = {packet.place.interface: packet.place.linktype for packet in packets}
+        self.linktypes = [places.get(interface, USER0) for interface in range(max(places, default=0) + 1)]
+
+    def write(self, path):
+        blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
+        blocks += [block(1, struct.pack("<HHI", linktype, 0, 0)) for linktype in self.linktypes]
+        for packet in self.packets:
+            data = (self.link or LINKS[packet.place.linktype])(packet)
+            captured = len(data) - len(packet.data) + packet.captured
+            blocks.append(block(6, struct.pack("<IIIII", packet.place.interface, packet.time >> 32,
+                                               packet.time & 0xFFFFFFFF, captured, len(data)) + data[:captured]))
+        path.write_bytes(b"".join(blocks))
+
+
+def interleaved(rng, streams):
+    """The packets of all streams, each stream's in their order; numbered, and with times."""
+    streams = [list(reversed(packets)) for packets in streams if packets]
+    result, now = [], EPOCH
+    while streams:
+        packets = rng.choice(streams)
+        packet = packets.pop()
+        now += 400_000 if getattr(packet, "late", False) else rng.randrange(20, 5_000)
+        packet.time, packet.number = now, len(result) + 1
+        result.append(packet)
+        streams = [one for one in streams if one]
+    return result
+
+
+def note_deltas(packets):
+    """The times since the previous good message with the same ID in the same stream."""
+    previous = {}
+    for packet in packets:
+        stream_key = (packet.place.interface, packet.place.pair, packet.place.direction)
+        for event in packet.events:
+            if event.kind == "good":
+                key = (*stream_key, event.ident)
+                event.delta = (packet.time - previous[key]) * 1000 if key in previous else None
+                previous[key] = packet.time
+
+
+def capture(carrier, seed, count):
+    """A random capture of so many streams."""
+    rng = random.Random(f"{seed}, {carrier}")
+    where, arrive, link, options = CARRIERS[carrier]
+    streams = []
+    for number in range(count):
+        place = where(number)
+        streams.append(arrive(rng, stream(rng), place))
+        if arrive is joined_by_us and link is tcp:
+            for packet in streams[-1]:
+                packet.sequence = packet.start + 1
+    packets = interleaved(rng, streams)
+    note_deltas(packets)
+    return Capture(carrier, packets, link, options)

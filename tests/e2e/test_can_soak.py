@@ -1,0 +1,227 @@
+"""Random CAN captures against their truth, in one pass and in two.
+
+    python3 -m pytest tests/e2e/test_can_soak.py        some hundred small captures
+    make soak                                           1,000 captures, about a million frames: the same with
+                                                        YAPP_SOAK_CAPTURES=1000 YAPP_SOAK_FRAMES=1000
+
+YAPP_SEED chooses other ones.  A failure says which seed, layout and frame: make_one(seed, layout, wide).write(path)
+gives that capture.
+"""
+import collections
+import os
+import struct
+
+import pytest
+
+import can_generator
+import tshark
+
+CAPTURES = int(os.environ.get("YAPP_SOAK_CAPTURES", "320"))
+FRAMES = int(os.environ.get("YAPP_SOAK_FRAMES", "50"))
+SEED = os.environ.get("YAPP_SEED", "1")
+KINDS = [(layout, wide) for layout in can_generator.LAYOUTS for wide in (False, True)]
+PER_FILE = min(can_generator.SLOTS, max(1, CAPTURES // len(KINDS)), max(1, 20_000 // FRAMES))
+FILES = -(-CAPTURES // PER_FILE)
+
+# Where the bus is not told: whether a message must be found although frames of another bus's broken messages lie
+# among its own or shortly before.
+STRANGERS = False
+
+EXPERTS = ["crc.bad", "fragment.orphan", "fragment.incomplete", "fragment.overrun", "size.mismatch", "id.unknown",
+           "reserved.nonzero", "can.ctrl.invalid", "truncated"]
+
+# The values of the messages, in the order of their bytes: struct code, or minimum and maximum of a compressed float.
+TAURUS = {
+    "command": {"enabled": "B", "key": "B", "motor_mode": "B", "torque_iq": (2, -200, 200),
+                "rpm": (2, -100_000, 100_000)},
+    "motor": {"torque_iq_commanded": (2, -128, 128), "torque_iq_measured": (2, -128, 128),
+              "rpm_commanded": (2, -60_000, 60_000), "rpm_measured": (2, -60_000, 60_000),
+              "dc_voltage": (2, -128, 128), "dc_current": (2, -128, 128), "motor_temperature": (1, -40, 210),
+              "motor_mode": "B", "status_flags": "I", "fault_flags": "I", "timestamp": "q", "motor_state": "B",
+              "esc_temperature": (1, -40, 210)},
+    "health": {"timestamp": "q", "control_thread_cpu": (1, 0, 100), "taurus_thread_cpu": (1, 0, 100),
+               "cpu_temperature": (1, -40, 210), "capacitor_temperature": (1, -40, 210),
+               "fet_temperature": (1, -40, 210), "vin_rms_ripple": (1, 0, 12.5), "vin_pp_ripple": (1, 0, 12.5),
+               "taurus_status": "B", "board_revision": "B"},
+}
+FIELDS = (["frame.number", "yapp.id", "yapp.can.ctrl", "yapp.crc.status", "yapp.reassembled.in", "yapp.fragment",
+           "yapp.padding", "yapp.payload"] + [f"yapp.{name}" for name in EXPERTS] +
+          [f"taurus.{kind}.{name}" for kind, names in TAURUS.items() for name in names])
+
+
+def taurus_values(kind, payload):
+    """The values of a payload by filter name; a reserved count of a compressed float has none."""
+    values, at = {}, 0
+    for name, how in TAURUS[kind].items():
+        size = how[0] if isinstance(how, tuple) else struct.calcsize("<" + how)
+        raw = int.from_bytes(payload[at:at + size], "little", signed=how == "q")
+        at += size
+        if isinstance(how, tuple):
+            _, low, high = how
+            top = 256 ** size - 1
+            raw = None if raw > top - 5 else low + raw * (high - low) / (top - 5)
+        if raw is not None:
+            values[f"taurus.{kind}.{name}"] = raw
+    return values
+
+
+def shown_value(name, text):
+    """A value as -T fields prints it, as a number."""
+    if name.endswith("timestamp"):
+        sign = -1 if text.startswith("-") else 1
+        seconds, nanoseconds = text.lstrip("-").split(".")
+        return sign * (int(seconds) * 1_000_000_000 + int(nanoseconds))
+    return int(text, 0) if text.startswith("0x") or text.isdigit() else float(text)
+
+
+def equal(expected, value):
+    if isinstance(expected, float):
+        return abs(value - expected) <= 1e-6 * max(1, abs(expected))
+    return value == expected
+
+
+class Comparison:
+    """What tshark shows of a capture, held against the truth."""
+
+    def __init__(self, capture, rows, two_passes=False, frames=None):
+        self.capture, self.two_passes, self.problems = capture, two_passes, []
+        self.rows = {int(row["frame.number"]): row for row in rows}
+        # With a read filter the frames that are left have numbers of their own.
+        self.old_number = dict(enumerate(frames or sorted(capture.verdicts), 1))
+        self.new_number = {old: new for new, old in self.old_number.items()}
+
+    def expect(self, number, what, expected, shown):
+        if expected != shown:
+            self.problems.append(f"frame {number}: {what}: expected {expected}, shown {shown}")
+
+    def run(self):
+        strict = self.capture.layout != "merged"
+        used = set()
+        for number, new in self.new_number.items():
+            verdict, row = self.capture.verdicts[number], self.rows.get(new, collections.defaultdict(str))
+            if strict and not (self.capture.layout in can_generator.ONE_BUS and verdict.blurred):
+                self.strictly(number, verdict, row)
+            else:
+                self.merged(number, verdict, row, used)
+        return self.problems
+
+    def strictly(self, number, verdict, row):
+        """The bus is known: everything is."""
+        frame = self.capture.frames[number - 1]
+        self.expect(number, "is YAPP", verdict.ours, row["yapp.id"] != "")
+        if not verdict.ours:
+            return
+        self.expect(number, "ID", frame.can_id >> 18, int(row["yapp.id"] or "-1", 0))
+        self.expect(number, "CTRL", str(verdict.ctrl), row["yapp.can.ctrl"])
+        self.expect(number, "experts", verdict.experts, {name for name in EXPERTS if row[f"yapp.{name}"]})
+        shown = row["yapp.crc.status"]
+        self.expect(number, "CRC status", "" if verdict.status is None else str(verdict.status),
+                    shown if shown != "2" or verdict.status is not None else "")
+        self.numbers(number, verdict, row)
+        if verdict.payload is not None and frame.captured is None and verdict.status != 2:
+            self.expect(number, "padding", verdict.padding, len(row["yapp.padding"]) // 2)
+            self.payload(number, verdict.payload, row)
+
+    def numbers(self, number, verdict, row):
+        if verdict.members and number == verdict.members[-1]:
+            self.expect(number, "fragments", [self.new_number.get(old) for old in verdict.members],
+                        [int(text) for text in row["yapp.fragment"].split(",") if text])
+        if verdict.reassembled_in and (self.two_passes or number == verdict.reassembled_in):
+            self.expect(number, "reassembled in", str(self.new_number.get(verdict.reassembled_in)),
+                        row["yapp.reassembled.in"])
+
+    def payload(self, number, payload, row):
+        kind = can_generator.kind_of(self.capture.frames[number - 1].can_id >> 18)
+        if kind and len(payload) == can_generator.SIZES[kind]:
+            expected = taurus_values(kind, payload)
+            for name in FIELDS:
+                if name.startswith("taurus."):
+                    text = row[name]
+                    right = text and equal(expected[name], shown_value(name, text)) if name in expected else text == ""
+                    if not right:
+                        self.expect(number, name, expected.get(name), text)
+        else:
+            self.expect(number, "payload", payload.hex(), row["yapp.payload"])
+
+    def merged(self, number, verdict, row, used):
+        """The bus is not told, or a message that was cut off may still be open: what is good is certain."""
+        if row["yapp.crc.status"] != "1":
+            if verdict.status == 1 and self.capture.asked_for(verdict.members) and (
+                    STRANGERS or self.capture.calm(verdict.members)):
+                self.expect(number, "CRC status", "1", row["yapp.crc.status"])
+            return
+        members = [self.old_number[int(text)] for text in row["yapp.fragment"].split(",")]
+        frames = [self.capture.frames[member - 1] for member in members]
+        payload = can_generator.payload_of(frames)
+        self.expect(number, "a message of the bus", True, payload is not None)
+        self.expect(number, "its last frame", number, members[-1])
+        self.expect(number, "frames of another message", set(), used & set(members))
+        used.update(members)
+        if payload is not None:
+            self.payload(number, payload, row)
+
+
+def show(capture, path, *arguments):
+    """What tshark shows: a dictionary of texts for each frame."""
+    for line in tshark.fields(path, FIELDS, *capture.preferences, *arguments):
+        yield dict(zip(FIELDS, line))
+
+
+def make_one(seed, layout, wide):
+    return can_generator.capture(seed, layout, wide, situations=PER_FILE, frames=FRAMES)
+
+
+def compare(seed, layout, wide, capture, path, *arguments, frames=None):
+    comparison = Comparison(capture, show(capture, path, *arguments), "-2" in arguments, frames)
+    problems = comparison.run()
+    where = f"seed {seed}, {layout}, every extended frame {wide}, {' '.join(arguments) or 'one pass'}"
+    assert not problems, f"{where}: {len(problems)} differences\n" + "\n".join(problems[:20])
+
+
+TOTAL = collections.Counter()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def closing_line(request):
+    yield
+    counts = ", ".join(f"{count:,} {what}" for what, count in TOTAL.items())
+    request.config.pluginmanager.getplugin("terminalreporter").write_line(f"\nsoak, seed {SEED}: {counts}")
+
+
+@pytest.mark.parametrize("number", range(FILES))
+def test_random_captures(number, folder):
+    layout, wide = KINDS[number % len(KINDS)]
+    seed = f"{SEED}.{number}"
+    capture, path = make_one(seed, layout, wide), folder / "random.pcap"
+    capture.write(path)
+    compare(seed, layout, wide, capture, path)
+    compare(seed, layout, wide, capture, path, "-2")
+    TOTAL["captures"] += PER_FILE
+    TOTAL["files"] += 1
+    TOTAL["frames"] += len(capture.frames)
+    TOTAL["messages"] += sum(bool(verdict.members) and number == verdict.members[-1]
+                             for number, verdict in capture.verdicts.items())
+    for name in EXPERTS:
+        TOTAL[name] += sum(name in verdict.experts for verdict in capture.verdicts.values())
+
+
+@pytest.mark.parametrize("layout", can_generator.LAYOUTS)
+def test_filters(layout, folder):
+    """A display filter and a read filter do not change what a frame is."""
+    wide = layout != "merged"
+    seed = f"{SEED}.filters"
+    capture, path = make_one(seed, layout, wide), folder / "random.pcap"
+    capture.write(path)
+    ours = [number for number, verdict in capture.verdicts.items() if verdict.ours]
+    compare(seed, layout, wide, capture, path, "-Y", "yapp")
+    compare(seed, layout, wide, capture, path, "-2", "-Y", "yapp")
+    compare(seed, layout, wide, capture, path, "-2", "-R", "yapp", frames=sorted(ours))
+
+
+def test_one_reassembled_in_finds_all_frames(folder):
+    """In two passes one filter finds a message, whichever way the bus is told."""
+    for layout in can_generator.LAYOUTS:
+        frames = can_generator.Sent(0x210, 0, 0, bytes(32)).frames()
+        can_generator.write(folder / "one.pcap", frames, layout)
+        found = tshark.fields(folder / "one.pcap", ["frame.number"], "-2", "-Y", "yapp.reassembled.in == 5")
+        assert [number for number, in found] == list("12345"), layout

@@ -1,0 +1,382 @@
+"""The captures of test_captures/: made from their text, shown as the text beside them says, and right by the document.
+
+What is right is not taken from the plugin: model.py works the values out, and the tables here are typed by hand."""
+import pathlib
+import re
+import sys
+import xml.etree.ElementTree
+
+import pytest
+
+import model
+import tshark
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captures"))
+import expected  # noqa: E402
+import make  # noqa: E402
+
+NAMES = make.names()
+MOTOR = bytes.fromhex("FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000" "0000E38CD23CE04E000005FF")
+
+# Capture: the frames of each message that came to an end, whole or not.
+MESSAGES = {
+    "document_motor": [[1, 2, 3, 4, 5]],
+    "document_motor_sll": [[1, 2, 3, 4, 5]],
+    "document_motor_sll2": [[1, 2, 3, 4, 5]],
+    "document_uart_split": [[1, 2, 3, 4]],
+    "kernel_records": [[1, 2, 3, 4, 5]],
+    "fd_multi_frame": [[1, 2, 3], [4, 5, 6]],
+    "seq_in_use": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10], [11, 12, 13, 14, 15]],
+    "two_interfaces": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10]],
+    "two_buses_sll2": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10]],
+    "two_buses_unnamed": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10]],
+    "time_delta": [[2, 3, 4, 5], [8, 9, 10, 11]],
+    "other_traffic": [[1, 3, 5, 7, 9]],
+    "remote_frames": [[1, 3, 5, 7, 10]],
+    "health": [[1, 2, 3, 4]],
+    "repeated_start": [[2, 3, 4, 5, 6]],
+    "repeated_start_sll2": [[2, 3, 4, 5, 6]],
+    "repeated_end": [[1, 2, 3, 4, 5]],
+    "lost_middle": [[1, 2, 3, 4]],
+    "lost_end": [[5, 6, 7, 8, 9]],
+    "extra_middle": [[1, 2, 3, 4, 5, 6]],
+    "cut_middle": [[1, 2, 3, 4, 5]],
+    "cut_end": [[1, 2, 3, 4, 5]],
+    "bad_crc_can": [[1, 2, 3, 4, 5]],
+    "ctl_nonzero": [[2, 3, 4, 5, 6]],
+    "info_column": [[1, 2, 3, 4, 5]],
+    "reserved_nonzero": [[1, 2, 3, 4, 5]],
+    "start_12_bytes": [[1, 2, 3, 4, 5]],
+    "start_size_65535": [[1, 2, 3, 4, 5]],
+    "undefined_values": [[3, 4, 5, 6, 7]],
+    "unknown_id": [[2, 3, 4, 5]],
+    "unknown_id_size_65535": [[1, 2, 3]],
+    "wrong_size": [[3, 4, 5, 6, 7]],
+}
+
+
+def shown(name, passes="-2"):
+    return expected.capture_shown(name, passes)
+
+
+def frame(name, number, passes="-2"):
+    return next(one for one in shown(name, passes) if one["frame"] == number)
+
+
+def taurus(one):
+    return {name: values for name, values in one.items() if name.startswith("taurus.")}
+
+
+# The files -------------------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_text_makes_the_capture(name):
+    path, content = make.capture(name)
+    assert path.read_bytes() == content
+
+
+def test_nothing_else_lies_there():
+    others = {"make.py", "expected.py"}
+    for path in tshark.CAPTURES.iterdir():
+        if path.is_file() and path.name not in others and not path.name.startswith("candump_"):
+            assert path.stem in NAMES, f"{path.name} has no {path.stem}.frames"
+            assert path.suffix in (".frames", ".expected", f".{make.read(path.stem).format}")
+
+
+# What is shown ---------------------------------------------------------------------------------------------------
+
+def blocks(text):
+    return re.split(r"(?m)^(?=frame )", text)[1:]
+
+
+def without_forward_links(text):
+    """What one pass can show: a frame cannot yet know where its message ends, nor how many parts it has."""
+    kept = []
+    for block in blocks(text):
+        number = re.match(r"frame (\d+)", block)[1]
+        link = re.search(r"    yapp.reassembled.in (\d+)\n", block)
+        if link and link[1] != number:
+            block = block.replace(link[0], "").replace(f"  [Reassembled in #{link[1]}]", "")
+        if "\n    " in block:
+            kept.append(re.sub(r"(  part \d+) of \d+", r"\1", block))
+    return "".join(kept)
+
+
+# Where a capture does not tell its buses apart, only what comes later says that a Start cut nothing off.
+KNOWN_LATER = {"two_buses_unnamed"}
+
+
+# Where each frame stands alone, a display filter has nothing to change.
+RUNS = [(name, passes) for name in NAMES for passes in expected.PASSES if passes != "-2 -Y" or name in MESSAGES]
+
+
+@pytest.mark.parametrize("name, passes", RUNS)
+def test_fields_and_info(name, passes):
+    wanted, text = (tshark.CAPTURES / f"{name}.expected").read_text(), expected.as_text(shown(name, passes))
+    if passes == "one pass":
+        wanted, text = without_forward_links(wanted), without_forward_links(text)
+        if name in KNOWN_LATER:
+            wanted, text = (blocks(one)[-2:] for one in (wanted, text))
+    assert text == wanted
+
+
+def wanted_of_messages(name):
+    """By frame, what the messages of a text have to show: [(message, fields, experts)]."""
+    by_frame = {}
+    for message in make.read(name).messages:
+        fields, experts = {}, []
+        known = model.MESSAGES.get(message["id"])
+        if known and sum(size for _, size, _ in known[2]) == len(message["payload"]):
+            fields, experts = model.decode(message["id"], message["payload"])
+        by_frame.setdefault(message["frame"], []).append((message, fields, experts))
+    return by_frame
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if make.read(name).messages])
+def test_messages_show_what_the_document_says(name):
+    wanted = wanted_of_messages(name)
+    frames = {one["frame"]: one for one in shown(name)}
+    for number, messages in wanted.items():
+        one, values = frames[number], {}
+        for message, fields, experts in messages:
+            for field, value in [*fields.items(), *((expert, "1") for expert in experts)]:
+                values.setdefault(field, []).append(value)
+        assert taurus(one) == values, f"frame {number}"
+        headers = [message for message, _, _ in messages]
+        assert one["yapp.id"] == [f"0x{message['id']:08x}" for message in headers]
+        assert one["yapp.seq"] == [str(message["seq"]) for message in headers]
+        assert one["yapp.ctl"] == [str(message["ctl"]) for message in headers]
+        if "yapp.crc" in one:
+            assert one["yapp.crc"] == [f"0x{make.message_crc(message):08x}" for message in headers]
+            assert one["yapp.crc.status"] == ["0" if message["wrong_crc"] else "1" for message in headers]
+            assert one["yapp.size"] == [str(len(message["payload"])) for message in headers]
+
+
+def test_flags_and_counts_of_the_sweeps():
+    """Every flag, undefined bit and reserved count is there, once by itself."""
+    for name, group, bits, width in [("fault_flags", "motor.fault", model.FAULT, 32),
+                                     ("status_flags", "motor.status", model.STATUS, 32),
+                                     ("motor_state", "motor.state", model.STATE, 8),
+                                     ("health_status", "health.status", model.HEALTH_STATUS, 8)]:
+        none, *single, every = shown(name)
+        assert len(single) == width
+        for bit, one in enumerate([none, *single, every], -1):
+            for mask, flag in bits.items():
+                set_here = one is every or one is not none and mask == 1 << bit
+                assert one[f"taurus.{group}.{flag}"] == ["1" if set_here else "0"], f"{name}, bit {bit}"
+            undefined = one is every and len(bits) < width or 0 <= bit < width and 1 << bit not in bits
+            assert ("taurus.flags.undefined" in one) == undefined
+    floats = [name for name, kind in model.filters().items() if kind == "DOUBLE"]
+    assert len(floats) == 17
+    for path in floats:
+        frames = shown(f"reserved_counts_{path.split('.')[1]}")
+        assert sorted(one[f"{path}.special"][0] for one in frames if f"{path}.special" in one) == list("01234")
+        assert all((path in one) != (f"{path}.special" in one) for one in frames)
+
+
+def test_public_names_and_types():
+    load = tshark.load(tshark.PLUGIN / "yapp.lua")
+    fields = [line.split("\t") for line in tshark.run("-G", "fields", *load, plugin=False).stdout.splitlines()]
+    types = {field[2]: field[3] for field in fields if field[0] == "F"}
+    wanted = {f"yapp.{name}": kind for name, kind in model.YAPP.items()} | model.filters()
+    wanted.update((name, "NONE") for name in model.EXPERTS)
+    assert {name: types.get(name) for name in wanted} == {name: f"FT_{kind}" for name, kind in wanted.items()}
+
+
+# The document's examples -----------------------------------------------------------------------------------------
+
+# Capture and the frame in which Motor Data ends.
+DOCUMENT_MOTOR = {"document_motor": 5, "document_motor_sll": 5, "document_motor_sll2": 5, "document_uart": 1,
+                  "document_uart_dlt_user0": 1, "document_uart_rtac": 1, "document_uart_split": 4, "document_udp": 1,
+                  "document_tcp": 1, "document_tcp_split": 3, "kernel_records": 5}
+
+
+def test_the_model_says_what_the_document_says():
+    header = bytes.fromhex("595000001002000020000000")
+    assert make.crc32k(header + MOTOR) == 0xC76FBEBB
+    fields, experts = model.decode(model.MOTOR, MOTOR)
+    assert model.value(45045, 2, -128, 128) == pytest.approx(47.97, abs=0.005)
+    assert fields["taurus.motor.timestamp"] == "86725.000072419" and experts == ["taurus.value.special"]
+    assert [model.value(count, 2, -10, 5) for count in (0, 65530)] == [-10, 5]
+    assert model.value(43687, 2, -10, 5) == pytest.approx(0, abs=15 / 65530)
+
+
+@pytest.mark.parametrize("passes", expected.PASSES)
+@pytest.mark.parametrize("name", DOCUMENT_MOTOR)
+def test_motor_data_of_the_document(name, passes):
+    one = frame(name, DOCUMENT_MOTOR[name], passes)
+    assert taurus(one) == {key: [value] for key, value in model.decode(model.MOTOR, MOTOR)[0].items()} | {
+        "taurus.value.special": ["1"]}
+    wanted = {"yapp.id": "0x00000210", "yapp.crc": "0xc76fbebb", "yapp.crc.status": "1", "yapp.size": "32",
+              "yapp.seq": "0", "yapp.ctl": "0", "yapp.reserved": "0x0000",
+              "taurus.motor.dc_voltage": "47.97314", "taurus.motor.dc_current": "0",
+              "taurus.motor.torque_iq_commanded": "0", "taurus.motor.rpm_measured": "0",
+              "taurus.motor.motor_temperature": "-16", "taurus.motor.motor_mode": "0x01",
+              "taurus.motor.status_flags": "0x40010000", "taurus.motor.status.stopped": "1",
+              "taurus.motor.status.mpos_update": "1", "taurus.motor.status.enabled": "0",
+              "taurus.motor.fault_flags": "0x00000000", "taurus.motor.timestamp": "86725.000072419",
+              "taurus.motor.motor_state": "0x05", "taurus.motor.state.ready": "1", "taurus.motor.state.running": "0",
+              "taurus.motor.state.stopped": "1", "taurus.motor.esc_temperature.special": "0"}
+    assert {key: one[key] for key in wanted} == {key: [value] for key, value in wanted.items()}
+    assert "taurus.motor.esc_temperature" not in one
+    assert ("yapp.sync" in one) == ("yapp.can.ctrl" not in one) == ("uart" in name or "udp" in name or "tcp" in name)
+
+
+def test_command_of_the_document():
+    one = frame("document_command", 1)
+    assert one["taurus.command.torque_iq"] == ["0.5005341"]
+    assert one["taurus.command.rpm"] == ["750.8012"]
+    assert one["taurus.command.key"] == ["0x5a"]
+    assert one["taurus.command.enabled"] == one["taurus.command.motor_mode"] == ["0x01"]
+    assert "yapp.crc" not in one and "yapp.crc.status" not in one
+
+
+# Messages of several frames --------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("passes", expected.PASSES)
+@pytest.mark.parametrize("name", MESSAGES)
+def test_links_between_the_frames_of_a_message(name, passes):
+    frames = shown(name, passes)
+    lists = [one["yapp.fragment"] for one in frames if "yapp.fragment" in one]
+    assert lists == [[str(number) for number in message] for message in MESSAGES[name]]
+    for one in frames:
+        last = next((message[-1] for message in MESSAGES[name] if one["frame"] in message), None)
+        if passes == "one pass" and one["frame"] != last:
+            last = None
+        assert one.get("yapp.reassembled.in") == (last and [str(last)]), f"frame {one['frame']}"
+        if one["frame"] == last:
+            assert one["yapp.fragment.count"] == [str(len(one["yapp.fragment"]))]
+            assert one["yapp.fragments"] == ["1"]
+
+
+def test_no_links_elsewhere():
+    assert {name for name in NAMES if any("yapp.reassembled.in" in one for one in shown(name))} == set(MESSAGES)
+
+
+def test_length_of_what_was_put_together():
+    assert frame("document_motor", 5)["yapp.reassembled.length"] == ["32"]
+    assert frame("health", 4)["yapp.reassembled.length"] == ["17"]
+    assert frame("fd_multi_frame", 3)["yapp.reassembled.length"] == ["17"]
+    assert frame("fd_multi_frame", 6)["yapp.reassembled.length"] == ["100"]
+
+
+def test_one_filter_finds_all_frames_of_a_message():
+    done = tshark.run("-2", "-r", tshark.CAPTURES / "other_traffic.pcap", "-Y", "yapp.reassembled.in == 9", "-T",
+                      "fields", "-e", "frame.number")
+    assert done.stdout.split() == ["1", "3", "5", "7", "9"]
+
+
+def test_can_fd_padding_is_shown_and_not_decoded():
+    motor, health, command = shown("fd_single")
+    assert health["yapp.padding"] == ["000000"]
+    assert health["taurus.health.board_revision"] == ["3"]
+    assert "yapp.padding" not in motor and "yapp.padding" not in command
+    assert frame("fd_multi_frame", 3)["yapp.padding"] == ["000000"]
+    assert frame("fd_multi_frame", 6)["yapp.padding"] == ["00" * 12]
+    assert frame("fd_multi_frame", 6)["yapp.payload"] == ["11" * 64 + "22" * 36]
+
+
+def test_buses_do_not_mix():
+    for name in ("two_interfaces", "two_buses_sll2", "two_buses_unnamed"):
+        for passes in expected.PASSES:
+            ends = shown(name, passes)[-2:]
+            assert [one["taurus.motor.motor_temperature"] for one in ends] == [["-16"], ["24"]]
+            assert [one["yapp.crc.status"] for one in ends] == [["1"], ["1"]]
+
+
+def test_time_since_the_previous_message_with_the_same_id():
+    for passes in expected.PASSES:
+        deltas = {one["frame"]: one["yapp.time_delta"] for one in shown("time_delta", passes)
+                  if "yapp.time_delta" in one}
+        assert deltas == {7: ["0.300000000"], 11: ["0.500500000"]}
+
+
+# What a user sees ------------------------------------------------------------------------------------------------
+
+INFO = [
+    ("info_column", 5, "Motor Data  750.8/749.0 RPM  47.97 V  0.50 A  FAULT motor_overcurrent, hall_timeout"),
+    ("document_motor", 1, "Motor Data  Start of 32 bytes  [Reassembled in #5]"),
+    ("document_motor", 3, "Motor Data  part 3 of 5  [Reassembled in #5]"),
+    ("fd_multi_frame", 2, "Health  part 2 of 3  [Reassembled in #3]"),
+    ("document_motor", 5, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"),
+    ("document_command", 1, "Command  Enabled, No Regeneration Allowed  Speed Mode  750.8 RPM  0.50 A"),
+    ("health", 4, "Health  control 50 %, Taurus 20 %  CPU 50 °C, FET 40 °C"),
+    ("bad_crc_can", 5, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  [BAD CRC]"),
+    ("lost_middle", 4, "Motor Data  24 of 32 bytes  [INCOMPLETE]"),
+    ("extra_middle", 6, "Motor Data  40 of 32 bytes  [OVERRUN]"),
+    ("end_without_start", 1, "Motor Data  End without a Start"),
+    ("unknown_id", 1, "ID 0x123  3 bytes"),
+    ("wrong_size", 1, "Command  6 bytes, not 7"),
+    ("reserved_counts_motor", 21, "Motor Data  0.0/0.0 RPM  NaN V  0.00 A"),
+    ("uart_shell", 1, 'Skipped 7 bytes "login: " | Motor Data  0.0/0.0 RPM  47.97 V  0.00 A | Skipped 6 bytes '
+     '"\\r\\nOK\\r\\n" | Health  control 50 %, Taurus 20 %  CPU 50 °C, FET 40 °C | Skipped 3 bytes "bye"'),
+]
+
+
+@pytest.mark.parametrize("name, number, text", INFO)
+def test_info_column(name, number, text):
+    assert frame(name, number)["info"] == text
+
+
+# Capture, frame, field, and how the tree reads.
+TREE = [
+    ("document_motor", 5, "taurus.motor.dc_voltage", "DC Voltage: 47.97314 V"),
+    ("document_motor", 5, "taurus.motor.dc_current", "DC Current: 0 A"),
+    ("document_motor", 5, "taurus.motor.motor_temperature", "Motor Temperature: -16 °C"),
+    ("document_motor", 5, "taurus.motor.motor_mode", "Motor Mode: Speed Mode (0x01)"),
+    ("document_motor", 5, "taurus.motor.esc_temperature.special", "ESC Temperature: Not a Number (0xff)"),
+    ("document_motor", 5, "taurus.motor.motor_state", "Motor State: 0x05 (ready, stopped)"),
+    ("document_motor", 5, "yapp.crc", "CRC: 0xc76fbebb [correct]"),
+    ("document_motor", 5, "yapp.crc.status", "CRC status: Good (1)"),
+    ("document_motor", 5, "yapp.id", "Message ID: Motor Data (0x00000210)"),
+    ("document_motor", 5, "yapp.can.ctrl", "CAN frame: End (3)"),
+    ("document_motor", 5, "yapp.size", "Payload size: 32 bytes"),
+    ("document_motor", 5, "yapp.fragments", "5 fragments (32 bytes)"),
+    ("document_command", 1, "taurus.command.torque_iq", "Torque IQ: 0.5005341 A"),
+    ("document_command", 1, "taurus.command.rpm", "RPM: 750.8012 RPM"),
+    ("document_command", 1, "taurus.command.key", "Key: No Regeneration Allowed (0x5a)"),
+    ("document_command", 1, "taurus.command.enabled", "Enabled: Enabled (0x01)"),
+    ("health", 4, "taurus.health.control_thread_cpu", "Control Thread CPU Usage: 50 %"),
+    ("health", 4, "taurus.health.vin_rms_ripple", "Vin RMS Ripple: 1.25 V"),
+    ("bad_crc_can", 5, "yapp.crc", "CRC: 0xc76fbe44 [incorrect, should be 0xc76fbebb]"),
+    ("reserved_counts_motor", 2, "taurus.motor.torque_iq_commanded.special",
+     "Torque IQ Commanded: Positive Infinity (0xfffe)"),
+    ("reserved_counts_motor", 3, "taurus.motor.torque_iq_commanded.special",
+     "Torque IQ Commanded: Negative Infinity (0xfffd)"),
+    ("reserved_counts_motor", 4, "taurus.motor.torque_iq_commanded.special",
+     "Torque IQ Commanded: Out of Range High (0xfffc)"),
+    ("reserved_counts_motor", 5, "taurus.motor.torque_iq_commanded.special",
+     "Torque IQ Commanded: Out of Range Low (0xfffb)"),
+]
+
+
+@pytest.mark.parametrize("name", sorted({row[0] for row in TREE}))
+def test_tree(name):
+    done = tshark.run("-r", make.capture(name)[0], "-T", "pdml")
+    packets = xml.etree.ElementTree.fromstring(done.stdout).findall("packet")
+    for _, number, field, text in [row for row in TREE if row[0] == name]:
+        names = [one.get("showname") or one.get("show") for one in packets[number - 1].iter("field")
+                 if one.get("name") == field]
+        assert names == [text]
+
+
+# Capture and the protocols of its last packet.
+PROTOCOLS = {
+    "document_motor": "can:yapp", "document_command": "can:yapp", "document_motor_sll2": "sll:can:yapp",
+    "fd_single": "can:yapp", "document_uart": "exported_pdu:yapp_serial", "document_uart_dlt_user0":
+    "user_dlt:yapp_serial", "document_uart_rtac": "rtacser:yapp_serial",
+    "document_udp": "eth:ethertype:ip:udp:yapp_serial", "document_tcp": "eth:ethertype:ip:tcp:yapp_serial",
+}
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_protocols(name):
+    rows = tshark.fields(make.capture(name)[0], ["frame.protocols", expected.column("Protocol")],
+                         *make.read(name).options)
+    assert rows[-1] == [PROTOCOLS[name], "YAPP"]
+
+
+@pytest.mark.parametrize("name", ["other_traffic", "remote_frames"])
+def test_other_frames_are_left_alone(name):
+    for passes in expected.PASSES:
+        assert [one["frame"] for one in shown(name, passes)] == MESSAGES[name][0]

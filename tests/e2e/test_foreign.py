@@ -1,0 +1,297 @@
+"""Everybody else's traffic: with the plugin, tshark -V says the same as without, byte for byte.
+
+The frames are made from a seed.  Random extended frames may be well-formed YAPP: can_generator.Bus says which, and only
+these may differ.
+"""
+import os
+import random
+import re
+import struct
+import subprocess
+
+import pytest
+
+import can_generator
+import tshark
+from can_generator import Frame
+
+SEED = os.environ.get("YAPP_SEED", "1")
+COUNT = 400
+
+
+# Other protocols on CAN --------------------------------------------------------------------------------------------
+
+def j1939(rng):
+    """Engine speed, temperatures, diagnostics, address claims, and transport: announced, then in packets."""
+    frames = []
+    while len(frames) < COUNT:
+        source = rng.randrange(254)
+        pgn, priority = rng.choice([(0xF004, 3), (0xFEEE, 6), (0xFEF1, 6), (0xFECA, 6), (0xEEFF, 6), (0xEA00, 6),
+                                    (0xFF00 + rng.randrange(256), 6), (0x0100, 3)])
+        can_id = priority << 26 | pgn << 8 | source
+        if pgn == 0xFECA:
+            size = rng.randrange(9, 60)
+            frames.append(Frame(0x1CECFF00 | source, bytes([0x20]) + struct.pack("<HB", size, -(-size // 7)) +
+                                bytes([0xFF, 0xCA, 0xFE, 0])))
+            data = rng.randbytes(size).ljust(-(-size // 7) * 7, b"\xFF")
+            frames += [Frame(0x1CEBFF00 | source, bytes([at // 7 + 1]) + data[at:at + 7])
+                       for at in range(0, len(data), 7)]
+        elif pgn == 0xEA00:
+            frames.append(Frame(can_id | 0xFF00, bytes([0xEB, 0xFE, 0])))
+        else:
+            frames.append(Frame(can_id, rng.randbytes(rng.randrange(1, 8)).ljust(8, b"\xFF")))
+    return frames
+
+
+def dronecan(rng):
+    """Node status and longer transfers, each frame with its tail byte."""
+    frames = []
+    while len(frames) < COUNT:
+        source, transfer = rng.randrange(1, 128), rng.randrange(32)
+        kind = rng.choice([341, 1010, 1030, 1034, 1063, 20007, 16383])
+        if rng.random() < 0.2:  # a service
+            can_id = 30 << 24 | 1 << 16 | rng.randrange(2) << 15 | rng.randrange(1, 128) << 8 | 0x80 | source
+        else:
+            can_id = rng.choice([8, 16, 20, 24]) << 24 | kind << 8 | source
+        data = rng.randbytes(rng.choice([4, 7, 7, 20, 40]))
+        if len(data) <= 7:
+            frames.append(Frame(can_id, data + bytes([0xC0 | transfer])))
+            continue
+        data = struct.pack("<H", rng.getrandbits(16)) + data
+        for index, at in enumerate(range(0, len(data), 7)):
+            tail = (0x80 if at == 0 else 0) | (0x40 if at + 7 >= len(data) else 0) | index % 2 << 5 | transfer
+            frames.append(Frame(can_id, data[at:at + 7] + bytes([tail])))
+    return frames
+
+
+def cyphal(rng):
+    """Heartbeats and services of version 1, on CAN FD too."""
+    frames = []
+    while len(frames) < COUNT:
+        source, transfer, fd = rng.randrange(128), rng.randrange(32), rng.random() < 0.3
+        if rng.random() < 0.3:
+            can_id = 4 << 26 | 1 << 25 | rng.randrange(2) << 24 | 430 << 14 | rng.randrange(128) << 7 | source
+        else:
+            can_id = 4 << 26 | 3 << 21 | rng.choice([7509, 1000, 8190]) << 8 | source
+        data = rng.randbytes(rng.choice([7, 7, 20, 47] if fd else [7]))
+        data = can_generator.padded(data + bytes(1))[:-1] if fd else data
+        frames.append(Frame(can_id, data + bytes([0xE0 | transfer]), fd))
+    return frames
+
+
+def canopen(rng):
+    """Network management, heartbeats, process data, service data."""
+    frames = []
+    while len(frames) < COUNT:
+        node = rng.randrange(1, 128)
+        frames.append(rng.choice([
+            Frame(0, bytes([rng.choice([1, 2, 0x80, 0x81]), node]), kind="standard"),
+            Frame(0x80, b"\0", kind="standard"),
+            Frame(0x700 + node, bytes([rng.choice([0, 4, 5, 127])]), kind="standard"),
+            Frame(0x180 + node, rng.randbytes(rng.randrange(1, 9)), kind="standard"),
+            Frame(0x600 + node, bytes([0x40, *rng.randbytes(2), 0, 0, 0, 0, 0]), kind="standard"),
+            Frame(0x700 + node, bytes(1), kind="remote standard"),
+        ]))
+    return frames
+
+
+def isotp(rng):
+    """Single and consecutive frames, flow control, both ways, 11-bit and 29-bit."""
+    frames = []
+    while len(frames) < COUNT:
+        kind = rng.choice(["standard", "extended"])
+        there, back = (0x7E0, 0x7E8) if kind == "standard" else (0x18DA10F1, 0x18DAF110)
+        data = rng.randbytes(rng.choice([3, 7, 20, 100]))
+        if len(data) <= 7:
+            frames.append(Frame(there, bytes([len(data)]) + data, kind=kind))
+            continue
+        frames.append(Frame(there, struct.pack(">H", 0x1000 | len(data)) + data[:6], kind=kind))
+        frames.append(Frame(back, bytes([0x30, 0, 0]), kind=kind))
+        frames += [Frame(there, bytes([0x20 | (index & 15)]) + data[at:at + 7], kind=kind)
+                   for index, at in enumerate(range(6, len(data), 7), 1)]
+    return frames
+
+
+def remote_and_error(rng):
+    """Remote frames on the very IDs of YAPP, with the zeros that some tools record, and without data; error frames."""
+    frames = []
+    for msg in (0x000, 0x200, 0x210, 0x123):
+        for ctrl in range(4):
+            for length in range(9):
+                for kind in ("remote", "error"):
+                    frames.append(Frame(msg << 18 | ctrl << 14, bytes(length), kind=kind))
+    frames += [Frame(rng.getrandbits(29), bytes(rng.randrange(9)), kind="remote") for _ in range(200)]
+    frames += [Frame(rng.getrandbits(11), rng.randbytes(rng.randrange(9)), kind="standard") for _ in range(200)]
+    frames += [Frame(1 << rng.randrange(9), rng.randbytes(8), kind="error") for _ in range(200)]
+    return frames
+
+
+def random_extended(rng):
+    """Any id, any length; a good part near the ids that YAPP uses."""
+    frames = []
+    for _ in range(COUNT):
+        can_id = rng.getrandbits(29)
+        if rng.random() < 0.5:
+            can_id = rng.choice([0, 0x200, 0x210, 0x123, rng.getrandbits(11)]) << 18 | rng.getrandbits(18)
+        if rng.random() < 0.3:
+            can_id &= ~0x3F00  # YAPP CTL 0
+        data = rng.randbytes(rng.randrange(9))
+        if len(data) == 8 and rng.random() < 0.3:
+            data = data[:5] + bytes(3)
+        frames.append(Frame(can_id, data))
+    return frames
+
+
+TRAFFIC = {
+    "J1939": (j1939, []),
+    "J1939, Decode As": (j1939, ["-d", "can.subdissector,j1939"]),
+    "DroneCAN": (dronecan, []),
+    "DroneCAN, Decode As": (dronecan, ["-d", "can.subdissector,uavcan_can"]),
+    "Cyphal": (cyphal, []),
+    "CANopen": (canopen, []),
+    "CANopen, Decode As": (canopen, ["-d", "can.subdissector,canopen"]),
+    "ISO-TP, Decode As": (isotp, ["-d", "can.subdissector,iso15765"]),
+    "remote and error frames": (remote_and_error, []),
+    "random extended": (random_extended, []),
+    "random extended, Decode As": (random_extended, ["-d", "can.subdissector,j1939"]),
+}
+
+
+def candump_log(path, frames):
+    """The log format of candump -l."""
+    with open(path, "w", encoding="ascii") as file:
+        for number, frame in enumerate(frames, 1):
+            width = 3 if "standard" in frame.kind else 8
+            can_id = frame.can_id | (0x20000000 if frame.kind == "error" else 0)
+            if frame.kind.startswith("remote"):
+                data = "#R" + (str(len(frame.data)) if frame.data else "")
+            else:
+                data = ("##1" if frame.fd else "#") + frame.data.hex().upper()
+            file.write(f"({number / 1000:.6f}) can0 {can_id:0{8 if frame.kind == 'error' else width}X}{data}\n")
+
+
+def details(path, plugin, *arguments):
+    """What -V says of each packet."""
+    done = tshark.run("-r", path, "-V", *arguments, plugin=plugin)
+    return re.split(r"(?m)^(?=Frame \d+:)", done.stdout)[1:]
+
+
+def differing(path, *arguments):
+    """The frames that look different with the plugin."""
+    without, with_plugin = details(path, False, *arguments), details(path, True, *can_generator.PREFERENCES, *arguments)
+    assert len(without) == len(with_plugin) > 0
+    return {number for number, (a, b) in enumerate(zip(without, with_plugin), 1) if a != b}
+
+
+def ours(frames):
+    """The frames that are well-formed YAPP."""
+    bus = can_generator.Bus(wide=False)
+    return {number for number, frame in enumerate(frames, 1) if bus.frame(number, frame).ours}
+
+
+@pytest.mark.parametrize("name", TRAFFIC)
+def test_can(name, folder):
+    make, arguments = TRAFFIC[name]
+    frames = make(random.Random(f"{SEED} {name}"))
+    path = folder / "foreign.pcap"
+    can_generator.write(path, frames, "plain")
+    expected = ours(frames)
+    assert not expected or name.startswith("random"), f"frame {min(expected)} of the test is YAPP"
+    assert differing(path, *arguments) == expected
+
+
+@pytest.mark.parametrize("form, passes", [
+    ("plain", ["-2"]), ("sll", []), ("sll2", []), ("interfaces", []), ("log", [])])
+def test_all_together(form, passes, folder):
+    rng = random.Random(SEED)
+    frames = can_generator.merge(rng, [make(rng) for make in dict(TRAFFIC.values())])
+    path = folder / "foreign"
+    if form == "log":
+        candump_log(path, frames)
+    else:
+        can_generator.write(path, frames, form)
+    assert differing(path, *passes) == ours(frames)
+
+
+# Ethernet ----------------------------------------------------------------------------------------------------------
+
+def internet_packets(rng):
+    """UDP and TCP: random payloads, text, and much that begins like a YAPP frame."""
+    packets, sequence = [], 1
+    for number in range(600):
+        text = rng.choice([b"", b"YP", b"hello YP " * 3, b"GET / HTTP/1.1\r\nHost: YP\r\n\r\n",
+                           b"YP" + struct.pack("<BBIHH", 0, 0, 0x210, 32, 0)])
+        payload = text + rng.randbytes(rng.randrange(60)) + rng.choice([b"", text])
+        ports = struct.pack(">HH", rng.choice([40000, 40001, 53]), rng.choice([41000, 7000]))
+        if number % 2:
+            body = ports + struct.pack(">HH", 8 + len(payload), 0) + payload
+        else:
+            body = ports + struct.pack(">IIBBHHH", sequence, 1, 0x50, 0x18, 8192, 0, 0) + payload
+            sequence += len(payload)
+        head = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(body), number, 0, 64, 17 if number % 2 else 6, 0,
+                           bytes([10, 0, 0, 1]), bytes([10, 0, 0, 2]))
+        packets.append(bytes(12) + b"\x08\0" + head + body)
+    return packets
+
+
+def test_ethernet(folder):
+    path = folder / "internet.pcap"
+    packets = internet_packets(random.Random(f"{SEED} internet"))
+    path.write_bytes(can_generator.pcap_head(1) + b"".join(
+        can_generator.pcap_packet(number, packet, len(packet)) for number, packet in enumerate(packets, 1)))
+    assert differing(path) == set()
+    assert differing(path, "-2") == set()
+
+
+# Floods ------------------------------------------------------------------------------------------------------------
+
+FLOOD = 200_000
+BYTES_A_FRAME = 4000  # a generous bound: what a frame of a broken message may cost
+GOOD = can_generator.Sent(0x123, 0, 7, bytes(range(40)))
+
+
+def distinct_starts():
+    for number in range(FLOOD):
+        yield Frame(number % 2048 << 18 | 1 << 14 | number // 2048, struct.pack("<IHH", number, 65535, 0)
+                    if can_generator.kind_of(number % 2048) is None else bytes(8))
+
+
+def never_ending():
+    sent = can_generator.Sent(0x124, 0, 0, b"")
+    yield sent.start(size=65535)
+    for number in range(FLOOD // 2):
+        yield sent.frame(can_generator.MIDDLE, struct.pack("<Q", number))
+
+
+def never_ending_interleaved():
+    """Where the bus is not told, each Start may be another bus's."""
+    sent = can_generator.Sent(0x124, 0, 0, b"")
+    for number in range(FLOOD // 4):
+        yield sent.start(crc=number, size=65535) if number % 1000 == 0 else sent.frame(
+            can_generator.END if number % 100 == 99 else can_generator.MIDDLE, struct.pack("<Q", number))
+
+
+def run_measured(path, output, *arguments):
+    """Runs tshark; returns the most memory that it had, in bytes."""
+    environment = {**os.environ, "HOME": str(tshark.home()), "LC_ALL": "C.UTF-8"}
+    with open(output, "w", encoding="utf-8") as file:
+        process = subprocess.Popen(["tshark", *arguments, "-r", path], stdout=file, stderr=subprocess.DEVNULL,
+                                   env=environment, **tshark._user())
+        _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0
+    return usage.ru_maxrss * 1024
+
+
+@pytest.mark.parametrize("flood", [distinct_starts, never_ending, never_ending_interleaved])
+def test_flood(flood, folder):
+    """Memory stays in proportion to the file, and the message behind the flood is decoded."""
+    path, output = folder / "flood.pcap", folder / "shown"
+    frames = [*flood(), *GOOD.frames()]
+    can_generator.write(path, frames, "plain")
+    without = run_measured(path, output, "-Y", "udp")
+    growth = run_measured(path, output, *tshark.load(), "-Y", "yapp.crc.status == 1", "-T", "fields", "-e",
+                          "frame.number", "-e", "yapp.payload") - without
+    assert output.read_text() == f"{len(frames)}\t{GOOD.payload.hex()}\n"
+    print(f"{flood.__name__}: {growth / len(frames):.0f} bytes a frame")
+    assert growth < BYTES_A_FRAME * len(frames)

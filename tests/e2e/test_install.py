@@ -1,0 +1,151 @@
+"""Loading: by both routes, twice, from any folder; beside other plugins nothing of theirs is touched."""
+import os
+import pathlib
+import shutil
+import uuid
+
+import pytest
+import tshark
+
+CAPTURE = tshark.CAPTURES / "document_motor.pcap"
+GLOBALS = pathlib.Path(__file__).with_name("globals.lua")
+PLUGINS = ".local/lib/wireshark/plugins"
+
+
+def install(folder, version=None):
+    """A copy of the plugin, as a user or `make install` puts it there."""
+    folder.mkdir(parents=True)
+    for name in tshark.PLUGIN_FILES:
+        source = tshark.ROOT / name
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
+    if version:
+        entry = folder / "yapp.lua"
+        text = entry.read_text()
+        assert text.count('local VERSION = "') == 1
+        entry.write_text(text.replace('local VERSION = "', f'local VERSION = "{version}-'))
+    return folder
+
+
+def script(folder):
+    return ["-X", f"lua_script:{folder / 'yapp.lua'}"]
+
+
+def load(home, *arguments, **options):
+    """Shows the capture; returns stderr of a run in which the plugin decoded it, less what other layers say there."""
+    for path in [home, *home.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    done = tshark.run(*arguments, "-r", CAPTURE, "-T", "fields", "-e", "taurus.motor.dc_voltage", "-e",
+                      "_ws.lua.error", plugin=False, env={"HOME": str(home)}, **options)
+    assert [line.strip()[:5] for line in done.stdout.splitlines() if line.strip()] == ["47.97"], done.stderr
+    return [line for line in done.stderr.splitlines() if not line.startswith("Running as user")]
+
+
+@pytest.fixture
+def home(folder):
+    """A home without plugins, in a folder with a name of its own: what was loaded before cannot help."""
+    path = folder / uuid.uuid4().hex
+    path.mkdir()
+    return path
+
+
+def test_plugin_folder(home):
+    install(home / PLUGINS / "yapp")
+    assert load(home) == []
+
+
+def test_plugin_folder_itself(home):
+    """Unpacked without a folder of its own."""
+    (home / PLUGINS).parent.mkdir(parents=True)
+    install(home / PLUGINS)
+    assert load(home) == []
+
+
+def test_script(home):
+    assert load(home, *script(install(home / "elsewhere"))) == []
+
+
+@pytest.mark.parametrize("name", ["with space", "a-b+c (copy) 100%", "v1.2.3", "grün", "[x]"])
+def test_script_in_any_folder(home, name):
+    assert load(home, *script(install(home / name))) == []
+
+
+@pytest.mark.parametrize("cwd, path", [("plugin", "yapp.lua"), ("plugin", "./yapp.lua"), ("other", "../plugin/yapp.lua"),
+                                       (".", "plugin/yapp.lua")])
+def test_script_by_a_relative_path(home, cwd, path):
+    install(home / "plugin")
+    (home / "other").mkdir()
+    assert load(home, "-X", f"lua_script:{path}", cwd=home / cwd) == []
+
+
+def the_one_line(errors):
+    """One line, and it says that one was not loaded and which one was."""
+    lines = [line for line in errors if "yapp" in line.lower()]
+    assert len(lines) == len(errors) == 1, errors
+    assert "is not loaded" in lines[0] and "is already there" in lines[0]
+    refused, loaded = lines[0].split(" is not loaded: ")
+    return refused, loaded
+
+
+def test_plugin_folder_and_script_load_once(home):
+    install(home / PLUGINS / "yapp", version="1")
+    refused, loaded = the_one_line(load(home, *script(install(home / "new", version="2"))))
+    assert str(home / "new") in refused and "2-" in refused
+    assert PLUGINS in loaded and "1-" in loaded
+
+
+def test_the_same_script_twice(home):
+    arguments = script(install(home / "plugin"))
+    the_one_line(load(home, *arguments, *arguments))
+
+
+def test_two_versions_in_plugin_folders(home):
+    """Wireshark knows a plugin's file by its name and runs the first alone, without a word."""
+    install(home / PLUGINS / "yapp-1", version="1")
+    install(home / PLUGINS / "yapp-2", version="2")
+    assert load(home) == []
+    _, loaded = the_one_line(load(home, *script(install(home / "new"))))
+    assert "yapp-1" in loaded and "1-" in loaded
+
+
+def test_file_names_cannot_clash():
+    """All plugins share one space of module names; a dot in one is an error from 4.4 on."""
+    files = [tshark.ROOT / "yapp.lua", tshark.ROOT / "taurus_fields.lua", *(tshark.ROOT / "yapp").rglob("*")]
+    names = [path.name for path in files if path.is_file()]
+    assert len(set(names)) == len(names)
+    for name in names:
+        assert name.endswith(".lua") and name.count(".") == 1
+        assert name.startswith("yapp") or name == "taurus_fields.lua"
+
+
+def test_plugin_folder_leaves_no_globals(home):
+    """Subfolders come first, in order; then the files of the folder itself."""
+    install(home / PLUGINS / "yapp")
+    (home / PLUGINS / "a").mkdir()
+    shutil.copy(GLOBALS, home / PLUGINS / "a/yapptest_first.lua")
+    shutil.copy(GLOBALS, home / PLUGINS / "zz_yapptest_last.lua")
+    assert load(home) == ["globals: compared"]
+
+
+def test_script_leaves_no_globals(home):
+    before, after = (["-X", f"lua_script:{shutil.copy(GLOBALS, home / name)}"] for name in ("first.lua", "last.lua"))
+    assert load(home, *before, *script(install(home / "plugin")), *after) == ["globals: compared"]
+
+
+def test_a_leak_is_seen(home):
+    """The comparison itself: a plugin that leaves a global behind and changes a function of the library."""
+    plugin = install(home / "plugin")
+    with open(plugin / "yapp/yapp_crc.lua", "r+") as file:
+        text = file.read()
+        file.seek(0)
+        file.write("leaked = 1; local rep = string.rep; function string.rep(...) return rep(...) end\n" + text)
+    before, after = (["-X", f"lua_script:{shutil.copy(GLOBALS, home / name)}"] for name in ("first.lua", "last.lua"))
+    done = tshark.run(*before, *script(plugin), *after, "-r", CAPTURE, plugin=False, env={"HOME": str(home)})
+    assert "globals: leaked" in done.stderr and "globals: string.rep" in done.stderr
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
+def test_unreadable_catalogue(home):
+    plugin = install(home / "plugin")
+    (plugin / "taurus_fields.lua").chmod(0)
+    done = tshark.run(*script(plugin), "-r", CAPTURE, plugin=False, env={"HOME": str(home)})
+    assert "yapp: the catalogue cannot be read" in done.stderr and "YAPP" in done.stdout

@@ -1,0 +1,284 @@
+"""What the user may set: preferences, the catalogue, where the plugin is installed.  Nonsense gets a clear message."""
+import pathlib
+import shutil
+import sys
+
+import pytest
+
+import model
+import tshark
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captures"))
+import expected  # noqa: E402
+import make  # noqa: E402
+
+MOTOR = "FD 7F FD 7F FD 7F FD 7F F5 AF FD 7F 18 01 00 00 01 40 00 00 00 00 E3 8C D2 3C E0 4E 00 00 05 FF"
+HEALTH = "00 CA 9A 3B 00 00 00 00 7D 32 5A 46 50 19 64 01 03"
+
+
+def write(folder, *lines):
+    """A capture made of lines as in a .frames file."""
+    path = folder / "capture.pcap"
+    path.write_bytes(make.pcap(make.Source("\n".join(lines))))
+    return path
+
+
+def stderr_of(*arguments, **options):
+    """What the plugin says on stderr."""
+    done = tshark.run(*arguments, **options)
+    return [line for line in done.stderr.splitlines() if line.startswith("yapp: ")]
+
+
+# The divisor of compressed floats --------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("choice, divisor, current, speed", [
+    ("2^N - 6 (mapping)", model.MAPPING, "0.5005", "750.80"),
+    ("2^N - 5 (worked examples)", model.WORKED_EXAMPLES, "0.4975", "749.26")])
+def test_divisor(choice, divisor, current, speed):
+    frame, = expected.shown(make.capture("document_command")[0], "-o", f"yapp.divisor:{choice}")
+    assert f"{float(frame['taurus.command.torque_iq'][0]):.4f}" == current
+    assert f"{float(frame['taurus.command.rpm'][0]):.2f}" == speed
+    health, = expected.shown(make.capture("fd_single")[0], "-Y", "taurus.health", "-o", f"yapp.divisor:{choice}")
+    wanted = model.decode(model.HEALTH, bytes.fromhex(HEALTH), divisor)[0]
+    assert {name: health[name] for name in wanted} == {name: [value] for name, value in wanted.items()}
+
+
+# Which IDs carry which message -----------------------------------------------------------------------------------
+
+def messages(frames):
+    """{frame: title of the message that is decoded there}."""
+    titles = {f"taurus.{name}": title for name, title, _ in model.MESSAGES.values()}
+    return {frame["frame"]: title for frame in frames for name, title in titles.items() if name in frame}
+
+
+def test_message_ids(folder):
+    path = write(folder, f"can0 fd [210 {MOTOR}]", f"can0 fd [211 {MOTOR}]", f"can0 [211 {MOTOR}]",
+                 f"can0 fd [300 {HEALTH}]", f"can0 fd [303 {HEALTH}]", "can0 [7FF 01 5A 01 4F 80 F3 80]",
+                 "can0 [0 01 5A 01 4F 80 F3 80]")
+    assert messages(expected.shown(path)) == {1: "Motor Data", 11: "Command"}
+    chosen = ["-o", "yapp.motor_ids:0x210,0x211", "-o", "yapp.health_ids:0x200,0x300-0x303", "-o",
+              "yapp.command_ids:0x7ff"]
+    for passes in expected.PASSES.values():
+        frames = expected.shown(path, *passes, *chosen)
+        assert messages(frames) == {1: "Motor Data", 2: "Motor Data", 7: "Motor Data", 8: "Health", 9: "Health",
+                                    10: "Command"}
+        assert 11 not in [frame["frame"] for frame in frames]
+    tree = tshark.run("-r", path, "-V", *chosen).stdout
+    for title in ("Motor Data (0x00000211)", "Health (0x00000300)", "Command (0x000007ff)"):
+        assert f"Message ID: {title}" in tree
+
+
+def test_message_ids_on_a_uart():
+    path = make.capture("document_uart")[0]
+    assert messages(expected.shown(path, "-o", "yapp.motor_ids:0x100")) == {}
+    assert messages(expected.shown(path, "-o", "yapp.motor_ids:0x100,0x210")) == {1: "Motor Data"}
+
+
+def test_one_id_for_two_messages():
+    path = make.capture("document_motor")[0]
+    said = stderr_of("-r", path, "-o", "yapp.command_ids:0x210")
+    assert said == ["yapp: preferences: ID 0x210 is given to Command and to Motor Data: it stays with Command"]
+
+
+# Other preferences -----------------------------------------------------------------------------------------------
+
+def test_all_extended():
+    path = make.capture("unknown_id")[0]
+    assert [frame["frame"] for frame in expected.shown(path)] == [2, 3, 4, 5]
+    assert [frame["frame"] for frame in expected.shown(path, "-o", "yapp.all_extended:TRUE")] == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("choice, taken", [("", False), ("147", True), ("148-162", False), ("150,147", True)])
+def test_user_dlt(choice, taken):
+    path = make.capture("document_uart_dlt_user0")[0]
+    for passes in expected.PASSES.values():
+        assert messages(expected.shown(path, *passes, "-o", f"yapp.user_dlt:{choice}")) == (
+            {1: "Motor Data"} if taken else {})
+
+
+@pytest.mark.parametrize("setting", ["yapp.motor_ids:abc", "yapp.motor_ids:0x800", "yapp.health_ids:0x200;0x300",
+                                     "yapp.user_dlt:163", "yapp.user_dlt:abc", "yapp.no_such:1"])
+def test_nonsense_is_refused(setting):
+    done = tshark.run("-r", make.capture("document_command")[0], "-o", setting, check=False)
+    assert done.returncode != 0
+    assert setting in done.stderr
+
+
+def test_a_link_type_that_is_not_the_users():
+    path = make.capture("document_command")[0]
+    assert stderr_of("-r", path, "-o", "yapp.user_dlt:1,147") == [
+        "yapp: preferences: link type 1 is not a DLT_USER (147 to 162)"]
+
+
+# The catalogue ---------------------------------------------------------------------------------------------------
+
+def copy_plugin(folder):
+    for name in tshark.PLUGIN_FILES:
+        source = tshark.PLUGIN / name
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
+    return folder / "yapp.lua"
+
+
+def with_catalogue(folder, text):
+    """The arguments that load a copy of the plugin with another catalogue; None for no such file."""
+    script = copy_plugin(folder)
+    catalogue = folder / "taurus_fields.lua"
+    if text is None:
+        catalogue.unlink()
+    else:
+        catalogue.write_text(text)
+    return {"plugin": False, "env": {"HOME": str(folder)}}, tshark.load(script)
+
+
+CATALOGUE = (tshark.PLUGIN / "taurus_fields.lua").read_text()
+ALL_THREE = [f"can0 fd [210 {MOTOR}]", f"can0 [210 {MOTOR}]", f"can0 fd [200 {HEALTH}]",
+             "can0 [0 01 5A 01 4F 80 F3 80]"]
+NUMBERS = {"Motor Data": 6, "Health": 7, "Command": 8}
+
+def decoded_with(load, path, options, *arguments):
+    """What stderr says, and {title: last frame in which a message is decoded}.  All frames have to be YAPP's."""
+    done = tshark.run(*load, "-r", path, "-o", "yapp.all_extended:TRUE", "-T", "fields", "-e", "frame.number", "-e",
+                      "frame.protocols", "-e", "yapp.payload", "-e", "_ws.lua.error", "-e", expected.column("Info"),
+                      *arguments, **options)
+    decoded = {}
+    for line in done.stdout.splitlines():
+        number, protocols, payload, error, info = line.split("\t")
+        assert not error and "yapp" in protocols
+        for title in NUMBERS:
+            if info.startswith(f"{title}  ") and not payload and " of " not in info:
+                decoded[title] = int(number)
+    return [line for line in done.stderr.splitlines() if line.startswith("yapp: ")], decoded
+
+
+# What is changed in the catalogue, what stderr has to name, and which message is shown as bytes from then on.
+TORQUE = '{ "torque_iq", "float16", "Torque IQ", min = -200, max = 200, unit = "A" },'
+BROKEN = [
+    (TORQUE, TORQUE.replace("torque_iq", "rpm"), "message command, field rpm: the name is there twice", "Command"),
+    (TORQUE, TORQUE.replace("float16", "float12"), 'message command, field torque_iq: unknown type "float12"',
+     "Command"),
+    (TORQUE, TORQUE.replace("max = 200, ", ""), "message command, field torque_iq: float16 needs min and max",
+     "Command"),
+    (TORQUE, TORQUE.replace("-200", "300"), "message command, field torque_iq: float16 needs min and max", "Command"),
+    (TORQUE, TORQUE.replace('"torque_iq"', '"Torque IQ"'), 'field 4: "Torque IQ" is not a filter name', "Command"),
+    (TORQUE, TORQUE.replace('"Torque IQ", ', ""), "message command, field torque_iq: the title is missing", "Command"),
+    (TORQUE, '"torque_iq",', "message command, field 4: a field is a row", "Command"),
+    (TORQUE, "", 'size is 7, but the fields add up to 5 bytes', "Command"),
+    (TORQUE, TORQUE.replace('"A"', "7"), "message command, field torque_iq: unit must be a text", "Command"),
+    ("size = 32", "size = 31", "message motor: size is 31, but the fields add up to 32 bytes", "Motor Data"),
+    ("size = 17", "size = -1", "message health: size -1 is not one of 1 .. 65535", "Health"),
+    ("id = 0x200", "id = 2048", "message health: id 2048 is not one of 0 .. 2047", "Health"),
+    ("id = 0x200", 'id = "0x200"', 'message health: id "0x200" is not one of 0 .. 2047', "Health"),
+    ("id = 0x200", "id = 0x210", "message health: id 0x210 is that of message motor", "Health"),
+    ('name = "health"', 'name = "motor"', "message motor: the name is there twice", "Health"),
+    ('name = "health"', 'name = "Health"', 'message 3: name "Health" is not a filter name', "Health"),
+    ('name = "health", title = "Health"', 'name = "health"', "message health: the title is missing", "Health"),
+    ('{ "enabled", 0x20000,', '{ "enabled", 0x10000,',
+     "message motor, field status_flags: flag enabled: bit 0x10000 is already another flag's", "Motor Data"),
+    ('{ "faulted", 0x20,', '{ "faulted", 0x100,',
+     "message motor, field motor_state: flag faulted: mask 256 does not fit", "Motor Data"),
+    ('{ "faulted", 0x20,', '{ "ready", 0x20,', "message motor, field motor_state: flag ready: the name is taken",
+     "Motor Data"),
+    ("{dc_voltage:%.2f}", "{voltage:%.2f}", 'message motor: info names a field "voltage" that is not there',
+     "Motor Data"),
+    ("{dc_voltage:%.2f}", "{dc_voltage:%d}", 'message motor: info: the format "%d" is not one for dc_voltage',
+     "Motor Data"),
+    ('[0xA5] = "Full', '[0x1A5] = "Full', "message command, field key: value 421 does not fit the type uint8",
+     "Command"),
+    ('invalid = "command.key.invalid"', 'invalid = "no.such.item"', 'message command, field key: ', "Command"),
+    ('group = "state"', "group = nil", "message motor, field motor_state: flags need a group", "Motor Data"),
+]
+
+
+@pytest.mark.parametrize("old, new, said, broken", BROKEN, ids=[row[2].split(":")[0] + f" {i}"
+                                                              for i, row in enumerate(BROKEN)])
+def test_broken_message(folder, old, new, said, broken):
+    assert CATALOGUE.count(old) == 1
+    options, load = with_catalogue(folder, CATALOGUE.replace(old, new))
+    path = write(folder, *ALL_THREE)
+    wanted = {title: number for title, number in NUMBERS.items() if title != broken}
+    stderr, decoded = decoded_with(load, path, options)
+    assert any(said in line for line in stderr), stderr
+    assert decoded == wanted
+
+
+UNREADABLE = [
+    ("missing", None, "taurus_fields.lua"),
+    ("syntax error", CATALOGUE + "}", "taurus_fields.lua:"),
+    ("runtime error", "local t = nil\nreturn t.x", "taurus_fields.lua:2"),
+    ("not a table", "return 42", "the file must return a list of messages, not 42"),
+    ("nothing", "", "the file must return a list of messages, not nil"),
+    ("a message that is a text", 'return { "motor" }', "message 1: a message is a table"),
+]
+
+
+@pytest.mark.parametrize("_, text, said", UNREADABLE, ids=[row[0] for row in UNREADABLE])
+def test_unreadable_catalogue(folder, _, text, said):
+    options, load = with_catalogue(folder, text)
+    path = write(folder, *ALL_THREE)
+    stderr, decoded = decoded_with(load, path, options)
+    assert len(stderr) == 1 and said in stderr[0] and "as bytes" in stderr[0]
+    assert decoded == {}
+    payloads = tshark.run(*load, "-r", path, "-Y", "yapp.payload && yapp.id.unknown", "-T", "fields", "-e",
+                          "yapp.payload", **options).stdout.split()
+    assert payloads == [MOTOR.replace(" ", "").lower()]
+
+
+NEW_MESSAGE = """
+  {
+    name = "esc", title = "ESC Status", id = 0x220, size = 6, info = "{mode}  {load:%.1f} %",
+    { "mode", "uint8", "Mode", values = { [0] = "Off", [1] = "On" } },
+    { "load", "float8", "Load", min = 0, max = 100, unit = "%" },
+    { "flags", "uint16", "Flags", group = "flag", alarm = "WARNING", flags = { { "hot", 0x1, "Too hot" },
+      { "cold", 0x8000, "Too cold" } } },
+    { "counter", "uint16", "Counter" },
+  },
+}
+"""
+
+
+def test_adding_a_message_is_adding_an_entry(folder):
+    options, load = with_catalogue(folder, CATALOGUE.rstrip()[:-1] + NEW_MESSAGE)
+    path = write(folder, "can0 [220 01 7D 01 80 34 12]", "can0 [220 02 FF 02 00 00 00]", "can0 [221 00 00 00 00 00 00]",
+                 *ALL_THREE)
+    names = ["mode", "load", "load.special", "flags", "flag.hot", "flag.cold", "counter"]
+    wanted = [part for name in names for part in ("-e", f"taurus.esc.{name}")]
+    done = tshark.run(*load, "-r", path, "-o", "yapp.esc_ids:0x220,0x221", "-T", "fields", "-e",
+                      expected.column("Info"), *wanted, "-e", "taurus.value.invalid", "-e", "taurus.flags.undefined",
+                      "-e", "taurus.fault.active", **options)
+    rows = [[{"True": "1", "False": "0"}.get(value, value) for value in line.split("\t")]
+            for line in done.stdout.splitlines()]
+    assert [row[0] for row in rows[:3]] == ["ESC Status  On  50.0 %  WARNING hot, cold",
+                                            "ESC Status  invalid 0x2  NaN %  WARNING undefined 0x2",
+                                            "ESC Status  Off  0.0 %"]
+    assert rows[0][1:8] == ["0x01", "50", "", "0x8001", "1", "1", "4660"]
+    assert rows[1][1:8] == ["0x02", "", "0", "0x0002", "0", "0", "0"]
+    assert [[bool(value) for value in row[8:]] for row in rows[:3]] == [
+        [False, False, True], [True, True, True], [False, False, False]]
+    assert "Motor Data" in rows[3][0] and len(rows) == 3 + NUMBERS["Command"]
+
+
+# Where it is installed -------------------------------------------------------------------------------------------
+
+def install(home, name):
+    folder = home / ".local/lib/wireshark/plugins" / name
+    folder.mkdir(parents=True)
+    copy_plugin(folder)
+    return folder
+
+
+# Folders with the plugin, whether -X gives it too, and how often it says that it is there already.  Wireshark itself
+# passes over a file whose name it has loaded from another folder.
+PLACES = [(["yapp"], False, 0), ([], True, 0), (["yapp"], True, 1), (["yapp", "yapp_old"], False, 0)]
+
+
+@pytest.mark.parametrize("installed, script, said", PLACES)
+def test_loaded_once(folder, installed, script, said):
+    folders = [install(folder, name) for name in installed]
+    load = tshark.load(tshark.PLUGIN / "yapp.lua") if script else []
+    done = tshark.run(*load, "-r", make.capture("document_command")[0], "-V", plugin=False, env={"HOME": str(folder)})
+    assert done.stdout.count("Yet Another Packet Protocol, Command") == 1
+    assert done.stdout.count("Taurus Command") == 1
+    lines = [line for line in done.stderr.splitlines() if line.startswith("yapp: ")]
+    assert len(lines) == said
+    for line in lines:
+        assert "is not loaded" in line and f"{folders[0]}/yapp.lua" in line and "is already there" in line

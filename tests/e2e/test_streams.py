@@ -1,0 +1,371 @@
+"""Serial streams over every carrier, against their truth, in one pass and in two.
+
+    python3 -m pytest tests/e2e/test_streams.py                                some hundred random streams
+    YAPP_SOAK_STREAMS=1000 python3 -m pytest -s tests/e2e/test_streams.py      a thousand
+
+YAPP_SEED chooses other ones.  A failure says which carrier, seed and packet.
+"""
+import collections
+import os
+import re
+import subprocess
+
+import pytest
+
+import model
+import stream_captures
+import tshark
+from stream_captures import ETHERNET, EXPORTED_PDU, RTAC, USER0, Event, Packet, Place, frame, header
+
+STREAMS = int(os.environ.get("YAPP_SOAK_STREAMS", "320"))
+SEED = os.environ.get("YAPP_SEED", "1")
+CARRIERS = list(stream_captures.CARRIERS)
+PER_FILE = 20
+FILES = -(-STREAMS // PER_FILE)
+
+INFO = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
+EXPERTS = ["crc.bad", "id.unknown", "stream.skipped", "fragment.incomplete", "truncated", "size.mismatch"]
+TAURUS = [name for name, kind in model.filters().items() if kind in ("uint", "flags", "time")]
+FIELDS = ["frame.number", INFO, "_ws.lua.error", "yapp", *(f"yapp.{name}" for name in [
+    "id", "seq", "ctl", "size", "sync", "crc", "crc.status", "payload", "skipped", "fragment.data", "fragment",
+    "fragment.count", "reassembled.in", "reassembled.length", "time_delta", *EXPERTS]), *TAURUS]
+LABELS = {"good": "CRC good", "bad": "CRC BAD", "cut": "not whole"}
+ENDS = {"good": "", "bad": "  [BAD CRC]", "cut": "  [INCOMPLETE]"}
+PASSES = {"one pass": [], "-2": ["-2"], "-2 -Y": ["-2", "-Y", "yapp"]}
+
+
+def shown(path, *arguments):
+    """What tshark shows of each packet, by number: {field: [values]}, without the fields that are not there."""
+    wanted = [argument for name in FIELDS for argument in ("-e", name)]
+    done = tshark.run(*arguments, "-r", path, "-T", "fields", "-E", "occurrence=a", "-E", "aggregator=;", *wanted)
+    packets = {}
+    for line in done.stdout.splitlines():
+        values = dict(zip(FIELDS, line.split("\t")))
+        packet = {name: value.split(";") for name, value in values.items() if value}
+        packet["info"] = values[INFO] if tshark.version() < (4, 2) else values[INFO].replace(r"\\", "\\")
+        packets[int(values["frame.number"])] = packet
+    return packets
+
+
+# What a packet has to show ---------------------------------------------------------------------------------------
+
+def quoted(data):
+    """Text as the Info column quotes it, "" for other bytes."""
+    if any(not (32 <= byte < 127 or byte in b"\r\n\t\x1b") for byte in data):
+        return ""
+    text = data[:80].decode().replace("\r", r"\r").replace("\n", r"\n").replace("\t", r"\t").replace("\x1b", r"\e")
+    return f' "{text}' + ('..."' if len(data) > 80 else '"')
+
+
+def info(event):
+    if event.kind == "skipped":
+        return f"Skipped {len(event.data)} bytes{quoted(event.data)}"
+    known = model.MESSAGES.get(event.ident)
+    if known:
+        return known[1]
+    return f"ID 0x{event.ident:x}  {len(event.payload)} bytes{ENDS[event.kind]}"
+
+
+def label(event):
+    return f"{len(event.data)} bytes skipped" if event.kind == "skipped" else LABELS[event.kind]
+
+
+def expected(packet):
+    """The fields of a packet, but for links."""
+    fields = collections.defaultdict(list)
+
+    def add(**values):
+        for name, value in values.items():
+            fields["yapp." + name.replace("__", ".")].append(value)
+
+    for event in packet.events:
+        if event.kind == "skipped":
+            add(skipped=event.data.hex(), stream__skipped="")
+            continue
+        payload = event.payload
+        add(id=f"0x{event.ident:08x}", seq=str(event.data[2]), ctl=str(event.data[3]), sync="0x5950",
+            size=str(int.from_bytes(event.data[8:10], "little")))
+        if event.kind == "cut":
+            add(**{"truncated" if packet.captured < len(packet.data) else "fragment__incomplete": ""})
+        else:
+            add(crc=f"0x{event.sent_crc:08x}", crc__status=str(int(event.kind == "good")))
+            if event.ident in model.MESSAGES:
+                for name, value in model.decode(event.ident, payload)[0].items():
+                    fields[name].extend([value] if name in TAURUS else [])
+        if event.kind == "bad":
+            add(crc__bad="")
+        if event.ident not in model.MESSAGES:
+            add(id__unknown="")
+            if payload:
+                add(payload=payload.hex())
+        if event.delta is not None:
+            add(time_delta=model.time_text(event.delta))
+    if 0 < packet.captured < len(packet.data) and not any(event.kind == "cut" for event in packet.events):
+        add(truncated="")
+    if packet.pending:
+        add(fragment__data=packet.pending.hex())
+    return fields
+
+
+class Comparison:
+    """What tshark shows of a packet, held against the truth."""
+
+    def __init__(self, packet, row, later_known):
+        self.packet, self.row, self.later_known, self.problems = packet, row, later_known, []
+
+    def expect(self, what, wanted, is_shown):
+        if wanted != is_shown:
+            self.problems.append(f"packet {self.packet.number}: {what}: expected {wanted}, shown {is_shown}")
+
+    def run(self):
+        self.trees()
+        self.fields()
+        self.links()
+        self.info()
+        return self.problems
+
+    def trees(self):
+        """One for each message."""
+        wanted = [label(event) for event in self.packet.events] + ["part of a frame"] * bool(self.packet.pending)
+        trees = self.row.get("yapp", [])
+        self.expect("trees", len(wanted), len(trees))
+        for text, tree in zip(wanted, trees):
+            self.expect("tree", text, tree.split(", ")[-1])
+
+    def fields(self):
+        wanted = expected(self.packet)
+        for name in FIELDS[4:]:
+            expert = name.removeprefix("yapp.") in EXPERTS
+            if name in ("yapp.fragment", "yapp.fragment.count", "yapp.reassembled.in", "yapp.reassembled.length"):
+                continue
+            if name in TAURUS and any(event.kind == "cut" for event in self.packet.events):
+                continue
+            values = self.row.get(name, [])
+            self.expect(name, len(wanted[name]) if expert else wanted[name], len(values) if expert else values)
+
+    def links(self):
+        """To the packets of a frame, and from them to the last one."""
+        packet, row = self.packet, self.row
+        joined = [event for event in packet.events if set(event.parts) - {packet}]
+        wanted = {"yapp.fragment": [str(one.number) for event in joined for one in event.parts],
+                  "yapp.fragment.count": [str(len(event.parts)) for event in joined],
+                  "yapp.reassembled.length": [str(len(event.data)) for event in joined]}
+        for name, values in wanted.items():
+            self.expect(name, values, row.get(name, []))
+        links = row.get("yapp.reassembled.in", [])
+        self.expect("links to this packet", [str(packet.number)] * len(joined), links[:len(joined)])
+        if self.later_known:
+            later = {str(one.number) for one in packet.leads_to} if packet.pending else set()
+            self.expect("a link to a later packet", bool(later), len(links) > len(joined))
+            self.expect("links to other packets", set(), set(links[len(joined):]) - later)
+        else:
+            self.expect("links", len(joined), len(links))
+
+    def info(self):
+        texts = [info(event) for event in self.packet.events]
+        if len(texts) > 10:
+            texts[10:] = [f"and {len(texts) - 10} more"]
+        parts = re.sub(r"^(\[TCP [^]]*\] ?)*", "", self.row.get("info", "")).split(" | ")
+        if self.packet.pending:
+            last = parts.pop()
+            self.expect("Info on what waits", True, any(word in last for word in ("wait for more", "to come]", "[Reassembled in #")))
+        if self.packet.events:
+            self.expect("parts of Info", len(texts), len(parts))
+            for text, part in zip(texts, parts):
+                self.expect("Info", text, part[:len(text)])
+
+
+def links_are_known(capture, passes):
+    """Whether links to later packets are.  Where only fields tell the sources apart they are not: tshark's first pass
+    has no fields, and on the second one what is later is still to come."""
+    sources = len(capture.linktypes) > 1 or capture.linktypes[0] == stream_captures.RTAC
+    return passes != "one pass" and not sources
+
+
+def compare(capture, path, passes):
+    """The differences between the packets of a capture and what tshark shows of them."""
+    rows = shown(path, *PASSES[passes], *capture.options)
+    problems = []
+    for packet in capture.packets:
+        row = rows.pop(packet.number, {})
+        assert "_ws.lua.error" not in row, f"packet {packet.number}: {row}"
+        problems += Comparison(packet, row, links_are_known(capture, passes)).run()
+    return problems + [f"packet {number} is not known" for number in rows]
+
+
+TOTAL = collections.Counter()
+
+
+@pytest.mark.parametrize("number", range(FILES))
+def test_random_streams(number, folder):
+    carrier, seed = CARRIERS[number % len(CARRIERS)], f"{SEED}.{number}"
+    capture = stream_captures.capture(carrier, seed, PER_FILE)
+    capture.write(folder / "streams.pcapng")
+    for passes in PASSES:
+        problems = compare(capture, folder / "streams.pcapng", passes)
+        assert not problems, f"{carrier}, seed {seed}, {passes}: {len(problems)}\n" + "\n".join(problems[:20])
+    events = [event.kind for packet in capture.packets for event in packet.events]
+    TOTAL.update({"streams": PER_FILE, "packets": len(capture.packets), **collections.Counter(events)})
+
+
+def test_total():
+    """Says how much the random streams covered (-s shows it)."""
+    print(f"seed {SEED}:", ", ".join(f"{count} {what}" for what, count in TOTAL.items()))
+    assert TOTAL["streams"] < STREAMS or all(TOTAL[what] > STREAMS / 10 for what in ("good", "bad", "cut", "skipped"))
+
+
+# Single situations -----------------------------------------------------------------------------------------------
+
+ONE, TWO, THREE = (frame(0x301 + number, bytes([number]) * 30, seq=number) for number in range(3))
+BAD = ONE[:-1] + bytes([ONE[-1] ^ 1])
+CLAIM = header(0x333, 65535)
+UDP_PORT, TCP_PORT = (["-d", f"{kind}.port==20001,yapp_serial"] for kind in ("udp", "tcp"))
+SERIAL, UDP, TCP = (EXPORTED_PDU, stream_captures.exported_pdu, []), (ETHERNET, stream_captures.udp, UDP_PORT), \
+    (ETHERNET, stream_captures.tcp, TCP_PORT)
+UDP_FOUND, TCP_FOUND = (ETHERNET, stream_captures.udp, []), (ETHERNET, stream_captures.tcp, [])
+TCP_APART = (ETHERNET, stream_captures.tcp, [*TCP_PORT, "-o", "tcp.desegment_tcp_streams:FALSE"])
+SHELL = b"pwd: /home\r\n" * 500
+
+# Each: a carrier, and its packets: the bytes (and how many of them were captured), what is shown, the bytes that wait.
+SITUATIONS = {
+    "several messages in one packet": (SERIAL, [
+        (b"> ps\r\n" + ONE + TWO + BAD + b"\x00", [("skipped", b"> ps\r\n"), ("good", ONE), ("good", TWO), ("bad", BAD),
+                                              ("skipped", b"\0")])]),
+    "more messages than Info names": (UDP, [(ONE * 13, [("good", ONE)] * 13)]),
+    "a frame over three packets": (SERIAL, [
+        (ONE[:5], [], ONE[:5]), (ONE[5:20], [], ONE[5:20]), (ONE[20:] + b"ok", [("good", ONE), ("skipped", b"ok")])]),
+    "a packet that ends one frame and begins another": (SERIAL, [
+        (ONE[:20], [], ONE[:20]), (ONE[20:] + TWO[:9], [("good", ONE)], TWO[:9]), (TWO[9:], [("good", TWO)])]),
+    "a claim holds back nothing": (SERIAL, [
+        (CLAIM, [], CLAIM), (SHELL, [], SHELL), (ONE, [("skipped", CLAIM + SHELL), ("good", ONE)])]),
+    "a claim holds back nothing, TCP": (TCP, [
+        (CLAIM, []), *[(SHELL[at:at + 1000], []) for at in range(0, len(SHELL), 1000)],
+        (ONE, [("skipped", CLAIM + SHELL), ("good", ONE)])]),
+    "a claim holds back nothing, TCP that joins nothing": (TCP_APART, [
+        (CLAIM, [], CLAIM), (SHELL, [], SHELL), (ONE, [("skipped", CLAIM + SHELL), ("good", ONE)])]),
+    "a bad frame in a claim": (SERIAL, [
+        (CLAIM + BAD, [], CLAIM + BAD), (ONE, [("skipped", CLAIM), ("bad", BAD), ("good", ONE)])]),
+    "a datagram ends in a frame": (UDP, [
+        (ONE + TWO[:30], [("good", ONE), ("cut", TWO[:30])]), (TWO[30:], [("skipped", TWO[30:])])]),
+    "a datagram ends in a header": (UDP, [(b"ok" + ONE[:11], [("skipped", b"ok" + ONE[:11])])]),
+    "a conversation is known by its first whole frame": (UDP_FOUND, [
+        (b"YP", []), (ONE[:30], []), (ONE, [("good", ONE)]), (b"text", [("skipped", b"text")])]),
+    "a conversation is known by its first whole frame, TCP": (TCP_FOUND, [
+        (b"YP", []), (ONE[:30], []), (ONE[30:], []), (TWO + THREE[:5], [("good", TWO)]), (THREE[5:], [("good", THREE)])]),
+    "empty datagrams": (UDP, [(b"", []), (ONE, [("good", ONE)]), (b"", [])]),
+    "the snap length cuts a frame": (SERIAL, [
+        (ONE + TWO[:10], [("good", ONE)], TWO[:10]), ((TWO[10:], 15), [("cut", TWO[:25])]), (THREE, [("good", THREE)])]),
+    "the snap length cuts text": (SERIAL, [((b"text and more", 4), [("skipped", b"text")]), (ONE, [("good", ONE)])]),
+    "the snap length leaves nothing": (SERIAL, [((ONE, 0), []), (TWO, [("good", TWO)])]),
+    "the snap length cuts a datagram": (UDP, [((ONE, 20), [("cut", ONE[:20])]), ((ONE, 3), [("skipped", ONE[:3])]),
+                                              ((ONE, 0), []), (TWO, [("good", TWO)])]),
+    "the snap length cuts a segment": (TCP, [
+        (ONE + TWO[:10], [("good", ONE)]), ((TWO[10:], 15), [("skipped", TWO[10:25])]), ((ONE, 20), [("cut", ONE[:20])]),
+        ((ONE, 0), []), (THREE, [("good", THREE)])]),
+}
+
+
+def told(carrier, rows):
+    """The packets of a situation."""
+    linktype, link, _ = carrier
+    packets, offset, sequence = [], 0, 1
+    for data, events, *pending in rows:
+        data, captured = data if isinstance(data, tuple) else (data, len(data))
+        packet = Packet(data, Place(linktype, 0, 0, address=True), captured)
+        packet.number, packet.sequence = len(packets) + 1, sequence
+        packet.time = stream_captures.EPOCH + packet.number * 5000
+        packet.start, packet.end = offset, offset + captured
+        offset, sequence = packet.end, sequence + len(data)
+        packet.pending = pending[0] if pending else b""
+        packets.append(packet)
+        at = packet.end - sum(len(content) for _, content in events) - len(packet.pending)
+        for kind, content in events:
+            packet.events.append(Event(kind, content, at))
+            at += len(content)
+        if pending or any(one.pending for one in packets):
+            stream_captures.note_parts(packets, packet)
+    stream_captures.note_deltas(packets)
+    return stream_captures.Capture("told", packets, link, carrier[2])
+
+
+@pytest.mark.parametrize("name", SITUATIONS)
+def test_situation(name, folder):
+    carrier, rows = SITUATIONS[name]
+    capture = told(carrier, rows)
+    capture.write(folder / "situation.pcapng")
+    for passes in PASSES:
+        problems = compare(capture, folder / "situation.pcapng", passes)
+        assert not problems, f"{passes}:\n" + "\n".join(problems)
+
+
+def test_what_text2pcap_writes(folder):
+    dump = "".join(f"0000 {data.hex(' ')}\n" for data in (b"> " + ONE, TWO))
+    (folder / "dump.txt").write_text(dump)
+    subprocess.run(["text2pcap", "-q", "-P", "yapp_serial", folder / "dump.txt", folder / "dump.pcapng"], check=True,
+                   capture_output=True)
+    rows = shown(folder / "dump.pcapng")
+    assert [rows[number]["yapp.id"] for number in (1, 2)] == [["0x00000301"], ["0x00000302"]]
+    assert rows[1]["yapp.skipped"] == [b"> ".hex()]
+
+
+def rtac_event(kind):
+    """An RTAC packet with one of its event types: 1 and 3 sent, 2 and 4 received, 0 none of both."""
+    return lambda packet: stream_captures.rtac(packet)[:8] + bytes([kind, 0, 0, 0]) + packet.data
+
+
+def test_rtac_directions(folder):
+    """Frames sent and received at the same time, and a change of a control line between."""
+    rows = [(1, ONE[:20], []), (2, TWO[:20], []), (0, b"", []), (3, ONE[20:], ["0x00000301"]), (4, TWO[20:], ["0x00000302"])]
+    packets = []
+    for number, (kind, data, _) in enumerate(rows, 1):
+        packets.append(Packet(data, Place(RTAC, 0, 0)))
+        packets[-1].time, packets[-1].link = stream_captures.EPOCH + number, rtac_event(kind)
+    stream_captures.Capture("RTAC", packets, lambda packet: packet.link(packet), []).write(folder / "rtac.pcapng")
+    for passes in PASSES.values():
+        packets = shown(folder / "rtac.pcapng", *passes, *stream_captures.AS_SERIAL)
+        assert [packets.get(number, {}).get("yapp.id", []) for number in range(1, 6)] == [ids for *_, ids in rows]
+
+
+def test_preference_takes_several_link_types(folder):
+    packets = [Packet(ONE, Place(linktype, interface, 0)) for interface, linktype in enumerate([USER0, USER0 + 2, USER0 + 5])]
+    for number, packet in enumerate(packets):
+        packet.time = stream_captures.EPOCH + number
+    stream_captures.Capture("", packets, stream_captures.raw, []).write(folder / "user.pcapng")
+    rows = shown(folder / "user.pcapng", "-o", "yapp.user_dlt:147,150-152")
+    assert [number for number, row in rows.items() if "yapp.id" in row] == [1, 3]
+
+
+def test_repeated_inside_a_frame(folder):
+    """The middle segment of a frame comes twice: the frame is shown once, on 4.0 at its end, later with what follows."""
+    rows = [(1, ONE[:10]), (11, ONE[10:20]), (11, ONE[10:20]), (21, ONE[20:]), (47, b"text"), (51, b"text")]
+    packets = []
+    for number, (sequence, data) in enumerate(rows):
+        packets.append(Packet(data, Place(ETHERNET, 0, 0)))
+        packets[-1].sequence, packets[-1].time = sequence, stream_captures.EPOCH + number * 400_000
+    stream_captures.Capture("", packets, stream_captures.tcp, TCP_PORT).write(folder / "repeated.pcapng")
+    for passes in PASSES.values():
+        found = shown(folder / "repeated.pcapng", *passes, *TCP_PORT)
+        good = [number for number, row in found.items() if row.get("yapp.crc.status") == ["1"]]
+        assert good in ([4], [5])
+        assert "".join(text for row in found.values() for text in row.get("yapp.skipped", [])) == b"texttext".hex()
+
+
+LINKS = {"frame.number", "info", "yapp.fragment", "yapp.reassembled.in", INFO}
+
+
+@pytest.mark.parametrize("carrier", ["UDP", "TCP", "exported PDU, by address"])
+def test_read_filter(carrier, folder):
+    """The packets that a read filter leaves have new numbers, and show what they show without it."""
+    capture = stream_captures.capture(carrier, SEED, 6)
+    capture.write(folder / "streams.pcapng")
+    lengths = sorted(len(packet.data) for packet in capture.packets)
+    filters = ["frame.len > 20 && frame.time_relative > 0.1", f"frame.len > {60 + lengths[len(lengths) // 2]}"]
+    every = shown(folder / "streams.pcapng", "-2", *capture.options)
+    for read_filter in filters:
+        kept = [int(number) for (number,) in tshark.fields(folder / "streams.pcapng", ["frame.number"], "-2", "-Y",
+                                                           read_filter, *capture.options)]
+        left = shown(folder / "streams.pcapng", "-2", "-R", read_filter, *capture.options)
+        assert 0 < len(kept) < len(every)
+        for number, row in zip(kept, left.values(), strict=True):
+            assert {name: value for name, value in row.items() if name not in LINKS} == \
+                {name: value for name, value in every[number].items() if name not in LINKS}, f"packet {number}"

@@ -1,0 +1,407 @@
+#!/usr/bin/env python3
+"""Feeds the plugin with damaged captures: fuzz.py --frames 100000 --seed 1
+
+Makes YAPP traffic on every carrier and text and dumps for every file reader, takes the captures of test_captures too,
+damages them, and shows each file to tshark and sharkd in several ways: one pass, two passes, all of the tree, fields,
+filters, statistics, frames at random.  A way fails on a Lua error, a crash, more than its time or its memory.
+What fails is made small, kept as test_captures/fuzz_* and replayed by tests/e2e/test_fuzz_findings.py.
+
+The same seed makes the same files and calls, on each Wireshark.
+"""
+import argparse
+import concurrent.futures
+import functools
+import hashlib
+import json
+import multiprocessing
+import os
+import pathlib
+import random
+import re
+import resource
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests/e2e"))
+import tshark  # noqa: E402
+
+import fuzz_files  # noqa: E402
+from fuzz_files import CAPTURES, Capture  # noqa: E402
+
+# What a run may take: more is a failure.
+CPU_SECONDS, CPU_SECONDS_A_FRAME = 20, 0.01
+RSS_MIB, RSS_MIB_A_FRAME = 400, 0.05
+ADDRESS_SPACE, OUTPUT = 6 * 2**30, 2**30  # for the machine's sake
+
+
+# Preferences -------------------------------------------------------------------------------------------------------
+
+RANGES = ("", "0", "0x210", "0x210,0x211,0x300-0x303", "0-2047", "2047", "0x300-0x2ff", "0,0,0", "5-7,6-9")
+OTHERS = ("can.byte_swap:TRUE", "can.try_heuristic_first:TRUE", "tcp.desegment_tcp_streams:FALSE",
+          "tcp.reassemble_out_of_order:TRUE", "tcp.try_heuristic_first:TRUE", "udp.try_heuristic_first:TRUE",
+          "ip.defragment:FALSE", "tcp.check_checksum:TRUE")
+
+
+@functools.lru_cache(None)
+def our_preferences():
+    """{ preference: the values to choose from }, as tshark tells them."""
+    text = subprocess.run(["tshark", "-G", "currentprefs"], env=environment(True), text=True, capture_output=True,
+                          check=False, **tshark._user()).stdout
+    found = {}
+    for comment, name, value in re.findall(r"((?:^#.*\n)*)\n?^#?(yapp[_a-z]*\.\w+):(.*)$", text, re.M):
+        if value.strip().upper() in ("TRUE", "FALSE"):
+            found[name] = ("TRUE", "FALSE")
+        elif name.endswith("user_dlt"):
+            found[name] = ("", "147", "147-162", "1", "162,150-152")
+        elif "One of:" in comment:
+            found[name] = tuple(one.strip() for one in re.search(r"One of: (.*)", comment)[1].split(", "))
+        else:
+            found[name] = RANGES
+    assert "yapp.all_extended" in found, "tshark does not know the plugin's preferences: is it loaded?"
+    return found
+
+
+def preferences(rng):
+    chosen = [["-o", f"{name}:{rng.choice(values)}"] for name, values in our_preferences().items()
+              if rng.random() < 0.15]
+    if rng.random() < 0.2:
+        chosen.append(["-o", rng.choice(OTHERS)])
+    if rng.random() < 0.05:
+        chosen.append(["--disable-protocol", rng.choice(("yapp", "taurus", "yapp_serial"))])
+    return chosen
+
+
+# Runs --------------------------------------------------------------------------------------------------------------
+
+PLUGIN = ROOT
+
+
+@functools.lru_cache(None)
+def homes():
+    """Two homes: one without a plugin, one with it installed."""
+    folder = pathlib.Path(tempfile.mkdtemp(prefix="yapp-fuzz-"))
+    plugins = folder / "installed/.local/lib/wireshark/plugins/yapp"
+    plugins.mkdir(parents=True)
+    (folder / "bare").mkdir()
+    script = folder / "script"  # -X by a path that every user can reach
+    script.mkdir()
+    for name in tshark.PLUGIN_FILES:
+        for target in (plugins, script):
+            source = PLUGIN / name
+            (shutil.copytree if source.is_dir() else shutil.copy)(source, target / name)
+    for path in [folder, *folder.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    return folder
+
+
+def environment(installed):
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("XDG_", "WIRESHARK_"))}
+    return {**kept, "HOME": str(homes() / ("installed" if installed else "bare")), "LC_ALL": "C.UTF-8", "TZ": "UTC"}
+
+
+# Ways to look at a file. Each prints something on a Lua error; a placeholder stands for a file to write.
+FIELDS = [word for name in ("frame.number", "_ws.lua.error", "yapp.id", "yapp.crc.status", "taurus.motor.rpm_measured",
+                            "yapp.reassembled.in", "yapp.time_delta") for word in ("-e", name)]
+TREE = ("-V",)
+TWO_PASSES = ("-2", "-T", "fields", *FIELDS)
+FILTER = ("-Y", "_ws.lua.error")
+WAYS = [
+    TREE, TWO_PASSES, FILTER,
+    ("-2", "-V"),
+    ("-2", *FILTER),
+    ("-2", "-Y", "yapp || taurus || _ws.lua.error"),
+    ("-2", "-R", "yapp.crc.status == 1 || taurus || _ws.lua.error", "-V"),
+    ("-2", "-R", "frame.number & 1", *FILTER),
+    ("-T", "fields", *FIELDS),
+    ("-T", "pdml"), ("-T", "json"), ("-T", "ek"), ("-x",),
+    ("-2", "-q", "-z", "expert", *FILTER),
+    ("-q", "-z", "expert", "-z", "io,stat,0,yapp,taurus.fault.active"),
+    ("-w", "WRITE", "-F", "pcapng"),
+    ("sharkd",),
+]
+
+
+def limits(frames, size):
+    def apply():
+        cpu = int(CPU_SECONDS + frames * CPU_SECONDS_A_FRAME + size * 2e-6)
+        resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 5))
+        resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (OUTPUT, OUTPUT))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    return apply
+
+
+DAMAGED_FILE = re.compile(r"cut short|damaged|corrupt|isn't a capture file|can't be read|isn't supported|aren't saved|"
+                          r"can't be written|too big|not a valid|invalid|can't be saved|appears to have been")
+
+
+class Run:
+    """One call of tshark or sharkd: .problem is None or what went wrong."""
+
+    def __init__(self, path, arguments, way, frames, plugin=True, installed=False):
+        words = [word for group in arguments for word in group]
+        stdin = subprocess.DEVNULL
+        with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err, tempfile.TemporaryFile() as requests:
+            if way[0] == "sharkd":
+                # Preferences come by request; what the command line alone can say is left out.
+                requests.write(sharkd_requests(path, arguments, frames))
+                requests.seek(0)
+                command, installed, stdin = ["sharkd", "-"], plugin, requests
+            else:
+                load = [] if installed or not plugin else ["-X", f"lua_script:{homes() / 'script/yapp.lua'}"]
+                written = str(path) + ".out"
+                command = ["tshark", *load, *words, "-r", str(path), *(written if w == "WRITE" else w for w in way)]
+            size = path.stat().st_size
+            child = subprocess.Popen(command, stdin=stdin, stdout=out, stderr=err,
+                                     env=environment(installed and plugin), preexec_fn=limits(frames, size),
+                                     **tshark._user())
+            self.usage = self.wait(child, 120 + frames * CPU_SECONDS_A_FRAME)
+            self.code = child.returncode
+            out.seek(0)
+            err.seek(0)
+            self.out, self.err = out.read(), err.read().decode("utf-8", "replace")
+        self.command = command
+        self.cpu, self.rss = self.usage.ru_utime + self.usage.ru_stime, self.usage.ru_maxrss / 1024
+        self.problem = self.judge(frames, size)
+
+    @staticmethod
+    def wait(child, seconds):
+        deadline = time.monotonic() + seconds
+        while True:
+            pid, status, usage = os.wait4(child.pid, os.WNOHANG)
+            if pid:
+                child.returncode = os.waitstatus_to_exitcode(status)
+                return usage
+            if time.monotonic() > deadline:
+                child.kill()
+                deadline = float("inf")
+            time.sleep(0.005)
+
+    def judge(self, frames, size):
+        if self.code in (-signal.SIGXCPU, -signal.SIGKILL):
+            return f"hang: more than its time, {self.cpu:.0f} s of CPU"
+        if self.code < 0:
+            return f"crash: signal {-self.code}: {self.err.strip()[-300:]}"
+        if self.rss > RSS_MIB + frames * RSS_MIB_A_FRAME + size / 2**20 * 20:
+            return f"memory: {self.rss:.0f} MiB"
+        found = re.search(rb"Lua Error[^\n\"]*|_ws\.lua\.error[^\n]*", self.out)
+        if found:
+            return found[0].decode("utf-8", "replace")
+        found = re.search(r"Lua:.*", self.err)
+        if found:
+            return found[0]
+        if self.code and not DAMAGED_FILE.search(self.err):
+            return f"exit code {self.code}: {self.err.strip().splitlines()[-1:]}"
+        return None
+
+
+def sharkd_requests(path, arguments, frames):
+    """Loads the file twice and looks at frames at random."""
+    rng, requests = random.Random(frames), []
+
+    def ask(method, **parameters):
+        request = {"jsonrpc": "2.0", "id": len(requests) + 1, "method": method}
+        requests.append({**request, "params": parameters} if parameters else request)
+
+    for option, *value in arguments:
+        if option == "-o" and value[0].startswith("yapp."):
+            name, _, text = value[0].partition(":")
+            ask("setconf", name=name, value=text)
+    for _ in range(2):
+        ask("load", file=str(path))
+        ask("frames", limit=min(frames, 300))
+        for _ in range(30):
+            ask("frame", frame=rng.randint(1, max(1, frames)), proto=True, columns=True)
+        ask("frames", filter="yapp.crc.status == 1 || _ws.lua.error", limit=50)
+    ask("bye")
+    return "".join(json.dumps(request) + "\n" for request in requests).encode()
+
+
+def signature(problem):
+    """The same fault gives the same signature."""
+    return re.sub(r"\S*/|\d+(?!:)", "", problem)[:120]
+
+
+# A file, from making it to judging it ------------------------------------------------------------------------------
+
+def make(seed, number):
+    """The file of this number, and the ways to look at it."""
+    rng = random.Random(f"{seed}/{number}")
+    capture = fuzz_files.make(rng)
+    capture.arguments = capture.arguments + preferences(rng)
+    ways = [TREE, TWO_PASSES, rng.choice(WAYS[2:])]
+    return capture, ways, rng.random() < 0.5
+
+
+OURS = re.compile(r"(yapp|taurus|_ws\.lua)[.\w]*")
+
+
+def look(capture, way, folder, installed=False, units=None, arguments=None):
+    path = folder / f"fuzz{capture.suffix}"
+    capture.write(path, units)
+    frames = len(capture.units if units is None else units)
+    groups = capture.arguments if arguments is None else arguments
+    run = Run(path, groups, way, frames, installed=installed)
+    if run.problem and re.match("crash|hang|exit|memory", run.problem):
+        # Wireshark alone does the same: not our fault.
+        others = [group for group in groups if not OURS.search(group[-1])]
+        plain = tuple("io,stat,0" if word.startswith("io,stat") else OURS.sub("frame", word) for word in way)
+        if Run(path, others, plain, frames, plugin=False).problem:
+            run.problem = None
+    return run
+
+
+def one_file(seed, number):
+    """Makes a file and looks at it: (number, units, most CPU seconds a unit, most MiB, [(problem, way)])."""
+    capture, ways, installed = make(seed, number)
+    folder = tshark.writable_folder()
+    problems, slowest, most = [], 0.0, 0.0
+    try:
+        for way in ways:
+            if way[0] == "sharkd" and not shutil.which("sharkd"):
+                continue
+            run = look(capture, way, folder, installed)
+            slowest = max(slowest, run.cpu / len(capture.units) if len(capture.units) > 3000 else 0)
+            most = max(most, run.rss)
+            if run.problem:
+                problems.append((run.problem, way))
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    return number, len(capture.units), slowest, most, problems
+
+
+# Findings ----------------------------------------------------------------------------------------------------------
+
+def reduce(capture, way, installed, wanted, attempts=300):
+    """The units and arguments that are left when nothing more can go without losing the problem."""
+    folder = tshark.writable_folder()
+
+    def still(units, arguments):
+        nonlocal attempts
+        attempts -= 1
+        problem = look(capture, way, folder, installed, units, arguments).problem
+        return problem is not None and signature(problem) == wanted
+
+    units, arguments = capture.units, capture.arguments
+    size = len(units) // 2
+    while size and attempts > 0:
+        at = 0
+        while at < len(units) and attempts > 0:
+            fewer = units[:at] + units[at + size:]
+            if still(fewer, arguments):
+                units = fewer
+            else:
+                at += size
+        size //= 2
+    for group in list(arguments):
+        fewer = [one for one in arguments if one is not group]
+        if attempts > 0 and still(units, fewer):
+            arguments = fewer
+    shutil.rmtree(folder, ignore_errors=True)
+    return units, arguments
+
+
+def keep(seed, number, problem, way, where):
+    """Makes a finding small and keeps it: its file, the call that shows it, the number of units left."""
+    capture, _, installed = make(seed, number)
+    units, arguments = reduce(capture, way, installed, signature(problem))
+    name = "fuzz_" + hashlib.sha1(signature(problem).encode()).hexdigest()[:8]
+    path = where / f"{name}{capture.suffix}"
+    capture.write(path, units)
+    words = [word for group in arguments for word in group]
+    path.with_suffix(".args").write_text(f"# {problem}\n{shlex.join(words)}\n{shlex.join(way)}\n")
+    return path, shlex.join([*words, "-r", path.name, *way]), len(units)
+
+
+def replay(path):
+    """What goes wrong with a kept capture: as it was found, and in the principal ways."""
+    sidecar = path.with_suffix(".args")
+    lines = [line for line in sidecar.read_text().splitlines() if not line.startswith("#")] if sidecar.exists() else []
+    arguments, found = (shlex.split(line) for line in (lines + ["", ""])[:2])
+    capture = Capture(path.suffix, b"", [path.read_bytes()], [arguments] if arguments else [])
+    folder = tshark.writable_folder()
+    try:
+        for way in {TREE, TWO_PASSES, ("-2", *FILTER), ("sharkd",), tuple(found) or TREE}:
+            if way[0] != "sharkd" or shutil.which("sharkd"):
+                problem = look(capture, way, folder, tshark.ROUTE == "plugin").problem
+                if problem:
+                    yield f"{shlex.join(way)}: {problem}"
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+# The run -----------------------------------------------------------------------------------------------------------
+
+def results(seed, frames, jobs, deadline):
+    """Results of file after file, in order, until there are enough frames."""
+    done, number, running = 0, 0, []
+    fork = multiprocessing.get_context("fork")  # the workers know the homes and the plugin
+    with concurrent.futures.ProcessPoolExecutor(jobs, fork) as pool:
+        while done < frames and time.monotonic() < deadline:
+            while len(running) < 2 * jobs:
+                running.append(pool.submit(one_file, seed, number))
+                number += 1
+            result = running.pop(0).result()
+            done += result[1]
+            yield done, result
+        pool.shutdown(cancel_futures=True)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--frames", type=int, default=100_000)
+    parser.add_argument("--seed", default="1")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
+    parser.add_argument("--file", type=int, help="look at this file of the seed only")
+    parser.add_argument("--replay", type=pathlib.Path, help="look at this capture only")
+    parser.add_argument("--plugin", type=pathlib.Path, default=ROOT, help="folder of the plugin")
+    parser.add_argument("--keep", type=pathlib.Path, default=CAPTURES, help="where findings go")
+    options = parser.parse_args()
+    global PLUGIN
+    PLUGIN = options.plugin.resolve()
+    homes()  # before the workers start, for all of them
+    try:
+        if options.replay:
+            problems = list(replay(options.replay))
+            print("\n".join(problems))
+            return 1 if problems else 0
+        our_preferences()
+        if options.file is not None:
+            print(one_file(options.seed, options.file))
+            return 0
+        return run(options)
+    finally:
+        shutil.rmtree(homes(), ignore_errors=True)
+
+
+def run(options):
+    start, shown = time.monotonic(), time.monotonic()
+    known, files, bad, slowest, most, done = {}, 0, 0, 0.0, 0.0, 0
+    for done, (number, _, cpu, rss, problems) in results(options.seed, options.frames, options.jobs,
+                                                         start + options.seconds):
+        files, slowest, most, bad = files + 1, max(slowest, cpu), max(most, rss), bad + bool(problems)
+        for problem, way in problems:
+            if signature(problem) not in known and len(known) < 10:
+                print(f"fuzz: file {number} of seed {options.seed}: {problem}", flush=True)
+                path, command, left = keep(options.seed, number, problem, way, options.keep)
+                known[signature(problem)] = path
+                print(f"fuzz: made small, {left} units: {path}\n      {command}", flush=True)
+        if time.monotonic() - shown > 15:
+            shown = time.monotonic()
+            print(f"fuzz: {done} frames, {files} files, {shown - start:.0f} s", flush=True)
+    version = ".".join(map(str, tshark.version()))
+    print(f"fuzz: tshark {version}, seed {options.seed}, {done} frames in {files} files, {time.monotonic() - start:.0f} s; "
+          f"at most {slowest * 1e6:.0f} µs of CPU a frame, {most:.0f} MiB; {len(known)} findings")
+    print(f"{files - bad} passed, {bad} failed")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,196 @@
+"""Runs the real Wireshark on a display of its own, under Xvfb, and sees its windows.  Run by hand it makes the README's
+picture: gui.py FILE.png"""
+import os
+import pathlib
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+for folder in ("tests/e2e", "test_captures"):
+    sys.path.insert(0, str(ROOT / folder))
+import make  # noqa: E402
+import tshark  # noqa: E402
+
+NEEDED = ("wireshark", "Xvfb", "openbox", "xdotool", "import")
+MISSING = [name for name in NEEDED if not shutil.which(name)]
+WIDTH, HEIGHT = 1100, 740
+
+# No questions, and the columns that matter here; packet list over tree, no bytes.
+PREFERENCES = r"""
+gui.ask_unsaved: FALSE
+gui.update.enabled: FALSE
+gui.layout_type: 1
+gui.layout_content_1: PLIST
+gui.layout_content_2: PDETAILS
+gui.layout_content_3: NONE
+gui.column.format: "No.", "%m", "Time", "%t", "Protocol", "%p", "Info", "%i"
+"""
+RECENT = f"""
+gui.geometry_main_x: 0
+gui.geometry_main_y: 0
+gui.geometry_main_width: {WIDTH}
+gui.geometry_main_height: {HEIGHT}
+gui.geometry_main_maximized: TRUE
+"""
+PROFILE_RECENT = """
+gui.toolbar_main_show: FALSE
+gui.geometry_main_upper_pane: 180
+column.width: %m, 60, %t, 90, %p, 80, %i, 780
+"""
+
+
+def wait_for(condition, seconds=60):
+    """The first true value that condition gives; fails when there is none in time."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.2)
+    raise AssertionError(f"not in {seconds} seconds")
+
+
+class Wireshark:
+    """with Wireshark(arguments) as wireshark: a running Wireshark, with the plugin loaded by the route of the tests."""
+
+    def __init__(self, *arguments, plugin=ROOT, route=tshark.ROUTE):
+        self.arguments, self.processes = list(map(str, arguments)), []
+        self.home = pathlib.Path(tempfile.mkdtemp(prefix="yapp-gui-"))
+        installed = self.home / ".local/lib/wireshark/plugins/yapp"
+        place = installed if route == "plugin" else self.home / "script"
+        place.mkdir(parents=True)
+        for name in tshark.PLUGIN_FILES:
+            source = plugin / name
+            (shutil.copytree if source.is_dir() else shutil.copy)(source, place / name)
+        if route == "script":
+            self.arguments = ["-X", f"lua_script:{place / 'yapp.lua'}", *self.arguments]
+        config = self.home / ".config/wireshark"
+        config.mkdir(parents=True)
+        (config / "preferences").write_text(PREFERENCES)
+        (config / "recent").write_text(PROFILE_RECENT)
+        (config / "recent_common").write_text(RECENT)
+        self.stderr_path = self.home / "stderr"
+        self.user = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}
+        if self.user:
+            for path in [self.home, *self.home.rglob("*")]:
+                os.chown(path, 65534, 65534)
+
+    def start(self, command, **options):
+        process = subprocess.Popen(command, env=self.environment, stdin=subprocess.DEVNULL, **options)
+        self.processes.append(process)
+        return process
+
+    def __enter__(self):
+        self.environment = {**os.environ, "HOME": str(self.home), "XDG_RUNTIME_DIR": str(self.home),
+                            "QT_QPA_PLATFORM": "xcb", "LC_ALL": "C.UTF-8"}
+        self.environment.pop("XDG_CONFIG_HOME", None)
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        read, write = os.pipe()
+        self.start(["Xvfb", "-displayfd", str(write), "-ac", "-nolisten", "tcp", "-screen", "0",
+                    f"{WIDTH}x{HEIGHT}x24"], pass_fds=[write], **quiet)
+        os.close(write)
+        with os.fdopen(read) as display:
+            self.environment["DISPLAY"] = ":" + display.readline().strip()
+        self.start(["openbox"], **quiet)
+        with open(self.stderr_path, "wb") as stderr:
+            self.wireshark = self.start(["wireshark", *self.arguments], stderr=stderr, stdout=stderr, **self.user)
+        return self
+
+    def __exit__(self, *_):
+        for process in reversed(self.processes):
+            process.terminate()
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        shutil.rmtree(self.home, ignore_errors=True)
+
+    def xdotool(self, *words):
+        done = subprocess.run(["xdotool", *map(str, words)], env=self.environment, capture_output=True, text=True,
+                              check=False, timeout=60)
+        return done.stdout.split("\n")[:-1]
+
+    def windows(self):
+        """The titles of the visible windows: { title: id }."""
+        found = {}
+        for window in self.xdotool("search", "--onlyvisible", "--name", "."):
+            title = " ".join(self.xdotool("getwindowname", window))
+            if title and title != "Openbox":
+                found[title] = window
+        return found
+
+    def wait_for_window(self, part):
+        """Waits for a window with this in its title, brings it to the front, and gives what moves inside it time."""
+        def found():
+            assert self.wireshark.poll() is None, f"Wireshark ended: {self.stderr()}"
+            return next((window for title, window in self.windows().items() if part in title), None)
+        window = wait_for(found)
+        self.xdotool("windowactivate", "--sync", window)
+        time.sleep(2)
+        return window
+
+    def keys(self, *keys):
+        for key in keys:
+            self.xdotool("key", "--clearmodifiers", key)
+            time.sleep(0.15)
+
+    def type(self, text):
+        self.xdotool("type", "--delay", 20, text)
+
+    def filter(self, text):
+        self.keys("ctrl+slash", "ctrl+a")
+        self.type(text)
+        self.keys("Return")
+        time.sleep(1)
+
+    def stderr(self):
+        return self.stderr_path.read_text(errors="replace")
+
+    def picture(self, path):
+        subprocess.run(["import", "-window", "root", path], env=self.environment, check=True)
+
+
+def demo():
+    """A capture for the picture: a motor runs up, draws too much and stops."""
+    def count(value, low, high, top=65530):
+        return round((value - low) / (high - low) * top)
+
+    lines, rpm = ["link can"], 0.0
+    for tick in range(60):
+        now, running, wobble = tick * 0.1, tick < 42, (tick * 7919 % 13 - 6) / 6
+        wanted = min(tick * 220, 5200)
+        rpm = wanted * 0.99 + 12 * wobble if running else rpm * 0.93
+        amps = (4.5 + wanted / 900 + (55 if tick >= 40 else 0) + 0.3 * wobble) * running
+        counts = [count(amps, -128, 128), count(amps + 0.1 * wobble, -128, 128), count(wanted * running, -60000, 60000),
+                  count(rpm, -60000, 60000), count(48.2 - amps / 30, -128, 128), count(amps * 0.6, -128, 128)]
+        data = b"".join(value.to_bytes(2, "little") for value in counts) + bytes([80 + tick // 3, 1])
+        data += (0x40120000 if running else 0x40010000).to_bytes(4, "little")
+        data += (0 if running else 0x10000).to_bytes(4, "little")
+        data += (86725 * 10**9 + tick * 10**8).to_bytes(8, "little") + bytes([0x03 if running else 0x24, 88 + tick // 4])
+        lines.append(f"{now:.3f} can0 [210 {data.hex(' ')}]")
+        if tick % 2 == 0:
+            command = bytes([1, 0xA5, 1]) + count(0, -200, 200).to_bytes(2, "little")
+            lines.append(f"{now + 0.03:.3f} can0 [0 {(command + count(wanted, -1e5, 1e5).to_bytes(2, 'little')).hex(' ')}]")
+    return make.pcap(make.Source("\n".join(lines)))
+
+
+def screenshot(path):
+    with tempfile.TemporaryDirectory() as name:
+        capture = pathlib.Path(name) / "taurus.pcap"
+        pathlib.Path(name).chmod(0o755)
+        capture.write_bytes(demo())
+        with Wireshark("-r", capture, "-Y", "taurus.motor.fault.motor_overcurrent == 1") as wireshark:
+            wireshark.wait_for_window("taurus.pcap")
+            time.sleep(3)
+            # The first packet is chosen; in the tree: the last protocol and its fields.
+            wireshark.xdotool("mousemove", WIDTH // 2, HEIGHT - 60, "click", "1", "mousemove", WIDTH - 1, HEIGHT // 2)
+            wireshark.keys("Down", "End", "Right")
+            time.sleep(1)
+            wireshark.picture(path)
+
+
+if __name__ == "__main__":
+    screenshot(sys.argv[1])

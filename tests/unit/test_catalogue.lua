@@ -1,0 +1,168 @@
+-- The catalogue's checks: every error names the message and the field, and no catalogue can hang or raise.
+local lu = require("luaunit")
+local catalogue = require("yapp_catalogue")
+
+local T = {}
+
+-- A good message with changes: of the message, or (field) of its first field.
+local function message(changes, field)
+  local row = { "f", "uint8", "F" }
+  for k, v in pairs(field or {}) do row[k] = v end
+  local entry = { name = "m", title = "M", id = 1, size = 1, row }
+  for k, v in pairs(changes or {}) do entry[k] = v end
+  return entry
+end
+
+function T.test_the_real_catalogue()
+  local compiled, problems = catalogue.compile(dofile("taurus_fields.lua"))
+  lu.assertEquals(problems, {})
+  for id, size in pairs { [0] = 7, [0x200] = 17, [0x210] = 32 } do lu.assertEquals(compiled.by_id[id].size, size) end
+  lu.assertEquals(compiled.by_id[0x210].by_name.fault_flags.offset, 18)
+  lu.assertEquals(compiled.by_id[0x210].by_name.fault_flags.flags[1].filter, "taurus.motor.fault.oc_limit_unmeasurable")
+  lu.assertEquals(compiled.by_id[0x210].by_name.status_flags.undefined, 0xBC000FFD)
+end
+
+function T.test_what_is_wrong_with_a_message_is_said()
+  for _, row in ipairs {
+    { { name = "Bad" }, 'message 1: name "Bad"' },
+    { { name = false }, "message 1: name false" },
+    { { name = "m", title = "" }, "message m: the title" },
+    { { id = 2048 }, "message m: id 2048" }, { { id = -1 }, "message m: id -1" }, { { id = 1.5 }, "message m: id 1.5" },
+    { { id = "1" }, 'message m: id "1"' }, { { id = 0 / 0 }, "message m: id" },
+    { { size = 2 }, "message m: size is 2, but the fields add up to 1" },
+    { { size = 0 }, "message m: size 0" }, { { size = 65536 }, "message m: size 65536" },
+    { { size = "1" }, 'message m: size "1"' },
+    { { info = 5 }, "message m: info must be a text" },
+    { { info = "{g}" }, 'message m: info names a field "g"' },
+    { { info = "{f:%d}" }, "message m: info: the format" },
+    { { [1] = 5 }, "message m, field 1: a field is a row" },
+    { { [2] = { "f", "uint8", "F" }, size = 2 }, "message m, field f: the name is there twice" },
+  } do
+    local compiled, problems = catalogue.compile { message(row[1]) }
+    lu.assertStrContains(problems[1] or "nothing", row[2])
+    lu.assertEquals(#compiled.messages, 0)
+  end
+end
+
+function T.test_what_is_wrong_with_a_field_is_said()
+  for _, row in ipairs {
+    { { [1] = "F" }, 'field 1: "F" is not a filter name' }, { { [1] = false }, "field 1: false is not a filter name" },
+    { { [2] = "int8" }, 'field f: unknown type "int8"' }, { { [2] = false }, "field f: unknown type false" },
+    { { [3] = "" }, "field f: the title" },
+    { { unit = 5 }, "field f: unit" }, { { alarm = "FAULT" }, "field f: alarm" },
+    { { [2] = "float8" }, "field f: float8 needs min and max" },
+    { { [2] = "float8", min = 1, max = 1 }, "field f: float8 needs min and max" },
+    { { [2] = "float8", min = 2, max = 1 }, "field f: float8 needs min and max" },
+    { { [2] = "float8", min = 0, max = math.huge }, "field f: float8 needs min and max" },
+    { { [2] = "float8", min = 0 / 0, max = 1 }, "field f: float8 needs min and max" },
+    { { [2] = "float8", min = "0", max = 1 }, "field f: float8 needs min and max" },
+    { { [2] = "float8", min = 0, max = 1, values = {} }, "field f: values and flags are for unsigned integers" },
+    { { values = 5 }, "field f: values must be a table" },
+    { { values = { [256] = "x" } }, "field f: value 256" }, { { values = { [-1] = "x" } }, "field f: value -1" },
+    { { values = { x = "x" } }, 'field f: value "x"' }, { { values = { [1] = 5 } }, "field f: value 1 has no meaning" },
+    { { values = {}, flags = {}, group = "g" }, "field f: a field has values or flags" },
+    { { flags = 5, group = "g" }, "field f: flags must be a list" }, { { flags = {} }, "field f: flags need a group" },
+    { { flags = { 5 }, group = "g" }, "field f: flag 1" },
+    { { flags = { { "A", 1, "A" } }, group = "g" }, 'field f: flag 1: "A"' },
+    { { flags = { { "a", 0, "A" } }, group = "g" }, "field f: flag a: mask 0" },
+    { { flags = { { "a", 256, "A" } }, group = "g" }, "field f: flag a: mask 256" },
+    { { flags = { { "a", 1 } }, group = "g" }, "field f: flag a has no title" },
+    { { flags = { { "a", 1, "A" }, { "a", 2, "A" } }, group = "g" }, "field f: flag a: the name is taken" },
+    { { flags = { { "undefined", 1, "A" } }, group = "g" }, "field f: flag undefined: the name is taken" },
+    { { flags = { { "a", 3, "A" }, { "b", 2, "B" } }, group = "g" }, "field f: flag b: bit 0x2 is already another" },
+  } do
+    local compiled, problems = catalogue.compile { message(nil, row[1]) }
+    lu.assertStrContains(problems[1] or "nothing", "message m, " .. row[2])
+    lu.assertEquals(#compiled.messages, 0)
+  end
+end
+
+function T.test_filter_names_that_meet()
+  local _, problems = catalogue.compile { message({ size = 2, [2] = { "g", "uint8", "G", group = "f",
+    flags = { { "x", 1, "X" } } }, [3] = nil }) }
+  lu.assertEquals(problems, {})
+  _, problems = catalogue.compile { message({ size = 3,
+    [2] = { "g", "uint8", "G", group = "s", flags = { { "x", 1, "X" } } },
+    [3] = { "h", "uint8", "H", group = "s", flags = { { "x", 1, "X" } } } }) }
+  lu.assertStrContains(problems[1], "message m, field h: the filter name taurus.m.s.")
+end
+
+function T.test_one_bad_message_does_not_take_the_others_along()
+  local compiled, problems = catalogue.compile { message { id = 9999 }, message { name = "n" } }
+  lu.assertEquals({ #compiled.messages, compiled.by_id[1].name, #problems }, { 1, "n", 1 })
+end
+
+function T.test_two_messages_that_meet()
+  local _, problems = catalogue.compile { message(), message { name = "n" } }
+  lu.assertStrContains(problems[1], "message n: id 0x1 is that of message m")
+  _, problems = catalogue.compile { message(), message { id = 2 } }
+  lu.assertStrContains(problems[1], "message m: the name is there twice")
+end
+
+function T.test_not_a_catalogue()
+  for _, what in ipairs { 5, "text", true, print } do
+    local compiled, problems = catalogue.compile(what)
+    lu.assertEquals({ #compiled.messages, #problems }, { 0, 1 })
+  end
+  lu.assertEquals(select(2, catalogue.compile()), { "the file must return a list of messages, not nil" })
+  local _, problems = catalogue.compile { 5, "x", {} }
+  lu.assertEquals(#problems, 3)
+end
+
+-- Bounds ------------------------------------------------------------------------------------------------------------
+
+function T.test_a_million_entries()
+  local entries = {}
+  for i = 1, 1000000 do entries[i] = 5 end
+  local _, problems = catalogue.compile(entries)
+  lu.assertEquals(#problems, 1)
+  lu.assertStrContains(problems[1], "1000000 messages")
+end
+
+function T.test_a_million_fields_values_and_flags()
+  local rows, values, flags = message(), {}, {}
+  for i = 1, 1000000 do rows[i], values[i], flags[i] = { "f" .. i, "uint8", "F" }, "x", { "a" .. i, 1, "A" } end
+  local _, problems = catalogue.compile { rows, message({ name = "n" }, { values = values }),
+    message({ name = "o" }, { flags = flags, group = "g" }) }
+  lu.assertTrue(#problems >= 3 and #problems <= 20)
+  lu.assertStrContains(problems[1], "message m: more than")
+end
+
+function T.test_problems_are_few()
+  local entries = {}
+  for i = 1, 2000 do entries[i] = { name = "m" .. i } end
+  lu.assertTrue(#select(2, catalogue.compile(entries)) <= 20)
+end
+
+function T.test_long_texts_are_cut_and_endless_tables_end()
+  local _, problems = catalogue.compile { message { name = ("x"):rep(1000000) } }
+  lu.assertTrue(#problems[1] < 200)
+  local entry = message()
+  entry[1] = entry -- a cycle
+  _, problems = catalogue.compile { entry }
+  lu.assertTrue(#problems > 0)
+  local cycle = {}
+  cycle[1] = cycle
+  _, problems = catalogue.compile(cycle)
+  lu.assertTrue(#problems > 0)
+  local row = { "f", "uint32", "F", group = "g" }
+  row.flags = { row }
+  _, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 4, row } }
+  lu.assertTrue(#problems > 0)
+end
+
+-- The user's IDs ----------------------------------------------------------------------------------------------------
+
+function T.test_assign()
+  local compiled = catalogue.compile { message(), message { name = "n", title = "N", id = 2 } }
+  local by_id, problems = catalogue.assign(compiled, { m = { 5, 6 } })
+  lu.assertEquals({ by_id[5].name, by_id[6].name, by_id[2].name, by_id[1] or "none", #problems },
+    { "m", "m", "n", "none", 0 })
+  by_id, problems = catalogue.assign(compiled, { m = { 5 }, n = { 4, 5 } })
+  lu.assertEquals({ by_id[5].name, by_id[4].name }, { "m", "n" })
+  lu.assertEquals(problems, { "ID 0x5 is given to M and to N: it stays with M" })
+  by_id, problems = catalogue.assign(compiled, { m = {}, n = { 5, 5 } })
+  lu.assertEquals({ by_id[5].name, by_id[1] or "none", #problems }, { "n", "none", 0 })
+end
+
+return T

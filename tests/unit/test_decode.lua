@@ -1,0 +1,163 @@
+-- Values: compressed floats against the document's table, times, flags, the Info column.
+local lu = require("luaunit")
+local catalogue = require("yapp_catalogue")
+local decode = require("yapp_decode")
+
+local T = {}
+
+local function field(kind, min, max)
+  local compiled, problems = catalogue.compile {
+    { name = "m", title = "M", id = 1, size = kind == "float16" and 2 or 1, { "f", kind, "F", min = min, max = max } } }
+  lu.assertEquals(problems, {})
+  decode.use_divisor(compiled, decode.MAPPING)
+  return compiled.messages[1].fields[1], compiled
+end
+
+function T.test_floats()
+  for _, row in ipairs { -- type, min, max, counts, value
+    { "float16", -10, 5, 0, -10 }, { "float16", -10, 5, 65530, 5 }, -- the document's table
+    { "float16", -10, 5, 43687, 0.0000763 },
+    { "float16", -128, 128, 32765, 0 }, { "float16", -128, 128, 0, -128 }, { "float16", -128, 128, 65530, 128 },
+    { "float8", -40, 210, 0, -40 }, { "float8", -40, 210, 24, -16 }, { "float8", -40, 210, 250, 210 },
+    { "float8", 0, 12.5, 125, 6.25 },
+    { "float16", -200, 200, 32847, 0.5005 }, { "float16", -100000, 100000, 33011, 750.80 },
+  } do
+    local f = field(row[1], row[2], row[3])
+    lu.assertAlmostEquals(decode.float(f, row[4]), row[5], 0.01 * math.abs(row[5]) + 1e-4)
+  end
+end
+
+function T.test_the_ends_and_the_middle_are_exact()
+  local f = field("float16", -128, 128)
+  lu.assertTrue(decode.float(f, 0) == -128 and decode.float(f, 32765) == 0 and decode.float(f, 65530) == 128)
+  f = field("float16", -10, 5)
+  lu.assertTrue(decode.float(f, 0) == -10 and decode.float(f, 65530) == 5)
+end
+
+-- The value nearest to 0 V is at 43,687 counts, as the table says.
+function T.test_zero_is_at_43687_counts()
+  local f, best = field("float16", -10, 5), nil
+  for raw = 43680, 43690 do
+    if not best or math.abs(decode.float(f, raw)) < math.abs(decode.float(f, best)) then best = raw end
+  end
+  lu.assertEquals(best, 43687)
+end
+
+function T.test_every_count()
+  for _, kind in ipairs { "float8", "float16" } do
+    local f = field(kind, -40, 210)
+    local before = -math.huge
+    for raw = 0, f.top do
+      local value, special = decode.float(f, raw)
+      if raw <= f.top - 5 then
+        lu.assertTrue(value > before and value >= -40 and value <= 210 and special == nil)
+        before = value
+      else
+        lu.assertEquals({ value or "none", special }, { "none", f.top - raw })
+      end
+    end
+  end
+end
+
+function T.test_the_divisor_of_the_worked_examples()
+  local f, compiled = field("float16", -200, 200)
+  decode.use_divisor(compiled, decode.WORKED_EXAMPLES)
+  lu.assertAlmostEquals(decode.float(f, 32847), 0.4975, 0.0005)
+  f, compiled = field("float16", -100000, 100000)
+  decode.use_divisor(compiled, decode.WORKED_EXAMPLES)
+  lu.assertAlmostEquals(decode.float(f, 33011), 749.26, 0.005)
+end
+
+function T.test_rounding()
+  lu.assertTrue(decode.round(1.1000000001) == 1.1)
+  lu.assertTrue(decode.round(-0.12345678) == -0.1234568)
+  lu.assertTrue(decode.round(0) == 0)
+end
+
+local function bytes(hex) return (hex:gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)) end
+
+function T.test_times()
+  for _, row in ipairs { -- little endian, seconds, nanoseconds
+    { "0000000000000000", 0, 0 },
+    { "0100000000000000", 0, 1 },
+    { "FFFFFFFFFFFFFFFF", 0, -1 },
+    { "00CA9A3B00000000", 1, 0 },
+    { "FFC99A3B00000000", 0, 999999999 },
+    { "003665C4FFFFFFFF", -1, 0 },
+    { "FF3565C4FFFFFFFF", -1, -1 },
+    { "E38CD23CE04E0000", 86725, 72419 }, -- the document's example
+    { "FFFFFFFFFFFFFF7F", 9223372036, 854775807 },
+    { "0000000000000080", -9223372036, -854775808 },
+    { "0100000000000080", -9223372036, -854775807 },
+    { "00000000000000C0", -4611686018, -427387904 },
+  } do
+    for offset = 0, 3 do
+      local seconds, nanoseconds = decode.time(("?"):rep(offset) .. bytes(row[1]), offset)
+      lu.assertTrue(seconds == row[2] and nanoseconds == row[3],
+        ("%s: %s s, %s ns"):format(row[1], tostring(seconds), tostring(nanoseconds)))
+      lu.assertEquals(string.format("%d %d", seconds, nanoseconds), string.format("%d %d", row[2], row[3]))
+    end
+  end
+end
+
+-- The real catalogue ------------------------------------------------------------------------------------------------
+
+local TAURUS = catalogue.compile(dofile("taurus_fields.lua"))
+decode.use_divisor(TAURUS, decode.MAPPING)
+local MOTOR, COMMAND = TAURUS.by_id[0x210], TAURUS.by_id[0]
+local EXAMPLE = bytes("FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000000E38CD23CE04E000005FF")
+
+function T.test_the_document_s_example()
+  local raws = decode.read(MOTOR, EXAMPLE)
+  lu.assertEquals(raws[MOTOR.index[MOTOR.by_name.dc_voltage]], 0xAFF5)
+  lu.assertEquals(raws[MOTOR.index[MOTOR.by_name.status_flags]], 0x40010000)
+  lu.assertEquals(decode.flag_names(MOTOR.by_name.status_flags, 0x40010000), "stopped, mpos_update")
+  lu.assertEquals(decode.info(MOTOR, raws), "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A")
+  local remarks = decode.remarks(MOTOR, raws)
+  lu.assertEquals({ #remarks, remarks[1][2] }, { 1, "value.special" }) -- no thermistor on the ESC
+end
+
+function T.test_a_payload_that_is_cut()
+  for length = 0, #EXAMPLE do
+    local raws = decode.read(MOTOR, EXAMPLE:sub(1, length))
+    for i, f in ipairs(MOTOR.fields) do
+      if f.kind ~= "time" then lu.assertEquals(raws[i] ~= nil, f.offset + f.size <= length) end
+    end
+    lu.assertStrContains(decode.info(MOTOR, raws), "Motor Data")
+  end
+end
+
+function T.test_remarks()
+  for hex, expected in pairs {
+    ["01A5010000" .. "0000"] = "", ["005A000000" .. "0000"] = "",
+    ["02A5010000" .. "0000"] = "value.invalid", ["0100010000" .. "0000"] = "command.key.invalid",
+    ["01A5020000" .. "0000"] = "value.invalid", ["01A501FFFF" .. "FBFF"] = "value.special value.special",
+    ["01A501FAFF" .. "FAFF"] = "",
+  } do
+    local found = {}
+    for _, remark in ipairs(decode.remarks(COMMAND, decode.read(COMMAND, bytes(hex))) or {}) do
+      found[#found + 1] = remark[2]
+    end
+    lu.assertEquals(table.concat(found, " "), expected, hex)
+  end
+end
+
+function T.test_every_flag_bit_has_a_name_or_is_undefined()
+  for _, message in ipairs(TAURUS.messages) do
+    for _, f in ipairs(message.fields) do
+      for bit = 0, f.kind == "flags" and f.size * 8 - 1 or -1 do
+        local names = decode.flag_names(f, 2 ^ bit)
+        local undefined = ("undefined 0x%x"):format(math.floor(2 ^ bit))
+        lu.assertTrue(names:find("^[a-z0-9_]+$") ~= nil or names == undefined, names)
+        lu.assertEquals(decode.undefined(f, 2 ^ bit) ~= 0, names:find("undefined", 1, true) ~= nil)
+      end
+    end
+  end
+end
+
+function T.test_special_values_in_the_info_column()
+  local raws = decode.read(COMMAND, bytes("01A501FFFFFEFF"))
+  lu.assertEquals(decode.info(COMMAND, raws), "Command  Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")
+end
+
+return T
