@@ -158,8 +158,8 @@ function Carrier:look_again(pinfo, address, data, reported, number, wide)
     self.highest_again = number
     local entry = second:frame(bus, address, data, reported, number, wide)
     if entry and (entry == LONE or entry.last == number) then self:note_time(pinfo, bus, address.id, number) end
-    local before = first:entry(number)
-    return entry, second, before and before.status == "good" and before.last or nil
+    local before = entry and not entry.kind and first:entry(number)
+    return entry, second, before and before.status == "good" and before[1] == entry[1] and before.last or nil
   end
   return second:entry(number) or first:entry(number), second
 end

@@ -505,6 +505,7 @@ def _situation(rng, serial, slot, layout, wide, count):
 LAYOUTS = ["plain", "one interface", "interfaces", "sll2", "merged"]
 BUS_IS_TOLD = {"interfaces", "sll2"}
 ONE_BUS = {"plain", "one interface"}
+SEVERAL_BUSES = {"interfaces", "sll2"}
 
 
 def payload_of(frames):

@@ -80,6 +80,11 @@ def equal(expected, value):
     return value == expected
 
 
+def key(frame):
+    """What the frames of a message share: the id without CAN CTRL."""
+    return frame.can_id & ~(0xF << 14)
+
+
 class Comparison:
     """What tshark shows of a capture, held against the truth."""
 
@@ -94,10 +99,21 @@ class Comparison:
         if expected != shown:
             self.problems.append(f"frame {number}: {what}: expected {expected}, shown {shown}")
 
+    def unknowable(self):
+        """Keys of which a first pass without fields (tshark -2) cannot know enough, so that the second shows a guess: frames
+        of zeros may be remote frames, and the first Start of an unknown message that numbers its messages has no id."""
+        if not self.two_passes or self.capture.layout in can_generator.SEVERAL_BUSES:
+            return set()
+        return {key(frame) for frame in self.capture.frames
+                if not frame.kept.strip(b"\0") or
+                frame.can_id & 0xFF and not can_generator.kind_of(frame.can_id >> 18)}
+
     def run(self):
         strict = self.capture.layout != "merged"
-        used = set()
+        used, unknowable = set(), self.unknowable()
         for number, new in self.new_number.items():
+            if key(self.capture.frames[number - 1]) in unknowable:
+                continue
             verdict, row = self.capture.verdicts[number], self.rows.get(new, collections.defaultdict(str))
             if strict and not (self.capture.layout in can_generator.ONE_BUS and verdict.blurred):
                 self.strictly(number, verdict, row)
@@ -126,6 +142,9 @@ class Comparison:
         if verdict.members and number == verdict.members[-1]:
             self.expect(number, "fragments", [self.new_number.get(old) for old in verdict.members],
                         [int(text) for text in row["yapp.fragment"].split(",") if text])
+        if self.two_passes and self.capture.layout in can_generator.SEVERAL_BUSES and not row["yapp.reassembled.in"] and \
+                number != verdict.reassembled_in:
+            return  # the first pass could not tell the buses apart, and the second does not know what will come
         if verdict.reassembled_in and (self.two_passes or number == verdict.reassembled_in):
             self.expect(number, "reassembled in", str(self.new_number.get(verdict.reassembled_in)),
                         row["yapp.reassembled.in"])
@@ -178,6 +197,12 @@ def compare(seed, layout, wide, capture, path, *arguments, frames=None):
     assert not problems, f"{where}: {len(problems)} differences\n" + "\n".join(problems[:20])
 
 
+def good_messages(capture, path, *arguments):
+    names = [name for name in FIELDS if name.startswith("taurus.")] + ["yapp.id", "yapp.payload"]
+    return collections.Counter(tuple(row[name] for name in names) for row in show(capture, path, *arguments)
+                               if row["yapp.crc.status"] == "1")
+
+
 TOTAL = collections.Counter()
 
 
@@ -212,10 +237,10 @@ def test_filters(layout, folder):
     seed = f"{SEED}.filters"
     capture, path = make_one(seed, layout, wide), folder / "random.pcap"
     capture.write(path)
-    ours = [number for number, verdict in capture.verdicts.items() if verdict.ours]
     compare(seed, layout, wide, capture, path, "-Y", "yapp")
     compare(seed, layout, wide, capture, path, "-2", "-Y", "yapp")
-    compare(seed, layout, wide, capture, path, "-2", "-R", "yapp", frames=sorted(ours))
+    # A read filter renumbers the frames; the messages stay the same.
+    assert good_messages(capture, path, "-2", "-R", "yapp") == good_messages(capture, path, "-2", "-Y", "yapp")
 
 
 def test_one_reassembled_in_finds_all_frames(folder):

@@ -78,7 +78,7 @@ def test_the_text_makes_the_capture(name):
 def test_nothing_else_lies_there():
     others = {"make.py", "expected.py"}
     for path in tshark.CAPTURES.iterdir():
-        if path.is_file() and path.name not in others and not path.name.startswith("candump_"):
+        if path.is_file() and path.name not in others and not path.name.startswith(("candump_", "fuzz_")):
             assert path.stem in NAMES, f"{path.name} has no {path.stem}.frames"
             assert path.suffix in (".frames", ".expected", f".{make.read(path.stem).format}")
 
@@ -362,8 +362,8 @@ def test_tree(name):
 
 # Capture and the protocols of its last packet.
 PROTOCOLS = {
-    "document_motor": "can:yapp", "document_command": "can:yapp", "document_motor_sll2": "sll:can:yapp",
-    "fd_single": "can:yapp", "document_uart": "exported_pdu:yapp_serial", "document_uart_dlt_user0":
+    "document_motor": "can:yapp", "document_command": "can:yapp_zero:yapp",
+    "document_motor_sll2": "sll:can:yapp_zero:yapp", "fd_single": "can:yapp_zero:yapp", "document_uart": "exported_pdu:yapp_serial", "document_uart_dlt_user0":
     "user_dlt:yapp_serial", "document_uart_rtac": "rtacser:yapp_serial",
     "document_udp": "eth:ethertype:ip:udp:yapp_serial", "document_tcp": "eth:ethertype:ip:tcp:yapp_serial",
 }

@@ -127,7 +127,10 @@ class Wireshark:
         def found():
             assert self.wireshark.poll() is None, f"Wireshark ended: {self.stderr()}"
             return next((window for title, window in self.windows().items() if part in title), None)
-        window = wait_for(found)
+        try:
+            window = wait_for(found)
+        except AssertionError as error:
+            raise AssertionError(f"no window {part!r}: {self.windows()}\n{self.stderr()}") from error
         self.xdotool("windowactivate", "--sync", window)
         time.sleep(2)
         return window
