@@ -319,7 +319,8 @@ function Carrier:take(pass, pinfo, raw, truncated)
 end
 
 -- Which pass has what there is to show of a packet.  A first pass without fields cannot tell interfaces and
--- directions apart; where they matter, a second pass that has the fields and comes in order knows better.
+-- directions apart; where they matter, a second pass that has the fields and comes in order knows better, but for what
+-- is to come.  The first pass is not asked for that: frames of two sources may begin with the same bytes.
 function Carrier:packet(pinfo, raw, truncated)
   local number = pinfo.number
   local first, second = self.passes[1], self.passes[2]
@@ -370,7 +371,7 @@ end
 function Carrier:dissect(tvb, pinfo, tree)
   if tvb:len() == 0 then return 0 end
   local kind = pinfo.port_type
-  if kind == UDP or kind == TCP and is_truncated(tvb) then return self:datagram(tvb, pinfo, tree) end
+  if kind == UDP then return self:datagram(tvb, pinfo, tree) end
   if kind == TCP and pinfo.can_desegment > 0 then return self:segment(tvb, pinfo, tree) end
   return self:serial(tvb, pinfo, tree)
 end

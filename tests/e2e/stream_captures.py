@@ -129,7 +129,7 @@ PIECES = [good] * 8 + [text, text, noise, flipped_bit, dropped_byte, damaged_siz
 
 def stream(rng, start=b""):
     """The bytes of a stream; starts in the middle of a frame where no start is given."""
-    pieces = [rng.choice(PIECES)(rng) for _ in range(rng.randrange(2, 16))]
+    pieces = [rng.choice(PIECES)(rng) for _ in range(rng.choice([rng.randrange(2, 16), rng.randrange(2, 60)]))]
     return (start or rng.choice([b"", beheaded(rng)])) + b"".join(pieces)
 
 
@@ -301,20 +301,22 @@ def events_over_tcp(oracle, before, came, known):
 
 def segments(rng, data, place, lost=0.0):
     """TCP in order; what is lost is never sent again, and the stream starts anew behind it."""
-    packets, sequence, run, done = [], 1, b"", 0
+    runs, sequence = [[]], 1
     for piece in [good(rng), *cuts(rng, data)]:
-        if packets and rng.random() < lost:
-            sequence += len(piece)
-            run, done = b"", 0
-            continue
         packet = Packet(piece, place)
         packet.sequence = sequence
         sequence += len(piece)
-        run += piece
-        packet.events, done = events_over_tcp(Oracle(run), len(run) - len(piece), len(run), done)
-        packet.done = done
-        packets.append(packet)
-    return packets
+        if packet.sequence > 1 and rng.random() < lost:
+            runs.append([])
+        else:
+            runs[-1].append(packet)
+    for run in runs:
+        oracle, came, done = Oracle(b"".join(packet.data for packet in run)), 0, 0
+        for packet in run:
+            before, came = came, came + len(packet.data)
+            packet.events, done = events_over_tcp(oracle, before, came, done)
+            packet.done = done
+    return [packet for run in runs for packet in run]
 
 
 def segments_lost(rng, data, place):
@@ -371,7 +373,7 @@ class Place:
 
 
 def addresses(place):
-    here, there = bytes([192, 0, 2, 1]), bytes([198, 51, 100, place.pair % 250 + 1])
+    here, there = bytes([192, 0, 2, 1]), bytes([198, 51, 100, place.pair // 2 % 250 + 1])
     ports = (50000 + place.pair, 20001)
     return (here, there, *ports) if place.direction == 0 else (there, here, *ports[::-1])
 
