@@ -327,7 +327,7 @@ def replay(path):
     capture = Capture(path.suffix, b"", [path.read_bytes()], [arguments] if arguments else [])
     folder = tshark.writable_folder()
     try:
-        for way in {TREE, TWO_PASSES, ("-2", *FILTER), ("sharkd",), tuple(found) or TREE}:
+        for way in dict.fromkeys([tuple(found) or TREE, TREE, TWO_PASSES, ("-2", *FILTER), ("sharkd",)]):
             if way[0] != "sharkd" or shutil.which("sharkd"):
                 problem = look(capture, way, folder, tshark.ROUTE == "plugin").problem
                 if problem:
@@ -369,9 +369,9 @@ def main():
     homes()  # before the workers start, for all of them
     try:
         if options.replay:
-            problems = list(replay(options.replay))
-            print("\n".join(problems))
-            return 1 if problems else 0
+            problem = next(replay(options.replay), None)
+            print(problem or "nothing is wrong")
+            return 1 if problem else 0
         our_preferences()
         if options.file is not None:
             print(one_file(options.seed, options.file))

@@ -205,7 +205,7 @@ function Carrier:show_single(tvb, tree, item, msg, data, reported, wanted)
   local fits = message and self.parts.can.padding(data, reported, message.size)
   local padding = fits or 0
   local payload = padding > 0 and data:sub(1, message.size) or data
-  local info = builder:payload(tree, item, msg, payload, wanted and tvb, 0, fits and #data < reported)
+  local info = builder:payload(tree, item, msg, payload, wanted and tvb, 0, fits and message.size or reported)
   if wanted and padding > 0 and #data > #payload then item:add(builder.fields.padding, tvb(#payload)) end
   return info
 end
@@ -267,12 +267,6 @@ function Carrier:fragments_tree(item, tvb, entry)
   list:add(fields["reassembled.length"], #entry.payload):set_generated()
 end
 
--- Whether a message of the right size lacks bytes that were not captured.
-function Carrier:is_cut(entry, address)
-  local message = self.tree.by_id[address.id]
-  return entry.status == "unverified" and message ~= nil and message.size == entry.size
-end
-
 -- The last frame of a message: what was put together.
 function Carrier:show_message(tvb, tree, item, address, data, entry, wanted)
   local builder, payload, status = self.tree, entry.payload, entry.status
@@ -295,7 +289,7 @@ function Carrier:show_message(tvb, tree, item, address, data, entry, wanted)
     if whole then item:add(builder.fields.payload, whole()) end
     return ("%s  %d of %d bytes%s"):format(builder:name(address.id), entry.received, entry.size, STATUS_TEXT[status])
   end
-  local info = builder:payload(tree, item, address.id, payload, whole, 0, self:is_cut(entry, address))
+  local info = builder:payload(tree, item, address.id, payload, whole, 0, entry.size)
   return info .. (STATUS_TEXT[status] or "")
 end
 

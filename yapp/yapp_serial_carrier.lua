@@ -88,7 +88,7 @@ function Carrier:show_frame(tree, tvb, at, event, bytes, wanted)
     local text = ("The frame has %d bytes, %d of them are missing"):format(HEADER + size + CRC_SIZE, event.missing)
     builder:expert(item, event.truncated and "truncated" or "fragment.incomplete", text)
   end
-  local info = builder:payload(tree, item, id, payload, wanted and tvb, at + HEADER, status == "cut")
+  local info = builder:payload(tree, item, id, payload, wanted and tvb, at + HEADER, size)
   return info .. (status == "bad" and "  [BAD CRC]" or status == "cut" and "  [INCOMPLETE]" or "")
 end
 

@@ -276,19 +276,19 @@ end
 -- tree, item  where the Taurus tree goes, and YAPP's own item
 -- id          message ID; payload: string, may be shorter than the message where the capture cut it
 -- tvb, at     where the payload lies; nil when nobody wants a tree
--- cut         true when the payload is only the first part of the message
+-- size        the size of the message; the payload is shorter where the capture cut it
 -- returns     what the Info column says of it
-function Tree:payload(tree, item, id, payload, tvb, at, cut)
+function Tree:payload(tree, item, id, payload, tvb, at, size)
   local message, decode = self.by_id[id], self.decode
-  if not message or (#payload ~= message.size and not (cut and #payload < message.size)) then
+  if not message or size ~= message.size then
     if tvb and #payload > 0 then item:add(self.fields.payload, tvb(at, #payload)) end
     if not message then
       self:expert(item, "id.unknown", string.format("Message ID 0x%x is not in the catalogue", id))
       return string.format("ID 0x%x  %d bytes", id, #payload)
     end
     self:expert(item, "size.mismatch", string.format("%s has %d bytes, the catalogue says %d",
-      message.title, #payload, message.size))
-    return string.format("%s  %d bytes, not %d", message.title, #payload, message.size)
+      message.title, size, message.size))
+    return string.format("%s  %d bytes, not %d", message.title, size, message.size)
   end
   local raws, look = decode.read(message, payload)
   local items, top = {}, item

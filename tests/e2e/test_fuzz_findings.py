@@ -19,7 +19,7 @@ PLANTED = {
     "reader": ("yapp/yapp_candump_reader.lua", "local function fill", 'error("planted")', "candump_log2long.txt",
                "FileHandler"),
     "load": ("yapp/yapp_crc.lua", "local M", 'error("planted")', "document_udp.pcap", "Lua:"),
-    "memory": ("yapp.lua", "function yapp.init", 'planted = ("x"):rep(2^29)', "document_udp.pcap", "memory"),
+    "memory": ("yapp.lua", "function yapp.init", 'planted = ("x"):rep(2^28)', "document_udp.pcap", "memory"),
     "crash": ("yapp.lua", "function yapp.init", "os.exit(7)", "document_udp.pcap", "exit code 7"),
 }
 

@@ -17,10 +17,10 @@ import stream_captures
 import tshark
 from stream_captures import ETHERNET, EXPORTED_PDU, RTAC, USER0, Event, Packet, Place, frame, header
 
-STREAMS = int(os.environ.get("YAPP_SOAK_STREAMS", "320"))
+STREAMS = int(os.environ.get("YAPP_SOAK_STREAMS", "240"))
 SEED = os.environ.get("YAPP_SEED", "1")
 CARRIERS = list(stream_captures.CARRIERS)
-PER_FILE = 20
+PER_FILE = 15
 FILES = -(-STREAMS // PER_FILE)
 
 INFO = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
