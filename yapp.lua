@@ -22,16 +22,21 @@ for _, name in ipairs {
 end
 local decode = parts.decode
 
--- Says what is wrong where the user sees it: a dialog in Wireshark, stderr in tshark.
-local function complain(text)
-  if gui_enabled() and report_failure then return report_failure("YAPP: " .. text) end
-  io.stderr:write("yapp: " .. text .. "\n")
+-- Says what is wrong where the user sees it: one dialog in Wireshark, stderr in tshark.
+local function complain(texts)
+  if #texts == 0 then return end
+  if gui_enabled() and report_failure then return report_failure("YAPP: " .. table.concat(texts, "\n")) end
+  for _, text in ipairs(texts) do io.stderr:write("yapp: " .. text .. "\n") end
 end
 
 local said = {}
-local function complain_once(text)
-  if not said[text] then complain(text) end
-  said[text] = true
+local function complain_once(texts)
+  local new = {}
+  for _, text in ipairs(texts) do
+    if not said[text] then new[#new + 1] = "preferences: " .. text end
+    said[text] = true
+  end
+  complain(new)
 end
 
 local wide_open = false -- the preference "all extended CAN frames are YAPP"
@@ -44,18 +49,22 @@ local function load_catalogue()
   elseif ok then
     ok, entries = false, problem
   end
+  local compiled, problems
+  if ok then ok, compiled, problems = pcall(parts.catalogue.compile, entries) end -- metatables may raise
   if not ok then
-    complain(("%s: the catalogue cannot be read, messages are shown as bytes: %s"):format(path, tostring(entries)))
-    entries = {}
+    complain { ("%s: the catalogue cannot be read, messages are shown as bytes: %s"):format(path,
+      tostring(compiled or entries):sub(1, 500)) }
+    return parts.catalogue.compile {}
   end
-  local catalogue, problems = parts.catalogue.compile(entries)
-  for _, text in ipairs(problems) do complain(path .. ": " .. text .. "; this message is shown as bytes") end
-  return catalogue
+  for i, text in ipairs(problems) do problems[i] = path .. ": " .. text .. "; this message is shown as bytes" end
+  complain(problems)
+  return compiled
 end
 
 local catalogue = load_catalogue()
 local yapp = Proto("yapp", "Yet Another Packet Protocol")
 local serial = Proto("yapp_serial", "YAPP serial stream")
+local skipped = Proto("yapp_skipped", "YAPP, bytes between the frames of a serial dump")
 local taurus = Proto("taurus", "Taurus motor controller")
 local tree = parts.tree.new(yapp, taurus, catalogue, decode)
 
@@ -81,13 +90,16 @@ yapp.prefs.user_dlt = Pref.range("Link types that carry a serial stream", "",
   "147 to 162, the numbers of DLT_USER0 to DLT_USER15: set it for serial captures with such a link type, where the " ..
   "protocol's own DLT_USER table is not convenient. It takes the link type over from that table. Usually empty.", 162)
 
--- "0x210,0x300-0x303" as a list of numbers
+-- "0x210,0x300-0x303" as a list of numbers, each once
 local function parse_range(text, max)
-  local numbers = {}
+  local numbers, there = {}, {}
   for part in tostring(text):gmatch("[^,%s]+") do
     local first, last = part:match("^(%w+)-(%w+)$")
     first, last = tonumber(first or part), tonumber(last or part)
-    for n = first or 1, first and math.min(last or -1, max) or 0 do numbers[#numbers + 1] = n end
+    for n = first or 1, first and math.min(last or -1, max) or 0 do
+      if not there[n] then numbers[#numbers + 1] = n end
+      there[n] = true
+    end
   end
   return numbers
 end
@@ -96,8 +108,16 @@ end
 
 local buses = parts.bus.watch(parts.head)
 local candump = parts.candump_reader
-local ids = parts.can_id.new(parts.bus.fields)
-local streams = parts.serial_carrier.new(parts, tree, function() return candump.current_bus or buses:current() end)
+local ids = parts.can_id.new(function(number) return buses:can_fields(number) end)
+
+local function bus_of(pinfo)
+  return candump.current_bus or buses:current(pinfo)
+end
+
+-- A stream goes on in a first pass as it began: sources that show later do not count.
+local streams = parts.serial_carrier.new(parts, tree, function(pinfo)
+  return buses:are_several() and bus_of(pinfo) or nil
+end)
 
 -- The ids of a message are found by SocketCAN's table of ids: no other frame costs anything.
 local by_can_id = DissectorTable.get("can.extended_id")
@@ -124,8 +144,7 @@ local function register_id(id)
   end
 end
 
-local frames = parts.can_carrier.new(parts, tree, function() return candump.current_bus or buses:current() end,
-  function(pinfo) return ids:is_remote(pinfo) end, register_id)
+local frames = parts.can_carrier.new(parts, tree, bus_of, function(pinfo) return ids:is_remote(pinfo) end, register_id)
 
 -- Starts of unknown messages: those that do not number their messages at once; the rest takes half a second and waits
 -- until a frame that may be one has been seen.
@@ -137,21 +156,39 @@ local function register_starts(last_seq)
 end
 local all_starts = false
 
+local function register_all_starts()
+  if all_starts then return end
+  all_starts = true
+  register_starts(0xFF)
+end
+
 local wrapper = Proto("yapp_socketcan", "YAPP's look at CAN headers")
 
+-- At the first frame that comes to us: the fields that a later one may need are asked for.
+local asked = false
+
+local function ask(pinfo)
+  asked = true
+  buses:can_fields(pinfo.number)
+end
+
 local function dissect_id(tvb, pinfo, root, id, wide)
+  if not asked then ask(pinfo) end
   local length = frames:dissect(tvb, pinfo, root, id, wide)
   if length == 0 then ids:note(pinfo.number, id) end
   return length
 end
+
+local yapp_handle -- there is none yet while this file loads
 
 function zero.dissector(tvb, pinfo, root)
   if not frames:takes_single(tvb, pinfo, 0, wide_open) then
     ids:note(pinfo.number, 0)
     return 0
   end
+  yapp_handle = yapp_handle or Dissector.get("yapp")
   from_zero = true
-  local length = Dissector.get("yapp"):call(tvb, pinfo, root)
+  local length = yapp_handle:call(tvb, pinfo, root)
   from_zero = false
   return length
 end
@@ -160,6 +197,7 @@ end
 local function dissect_all(tvb, pinfo, root)
   local id, unknown = ids:find(pinfo)
   ids:wrap(wrapper) -- from the next frame on the id is known
+  ids:forget()
   if id then return frames:dissect(tvb, pinfo, root, id, true) end
   if unknown and tvb:reported_len() > 0 then return frames:without_id(tvb, pinfo, root) end
   return 0
@@ -177,26 +215,36 @@ function yapp.dissector(tvb, pinfo, root)
   return dissect_id(tvb, pinfo, root, id, wide_open)
 end
 
--- Frames that nobody claimed: all of them where the preference says so, and Starts of unknown messages.
-local function unclaimed(tvb, pinfo, root)
-  if wide_open then
-    local id = ids:find(pinfo)
-    return id ~= nil and frames:dissect(tvb, pinfo, root, id, true) > 0
-  end
+-- What may be a Start of a message that is not in the catalogue.
+local function is_like_start(tvb)
   if tvb:reported_len() ~= 8 or tvb:len() ~= 8 then return false end
   local data = tvb:raw()
-  if data:byte(7) ~= 0 or data:byte(8) ~= 0 or data:byte(5) <= 8 and data:byte(6) == 0 then return false end
+  return data:byte(7) == 0 and data:byte(8) == 0 and (data:byte(5) > 8 or data:byte(6) > 0)
+end
+
+-- Frames that nobody claimed: all of them where the preference says so, and Starts of unknown messages.
+local function unclaimed(tvb, pinfo, root)
+  if not asked then ask(pinfo) end
+  if not wide_open and not is_like_start(tvb) then
+    ids:forget()
+    return false
+  end
   local id, unknown = ids:find(pinfo)
-  if id then return dissect_id(tvb, pinfo, root, id, false) > 0 end
-  if unknown and not all_starts then
-    all_starts = true
-    register_starts(0xFF)
+  ids:forget()
+  if id then return frames:dissect(tvb, pinfo, root, id, wide_open) > 0 end
+  if unknown then
+    frames:guess()
+    register_all_starts()
   end
   return false
 end
 
 function serial.dissector(tvb, pinfo, root)
   return streams:dissect(tvb, pinfo, root)
+end
+
+function skipped.dissector(tvb, pinfo, root)
+  return streams:skipped(tvb, pinfo, root)
 end
 
 -- Taurus messages arrive through YAPP alone; the handle is what "is this protocol wanted" is asked by.
@@ -236,13 +284,17 @@ end
 local taken_dlts = {}
 
 local function take_dlts()
-  local encapsulations, wanted = DissectorTable.get("wtap_encap"), {}
+  local encapsulations, wanted, others = DissectorTable.get("wtap_encap"), {}, {}
   for _, dlt in ipairs(parse_range(yapp.prefs.user_dlt, 162)) do
     if dlt < 147 then
-      complain_once(("preferences: link type %d is not a DLT_USER (147 to 162)"):format(dlt))
+      others[#others + 1] = dlt
     else
       wanted[wtap.USER0 + dlt - 147] = true
     end
+  end
+  if #others > 0 then
+    complain_once { ("link type %d is not a DLT_USER (147 to 162)%s"):format(others[1],
+      #others > 1 and (", nor are %d others"):format(#others - 1) or "") }
   end
   for encapsulation in pairs(wanted) do
     if not taken_dlts[encapsulation] then
@@ -266,7 +318,7 @@ local function read_preferences()
     chosen[message.name] = parse_range(yapp.prefs[message.name .. "_ids"], parts.catalogue.MAX_ID)
   end
   local by_id, problems = parts.catalogue.assign(catalogue, chosen)
-  for _, text in ipairs(problems) do complain_once("preferences: " .. text) end
+  complain_once(problems)
   tree.by_id = by_id
   for id in pairs(by_id) do register_id(id) end
   wide_open = yapp.prefs.all_extended
@@ -277,9 +329,12 @@ end
 function yapp.init()
   read_preferences()
   buses:init()
+  if buses:has_numbered_starts() then register_all_starts() end
   search_streams()
+  asked = false
+  ids:reset()
   candump.current_bus = nil -- sharkd opens the next file without closing the first
-  frames:reset()
+  frames:reset(buses:are_several())
   streams:reset()
 end
 yapp.prefs_changed = read_preferences

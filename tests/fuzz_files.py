@@ -44,7 +44,7 @@ def some_bytes(rng, size):
         return rng.randbytes(size)
     if kind < 0.8:  # values at the ends of their ranges
         return bytes(rng.choice((0, 1, 0x7F, 0x80, 0xFA, 0xFB, 0xFC, 0xFD, 0xFE, 0xFF)) for _ in range(size))
-    return rng.choice((b"\0", b"\xff", b"YP", b"\x01")) * size if size == 0 else (b"YP" * size)[:size]
+    return (rng.choice((b"\0", b"\xff", b"YP", b"\x01")) * size)[:size]
 
 
 def message(rng):
@@ -200,7 +200,7 @@ def user_dlt(rng, count):
 def rtac(rng, count):
     packets = [(0, RTAC, struct.pack(">IIBBH", 1700000000, 0, rng.choice((1, 1, 2, 2, 3, 4, rng.randrange(256))), 0, 0)
                 + data) for data in pieces(rng, count)]
-    return packets, [["-d", f"rtacser.data,yapp_serial"]]
+    return packets, [["-d", "rtacser.data,yapp_serial"]]
 
 
 def exported_pdu(rng, count):
@@ -273,8 +273,9 @@ def mixed(rng, count):
         more, how = maker(rng, count // 7 + 1)
         packets += more
         arguments += how
-    start = rng.random() < 0.5 and [rng.shuffle(packets)]
-    return packets, arguments if start is not None else arguments
+    if rng.random() < 0.5:
+        rng.shuffle(packets)
+    return packets, arguments
 
 
 # Files -----------------------------------------------------------------------------------------------------------

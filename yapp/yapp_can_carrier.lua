@@ -19,7 +19,7 @@ Carrier.__index = Carrier
 --- The CAN side of the plugin.
 -- parts   the modules { can =, crc =, interleave =, reassembly = }
 -- tree    a tree builder
--- bus_of  function() -> number of the bus, nil where the capture does not say
+-- bus_of  function(pinfo) -> number of the bus; nil where the capture does not say, false where only this pass does not
 -- is_remote   function(pinfo) -> whether the frame is a remote frame, nil where nothing says
 -- on_unknown  function(id): a frame of a message that is not in the catalogue was taken
 function M.new(parts, tree, bus_of, is_remote, on_unknown)
@@ -32,35 +32,51 @@ function M.new(parts, tree, bus_of, is_remote, on_unknown)
 end
 
 --- Forgets the capture file: nothing survives into the next one.
-function Carrier:reset()
-  self.state, self.second, self.informed = self:new_state(), nil, false
-  self.last_time, self.deltas = {}, {}
-  self.highest, self.highest_again = 0, 0
+-- mixed  whether the next one is known to have several buses
+function Carrier:reset(mixed)
+  self.state, self.second, self.guessed, self.mixed, self.first_bus = self:new_state(), nil, false, mixed, nil
+  self.highest, self.again, self.reached = 0, false, 0
 end
 
+--- The first pass (of tshark -2, of sharkd) builds no tree and had to guess: the bus, the id of a frame, or whether it
+-- was a remote frame.
+function Carrier:guess()
+  self.guessed = true
+end
+
+-- What is known of the capture so far: a reassembler, and when each message came last.
 function Carrier:new_state()
   local by_id = self.tree.by_id
-  return self.parts.reassembly.new(self.parts, function(id)
+  local state = self.parts.reassembly.new(self.parts, function(id)
     local message = by_id[id]
     return message and message.size
   end)
+  state.last_time, state.deltas = {}, {}
+  return state
 end
 
--- The time since the previous message with this ID on this bus; kept, because only the first pass sees all in order.
-function Carrier:note_time(pinfo, bus, id, number)
-  local now, key = pinfo.rel_ts, (bus or -1) * 0x800 + id
-  local before = self.last_time[key]
-  self.last_time[key] = now
-  if before then self.deltas[number] = now - before end
+-- The time since the previous message with this ID on this bus; kept, because only a pass that comes in order knows it.
+local function note_time(state, pinfo, bus, id, number)
+  local now, key, last_time = pinfo.rel_ts, (bus or -1) * 0x800 + id, state.last_time
+  local before = last_time[key]
+  last_time[key] = now
+  if before then state.deltas[number] = now - before end
 end
 
--- The first look at a frame, in the order of the capture.
-function Carrier:look(pinfo, address, data, reported, number, wide, doubtful)
-  local bus = self.bus_of()
-  if bus then self.informed = true end
-  if self.deltas[number] then self.deltas[number] = nil end
-  local entry = self.state:frame(bus, address, data, reported, number, wide, doubtful)
-  if entry and (entry == LONE or entry.last == number) then self:note_time(pinfo, bus, address.id, number) end
+function Carrier:note_bus(bus, doubtful)
+  if bus == false or doubtful then self.guessed = true end
+  if bus then
+    self.first_bus = self.first_bus or bus
+    if bus ~= self.first_bus then self.mixed = true end
+  end
+end
+
+-- A look at a frame, in the order of the capture.
+function Carrier:look(state, bus, pinfo, address, data, reported, number, wide, doubtful)
+  if bus ~= nil or doubtful then self:note_bus(bus, doubtful) end
+  if state.deltas[number] then state.deltas[number] = nil end
+  local entry = state:frame(bus, address, data, reported, number, wide, doubtful)
+  if entry and (entry == LONE or entry.last == number) then note_time(state, pinfo, bus, address.id, number) end
   return entry
 end
 
@@ -78,14 +94,22 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
   if ZEROS[data] then
     local remote = self.is_remote(pinfo)
     doubtful = remote == nil
-    if remote or doubtful and data == "" then return 0 end
+    if remote or doubtful and data == "" then
+      self:pass_over(pinfo, number, doubtful)
+      return 0
+    end
   end
   local entry
-  if number > self.highest or not pinfo.visited then -- numbers grow on the first pass: saves a call for most frames
+  -- Numbers grow on the first pass: this saves a call for most frames.
+  if number > self.highest and not (self.again and pinfo.visited) or not pinfo.visited then
     self.highest = number
-    entry = self:look(pinfo, address, data, reported, number, wide, doubtful)
+    entry = self:look(state, self.bus_of(pinfo), pinfo, address, data, reported, number, wide, doubtful)
   else
-    entry, state, leads_to = self:look_again(pinfo, address, data, reported, number, wide)
+    if not self.again then
+      self.again = true
+      self.is_remote(pinfo) -- asks for the fields that a later frame may need
+    end
+    entry, state, leads_to = self:look_again(pinfo, address, data, reported, number, wide, doubtful)
   end
   if not entry then return 0 end
   local builder = self.tree
@@ -108,7 +132,7 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
   if faults then
     for _, fault in ipairs(faults) do builder:expert(item, fault[1], fault[2]) end
   end
-  if wanted then builder:add_delta(item, self.deltas[number]) end
+  if wanted then builder:add_delta(item, state.deltas[number]) end
   return reported
 end
 
@@ -117,6 +141,7 @@ end
 function Carrier:without_id(tvb, pinfo, tree)
   local builder = self.tree
   local item = tree
+  self.guessed = true
   if builder:wanted(tree, false) then
     item = tree:add(builder.yapp, tvb())
     if tvb:len() > 0 then item:add(builder.fields.payload, tvb()) end
@@ -139,29 +164,55 @@ function Carrier:item(tvb, tree, address)
   return item
 end
 
--- A later look at a frame.  A first pass without fields (tshark -2) cannot tell buses apart; where there are several,
--- a second pass that has the fields and comes in order knows better, but what will come it has from the first.
-function Carrier:look_again(pinfo, address, data, reported, number, wide)
-  local first = self.state
-  local bus = not self.informed and self.bus_of()
-  if not bus then
-    local entry = first:entry(number)
-    if not entry and wide then entry = self:late(address, number) end
-    return entry, first
+-- A later look at a frame.  Where the first pass had to guess, a second one that comes in order knows better; but what
+-- will come it has from the first.  In Wireshark a look for the packet list may not have the bus that a look for the
+-- details has: the second pass is made of looks of one kind.
+function Carrier:look_again(pinfo, address, data, reported, number, wide, doubtful)
+  local first, second = self.state, self.second
+  local entry
+  if second and number <= self.reached then
+    entry = second:entry(number)
+  else
+    local bus = self.guessed and self.bus_of(pinfo)
+    if not self.guessed or second and bus == false and self.second_has_bus or not self:follows(number) then
+      entry = first:entry(number)
+      if not entry and wide then entry = self:late(address, number) end
+      return entry, first
+    end
+    if not second then
+      second = self:new_state()
+      self.second, self.second_has_bus = second, bus ~= false
+    end
+    self.reached = number
+    entry = self:look(second, self.second_has_bus and bus, pinfo, address, data, reported, number, wide, doubtful)
   end
-  local second = self.second
-  if not second then
-    second = self:new_state()
-    self.second, self.deltas, self.last_time = second, {}, {}
+  return entry, second, entry and not entry.kind and self:foreseen(entry[1])
+end
+
+-- A frame that is not ours after all.
+function Carrier:pass_over(pinfo, number, doubtful)
+  if doubtful then
+    self.guessed = true
+  elseif pinfo.visited and number > self.reached and self:follows(number) then
+    self.reached = number
   end
-  if number > self.highest_again then
-    self.highest_again = number
-    local entry = second:frame(bus, address, data, reported, number, wide)
-    if entry and (entry == LONE or entry.last == number) then self:note_time(pinfo, bus, address.id, number) end
-    local before = entry and not entry.kind and first:entry(number)
-    return entry, second, before and before.status == "good" and before[1] == entry[1] and before.last or nil
+end
+
+-- Whether a second pass goes on here: it has seen all frames that came to us before.  Who asks for a frame here and
+-- there, as sharkd does, gets what the first pass knows.
+function Carrier:follows(number)
+  local frames = self.state.frames
+  for before = self.reached + 1, number - 1 do
+    if frames[before] then return false end
+    self.reached = before
   end
-  return second:entry(number) or first:entry(number), second
+  return true
+end
+
+-- Where the message that begins with a frame ends, by the first pass; if that mixed buses, it has this from the CRC.
+function Carrier:foreseen(number)
+  local message = self.state:entry(number)
+  return message and (message.status == "good" or not self.mixed) and message.last or nil
 end
 
 -- A frame whose id was not known on the first pass, the first one under Decode As: what stands alone can still be
@@ -181,7 +232,11 @@ end
 function Carrier:takes_single(tvb, pinfo, id, wide)
   local reported = tvb:reported_len()
   local data = tvb:len() > 0 and tvb:raw() or ""
-  if reported == 0 or ZEROS[data] and self.is_remote(pinfo) then return false end
+  if reported == 0 then return false end
+  if ZEROS[data] and self.is_remote(pinfo) then
+    self:pass_over(pinfo, pinfo.number)
+    return false
+  end
   local message = self.tree.by_id[id]
   return wide or message ~= nil and self.parts.can.padding(data, reported, message.size) ~= nil
 end

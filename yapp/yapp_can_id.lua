@@ -11,21 +11,32 @@ local EXTENDED, REMOTE, ERROR, MASK = 0x80000000, 0x40000000, 0x20000000, 0x2000
 local Ids = {}
 Ids.__index = Ids
 
---- fields  function() -> { [filter name] = value } of the tree so far
+--- fields  function(frame number) -> { [filter name] = value } of the tree so far, and whether none of CAN's is missing
 function M.new(fields)
-  return setmetatable({ fields = fields, number = 0 }, Ids)
+  local self = setmetatable({ fields = fields }, Ids)
+  self:reset()
+  return self
 end
 
---- Notes the id of a frame for those who are asked next; id is nil for a frame that is not extended, or remote.
+--- Forgets the capture file.
+function Ids:reset()
+  self.number, self.read = 0, 0
+end
+
+--- Notes the id of a frame for those who are asked next; forget it when nobody will ask.
 function Ids:note(number, id)
   self.number, self.id = number, id
 end
 
+function Ids:forget()
+  self.number = 0
+end
+
 -- "Ext. ID: 138428416 (0x8404000), Length: 8", as SocketCAN leaves it
-local function from_column(pinfo)
+-- returns  the text, nil where the columns are not there
+local function column(pinfo)
   local text = tostring(pinfo.cols.info)
-  if text:find("Remote", 1, true) then return nil end
-  return tonumber(text:match("Ext%. ID: (%d+)"))
+  return (text:find("ID: ", 1, true) or text:find("^ERR")) and text or nil
 end
 
 local function truth(value) return value == true or value == 1 end
@@ -34,26 +45,27 @@ local function truth(value) return value == true or value == 1 end
 -- returns  29-bit id; nil where it is not an extended data frame; nil and true where nothing says
 function Ids:find(pinfo)
   if self.number == pinfo.number then return self.id end
-  local fields = self.fields()
-  local id = fields["can.id"]
-  if id then
-    local data = truth(fields["can.flags.xtd"]) and not truth(fields["can.flags.rtr"])
-    return data and id % MASK or nil
+  local fields, is_whole = self.fields(pinfo.number)
+  local id, extended = fields["can.id"], fields["can.flags.xtd"]
+  if is_whole then
+    local data = truth(extended) and not truth(fields["can.flags.rtr"])
+    return data and id and id % MASK or nil
   end
-  id = from_column(pinfo)
-  return id, not id
+  local text = column(pinfo)
+  if not text then return nil, true end
+  return not text:find("Remote", 1, true) and tonumber(text:match("Ext%. ID: (%d+)")) or nil
 end
 
 --- Whether the current frame is a remote frame: those have no data, but captures give them zeros.
 -- returns  true or false; nil where nothing says
 function Ids:is_remote(pinfo)
-  local fields = self.fields()
+  if self.read == pinfo.number then return self.no_data end
+  local fields, is_whole = self.fields(pinfo.number)
   local rtr = fields["can.flags.rtr"]
   if rtr ~= nil then return truth(rtr) end
-  if fields["can.flags.xtd"] ~= nil then return false end -- CAN FD has no remote frames
-  local text = tostring(pinfo.cols.info)
-  if tostring(pinfo.cols.protocol) == "CANFD" then return false end
-  if not text:find("ID: ", 1, true) then return nil end
+  if is_whole then return false end -- CAN FD has no remote frames
+  local text = column(pinfo)
+  if not text then return nil end
   return text:find("Remote", 1, true) ~= nil
 end
 
@@ -81,7 +93,9 @@ function Ids:wrap(proto)
     local key = pinfo.match_uint
     for _, carrier in ipairs(carriers) do
       if carrier.value == key and carrier.inner then
-        self:note(pinfo.number, header_id(tvb, carrier.little))
+        local id = header_id(tvb, carrier.little)
+        self.read, self.no_data = pinfo.number, not id -- or not extended: then the frame is not ours either
+        self:note(pinfo.number, id)
         -- SocketCAN throws past Lua where the capture has not the whole header; a frame that is malformed otherwise
         -- has its item by the time pcall returns, and is no error of ours.
         if tvb:len() < 8 then return 0 end

@@ -339,13 +339,15 @@ end
 
 -- A test for text of whole lines, all of them log lines of this bus the built-in reader of every version gets
 -- right. It takes one space, six decimals, a number of digits that fits, and nothing more; it does not tell two
--- buses apart before 4.6, and an empty line ends the file for it on 4.6.
-local function plain_test(bus)
+-- buses apart before 4.6, and an empty line ends the file for it on 4.6. From 4.6 on it goes by an id's value, not by
+-- its digits: 00000000 is a standard id to it, and an error frame's an extended one (by_value).
+local function plain_test(bus, by_value)
   local name = gsub(bus, "%W", "%%%0")
-  local pattern = "%(%d+%.%d%d%d%d%d%d%) " .. name .. " ()[0-7]%x+()#([#R]?)()%x*()\r?\n"
-  local function erase(id, id_end, kind, data, data_end)
-    local size = id_end - id
-    return (size == 3 or size == 8) and PLAIN_DIGITS[kind][data_end - data] and "" or nil
+  local pattern = "%(%d+%.%d%d%d%d%d%d%) " .. name .. " ([0-7]%x+)#([#R]?)()%x*()\r?\n"
+  local function erase(id, kind, data, data_end)
+    local size = #id
+    local right = size == 3 or size == 8 and not (by_value and (id < "00000800" or id >= "20000000"))
+    return right and PLAIN_DIGITS[kind][data_end - data] and "" or nil
   end
   return function(text) return gsub(text, pattern, erase) == "" end
 end
@@ -378,7 +380,7 @@ end
 
 -- What the first lines of a file tell: nil if they are not candump's, else whether its times are deltas, how many
 -- decimals they have (6 or 9), and the test for plain lines if all of these are plain.
-local function recognise(text)
+local function recognise(text, by_value)
   local frames, others, timed, decimals, bus = 0, 0, {}, 6, nil
   for line in gmatch(text, "([^\n]*)\n") do
     local record, why = M.parse(line)
@@ -392,7 +394,7 @@ local function recognise(text)
     end
   end
   if frames <= others then return nil end
-  local is_plain = plain_test(bus)
+  local is_plain = plain_test(bus, by_value)
   return { deltas = are_deltas(timed), decimals = decimals, is_plain = is_plain(text) and is_plain or nil }
 end
 
@@ -427,12 +429,13 @@ end
 -- @param file anything with read(bytes) and seek("set", offset), at its start, as io.open gives it
 -- @param all true to take all candump text, false to leave to Wireshark's own reader what that gets right
 -- @param report function(text), called with a line for each message; may be nil
+-- @param by_value whether that reader tells extended ids by their value, as 4.6 does
 -- @return what read and seek_read need, with decimals (6 or 9) of the times; nil if the file is not taken
-function M.open(file, all, report)
+function M.open(file, all, report, by_value)
   local head = file:read(HEAD) or ""
   if find(head, "\0", 1, true) then return nil end
   local start = #match(head, "^\239?\187?\191?") + 1 -- a byte order mark
-  local found = recognise((whole_lines(sub(head, start), #head < HEAD)))
+  local found = recognise((whole_lines(sub(head, start), #head < HEAD)), by_value)
   if not found then return nil end
   local text = head
   if found.is_plain and start == 1 and not all then

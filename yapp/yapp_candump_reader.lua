@@ -35,12 +35,19 @@ local function fill(frame, record, packet, big_endian)
   M.current_bus = record.number
 end
 
+-- Whether Wireshark's own reader takes 00000000 for a standard id.
+local function goes_by_value()
+  local major, minor = get_version():match("^(%d+)%.(%d+)")
+  return major ~= nil and (tonumber(major) > 4 or tonumber(major) == 4 and tonumber(minor) >= 5)
+end
+
 local function make_reader(candump, row, big_endian)
+  local by_value = goes_by_value()
   local handler = FileHandler.new(row[1], row[2], row[1], row[3])
 
   function handler.read_open(file, capture)
     M.current_bus = nil
-    local log = candump.open(file, row.all, report)
+    local log = candump.open(file, row.all, report, by_value)
     if not log then return false end
     capture.encap = wtap_encaps.SLL2
     capture.time_precision = log.decimals == 9 and wtap_tsprecs.NSEC or wtap_tsprecs.USEC

@@ -6,6 +6,7 @@ local M = {}
 M.MAX_ID = 2047
 local MAX_SIZE = 65535
 local MAX_ROWS = 1024
+local MAX_ITEMS = 50000 -- fields, values and flags of all messages; each costs Wireshark time and memory
 local MAX_PROBLEMS = 20
 
 -- width in bytes, the highest value, what kind of value
@@ -17,10 +18,30 @@ local TYPES = {
 
 -- The expert items for a value that is not one of those listed.
 local INVALID = { ["value.invalid"] = true, ["command.key.invalid"] = true }
+-- The filter names of expert items.
+local EXPERTS = {
+  ["taurus.fault.active"] = true, ["taurus.command.key.invalid"] = true, ["taurus.value.special"] = true,
+  ["taurus.value.invalid"] = true, ["taurus.flags.undefined"] = true,
+}
 
 local function is_integer(v) return type(v) == "number" and v % 1 == 0 end
 local function is_name(v) return type(v) == "string" and #v <= 64 and v:find("^[a-z][a-z0-9_]*$") ~= nil end
-local function is_text(v) return type(v) == "string" and #v > 0 and #v <= 200 end
+
+-- Wireshark ends at once over some texts that are not UTF-8.
+local UTF8 = {
+  "[\194-\223][\128-\191]", "\224[\160-\191][\128-\191]", "[\225-\236\238\239][\128-\191][\128-\191]",
+  "\237[\128-\159][\128-\191]", "\240[\144-\191][\128-\191][\128-\191]",
+  "[\241-\243][\128-\191][\128-\191][\128-\191]", "\244[\128-\143][\128-\191][\128-\191]",
+}
+
+-- Whether it is UTF-8 of at most so many bytes, without control characters.
+local function is_utf8(v, most)
+  if type(v) ~= "string" or #v > most or v:find("%c") then return false end
+  for _, character in ipairs(UTF8) do v = v:gsub(character, "?") end
+  return not v:find("[\128-\255]")
+end
+
+local function is_text(v) return is_utf8(v, 200) and #v > 0 end
 
 -- Says what is wrong and where; a catalogue with a thousand errors gets the first ones.
 local function complainer(where, problems)
@@ -97,7 +118,7 @@ local function compile_row(row, prefix, offset, complain)
   if not is_text(title) then return complain("the title is missing") end
   local field = {
     name = name, title = title, type = kind, kind = def[3], filter = prefix .. "." .. name,
-    offset = offset, size = def[1], top = def[2], unit = row.unit, values = row.values, alarm = row.alarm,
+    offset = offset, size = def[1], top = def[2], unit = row.unit, values = row.values or nil, alarm = row.alarm,
     invalid = row.invalid or row.values and "value.invalid" or nil,
   }
   if row.invalid ~= nil and not (INVALID[row.invalid] and row.values) then
@@ -133,7 +154,7 @@ end
 -- the fields it takes, for the usual message that has nothing special to show.
 local function compile_info(text, message, complain)
   local parts, fields, formats, at = {}, {}, { (message.title:gsub("%%", "%%%%")), "  " }, 1
-  if type(text) ~= "string" or #text > 1000 then
+  if not is_utf8(text, 1000) then
     complain("info must be a text, not %s", shown(text))
     text = ""
   end
@@ -192,7 +213,7 @@ local function compile_message(entry, where, problems)
       for _, flag in ipairs(field.flags or {}) do new[#new + 1] = flag.filter end
       for j = 1, #new + 1 do
         local filter = new[j]
-        if filter and filters[filter] and filter ~= field.filter then
+        if filter and (EXPERTS[filter] or filters[filter] and filter ~= field.filter) then
           complain_of_row("the filter name %s is taken", filter)
         end
         if filter then filters[filter] = true end
@@ -208,6 +229,37 @@ local function compile_message(entry, where, problems)
   return message
 end
 
+-- Compiles a message into the catalogue; found gets what is wrong with it, and then it stays out.
+local function add_message(catalogue, entry, names, found)
+  local where = "message " .. entry.name
+  local complain = complainer(where, found)
+  local message = compile_message(entry, where, found)
+  if names[entry.name] then complain("the name is there twice") end
+  local other = catalogue.by_id[message.id]
+  if other then complain("id 0x%X is that of message %s", message.id, other.name) end
+  names[entry.name] = true
+  if #found > 0 then return end
+  catalogue.messages[#catalogue.messages + 1] = message
+  catalogue.by_id[message.id] = message
+end
+
+-- The number of fields, values and flags of a message; counts no further than it must to know that it is above most.
+local function items(entry, most)
+  local count = 0
+  for i = 1, math.min(#entry, MAX_ROWS) do
+    local row = entry[i]
+    count = count + 1
+    if type(row) == "table" and type(row.flags) == "table" then count = count + math.min(#row.flags, 32) end
+    if type(row) == "table" and type(row.values) == "table" then
+      local value, values = next(row.values), 0
+      while value ~= nil and values <= MAX_ROWS do value, values = next(row.values, value), values + 1 end
+      count = count + values
+    end
+    if count > most then break end
+  end
+  return count
+end
+
 --- Checks a catalogue and compiles it.
 -- entries  what taurus_fields.lua returns: a list of messages, described there
 -- returns  { messages = list, by_id = { [id] = message } } of the messages without a fault, and a list of texts,
@@ -216,7 +268,7 @@ end
 -- A compiled message has name, title, id, size, filter, info, alarms and fields; a field has name, title, filter,
 -- offset, size, kind ("uint", "flags", "float", "time") and what its kind needs.
 function M.compile(entries)
-  local catalogue, problems, names = { messages = {}, by_id = {} }, {}, {}
+  local catalogue, problems, names, left = { messages = {}, by_id = {} }, {}, {}, MAX_ITEMS
   if type(entries) ~= "table" then
     return catalogue, { "the file must return a list of messages, not " .. shown(entries) }
   end
@@ -225,28 +277,24 @@ function M.compile(entries)
   end
   for i = 1, #entries do
     local entry, found = entries[i], {}
-    local where = "message " .. i
-    local complain = complainer(where, found)
+    local complain = complainer("message " .. i, found)
     if type(entry) ~= "table" then
       complain("a message is a table, not %s", shown(entry))
     elseif not is_name(entry.name) then
       complain("name %s is not a filter name (a-z, 0-9, _)", shown(entry.name))
     else
-      where = "message " .. entry.name
-      local message = compile_message(entry, where, found)
-      complain = complainer(where, found)
-      if names[entry.name] then complain("the name is there twice") end
-      local other = catalogue.by_id[message.id]
-      if other then complain("id 0x%X is that of message %s", message.id, other.name) end
-      names[entry.name] = true
-      if #found == 0 then
-        catalogue.messages[#catalogue.messages + 1] = message
-        catalogue.by_id[message.id] = message
+      left = left - items(entry, left)
+      if left < 0 then
+        complainer("message " .. entry.name, found)(
+          "with it the catalogue has more than %d fields, values and flags: it ends here", MAX_ITEMS)
+      else
+        add_message(catalogue, entry, names, found)
       end
     end
     for j = 1, #found do
       if #problems < MAX_PROBLEMS then problems[#problems + 1] = found[j] end
     end
+    if left < 0 then break end
   end
   return catalogue, problems
 end
@@ -256,18 +304,22 @@ end
 -- ids        { [message name] = list of IDs }, the user's choice
 -- returns    { [id] = message }, and a list of texts for IDs that two messages claim: the first keeps it
 function M.assign(catalogue, ids)
-  local by_id, problems = {}, {}
+  local by_id, problems, claims = {}, {}, 0
   for _, message in ipairs(catalogue.messages) do
     for _, id in ipairs(ids[message.name] or { message.id }) do
       local other = by_id[id]
       if other and other ~= message then
-        problems[#problems + 1] = string.format("ID 0x%X is given to %s and to %s: it stays with %s",
-          id, other.title, message.title, other.title)
+        claims = claims + 1
+        if claims <= MAX_PROBLEMS then
+          problems[claims] = string.format("ID 0x%X is given to %s and to %s: it stays with %s",
+            id, other.title, message.title, other.title)
+        end
       else
         by_id[id] = message
       end
     end
   end
+  if claims > MAX_PROBLEMS then problems[#problems + 1] = ("and so on: %d IDs in all"):format(claims) end
   return by_id, problems
 end
 

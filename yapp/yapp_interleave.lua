@@ -2,7 +2,11 @@
 --
 -- A Start that arrives while a message with the same key is open may cut it off, or come from another bus.  From then
 -- on the frames of that key are pooled, and an End looks for the frames that, with it, make up one of the open
--- messages: its size and its CRC decide.  The reassembler's credit bounds the search to a few steps a frame.
+-- messages: its size and its CRC decide.  Two messages may have frames with the same bytes, so a frame that went to the
+-- wrong one can still change hands.  The reassembler's credit bounds the search to a few steps a frame.
+--
+-- A frame in the pool has number, data, length (on the bus), is_end, and once a good message has it, owner: the frames
+-- of that message, its Start at 0, and its index among them.
 
 local M = {}
 
@@ -31,7 +35,7 @@ end
 local function leftovers(self, message)
   local taken, length = {}, 0
   for i = message.from, #self.frames do
-    if not self.frames[i].used then
+    if not self.frames[i].owner then
       taken[#taken + 1] = i
       length = length + self.frames[i].length
     end
@@ -45,9 +49,18 @@ function Pool:received()
   return length
 end
 
+-- What lies before the oldest message belongs to nobody any more.
+local function drop_frames(self)
+  local first, rest = self.messages[1].from, {}
+  if first <= 64 then return end
+  for i = first, #self.frames do rest[#rest + 1] = self.frames[i] end
+  self.frames = rest
+  for _, open in ipairs(self.messages) do open.from = open.from - first + 1 end
+end
+
 --- A Start arrived: the open messages are overtaken, and too old ones given up.
--- message  the new one, nil for a Start that opens none
-function Pool:start(message)
+-- returns  whether any is left; without one the key is an ordinary one again
+function Pool:overtake()
   local messages = self.messages
   for i = #messages, 1, -1 do
     local open = messages[i]
@@ -57,42 +70,75 @@ function Pool:start(message)
       table.remove(messages, i)
     end
   end
-  if message then
-    message.from = #self.frames + 1
-    messages[#messages + 1] = message
-  end
-  local first = messages[1] and messages[1].from or 1
-  if first > 64 then -- what lies before belongs to nobody any more
-    local rest = {}
-    for i = first, #self.frames do rest[#rest + 1] = self.frames[i] end
-    self.frames = rest
-    for _, open in ipairs(messages) do open.from = open.from - first + 1 end
+  if not messages[1] then return false end
+  drop_frames(self)
+  return true
+end
+
+--- The message that a Start opens.
+function Pool:add(message)
+  message.from = #self.frames + 1
+  self.messages[#self.messages + 1] = message
+end
+
+-- A free frame with the same bytes that could serve the message that has this one: it lies between the frames there
+-- whose bytes are others.  The last such: those before it may be wanted next.
+local function substitute(self, frame)
+  local owner, data = frame.owner, frame.data
+  local before, behind = frame.index - 1, frame.index + 1
+  while before > 0 and owner[before].data == data do before = before - 1 end
+  while owner[behind] and owner[behind].data == data and not owner[behind].is_end do behind = behind + 1 end
+  if not owner[behind] then return nil end -- it is an End
+  self.reassembler.credit = self.reassembler.credit - #self.frames / 32
+  for i = #self.frames, 1, -1 do
+    local other = self.frames[i]
+    if other.number > owner[before].number and other.number < owner[behind].number and other.data == data and
+      not other.owner and not other.taken and not other.is_end and other.length == frame.length then
+      return other
+    end
   end
 end
 
--- Depth first over the unused frames from `at` on; the newest frame has to be the last taken.
--- goal  { crc =, padding = (found) }
+-- Takes a frame for the message that is being looked for; returns whether it can be had.
+local function take(self, goal, frame)
+  if frame.taken or #frame.data < frame.length then return false end -- what the capture cut proves nothing
+  if frame.owner then
+    frame.instead = goal.exchange and substitute(self, frame)
+    if not frame.instead then return false end
+    frame.instead.taken = true
+  end
+  frame.taken = true
+  return true
+end
+
+local function put_back(frame)
+  if frame.instead then frame.instead.taken = nil end
+  frame.taken, frame.instead = nil, nil
+end
+
+-- Depth first over the frames from `at` on; the newest frame has to be the last taken.
+-- goal  { crc =, exchange = whether a good message's frames may be had for others like them, padding = (found) }
 local function search(self, goal, at, register, needed, taken)
   local reassembler, frames = self.reassembler, self.frames
   local last = #frames
   while at <= last do
     local frame = frames[at]
     local length = frame.length
-    if not frame.used and length == #frame.data then -- what the capture cut proves nothing
-      reassembler.credit = reassembler.credit - 1
-      if reassembler.credit < 0 then return nil end
-      if at == last then
-        goal.padding = reassembler.can.padding(frame.data, length, needed)
-        if not goal.padding then return nil end
-        if reassembler.crc.update(register, frame.data, 1, needed) ~= goal.crc then return nil end
-        taken[#taken + 1] = at
-        return taken
-      elseif length < needed and not frame.is_end then
-        taken[#taken + 1] = at
-        local behind = reassembler.crc.update(register, frame.data)
-        if search(self, goal, at + 1, behind, needed - length, taken) then return taken end
-        taken[#taken] = nil
-      end
+    reassembler.credit = reassembler.credit - 1
+    if reassembler.credit < 0 then return nil end
+    if at == last then
+      if #frame.data < length then return nil end
+      goal.padding = reassembler.can.padding(frame.data, length, needed)
+      if not goal.padding then return nil end
+      if reassembler.crc.update(register, frame.data, 1, needed) ~= goal.crc then return nil end
+      taken[#taken + 1] = at
+      return taken
+    elseif length < needed and not frame.is_end and take(self, goal, frame) then
+      taken[#taken + 1] = at
+      local behind = reassembler.crc.update(register, frame.data)
+      if search(self, goal, at + 1, behind, needed - length, taken) then return taken end
+      taken[#taken] = nil
+      put_back(frame)
     end
     at = at + 1
   end
@@ -117,12 +163,37 @@ local function all_since_start(self, goal, message)
   return register == goal.crc and taken or nil
 end
 
+local function by_number(a, b) return a.number < b.number end
+
+-- The free frame takes its place in the message that had this one.
+local function hand_over(self, frame)
+  local owner = frame.owner
+  owner[frame.index] = frame.instead
+  table.sort(owner, by_number)
+  for i, member in ipairs(owner) do member.owner, member.index = owner, i end
+  self.reassembler:exchange(frame.number, frame.instead.number)
+  put_back(frame)
+end
+
+-- The frames belong to a good message with this Start.
+local function own(self, start, taken)
+  local owner = { [0] = { number = start } }
+  for i, at in ipairs(taken) do
+    local frame = self.frames[at]
+    owner[i] = frame
+    frame.owner, frame.index = owner, i
+  end
+end
+
 -- Gives frames to a message and ends it: status when it is known, else the CRC decides.
 local function award(self, message, taken, status)
   local reassembler, frames, chunks = self.reassembler, self.frames, {}
+  local start = message[1]
   message.count, message.received = 1, 0
   for i, at in ipairs(taken) do
     local frame = frames[at]
+    if frame.instead then hand_over(self, frame) end
+    frame.taken = nil
     message.count, message[i + 1] = i + 1, frame.number
     message.received = message.received + frame.length
     if not message.truncated then chunks[i] = frame.data end
@@ -131,7 +202,7 @@ local function award(self, message, taken, status)
   end
   reassembler:finish(message, concat(chunks):sub(1, status and -1 or message.size), frames[#frames].number, status)
   if message.status == "good" then -- else its frames may still be another's
-    for _, at in ipairs(taken) do frames[at].used = true end
+    own(self, start, taken)
   end
 end
 
@@ -141,19 +212,24 @@ local function remove(list, item)
   end
 end
 
--- An End: first the newest message with all that came since its Start, then, oldest first, whatever fits.
+-- An End: first the newest message with all that came since its Start, then, oldest first, whatever fits, and in the
+-- end what fits when other messages exchange frames.
 local function complete(self)
-  local messages = self.messages
-  for i = 0, #messages do
-    local message = messages[i == 0 and #messages or i]
-    local goal = { crc = message.crc }
-    local taken = i == 0 and all_since_start(self, goal, message) or
-      i > 0 and search(self, goal, message.from, self.reassembler:seed(message), message.size, {})
-    if taken then
-      message.padding = goal.padding > 0 and goal.padding or nil
-      remove(messages, message)
-      award(self, message, taken)
-      return message
+  local messages, reassembler = self.messages, self.reassembler
+  local function completed(message, goal, taken)
+    message.padding = goal.padding > 0 and goal.padding or nil
+    remove(messages, message)
+    award(self, message, taken)
+    return message
+  end
+  local goal = { crc = messages[#messages].crc }
+  local all = all_since_start(self, goal, messages[#messages])
+  if all then return completed(messages[#messages], goal, all) end
+  for _, exchange in ipairs { false, true } do
+    for _, message in ipairs(messages) do
+      goal = { crc = message.crc, exchange = exchange }
+      local taken = search(self, goal, message.from, reassembler:seed(message), message.size, {})
+      if taken then return completed(message, goal, taken) end
     end
   end
 end

@@ -89,6 +89,17 @@ function Reassembler:give(number, message)
   self.frames[number] = message
 end
 
+--- A good message has another frame with the same bytes instead of one of its frames.
+function Reassembler:exchange(number, other)
+  local message = self:entry(number)
+  if not message or not message.count then return end -- a read filter made frames share a number
+  for i = 1, message.count do
+    if message[i] == number then message[i] = other end
+  end
+  table.sort(message)
+  for i = 1, message.count do self:give(message[i], message) end
+end
+
 -- Takes back what was said of a message that came out good after all.
 function Reassembler:forgive(message)
   for _, number in ipairs(message.blamed) do
@@ -218,16 +229,17 @@ function Reassembler:overtake(key, bus, open, number)
   if bus or newest.status or newest.truncated then
     for _, message in ipairs(open.messages or { open }) do give_up(message) end
     self:close(key)
-  elseif not open.messages then
-    self.open[key] = self.interleave.new(self, open)
+  else
+    if not open.messages then
+      open = self.interleave.new(self, open)
+      self.open[key] = open
+    end
+    if not open:overtake() then self:close(key) end
   end
 end
 
--- What is wrong with a whole Start, in the order of its bytes.
-function Reassembler:check_start(number, known, reported, size, reserved)
-  if reported > 8 then
-    self:fault(number, "size.mismatch", ("A Start has 8 bytes, this one has %d"):format(reported))
-  end
+-- What is wrong with a Start whose 8 bytes were captured, in their order.
+function Reassembler:check_start(number, known, size, reserved)
   if size == 0 then
     self:fault(number, "size.mismatch", "The size of the message is 0")
   elseif known and size ~= known then
@@ -262,9 +274,10 @@ function Reassembler:start(key, bus, address, data, reported, number, wide)
     self:overtake(key, bus, open, number)
     open = self.open[key]
   end
-  if h and (size ~= known or reserved ~= 0 or reported ~= 8) then
-    self:check_start(number, known, reported, size, reserved)
+  if reported > 8 then
+    self:fault(number, "size.mismatch", ("A Start has 8 bytes, this one has %d"):format(reported))
   end
+  if h and (size ~= known or reserved ~= 0) then self:check_start(number, known, size, reserved) end
   local message
   if h and size > 0 then
     message = self.spare or { chunks = {} }
@@ -275,9 +288,8 @@ function Reassembler:start(key, bus, address, data, reported, number, wide)
     message.status, message.last, message.payload = false, false, ""
     self.frames[number] = message
   end
-  if open then
-    open:start(message)
-    if #open.messages == 0 then self:close(key) end
+  if message and open then
+    open:add(message)
   elseif message then
     self:enter(key, message)
   end

@@ -24,14 +24,16 @@ end
 function Carrier:reset()
   self.passes = { {}, {} }
   for _, pass in ipairs(self.passes) do pass.streams, pass.packets, pass.highest = {}, {}, 0 end
+  self.plain, self.plain_deltas = {}, {}
+  local by_id = self.tree.by_id
+  function self.accepts(id, size)
+    local message = by_id[id]
+    return not message or message.size == size
+  end
 end
 
 function Carrier:framer()
-  local by_id = self.tree.by_id
-  return self.parts.stream.new(self.parts.crc, function(id, size)
-    local message = by_id[id]
-    return not message or message.size == size
-  end)
+  return self.parts.stream.new(self.parts.crc, self.accepts)
 end
 
 --- Whether bytes hold one whole frame with a good CRC: what a heuristic has to see.
@@ -229,11 +231,50 @@ function Carrier:search_datagram(tvb, raw)
   return { events = events, base = 0, done = #raw }
 end
 
+-- Whether a packet is one good frame and nothing else.  What is kept of such a one is that it was ours, by the place of
+-- its bytes, and its delta.  (A packet that a read filter rejected had the same number.)
+function Carrier:is_plain(tvb, pinfo, raw)
+  local number, place = pinfo.number, tvb:offset()
+  local known = self.plain[number]
+  if pinfo.visited then return known == place end
+  if known and known ~= place then return false end
+  if is_truncated(tvb) or not self.parts.stream.is_frame(self.parts.crc, self.accepts, raw) then
+    self.plain[number] = nil
+    return false
+  end
+  self.plain[number] = place
+  return true
+end
+
+function Carrier:show_plain(tvb, pinfo, tree, raw)
+  local event = { kind = "frame", good = true, from = 0, to = #raw, bytes = raw }
+  local events, number = { event }, pinfo.number
+  if not pinfo.visited then
+    note_times(pinfo, self:stream(self.passes[1], pinfo).times, events)
+    self.plain_deltas[number] = event.delta
+  end
+  event.bytes, event.delta = nil, self.plain_deltas[number]
+  self:show(tvb, pinfo, tree, events, 0, raw)
+end
+
 function Carrier:datagram(tvb, pinfo, tree)
+  local raw = tvb:raw()
+  if self:is_plain(tvb, pinfo, raw) then
+    self:show_plain(tvb, pinfo, tree, raw)
+    return #raw
+  end
   local piece = self:piece(tvb, pinfo, self.search_datagram)
   if not piece then return 0 end
   self:show(tvb, pinfo, tree, piece.events, piece.base, tvb:raw())
   self:say_truncated(tvb, tree, piece.events)
+  return tvb:len()
+end
+
+--- Dissects bytes of which it is known that they belong to no frame.
+-- returns the number of bytes that are ours
+function Carrier:skipped(tvb, pinfo, tree)
+  if tvb:len() == 0 then return 0 end
+  self:show(tvb, pinfo, tree, { { kind = "skipped", from = 0, to = tvb:len() } }, 0, tvb:raw())
   return tvb:len()
 end
 

@@ -14,7 +14,7 @@ local min, max = math.min, math.max
 
 local HEADER, CRC_SIZE = 12, 4
 M.HEADER = HEADER -- bytes before the payload
-local Y = byte("Y")
+local Y, P = byte("YP", 1, 2)
 local HIGHEST_ID_BYTE = 7 -- the second one of an id: they go from 0 to 2047
 
 ----------------------------------------------------------------------------------------------------
@@ -262,6 +262,21 @@ function Stream:walk(events)
     end
   end
   if self.heap[1] then self:run_register(self.buffer.to) end
+end
+
+--- Whether bytes are one frame with a good CRC, and nothing in it looks like another: the plain case of a datagram.
+-- crc, accepts  as for new
+function M.is_frame(crc, accepts, bytes)
+  local y, p, _, _, id0, id1, id2, id3, size0, size1, reserved0, reserved1 = byte(bytes, 1, HEADER)
+  if not reserved1 or y ~= Y or p ~= P or id1 > HIGHEST_ID_BYTE or id2 + id3 + reserved0 + reserved1 > 0 then
+    return false
+  end
+  local size, length = size0 + size1 * 256, #bytes
+  if length ~= HEADER + size + CRC_SIZE or not accepts(id0 + id1 * 256, size) or find(bytes, "YP", 3, true) then
+    return false
+  end
+  local a, b, c, d = byte(bytes, length - 3, length)
+  return crc.update(crc.INITIAL, bytes, 1, length - CRC_SIZE) == a + b * 0x100 + c * 0x10000 + d * 0x1000000
 end
 
 --- Takes the next bytes of the stream.

@@ -534,8 +534,9 @@ class Capture:
         for number, frame in enumerate(frames, 1):
             if frame.kind == "extended" and frame.can_id >> 14 & 15 in (START, MIDDLE, END):
                 self.numbers_of.setdefault(frame.can_id & ~(15 << 14), []).append(number)
-        for verdict in self.verdicts.values():
-            self.status_of.update({member: verdict.status for member in verdict.members})
+        for number, verdict in self.verdicts.items():
+            if verdict.members and verdict.members[-1] == number and self.asked_for(verdict.members):
+                self.status_of.update({member: verdict.status for member in verdict.members})
 
     def asked_for(self, members):
         """Whether the plugin must find this message where it does not know the bus: it keeps four messages of one key
@@ -543,7 +544,8 @@ class Capture:
         return sum(self.frames[number - 1].can_id >> 14 & 15 == START for number in self.between(members)) <= 3
 
     def calm(self, members):
-        """Whether no frame of a broken message with this key came among its frames or shortly before."""
+        """Whether no frame of a broken message with this key, or of one not asked for, came among its frames or shortly
+        before."""
         numbers = self.numbers_of[self.frames[members[0] - 1].can_id & ~(15 << 14)]
         end = numbers.index(members[-1]) + 1
         return all(self.status_of.get(number) == 1 for number in numbers[max(0, end - 60):end])

@@ -14,8 +14,3 @@ def folder():
     path = tshark.writable_folder()
     yield path
     shutil.rmtree(path, ignore_errors=True)
-
-
-def pytest_sessionfinish():
-    if tshark.home.cache_info().currsize:
-        shutil.rmtree(tshark.home(), ignore_errors=True)

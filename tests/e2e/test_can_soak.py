@@ -90,6 +90,8 @@ class Comparison:
 
     def __init__(self, capture, rows, two_passes=False, frames=None):
         self.capture, self.two_passes, self.problems = capture, two_passes, []
+        self.several = capture.layout in can_generator.SEVERAL_BUSES
+        self.guessed = self.unknowable() if two_passes else set()
         self.rows = {int(row["frame.number"]): row for row in rows}
         # With a read filter the frames that are left have numbers of their own.
         self.old_number = dict(enumerate(frames or sorted(capture.verdicts), 1))
@@ -100,20 +102,17 @@ class Comparison:
             self.problems.append(f"frame {number}: {what}: expected {expected}, shown {shown}")
 
     def unknowable(self):
-        """Keys of which a first pass without fields (tshark -2) cannot know enough, so that the second shows a guess: frames
-        of zeros may be remote frames, and the first Start of an unknown message that numbers its messages has no id."""
-        if not self.two_passes or self.capture.layout in can_generator.SEVERAL_BUSES:
-            return set()
+        """Keys of which a first pass without fields (tshark -2) cannot know enough, so that links to what comes are a guess:
+        frames of zeros may be remote frames, and the first Start of an unknown message that numbers its messages has
+        no id."""
         return {key(frame) for frame in self.capture.frames
                 if not frame.kept.strip(b"\0") or
                 frame.can_id & 0xFF and not can_generator.kind_of(frame.can_id >> 18)}
 
     def run(self):
         strict = self.capture.layout != "merged"
-        used, unknowable = set(), self.unknowable()
+        used = set()
         for number, new in self.new_number.items():
-            if key(self.capture.frames[number - 1]) in unknowable:
-                continue
             verdict, row = self.capture.verdicts[number], self.rows.get(new, collections.defaultdict(str))
             if strict and not (self.capture.layout in can_generator.ONE_BUS and verdict.blurred):
                 self.strictly(number, verdict, row)
@@ -142,12 +141,29 @@ class Comparison:
         if verdict.members and number == verdict.members[-1]:
             self.expect(number, "fragments", [self.new_number.get(old) for old in verdict.members],
                         [int(text) for text in row["yapp.fragment"].split(",") if text])
-        if self.two_passes and self.capture.layout in can_generator.SEVERAL_BUSES and not row["yapp.reassembled.in"] and \
-                number != verdict.reassembled_in:
-            return  # the first pass could not tell the buses apart, and the second does not know what will come
+        if self.two_passes and number != verdict.reassembled_in and (
+                key(self.capture.frames[number - 1]) in self.guessed or
+                self.several and self.cannot_know(verdict, row)):
+            return
         if verdict.reassembled_in and (self.two_passes or number == verdict.reassembled_in):
             self.expect(number, "reassembled in", str(self.new_number.get(verdict.reassembled_in)),
                         row["yapp.reassembled.in"])
+
+    def has_twin(self, member, used):
+        """Whether another frame with the same id and bytes is nobody's: they may have changed places."""
+        frame = self.capture.frames[member - 1]
+        others = (number for number in self.capture.numbers_of[key(frame)] if number not in used and number != member)
+        return any(self.capture.frames[number - 1].can_id == frame.can_id and
+                   self.capture.frames[number - 1].kept == frame.kept for number in others)
+
+    def cannot_know(self, verdict, row):
+        """Whether a link to a frame that will come is a guess: the first pass could not tell the buses apart but by the
+        CRC, and an End of the other bus may have the same bytes."""
+        shown = row["yapp.reassembled.in"]
+        if not shown:
+            return True
+        ends = [self.capture.frames[last - 1].kept for last in (self.old_number[int(shown)], verdict.reassembled_in) if last]
+        return len(ends) == 2 and (ends[0].startswith(ends[1]) or ends[1].startswith(ends[0]))
 
     def payload(self, number, payload, row):
         kind = can_generator.kind_of(self.capture.frames[number - 1].can_id >> 18)
@@ -174,7 +190,8 @@ class Comparison:
         payload = can_generator.payload_of(frames)
         self.expect(number, "a message of the bus", True, payload is not None)
         self.expect(number, "its last frame", number, members[-1])
-        self.expect(number, "frames of another message", set(), used & set(members))
+        self.expect(number, "frames of another message", set(),
+                    {member for member in members if member in used and not self.has_twin(member, used)})
         used.update(members)
         if payload is not None:
             self.payload(number, payload, row)

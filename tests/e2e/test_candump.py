@@ -1,13 +1,15 @@
 """candump text opened by name: every form gives the frames it was printed from, and no other file is taken.
 
 The captures are what candump 2020.11 (2023.03 for *_raw_dlc) and log2long print for the frames listed here. Written by
-hand: *_nanoseconds, *_broken_lines, and the two candump_document files, which are lines of the protocol's document.
+hand: *_nanoseconds, *_broken_lines, *_low_ids, and the two candump_document files, which are lines of the protocol's document.
 """
 import os
 import subprocess
 from pathlib import Path
 
 import pytest
+
+import tshark
 
 ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = ROOT / "test_captures"
@@ -200,6 +202,16 @@ def test_plain_logs_stay_with_the_builtin_reader(tmp_path, name, frames):
     shown = rows(tmp_path, ["-r", path])
     assert [row["data"] for row in shown] == [one["data"] for one in frames]
     assert not any("sll" in row["frame.protocols"] for row in shown)
+
+
+def test_ids_in_a_plain_log(tmp_path):
+    """The reader of 4.6 goes by an id's value: the Command of the document, ID 0, would be no extended frame to it."""
+    path = CAPTURES / "candump_log_low_ids.log"
+    shown = rows(tmp_path, ["-r", path])
+    assert [(row["can.id"], row["can.flags.xtd"], row["can.flags.err"]) for row in shown] == [
+        ("0", "1", "0"), ("", "", "1"), (str(0x123), "1", "0"), (str(0x123), "0", "0")]
+    shown = tshark.fields(path, ["taurus.command.key"])
+    assert shown == [["0x5a"], [""], [""], [""]]
 
 
 def test_a_named_reader_takes_plain_logs_too(tmp_path):

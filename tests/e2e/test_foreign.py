@@ -206,7 +206,8 @@ def test_all_together(form, passes, folder):
     rng = random.Random(SEED)
     frames = can_generator.merge(rng, [make(rng) for make in dict(TRAFFIC.values())])
     path = folder / "foreign"
-    if form == "log":
+    if form == "log":  # what Wireshark's own reader gets right in every version
+        frames = [frame for frame in frames if frame.kind != "error" and ("standard" in frame.kind or frame.can_id > 0x7FF)]
         candump_log(path, frames)
     else:
         can_generator.write(path, frames, form)
@@ -271,11 +272,12 @@ def never_ending_interleaved():
             can_generator.END if number % 100 == 99 else can_generator.MIDDLE, struct.pack("<Q", number))
 
 
-def run_measured(path, output, *arguments):
+def run_measured(path, output, *arguments, plugin=True):
     """Runs tshark; returns the most memory that it had, in bytes."""
-    environment = {**os.environ, "HOME": str(tshark.home()), "LC_ALL": "C.UTF-8"}
+    environment = {**os.environ, "HOME": str(tshark.home(plugin)), "LC_ALL": "C.UTF-8"}
+    load = tshark.load() if plugin else []
     with open(output, "w", encoding="utf-8") as file:
-        process = subprocess.Popen(["tshark", *arguments, "-r", path], stdout=file, stderr=subprocess.DEVNULL,
+        process = subprocess.Popen(["tshark", *load, *arguments, "-r", path], stdout=file, stderr=subprocess.DEVNULL,
                                    env=environment, **tshark._user())
         _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
@@ -289,9 +291,9 @@ def test_flood(flood, folder):
     path, output = folder / "flood.pcap", folder / "shown"
     frames = [*flood(), *GOOD.frames()]
     can_generator.write(path, frames, "plain")
-    without = run_measured(path, output, "-Y", "udp")
-    growth = run_measured(path, output, *tshark.load(), "-Y", "yapp.crc.status == 1", "-T", "fields", "-e",
-                          "frame.number", "-e", "yapp.payload") - without
+    without = run_measured(path, output, "-Y", "udp", plugin=False)
+    growth = run_measured(path, output, "-Y", "yapp.crc.status == 1", "-T", "fields", "-e", "frame.number", "-e",
+                          "yapp.payload") - without
     assert output.read_text() == f"{len(frames)}\t{GOOD.payload.hex()}\n"
     print(f"{flood.__name__}: {growth / len(frames):.0f} bytes a frame")
     assert growth < BYTES_A_FRAME * len(frames)

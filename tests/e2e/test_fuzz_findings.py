@@ -1,6 +1,7 @@
 """What `make fuzz` found stays found: test_captures/fuzz_*, each with the arguments it failed with; and the fuzzer sees
 what goes wrong, tried with faults planted into copies of the plugin."""
 import importlib
+import shlex
 import shutil
 import subprocess
 import sys
@@ -11,17 +12,12 @@ import tshark
 sys.path.insert(0, str(tshark.ROOT / "tests"))
 fuzz = importlib.import_module("fuzz")
 
-FINDINGS = sorted(path for path in tshark.CAPTURES.glob("fuzz_*") if path.suffix != ".args")
 
-# A line of Lua behind a line of the plugin, a capture that meets it, what the fuzzer is to say.
-PLANTED = {
-    "dissector": ("yapp/yapp_stream.lua", "function Stream:feed", 'error("planted")', "document_udp.pcap", "planted"),
-    "reader": ("yapp/yapp_candump_reader.lua", "local function fill", 'error("planted")', "candump_log2long.txt",
-               "FileHandler"),
-    "load": ("yapp/yapp_crc.lua", "local M", 'error("planted")', "document_udp.pcap", "Lua:"),
-    "memory": ("yapp.lua", "function yapp.init", 'planted = ("x"):rep(2^28)', "document_udp.pcap", "memory"),
-    "crash": ("yapp.lua", "function yapp.init", "os.exit(7)", "document_udp.pcap", "exit code 7"),
-}
+def short(way):
+    return shlex.join(way)[:30]
+
+
+FINDINGS = sorted(path for path in tshark.CAPTURES.glob("fuzz_*") if path.suffix != ".args")
 
 
 @pytest.mark.parametrize("path", FINDINGS, ids=lambda path: path.stem)
@@ -29,15 +25,93 @@ def test_finding(path):
     assert list(fuzz.replay(path)) == []
 
 
-@pytest.mark.parametrize("name", PLANTED)
-def test_a_planted_fault_is_found(name, folder):
-    file, behind, line, capture, says = PLANTED[name]
-    for one in tshark.PLUGIN_FILES:
-        source = tshark.ROOT / one
-        (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / one)
+# The detectors -----------------------------------------------------------------------------------------------------
+
+def plant(folder, file, behind, line):
+    """A copy of the plugin with a line of Lua behind a line of its own."""
+    tshark.copy_plugin(folder, tshark.ROOT)
     lines = (folder / file).read_text().splitlines()
     at = next(at for at, text in enumerate(lines) if text.startswith(behind))
     (folder / file).write_text("\n".join([*lines[:at + 1], line, *lines[at + 1:]]))
-    done = subprocess.run([sys.executable, tshark.ROOT / "tests/fuzz.py", "--plugin", folder, "--replay",
-                           tshark.CAPTURES / capture], capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and says in done.stdout, done.stdout + done.stderr
+
+
+@pytest.fixture
+def planted(folder, monkeypatch):
+    """planted(file, line behind which, line of Lua, capture, way) says what the fuzzer says."""
+    homes = []
+
+    def look(file, behind, line, name, way, installed=False):
+        plant(folder, file, behind, line)
+        monkeypatch.setattr(fuzz, "PLUGIN", folder)
+        fuzz.homes.cache_clear()
+        homes.append(fuzz.homes())
+        path = tshark.CAPTURES / name
+        return fuzz.look(fuzz.Capture(path.suffix, b"", [path.read_bytes()], []), way, folder, installed).problem
+
+    yield look
+    fuzz.homes.cache_clear()
+    for home in homes:
+        shutil.rmtree(home, ignore_errors=True)
+
+
+DISSECTOR = ("yapp/yapp_stream.lua", "function Stream:feed")
+INIT = ("yapp.lua", "function yapp.init")
+
+
+@pytest.mark.parametrize("installed", [False, True], ids=["script", "plugin"])
+@pytest.mark.parametrize("way", fuzz.WAYS, ids=short)
+def test_every_way_sees_an_error(planted, way, installed):
+    if way[0] == "sharkd" and not shutil.which("sharkd"):
+        pytest.skip("sharkd is not installed")
+    assert "planted" in (planted(*DISSECTOR, 'error("planted")', "document_udp.pcap", way, installed) or "nothing")
+
+
+@pytest.mark.parametrize("way", [fuzz.TWO_PASSES, ("-2", "-V"), ("sharkd",)], ids=short)
+def test_an_error_of_the_first_pass_alone_is_seen(planted, way):
+    if way[0] == "sharkd" and not shutil.which("sharkd"):
+        pytest.skip("sharkd is not installed")
+    line = 'if not pinfo.visited then error("planted") end'
+    assert "planted" in (planted("yapp.lua", "function serial.dissector", line, "document_uart.pcap", way) or "nothing")
+
+
+# What is planted, into which capture's decoding, and what the fuzzer is to say; limits are lower, to see them soon.
+PLANTED = {
+    "reader": ("yapp/yapp_candump_reader.lua", "local function fill", 'error("planted")', "candump_log2long.txt",
+               "FileHandler"),
+    "dump reader": ("yapp/yapp_dump_reader.lua", "local function fill", 'error("planted")',
+                    "fuzz_dump_of_another_size.yapp", "FileHandler"),
+    "load": ("yapp/yapp_crc.lua", "local M", 'error("planted")', "document_udp.pcap", "Lua:"),
+    "init": (*INIT, 'error("planted")', "document_udp.pcap", "planted"),
+    "exit": (*INIT, "os.exit(7)", "document_udp.pcap", "exit code 7"),
+    "crash": (*INIT, 'os.execute("kill -SEGV $PPID")', "document_udp.pcap", "crash: signal 11"),
+    "abort": (*INIT, 'os.execute("kill -ABRT $PPID")', "document_udp.pcap", "crash: signal 6"),
+    "memory": (*INIT, 'planted = ("x"):rep(2^29)', "document_udp.pcap", "memory"),
+    "busy": (*DISSECTOR, "while true do end", "document_udp.pcap", "hang"),
+    "asleep": (*INIT, 'os.execute("sleep 20")', "document_udp.pcap", "hang"),
+}
+
+
+@pytest.mark.parametrize("way", [fuzz.TREE, fuzz.TWO_PASSES], ids=short)
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_planted_fault_is_found(planted, monkeypatch, name, way):
+    monkeypatch.setattr(fuzz, "CPU_SECONDS", 5 if name == "busy" else 20)
+    monkeypatch.setattr(fuzz, "SECONDS", 6 if name == "asleep" else 120)
+    *where, says = PLANTED[name]
+    assert says in (planted(*where, way) or "nothing")
+
+
+def test_a_fault_ends_a_run_with_a_small_capture(folder):
+    """The whole program: a finding is told, made small, kept; the exit code says so; kept, it is found again."""
+    (folder / "plugin").mkdir()
+    (folder / "kept").mkdir()
+    plant(folder / "plugin", "yapp/yapp_decode.lua", "function M.read", 'error("planted")')
+    command = [sys.executable, tshark.ROOT / "tests/fuzz.py", "--plugin", folder / "plugin"]
+    done = subprocess.run([*command, "--frames", "100", "--jobs", "1", "--keep", folder / "kept"], capture_output=True,
+                          text=True, check=False)
+    assert done.returncode == 1 and "planted" in done.stdout, done.stdout + done.stderr
+    kept = sorted(path for path in (folder / "kept").iterdir() if path.suffix != ".args")
+    assert kept and all(path.stat().st_size < 2000 for path in kept), [path.stat().st_size for path in kept]
+    done = subprocess.run([*command, "--replay", kept[0]], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "planted" in done.stdout, done.stdout + done.stderr
+    done = subprocess.run([*command[:2], "--replay", kept[0]], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,6 +1,5 @@
 """What the user may set: preferences, the catalogue, where the plugin is installed.  Nonsense gets a clear message."""
 import pathlib
-import shutil
 import sys
 
 import pytest
@@ -112,16 +111,9 @@ def test_a_link_type_that_is_not_the_users():
 
 # The catalogue ---------------------------------------------------------------------------------------------------
 
-def copy_plugin(folder):
-    for name in tshark.PLUGIN_FILES:
-        source = tshark.PLUGIN / name
-        (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
-    return folder / "yapp.lua"
-
-
 def with_catalogue(folder, text):
     """The arguments that load a copy of the plugin with another catalogue; None for no such file."""
-    script = copy_plugin(folder)
+    script = tshark.copy_plugin(folder) / "yapp.lua"
     catalogue = folder / "taurus_fields.lua"
     if text is None:
         catalogue.unlink()
@@ -262,7 +254,7 @@ def test_adding_a_message_is_adding_an_entry(folder):
 def install(home, name):
     folder = home / ".local/lib/wireshark/plugins" / name
     folder.mkdir(parents=True)
-    copy_plugin(folder)
+    tshark.copy_plugin(folder)
     return folder
 
 

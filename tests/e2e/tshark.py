@@ -2,6 +2,7 @@
 
 YAPP_ROUTE=script (the default) loads the plugin by -X lua_script, YAPP_ROUTE=plugin from a personal plugin folder.
 """
+import atexit
 import functools
 import os
 import pathlib
@@ -31,17 +32,28 @@ def _user():
     return {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 and version() >= (4, 4) else {}
 
 
+def copy_plugin(folder, root=None):
+    """Copies the plugin's files into a folder, which is made; returns the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in PLUGIN_FILES:
+        source = (root or PLUGIN) / name
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
+    return folder
+
+
+PERSONAL_FOLDER = pathlib.Path(".local/lib/wireshark/plugins")  # in a home
+
+
 @functools.lru_cache(None)
-def home():
-    """A home of its own for the tests: no profile of the user's has a say; with the plugin installed in it."""
+def home(plugin=True):
+    """A home of its own for the tests, where no profile of the user's has a say; with the plugin in its plugin folder if
+    that is the route, or without."""
     path = pathlib.Path(tempfile.mkdtemp(prefix="yapp-home-"))
+    atexit.register(shutil.rmtree, path, ignore_errors=True)
     path.chmod(0o755)
-    folder = path / ".local/lib/wireshark/plugins/yapp"
-    folder.mkdir(parents=True)
-    if ROUTE == "plugin":
-        for name in PLUGIN_FILES:
-            source = PLUGIN / name
-            (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
+    (path / PERSONAL_FOLDER).mkdir(parents=True)
+    if plugin and ROUTE == "plugin":
+        copy_plugin(path / PERSONAL_FOLDER / "yapp")
     if _user():
         for entry in [path, *path.rglob("*")]:
             os.chown(entry, 65534, 65534)
@@ -55,18 +67,19 @@ def load(script=None):
     return ["-X", f"lua_script:{PLUGIN / 'yapp.lua'}"] if ROUTE == "script" else []
 
 
-def run(*arguments, plugin=True, stdin=None, cwd=None, env=None, check=True, lua_errors=False):
-    """Runs tshark; returns the completed process (text).  Fails on a Lua error at load or in a tap, and on exit != 0."""
-    environment = {**os.environ, "HOME": str(home()), "LC_ALL": "C.UTF-8", "TZ": "UTC", **(env or {})}
+def run(*arguments, plugin=True, stdin=None, cwd=None, env=None, check=True, lua_errors=False, limits=None):
+    """Runs tshark, within the limits that the function of this name sets; returns the completed process (text).  Fails on a
+    Lua error at load or in a tap, and on exit != 0."""
+    environment = {**os.environ, "HOME": str(home(plugin)), "LC_ALL": "C.UTF-8", "TZ": "UTC", **(env or {})}
     environment.pop("XDG_CONFIG_HOME", None)
     command = ["tshark", *(load() if plugin else []), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, stdin=stdin or subprocess.DEVNULL, cwd=cwd, env=environment,
-                          timeout=TIMEOUT, **_user())
+                          timeout=TIMEOUT, preexec_fn=limits, **_user())
     done.stdout, done.stderr = done.stdout.decode("utf-8", "replace"), done.stderr.decode("utf-8", "replace")
     if check:
         assert done.returncode == 0, f"{command}\n{done.stderr}"
     if not lua_errors:
-        assert "Lua:" not in done.stderr, done.stderr
+        assert "Lua:" not in done.stderr and "Dissector bug, protocol YAPP" not in done.stderr, done.stderr
     return done
 
 

@@ -14,7 +14,7 @@ for folder in ("tests/e2e", "test_captures"):
 import make  # noqa: E402
 import tshark  # noqa: E402
 
-NEEDED = ("wireshark", "Xvfb", "openbox", "xdotool", "import")
+NEEDED = ("wireshark", "Xvfb", "openbox", "xdotool", "xclip")
 MISSING = [name for name in NEEDED if not shutil.which(name)]
 WIDTH, HEIGHT = 1100, 740
 
@@ -56,15 +56,12 @@ def wait_for(condition, seconds=60):
 class Wireshark:
     """with Wireshark(arguments) as wireshark: a running Wireshark, with the plugin loaded by the route of the tests."""
 
-    def __init__(self, *arguments, plugin=ROOT, route=tshark.ROUTE):
+    def __init__(self, *arguments, plugin=tshark.PLUGIN, route=tshark.ROUTE):
         self.arguments, self.processes = list(map(str, arguments)), []
         self.home = pathlib.Path(tempfile.mkdtemp(prefix="yapp-gui-"))
         installed = self.home / ".local/lib/wireshark/plugins/yapp"
-        place = installed if route == "plugin" else self.home / "script"
-        place.mkdir(parents=True)
-        for name in tshark.PLUGIN_FILES:
-            source = plugin / name
-            (shutil.copytree if source.is_dir() else shutil.copy)(source, place / name)
+        self.plugin = place = installed if route == "plugin" else self.home / "script"
+        tshark.copy_plugin(place, plugin)
         if route == "script":
             self.arguments = ["-X", f"lua_script:{place / 'yapp.lua'}", *self.arguments]
         config = self.home / ".config/wireshark"
@@ -114,19 +111,18 @@ class Wireshark:
         return done.stdout.split("\n")[:-1]
 
     def windows(self):
-        """The titles of the visible windows: { title: id }."""
-        found = {}
-        for window in self.xdotool("search", "--onlyvisible", "--name", "."):
-            title = " ".join(self.xdotool("getwindowname", window))
-            if title and title != "Openbox":
-                found[title] = window
-        return found
+        """The visible windows: { id: title }.  Searched by class: a search by name does not find message boxes."""
+        titles = {window: " ".join(self.xdotool("getwindowname", window))
+                  for window in self.xdotool("search", "--onlyvisible", "--class", ".")}
+        return {window: title for window, title in titles.items() if title != "Openbox"}
 
-    def wait_for_window(self, part):
-        """Waits for a window with this in its title, brings it to the front, and gives what moves inside it time."""
+    def wait_for_window(self, part, whole=False):
+        """Waits for a window with this in its title, or as its whole title; brings it to the front, and gives what moves
+        inside it time."""
         def found():
             assert self.wireshark.poll() is None, f"Wireshark ended: {self.stderr()}"
-            return next((window for title, window in self.windows().items() if part in title), None)
+            return next((window for window, title in self.windows().items()
+                         if (title == part if whole else part in title)), None)
         try:
             window = wait_for(found)
         except AssertionError as error:
@@ -148,6 +144,40 @@ class Wireshark:
         self.type(text)
         self.keys("Return")
         time.sleep(1)
+
+    def press(self, *keys, until):
+        """Presses keys until something has come of it: a busy Wireshark may pass over some."""
+        for _ in range(4):
+            self.keys(*keys)
+            try:
+                return wait_for(until, 15)
+            except AssertionError:
+                pass
+        raise AssertionError(f"nothing came of {keys}: {self.windows()}")
+
+    def clipboard(self, *words):
+        """What the clipboard has; with -i: empties it."""
+        try:
+            done = subprocess.run(["xclip", "-selection", "clipboard", *(words or ["-o"])], env=self.environment,
+                                  stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False, timeout=10,
+                                  stdout=subprocess.DEVNULL if words else subprocess.PIPE)
+        except subprocess.TimeoutExpired:
+            return ""
+        return (done.stdout or b"").decode("utf-8", "replace")
+
+    def tree(self, *parts):
+        """Waits for a packet with all these in the lines that its tree shows."""
+        shown = []
+
+        def found():
+            self.clipboard("-i")
+            self.keys("ctrl+alt+shift+a")  # Copy, All Visible Items
+            shown[:] = self.clipboard().splitlines()
+            return all(any(part in line for line in shown) for part in parts)
+        try:
+            wait_for(found, 30)
+        except AssertionError as error:
+            raise AssertionError(f"no tree with {parts}: {shown}") from error
 
     def stderr(self):
         return self.stderr_path.read_text(errors="replace")

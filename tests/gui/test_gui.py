@@ -1,4 +1,5 @@
-"""Wireshark's windows: no error dialog at load, after reloading Lua plugins, after opening another file."""
+"""Wireshark's windows: it decodes, filters and shows the tree; no error dialog at load, after reloading Lua plugins, after
+opening another file."""
 import pathlib
 import shutil
 import sys
@@ -11,15 +12,19 @@ import gui  # noqa: E402
 
 pytestmark = pytest.mark.skipif(bool(gui.MISSING), reason=f"not installed: {', '.join(gui.MISSING)}")
 
-# Counts the frames that have Taurus messages each time a file has been dissected, into the file of its name.
+# Counts the frames that have Taurus messages, and the errors in Lua, each time a file has been dissected; into the file
+# of its name.
 PROBE = """
 local out = "%s"
-local tap, count = Listener.new("frame", "taurus"), 0
-function tap.packet() count = count + 1 end
-function tap.reset() count = 0 end
+local find_error = Field.new("_ws.lua.error")
+local tap, count, errors = Listener.new("frame", "taurus || _ws.lua.error"), 0, 0
+function tap.packet()
+  if find_error() then errors = errors + 1 else count = count + 1 end
+end
+function tap.reset() count, errors = 0, 0 end
 function tap.draw()
   local file = io.open(out, "w")
-  file:write(count)
+  file:write(count, " messages, ", errors, " errors")
   file:close()
 end
 """
@@ -33,15 +38,24 @@ class Probe:
         self.script = pathlib.Path(folder) / "probe.lua"
         self.script.write_text(PROBE % self.path)
 
-    def wait_for(self, count):
-        gui.wait_for(lambda: self.path.exists() and self.path.read_text() == str(count), 30)
-        self.path.unlink()
+    def forget(self):
+        self.path.unlink(missing_ok=True)
+
+    def says(self, count, errors=0):
+        return self.path.exists() and self.path.read_text() == f"{count} messages, {errors} errors"
+
+    def wait_for(self, count, errors=0):
+        try:
+            gui.wait_for(lambda: self.says(count, errors))
+        except AssertionError as error:
+            says = self.path.read_text() if self.path.exists() else "nothing"
+            raise AssertionError(f"not {count} messages, {errors} errors: {says}") from error
 
 
 def assert_quiet(wireshark, title):
     """One window, that of the file, and nothing from Lua on stderr."""
     time.sleep(1)
-    assert len(wireshark.windows()) == 1 and title in list(wireshark.windows())[0], wireshark.windows()
+    assert len(wireshark.windows()) == 1 and title in list(wireshark.windows().values())[0], wireshark.windows()
     assert "Lua" not in wireshark.stderr(), wireshark.stderr()
     assert wireshark.wireshark.poll() is None
 
@@ -55,43 +69,111 @@ def captures():
     shutil.rmtree(folder, ignore_errors=True)
 
 
+def open_file(wireshark, path):
+    wireshark.keys("ctrl+o")
+    dialog = wireshark.wait_for_window("Open Capture File")
+    wireshark.type(path)
+    wireshark.keys("Return")
+    gui.wait_for(lambda: dialog not in wireshark.windows())
+    wireshark.wait_for_window(path.name)
+
+
+FAULT = ("Taurus Motor Data", "Fault Flags: 0x00010000 (motor_overcurrent)", "Motor overcurrent: True")
+
+
 def test_no_error_dialog(captures):
+    """Loads, decodes, filters, shows the tree; reloads with the filter in use; opens another file; reloads again."""
     probe = Probe(captures)
     with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcap") as wireshark:
         wireshark.wait_for_window("first.pcap")
         probe.wait_for(90)
         assert_quiet(wireshark, "first.pcap")
 
-        wireshark.keys("ctrl+shift+l")
-        probe.wait_for(90)
-        assert_quiet(wireshark, "first.pcap")
-
         wireshark.filter("taurus.fault.active")
+        wireshark.keys("ctrl+Home", "Tab", "ctrl+Right")  # the first packet; in the tree, Expand All
+        wireshark.tree("Frame 236:", *FAULT)
+        wireshark.keys("ctrl+End")
+        wireshark.tree("Frame 330:", *FAULT)
         assert_quiet(wireshark, "first.pcap")
 
-        wireshark.keys("ctrl+o")
-        dialog = wireshark.wait_for_window("Open Capture File")
-        wireshark.type(captures / "second.pcap")
+        probe.forget()
+        wireshark.press("ctrl+shift+l", until=lambda: probe.says(90))
+        wireshark.keys("ctrl+Home")
+        wireshark.tree("Frame 236:", "CRC good", "Taurus Motor Data")
+        assert_quiet(wireshark, "first.pcap")
+
+        probe.forget()
+        open_file(wireshark, captures / "second.pcap")
+        probe.wait_for(1)
+        wireshark.filter("taurus")  # it has no fault
+        wireshark.keys("ctrl+Home")
+        wireshark.tree("Frame 1:", "CRC good", "Taurus Motor Data")
+        assert_quiet(wireshark, "second.pcap")
+
+        probe.forget()
+        wireshark.press("ctrl+shift+l", until=lambda: probe.says(1))
+        wireshark.keys("ctrl+Home")
+        wireshark.tree("Frame 1:", "CRC good", "Taurus Motor Data")
+        assert_quiet(wireshark, "second.pcap")
+
+
+def test_a_broken_catalogue_is_told_in_a_window(captures):
+    """It names the message; when it is closed, the rest of the plugin works."""
+    plugin, probe = gui.tshark.copy_plugin(captures), Probe(captures)
+    catalogue = plugin / "taurus_fields.lua"
+    catalogue.write_text(catalogue.read_text().replace("size = 32", "size = 31"))
+    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcap", plugin=plugin) as wireshark:
+        wireshark.wait_for_window("Wireshark", whole=True)
         wireshark.keys("Return")
-        gui.wait_for(lambda: dialog not in wireshark.windows().values())
-        wireshark.wait_for_window("second.pcap")
-        probe.wait_for(1)
-        assert_quiet(wireshark, "second.pcap")
-
-        wireshark.keys("ctrl+shift+l")
-        probe.wait_for(1)
-        assert_quiet(wireshark, "second.pcap")
+        wireshark.wait_for_window("first.pcap")
+        probe.wait_for(30)  # the Commands
+        assert_quiet(wireshark, "first.pcap")
 
 
-def test_an_error_dialog_is_seen(captures):
-    """The check itself: a plugin that fails when it loads."""
-    for name in gui.tshark.PLUGIN_FILES:
-        source = gui.ROOT / name
-        (shutil.copytree if source.is_dir() else shutil.copy)(source, captures / name)
-    with open(captures / "yapp.lua", "a") as file:
+# The checks themselves ---------------------------------------------------------------------------------------------
+
+def plant(path, behind, line):
+    text = path.read_text()
+    assert text.count(behind) == 1
+    path.write_text(text.replace(behind, f"{behind}\n{line}\n"))
+
+
+def test_an_error_at_load_is_seen(captures):
+    plugin = gui.tshark.copy_plugin(captures)
+    with open(plugin / "yapp.lua", "a") as file:
         file.write('\nerror("planted")\n')
-    with gui.Wireshark("-r", captures / "first.pcap", plugin=captures) as wireshark:
+    with gui.Wireshark("-r", captures / "first.pcap", plugin=plugin) as wireshark:
         gui.wait_for(wireshark.windows)
         time.sleep(5)
         with pytest.raises(AssertionError):
             assert_quiet(wireshark, "first.pcap")
+
+
+def test_an_error_at_reload_is_seen(captures):
+    probe = Probe(captures)
+    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcap") as wireshark:
+        wireshark.wait_for_window("first.pcap")
+        probe.wait_for(90)
+        assert_quiet(wireshark, "first.pcap")
+        with open(wireshark.plugin / "yapp.lua", "a") as file:
+            file.write('\nerror("planted")\n')
+        wireshark.press("ctrl+shift+l", until=lambda: len(wireshark.windows()) > 1)
+        with pytest.raises(AssertionError):
+            assert_quiet(wireshark, "first.pcap")
+
+
+def test_an_error_in_a_dissector_is_seen(captures):
+    plugin, probe = gui.tshark.copy_plugin(captures), Probe(captures)
+    plant(plugin / "yapp/yapp_decode.lua", "function M.read(message, payload)", 'error("planted")')
+    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcap", plugin=plugin) as wireshark:
+        wireshark.wait_for_window("first.pcap")
+        probe.wait_for(0, errors=90)
+
+
+def test_a_missing_filter_is_seen(captures):
+    """A filter that is not applied leaves the first packet on top."""
+    with gui.Wireshark("-r", captures / "first.pcap") as wireshark:
+        wireshark.wait_for_window("first.pcap")
+        wireshark.filter("taurus.no_such_field")
+        wireshark.keys("Escape", "ctrl+Home")
+        wireshark.tree("Frame 1:")

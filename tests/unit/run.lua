@@ -1,17 +1,17 @@
 -- Runs the pure tests: lua5.2 tests/unit/run.lua tests/unit/test_*.lua, from the top of the repository.
-package.path = "./yapp/?.lua;./?.lua;./tests/unit/?.lua;" .. package.path
+-- Some releases package LuaUnit, one file for every Lua, for later Luas only.
+package.path = "./yapp/?.lua;./?.lua;./tests/unit/?.lua;" .. package.path .. ";/usr/share/lua/5.4/?.lua"
 local lu = require("luaunit")
 
 -- LuaUnit collects what is global; each file gives back a table of tests instead.
-local tests = {}
+local suites = {}
 for _, path in ipairs(arg) do
   local suite = path:match("([%w_]+)%.lua$")
-  for name, run in pairs(require(suite)) do
-    if name:match("^test") then tests[#tests + 1] = { suite .. "." .. name, run } end
-  end
+  suites[#suites + 1] = { suite, require(suite) }
 end
-table.sort(tests, function(a, b) return a[1] < b[1] end)
 
+while arg[1] do table.remove(arg) end -- LuaUnit 3.5 would take the paths for names of tests
 local runner = lu.LuaUnit.new()
 runner:setOutputType("text")
-os.exit(runner:runSuiteByInstances(tests))
+runner:runSuiteByInstances(suites)
+os.exit(runner.result.notSuccessCount)

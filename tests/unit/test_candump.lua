@@ -22,10 +22,10 @@ local function memory_file(text, is_pipe, buffer)
   return file
 end
 
-local function opened(text, all)
+local function opened(text, all, by_value)
   local told = {}
   local file = memory_file(text)
-  local log = candump.open(file, all, function(message) told[#told + 1] = message end)
+  local log = candump.open(file, all, function(message) told[#told + 1] = message end, by_value)
   return log, file, told
 end
 
@@ -177,6 +177,18 @@ function T.test_a_deviation_anywhere_is_seen()
     lu.assertNotNil((opened(HEAD:rep(1000) .. line .. "\n" .. HEAD)), name)
   end
   lu.assertNotNil((opened(HEAD:rep(600000) .. DEVIATIONS[4] .. "\n" .. HEAD)))
+end
+
+-- The reader of Wireshark 4.6 takes an id up to 7FF for a standard one and an error frame for an extended one.
+function T.test_ids_that_a_reader_by_value_gets_wrong()
+  for _, id in ipairs { "00000000", "000007FF", "000007ff", "20000004", "20000088" } do
+    local text = HEAD .. "(1700000000.000002) can0 " .. id .. "#11\n"
+    lu.assertNil((opened(text)), id)
+    lu.assertNotNil((opened(text, false, true)), id)
+  end
+  for _, id in ipairs { "000", "7FF", "00000800", "1FFFFFFF", "08404000" } do
+    lu.assertNil((opened(HEAD .. "(1700000000.000002) can0 " .. id .. "#11\n", false, true)), id)
+  end
 end
 
 function T.test_no_frame_is_lost_after_looking_ahead()

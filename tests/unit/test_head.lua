@@ -38,6 +38,7 @@ local function pcapng(interfaces, packets, number)
 end
 
 local CAN_OVER_SLL2 = "\0\12\0\0" .. ("\0"):rep(16) .. ("\0"):rep(16)
+local CAN_OVER_SLL = ("\0"):rep(15) .. "\12" .. ("\0"):rep(16)
 local IP_OVER_SLL2 = "\8\0\0\0" .. ("\0"):rep(60)
 local FRAME = "YP\0\0\16\2\0\0\32\0\0\0" .. ("x"):rep(36)
 
@@ -58,6 +59,11 @@ function T.test_sources()
       { pcapng({ 147, 162 }, {}, number), true },
       { pcapng({ 1, 276 }, { { 0, "x" }, { 1, CAN_OVER_SLL2 } }, number), true },
       { pcapng({ 276 }, { { 0, IP_OVER_SLL2 } }, number), false },
+      { pcap(276, { IP_OVER_SLL2, IP_OVER_SLL2, CAN_OVER_SLL2 }, number), true },
+      { pcapng({ 113 }, { { 0, CAN_OVER_SLL } }, number), false },
+      { pcapng({ 113, 113 }, { { 0, CAN_OVER_SLL }, { 0, CAN_OVER_SLL } }, number), false },
+      { pcapng({ 113, 113 }, { { 0, CAN_OVER_SLL }, { 1, CAN_OVER_SLL } }, number), true },
+      { pcapng({ 227, 113 }, { { 0, "x" }, { 1, CAN_OVER_SLL } }, number), true },
     }
     for i, row in ipairs(rows) do lu.assertEquals(head.read(row[1]).sources, row[2], "row " .. i) end
   end
@@ -95,6 +101,46 @@ function T.test_every_cut()
   for _, file in ipairs(files) do
     for length = 0, #file do lu.assertNotNil(head.read(file:sub(1, length))) end
   end
+end
+
+-- Whether several sources may show later: where the file goes on, and its kind can tell them apart.
+function T.test_sources_that_show_later()
+  local long = ("x"):rep(head.LENGTH)
+  local rows = {
+    { pcapng({ 227 }, { { 0, "x" } }, le), false }, { pcapng({ 227 }, { { 0, long } }, le), true },
+    { pcapng({ 227 }, {}, le), true }, -- a live capture
+    { pcap(227, { long }, le), false }, { pcap(1, { long }, be), false },
+    { pcap(276, { IP_OVER_SLL2, long }, be), true },
+    { pcap(276, { IP_OVER_SLL2 }, le), false }, { "", true },
+  }
+  for at, row in ipairs(rows) do
+    lu.assertEquals(head.read(row[1]:sub(1, head.LENGTH)).later, row[2], "row " .. at)
+  end
+end
+
+-- A Start of ID 0x506 with a Seq means that all such Starts are asked for at once; without, that is no need.
+function T.test_numbered_starts()
+  local crc_size = "\1\2\3\4\32\0"
+  local function record(can_id, data, number)
+    return number(can_id + 0x80000000, 4) .. string.char(#data) .. "\0\0\0" .. data
+  end
+  local rows = {
+    { pcap(227, { record(0x14184009, crc_size .. "\0\0", be) }, le), true },
+    { pcap(113, { ("\0"):rep(15) .. "\12" .. record(0x14184009, crc_size .. "\0\0", le) }, be), true },
+    { pcapng({ 227 }, { { 0, record(0x14184010, crc_size .. "\0\0", be) } }, le), true },
+    { "(1.0) can0 14184009#0102030420000000\n", true },
+    { "(1.0) can0 14184090#0102030420000000\n", true },
+    { " (1.0)  can0  14184009   [8]  01 02 03 04 20 00 00 00\n", true },
+    { pcap(227, { record(0x14184000, crc_size .. "\0\0", be) }, le), false }, -- no Seq
+    { pcap(227, { record(0x14188009, crc_size .. "\0\0", be) }, le), false }, -- a Middle
+    { pcap(227, { record(0x14184009, crc_size .. "\0\1", be) }, le), false }, -- reserved bytes
+    { pcap(227, { record(0x14184009, crc_size .. "\0", be) .. "\0", }, le), false }, -- seven bytes
+    { "(1.0) can0 14184000#0102030420000000\n", false },
+    { " (1.0)  can0  14184000   [8]  01 02 03 04 20 00 00 00\n", false },
+    { " (1.0)  can0  14184009   [8]  01 02 03 04 20 00 01 00\n", false },
+    { "", false },
+  }
+  for at, row in ipairs(rows) do lu.assertEquals(head.read(row[1]).numbered, row[2], "row " .. at) end
 end
 
 return T

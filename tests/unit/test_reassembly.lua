@@ -173,6 +173,7 @@ function T.test_malformed_starts()
     { "S0 E8", "start+size.mismatch orphan+fragment.orphan" },
     { "S32r M8 M8 M8 E8", "part+reserved.nonzero part part part good" },
     { "S32/12 M8 M8 M8 E8", "part+size.mismatch part part part good" },
+    { "S32/12~4 M8", "start+size.mismatch orphan+fragment.orphan" },
     { "S5 E5", "part good" },
     { "X8", "invalid+can.ctrl.invalid" },
     { "S32 X8? M8 M8 M8 E8", "part invalid+can.ctrl.invalid part part part good" },

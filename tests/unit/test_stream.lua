@@ -197,6 +197,26 @@ function T.test_good_frame_in_a_cut_one()
   finishes(s, "cut 32-46 +5")
 end
 
+-- Bytes, and whether they are one frame and no more: as the framer says, but where the frame has another "YP" in it.
+function T.test_is_frame()
+  local sealed = generator.sealed
+  local rows = {
+    { GOOD, true }, { frame(0x7FF, ""), true }, { frame(0x210, ("m"):rep(32)), true },
+    { frame(0x123, ("x"):rep(65535)), true },
+    { BAD, false }, { "", false }, { "YP", false }, { GOOD:sub(1, -2), false }, { GOOD .. "Y", false },
+    { "x" .. GOOD, false },
+    { frame(0x210, "another size"), false }, { frame(5, "YP inside"), false },
+    { sealed("YP\1\0\0\8\0\0\1\0\0\0x"), false },
+    { sealed("YP\1\0\5\0\1\0\1\0\0\0x"), false }, { sealed("YP\1\0\5\0\0\0\1\0\0\1x"), false },
+    { sealed("YQ\1\0\5\0\0\0\1\0\0\0x"), false }, { sealed("XP\1\0\5\0\0\0\1\0\0\0x"), false },
+  }
+  for at, row in ipairs(rows) do
+    local bytes, expected = row[1], row[2]
+    lu.assertEquals(stream.is_frame(crc, accepts, bytes), expected, "row " .. at)
+    if expected then feeds(new(), bytes, "good 0-" .. #bytes) end
+  end
+end
+
 function T.test_largest_frame_byte_by_byte()
   local payload = ("largest frame "):rep(5000):sub(1, 65535)
   local s = brings_at_last(frame(5, payload), "good 0-" .. LARGEST)

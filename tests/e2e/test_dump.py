@@ -1,0 +1,448 @@
+"""Raw serial dumps: a .yapp file opens by its name, each frame and each range between frames is a record, nothing is
+lost; and no file of others is taken.
+
+YAPP_SEED chooses other random dumps.
+"""
+import gzip
+import json
+import os
+import random
+import shutil
+import struct
+import subprocess
+
+import pytest
+
+import model
+import stream_captures
+import test_streams
+import tshark
+from stream_captures import EXPORTED_PDU, KNOWN, Event, Oracle, Packet, Place, frame, header
+
+CAPTURES = tshark.CAPTURES
+SEED = os.environ.get("YAPP_SEED", "1")
+AS_DUMP = ["-X", "read_format:yapp_dump"]
+LONGEST = 65536  # bytes between frames in one record
+TAGS = 28  # bytes of an exported PDU in front of the record's own
+FRAME = ["frame.len", "frame.cap_len", "frame.file_off", "frame.time_epoch", "frame.protocols"]
+NAMES = FRAME + test_streams.FIELDS
+SAID = "yapp: not opened as a raw serial dump"
+
+
+# The truth -------------------------------------------------------------------------------------------------------
+
+TIMES = {0x210: 22, 0x200: 0}  # where the time stamp is in the payload
+
+
+def stamp(event):
+    """The controller's own time in nanoseconds, None without one."""
+    if event.kind != "good" or event.ident not in TIMES:
+        return None
+    at = TIMES[event.ident]
+    nanoseconds = struct.unpack("<q", event.payload[at:at + 8])[0]
+    return nanoseconds if nanoseconds >= 0 else None
+
+
+def records(data):
+    """What a dump has to show: the events of its bytes as a whole, each with the time of the record."""
+    events = []
+    for event in Oracle(data).events(len(data), ended=True)[0]:
+        for at in range(0, len(event.data), LONGEST if event.kind == "skipped" else len(event.data)):
+            size = LONGEST if event.kind == "skipped" else len(event.data)
+            events.append(Event(event.kind, event.data[at:at + size], event.start + at))
+    times = [stamp(event) for event in events]
+    now = next((time for time in times if time is not None), None)
+    for event, time in zip(events, times):
+        now = now if time is None else time
+        event.time = now
+    return events
+
+
+def message(ident, nanoseconds, rng):
+    """A known message with this time stamp."""
+    payload = bytearray(rng.randbytes(KNOWN[ident]))
+    if ident in TIMES:
+        payload[TIMES[ident]:TIMES[ident] + 8] = struct.pack("<q", nanoseconds)
+    return frame(ident, bytes(payload), rng.randrange(256))
+
+
+def clocked(rng, count):
+    """Bytes from a controller whose time stamps go on, with all kinds of damage between them."""
+    now, pieces = rng.randrange(10**12), []
+    for _ in range(count):
+        now += rng.randrange(10**8)
+        pieces.append(message(rng.choice([*KNOWN]), now, rng))
+        if rng.random() < 0.5:
+            pieces.append(rng.choice(stream_captures.PIECES)(rng))
+    return b"".join(pieces)
+
+
+# What tshark shows -----------------------------------------------------------------------------------------------
+
+def rows(path, *arguments):
+    """The records, as dictionaries of what is there: {field: [values]}."""
+    wanted = [argument for name in NAMES for argument in ("-e", name)]
+    done = tshark.run(*arguments, "-o", "frame.show_file_off:TRUE", "-r", path, "-T", "fields", "-E", "occurrence=a",
+                      "-E", "aggregator=;", *wanted)
+    shown = []
+    for line in done.stdout.splitlines():
+        values = dict(zip(NAMES, line.split("\t")))
+        row = {name: value.split(";") for name, value in values.items() if value}
+        row["info"] = values[test_streams.INFO]
+        if tshark.version() >= (4, 2):
+            row["info"] = row["info"].replace(r"\\", "\\")
+        shown.append(row)
+    return shown
+
+
+def packet_of(number, event):
+    """The record of an event, as a packet of its own."""
+    packet = Packet(event.data, Place(EXPORTED_PDU, 0, 0))
+    packet.number = number
+    packet.events = [Event(event.kind, event.data, 0)]
+    return packet
+
+
+def packets_of(events):
+    """With the times between messages of one ID."""
+    packets, previous = [], {}
+    for number, event in enumerate(events, 1):
+        packet = packet_of(number, event)
+        if event.kind == "good":
+            if event.ident in previous and event.time is not None:
+                packet.events[0].delta = event.time - previous[event.ident]
+            previous[event.ident] = event.time
+        packets.append(packet)
+    return packets
+
+
+def rounded(packet, row, events):
+    """The row, with a time between messages as it should be where it is right as far as Lua's pinfo goes, which counts
+    the time since the first record in doubles: random time stamps are centuries apart."""
+    deltas = [model.time_text(one.delta) for one in packet.events if one.delta is not None]
+    shown = row.get("yapp.time_delta", [])
+    known = [event.time for event in events if event.time is not None]
+    slack = max(abs(time - known[0]) for time in known) // 2**52 if known else 0
+    if slack and len(deltas) == len(shown) and all(abs(float(a) - float(b)) < 2e-9 * slack for a, b in zip(deltas, shown)):
+        return {**row, "yapp.time_delta": deltas}
+    return row
+
+
+def differences(events, shown, name, written=False):
+    """Between the truth and the rows.  written: read from a pcapng file, which has times and no offsets of the dump."""
+    problems = [] if len(events) == len(shown) else [f"{name}: {len(events)} records expected, {len(shown)} shown"]
+    offset = 0
+    for event, packet, row in zip(events, packets_of(events), shown):
+        assert event.start == offset and "_ws.lua.error" not in row
+        offset += len(event.data)
+        time = f"{event.time // 10**9}.{event.time % 10**9:09d}" if event.time is not None else None
+        wanted = {"frame.len": str(TAGS + len(event.data)), "frame.cap_len": str(TAGS + len(event.data)),
+                  "frame.file_off": None if written else str(event.start), "frame.time_epoch": time}
+        problems += [f"{name}, record {packet.number}: {field}: {value} expected, {row.get(field)} shown"
+                     for field, value in wanted.items() if not (written and value is None) and
+                     row.get(field, [None]) != [value]]
+        problems += [f"{name}: {text}" for text in test_streams.Comparison(packet, rounded(packet, row, events), False).run()]
+    return problems
+
+
+def ways(path, folder):
+    """Name of each way to read a dump: its rows."""
+    yield "one pass", rows(path)
+    yield "-2", rows(path, "-2")
+    yield "-2 -Y", rows(path, "-2", "-Y", "yapp")
+    yield "-2 -R", rows(path, "-2", "-R", "yapp")
+    tshark.run("-r", path, "-w", folder / "out.pcapng")
+    yield "written", rows(folder / "out.pcapng")
+
+
+def assert_shown(path, folder, data):
+    """A dump shows its records in every way."""
+    events = records(data)
+    assert b"".join(event.data for event in events) == data
+    for name, shown in ways(path, folder):
+        problems = differences(events, shown, name, written=name.startswith("written"))
+        assert not problems, f"{len(problems)}\n" + "\n".join(problems[:20])
+
+
+def dump(folder, data, name="run.yapp"):
+    path = folder / name
+    path.write_bytes(data)
+    return path
+
+
+# Random dumps ----------------------------------------------------------------------------------------------------
+
+ENDS = {
+    "a frame": lambda rng: stream_captures.good(rng),
+    "a cut frame": lambda rng: stream_captures.good(rng)[:-rng.randrange(1, 5)],
+    "a cut header": lambda rng: stream_captures.good(rng)[:rng.randrange(1, 12)],
+    "a claim": lambda rng: header(0x333, 65535) + stream_captures.noise(rng),
+    "text": lambda rng: b"> reboot\r\n",
+    "Y": lambda rng: b"Y",
+}
+
+
+STARTS = {
+    "a frame": lambda rng: message(0x210, 5, rng),
+    "the rest of a frame": lambda rng: message(0x210, 5, rng)[14:],
+    "text": lambda rng: b"\r\nTaurus 1.2\r\n> ",
+}
+
+
+@pytest.mark.parametrize("start, end", [*zip([*STARTS] * 2, ENDS), *zip([*STARTS][1:] + [*STARTS], ENDS)])
+def test_random_dumps(start, end, folder):
+    rng = random.Random(f"{SEED}, {start}, {end}")
+    data = STARTS[start](rng) + stream_captures.stream(rng, b"") + clocked(rng, 30) + ENDS[end](rng)
+    assert_shown(dump(folder, data), folder, data)
+
+
+def test_long_dump(folder):
+    """Frames, and ranges between them, lie across the parts in which a file is read."""
+    rng = random.Random(f"{SEED}, long")
+    data = b"".join(clocked(rng, 150) + b"text " * rng.randrange(3000) for _ in range(15)) + b"x" * 200000 + clocked(rng, 5)
+    assert len(data) > 4 * LONGEST
+    assert_shown(dump(folder, data), folder, data)
+
+
+# Times -----------------------------------------------------------------------------------------------------------
+
+def times(path, *arguments):
+    return [row.get("frame.time_epoch", [""])[0] for row in rows(path, *arguments)]
+
+
+def test_times(folder):
+    """A restart sets the clock back; a bad frame has no time; nothing has one before the first message that has."""
+    rng = random.Random(SEED)
+    command, bad = message(0, 0, rng), bytearray(message(0x210, 10**18, rng))
+    bad[-1] ^= 1
+    largest = 2**63 - 1
+    pieces = [(b"boot\r\n", 7), (command, 7), (message(0x210, 7, rng), 7), (bytes(bad), 7), (command, 7),
+              (message(0x200, 86_400_000_000_001, rng), 86_400_000_000_001), (b"\r\nreboot\r\n", 86_400_000_000_001),
+              (message(0x210, 4_000_000_000, rng), 4_000_000_000), (message(0x210, -1, rng), 4_000_000_000),
+              (message(0x200, largest, rng), largest), (command[:-1], largest)]
+    path = dump(folder, b"".join(data for data, _ in pieces))
+    wanted = [f"{time // 10**9}.{time % 10**9:09d}" for _, time in pieces]
+    for passes in ([], ["-2"]):
+        assert times(path, *passes) == wanted
+    tshark.run("-r", path, "-w", folder / "out.pcapng")
+    assert times(folder / "out.pcapng") == wanted
+
+
+def test_without_time_stamps(folder):
+    path = dump(folder, b"> " + message(0, 0, random.Random(SEED)) * 3)
+    for passes in ([], ["-2"]):
+        assert times(path, *passes) == [""] * 4
+
+
+def test_ids_of_the_preferences(folder):
+    """The time is that of a message whose ID is no default."""
+    data = message(0x210, 9, random.Random(SEED))
+    path = dump(folder, frame(0x211, data[12:-4]))
+    assert times(path) == [""]
+    assert times(path, "-o", "yapp.motor_ids:0x211") == ["0.000000009"]
+
+
+# Names and other ways in -----------------------------------------------------------------------------------------
+
+def some(seed=SEED):
+    rng = random.Random(seed)
+    return b"\r\n> " + clocked(rng, 20)
+
+
+@pytest.mark.parametrize("name", ["run", "run.bin", "run.log", "run.yapp.bak", "-"])
+def test_any_other_name(name, folder):
+    """It is not taken unless the user says what it is."""
+    data = some()
+    path = dump(folder, data, name if name != "-" else "piped")
+    if name == "-":
+        with open(path, "rb") as stdin:
+            done = tshark.run("-r", "-", stdin=stdin, check=False)
+    else:
+        done = tshark.run("-r", path, check=False)
+    assert done.returncode and not done.stdout and SAID not in done.stderr
+    for passes in ([], ["-2"]):
+        assert not differences(records(data), rows(path, *AS_DUMP, *passes), name)
+
+
+def test_pipes(folder):
+    data = some() + b"text " * 100000 + some()
+    path = dump(folder, data)
+    arguments = [*AS_DUMP, "-r", "-", "-T", "fields", "-e", "frame.len"]
+    with subprocess.Popen(["cat", path], stdout=subprocess.PIPE) as cat:
+        piped = tshark.run(*arguments, stdin=cat.stdout)
+    assert piped.stdout.split() == [str(TAGS + len(event.data)) for event in records(data)]
+
+
+@pytest.mark.parametrize("name", ["run.yapp.gz", "run.yapp"])
+def test_compressed(name, folder):
+    data = some()
+    assert_shown(dump(folder, gzip.compress(data), name), folder, data)
+
+
+def test_the_first_frame_comes_late(folder):
+    """However late: a .yapp file is searched to its end."""
+    data = b"noise" * 500000 + some()
+    path = dump(folder, data)
+    for passes in ([], ["-2"]):
+        assert not differences(records(data), rows(path, *passes), "late")
+
+
+MOTOR = bytes.fromhex("FD7F FD7F FD7F FD7F F5AF FD7F 1801 00000140 00000000 E38CD23CE04E0000 05FF")
+HEALTH = bytes.fromhex("0000000000000000 7D325A46501964 0103")
+
+
+def at(payload, seconds):
+    """The payload with a time stamp so much later than that of the vendor document's Motor Data."""
+    now = struct.unpack("<q", MOTOR[22:30])[0] + round(seconds * 10**9)
+    where = 22 if len(payload) == len(MOTOR) else 0
+    return payload[:where] + struct.pack("<q", now) + payload[where + 8:]
+
+
+def test_the_capture_of_the_repository(folder):
+    """It is made of what is written here."""
+    command = frame(0, bytes.fromhex("015A014F80F380"))
+    bad = bytearray(frame(0x210, at(MOTOR, 0.2)))
+    bad[20] ^= 0x40
+    data = b"".join([b"\r\nTaurus\r\n> ", frame(0x210, MOTOR), command, b"ps\r\n", frame(0x200, at(HEALTH, 0.1)),
+                     bytes(bad), frame(0x210, at(MOTOR, 0.3)), frame(0x210, at(MOTOR, 0.4))[:40]])
+    path = CAPTURES / "dump_document.yapp"
+    assert path.read_bytes() == data
+    assert [event.kind for event in records(data)] == ["skipped", "good", "good", "skipped", "good", "bad", "good", "cut"]
+    assert_shown(path, folder, data)
+    tshark.assert_no_lua_errors(path)
+
+
+# Files of others -------------------------------------------------------------------------------------------------
+
+ONE = frame(0x301, b"payload")
+BAD = ONE[:-1] + bytes([ONE[-1] ^ 1])
+CSV = b"time,id,dlc,data\n" + b"0.1,123,8,11 22 33 44 55 66 77 88\n" * 100
+
+# Files without a frame: no kind of name makes a dump of them.
+NO_DUMPS = {
+    "empty": b"",
+    "one byte": b"Y",
+    "noise": random.Random(7).randbytes(100000),
+    "zeros": bytes(100000),
+    "shell": b"login: root\r\n# ps\r\n" * 100,
+    "letters": b"YP YAPP YPYPYP HYPE\n" * 1000,
+    "YPYP": b"YP" * 50000,
+    "claims": header(0x210, 32) + header(0x333, 65535) * 2000,
+    "bad frames": BAD * 100,
+    "cut frame": ONE[:-1],
+    "csv": CSV,
+    "json": b'{"YP": [1, 2, 3]}\n' * 100,
+    "trc": b";$FILEVERSION=1.1\n;\n" + b"     1)       1.9  Rx         0123  2  11 22 \n" * 100,
+    "asc": b"date Tue Nov 14 22:13:20 2023\nbase hex  timestamps absolute\n" +
+           b"   0.000130 1  8404000x       Rx   d 8 11 22 33 44 55 66 77 88\n" * 10,
+    "syslog": b"Nov 14 22:13:20 host kernel: [ 1.000000] can0: bus-off\n" * 100,
+    "hex dump": b"00000000  59 50 00 00 10 02 00 00  20 00 00 00 00 00 00 00  |YP...... .......|\n" * 100,
+    "candump log": (CAPTURES / "candump_log_plain.log").read_bytes(),
+    "candump screen": (CAPTURES / "candump_screen_absolute.txt").read_bytes(),
+}
+
+# Files of others in which YAPP frames are, as they are on the line.
+WITH_FRAMES = {
+    "pcap": (CAPTURES / "document_uart.pcap").read_bytes(),
+    "pcapng": (CAPTURES / "two_interfaces.pcapng").read_bytes(),
+    "tar": b"run.pcap".ljust(512, b"\0") + (CAPTURES / "document_uart.pcap").read_bytes(),
+    "other logger": b"LOG1" + (b"\x00\x01\x02\x03" + ONE) * 100,
+    "dump": ONE * 10,
+}
+OPENED = ["candump log", "candump screen", "pcap", "pcapng"]  # by other readers
+
+
+def outcome(path, *arguments, plugin=True):
+    done = tshark.run(*arguments, "-r", path, plugin=plugin, check=False)
+    return (done.returncode, done.stdout), done.stderr
+
+
+@pytest.mark.parametrize("extension", ["", ".bin"])
+@pytest.mark.parametrize("name", [*NO_DUMPS, *WITH_FRAMES])
+def test_files_of_others(name, extension, folder):
+    """As if the plugin were not there."""
+    path = dump(folder, {**NO_DUMPS, **WITH_FRAMES}[name], "file" + extension)
+    done, errors = outcome(path)
+    assert SAID not in errors and "yapp_dump" not in errors
+    if name in OPENED:
+        assert done[0] == 0 and "Motor Data" in done[1]
+    else:
+        assert done == outcome(path, plugin=False)[0]
+
+
+@pytest.mark.parametrize("name", NO_DUMPS)
+def test_yapp_files_without_a_frame(name, folder):
+    """The reason is told, whether another reader takes the file or none."""
+    path = dump(folder, NO_DUMPS[name])
+    done, errors = outcome(path)
+    assert SAID in errors
+    assert ("the file is empty" if name == "empty" else "no YAPP frame with a good CRC") in errors
+    if name in OPENED:
+        assert done[0] == 0 and "Motor Data" in done[1]
+    else:
+        assert done == outcome(path, plugin=False)[0]
+    done, errors = outcome(path, *AS_DUMP)
+    assert done[0] and not done[1] and SAID in errors
+
+
+@pytest.mark.parametrize("name", ["pcap", "pcapng"])
+def test_captures_named_yapp(name, folder):
+    """They are what they are."""
+    path = dump(folder, WITH_FRAMES[name])
+    done, errors = outcome(path)
+    assert done[0] == 0 and done[1] and SAID not in errors
+    assert done == outcome(dump(folder, WITH_FRAMES[name], "file"))[0]
+
+
+OTHER_READER = """
+local other = FileHandler.new("other text", "other_text", "other text", "%s")
+function other.read_open(file, capture)
+  if file:read(6) ~= "OTHER\\n" then return false end
+  capture.encap = wtap.USER0
+  return true
+end
+function other.read(file, capture, frame)
+  local offset = file:seek("cur")
+  local bytes = file:read(23)
+  if not bytes then return false end
+  frame.data = bytes
+  return offset
+end
+other.seek_read = function() return false end
+register_filehandler(other)
+"""
+
+
+@pytest.mark.parametrize("name", ["file", "file.bin", "file.other"])
+@pytest.mark.parametrize("kind", ["r", "rs"])
+def test_the_reader_of_another_plugin_keeps_its_files(kind, name, folder):
+    (folder / "other.lua").write_text(OTHER_READER % kind)
+    path = dump(folder, b"OTHER\n" + ONE * 10, name)
+    done = tshark.run(*tshark.load(folder / "other.lua"), "-r", path, "-T", "fields", "-e", "frame.len")
+    assert done.stdout.split() == ["23"] * 10
+
+
+@pytest.mark.skipif(not shutil.which("sharkd"), reason="sharkd is not installed")
+def test_one_file_after_another(folder):
+    """What one file was named says nothing of the next; a file that was refused may have grown."""
+    tshark.copy_plugin(folder / tshark.PERSONAL_FOLDER / "yapp")
+    text = b"login: " * 50
+    files = [("run.bin", text + ONE, False), ("run.yapp", text + ONE, True), ("run.bin", text + ONE, False),
+             ("grown.yapp", text, False), ("run", text + ONE, False), ("run.yapp", text + ONE, True)]
+    with subprocess.Popen(["sharkd", "-"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                          env={**os.environ, "HOME": str(folder)}, **tshark._user()) as sharkd:
+        def load(path):
+            call = {"jsonrpc": "2.0", "id": 1, "method": "load", "params": {"file": str(path)}}
+            print(json.dumps(call), file=sharkd.stdin, flush=True)
+            answer = sharkd.stdout.readline()
+            while not answer.startswith("{"):
+                answer = sharkd.stdout.readline()
+            return "error" not in json.loads(answer)
+
+        opened = [load(dump(folder, data, name)) for name, data, _ in files]
+        grown = folder / "grown.yapp"
+        opened_grown = [load(grown), load(dump(folder, text + ONE, "grown.yapp"))]
+        _, errors = sharkd.communicate()
+    assert "Lua:" not in errors, errors
+    assert opened == [taken for *_, taken in files]
+    assert opened_grown == [False, True]

@@ -1,0 +1,302 @@
+"""Input that is meant to harm: sizes and lengths at their ends, preferences, candump lines, catalogues.  Time and memory
+stay bounded, the words say what is wrong and where, and what is good is still decoded."""
+import resource
+import struct
+
+import pytest
+
+import make
+import test_preferences as given
+import tshark
+
+MEMORY = 2 * 2**30  # address space; a plain run takes a quarter
+SECONDS = 60  # of CPU; a plain run takes half of one
+
+
+def limits():
+    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 5))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+
+
+def decoded(path, *arguments, passes=((), ("-2",)), **options):
+    """The numbers of the frames with a Taurus message, of one pass and of two; no error in Lua in either."""
+    found = []
+    for two in passes:
+        done = tshark.run(*two, *arguments, "-r", path, "-T", "fields", "-e", "frame.number", "-e", "_ws.lua.error",
+                          "-e", "taurus.command.key", "-e", "taurus.motor.fault_flags", limits=limits, **options)
+        assert "Dissector bug" not in done.stderr
+        rows = [line.split("\t") for line in done.stdout.splitlines()]
+        assert [row for row in rows if row[1]] == []
+        found.append([int(row[0]) for row in rows if row[2] or row[3]])
+    assert all(one == found[0] for one in found)
+    return found[0]
+
+
+def said(*arguments, **options):
+    """What the plugin says on stderr."""
+    done = tshark.run(*arguments, limits=limits, **options)
+    return [line for line in done.stderr.splitlines() if line.startswith(("yapp: ", "candump reader: "))]
+
+
+# Sizes and lengths -------------------------------------------------------------------------------------------------
+
+SIZES = (0, 1, 7, 8, 9, 31, 33, 255, 256, 0x7FFF, 0x8000, 0xFFFE, 0xFFFF)
+
+
+def start(ident, size, reserved=0):
+    """A Start with this size."""
+    return f"can0 {ident << 18 | 1 << 14:08X} {struct.pack('<IHH', 0xC76FBEBB, size, reserved).hex(' ')}"
+
+
+def frame(ident, ctrl, data="00*8"):
+    return f"can0 {ident << 18 | ctrl << 14:08X} {data}"
+
+
+@pytest.mark.parametrize("arguments", [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp")],
+                         ids=["default", "all_extended", "decode_as"])
+def test_sizes_that_a_start_announces(folder, arguments):
+    """A message of any size with nothing, too little, or too much; the message after them is decoded."""
+    lines = []
+    for size in SIZES:
+        for ident in (0x210, 0x123):
+            lines += [start(ident, size), start(ident, size, 0xFFFF), frame(ident, 2), frame(ident, 2, ""),
+                      frame(ident, 3), start(ident, size), *[frame(ident, 2)] * 5, frame(ident, 3),
+                      start(ident, size), frame(ident, 3)]
+    lines.append(f"can0 [210 {given.MOTOR}]")
+    path = given.write(folder, *lines)
+    assert decoded(path, *arguments)[-1] == len(lines) + 4
+
+
+def test_starts_without_end(folder):
+    """A Start of 65,535 bytes for each message ID, again and again."""
+    lines = [start(ident, 0xFFFF) for ident in range(1, 2048)] * 10
+    path = given.write(folder, *lines, f"can0 [210 {given.MOTOR}]")
+    assert decoded(path) == [len(lines) + 5]
+
+
+def test_the_longest_messages(folder):
+    """65,535 bytes in frames of 8: all of it arrives."""
+    lines = [f"can0 [123 {'5A*65535'}]"] * 3
+    path = given.write(folder, *lines, f"can0 [210 {given.MOTOR}]")
+    assert len(decoded(path, "-o", "yapp.all_extended:TRUE")) == 1
+    done = tshark.run("-r", path, "-Y", "yapp.crc.status == 1 && yapp.reassembled.length == 65535", limits=limits)
+    assert len(done.stdout.splitlines()) == 3
+
+
+HEADERS = {
+    "announced sizes": b"YP" + struct.pack("<BBIHH", 0, 0, 0x210, 0xFFFF, 0),
+    "sync alone": b"YP",
+    "half a sync": b"Y",
+    "size 0": b"YP" + struct.pack("<BBIHH", 0, 0, 0x210, 0, 0),
+    "unknown ids": b"YP" + struct.pack("<BBIHH", 0, 0, 0xFFFFFFFF, 0xFFFF, 0xFFFF),
+}
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_a_serial_dump_of_headers(folder, name):
+    """A megabyte in which each header says that 65,535 bytes follow; and the frame at its end."""
+    header = HEADERS[name]
+    path = folder / "headers.yapp"
+    message = {"id": 0x210, "seq": 0, "ctl": 0, "payload": bytes.fromhex(given.MOTOR), "wrong_crc": False}
+    good = make.serial_frame(message)
+    path.write_bytes(good + header * (2**20 // len(header)) + good)
+    for two in ((), ("-2",)):
+        done = tshark.run(*two, "-r", path, "-Y", "taurus.motor || _ws.lua.error", "-T", "fields", "-e",
+                          "taurus.motor.rpm_measured", "-e", "_ws.lua.error", limits=limits)
+        assert [line.endswith("\t") for line in done.stdout.splitlines()] == [True, True]
+
+
+def socketcan(can_id, length, flags, data):
+    return struct.pack(">IBBH", can_id, length, flags, 0) + data
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 9, 15, 16, 64, 65, 128, 254, 255])
+@pytest.mark.parametrize("flags", [0, 4], ids=["can", "fd"])
+def test_lengths_above_the_record(folder, length, flags):
+    """The length of a SocketCAN header says more, or less, than the record has."""
+    records = [socketcan(0x80000000 | can_id, length, flags, b"\xA5" * size)
+               for can_id in (0, 0x08400000, 0x08404000, 0x08408000, 0x0840C000) for size in (0, 1, 7, 8, 64)]
+    records.append(socketcan(0x80000000, 7, 0, bytes.fromhex("015A014F80F380")))
+    path = folder / "lengths.pcap"
+    path.write_bytes(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227) + b"".join(
+        struct.pack("<IIII", at, 0, len(one), len(one)) + one for at, one in enumerate(records)))
+    for arguments in ((), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp")):
+        assert decoded(path, *arguments)[-1] == len(records)
+
+
+# Preferences -------------------------------------------------------------------------------------------------------
+
+ALL_IDS = ("motor", "command", "health")
+
+
+def test_each_id_is_given_to_each_message():
+    """It is said, but not 4,096 times."""
+    path = tshark.CAPTURES / "document_command.pcap"
+    lines = said(*(word for name in ALL_IDS for word in ("-o", f"yapp.{name}_ids:0-2047")), "-r", path)
+    assert lines[0] == "yapp: preferences: ID 0x0 is given to Command and to Motor Data: it stays with Command"
+    assert lines[-1] == "yapp: preferences: and so on: 4096 IDs in all"
+    assert len(lines) <= 25
+
+
+@pytest.mark.parametrize("text", ["0-2047," * 10000 + "0", "0x210," * 20000 + "0", "2047-0", "5-", "-"])
+def test_ranges_without_end(text):
+    """Wireshark takes all of these for ranges; each ID counts once."""
+    lines = said("-o", f"yapp.motor_ids:{text}", "-r", tshark.CAPTURES / "document_command.pcap", check=False)
+    assert len(lines) <= 2
+
+
+@pytest.mark.parametrize("setting", [
+    "yapp.motor_ids:0-4294967295", "yapp.motor_ids:0-99999999999999999999", "yapp.motor_ids:\u00e9",
+    "yapp.motor_ids:1e3", "yapp.user_dlt:0-4294967295", "yapp.motor_ids:" + "9" * 100000])
+def test_ranges_beyond_the_ids_are_refused(setting):
+    done = tshark.run("-o", setting, "-r", tshark.CAPTURES / "document_command.pcap", check=False, limits=limits)
+    assert done.returncode != 0 and setting[:20] in done.stderr
+
+
+@pytest.mark.parametrize("setting", ["yapp.divisor:", "yapp.divisor:7", "yapp.divisor:" + "x" * 100000,
+                                     "yapp.all_extended:maybe", "yapp.search_all:" + "x" * 100000])
+def test_garbage_leaves_a_choice_as_it_is(setting):
+    path = tshark.CAPTURES / "document_command.pcap"
+    done = tshark.run("-o", setting, "-r", path, "-T", "fields", "-e", "taurus.command.rpm", check=False, limits=limits)
+    assert done.returncode or done.stdout == "750.8012\n"
+
+
+def test_link_types_of_others():
+    lines = said("-o", "yapp.user_dlt:0-162", "-r", tshark.CAPTURES / "document_command.pcap")
+    assert lines == ["yapp: preferences: link type 0 is not a DLT_USER (147 to 162), nor are 146 others"]
+
+
+# candump text ------------------------------------------------------------------------------------------------------
+
+MEGABYTE = 2**20
+LINES = {
+    "digits": b"0" * MEGABYTE,
+    "data": b"(1700000000.000000) can0 00000000#" + b"00" * MEGABYTE,
+    "name": b"(1700000000.000000) " + b"can" * MEGABYTE + b" 00000000#00",
+    "time": b"(" + b"1" * MEGABYTE + b".000000) can0 00000000#00",
+    "decimals": b"(1." + b"0" * MEGABYTE + b") can0 00000000#00",
+    "blanks": b"(1700000000.000000) can0 00000000#00" + b" " * MEGABYTE,
+    "brackets": b"(" * MEGABYTE,
+    "high bytes": b"\xff" * MEGABYTE,
+    "carriage returns": b"\r" * MEGABYTE,
+}
+COMMAND = b"(1700000000.000000) can0 00000000#015A014F80F380\n"
+
+
+@pytest.mark.parametrize("name", LINES)
+@pytest.mark.parametrize("ended", [True, False], ids=["ended", "endless"])
+def test_candump_lines_of_a_megabyte(folder, name, ended):
+    """Skipped with one message; the frames around it are read."""
+    path = folder / "long.log"
+    path.write_bytes(COMMAND + LINES[name] + (b"\n" + COMMAND if ended else b""))
+    arguments = ("-X", "read_format:yapp_candump")
+    assert decoded(path, *arguments) == ([1, 2] if ended else [1])
+    lines = said(*arguments, "-r", path)
+    assert len(lines) <= 3 and all(len(line) < 300 for line in lines)
+    assert any("line 2" in line and "skipped" in line for line in lines), lines
+
+
+def test_many_bad_candump_lines(folder):
+    """Not a message for each of them."""
+    path = folder / "bad.log"
+    path.write_bytes(COMMAND * 50 + b"(1700000000.000000) can0 00000000#0\n" * 100000 + COMMAND)
+    assert decoded(path, "-X", "read_format:yapp_candump") == list(range(1, 52))
+    assert len(said("-X", "read_format:yapp_candump", "-r", path)) <= 20
+
+
+# Catalogues --------------------------------------------------------------------------------------------------------
+
+GOOD_ENTRY = '{ name = "good", title = "Good", id = 0x7FF, size = 1, { "f", "uint8", "F" } }'
+
+# A catalogue, and what is to be said of it: of several texts, all.
+CATALOGUES = {
+    "a million entries": ("local t = {} for i = 1, 1000000 do t[i] = {} end return t",
+                          ["1000000 messages, but there are only 2048 IDs"]),
+    "a million fields in one": ("local m = { name = 'm', title = 'M', id = 1, size = 1 } "
+                                "for i = 1, 1000000 do m[i] = { 'f' .. i, 'uint8', 'F' } end "
+                                f"return {{ {GOOD_ENTRY}, m }}", ["message m: more than 1024 fields"]),
+    "a million fields in all": (f"local t = {{ {GOOD_ENTRY} }} for i = 1, 2000 do "
+                                "local m = { name = 'm' .. i, title = 'M', id = i, size = 500 } "
+                                "for j = 1, 500 do m[j] = { 'f' .. j, 'uint8', 'F' } end t[i + 1] = m end return t",
+                                ["message m100: with it the catalogue has more than 50000 fields, values and flags"]),
+    "values that all share": ("local v = {} for i = 0, 1023 do v[i] = ('x'):rep(200) end "
+                              f"local t = {{ {GOOD_ENTRY} }} for i = 1, 2000 do "
+                              "local m = { name = 'm' .. i, title = 'M', id = i, size = 1000 } "
+                              "for j = 1, 1000 do m[j] = { 'f' .. j, 'uint8', 'F', values = v } end t[i + 1] = m end "
+                              "return t", ["message m1: with it the catalogue has more than 50000"]),
+    "texts of a megabyte": ("local x = ('x'):rep(1000000) return { "
+                            "{ name = x, title = x, id = x, size = x, info = x, { x, x, x, unit = x } }, "
+                            "{ name = 'm', title = x, id = x, size = x, info = x, { x, x, x, unit = x } }, "
+                            f"{GOOD_ENTRY} }}", ["message 1: name", "message m: the title", "message m: id",
+                                                 "message m, field 1"]),
+    "a cycle of messages": (f"local t = {{ {GOOD_ENTRY} }} t[2] = t return t", ["message 2: name nil"]),
+    "a cycle of fields": ("local m = { name = 'm', title = 'M', id = 1, size = 1 } m[1] = m "
+                          f"return {{ {GOOD_ENTRY}, m }}", ["message m, field 1: table: "]),
+    "a cycle of flags": ("local f = { 'f', 'uint8', 'F', group = 'g' } f.flags = f f.values = f "
+                         f"return {{ {GOOD_ENTRY}, {{ name = 'm', title = 'M', id = 1, size = 1, f }} }}",
+                         ["message m, field f: a field has values or flags, not both"]),
+    "names of expert items": (f"return {{ {GOOD_ENTRY}, {{ name = 'fault', title = 'F', id = 1, size = 1, "
+                              "{ 'active', 'uint8', 'A' } }, { name = 'value', title = 'V', id = 2, size = 1, "
+                              "{ 'special', 'uint8', 'S' } } }",
+                              ["message fault, field active: the filter name taurus.fault.active is taken",
+                               "message value, field special: the filter name taurus.value.special is taken"]),
+    "an error in a length": ("return setmetatable({}, { __len = function() error('planted') end })",
+                             ["taurus_fields.lua:1: planted"]),
+    "an error in a field": (f"return {{ {GOOD_ENTRY}, setmetatable({{ name = 'm' }}, {{ __index = function() "
+                            "error('planted') end }) }", ["taurus_fields.lua:1: planted"]),
+    "an error that is no text": ("error({})", ["the catalogue cannot be read"]),
+    "an error of a megabyte": ("error(('x'):rep(1000000))", ["the catalogue cannot be read"]),
+    "no stack": ("local function f() return 1 + f() end return f()", ["the catalogue cannot be read", "stack overflow"]),
+}
+UNREADABLE = ("an error", "no stack", "a million entries")
+
+
+@pytest.mark.parametrize("name", CATALOGUES)
+def test_catalogue(folder, name):
+    text, texts = CATALOGUES[name]
+    options, load = given.with_catalogue(folder, text)
+    path = given.write(folder, "can0 [7FF 2A]", "can0 [210 00*32]")
+    done = tshark.run(*load, "-r", path, "-o", "yapp.all_extended:TRUE", "-V", limits=limits, **options)
+    lines = [line for line in done.stderr.splitlines() if line.startswith("yapp: ")]
+    for one in texts:
+        assert any(one in line for line in lines), [line[:300] for line in lines]
+    assert all("taurus_fields.lua" in line and len(line) < 1000 for line in lines) and len(lines) <= 20
+    assert "Lua Error" not in done.stdout and "Yet Another Packet Protocol" in done.stdout
+    if not name.startswith(UNREADABLE):
+        assert "Taurus Good" in done.stdout and "F: 42" in done.stdout
+
+
+NONSENSE = ["5", "-1", "0.5", "2^53", "2^1000", "0/0", "1/0", "'x'", "''", "true", "false", "{}", "{ {} }", "print",
+            "io.stdout", "coroutine.create(print)", "setmetatable({}, { __index = _G })", "('x'):rep(300)", "'%s%n'",
+            "'a\\0b'", "'\\255'", "'\\237\\160\\128'", "'\\194'", "'\\27[2J'"]
+KEYS = ["e.name", "e.title", "e.id", "e.size", "e.info", "e[1]", "e[1][1]", "e[1][2]", "e[1][3]", "e[1].unit",
+        "e[1].values", "e[1].flags", "e[1].group", "e[1].alarm", "e[1].invalid", "e[1].min", "e[1].max", "e[2][2]",
+        "e[2].min", "e[2].max"]
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_wrong_types(folder, key):
+    """Each part of a message as anything else; the message beside it is decoded."""
+    entries = "".join(
+        f"do local e = {{ name = 'm{i}', title = 'M', id = {i}, size = 2, info = '{{f}}', {{ 'f', 'uint8', 'F' }}, "
+        f"{{ 'g', 'float8', 'G', min = 0, max = 1 }} }}; {key} = {value}; t[#t + 1] = e end\n"
+        for i, value in enumerate(NONSENSE, 1))
+    options, load = given.with_catalogue(folder, f"local t = {{ {GOOD_ENTRY} }}\n{entries}\nreturn t")
+    path = given.write(folder, "can0 [7FF 2A]", *(f"can0 [{i:X} 01 02]" for i in range(1, len(NONSENSE) + 1)))
+    for arguments in (("-V",), ("-2", "-T", "fields", "-e", "taurus")):
+        done = tshark.run(*load, "-r", path, "-o", "yapp.all_extended:TRUE", *arguments, check=False, limits=limits,
+                          **options)
+        assert "Lua Error" not in done.stdout and "Dissector bug" not in done.stderr
+        if arguments == ("-V",):
+            assert "Taurus Good" in done.stdout and "F: 42" in done.stdout
+            assert done.returncode == 0 and len(done.stderr.splitlines()) < 25
+
+
+def test_as_many_messages_as_there_are_ids(folder):
+    options, load = given.with_catalogue(folder, "local t = {} for i = 1, 2048 do t[i] = { name = 'm' .. i, "
+                                         "title = 'M', id = i - 1, size = 1, { 'f', 'uint8', 'F' } } end return t")
+    path = given.write(folder, "can0 [0 2A]", "can0 [7FF 2B]", "can0 [210 2C]")
+    done = tshark.run(*load, "-r", path, "-T", "fields", "-e", "taurus.m1.f", "-e", "taurus.m2048.f", "-e",
+                      "taurus.m529.f", "-e", "_ws.lua.error", limits=limits, **options)
+    assert done.stdout == "42\t\t\t\n\t43\t\t\n\t\t44\t\n"
+    assert "yapp: " not in done.stderr

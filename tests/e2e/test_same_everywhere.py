@@ -1,0 +1,158 @@
+"""What a frame is depends on nothing that is asked for: not on fields, filters and passes, not on what other layers show."""
+import shutil
+import struct
+import subprocess
+
+import pytest
+
+import can_generator
+import tshark
+from can_generator import Frame, Sent
+
+COMMAND = bytes.fromhex("015A014F80F380")
+MOTOR = bytes(range(1, 33))
+PASSES = [(), ("-2",), ("-2", "-Y", "frame"), ("-2", "-R", "frame"), ("-Y", "frame")]
+NAMED = [(), ("can.id",), ("can.flags.xtd",), ("can.id", "can.flags.xtd"), ("can.len",), ("frame.interface_id",)]
+
+
+def remote(can_id, length):
+    return Frame(can_id, bytes(length), kind="remote")
+
+
+def shown(path, *names, passes=(), named=()):
+    rows = tshark.fields(path, [*names, *named], *passes)
+    return [row[:len(names)] for row in rows]
+
+
+def written(folder, frames, layout="plain"):
+    path = folder / "frames.pcapng"
+    can_generator.write(path, frames, layout)
+    return path
+
+
+@pytest.mark.parametrize("named", NAMED, ids=" ".join)
+@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
+def test_fields_that_are_named_change_nothing(passes, named, folder):
+    """Remote frames, and a message that numbers itself, are told by fields of SocketCAN, if at all."""
+    asks = [remote(0, 7), remote(0, 7)]
+    frames = [Sent(0, 0, 0, COMMAND).frame(0, COMMAND), *asks, Sent(0, 0, 0, COMMAND).frame(0, COMMAND),
+              *Sent(0x210, 0, 0, MOTOR).frames(), *Sent(0x123, 0, 9, MOTOR).frames(), *asks]
+    rows = shown(written(folder, frames), "yapp.id", "yapp.crc.status", passes=passes, named=named)
+    ids = ["0x00000000", "", "", "0x00000000"] + ["0x00000210"] * 5 + ["0x00000123"] * 5 + ["", ""]
+    assert [row[0] for row in rows] == ids
+    assert [at for at, row in enumerate(rows) if row[1] == "1"] == [8, 13]
+
+
+@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
+def test_a_numbered_message_that_comes_late(passes, folder):
+    """Its first frame is behind what a look at the file's beginning sees."""
+    frames = [frame for _ in range(900) for frame in Sent(0x210, 0, 0, MOTOR).frames()]
+    frames += Sent(0x123, 0, 9, MOTOR).frames() + Sent(0x210, 0, 0, MOTOR).frames()
+    rows = shown(written(folder, frames), "yapp.id", "yapp.crc.status", passes=passes)
+    assert [row[0] for row in rows[-10:]] == ["0x00000123"] * 5 + ["0x00000210"] * 5
+    assert rows[-6][1] == "1" and rows[-1][1] == "1"
+
+
+@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
+def test_remote_frames_in_a_message_of_zeros(passes, folder):
+    """All of it may be remote frames; only the flag tells."""
+    zeros = Sent(0x210, 0, 0, bytes(32)).frames()
+    frames = [*zeros[:2], remote(zeros[1].can_id, 8), zeros[2], zeros[3], remote(zeros[4].can_id, 8), zeros[4]]
+    rows = shown(written(folder, frames), "yapp.id", "yapp.crc.status", "yapp.fragment", passes=passes)
+    assert [at for at, row in enumerate(rows, 1) if not row[0]] == [3, 6]
+    assert rows[6][1:] == ["1", "1,2,4,5,7"]
+
+
+@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
+def test_a_remote_frame_is_no_message_to_count_from(passes, folder):
+    command = Sent(0, 0, 0, COMMAND).frame(0, COMMAND)
+    rows = shown(written(folder, [command, remote(0, 7), command]), "yapp.time_delta", passes=passes)
+    assert rows == [[""], [""], ["0.002000000"]]
+
+
+@pytest.mark.parametrize("passes", [(), ("-2",)], ids=" ".join)
+@pytest.mark.parametrize("options", [("-V",), ("-T", "fields", "-e", "yapp.crc.status")], ids=" ".join)
+@pytest.mark.parametrize("layout", ["plain", "interfaces", "sll2"])
+def test_comments_on_packets(layout, options, passes, folder):
+    """A packet comment is a field without bytes."""
+    path, commented = written(folder, Sent(0x210, 0, 0, MOTOR).frames(), layout), folder / "commented.pcapng"
+    subprocess.run(["editcap", *(word for at in range(1, 6) for word in ("-a", f"{at}:seen")), path, commented], check=True,
+                   capture_output=True)
+    done = tshark.run("-r", commented, *passes, *options)
+    assert "Good (1)" in done.stdout if options == ("-V",) else done.stdout.split() == ["1"]
+
+
+def stray_end(buses):
+    """Start and Middles on one bus, the End on another."""
+    frames = Sent(0x210, 0, 0, MOTOR).frames()
+    for frame, bus in zip(frames, buses):
+        frame.bus = bus
+    return frames
+
+
+def ip_over_sll2():
+    return struct.pack(">HHIHBB8x", 0x0800, 0, 2, 1, 0, 6) + bytes(20)
+
+
+def sll2_file(path, before, frames):
+    with open(path, "wb") as file:
+        file.write(can_generator.pcap_head(can_generator.LINKTYPE_SLL2))
+        for number in range(before):
+            record = ip_over_sll2()
+            file.write(can_generator.pcap_packet(number, record, len(record)))
+        for number, frame in enumerate(frames, before):
+            record = can_generator.sll2_head(frame) + frame.record(little=True)
+            file.write(can_generator.pcap_packet(number, record, len(record)))
+
+
+def pcapng_file(path, linktypes, frames):
+    with open(path, "wb") as file:
+        file.write(can_generator.pcapng_head(linktypes))
+        for number, frame in enumerate(frames):
+            cooked = linktypes[frame.bus] != can_generator.LINKTYPE_SOCKETCAN
+            record = (can_generator.sll_head(frame) if cooked else b"") + frame.record(little=cooked)
+            file.write(can_generator.pcapng_packet(number, frame.bus, record, len(record)))
+
+
+@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
+@pytest.mark.parametrize("kind", ["IP first", "IP for long", "SLL", "SocketCAN and SLL"])
+def test_buses_never_mix(kind, passes, folder):
+    """However late and whichever way the file tells that there are several."""
+    path, frames = folder / "two.pcapng", stray_end([0, 0, 0, 0, 1])
+    before = {"IP first": 1, "IP for long": 2000}.get(kind, 0)
+    if before:
+        sll2_file(path, before, frames)
+    else:
+        cooked = can_generator.LINKTYPE_SLL
+        pcapng_file(path, [cooked if kind == "SLL" else can_generator.LINKTYPE_SOCKETCAN, cooked], frames)
+    # With some fields named only, later versions have no more: those that say the bus are named too.
+    rows = shown(path, "yapp.fragment.orphan", "yapp.crc.status", passes=passes, named=["sll.ifindex", "frame.interface_id"])
+    assert len(rows) == before + 5 or passes[-2:] == ("-R", "frame")
+    assert bool(rows[-1][0]) and rows[-1][1] == ""
+
+
+@pytest.mark.parametrize("passes", [(), ("-2",)], ids=" ".join)
+@pytest.mark.parametrize("first", [Frame(0x123, bytes(8), kind="standard"), remote(0x08404000, 8)], ids=["11 bits", "remote"])
+def test_decode_as_leaves_others_alone_from_the_first_frame_on(first, passes, folder):
+    path = written(folder, [first, *Sent(0x210, 0, 0, MOTOR).frames()])
+    lines = tshark.run("-r", path, *passes, "-d", "can.subdissector,yapp").stdout.splitlines()
+    assert "YAPP" not in lines[0] and all("YAPP" in line for line in lines[1:])
+
+
+def test_decode_as_in_two_passes_has_the_first_message(folder):
+    path = written(folder, Sent(0x300, 2, 0, MOTOR).frames())
+    rows = shown(path, "yapp.crc.status", passes=("-2", "-d", "can.subdissector,yapp"))
+    assert rows == [[""], [""], [""], [""], ["1"]]
+
+
+@pytest.mark.parametrize("filtered", [Frame(0x123, bytes.fromhex("BBBE6FC720000000"), kind="standard"),
+                                      Frame(0x01DC4900, bytes.fromhex("BBBE6FC720000000"))], ids=["11 bits", "CTL 9"])
+def test_no_id_of_a_frame_that_a_read_filter_took_away(filtered, folder):
+    other = Frame(0x08404000, bytes.fromhex("BBBE6FC721000000"))
+    path = written(folder, [other, filtered])
+    assert shown(path, "yapp", passes=("-2", "-R", f"can.id == {filtered.can_id:#x}")) == [[""]]
+
+
+def test_the_document_as_text_in_a_tree(folder):
+    shutil.copy(tshark.CAPTURES / "candump_document.txt", folder / "document.txt")
+    assert shown(folder / "document.txt", "yapp.crc.status") == [[""], [""], [""], [""], ["1"]]

@@ -1,0 +1,84 @@
+"""Frames asked for here and there, as sharkd's clients do: each is what it is in the whole capture."""
+import json
+import os
+import pathlib
+import shutil
+import subprocess
+
+import pytest
+
+import can_generator
+import tshark
+
+pytestmark = pytest.mark.skipif(not shutil.which("sharkd"), reason="sharkd is not installed")
+
+
+@pytest.fixture
+def home(folder):
+    """sharkd loads plugins from its folder only."""
+    tshark.copy_plugin(folder / tshark.PERSONAL_FOLDER / "yapp")
+    return folder
+
+
+def filters_of(node):
+    """The filter expressions of a tree, "yapp.size == 32"."""
+    yield node.get("f", "")
+    for child in node.get("n", []):
+        yield from filters_of(child)
+
+
+def answers_of(home, path, *calls):
+    """What sharkd answers to calls, each { method, parameters }, after it has loaded a file."""
+    calls = [("load", {"file": str(path)}), *calls]
+    lines = [json.dumps({"jsonrpc": "2.0", "id": at, "method": method, "params": parameters})
+             for at, (method, parameters) in enumerate(calls, 1)]
+    done = subprocess.run(["sharkd", "-"], input="\n".join(lines) + "\n", capture_output=True, text=True, check=True,
+                          timeout=tshark.TIMEOUT, env={**os.environ, "HOME": str(home)}, **tshark._user())
+    assert "Lua:" not in done.stderr, done.stderr
+    answers = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    assert len(answers) == len(calls) and answers[0]["result"] == {"status": "OK"}, done.stdout
+    return [answer["result"] for answer in answers[1:]]
+
+
+def details(number):
+    return "frame", {"frame": number, "proto": True}
+
+
+def ask(home, path, frames):
+    """What sharkd says of frames in this order: for each the filter expressions of its fields."""
+    return [{text for node in result["tree"] for text in filters_of(node)}
+            for result in answers_of(home, path, *map(details, frames))]
+
+
+@pytest.mark.parametrize("layout", ["interfaces", "sll2", "merged"])
+def test_any_order(layout, folder, home):
+    """Two buses send messages of the same key in turns."""
+    frames, expected = [], {}
+    for count in range(3):
+        sent = [can_generator.Sent(0x210, 0, 0, bytes([16 * bus + count + 1] * 32)).frames() for bus in range(2)]
+        for pair in zip(*sent):
+            for bus, frame in enumerate(pair):
+                frame.bus = bus
+                frames.append(frame)
+                expected[len(frames)] = 10 * count + 9 + bus
+    path = pathlib.Path(folder) / "two.pcapng"
+    can_generator.write(path, frames, layout)
+    order = [1, 29, 30, 2, 9, 10, 3, 20, 19, *range(1, 31)]
+    for number, fields in zip(order, ask(home, path, order)):
+        last = expected[number]
+        assert f"yapp.reassembled.in == {last}" in fields, number
+        assert not any("fragment.incomplete" in text or "fragment.orphan" in text for text in fields), number
+        assert ("yapp.crc.status == 1" in fields) == (number == last), number
+
+
+def test_details_and_packet_list_in_turns(folder, home):
+    """The details of a frame have its interface, the packet list has not; where the file is long, nobody asked for it."""
+    path = pathlib.Path(folder) / "long.pcapng"
+    frames = [frame for _ in range(600) for frame in can_generator.Sent(0x210, 0, 0, bytes(range(1, 33))).frames()]
+    can_generator.write(path, frames, "one interface")
+    first, rows, fifth, again = answers_of(home, path, details(1), ("frames", {}), details(5), ("frames", {}))
+    assert len(rows) == len(again) == len(frames)
+    for row in rows + again:
+        assert "YAPP" in row["c"] and "without a Start" not in row["c"][-1], row
+    assert "yapp.reassembled.in == 5" in {text for node in first["tree"] for text in filters_of(node)}
+    assert "yapp.crc.status == 1" in {text for node in fifth["tree"] for text in filters_of(node)}
