@@ -11,9 +11,10 @@ ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 
 
 .PHONY: demo test unit e2e lint install uninstall dist soak matrix fuzz screenshots needs-tshark needs-tests
 
-# $(call install,commands that must be there,packages that bring them)
+# $(call install-missing,commands that must be there,packages that bring them,another condition)
 define install-missing
 	@missing=; for command in $(1); do command -v $$command >/dev/null || missing=1; done; \
+	$(or $(3),true) || missing=1; \
 	if [ -n "$$missing" ]; then \
 	  echo "Installing: $(2)"; \
 	  $(SUDO) apt-get update -qq && $(SUDO) env DEBIAN_FRONTEND=noninteractive \
@@ -25,7 +26,8 @@ needs-tshark:
 	$(call install-missing,tshark,tshark)
 
 needs-tests: needs-tshark
-	$(call install-missing,lua5.2 lua5.4 luacheck pytest-3 candump zip,lua5.2 lua5.4 lua-check lua-unit python3-pytest can-utils zip)
+	$(call install-missing,lua5.2 lua5.4 luacheck pytest-3 candump zip,lua5.2 lua5.4 lua-check lua-unit python3-pytest \
+	  python3-pytest-xdist can-utils zip,/usr/bin/python3 -c 'import xdist' 2>/dev/null)
 
 ## The packet list and the decoded tree: of the specification's captures, or of CAPTURE=file
 demo: needs-tshark
@@ -42,7 +44,7 @@ unit: needs-tests
 	lua5.4 tests/unit/run.lua tests/unit/test_*.lua
 
 e2e: needs-tests
-	pytest-3 -q -p no:cacheprovider tests/e2e
+	pytest-3 -q -n auto -p no:cacheprovider tests/e2e
 
 ## The same generators, many more captures: 1,000 CAN captures and 1,000 streams
 soak: needs-tests

@@ -138,7 +138,8 @@ def test_each_id_is_given_to_each_message():
     assert len(lines) <= 25
 
 
-@pytest.mark.parametrize("text", ["0-2047," * 10000 + "0", "0x210," * 20000 + "0", "2047-0", "5-", "-"])
+@pytest.mark.parametrize("text", ["0-2047," * 10000 + "0", "0x210," * 20000 + "0", "2047-0", "5-", "-"],
+                         ids=["all", "one", "backward", "open", "dash"])
 def test_ranges_without_end(text):
     """Wireshark takes all of these for ranges; each ID counts once."""
     lines = said("-o", f"yapp.motor_ids:{text}", "-r", tshark.CAPTURES / "document_command.pcap", check=False)
@@ -147,14 +148,15 @@ def test_ranges_without_end(text):
 
 @pytest.mark.parametrize("setting", [
     "yapp.motor_ids:0-4294967295", "yapp.motor_ids:0-99999999999999999999", "yapp.motor_ids:\u00e9",
-    "yapp.motor_ids:1e3", "yapp.user_dlt:0-4294967295", "yapp.motor_ids:" + "9" * 100000])
+    "yapp.motor_ids:1e3", "yapp.user_dlt:0-4294967295", "yapp.motor_ids:" + "9" * 100000], ids=lambda text: text[:30])
 def test_ranges_beyond_the_ids_are_refused(setting):
     done = tshark.run("-o", setting, "-r", tshark.CAPTURES / "document_command.pcap", check=False, limits=limits)
     assert done.returncode != 0 and setting[:20] in done.stderr
 
 
 @pytest.mark.parametrize("setting", ["yapp.divisor:", "yapp.divisor:7", "yapp.divisor:" + "x" * 100000,
-                                     "yapp.all_extended:maybe", "yapp.search_all:" + "x" * 100000])
+                                     "yapp.all_extended:maybe", "yapp.search_all:" + "x" * 100000],
+                         ids=lambda text: text[:30])
 def test_garbage_leaves_a_choice_as_it_is(setting):
     path = tshark.CAPTURES / "document_command.pcap"
     done = tshark.run("-o", setting, "-r", path, "-T", "fields", "-e", "taurus.command.rpm", check=False, limits=limits)
