@@ -82,6 +82,8 @@ def preferences(rng):
 # Runs --------------------------------------------------------------------------------------------------------------
 
 PLUGIN = ROOT
+LONGEST = 6000  # frames of a file
+SHORT = 10_000  # shorter ones are shown in three ways, longer ones in two: a tree takes its time
 
 
 # Wireshark loses an error of a first pass (-2, sharkd), and of a run that prints no tree.  So what Wireshark calls in the
@@ -266,9 +268,11 @@ def signature(problem):
 def make(seed, number):
     """The file of this number, and the ways to look at it."""
     rng = random.Random(f"{seed}/{number}")
-    capture = fuzz_files.make(rng)
+    capture = fuzz_files.make(rng, LONGEST)
     capture.arguments = capture.arguments + preferences(rng)
     ways = [TREE, TWO_PASSES, rng.choice(WAYS[2:])]
+    if len(capture.units) > SHORT:
+        ways = [TWO_PASSES, rng.choice(WAYS[:1] + WAYS[2:])]
     return capture, ways, rng.random() < 0.5
 
 
@@ -403,18 +407,19 @@ def results(seed, frames, jobs, deadline):
 
 
 def main():
+    global PLUGIN, LONGEST
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--frames", type=int, default=100_000)
     parser.add_argument("--seed", default="1")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--longest", type=int, default=LONGEST, help="frames of a file; more make more frames a second")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
     parser.add_argument("--file", type=int, help="look at this file of the seed only")
     parser.add_argument("--replay", type=pathlib.Path, help="look at this capture only")
     parser.add_argument("--plugin", type=pathlib.Path, default=ROOT, help="folder of the plugin")
     parser.add_argument("--keep", type=pathlib.Path, default=CAPTURES, help="where findings go")
     options = parser.parse_args()
-    global PLUGIN
-    PLUGIN = options.plugin.resolve()
+    PLUGIN, LONGEST = options.plugin.resolve(), options.longest
     homes()  # before the workers start, for all of them
     try:
         if options.replay:

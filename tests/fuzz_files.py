@@ -3,12 +3,15 @@
 Everything comes out of a random.Random: the same one makes the same file.
 """
 import functools
+import math
 import pathlib
 import re
 import shlex
 import struct
 import subprocess
 import tempfile
+
+from crc32k import crc32k
 
 CAPTURES = pathlib.Path(__file__).resolve().parents[1] / "test_captures"
 MESSAGES = [(0x000, 7), (0x210, 32), (0x200, 17)]
@@ -19,24 +22,6 @@ ETHERNET, RAW_IP, SLL, SOCKETCAN, USER0, RTAC, PDU, SLL2 = 1, 101, 113, 227, 147
 
 
 # YAPP ------------------------------------------------------------------------------------------------------------
-
-def _crc_table():
-    for byte in range(256):
-        crc = byte << 24
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x32C00699 if crc & 0x80000000 else crc << 1) & 0xFFFFFFFF
-        yield crc
-
-
-CRC_TABLE = list(_crc_table())
-
-
-def crc32k(data):
-    crc = 0xFFFFFFFF
-    for byte in data:
-        crc = (crc << 8 & 0xFFFFFFFF) ^ CRC_TABLE[crc >> 24 ^ byte]
-    return crc
-
 
 def some_bytes(rng, size):
     kind = rng.random()
@@ -508,6 +493,6 @@ def editcap_file(rng, count):
 MAKERS = [packet_file] * 6 + [candump_file] * 2 + [dump_file] + [corpus_file] * 4 + [editcap_file] * 2
 
 
-def make(rng):
-    """A damaged file: Capture."""
-    return rng.choice(MAKERS)(rng, int(10 ** rng.uniform(1.5, 3.8)))
+def make(rng, longest):
+    """A damaged file of 30 to so many frames, as often short as long: Capture."""
+    return rng.choice(MAKERS)(rng, int(10 ** rng.uniform(1.5, math.log10(longest))))

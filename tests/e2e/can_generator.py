@@ -14,7 +14,8 @@ import itertools
 import random
 import struct
 
-POLYNOMIAL = 0x32C00699
+from crc32k import crc32k
+
 FD_LENGTHS = [*range(9), 12, 16, 20, 24, 32, 48, 64]
 SINGLE, START, MIDDLE, END = range(4)
 SIZES = {"command": 7, "motor": 32, "health": 17}
@@ -27,28 +28,9 @@ PREFERENCES = [argument for kind, default in DEFAULT_ID.items() for argument in
 EVERY_EXTENDED = ["-o", "yapp.all_extended:TRUE"]
 
 
-def _table():
-    for register in range(256):
-        register <<= 24
-        for _ in range(8):
-            register = (register << 1 ^ (POLYNOMIAL if register >> 31 else 0)) & 0xFFFFFFFF
-        yield register
-
-
-TABLE = list(_table())
-
-
-def crc_of(data):
-    """CRC-32K of the document."""
-    register = 0xFFFFFFFF
-    for byte in data:
-        register = (register << 8 & 0xFFFFFFFF) ^ TABLE[register >> 24 ^ byte]
-    return register
-
-
 def message_crc(msg, ctl, seq, payload, reserved=0):
     """The CRC of a message: over the header that it would have on a UART, and its payload."""
-    return crc_of(b"YP" + struct.pack("<BBIHH", seq, ctl, msg, len(payload), reserved) + payload)
+    return crc32k(b"YP" + struct.pack("<BBIHH", seq, ctl, msg, len(payload), reserved) + payload)
 
 
 def kind_of(msg):

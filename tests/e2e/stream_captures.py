@@ -7,32 +7,14 @@ has to show is its list of events.
 import random
 import struct
 
+from crc32k import crc32k
+
 KNOWN = {0x000: 7, 0x200: 17, 0x210: 32}  # payload sizes of the catalogue
 HEADER, CRC = 12, 4
 EPOCH = 1_700_000_000_000_000
 
 
 # YAPP ------------------------------------------------------------------------------------------------------------
-
-def _crc_table():
-    table = []
-    for index in range(256):
-        register = index << 24
-        for _ in range(8):
-            register = register << 1 ^ (0x132C00699 if register >> 31 else 0)
-        table.append(register)
-    return table
-
-
-TABLE = _crc_table()
-
-
-def crc32k(data):
-    register = 0xFFFFFFFF
-    for byte in data:
-        register = register << 8 & 0xFFFFFFFF ^ TABLE[register >> 24 ^ byte]
-    return register
-
 
 def header(ident, size, seq=0, ctl=0):
     return b"YP" + struct.pack("<BBIHH", seq, ctl, ident, size, 0)

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import tshark
+from other_reader import OTHER_READER
 
 ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = ROOT / "test_captures"
@@ -33,23 +34,6 @@ function proto.dissector(_, pinfo, tree)
 end
 register_postdissector(proto)
 """
-
-OTHER_READER = """
-local other = FileHandler.new("other text", "other_text", "other text", "rs")
-function other.read_open(file, capture)
-  if file:read(6) ~= "OTHER\\n" then return false end
-  capture.encap = wtap.USER0
-  return true
-end
-function other.read(file, capture, frame)
-  local line = file:read()
-  if not line then return false end
-  frame.data = line
-  return file:seek()
-end
-register_filehandler(other)
-"""
-
 
 def run(tmp_path, arguments, lua=REGISTER % ROOT, stdin=None):
     """Runs tshark with the reader. Nothing may go wrong in Lua, and it must have been loaded: as root, tshark 4.4
@@ -322,6 +306,7 @@ def test_files_of_others_are_not_taken(tmp_path, name):
 def test_the_reader_of_another_plugin_keeps_its_files(tmp_path):
     path = tmp_path / "other.txt"
     path.write_bytes(b"OTHER\n" + LOG)
-    for lua in (OTHER_READER + REGISTER % ROOT, REGISTER % ROOT + OTHER_READER):
+    other = OTHER_READER % "rs"
+    for lua in (other + REGISTER % ROOT, REGISTER % ROOT + other):
         _, out, _ = run(tmp_path, ["-r", path, "-T", "fields", "-e", "frame.protocols"], lua=lua)
-        assert "sll" not in out and len(out.splitlines()) == 10
+        assert "sll" not in out and len(out.splitlines()) == -(-len(LOG) // 23)

@@ -17,6 +17,7 @@ import model
 import stream_captures
 import test_streams
 import tshark
+from other_reader import OTHER_READER
 from stream_captures import EXPORTED_PDU, KNOWN, Event, Oracle, Packet, Place, frame, header
 
 CAPTURES = tshark.CAPTURES
@@ -392,25 +393,6 @@ def test_captures_named_yapp(name, folder):
     done, errors = outcome(path)
     assert done[0] == 0 and done[1] and SAID not in errors
     assert done == outcome(dump(folder, WITH_FRAMES[name], "file"))[0]
-
-
-OTHER_READER = """
-local other = FileHandler.new("other text", "other_text", "other text", "%s")
-function other.read_open(file, capture)
-  if file:read(6) ~= "OTHER\\n" then return false end
-  capture.encap = wtap.USER0
-  return true
-end
-function other.read(file, capture, frame)
-  local offset = file:seek("cur")
-  local bytes = file:read(23)
-  if not bytes then return false end
-  frame.data = bytes
-  return offset
-end
-other.seek_read = function() return false end
-register_filehandler(other)
-"""
 
 
 @pytest.mark.parametrize("name", ["file", "file.bin", "file.other"])

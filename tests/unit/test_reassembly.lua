@@ -12,20 +12,12 @@ local can = require("yapp_can")
 local crc = require("yapp_crc")
 local reassembly = require("yapp_reassembly")
 local interleave = require("yapp_interleave")
+local little_endian = require("stream_generator").little_endian
 
 local bus = {} -- also for test_interleave
 
 local KIND = { L = 0, S = 1, M = 2, E = 3, X = 9 }
 bus.known = { [0x000] = 7, [0x200] = 17, [0x210] = 32 }
-
-local function little_endian(value, count)
-  local digits = {}
-  for i = 1, count do
-    digits[i] = string.char(value % 256)
-    value = (value - value % 256) / 256
-  end
-  return table.concat(digits)
-end
 
 function bus.can_id(id, ctrl, ctl, seq)
   return id * 0x40000 + ctrl * 0x4000 + ctl * 0x100 + seq
