@@ -252,6 +252,7 @@ function taurus.dissector() return 0 end
 
 -- A conversation is YAPP's when one whole frame with a good CRC has been seen in it.
 local function found_by_content(tvb, pinfo, root)
+  if pinfo.in_error_pkt then return false end
   local raw = tvb:len() > 0 and tvb:raw() or ""
   if not raw:find("YP", 1, true) or not streams:has_frame(raw) then return false end
   pinfo.conversation = serial

@@ -24,12 +24,12 @@ local EMPTY, COMMENT = "an empty line, skipped", "a comment, skipped"
 local UNKNOWN, LONG = "not a candump line, skipped", "longer than any candump line, skipped"
 local TIME, ID = "no such time, line skipped", "no such CAN id, line skipped"
 local DATA, XL = "the data bytes do not fit, line skipped", "CAN XL is not supported, line skipped"
-local DROPPED = "candump lost frames"
+local DROPPED, SAID = "candump lost frames", "a message of candump's, skipped"
 -- What there is to say about a line with a frame.
 local BEHIND, REPAIRED = "text behind the frame, ignored", "letters that look like hex digits, read as such"
 -- Of no interest in the packet list; and no reason to doubt that a file is candump's.
-local HARMLESS = { [EMPTY] = true, [COMMENT] = true, [BEHIND] = true }
-local NEUTRAL = { [EMPTY] = true, [COMMENT] = true, [DROPPED] = true, [XL] = true }
+local HARMLESS = { [EMPTY] = true, [COMMENT] = true, [SAID] = true, [BEHIND] = true }
+local NEUTRAL = { [EMPTY] = true, [COMMENT] = true, [SAID] = true, [DROPPED] = true, [XL] = true }
 -- So many lines are reported one by one for each reason.
 local REPORTED = 3
 -- Buses with a number of their own, and those named in the packet list: no file has so many, except a hostile one.
@@ -248,6 +248,7 @@ local function other_line(line, why)
   if find(line, "^%s*$") then return EMPTY end
   if find(line, "^%s*[#;]") or find(line, "^%s*//") then return COMMENT end
   if find(line, "^DROPCOUNT: ") then return DROPPED end
+  if find(line, "^Enabling Logfile '") or find(line, "output .*while logging") then return SAID end
   local word = match(line, "^\t([%l-]+)")
   if word and ERROR_TEXT[word] then return nil end
   return why
@@ -352,17 +353,25 @@ local function plain_test(bus, by_value)
   return function(text) return gsub(text, pattern, erase) == "" end
 end
 
--- candump -t d prints the time since the frame before, -t z since the first one. On one bus the latter climb;
--- the former go up and down, or repeat. (Of several buses two frames may change places.)
+-- candump -t d prints the time since the frame before, -t z since the first one. On one bus the latter climb, or
+-- stay where an adapter stamps several frames at once; the former go up and down, or repeat. (Of several buses two
+-- frames may change places.)
 local function are_deltas(records)
-  local last, odd = {}, 0
+  local last, falls, repeats, rises = {}, 0, 0, 0
   for _, record in ipairs(records) do
     local time = record.seconds * 1000000000 + record.nanoseconds
-    local before = last[record.bus] or -1
-    if time < before or time == before and time > 0 then odd = odd + 1 end
+    local before = last[record.bus] or time
+    if time < before then
+      falls = falls + 1
+    elseif time > before then
+      rises = rises + 1
+    elseif time > 0 and last[record.bus] then
+      repeats = repeats + 1
+    end
     last[record.bus] = time
   end
-  return 10 * odd > #records
+  if falls > 0 or rises <= 1 then falls = falls + repeats end
+  return 10 * falls > #records
 end
 
 -- Cuts text behind its last line end. At the end of the file all of it is lines.
@@ -372,25 +381,45 @@ local function whole_lines(text, at_end)
   return lines or "", rest or text
 end
 
--- Whether a file of candump text may start with this line, which is no frame: the rest of one in a log cut at its
--- start, or a shell's line with the command. Any other first line may be another format's mark.
-local function may_be_first(line)
-  return find(line, "%x#[#R]?%x*%s*[RT]?%s*$") or find(line, "%][%s%x]+$") or find(line, "candump ", 1, true)
+-- What the rest of a line may be: cut in its id, in its length, in its data bytes, behind them.
+local RESTS = { "^%x*#", "^%x*%s*[%[{]?%x*[%]}]", "^[%x%s`]+$", "['`]%s*$", " request%s*$" }
+
+-- Whether a line is the rest of one of candump's whose start was cut off: with the start of another one in front it is
+-- a frame again. Where their ids or lengths differ this fails, and it has to look like such a rest.
+local function is_rest(line, whole)
+  for size = 1, #whole do
+    local record = M.parse(sub(whole, 1, size) .. line)
+    if record and not record.note then return true end
+  end
+  for _, rest in ipairs(RESTS) do
+    if find(line, rest) then return true end
+  end
+  return false
+end
+
+-- Whether a file of candump text may start with these lines, which are no frames: the rest of one in a log cut at its
+-- start, or a shell's with the command. Any other first line may be another format's mark.
+local function may_begin(lines, first_frame)
+  for _, line in ipairs(lines) do
+    if find(line, "candump ", 1, true) then return true end
+  end
+  return #lines == 0 or #lines == 1 and is_rest(lines[1], first_frame)
 end
 
 -- What the first lines of a file tell: nil if they are not candump's, else whether its times are deltas, how many
 -- decimals they have (6 or 9), and the test for plain lines if all of these are plain.
 local function recognise(text, by_value)
-  local frames, others, timed, decimals, bus = 0, 0, {}, 6, nil
+  local frames, others, before, timed, decimals, bus = 0, 0, {}, {}, 6, nil
   for line in gmatch(text, "([^\n]*)\n") do
     local record, why = M.parse(line)
     if record then
+      if frames == 0 and not may_begin(before, line) then return nil end
       frames, bus = frames + 1, bus or record.bus
       if record.relative then timed[#timed + 1] = record end
       if record.seconds and record.nanoseconds % 1000 ~= 0 then decimals = 9 end
     elseif why and not NEUTRAL[why] then
       others = others + 1
-      if frames == 0 and not (others == 1 and may_be_first(line)) then return nil end
+      if frames == 0 then before[others] = line end
     end
   end
   if frames <= others then return nil end

@@ -53,11 +53,25 @@ local function little(bytes, at, count)
   return value
 end
 
+-- What a terminal gets besides letters, as it is shown.
+local CONTROLS = { ["\a"] = "\\a", ["\b"] = "\\b", ["\t"] = "\\t", ["\n"] = "\\n", ["\r"] = "\\r", ["\27"] = "\\e" }
+-- UTF-8 beyond ASCII (Unicode, "Well-Formed UTF-8 Byte Sequences"), without control characters
+local LETTERS = {
+  "\194[\160-\191]", "[\195-\223]C", "\224[\160-\191]C", "[\225-\236\238\239]CC", "\237[\128-\159]C",
+  "\240[\144-\191]CC", "[\241-\243]CCC", "\244[\128-\143]CC",
+}
+for i, letter in ipairs(LETTERS) do LETTERS[i] = letter:gsub("C", "[\128-\191]") end
+
 -- Text as a shell prints it, or nil for other bytes.
 local function printable(bytes)
-  if bytes:find("[^%g \r\n\t\27]") then return nil end
-  local text = bytes:sub(1, 80):gsub("[%c]", { ["\r"] = "\\r", ["\n"] = "\\n", ["\t"] = "\\t", ["\27"] = "\\e" })
-  return '"' .. text .. (#bytes > 80 and '..."' or '"')
+  local rest = bytes
+  if rest:find("[\128-\255]") then
+    for _, letter in ipairs(LETTERS) do rest = rest:gsub(letter, " ") end
+  end
+  if rest:find("[^%g \a\b\t\n\r\27]") then return nil end
+  local text = bytes
+  if #bytes > 80 then text = bytes:sub(1, 80):gsub("[\192-\255][\128-\191]*$", "") .. "..." end
+  return '"' .. text:gsub("%c", CONTROLS) .. '"'
 end
 
 -- A frame, good, bad or cut.  tvb and at: where its bytes are.
@@ -112,13 +126,13 @@ function Carrier:show_skipped(tree, tvb, at, bytes, wanted)
   local item = tree
   if wanted then
     item = tree:add(builder.yapp, tvb(at, #bytes))
-    item:append_text((", %d bytes skipped"):format(#bytes))
+    item:append_text((", %s skipped"):format(builder.bytes(#bytes)))
     local skipped = item:add(builder.fields.skipped, tvb(at, #bytes))
     if text then skipped:append_text(" " .. text) end
   end
-  builder:expert(item, "stream.skipped", ("%d bytes that belong to no frame%s"):format(#bytes,
-    text and ": " .. text or ""))
-  return ("Skipped %d bytes%s"):format(#bytes, text and " " .. text or "")
+  builder:expert(item, "stream.skipped", ("%s that belong to no frame%s"):format(
+    builder.bytes(#bytes), text and ": " .. text or ""))
+  return ("Skipped %s%s"):format(builder.bytes(#bytes), text and " " .. text or "")
 end
 
 -- Shows events.  base is the stream offset of the packet's first byte: what lies in it has no bytes of its own.
@@ -390,8 +404,8 @@ function Carrier:show_pending(tvb, tree, packet, size)
     if packet.leads_to then item:add(builder.fields["reassembled.in"], packet.leads_to):set_generated() end
   end
   return packet.leads_to and ("[Reassembled in #%d]"):format(packet.leads_to) or
-    packet.missing and ("[%d bytes of a frame, %d to come]"):format(pending, packet.missing) or
-    ("[%d bytes wait for more]"):format(pending)
+    packet.missing and ("[%s of a frame, %d to come]"):format(builder.bytes(pending), packet.missing) or
+    ("[%s wait for more]"):format(builder.bytes(pending))
 end
 
 function Carrier:serial(tvb, pinfo, tree)
@@ -410,7 +424,7 @@ end
 --- Dissects what a carrier hands over.
 -- returns the number of bytes that are ours
 function Carrier:dissect(tvb, pinfo, tree)
-  if tvb:len() == 0 then return 0 end
+  if tvb:len() == 0 or pinfo.in_error_pkt then return 0 end -- an ICMP error only quotes what was sent before
   local kind = pinfo.port_type
   if kind == UDP then return self:datagram(tvb, pinfo, tree) end
   if kind == TCP and pinfo.can_desegment > 0 then return self:segment(tvb, pinfo, tree) end

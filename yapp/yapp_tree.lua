@@ -272,6 +272,11 @@ function Tree:taurus_tree(tree, tvb, at, message, raws, payload)
   return items, top
 end
 
+--- A number of bytes in words: "1 byte", "2 bytes".
+function Tree.bytes(count)
+  return count == 1 and "1 byte" or ("%d bytes"):format(count)
+end
+
 --- Shows a payload: the message of the catalogue, or bytes.
 -- tree, item  where the Taurus tree goes, and YAPP's own item
 -- id          message ID; payload: string, may be shorter than the message where the capture cut it
@@ -284,11 +289,11 @@ function Tree:payload(tree, item, id, payload, tvb, at, size)
     if tvb and #payload > 0 then item:add(self.fields.payload, tvb(at, #payload)) end
     if not message then
       self:expert(item, "id.unknown", string.format("Message ID 0x%x is not in the catalogue", id))
-      return string.format("ID 0x%x  %d bytes", id, #payload)
+      return string.format("ID 0x%x  %s", id, Tree.bytes(#payload))
     end
-    self:expert(item, "size.mismatch", string.format("%s has %d bytes, the catalogue says %d",
-      message.title, size, message.size))
-    return string.format("%s  %d bytes, not %d", message.title, size, message.size)
+    self:expert(item, "size.mismatch", string.format("%s has %s, the catalogue says %d",
+      message.title, Tree.bytes(size), message.size))
+    return string.format("%s  %s, not %d", message.title, Tree.bytes(size), message.size)
   end
   local raws, look = decode.read(message, payload)
   local items, top = {}, item

@@ -49,25 +49,35 @@ def shown(path, *arguments):
 
 # What a packet has to show ---------------------------------------------------------------------------------------
 
+CONTROLS = {"\a": r"\a", "\b": r"\b", "\t": r"\t", "\n": r"\n", "\r": r"\r", "\x1b": r"\e"}
+
+
 def quoted(data):
     """Text as the Info column quotes it, "" for other bytes."""
-    if any(not (32 <= byte < 127 or byte in b"\r\n\t\x1b") for byte in data):
+    try:
+        if any(one < " " and one not in CONTROLS or "\x7f" <= one < "\xa0" for one in data.decode()):
+            return ""
+    except UnicodeDecodeError:
         return ""
-    text = data[:80].decode().replace("\r", r"\r").replace("\n", r"\n").replace("\t", r"\t").replace("\x1b", r"\e")
-    return f' "{text}' + ('..."' if len(data) > 80 else '"')
+    text = data[:80] if len(data) <= 80 else re.sub(rb"[\xc0-\xff][\x80-\xbf]*$", b"", data[:80])
+    return f' "{text.decode().translate(str.maketrans(CONTROLS))}' + ('..."' if len(data) > 80 else '"')
+
+
+def counted(data):
+    return "1 byte" if len(data) == 1 else f"{len(data)} bytes"
 
 
 def info(event):
     if event.kind == "skipped":
-        return f"Skipped {len(event.data)} bytes{quoted(event.data)}"
+        return f"Skipped {counted(event.data)}{quoted(event.data)}"
     known = model.MESSAGES.get(event.ident)
     if known:
         return known[1]
-    return f"ID 0x{event.ident:x}  {len(event.payload)} bytes{ENDS[event.kind]}"
+    return f"ID 0x{event.ident:x}  {counted(event.payload)}{ENDS[event.kind]}"
 
 
 def label(event):
-    return f"{len(event.data)} bytes skipped" if event.kind == "skipped" else LABELS[event.kind]
+    return f"{counted(event.data)} skipped" if event.kind == "skipped" else LABELS[event.kind]
 
 
 def expected(packet):
@@ -259,6 +269,10 @@ SITUATIONS = {
     "the snap length cuts a frame": (SERIAL, [
         (ONE + TWO[:10], [("good", ONE)], TWO[:10]), ((TWO[10:], 15), [("cut", TWO[:25])]), (THREE, [("good", THREE)])]),
     "the snap length cuts text": (SERIAL, [((b"text and more", 4), [("skipped", b"text")]), (ONE, [("good", ONE)])]),
+    "a line that is edited": (SERIAL, [
+        (b"> pw\b \bwd\a\r\n41 \xc2\xb0C" + ONE, [("skipped", b"> pw\b \bwd\a\r\n41 \xc2\xb0C"), ("good", ONE)]),
+        (b"\xc2\xb0" * 50 + ONE, [("skipped", b"\xc2\xb0" * 50), ("good", ONE)]),
+        (b"\xc2\x80" + ONE, [("skipped", b"\xc2\x80"), ("good", ONE)]), (b"\xb0" + ONE, [("skipped", b"\xb0"), ("good", ONE)])]),
     "the snap length leaves nothing": (SERIAL, [((ONE, 0), []), (TWO, [("good", TWO)])]),
     "the snap length cuts a datagram": (UDP, [((ONE, 20), [("cut", ONE[:20])]), ((ONE, 3), [("skipped", ONE[:3])]),
                                               ((ONE, 0), []), (TWO, [("good", TWO)])]),
@@ -355,6 +369,25 @@ def test_repeated_inside_a_frame(folder):
         good = [number for number, row in found.items() if row.get("yapp.crc.status") == ["1"]]
         assert good in ([4], [5])
         assert "".join(text for row in found.values() for text in row.get("yapp.skipped", [])) == b"texttext".hex()
+
+
+@pytest.mark.parametrize("arguments", [[], UDP_PORT, ["-o", "yapp.search_all:TRUE"]], ids=["found", "Decode As", "all"])
+def test_icmp_quotes_datagrams(arguments, folder):
+    """A port that is unreachable: what the error quotes of a datagram has been sent once only."""
+    def quote(packet, bytes_of_it=1000):
+        datagram = stream_captures.udp(packet)[14:]
+        return stream_captures.ethernet(packet, 1, bytes([3, 3, 0, 0, 0, 0, 0, 0]) + datagram[:28 + bytes_of_it])
+
+    packets = [Packet(ONE, Place(ETHERNET, 0, 0)) for _ in range(5)]
+    for number, packet in enumerate(packets):
+        packet.number, packet.time = number + 1, stream_captures.EPOCH + number * 1000
+    links = {1: quote, 3: lambda packet: quote(packet, 20)}
+    stream_captures.Capture("", packets, lambda packet: links.get(packet.number - 1, stream_captures.udp)(packet),
+                            arguments).write(folder / "icmp.pcapng")
+    for passes in PASSES.values():
+        found = shown(folder / "icmp.pcapng", *passes, *arguments)
+        assert [number for number, row in found.items() if "yapp" in row] == [1, 3, 5]
+        assert [found[number].get("yapp.time_delta") for number in (1, 3, 5)] == [None] + [["0.002000000"]] * 2
 
 
 LINKS = {"frame.number", "info", "yapp.fragment", "yapp.reassembled.in", INFO}
