@@ -18,7 +18,7 @@ Buses.__index = Buses
 --- Looks at files from now on.  Call it once.
 -- head  the module yapp_head
 function M.watch(head)
-  local self = setmetatable({ found = head.read(""), says_bus = {} }, Buses)
+  local self = setmetatable({ found = head.read(""), says_bus = {}, numbers = {}, count = 0 }, Buses)
   -- A reader that never reads: the only place where the API shows a file.
   local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the first bytes", "rms")
   function handler.read_open(file)
@@ -44,7 +44,7 @@ function Buses:init()
     self.tap = nil
   end
   remove(self.can_tap)
-  self.can_tap, self.asked_at, self.says_bus = nil, nil, {}
+  self.can_tap, self.asked_at, self.says_bus, self.numbers, self.count = nil, nil, {}, {}, 0
 end
 
 --- Whether the file tells several sources apart, by its first bytes.
@@ -92,6 +92,17 @@ end
 
 local DIRECTION = { 0, 1, 0, 1 } -- of RTAC events: data sent, data received, ...
 
+-- The number of a source: 1, 2, 3, as they show.  (Interfaces may be numbered to 2^32.)
+function Buses:number(interface, index, direction)
+  local source = interface * 2 ^ 33 + index * 2 + direction
+  local number = self.numbers[source]
+  if not number then
+    number = self.count + 1
+    self.numbers[source], self.count = number, number
+  end
+  return number
+end
+
 --- Where the current packet was captured: a number, nil where the capture does not say, false where only this pass
 -- does not.
 function Buses:current(pinfo)
@@ -104,7 +115,7 @@ function Buses:current(pinfo)
   -- One or the other for all of a pass: a message does not begin on a bus and end on none.
   if self.says_bus[visited] == nil then self.says_bus[visited] = says_bus end
   if not says_bus then return false end
-  return (interface or 0) * 0x20000 + (index or 0) % 0x10000 * 2 + (DIRECTION[event] or 0)
+  return self:number(interface or 0, index or 0, DIRECTION[event] or 0)
 end
 
 return M

@@ -34,9 +34,74 @@ end
 --- Forgets the capture file: nothing survives into the next one.
 -- mixed  whether the next one is known to have several buses
 function Carrier:reset(mixed)
+  self:reset_serials()
   self.state, self.second, self.guessed, self.mixed, self.first_bus = self:new_state(), nil, false, mixed, nil
   self.highest, self.again, self.reached = 0, false, 0
 end
+
+-- Which look it is --------------------------------------------------------------------------------------------------
+
+-- A look at a frame has a number of its own, its serial.  That is the frame's number until one comes twice: a packet
+-- may have several CAN frames, and a frame that a read filter rejects has the number of the next.  From then on the
+-- serials run ahead.
+-- shift     by so much
+-- first     the first number that came twice
+-- serials   { [number] = serial of the look that counts }, from there on
+-- numbers   { [serial] = number }
+-- places    { [number] = { [place of the frame in its packet] = serial } } of the frames behind a packet's first
+-- place, serial, filtered  of the latest look; whether it was seen that a read filter rejects frames
+-- since     { [ID of an unknown message] = serial of its first frame }
+function Carrier:reset_serials()
+  self.shift, self.first, self.serials, self.numbers, self.places = 0, nil, {}, {}, {}
+  self.place, self.serial, self.filtered, self.since = nil, nil, false, {}
+end
+
+-- The serial of a look on the first pass, where it is not simply the frame's number.
+function Carrier:new_serial(tvb, number)
+  local place, repeated = tvb:offset(), number <= self.highest
+  local is_elsewhere = repeated and place ~= self.place
+  self.place = place
+  if repeated and not is_elsewhere then
+    local serial = self.serial or self.highest
+    if not self.state.frames[serial] then return serial end -- the first look left it to others
+    self.filtered = true
+  end
+  if repeated then
+    self.shift, self.first = self.shift + 1, self.first or number
+  end
+  local serial = number + self.shift
+  self.serial, self.numbers[serial] = serial, number
+  if is_elsewhere then
+    self.places[number] = self.places[number] or {}
+    self.places[number][place] = serial
+  else
+    self.serials[number] = serial
+  end
+  return serial
+end
+
+-- The serial of a frame on a later pass; nil for one that the first pass was not asked about.
+function Carrier:find_serial(tvb, number)
+  if self.shift == 0 then return number end
+  local places = self.places[number]
+  return places and places[tvb:offset()] or self.serials[number] or number <= self.first and number or nil
+end
+
+-- Whether a frame of an unknown message came before its first Start: then the first pass was not asked about it, and
+-- what it knows under this serial is another frame's, which a read filter rejected.
+function Carrier:is_early(id, serial)
+  return not self.tree.by_id[id] and serial < (self.since[id] or math.huge)
+end
+
+-- The number of the frame that a look was at; nil for one that a read filter rejected.
+function Carrier:number_of(serial)
+  if self.shift == 0 then return serial end
+  local number = self.numbers[serial] or serial
+  local counts = self.places[number] or (self.serials[number] or number) == serial
+  return counts and number or nil
+end
+
+-- Looks ---------------------------------------------------------------------------------------------------------------
 
 --- The first pass (of tshark -2, of sharkd) builds no tree and had to guess: the bus, the id of a frame, or whether it
 -- was a remote frame.
@@ -51,16 +116,16 @@ function Carrier:new_state()
     local message = by_id[id]
     return message and message.size
   end)
-  state.last_time, state.deltas = {}, {}
+  state.last_time, state.deltas, state.numbers = {}, {}, self.numbers
   return state
 end
 
 -- The time since the previous message with this ID on this bus; kept, because only a pass that comes in order knows it.
-local function note_time(state, pinfo, bus, id, number)
+local function note_time(state, pinfo, bus, id, serial)
   local now, key, last_time = pinfo.rel_ts, (bus or -1) * 0x800 + id, state.last_time
   local before = last_time[key]
   last_time[key] = now
-  if before then state.deltas[number] = now - before end
+  if before then state.deltas[serial] = now - before end
 end
 
 function Carrier:note_bus(bus, doubtful)
@@ -72,11 +137,10 @@ function Carrier:note_bus(bus, doubtful)
 end
 
 -- A look at a frame, in the order of the capture.
-function Carrier:look(state, bus, pinfo, address, data, reported, number, wide, doubtful)
+function Carrier:look(state, bus, pinfo, address, data, reported, serial, wide, doubtful)
   if bus ~= nil or doubtful then self:note_bus(bus, doubtful) end
-  if state.deltas[number] then state.deltas[number] = nil end
-  local entry = state:frame(bus, address, data, reported, number, wide, doubtful)
-  if entry and (entry == LONE or entry.last == number) then note_time(state, pinfo, bus, address.id, number) end
+  local entry = state:frame(bus, address, data, reported, serial, wide, doubtful)
+  if entry and (entry == LONE or entry.last == serial) then note_time(state, pinfo, bus, address.id, serial) end
   return entry
 end
 
@@ -95,44 +159,54 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
     local remote = self.is_remote(pinfo)
     doubtful = remote == nil
     if remote or doubtful and data == "" then
-      self:pass_over(pinfo, number, doubtful)
+      self:pass_over(tvb, pinfo, doubtful)
       return 0
     end
   end
-  local entry
+  local entry, serial
   -- Numbers grow on the first pass: this saves a call for most frames.
   if number > self.highest and not (self.again and pinfo.visited) or not pinfo.visited then
+    if number > self.highest and self.shift == 0 then
+      serial, self.place = number, self.place or tvb:offset()
+    else
+      serial = self:new_serial(tvb, number)
+    end
     self.highest = number
-    entry = self:look(state, self.bus_of(pinfo), pinfo, address, data, reported, number, wide, doubtful)
+    entry = self:look(state, self.bus_of(pinfo), pinfo, address, data, reported, serial, wide, doubtful)
   else
     if not self.again then
       self.again = true
       self.is_remote(pinfo) -- asks for the fields that a later frame may need
     end
-    entry, state, leads_to = self:look_again(pinfo, address, data, reported, number, wide, doubtful)
+    serial = self:find_serial(tvb, number)
+    if not serial or self.filtered and not wide and self:is_early(address.id, serial) then return 0 end
+    entry, state, leads_to = self:look_again(pinfo, address, data, reported, serial, wide, doubtful)
   end
   if not entry then return 0 end
   local builder = self.tree
-  if not builder.by_id[address.id] then self.on_unknown(address.id) end
-  local wanted = builder:wanted(tree, entry.kind or entry.last == number)
+  if not builder.by_id[address.id] and not self.since[address.id] then
+    self.since[address.id] = serial
+    self.on_unknown(address.id)
+  end
+  local wanted = builder:wanted(tree, entry.kind or entry.last == serial)
   local item = wanted and self:item(tvb, tree, address) or tree
   local columns = pinfo.cols
   columns.protocol = "YAPP"
   if entry.kind then
     columns.info = self:show_lone(tvb, tree, item, address, data, reported, entry, wanted)
-  elseif entry.last == number then
+  elseif entry.last == serial then
     columns.info = self:show_message(tvb, tree, item, address, data, entry, wanted)
   else
-    columns.info = self:show_part(tvb, item, address, data, entry, number, wanted, entry.last or leads_to)
+    columns.info = self:show_part(tvb, item, address, data, entry, serial, wanted, entry.last or leads_to)
   end
   if #data < reported then
     builder:expert(item, "truncated", ("The capture has %d of the frame's %d bytes"):format(#data, reported))
   end
-  local faults = state.faults[number]
+  local faults = state.faults[serial]
   if faults then
     for _, fault in ipairs(faults) do builder:expert(item, fault[1], fault[2]) end
   end
-  if wanted then builder:add_delta(item, state.deltas[number]) end
+  if wanted then builder:add_delta(item, state.deltas[serial]) end
   return reported
 end
 
@@ -167,42 +241,43 @@ end
 -- A later look at a frame.  Where the first pass had to guess, a second one that comes in order knows better; but what
 -- will come it has from the first.  In Wireshark a look for the packet list may not have the bus that a look for the
 -- details has: the second pass is made of looks of one kind.
-function Carrier:look_again(pinfo, address, data, reported, number, wide, doubtful)
+function Carrier:look_again(pinfo, address, data, reported, serial, wide, doubtful)
   local first, second = self.state, self.second
-  local entry
-  if second and number <= self.reached then
-    entry = second:entry(number)
-  else
+  local entry = second and serial <= self.reached and second:entry(serial)
+  local left = not entry and wide and serial == self.reached -- the table of ids had it, and left it to us
+  if not second or serial > self.reached or left then
     local bus = self.guessed and self.bus_of(pinfo)
-    if not self.guessed or second and bus == false and self.second_has_bus or not self:follows(number) then
-      entry = first:entry(number)
-      if not entry and wide then entry = self:late(address, number) end
+    if not self.guessed or self.filtered or second and bus == false and self.second_has_bus or
+      not (left or self:follows(serial)) then
+      entry = first:entry(serial)
+      if not entry and wide then entry = self:late(address, serial) end
       return entry, first
     end
     if not second then
       second = self:new_state()
       self.second, self.second_has_bus = second, bus ~= false
     end
-    self.reached = number
-    entry = self:look(second, self.second_has_bus and bus, pinfo, address, data, reported, number, wide, doubtful)
+    self.reached = serial
+    entry = self:look(second, self.second_has_bus and bus, pinfo, address, data, reported, serial, wide, doubtful)
   end
   return entry, second, entry and not entry.kind and self:foreseen(entry[1])
 end
 
 -- A frame that is not ours after all.
-function Carrier:pass_over(pinfo, number, doubtful)
+function Carrier:pass_over(tvb, pinfo, doubtful)
   if doubtful then
     self.guessed = true
-  elseif pinfo.visited and number > self.reached and self:follows(number) then
-    self.reached = number
+  elseif pinfo.visited then
+    local serial = self:find_serial(tvb, pinfo.number)
+    if serial and serial > self.reached and self:follows(serial) then self.reached = serial end
   end
 end
 
 -- Whether a second pass goes on here: it has seen all frames that came to us before.  Who asks for a frame here and
--- there, as sharkd does, gets what the first pass knows.
-function Carrier:follows(number)
+-- there, as sharkd does, gets what the first pass knows.  A read filter leaves gaps: then there is no second pass.
+function Carrier:follows(serial)
   local frames = self.state.frames
-  for before = self.reached + 1, number - 1 do
+  for before = self.reached + 1, serial - 1 do
     if frames[before] then return false end
     self.reached = before
   end
@@ -210,20 +285,20 @@ function Carrier:follows(number)
 end
 
 -- Where the message that begins with a frame ends, by the first pass; if that mixed buses, it has this from the CRC.
-function Carrier:foreseen(number)
-  local message = self.state:entry(number)
+function Carrier:foreseen(serial)
+  local message = self.state:entry(serial)
   return message and (message.status == "good" or not self.mixed) and message.last or nil
 end
 
 -- A frame whose id was not known on the first pass, the first one under Decode As: what stands alone can still be
 -- shown, but a message that it began or ended is lost.
-function Carrier:late(address, number)
+function Carrier:late(address, serial)
   local state = self.state
   if address.ctrl == 0 or address.ctrl > 3 then
-    return state:frame(nil, address, "?", 1, number, true)
+    return state:frame(nil, address, "?", 1, serial, true)
   end
-  if not state.faults[number] then
-    state:fault(number, "can.id.missing", "The CAN id was not known on the first pass: reload to see the message")
+  if not state.faults[serial] then
+    state:fault(serial, "can.id.missing", "The CAN id was not known on the first pass: reload to see the message")
   end
   return ORPHAN
 end
@@ -234,7 +309,7 @@ function Carrier:takes_single(tvb, pinfo, id, wide)
   local data = tvb:len() > 0 and tvb:raw() or ""
   if reported == 0 then return false end
   if ZEROS[data] and self.is_remote(pinfo) then
-    self:pass_over(pinfo, pinfo.number)
+    self:pass_over(tvb, pinfo)
     return false
   end
   local message = self.tree.by_id[id]
@@ -266,7 +341,7 @@ function Carrier:show_single(tvb, tree, item, msg, data, reported, wanted)
 end
 
 -- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept.
-local function part_info(builder, address, entry, number, length)
+local function part_info(builder, address, entry, serial, length)
   local texts, size = address.part_info, entry.size
   if not texts or texts.by_id ~= builder.by_id or texts.size ~= size then
     texts = { by_id = builder.by_id, name = builder:name(address.id), size = size }
@@ -277,7 +352,7 @@ local function part_info(builder, address, entry, number, length)
     return texts.start
   end
   local index = entry.count
-  while index > 1 and entry[index] ~= number do index = index - 1 end
+  while index > 1 and entry[index] ~= serial do index = index - 1 end
   -- How many parts there are is sure in the end; before that, it is what classic CAN needs.
   local parts = entry.status == "good" and entry.count or
     length == 8 and 1 + (size + 7 - (size + 7) % 8) / 8
@@ -289,8 +364,9 @@ local function part_info(builder, address, entry, number, length)
 end
 
 -- A Start, a Middle, or an End that completes nothing.
-function Carrier:show_part(tvb, item, address, data, entry, number, wanted, leads_to)
+function Carrier:show_part(tvb, item, address, data, entry, serial, wanted, leads_to)
   local fields = self.tree.fields
+  leads_to = leads_to and self:number_of(leads_to)
   if wanted then
     if address.ctrl == START then
       self:start_tree(tvb, item, #data)
@@ -300,7 +376,7 @@ function Carrier:show_part(tvb, item, address, data, entry, number, wanted, lead
     end
     if leads_to then item:add(fields["reassembled.in"], leads_to):set_generated() end
   end
-  local text = part_info(self.tree, address, entry, number, #data)
+  local text = part_info(self.tree, address, entry, serial, #data)
   return leads_to and ("%s  [Reassembled in #%d]"):format(text, leads_to) or text
 end
 
@@ -317,7 +393,10 @@ function Carrier:fragments_tree(item, tvb, entry)
   local list = item:add(fields.fragments, tvb())
   list:set_text(("%d fragments (%d bytes)"):format(entry.count, #entry.payload))
   list:set_generated()
-  for i = 1, entry.count do list:add(fields.fragment, entry[i]):set_generated() end
+  for i = 1, entry.count do
+    local number = self:number_of(entry[i])
+    if number then list:add(fields.fragment, number):set_generated() end
+  end
   list:add(fields["fragment.count"], entry.count):set_generated()
   list:add(fields["reassembled.length"], #entry.payload):set_generated()
 end
@@ -328,7 +407,7 @@ function Carrier:show_message(tvb, tree, item, address, data, entry, wanted)
   local whole
   if wanted then
     if #payload > 0 then whole = ByteArray.new(payload, true):tvb("Reassembled YAPP") end
-    item:add(builder.fields["reassembled.in"], entry.last):set_generated()
+    item:add(builder.fields["reassembled.in"], self:number_of(entry.last)):set_generated()
     item:add(builder.fields.size, entry.size):append_text(" bytes"):set_generated()
     item:add(builder.fields.reserved, entry.reserved or 0):set_generated()
     self.state:restore(entry, address)

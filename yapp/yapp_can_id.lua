@@ -21,6 +21,7 @@ end
 --- Forgets the capture file.
 function Ids:reset()
   self.number, self.read = 0, 0
+  self.is_swapped = get_preference("can.byte_swap") -- of records that a little endian machine wrote as they were
 end
 
 --- Notes the id of a frame for those who are asked next; forget it when nobody will ask.
@@ -69,7 +70,8 @@ function Ids:is_remote(pinfo)
   return text:find("Remote", 1, true) ~= nil
 end
 
--- The first word of a SocketCAN record; big endian in its own encapsulation, host order in cooked captures.
+-- The first word of a SocketCAN record; big endian in its own encapsulation (unless a preference says otherwise), host
+-- order in cooked captures.
 local function header_id(tvb, little)
   if tvb:len() < 8 then return nil end
   local word = little and tvb(0, 4):le_uint() or tvb(0, 4):uint()
@@ -93,14 +95,17 @@ function Ids:wrap(proto)
     local key = pinfo.match_uint
     for _, carrier in ipairs(carriers) do
       if carrier.value == key and carrier.inner then
-        local id = header_id(tvb, carrier.little)
+        local id = header_id(tvb, carrier.little or key == wtap.SOCKETCAN and self.is_swapped)
         self.read, self.no_data = pinfo.number, not id -- or not extended: then the frame is not ours either
         self:note(pinfo.number, id)
-        -- SocketCAN throws past Lua where the capture has not the whole header; a frame that is malformed otherwise
-        -- has its item by the time pcall returns, and is no error of ours.
-        if tvb:len() < 8 then return 0 end
-        local ok, length = pcall(carrier.inner.call, carrier.inner, tvb, pinfo, tree)
-        return ok and length or tvb:len()
+        -- What the capture cut, others throw past Lua, which never gets back what that takes of its stack: so SocketCAN
+        -- is not called for half a header, and of a frame that is not ours it sees the captured bytes alone.  A frame
+        -- that is malformed has its item by the time pcall returns, and is no error of ours.
+        local length = tvb:len()
+        if length < 8 then return 0 end
+        local seen = not id and length < tvb:reported_len() and tvb(0, length):tvb() or tvb
+        local ok, taken = pcall(carrier.inner.call, carrier.inner, seen, pinfo, tree)
+        return ok and taken or length
       end
     end
     return 0

@@ -1,5 +1,5 @@
 -- Reassembly of YAPP over CAN: Start, Middle, End ("Multi-Frame CAN YAPP").  Pure Lua, 5.2 and 5.4: it takes
--- (bus, address, bytes, frame number) and says what each frame is.
+-- (bus, address, bytes, a number that grows) and says what each frame is.
 
 local M = {}
 
@@ -24,7 +24,8 @@ Reassembler.__index = Reassembler
 -- parts    the modules { can =, crc =, interleave = }
 -- size_of  function(id) -> payload size of a known message, nil for an unknown one
 -- It has faults, by frame number: a list of { expert, text }; what was said of a message that came out good after all
--- is taken back.
+-- is taken back.  Where the numbers that it is given are not those that texts shall name, set its numbers:
+-- { [given] = named }.
 --
 -- A message has address, size, crc, reserved (nil when 0; all from its Start), the numbers of its frames at
 -- 1 .. count, received (bytes), and when it has ended status: "good", "bad" (CRC), "short", "overrun", "cut" (by a
@@ -33,7 +34,7 @@ Reassembler.__index = Reassembler
 function M.new(parts, size_of)
   return setmetatable({
     can = parts.can, crc = parts.crc, interleave = parts.interleave, size_of = size_of,
-    faults = {}, frames = {}, open = {}, open_count = 0, queue = {}, queue_length = 0,
+    faults = {}, numbers = {}, frames = {}, open = {}, open_count = 0, queue = {}, queue_length = 0,
     credit = MAX_CREDIT, seeds = {}, seed_count = 0, distances = {},
   }, Reassembler)
 end
@@ -58,15 +59,20 @@ function Reassembler:orphan(number, is_end)
   return M.ORPHAN
 end
 
+-- The frame that a message started in, as texts name it.
+local function start_of(self, message)
+  return self.numbers[message[1]] or message[1]
+end
+
 -- The message has more or fewer bytes than its size; returns the status.
 function Reassembler:misfit(message, received, number)
   if received < message.size then
     self:fault(number, "fragment.incomplete", ("The message that started in frame %d ends with %d of %d bytes")
-      :format(message[1], received, message.size), message)
+      :format(start_of(self, message), received, message.size), message)
     return "short"
   elseif received > message.size then
     self:fault(number, "fragment.overrun", ("%d bytes for the %d of the message that started in frame %d")
-      :format(received, message.size, message[1]), message)
+      :format(received, message.size, start_of(self, message)), message)
     return "overrun"
   end
 end
@@ -92,7 +98,6 @@ end
 --- A good message has another frame with the same bytes instead of one of its frames.
 function Reassembler:exchange(number, other)
   local message = self:entry(number)
-  if not message or not message.count then return end -- a read filter made frames share a number
   for i = 1, message.count do
     if message[i] == number then message[i] = other end
   end
@@ -161,7 +166,6 @@ function Reassembler:entry(number)
   local entry = self.frames[number]
   if type(entry) == "number" then
     number, entry = entry, self.frames[entry]
-    if type(entry) ~= "string" then return nil end -- a read filter made frames share a number
   end
   if type(entry) == "string" then return take_out(entry, number) end
   return entry
@@ -224,7 +228,7 @@ function Reassembler:overtake(key, bus, open, number)
     local received = open.messages and open:received() or open.received
     self:fault(number, "fragment.incomplete",
       ("A new Start cuts off the message that started in frame %d: %d of %d bytes")
-      :format(newest[1], received, newest.size), newest)
+      :format(start_of(self, newest), received, newest.size), newest)
   end
   if bus or newest.status or newest.truncated then
     for _, message in ipairs(open.messages or { open }) do give_up(message) end
@@ -353,14 +357,11 @@ end
 -- bus       number, or nil where the capture does not say
 -- address   can.address of its 29-bit id
 -- data      captured bytes; reported: its length on the bus
--- number    frame number
+-- number    of the frame, or of this look at it: it grows, and every frame that is taken has its own
 -- wide      true when the user says that every extended frame is YAPP; else only what is surely YAPP is claimed
 -- doubtful  true for a frame of zeros that may be a remote frame: size and CRC say whether it belongs
 -- returns   what the frame is (see entry), nil when it is not YAPP's.  A good message is valid until the next call.
 function Reassembler:frame(bus, address, data, reported, number, wide, doubtful)
-  -- A frame that a read filter rejected had the same number.  (Storing nil would make a new key in Lua 5.2.)
-  if self.frames[number] then self.frames[number] = nil end
-  if self.faults[number] then self.faults[number] = nil end
   if reported == 0 then return end
   if self.credit < MAX_CREDIT then self.credit = math.max(self.credit, 0) + CREDIT_PER_FRAME end
   local ctrl = address.ctrl

@@ -1,4 +1,6 @@
 """What a frame is depends on nothing that is asked for: not on fields, filters and passes, not on what other layers show."""
+import random
+import re
 import shutil
 import struct
 import subprocess
@@ -151,6 +153,108 @@ def test_no_id_of_a_frame_that_a_read_filter_took_away(filtered, folder):
     other = Frame(0x08404000, bytes.fromhex("BBBE6FC721000000"))
     path = written(folder, [other, filtered])
     assert shown(path, "yapp", passes=("-2", "-R", f"can.id == {filtered.can_id:#x}")) == [[""]]
+
+
+INFO = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
+LINK = re.compile(r"  \[Reassembled in #\d+\]| part \d+( of \d+)?| started in frame \d+")
+
+
+def traffic(seed):
+    """Messages that interleave: of several kinds, and two at a time with one key; some lose a frame."""
+    rng = random.Random(seed)
+    streams = []
+    for msg, size in ((0x210, 32), (0x210, 32), (0x200, 17), (0, 7), (0x123, 60)):
+        frames = []
+        for _ in range(12):
+            message = Sent(msg, 0, 0, bytes(rng.randrange(1, 200) for _ in range(size))).frames()
+            if len(message) > 1 and rng.random() < 0.2:
+                del message[rng.randrange(len(message))]
+            frames += message
+        streams.append(frames)
+    return can_generator.merge(rng, streams)
+
+
+@pytest.mark.parametrize("read_filter", [
+    "yapp.id == 0 || yapp.id == 0x200", "yapp.can.ctrl == 1", "yapp.can.ctrl == 2", "yapp.can.ctrl == 3", "taurus",
+    "not yapp.can.ctrl == 1", "not yapp.can.ctrl == 2", "not taurus", "yapp.crc.status == 1"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_a_read_filter_leaves(seed, read_filter, folder):
+    """It takes frames of messages away, and their numbers are the next ones'; what is left shows what it always shows."""
+    path = written(folder, traffic(seed))
+    # What is taken back when a message comes out good is still said in one pass.
+    names = [INFO, "yapp.crc.status", "taurus.motor.timestamp", "yapp.time_delta", "yapp.fragment.orphan"]
+    numbers = [number for number, in tshark.fields(path, ["frame.number"], "-2", "-Y", read_filter)]
+    every = shown(path, *names, "yapp.fragment.incomplete", passes=("-2",))
+    left = shown(path, *names, "yapp.fragment.incomplete", "yapp.fragment", passes=("-2", "-R", read_filter))
+    assert 0 < len(left) < len(every)
+    for now, (row, number) in enumerate(zip(left, numbers, strict=True), 1):
+        assert [LINK.sub("", text) for text in row[:-1]] == [LINK.sub("", text) for text in every[int(number) - 1]], number
+        assert all(int(other) <= now for other in row[-1].split(",") if other)
+
+
+@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
+@pytest.mark.parametrize("layout", ["plain", "interfaces", "sll", "sll2"])
+@pytest.mark.parametrize("arguments", [("-d", "can.subdissector,yapp"), can_generator.EVERY_EXTENDED], ids=["Decode As", "all"])
+def test_malformed_frames_of_known_ids(arguments, layout, passes, folder):
+    frames = [*Sent(0x210, 0, 0, MOTOR).frames(), remote(0, 7), *Sent(0x210, 0, 0, bytes(32)).frames(),
+              Frame(0x08000000, bytes(3)), Frame(0x08404000, b"abc"), *Sent(0x210, 0, 0, MOTOR).frames()]
+    rows = shown(written(folder, frames, layout), INFO, "yapp.size.mismatch", "yapp.fragment.incomplete",
+                 passes=(*passes, *arguments), named=["frame.interface_id", "sll.ifindex", "can.id"])
+    assert [row[0] for row in rows[11:13]] == ["Health  3 bytes, not 17", "Motor Data  Start"]
+    assert bool(rows[11][1]) and bool(rows[12][2])
+
+
+def acf_can(frames):
+    """IEEE 1722: several CAN frames in one Ethernet packet, NTSCF with ACF-CAN messages."""
+    messages = b""
+    for frame in frames:
+        padding = -len(frame.data) % 4
+        body = bytes([padding << 6 | 8, 1]) + bytes(8) + struct.pack(">I", frame.can_id) + frame.data + bytes(padding)
+        messages += struct.pack(">H", 1 << 9 | (2 + len(body)) // 4) + body
+    return bytes(12) + b"\x22\xf0" + struct.pack(">BBBB8x", 0x82, 0x80 | len(messages) >> 8, len(messages) & 0xFF, 0) + messages
+
+
+@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
+def test_several_can_frames_in_a_packet(passes, folder):
+    motor, command = Sent(0x210, 0, 0, MOTOR).frames(), Sent(0, 0, 0, COMMAND).frame(0, COMMAND)
+    packets = [acf_can(one) for one in ([*motor, command], motor[:3], [*motor[3:], command, command], [command], motor)]
+    with open(folder / "acf.pcap", "wb") as file:
+        file.write(can_generator.pcap_head(1) + b"".join(
+            can_generator.pcap_packet(number, packet, len(packet)) for number, packet in enumerate(packets)))
+    rows = shown(folder / "acf.pcap", "yapp.id", "yapp.crc.status", "yapp.fragment", "yapp.reassembled.in",
+                 "yapp.fragment.orphan", "yapp.size.mismatch", passes=passes)
+    motor_id, command_id = "0x00000210", "0x00000000"
+    assert [row[0].split(",") for row in rows] == [
+        [motor_id] * 5 + [command_id], [motor_id] * 3, [motor_id] * 2 + [command_id] * 2, [command_id], [motor_id] * 5]
+    assert [row[1:3] for row in rows] == [["1", "1,1,1,1,1"], ["", ""], ["1", "2,2,2,3,3"], ["", ""], ["1", "5,5,5,5,5"]]
+    if "-2" in passes:
+        assert [row[3] for row in rows] == ["1,1,1,1,1", "3,3,3", "3,3", "", "5,5,5,5,5"]
+    assert not any(row[4] or row[5] for row in rows)
+
+
+@pytest.mark.parametrize("interface", [100, 200, 5000])
+def test_interfaces_with_high_numbers(interface, folder):
+    frames = [frame for pair in zip(*(Sent(0x210, 0, seq, MOTOR).frames() for seq in (0, 1))) for frame in pair]
+    for frame in frames:
+        frame.bus = interface
+    pcapng_file(folder / "many.pcapng", [can_generator.LINKTYPE_SOCKETCAN] * (interface + 1), frames)
+    rows = shown(folder / "many.pcapng", "yapp.crc.status", "yapp.fragment.incomplete", passes=("-2", "-Y", "frame"))
+    assert rows == [["", ""]] * 8 + [["1", ""]] * 2
+
+
+@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
+@pytest.mark.parametrize("arguments", [("-d", "can.subdissector,yapp"), can_generator.EVERY_EXTENDED, ()],
+                         ids=["Decode As", "all", "default"])
+def test_ids_in_the_byte_order_of_the_machine(arguments, passes, folder):
+    """Old captures have them so; a preference of SocketCAN says it."""
+    frames = [*Sent(0x210, 0, 0, MOTOR).frames(), *Sent(0x123, 0, 0, MOTOR).frames()]
+    with open(folder / "swapped.pcap", "wb") as file:
+        file.write(can_generator.pcap_head(can_generator.LINKTYPE_SOCKETCAN))
+        for number, frame in enumerate(frames):
+            record = frame.record(little=True)
+            file.write(can_generator.pcap_packet(number, record, len(record)))
+    rows = shown(folder / "swapped.pcap", "yapp.id", "yapp.crc.status", passes=(*passes, *arguments, "-o", "can.byte_swap:TRUE"))
+    assert rows == [["0x00000210", ""]] * 4 + [["0x00000210", "1"]] + [["0x00000123", ""]] * 4 + [["0x00000123", "1"]]
 
 
 def test_the_document_as_text_in_a_tree(folder):

@@ -112,17 +112,6 @@ function T.test_frames_with_the_same_bytes_change_hands()
   end
 end
 
--- With a read filter a frame that is taken away and the next one have the same number.
-function T.test_a_frame_that_changes_hands_shares_its_number()
-  local rows, state, entry = SAME_BYTES[1], bus.reassembler(), nil
-  for _, row in ipairs(rows) do
-    local data = row[3]:gsub("%x%x", function(digits) return string.char(tonumber(digits, 16)) end)
-    if row[1] == 10 then state:frame(nil, can.address(bus.can_id(0x555, 2, 0, 0)), "somebody", 8, 4, false) end
-    entry = state:frame(nil, can.address(bus.can_id(rows.id, row[2], 0, 0)), data, 8, row[1], true)
-  end
-  lu.assertEquals({ entry.status, entry.last }, { "good", 10 })
-end
-
 function T.test_cut_by_the_snap_length()
   check {
     { "S32 S32 M8~3 M8 M8 E8", "part part+fragment.incomplete part part part unverified" },

@@ -261,11 +261,13 @@ function T.test_a_message_put_away_gets_its_crc_back()
   lu.assertEquals(entry.crc, state.crc.of(can.header { address = entry.address, size = 32 } .. entry.payload))
 end
 
--- With a read filter a rejected frame has the number of the next one.
-function T.test_a_number_that_is_used_again()
-  local _, state = bus.send("S32 M8", { ids = MOTOR, buses = true })
-  lu.assertNil(state:frame(1, can.address(0x1FFFFFFF), "foreign", 7, 2, false))
-  lu.assertNil(state:entry(2))
+-- Where the numbers are not those of frames, texts name the frames.
+function T.test_texts_name_frames()
+  local state = bus.reassembler()
+  state.numbers = { [12] = 7 }
+  state:frame(1, can.address(bus.can_id(0x210, 1, 0, 0)), bus.start(0x210, 0, 0, ("x"):rep(32)), 8, 12)
+  state:frame(1, can.address(bus.can_id(0x210, 3, 0, 0)), "12345678", 8, 13)
+  lu.assertEquals(state.faults[13][1][2], "The message that started in frame 7 ends with 8 of 32 bytes")
 end
 
 -- Bounds ----------------------------------------------------------------------------------------------------------
