@@ -16,7 +16,7 @@ package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
 local parts = {}
 for _, name in ipairs {
   "bus", "can", "can_carrier", "can_id", "candump", "candump_reader", "catalogue", "crc", "decode", "dump",
-  "dump_reader", "head", "interleave", "reassembly", "serial_carrier", "stream", "tree",
+  "dump_reader", "head", "interleave", "reassembly", "serial_carrier", "serials", "stream", "tree",
 } do
   parts[name] = require("yapp_" .. name)
 end

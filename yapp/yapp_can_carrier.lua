@@ -17,7 +17,7 @@ local Carrier = {}
 Carrier.__index = Carrier
 
 --- The CAN side of the plugin.
--- parts   the modules { can =, crc =, interleave =, reassembly = }
+-- parts   the modules { can =, crc =, interleave =, reassembly =, serials = }
 -- tree    a tree builder
 -- bus_of  function(pinfo) -> number of the bus; nil where the capture does not say, false where only this pass does not
 -- is_remote   function(pinfo) -> whether the frame is a remote frame, nil where nothing says
@@ -34,79 +34,28 @@ end
 --- Forgets the capture file: nothing survives into the next one.
 -- mixed  whether the next one is known to have several buses
 function Carrier:reset(mixed)
-  self:reset_serials()
+  self.serials = self.parts.serials.new()
+  self.since = {} -- [ID of an unknown message]: serial of its first frame
   self.state, self.second, self.guessed, self.mixed, self.first_bus = self:new_state(), nil, false, mixed, nil
-  self.highest, self.again, self.reached = 0, false, 0
+  self.again, self.reached = false, 0
 end
 
--- Which look it is --------------------------------------------------------------------------------------------------
-
--- A look at a frame has a number of its own, its serial.  That is the frame's number until one comes twice: a packet
--- may have several CAN frames, and a frame that a read filter rejects has the number of the next.  From then on the
--- serials run ahead.
--- shift     by so much
--- first     the first number that came twice
--- serials   { [number] = serial of the look that counts }, from there on
--- numbers   { [serial] = number }
--- places    { [number] = { [place of the frame in its packet] = serial } } of the frames behind a packet's first
--- place, serial, filtered  of the latest look; whether it was seen that a read filter rejects frames
--- since     { [ID of an unknown message] = serial of its first frame }
-function Carrier:reset_serials()
-  self.shift, self.first, self.serials, self.numbers, self.places = 0, nil, {}, {}, {}
-  self.place, self.serial, self.filtered, self.since = nil, nil, false, {}
-end
-
--- The serial of a look on the first pass, where it is not simply the frame's number.
-function Carrier:new_serial(tvb, number)
-  local place, repeated = tvb:offset(), number <= self.highest
-  local is_elsewhere = repeated and place ~= self.place
-  self.place = place
-  if repeated and not is_elsewhere then
-    local serial = self.serial or self.highest
-    if not self.state.frames[serial] then return serial end -- the first look left it to others
-    self.filtered = true
-  end
-  if repeated then
-    self.shift, self.first = self.shift + 1, self.first or number
-  end
-  local serial = number + self.shift
-  self.serial, self.numbers[serial] = serial, number
-  if is_elsewhere then
-    self.places[number] = self.places[number] or {}
-    self.places[number][place] = serial
-  else
-    self.serials[number] = serial
-  end
-  return serial
+--- The first pass (of tshark -2, of sharkd) builds no tree and had to guess: the bus, the id of a frame, or whether it
+-- was a remote frame.
+function Carrier:guess()
+  self.guessed = true
 end
 
 -- The serial of a frame on a later pass; nil for one that the first pass was not asked about.
 function Carrier:find_serial(tvb, number)
-  if self.shift == 0 then return number end
-  local places = self.places[number]
-  return places and places[tvb:offset()] or self.serials[number] or number <= self.first and number or nil
+  local serials = self.serials
+  return serials:find(number, serials:has_places(number) and tvb:offset())
 end
 
 -- Whether a frame of an unknown message came before its first Start: then the first pass was not asked about it, and
 -- what it knows under this serial is another frame's, which a read filter rejected.
 function Carrier:is_early(id, serial)
   return not self.tree.by_id[id] and serial < (self.since[id] or math.huge)
-end
-
--- The number of the frame that a look was at; nil for one that a read filter rejected.
-function Carrier:number_of(serial)
-  if self.shift == 0 then return serial end
-  local number = self.numbers[serial] or serial
-  local counts = self.places[number] or (self.serials[number] or number) == serial
-  return counts and number or nil
-end
-
--- Looks ---------------------------------------------------------------------------------------------------------------
-
---- The first pass (of tshark -2, of sharkd) builds no tree and had to guess: the bus, the id of a frame, or whether it
--- was a remote frame.
-function Carrier:guess()
-  self.guessed = true
 end
 
 -- What is known of the capture so far: a reassembler, and when each message came last.
@@ -116,7 +65,7 @@ function Carrier:new_state()
     local message = by_id[id]
     return message and message.size
   end)
-  state.last_time, state.deltas, state.numbers = {}, {}, self.numbers
+  state.last_time, state.deltas, state.numbers = {}, {}, self.serials.numbers
   return state
 end
 
@@ -164,14 +113,11 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
     end
   end
   local entry, serial
+  local serials = self.serials
   -- Numbers grow on the first pass: this saves a call for most frames.
-  if number > self.highest and not (self.again and pinfo.visited) or not pinfo.visited then
-    if number > self.highest and self.shift == 0 then
-      serial, self.place = number, self.place or tvb:offset()
-    else
-      serial = self:new_serial(tvb, number)
-    end
-    self.highest = number
+  if number > serials.highest and not (self.again and pinfo.visited) or not pinfo.visited then
+    local place = (number <= serials.highest or serials.shift > 0 or not serials.place) and tvb:offset()
+    serial = serials:next(number, place, state.frames)
     entry = self:look(state, self.bus_of(pinfo), pinfo, address, data, reported, serial, wide, doubtful)
   else
     if not self.again then
@@ -179,7 +125,7 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
       self.is_remote(pinfo) -- asks for the fields that a later frame may need
     end
     serial = self:find_serial(tvb, number)
-    if not serial or self.filtered and not wide and self:is_early(address.id, serial) then return 0 end
+    if not serial or serials.filtered and not wide and self:is_early(address.id, serial) then return 0 end
     entry, state, leads_to = self:look_again(pinfo, address, data, reported, serial, wide, doubtful)
   end
   if not entry then return 0 end
@@ -247,7 +193,7 @@ function Carrier:look_again(pinfo, address, data, reported, serial, wide, doubtf
   local left = not entry and wide and serial == self.reached -- the table of ids had it, and left it to us
   if not second or serial > self.reached or left then
     local bus = self.guessed and self.bus_of(pinfo)
-    if not self.guessed or self.filtered or second and bus == false and self.second_has_bus or
+    if not self.guessed or self.serials.filtered or second and bus == false and self.second_has_bus or
       not (left or self:follows(serial)) then
       entry = first:entry(serial)
       if not entry and wide then entry = self:late(address, serial) end
@@ -366,7 +312,7 @@ end
 -- A Start, a Middle, or an End that completes nothing.
 function Carrier:show_part(tvb, item, address, data, entry, serial, wanted, leads_to)
   local fields = self.tree.fields
-  leads_to = leads_to and self:number_of(leads_to)
+  leads_to = leads_to and self.serials:number_of(leads_to)
   if wanted then
     if address.ctrl == START then
       self:start_tree(tvb, item, #data)
@@ -394,7 +340,7 @@ function Carrier:fragments_tree(item, tvb, entry)
   list:set_text(("%d fragments (%d bytes)"):format(entry.count, #entry.payload))
   list:set_generated()
   for i = 1, entry.count do
-    local number = self:number_of(entry[i])
+    local number = self.serials:number_of(entry[i])
     if number then list:add(fields.fragment, number):set_generated() end
   end
   list:add(fields["fragment.count"], entry.count):set_generated()
@@ -407,7 +353,7 @@ function Carrier:show_message(tvb, tree, item, address, data, entry, wanted)
   local whole
   if wanted then
     if #payload > 0 then whole = ByteArray.new(payload, true):tvb("Reassembled YAPP") end
-    item:add(builder.fields["reassembled.in"], self:number_of(entry.last)):set_generated()
+    item:add(builder.fields["reassembled.in"], self.serials:number_of(entry.last)):set_generated()
     item:add(builder.fields.size, entry.size):append_text(" bytes"):set_generated()
     item:add(builder.fields.reserved, entry.reserved or 0):set_generated()
     self.state:restore(entry, address)
