@@ -92,7 +92,7 @@ end
 
 local DIRECTION = { 0, 1, 0, 1 } -- of RTAC events: data sent, data received, ...
 
--- The number of a source: 1, 2, 3, as they show.  (Interfaces may be numbered to 2^32.)
+-- The number of a source: 1, 2, 3, as they show.  (Exact for a million interfaces of 2^32 indexes each.)
 function Buses:number(interface, index, direction)
   local source = interface * 2 ^ 33 + index * 2 + direction
   local number = self.numbers[source]

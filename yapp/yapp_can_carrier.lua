@@ -46,14 +46,14 @@ function Carrier:guess()
   self.guessed = true
 end
 
--- The serial of a frame on a later pass; nil for one that the first pass was not asked about.
+-- The serial of a frame on a later pass.
 function Carrier:find_serial(tvb, number)
   local serials = self.serials
   return serials:find(number, serials:has_places(number) and tvb:offset())
 end
 
 -- Whether a frame of an unknown message came before its first Start: then the first pass was not asked about it, and
--- what it knows under this serial is another frame's, which a read filter rejected.
+-- what it may know under this serial is another frame's, which a read filter rejected.
 function Carrier:is_early(id, serial)
   return not self.tree.by_id[id] and serial < (self.since[id] or math.huge)
 end
@@ -65,7 +65,9 @@ function Carrier:new_state()
     local message = by_id[id]
     return message and message.size
   end)
-  state.last_time, state.deltas, state.numbers = {}, {}, self.serials.numbers
+  local serials = self.serials
+  state.last_time, state.deltas = {}, {}
+  function state.number_of(serial) return serials:number(serial) end
   return state
 end
 
@@ -116,8 +118,7 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
   local serials = self.serials
   -- Numbers grow on the first pass: this saves a call for most frames.
   if number > serials.highest and not (self.again and pinfo.visited) or not pinfo.visited then
-    local place = (number <= serials.highest or serials.shift > 0 or not serials.place) and tvb:offset()
-    serial = serials:next(number, place, state.frames)
+    serial = serials:next(number, tvb:offset(), state.frames)
     entry = self:look(state, self.bus_of(pinfo), pinfo, address, data, reported, serial, wide, doubtful)
   else
     if not self.again then
@@ -125,7 +126,7 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
       self.is_remote(pinfo) -- asks for the fields that a later frame may need
     end
     serial = self:find_serial(tvb, number)
-    if not serial or serials.filtered and not wide and self:is_early(address.id, serial) then return 0 end
+    if not wide and (serials.filtered or not self.guessed) and self:is_early(address.id, serial) then return 0 end
     entry, state, leads_to = self:look_again(pinfo, address, data, reported, serial, wide, doubtful)
   end
   if not entry then return 0 end
@@ -215,7 +216,7 @@ function Carrier:pass_over(tvb, pinfo, doubtful)
     self.guessed = true
   elseif pinfo.visited then
     local serial = self:find_serial(tvb, pinfo.number)
-    if serial and serial > self.reached and self:follows(serial) then self.reached = serial end
+    if serial > self.reached and self:follows(serial) then self.reached = serial end
   end
 end
 

@@ -99,8 +99,9 @@ function Ids:wrap(proto)
         self.read, self.no_data = pinfo.number, not id -- or not extended: then the frame is not ours either
         self:note(pinfo.number, id)
         -- What the capture cut, others throw past Lua, which never gets back what that takes of its stack: so SocketCAN
-        -- is not called for half a header, and of a frame that is not ours it sees the captured bytes alone.  A frame
-        -- that is malformed has its item by the time pcall returns, and is no error of ours.
+        -- is not called for half a header, and of a frame that is not ours it sees the captured bytes alone: that is
+        -- shown as malformed, where without us it would be limited in size.  A frame that is malformed has its item by
+        -- the time pcall returns, and is no error of ours.
         local length = tvb:len()
         if length < 8 then return 0 end
         local seen = not id and length < tvb:reported_len() and tvb(0, length):tvb() or tvb

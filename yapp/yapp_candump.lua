@@ -248,7 +248,7 @@ local function other_line(line, why)
   if find(line, "^%s*$") then return EMPTY end
   if find(line, "^%s*[#;]") or find(line, "^%s*//") then return COMMENT end
   if find(line, "^DROPCOUNT: ") then return DROPPED end
-  if find(line, "^Enabling Logfile '") or find(line, "output .*while logging") then return SAID end
+  if find(line, "^Enabling Logfile '") or find(line, "while logging[.!]?%s*$") then return SAID end
   local word = match(line, "^\t([%l-]+)")
   if word and ERROR_TEXT[word] then return nil end
   return why
@@ -387,7 +387,7 @@ local RESTS = { "^%x*#", "^%x*%s*[%[{]?%x*[%]}]", "^[%x%s`]+$", "['`]%s*$", " re
 -- Whether a line is the rest of one of candump's whose start was cut off: with the start of another one in front it is
 -- a frame again. Where their ids or lengths differ this fails, and it has to look like such a rest.
 local function is_rest(line, whole)
-  for size = 1, #whole do
+  for size = 1, math.min(#whole, 200) do -- a frame's line has less in front of its data
     local record = M.parse(sub(whole, 1, size) .. line)
     if record and not record.note then return true end
   end

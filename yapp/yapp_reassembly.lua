@@ -24,8 +24,8 @@ Reassembler.__index = Reassembler
 -- parts    the modules { can =, crc =, interleave = }
 -- size_of  function(id) -> payload size of a known message, nil for an unknown one
 -- It has faults, by frame number: a list of { expert, text }; what was said of a message that came out good after all
--- is taken back.  Where the numbers that it is given are not those that texts shall name, set its numbers:
--- { [given] = named }.
+-- is taken back.  Where the numbers that it is given are not those that texts shall name, give it a function
+-- number_of(given).
 --
 -- A message has address, size, crc, reserved (nil when 0; all from its Start), the numbers of its frames at
 -- 1 .. count, received (bytes), and when it has ended status: "good", "bad" (CRC), "short", "overrun", "cut" (by a
@@ -34,7 +34,7 @@ Reassembler.__index = Reassembler
 function M.new(parts, size_of)
   return setmetatable({
     can = parts.can, crc = parts.crc, interleave = parts.interleave, size_of = size_of,
-    faults = {}, numbers = {}, frames = {}, open = {}, open_count = 0, queue = {}, queue_length = 0,
+    faults = {}, frames = {}, open = {}, open_count = 0, queue = {}, queue_length = 0,
     credit = MAX_CREDIT, seeds = {}, seed_count = 0, distances = {},
   }, Reassembler)
 end
@@ -61,7 +61,7 @@ end
 
 -- The frame that a message started in, as texts name it.
 local function start_of(self, message)
-  return self.numbers[message[1]] or message[1]
+  return self.number_of and self.number_of(message[1]) or message[1]
 end
 
 -- The message has more or fewer bytes than its size; returns the status.

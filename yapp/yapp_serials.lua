@@ -1,7 +1,8 @@
 -- Numbers for looks at CAN frames: a frame's number does not always tell it from others.  Pure Lua, 5.2 and 5.4.
 --
 -- A packet may have several CAN frames, and on a first pass a frame that a read filter rejects has the number of the
--- next one.  So each look has a serial.  It is the frame's number until one comes twice; from then on it runs ahead.
+-- next one.  So each look has a serial.  It is the frame's number until one comes twice; with each that does, serials
+-- run one further ahead.
 
 local M = {}
 
@@ -9,55 +10,59 @@ local Serials = {}
 Serials.__index = Serials
 
 --- The serials of one capture file.  To be read:
--- shift     how far they run ahead of the numbers; 0 until a number comes twice
 -- highest   the highest number so far
 -- filtered  whether a read filter was seen at work
 function M.new()
   return setmetatable({
-    shift = 0, highest = 0, filtered = false,
-    serials = {}, -- [number]: of the look that counts, since shift is not 0
-    numbers = {}, -- [serial]: since then
-    places = {},  -- [number][place]: the serials of frames behind a packet's first
+    highest = 0, filtered = false,
+    steps = {}, shift = 0, -- the numbers that came again, in order; how many
+    places = {},           -- [number][place]: the serials of the frames of a packet that has several
   }, Serials)
 end
 
 --- The serial of a look on the first pass, where numbers come in order.
 -- number  of the frame
--- place   where it is in its packet, any value.  But for the first look it may be left out where the number is not a
---         repetition and shift is 0
+-- place   where it is in its packet, any value
 -- frames  what is known by serial: a look that left nothing there makes room for the next one at the same frame
 function Serials:next(number, place, frames)
-  local repeated = number <= self.highest
-  if not repeated and self.shift == 0 then
-    self.highest, self.latest, self.place = number, number, self.place or place
-    return number
-  end
-  local is_elsewhere = repeated and place ~= self.place
+  local before, latest = self.place, self.latest
   self.place = place
-  if repeated and not is_elsewhere then
-    if not frames[self.latest] then return self.latest end
-    self.filtered = true
+  if number <= self.highest then
+    local is_same = place == before
+    if is_same and not frames[latest] then return latest end
+    self.shift = self.shift + 1
+    self.steps[self.shift] = number
+    local serial, places = number + self.shift, self.places[number]
+    if not is_same then
+      places = places or { [before] = latest }
+    elseif places then
+      places = {} -- another packet: a read filter rejected the one before
+    end
+    if places then places[place] = serial end
+    self.places[number], self.filtered = places, self.filtered or is_same
+    self.latest = serial
+    return serial
   end
-  if repeated then
-    self.shift, self.first = self.shift + 1, self.first or number
-  end
-  local serial = number + self.shift
-  self.highest, self.latest, self.numbers[serial] = math.max(number, self.highest), serial, number
-  if is_elsewhere then
-    self.places[number] = self.places[number] or {}
-    self.places[number][place] = serial
-  else
-    self.serials[number] = serial
-  end
-  return serial
+  self.highest, self.latest = number, number + self.shift
+  return self.latest
 end
 
---- The serial of a frame on a later pass; nil for one that the first pass was not asked about.
+-- How many numbers up to this one came again; behind: how much the i-th one counts more than its number.
+local function steps_to(self, number, behind)
+  local steps, low, high = self.steps, 1, self.shift
+  while low <= high do
+    local middle = (low + high - (low + high) % 2) / 2
+    if steps[middle] + behind * middle <= number then low = middle + 1 else high = middle - 1 end
+  end
+  return high
+end
+
+--- The serial of a frame on a later pass.  A frame that the first pass was not asked about has one of its own.
 -- place  needed when has_places(number)
 function Serials:find(number, place)
   if self.shift == 0 then return number end
   local places = self.places[number]
-  return places and places[place] or self.serials[number] or number <= self.first and number or nil
+  return places and places[place] or number + steps_to(self, number, 0)
 end
 
 --- Whether a packet has several CAN frames.
@@ -65,11 +70,18 @@ function Serials:has_places(number)
   return self.places[number] ~= nil
 end
 
---- The number of the frame that a look was at; nil for one that a read filter rejected.
+--- The number that a frame had when it was looked at.
+function Serials:number(serial)
+  return serial - steps_to(self, serial, 1)
+end
+
+--- The number of a frame; nil for one that a read filter rejected.
 function Serials:number_of(serial)
   if self.shift == 0 then return serial end
-  local number = self.numbers[serial] or serial
-  return (self.places[number] or (self.serials[number] or number) == serial) and number or nil
+  local number = self:number(serial)
+  for _, other in pairs(self.places[number] or { self:find(number) }) do
+    if other == serial then return number end
+  end
 end
 
 return M

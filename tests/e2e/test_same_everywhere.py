@@ -192,6 +192,19 @@ def test_what_a_read_filter_leaves(seed, read_filter, folder):
         assert all(int(other) <= now for other in row[-1].split(",") if other)
 
 
+@pytest.mark.parametrize("before, read_filter", [
+    ([Sent(0, 0, 0, COMMAND).frame(0, COMMAND)], "not yapp.id == 0"), (Sent(0x210, 0, 0, MOTOR).frames(), "not taurus")],
+                         ids=["a single frame", "an End"])
+def test_a_number_that_nobody_was_asked_about(before, read_filter, folder):
+    """A Middle of an unknown message, in front of its first Start, has the number of a frame that was rejected."""
+    unknown = Sent(0x123, 0, 0, MOTOR).frames()
+    rows = shown(written(folder, [*before, unknown[1], *unknown]), "yapp.id", "yapp.crc.status",
+                 passes=("-2", "-R", read_filter))
+    ids = [row[0] for row in rows]
+    assert ids[-6:] == [""] + ["0x00000123"] * 5 and rows[-1][1] == "1"
+    assert [row[1] for row in rows[:-1]] == [""] * (len(rows) - 1)
+
+
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
 @pytest.mark.parametrize("layout", ["plain", "interfaces", "sll", "sll2"])
 @pytest.mark.parametrize("arguments", [("-d", "can.subdissector,yapp"), can_generator.EVERY_EXTENDED], ids=["Decode As", "all"])
@@ -217,11 +230,8 @@ def acf_can(frames):
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
 def test_several_can_frames_in_a_packet(passes, folder):
     motor, command = Sent(0x210, 0, 0, MOTOR).frames(), Sent(0, 0, 0, COMMAND).frame(0, COMMAND)
-    packets = [acf_can(one) for one in ([*motor, command], motor[:3], [*motor[3:], command, command], [command], motor)]
-    with open(folder / "acf.pcap", "wb") as file:
-        file.write(can_generator.pcap_head(1) + b"".join(
-            can_generator.pcap_packet(number, packet, len(packet)) for number, packet in enumerate(packets)))
-    rows = shown(folder / "acf.pcap", "yapp.id", "yapp.crc.status", "yapp.fragment", "yapp.reassembled.in",
+    packets = [[*motor, command], motor[:3], [*motor[3:], command, command], [command], motor]
+    rows = shown(acf_file(folder / "acf.pcap", packets), "yapp.id", "yapp.crc.status", "yapp.fragment", "yapp.reassembled.in",
                  "yapp.fragment.orphan", "yapp.size.mismatch", passes=passes)
     motor_id, command_id = "0x00000210", "0x00000000"
     assert [row[0].split(",") for row in rows] == [
@@ -230,6 +240,30 @@ def test_several_can_frames_in_a_packet(passes, folder):
     if "-2" in passes:
         assert [row[3] for row in rows] == ["1,1,1,1,1", "3,3,3", "3,3", "", "5,5,5,5,5"]
     assert not any(row[4] or row[5] for row in rows)
+
+
+def acf_file(path, packets):
+    packets = [acf_can(one) for one in packets]
+    path.write_bytes(can_generator.pcap_head(1) + b"".join(
+        can_generator.pcap_packet(number, packet, len(packet)) for number, packet in enumerate(packets)))
+    return path
+
+
+@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
+def test_behind_a_packet_of_several_frames(passes, folder):
+    """A message that numbers itself: a first pass without fields is asked about it too late."""
+    command, unknown = Sent(0, 0, 0, COMMAND).frame(0, COMMAND), Sent(0x123, 0, 9, MOTOR).frames()
+    path = acf_file(folder / "acf.pcap", [[command, command], *([frame] for frame in unknown + unknown)])
+    rows = shown(path, "yapp.id", "yapp.crc.status", passes=passes, named=["can.id"])
+    assert [row[0] for row in rows[1:]] == ["0x00000123"] * 10
+    assert [row[1] for row in rows[1:]] == ["", "", "", "", "1"] * 2
+
+
+def test_packets_of_several_frames_that_a_read_filter_rejects(folder):
+    motor, other = Sent(0x210, 0, 0, MOTOR).frames(), Frame(0x123, bytes(8), kind="standard")
+    path = acf_file(folder / "acf.pcap", [motor[:2], [other, motor[2]], [motor[3]], [motor[4]]])
+    rows = shown(path, INFO, "yapp.fragment", passes=("-2", "-R", "not yapp.can.ctrl == 1"))
+    assert rows[0][0].startswith("Motor Data  part 3 of 5") and rows[2][1] == "1,2,3"
 
 
 @pytest.mark.parametrize("interface", [100, 200, 5000])

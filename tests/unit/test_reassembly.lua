@@ -264,7 +264,7 @@ end
 -- Where the numbers are not those of frames, texts name the frames.
 function T.test_texts_name_frames()
   local state = bus.reassembler()
-  state.numbers = { [12] = 7 }
+  function state.number_of(number) return number - 5 end
   state:frame(1, can.address(bus.can_id(0x210, 1, 0, 0)), bus.start(0x210, 0, 0, ("x"):rep(32)), 8, 12)
   state:frame(1, can.address(bus.can_id(0x210, 3, 0, 0)), "12345678", 8, 13)
   lu.assertEquals(state.faults[13][1][2], "The message that started in frame 7 ends with 8 of 32 bytes")

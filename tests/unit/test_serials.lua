@@ -15,14 +15,14 @@ local function first_pass(looks)
 end
 
 function T.test_the_number_itself()
-  local s, _, given = first_pass { { 3, 8, "a" }, { 4, nil, "b" }, { 9, nil, "c" } }
+  local s, _, given = first_pass { { 3, 8, "a" }, { 4, 8, "b" }, { 9, 8, "c" } }
   lu.assertEquals(given, { 3, 4, 9 })
   lu.assertEquals({ s:find(4), s:number_of(9), s.filtered, s.shift }, { 4, 9, false, 0 })
 end
 
 -- The table of ids is asked first, the heuristic or Decode As next.
 function T.test_a_second_look_at_a_frame_that_was_left()
-  local s, frames, given = first_pass { { 1, 8, "a" }, { 2, 8 }, { 2, 8, "b" }, { 3, nil, "c" } }
+  local s, frames, given = first_pass { { 1, 8, "a" }, { 2, 8 }, { 2, 8, "b" }, { 3, 8, "c" } }
   lu.assertEquals(given, { 1, 2, 2, 3 })
   lu.assertEquals({ frames[s:find(2)], s.shift }, { "b", 0 })
 end
@@ -34,7 +34,7 @@ function T.test_rejected_frames_have_the_next_number()
   lu.assertTrue(s.filtered)
   for number, known in ipairs { "a", "b", "c" } do lu.assertEquals(frames[s:find(number)], known) end
   lu.assertNil(frames[s:find(4)]) -- not ours
-  lu.assertNil(s:find(5))
+  lu.assertEquals(s:find(5), 8) -- not asked about: nobody else's
   local shown = {}
   for _, serial in ipairs(given) do shown[#shown + 1] = s:number_of(serial) or "-" end
   lu.assertEquals(shown, { 1, "-", "-", 2, 3, "-", 4 })
@@ -58,6 +58,25 @@ end
 function T.test_rejected_packets_of_several_frames()
   local s, frames = first_pass { { 1, 30, "x" }, { 1, 60, "y" }, { 1, 90, "z" }, { 1, 30, "a" }, { 1, 60, "b" } }
   lu.assertEquals({ frames[s:find(1, 30)], frames[s:find(1, 60)] }, { "a", "b" })
+  local given
+  s, frames, given = first_pass { { 1, 30, "x" }, { 1, 60, "y" }, { 1, 60, "a" }, { 1, 90, "b" }, { 2, 30, "c" } }
+  lu.assertTrue(s.filtered)
+  lu.assertEquals(frames[s:find(1, 60)] .. frames[s:find(1, 90)] .. frames[s:find(2)], "abc")
+  local shown = {}
+  for _, serial in ipairs(given) do shown[#shown + 1] = s:number_of(serial) or "-" end
+  lu.assertEquals(shown, { "-", "-", 1, 1, 2 })
+end
+
+function T.test_numbers_that_the_first_pass_was_not_asked_about()
+  local s, _, given = first_pass { { 2, 30, "a" }, { 2, 60, "b" }, { 5, 30, "c" }, { 5, 30, "d" }, { 9, 30, "e" } }
+  local taken = {}
+  for _, serial in ipairs(given) do taken[serial] = true end
+  for _, number in ipairs { 1, 3, 4, 6, 7, 8, 10, 11 } do
+    local serial = s:find(number)
+    lu.assertNil(taken[serial], number)
+    taken[serial] = true
+    lu.assertEquals(s:number_of(serial), number)
+  end
 end
 
 -- Random passes: no two frames have the same serial, it grows, and the last frame with a number is the one found.
@@ -73,6 +92,10 @@ function T.test_random_passes()
     local s, frames, given = first_pass(looks)
     for i = 2, #given do lu.assertTrue(given[i] > given[i - 1]) end
     for n, known in pairs(last) do lu.assertEquals(frames[s:find(n)], known) end
+    for i, serial in ipairs(given) do
+      lu.assertEquals(s:number(serial), looks[i][1])
+      lu.assertEquals(s:number_of(serial), last[looks[i][1]] == i and looks[i][1] or nil)
+    end
   end
 end
 
