@@ -17,6 +17,7 @@ local parts = {}
 for _, name in ipairs {
   "bus", "can", "can_carrier", "can_id", "candump", "candump_reader", "catalogue", "crc", "decode", "dump",
   "dump_reader", "head", "interleave", "reassembly", "serial_carrier", "serials", "stream", "tree",
+  "utf8",
 } do
   parts[name] = require("yapp_" .. name)
 end

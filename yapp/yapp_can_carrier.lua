@@ -46,12 +46,6 @@ function Carrier:guess()
   self.guessed = true
 end
 
--- The serial of a frame on a later pass.
-function Carrier:find_serial(tvb, number)
-  local serials = self.serials
-  return serials:find(number, serials:has_places(number) and tvb:offset())
-end
-
 -- Whether a frame of an unknown message came before its first Start: then the first pass was not asked about it, and
 -- what it may know under this serial is another frame's, which a read filter rejected.
 function Carrier:is_early(id, serial)
@@ -125,7 +119,8 @@ function Carrier:dissect(tvb, pinfo, tree, id, wide)
       self.again = true
       self.is_remote(pinfo) -- asks for the fields that a later frame may need
     end
-    serial = self:find_serial(tvb, number)
+    serial = serials:find(number, tvb:offset(), state.frames)
+    if not serial then return 0 end
     if not wide and (serials.filtered or not self.guessed) and self:is_early(address.id, serial) then return 0 end
     entry, state, leads_to = self:look_again(pinfo, address, data, reported, serial, wide, doubtful)
   end
@@ -215,8 +210,8 @@ function Carrier:pass_over(tvb, pinfo, doubtful)
   if doubtful then
     self.guessed = true
   elseif pinfo.visited then
-    local serial = self:find_serial(tvb, pinfo.number)
-    if serial > self.reached and self:follows(serial) then self.reached = serial end
+    local serial = self.serials:find(pinfo.number, tvb:offset(), self.state.frames)
+    if serial and serial > self.reached and self:follows(serial) then self.reached = serial end
   end
 end
 

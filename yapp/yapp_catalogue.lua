@@ -27,18 +27,12 @@ local EXPERTS = {
 local function is_integer(v) return type(v) == "number" and v % 1 == 0 end
 local function is_name(v) return type(v) == "string" and #v <= 64 and v:find("^[a-z][a-z0-9_]*$") ~= nil end
 
--- Wireshark ends at once over some texts that are not UTF-8.
-local UTF8 = {
-  "[\194-\223][\128-\191]", "\224[\160-\191][\128-\191]", "[\225-\236\238\239][\128-\191][\128-\191]",
-  "\237[\128-\159][\128-\191]", "\240[\144-\191][\128-\191][\128-\191]",
-  "[\241-\243][\128-\191][\128-\191][\128-\191]", "\244[\128-\143][\128-\191][\128-\191]",
-}
-
--- Whether it is UTF-8 of at most so many bytes, without control characters.
+-- Whether it is UTF-8 of at most so many bytes, without control characters: over some other texts Wireshark ends at
+-- once.
+-- (Wireshark also runs each file of a plugin folder by itself, when nothing can be required yet.)
 local function is_utf8(v, most)
   if type(v) ~= "string" or #v > most or v:find("%c") then return false end
-  for _, character in ipairs(UTF8) do v = v:gsub(character, "?") end
-  return not v:find("[\128-\255]")
+  return not require("yapp_utf8").ascii(v):find("[\128-\255]")
 end
 
 local function is_text(v) return is_utf8(v, 200) and #v > 0 end

@@ -11,7 +11,7 @@ local Carrier = {}
 Carrier.__index = Carrier
 
 --- The serial side of the plugin.
--- parts    the modules { crc =, stream = }
+-- parts    the modules { crc =, stream =, utf8 = }
 -- tree     a tree builder
 -- context  function(pinfo) -> a number that tells captured interfaces and directions apart, nil where nothing does
 function M.new(parts, tree, context)
@@ -55,20 +55,10 @@ end
 
 -- What a terminal gets besides letters, as it is shown.
 local CONTROLS = { ["\a"] = "\\a", ["\b"] = "\\b", ["\t"] = "\\t", ["\n"] = "\\n", ["\r"] = "\\r", ["\27"] = "\\e" }
--- UTF-8 beyond ASCII (Unicode, "Well-Formed UTF-8 Byte Sequences"), without control characters
-local LETTERS = {
-  "\194[\160-\191]", "[\195-\223]C", "\224[\160-\191]C", "[\225-\236\238\239]CC", "\237[\128-\159]C",
-  "\240[\144-\191]CC", "[\241-\243]CCC", "\244[\128-\143]CC",
-}
-for i, letter in ipairs(LETTERS) do LETTERS[i] = letter:gsub("C", "[\128-\191]") end
 
 -- Text as a shell prints it, or nil for other bytes.
-local function printable(bytes)
-  local rest = bytes
-  if rest:find("[\128-\255]") then
-    for _, letter in ipairs(LETTERS) do rest = rest:gsub(letter, " ") end
-  end
-  if rest:find("[^%g \a\b\t\n\r\27]") then return nil end
+local function printable(utf8, bytes)
+  if utf8.ascii(bytes):find("[^%g \a\b\t\n\r\27]") then return nil end
   local text = bytes
   if #bytes > 80 then text = bytes:sub(1, 80):gsub("[\192-\255][\128-\191]*$", "") .. "..." end
   return '"' .. text:gsub("%c", CONTROLS) .. '"'
@@ -122,7 +112,7 @@ end
 
 function Carrier:show_skipped(tree, tvb, at, bytes, wanted)
   local builder = self.tree
-  local text = printable(bytes)
+  local text = printable(self.parts.utf8, bytes)
   local item = tree
   if wanted then
     item = tree:add(builder.yapp, tvb(at, #bytes))

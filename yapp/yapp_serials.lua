@@ -17,6 +17,7 @@ function M.new()
     highest = 0, filtered = false,
     steps = {}, shift = 0, -- the numbers that came again, in order; how many
     places = {},           -- [number][place]: the serials of the frames of a packet that has several
+    odd = {},              -- [number]: the place of a packet's only frame, where it is not the usual one
   }, Serials)
 end
 
@@ -43,6 +44,8 @@ function Serials:next(number, place, frames)
     self.latest = serial
     return serial
   end
+  self.usual = self.usual or place
+  if place ~= self.usual then self.odd[number] = place end
   self.highest, self.latest = number, number + self.shift
   return self.latest
 end
@@ -57,17 +60,20 @@ local function steps_to(self, number, behind)
   return high
 end
 
---- The serial of a frame on a later pass.  A frame that the first pass was not asked about has one of its own.
--- place  needed when has_places(number)
-function Serials:find(number, place)
-  if self.shift == 0 then return number end
+--- The serial of a frame on a later pass.  One that the first pass was not asked about has one of its own, but in a
+-- packet with others that it was asked about: there it has none.
+-- number, place, frames  as for next
+-- returns  the serial, or nil
+function Serials:find(number, place, frames)
   local places = self.places[number]
-  return places and places[place] or number + steps_to(self, number, 0)
-end
-
---- Whether a packet has several CAN frames.
-function Serials:has_places(number)
-  return self.places[number] ~= nil
+  if places then return places[place] end
+  local serial, known = number + steps_to(self, number, 0), self.odd[number]
+  if not known and frames[serial] then known = self.usual end
+  if not known then
+    known = place
+    self.odd[number] = place
+  end
+  return place == known and serial or nil
 end
 
 --- The number that a frame had when it was looked at.
@@ -79,7 +85,7 @@ end
 function Serials:number_of(serial)
   if self.shift == 0 then return serial end
   local number = self:number(serial)
-  for _, other in pairs(self.places[number] or { self:find(number) }) do
+  for _, other in pairs(self.places[number] or { number + steps_to(self, number, 0) }) do
     if other == serial then return number end
   end
 end

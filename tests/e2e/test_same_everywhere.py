@@ -259,6 +259,17 @@ def test_behind_a_packet_of_several_frames(passes, folder):
     assert [row[1] for row in rows[1:]] == ["", "", "", "", "1"] * 2
 
 
+@pytest.mark.parametrize("passes", [("-2",), ("-2", "-Y", "frame")], ids=" ".join)
+def test_frames_of_a_packet_that_a_first_pass_is_not_asked_about(passes, folder):
+    """What it knows of the others is not theirs."""
+    command, unknown = Sent(0, 0, 0, COMMAND).frame(0, COMMAND), Sent(0x123, 0, 9, MOTOR).frames()
+    packets = [[command, *unknown], [*unknown, command], [command, command, *unknown]]
+    for number, packet in enumerate(packets):
+        rows = shown(acf_file(folder / "acf.pcap", [packet]), "taurus.command.rpm", "yapp.id", passes=passes)
+        assert [rows[0][0].split(",")] == [["750.8012"] * packet.count(command)], number
+        assert rows[0][1].split(",").count("0x00000000") == packet.count(command)
+
+
 def test_packets_of_several_frames_that_a_read_filter_rejects(folder):
     motor, other = Sent(0x210, 0, 0, MOTOR).frames(), Frame(0x123, bytes(8), kind="standard")
     path = acf_file(folder / "acf.pcap", [motor[:2], [other, motor[2]], [motor[3]], [motor[4]]])
