@@ -3,9 +3,9 @@
 -- A Start that arrives while a message with the same key is open may cut it off, or come from another bus.  From then
 -- on the frames of that key are pooled, and an End looks for the frames that, with it, make up one of the open
 -- messages: its size and its CRC decide.  Two messages may have frames with the same bytes, so a frame that went to the
--- wrong one can still change hands.  The reassembler's credit bounds the search to a few steps a frame.
+-- wrong one can still change hands.  The reassembly's credit bounds the search to a few steps a frame.
 --
--- A frame in the pool has number, data, length (on the bus), is_end, and once a good message has it, owner: the frames
+-- A frame in the pool has look, data, length (on the bus), is_end, and once a good message has it, owner: the frames
 -- of that message, its Start at 0, and its index among them.
 
 local M = {}
@@ -19,14 +19,14 @@ local Pool = {}
 Pool.__index = Pool
 
 --- A pool for one key.
--- reassembler  gives seed, fault, orphan, finish, frames, and the modules can and crc
--- first        the message that is open, with the numbers and chunks of its frames
-function M.new(reassembler, first)
-  local self = setmetatable({ reassembler = reassembler, messages = { first }, frames = {} }, Pool)
+-- reassembly  gives seed, misfit, finish, spend, what is kept of frames, and the modules can_id and crc
+-- first       the message that is open, with the looks and chunks of its frames
+function M.new(reassembly, first)
+  local self = setmetatable({ reassembly = reassembly, messages = { first }, frames = {} }, Pool)
   first.from = 1
   for i = 1, first.parts do
     local data = first.chunks[i]
-    self.frames[i] = { number = first[i + 1], data = data, length = #data }
+    self.frames[i] = { look = first[i + 1], data = data, length = #data }
   end
   return self
 end
@@ -43,9 +43,14 @@ local function leftovers(self, message)
   return taken, length
 end
 
+--- The message with the newest Start.
+function Pool:newest()
+  return self.messages[#self.messages]
+end
+
 --- How many bytes have come since the newest Start.
 function Pool:received()
-  local _, length = leftovers(self, self.messages[#self.messages])
+  local _, length = leftovers(self, self:newest())
   return length
 end
 
@@ -89,10 +94,10 @@ local function substitute(self, frame)
   while before > 0 and owner[before].data == data do before = before - 1 end
   while owner[behind] and owner[behind].data == data and not owner[behind].is_end do behind = behind + 1 end
   if not owner[behind] then return nil end -- it is an End
-  self.reassembler.credit = self.reassembler.credit - #self.frames / 32
+  self.reassembly:spend(#self.frames / 32)
   for i = #self.frames, 1, -1 do
     local other = self.frames[i]
-    if other.number > owner[before].number and other.number < owner[behind].number and other.data == data and
+    if other.look > owner[before].look and other.look < owner[behind].look and other.data == data and
       not other.owner and not other.taken and not other.is_end and other.length == frame.length then
       return other
     end
@@ -119,23 +124,22 @@ end
 -- Depth first over the frames from `at` on; the newest frame has to be the last taken.
 -- goal  { crc =, exchange = whether a good message's frames may be had for others like them, padding = (found) }
 local function search(self, goal, at, register, needed, taken)
-  local reassembler, frames = self.reassembler, self.frames
+  local reassembly, frames = self.reassembly, self.frames
   local last = #frames
   while at <= last do
     local frame = frames[at]
     local length = frame.length
-    reassembler.credit = reassembler.credit - 1
-    if reassembler.credit < 0 then return nil end
+    if not reassembly:spend(1) then return nil end
     if at == last then
       if #frame.data < length then return nil end
-      goal.padding = reassembler.can.padding(frame.data, length, needed)
+      goal.padding = reassembly.can_id.padding(frame.data, length, needed)
       if not goal.padding then return nil end
-      if reassembler.crc.update(register, frame.data, 1, needed) ~= goal.crc then return nil end
+      if reassembly.crc.update(register, frame.data, 1, needed) ~= goal.crc then return nil end
       taken[#taken + 1] = at
       return taken
     elseif length < needed and not frame.is_end and take(self, goal, frame) then
       taken[#taken + 1] = at
-      local behind = reassembler.crc.update(register, frame.data)
+      local behind = reassembly.crc.update(register, frame.data)
       if search(self, goal, at + 1, behind, needed - length, taken) then return taken end
       taken[#taken] = nil
       put_back(frame)
@@ -146,38 +150,38 @@ end
 
 -- Whether all that came since the newest Start makes up its message.
 local function all_since_start(self, goal, message)
-  local reassembler, frames = self.reassembler, self.frames
+  local reassembly, frames = self.reassembly, self.frames
   local taken, length = leftovers(self, message)
   local last = frames[#frames]
-  goal.padding = reassembler.can.padding(last.data, last.length, message.size - length + last.length)
+  goal.padding = reassembly.can_id.padding(last.data, last.length, message.size - length + last.length)
   if not goal.padding then return nil end
   for i = 1, #taken - 1 do
     if frames[taken[i]].is_end then return nil end
   end
-  local register = reassembler:seed(message)
+  local register = reassembly:seed(message)
   for _, at in ipairs(taken) do
     local data = frames[at].data
     if #data < frames[at].length then return taken end -- all there, but not to be verified
-    register = reassembler.crc.update(register, data, 1, at == #frames and #data - goal.padding or #data)
+    register = reassembly.crc.update(register, data, 1, at == #frames and #data - goal.padding or #data)
   end
   return register == goal.crc and taken or nil
 end
 
-local function by_number(a, b) return a.number < b.number end
+local function by_look(a, b) return a.look < b.look end
 
 -- The free frame takes its place in the message that had this one.
 local function hand_over(self, frame)
   local owner = frame.owner
   owner[frame.index] = frame.instead
-  table.sort(owner, by_number)
+  table.sort(owner, by_look)
   for i, member in ipairs(owner) do member.owner, member.index = owner, i end
-  self.reassembler:exchange(frame.number, frame.instead.number)
+  self.reassembly.kept:exchange(frame.look, frame.instead.look)
   put_back(frame)
 end
 
 -- The frames belong to a good message with this Start.
 local function own(self, start, taken)
-  local owner = { [0] = { number = start } }
+  local owner = { [0] = { look = start } }
   for i, at in ipairs(taken) do
     local frame = self.frames[at]
     owner[i] = frame
@@ -187,22 +191,37 @@ end
 
 -- Gives frames to a message and ends it: status when it is known, else the CRC decides.
 local function award(self, message, taken, status)
-  local reassembler, frames, chunks = self.reassembler, self.frames, {}
+  local reassembly, frames, chunks = self.reassembly, self.frames, {}
   local start = message[1]
+  for i = message.count, 2, -1 do message[i] = nil end
   message.count, message.received = 1, 0
   for i, at in ipairs(taken) do
     local frame = frames[at]
     if frame.instead then hand_over(self, frame) end
     frame.taken = nil
-    message.count, message[i + 1] = i + 1, frame.number
+    message.count, message[i + 1] = i + 1, frame.look
     message.received = message.received + frame.length
     if not message.truncated then chunks[i] = frame.data end
     message.truncated = message.truncated or #frame.data < frame.length
-    reassembler:give(frame.number, message)
+    reassembly.kept:give(frame.look, message)
   end
-  reassembler:finish(message, concat(chunks):sub(1, status and -1 or message.size), frames[#frames].number, status)
+  reassembly:finish(message, concat(chunks):sub(1, status and -1 or message.size), frames[#frames].look, status)
   if message.status == "good" then -- else its frames may still be another's
     own(self, start, taken)
+  end
+end
+
+-- What a good message left of the frames since its Start: one with the bytes of the frame before it, which the message
+-- has, came twice.
+local function name_repeated(self, message)
+  local frames = self.frames
+  for i = message.from + 1, #frames do
+    local frame, before = frames[i], frames[i - 1]
+    local is_after_its = before.owner and before.owner[0].look == message[1] or before.repeats == message
+    if is_after_its and not frame.owner and not frame.is_end and before.data == frame.data then
+      frame.repeats = message
+      self.reassembly.kept:duplicate(frame.look, message)
+    end
   end
 end
 
@@ -212,68 +231,72 @@ local function remove(list, item)
   end
 end
 
--- An End: first the newest message with all that came since its Start, then, oldest first, whatever fits, and in the
--- end what fits when other messages exchange frames.
-local function complete(self)
-  local messages, reassembler = self.messages, self.reassembler
-  local function completed(message, goal, taken)
-    message.padding = goal.padding > 0 and goal.padding or nil
-    remove(messages, message)
-    award(self, message, taken)
-    return message
-  end
+-- Which message an End completes, and with which frames: first the newest with all that came since its Start, then,
+-- oldest first, whatever fits, and in the end what fits when other messages exchange frames.
+-- returns  message, taken, goal; nothing when it completes none
+local function find_whole(self)
+  local messages, reassembly = self.messages, self.reassembly
   local goal = { crc = messages[#messages].crc }
   local all = all_since_start(self, goal, messages[#messages])
-  if all then return completed(messages[#messages], goal, all) end
+  if all then return messages[#messages], all, goal end
   for _, exchange in ipairs { false, true } do
     for _, message in ipairs(messages) do
       goal = { crc = message.crc, exchange = exchange }
-      local taken = search(self, goal, message.from, reassembler:seed(message), message.size, {})
-      if taken then return completed(message, goal, taken) end
+      local taken = search(self, goal, message.from, reassembly:seed(message), message.size, {})
+      if taken then return message, taken, goal end
     end
   end
 end
 
+-- Whether an End completes a message; that one leaves the pool.
+local function complete(self)
+  local message, taken, goal = find_whole(self)
+  if not message then return false end
+  message.padding = goal.padding > 0 and goal.padding or nil
+  remove(self.messages, message)
+  award(self, message, taken)
+  if message.status == "good" then name_repeated(self, message) end
+  return true
+end
+
 -- An End that completes nothing: it ends the newest message, as far as anyone can see.  But it may be another bus's, so
 -- that message stays for what may come.
-local function end_newest(self, number)
-  local newest, reassembler = self.messages[#self.messages], self.reassembler
-  local ended = {}
+local function end_newest(self, look)
+  local newest, reassembly, ended = self:newest(), self.reassembly, {}
   for key, value in pairs(newest) do ended[key] = value end
   local taken, length = leftovers(self, newest)
   local last = self.frames[#self.frames]
-  local padding = reassembler.can.padding(last.data, last.length, newest.size - length + last.length)
-  local status = not padding and reassembler:misfit(newest, length, number) or nil
+  local padding = reassembly.can_id.padding(last.data, last.length, newest.size - length + last.length)
+  local status = not padding and reassembly:misfit(newest, length, look) or nil
   ended.padding = padding and padding > 0 and padding or nil
   newest.overtaken = newest.overtaken or 0
   if #self.messages == 1 then self.messages = {} end
   award(self, ended, taken, status)
-  return ended
 end
 
---- Takes a Middle or End.
--- data      its captured bytes; length: on the bus; number: of the frame
--- doubtful  true when it may not be part of anything: then it does not end a message that it does not complete
--- returns   what the frame is: a message, or the reassembler's orphan
-function Pool:frame(data, length, number, is_end, doubtful)
-  local messages, reassembler = self.messages, self.reassembler
-  local newest = messages[#messages]
-  self.frames[#self.frames + 1] = { number = number, data = data, length = length, is_end = is_end }
-  self.bytes = (self.bytes or 0) + length
-  local whole = is_end and complete(self)
-  if whole then return whole end
-  if newest.overtaken then return reassembler:orphan(number, is_end) end
-  reassembler.frames[number] = newest
-  newest.count, newest[newest.count + 1] = newest.count + 1, number -- as far as anyone can see
-  if is_end and not doubtful then return end_newest(self, number) end
+-- More bytes than all open messages can use: none of them will come out good.
+local function overflow(self, newest, look)
   local limit = MAX_WASTE
-  for _, message in ipairs(messages) do limit = limit + message.size end
-  if self.bytes > limit then
-    reassembler:misfit(newest, self.bytes, number)
-    for _, message in ipairs(messages) do message.status = message.status or "overrun" end
-    self.messages = {}
-  end
-  return newest
+  for _, message in ipairs(self.messages) do limit = limit + message.size end
+  if self.bytes <= limit then return end
+  self.reassembly:misfit(newest, self.bytes, look)
+  for _, message in ipairs(self.messages) do message.status = message.status or "overrun" end
+  self.messages = {}
+end
+
+--- Takes a Middle or End; the reassembly's kept:entry says what it is.
+-- address, frame  as Reassembly:frame has them; one that is doubtful does not end a message that it does not complete
+function Pool:frame(address, frame)
+  local look, newest, kept = frame.look, self:newest(), self.reassembly.kept
+  local is_end = address.ctrl == self.reassembly.can_id.END
+  self.frames[#self.frames + 1] = { look = look, data = frame.data, length = frame.reported, is_end = is_end }
+  self.bytes = (self.bytes or 0) + frame.reported
+  if is_end and complete(self) then return end
+  if newest.overtaken then return kept:orphan(look, address) end
+  kept.entries[look] = newest
+  newest.count, newest[newest.count + 1] = newest.count + 1, look -- as far as anyone can see
+  if is_end and not frame.doubtful then return end_newest(self, look) end
+  overflow(self, newest, look)
 end
 
 return M
