@@ -1,5 +1,7 @@
--- What a user sees: the fields, the expert items, the trees of YAPP and of the Taurus messages, the Info column.
+-- What a user sees of YAPP: the fields, the expert items, the tree, the Info column. The messages: yapp_tree_taurus.
 -- Wireshark's API; what is shown comes in finished, from the reassembly or the framing.
+
+local tree_taurus = require("yapp_tree_taurus")
 
 local M = {}
 
@@ -46,22 +48,6 @@ local YAPP_EXPERTS = {
   { "stream.skipped", "Bytes that belong to no frame", "SEQUENCE", "NOTE" },
   { "truncated", "The capture cut the packet short", "MALFORMED", "WARN" },
 }
-local TAURUS_EXPERTS = {
-  { "fault.active", "Fault flags are set", "RESPONSE_CODE", "ERROR" },
-  { "command.key.invalid", "Key is not valid: the command is ignored", "PROTOCOL", "WARN" },
-  { "value.special", "Reserved count of a compressed float", "PROTOCOL", "NOTE" },
-  { "flags.undefined", "A bit is set that no table defines", "PROTOCOL", "NOTE" },
-  { "value.invalid", "Value that the document does not define", "PROTOCOL", "WARN" },
-}
-
-local function make_experts(proto, prefix, rows)
-  local experts = {}
-  for _, row in ipairs(rows) do
-    experts[row[1]] = ProtoExpert.new(prefix .. row[1], row[2], expert.group[row[3]], expert.severity[row[4]])
-  end
-  proto.experts = experts
-  return experts
-end
 
 local function make_yapp_fields(names)
   local fields = {}
@@ -80,32 +66,12 @@ local function make_yapp_fields(names)
   return fields
 end
 
--- The ProtoFields of one catalogue field, kept in it: pf, and special_pf, flag.pf, undefined_pf.
-local function make_taurus_field(field, specials, add)
-  local bits = field.size * 8
-  if field.kind == "float" then
-    field.pf = add(ProtoField.double(field.filter, field.title))
-    field.special_pf = add(ProtoField.uint8(field.filter .. ".special", field.title, base.DEC, specials))
-  elseif field.kind == "time" then
-    field.pf = add(ProtoField.relative_time(field.filter, field.title))
-  elseif field.kind == "flags" then
-    field.pf = add(ProtoField["uint" .. bits](field.filter, field.title, base.HEX))
-    for _, flag in ipairs(field.flags) do
-      flag.pf = add(ProtoField.bool(flag.filter, flag.title, bits, nil, flag.mask))
-    end
-    field.undefined_pf = add(ProtoField.uint32(field.undefined_filter, "Undefined bits", base.HEX))
-  else
-    field.pf = add(ProtoField["uint" .. bits](field.filter, field.title, field.values and base.HEX or base.DEC,
-      field.values))
-  end
-end
-
 local Tree = {}
 Tree.__index = Tree
 
 --- Makes fields and expert items and hands them to the two protocols.
 -- yapp, taurus  Proto
--- catalogue     compiled; its fields get their ProtoFields
+-- catalogue     compiled
 -- decode        the module yapp_decode
 -- returns       the tree builder; set its by_id ({ [id] = message }) before use
 function M.new(yapp, taurus, catalogue, decode)
@@ -117,18 +83,8 @@ function M.new(yapp, taurus, catalogue, decode)
   for _, row in ipairs(FIELDS) do list[#list + 1] = self.fields[row[1]] end
   yapp.fields = list
 
-  list = {}
-  local function add(pf)
-    list[#list + 1] = pf
-    return pf
-  end
-  for _, message in ipairs(catalogue.messages) do
-    message.pf = add(ProtoField.none(message.filter, message.title))
-    for _, field in ipairs(message.fields) do make_taurus_field(field, self.decode.SPECIALS, add) end
-  end
-  taurus.fields = list
-  self.yapp_experts = make_experts(yapp, "yapp.", YAPP_EXPERTS)
-  self.taurus_experts = make_experts(taurus, "taurus.", TAURUS_EXPERTS)
+  self.messages = tree_taurus.new(taurus, catalogue, decode)
+  self.yapp_experts = tree_taurus.make_experts(yapp, "yapp.", YAPP_EXPERTS)
   return self
 end
 
@@ -207,75 +163,12 @@ function Tree:add_delta(item, seconds)
   generated(item:add(self.fields.time_delta, NSTime.new(whole, rest)))
 end
 
--- Taurus --------------------------------------------------------------------------------------------------------
-
-local adders = {}
-
-function adders.float(self, parent, range, field, raw)
-  local value, special = self.decode.float(field, raw)
-  if value then
-    local item = parent:add(field.pf, range, self.decode.round(value))
-    if field.unit then item:append_text(" " .. field.unit) end
-    return item
-  end
-  local item = parent:add(field.special_pf, range, special)
-  item:set_text(string.format("%s: %s (0x%0" .. field.size * 2 .. "x)", field.title,
-    self.decode.SPECIALS[special], raw))
-  return item
-end
-
-function adders.uint(_, parent, range, field)
-  local item = parent:add_le(field.pf, range)
-  if field.unit then item:append_text(" " .. field.unit) end
-  return item
-end
-
-function adders.flags(self, parent, range, field, raw)
-  local item = parent:add_le(field.pf, range)
-  if raw ~= 0 then item:append_text(" (" .. self.decode.flag_names(field, raw) .. ")") end
-  for _, flag in ipairs(field.flags) do item:add_le(flag.pf, range) end
-  local undefined = self.decode.undefined(field, raw)
-  if undefined ~= 0 then item:add(field.undefined_pf, range, undefined) end
-  return item
-end
-
-function adders.time(self, parent, range, field, _, payload)
-  return parent:add(field.pf, range, NSTime.new(self.decode.time(payload, field.offset)))
-end
-
--- Whether a field is wanted when the tree is built but not shown: it, or one of those below it.
-local function field_wanted(tree, field)
-  if tree:referenced(field.pf) then return true end
-  if field.special_pf then return tree:referenced(field.special_pf) end
-  if field.flags then
-    for _, flag in ipairs(field.flags) do
-      if tree:referenced(flag.pf) then return true end
-    end
-    return tree:referenced(field.undefined_pf)
-  end
-  return false
-end
-
--- The tree of a message; returns the items by index of field, for the remarks.
-function Tree:taurus_tree(tree, tvb, at, message, raws, payload)
-  local length = math.min(message.size, #payload)
-  local top = tree:add(self.taurus, tvb(at, length))
-  top:set_text("Taurus " .. message.title)
-  top:add(message.pf, tvb(at, length)):set_hidden()
-  local all, items = tree.visible, {}
-  for i, field in ipairs(message.fields) do
-    if field.offset + field.size > #payload then break end
-    if all or field_wanted(tree, field) then
-      items[i] = adders[field.kind](self, top, tvb(at + field.offset, field.size), field, raws[i], payload)
-    end
-  end
-  return items, top
-end
-
 --- A number of bytes in words: "1 byte", "2 bytes".
 function Tree.bytes(count)
   return count == 1 and "1 byte" or ("%d bytes"):format(count)
 end
+
+local shown = {} -- one message at a time
 
 --- Shows a payload: the message of the catalogue, or bytes.
 -- tree, item  where the Taurus tree goes, and YAPP's own item
@@ -295,16 +188,10 @@ function Tree:payload(tree, item, id, payload, tvb, at, size)
       message.title, Tree.bytes(size), message.size))
     return string.format("%s  %s, not %d", message.title, Tree.bytes(size), message.size)
   end
+  shown.message, shown.payload, shown.tvb, shown.at = message, payload, #payload > 0 and tvb or nil, at
   local raws, look = decode.read(message, payload)
-  local items, top = {}, item
-  if tvb and #payload > 0 then items, top = self:taurus_tree(tree, tvb, at, message, raws, payload) end
-  local remarks = look and decode.remarks(message, raws)
-  if remarks then
-    for _, remark in ipairs(remarks) do
-      local target = items[remark[1]] or top
-      target:add_proto_expert_info(self.taurus_experts[remark[2]], remark[3])
-    end
-  end
+  shown.raws, shown.look = raws, look
+  self.messages:show(tree, item, shown)
   return decode.info(message, raws)
 end
 
