@@ -15,9 +15,9 @@ end
 package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
 local parts = {}
 for _, name in ipairs {
-  "bus", "can", "can_carrier", "can_id", "candump", "candump_reader", "catalogue", "crc", "decode", "dump",
-  "dump_reader", "head", "interleave", "reassembly", "serial_carrier", "serials", "stream", "tree",
-  "utf8",
+  "bus", "can", "can_carrier", "can_id", "catalogue", "crc", "decode", "file_candump", "file_candump_reader",
+  "file_dump", "file_dump_reader", "file_head", "interleave", "reassembly", "serial_carrier", "serial_stream",
+  "serials", "tree", "utf8",
 } do
   parts[name] = require("yapp_" .. name)
 end
@@ -107,8 +107,8 @@ end
 
 -- Carriers ------------------------------------------------------------------------------------------------------
 
-local buses = parts.bus.watch(parts.head)
-local candump = parts.candump_reader
+local buses = parts.bus.watch(parts.file_head)
+local candump = parts.file_candump_reader
 local ids = parts.can_id.new(function(number) return buses:can_fields(number) end)
 
 local function bus_of(pinfo)
@@ -276,8 +276,8 @@ end
 local function controller_time(frame)
   local low, high = frame:byte(5, 6)
   local message = tree.by_id[low + high * 0x100]
-  if not message or not message.time or #frame < parts.stream.HEADER + message.size then return nil end
-  local seconds, nanoseconds = decode.time(frame, parts.stream.HEADER + message.time.offset)
+  if not message or not message.time or #frame < parts.serial_stream.HEADER + message.size then return nil end
+  local seconds, nanoseconds = decode.time(frame, parts.serial_stream.HEADER + message.time.offset)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 
@@ -348,8 +348,8 @@ for _, name in ipairs { "tcp.port", "udp.port", "rtacser.data" } do
 end
 for _, name in ipairs { "tcp.port", "udp.port" } do DissectorTable.get(name):add_for_decode_as(yapp) end
 yapp:register_heuristic("can", unclaimed)
-candump.register(parts.candump)
-parts.dump_reader.register(parts.dump, function() return streams:framer() end, controller_time)
+candump.register(parts.file_candump)
+parts.file_dump_reader.register(parts.file_dump, function() return streams:framer() end, controller_time)
 
 local plugin = { version = VERSION, path = here .. "yapp.lua" }
 package.loaded["yapp.plugin"] = plugin

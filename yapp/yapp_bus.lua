@@ -16,7 +16,7 @@ local Buses = {}
 Buses.__index = Buses
 
 --- Looks at files from now on.  Call it once.
--- head  the module yapp_head
+-- head  the module yapp_file_head
 function M.watch(head)
   local self = setmetatable({ found = head.read(""), says_bus = {}, numbers = {}, count = 0 }, Buses)
   -- A reader that never reads: the only place where the API shows a file.

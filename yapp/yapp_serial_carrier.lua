@@ -11,7 +11,7 @@ local Carrier = {}
 Carrier.__index = Carrier
 
 --- The serial side of the plugin.
--- parts    the modules { crc =, stream =, utf8 = }
+-- parts    the modules { crc =, serial_stream =, utf8 = }
 -- tree     a tree builder
 -- context  function(pinfo) -> a number that tells captured interfaces and directions apart, nil where nothing does
 function M.new(parts, tree, context)
@@ -33,7 +33,7 @@ function Carrier:reset()
 end
 
 function Carrier:framer()
-  return self.parts.stream.new(self.parts.crc, self.accepts)
+  return self.parts.serial_stream.new(self.parts.crc, self.accepts)
 end
 
 --- Whether bytes hold one whole frame with a good CRC: what a heuristic has to see.
@@ -242,7 +242,7 @@ function Carrier:is_plain(tvb, pinfo, raw)
   local known = self.plain[number]
   if pinfo.visited then return known == place end
   if known and known ~= place then return false end
-  if is_truncated(tvb) or not self.parts.stream.is_frame(self.parts.crc, self.accepts, raw) then
+  if is_truncated(tvb) or not self.parts.serial_stream.is_frame(self.parts.crc, self.accepts, raw) then
     self.plain[number] = nil
     return false
   end

@@ -18,8 +18,8 @@ TSHARK = os.environ.get("TSHARK", "tshark")
 
 REGISTER = """
 package.path = "%s/yapp/?.lua;" .. package.path
-local reader = require("yapp_candump_reader")
-reader.register(require("yapp_candump"))
+local reader = require("yapp_file_candump_reader")
+reader.register(require("yapp_file_candump"))
 io.stderr:write("reader registered\\n")
 """
 

@@ -102,7 +102,7 @@ end
 
 --- A dump about to be read.
 -- file        at its first byte, or behind `head`
--- new_framer  function() -> a yapp_stream
+-- new_framer  function() -> a yapp_serial_stream
 -- time_of     function(frame bytes) -> seconds, nanoseconds of the message's own time stamp, nil without one
 -- head        the first bytes, where they have been read already
 -- returns     nil for a file that holds no frame with a good CRC.  Only where the first of them comes late is the file

@@ -1,7 +1,7 @@
 -- Stream framing: each rule by itself, then random streams against a plain reading of the rules.
 local lu = require("luaunit")
 local crc = require("yapp_crc")
-local stream = require("yapp_stream")
+local stream = require("yapp_serial_stream")
 local generator = require("stream_generator")
 
 local frame, header, little_endian = generator.frame, generator.header, generator.little_endian

@@ -1,8 +1,8 @@
 -- A raw serial dump: records, offsets, times, and what is not a dump.
 local lu = require("luaunit")
 local crc = require("yapp_crc")
-local dump = require("yapp_dump")
-local stream = require("yapp_stream")
+local dump = require("yapp_file_dump")
+local stream = require("yapp_serial_stream")
 
 -- What the API's file objects do.
 local function file_of(text)

@@ -1,6 +1,6 @@
 -- What the first bytes of a capture file say: several sources or one, YAPP frames or none.
 local lu = require("luaunit")
-local head = require("yapp_head")
+local head = require("yapp_file_head")
 
 local function le(value, size)
   local bytes = {}

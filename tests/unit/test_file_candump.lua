@@ -1,6 +1,6 @@
 -- candump text: every form of line, which files are taken, times, buses, what is told of broken lines.
 local lu = require("luaunit")
-local candump = require("yapp_candump")
+local candump = require("yapp_file_candump")
 
 local function bytes(hex)
   return (hex:gsub("%s", ""):gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end))

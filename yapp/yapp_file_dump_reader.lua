@@ -1,4 +1,4 @@
--- Wireshark's file reader for raw serial dumps: thin, yapp_dump.lua does the work.
+-- Wireshark's file reader for raw serial dumps: thin, yapp_file_dump.lua does the work.
 
 local M = {}
 
@@ -63,8 +63,8 @@ local function name_reader()
 end
 
 --- Makes the reader known to Wireshark.  To be called once.
--- dump        the module yapp_dump
--- new_framer  function() -> a yapp_stream
+-- dump        the module yapp_file_dump
+-- new_framer  function() -> a yapp_serial_stream
 -- time_of     function(frame bytes) -> seconds, nanoseconds, or nil
 function M.register(dump, new_framer, time_of)
   local names, has_other_name, note_refused = name_reader()

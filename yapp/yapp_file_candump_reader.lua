@@ -1,4 +1,4 @@
--- Wireshark's file reader for candump text: thin, everything about the text is in yapp_candump.lua.
+-- Wireshark's file reader for candump text: thin, everything about the text is in yapp_file_candump.lua.
 local PACKET, HAS_TIME = wtap_rec_types.PACKET, wtap_presence_flags.TS
 local NSTime = NSTime
 
@@ -77,7 +77,7 @@ local function make_reader(candump, row, big_endian)
 end
 
 --- Makes the readers known to Wireshark. To be called once.
--- @param candump the module yapp_candump
+-- @param candump the module yapp_file_candump
 function M.register(candump)
   local big_endian = Struct.pack("=I4", 1):byte(4) == 1
   for _, row in ipairs(READERS) do register_filehandler(make_reader(candump, row, big_endian)) end
