@@ -225,6 +225,13 @@ function Memory:pass_over(facts)
   if facts.is_again and refines(self, facts) then self.reached = math.max(self.reached, facts.number) end
 end
 
+--- The numbers of the frames of a message that has ended, in order; without those that a read filter rejected.
+function Memory:frames_of(record)
+  local numbers, message = {}, record.message
+  for i = 1, message.count do numbers[#numbers + 1] = number_of(record.pass, message[i]) end
+  return numbers
+end
+
 --- What changed with a message since its source's previous good one (see yapp_history).
 -- record   of its last, or only, frame
 -- message  as History:note takes it; number and delta are filled in

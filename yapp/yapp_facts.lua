@@ -56,7 +56,8 @@ function Facts:init()
   remove(self.can_tap)
   self.can_tap, self.asked_at = nil, nil
   self.says_bus, self.numbers, self.names, self.count = {}, {}, {}, 0
-  self.id_number, self.can_id, self.no_data, self.read = 0, nil, nil, 0
+  self.is_swapped = get_preference("can.byte_swap") -- of records that a little endian machine wrote as they were
+  self.id_number, self.can_id, self.no_data, self.header_number, self.asked = 0, nil, nil, 0, nil
 end
 
 --- Whether the file tells several sources apart, by its first bytes.
@@ -84,12 +85,6 @@ local function by_name(ok, ...)
   return found, ok
 end
 
---- Sees to it that CAN's own fields are there from the next frame on, if nobody wanted them.
-function Facts:want_can_fields(number)
-  if self.can_tap then return end
-  self.can_tap, self.asked_at = Listener.new("frame", CAN_FIELDS), number
-end
-
 -- The fields of a CAN frame that are in the tree so far.
 -- returns  { [filter name] = value }, empty on a pass that builds no tree; and whether none of CAN's own is left out
 local function can_fields(self, number)
@@ -98,7 +93,9 @@ local function can_fields(self, number)
   local is_asked = self.can_tap and self.asked_at ~= number
   local is_whole = fields["can.id"] ~= nil and fields["can.flags.xtd"] ~= nil and
     (is_asked or fields["can.flags.rtr"] ~= nil or fields["canfd.flags.brs"] ~= nil)
-  if not is_whole then self:want_can_fields(number) end
+  if not is_whole and not self.can_tap then
+    self.can_tap, self.asked_at = Listener.new("frame", CAN_FIELDS), number
+  end
   return fields, is_whole
 end
 
@@ -168,6 +165,13 @@ function Facts:note_id(number, can_id)
   self.id_number, self.can_id = number, can_id
 end
 
+--- What the wrapper around SocketCAN read in the header of the current frame (yapp_can_wrapper).
+-- can_id  29 bits; nil for a frame that is not an extended data frame
+function Facts:note_header(number, can_id)
+  self.header_number, self.no_data = number, not can_id -- or not extended: then the frame is not ours either
+  self:note_id(number, can_id)
+end
+
 --- The id of the current frame, which came by Decode As.
 -- returns  29-bit id; nil where it is not an extended data frame; nil and true where nothing says
 function Facts:find_id(pinfo)
@@ -186,7 +190,7 @@ end
 -- Whether the current frame is a remote frame: those have no data, but captures give them zeros.
 -- returns  true or false; nil where nothing says
 local function is_remote(self, pinfo)
-  if self.read == pinfo.number then return self.no_data end
+  if self.header_number == pinfo.number then return self.no_data end
   local fields, is_whole = can_fields(self, pinfo.number)
   local rtr = fields["can.flags.rtr"]
   if rtr ~= nil then return is_true(rtr) end
@@ -207,6 +211,10 @@ function Facts:can_frame(tvb, pinfo, is_new)
   record.reported = tvb:reported_len()
   -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
   record.data = tvb:len() > 0 and tvb:raw() or ""
+  if self.asked ~= record.is_again then -- at a pass's first frame: a later one may need them
+    self.asked = record.is_again
+    can_fields(self, record.number)
+  end
   record.bus, record.informed = self:bus(pinfo)
   record.remote, record.doubtful = false, false
   if ZEROS[record.data] and record.reported > 0 then

@@ -32,6 +32,10 @@ local FIELDS = {
   { "reassembled.length", "uint32", "Reassembled length", "DEC" },
   { "skipped", "bytes", "Skipped bytes" },
   { "time_delta", "relative_time", "Time since the previous message with this ID" },
+  { "bus", "string", "Bus" },
+  { "source", "string", "Source" },
+  { "message.fault", "bool", "Message has a fault flag set" },
+  { "seq.missing", "uint8", "Messages missing before this one", "DEC" },
 }
 
 -- filter, what it says by itself, group, severity
@@ -40,6 +44,9 @@ local YAPP_EXPERTS = {
   { "fragment.orphan", "Middle or End without a Start", "SEQUENCE", "WARN" },
   { "fragment.incomplete", "Message with bytes missing", "REASSEMBLE", "WARN" },
   { "fragment.overrun", "More bytes than the message's size", "REASSEMBLE", "WARN" },
+  { "fragment.duplicate", "Frame delivered twice", "SEQUENCE", "NOTE" },
+  { "unfinished", "The capture ends before the message does", "REASSEMBLE", "WARN" },
+  { "late", "A long gap before this message", "SEQUENCE", "WARN" },
   { "size.mismatch", "Payload length is not the catalogue's", "PROTOCOL", "WARN" },
   { "id.unknown", "Message ID is not in the catalogue", "UNDECODED", "NOTE" },
   { "reserved.nonzero", "Reserved bytes are not 0", "PROTOCOL", "WARN" },
@@ -57,7 +64,7 @@ local function make_yapp_fields(names)
     if name == "id" then values = names end
     if kind == "framenum" then
       fields[name] = ProtoField.framenum(filter, title, base.NONE)
-    elseif kind == "bytes" or kind == "none" or kind == "relative_time" then
+    elseif not row[4] then
       fields[name] = ProtoField[kind](filter, title)
     else
       fields[name] = ProtoField[kind](filter, title, base[row[4]], values)
@@ -100,15 +107,18 @@ function Tree:wanted(tree, with_taurus)
     with_taurus and tree:referenced(self.taurus_handle)
 end
 
---- What an ID is called: "Motor Data", "ID 0x123".
-function Tree:name(id)
-  local message = self.by_id[id]
-  return message and message.title or string.format("ID 0x%x", id)
+--- What an ID is called: "Motor Data", "Motor Data 0x212 (can1)", "Motor Data left_fore", "ID 0x123".
+-- bus_name  text, or nil where the capture names none
+function Tree:name(id, bus_name)
+  return self.sources:label(bus_name, id, self.message_of(id, bus_name))
 end
 
 --- Adds an expert item of YAPP's.
+-- text  what there is to say of this packet: its own item, so that the expert's text is the same each time and
+--       `-z expert` can count it; nil where the expert's says all
 function Tree:expert(item, name, text)
-  item:add_proto_expert_info(self.yapp_experts[name], text)
+  if text and self.is_shown then item = item:add(self.yapp, text):set_generated() end
+  item:add_proto_expert_info(self.yapp_experts[name])
 end
 
 local function generated(item)

@@ -1,0 +1,78 @@
+-- What a finished message means: which message of the catalogue it is, its values, its source and what changed there.
+-- Pure Lua, 5.2 and 5.4.  Carriers bring messages; the tree and the observers get them from here.
+
+local M = {}
+
+local Reader = {}
+Reader.__index = Reader
+
+--- parts  the modules { decode =, sources = }
+function M.new(parts)
+  return setmetatable({ decode = parts.decode, by_id = {}, sources = nil }, Reader)
+end
+
+--- Takes the user's choice of IDs and names; nothing is known before that.
+-- by_id    { [id] = compiled message }
+-- sources  a yapp_sources
+function Reader:use(by_id, sources)
+  self.by_id, self.sources = by_id, sources
+  self.is_by_id = not sources:has_messages()
+  self.source_texts = {}
+end
+
+--- The message of the catalogue that an ID carries on a bus, nil for none.
+-- bus  name, nil where the capture has none
+function Reader:message_of(id, bus)
+  if self.is_by_id then return self.by_id[id] end
+  return self.sources:message(bus, id) or self.by_id[id]
+end
+
+--- The payload size of that message, nil for none.
+function Reader:size_of(id, bus)
+  local message = self:message_of(id, bus)
+  return message and message.size
+end
+
+--- What the column Source has: the name that the user gave, or the ID.
+function Reader:source_text(id, bus)
+  local of_bus = self.source_texts[bus or false]
+  if not of_bus then
+    of_bus = {}
+    self.source_texts[bus or false] = of_bus
+  end
+  local text = of_bus[id]
+  if not text then
+    text = self.sources:name(bus, id) or ("0x%x"):format(id)
+    of_bus[id] = text
+  end
+  return text
+end
+
+-- Whether a flag is set that makes an alarm.
+local function has_alarm(message, raws)
+  for _, field in ipairs(message.alarms) do
+    if (raws[message.index[field]] or 0) ~= 0 then return true end
+  end
+  return false
+end
+
+--- Reads a finished message.
+-- m        { id, seq, ctl, size, payload, bus = name or nil, status, good = whether it is proved whole, ... }: gets
+--          message = of the catalogue, where the ID is known; raws and look = from decode.read, where the size fits too;
+--          has_fault = whether a fault flag is set; source = name or nil; change = what ask returned
+-- look     what yapp_history is asked with: { source, bus, number, time }; gets the rest
+-- ask      function(look) -> change or nil
+function Reader:read(m, look, ask)
+  local message = self:message_of(m.id, m.bus)
+  m.message, m.source = message, self.sources:name(m.bus, m.id)
+  if message and m.size == message.size and m.is_whole then
+    m.raws, m.look = self.decode.read(message, m.payload)
+    m.has_fault = m.look and has_alarm(message, m.raws)
+  end
+  look.message, look.raws, look.payload = message, m.raws, m.payload
+  look.id, look.seq, look.good = m.id, m.seq, m.good
+  m.change = ask(look)
+  if self.observer then self.observer(m) end
+end
+
+return M
