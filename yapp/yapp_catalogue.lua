@@ -147,7 +147,7 @@ end
 -- "{name:%.1f} V" -> parts { { field = f, index = i, format = "%.1f" }, " V" }; and the same as one format with
 -- the fields it takes, for the usual message that has nothing special to show.
 local function compile_info(text, message, complain)
-  local parts, fields, formats, at = {}, {}, { (message.title:gsub("%%", "%%%%")), "  " }, 1
+  local parts, fields, formats, at = {}, {}, { "  " }, 1
   if not is_utf8(text, 1000) then
     complain("info must be a text, not %s", shown(text))
     text = ""

@@ -197,8 +197,8 @@ local function shown(part, raw)
 end
 
 -- The parts of an Info text one by one, for values that the usual format cannot show.
-local function info_in_parts(message, raws)
-  local texts = { message.title, "  " }
+local function info_in_parts(message, raws, name)
+  local texts = { name, "  " }
   for i, part in ipairs(message.info) do
     texts[i + 2] = part.field and shown(part, raws[part.index]) or part
   end
@@ -208,7 +208,8 @@ end
 local values = {} -- of one Info text at a time
 
 --- What the Info column says of a message.
-function M.info(message, raws)
+-- name  what it is called
+function M.info(message, raws, name)
   local fields, text = message.info_fields, nil
   for i = 1, #fields do
     local part = fields[i]
@@ -224,7 +225,7 @@ function M.info(message, raws)
     values[i] = value
     if i == #fields then text = format(message.info_format, unpack(values, 1, i)) end
   end
-  text = text or info_in_parts(message, raws)
+  text = text and name .. text or info_in_parts(message, raws, name)
   for _, field in ipairs(message.alarms) do
     local raw = raws[message.index[field]]
     if raw and raw ~= 0 then text = text .. "  " .. field.alarm .. " " .. M.flag_names(field, raw) end

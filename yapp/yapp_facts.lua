@@ -57,7 +57,7 @@ function Facts:init()
   self.can_tap, self.asked_at = nil, nil
   self.says_bus, self.numbers, self.names, self.count = {}, {}, {}, 0
   self.is_swapped = get_preference("can.byte_swap") -- of records that a little endian machine wrote as they were
-  self.id_number, self.can_id, self.no_data, self.header_number, self.asked = 0, nil, nil, 0, nil
+  self.header_number, self.header_id, self.refused, self.asked = 0, nil, {}, nil
 end
 
 --- Whether the file tells several sources apart, by its first bytes.
@@ -160,22 +160,27 @@ end
 
 -- A CAN frame -------------------------------------------------------------------------------------------------------
 
---- The id of a CAN frame that came to us without one (Decode As), for those who are asked next.
-function Facts:note_id(number, can_id)
-  self.id_number, self.can_id = number, can_id
-end
-
 --- What the wrapper around SocketCAN read in the header of the current frame (yapp_can_wrapper).
 -- can_id  29 bits; nil for a frame that is not an extended data frame
 function Facts:note_header(number, can_id)
-  self.header_number, self.no_data = number, not can_id -- or not extended: then the frame is not ours either
-  self:note_id(number, can_id)
+  self.header_number, self.header_id = number, can_id
+end
+
+--- The table of ids had the current frame, whose facts are those of the last can_frame, and left it to Decode As.
+function Facts:note_refused(can_id)
+  local refused = self.refused
+  refused.number, refused.place, refused.can_id = self.record.number, self.record.place, can_id
+end
+
+local function is_refused(self, tvb, pinfo)
+  return self.refused.number == pinfo.number and self.refused.place == tvb:offset()
 end
 
 --- The id of the current frame, which came by Decode As.
 -- returns  29-bit id; nil where it is not an extended data frame; nil and true where nothing says
-function Facts:find_id(pinfo)
-  if self.id_number == pinfo.number then return self.can_id end
+function Facts:find_id(tvb, pinfo)
+  if self.header_number == pinfo.number then return self.header_id end
+  if is_refused(self, tvb, pinfo) then return self.refused.can_id end
   local fields, is_whole = can_fields(self, pinfo.number)
   local id, extended = fields["can.id"], fields["can.flags.xtd"]
   if is_whole then
@@ -187,10 +192,18 @@ function Facts:find_id(pinfo)
   return not text:find("Remote", 1, true) and tonumber(text:match("Ext%. ID: (%d+)")) or nil
 end
 
+--- Whether the current frame, which came with 0 for its id, did so by Decode As and not from the table of ids: it has
+-- another id, or the table had it already.
+function Facts:is_decode_as(tvb, pinfo)
+  if is_refused(self, tvb, pinfo) then return true end
+  local can_id, is_unknown = self:find_id(tvb, pinfo)
+  return not is_unknown and can_id ~= 0
+end
+
 -- Whether the current frame is a remote frame: those have no data, but captures give them zeros.
 -- returns  true or false; nil where nothing says
 local function is_remote(self, pinfo)
-  if self.header_number == pinfo.number then return self.no_data end
+  if self.header_number == pinfo.number then return not self.header_id end -- or not extended: then it is not ours
   local fields, is_whole = can_fields(self, pinfo.number)
   local rtr = fields["can.flags.rtr"]
   if rtr ~= nil then return is_true(rtr) end

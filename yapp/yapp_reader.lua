@@ -6,18 +6,28 @@ local M = {}
 local Reader = {}
 Reader.__index = Reader
 
---- parts  the modules { decode =, sources = }
-function M.new(parts)
-  return setmetatable({ decode = parts.decode, by_id = {}, sources = nil }, Reader)
+--- decode    the module yapp_decode
+-- catalogue  compiled
+function M.new(decode, catalogue)
+  return setmetatable({ decode = decode, messages = catalogue.messages, by_id = {}, hinted = {} }, Reader)
+end
+
+--- Forgets the capture file.
+function Reader:reset()
+  self.hinted = {} -- [id of an unknown message]: frame where it was said what it may be
 end
 
 --- Takes the user's choice of IDs and names; nothing is known before that.
 -- by_id    { [id] = compiled message }
 -- sources  a yapp_sources
 function Reader:use(by_id, sources)
-  self.by_id, self.sources = by_id, sources
-  self.is_by_id = not sources:has_messages()
-  self.source_texts = {}
+  self.by_id, self.sources, self.is_by_id, self.source_texts = {}, sources, true, {}
+  for id, message in pairs(by_id) do self.by_id[id] = message end
+  for _, row in ipairs(sources:list()) do
+    if row.message and row.bus then self.is_by_id = false end
+    if row.message and not row.bus then self.by_id[row.id] = row.message end
+  end
+  sources:use_ids(self.by_id)
 end
 
 --- The message of the catalogue that an ID carries on a bus, nil for none.
@@ -33,6 +43,16 @@ function Reader:size_of(id, bus)
   return message and message.size
 end
 
+--- The name that the user gave to a source, nil where there is none.
+function Reader:name_of(id, bus)
+  return self.sources:name(bus, id)
+end
+
+--- What a message is called, and where that does not tell, its source (see Sources:label).
+function Reader:label(id, bus)
+  return self.sources:label(bus, id, self:message_of(id, bus))
+end
+
 --- What the column Source has: the name that the user gave, or the ID.
 function Reader:source_text(id, bus)
   local of_bus = self.source_texts[bus or false]
@@ -46,6 +66,22 @@ function Reader:source_text(id, bus)
     of_bus[id] = text
   end
   return text
+end
+
+-- What there is to say of a message that is not in the catalogue: its size may be that of one that is.
+-- returns  a text for the packet, and what the Info column adds or nil
+function Reader:hint(m)
+  local same
+  for _, message in ipairs(m.good and self.messages or {}) do
+    if message.size == m.size then same = same or message end
+  end
+  local text = ("Message ID 0x%x is not in the catalogue"):format(m.id)
+  if not same then return text end
+  local size = ("the size of %s"):format(same.title)
+  text = ('%s; %d bytes, %s: see the preference "%s message IDs"'):format(text, m.size, size, same.title)
+  if self.hinted[m.id] and self.hinted[m.id] ~= m.frame then return text, ", " .. size end
+  self.hinted[m.id] = m.frame
+  return text, (', %s: see the preference "%s message IDs"'):format(size, same.title)
 end
 
 -- Whether a flag is set that makes an alarm.

@@ -25,9 +25,8 @@ function Carrier:reset()
   self.passes = { {}, {} }
   for _, pass in ipairs(self.passes) do pass.streams, pass.packets, pass.highest = {}, {}, 0 end
   self.plain, self.plain_deltas = {}, {}
-  local by_id = self.tree.by_id
   function self.accepts(id, size)
-    local message = by_id[id]
+    local message = self.tree.reader:message_of(id)
     return not message or message.size == size
   end
 end
@@ -87,14 +86,16 @@ function Carrier:show_frame(tree, tvb, at, event, bytes, wanted)
     if event.parts then self:add_parts(item, tvb, event, #bytes) end
     if status ~= "cut" then builder:add_crc(item, tvb(at + HEADER + size, CRC_SIZE), message) end
     item:append_text(status == "good" and ", CRC good" or status == "bad" and ", CRC BAD" or ", not whole")
-    builder:add_delta(item, event.delta)
   end
   if status == "bad" then builder:bad_crc(item, message) end
   if status == "cut" then
     local text = ("The frame has %d bytes, %d of them are missing"):format(HEADER + size + CRC_SIZE, event.missing)
     builder:expert(item, event.truncated and "truncated" or "fragment.incomplete", text)
   end
-  local info = builder:payload(tree, item, id, payload, wanted and tvb, at + HEADER, size)
+  local m = { tree = tree, item = item, id = id, payload = payload, size = size, wanted = wanted, tvb = wanted and tvb,
+    at = at + HEADER, good = status == "good", is_whole = true }
+  builder.reader:read(m, {}, function() return { delta = event.delta } end)
+  local info = builder:payload(m)
   return info .. (status == "bad" and "  [BAD CRC]" or status == "cut" and "  [INCOMPLETE]" or "")
 end
 
@@ -127,7 +128,7 @@ end
 
 -- Shows events.  base is the stream offset of the packet's first byte: what lies in it has no bytes of its own.
 function Carrier:show(tvb, pinfo, tree, events, base, raw)
-  local wanted = self.tree:wanted(tree, true)
+  local wanted = self.tree:wants_any(tree)
   local infos = {}
   for i, event in ipairs(events) do
     local source, at = tvb, event.from - base
@@ -386,7 +387,7 @@ end
 -- Shows the bytes at the packet's end that wait for more; returns what the Info column says of them.
 function Carrier:show_pending(tvb, tree, packet, size)
   local builder, pending = self.tree, packet.pending
-  if builder:wanted(tree, false) then
+  if builder:wants_yapp(tree) then
     local range = tvb(size - pending, pending)
     local item = tree:add(builder.yapp, range)
     item:append_text(", part of a frame")

@@ -76,64 +76,101 @@ end
 local Tree = {}
 Tree.__index = Tree
 
+local function generated(item)
+  item:set_generated()
+  return item
+end
+
 --- Makes fields and expert items and hands them to the two protocols.
--- yapp, taurus  Proto
--- catalogue     compiled
--- decode        the module yapp_decode
--- returns       the tree builder; set its by_id ({ [id] = message }) before use
-function M.new(yapp, taurus, catalogue, decode)
-  local self = setmetatable({ yapp = yapp, taurus = taurus, decode = decode,
-    by_id = catalogue.by_id, default_names = {} }, Tree)
-  for id, message in pairs(catalogue.by_id) do self.default_names[id] = message.title end
+-- options  { yapp =, taurus = Proto, catalogue = compiled, decode = the module, reader = a yapp_reader }
+function M.new(options)
+  local self = setmetatable({ yapp = options.yapp, taurus = options.taurus, decode = options.decode,
+    reader = options.reader, default_names = {} }, Tree)
+  for id, message in pairs(options.catalogue.by_id) do self.default_names[id] = message.title end
   self.fields = make_yapp_fields(self.default_names)
   local list = {}
   for _, row in ipairs(FIELDS) do list[#list + 1] = self.fields[row[1]] end
-  yapp.fields = list
+  self.yapp.fields = list
 
-  self.messages = tree_taurus.new(taurus, catalogue, decode)
-  self.yapp_experts = tree_taurus.make_experts(yapp, "yapp.", YAPP_EXPERTS)
+  self.messages = tree_taurus.new(self.taurus, options.catalogue, options.decode)
+  self.yapp_experts = tree_taurus.make_experts(self.yapp, "yapp.", YAPP_EXPERTS)
   return self
 end
 
+-- What is wanted -----------------------------------------------------------------------------------------------------
+
 -- The API asks what is wanted by dissector, and those exist only when loading has ended.
-function Tree:find_handles()
+local function find_handles(self)
   self.yapp_handle, self.taurus_handle = Dissector.get("yapp"), Dissector.get("taurus")
   return self.yapp_handle
 end
 
---- Whether anyone wants the tree of YAPP, or (with_taurus) of the message too: visible, filtered or printed.
-function Tree:wanted(tree, with_taurus)
-  return tree:referenced(self.yapp_handle or self:find_handles()) or
-    with_taurus and tree:referenced(self.taurus_handle)
+--- Whether anyone wants YAPP's own items: visible, filtered or printed.
+-- tree.hidden is false where there is no tree at all (always true from 4.6 on): then nobody wants anything.
+function Tree:wants_yapp(tree)
+  return tree.hidden and tree:referenced(self.yapp_handle or find_handles(self))
+end
+
+--- Whether anyone wants YAPP's items or a message's.
+function Tree:wants_any(tree)
+  return tree.hidden and (tree:referenced(self.yapp_handle or find_handles(self)) or tree:referenced(self.taurus_handle))
+end
+
+local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
+
+--- Where nobody wants YAPP's own items, but there is a tree: its name, for who asks for protocols (-z io,phs).
+-- is_message  whether there is a message's name too
+-- returns     the tree, for the expert items
+-- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
+function Tree:bare(tree, tvb, is_message)
+  if not SAYS_PROTOCOLS and tree.hidden then
+    tree:add(self.yapp, tvb())
+    if is_message and not tree:referenced(self.taurus_handle) then tree:add(self.taurus, tvb()) end
+  end
+  return tree
 end
 
 --- What an ID is called: "Motor Data", "Motor Data 0x212 (can1)", "Motor Data left_fore", "ID 0x123".
 -- bus_name  text, or nil where the capture names none
 function Tree:name(id, bus_name)
-  return self.sources:label(bus_name, id, self.message_of(id, bus_name))
+  return self.reader:label(id, bus_name)
 end
 
 --- Adds an expert item of YAPP's.
 -- text  what there is to say of this packet: its own item, so that the expert's text is the same each time and
 --       `-z expert` can count it; nil where the expert's says all
 function Tree:expert(item, name, text)
-  if text and self.is_shown then item = item:add(self.yapp, text):set_generated() end
+  if text and item.visible then item = generated(item:add(text)) end
   item:add_proto_expert_info(self.yapp_experts[name])
 end
 
-local function generated(item)
-  item:set_generated()
-  return item
-end
-
--- The id, with the name that the user's mapping gives it.
-function Tree:add_id(item, range, id)
+--- Adds the id, with the name that the user's mapping gives it.
+-- range  TvbRange, nil where the CAN id has it
+function Tree:add_id(item, range, id, bus_name)
   local added = range and item:add(self.fields.id, range, id) or generated(item:add(self.fields.id, id))
-  local message = self.by_id[id]
+  local message = self.reader:message_of(id, bus_name)
   local title = message and message.title
   if title ~= self.default_names[id] then
     added:set_text(string.format("Message ID: %s (0x%08x)", title or "Unknown", id))
   end
+end
+
+--- Adds the bus and the name of the source, where there are such.
+function Tree:add_source(item, id, bus_name)
+  if bus_name then generated(item:add(self.fields.bus, bus_name)) end
+  local source = self.reader:name_of(id, bus_name)
+  if source then generated(item:add(self.fields.source, source)) end
+end
+
+--- Adds the frames that a message was put together from.
+-- tvb      of the whole; numbers: of its frames; count: of them, with any that a read filter rejected; length: in bytes
+function Tree:add_fragments(item, tvb, numbers, count, length)
+  local fields = self.fields
+  local list = generated(item:add(fields.fragments, tvb()))
+  list:set_text(("%d fragments (%d bytes)"):format(count, length))
+  for _, number in ipairs(numbers) do generated(list:add(fields.fragment, number)) end
+  generated(list:add(fields["fragment.count"], count))
+  generated(list:add(fields["reassembled.length"], length))
 end
 
 --- Adds a CRC with its status, and the expert item when it is bad.
@@ -163,14 +200,22 @@ function Tree:bad_crc(item, message)
     message.crc, message.calculated))
 end
 
---- Adds a time since the previous message, in seconds.
-function Tree:add_delta(item, seconds)
-  if not seconds then return end
-  local negative = seconds < 0
+-- Seconds as a double, to the nanosecond.
+local function relative_time(seconds)
   local nanoseconds = string.format("%.0f", math.abs(seconds) * 1e9)
   local whole, rest = tonumber(nanoseconds:sub(1, -10)) or 0, tonumber(nanoseconds:sub(-9))
-  if negative then whole, rest = -whole, -rest end
-  generated(item:add(self.fields.time_delta, NSTime.new(whole, rest)))
+  if seconds < 0 then whole, rest = -whole, -rest end
+  return NSTime.new(whole, rest)
+end
+M.relative_time = relative_time
+
+--- Adds what YAPP's own item says of a message's history: the time since the previous one, messages that are missing.
+-- message  of yapp_reader
+function Tree:add_delta(item, message)
+  local change, fields = message.change or {}, self.fields
+  if change.delta then generated(item:add(fields.time_delta, relative_time(change.delta))) end
+  if change.missing then generated(item:add(fields["seq.missing"], change.missing)) end
+  if message.has_fault then generated(item:add(fields["message.fault"], true)) end
 end
 
 --- A number of bytes in words: "1 byte", "2 bytes".
@@ -178,31 +223,34 @@ function Tree.bytes(count)
   return count == 1 and "1 byte" or ("%d bytes"):format(count)
 end
 
-local shown = {} -- one message at a time
-
---- Shows a payload: the message of the catalogue, or bytes.
--- tree, item  where the Taurus tree goes, and YAPP's own item
--- id          message ID; payload: string, may be shorter than the message where the capture cut it
--- tvb, at     where the payload lies; nil when nobody wants a tree
--- size        the size of the message; the payload is shorter where the capture cut it
--- returns     what the Info column says of it
-function Tree:payload(tree, item, id, payload, tvb, at, size)
-  local message, decode = self.by_id[id], self.decode
-  if not message or size ~= message.size then
-    if tvb and #payload > 0 then item:add(self.fields.payload, tvb(at, #payload)) end
-    if not message then
-      self:expert(item, "id.unknown", string.format("Message ID 0x%x is not in the catalogue", id))
-      return string.format("ID 0x%x  %s", id, Tree.bytes(#payload))
-    end
-    self:expert(item, "size.mismatch", string.format("%s has %s, the catalogue says %d",
-      message.title, Tree.bytes(size), message.size))
-    return string.format("%s  %s, not %d", message.title, Tree.bytes(size), message.size)
+-- A message that is not in the catalogue, or not as it is there: bytes.
+local function show_bytes(self, m)
+  local size = Tree.bytes(m.size)
+  if m.wanted and m.tvb and #m.payload > 0 then m.item:add(self.fields.payload, m.tvb(m.at, #m.payload)) end
+  local name = self:name(m.id, m.bus)
+  if not m.message then
+    local text, info = self.reader:hint(m)
+    self:expert(m.item, "id.unknown", text)
+    return ("%s  %s%s"):format(name, Tree.bytes(#m.payload), info or "")
   end
-  shown.message, shown.payload, shown.tvb, shown.at = message, payload, #payload > 0 and tvb or nil, at
-  local raws, look = decode.read(message, payload)
-  shown.raws, shown.look = raws, look
-  self.messages:show(tree, item, shown)
-  return decode.info(message, raws)
+  self:expert(m.item, "size.mismatch", ("%s has %s, the catalogue says %d"):format(name, size, m.message.size))
+  return ("%s  %s, not %d"):format(name, size, m.message.size)
+end
+
+--- Shows a finished message: the message of the catalogue, or bytes.
+-- m        of yapp_reader, with { tree = where the Taurus tree goes, item = YAPP's own item or the tree, wanted = whether
+--          there is one, tvb and at = where the payload lies, tvb nil where nobody wants a tree }
+-- returns  what the Info column says of it
+function Tree:payload(m)
+  if m.wanted then self:add_delta(m.item, m) end
+  local change = m.change
+  if change and change.late then
+    self:expert(m.item, "late", ("%.3f s since the previous one"):format(change.late))
+  end
+  if not m.raws then return show_bytes(self, m) end
+  if #m.payload == 0 then m.tvb = nil end
+  self.messages:show(m.tree, m.item, m)
+  return self.decode.info(m.message, m.raws, self:name(m.id, m.bus))
 end
 
 return M
