@@ -16,8 +16,8 @@ package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
 local parts = {}
 for _, name in ipairs {
   "bus", "can", "can_carrier", "can_id", "catalogue", "crc", "decode", "file_candump", "file_candump_reader",
-  "file_dump", "file_dump_reader", "file_head", "interleave", "reassembly", "serial_carrier", "serial_stream",
-  "serials", "tree", "utf8",
+  "file_dump", "file_dump_reader", "file_head", "frame", "interleave", "reassembly", "serial_carrier", "serial_memory",
+  "serial_stream", "serials", "tree", "utf8",
 } do
   parts[name] = require("yapp_" .. name)
 end
@@ -274,10 +274,10 @@ end
 
 -- The controller's own time of a frame in a raw dump, "Nanoseconds since boot".
 local function controller_time(frame)
-  local low, high = frame:byte(5, 6)
-  local message = tree.by_id[low + high * 0x100]
-  if not message or not message.time or #frame < parts.serial_stream.HEADER + message.size then return nil end
-  local seconds, nanoseconds = decode.time(frame, parts.serial_stream.HEADER + message.time.offset)
+  local header = parts.frame.HEADER
+  local message = tree.by_id[parts.frame.parse(frame, 1)]
+  if not message or not message.time or #frame < header + message.size then return nil end
+  local seconds, nanoseconds = decode.time(frame, header + message.time.offset)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 
