@@ -17,8 +17,8 @@ local parts = {}
 for _, name in ipairs {
   "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly", "can_repeated",
   "can_wrapper", "catalogue", "crc", "decode", "facts", "file_candump", "file_candump_reader", "file_dump",
-  "file_dump_reader", "file_head", "history", "preferences", "reader", "serial_carrier", "serial_stream", "sources",
-  "tree", "utf8",
+  "file_dump_reader", "file_head", "frame", "history", "preferences", "reader", "serial_carrier", "serial_memory",
+  "serial_stream", "sources", "tree", "utf8",
 } do
   parts[name] = require("yapp_" .. name)
 end
@@ -81,10 +81,7 @@ local function claim_starts()
 end
 
 local frames = parts.can_carrier.new(parts, tree, reader, facts, claim_id)
--- A stream goes on in a first pass as it began: sources that show later do not count.
-local streams = parts.serial_carrier.new(parts, tree, function(pinfo)
-  return facts:are_several() and facts:bus(pinfo) or nil
-end)
+local streams = parts.serial_carrier.new(parts, tree, reader, facts)
 
 -- Dissectors --------------------------------------------------------------------------------------------------------
 
@@ -143,10 +140,10 @@ end
 
 -- The controller's own time of a frame in a raw dump, "Nanoseconds since boot".
 local function controller_time(frame)
-  local low, high = frame:byte(5, 6)
-  local message = reader:message_of(low + high * 0x100)
-  if not message or not message.time or #frame < parts.serial_stream.HEADER + message.size then return nil end
-  local seconds, nanoseconds = decode.time(frame, parts.serial_stream.HEADER + message.time.offset)
+  local header = parts.frame.HEADER
+  local message = reader:message_of(parts.frame.parse(frame, 1))
+  if not message or not message.time or #frame < header + message.size then return nil end
+  local seconds, nanoseconds = decode.time(frame, header + message.time.offset)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 
@@ -179,13 +176,14 @@ function yapp.init()
   search_streams()
   local late, problems = preferences.late(yapp.prefs.late)
   preferences.complain_once(problems)
-  frames:reset {
+  local options = {
     size_of = function(id, bus) return reader:size_of(id, facts:bus_name(bus)) end,
     new_history = function() return parts.history.new { late = late } end,
     has_buses = facts:are_several(),
   }
   reader:reset()
-  streams:reset()
+  frames:reset(options)
+  streams:reset(options)
 end
 
 -- Registration ------------------------------------------------------------------------------------------------------

@@ -1,5 +1,7 @@
 -- What the first bytes of a capture file say about the rest.  Pure Lua, 5.2 and 5.4.
 
+local frame = require("yapp_frame")
+
 local M = {}
 
 --- How many bytes to look at: within what Wireshark can rewind on a pipe (128 KB on 4.0).
@@ -80,13 +82,14 @@ local READERS = {
   ["LOGG"] = function() return { packets = true, sources = true } end, -- Vector BLF, of a CAN logger
 }
 
--- Whether a plausible header of a YAPP frame is there: "YP", an ID up to 2047, reserved bytes 0.
+local function any() return true end
+
+-- Whether a plausible header of a YAPP frame is there.
 local function has_header(head)
-  local at = head:find("YP", 1, true)
+  local at = frame.find(head, 1)
   while at do
-    local id1, id2, id3, _, _, reserved0, reserved1 = head:byte(at + 5, at + 11)
-    if reserved1 and id1 <= 7 and id2 == 0 and id3 == 0 and reserved0 == 0 and reserved1 == 0 then return true end
-    at = head:find("YP", at + 1, true)
+    if frame.judge(head, at, any) then return true end
+    at = frame.find(head, at + 1)
   end
   return false
 end

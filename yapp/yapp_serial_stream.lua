@@ -1,21 +1,18 @@
 -- Stream framing: finds YAPP frames in bytes that also hold noise, shell text and damaged frames.  Pure Lua.
 --
---   "YP", seq (1), ctl (1), id (4), size (2), reserved (2), payload (size), CRC (4), little endian
---   (vendor document, "UART Stream Framing").
---
 -- A candidate is "YP" with a plausible header.  Candidates may overlap; they are judged in the order of their
 -- ends, as if the bytes came one at a time.  A good CRC proves every overlapping candidate wrong.  A bad one stays
 -- tentative until nothing good can overlap it any more.
 
+local frame = require("yapp_frame")
+
 local M = {}
 
-local byte, find, sub = string.byte, string.find, string.sub
+local byte, sub = string.byte, string.sub
 local min, max = math.min, math.max
 
-local HEADER, CRC_SIZE = 12, 4
-M.HEADER = HEADER -- bytes before the payload
-local Y, P = byte("YP", 1, 2)
-local HIGHEST_ID_BYTE = 7 -- the second one of an id: they go from 0 to 2047
+local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
+local Y = byte(frame.SYNC)
 
 ----------------------------------------------------------------------------------------------------
 -- The bytes not yet given out, by absolute offset.  New bytes are joined to a short text, in which all the
@@ -49,6 +46,11 @@ function Buffer:append(bytes)
     text = sub(text, -KEPT_TEXT)
   end
   self.text, self.to = text .. bytes, self.to + #bytes
+end
+
+-- No bytes are held, and none before `to` ever will be.
+function Buffer:pass(to)
+  self.from, self.text, self.text_from, self.to, self.front = to, "", to, to, to
 end
 
 -- The bytes from the first one held up to `to`; they are held no longer.
@@ -124,17 +126,6 @@ local function new_candidate(from, length)
   return { from = from, to = to, order = to * 0x20000 - length }
 end
 
--- The payload size of the header at text[at], nil when it is ruled out, false when its end is yet to come.
-function Stream:judge_header(text, at)
-  if (byte(text, at + 5) or 0) > HIGHEST_ID_BYTE then return nil end -- so ends nearly all that is no header
-  local id0, id1, id2, id3, size0, size1, reserved0, reserved1 = byte(text, at + 4, at + HEADER - 1)
-  if (id2 or 0) + (id3 or 0) + (reserved0 or 0) + (reserved1 or 0) > 0 then return nil end
-  if not size1 then return false end
-  local size = size0 + size1 * 256
-  if not self.accepts(id0 + id1 * 256, size) then return nil end
-  return reserved1 and size or false
-end
-
 -- Searches for the next candidate.  In front of a header whose end is yet to come the search stops and waits.
 -- returns the candidate or nil; the same one again until `searched` is behind its start
 function Stream:find_candidate()
@@ -143,13 +134,13 @@ function Stream:find_candidate()
   local text, text_from = buffer.text, buffer.text_from
   self.found = nil
   while true do
-    local at = find(text, "YP", self.searched - text_from + 1, true)
+    local at = frame.find(text, self.searched - text_from + 1)
     if not at then
       self.searched = max(self.searched, byte(text, -1) == Y and buffer.to - 1 or buffer.to)
       return nil
     end
     local from = text_from + at - 1
-    local size = self:judge_header(text, at)
+    local size = frame.judge(text, at, self.accepts)
     self.searched = size == nil and from + 2 or from
     if size == false then return nil end
     if size then
@@ -190,10 +181,8 @@ end
 function Stream:is_good(candidate)
   local crc, text = self.crc, self.buffer.text
   local at = candidate.to - self.buffer.text_from
-  local a, b, c, d = byte(text, at - 3, at)
-  local sent = a + b * 0x100 + c * 0x10000 + d * 0x1000000
   local other = crc.advance(candidate.difference, candidate.to - candidate.difference_at)
-  return crc.xor(self.register, other) == crc.update(sent, text, at - 3, at)
+  return crc.xor(self.register, other) == crc.update(frame.crc(text, at), text, at - 3, at)
 end
 
 -- Gives out the bytes up to `to` as one event.
@@ -264,19 +253,22 @@ function Stream:walk(events)
   if self.heap[1] then self:run_register(self.buffer.to) end
 end
 
---- Whether bytes are one frame with a good CRC, and nothing in it looks like another: the plain case of a datagram.
--- crc, accepts  as for new
-function M.is_frame(crc, accepts, bytes)
-  local y, p, _, _, id0, id1, id2, id3, size0, size1, reserved0, reserved1 = byte(bytes, 1, HEADER)
-  if not reserved1 or y ~= Y or p ~= P or id1 > HIGHEST_ID_BYTE or id2 + id3 + reserved0 + reserved1 > 0 then
-    return false
-  end
-  local size, length = size0 + size1 * 256, #bytes
-  if length ~= HEADER + size + CRC_SIZE or not accepts(id0 + id1 * 256, size) or find(bytes, "YP", 3, true) then
-    return false
-  end
-  local a, b, c, d = byte(bytes, length - 3, length)
-  return crc.update(crc.INITIAL, bytes, 1, length - CRC_SIZE) == a + b * 0x100 + c * 0x10000 + d * 0x1000000
+-- Whether bytes are one frame with a good CRC, and nothing in it looks like another.
+function Stream:is_frame(bytes)
+  if frame.find(bytes, 1) ~= 1 then return false end
+  local crc, size, length = self.crc, frame.judge(bytes, 1, self.accepts), #bytes
+  return size and length == HEADER + size + CRC_SIZE and not frame.find(bytes, 3) and
+    crc.update(crc.INITIAL, bytes, 1, length - CRC_SIZE) == frame.crc(bytes, length)
+end
+
+-- A good frame that comes when nothing waits: there is nothing to search or to keep.  Most frames come so, one in a
+-- packet.
+function Stream:pass(bytes)
+  local from = self.buffer.from
+  local to = from + #bytes
+  self.buffer:pass(to)
+  self.searched = to
+  return { { kind = "frame", good = true, from = from, to = to, bytes = bytes } }
 end
 
 --- Takes the next bytes of the stream.
@@ -287,6 +279,7 @@ end
 --          and in each: from, to (0-based offsets in the stream, `to` is behind the last byte), bytes (string)
 -- Document: "UART Stream Framing".
 function Stream:feed(bytes)
+  if self.buffer.from == self.buffer.to and self:is_frame(bytes) then return self:pass(bytes) end
   local events = {}
   self.buffer:append(bytes)
   self:walk(events)

@@ -197,24 +197,53 @@ function T.test_good_frame_in_a_cut_one()
   finishes(s, "cut 32-46 +5")
 end
 
--- Bytes, and whether they are one frame and no more: as the framer says, but where the frame has another "YP" in it.
-function T.test_is_frame()
+-- One frame and no more takes a short cut when nothing waits; it says what the long way says.
+function T.test_one_frame_alone()
   local sealed = generator.sealed
   local rows = {
-    { GOOD, true }, { frame(0x7FF, ""), true }, { frame(0x210, ("m"):rep(32)), true },
-    { frame(0x123, ("x"):rep(65535)), true },
-    { BAD, false }, { "", false }, { "YP", false }, { GOOD:sub(1, -2), false }, { GOOD .. "Y", false },
-    { "x" .. GOOD, false },
-    { frame(0x210, "another size"), false }, { frame(5, "YP inside"), false },
-    { sealed("YP\1\0\0\8\0\0\1\0\0\0x"), false },
-    { sealed("YP\1\0\5\0\1\0\1\0\0\0x"), false }, { sealed("YP\1\0\5\0\0\0\1\0\0\1x"), false },
-    { sealed("YQ\1\0\5\0\0\0\1\0\0\0x"), false }, { sealed("XP\1\0\5\0\0\0\1\0\0\0x"), false },
+    { GOOD, "good 0-20" }, { frame(0x7FF, ""), "good 0-16" }, { frame(0x210, ("m"):rep(32)), "good 0-48" },
+    { frame(0x123, ("x"):rep(65535)), "good 0-65551" }, { frame(5, "YP inside"), "good 0-25" },
+    { BAD, "bad 0-19" }, { GOOD:sub(1, -2), "cut 0-19 +1" }, { GOOD .. "Y", "good 0-20, skipped 20-21" },
+    { "x" .. GOOD, "skipped 0-1, good 1-21" }, { frame(0x210, "another size"), "skipped 0-28" },
+    { sealed("YP\1\0\0\8\0\0\1\0\0\0x"), "skipped 0-17" }, { sealed("YP\1\0\5\0\1\0\1\0\0\0x"), "skipped 0-17" },
+    { sealed("YP\1\0\5\0\0\0\1\0\0\1x"), "skipped 0-17" }, { sealed("YQ\1\0\5\0\0\0\1\0\0\0x"), "skipped 0-17" },
+    { sealed("XP\1\0\5\0\0\0\1\0\0\0x"), "skipped 0-17" },
   }
-  for at, row in ipairs(rows) do
-    local bytes, expected = row[1], row[2]
-    lu.assertEquals(stream.is_frame(crc, accepts, bytes), expected, "row " .. at)
-    if expected then feeds(new(), bytes, "good 0-" .. #bytes) end
+  local function told(s, ...)
+    local events = {}
+    for _, bytes in ipairs { ... } do
+      for _, event in ipairs(s:feed(bytes)) do events[#events + 1] = event end
+    end
+    for _, event in ipairs(s:finish()) do events[#events + 1] = event end
+    for at = #events - 1, 1, -1 do -- skipped bytes that came in two pieces
+      if events[at].kind == "skipped" and events[at + 1].kind == "skipped" then
+        events[at].to = table.remove(events, at + 1).to
+      end
+    end
+    return in_words(events)
   end
+  for at, row in ipairs(rows) do
+    local bytes = row[1]
+    lu.assertEquals(told(new(), bytes), row[2], "row " .. at)
+    lu.assertEquals(told(new(), bytes:sub(1, 1), bytes:sub(2)), row[2], "row " .. at .. ", the long way")
+  end
+end
+
+function T.test_frames_alone_and_others_in_turns()
+  local s = new()
+  feeds(s, GOOD, "good 0-20")
+  feeds(s, GOOD, "good 20-40")
+  lu.assertEquals(s:offset(), 40)
+  feeds(s, "> Y", "skipped 40-42")
+  feeds(s, GOOD, "skipped 42-43, good 43-63")
+  feeds(s, GOOD, "good 63-83")
+  feeds(s, header(5, 500), "")
+  feeds(s, GOOD, "skipped 83-95, good 95-115")
+  feeds(s, GOOD .. "Y", "good 115-135")
+  finishes(s, "skipped 135-136")
+  feeds(s, GOOD, "good 136-156")
+  local event = s:feed(GOOD)[1]
+  lu.assertEquals({ event.bytes, s:offset(), s:waiting() }, { GOOD, 176 })
 end
 
 function T.test_largest_frame_byte_by_byte()
