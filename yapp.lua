@@ -93,6 +93,19 @@ function all.dissector(tvb, pinfo, root)
   return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
 end
 
+-- With the preference "all extended": what no table claims.  A heuristic is called for every CAN frame of every capture
+-- that nobody else takes, so there is none before somebody wants it.
+local is_heuristic = false
+
+local function take_all()
+  parts.can_wrapper.wrap(socketcan, facts)
+  if is_heuristic then return end
+  is_heuristic = true
+  all:register_heuristic("can", function(tvb, pinfo, root)
+    return yapp.prefs.all_extended and all.dissector(tvb, pinfo, root) > 0
+  end)
+end
+
 -- Called from the table of ids, where match_uint is the CAN id; and by Decode As under the name that version 1 had for
 -- it, where match_uint is 0.
 function yapp.dissector(tvb, pinfo, root)
@@ -164,7 +177,7 @@ local function read_preferences()
   for _, row in ipairs(sources:list()) do
     if row.message then claim_id(row.id) end
   end
-  if prefs.all_extended then parts.can_wrapper.wrap(socketcan, facts) end
+  if prefs.all_extended then take_all() end
   preferences.take_link_types(prefs.user_dlt, serial)
 end
 yapp.prefs_changed = read_preferences

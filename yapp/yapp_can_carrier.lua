@@ -53,8 +53,8 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   return facts.reported
 end
 
---- A frame that is YAPP's by the user's word, but whose CAN id nothing says: Decode As on its first frame, on a pass that
--- builds no tree.  Shown as bytes.
+--- A frame that is YAPP's by the user's word, but whose CAN id nothing says: Decode As on its first frame, on a pass
+-- that builds no tree.  Shown as bytes.
 function Carrier:without_id(tvb, pinfo, tree)
   local builder = self.tree
   local item = tree

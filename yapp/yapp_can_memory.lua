@@ -1,8 +1,8 @@
 -- All that is known of a file's CAN frames.  Pure Lua, 5.2 and 5.4: it is told facts and asked what a frame is.
 --
--- A pass is frames in order, and each pass numbers its own looks at them; passes meet only at (frame number, place in the
--- packet, id).  A look is the frame's number; where the same number comes again, because the packet has several CAN frames
--- or because a read filter rejected the frame that had it, a fraction tells them apart.
+-- A pass is frames in order, and each pass numbers its own looks at them; passes meet only at (frame number, place in
+-- the packet, id).  A look is the frame's number; where the same number comes again, because the packet has several CAN
+-- frames or because a read filter rejected the frame that had it, a fraction tells them apart.
 -- ("Frames 7 and 8 come, -R drops 7: then 8 is called 7 again.  The looks are 7 and 7 + STEP; the second stays 7's.")
 
 local M = {}
@@ -115,8 +115,8 @@ local function take(self, pass, address, facts, look)
   return pass.reassembly:frame(address, facts)
 end
 
--- Whether a second pass goes on at this frame: it has seen all that the first knows in front of it.  Who asks for a frame
--- here and there, as sharkd does, gets what the first pass knows.
+-- Whether a second pass goes on at this frame: it has seen all that the first knows in front of it.  Who asks for a
+-- frame here and there, as sharkd does, gets what the first pass knows.
 local function follows(self, number)
   local first = self.first
   for before = self.reached + 1, number - 1 do
@@ -127,8 +127,8 @@ local function follows(self, number)
 end
 
 -- Whether this look belongs to a second pass that refines a first one that had to guess.  A read filter leaves gaps:
--- then there is none.  In Wireshark a look for the packet list may not have the bus that a look for the details has: the
--- second pass is made of looks of one kind.
+-- then there is none.  In Wireshark a look for the packet list may not have the bus that a look for the details has:
+-- the second pass is made of looks of one kind.
 local function refines(self, facts)
   if not self.is_guessed or self.first.is_filtered then return false end
   local second, number = self.second, facts.number
@@ -167,30 +167,36 @@ local function second_look(self, address, facts)
 end
 
 -- The record of a frame that belongs to a message which has not ended here: where it leads to.
-local function link(self, record, pass, message)
+local function link(self, record, message)
+  local pass, has_ended = record.pass, self.is_again
   if not message.last and pass == self.second then
-    message, pass = foreseen(self, message), self.first
+    local same = foreseen(self, message)
+    if same then
+      message, pass = same, self.first
+    else
+      has_ended = not record.is_now and pass.highest >= self.first.highest
+    end
   end
-  if not message then return end
   local last = message.last
   if last then
     record.leads_to, record.has_fault = number_of(pass, last), pass.faulty[last]
-  elseif self.is_again and not message.status then
+  elseif has_ended and not message.status then
     record.is_unfinished = floor(message[message.count]) == floor(record.look)
   end
 end
 
-local function record_of(self, pass, look, message, alone)
+-- is_now  whether the look was made now; message, alone: what kept:entry says of it
+local function record_of(self, pass, look, is_now, message, alone)
   local record = { pass = pass, look = look, message = message, alone = alone, faults = pass.kept.faults[look],
-    is_last = message ~= nil and message.last == look }
-  if message and not record.is_last then link(self, record, pass, message) end
+    is_now = is_now, is_last = message ~= nil and message.last == look }
+  if message and not record.is_last then link(self, record, message) end
   return record
 end
 
 --- What a frame is.
 -- address  yapp_can_id.address of its 29-bit id
--- facts    { number, place = where in its packet, is_again = whether Wireshark has shown it before, data, reported, bus,
---          informed = whether this pass can tell the bus, doubtful, wide: as for Reassembly:frame }
+-- facts    { number, place = where in its packet, is_again = whether Wireshark has shown it before, data, reported,
+--          bus, informed = whether this pass can tell the bus, doubtful, wide: as for Reassembly:frame }
 -- returns  nil for a frame that is not YAPP's, else a record of its own:
 --          { message = its message, or alone = the CAN id of a frame without one; is_last = whether the message ends
 --            here; leads_to = number of the frame where it does; is_unfinished = whether it never does, and this is its
@@ -202,20 +208,14 @@ function Memory:look(address, facts)
   if not facts.is_again then
     local look = next_look(first, facts.number, facts.place)
     if not take(self, first, address, facts, look) then return nil end
-    local record = record_of(self, first, look, first.kept:entry(look))
-    record.is_now = true
-    return record
+    return record_of(self, first, look, true, first.kept:entry(look))
   end
   self.is_again = true
   local look, is_now, message, alone = second_look(self, address, facts)
-  if look then
-    local record = record_of(self, self.second, look, message, alone)
-    record.is_now = is_now
-    return record
-  end
+  if look then return record_of(self, self.second, look, is_now, message, alone) end
   if is_now == false then return nil end
   look, message, alone = find_look(first, facts.number, facts.place, address.key)
-  if look then return record_of(self, first, look, message, alone) end
+  if look then return record_of(self, first, look, false, message, alone) end
   if facts.wide then return { alone = address.can_id, is_late = true } end
 end
 
@@ -226,7 +226,7 @@ function Memory:pass_over(facts)
 end
 
 --- The numbers of the frames of a message that has ended, in order; without those that a read filter rejected.
-function Memory:frames_of(record)
+function Memory.frames_of(_, record)
   local numbers, message = {}, record.message
   for i = 1, message.count do numbers[#numbers + 1] = number_of(record.pass, message[i]) end
   return numbers
@@ -236,7 +236,7 @@ end
 -- record   of its last, or only, frame
 -- message  as History:note takes it; number and delta are filled in
 -- returns  a change, or nil; its frames are numbers of frames
-function Memory:change(record, message)
+function Memory.change(_, record, message)
   local pass, look = record.pass, record.look
   if not pass then return nil end
   message.number = look
@@ -250,7 +250,7 @@ function Memory:change(record, message)
 end
 
 --- Notes that a message has a fault flag set, for later looks at its other frames.
-function Memory:note_fault(record)
+function Memory.note_fault(_, record)
   if record.pass then record.pass.faulty[record.look] = true end
 end
 

@@ -1,10 +1,10 @@
 -- What other layers say of a packet: its bus, interface or direction, its CAN id, whether it is a remote frame.
 -- Wireshark's API.
 --
--- A dissector is not told.  Fields say it, but only where a tree is built, and a Field extractor would build one for every
--- packet of every capture.  So a file is looked at when it is opened, its first bytes only, and only where these say that
--- it has several sources of ours a tap asks for the fields.  CAN's own fields are asked for where there is a tree without
--- them: Wireshark 4.4 and later leave out what nobody wants.
+-- A dissector is not told.  Fields say it, but only where a tree is built, and a Field extractor would build one for
+-- every packet of every capture.  So a file is looked at when it is opened, its first bytes only, and only where these
+-- say that it has several sources of ours a tap asks for the fields.  CAN's own fields are asked for where there is a
+-- tree without them: Wireshark 4.4 and later leave out what nobody wants.
 
 local M = {}
 

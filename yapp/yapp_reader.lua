@@ -94,8 +94,8 @@ end
 
 --- Reads a finished message.
 -- m        { id, seq, ctl, size, payload, bus = name or nil, status, good = whether it is proved whole, ... }: gets
---          message = of the catalogue, where the ID is known; raws and look = from decode.read, where the size fits too;
---          has_fault = whether a fault flag is set; source = name or nil; change = what ask returned
+--          message = of the catalogue, where the ID is known; raws and look = from decode.read, where the size fits
+--          too; has_fault = whether a fault flag is set; source = name or nil; change = what ask returned
 -- look     what yapp_history is asked with: { source, bus, number, time }; gets the rest
 -- ask      function(look) -> change or nil
 function Reader:read(m, look, ask)

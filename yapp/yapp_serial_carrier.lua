@@ -132,7 +132,7 @@ local function show(self, view)
   view.wanted = self.tree:wants_any(view.tree)
   if not view.wanted then self.tree:bare(view.tree, tvb, true) end
   for i, event in ipairs(events) do
-    local source, at, bytes, info = tvb, event.at, event.bytes, nil
+    local source, at, bytes, info = tvb, event.at, event.bytes
     if bytes and view.wanted then source = ByteArray.new(bytes, true):tvb("Reassembled YAPP") end
     if event.status == "skipped" then
       info = show_skipped(self, view, source, at or 0, bytes or raw:sub(at + 1, at + event.length))

@@ -86,8 +86,8 @@ end
 local function packet_of(self, pass, piece, fact)
   local events = {}
   for i, event in ipairs(piece.events) do events[i] = shown(self, event, piece, fact) end
-  return { pass = pass, piece = piece, events = events, done = piece.done, pending = piece.pending, missing = piece.missing,
-    leads_to = piece.leads_to }
+  return { pass = pass, piece = piece, events = events, done = piece.done, pending = piece.pending,
+    missing = piece.missing, leads_to = piece.leads_to }
 end
 
 local function plain_packet(self, pass, fact)
@@ -285,7 +285,7 @@ local PLACE = 2 ^ -21 -- of a byte in its packet
 -- fact     as given to look
 -- message  as History:note takes it; number and delta are filled in
 -- returns  a change, or nil; the whole part of its numbers is a packet's number
-function Memory:change(packet, index, fact, message)
+function Memory.change(_, packet, index, fact, message)
   local pass, piece, number = packet.pass, packet.piece, fact.number
   message.number = number + (fact.place + (packet.events[index].at or 0)) * PLACE
   if not packet.is_now then

@@ -238,8 +238,8 @@ local function show_bytes(self, m)
 end
 
 --- Shows a finished message: the message of the catalogue, or bytes.
--- m        of yapp_reader, with { tree = where the Taurus tree goes, item = YAPP's own item or the tree, wanted = whether
---          there is one, tvb and at = where the payload lies, tvb nil where nobody wants a tree }
+-- m        of yapp_reader, with { tree = where the Taurus tree goes, item = YAPP's own item or the tree, wanted =
+--          whether there is one, tvb and at = where the payload lies, tvb nil where nobody wants a tree }
 -- returns  what the Info column says of it
 function Tree:payload(m)
   if m.wanted then self:add_delta(m.item, m) end

@@ -1,6 +1,6 @@
 -- The 29-bit id, CAN FD padding, and the header that the CRC covers.
 local lu = require("luaunit")
-local can = require("yapp_can")
+local can = require("yapp_can_id")
 
 local T = {}
 
@@ -63,9 +63,8 @@ function T.test_padding()
 end
 
 function T.test_header()
-  local address = can.address(0x08404000)
-  lu.assertEquals(can.header { address = address, size = 32 }, "YP\0\0\16\2\0\0\32\0\0\0")
-  lu.assertEquals(can.header { address = can.address(0x1FFC7F12 + 0x3), size = 0xABCD, reserved = 0x1234 },
+  lu.assertEquals(can.header { id = 0x210, seq = 0, ctl = 0, size = 32 }, "YP\0\0\16\2\0\0\32\0\0\0")
+  lu.assertEquals(can.header { id = 0x7FF, seq = 0x15, ctl = 0x3F, size = 0xABCD, reserved = 0x1234 },
     "YP\21\63\255\7\0\0\205\171\52\18")
 end
 

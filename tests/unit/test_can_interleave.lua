@@ -1,7 +1,6 @@
--- Messages of one key that interleave where the capture does not tell its buses, in the words of test_reassembly.
+-- Messages of one key that interleave where the capture does not tell its buses, in the words of test_can_reassembly.
 local lu = require("luaunit")
-local bus = require("test_reassembly").bus
-local can = require("yapp_can")
+local bus = require("test_can_reassembly").bus
 
 local T = {}
 
@@ -39,16 +38,16 @@ end
 function T.test_what_was_said_is_taken_back()
   local shown, state = bus.send("aS32 aM8 bS32 aM8 aM8 aE8 bM8 bM8 bM8 bE8")
   lu.assertEquals(shown, "part part part part part good part part part good")
-  for _, faults in pairs(state.faults) do lu.assertEquals(faults, {}) end
-  for _, number in ipairs { 1, 2, 4, 5, 6 } do lu.assertEquals(state:entry(number).last, 6) end
-  for _, number in ipairs { 3, 7, 8, 9, 10 } do lu.assertEquals(state:entry(number).last, 10) end
+  for _, faults in pairs(state.kept.faults) do lu.assertEquals(faults, {}) end
+  for _, number in ipairs { 1, 2, 4, 5, 6 } do lu.assertEquals(state.kept:entry(number).last, 6) end
+  for _, number in ipairs { 3, 7, 8, 9, 10 } do lu.assertEquals(state.kept:entry(number).last, 10) end
 end
 
 function T.test_both_are_kept_for_a_later_look()
   local _, state = bus.send("aS32 bS32 aM8 bM8 aM8 bM8 aM8 bM8 aE8 bE8")
-  lu.assertEquals({ state:entry(1)[1], state:entry(9)[5], state:entry(9).count }, { 1, 9, 5 })
-  lu.assertEquals({ state:entry(2)[1], state:entry(10)[5], state:entry(10).count }, { 2, 10, 5 })
-  lu.assertNotEquals(state:entry(9).payload, state:entry(10).payload)
+  lu.assertEquals({ state.kept:entry(1)[1], state.kept:entry(9)[5], state.kept:entry(9).count }, { 1, 9, 5 })
+  lu.assertEquals({ state.kept:entry(2)[1], state.kept:entry(10)[5], state.kept:entry(10).count }, { 2, 10, 5 })
+  lu.assertNotEquals(state.kept:entry(9).payload, state.kept:entry(10).payload)
 end
 
 function T.test_the_capture_says_the_bus()
@@ -97,18 +96,18 @@ function T.test_frames_with_the_same_bytes_change_hands()
     local state, shown = bus.reassembler(), {}
     for i, row in ipairs(rows) do
       local data = row[3]:gsub("%x%x", function(digits) return string.char(tonumber(digits, 16)) end)
-      local entry = state:frame(nil, can.address(bus.can_id(rows.id, row[2], 0, 0)), data, 8, row[1], true)
+      local entry = bus.frame(state, { bus.can_id(rows.id, row[2], 0, 0), look = row[1], data = data, wide = true })
       shown[i] = entry.last == row[1] and entry.status or "part"
     end
     lu.assertEquals(table.concat(shown, " "), "part part part part part part part part good good")
     for last, members in pairs(rows.good) do
       for _, number in ipairs(members) do
-        local entry, numbers = state:entry(number), {}
+        local entry, numbers = state.kept:entry(number), {}
         for i = 1, entry.count do numbers[i] = entry[i] end
         lu.assertEquals({ entry.last, numbers }, { last, members }, number)
       end
     end
-    for _, faults in pairs(state.faults) do lu.assertEquals(faults, {}) end
+    for _, faults in pairs(state.kept.faults) do lu.assertEquals(faults, {}) end
   end
 end
 
@@ -153,8 +152,8 @@ function T.test_a_frame_belongs_to_one_message()
     for kind in text:gmatch(".") do
       number = number + 1
       local ctrl, data = sent[kind][1], sent[kind][2]
-      local entry = state:frame(nil, can.address(bus.can_id(0x123, ctrl, 0, 0)), data, #data, number) or {}
-      list[number] = tostring(entry.kind == "orphan" and "orphan" or entry.status or false)
+      local entry = bus.frame(state, { bus.can_id(0x123, ctrl, 0, 0), look = number, data = data })
+      list[number] = tostring(not entry and select(2, state.kept:entry(number)) and "orphan" or entry and entry.status or false)
     end
     lu.assertEquals(table.concat(list, " "), expected, text)
   end
@@ -167,11 +166,11 @@ local function hopeless(state, number)
   local start = bus.start(0x123, 0, 0, "", { size = 40 })
   for _ = 1, 2 do
     number = number + 1
-    state:frame(nil, can.address(bus.can_id(0x123, 1, 0, 0)), start, 8, number)
+    bus.frame(state, { bus.can_id(0x123, 1, 0, 0), look = number, data = start })
   end
   for i = 1, 60 do
     number = number + 1
-    state:frame(nil, can.address(bus.can_id(0x123, i % 2 == 0 and 3 or 2, 0, 0)), string.char(i), 1, number)
+    bus.frame(state, { bus.can_id(0x123, i % 2 == 0 and 3 or 2, 0, 0), look = number, data = string.char(i) })
   end
   return number
 end
@@ -186,10 +185,9 @@ end
 function T.test_credit_comes_back()
   local state, number = bus.reassembler(), 0
   while number < 5000 do number = hopeless(state, number) end
-  local other = can.address(bus.can_id(0, 0, 0, 0))
   for _ = 1, 200 do
     number = number + 1
-    state:frame(nil, other, ("x"):rep(7), 7, number)
+    bus.frame(state, { bus.can_id(0, 0, 0, 0), look = number, data = ("x"):rep(7) })
   end
   lu.assertEquals(state.credit, 4096)
 end

@@ -2,6 +2,7 @@
 local lu = require("luaunit")
 local crc = require("yapp_crc")
 local generator = require("stream_generator")
+local history = require("yapp_history")
 local serial_memory = require("yapp_serial_memory")
 local serial_stream = require("yapp_serial_stream")
 
@@ -10,16 +11,19 @@ local BAD = generator.frame(7, "bad"):sub(1, -2) .. "\255"
 
 local function any() return true end
 
-local function new() return serial_memory.new(crc, function() return serial_stream.new(crc, any) end) end
+local function new()
+  return serial_memory.new(crc, { new_framer = function() return serial_stream.new(crc, any) end,
+    new_history = function() return history.new() end })
+end
 
 -- "good 5 @0", "bad 7 in 1,2", "skipped 4 @25", "cut 5 @0 -9"
-local function in_words(packet)
+local function in_words(packet, deltas)
   if not packet then return "nothing" end
   local list = {}
   for i, event in ipairs(packet.events) do
     local what = event.status == "skipped" and event.length or event.id
     local where = event.parts and "in " .. table.concat(event.parts, ",") or event.at and "@" .. event.at or "before"
-    local delta = event.delta and (" +%g"):format(event.delta) or ""
+    local delta = deltas and deltas[i] and (" +%g"):format(deltas[i]) or ""
     list[i] = ("%s %s %s%s%s"):format(event.status, what, where, event.missing and " -" .. event.missing or "", delta)
   end
   if packet.pending > 0 then
@@ -33,15 +37,30 @@ end
 local function facts(packet, other)
   local fact = { number = packet[1], bytes = packet[2], place = packet.place or 0, transport = packet.transport or
     other.transport or "stream", truncated = packet.truncated, visited = other.visited or false,
-    informed = other.informed and packet.source ~= nil or false, time = packet[1] }
+    informed = other.informed and packet.source ~= nil or false }
   fact.stream = (fact.informed and packet.source or "") .. (packet.stream or "")
   return fact
+end
+
+-- The time since the previous good frame with its ID, by index of the frame.
+local function deltas_of(memory, packet, fact)
+  local deltas = {}
+  for i, event in ipairs(packet and packet.events or {}) do
+    if event.status == "good" then
+      local change = memory:change(packet, i, fact, { source = fact.stream .. event.id, id = event.id, good = true,
+        time = fact.number, seq = 0 })
+      deltas[i] = change and change.delta
+    end
+  end
+  return deltas
 end
 
 -- Looks at packets, in an order; each has to say its `says`, or the text at the same place of another list.
 local function looks(memory, packets, other, expected)
   for i, packet in ipairs(packets) do
-    lu.assertEquals(in_words(memory:look(facts(packet, other))), expected[i], "packet " .. i)
+    local fact = facts(packet, other)
+    local found = memory:look(fact)
+    lu.assertEquals(in_words(found, deltas_of(memory, found, fact)), expected[i], "packet " .. i)
   end
 end
 
