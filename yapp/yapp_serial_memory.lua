@@ -54,31 +54,26 @@ end
 -- What a packet holds --------------------------------------------------------------------------------------------
 
 -- A frame, whole or cut.  bytes, at: where it is, 0-based.
-local function message_of(crc, event, bytes, at)
+local function message_of(self, event, bytes, at)
   local id, size, reserved, seq, ctl = frame.parse(bytes, at + 1)
-  local length = event.to - event.from
-  local message = { id = id, seq = seq, ctl = ctl, size = size, reserved = reserved, length = length,
-    payload = sub(bytes, at + HEADER + 1, at + min(HEADER + size, length)) }
-  if event.kind == "cut" then
-    message.status, message.missing, message.truncated = "cut", event.missing, event.truncated
-    return message
+  local length, crc, calculated = event.to - event.from, nil, nil
+  local status = event.kind == "cut" and "cut" or event.good and "good" or "bad"
+  if status ~= "cut" then crc = frame.crc(bytes, at + length) end
+  if status == "bad" then
+    calculated = self.crc.update(self.crc.INITIAL, bytes, at + 1, at + length - CRC_SIZE)
   end
-  message.status, message.crc = event.good and "good" or "bad", frame.crc(bytes, at + length)
-  if not event.good then message.calculated = crc.update(crc.INITIAL, bytes, at + 1, at + length - CRC_SIZE) end
-  return message
+  return { status = status, id = id, seq = seq, ctl = ctl, size = size, reserved = reserved,
+    payload = sub(bytes, at + HEADER + 1, at + min(HEADER + size, length)), crc = crc, calculated = calculated,
+    missing = event.missing, truncated = event.truncated, length = length,
+    at = not event.bytes and at or nil, bytes = event.bytes }
 end
 
 local function shown(self, event, piece, fact)
   local at, bytes = event.from - piece.base, event.bytes
-  local message
   if event.kind == "skipped" then
-    message = { status = "skipped", length = event.to - event.from }
-  elseif bytes then
-    message = message_of(self.crc, event, bytes, 0)
-  else
-    message = message_of(self.crc, event, fact.bytes, at)
+    return { status = "skipped", length = event.to - event.from, at = not bytes and at or nil, bytes = bytes }
   end
-  if bytes then message.bytes = bytes else message.at = at end
+  local message = message_of(self, event, bytes or fact.bytes, bytes and 0 or at)
   if event.parts then message.parts, message.shown_in = event.parts, fact.number end
   return message
 end
@@ -92,8 +87,7 @@ end
 
 local function plain_packet(self, pass, fact)
   local size = #fact.bytes
-  local message = message_of(self.crc, { good = true, from = 0, to = size }, fact.bytes, 0)
-  message.at = 0
+  local message = message_of(self, { good = true, from = 0, to = size }, fact.bytes, 0)
   return { pass = pass, events = { message }, done = size, pending = 0 }
 end
 

@@ -55,6 +55,11 @@ end
 
 -- The bytes from the first one held up to `to`; they are held no longer.
 function Buffer:take(to)
+  if self.first > self.last then
+    local from = self.from - self.front
+    self.from = to
+    return sub(self.text, from + 1, to - self.front)
+  end
   local parts = {}
   while self.from < to do
     local piece = self.pieces[self.first] or self.text
@@ -186,14 +191,14 @@ function Stream:is_good(candidate)
 end
 
 -- Gives out the bytes up to `to` as one event.
-function Stream:give(events, to, event)
-  event.from, event.to = self.buffer.from, to
-  event.bytes = self.buffer:take(to)
-  events[#events + 1] = event
+function Stream:give(events, to, kind, good, missing)
+  local from = self.buffer.from
+  events[#events + 1] = { kind = kind, good = good, missing = missing, from = from, to = to,
+    bytes = self.buffer:take(to) }
 end
 
 function Stream:skip(events, to)
-  if to > self.buffer.from then self:give(events, to, { kind = "skipped" }) end
+  if to > self.buffer.from then self:give(events, to, "skipped") end
 end
 
 -- Gives out what lies before `limit`: the failed candidates, the earliest start first, and the bytes between.
@@ -205,8 +210,12 @@ function Stream:settle(events, limit, over_limit)
     local overlapped = candidate.from < self.buffer.from
     if not overlapped and candidate.to <= limit then
       self:skip(events, candidate.from)
-      self:give(events, candidate.to, candidate.missing and { kind = "cut", missing = candidate.missing }
-        or { kind = "frame", good = false })
+      local missing = candidate.missing
+      if missing then
+        self:give(events, candidate.to, "cut", nil, missing)
+      else
+        self:give(events, candidate.to, "frame", false)
+      end
     elseif not overlapped and over_limit == "keep" then
       limit = candidate.from
       break
@@ -233,7 +242,7 @@ function Stream:resolve(events)
     return
   end
   self:settle(events, candidate.from, "drop")
-  self:give(events, candidate.to, { kind = "frame", good = true })
+  self:give(events, candidate.to, "frame", true)
   self:forget()
   self.searched = candidate.to
 end
