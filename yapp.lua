@@ -15,8 +15,8 @@ end
 package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
 local parts = {}
 for _, name in ipairs {
-  "bus", "can", "can_carrier", "can_id", "candump", "candump_reader", "catalogue", "crc", "decode", "dump",
-  "dump_reader", "head", "interleave", "reassembly", "serial_carrier", "serials", "stream", "tree",
+  "bus", "can", "can_carrier", "can_id", "candump", "candump_reader", "catalogue", "catalogue_files", "crc", "decode",
+  "dump", "dump_reader", "head", "interleave", "reassembly", "serial_carrier", "serials", "stream", "tree",
   "utf8",
 } do
   parts[name] = require("yapp_" .. name)
@@ -42,27 +42,17 @@ end
 
 local wide_open = false -- the preference "all extended CAN frames are YAPP"
 
-local function load_catalogue()
-  local path = here .. "taurus_fields.lua"
-  local ok, entries, problem = pcall(loadfile, path) -- raises in 4.0 where plain Lua returns nil
-  if ok and entries then
-    ok, entries = pcall(entries)
-  elseif ok then
-    ok, entries = false, problem
-  end
-  local compiled, problems
-  if ok then ok, compiled, problems = pcall(parts.catalogue.compile, entries) end -- metatables may raise
-  if not ok then
-    complain { ("%s: the catalogue cannot be read, messages are shown as bytes: %s"):format(path,
-      tostring(compiled or entries):sub(1, 500)) }
-    return parts.catalogue.compile {}
-  end
-  for i, text in ipairs(problems) do problems[i] = path .. ": " .. text .. "; this message is shown as bytes" end
-  complain(problems)
-  return compiled
+-- The user's own messages: at a path that the environment names, and in Wireshark's personal configuration folder.
+local function catalogue_files()
+  local files = { { path = here .. "taurus_fields.lua" },
+    { path = Dir.personal_config_path("yapp_messages.lua"), optional = true } }
+  local named = os.getenv("YAPP_MESSAGES")
+  if named and named ~= "" then files[3] = { path = named } end
+  return files
 end
 
-local catalogue = load_catalogue()
+local catalogue, wrong = parts.catalogue_files.load(catalogue_files())
+complain(wrong)
 local yapp = Proto("yapp", "Yet Another Packet Protocol")
 local serial = Proto("yapp_serial", "YAPP serial stream")
 local skipped = Proto("yapp_skipped", "YAPP, bytes between the frames of a serial dump")
@@ -314,7 +304,7 @@ local function take_dlts()
 end
 
 local function read_preferences()
-  decode.use_divisor(catalogue, yapp.prefs.divisor)
+  decode.use_divisor(yapp.prefs.divisor)
   local chosen = {}
   for _, message in ipairs(catalogue.messages) do
     chosen[message.name] = parse_range(yapp.prefs[message.name .. "_ids"], parts.catalogue.MAX_ID)
