@@ -91,7 +91,7 @@ local HEALTH = {
 
 return {
   { -- "Taurus Command", faster than 5 Hz
-    name = "command", title = "Command", id = 0x000, size = 7,
+    name = "command", title = "Command", id = 0x000, size = 7, every = 0.2,
     info = "{enabled}, {key}  {motor_mode}  {rpm:%.1f} RPM  {torque_iq:%.2f} A",
     { "enabled", "uint8", "Enabled", values = { [0] = "Disabled", [1] = "Enabled" } },
     { "key", "uint8", "Key", values = { [0xA5] = "Full Operation", [0x5A] = "No Regeneration Allowed" },
@@ -101,8 +101,12 @@ return {
     { "rpm", "float16", "RPM", min = -100000, max = 100000, unit = "RPM" },
   },
   { -- "Taurus Motor Data", 10 Hz
-    name = "motor", title = "Motor Data", id = 0x210, size = 32,
+    name = "motor", title = "Motor Data", id = 0x210, size = 32, every = 0.1, answers = "command",
     info = "{rpm_commanded:%.1f}/{rpm_measured:%.1f} RPM  {dc_voltage:%.2f} V  {dc_current:%.2f} A",
+    differences = {
+      { "torque_iq_error", "torque_iq_measured", "torque_iq_commanded", "Torque IQ Error" },
+      { "rpm_error", "rpm_measured", "rpm_commanded", "RPM Error" },
+    },
     { "torque_iq_commanded", "float16", "Torque IQ Commanded", min = -128, max = 128, unit = "A" },
     { "torque_iq_measured", "float16", "Torque IQ Measured", min = -128, max = 128, unit = "A" },
     { "rpm_commanded", "float16", "RPM Commanded", min = -60000, max = 60000, unit = "RPM" },
@@ -118,7 +122,7 @@ return {
     { "esc_temperature", "float8", "ESC Temperature", min = -40, max = 210, unit = "°C" },
   },
   { -- "Taurus Health", 2 Hz
-    name = "health", title = "Health", id = 0x200, size = 17,
+    name = "health", title = "Health", id = 0x200, size = 17, every = 0.5,
     info = "control {control_thread_cpu:%.0f} %, Taurus {taurus_thread_cpu:%.0f} %  " ..
       "CPU {cpu_temperature:%.0f} °C, FET {fet_temperature:%.0f} °C",
     { "timestamp", "int64_ns", "Timestamp" },

@@ -16,7 +16,7 @@ package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
 local parts = {}
 for _, name in ipairs {
   "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly", "can_repeated",
-  "can_wrapper", "catalogue", "crc", "decode", "facts", "file_candump", "file_candump_reader", "file_dump",
+  "can_wrapper", "catalogue", "catalogue_files", "crc", "decode", "facts", "file_candump", "file_candump_reader", "file_dump",
   "file_dump_reader", "file_head", "frame", "history", "preferences", "reader", "serial_carrier", "serial_memory",
   "serial_stream", "sources", "tree", "utf8",
 } do
@@ -24,22 +24,14 @@ for _, name in ipairs {
 end
 local decode, preferences, candump = parts.decode, parts.preferences, parts.file_candump_reader
 
+-- The user's own messages come behind ours: from Wireshark's personal configuration folder, and from where the environment
+-- says.
 local function load_catalogue()
-  local path = here .. "taurus_fields.lua"
-  local ok, entries, problem = pcall(loadfile, path) -- raises in 4.0 where plain Lua returns nil
-  if ok and entries then
-    ok, entries = pcall(entries)
-  elseif ok then
-    ok, entries = false, problem
-  end
-  local compiled, problems
-  if ok then ok, compiled, problems = pcall(parts.catalogue.compile, entries) end -- metatables may raise
-  if not ok then
-    preferences.complain { ("%s: the catalogue cannot be read, messages are shown as bytes: %s"):format(path,
-      tostring(compiled or entries):sub(1, 500)) }
-    return parts.catalogue.compile {}
-  end
-  for i, text in ipairs(problems) do problems[i] = path .. ": " .. text .. "; this message is shown as bytes" end
+  local files = { { path = here .. "taurus_fields.lua" },
+    { path = Dir.personal_config_path("yapp_messages.lua"), optional = true } }
+  local named = os.getenv("YAPP_MESSAGES")
+  if named and named ~= "" then files[3] = { path = named } end
+  local compiled, problems = parts.catalogue_files.load(files)
   preferences.complain(problems)
   return compiled
 end
@@ -164,7 +156,7 @@ end
 
 local function read_preferences()
   local prefs, chosen = yapp.prefs, {}
-  decode.use_divisor(catalogue, prefs.divisor)
+  decode.use_divisor(prefs.divisor)
   for _, message in ipairs(catalogue.messages) do
     chosen[message.name] = preferences.range(prefs[message.name .. "_ids"], MAX_ID)
   end

@@ -9,6 +9,8 @@ local M = {}
 
 local floor = math.floor
 
+local LINKS, NOTHING = { "command_in", "previous_change", "next_change" }, {} -- in a change of yapp_history
+
 local STEP = 2 ^ -21 -- two million frames of one number, of two thousand million numbers
 
 -- A pass ------------------------------------------------------------------------------------------------------------
@@ -232,21 +234,36 @@ function Memory.frames_of(_, record)
   return numbers
 end
 
+-- A change with numbers of frames for looks.
+local function numbered(pass, change)
+  for _, name in ipairs(change and LINKS or NOTHING) do
+    change[name] = change[name] and number_of(pass, change[name])
+  end
+  return change
+end
+
 --- What changed with a message since its source's previous good one (see yapp_history).
 -- record   of its last, or only, frame
 -- message  as History:note takes it; number and delta are filled in
 -- returns  a change, or nil; its frames are numbers of frames
-function Memory.change(_, record, message)
+function Memory:change(record, message)
   local pass, look = record.pass, record.look
   if not pass then return nil end
+  local history, change = pass.history, nil
   message.number = look
   if record.is_now then
-    local change = pass.history:note(message)
+    change = history:note(message)
     pass.deltas[look] = change and change.delta
-    return change
+    -- What is still to come the second pass has from the first, if that did not mix buses.
+    if pass == self.second and not self.is_mixed then history = self.first.history end
+  else
+    message.delta = pass.deltas[look]
+    change = history:change(message)
   end
-  message.delta = pass.deltas[look]
-  return pass.history:change(message)
+  if change and (change.flags or change.active_since) then
+    change.next_change = history:next_change(look, message.source)
+  end
+  return numbered(pass, change)
 end
 
 --- Notes that a message has a fault flag set, for later looks at its other frames.

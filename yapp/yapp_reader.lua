@@ -3,6 +3,8 @@
 
 local M = {}
 
+local band = require("yapp_bits").band
+
 local Reader = {}
 Reader.__index = Reader
 
@@ -87,7 +89,8 @@ end
 -- Whether a flag is set that makes an alarm.
 local function has_alarm(message, raws)
   for _, field in ipairs(message.alarms) do
-    if (raws[message.index[field]] or 0) ~= 0 then return true end
+    local raw = raws[message.index[field]]
+    if raw and raw ~= 0 and band(raw, field.watched) ~= 0 then return true end
   end
   return false
 end
@@ -106,7 +109,7 @@ function Reader:read(m, look, ask)
     m.has_fault = m.look and has_alarm(message, m.raws)
   end
   look.message, look.raws, look.payload = message, m.raws, m.payload
-  look.id, look.seq, look.good = m.id, m.seq, m.good
+  look.id, look.seq, look.good, m.time = m.id, m.seq, m.good, look.time
   m.change = ask(look)
   if self.observer then self.observer(m) end
 end

@@ -16,7 +16,7 @@ local frame = require("yapp_frame")
 local M = {}
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
-local min, max, sub = math.min, math.max, string.sub
+local min, max, floor, sub = math.min, math.max, math.floor, string.sub
 
 local Memory = {}
 Memory.__index = Memory
@@ -272,23 +272,30 @@ function Memory:look(fact)
 end
 
 local PLACE = 2 ^ -21 -- of a byte in its packet
+local LINKS = { "command_in", "previous_change", "next_change" } -- in a change of yapp_history
 
 --- What changed with a frame since its source's previous good one (see yapp_history).
 -- packet   from look, for this fact
 -- index    of the frame among its events
 -- fact     as given to look
 -- message  as History:note takes it; number and delta are filled in
--- returns  a change, or nil; the whole part of its numbers is a packet's number
+-- returns  a change, or nil; its numbers are those of packets
 function Memory.change(_, packet, index, fact, message)
-  local pass, piece, number = packet.pass, packet.piece, fact.number
+  local pass, piece, number, change = packet.pass, packet.piece, fact.number, nil
   message.number = number + (fact.place + (packet.events[index].at or 0)) * PLACE
-  if not packet.is_now then
+  if packet.is_now then
+    change = pass.history:note(message)
+    local delta = change and change.delta
+    if piece then piece.events[index].delta = delta else pass.deltas[number] = delta end
+  else
     if piece then message.delta = piece.events[index].delta else message.delta = pass.deltas[number] end
-    return pass.history:change(message)
+    change = pass.history:change(message)
   end
-  local change = pass.history:note(message)
-  local delta = change and change.delta
-  if piece then piece.events[index].delta = delta else pass.deltas[number] = delta end
+  if not change then return nil end
+  if change.flags or change.active_since then
+    change.next_change = pass.history:next_change(message.number, message.source)
+  end
+  for _, name in ipairs(LINKS) do change[name] = change[name] and floor(change[name]) end
   return change
 end
 

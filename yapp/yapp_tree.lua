@@ -249,8 +249,11 @@ function Tree:payload(m)
   end
   if not m.raws then return show_bytes(self, m) end
   if #m.payload == 0 then m.tvb = nil end
-  self.messages:show(m.tree, m.item, m)
-  return self.decode.info(m.message, m.raws, self:name(m.id, m.bus))
+  local name = self:name(m.id, m.bus)
+  m.label = name ~= m.message.title and name or nil
+  local top = self.messages:show(m.tree, m.item, m)
+  if change then self.messages:add_change(top or m.item, m.message, change, m.time) end
+  return self.decode.info(m.message, m.raws, m.payload, name)
 end
 
 return M

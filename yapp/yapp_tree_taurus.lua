@@ -1,50 +1,13 @@
--- What a user sees of the Taurus messages: the fields of the catalogue, their expert items, the message trees.
--- Wireshark's API; the values come from yapp_decode.
+-- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the values come from
+-- yapp_decode, what changed from the history.
+
+local tree_fields = require("yapp_tree_taurus_fields")
 
 local M = {}
 
--- filter, what it says by itself, group, severity
-local EXPERTS = {
-  { "fault.active", "Fault flags are set", "RESPONSE_CODE", "ERROR" },
-  { "command.key.invalid", "Key is not valid: the command is ignored", "PROTOCOL", "WARN" },
-  { "value.special", "Reserved count of a compressed float", "PROTOCOL", "NOTE" },
-  { "flags.undefined", "A bit is set that no table defines", "PROTOCOL", "NOTE" },
-  { "value.invalid", "Value that the document does not define", "PROTOCOL", "WARN" },
-}
+M.make_experts = tree_fields.make_experts
 
---- Makes the expert items of a protocol.
--- proto   Proto; prefix: of their filters, with the dot
--- rows    { filter, text, name in expert.group, name in expert.severity }
--- returns { [filter without prefix] = ProtoExpert }
-function M.make_experts(proto, prefix, rows)
-  local experts = {}
-  for _, row in ipairs(rows) do
-    experts[row[1]] = ProtoExpert.new(prefix .. row[1], row[2], expert.group[row[3]], expert.severity[row[4]])
-  end
-  proto.experts = experts
-  return experts
-end
-
--- The ProtoFields of one catalogue field: pf, and special, flags (by index), undefined.
-local function make_field(field, specials, add)
-  local bits, made = field.size * 8, {}
-  if field.kind == "float" then
-    made.pf = add(ProtoField.double(field.filter, field.title))
-    made.special = add(ProtoField.uint8(field.filter .. ".special", field.title, base.DEC, specials))
-  elseif field.kind == "time" then
-    made.pf = add(ProtoField.relative_time(field.filter, field.title))
-  elseif field.kind == "flags" then
-    made.pf, made.flags = add(ProtoField["uint" .. bits](field.filter, field.title, base.HEX)), {}
-    for i, flag in ipairs(field.flags) do
-      made.flags[i] = add(ProtoField.bool(flag.filter, flag.title, bits, nil, flag.mask))
-    end
-    made.undefined = add(ProtoField.uint32(field.undefined_filter, "Undefined bits", base.HEX))
-  else
-    made.pf = add(ProtoField["uint" .. bits](field.filter, field.title, field.values and base.HEX or base.DEC,
-      field.values))
-  end
-  return made
-end
+local format = string.format
 
 local Taurus = {}
 Taurus.__index = Taurus
@@ -54,47 +17,55 @@ Taurus.__index = Taurus
 -- catalogue  compiled
 -- decode     the module yapp_decode
 function M.new(taurus, catalogue, decode)
-  local self = setmetatable({ taurus = taurus, decode = decode, message_fields = {}, fields = {} }, Taurus)
-  local list = {}
-  local function add(pf)
-    list[#list + 1] = pf
-    return pf
-  end
-  for _, message in ipairs(catalogue.messages) do
-    self.message_fields[message] = add(ProtoField.none(message.filter, message.title))
-    for _, field in ipairs(message.fields) do self.fields[field] = make_field(field, decode.SPECIALS, add) end
-  end
-  taurus.fields = list
-  self.experts = M.make_experts(taurus, "taurus.", EXPERTS)
+  local self = setmetatable({ taurus = taurus, decode = decode }, Taurus)
+  self.messages, self.fields, self.experts = tree_fields.make(taurus, catalogue, decode.SPECIALS)
   return self
 end
 
-local adders = {}
-
-function adders.float(self, parent, range, field, raw)
-  local value, special = self.decode.float(field, raw)
-  local made = self.fields[field]
-  if value then
-    local item = parent:add(made.pf, range, self.decode.round(value))
-    if field.unit then item:append_text(" " .. field.unit) end
-    return item
-  end
-  local item = parent:add(made.special, range, special)
-  item:set_text(string.format("%s: %s (0x%0" .. field.size * 2 .. "x)", field.title,
-    self.decode.SPECIALS[special], raw))
+local function with_unit(item, field)
+  if field.unit then item:append_text(" " .. field.unit) end
   return item
 end
 
-function adders.uint(self, parent, range, field)
-  local item = parent:add_le(self.fields[field].pf, range)
-  if field.unit then item:append_text(" " .. field.unit) end
+-- The item of a field, by kind: (self, parent, range, field, raw, payload).
+local adders = {}
+
+-- A number with a fraction, or the special that is there instead.
+local function add_real(self, parent, range, field, raw)
+  local decode, made = self.decode, self.fields[field]
+  local value, special = decode.value(field, raw)
+  if value then return with_unit(parent:add(made.pf, range, decode.rounded(field, value)), field) end
+  local item = parent:add(made.special, range, special)
+  if field.kind == "float" and raw > 0 then
+    item:set_text(format("%s: %s (0x%0" .. field.size * 2 .. "x)", field.title, decode.SPECIALS[special], raw))
+  else
+    item:set_text(format("%s: %s", field.title, decode.SPECIALS[special]))
+  end
   return item
+end
+
+adders.float, adders.ieee = add_real, add_real
+
+function adders.uint(self, parent, range, field, raw)
+  if field.scale then return add_real(self, parent, range, field, raw) end
+  return with_unit(parent:add_le(self.fields[field].pf, range), field)
+end
+
+adders.int, adders.bool = adders.uint, adders.uint
+
+function adders.string(self, parent, range, field, raw)
+  return parent:add(self.fields[field].pf, range, self.decode.text(raw))
+end
+
+function adders.bytes(self, parent, range, field)
+  return parent:add(self.fields[field].pf, range)
 end
 
 function adders.flags(self, parent, range, field, raw)
   local made = self.fields[field]
   local item = parent:add_le(made.pf, range)
-  if raw ~= 0 then item:append_text(" (" .. self.decode.flag_names(field, raw) .. ")") end
+  local names = raw ~= 0 and self.decode.flag_names(field, raw) or ""
+  if names ~= "" then item:append_text(" (" .. names .. ")") end
   for _, flag in ipairs(made.flags) do item:add_le(flag, range) end
   local undefined = self.decode.undefined(field, raw)
   if undefined ~= 0 then item:add(made.undefined, range, undefined) end
@@ -115,37 +86,106 @@ local function field_wanted(tree, made)
   return made.undefined and tree:referenced(made.undefined)
 end
 
+-- Whether a field is in this payload: whole, and of the case that its message has.
+local function is_there(field, raw, raws, payload)
+  if raw ~= nil then return true end
+  local when = field.when
+  return field.kind == "time" and field.offset + 8 <= #payload and (not when or raws[when.index] == when.value)
+end
+
+local function add_differences(self, top, message, raws)
+  local all, items = top.visible, self.messages[message].differences
+  for i, difference in ipairs(message.differences) do
+    if all or top:referenced(items[i]) then
+      local value = self.decode.difference(message, difference, raws)
+      if value then with_unit(top:add(items[i], value), difference):set_generated() end
+    end
+  end
+end
+
 -- The tree of a message; returns it, and the items by index of field, for the expert items.
 local function build(self, tree, what)
-  local message, payload, tvb, at = what.message, what.payload, what.tvb, what.at
+  local message, payload, raws, tvb, at = what.message, what.payload, what.raws, what.tvb, what.at
   local range = tvb(at, math.min(message.size, #payload))
   local top = tree:add(self.taurus, range)
   top:set_text("Taurus " .. message.title)
-  top:add(self.message_fields[message], range):set_hidden()
+  top:add(self.messages[message].pf, range):set_hidden()
   local all, items = tree.visible, {}
   for i, field in ipairs(message.fields) do
-    if field.offset + field.size > #payload then break end
-    if all or field_wanted(tree, self.fields[field]) then
-      items[i] = adders[field.kind](self, top, tvb(at + field.offset, field.size), field, what.raws[i], payload)
+    local raw = raws[i]
+    if is_there(field, raw, raws, payload) and (all or field_wanted(tree, self.fields[field])) then
+      local parent = field.inside and items[message.index[field.inside]] or top
+      items[i] = adders[field.kind](self, parent, tvb(at + field.offset, field.size), field, raw, payload)
     end
   end
+  if message.differences[1] then add_differences(self, top, message, raws) end
   return top, items
 end
 
 --- Shows a message, and its expert items.
 -- tree, item  where the Taurus tree goes, and YAPP's own item, for the expert items of a message without a tree
 -- what        { message = compiled, payload = string, may be cut short, raws and look = from decode.read,
---             tvb, at = where the payload lies; tvb nil when nobody wants a tree }
+--             tvb, at = where the payload lies; tvb nil when nobody wants a tree,
+--             label = what the message is called where its title does not tell it, for a fault's label, or nil }
 -- returns     the Taurus item; nil without a tree
 function Taurus:show(tree, item, what)
   local top, items
   if what.tvb then top, items = build(self, tree, what) end
   local remarks = what.look and self.decode.remarks(what.message, what.raws)
-  for _, remark in ipairs(remarks or {}) do
-    local target = items and items[remark[1]] or top or item
-    target:add_proto_expert_info(self.experts[remark[2]], remark[3])
+  if not remarks then return top end
+  for _, remark in ipairs(remarks) do
+    local place, name = items and items[remark[1]], remark[2]
+    if place and name == "fault.active" and what.label then place:append_text(" of " .. what.label) end
+    (place or top or item):add_proto_expert_info(self.experts[name])
   end
   return top
+end
+
+-- Changes -----------------------------------------------------------------------------------------------------------
+
+local function time_of(seconds)
+  local text = format("%.0f", math.abs(seconds) * 1e9)
+  local whole, rest = tonumber(text:sub(1, -10)) or 0, tonumber(text:sub(-9))
+  if seconds < 0 then whole, rest = -whole, -rest end
+  return NSTime.new(whole, rest)
+end
+
+-- Adds a generated field where somebody wants it; nil for a value or a field that is not there.
+local function add_generated(item, pf, value)
+  if not pf or value == nil or not (item.visible or item:referenced(pf)) then return nil end
+  return item:add(pf, value):set_generated()
+end
+
+-- The bits of one field that rose or fell.
+local function add_bits(self, item, field, way, bits)
+  if bits == 0 then return end
+  local added = add_generated(item, self.fields[field][way], bits)
+  if added then added:append_text(" (" .. self.decode.flag_names(field, bits) .. ")") end
+  if field.alarm then (added or item):add_proto_expert_info(self.experts["fault." .. way]) end
+end
+
+--- Adds what the history says of a message, all of it generated, with its expert items.
+-- item     the Taurus item, or YAPP's where no tree is wanted
+-- message  compiled
+-- change   a change of yapp_history's, with next_change = frame number where it is known; its frames are frame numbers
+-- now      the time of the message, on the clock of change.active_since
+function Taurus:add_change(item, message, change, now)
+  local own, alarm = self.messages[message], message.alarms[1]
+  for _, one in ipairs(change.flags or {}) do
+    local watched = one.field.watched
+    add_bits(self, item, one.field, "raised", self.decode.band(one.raised, watched))
+    add_bits(self, item, one.field, "cleared", self.decode.band(one.cleared, watched))
+  end
+  if alarm then
+    local made, since = self.fields[alarm], change.active_since
+    add_generated(item, made.active_time, since and time_of(now - since))
+    add_generated(item, made.previous, change.previous_change)
+    add_generated(item, made.next, change.next_change)
+  end
+  add_generated(item, own.command_in, change.command_in)
+  local drift = add_generated(item, own.drift, change.drift and time_of(change.drift))
+  if change.reboot then (drift or item):add_proto_expert_info(self.experts.reboot) end
+  if change.stale then (drift or item):add_proto_expert_info(self.experts.stale) end
 end
 
 return M

@@ -86,14 +86,14 @@ EXPERTS = [
     ("yapp.can.ctrl.invalid", "ctrl_4_to_15", list(range(1, 13)), "Warns", "CAN CTRL is 4; 0 to 3 are defined"),
     ("yapp.stream.skipped", "uart_shell", [1], "Notes", 'bytes that belong to no frame: "login: "'),
     ("yapp.truncated", "cut_middle", [3], "Warns", "The capture has 3 of the frame's 8 bytes"),
-    ("taurus.fault.active", "info_column", [5], "Errors", "Fault Flags: motor_overcurrent, hall_timeout"),
+    ("taurus.fault.active", "info_column", [5], "Errors", "Fault flags are set"),
     ("taurus.command.key.invalid", "invalid_key", [1, 4], "Warns",
-     "Key: 0x00 is not a value that the document defines"),
-    ("taurus.value.special", "document_motor", [5], "Notes", "ESC Temperature: Not a Number (0xff)"),
+     "Key is not valid: the command is ignored"),
+    ("taurus.value.special", "document_motor", [5], "Notes", "No ordinary number: a reserved count, NaN or infinity"),
     ("taurus.flags.undefined", "health_status", list(range(5, 11)), "Notes",
-     "Taurus Status: undefined bits 0x8"),
+     "A bit is set that no table defines"),
     ("taurus.value.invalid", "undefined_values", [1, 2, 7], "Warns",
-     "Enabled: 0x02 is not a value that the document defines"),
+     "Value that the document does not define"),
 ]
 
 
