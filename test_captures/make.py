@@ -27,6 +27,7 @@ In brackets
     [ID/SEQ/CTL data] is a message, ID and SEQ and CTL hexadecimal, SEQ and CTL 0 when left out;
     [!ID data] has a wrong CRC.
 """
+import functools
 import pathlib
 import re
 import shlex
@@ -252,23 +253,31 @@ def block(kind, body):
     return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
 
 
-def pcapng(source):
-    parts = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
-    for name in source.buses:
-        text = name.encode()
-        option = struct.pack("<HH", 2, len(text)) + text + b"\0" * (-len(text) % 4) + struct.pack("<HH", 0, 0)
-        parts.append(block(1, struct.pack("<HHI", LINKTYPES[source.link], 0, SNAPLEN) + option))
-    for time, bus, packet, length in source.packets:
-        stamp = EPOCH * 10**6 + time
-        parts.append(block(6, struct.pack("<IIIII", source.buses.index(bus), stamp >> 32, stamp & 0xFFFFFFFF,
-                                          len(packet), length) + packet))
-    return b"".join(parts)
+def interface(link, name):
+    text = name.encode()
+    option = struct.pack("<HH", 2, len(text)) + text + b"\0" * (-len(text) % 4) + struct.pack("<HH", 0, 0)
+    return block(1, struct.pack("<HHI", LINKTYPES[link], 0, SNAPLEN) + option)
 
 
+def pcapng(*sources):
+    """One source after the other, each with its own interfaces: one for each bus, one in all of what is pcap alone."""
+    interfaces, packets = [], []
+    for source in sources:
+        buses = source.buses if source.format == "pcapng" else [""]
+        for time, bus, packet, length in source.packets:
+            stamp, index = EPOCH * 10**6 + time, buses.index(bus) if len(buses) > 1 else 0
+            packets.append(block(6, struct.pack("<IIIII", len(interfaces) + index, stamp >> 32, stamp & 0xFFFFFFFF,
+                                                len(packet), length) + packet))
+        interfaces += [interface(source.link, name) for name in buses]
+    return b"".join([block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)), *interfaces, *packets])
+
+
+@functools.lru_cache(None)
 def read(name):
     return Source((FOLDER / f"{name}.frames").read_text())
 
 
+@functools.lru_cache(None)
 def names():
     return sorted(path.stem for path in FOLDER.glob("*.frames"))
 

@@ -6,7 +6,21 @@ import pytest
 
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1] / "test_captures")]
+import levels  # noqa: E402
 import tshark  # noqa: E402
+
+
+def pytest_configure(config):
+    for line in ("deep: in test-all only", "each_once: in `make test` each value once, in test-all all combinations",
+                 "xdist_group(name): in one process"):
+        config.addinivalue_line("markers", line)
+
+
+def pytest_collection_modifyitems(config, items):
+    if not levels.DEEP:
+        chosen = levels.quick(items)
+        config.hook.pytest_deselected(items=[item for item in items if item not in set(chosen)])
+        items[:] = chosen
 
 
 @pytest.fixture

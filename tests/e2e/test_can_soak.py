@@ -1,6 +1,6 @@
 """Random CAN captures against their truth, in one pass and in two.
 
-    python3 -m pytest tests/e2e/test_can_soak.py        some hundred small captures
+    python3 -m pytest tests/e2e/test_can_soak.py        some small captures; more with YAPP_DEEP=1
     make soak                                           1,000 captures, about a million frames: the same with
                                                         YAPP_SOAK_CAPTURES=1000 YAPP_SOAK_FRAMES=1000
 
@@ -14,9 +14,10 @@ import struct
 import pytest
 
 import can_generator
+import levels
 import tshark
 
-CAPTURES = int(os.environ.get("YAPP_SOAK_CAPTURES", "320"))
+CAPTURES = int(os.environ.get("YAPP_SOAK_CAPTURES", levels.size("80", "320")))
 FRAMES = int(os.environ.get("YAPP_SOAK_FRAMES", "50"))
 SEED = os.environ.get("YAPP_SEED", "1")
 KINDS = [(layout, wide) for layout in can_generator.LAYOUTS for wide in (False, True)]

@@ -2,12 +2,12 @@
 
 What is right is not taken from the plugin: model.py works the values out, and the tables here are typed by hand."""
 import pathlib
-import re
 import sys
 import xml.etree.ElementTree
 
 import pytest
 
+import levels
 import model
 import tshark
 from crc32k import crc32k
@@ -16,6 +16,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captu
 import expected  # noqa: E402
 import make  # noqa: E402
 
+pytestmark = levels.together("captures")
 NAMES = make.names()
 MOTOR = bytes.fromhex("FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000" "0000E38CD23CE04E000005FF")
 
@@ -86,38 +87,13 @@ def test_nothing_else_lies_there():
 
 # What is shown ---------------------------------------------------------------------------------------------------
 
-def blocks(text):
-    return re.split(r"(?m)^(?=frame )", text)[1:]
-
-
-def without_forward_links(text):
-    """What one pass can show: a frame cannot yet know where its message ends, nor how many parts it has."""
-    kept = []
-    for block in blocks(text):
-        number = re.match(r"frame (\d+)", block)[1]
-        link = re.search(r"    yapp.reassembled.in (\d+)\n", block)
-        if link and link[1] != number:
-            block = block.replace(link[0], "").replace(f"  [Reassembled in #{link[1]}]", "")
-        if "\n    " in block:
-            kept.append(re.sub(r"(  part \d+) of \d+", r"\1", block))
-    return "".join(kept)
-
-
-# Where a capture does not tell its buses apart, only what comes later says that a Start cut nothing off.
-KNOWN_LATER = {"two_buses_unnamed"}
-
-
 # Where each frame stands alone, a display filter has nothing to change.
 RUNS = [(name, passes) for name in NAMES for passes in expected.PASSES if passes != "-2 -Y" or name in MESSAGES]
 
 
 @pytest.mark.parametrize("name, passes", RUNS)
 def test_fields_and_info(name, passes):
-    wanted, text = (tshark.CAPTURES / f"{name}.expected").read_text(), expected.as_text(shown(name, passes))
-    if passes == "one pass":
-        wanted, text = without_forward_links(wanted), without_forward_links(text)
-        if name in KNOWN_LATER:
-            wanted, text = (blocks(one)[-2:] for one in (wanted, text))
+    wanted, text = expected.comparison(name, passes, shown(name, passes))
     assert text == wanted
 
 

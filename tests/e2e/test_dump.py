@@ -13,6 +13,7 @@ import subprocess
 
 import pytest
 
+import levels
 import model
 import stream_captures
 import test_streams
@@ -146,22 +147,19 @@ def differences(events, shown, name, written=False):
     return problems
 
 
-def ways(path, folder):
-    """Name of each way to read a dump: its rows."""
-    yield "one pass", rows(path)
-    yield "-2", rows(path, "-2")
-    yield "-2 -Y", rows(path, "-2", "-Y", "yapp")
-    yield "-2 -R", rows(path, "-2", "-R", "yapp")
-    tshark.run("-r", path, "-w", folder / "out.pcapng")
-    yield "written", rows(folder / "out.pcapng")
+WAYS = {"one pass": [], "-2": ["-2"], "-2 -Y": ["-2", "-Y", "yapp"], "-2 -R": ["-2", "-R", "yapp"], "written": []}
 
 
-def assert_shown(path, folder, data):
-    """A dump shows its records in every way."""
+def assert_shown(path, folder, data, ways=WAYS):
+    """A dump shows its records in every way to read it, or in these."""
     events = records(data)
     assert b"".join(event.data for event in events) == data
-    for name, shown in ways(path, folder):
-        problems = differences(events, shown, name, written=name.startswith("written"))
+    for name in ways:
+        read = path
+        if name == "written":
+            read = folder / "out.pcapng"
+            tshark.run("-r", path, "-w", read)
+        problems = differences(events, rows(read, *WAYS[name]), name, written=name == "written")
         assert not problems, f"{len(problems)}\n" + "\n".join(problems[:20])
 
 
@@ -190,11 +188,13 @@ STARTS = {
 }
 
 
+@levels.each_once
+@pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("start, end", [*zip([*STARTS] * 2, ENDS), *zip([*STARTS][1:] + [*STARTS], ENDS)])
-def test_random_dumps(start, end, folder):
+def test_random_dumps(start, end, way, folder):
     rng = random.Random(f"{SEED}, {start}, {end}")
     data = STARTS[start](rng) + stream_captures.stream(rng, b"") + clocked(rng, 30) + ENDS[end](rng)
-    assert_shown(dump(folder, data), folder, data)
+    assert_shown(dump(folder, data), folder, data, [way])
 
 
 def test_long_dump(folder):
@@ -358,6 +358,7 @@ def outcome(path, *arguments, plugin=True):
     return (done.returncode, done.stdout), done.stderr
 
 
+@levels.each_once
 @pytest.mark.parametrize("extension", ["", ".bin"])
 @pytest.mark.parametrize("name", [*NO_DUMPS, *WITH_FRAMES])
 def test_files_of_others(name, extension, folder):
@@ -395,6 +396,7 @@ def test_captures_named_yapp(name, folder):
     assert done == outcome(dump(folder, WITH_FRAMES[name], "file"))[0]
 
 
+@levels.each_once
 @pytest.mark.parametrize("name", ["file", "file.bin", "file.other"])
 @pytest.mark.parametrize("kind", ["r", "rs"])
 def test_the_reader_of_another_plugin_keeps_its_files(kind, name, folder):

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+import levels
 import model
 import tshark
 
@@ -12,6 +13,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captu
 import expected  # noqa: E402
 import make  # noqa: E402
 
+pytestmark = levels.together("captures")
 WIDE = {"-o": ["-o", "yapp.all_extended:TRUE"], "-d": ["-d", "can.subdissector,yapp"]}
 
 # Every capture with expert items of YAPP's own: the frames of each.  Captures not named here have none.
@@ -102,15 +104,16 @@ def test_every_expert_item_has_a_capture():
 
 
 def filtered(capture, text, *options):
-    done = tshark.run(*options, "-r", capture, "-Y", text, "-T", "fields", "-e", "frame.number")
-    return [int(number) for number in done.stdout.split()]
+    return [int(number) for number, in tshark.fields(capture, ["frame.number"], *options, "-Y", text)]
 
 
 @pytest.mark.parametrize("name, capture, frames, severity, text", EXPERTS)
 def test_filter_and_expert_list(name, capture, frames, severity, text):
     path, options = make.capture(capture)[0], make.read(capture).options
-    assert filtered(path, name, *options) == frames
-    listed = tshark.run(*options, "-r", path, "-q", "-z", "expert").stdout
+    # What is printed of the frames that the filter finds, and behind it the list, which the filter does not concern.
+    done = tshark.run(*options, "-r", path, "-Y", name, "-T", "fields", "-e", "frame.number", "-z", "expert")
+    numbers, listed = re.fullmatch(r"(?s)((?:\d+\n)*)(.*)", done.stdout).groups()
+    assert [int(number) for number in numbers.split()] == frames
     sections = dict(re.findall(r"(?ms)^(\w+) \(\d+\)\n=+\n(.*?)(?=^\w+ \(\d+\)$|\Z)", listed))
     assert re.search(rf"(?m)^ +\d+ +\w+ +YAPP(_SERIAL)?  .*{re.escape(text)}$", sections.get(severity, "")), listed
 
@@ -139,16 +142,18 @@ def test_captures_that_need_the_preference():
 
 @pytest.mark.parametrize("name", CLAIMED)
 def test_by_default_only_what_is_surely_yapp_is_taken(name):
-    path = make.capture(name)[0]
-    for options in ((), ("-2",)):
-        assert [frame["frame"] for frame in expected.shown(path, *options)] == CLAIMED[name]
+    def is_right(frames):
+        return [frame["frame"] for frame in frames] == CLAIMED[name]
+
+    for passes in ("one pass", "-2"):
+        assert is_right(expected.among_others(name, passes, [], is_right))
 
 
 @pytest.mark.parametrize("passes", ["one pass", "-2 -Y"])
 @pytest.mark.parametrize("name", CLAIMED)
 def test_decode_as_shows_the_same_as_the_preference(name, passes):
-    path = make.capture(name)[0]
-    assert expected.shown(path, *expected.PASSES[passes], *WIDE["-d"]) == expected.capture_shown(name, passes)
+    wanted = expected.capture_shown(name, passes)
+    assert expected.among_others(name, passes, WIDE["-d"], lambda frames: frames == wanted) == wanted
 
 
 # Flags -----------------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import subprocess
 import pytest
 
 import can_generator
+import levels
 import tshark
 from can_generator import Frame
 
@@ -246,7 +247,7 @@ def test_ethernet(folder):
 
 # Floods ------------------------------------------------------------------------------------------------------------
 
-FLOOD = 200_000
+FLOOD = levels.size(20_000, 200_000)
 BYTES_A_FRAME = 4000  # a generous bound: what a frame of a broken message may cost
 GOOD = can_generator.Sent(0x123, 0, 7, bytes(range(40)))
 

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 
+import levels
 import pytest
 import tshark
 
@@ -58,6 +59,7 @@ DISSECTOR = ("yapp/yapp_serial_stream.lua", "function Stream:feed")
 INIT = ("yapp.lua", "function yapp.init")
 
 
+@levels.deep
 @pytest.mark.parametrize("installed", [False, True], ids=["script", "plugin"])
 @pytest.mark.parametrize("way", fuzz.WAYS, ids=short)
 def test_every_way_sees_an_error(planted, way, installed):
@@ -66,6 +68,7 @@ def test_every_way_sees_an_error(planted, way, installed):
     assert "planted" in (planted(*DISSECTOR, 'error("planted")', "document_udp.pcap", way, installed) or "nothing")
 
 
+@levels.deep
 @pytest.mark.parametrize("way", [fuzz.TWO_PASSES, ("-2", "-V"), ("sharkd",)], ids=short)
 def test_an_error_of_the_first_pass_alone_is_seen(planted, way):
     if way[0] == "sharkd" and not shutil.which("sharkd"):
@@ -91,6 +94,7 @@ PLANTED = {
 }
 
 
+@levels.deep
 @pytest.mark.parametrize("way", [fuzz.TREE, fuzz.TWO_PASSES], ids=short)
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_fault_is_found(planted, monkeypatch, name, way):
@@ -100,6 +104,7 @@ def test_a_planted_fault_is_found(planted, monkeypatch, name, way):
     assert says in (planted(*where, way) or "nothing")
 
 
+@levels.deep
 def test_a_fault_ends_a_run_with_a_small_capture(folder):
     """The whole program: a finding is told, made small, kept; the exit code says so; kept, it is found again."""
     (folder / "plugin").mkdir()

@@ -5,6 +5,7 @@ import struct
 
 import pytest
 
+import levels
 import make
 import test_preferences as given
 import tshark
@@ -18,8 +19,9 @@ def limits():
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
 
 
-def decoded(path, *arguments, passes=((), ("-2",)), **options):
-    """The numbers of the frames with a Taurus message, of one pass and of two; no error in Lua in either."""
+def decoded_and_said(path, *arguments, passes=((), ("-2",)), **options):
+    """The numbers of the frames with a Taurus message, the same in one pass and in two, with no error in Lua in either;
+    and what the plugin says on stderr in the last one."""
     found = []
     for two in passes:
         done = tshark.run(*two, *arguments, "-r", path, "-T", "fields", "-e", "frame.number", "-e", "_ws.lua.error",
@@ -29,13 +31,20 @@ def decoded(path, *arguments, passes=((), ("-2",)), **options):
         assert [row for row in rows if row[1]] == []
         found.append([int(row[0]) for row in rows if row[2] or row[3]])
     assert all(one == found[0] for one in found)
-    return found[0]
+    return found[0], ours(done.stderr)
+
+
+def decoded(path, *arguments, **options):
+    return decoded_and_said(path, *arguments, **options)[0]
+
+
+def ours(stderr):
+    return [line for line in stderr.splitlines() if line.startswith(("yapp: ", "candump reader: "))]
 
 
 def said(*arguments, **options):
     """What the plugin says on stderr."""
-    done = tshark.run(*arguments, limits=limits, **options)
-    return [line for line in done.stderr.splitlines() if line.startswith(("yapp: ", "candump reader: "))]
+    return ours(tshark.run(*arguments, limits=limits, **options).stderr)
 
 
 # Sizes and lengths -------------------------------------------------------------------------------------------------
@@ -69,18 +78,19 @@ def test_sizes_that_a_start_announces(folder, arguments):
 
 def test_starts_without_end(folder):
     """A Start of 65,535 bytes for each message ID, again and again."""
-    lines = [start(ident, 0xFFFF) for ident in range(1, 2048)] * 10
+    lines = [start(ident, 0xFFFF) for ident in range(1, 2048)] * levels.size(2, 10)
     path = given.write(folder, *lines, f"can0 [210 {given.MOTOR}]")
     assert decoded(path) == [len(lines) + 5]
 
 
 def test_the_longest_messages(folder):
     """65,535 bytes in frames of 8: all of it arrives."""
-    lines = [f"can0 [123 {'5A*65535'}]"] * 3
+    count = levels.size(1, 3)
+    lines = [f"can0 [123 {'5A*65535'}]"] * count
     path = given.write(folder, *lines, f"can0 [210 {given.MOTOR}]")
     assert len(decoded(path, "-o", "yapp.all_extended:TRUE")) == 1
     done = tshark.run("-r", path, "-Y", "yapp.crc.status == 1 && yapp.reassembled.length == 65535", limits=limits)
-    assert len(done.stdout.splitlines()) == 3
+    assert len(done.stdout.splitlines()) == count
 
 
 HEADERS = {
@@ -110,18 +120,26 @@ def socketcan(can_id, length, flags, data):
     return struct.pack(">IBBH", can_id, length, flags, 0) + data
 
 
-@pytest.mark.parametrize("length", [0, 1, 7, 9, 15, 16, 64, 65, 128, 254, 255])
+# Each length has records of these ids with so many bytes, and a message behind them.
+LENGTHS = [0, 1, 7, 9, 15, 16, 64, 65, 128, 254, 255]
+HEADS = [(can_id, size) for can_id in (0, 0x08400000, 0x08404000, 0x08408000, 0x0840C000) for size in (0, 1, 7, 8, 64)]
+
+
+@pytest.mark.parametrize("arguments", [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp")],
+                         ids=["default", "all_extended", "decode_as"])
+@pytest.mark.parametrize("lengths", [LENGTHS, *(pytest.param([length], marks=levels.deep) for length in LENGTHS)], ids=str)
 @pytest.mark.parametrize("flags", [0, 4], ids=["can", "fd"])
-def test_lengths_above_the_record(folder, length, flags):
+def test_lengths_above_the_record(folder, lengths, flags, arguments):
     """The length of a SocketCAN header says more, or less, than the record has."""
-    records = [socketcan(0x80000000 | can_id, length, flags, b"\xA5" * size)
-               for can_id in (0, 0x08400000, 0x08404000, 0x08408000, 0x0840C000) for size in (0, 1, 7, 8, 64)]
-    records.append(socketcan(0x80000000, 7, 0, bytes.fromhex("015A014F80F380")))
+    records = []
+    for length in lengths:
+        records += [socketcan(0x80000000 | can_id, length, flags, b"\xA5" * size) for can_id, size in HEADS]
+        records.append(socketcan(0x80000000, 7, 0, bytes.fromhex("015A014F80F380")))
     path = folder / "lengths.pcap"
     path.write_bytes(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227) + b"".join(
         struct.pack("<IIII", at, 0, len(one), len(one)) + one for at, one in enumerate(records)))
-    for arguments in ((), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp")):
-        assert decoded(path, *arguments)[-1] == len(records)
+    each = len(HEADS) + 1
+    assert {each * (at + 1) for at in range(len(lengths))} <= set(decoded(path, *arguments))
 
 
 # Preferences -------------------------------------------------------------------------------------------------------
@@ -138,7 +156,8 @@ def test_each_id_is_given_to_each_message():
     assert len(lines) <= 25
 
 
-@pytest.mark.parametrize("text", ["0-2047," * 10000 + "0", "0x210," * 20000 + "0", "2047-0", "5-", "-"],
+@pytest.mark.parametrize("text", [
+    "0-2047," * 10000 + "0", "0x210," * 20000 + "0", *(pytest.param(text, marks=levels.deep) for text in ("2047-0", "5-", "-"))],
                          ids=["all", "one", "backward", "open", "dash"])
 def test_ranges_without_end(text):
     """Wireshark takes all of these for ranges; each ID counts once."""
@@ -185,6 +204,7 @@ LINES = {
 COMMAND = b"(1700000000.000000) can0 00000000#015A014F80F380\n"
 
 
+@levels.each_once
 @pytest.mark.parametrize("name", LINES)
 @pytest.mark.parametrize("ended", [True, False], ids=["ended", "endless"])
 def test_candump_lines_of_a_megabyte(folder, name, ended):
@@ -192,8 +212,8 @@ def test_candump_lines_of_a_megabyte(folder, name, ended):
     path = folder / "long.log"
     path.write_bytes(COMMAND + LINES[name] + (b"\n" + COMMAND if ended else b""))
     arguments = ("-X", "read_format:yapp_candump")
-    assert decoded(path, *arguments) == ([1, 2] if ended else [1])
-    lines = said(*arguments, "-r", path)
+    numbers, lines = decoded_and_said(path, *arguments)
+    assert numbers == ([1, 2] if ended else [1])
     assert len(lines) <= 3 and all(len(line) < 300 for line in lines)
     assert any("line 2" in line and "skipped" in line for line in lines), lines
 
@@ -202,8 +222,8 @@ def test_many_bad_candump_lines(folder):
     """Not a message for each of them."""
     path = folder / "bad.log"
     path.write_bytes(COMMAND * 50 + b"(1700000000.000000) can0 00000000#0\n" * 100000 + COMMAND)
-    assert decoded(path, "-X", "read_format:yapp_candump") == list(range(1, 52))
-    assert len(said("-X", "read_format:yapp_candump", "-r", path)) <= 20
+    numbers, lines = decoded_and_said(path, "-X", "read_format:yapp_candump")
+    assert numbers == list(range(1, 52)) and len(lines) <= 20
 
 
 # Catalogues --------------------------------------------------------------------------------------------------------
@@ -276,15 +296,16 @@ KEYS = ["e.name", "e.title", "e.id", "e.size", "e.info", "e[1]", "e[1][1]", "e[1
         "e[2].min", "e[2].max"]
 
 
-@pytest.mark.parametrize("key", KEYS)
-def test_wrong_types(folder, key):
+@pytest.mark.parametrize("keys", [KEYS, *(pytest.param([key], marks=levels.deep) for key in KEYS)], ids=lambda keys: keys[0])
+def test_wrong_types(folder, keys):
     """Each part of a message as anything else; the message beside it is decoded."""
+    wrong = [(key, value) for key in keys for value in NONSENSE]
     entries = "".join(
         f"do local e = {{ name = 'm{i}', title = 'M', id = {i}, size = 2, info = '{{f}}', {{ 'f', 'uint8', 'F' }}, "
         f"{{ 'g', 'float8', 'G', min = 0, max = 1 }} }}; {key} = {value}; t[#t + 1] = e end\n"
-        for i, value in enumerate(NONSENSE, 1))
+        for i, (key, value) in enumerate(wrong, 1))
     options, load = given.with_catalogue(folder, f"local t = {{ {GOOD_ENTRY} }}\n{entries}\nreturn t")
-    path = given.write(folder, "can0 [7FF 2A]", *(f"can0 [{i:X} 01 02]" for i in range(1, len(NONSENSE) + 1)))
+    path = given.write(folder, "can0 [7FF 2A]", *(f"can0 [{i:X} 01 02]" for i in range(1, len(wrong) + 1)))
     for arguments in (("-V",), ("-2", "-T", "fields", "-e", "taurus")):
         done = tshark.run(*load, "-r", path, "-o", "yapp.all_extended:TRUE", *arguments, check=False, limits=limits,
                           **options)

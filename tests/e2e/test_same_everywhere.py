@@ -1,4 +1,5 @@
 """What a frame is depends on nothing that is asked for: not on fields, filters and passes, not on what other layers show."""
+import functools
 import random
 import re
 import shutil
@@ -8,6 +9,7 @@ import subprocess
 import pytest
 
 import can_generator
+import levels
 import tshark
 from can_generator import Frame, Sent
 
@@ -32,6 +34,7 @@ def written(folder, frames, layout="plain"):
     return path
 
 
+@levels.each_once
 @pytest.mark.parametrize("named", NAMED, ids=" ".join)
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
 def test_fields_that_are_named_change_nothing(passes, named, folder):
@@ -72,6 +75,7 @@ def test_a_remote_frame_is_no_message_to_count_from(passes, folder):
     assert rows == [[""], [""], ["0.002000000"]]
 
 
+@levels.each_once
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=" ".join)
 @pytest.mark.parametrize("options", [("-V",), ("-T", "fields", "-e", "yapp.crc.status")], ids=" ".join)
 @pytest.mark.parametrize("layout", ["plain", "interfaces", "sll2"])
@@ -116,6 +120,7 @@ def pcapng_file(path, linktypes, frames):
             file.write(can_generator.pcapng_packet(number, frame.bus, record, len(record)))
 
 
+@levels.each_once
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
 @pytest.mark.parametrize("kind", ["IP first", "IP for long", "SLL", "SocketCAN and SLL"])
 def test_buses_never_mix(kind, passes, folder):
@@ -133,6 +138,7 @@ def test_buses_never_mix(kind, passes, folder):
     assert bool(rows[-1][0]) and rows[-1][1] == ""
 
 
+@levels.each_once
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=" ".join)
 @pytest.mark.parametrize("first", [Frame(0x123, bytes(8), kind="standard"), remote(0x08404000, 8)], ids=["11 bits", "remote"])
 def test_decode_as_leaves_others_alone_from_the_first_frame_on(first, passes, folder):
@@ -174,6 +180,20 @@ def traffic(seed):
     return can_generator.merge(rng, streams)
 
 
+# What is taken back when a message comes out good is still said in one pass.
+TOLD = [INFO, "yapp.crc.status", "taurus.motor.timestamp", "yapp.time_delta", "yapp.fragment.orphan", "yapp.fragment.incomplete"]
+
+
+@functools.lru_cache(None)
+def shown_without_a_read_filter(seed):
+    folder = tshark.writable_folder()
+    try:
+        return shown(written(folder, traffic(seed)), *TOLD, passes=("-2",))
+    finally:
+        shutil.rmtree(folder)
+
+
+@levels.each_once
 @pytest.mark.parametrize("read_filter", [
     "yapp.id == 0 || yapp.id == 0x200", "yapp.can.ctrl == 1", "yapp.can.ctrl == 2", "yapp.can.ctrl == 3", "taurus",
     "not yapp.can.ctrl == 1", "not yapp.can.ctrl == 2", "not taurus", "yapp.crc.status == 1"])
@@ -181,11 +201,9 @@ def traffic(seed):
 def test_what_a_read_filter_leaves(seed, read_filter, folder):
     """It takes frames of messages away, and their numbers are the next ones'; what is left shows what it always shows."""
     path = written(folder, traffic(seed))
-    # What is taken back when a message comes out good is still said in one pass.
-    names = [INFO, "yapp.crc.status", "taurus.motor.timestamp", "yapp.time_delta", "yapp.fragment.orphan"]
     numbers = [number for number, in tshark.fields(path, ["frame.number"], "-2", "-Y", read_filter)]
-    every = shown(path, *names, "yapp.fragment.incomplete", passes=("-2",))
-    left = shown(path, *names, "yapp.fragment.incomplete", "yapp.fragment", passes=("-2", "-R", read_filter))
+    every = shown_without_a_read_filter(seed)
+    left = shown(path, *TOLD, "yapp.fragment", passes=("-2", "-R", read_filter))
     assert 0 < len(left) < len(every)
     for now, (row, number) in enumerate(zip(left, numbers, strict=True), 1):
         assert [LINK.sub("", text) for text in row[:-1]] == [LINK.sub("", text) for text in every[int(number) - 1]], number
@@ -205,6 +223,7 @@ def test_a_number_that_nobody_was_asked_about(before, read_filter, folder):
     assert [row[1] for row in rows[:-1]] == [""] * (len(rows) - 1)
 
 
+@levels.each_once
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
 @pytest.mark.parametrize("layout", ["plain", "interfaces", "sll", "sll2"])
 @pytest.mark.parametrize("arguments", [("-d", "can.subdissector,yapp"), can_generator.EVERY_EXTENDED], ids=["Decode As", "all"])
@@ -287,6 +306,7 @@ def test_interfaces_with_high_numbers(interface, folder):
     assert rows == [["", ""]] * 8 + [["1", ""]] * 2
 
 
+@levels.each_once
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
 @pytest.mark.parametrize("arguments", [("-d", "can.subdissector,yapp"), can_generator.EVERY_EXTENDED, ()],
                          ids=["Decode As", "all", "default"])

@@ -1,26 +1,29 @@
 """Serial streams over every carrier, against their truth, in one pass and in two.
 
-    python3 -m pytest tests/e2e/test_streams.py                                some hundred random streams
+    python3 -m pytest tests/e2e/test_streams.py                                some random streams; more with YAPP_DEEP=1
     YAPP_SOAK_STREAMS=1000 python3 -m pytest -s tests/e2e/test_streams.py      a thousand
 
 YAPP_SEED chooses other ones.  A failure says which carrier, seed and packet.
 """
 import collections
+import functools
 import os
 import re
+import shutil
 import subprocess
 
 import pytest
 
+import levels
 import model
 import stream_captures
 import tshark
 from stream_captures import ETHERNET, EXPORTED_PDU, RTAC, USER0, Event, Packet, Place, frame, header
 
-STREAMS = int(os.environ.get("YAPP_SOAK_STREAMS", "240"))
+STREAMS = int(os.environ.get("YAPP_SOAK_STREAMS", levels.size("80", "240")))
 SEED = os.environ.get("YAPP_SEED", "1")
 CARRIERS = list(stream_captures.CARRIERS)
-PER_FILE = 15
+PER_FILE = levels.size(5, 15)
 FILES = -(-STREAMS // PER_FILE)
 
 INFO = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
@@ -282,9 +285,8 @@ SITUATIONS = {
 }
 
 
-def told(carrier, rows):
-    """The packets of a situation."""
-    linktype, link, _ = carrier
+def packets_told(linktype, number, rows, before):
+    """The packets of a situation: in a stream with this number, behind so many packets of others."""
     packets, offset, sequence = [], 0, 1
     for row in rows:
         if isinstance(row, int):
@@ -292,8 +294,8 @@ def told(carrier, rows):
             continue
         data, events, *pending = row
         data, captured = data if isinstance(data, tuple) else (data, len(data))
-        packet = Packet(data, Place(linktype, 0, 0, address=True), captured)
-        packet.number, packet.sequence = len(packets) + 1, sequence
+        packet = Packet(data, Place(linktype, 0, 2 * number, address=True), captured)
+        packet.number, packet.sequence = before + len(packets) + 1, sequence
         packet.time = stream_captures.EPOCH + packet.number * 5000
         packet.start, packet.end = offset, offset + captured
         offset, sequence = packet.end, sequence + len(data)
@@ -305,18 +307,38 @@ def told(carrier, rows):
             at += len(content)
         if pending or any(one.pending for one in packets):
             stream_captures.note_parts(packets, packet)
+    return packets
+
+
+def told(names):
+    """Situations over the same carrier, each in a stream of its own."""
+    linktype, link, options = SITUATIONS[names[0]][0]
+    packets = []
+    for number, name in enumerate(names):
+        packets += packets_told(linktype, number, SITUATIONS[name][1], len(packets))
     stream_captures.note_deltas(packets)
-    return stream_captures.Capture("told", packets, link, carrier[2])
+    return stream_captures.Capture("told", packets, link, options)
 
 
+@functools.lru_cache(None)
+def problems_of(names, passes):
+    capture, folder = told(names), tshark.writable_folder()
+    try:
+        capture.write(folder / "situations.pcapng")
+        return compare(capture, folder / "situations.pcapng", passes)
+    finally:
+        shutil.rmtree(folder)
+
+
+@levels.together("situations")
 @pytest.mark.parametrize("name", SITUATIONS)
-def test_situation(name, folder):
-    carrier, rows = SITUATIONS[name]
-    capture = told(carrier, rows)
-    capture.write(folder / "situation.pcapng")
+def test_situation(name):
+    """All those over one carrier in one file, and alone where something is wrong there; in test-all each alone."""
+    together = tuple(other for other in SITUATIONS if SITUATIONS[other][0] == SITUATIONS[name][0])
     for passes in PASSES:
-        problems = compare(capture, folder / "situation.pcapng", passes)
-        assert not problems, f"{passes}:\n" + "\n".join(problems)
+        if levels.DEEP or problems_of(together, passes):
+            problems = problems_of((name,), passes)
+            assert not problems, f"{passes}:\n" + "\n".join(problems)
 
 
 def test_what_text2pcap_writes(folder):

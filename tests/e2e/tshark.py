@@ -6,6 +6,7 @@ import atexit
 import functools
 import os
 import pathlib
+import re
 import shutil
 import subprocess
 import tempfile
@@ -17,6 +18,7 @@ CAPTURES = ROOT / "test_captures"
 PLUGIN_FILES = ["yapp.lua", "taurus_fields.lua", "yapp"]
 ROUTE = os.environ.get("YAPP_ROUTE", "script")
 TIMEOUT = 300
+LUA_ERROR = "_ws.lua.error"  # the field of a packet in which a dissector failed in Lua
 
 
 @functools.lru_cache(None)
@@ -69,7 +71,7 @@ def load(script=None):
 
 def run(*arguments, plugin=True, stdin=None, cwd=None, env=None, check=True, lua_errors=False, limits=None):
     """Runs tshark, within the limits that the function of this name sets; returns the completed process (text).  Fails on a
-    Lua error at load or in a tap, and on exit != 0."""
+    Lua error at load, in a tap, and in what shows expert items (-V, -T pdml, -z expert); and on exit != 0."""
     environment = {**os.environ, "HOME": str(home(plugin)), "LC_ALL": "C.UTF-8", "TZ": "UTC", **(env or {})}
     environment.pop("XDG_CONFIG_HOME", None)
     command = ["tshark", *(load() if plugin else []), *map(str, arguments)]
@@ -80,6 +82,7 @@ def run(*arguments, plugin=True, stdin=None, cwd=None, env=None, check=True, lua
         assert done.returncode == 0, f"{command}\n{done.stderr}"
     if not lua_errors:
         assert "Lua:" not in done.stderr and "Dissector bug, protocol YAPP" not in done.stderr, done.stderr
+        assert "Lua Error: " not in done.stdout, re.search("Lua Error: .*", done.stdout)[0]
     return done
 
 
@@ -91,11 +94,18 @@ def assert_no_lua_errors(capture, *arguments, passes=((), ("-2",))):
 
 
 def fields(capture, names, *arguments, occurrence="a", separator="\t"):
-    """The fields of each frame: a list of lists, as -T fields prints them; several values are joined by commas."""
-    wanted = [argument for name in names for argument in ("-e", name)]
+    """The fields of each frame: a list of lists, as -T fields prints them; several values are joined by commas.
+
+    No dissector may have failed in Lua: that is a field of the packet, and asked for with the others; where a display
+    filter chooses among the frames, such a frame is chosen too."""
+    wanted = [argument for name in [*names, LUA_ERROR] for argument in ("-e", name)]
+    arguments = [f"({after}) || {LUA_ERROR}" if before == "-Y" else after
+                 for before, after in zip(["", *arguments], arguments)]
     done = run(*arguments, "-r", capture, "-T", "fields", "-E", f"occurrence={occurrence}", "-E",
                f"separator={separator}", *wanted)
-    return [line.split(separator) for line in done.stdout.splitlines()]
+    rows = [line.split(separator) for line in done.stdout.splitlines()]
+    assert not any(row[-1] for row in rows), f"Lua error: {[row for row in rows if row[-1]][:3]}"
+    return [row[:-1] for row in rows]
 
 
 def truth(text):
