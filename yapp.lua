@@ -4,15 +4,19 @@
 local VERSION = "1.0.0"
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 
--- Installed in the plugin folder and given by -X, or installed twice: the first one loads.
+-- Installed in the plugin folder and given by -X, or given twice: the first one loads.  Installed twice: yapp_copies.
 local loaded = package.loaded["yapp.plugin"]
 if loaded then
   io.stderr:write(("yapp: %syapp.lua (%s) is not loaded: %s (%s) is already there\n")
     :format(here, VERSION, loaded.path, loaded.version))
   return loaded
 end
+local plugin = { version = VERSION, path = here .. "yapp.lua" }
+set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
+  description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }
 
 package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
+require("yapp_copies").tell(plugin)
 local parts = {}
 for _, name in ipairs {
   "bus", "can", "can_carrier", "can_id", "candump", "candump_reader", "catalogue", "crc", "decode", "dump",
@@ -351,5 +355,4 @@ yapp:register_heuristic("can", unclaimed)
 candump.register(parts.candump)
 parts.dump_reader.register(parts.dump, function() return streams:framer() end, controller_time)
 
-local plugin = { version = VERSION, path = here .. "yapp.lua" }
 package.loaded["yapp.plugin"] = plugin
