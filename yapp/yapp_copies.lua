@@ -16,19 +16,28 @@ local function slashes(path)
   return (path:gsub("[/\\]+", "/"))
 end
 
--- The folders below this one that have a yapp.lua, each with a slash at its end.
+-- The folders below this one that have a yapp.lua, each with a slash at its end: { folder = true }.
 local function find(folder, depth, found)
   local there, names = pcall(Dir.open, folder)
-  if not there then return found end
+  if not there then return end
   for name in names do
     local path = folder .. "/" .. name
     if name == "yapp.lua" then
-      found[#found + 1] = folder .. "/"
+      found[slashes(folder .. "/")] = true
     elseif depth > 0 and name:sub(1, 1) ~= "." and Dir.exists(path) then
       find(path, depth - 1, found)
     end
   end
-  return found
+end
+
+local function in_plugin_folders()
+  local found, folders = {}, {}
+  for _, folder in ipairs { Dir.global_plugins_path(), Dir.personal_plugins_path(), Dir.personal_config_path("plugins") } do
+    find(folder, DEPTH, found)
+  end
+  for folder in pairs(found) do folders[#folders + 1] = folder end
+  table.sort(folders)
+  return folders
 end
 
 local function version_of(folder)
@@ -53,12 +62,8 @@ end
 --- Says which copies in Wireshark's plugin folders are left out, a line each, and whether this one is a clone there.
 -- @param loaded  the copy that runs: { path = its yapp.lua, version = }
 function M.tell(loaded)
-  local found = find(Dir.personal_plugins_path(), DEPTH, {})
-  find(Dir.global_plugins_path(), DEPTH, found)
-  table.sort(found)
-  local own = slashes(loaded.path)
-  for _, folder in ipairs(found) do
-    if slashes(folder .. "yapp.lua") ~= own then
+  for _, folder in ipairs(in_plugin_folders()) do
+    if folder .. "yapp.lua" ~= slashes(loaded.path) then
       not_loaded(folder, version_of(folder), loaded)
     elseif is_clone(folder) then
       say(folder .. ": " .. CLONE)

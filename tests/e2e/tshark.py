@@ -6,6 +6,7 @@ import atexit
 import functools
 import os
 import pathlib
+import re
 import shutil
 import subprocess
 import tempfile
@@ -24,6 +25,11 @@ def version():
     """The version of the local tshark: (4, 0, 17)."""
     first = subprocess.run(["tshark", "--version"], capture_output=True, text=True, check=True).stdout.split("\n")[0]
     return tuple(int(part) for part in first.split("(Wireshark)")[1].split()[0].rstrip(".").split("."))
+
+
+@functools.lru_cache(None)
+def plugin_version():
+    return re.search(r'^local VERSION = "(.*)"', (PLUGIN / "yapp.lua").read_text(), re.MULTILINE)[1]
 
 
 @functools.lru_cache(None)
