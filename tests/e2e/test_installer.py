@@ -16,7 +16,8 @@ PYTHON = "/usr/bin/python3" if os.path.exists("/usr/bin/python3") else sys.execu
 PLUGINS = tshark.PERSONAL_FOLDER
 YAPP = PLUGINS / "yapp"
 PROFILE = pathlib.Path(".config/wireshark/profiles/YAPP")
-EXTCAP = pathlib.Path(".local/lib/wireshark/extcap" if tshark.version() >= (4, 2) else ".config/wireshark/extcap")
+EXTCAP = pathlib.Path(".local/lib/wireshark/extcap")  # where 4.4 and later look, and we without a tshark
+EXTCAP_4_0 = pathlib.Path(".config/wireshark/extcap")
 
 
 @pytest.fixture
@@ -40,10 +41,13 @@ def source(folder):
     return path
 
 
-def run(home, *arguments, source=tshark.ROOT, code=0, path=None, env=None):
-    """Runs install.py; returns its lines, problems among them."""
+REAL = os.environ["PATH"]  # with the real tshark, which takes time
+
+
+def run(home, *arguments, source=tshark.ROOT, code=0, path="/none", env=None):
+    """Runs install.py, without a tshark unless path has one; returns its lines, problems among them."""
     program = next(p for p in (source / "install.py", source / "tools/install.py") if p.exists())
-    environment = {**os.environ, "HOME": str(home), "LC_ALL": "C.UTF-8", "PATH": path or os.environ["PATH"], **(env or {})}
+    environment = {**os.environ, "HOME": str(home), "LC_ALL": "C.UTF-8", "PATH": path, **(env or {})}
     for name in ("XDG_CONFIG_HOME", "SUDO_USER"):
         if name not in (env or {}):
             environment.pop(name, None)
@@ -72,17 +76,26 @@ def edit(path, text="-- mine\n"):
 
 
 def test_everything_is_installed_and_removed(home, source):
-    lines = run(home, source=source)
+    lines = run(home, source=source, path=REAL)
     assert any(line.startswith("checked") for line in lines) and not any(line.startswith("kept") for line in lines)
     there = all_of(home / YAPP)
     assert {"yapp.lua", "taurus_fields.lua", "yapp/yapp_crc.lua", "installed.json"} <= there
     assert (home / PROFILE / "recently_new").read_text() == "one\n"
+    extcap = EXTCAP if tshark.version() >= (4, 4) else EXTCAP_4_0
     for path in (source / "extcap").glob("*.py"):
-        assert (home / EXTCAP / path.name).read_bytes() == path.read_bytes()
-        assert os.access(home / EXTCAP / path.name, os.X_OK)
-    assert run(home, source=source) == lines
-    assert "removed" in run(home, "uninstall", source=source)[-1]
+        assert (home / extcap / path.name).read_bytes() == path.read_bytes()
+        assert os.access(home / extcap / path.name, os.X_OK)
+    assert run(home, source=source, path=REAL) == lines
+    assert "removed" in run(home, "uninstall", source=source, path=REAL)[-1]
     assert all_of(home) == set()
+
+
+def test_an_extcap_of_an_earlier_wireshark(home, folder, source):
+    """4.0 had it in another folder than 4.4 has: after an upgrade of Wireshark it is in one place again."""
+    run(home, source=source, path=other_tshark(folder, "TShark (Wireshark) 4.0.1 (v4.0.1)\nwith Lua 5.2"), code=1)
+    assert list((home / EXTCAP_4_0).iterdir())
+    run(home, source=source)
+    assert not (home / EXTCAP_4_0).exists() and list((home / EXTCAP).iterdir())
 
 
 def test_it_decodes_when_installed(home):
@@ -227,7 +240,7 @@ def test_another_copy_is_named(home):
     tshark.copy_plugin(home / PLUGINS / "an-old-one", tshark.ROOT)
     for path in [home, *home.rglob("*")]:
         path.chmod(0o777 if path.is_dir() else 0o666)
-    lines = run(home, code=1)
+    lines = run(home, code=1, path=REAL)
     line_of(lines, "problem", "another copy of the plugin is in " + str(home / PLUGINS / "an-old-one"))
     line_of(lines, "problem", "instead of")
 
@@ -287,20 +300,18 @@ def test_a_tshark_that_cannot(home, folder, about, part):
 def test_root(home, folder):
     path = other_tshark(folder, "TShark (Wireshark) 4.4.1.\nwith Lua 5.4")
     line_of(run(home, code=1, path=path), "problem", "as root, Wireshark 4.4.1 runs no Lua plugins")
-    assert "without sudo" in run(home, code=1, env={"SUDO_USER": "someone"})[-1]
+    assert "without sudo" in run(home, code=1, path=REAL, env={"SUDO_USER": "someone"})[-1]
 
 
 def test_a_plugin_that_does_not_load(home):
     run(home)
     edit(home / YAPP / "yapp.lua", "syntax error here\n")
-    problem = line_of(run(home, "check", code=1), "problem", "does not load")
+    problem = line_of(run(home, "check", code=1, path=REAL), "problem", "does not load")
     assert str(home / YAPP / "yapp.lua") in problem
 
 
-def test_without_tshark(home, folder):
-    (folder / "empty").mkdir()
-    lines = run(home, path=str(folder / "empty"))
-    assert "was not checked" in lines[-1]
+def test_without_tshark(home):
+    assert "was not checked" in run(home)[-1]
     assert (home / YAPP / "yapp.lua").exists() and (home / PROFILE).exists()
 
 
@@ -311,7 +322,8 @@ def zips(folder):
     """Made in a copy of the repository, as git has it."""
     top = folder / "top"
     top.mkdir()
-    names = git("ls-files", "-z", "--cached", "--others", "--exclude-standard").stdout.decode().split("\0")[:-1] or tshark.PLUGIN_FILES + ["tools", "extcap", "profiles"]
+    names = git("ls-files", "-z", "--cached", "--others", "--exclude-standard").stdout.decode().split("\0")[:-1]
+    names = names or [*tshark.PLUGIN_FILES, "tools", "extcap", "profiles"]
     for name in names:
         if (tshark.ROOT / name).is_dir():
             shutil.copytree(tshark.ROOT / name, top / name)
@@ -326,7 +338,7 @@ def test_the_zip_installs(home, folder, zips):
     whole, _ = zips
     assert whole.name == f"yapp-{tshark.plugin_version()}.zip"
     zipfile.ZipFile(whole).extractall(folder / "unpacked")
-    lines = run(home, source=folder / "unpacked/yapp")
+    lines = run(home, source=folder / "unpacked/yapp", path=REAL)
     assert any(line.startswith("checked") for line in lines)
     run(home, "uninstall", source=folder / "unpacked/yapp")
     assert all_of(home) == set()
