@@ -31,6 +31,7 @@ LINK_EXPORTED_PDU, LINK_CAN = 252, 227
 PAUSE = 0.002  # seconds: bytes with no longer pause between them are one packet,
 LONGEST = 0.02  # of no more seconds than this,
 LARGEST = 4096  # and no more bytes
+WAIT = 0.2  # seconds, after which a source looks whether it is to stop
 
 
 class Problem(Exception):
@@ -173,8 +174,9 @@ def pieces(port, options):
     fd = open_port(port)
     set_line(fd, options)
     yield None
-    while True:
-        select.select([fd], [], [])
+    while not options.stop.is_set():
+        if not select.select([fd], [], [], WAIT)[0]:
+            continue
         data, now, end = b"", time.time_ns(), time.monotonic() + LONGEST
         try:
             while len(data) < LARGEST and time.monotonic() < end and select.select([fd], [], [], PAUSE)[0]:
@@ -200,22 +202,23 @@ def pieces_by_pyserial(port, options):
     except ImportError as problem:
         raise Problem(f"pyserial is needed: {sys.executable} -m pip install pyserial") from problem
     try:
-        line = serial.Serial(port, options.baud, parity=options.parity[0].upper(), stopbits=options.stopbits)
+        line = serial.Serial(port, options.baud, parity=options.parity[0].upper(), stopbits=options.stopbits, timeout=WAIT)
     except (OSError, ValueError) as problem:
         raise Problem(f"{port} cannot be opened: {problem}. Is it plugged in, or open in another program? Ports: "
                       f"{', '.join(serial_ports()) or 'none'}") from problem
     yield None
-    while True:
+    while not options.stop.is_set():
         try:
             data, now, end = line.read(1), time.time_ns(), time.monotonic() + LONGEST
-            while time.monotonic() < end:
+            while data and time.monotonic() < end:
                 time.sleep(PAUSE)
                 if not line.in_waiting:
                     break
                 data += line.read(line.in_waiting)
         except OSError as problem:
             raise gone(port) from problem
-        yield now, data
+        if data:
+            yield now, data
 
 
 def exported_pdu(data, dissector=b"yapp_serial"):
@@ -267,15 +270,16 @@ def can_frames(options):
     except Exception as problem:  # each adapter's library has its own
         raise Problem(f"{options.adapter} {options.channel} cannot be opened: {problem}") from problem
     yield None
-    while True:
+    while not options.stop.is_set():
         try:
-            message = bus.recv(1)
+            message = bus.recv(WAIT)
         except Exception as problem:
             raise Problem(f"{options.adapter} {options.channel} is gone: {problem}. What was captured is kept") from problem
         if message is not None:
             # Some adapters count from their own start.
             now = round(message.timestamp * 1e9) if message.timestamp > 1e9 else time.time_ns()
             yield now, can_packet(message)
+    bus.shutdown()
 
 
 def can_sources(options):
@@ -293,39 +297,51 @@ def forward(number, source, put):
         put(problem)
 
 
-def is_closed(fifo):
-    """Whether nobody reads any more."""
+def is_left(fifo, parent):
+    """Whether nobody reads any more, or Wireshark has died: dumpcap would read on."""
     if not hasattr(select, "poll"):
         return False
     poll = select.poll()
     poll.register(fifo, 0)
-    return bool(poll.poll(0))
+    return os.getppid() != parent or bool(poll.poll(0))
 
 
 def capture(interface, options):
     """Writes what comes into the fifo, until told to stop or nobody reads."""
-    events = queue.SimpleQueue()
+    events, parent = queue.SimpleQueue(), os.getppid()
     for name in ("SIGTERM", "SIGINT"):
         signal.signal(getattr(signal, name), lambda *_: events.put(None))
+    options.stop = threading.Event()
     sources = interface.sources(options)
+    threads = [threading.Thread(target=forward, args=(number, source, events.put), daemon=True)
+               for number, (_, source) in enumerate(sources)]
     with open(options.fifo, "wb", buffering=0) as fifo:  # first: what ends before that leaves dumpcap waiting
         fifo.write(head_of_file(interface.link, [name or interface.title for name, _ in sources]))
         for _, source in sources:
             next(source)
-        for number, (_, source) in enumerate(sources):
-            threading.Thread(target=forward, args=(number, source, events.put), daemon=True).start()
-        while True:
-            try:
-                event = events.get(timeout=0.5)
-            except queue.Empty:
-                if is_closed(fifo):
-                    return
-                continue
-            if event is None:
+        for thread in threads:
+            thread.start()
+        try:
+            write_packets(fifo, events, lambda: is_left(fifo, parent))
+        finally:
+            options.stop.set()
+            for thread in threads:
+                thread.join(2 * WAIT)
+
+
+def write_packets(fifo, events, is_over):
+    while True:
+        try:
+            event = events.get(timeout=0.5)
+        except queue.Empty:
+            if is_over():
                 return
-            if isinstance(event, Problem):
-                raise event
-            fifo.write(event)
+            continue
+        if event is None:
+            return
+        if isinstance(event, Problem):
+            raise event
+        fifo.write(event)
 
 
 # What Wireshark asks --------------------------------------------------------------------------------------------------
