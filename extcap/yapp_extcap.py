@@ -172,22 +172,34 @@ def set_unusual_rate(fd, baud):
 def pieces(port, options):
     """Yields nothing once, when the port is open; then (time in ns, bytes) of what comes, until the port is gone."""
     fd = open_port(port)
-    set_line(fd, options)
-    yield None
-    while not options.stop.is_set():
-        if not select.select([fd], [], [], WAIT)[0]:
-            continue
-        data, now, end = b"", time.time_ns(), time.monotonic() + LONGEST
+    try:
+        set_line(fd, options)
+        yield None
+        while not options.stop.is_set():
+            if select.select([fd], [], [], WAIT)[0]:
+                yield from piece(fd, port)
+    finally:
         try:
-            while len(data) < LARGEST and time.monotonic() < end and select.select([fd], [], [], PAUSE)[0]:
-                more = os.read(fd, LARGEST - len(data))
-                if not more:
-                    raise OSError("hung up")
-                data += more
-        except OSError as problem:
-            if data:
-                yield now, data
-            raise gone(port) from problem
+            fcntl.ioctl(fd, termios.TIOCNXCL)  # somebody else may have it open
+        except OSError:
+            pass  # gone
+        os.close(fd)
+
+
+def piece(fd, port):
+    """What comes now, up to a pause."""
+    data, now, end = b"", time.time_ns(), time.monotonic() + LONGEST
+    try:
+        while len(data) < LARGEST and time.monotonic() < end and select.select([fd], [], [], PAUSE)[0]:
+            more = os.read(fd, LARGEST - len(data))
+            if not more:
+                raise OSError("hung up")
+            data += more
+    except OSError as problem:
+        if data:
+            yield now, data
+        raise gone(port) from problem
+    if data:
         yield now, data
 
 
@@ -233,8 +245,8 @@ def serial_packets(port, options):
                       f"{(serial_ports() or ['/dev/ttyUSB0'])[0]}")
     if options.port == options.second:
         raise Problem(f"{port} is both ports: choose the one with the other direction as the second, or none")
-    for piece in (pieces if termios else pieces_by_pyserial)(port, options):
-        yield piece and (piece[0], exported_pdu(piece[1]))
+    for got in (pieces if termios else pieces_by_pyserial)(port, options):
+        yield got and (got[0], exported_pdu(got[1]))
 
 
 def serial_sources(options):

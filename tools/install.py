@@ -280,7 +280,7 @@ def loading_problems(wireshark, target):
     if not wireshark.has_lua:
         yield f"{wireshark.tshark} was built without Lua: install Wireshark's official package, or your distribution's"
     protocols, errors = ask(wireshark.tshark, "-G", "protocols")
-    if re.search(r"\tyapp$", protocols.replace("\r", ""), re.MULTILINE):
+    if re.search(r"\tyapp\s", protocols):
         plugins = ask(wireshark.tshark, "-G", "plugins")[0]
         loaded = [line.split("\t")[-1].strip() for line in plugins.splitlines() if line.startswith("yapp.lua\t")]
         if loaded and real(loaded[0]) != real(target / "yapp.lua"):

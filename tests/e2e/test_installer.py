@@ -187,13 +187,17 @@ def test_files_that_a_later_version_does_not_have(home, source):
 
 
 def git(*arguments):
-    return subprocess.run(["git", "-c", "safe.directory=*", "-C", tshark.ROOT, *arguments], capture_output=True, check=False)
+    """What git says; nothing where there is none."""
+    if not shutil.which("git"):
+        return b""
+    return subprocess.run(["git", "-c", "safe.directory=*", "-C", tshark.ROOT, *arguments], capture_output=True,
+                          check=False).stdout
 
 
 def version_1():
     """The files of 1.0.0, from git: nothing where there is no history."""
-    names = git("ls-tree", "-r", "--name-only", "1a1883c", "--", *tshark.PLUGIN_FILES).stdout.decode().split()
-    return {name: git("show", f"1a1883c:{name}").stdout for name in names}
+    names = git("ls-tree", "-r", "--name-only", "1a1883c", "--", *tshark.PLUGIN_FILES).decode().split()
+    return {name: git("show", f"1a1883c:{name}") for name in names}
 
 
 @pytest.mark.skipif(not version_1(), reason="no git history here")
@@ -322,7 +326,7 @@ def zips(folder):
     """Made in a copy of the repository, as git has it."""
     top = folder / "top"
     top.mkdir()
-    names = git("ls-files", "-z", "--cached", "--others", "--exclude-standard").stdout.decode().split("\0")[:-1]
+    names = git("ls-files", "-z", "--cached", "--others", "--exclude-standard").decode().split("\0")[:-1]
     names = names or [*tshark.PLUGIN_FILES, "tools", "extcap", "profiles"]
     for name in names:
         if (tshark.ROOT / name).is_dir():
