@@ -1,15 +1,13 @@
 # make demo, make test: a fresh Debian or Ubuntu is enough; what is missing gets installed (sudo when not root).
 
 SHELL := bash
-VERSION := $(shell sed -n 's/^local VERSION = "\(.*\)"/\1/p' yapp.lua)
-FILES := yapp.lua taurus_fields.lua yapp README.md
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 CAPTURE ?=
 DEMO := document_motor document_command document_uart
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
-.PHONY: demo test unit e2e lint install uninstall dist soak matrix fuzz screenshots needs-tshark needs-tests
+.PHONY: demo test unit e2e lint install uninstall dist soak matrix fuzz screenshots needs-tshark needs-python needs-tests
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
 define install-missing
@@ -24,6 +22,9 @@ endef
 
 needs-tshark:
 	$(call install-missing,tshark,tshark)
+
+needs-python:
+	$(call install-missing,python3,python3)
 
 needs-tests: needs-tshark
 	$(call install-missing,lua5.2 lua5.4 luacheck pytest-3 candump zip,lua5.2 lua5.4 lua-check lua-unit python3-pytest \
@@ -62,16 +63,10 @@ fuzz: needs-tests
 screenshots:
 	tests/screenshots
 
-## Into the personal plugin folder, and out of it
-install: needs-tshark
-	@folder="$$(tests/plugin_folder)" && rm -rf "$$folder/yapp" && mkdir -p "$$folder/yapp" && \
-	  cp -r yapp.lua taurus_fields.lua yapp "$$folder/yapp/" && echo "Installed in $$folder/yapp"
+## For the user who runs it: plugin, live ports, profile; what was changed is kept.  And out of it
+install uninstall: needs-tshark needs-python
+	@/usr/bin/env python3 tools/install.py $@
 
-uninstall: needs-tshark
-	@folder="$$(tests/plugin_folder)" && rm -rf "$$folder/yapp" && echo "Removed $$folder/yapp"
-
-## One zip to unpack in the plugin folder
-dist:
-	$(call install-missing,zip,zip)
-	@rm -rf dist && mkdir -p dist/yapp && cp -r $(FILES) dist/yapp/ && \
-	  (cd dist && zip -qr yapp-$(VERSION).zip yapp) && rm -r dist/yapp && echo dist/yapp-$(VERSION).zip
+## One zip for every desktop, with install.py at its top; one with the profile for Wireshark's Import
+dist: needs-python
+	@/usr/bin/env python3 tools/dist.py

@@ -4,28 +4,32 @@
 local VERSION = "2.0.0"
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 
--- Installed in the plugin folder and given by -X, or installed twice: the first one loads.
+-- Installed in the plugin folder and given by -X, or given twice: the first one loads.  Installed twice: yapp_copies.
 local loaded = package.loaded["yapp.plugin"]
 if loaded then
   io.stderr:write(("yapp: %syapp.lua (%s) is not loaded: %s (%s) is already there\n")
     :format(here, VERSION, loaded.path, loaded.version))
   return loaded
 end
+local plugin = { version = VERSION, path = here .. "yapp.lua" }
+set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
+  description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }
 
 package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
+require("yapp_copies").tell(plugin)
 local parts = {}
 for _, name in ipairs {
   "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly", "can_repeated",
-  "can_wrapper", "catalogue", "catalogue_files", "crc", "decode", "facts", "file_candump", "file_candump_reader", "file_dump",
-  "file_dump_reader", "file_head", "frame", "history", "preferences", "reader", "serial_carrier", "serial_memory",
+  "can_wrapper", "catalogue", "catalogue_files", "crc", "decode", "facts", "file_candump", "file_candump_reader",
+  "file_dump", "file_dump_reader", "file_head", "frame", "history", "preferences", "reader", "serial_carrier", "serial_memory",
   "serial_stream", "sources", "tree", "utf8",
 } do
   parts[name] = require("yapp_" .. name)
 end
 local decode, preferences, candump = parts.decode, parts.preferences, parts.file_candump_reader
 
--- The user's own messages come behind ours: from Wireshark's personal configuration folder, and from where the environment
--- says.
+-- The user's own messages come behind ours: from Wireshark's personal configuration folder, and from where the
+-- environment says.
 local function load_catalogue()
   local files = { { path = here .. "taurus_fields.lua" },
     { path = Dir.personal_config_path("yapp_messages.lua"), optional = true } }
@@ -202,4 +206,4 @@ DissectorTable.get("rtacser.data"):add_for_decode_as(serial)
 candump.register(parts.file_candump)
 parts.file_dump_reader.register(parts.file_dump, function() return streams:framer() end, controller_time)
 
-package.loaded["yapp.plugin"] = { version = VERSION, path = here .. "yapp.lua" }
+package.loaded["yapp.plugin"] = plugin
