@@ -108,7 +108,10 @@ function yapp.dissector(tvb, pinfo, root)
   local can_id = pinfo.match_uint
   if can_id <= 0xFFFF then
     if pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
-    if can_id == 0 and facts:is_decode_as(tvb, pinfo) then return all.dissector(tvb, pinfo, root) end
+    if can_id == 0 and facts:is_decode_as(tvb, pinfo) then
+      frames:guess() -- a first pass without fields took all ids for 0
+      return all.dissector(tvb, pinfo, root)
+    end
   end
   local length = frames:dissect(tvb, pinfo, root, can_id, yapp.prefs.all_extended)
   if length == 0 then facts:note_refused(can_id) end -- for Decode As, which is asked next

@@ -53,6 +53,11 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   return facts.reported
 end
 
+--- Says that a first pass may have been told wrong ids.
+function Carrier:guess()
+  self.memory:guess()
+end
+
 --- A frame that is YAPP's by the user's word, but whose CAN id nothing says: Decode As on its first frame, on a pass
 -- that builds no tree.  Shown as bytes.
 function Carrier:without_id(tvb, pinfo, tree)
@@ -132,7 +137,8 @@ function Carrier:show_alone(view)
     view.item:add(self.tree.fields["fragment.data"], view.tvb())
   end
   if view.record.is_late then
-    self.tree:expert(view.item, "can.id.missing", "The CAN id was not known on the first pass: reload to see the message")
+    self.tree:expert(view.item, "can.id.missing",
+      "The CAN id was not known on the first pass: reload to see the message")
   end
   local kind = KINDS[address.ctrl] or "CAN CTRL " .. address.ctrl
   local is_orphan = kind == "Middle" or kind == "End"
@@ -146,7 +152,7 @@ function Carrier:show_single(view)
   local padding = known and self.parts.can_id.padding(data, reported, known)
   local message = finished(view, padding and padding > 0 and data:sub(1, known) or data, padding and known or reported)
   message.status, message.tvb, message.at = "single", view.tvb, 0
-  message.good = padding ~= nil and #data == reported
+  message.good = #data == reported
   local info = self.tree:payload(self:read(message))
   if view.wanted and (padding or 0) > 0 and #data > known then
     view.item:add(self.tree.fields.padding, view.tvb(known))

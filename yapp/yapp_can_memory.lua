@@ -249,7 +249,7 @@ end
 function Memory:change(record, message)
   local pass, look = record.pass, record.look
   if not pass then return nil end
-  local history, change = pass.history, nil
+  local history, change = pass.history
   message.number = look
   if record.is_now then
     change = history:note(message)

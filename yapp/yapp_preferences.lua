@@ -48,10 +48,10 @@ function M.define(proto, catalogue, decode, max_id)
     "frames too. By default only what is surely YAPP is taken.")
   prefs.search_all = Pref.bool("Look for YAPP in all TCP and UDP traffic", false,
     "YAPP in TCP and UDP is found by itself where a frame is among the first 64 KB of a file, and in live captures. " ..
-    "Switch it on when YAPP comes later in your files; it costs about 1 µs for each packet that no other protocol takes.")
+    "Switch it on when YAPP comes later in your files; it costs about 1 µs for each packet that nobody else takes.")
   prefs.user_dlt = Pref.range("Link types that carry a serial stream", "",
-    "147 to 162, the numbers of DLT_USER0 to DLT_USER15: set it for serial captures with such a link type, where the " ..
-    "protocol's own DLT_USER table is not convenient. It takes the link type over from that table. Usually empty.",
+    "147 to 162, the numbers of DLT_USER0 to DLT_USER15: set it for serial captures with such a link type, where " ..
+    "the protocol's own DLT_USER table is not convenient. It takes the link type over from that table. Usually empty.",
     LAST_DLT)
 end
 

@@ -74,7 +74,7 @@ end
 -- returns  a text for the packet, and what the Info column adds or nil
 function Reader:hint(m)
   local same
-  for _, message in ipairs(m.good and self.messages or {}) do
+  for _, message in ipairs(m.status == "good" and self.messages or {}) do
     if message.size == m.size then same = same or message end
   end
   local text = ("Message ID 0x%x is not in the catalogue"):format(m.id)

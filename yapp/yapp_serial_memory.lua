@@ -281,7 +281,7 @@ local LINKS = { "command_in", "previous_change", "next_change" } -- in a change 
 -- message  as History:note takes it; number and delta are filled in
 -- returns  a change, or nil; its numbers are those of packets
 function Memory.change(_, packet, index, fact, message)
-  local pass, piece, number, change = packet.pass, packet.piece, fact.number, nil
+  local pass, piece, number, change = packet.pass, packet.piece, fact.number
   message.number = number + (fact.place + (packet.events[index].at or 0)) * PLACE
   if packet.is_now then
     change = pass.history:note(message)

@@ -113,7 +113,8 @@ end
 
 --- Whether anyone wants YAPP's items or a message's.
 function Tree:wants_any(tree)
-  return tree.hidden and (tree:referenced(self.yapp_handle or find_handles(self)) or tree:referenced(self.taurus_handle))
+  return tree.hidden and
+    (tree:referenced(self.yapp_handle or find_handles(self)) or tree:referenced(self.taurus_handle))
 end
 
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
@@ -196,7 +197,7 @@ end
 
 --- Says that a CRC is bad, with what was received and expected.
 function Tree:bad_crc(item, message)
-  self:expert(item, "crc.bad", string.format("Bad CRC: received 0x%08x, expected 0x%08x",
+  self:expert(item, "crc.bad", string.format("Received 0x%08x, expected 0x%08x",
     message.crc, message.calculated))
 end
 

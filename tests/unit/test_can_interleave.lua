@@ -153,7 +153,8 @@ function T.test_a_frame_belongs_to_one_message()
       number = number + 1
       local ctrl, data = sent[kind][1], sent[kind][2]
       local entry = bus.frame(state, { bus.can_id(0x123, ctrl, 0, 0), look = number, data = data })
-      list[number] = tostring(not entry and select(2, state.kept:entry(number)) and "orphan" or entry and entry.status or false)
+      local is_alone = not entry and select(2, state.kept:entry(number))
+      list[number] = tostring(is_alone and "orphan" or entry and entry.status or false)
     end
     lu.assertEquals(table.concat(list, " "), expected, text)
   end

@@ -94,7 +94,8 @@ function T.test_one_pass_and_later_looks()
   local known = new()
   lu.assertEquals(looks(known, WHOLE), "part part part part good:1,2,3,4,5")
   lu.assertEquals(looks(known, WHOLE, AGAIN), WHOLE_AGAIN)
-  lu.assertEquals(looks(known, { WHOLE[5], WHOLE[2], WHOLE[2], WHOLE[1] }, AGAIN), "good:1,2,3,4,5 part>5 part>5 part>5")
+  lu.assertEquals(looks(known, { WHOLE[5], WHOLE[2], WHOLE[2], WHOLE[1] }, AGAIN),
+    "good:1,2,3,4,5 part>5 part>5 part>5")
 end
 
 function T.test_a_frame_that_never_came()
@@ -119,8 +120,8 @@ end
 -- second.
 function T.test_a_read_filter()
   local known = new()
-  lu.assertEquals(looks(known, { { 1, "S" }, { 2, "M1" }, { 2, "M2" }, { 2, "M3" }, { 2, "E" }, { 3, "C" }, { 3, "S" } }),
-    "part part part part good:1,2 single part") -- no number for the Middles: theirs is another frame's
+  local rows = { { 1, "S" }, { 2, "M1" }, { 2, "M2" }, { 2, "M3" }, { 2, "E" }, { 3, "C" }, { 3, "S" } }
+  lu.assertEquals(looks(known, rows), "part part part part good:1,2 single part") -- the Middles' number is another's
   lu.assertEquals(looks(known, { { 1, "S" }, { 2, "E" } }, AGAIN), "part>2 good:1,2")
   lu.assertEquals(looks(known, { { 2, "C" }, { 3, "C" } }, AGAIN), "- -")
 end
@@ -160,7 +161,8 @@ end
 function T.test_at_random_the_first_pass_is_asked()
   local known, rows = new { has_buses = true }, two_buses()
   looks(known, rows, { uninformed = true })
-  lu.assertEquals(looks(known, { rows[9], rows[1], rows[2], rows[10] }, AGAIN), "good:1,3,5,7,9 part>9 part>10 good:2,4,6,8,10")
+  lu.assertEquals(looks(known, { rows[9], rows[1], rows[2], rows[10] }, AGAIN),
+    "good:1,3,5,7,9 part>9 part>10 good:2,4,6,8,10")
   lu.assertEquals(known.second and known.reached or 0, 2) -- rows 1 and 2 came in order
 end
 
@@ -170,7 +172,7 @@ function T.test_what_the_first_pass_mixed()
     { 5, "E", { bus = 2, payload = 1 } } }
   local known = new { has_buses = true }
   lu.assertEquals(looks(known, rows, { uninformed = true }), "part part part part good:1,2,3,4,5")
-  lu.assertEquals(looks(known, rows, AGAIN), "part>5 part>5 part>5 part>5 orphan") -- the CRC said so; see wireshark's limits
+  lu.assertEquals(looks(known, rows, AGAIN), "part>5 part>5 part>5 part>5 orphan") -- the links are by CRC
 end
 
 function T.test_an_uninformed_look_between()
@@ -184,7 +186,8 @@ end
 -- What a first pass took for a Middle is a remote frame: the second is told, and goes on.
 function T.test_a_remote_frame_that_the_first_pass_took()
   local known = new()
-  local rows = { { 1, "S" }, { 2, "M1" }, { 3, "?", { wide = true, doubtful = true } }, { 4, "M2" }, { 5, "M3" }, { 6, "E" } }
+  local rows = { { 1, "S" }, { 2, "M1" }, { 3, "?", { wide = true, doubtful = true } }, { 4, "M2" }, { 5, "M3" },
+    { 6, "E" } }
   looks(known, rows)
   lu.assertEquals(looks(known, { rows[1], rows[2] }, AGAIN), "part>6 part>6")
   known:pass_over { number = 3, place = 8, is_again = true, informed = true }
