@@ -8,6 +8,11 @@ local M = {}
 -- ask on a first pass, where records are read and dissected in turns and fields may not be there. It must set this
 -- to nil in its init: sharkd opens another file without closing the first.
 M.current_bus = nil
+--- Its name, fit to be printed; the same holds for it.
+M.current_bus_name = nil
+--- The name of the one bus of the log that was opened last, where Wireshark's own reader took it: of 4.0 and 4.4 that
+-- reader forgets the name. Nil for any other file.
+M.plain_bus = nil
 
 -- Two readers of one kind. The first is asked before Wireshark's own and takes what that gets wrong or not at
 -- all. The second is asked last, so it serves who names it: -X "read_format:yapp_candump" takes any candump text.
@@ -21,18 +26,22 @@ local function report(text)
   io.stderr:write("candump reader: ", text, "\n")
 end
 
--- Copies a record of the pure part to Wireshark's frame.
-local function fill(frame, record, packet, big_endian)
-  frame.rec_type = PACKET
-  if record.seconds then
-    frame.flags = HAS_TIME
-    frame.time = NSTime.new(record.seconds, record.nanoseconds)
+-- Copies a frame of the pure part to Wireshark's.
+local function fill(target, frame)
+  target.rec_type = PACKET
+  if frame.seconds then
+    target.flags = HAS_TIME
+    target.time = NSTime.new(frame.seconds, frame.nanoseconds)
   else
-    frame.flags = 0
+    target.flags = 0
   end
-  frame.data = packet(record, big_endian)
-  if record.comment then frame.comment = record.comment end
-  M.current_bus = record.number
+  target.data = frame.bytes
+  if frame.comment then target.comment = frame.comment end
+  M.current_bus, M.current_bus_name = frame.bus, frame.bus_name
+end
+
+local function forget()
+  M.current_bus, M.current_bus_name = nil, nil
 end
 
 -- Whether Wireshark's own reader takes 00000000 for a standard id.
@@ -42,12 +51,13 @@ local function goes_by_value()
 end
 
 local function make_reader(candump, row, big_endian)
-  local by_value = goes_by_value()
+  local options = { all = row.all, report = report, by_value = goes_by_value(), big_endian = big_endian }
   local handler = FileHandler.new(row[1], row[2], row[1], row[3])
 
   function handler.read_open(file, capture)
-    M.current_bus = nil
-    local log = candump.open(file, row.all, report, by_value)
+    forget()
+    local log
+    log, M.plain_bus = candump.open(file, options)
     if not log then return false end
     capture.encap = wtap_encaps.SLL2
     capture.time_precision = log.decimals == 9 and wtap_tsprecs.NSEC or wtap_tsprecs.USEC
@@ -55,24 +65,21 @@ local function make_reader(candump, row, big_endian)
     return true
   end
 
-  function handler.read(file, capture, frame)
-    local record, offset = candump.read(capture.private_table, file)
-    if not record then return false end
-    fill(frame, record, candump.packet, big_endian)
+  function handler.read(file, capture, target)
+    local frame, offset = candump.read(capture.private_table, file)
+    if not frame then return false end
+    fill(target, frame)
     return offset
   end
 
-  function handler.seek_read(file, capture, frame, offset)
-    local record = candump.seek_read(capture.private_table, file, offset)
-    if not record then return false end
-    fill(frame, record, candump.packet, big_endian)
+  function handler.seek_read(file, capture, target, offset)
+    local frame = candump.seek_read(capture.private_table, file, offset)
+    if not frame then return false end
+    fill(target, frame)
     return true
   end
 
-  function handler.read_close()
-    M.current_bus = nil
-  end
-
+  handler.read_close = forget
   return handler
 end
 

@@ -1,0 +1,45 @@
+-- candump text in memory, and the frames in it.
+local candump = require("yapp_file_candump")
+
+local M = {}
+
+-- A file in memory as Wireshark gives it: reads in order, goes back to its start unless it is a pipe.
+function M.file(text, is_pipe, buffer)
+  local file = { pos = 0, largest = 0 }
+  function file:read(count)
+    local part = text:sub(self.pos + 1, self.pos + count)
+    self.pos = self.pos + #part
+    return part ~= "" and part or nil
+  end
+  function file:seek(_, offset)
+    if is_pipe and self.pos > buffer then return nil, "Illegal seek" end
+    self.pos = offset
+    return offset
+  end
+  return file
+end
+
+-- The log or nil, its file, what it told.
+function M.opened(text, all, by_value)
+  local told = {}
+  local file = M.file(text)
+  local function report(message) told[#told + 1] = message end
+  local log = candump.open(file, { all = all, by_value = by_value, report = report })
+  return log, file, told
+end
+
+-- All frames of a text, with their offsets in `offset`; nil where it is not taken.
+function M.frames_of(text, all)
+  local log, file, told = M.opened(text, all)
+  local frames = {}
+  if not log then return nil, told end
+  local frame, offset = candump.read(log, file)
+  while frame do
+    frame.offset = offset
+    frames[#frames + 1] = frame
+    frame, offset = candump.read(log, file)
+  end
+  return frames, told, log
+end
+
+return M
