@@ -1,4 +1,5 @@
 -- candump text: every form of line, which files are taken, times, buses, what is told of broken lines.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local candump = require("yapp_candump")
 

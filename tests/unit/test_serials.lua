@@ -1,4 +1,5 @@
 -- Serials: what a later pass finds under a frame's number is what the first pass knew of that frame.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local serials = require("yapp_serials")
 
