@@ -7,7 +7,8 @@ DEMO := document_motor document_command document_uart
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
-.PHONY: demo test unit e2e lint install uninstall dist soak matrix fuzz screenshots needs-tshark needs-python needs-tests
+.PHONY: demo test test-all unit unit-5.2 unit-5.4 e2e lint install uninstall dist soak matrix fuzz screenshots \
+  needs-tshark needs-python needs-tests
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
 define install-missing
@@ -34,25 +35,33 @@ needs-tests: needs-tshark
 demo: needs-tshark
 	@tests/demo $(if $(CAPTURE),"$(CAPTURE)",$(DEMO:%=test_captures/%.pcap))
 
-## Everything that a change must pass
+## What a developer runs after every change: each behaviour once, in three minutes
 test: lint unit e2e
+
+## What CI runs: the same, then every form, seed and version, by both loading routes, and fuzzing
+test-all: test
+	tests/matrix
+	$(MAKE) fuzz
 
 lint: needs-tests
 	luacheck -q .
 
 unit: needs-tests
-	lua5.2 tests/unit/run.lua tests/unit/test_*.lua
-	lua5.4 tests/unit/run.lua tests/unit/test_*.lua
+	@$(MAKE) --no-print-directory -j 2 --output-sync=target unit-5.2 unit-5.4
 
+unit-5.2 unit-5.4: unit-%:
+	lua$* tests/unit/run.lua tests/unit/test_*.lua
+
+# YAPP_DEEP=1: in every form, with every seed.
 e2e: needs-tests
-	pytest-3 -q -n auto -p no:cacheprovider tests/e2e
+	pytest-3 -q -n auto --dist loadgroup -p no:cacheprovider tests/e2e
 
 ## The same generators, many more captures: 1,000 CAN captures and 1,000 streams
 soak: needs-tests
-	YAPP_SOAK_CAPTURES=1000 YAPP_SOAK_FRAMES=1000 YAPP_SOAK_STREAMS=1000 \
+	YAPP_DEEP=1 YAPP_SOAK_CAPTURES=1000 YAPP_SOAK_FRAMES=1000 YAPP_SOAK_STREAMS=1000 \
 	  pytest-3 -q -s -p no:cacheprovider tests/e2e/test_can_soak.py tests/e2e/test_streams.py
 
-## The whole suite on Wireshark 4.0, 4.4 and 4.6
+## Every form and seed on Wireshark 4.0, 4.4 and 4.6, in chroots
 matrix:
 	tests/matrix
 

@@ -281,17 +281,21 @@ LARGE = {
 }
 
 
+@levels.each_once
 @pytest.mark.parametrize("name", LARGE)
-def test_files_redirections_and_pipes(tmp_path, name):
+@pytest.mark.parametrize("way", ["file", "-2", "redirection", "pipe"])
+def test_files_redirections_and_pipes(tmp_path, name, way):
     path = tmp_path / "large.log"
     path.write_text(LARGE[name])
-    ways = [rows(tmp_path, ["-r", path]), rows(tmp_path, ["-2", "-r", path])]
-    with open(path, "rb") as stdin:
-        ways.append(rows(tmp_path, ["-r", "-"], stdin=stdin))
-    with subprocess.Popen(["cat", path], stdout=subprocess.PIPE) as cat:
-        ways.append(rows(tmp_path, ["-r", "-"], stdin=cat.stdout))
-    for shown in ways:
-        assert [row["data"] for row in shown] == [f"{i:08x}" for i in range(20000)]
+    if way == "redirection":
+        with open(path, "rb") as stdin:
+            shown = rows(tmp_path, ["-r", "-"], stdin=stdin)
+    elif way == "pipe":
+        with subprocess.Popen(["cat", path], stdout=subprocess.PIPE) as cat:
+            shown = rows(tmp_path, ["-r", "-"], stdin=cat.stdout)
+    else:
+        shown = rows(tmp_path, [*(["-2"] if way == "-2" else []), "-r", path])
+    assert [row["data"] for row in shown] == [f"{i:08x}" for i in range(20000)]
 
 
 def test_deltas_of_a_long_file(tmp_path):

@@ -202,7 +202,7 @@ def test_long_dump(folder):
     rng = random.Random(f"{SEED}, long")
     data = b"".join(clocked(rng, 150) + b"text " * rng.randrange(3000) for _ in range(15)) + b"x" * 200000 + clocked(rng, 5)
     assert len(data) > 4 * LONGEST
-    assert_shown(dump(folder, data), folder, data)
+    assert_shown(dump(folder, data), folder, data, levels.size(["-2"], WAYS))
 
 
 # Times -----------------------------------------------------------------------------------------------------------
@@ -372,10 +372,16 @@ def test_files_of_others(name, extension, folder):
         assert done == outcome(path, plugin=False)[0]
 
 
+@levels.each_once
+@pytest.mark.parametrize("how", ["by its name", "as the user says"])
 @pytest.mark.parametrize("name", NO_DUMPS)
-def test_yapp_files_without_a_frame(name, folder):
+def test_yapp_files_without_a_frame(name, how, folder):
     """The reason is told, whether another reader takes the file or none."""
     path = dump(folder, NO_DUMPS[name])
+    if how == "as the user says":
+        done, errors = outcome(path, *AS_DUMP)
+        assert done[0] and not done[1] and SAID in errors
+        return
     done, errors = outcome(path)
     assert SAID in errors
     assert ("the file is empty" if name == "empty" else "no YAPP frame with a good CRC") in errors
@@ -383,8 +389,6 @@ def test_yapp_files_without_a_frame(name, folder):
         assert done[0] == 0 and "Motor Data" in done[1]
     else:
         assert done == outcome(path, plugin=False)[0]
-    done, errors = outcome(path, *AS_DUMP)
-    assert done[0] and not done[1] and SAID in errors
 
 
 @pytest.mark.parametrize("name", ["pcap", "pcapng"])

@@ -98,8 +98,8 @@ PLANTED = {
 @pytest.mark.parametrize("way", [fuzz.TREE, fuzz.TWO_PASSES], ids=short)
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_fault_is_found(planted, monkeypatch, name, way):
-    monkeypatch.setattr(fuzz, "CPU_SECONDS", 5 if name == "busy" else 20)
-    monkeypatch.setattr(fuzz, "SECONDS", 6 if name == "asleep" else 120)
+    monkeypatch.setattr(fuzz, "CPU_SECONDS", 2 if name == "busy" else 20)
+    monkeypatch.setattr(fuzz, "SECONDS", 3 if name == "asleep" else 120)
     *where, says = PLANTED[name]
     assert says in (planted(*where, way) or "nothing")
 

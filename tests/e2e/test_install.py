@@ -150,6 +150,14 @@ def test_about_plugins(home):
     assert line[1] == tshark.plugin_version()
 
 
+def test_a_clone_in_the_plugin_folder(home):
+    """Wireshark runs every .lua file in it, those of the tests too."""
+    clone = home / PLUGINS / "clone"
+    shutil.copytree(tshark.ROOT, clone, ignore=shutil.ignore_patterns(".git", "test_captures", "dist"))
+    line, = load(home, cwd=home)
+    assert line.startswith("yapp: ") and str(clone) in line and "clone" in line and "make install" in line
+
+
 def test_file_names_cannot_clash():
     """All plugins share one space of module names; a dot in one is an error from 4.4 on."""
     files = [tshark.ROOT / "yapp.lua", tshark.ROOT / "taurus_fields.lua", *(tshark.ROOT / "yapp").rglob("*")]

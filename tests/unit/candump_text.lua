@@ -1,4 +1,5 @@
 -- candump text in memory, and the frames in it.
+if not arg then return end -- run by Wireshark, see run.lua
 local candump = require("yapp_file_candump")
 
 local M = {}

@@ -1,4 +1,5 @@
 -- Makes streams for the framing tests: frames, good and damaged in every way, amid text and noise.
+if not arg then return end -- run by Wireshark, see run.lua
 local crc = require("yapp_crc")
 
 local M = {}

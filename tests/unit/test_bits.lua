@@ -1,4 +1,5 @@
 -- Bit operations: unsigned in every Lua, whatever its library gives.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local bits = require("yapp_bits")
 

@@ -4,6 +4,7 @@
 -- Command), or "?" (a Middle of an ID that nobody knows); more = { place =, bus =, again =, uninformed =, id =, wide =,
 -- doubtful = }. What it says is written "part>5" (leads to frame 5), "good:1,2,3,4,5" (with its frames), "single",
 -- "orphan", "-".
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local can_id = require("yapp_can_id")
 local crc = require("yapp_crc")

@@ -7,6 +7,7 @@
 -- marks: ! wrong CRC, r reserved bytes 5 (the CRC covers them), /7 only 7 bytes long (or longer, with zeros),
 --        ~4 only 4 bytes captured, ? bytes that nobody sent, p12 zeros up to 12 bytes, = the frame before it once more
 -- Each sender has payloads of its own; all have the same key unless the test gives ids.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local can_id = require("yapp_can_id")
 local crc = require("yapp_crc")

@@ -1,4 +1,5 @@
 -- Values: compressed floats against the document's table, times, flags, the Info column.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp_catalogue")
 local decode = require("yapp_decode")

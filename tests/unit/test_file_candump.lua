@@ -1,4 +1,5 @@
 -- A file of candump text: times, buses, offsets, what is told of broken lines.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local candump = require("yapp_file_candump")
 local line = require("yapp_file_candump_line")

@@ -1,4 +1,5 @@
 -- A line of candump text: every form, what is no frame, the packet made of it.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local candump = require("yapp_file_candump_line")
 

@@ -1,4 +1,5 @@
 -- A raw serial dump: records, offsets, times, and what is not a dump.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local crc = require("yapp_crc")
 local dump = require("yapp_file_dump")

@@ -1,4 +1,5 @@
 -- The header of a serial frame: read, judged, built.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local frame = require("yapp_frame")
 

@@ -1,4 +1,5 @@
 -- The preference that names sources, and what they are called.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local sources = require("yapp_sources")
 

@@ -1,0 +1,34 @@
+"""The tests' own way to run tshark sees what goes wrong in Lua, whatever is asked for: exit code 0 proves nothing."""
+import pytest
+import tshark
+
+CAPTURE = tshark.CAPTURES / "document_motor.pcap"
+PLANTED = """
+local planted = Proto("planted", "Planted")
+function planted.dissector(_, pinfo) if pinfo.number == 3 then error("planted") end end
+register_postdissector(planted)
+"""
+
+
+@pytest.fixture
+def load(folder):
+    (folder / "planted.lua").write_text(PLANTED)
+    return tshark.load(folder / "planted.lua")
+
+
+@pytest.mark.parametrize("arguments", [(), ("-2",), ("-2", "-Y", "frame.number == 1"), ("-Y", "udp")], ids=" ".join)
+def test_an_error_in_a_frame_is_seen_among_its_fields(arguments, load):
+    with pytest.raises(AssertionError, match="Lua error"):
+        tshark.fields(CAPTURE, ["frame.number"], *load, *arguments)
+
+
+@pytest.mark.parametrize("arguments", [("-V",), ("-T", "pdml"), ("-q", "-z", "expert")], ids=" ".join)
+def test_an_error_in_a_frame_is_seen_in_trees_and_lists(arguments, load):
+    with pytest.raises(AssertionError, match="Lua Error: .*planted"):
+        tshark.run("-r", CAPTURE, *load, *arguments)
+
+
+def test_an_error_at_load_is_seen(folder):
+    (folder / "planted.lua").write_text("error('planted')")
+    with pytest.raises(AssertionError, match="Lua:"):
+        tshark.run("-r", CAPTURE, *tshark.load(folder / "planted.lua"))
