@@ -59,7 +59,7 @@ def known():
     for entry in [path, *path.rglob("*")]:
         entry.chmod(0o777 if entry.is_dir() else 0o644)
     done = tshark.run("-G", "fields", plugin=False, env={"HOME": str(path)})
-    yield {line.split("\t")[2] for line in done.stdout.splitlines() if line.count("\t") > 2}
+    yield {line.split("\t")[2] for line in done.stdout.splitlines() if line.count("\t") > 1}
     shutil.rmtree(path, ignore_errors=True)
 
 
