@@ -1,4 +1,5 @@
 """docs/files.md: each file of its table opens, or does not, as the table says for this Wireshark."""
+import os
 import re
 import shutil
 import subprocess
@@ -9,7 +10,7 @@ import tshark
 
 FOLDER = tshark.CAPTURES / "other"
 DOCUMENT = tshark.ROOT / "docs/files.md"
-PYTHON = "/usr/bin/python3" if shutil.which("/usr/bin/python3") else sys.executable
+PYTHON = os.environ.get("YAPP_PYTHON") or ("/usr/bin/python3" if os.path.exists("/usr/bin/python3") else sys.executable)
 # Voltage of Motor Data, speed of Command.
 WHOLE = {"motor": ["47.97314\t", "47.97314\t", "\t671.4482"], "motor_fd": ["47.97314\t"],
          "two_interfaces": ["47.97314\t", "47.97314\t"]}
