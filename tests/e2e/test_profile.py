@@ -91,7 +91,7 @@ def test_columns(home):
 
 @pytest.mark.parametrize("capture, rule", [
     ("bad_crc_can.pcap", "YAPP bad CRC"), ("lost_middle.pcap", "YAPP incomplete or stray"),
-    ("extra_middle.pcap", "YAPP incomplete or stray"), ("middle_without_start.pcap", "YAPP incomplete or stray"),
+    ("end_without_start.pcap", "YAPP incomplete or stray"), ("middle_without_start.pcap", "YAPP incomplete or stray"),
     ("invalid_key.pcap", "YAPP command ignored"), ("fault_flags.pcap", "YAPP fault raised"),
 ])
 def test_colours(home, known, capture, rule):
