@@ -20,7 +20,8 @@ require("yapp_copies").tell(plugin)
 local parts = {}
 for _, name in ipairs {
   "bus", "can", "can_carrier", "can_id", "candump", "candump_reader", "catalogue", "crc", "decode", "dump",
-  "dump_reader", "head", "interleave", "reassembly", "serial_carrier", "serials", "stream", "tree",
+  "dump_reader", "file_asc", "file_asc_reader",
+  "head", "interleave", "reassembly", "serial_carrier", "serials", "stream", "tree",
   "utf8",
 } do
   parts[name] = require("yapp_" .. name)
@@ -353,6 +354,7 @@ end
 for _, name in ipairs { "tcp.port", "udp.port" } do DissectorTable.get(name):add_for_decode_as(yapp) end
 yapp:register_heuristic("can", unclaimed)
 candump.register(parts.candump)
+parts.file_asc_reader.register { asc = parts.file_asc, packet = parts.candump.packet, told = candump }
 parts.dump_reader.register(parts.dump, function() return streams:framer() end, controller_time)
 
 package.loaded["yapp.plugin"] = plugin
