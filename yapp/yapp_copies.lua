@@ -32,8 +32,8 @@ end
 
 local function in_plugin_folders()
   local found, folders = {}, {}
-  for _, folder in ipairs { Dir.global_plugins_path(), Dir.personal_plugins_path(),
-    Dir.personal_config_path("plugins") } do
+  local roots = { Dir.global_plugins_path(), Dir.personal_plugins_path(), Dir.personal_config_path("plugins") }
+  for _, folder in ipairs(roots) do
     find(folder, DEPTH, found)
   end
   for folder in pairs(found) do folders[#folders + 1] = folder end

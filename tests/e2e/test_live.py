@@ -1,6 +1,5 @@
 """Live ports: extcap/yapp_extcap.py on a pseudo terminal, and CAN on python-can's virtual bus; by itself, and under the real
 tshark.  Every byte that is written comes out, in order; and whatever ends a capture is said."""
-import importlib.util
 import os
 import pathlib
 import pty
@@ -22,8 +21,8 @@ import pytest
 import tshark
 
 EXTCAP = tshark.ROOT / "extcap/yapp_extcap.py"
-# tshark starts it with this one, so the tests do; on a developer's machine another Python may come first.
-PYTHON = os.environ.get('PYX') or ('/usr/bin/python3' if os.path.exists('/usr/bin/python3') else sys.executable)
+# YAPP_PYTHON: one with python-can and pyserial, where the system's has none.
+PYTHON = os.environ.get("YAPP_PYTHON") or ("/usr/bin/python3" if os.path.exists("/usr/bin/python3") else sys.executable)
 FRAME = bytes.fromhex("5950000010020000 20000000 FD7FFD7FFD7FFD7FF5AFFD7F1801 00000140 00000000 E38CD23CE04E0000 05FF BBBE6FC7")
 
 
@@ -533,6 +532,36 @@ def command_of(number):
         return []
 
 
+DOCUMENT = (tshark.ROOT / "docs/live.md").read_text()
+
+
+@pytest.mark.parametrize("command", re.findall(r"^    tshark -i yapp-serial (.*)", DOCUMENT, re.MULTILINE))
+def test_commands_of_the_document(home, folder, port, second, command):
+    for name, there in (("/dev/ttyUSB0", port.name), ("/dev/ttyUSB1", second.name), ("both.pcapng", folder / "both.pcapng")):
+        command = command.replace(name, str(there))
+    process = run_tshark(home, *tshark.load(), "-l", "-i", "yapp-serial", *command.split())
+    port.wait_until_open()
+    port.write(FRAME[:42] + FRAME)  # the first is cut off
+    time.sleep(1)
+    process.send_signal(signal.SIGINT)
+    out, errors = ends(process)
+    assert "captured" in errors
+    if "both" in command:
+        assert (folder / "both.pcapng").read_bytes().count(FRAME) == 1
+    else:
+        assert ("Motor Data" in out) == ("fault.active" not in command)
+
+
+def test_settings_in_the_document():
+    for interface in ("yapp-serial", "yapp-can"):
+        out, _ = spoken("--extcap-config", "--extcap-interface", interface)
+        calls = {call.replace("-", "_") for call in re.findall(r"\{call=--([\w-]+)\}", out)}
+        named = set(re.findall(rf"extcap\.{interface.replace('-', '_')}\.(\w+):", DOCUMENT))
+        assert named and named <= calls
+        for call in calls:
+            assert f"`{call.replace('_', '-')}`" in DOCUMENT
+
+
 # CAN, and pyserial ----------------------------------------------------------------------------------------------------
 
 def has(module):
@@ -623,7 +652,7 @@ def test_without_python_can(folder):
     assert "python-can is needed" in extcap.end(how=None, code=1)[1]
 
 
-@pytest.mark.skipif(not importlib.util.find_spec("serial") and not has("serial"), reason="no pyserial")
+@pytest.mark.skipif(not has("serial"), reason="no pyserial")
 def test_the_way_of_windows(folder, port):
     """pyserial, on the same pseudo terminal."""
     program = folder / "windows.py"
