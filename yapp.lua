@@ -42,12 +42,17 @@ end
 
 local wide_open = false -- the preference "all extended CAN frames are YAPP"
 
--- The user's own messages: at a path that the environment names, and in Wireshark's personal configuration folder.
+-- The user's own messages: in Wireshark's personal configuration folder, and where a preference or the environment
+-- says.  Fields can be registered only while a plugin loads, when no preference is known: that of the default profile is
+-- read from its file.
+local chosen_file = parts.catalogue_files.preference(Dir.personal_config_path("preferences"), "yapp.messages")
+
 local function catalogue_files()
   local files = { { path = here .. "taurus_fields.lua" },
     { path = Dir.personal_config_path("yapp_messages.lua"), optional = true } }
+  if chosen_file then files[#files + 1] = { path = chosen_file } end
   local named = os.getenv("YAPP_MESSAGES")
-  if named and named ~= "" then files[3] = { path = named } end
+  if named and named ~= "" then files[#files + 1] = { path = named } end
   return files
 end
 
@@ -70,6 +75,10 @@ for _, message in ipairs(catalogue.messages) do
     ("The IDs that carry Taurus %s. Change it when a controller has other IDs than the default, or when several " ..
      "controllers share a bus: 0x210,0x211,0x300-0x303."):format(message.title), parts.catalogue.MAX_ID)
 end
+yapp.prefs.messages = Pref.string("File with your own messages", "",
+  "A Lua file like taurus_fields.lua. Its messages come after those of yapp_messages.lua in the personal " ..
+  "configuration folder, which needs no setting. It is read when Wireshark starts, from the default profile's " ..
+  "setting: a change takes effect at the next start. For one run alone set the environment variable YAPP_MESSAGES.")
 yapp.prefs.all_extended = Pref.bool("All extended CAN frames are YAPP", false,
   "Switch it on for a bus that carries nothing but YAPP, to see unknown IDs, other YAPP CTL values and malformed " ..
   "frames too. By default only what is surely YAPP is taken.")
@@ -313,6 +322,11 @@ local function read_preferences()
   complain_once(problems)
   tree.by_id = by_id
   for id in pairs(by_id) do register_id(id) end
+  local file = yapp.prefs.messages
+  if file ~= "" and file ~= chosen_file then
+    complain_once { ("%s is read at the next start, if the default profile names it; for one run set the " ..
+      "environment variable YAPP_MESSAGES to it"):format(file) }
+  end
   wide_open = yapp.prefs.all_extended
   if wide_open then ids:wrap(wrapper) end
   take_dlts()

@@ -66,7 +66,7 @@ local function add_options(field, row, complain)
   if row.invalid ~= nil and not (INVALID[row.invalid] and row.values) then
     complain("invalid is value.invalid or command.key.invalid, for a field with values")
   end
-  field.invalid = row.invalid or (row.values and "value.invalid") or nil
+  field.invalid = row.invalid or ((row.values or field.kind == "bool") and "value.invalid") or nil
   add_scale(field, row, complain)
 end
 
@@ -101,7 +101,6 @@ local function compile_field(message, row, complain)
   local field = { name = row[1], title = row[3], type = row[2], kind = def.kind, size = size, top = def.top,
     bottom = def.bottom, filter = message.filter .. "." .. row[1] }
   if field.kind == "float" then add_range(field, row, complain) end
-  if field.kind == "bool" then field.invalid = "value.invalid" end
   if not check_flag_options(row, complain) then return end
   add_options(field, row, complain)
   local parts = {}
