@@ -45,7 +45,8 @@ local wide_open = false -- the preference "all extended CAN frames are YAPP"
 -- The user's own messages: in Wireshark's personal configuration folder, and where a preference or the environment
 -- says.  Fields can be registered only while a plugin loads, when no preference is known: that of the default profile is
 -- read from its file.
-local chosen_file = parts.catalogue_files.preference(Dir.personal_config_path("preferences"), "yapp.messages")
+local preferences_file = Dir.personal_config_path("preferences")
+local chosen_file = parts.catalogue_files.preference(preferences_file, "yapp.messages")
 
 local function catalogue_files()
   local files = { { path = here .. "taurus_fields.lua" },

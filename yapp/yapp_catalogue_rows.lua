@@ -38,7 +38,7 @@ local function add_scale(field, row, complain)
   if row.values ~= nil or row.flags ~= nil or row.bits ~= nil then
     return complain("a field has a scale, or values, flags and bits, not both")
   end
-  field.scale, field.zero = scale, zero
+  field.scale, field.zero = scale + 0.0, zero + 0.0 -- COMPAT 5.4: products of integers wrap around
 end
 
 -- min and max make a compressed float of the bytes; without them float32 and float64 are IEEE 754's.
@@ -50,7 +50,7 @@ local function add_range(field, row, complain)
   if not (check.is_finite(row.min) and check.is_finite(row.max) and row.min < row.max) then
     return complain("%s needs min and max, min below max", field.type)
   end
-  field.min, field.max = row.min, row.max
+  field.min, field.max = row.min + 0.0, row.max + 0.0 -- COMPAT 5.4: products of integers wrap around
   -- A double holds the counts of six bytes; those of more are read with the reserved ones set apart.
   field.ordinary = field.size > 6 and field.top or field.top - 5
 end

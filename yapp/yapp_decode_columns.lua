@@ -128,6 +128,12 @@ end
 
 -- Rows --------------------------------------------------------------------------------------------------------------
 
+-- A number as source; COMPAT 5.4: as a float.
+local function literal(number)
+  local text = format("%.17g", number)
+  return text:find("[.e]") and text or text .. ".0"
+end
+
 -- One field's line of source.
 local function line_source(field, i)
   if field.kind == "time" then return format("out[%d] = seconds(time(payload, %d))", i, field.offset) end
@@ -136,8 +142,8 @@ local function line_source(field, i)
   end
   local steps = field.top - decode.divisor()
   return format('a = raws[%d]\nif a > %d then out[%d] = SPECIALS[%d - a] else out[%d] = ' ..
-    'format("%s,", (%.17g + a * %.17g) / %.17g) end', i, field.ordinary, i, field.top, i, decode.format_of(field),
-    field.min * steps, field.max - field.min, steps)
+    'format("%s,", (%s + a * %s) / %s) end', i, field.ordinary, i, field.top, i, decode.format_of(field),
+    literal(field.min * steps), literal(field.max - field.min), literal(steps))
 end
 
 local function row_source(message)
