@@ -43,8 +43,8 @@ end
 local wide_open = false -- the preference "all extended CAN frames are YAPP"
 
 -- The user's own messages: in Wireshark's personal configuration folder, and where a preference or the environment
--- says.  Fields can be registered only while a plugin loads, when no preference is known: that of the default profile is
--- read from its file.
+-- says.  Fields can be registered only while a plugin loads, when no preference is known: that of the default profile
+-- is read from its file.
 local preferences_file = Dir.personal_config_path("preferences")
 local chosen_file = parts.catalogue_files.preference(preferences_file, "yapp.messages")
 

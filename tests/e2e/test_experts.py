@@ -93,7 +93,7 @@ EXPERTS = [
     ("taurus.flags.undefined", "health_status", list(range(5, 11)), "Notes",
      "A bit is set that no table defines"),
     ("taurus.value.invalid", "undefined_values", [1, 2, 7], "Warns",
-     "Value that the document does not define"),
+     "Value that is not defined"),
 ]
 
 
