@@ -10,7 +10,7 @@ return {
     { "i16", "int16", "16 bits" }, { "i24", "int24", "24 bits" }, { "i32", "int32", "32 bits", unit = "counts" },
     { "i64", "int64", "64 bits" } },
   { name = "real", title = "Real", id = 0x303, size = 12,
-    info = "{f32} {f64:%.3f}",
+    info = "{f32} {f64}",
     { "f32", "float32", "Four bytes", unit = "m" }, { "f64", "float64", "Eight bytes" } },
   { name = "compressed", title = "Compressed", id = 0x304, size = 36,
     { "c8", "float8", "8 bits", min = -40, max = 210, unit = "°C" },
