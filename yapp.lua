@@ -28,21 +28,25 @@ for _, name in ipairs {
 end
 local decode, preferences, candump = parts.decode, parts.preferences, parts.file_candump_reader
 
--- The user's own messages come behind ours: from Wireshark's personal configuration folder, and from where the
--- environment says.
+-- The user's own messages come behind ours: from Wireshark's personal configuration folder, and from where a preference or
+-- the environment says.  Fields can be registered only while a plugin loads, when no preference is known: that of the
+-- default profile is read from its file.
+local chosen_file = parts.catalogue_files.preference(Dir.personal_config_path("preferences"), "yapp.messages")
+
 local function load_catalogue()
   local files = { { path = here .. "taurus_fields.lua" },
     { path = Dir.personal_config_path("yapp_messages.lua"), optional = true } }
-  local named = os.getenv("YAPP_MESSAGES")
-  if named and named ~= "" then files[3] = { path = named } end
+  for _, path in ipairs { chosen_file or "", os.getenv("YAPP_MESSAGES") or "" } do
+    if path ~= "" then files[#files + 1] = { path = path } end
+  end
   local compiled, problems = parts.catalogue_files.load(files)
   preferences.complain(problems)
-  return compiled
+  return compiled, #problems == 0
 end
 
 -- Protocols and preferences -----------------------------------------------------------------------------------------
 
-local catalogue = load_catalogue()
+local catalogue, is_whole = load_catalogue()
 local MAX_ID = parts.catalogue.MAX_ID
 local yapp = Proto("yapp", "Yet Another Packet Protocol")
 local all = Proto("yapp_all", "YAPP (all extended frames)")
@@ -171,6 +175,7 @@ local function read_preferences()
   local sources, problems = parts.sources.parse(prefs.sources, catalogue)
   preferences.complain_once(clashes)
   preferences.complain_once(problems)
+  preferences.check_messages_file(prefs.messages, chosen_file)
   reader:use(by_id, sources)
   for id in pairs(by_id) do claim_id(id) end
   for _, row in ipairs(sources:list()) do

@@ -89,4 +89,16 @@ function M.load(files)
   return compiled, problems
 end
 
+--- The value of a preference in a file of Wireshark's preferences, nil where it has none.
+-- The API tells no preference while a plugin loads, and fields can be registered at no other time.
+function M.preference(path, name)
+  local file = io.open(path)
+  if not file then return nil end
+  local text = "\n" .. (file:read("*a") or "") .. "\n"
+  file:close()
+  local _, at = text:find(("\n%s:"):format(name), 1, true)
+  local value = at and text:match("^[ \t]*([^\r\n]-)[ \t\r]*\n", at + 1)
+  return value ~= "" and value or nil
+end
+
 return M

@@ -38,7 +38,7 @@ local function add_scale(field, row, complain)
   if row.values ~= nil or row.flags ~= nil or row.bits ~= nil then
     return complain("a field has a scale, or values, flags and bits, not both")
   end
-  field.scale, field.zero = scale, zero
+  field.scale, field.zero = scale + 0.0, zero + 0.0 -- COMPAT 5.4: products of integers wrap around
 end
 
 -- min and max make a compressed float of the bytes; without them float32 and float64 are IEEE 754's.
@@ -50,7 +50,7 @@ local function add_range(field, row, complain)
   if not (check.is_finite(row.min) and check.is_finite(row.max) and row.min < row.max) then
     return complain("%s needs min and max, min below max", field.type)
   end
-  field.min, field.max = row.min, row.max
+  field.min, field.max = row.min + 0.0, row.max + 0.0 -- COMPAT 5.4: products of integers wrap around
   -- A double holds the counts of six bytes; those of more are read with the reserved ones set apart.
   field.ordinary = field.size > 6 and field.top or field.top - 5
 end
@@ -66,7 +66,7 @@ local function add_options(field, row, complain)
   if row.invalid ~= nil and not (INVALID[row.invalid] and row.values) then
     complain("invalid is value.invalid or command.key.invalid, for a field with values")
   end
-  field.invalid = row.invalid or (row.values and "value.invalid") or nil
+  field.invalid = row.invalid or ((row.values or field.kind == "bool") and "value.invalid") or nil
   add_scale(field, row, complain)
 end
 
@@ -101,7 +101,6 @@ local function compile_field(message, row, complain)
   local field = { name = row[1], title = row[3], type = row[2], kind = def.kind, size = size, top = def.top,
     bottom = def.bottom, filter = message.filter .. "." .. row[1] }
   if field.kind == "float" then add_range(field, row, complain) end
-  if field.kind == "bool" then field.invalid = "value.invalid" end
   if not check_flag_options(row, complain) then return end
   add_options(field, row, complain)
   local parts = {}

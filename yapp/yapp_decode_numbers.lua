@@ -13,7 +13,7 @@ function M.float32(a, b, c, d)
   local sign, exponent = d >= 0x80 and -1 or 1, d % 0x80 * 2 + (c >= 0x80 and 1 or 0)
   local mantissa = c % 0x80 * 0x10000 + b * 0x100 + a
   if exponent == 0xFF then return mantissa == 0 and sign * HUGE or 0 / 0 end
-  if exponent == 0 then return sign * mantissa * 2 ^ -149 end
+  if exponent == 0 then return sign * (mantissa * 2 ^ -149) end
   return sign * (mantissa + 0x800000) * 2 ^ (exponent - 150)
 end
 
@@ -23,7 +23,7 @@ function M.float64(payload, at)
   local sign, exponent = h >= 0x80 and -1 or 1, h % 0x80 * 16 + (g - g % 16) / 16
   local mantissa = (a + b * 0x100 + c * 0x10000 + d * 0x1000000) + (e + f * 0x100 + g % 16 * 0x10000) * 2 ^ 32
   if exponent == 0x7FF then return mantissa == 0 and sign * HUGE or 0 / 0 end
-  if exponent == 0 then return sign * mantissa * 2 ^ -1074 end
+  if exponent == 0 then return sign * (mantissa * 2 ^ -1074) end
   return sign * (mantissa + 2 ^ 52) * 2 ^ (exponent - 1075)
 end
 

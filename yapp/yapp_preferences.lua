@@ -37,6 +37,10 @@ function M.define(proto, catalogue, decode, max_id)
       ("The IDs that carry Taurus %s. Change it when a controller has other IDs than the default, or when several " ..
        "controllers share a bus: 0x210,0x211,0x300-0x303."):format(message.title), max_id)
   end
+  prefs.messages = Pref.string("File with your own messages", "",
+    "A Lua file like taurus_fields.lua. Its messages come after those of yapp_messages.lua in the personal " ..
+    "configuration folder, which needs no setting. It is read when Wireshark starts, from the default profile's " ..
+    "setting: a change takes effect at the next start. For one run alone set the environment variable YAPP_MESSAGES.")
   prefs.sources = Pref.string("Names of sources", "",
     "What to call an ID, everywhere or on one bus, and which message it carries: 0x210=motor:left_fore, " ..
     "0x211=motor:left_aft, can1/0x210=motor:right_fore, 0x212=left_tail.")
@@ -75,6 +79,14 @@ function M.late(text)
   local late = tonumber(text)
   if late and late > 0 and late < math.huge then return late, {} end
   return 2.5, { ("a gap is late above %q periods: not a number above 0, so it stays 2.5"):format(text) }
+end
+
+--- Says so where the file with the user's own messages is not the one that was read when Wireshark started.
+-- file  of the preference; read: the path that was read, or nil
+function M.check_messages_file(file, read)
+  if file == "" or file == read then return end
+  M.complain_once { ("%s is read at the next start, if the default profile names it; for one run set the environment " ..
+    "variable YAPP_MESSAGES to it"):format(file) }
 end
 
 local taken = {} -- [encapsulation] = its dissector before, or true

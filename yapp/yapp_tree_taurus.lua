@@ -115,7 +115,9 @@ local function build(self, tree, what)
     local raw = raws[i]
     if is_there(field, raw, raws, payload) and (all or field_wanted(tree, self.fields[field])) then
       local parent = field.inside and items[message.index[field.inside]] or top
-      items[i] = adders[field.kind](self, parent, tvb(at + field.offset, field.size), field, raw, payload)
+      local item = adders[field.kind](self, parent, tvb(at + field.offset, field.size), field, raw, payload)
+      if field.element then item.text = field.title .. (item.text or ""):sub(#field.array_title + 1) end
+      items[i] = item
     end
   end
   if message.differences[1] then add_differences(self, top, message, raws) end

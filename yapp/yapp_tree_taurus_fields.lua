@@ -12,7 +12,7 @@ local EXPERTS = {
   { "command.key.invalid", "Key is not valid: the command is ignored", "PROTOCOL", "WARN" },
   { "value.special", "No ordinary number: a reserved count, NaN or infinity", "PROTOCOL", "NOTE" },
   { "flags.undefined", "A bit is set that no table defines", "PROTOCOL", "NOTE" },
-  { "value.invalid", "Value that the document does not define", "PROTOCOL", "WARN" },
+  { "value.invalid", "Value that is not defined", "PROTOCOL", "WARN" },
 }
 
 --- Makes the expert items of a protocol.

@@ -112,7 +112,7 @@ EXPERTS = [
      "ESC Temperature: Not a Number (0xff)"),
     ("taurus.flags.undefined", "health_status", list(range(5, 11)), "Notes", "A bit is set that no table defines",
      "Undefined bits: 0x00000008"),
-    ("taurus.value.invalid", "undefined_values", [1, 2, 7], "Warns", "Value that the document does not define", "Enabled: "),
+    ("taurus.value.invalid", "undefined_values", [1, 2, 7], "Warns", "Value that is not defined", "Enabled: "),
 ]
 KNOWN_LATER = [("yapp.unfinished", "unfinished", [8], "Warns", "The capture ends before the message does"),
                ("yapp.fragment.duplicate", "extra_middle", [4], "Notes", "Frame delivered twice")]
