@@ -55,10 +55,13 @@ local function load_catalogue()
   if not ok then
     complain { ("%s: the catalogue cannot be read, messages are shown as bytes: %s"):format(path,
       tostring(compiled or entries):sub(1, 500)) }
-    return parts.catalogue.compile {}
+    compiled = parts.catalogue.compile {}
+    compiled.is_broken = true
+    return compiled
   end
   for i, text in ipairs(problems) do problems[i] = path .. ": " .. text .. "; this message is shown as bytes" end
   complain(problems)
+  compiled.is_broken = #problems > 0
   return compiled
 end
 
@@ -80,6 +83,7 @@ for _, message in ipairs(catalogue.messages) do
     ("The IDs that carry Taurus %s. Change it when a controller has other IDs than the default, or when several " ..
      "controllers share a bus: 0x210,0x211,0x300-0x303."):format(message.title), parts.catalogue.MAX_ID)
 end
+yapp.prefs.sources = Pref.string("Sources", "", "0x210=motor:left_fore, can1/0x210=motor:right_fore")
 yapp.prefs.all_extended = Pref.bool("All extended CAN frames are YAPP", false,
   "Switch it on for a bus that carries nothing but YAPP, to see unknown IDs, other YAPP CTL values and malformed " ..
   "frames too. By default only what is surely YAPP is taken.")
@@ -127,6 +131,7 @@ local registered = {}
 local zero = Proto("yapp_zero", "YAPP, CAN id 0")
 local from_zero = false
 
+-- (CAN)
 local function register_range(first, last)
   if first == 0 then
     by_can_id:add(0, zero)
@@ -145,7 +150,20 @@ local function register_id(id)
   end
 end
 
-local frames = parts.can_carrier.new(parts, tree, bus_of, function(pinfo) return ids:is_remote(pinfo) end, register_id)
+-- History and statistics.
+local EVERY = { command = 0.2, motor = 0.1, health = 0.5 }
+for _, message in ipairs(catalogue.messages) do message.every = EVERY[message.name] end
+local sources = require("yapp_sources").parse("", catalogue)
+local frames
+local stat = require("yapp_stat").new { catalogue = catalogue, is_whole = not catalogue.is_broken, decode = decode,
+  columns = require("yapp_stat_columns"), late = function() return 2.5 end,
+  has_source = function(name) return sources:has_name(name) end, unfinished = function() return frames:unfinished() end }
+stat:register()
+
+frames = parts.can_carrier.new(parts, tree, bus_of, function(pinfo) return ids:is_remote(pinfo) end, register_id)
+frames.stat, frames.parts.decode = stat, decode
+frames.sources = function() return sources end
+frames.bus_name = function(number) return candump.current_bus and candump.current_name or buses.names[number] end
 
 -- Starts of unknown messages: those that do not number their messages at once; the rest takes half a second and waits
 -- until a frame that may be one has been seen.
@@ -314,6 +332,9 @@ local function take_dlts()
 end
 
 local function read_preferences()
+  local wrong
+  sources, wrong = require("yapp_sources").parse(yapp.prefs.sources, catalogue)
+  complain_once(wrong)
   decode.use_divisor(catalogue, yapp.prefs.divisor)
   local chosen = {}
   for _, message in ipairs(catalogue.messages) do
@@ -321,6 +342,8 @@ local function read_preferences()
   end
   local by_id, problems = parts.catalogue.assign(catalogue, chosen)
   complain_once(problems)
+  for _, row in ipairs(sources:list()) do if row.message then by_id[row.id] = row.message end end
+  sources:use_ids(by_id)
   tree.by_id = by_id
   for id in pairs(by_id) do register_id(id) end
   wide_open = yapp.prefs.all_extended

@@ -7,7 +7,7 @@
 
 local M = {}
 
-local WANTED = "frame.interface_id || sll.ifindex || rtacser.eventtype"
+local WANTED = "frame.interface_id || frame.interface_name || sll.ifindex || rtacser.eventtype"
 local CAN_WANTED = "can.id || can.flags.xtd || can.flags.rtr || canfd.flags.brs"
 local NAMES = {}
 for name in (WANTED .. " || " .. CAN_WANTED):gmatch("[%w_.]+") do NAMES[name] = true end
@@ -18,7 +18,7 @@ Buses.__index = Buses
 --- Looks at files from now on.  Call it once.
 -- head  the module yapp_head
 function M.watch(head)
-  local self = setmetatable({ found = head.read(""), says_bus = {}, numbers = {}, count = 0 }, Buses)
+  local self = setmetatable({ found = head.read(""), says_bus = {}, numbers = {}, names = {}, count = 0 }, Buses)
   -- A reader that never reads: the only place where the API shows a file.
   local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the first bytes", "rms")
   function handler.read_open(file)
@@ -44,7 +44,7 @@ function Buses:init()
     self.tap = nil
   end
   remove(self.can_tap)
-  self.can_tap, self.asked_at, self.says_bus, self.numbers, self.count = nil, nil, {}, {}, 0
+  self.can_tap, self.asked_at, self.says_bus, self.numbers, self.names, self.count = nil, nil, {}, {}, {}, 0
 end
 
 --- Whether the file tells several sources apart, by its first bytes.
@@ -115,7 +115,9 @@ function Buses:current(pinfo)
   -- One or the other for all of a pass: a message does not begin on a bus and end on none.
   if self.says_bus[visited] == nil then self.says_bus[visited] = says_bus end
   if not says_bus then return false end
-  return self:number(interface or 0, index or 0, DIRECTION[event] or 0)
+  local number = self:number(interface or 0, index or 0, DIRECTION[event] or 0)
+  self.names[number] = self.names[number] or fields["frame.interface_name"]
+  return number
 end
 
 return M

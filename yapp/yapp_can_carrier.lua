@@ -35,6 +35,7 @@ end
 -- mixed  whether the next one is known to have several buses
 function Carrier:reset(mixed)
   self.serials = self.parts.serials.new()
+  self.known = {}
   self.since = {} -- [ID of an unknown message]: serial of its first frame
   self.state, self.second, self.guessed, self.mixed, self.first_bus = self:new_state(), nil, false, mixed, nil
   self.again, self.reached = false, 0
@@ -60,7 +61,7 @@ function Carrier:new_state()
     return message and message.size
   end)
   local serials = self.serials
-  state.last_time, state.deltas = {}, {}
+  state.last_time, state.deltas, state.history = {}, {}, require("yapp_history").new { late = 2.5 }
   function state.number_of(serial) return serials:number(serial) end
   return state
 end
@@ -81,11 +82,85 @@ function Carrier:note_bus(bus, doubtful)
   end
 end
 
+-- What history and statistics are told of a message.
+local function look_of(self, pinfo, bus, address, entry, data, reported, serial)
+  local message, payload = self.tree.by_id[address.id], entry.payload
+  if entry == LONE then
+    local padding = message and self.parts.can.padding(data, reported, message.size)
+    payload = padding and padding > 0 and data:sub(1, message.size) or data
+  end
+  local fits = message and #payload == message.size
+  local good = entry == LONE or entry.status == "good"
+  return { source = (bus or -1) * 0x800 + address.id, bus = bus or nil, message = message, id = address.id,
+    raws = fits and self.parts.decode.read(message, payload) or nil, payload = payload, seq = address.seq,
+    number = serial, time = pinfo.rel_ts, good = good, is_bad = entry ~= LONE and entry.status == "bad" }
+end
+
+local LOST = { ["fragment.incomplete"] = "incomplete", ["fragment.orphan"] = "orphan",
+  ["fragment.overrun"] = "overrun" }
+
+local NONE = {}
+
+local function record_of(self, frame, rel, bus, address)
+  local key = (bus or -1) * 0x800 + address.id
+  local source = self.known[key]
+  if not source then
+    local name = bus and self.bus_name(bus)
+    source = { key = key, bus_key = bus or nil, bus = name, name = self.sources():name(name, address.id),
+      id = address.id, message = self.tree.by_id[address.id] }
+    self.known[key] = source
+  end
+  return { frame = frame, rel = rel, source = source, seq = address.seq, payload = "", good = false, fits = false,
+    change = false }
+end
+
+-- The statistics are told of a message that ends here, and of what is lost.
+function Carrier:tell(pinfo, bus, address, entry, state, serial, look, change)
+  local faults = state.faults[serial]
+  for _, fault in ipairs(faults or NONE) do
+    if LOST[fault[1]] then
+      local record = record_of(self, pinfo.number, pinfo.rel_ts, bus, address)
+      record.lost, record.is_end = LOST[fault[1]], address.ctrl == 3
+      self.stat:offer(record, pinfo.visited)
+    end
+  end
+  if look and (look.good or look.is_bad) then
+    local record = record_of(self, pinfo.number, look.time, bus, address)
+    record.payload, record.fits, record.good, record.is_bad = look.payload, look.raws ~= nil, look.good, look.is_bad
+    record.change = change
+    self.stat:offer(record, pinfo.visited)
+  elseif not entry.kind and not entry.status then
+    entry.rel, entry.bus = pinfo.rel_ts, bus
+  end
+end
+
+function Carrier:unfinished()
+  local list, state = {}, self.second or self.state
+  for _, open in pairs(state.open) do
+    for _, message in ipairs(open.messages or { open }) do
+      if message.rel and not message.status then
+        local record = record_of(self, self.serials:number_of(message[message.count]), message.rel, message.bus,
+          message.address)
+        record.lost, list[#list + 1] = "unfinished", record
+      end
+    end
+  end
+  table.sort(list, function(a, b) return a.frame < b.frame end)
+  return list
+end
+
 -- A look at a frame, in the order of the capture.
 function Carrier:look(state, bus, pinfo, address, data, reported, serial, wide, doubtful)
   if bus ~= nil or doubtful then self:note_bus(bus, doubtful) end
   local entry = state:frame(bus, address, data, reported, serial, wide, doubtful)
-  if entry and (entry == LONE or entry.last == serial) then note_time(state, pinfo, bus, address.id, serial) end
+  if entry and (entry == LONE or entry.last == serial) then
+    note_time(state, pinfo, bus, address.id, serial)
+    local look = look_of(self, pinfo, bus, address, entry, data, reported, serial)
+    local change = state.history:note(look)
+    if self.stat.wanted then self:tell(pinfo, bus, address, entry, state, serial, look, change) end
+  elseif entry and self.stat.wanted then
+    self:tell(pinfo, bus, address, entry, state, serial)
+  end
   return entry
 end
 
@@ -193,6 +268,13 @@ function Carrier:look_again(pinfo, address, data, reported, serial, wide, doubtf
       not (left or self:follows(serial)) then
       entry = first:entry(serial)
       if not entry and wide then entry = self:late(address, serial) end
+      if entry and self.stat.wanted then
+        local ends = entry == LONE or entry.last == serial
+        bus = self.bus_of(pinfo)
+        local look = ends and look_of(self, pinfo, bus, address, entry, data, reported, serial)
+        if look then look.delta = first.deltas[serial] end
+        self:tell(pinfo, bus, address, entry, first, serial, look, look and first.history:change(look))
+      end
       return entry, first
     end
     if not second then

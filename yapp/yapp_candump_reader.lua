@@ -32,7 +32,7 @@ local function fill(frame, record, packet, big_endian)
   end
   frame.data = packet(record, big_endian)
   if record.comment then frame.comment = record.comment end
-  M.current_bus = record.number
+  M.current_bus, M.current_name = record.number, record.bus
 end
 
 -- Whether Wireshark's own reader takes 00000000 for a standard id.

@@ -125,6 +125,11 @@ function M.float(field, raw)
   return float(field, raw)
 end
 
+function M.value(field, raw) -- until the catalogue brings its own
+  if field.kind == "float" then return M.float(field, raw) end
+  return raw
+end
+
 --- A value at the seven digits that a count can carry, so that a filter with == 1.1 matches.
 function M.round(value)
   return tonumber(format("%.7g", value))
