@@ -157,7 +157,8 @@ local sources = require("yapp_sources").parse("", catalogue)
 local frames
 local stat = require("yapp_stat").new { catalogue = catalogue, is_whole = not catalogue.is_broken, decode = decode,
   columns = require("yapp_stat_columns"), late = function() return 2.5 end,
-  has_source = function(name) return sources:has_name(name) end, unfinished = function() return frames:unfinished() end }
+  has_source = function(name) return sources:has_name(name) end,
+  unfinished = function() return frames:unfinished() end }
 stat:register()
 
 frames = parts.can_carrier.new(parts, tree, bus_of, function(pinfo) return ids:is_remote(pinfo) end, register_id)

@@ -237,7 +237,8 @@ local function print_table(self)
   for i, result in ipairs(self.results) do
     local source = result.group and result.group.source
     rows[i] = { WORDS[result.ok] or "NOT JUDGED", result.rule.text, source and source.bus,
-      source and text.id(source.id), source and source.name or result.rule.source, source and (source.message and source.message.title or "unknown"),
+      source and text.id(source.id), source and source.name or result.rule.source,
+      source and (source.message and source.message.title or "unknown"),
       seen_text(result), result.frame }
   end
   self.context.out(text.table({ "check", "rule", "bus", "ID", "source", "message", "seen", ">frame" }, rows))
