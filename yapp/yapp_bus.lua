@@ -116,7 +116,8 @@ function Buses:current(pinfo)
   if self.says_bus[visited] == nil then self.says_bus[visited] = says_bus end
   if not says_bus then return false end
   local number = self:number(interface or 0, index or 0, DIRECTION[event] or 0)
-  self.names[number] = self.names[number] or fields["frame.interface_name"]
+  local name = fields["frame.interface_name"] -- "unknown" where the capture names none
+  self.names[number] = self.names[number] or name ~= "unknown" and name or nil
   return number
 end
 
