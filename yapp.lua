@@ -354,7 +354,7 @@ end
 
 function yapp.init()
   read_preferences()
-  buses:init()
+  buses:init(stat.wanted)
   if buses:has_numbered_starts() then register_all_starts() end
   search_streams()
   asked = false

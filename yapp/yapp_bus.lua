@@ -36,7 +36,8 @@ local function remove(tap)
 end
 
 --- A new file is about to be dissected.
-function Buses:init()
+function Buses:init(wants_names)
+  if wants_names then self.found.sources = true end
   if self.found.sources then
     self.tap = self.tap or Listener.new("frame", WANTED)
   else
