@@ -13,7 +13,9 @@ Stat.__index = Stat
 -- plugin  { catalogue = compiled, is_whole = whether it loaded without a problem, decode =, columns = modules,
 --           late = function() -> how many periods of its message make a gap one,
 --           has_source = function(name) -> whether the user gave some source this name,
---           unfinished = function() -> records of the messages that the capture ends before }
+--           unfinished = function() -> records of the messages that the capture ends before,
+--           opened = function(): records are wanted, with the names of their buses.  tshark handles -z when the file is
+--           open and init has run, before the first packet }
 -- Stat.wanted says whether anyone wants messages: ask it before making a record for Stat:offer.
 function M.new(plugin)
   return setmetatable({ plugin = plugin, wanted = false }, Stat)
@@ -132,6 +134,7 @@ end
 
 function Stat:open()
   self.feed, self.wanted = require("yapp_stat_feed").new(), true
+  self.plugin.opened()
 end
 
 function Stat:finish()
