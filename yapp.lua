@@ -158,7 +158,7 @@ local frames
 local stat = require("yapp_stat").new { catalogue = catalogue, is_whole = not catalogue.is_broken, decode = decode,
   columns = require("yapp_stat_columns"), late = function() return 2.5 end,
   has_source = function(name) return sources:has_name(name) end,
-  unfinished = function() return frames:unfinished() end }
+  unfinished = function() return frames:unfinished() end, opened = function() buses:want_names() end }
 stat:register()
 
 frames = parts.can_carrier.new(parts, tree, bus_of, function(pinfo) return ids:is_remote(pinfo) end, register_id)
@@ -354,7 +354,7 @@ end
 
 function yapp.init()
   read_preferences()
-  buses:init(stat.wanted)
+  buses:init()
   if buses:has_numbered_starts() then register_all_starts() end
   search_streams()
   asked = false

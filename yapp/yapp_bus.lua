@@ -36,8 +36,7 @@ local function remove(tap)
 end
 
 --- A new file is about to be dissected.
-function Buses:init(wants_names)
-  if wants_names then self.found.sources = true end
+function Buses:init()
   if self.found.sources then
     self.tap = self.tap or Listener.new("frame", WANTED)
   else
@@ -46,6 +45,11 @@ function Buses:init(wants_names)
   end
   remove(self.can_tap)
   self.can_tap, self.asked_at, self.says_bus, self.numbers, self.names, self.count = nil, nil, {}, {}, {}, 0
+end
+
+--- Statistics name a bus even where there is only one.
+function Buses:want_names()
+  self.tap = self.tap or Listener.new("frame", WANTED)
 end
 
 --- Whether the file tells several sources apart, by its first bytes.
