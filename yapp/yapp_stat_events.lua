@@ -107,14 +107,14 @@ local DETAILS = {
   reboot = function() return "the controller's time went back" end,
   stale = function() return "the controller's time stood still" end,
   silence = function(event)
-    return ("nothing for %.6f s%s"):format(event.length, event.is_last and ", to the end of the capture" or "")
+    return ("nothing for %.6f s%s"):format(event.length, event.is_last and ", to the end" or "")
   end,
   crc = function() return "bad CRC" end,
   incomplete = function(event)
     return event.what == "orphan" and "the Start is missing" or
       event.what == "overrun" and "more bytes than its size" or "bytes are missing"
   end,
-  unfinished = function() return "the capture ends before the message" end,
+  unfinished = function() return "the capture ends before it" end,
 }
 
 local function row(event, clock)

@@ -113,8 +113,8 @@ local function source_table(list)
       milliseconds(group.gap_mean), milliseconds(group.gap_max), group.gap_max_frame, group.crc_bad,
       group.incomplete, group.late, group.reboots }
   end
-  return text.table({ "bus", "ID", "source", "message", ">messages", ">rate/Hz", ">gap min/ms", ">mean/ms", ">max/ms",
-    ">ends in frame", ">bad CRC", ">incomplete", ">late", ">reboots" }, rows)
+  return text.table({ "bus", "ID", "source", "message", ">count", ">rate/Hz", ">gap/ms min", ">mean", ">max",
+    ">in frame", ">bad CRC", ">incomplete", ">late", ">reboots" }, rows)
 end
 
 local function value_table(list)
