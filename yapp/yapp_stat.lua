@@ -13,14 +13,16 @@ Stat.__index = Stat
 -- plugin  { catalogue = compiled, is_whole = whether it loaded without a problem, decode =, columns = modules,
 --           late = function() -> how many periods of its message make a gap one,
 --           has_source = function(name) -> whether the user gave some source this name,
---           unfinished = function() -> records of the messages that the capture ends before }
+--           unfinished = function() -> records of the messages that the capture ends before,
+--           opened = function(): records are wanted, with the names of their buses.  tshark handles -z when the file is
+--           open and init has run, before the first packet }
 -- Stat.wanted says whether anyone wants messages: ask it before making a record for Stat:offer.
 function M.new(plugin)
   return setmetatable({ plugin = plugin, wanted = false }, Stat)
 end
 
 --- A message of the packet that is dissected, or a lost part of one.
--- record   of yapp_stat_groups, without its time
+-- record   of yapp_stat_groups
 -- visited  pinfo.visited
 function Stat:offer(record, visited)
   self.feed:offer(record, visited)
@@ -69,25 +71,39 @@ end
 
 -- Taps ----------------------------------------------------------------------------------------------------------
 
--- When the first packet was captured, exactly: pinfo.abs_ts is a double and has steps of 0.24 microseconds.
-local function begin(feed, pinfo)
-  local seconds, nanoseconds
-  for _, info in ipairs { all_field_infos() } do
-    if info.name == "frame.time_epoch" then seconds, nanoseconds = info.value.secs, info.value.nsecs end
-  end
-  if not seconds then -- no time, or a dissection that was not asked for it
-    local microseconds = math.floor(pinfo.abs_ts * 1e6 + 0.5)
-    nanoseconds = microseconds % 1000000 * 1000
-    seconds = (microseconds - microseconds % 1000000) / 1000000
-  end
-  feed:begins(seconds, nanoseconds, pinfo.rel_ts)
+-- When the first packet was captured, to the microsecond: pinfo.abs_ts is a double with steps of 0.24 microseconds.
+local function begin_roughly(feed, pinfo)
+  local microseconds = math.floor(pinfo.abs_ts * 1e6 + 0.5)
+  local rest = microseconds % 1000000
+  feed:begins((microseconds - rest) / 1000000, rest * 1000, pinfo.rel_ts)
 end
 
--- The tap that sees every packet.  Its filter holds for all of them and asks for the field that the first one needs.
+-- The tap that asks for the field which has it to the nanosecond; asking costs, so it goes when it knows.
+local function tap_clock(feed)
+  local clock = { tap = Listener.new("frame", "frame.time_epoch") }
+  function clock.tap.packet(pinfo)
+    if clock.is_exact then return end
+    for _, info in ipairs { all_field_infos() } do
+      if info.name == "frame.time_epoch" then
+        feed:begins(info.value.secs, info.value.nsecs, pinfo.rel_ts)
+        clock.is_exact = true
+      end
+    end
+  end
+  function clock.tap.reset() clock.is_exact = false end
+  return clock
+end
+
+-- The tap that sees every packet.
 local function tap_packets(feed)
-  local tap = Listener.new("frame", "frame || frame.time_epoch")
+  local tap, clock = Listener.new("frame"), tap_clock(feed)
+  local is_kept = gui_enabled() -- where all packets may come again
   function tap.packet(pinfo)
-    if not feed.epoch then begin(feed, pinfo) end
+    if not feed.epoch then begin_roughly(feed, pinfo) end
+    if clock and clock.is_exact and not is_kept then
+      clock.tap:remove()
+      clock = nil
+    end
     feed:packet(pinfo.number, pinfo.rel_ts)
   end
   function tap.reset() feed:reset() end
@@ -104,7 +120,8 @@ end
 -- returns  its taps; nil and what is wrong
 function Stat:begin(options, out)
   local plugin = self.plugin
-  local statistic, problem = require(MODULES[options.what]).new(options, { out = out, decode = plugin.decode,
+  local statistic, problem = require(MODULES[options.what]).new(options, { out = out,
+    clock = function(rel) return self.feed:time(rel) end, decode = plugin.decode,
     columns = plugin.columns, catalogue = plugin.catalogue, is_whole = plugin.is_whole, late = plugin.late,
     has_source = plugin.has_source, make_folder = make_folder })
   if not statistic then return nil, options.what .. ": " .. problem end
@@ -117,6 +134,7 @@ end
 
 function Stat:open()
   self.feed, self.wanted = require("yapp_stat_feed").new(), true
+  self.plugin.opened()
 end
 
 function Stat:finish()

@@ -27,16 +27,16 @@ function M.new(options, context)
   end
   -- What was not decoded was not checked.
   if not has_unknown then self.rules[#self.rules + 1] = rules.read("unknown=0") end
-  self.groups = groups.new(function(record) return self:new_group(record) end)
+  self.groups = groups.new(function(source) return self:new_group(source) end)
   return self
 end
 
 -- Counts of a source: { seen =, frame = the first one's } of each kind, and the ranges that are about its message.
-function Check:new_group(record)
+function Check:new_group(source)
   local group = { count = 0, ranges = {}, counts = {} }
   for kind in pairs(rules.COUNTED) do group.counts[kind] = { seen = 0 } end
   for _, rule in ipairs(self.ranges) do
-    local message = record.message
+    local message = source.message
     if message == rule.message then
       group.ranges[#group.ranges + 1] = { rule = rule, index = message.index[rule.field], inside = 0, outside = 0 }
     end
@@ -82,7 +82,7 @@ end
 
 function Check:note_ranges(group, record)
   local decode, payload = self.context.decode, record.payload
-  local raws = decode.read(record.message, payload)
+  local raws = decode.read(group.message, payload)
   for _, range in ipairs(group.ranges) do
     local field, raw = range.rule.field, raws[range.index]
     if raw or field.kind == "time" and field.offset + field.size <= #payload then
@@ -171,7 +171,7 @@ end
 
 -- Which sources a rule is about.
 local function is_about(rule, group)
-  if rule.source and group.source ~= rule.source then return false end
+  if rule.source and group.source.name ~= rule.source then return false end
   local kind, message = rule.kind, group.message
   if kind == "crc" or kind == "incomplete" then return true end
   if kind == "unknown" then return group.counts.unknown.seen > 0 end
@@ -202,7 +202,7 @@ end
 
 function Check:has_messages(source)
   for _, group in ipairs(self.groups.list) do
-    if group.source == source then return true end
+    if group.source.name == source then return true end
   end
   return false
 end
@@ -210,10 +210,10 @@ end
 -- What is printed -----------------------------------------------------------------------------------------------
 
 local function line(result)
-  local group, rule = result.group or {}, result.rule
-  return json.object(KEYS, { rule = rule.text, source = group.source or rule.source, ok = result.ok,
-    seen = result.seen, limit = limit_of(rule), frame = result.frame, bus = group.bus, id = group.id,
-    message = group.message and group.message.name, worst = result.worst }) .. "\n"
+  local rule, source = result.rule, result.group and result.group.source or {}
+  return json.object(KEYS, { rule = rule.text, source = source.name or rule.source, ok = result.ok,
+    seen = result.seen, limit = limit_of(rule), frame = result.frame, bus = source.bus, id = source.id,
+    message = source.message and source.message.name, worst = result.worst }) .. "\n"
 end
 
 local WORDS = { [true] = "ok", [false] = "FAILED" }
@@ -228,19 +228,17 @@ local function seen_text(result)
   return ("%d of %d outside, worst %s"):format(result.seen, result.values, text.number(result.worst) or "reserved")
 end
 
-local function name_of(group)
-  local parts = { group.bus, text.id(group.id), group.source }
-  local name = {}
-  for i = 1, 3 do name[#name + 1] = parts[i] end
-  return table.concat(name, " ")
+local function name_of(source)
+  return (source.bus and source.bus .. " " or "") .. text.id(source.id) .. (source.name and " " .. source.name or "")
 end
 
 local function print_table(self)
   local rows = {}
   for i, result in ipairs(self.results) do
-    local group = result.group
-    rows[i] = { WORDS[result.ok] or "NOT JUDGED", result.rule.text, group and group.bus, group and text.id(group.id),
-      group and group.source or result.rule.source, group and (group.message and group.message.title or "unknown"),
+    local source = result.group and result.group.source
+    rows[i] = { WORDS[result.ok] or "NOT JUDGED", result.rule.text, source and source.bus,
+      source and text.id(source.id), source and source.name or result.rule.source,
+      source and (source.message and source.message.title or "unknown"),
       seen_text(result), result.frame }
   end
   self.context.out(text.table({ "check", "rule", "bus", "ID", "source", "message", "seen", ">frame" }, rows))
@@ -250,7 +248,7 @@ end
 local function cases(self)
   local list = {}
   for i, result in ipairs(self.results) do
-    local where = result.group and " " .. name_of(result.group) or ""
+    local where = result.group and " " .. name_of(result.group.source) or ""
     list[i] = { name = result.rule.text .. where,
       status = result.ok and "ok" or result.ok == false and "failed" or "error",
       text = seen_text(result) .. (result.frame and (", frame %d"):format(result.frame) or "") }

@@ -64,7 +64,8 @@ local function prepare(self)
 end
 
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =, all = booleans, json = }
--- context  { out = function(text), catalogue =, columns = module, make_folder = function(path) -> true or nil, why }
+-- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds, catalogue =,
+--          columns = module, make_folder = function(path) -> true or nil, why }
 -- returns  the statistic; nil and what is wrong
 function M.new(options, context)
   local self = setmetatable({ options = options, context = context, files = {}, counts = {}, prefixes = {},
@@ -90,18 +91,20 @@ function Csv:writer(message)
 end
 
 -- ",can0,left,528," of a source: the same in each of its rows.
-local function prefix(self, record)
-  local cells = (",%s,%s,%d,"):format(M.cell(record.bus), M.cell(record.source), record.id)
-  self.prefixes[record.key] = cells
+local function prefix(self, source)
+  local cells = (",%s,%s,%d,"):format(M.cell(source.bus), M.cell(source.name), source.id)
+  self.prefixes[source.key] = cells
   return cells
 end
 
 function Csv:message(record)
-  local options, message = self.options, record.message
+  local options, source = self.options, record.source
+  local message = source.message
   if not record.fits or not (record.good or options.all and record.is_bad) then return end
   if options.chosen and message ~= options.chosen then return end
-  local row = ("%d.%09d,%d%s%d,%s%s\n"):format(record.seconds, record.nanoseconds, record.frame,
-    self.prefixes[record.key] or prefix(self, record), record.seq,
+  local seconds, nanoseconds = self.context.clock(record.rel)
+  local row = ("%d.%09d,%d%s%d,%s%s\n"):format(seconds, nanoseconds, record.frame,
+    self.prefixes[source.key] or prefix(self, source), record.seq,
     options.all and (record.good and "1," or "0,") or "", self.context.columns.row(message, record.payload))
   if options.chosen then return self.context.out(row) end
   local file = self:writer(message)

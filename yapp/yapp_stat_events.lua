@@ -21,7 +21,8 @@ local Events = {}
 Events.__index = Events
 
 --- options  { json = boolean }
--- context  { out = function(text), late = function() -> how many periods of a message make a silence }
+-- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds,
+--          late = function() -> how many periods of a message make a silence }
 function M.new(options, context)
   local self = setmetatable({ options = options, context = context, tracker = faults.tracker(), list = {},
     before = {}, sees_all = true }, Events)
@@ -39,9 +40,7 @@ end
 function Events:keep(event)
   local record = event.record
   if record then
-    event.seconds, event.nanoseconds, event.rel = record.seconds, record.nanoseconds, record.rel
-    event.frame, event.bus, event.id, event.source = record.frame, record.bus, record.id, record.source
-    event.message, event.record = record.message, nil
+    event.rel, event.frame, event.source, event.record = record.rel, record.frame, record.source, nil
   end
   event.order = #self.list + 1
   self.list[event.order] = event
@@ -49,13 +48,13 @@ end
 
 -- A good message.
 function Events:good(record, counts)
-  local change, before = record.change, self.before[record.key]
+  local change, before = record.change, self.before[record.source.key]
   if change and change.late and before and before.counts then
     self:add("silence", before.record, { length = change.late })
   end
   if not before then
     before = {}
-    self.before[record.key] = before
+    self.before[record.source.key] = before
   end
   before.record, before.counts = record, counts
   if not counts then return end
@@ -80,7 +79,7 @@ end
 function Events:silent(last)
   for _, before in pairs(self.before) do
     local record = before.record
-    local every = record.message and record.message.every
+    local every = record.source.message and record.source.message.every
     local length = every and last and last.rel - record.rel
     if length and before.counts and length > self.context.late() * every then
       self:add("silence", record, { length = length, is_last = true })
@@ -89,15 +88,14 @@ function Events:silent(last)
 end
 
 local function earlier(a, b)
-  if a.seconds ~= b.seconds then return a.seconds < b.seconds end
-  if a.nanoseconds ~= b.nanoseconds then return a.nanoseconds < b.nanoseconds end
+  if a.rel ~= b.rel then return a.rel < b.rel end
   if a.frame ~= b.frame then return a.frame < b.frame end
-  if a.id ~= b.id then return a.id < b.id end
+  if a.source.id ~= b.source.id then return a.source.id < b.source.id end
   return a.order < b.order
 end
 
-local function line(event)
-  local values = faults.values(event)
+local function line(event, clock)
+  local values = faults.values(event, clock)
   values.length, values.what = json.seconds(event.length), event.what
   return json.object(KEYS[event.kind], values) .. "\n"
 end
@@ -109,35 +107,35 @@ local DETAILS = {
   reboot = function() return "the controller's time went back" end,
   stale = function() return "the controller's time stood still" end,
   silence = function(event)
-    return ("nothing for %.6f s%s"):format(event.length, event.is_last and ", to the end of the capture" or "")
+    return ("nothing for %.6f s%s"):format(event.length, event.is_last and ", to the end" or "")
   end,
   crc = function() return "bad CRC" end,
   incomplete = function(event)
     return event.what == "orphan" and "the Start is missing" or
       event.what == "overrun" and "more bytes than its size" or "bytes are missing"
   end,
-  unfinished = function() return "the capture ends before the message" end,
+  unfinished = function() return "the capture ends before it" end,
 }
 
-local function row(event)
-  return { text.date(event.seconds, event.nanoseconds), text.span(event.rel), event.frame, event.bus,
-    text.id(event.id), event.source, event.message and event.message.title or "unknown", event.kind,
-    DETAILS[event.kind](event) }
+local function row(event, clock)
+  local source = event.source
+  return { text.date(clock(event.rel)), text.span(event.rel), event.frame, source.bus, text.id(source.id),
+    source.name, source.message and source.message.title or "unknown", event.kind, DETAILS[event.kind](event) }
 end
 
---- last  { seconds =, nanoseconds =, rel = } of the last packet of any kind; nil where there was none
+--- last  { rel = } of the last packet of any kind; nil where there was none
 function Events:finish(last)
   self:silent(last)
   self.tracker:finish(self.keeper)
   table.sort(self.list, earlier)
-  local out = self.context.out
+  local out, clock = self.context.out, self.context.clock
   if self.options.json then
-    for _, event in ipairs(self.list) do out(line(event)) end
+    for _, event in ipairs(self.list) do out(line(event, clock)) end
     return
   end
   if #self.list == 0 then return out("YAPP events: none\n") end
   local rows = {}
-  for i, event in ipairs(self.list) do rows[i] = row(event) end
+  for i, event in ipairs(self.list) do rows[i] = row(event, clock) end
   out(("YAPP events: %d\n\n"):format(#rows) .. text.table({ "time (UTC)", ">since start/s", ">frame", "bus", "ID",
     "source", "message", "event", "what" }, rows))
 end

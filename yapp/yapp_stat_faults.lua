@@ -48,9 +48,8 @@ function Tracker:flags(field)
 end
 
 local function entry(record, field, flag, event, active)
-  return { kind = "fault", seconds = record.seconds, nanoseconds = record.nanoseconds, rel = record.rel,
-    frame = record.frame, bus = record.bus, id = record.id, source = record.source, message = record.message,
-    field = field.name, flag = flag, event = event, active = active }
+  return { kind = "fault", rel = record.rel, frame = record.frame, source = record.source, field = field.name,
+    flag = flag, event = event, active = active }
 end
 
 -- The begins and ends in one field.
@@ -73,16 +72,16 @@ function Tracker:compare(source, record, change, add)
 end
 
 --- Takes a good message; calls add(entry) for each flag of an alarm that rose or fell:
--- { kind = "fault", seconds =, nanoseconds =, rel =, frame =, bus =, id =, source = name, message =, field =, flag =,
---   event = "raised", "cleared" or "active", active = seconds since it was raised, nil where that was not seen }
+-- { kind = "fault", rel =, frame =, source =, field = name, flag = name, event = "raised", "cleared" or "active",
+--   active = seconds since it was raised, nil where that was not seen }
 function Tracker:message(record, add)
-  local source = self.sources[record.key]
+  local source = self.sources[record.source.key]
   if source then source.last = record end
   for _, change in ipairs(record.change and record.change.flags or {}) do
     if change.field.alarm then
       if not source then
         source = { set = {}, raised = 0, last = record, order = #self.list + 1 }
-        self.sources[record.key], self.list[source.order] = source, source
+        self.sources[record.source.key], self.list[source.order] = source, source
       end
       self:compare(source, record, change, add)
     end
@@ -105,29 +104,32 @@ end
 
 -- What is printed -----------------------------------------------------------------------------------------------
 
---- What a JSON line has of an entry.
-function M.values(one)
-  return { kind = one.kind, time = json.time(one.seconds, one.nanoseconds), frame = one.frame, bus = one.bus,
-    id = one.id, source = one.source, message = one.message and one.message.name, field = one.field, flag = one.flag,
+--- What a JSON line has of an entry; clock = that of the context.
+function M.values(one, clock)
+  local source = one.source
+  return { kind = one.kind, time = json.time(clock(one.rel)), frame = one.frame, bus = source.bus, id = source.id,
+    source = source.name, message = source.message and source.message.name, field = one.field, flag = one.flag,
     event = one.event, active = json.seconds(one.active) }
 end
 
 local Faults = {}
 Faults.__index = Faults
 
---- options  { json = boolean }; context  { out = function(text) }
+--- options  { json = boolean }
+-- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds }
 function M.new(options, context)
-  local self = setmetatable({ options = options, out = context.out, tracker = M.tracker(), rows = {}, count = 0 },
-    Faults)
+  local self = setmetatable({ options = options, out = context.out, clock = context.clock, tracker = M.tracker(),
+    rows = {}, count = 0 }, Faults)
   function self.adder(one) self:add(one) end
   return self
 end
 
 function Faults:add(one)
   self.count = self.count + 1
-  if self.options.json then return self.out(json.object(KEYS, M.values(one)) .. "\n") end
-  self.rows[self.count] = { text.date(one.seconds, one.nanoseconds), text.span(one.rel), one.frame, one.bus,
-    text.id(one.id), one.source, one.message.title, one.flag, one.event, text.span(one.active) }
+  if self.options.json then return self.out(json.object(KEYS, M.values(one, self.clock)) .. "\n") end
+  local source = one.source
+  self.rows[self.count] = { text.date(self.clock(one.rel)), text.span(one.rel), one.frame, source.bus,
+    text.id(source.id), source.name, source.message.title, one.flag, one.event, text.span(one.active) }
 end
 
 function Faults:message(record)

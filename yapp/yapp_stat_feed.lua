@@ -1,5 +1,5 @@
--- From the dissection to the statistics: messages in the order of the capture, with exact times, each statistic those
--- that its filter lets count.  Pure Lua, 5.2 and 5.4.
+-- From the dissection to the statistics: messages in the order of the capture, each statistic those that its filter
+-- lets count; and exact times.  Pure Lua, 5.2 and 5.4.
 --
 -- A packet is dissected, and its messages are offered; then the taps run: a filter's says that the packet matches, and
 -- the one that sees all packets says that it is there.  In which order they run nothing promises, so a packet's
@@ -31,7 +31,7 @@ function Feed:add(statistic, has_filter)
   return entry
 end
 
---- A message, or a lost part of one, of the packet that is dissected: a record of yapp_stat_groups without its time.
+--- A message, or a lost part of one, of the packet that is dissected: a record of yapp_stat_groups.
 -- visited  of the packet: tshark -2 dissects all packets before the first tap runs
 function Feed:offer(record, visited)
   if record.frame ~= self.number or visited ~= self.visited then
@@ -65,29 +65,29 @@ end
 
 local integer = rawget(math, "tointeger") or function(n) return n end
 
--- The time of a packet from the seconds since the first one: a double has them to the nanosecond.
-local function stamp(self, one)
+--- The time of a packet: a double has the seconds since the first one to the nanosecond.
+-- returns  seconds since 1970, nanoseconds
+function Feed:time(rel)
   local epoch = self.epoch
-  local nanoseconds = epoch.nanoseconds + math.floor(one.rel * 1e9 + 0.5)
+  local nanoseconds = epoch.nanoseconds + math.floor(rel * 1e9 + 0.5)
   local rest = nanoseconds % 1000000000
-  one.seconds = integer(epoch.seconds + (nanoseconds - rest) / 1000000000)
-  one.nanoseconds = integer(rest)
+  return integer(epoch.seconds + (nanoseconds - rest) / 1000000000), integer(rest)
 end
 
 -- Whether an orphaned frame is another message than the orphans before it: only the first one of a message counts.
 local function is_new(self, record)
-  local before = self.orphans[record.key]
+  local orphans, key = self.orphans, record.source.key
+  local before = orphans[key]
   if record.lost ~= "orphan" then
-    self.orphans[record.key] = nil
+    orphans[key] = nil
     return true
   end
-  self.orphans[record.key] = not record.is_end and record.seq or nil
+  orphans[key] = not record.is_end and record.seq or nil
   return before ~= record.seq
 end
 
 local function hand_on(self, record)
   if not is_new(self, record) then return end
-  stamp(self, record)
   for i = 1, #self.statistics do
     local entry = self.statistics[i]
     local statistic = entry.statistic
@@ -122,7 +122,6 @@ end
 function Feed:finish(unfinished)
   flush(self)
   local last = self.last_rel and { rel = self.last_rel }
-  if last then stamp(self, last) end
   for _, record in ipairs(unfinished) do hand_on(self, record) end
   local code, texts = 0, {}
   for _, entry in ipairs(self.statistics) do

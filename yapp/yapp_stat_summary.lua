@@ -29,8 +29,8 @@ end
 --- options  { json = boolean }
 -- context  { out = function(text), decode = module }
 function M.new(options, context)
-  return setmetatable({ options = options, context = context, groups = groups.new(function(record)
-    return { count = 0, crc_bad = 0, incomplete = 0, late = 0, reboots = 0, fields = numeric(record.message) }
+  return setmetatable({ options = options, context = context, groups = groups.new(function(source)
+    return { count = 0, crc_bad = 0, incomplete = 0, late = 0, reboots = 0, fields = numeric(source.message) }
   end) }, Summary)
 end
 
@@ -43,7 +43,7 @@ end
 
 function Summary:note_values(group, record)
   local decode = self.context.decode
-  local raws, value_of = decode.read(record.message, record.payload), decode.value
+  local raws, value_of = decode.read(group.message, record.payload), decode.value
   local fields = group.fields
   for i = 1, #fields do
     local row = fields[i]
@@ -92,7 +92,7 @@ local function line(group)
     local name = row.field.name
     names[i], values[name] = name, json.raw(json.object(RANGE, row))
   end
-  return json.object(KEYS, { bus = group.bus, id = group.id, source = group.source,
+  return json.object(KEYS, { bus = group.source.bus, id = group.source.id, source = group.source.name,
     message = group.message and group.message.name, count = group.count, rate = group.rate,
     gap_min = json.seconds(group.gap_min), gap_mean = json.seconds(group.gap_mean),
     gap_max = json.seconds(group.gap_max), gap_max_frame = group.gap_max_frame, crc_bad = group.crc_bad,
@@ -107,13 +107,14 @@ end
 local function source_table(list)
   local rows = {}
   for i, group in ipairs(list) do
-    rows[i] = { group.bus, text.id(group.id), group.source, group.message and group.message.title or "unknown",
+    rows[i] = { group.source.bus, text.id(group.source.id), group.source.name,
+      group.message and group.message.title or "unknown",
       group.count, group.rate and ("%.3f"):format(group.rate), milliseconds(group.gap_min),
       milliseconds(group.gap_mean), milliseconds(group.gap_max), group.gap_max_frame, group.crc_bad,
       group.incomplete, group.late, group.reboots }
   end
-  return text.table({ "bus", "ID", "source", "message", ">messages", ">rate/Hz", ">gap min/ms", ">mean/ms", ">max/ms",
-    ">ends in frame", ">bad CRC", ">incomplete", ">late", ">reboots" }, rows)
+  return text.table({ "bus", "ID", "source", "message", ">count", ">rate/Hz", ">gap/ms min", ">mean", ">max",
+    ">in frame", ">bad CRC", ">incomplete", ">late", ">reboots" }, rows)
 end
 
 local function value_table(list)
@@ -121,8 +122,8 @@ local function value_table(list)
   for _, group in ipairs(list) do
     for _, row in ipairs(group.fields) do
       if row.count > 0 then
-        rows[#rows + 1] = { group.bus, text.id(group.id), group.source, group.message.title, row.field.name,
-          row.field.unit, text.number(row.min), text.number(row.mean), text.number(row.max), row.count }
+        rows[#rows + 1] = { group.source.bus, text.id(group.source.id), group.source.name, group.message.title,
+          row.field.name, row.field.unit, text.number(row.min), text.number(row.mean), text.number(row.max), row.count }
       end
     end
   end
@@ -130,7 +131,7 @@ local function value_table(list)
     ">values" }, rows) or ""
 end
 
---- last  { seconds =, nanoseconds =, rel = } of the last packet of any kind; nil where there was none
+--- last  { rel = } of the last packet of any kind; nil where there was none
 function Summary:finish(last)
   local list, out = self.groups:sorted(), self.context.out
   for _, group in ipairs(list) do conclude(group) end
