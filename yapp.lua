@@ -20,17 +20,18 @@ require("yapp_copies").tell(plugin)
 local parts = {}
 for _, name in ipairs {
   "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly", "can_repeated",
-  "can_wrapper", "catalogue", "catalogue_files", "crc", "decode", "facts", "file_asc", "file_asc_reader",
+  "can_wrapper", "catalogue", "catalogue_files", "crc", "decode", "decode_columns", "facts", "file_asc", "file_asc_reader",
   "file_candump", "file_candump_reader", "file_dump", "file_dump_reader", "file_head", "frame", "history",
-  "preferences", "reader", "serial_carrier", "serial_memory", "serial_stream", "sources", "tree", "utf8",
+  "preferences", "reader", "serial_carrier", "serial_memory", "serial_stream", "sources", "stat", "stat_tell", "tree",
+  "utf8",
 } do
   parts[name] = require("yapp_" .. name)
 end
 local decode, preferences, candump = parts.decode, parts.preferences, parts.file_candump_reader
 
--- The user's own messages come behind ours: from Wireshark's personal configuration folder, and from where a preference or
--- the environment says.  Fields can be registered only while a plugin loads, when no preference is known: that of the
--- default profile is read from its file.
+-- The user's own messages come behind ours: from Wireshark's personal configuration folder, and from where a preference
+-- or the environment says.  Fields can be registered only while a plugin loads, when no preference is known: that of
+-- the default profile is read from its file.
 local chosen_file = parts.catalogue_files.preference(Dir.personal_config_path("preferences"), "yapp.messages")
 
 local function load_catalogue()
@@ -57,7 +58,9 @@ local socketcan = Proto("yapp_socketcan", "YAPP's look at CAN headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local facts = parts.facts.watch(parts.file_head, candump)
-local reader = parts.reader.new(decode, catalogue)
+local stat = parts.stat.new { catalogue = catalogue, is_whole = is_whole, decode = decode,
+  columns = parts.decode_columns, opened = function() facts:want_buses() end }
+local reader = parts.reader.new(decode, catalogue, stat)
 local tree = parts.tree.new { yapp = yapp, taurus = taurus, catalogue = catalogue, decode = decode, reader = reader }
 
 -- SocketCAN's table of ids finds the frames of a message: no other frame costs anything.
@@ -82,6 +85,11 @@ end
 
 local frames = parts.can_carrier.new(parts, tree, reader, facts, claim_id)
 local streams = parts.serial_carrier.new(parts, tree, reader, facts)
+local tell = parts.stat_tell.new(stat, reader)
+reader:tell_to(tell)
+function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
+function stat.plugin.has_source(name) return reader.sources:has_name(name) end
+function stat.plugin.unfinished() return tell:unfinished(frames:unfinished()) end
 
 -- Dissectors --------------------------------------------------------------------------------------------------------
 
@@ -199,6 +207,7 @@ function yapp.init()
     has_buses = facts:are_several(),
   }
   reader:reset()
+  tell:reset()
   frames:reset(options)
   streams:reset(options)
 end
@@ -206,6 +215,7 @@ end
 -- Registration ------------------------------------------------------------------------------------------------------
 
 claim_starts()
+stat:register()
 for _, proto in ipairs { all, yapp } do DissectorTable.get("can.subdissector"):add_for_decode_as(proto) end
 for _, name in ipairs { "tcp.port", "udp.port" } do
   for _, proto in ipairs { serial, yapp } do DissectorTable.get(name):add_for_decode_as(proto) end

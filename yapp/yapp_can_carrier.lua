@@ -73,6 +73,11 @@ function Carrier:without_id(tvb, pinfo, tree)
   return tvb:reported_len()
 end
 
+-- The key of a source: bus and ID.
+local function key_of(bus, id)
+  return (bus or -1) * 0x800 + id
+end
+
 -- A view is what all of the following look at: { tvb, pinfo, tree, address, facts, record, bus_name, item = YAPP's own
 -- item, or the tree where nobody wants one; wanted = whether anyone does }.
 
@@ -103,6 +108,28 @@ function Carrier:show(view)
   end
   for _, fault in ipairs(record.faults or {}) do builder:expert(view.item, fault.expert, fault.text) end
   if record.is_unfinished then builder:expert(view.item, "unfinished") end
+  if self.reader.stat.wanted then self:tell(view) end
+end
+
+-- Statistics are told of what is lost, and of parts of what may be.
+function Carrier:tell(view)
+  local facts, address, record = view.facts, view.address, view.record
+  local m = { id = address.id, seq = address.seq, source_key = key_of(facts.bus, address.id), bus_key = facts.bus,
+    bus = view.bus_name, frame = facts.number, time = view.pinfo.rel_ts, visited = facts.is_again,
+    is_end = address.ctrl == self.parts.can_id.END }
+  if record.faults then self.reader.tell:faults(m, record.faults) end
+  if record.message and not record.is_last then self.reader.tell:part(m) end
+end
+
+--- The messages that the capture ends before.
+-- returns  list of { source_key, seq, frame = number of their last frame }
+function Carrier:unfinished()
+  local list = {}
+  for i, message in ipairs(self.memory:unfinished()) do
+    list[i] = { source_key = key_of(message.bus, message.id), seq = message.seq,
+      frame = math.floor(message[message.count]) }
+  end
+  return list
 end
 
 -- YAPP's own tree item, with what the CAN id says.
@@ -124,7 +151,8 @@ local function finished(view, payload, size)
   local record, facts, address = view.record, view.facts, view.address
   return { tree = view.tree, item = view.item, wanted = view.wanted, pinfo = view.pinfo, id = address.id,
     seq = address.seq, ctl = address.ctl, payload = payload, size = size, frame = facts.number, bus_key = facts.bus,
-    bus = view.bus_name, record = record, is_whole = true }
+    bus = view.bus_name, record = record, is_whole = true, source_key = key_of(facts.bus, address.id),
+    visited = facts.is_again }
 end
 
 -- A frame that stands alone: a single-frame message, or what belongs to none.
@@ -163,8 +191,7 @@ end
 -- A finished message: its meaning and its history.
 function Carrier:read(message)
   local memory, record = self.memory, message.record
-  local look = { source = (message.bus_key or -1) * 0x800 + message.id, bus = message.bus_key,
-    time = message.pinfo.rel_ts }
+  local look = { source = message.source_key, bus = message.bus_key, time = message.pinfo.rel_ts }
   self.reader:read(message, look, function() return memory:change(record, look) end)
   if message.has_fault then memory:note_fault(record) end
   return message

@@ -19,10 +19,10 @@ Reassembly.__index = Reassembly
 -- size_of  function(id, bus) -> payload size of a known message, nil for an unknown one
 -- It has kept, a yapp_can_frames: what each frame is.
 --
--- A message has id, ctl, seq, key, size, crc, reserved (nil when 0), all from its Start; the looks of its frames at
--- 1 .. count, received (bytes); and when it has ended status: "good", "bad" (CRC), "short", "overrun", "cut" (by a new
--- Start), "unverified" (bytes not captured), payload, padding (nil when 0), calculated (a bad CRC), and last (the look
--- of its last frame).
+-- A message has id, ctl, seq, key, bus, size, crc, reserved (nil when 0), all from its Start; the looks of its frames
+-- at 1 .. count, received (bytes); and when it has ended status: "good", "bad" (CRC), "short", "overrun", "cut" (by a
+-- new Start), "unverified" (bytes not captured), payload, padding (nil when 0), calculated (a bad CRC), and last (the
+-- look of its last frame).
 function M.new(parts, size_of)
   return setmetatable({
     can_id = parts.can_id, crc = parts.crc, parts = parts, size_of = size_of, kept = parts.can_frames.new(parts.can_id),
@@ -188,7 +188,7 @@ local function start(self, slot, address, frame)
     return true
   end
   local message = { look, count = 1, parts = 0, received = 0, repeats = 0, chunks = {}, id = address.id,
-    ctl = address.ctl, seq = address.seq, key = address.key, size = size, crc = crc,
+    ctl = address.ctl, seq = address.seq, key = address.key, bus = frame.bus, size = size, crc = crc,
     reserved = reserved ~= 0 and reserved or nil }
   self.kept.entries[look] = message
   if open then open:add(message) else enter(self, slot, message) end

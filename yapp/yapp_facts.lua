@@ -47,7 +47,7 @@ end
 
 --- A new file is about to be dissected.
 function Facts:init()
-  if self.found.sources then
+  if self.found.sources or self.is_wanted and self.found.later then
     self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS)
   else
     remove(self.bus_tap)
@@ -58,6 +58,12 @@ function Facts:init()
   self.says_bus, self.numbers, self.names, self.count = {}, {}, {}, 0
   self.is_swapped = get_preference("can.byte_swap") -- of records that a little endian machine wrote as they were
   self.header_number, self.header_id, self.refused, self.asked = 0, nil, {}, nil
+end
+
+--- Sees to it that the names of buses are known, whatever the file's first bytes say.
+function Facts:want_buses()
+  self.is_wanted = true
+  if self.found.later then self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS) end
 end
 
 --- Whether the file tells several sources apart, by its first bytes.

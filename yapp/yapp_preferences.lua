@@ -85,8 +85,8 @@ end
 -- file  of the preference; read: the path that was read, or nil
 function M.check_messages_file(file, read)
   if file == "" or file == read then return end
-  M.complain_once { ("%s is read at the next start, if the default profile names it; for one run set the environment " ..
-    "variable YAPP_MESSAGES to it"):format(file) }
+  M.complain_once { ("%s is read at the next start, if the default profile names it; for one run set the " ..
+    "environment variable YAPP_MESSAGES to it"):format(file) }
 end
 
 local taken = {} -- [encapsulation] = its dissector before, or true

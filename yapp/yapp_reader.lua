@@ -10,8 +10,15 @@ Reader.__index = Reader
 
 --- decode    the module yapp_decode
 -- catalogue  compiled
-function M.new(decode, catalogue)
-  return setmetatable({ decode = decode, messages = catalogue.messages, by_id = {}, hinted = {} }, Reader)
+-- stat      { wanted = whether anyone wants to be told of messages }
+function M.new(decode, catalogue, stat)
+  return setmetatable({ decode = decode, messages = catalogue.messages, stat = stat, by_id = {}, hinted = {} }, Reader)
+end
+
+--- Tells someone of what is read, of what is lost, and of parts, while stat wants it.
+-- tell  a yapp_stat_tell
+function Reader:tell_to(tell)
+  self.tell = tell
 end
 
 --- Forgets the capture file.
@@ -111,7 +118,7 @@ function Reader:read(m, look, ask)
   look.message, look.raws, look.payload = message, m.raws, m.payload
   look.id, look.seq, look.good, m.time = m.id, m.seq, m.good, look.time
   m.change = ask(look)
-  if self.observer then self.observer(m) end
+  if self.stat.wanted then self.tell:message(m) end
 end
 
 return M

@@ -86,10 +86,12 @@ end
 -- What a frame means, and its history.
 local function read(self, view, index, message)
   local bus = view.bus_key
-  local look = { source = view.fact.stream .. "|" .. message.id, bus = bus, time = view.pinfo.rel_ts }
+  local key = view.fact.stream .. "|" .. message.id
+  local look = { source = key, bus = bus, time = view.pinfo.rel_ts }
   local m = { tree = view.tree, pinfo = view.pinfo, wanted = view.wanted, id = message.id, seq = message.seq,
     ctl = message.ctl, size = message.size, payload = message.payload, status = message.status,
-    good = message.status == "good", is_whole = true, frame = view.fact.number, bus_key = bus, bus = view.bus_name }
+    good = message.status == "good", is_whole = true, frame = view.fact.number, bus_key = bus, bus = view.bus_name,
+    source_key = key, visited = view.fact.visited }
   self.reader:read(m, look, function() return self.memory:change(view.packet, index, view.fact, look) end)
   return m
 end
@@ -105,7 +107,9 @@ local function show_frame(self, view, tvb, index)
   if status == "cut" then
     local text = ("The frame has %d bytes, %d of them are missing"):format(HEADER + message.size + CRC_SIZE,
       message.missing)
-    builder:expert(m.item, message.truncated and "truncated" or "fragment.incomplete", text)
+    local expert = message.truncated and "truncated" or "fragment.incomplete"
+    builder:expert(m.item, expert, text)
+    if self.reader.stat.wanted then self.reader.tell:faults(m, { { expert = expert } }) end
   end
   return builder:payload(m) .. (status == "bad" and "  [BAD CRC]" or status == "cut" and "  [INCOMPLETE]" or "")
 end

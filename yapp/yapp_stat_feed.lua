@@ -20,6 +20,7 @@ end
 function Feed:reset()
   self.queue, self.queued, self.number, self.visited = {}, 0, nil, nil
   self.waiting, self.waiting_count, self.last_rel, self.orphans, self.epoch = {}, 0, nil, {}, nil
+  self.doubtful = {}
   for _, entry in ipairs(self.statistics) do entry.matched = {} end
 end
 
@@ -87,7 +88,6 @@ local function is_new(self, record)
 end
 
 local function hand_on(self, record)
-  if not is_new(self, record) then return end
   for i = 1, #self.statistics do
     local entry = self.statistics[i]
     local statistic = entry.statistic
@@ -99,7 +99,13 @@ end
 local function flush(self)
   local waiting = self.waiting
   for i = 1, self.waiting_count do
-    hand_on(self, waiting[i])
+    local record = waiting[i]
+    local is_one = is_new(self, record)
+    if is_one and record.fault then
+      self.doubtful[#self.doubtful + 1] = record -- what comes may still show that nothing was lost
+    elseif is_one then
+      hand_on(self, record)
+    end
     waiting[i] = nil
   end
   self.waiting_count = 0
@@ -122,6 +128,9 @@ end
 function Feed:finish(unfinished)
   flush(self)
   local last = self.last_rel and { rel = self.last_rel }
+  for _, record in ipairs(self.doubtful) do
+    if not record.fault.void then hand_on(self, record) end
+  end
   for _, record in ipairs(unfinished) do hand_on(self, record) end
   local code, texts = 0, {}
   for _, entry in ipairs(self.statistics) do

@@ -8,7 +8,8 @@
 --   seq, payload, fits = whether the message of the catalogue takes the payload
 --   good         whether it came whole: CRC good, or a single frame; is_bad = whether its CRC is bad
 --   change       of yapp_history, or nil
---   lost         nil, "incomplete", "orphan", "overrun" or "unfinished"; is_end = whether an orphan is an End }
+--   lost         nil, "incomplete", "orphan", "overrun" or "unfinished"; is_end = whether an orphan is an End;
+--                fault = { void = whether it came out that nothing is lost after all }: sure at the end only }
 --
 -- A statistic gets those that the user's filter lets count: message(record); one with sees_all gets all, and whether
 -- they count: message(record, counts).

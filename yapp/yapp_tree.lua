@@ -124,7 +124,7 @@ local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
 -- returns     the tree, for the expert items
 -- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
 function Tree:bare(tree, tvb, is_message)
-  if not SAYS_PROTOCOLS and tree.hidden then
+  if not SAYS_PROTOCOLS and not self.reader.stat.wanted and tree.hidden then
     tree:add(self.yapp, tvb())
     if is_message and not tree:referenced(self.taurus_handle) then tree:add(self.taurus, tvb()) end
   end
