@@ -20,8 +20,8 @@ require("yapp_copies").tell(plugin)
 local parts = {}
 for _, name in ipairs {
   "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly", "can_repeated",
-  "can_wrapper", "catalogue", "catalogue_files", "crc", "decode", "decode_columns", "facts", "file_asc", "file_asc_reader",
-  "file_candump", "file_candump_reader", "file_dump", "file_dump_reader", "file_head", "frame", "history",
+  "can_wrapper", "catalogue", "catalogue_files", "crc", "decode", "decode_columns", "facts", "file_asc",
+  "file_asc_reader", "file_candump", "file_candump_reader", "file_dump", "file_dump_reader", "file_head", "frame", "history",
   "preferences", "reader", "serial_carrier", "serial_memory", "serial_stream", "sources", "stat", "stat_tell", "tree",
   "utf8",
 } do
@@ -103,14 +103,14 @@ end
 
 -- With the preference "all extended": what no table claims.  A heuristic is called for every CAN frame of every capture
 -- that nobody else takes, so there is none before somebody wants it.
-local is_heuristic = false
+local is_wide, is_heuristic = false, false -- is_wide: the preference
 
 local function take_all()
   parts.can_wrapper.wrap(socketcan, facts)
   if is_heuristic then return end
   is_heuristic = true
   all:register_heuristic("can", function(tvb, pinfo, root)
-    return yapp.prefs.all_extended and all.dissector(tvb, pinfo, root) > 0
+    return is_wide and all.dissector(tvb, pinfo, root) > 0
   end)
 end
 
@@ -125,7 +125,7 @@ function yapp.dissector(tvb, pinfo, root)
       return all.dissector(tvb, pinfo, root)
     end
   end
-  local length = frames:dissect(tvb, pinfo, root, can_id, yapp.prefs.all_extended)
+  local length = frames:dissect(tvb, pinfo, root, can_id, is_wide)
   if length == 0 then facts:note_refused(can_id) end -- for Decode As, which is asked next
   return length
 end
@@ -189,7 +189,8 @@ local function read_preferences()
   for _, row in ipairs(sources:list()) do
     if row.message then claim_id(row.id) end
   end
-  if prefs.all_extended then take_all() end
+  is_wide = prefs.all_extended
+  if is_wide then take_all() end
   preferences.take_link_types(prefs.user_dlt, serial)
 end
 yapp.prefs_changed = read_preferences

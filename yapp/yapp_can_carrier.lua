@@ -37,7 +37,7 @@ end
 -- returns  the number of bytes that are ours, 0 for a frame that is not
 function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local memory = self.memory
-  local facts = self.facts:can_frame(tvb, pinfo, memory:is_new(pinfo.number))
+  local facts = self.facts:can_frame(tvb, pinfo, memory:highest())
   if facts.reported == 0 then return 0 end
   if facts.remote or facts.doubtful and facts.data == "" then
     if facts.doubtful then memory:guess() else memory:pass_over(facts) end
@@ -126,7 +126,7 @@ end
 function Carrier:unfinished()
   local list = {}
   for i, message in ipairs(self.memory:unfinished()) do
-    list[i] = { source_key = key_of(message.bus, message.id), seq = message.seq,
+    list[i] = { source_key = key_of(message.bus, message.address.id), seq = message.address.seq,
       frame = math.floor(message[message.count]) }
   end
   return list

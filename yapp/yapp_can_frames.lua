@@ -4,11 +4,11 @@
 
 local M = {}
 
-local byte, char, floor = string.byte, string.char, math.floor
+local byte, char, sub = string.byte, string.char, string.sub
 local unpack = rawget(table, "unpack")
 
 local MAX_DISTANCE, MAX_COUNT = 255, 64 -- what fits the small form of a good message
-local PACKED = 9 -- bytes of it in front of the distances: count, key, CRC
+local PACKED = 9 -- bytes of it besides distances and payload: count, key, CRC
 
 local Frames = {}
 Frames.__index = Frames
@@ -103,21 +103,20 @@ function Frames:good(message)
     is_usual = is_usual and distances[i] % 1 == 0
   end
   if not is_usual then return end
-  local key, crc = message.key, message.crc
   for i = 1, count - 1 do entries[message[i]] = last end
-  entries[last] = char(count, floor(key / 0x1000000), floor(key / 0x10000) % 0x100, floor(key / 0x100) % 0x100,
-    key % 0x100, floor(crc / 0x1000000), floor(crc / 0x10000) % 0x100, floor(crc / 0x100) % 0x100, crc % 0x100,
-    unpack(distances, 1, count)) .. message.payload
+  -- Count, distances, key, and the CRC as the Start has it.
+  entries[last] = char(count, unpack(distances, 1, count)) .. message.address.key_bytes .. sub(message.sent, 1, 4) ..
+    message.payload
 end
 
 local function take_out(packed, last, can_id)
-  local count, a, b, c, d, e, f, g, h = byte(packed, 1, PACKED)
-  local address = can_id.address(a * 0x1000000 + b * 0x10000 + c * 0x100 + d)
-  local message = { byte(packed, PACKED + 1, PACKED + count) }
+  local count = byte(packed)
+  local message = { byte(packed, 2, count + 1) }
   for i = 1, count do message[i] = last - message[i] end
-  message.id, message.ctl, message.seq, message.key = address.id, address.ctl, address.seq, address.key
-  message.crc = e * 0x1000000 + f * 0x10000 + g * 0x100 + h
-  message.count, message.last, message.status, message.payload = count, last, "good", packed:sub(PACKED + 1 + count)
+  local a, b, c, d, e, f, g, h = byte(packed, count + 2, count + PACKED)
+  message.address = can_id.address(a * 0x1000000 + b * 0x10000 + c * 0x100 + d)
+  message.crc = e + f * 0x100 + g * 0x10000 + h * 0x1000000
+  message.count, message.last, message.status, message.payload = count, last, "good", sub(packed, count + PACKED + 1)
   message.size = #message.payload
   message.received = message.size
   return message

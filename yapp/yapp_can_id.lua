@@ -27,15 +27,17 @@ local addresses, address_count = {}, 0
 --- A 29-bit CAN id taken apart ("CAN Message IDs").
 -- can_id   0 .. 0x1FFFFFFF
 -- returns  { can_id, id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, key = what the frames of a message
---          share }; usually the same table for the same id: read only
+--          share, key_bytes = the same as 4 bytes, big endian }; usually the same table for the same id: read only
 function M.address(can_id)
   local address = addresses[can_id]
   if address then return address end
   local seq = integer(can_id % 0x100)
   local ctl = integer((can_id - seq) / 0x100 % 0x40)
   local ctrl = integer((can_id - can_id % 0x4000) / 0x4000 % 0x10)
+  local key = can_id - ctrl * 0x4000
+  local a, b, c, d = key % 0x100, key % 0x10000, key % 0x1000000, key
   address = { can_id = can_id, id = integer((can_id - can_id % 0x40000) / 0x40000), ctrl = ctrl, ctl = ctl, seq = seq,
-    key = can_id - ctrl * 0x4000 }
+    key = key, key_bytes = char((d - c) / 0x1000000, (c - b) / 0x10000, (b - a) / 0x100, a) }
   if address_count == M.MAX_KEPT then addresses, address_count = {}, 0 end
   addresses[can_id], address_count = address, address_count + 1
   return address
@@ -53,10 +55,12 @@ function M.padding(data, reported, needed)
 end
 
 --- The 12 bytes that the CRC covers before the payload ("Computing the UART and Ethernet Frame IDs from the CAN ID").
--- message  { id, seq, ctl, size, reserved = number or nil }
-function M.header(message)
-  local id, size, reserved = message.id, message.size, message.reserved or 0
-  return char(0x59, 0x50, message.seq, message.ctl, id % 0x100, (id - id % 0x100) / 0x100, 0, 0,
+-- address   { id, seq, ctl }
+-- size      of the payload; reserved: number, 0 when left out
+function M.header(address, size, reserved)
+  local id = address.id
+  reserved = reserved or 0
+  return char(0x59, 0x50, address.seq, address.ctl, id % 0x100, (id - id % 0x100) / 0x100, 0, 0,
     size % 0x100, (size - size % 0x100) / 0x100, reserved % 0x100, (reserved - reserved % 0x100) / 0x100)
 end
 

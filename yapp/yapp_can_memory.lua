@@ -56,7 +56,7 @@ local function find_look(pass, number, place, key)
     return nil
   end
   local message, alone = pass.kept:entry(look)
-  if message and message.key == key then return look, message end
+  if message and message.address.key == key then return look, message end
   if alone and pass.kept.can_id.address(alone).key == key then return look, nil, alone end
 end
 
@@ -95,10 +95,10 @@ function M.new(parts, options)
   return self
 end
 
---- Whether a frame with this number has not come yet, so that it can only be a first look.  True for most frames:
--- saves asking Wireshark.
-function Memory:is_new(number)
-  return number > self.first.highest and not self.is_again
+--- The highest number so far: a frame above it cannot have been looked at before, which saves asking Wireshark.
+-- returns  number; infinity once a second look has been seen
+function Memory:highest()
+  return self.is_again and math.huge or self.first.highest
 end
 
 --- Says that the first pass cannot know all of the facts.
@@ -106,7 +106,7 @@ function Memory:guess()
   self.is_guessed = true
 end
 
--- Takes a frame in the order of a pass; returns whether it is YAPP's.
+-- Takes a frame in the order of a pass; returns whether it is YAPP's, and its message, or the id of one without.
 local function take(self, pass, address, facts, look)
   if not facts.informed or facts.doubtful then self.is_guessed = true end
   if facts.bus then
@@ -114,7 +114,8 @@ local function take(self, pass, address, facts, look)
     if facts.bus ~= self.first_bus then self.is_mixed = true end
   end
   facts.look = look
-  return pass.reassembly:frame(address, facts)
+  local is_ours, message = pass.reassembly:frame(address, facts)
+  if is_ours then return true, message, not message and address.can_id or nil end
 end
 
 -- Whether a second pass goes on at this frame: it has seen all that the first knows in front of it.  Who asks for a
@@ -143,7 +144,7 @@ end
 -- from the CRC.
 local function foreseen(self, message)
   local second, start = self.second, message[1]
-  local look, same = find_look(self.first, floor(start), place_of(second, start), message.key)
+  local look, same = find_look(self.first, floor(start), place_of(second, start), message.address.key)
   if not same or same[1] ~= look or self.is_mixed and same.status ~= "good" then return nil end
   return same
 end
@@ -164,8 +165,9 @@ local function second_look(self, address, facts)
   end
   self.reached = math.max(self.reached, facts.number)
   local look = next_look(second, facts.number, facts.place)
-  if not take(self, second, address, facts, look) then return nil, false end
-  return look, true, second.kept:entry(look)
+  local is_ours, message, alone = take(self, second, address, facts, look)
+  if not is_ours then return nil, false end
+  return look, true, message, alone
 end
 
 -- The record of a frame that belongs to a message which has not ended here: where it leads to.
@@ -191,7 +193,7 @@ end
 local function record_of(self, pass, look, is_now, message, alone)
   local record = { pass = pass, look = look, message = message, alone = alone, faults = pass.kept.faults[look],
     is_now = is_now, is_last = message ~= nil and message.last == look }
-  if message and not record.is_last then link(self, record, message) end
+  if message and not record.is_last and (self.is_again or message.last) then link(self, record, message) end
   return record
 end
 
@@ -209,8 +211,8 @@ function Memory:look(address, facts)
   local first = self.first
   if not facts.is_again then
     local look = next_look(first, facts.number, facts.place)
-    if not take(self, first, address, facts, look) then return nil end
-    return record_of(self, first, look, true, first.kept:entry(look))
+    local is_ours, message, alone = take(self, first, address, facts, look)
+    return is_ours and record_of(self, first, look, true, message, alone) or nil
   end
   self.is_again = true
   local look, is_now, message, alone = second_look(self, address, facts)

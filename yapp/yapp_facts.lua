@@ -220,19 +220,19 @@ local function is_remote(self, pinfo)
 end
 
 --- What a look at a CAN frame needs to know, asked for once.
--- is_new   whether its number is a new one, so that Wireshark cannot have shown it before
+-- highest  the highest number so far: one above it is new, and Wireshark cannot have shown it before
 -- returns  { number, place, is_again, data, reported, bus, informed = whether this pass can tell the bus,
 --            remote = whether it is a remote frame, doubtful = whether it may be one and nothing says }:
 --          the same table for every frame
-function Facts:can_frame(tvb, pinfo, is_new)
-  local record = self.record
-  record.number, record.place, record.is_again = pinfo.number, tvb:offset(), not is_new and pinfo.visited
+function Facts:can_frame(tvb, pinfo, highest)
+  local record, number = self.record, pinfo.number
+  record.number, record.place, record.is_again = number, tvb:offset(), number <= highest and pinfo.visited
   record.reported = tvb:reported_len()
   -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
   record.data = tvb:len() > 0 and tvb:raw() or ""
   if self.asked ~= record.is_again then -- at a pass's first frame: a later one may need them
     self.asked = record.is_again
-    can_fields(self, record.number)
+    can_fields(self, number)
   end
   record.bus, record.informed = self:bus(pinfo)
   record.remote, record.doubtful = false, false

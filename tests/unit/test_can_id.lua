@@ -64,8 +64,8 @@ function T.test_padding()
 end
 
 function T.test_header()
-  lu.assertEquals(can.header { id = 0x210, seq = 0, ctl = 0, size = 32 }, "YP\0\0\16\2\0\0\32\0\0\0")
-  lu.assertEquals(can.header { id = 0x7FF, seq = 0x15, ctl = 0x3F, size = 0xABCD, reserved = 0x1234 },
+  lu.assertEquals(can.header({ id = 0x210, seq = 0, ctl = 0 }, 32), "YP\0\0\16\2\0\0\32\0\0\0")
+  lu.assertEquals(can.header({ id = 0x7FF, seq = 0x15, ctl = 0x3F }, 0xABCD, 0x1234),
     "YP\21\63\255\7\0\0\205\171\52\18")
 end
 

@@ -45,7 +45,7 @@ local function frame_of(what, more)
   if what == "C" then return id_of(0, 0), "1234567" end
   if what == "?" then return id_of(0x123, 2), "12345678" end
   if what == "S" then
-    local header = can_id.header { id = id, seq = 0, ctl = 0, size = 32 }
+    local header = can_id.header({ id = id, seq = 0, ctl = 0 }, 32)
     return id_of(id, 1), little_endian(crc.of(header .. payload), 4) .. little_endian(32, 2) .. "\0\0"
   end
   if what == "E" then return id_of(id, 3), payload:sub(25) end

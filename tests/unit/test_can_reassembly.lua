@@ -27,8 +27,8 @@ end
 --- The data of a Start.
 function bus.start(id, ctl, seq, payload, options)
   options = options or {}
-  local message = { id = id, ctl = ctl, seq = seq, size = #payload, reserved = options.reserved }
-  local sum = crc.of(can_id.header(message) .. payload)
+  local header = can_id.header({ id = id, ctl = ctl, seq = seq }, #payload, options.reserved)
+  local sum = crc.of(header .. payload)
   if options.wrong then sum = crc.xor(sum, 1) end
   return little_endian(sum, 4) .. little_endian(options.size or #payload, 2) .. little_endian(options.reserved or 0, 2)
 end
@@ -267,8 +267,8 @@ function T.test_what_is_kept_of_a_message()
   for id, ids in pairs { [0x210] = MOTOR, [0x7FF] = { [""] = { 0x7FF, 63, 255 } } } do
     local _, state = bus.send("S32 M8 M8 M8 E8", { ids = ids, wide = true })
     local entry = state.kept:entry(2)
-    lu.assertEquals(entry.id, id)
-    lu.assertEquals(entry.crc, crc.of(can_id.header(entry) .. entry.payload))
+    lu.assertEquals(entry.address.id, id)
+    lu.assertEquals(entry.crc, crc.of(can_id.header(entry.address, entry.size) .. entry.payload))
   end
 end
 
