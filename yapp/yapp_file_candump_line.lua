@@ -290,21 +290,39 @@ function M.packet(record, number, big_endian)
     a, b, c, d, record.length, record.flags, 0, record.raw_dlc) .. record.data
 end
 
-local TAILS = {} -- behind M.HEAD: length, flags, reserved, raw DLC
-for length = 0, 8 do TAILS[2 * length] = char(length, 0, 0, 0) end
+--- What stands behind M.HEAD for so many data bytes: length, flags, reserved, raw DLC.
+M.LENGTHS = {}
+for length = 0, 8 do M.LENGTHS[length] = char(length, 0, 0, 0) end
+
+-- Decimal and hex digits, by their codes.
+local HEX = {}
+for code = 48, 102 do HEX[code] = tonumber(char(code), 16) end
+
+-- The data bytes of 16 hex digits. Text that is not made needs no collector: that is why these are no captures.
+local function eight_bytes(text, at)
+  local a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p = byte(text, at, at + 15)
+  return char(HEX[a] * 16 + HEX[b], HEX[c] * 16 + HEX[d], HEX[e] * 16 + HEX[f], HEX[g] * 16 + HEX[h],
+    HEX[i] * 16 + HEX[j], HEX[k] * 16 + HEX[l], HEX[m] * 16 + HEX[n], HEX[o] * 16 + HEX[p])
+end
+
+local function nanoseconds_at(text, at)
+  local a, b, c, d, e, f = byte(text, at, at + 5)
+  return (a * 100000 + b * 10000 + c * 1000 + d * 100 + e * 10 + f - 48 * 111111) * 1000
+end
 
 --- Reads a line of the usual form in one step: a classic data frame in a log, nothing behind it, LF or CRLF.
 --   (1700000000.000001) can0 08404000#BBBE6FC720000000
 -- @param text with the line in it
 -- @param at where the line begins
--- @return seconds and nanoseconds, the bus, the id's digits, the bytes of the packet from M.HEAD on, and where the next
---   line begins; nil for any other line
+-- @return seconds and nanoseconds, the bus, the id's digits, the data bytes, and where the next line begins; nil for
+--   any other line
 function M.usual(text, at)
-  local seconds, fraction, bus, digits, hex, stop =
-    match(text, "^%((%d+)%.(%d%d%d%d%d%d)%) (%S+) (%x+)#(%x*)\r?\n()", at)
-  local tail = stop and TAILS[#hex]
-  if not tail or #seconds > 12 then return nil end
-  return tonumber(seconds), tonumber(fraction) * 1000, bus, digits, tail .. gsub(hex, "%x%x", FROM_HEX), stop
+  local seconds, fraction, bus, digits, from, to, stop =
+    match(text, "^%((%d+)%.()%d%d%d%d%d%d%) (%S+) (%x+)#()%x*()\r?\n()", at)
+  local count = stop and to - from
+  if not count or count > 16 or count % 2 ~= 0 or #seconds > 12 then return nil end
+  local data = count == 16 and eight_bytes(text, from) or gsub(sub(text, from, to - 1), "%x%x", FROM_HEX)
+  return tonumber(seconds), nanoseconds_at(text, fraction), bus, digits, data, stop
 end
 
 return M

@@ -26,18 +26,20 @@ local function report(text)
   io.stderr:write("candump reader: ", text, "\n")
 end
 
--- Copies a frame of the pure part to Wireshark's.
-local function fill(target, frame)
-  target.rec_type = PACKET
-  if frame.seconds then
-    target.flags = HAS_TIME
-    target.time = NSTime.new(frame.seconds, frame.nanoseconds)
+-- Fills in Wireshark's frame; returns what Wireshark wants to hear.
+local function fill(frame, offset, bytes, bus, seconds, nanoseconds, comment)
+  if not offset then return false end
+  frame.rec_type = PACKET
+  if seconds then
+    frame.flags = HAS_TIME
+    frame.time = NSTime.new(seconds, nanoseconds)
   else
-    target.flags = 0
+    frame.flags = 0
   end
-  target.data = frame.bytes
-  if frame.comment then target.comment = frame.comment end
-  M.current_bus, M.current_bus_name = frame.bus, frame.bus_name
+  frame.data = bytes
+  if comment then frame.comment = comment end
+  M.current_bus, M.current_bus_name = bus.number, bus.name
+  return offset
 end
 
 local function forget()
@@ -65,18 +67,12 @@ local function make_reader(candump, row, big_endian)
     return true
   end
 
-  function handler.read(file, capture, target)
-    local frame, offset = candump.read(capture.private_table, file)
-    if not frame then return false end
-    fill(target, frame)
-    return offset
+  function handler.read(file, capture, frame)
+    return fill(frame, candump.read(capture.private_table, file))
   end
 
-  function handler.seek_read(file, capture, target, offset)
-    local frame = candump.seek_read(capture.private_table, file, offset)
-    if not frame then return false end
-    fill(target, frame)
-    return true
+  function handler.seek_read(file, capture, frame, offset)
+    return fill(frame, candump.seek_read(capture.private_table, file, offset)) ~= false
   end
 
   handler.read_close = forget

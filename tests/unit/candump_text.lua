@@ -29,16 +29,21 @@ function M.opened(text, all, by_value)
   return log, file, told
 end
 
--- All frames of a text, with their offsets in `offset`; nil where it is not taken.
+-- What read and seek_read return, as a record.
+function M.frame(offset, bytes, bus, seconds, nanoseconds, comment)
+  return offset and { offset = offset, bytes = bytes, bus = bus.number, bus_name = bus.name, seconds = seconds,
+    nanoseconds = nanoseconds, comment = comment }
+end
+
+-- All frames of a text; nil where it is not taken.
 function M.frames_of(text, all)
   local log, file, told = M.opened(text, all)
   local frames = {}
   if not log then return nil, told end
-  local frame, offset = candump.read(log, file)
+  local frame = M.frame(candump.read(log, file))
   while frame do
-    frame.offset = offset
     frames[#frames + 1] = frame
-    frame, offset = candump.read(log, file)
+    frame = M.frame(candump.read(log, file))
   end
   return frames, told, log
 end
