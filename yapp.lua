@@ -209,6 +209,7 @@ function yapp.init()
   }
   reader:reset()
   tell:reset()
+  tree:reset()
   frames:reset(options)
   streams:reset(options)
 end

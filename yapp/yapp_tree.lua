@@ -92,9 +92,14 @@ function M.new(options)
   for _, row in ipairs(FIELDS) do list[#list + 1] = self.fields[row[1]] end
   self.yapp.fields = list
 
-  self.messages = tree_taurus.new(self.taurus, options.catalogue, options.decode)
+  self.messages = tree_taurus.new(self.taurus, options.catalogue)
   self.yapp_experts = tree_taurus.make_experts(self.yapp, "yapp.", YAPP_EXPERTS)
   return self
+end
+
+--- Forgets what was wanted of the file before.
+function Tree:reset()
+  self.messages:reset()
 end
 
 -- What is wanted -----------------------------------------------------------------------------------------------------
@@ -117,6 +122,7 @@ function Tree:wants_any(tree)
     (tree:referenced(self.yapp_handle or find_handles(self)) or tree:referenced(self.taurus_handle))
 end
 
+local IS_TSHARK = not gui_enabled() -- what is wanted does not change within its first pass
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
 
 --- Where nobody wants YAPP's own items, but there is a tree: its name, for who asks for protocols (-z io,phs).
@@ -252,6 +258,7 @@ function Tree:payload(m)
   if #m.payload == 0 then m.tvb = nil end
   local name = self:name(m.id, m.bus)
   m.label = name ~= m.message.title and name or nil
+  m.is_steady = IS_TSHARK and not m.visited
   local top = self.messages:show(m.tree, m.item, m)
   if change then self.messages:add_change(top or m.item, m.message, change, m.time) end
   return self.decode.info(m.message, m.raws, m.payload, name)
