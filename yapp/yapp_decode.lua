@@ -125,6 +125,8 @@ function M.float(field, raw)
   return float(field, raw)
 end
 
+function M.rounded(_, value) return M.round(value) end
+
 function M.value(field, raw) -- until the catalogue brings its own
   if field.kind == "float" then return M.float(field, raw) end
   return raw
