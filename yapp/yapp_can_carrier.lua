@@ -106,7 +106,7 @@ local function record_of(self, frame, rel, bus, address)
   local source = self.known[key]
   if not source then
     local name = bus and self.bus_name(bus)
-    source = { key = key, bus_key = bus or nil, bus = name, name = self.sources():name(name, address.id),
+    source = { key = key, bus_key = bus or nil, bus = name or nil, name = self.sources():name(name, address.id),
       id = address.id, message = self.tree.by_id[address.id] }
     self.known[key] = source
   end
