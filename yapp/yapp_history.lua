@@ -8,17 +8,22 @@ local M = {}
 
 local byte = string.byte
 
-local COMMAND = "command" -- the catalogue's name of the message that others are answers to
 local NOTHING = {} -- how things stand before a source's first event
 
 local History = {}
 History.__index = History
 
 --- The history of one pass over one capture.
--- options  { late = how many periods of its message a gap must exceed to be one (2.5) }
+-- options  { late = how many periods of its message a gap must exceed to be one (2.5),
+--            catalogue = compiled: which messages others answer (without it, the one that is called command) }
 function M.new(options)
-  return setmetatable({ late = options and options.late or 2.5, by_key = {}, list = {}, commands = {}, kinds = {} },
-    History)
+  options = options or {}
+  local answered = { command = not options.catalogue or nil }
+  for _, message in ipairs(options.catalogue and options.catalogue.messages or {}) do
+    if message.answers then answered[message.answers] = true end
+  end
+  return setmetatable({ late = options.late or 2.5, answered = answered, by_key = {}, list = {}, commands = {},
+    kinds = {} }, History)
 end
 
 -- The place of the last of these ascending numbers that is not above `most`, 0 where none is.
@@ -175,10 +180,19 @@ local function follow(self, source, look)
   return clock
 end
 
--- The latest of the bus's Commands before a message.
-local function command_before(self, look)
-  local numbers = self.commands[look.bus or false]
-  return numbers and numbers[last_until(numbers, look.number - 1)]
+-- The numbers of a bus's messages of one kind that others answer.
+local function commands_of(self, bus, name)
+  local by_name = self.commands[bus or false]
+  if not by_name then
+    by_name = {}
+    self.commands[bus or false] = by_name
+  end
+  local numbers = by_name[name]
+  if not numbers then
+    numbers = {}
+    by_name[name] = numbers
+  end
+  return numbers
 end
 
 -- The change of a good message from what is kept.
@@ -194,7 +208,10 @@ local function tell(self, source, look, delta, clock)
       clock = clock or clock_of(look.payload, message.time.offset + 1)
       drift = clock and (clock - state.clock) / 1e9 - (look.time - state.time)
     end
-    if message.name ~= COMMAND then command_in = command_before(self, look) end
+    if message.answers then
+      local numbers = commands_of(self, look.bus, message.answers)
+      command_in = numbers[last_until(numbers, look.number - 1)]
+    end
     if active_since or event.is_alarm then
       previous = source.changes[last_until(source.changes, look.number - 1)]
     end
@@ -220,7 +237,7 @@ end
 --   late          seconds, where delta is more than a lost message or two
 --   reboot, stale true where the controller's clock went back, stood still
 --   drift         seconds: controller's clock less the capture's, since the source's first message or reboot
---   command_in    number of the latest good Command on the bus before it
+--   command_in    number of the latest good message on the bus before it of those that it answers: a Command
 --   flags         { { field =, value =, raised = bits, cleared = bits } ... } of every flags field that changed; in a
 --                 source's first message all alarms that are set are raised, other flags are not told
 --   active_since  time at which the oldest alarm bit that is still set was raised
@@ -235,10 +252,10 @@ function History:note(look)
   local delta = source.last_time and look.time - source.last_time
   if not look.good then return only_delta(delta) end
   local clock = follow(self, source, look)
-  if look.message and look.message.name == COMMAND then
-    local bus = look.bus or false
-    local numbers = self.commands[bus] or {}
-    self.commands[bus], numbers[#numbers + 1] = numbers, look.number
+  local message = look.message
+  if message and self.answered[message.name] then
+    local numbers = commands_of(self, look.bus, message.name)
+    numbers[#numbers + 1] = look.number
   end
   return tell(self, source, look, delta, clock)
 end

@@ -1,4 +1,4 @@
--- Statistics in tshark (-z yapp,...) and in Wireshark's menus: taps, output, exit codes.  Wireshark's API.
+-- Statistics in tshark (-z yapp,...): taps, output, exit codes.  Wireshark's windows are yapp_stat_menu's.  API.
 
 local M = {}
 
@@ -141,6 +141,36 @@ function Stat:finish()
   return self.feed:finish(self.plugin.unfinished())
 end
 
+--- Runs a statistic over all packets, in Wireshark, and returns what it says and what is wrong as one text.
+-- text  as behind -z
+function Stat:run(text)
+  local locale = os.setlocale(nil, "numeric")
+  os.setlocale("C", "numeric")
+  local said = self:run_once(text)
+  os.setlocale(locale, "numeric")
+  return said
+end
+
+function Stat:run_once(text)
+  local options, said = require("yapp_stat_options").read(text, self.plugin.catalogue), {}
+  local function out(part) said[#said + 1] = part end
+  for _, problem in ipairs(options.problems) do out(problem .. "\n") end
+  if #options.problems > 0 then return table.concat(said) end
+  self:open()
+  local taps, problem = self:begin(options, out)
+  if taps then
+    taps[#taps + 1] = tap_packets(self.feed)
+    retap_packets()
+    local ok, code, texts = pcall(self.finish, self)
+    for _, one in ipairs(ok and texts or { tostring(code) }) do out(one .. "\n") end
+    for _, tap in ipairs(taps) do tap:remove() end
+  else
+    out(problem .. "\n")
+  end
+  self.feed, self.wanted = nil, false
+  return table.concat(said)
+end
+
 -- tshark --------------------------------------------------------------------------------------------------------
 
 -- All is seen: prints, says what is wrong, ends with a code where one is due.
@@ -158,6 +188,7 @@ end
 
 -- One -z argument.  Wireshark swallows an error here, so all that can fail ends with a message and a code.
 function Stat:argument(text)
+  os.setlocale("C", "numeric") -- de_DE reads no "0.5", and writes 48,2 into a table of commas
   local options = require("yapp_stat_options").read(text, self.plugin.catalogue)
   for _, problem in ipairs(options.problems) do say(problem) end
   if #options.problems > 0 and not options.rules then leave(FAILED) end
@@ -176,7 +207,9 @@ end
 
 --- Registers -z yapp,... and, in Wireshark, the menus.
 function Stat:register()
+  local menu = gui_enabled() and require("yapp_stat_menu").register(self)
   local function run(text)
+    if menu then return menu.show(text) end
     local ok, problem = pcall(self.argument, self, text)
     if not ok then
       say(tostring(problem))

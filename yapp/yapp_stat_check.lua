@@ -67,11 +67,19 @@ local function number_of(decode, field, raw, payload)
   return type(value) == "number" and value == value and value or nil
 end
 
+local function outside(rule, value)
+  return rule.low and value < rule.low and rule.low - value or
+    rule.high and value > rule.high and value - rule.high or nil
+end
+
 -- The value that lies farthest outside is the one that is shown; a reserved count beats all.
-local function note_value(range, value, frame)
+local function note_value(range, value, frame, decode)
   local rule = range.rule
-  local by = not value and math.huge or rule.low and value < rule.low and rule.low - value or
-    rule.high and value > rule.high and value - rule.high
+  local by = not value and math.huge or outside(rule, value)
+  if by and value and (rule.field.kind == "float" or rule.field.scale) then -- with the digits that people see
+    value = decode.rounded(rule.field, value)
+    by = outside(rule, value)
+  end
   if not by then
     range.inside = range.inside + 1
   else
@@ -86,7 +94,7 @@ function Check:note_ranges(group, record)
   for _, range in ipairs(group.ranges) do
     local field, raw = range.rule.field, raws[range.index]
     if raw or field.kind == "time" and field.offset + field.size <= #payload then
-      note_value(range, number_of(decode, field, raw, payload), record.frame)
+      note_value(range, number_of(decode, field, raw, payload), record.frame, decode)
     end
   end
 end

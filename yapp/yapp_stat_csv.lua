@@ -9,10 +9,10 @@ local files = require("yapp_stat_file")
 local M = {}
 
 local COMMON = {
-  { name = "time", unit = "s", type = "time" }, { name = "frame", type = "integer" }, { name = "bus", type = "text" },
-  { name = "source", type = "text" }, { name = "id", type = "integer" }, { name = "seq", type = "integer" },
+  { name = "time", unit = "s", type = "time" }, { name = "frame", type = "integer" }, { name = "bus", type = "string" },
+  { name = "source", type = "string" }, { name = "id", type = "integer" }, { name = "seq", type = "integer" },
 }
-local CRC_GOOD = { name = "crc_good", type = "boolean" }
+local CRC_GOOD = { name = "crc_good", type = "bool" }
 local FIELDS = "fields.json"
 local COLUMN_KEYS = { "name", "unit", "type", "filter", "title" }
 

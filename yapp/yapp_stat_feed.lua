@@ -57,22 +57,29 @@ local function counts(entry, number)
   return (entry.matched[(number - bit) / 32] or 0) % 2 ^ (bit + 1) >= 2 ^ bit
 end
 
+local integer = rawget(math, "tointeger") or function(n) return n end
+
+-- Seconds as whole seconds and nanoseconds: 2^22 s is what a double has to half a nanosecond.
+local function split(rel)
+  local fraction = rel % 1
+  return rel - fraction, math.floor(fraction * 1e9 + 0.5)
+end
+
 --- When the first packet was captured.
 -- seconds, nanoseconds  integers; rel = what the packet's time since the first one is (0, or where a filter rejected
 --                       packets the first one that there is)
 function Feed:begins(seconds, nanoseconds, rel)
-  self.epoch = { seconds = seconds, nanoseconds = nanoseconds - math.floor(rel * 1e9 + 0.5) }
+  local whole, rest = split(rel)
+  self.epoch = { seconds = seconds - whole, nanoseconds = nanoseconds - rest }
 end
 
-local integer = rawget(math, "tointeger") or function(n) return n end
-
---- The time of a packet: a double has the seconds since the first one to the nanosecond.
--- returns  seconds since 1970, nanoseconds
+--- The time of a packet from the seconds since the first one.
+-- returns  seconds since 1970, nanoseconds; exact for captures of up to 48 days
 function Feed:time(rel)
-  local epoch = self.epoch
-  local nanoseconds = epoch.nanoseconds + math.floor(rel * 1e9 + 0.5)
-  local rest = nanoseconds % 1000000000
-  return integer(epoch.seconds + (nanoseconds - rest) / 1000000000), integer(rest)
+  local epoch, whole, rest = self.epoch, split(rel)
+  local nanoseconds = epoch.nanoseconds + rest
+  rest = nanoseconds % 1000000000
+  return integer(epoch.seconds + whole + (nanoseconds - rest) / 1000000000), integer(rest)
 end
 
 -- Whether an orphaned frame is another message than the orphans before it: only the first one of a message counts.

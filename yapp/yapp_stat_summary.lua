@@ -15,6 +15,10 @@ local RANGE = { "min", "mean", "max" }
 local Summary = {}
 Summary.__index = Summary
 
+local function has_fraction(field)
+  return field.kind == "float" or field.kind == "ieee" or field.scale ~= nil
+end
+
 -- The fields whose values can be averaged: numbers, and no codes, flags or times.
 local function numeric(message)
   local fields = {}
@@ -78,12 +82,17 @@ function Summary:message(record)
   end
 end
 
--- What is worked out when all has been seen.
-local function conclude(group)
+-- What is worked out when all has been seen; the ends of a range have the digits of a single value.
+local function conclude(group, decode)
   local span = group.count > 1 and group.last - group.first
   group.rate = span and span > 0 and (group.count - 1) / span or nil
   group.gap_mean = span and span / (group.count - 1) or nil
-  for _, row in ipairs(group.fields) do row.mean = row.count > 0 and row.sum / row.count or nil end
+  for _, row in ipairs(group.fields) do
+    if row.count > 0 then row.mean = row.sum / row.count end
+    if row.count > 0 and has_fraction(row.field) then
+      row.min, row.max = decode.rounded(row.field, row.min), decode.rounded(row.field, row.max)
+    end
+  end
 end
 
 local function line(group)
@@ -134,7 +143,7 @@ end
 --- last  { rel = } of the last packet of any kind; nil where there was none
 function Summary:finish(last)
   local list, out = self.groups:sorted(), self.context.out
-  for _, group in ipairs(list) do conclude(group) end
+  for _, group in ipairs(list) do conclude(group, self.context.decode) end
   if self.options.json then
     for _, group in ipairs(list) do out(line(group)) end
     return

@@ -50,9 +50,9 @@ function M.span(seconds)
   return seconds and ("%.6f"):format(seconds) or false
 end
 
---- A number at four digits, false for nil.
+--- A number at six digits, false for nil.
 function M.number(value)
-  return value and ("%.4g"):format(value) or false
+  return value and ("%.6g"):format(value) or false
 end
 
 --- A count of things: "1 message", "2 messages".

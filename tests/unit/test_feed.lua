@@ -150,6 +150,7 @@ function T.test_exact_times()
   lu.assertEquals(time(0), { 1700000000, 999999999 })
   lu.assertEquals(time(0.000000001), { 1700000001, 0 })
   lu.assertEquals(time(86400.123456789), { 1700086401, 123456788 })
+  lu.assertEquals(time(4194302.999999998), { 1704194303, 999999997 }) -- 48 days
   lu.assertEquals(time(-2), { 1699999998, 999999999 }) -- an earlier packet behind a later one
   feed:begins(1700000000, 5, 2.000000001) -- the first packet that a read filter left
   lu.assertEquals(time(2.000000001), { 1700000000, 5 })

@@ -8,7 +8,8 @@ local T = {}
 -- Two messages as the catalogue compiles them: only what a history reads.
 local STATUS = { name = "status_flags", kind = "flags" }
 local FAULT = { name = "fault_flags", kind = "flags", alarm = "FAULT" }
-local MOTOR = { name = "motor", every = 0.1, fields = { { kind = "float" }, STATUS, FAULT }, time = { offset = 2 } }
+local MOTOR = { name = "motor", every = 0.1, answers = "command", fields = { { kind = "float" }, STATUS, FAULT },
+  time = { offset = 2 } }
 local COMMAND = { name = "command", every = 0.2, fields = {} }
 
 -- Eight bytes, little endian, of a number of nanoseconds.
@@ -163,6 +164,22 @@ function T.test_the_latest_command_on_the_bus()
   local bad = command(2, 2)
   bad.good = false
   lu.assertEquals(run({ bad, motor(3, 3) }, "command_in"), { "-", "-" })
+end
+
+function T.test_the_catalogue_says_which_messages_others_answer()
+  local catalogue = { messages = { { name = "a", answers = "b" }, { name = "b" }, { name = "command" } } }
+  local h = history.new { catalogue = catalogue }
+  local function note(number, message)
+    local change = h:note { source = message.name, message = message, id = 1, seq = 0, number = number, time = number,
+      good = true, raws = {}, payload = "" }
+    return change and change.command_in
+  end
+  for i, message in ipairs(catalogue.messages) do
+    message.fields = {}
+    lu.assertNil(note(i, message))
+  end
+  lu.assertEquals(note(4, catalogue.messages[1]), 2)
+  lu.assertNil(note(5, catalogue.messages[3]))
 end
 
 function T.test_sources_in_the_order_in_which_they_showed()

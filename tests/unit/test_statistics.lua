@@ -23,6 +23,7 @@ local CATALOGUE = { messages = { MOTOR, NOTE }, by_id = { [0x210] = MOTOR, [1] =
 local DECODE = {
   read = function(_, payload) return { payload:byte(), 0, 3 } end,
   value = function(_, raw) if raw == 255 then return nil, 0 end return raw end,
+  rounded = function(_, value) return tonumber(("%.7g"):format(value)) end,
   time = function(payload) return payload:byte(2), 500000000 end,
 }
 local COLUMNS = {
