@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Live ports for Wireshark (an extcap): a serial port that carries YAPP, and CAN adapters that python-can knows.
 
 Wireshark runs this file by itself, once it lies in the extcap folder; docs/live.md says how to use it.  By hand:

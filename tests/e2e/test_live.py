@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Live ports: extcap/yapp_extcap.py on a pseudo terminal, and CAN on python-can's virtual bus; by itself, and under the real
 tshark.  Every byte that is written comes out, in order; and whatever ends a capture is said."""
 import os
