@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Live ports for Wireshark (an extcap): a serial port that carries YAPP, and CAN adapters that python-can knows.
 
 Wireshark runs this file by itself, once it lies in the extcap folder; docs/live.md says how to use it.  By hand:
@@ -26,7 +27,7 @@ try:
 except ImportError:  # Windows
     termios = None
 
-VERSION = "1.0.0"
+VERSION = "2.0.0"
 LINK_EXPORTED_PDU, LINK_CAN = 252, 227
 PAUSE = 0.002  # seconds: bytes with no longer pause between them are one packet,
 LONGEST = 0.02  # of no more seconds than this,

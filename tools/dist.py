@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Makes dist/yapp-VERSION.zip, for Windows, macOS and Linux: install.py at its top, or to unpack in the plugin folder; and
 dist/yapp-profile-VERSION.zip, for Wireshark's Configuration Profiles, Import, from zip file."""
 import pathlib

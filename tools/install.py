@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Installs YAPP for Wireshark for the user who runs it: the plugin, the live ports (extcap) and the profile YAPP.
 
     install.py              install, or bring an installation up to date, and check that Wireshark loads it

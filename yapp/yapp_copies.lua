@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Other copies of the plugin in Wireshark's plugin folders.  Of files with one name Wireshark runs the first by the
 -- alphabet, and says nothing of the others: so the copy that runs looks for them.  Version 1.0.0 did not look; where it
 -- comes first, this file is still run, its name being new, and tells of its own folder.

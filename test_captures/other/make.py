@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Makes the files of this folder, that other programs write: the document's Motor Data on two buses and a Command, by
 python-can 4.6 (not needed to test them), and by hand what it does not write.  docs/files.md says which of them open."""
 import pathlib

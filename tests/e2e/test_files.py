@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """docs/files.md: each file of its table opens, or does not, as the table says for this Wireshark."""
 import os
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """tools/install.py, the zips and `make demo`: what is installed where, what a user changed is never lost, nothing is left
 behind, and what is wrong is said in a line."""
 import hashlib

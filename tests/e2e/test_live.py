@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Live ports: extcap/yapp_extcap.py on a pseudo terminal, and CAN on python-can's virtual bus; by itself, and under the real
 tshark.  Every byte that is written comes out, in order; and whatever ends a capture is said."""
 import os
@@ -177,7 +178,8 @@ def test_interfaces():
     for version in ("4.0", "4.4", "4.6"):
         out, _ = spoken("--extcap-interfaces", f"--extcap-version={version}")
         lines = out.splitlines()
-        assert lines[0].startswith("extcap {version=") and lines[1] == "interface {value=yapp-serial}{display=YAPP serial port}"
+        assert lines[0].startswith(f"extcap {{version={tshark.plugin_version()}}}")
+        assert lines[1] == "interface {value=yapp-serial}{display=YAPP serial port}"
         assert len(lines) == 2 or lines[2:] == ["interface {value=yapp-can}{display=YAPP CAN adapter}"]
 
 

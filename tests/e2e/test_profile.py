@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """profiles/YAPP: every name in it is a field, the columns and the colours are what tshark makes of them, and the colours
 can be told apart by everybody."""
 import csv

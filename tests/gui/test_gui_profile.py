@@ -30,8 +30,8 @@ def wait_for_words(wireshark, words, area="", scale=300):
     read = []
 
     def found():
-        read[:] = [wireshark.words(area, scale)]
-        return all(word in read[0] for word in words)
+        read[:] = [wireshark.words(area, scale).lower()]
+        return all(word.lower() in read[0] for word in words)
     try:
         gui.wait_for(found, 30)
     except AssertionError as error:
@@ -67,3 +67,15 @@ def test_it_is_switched_to(capture):
         wait_for_words(wireshark, ["Profile: YAPP"])
         time.sleep(1)
         assert len(wireshark.windows()) == 1
+
+
+@pytest.mark.skipif(VERSION < (4, 6), reason="from 4.6 on")
+def test_plots(capture):
+    with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
+        wireshark.wait_for_window("flight.pcap")
+        # Under Statistics, the eighth from the top, without a letter of its own.
+        wireshark.press("alt+s", *["Down"] * 7, "Return",
+                        until=lambda: any("Plots" in title for title in wireshark.windows().values()))
+        wireshark.wait_for_window("Plots")
+        wait_for_words(wireshark, ["RPM measured", "RPM commanded", "Voltage", "Current"], scale=200)
+        assert wireshark.pixels("#0072b2") > 100
