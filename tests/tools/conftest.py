@@ -1,0 +1,45 @@
+"""Fixtures: captures for the stand-in of tshark, and the command as a user runs it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FAKE = Path(__file__).with_name("fake_tshark.py")
+
+
+def motor_row(number, **cells):
+    """The row of a Motor Data message, ten a second, all cells as the plugin's CSV has them."""
+    row = {
+        "time": f"{1_700_000_000 + number // 10}.{number % 10}00000001", "frame": str(5 * number + 5), "bus": "can0",
+        "source": "", "id": "528", "seq": str(number % 256), "rpm_measured": f"{1000 + number}.5", "rpm_measured_special": "",
+        "motor_mode": "1", "motor_mode_text": "Speed Mode", "fault_flags": "0", "fault_motor_overcurrent": "0",
+        "timestamp": f"{number // 10}.{number % 10}00000000", "serial": "18446744073709551615",
+    }  # fmt: skip
+    return row | cells
+
+
+@pytest.fixture
+def make_capture(tmp_path):
+    """Writes a capture for the stand-in: make_capture("flight.pcapng", motor=[row, ...], does=["crash"])."""
+
+    def make(name, **content):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(content))
+        return path
+
+    return make
+
+
+@pytest.fixture
+def yapp_tables(tmp_path):
+    """Runs the command with the stand-in for tshark; returns the finished process."""
+
+    def run(*arguments, **options):
+        command = [sys.executable, "-m", "yapp_tables", *map(str, arguments), "--tshark", FAKE]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, **options)
+
+    return run
