@@ -14,7 +14,8 @@ def motor_row(number, **cells):
     """The row of a Motor Data message, ten a second, all cells as the plugin's CSV has them."""
     row = {
         "time": f"{1_700_000_000 + number // 10}.{number % 10}00000001", "frame": str(5 * number + 5), "bus": "can0",
-        "source": "", "id": "528", "seq": str(number % 256), "rpm_measured": f"{1000 + number}.5", "rpm_measured_special": "",
+        "source": "", "id": "528", "seq": str(number % 256),
+        "rpm_measured": f"{1000 + number}.5", "rpm_measured_special": "",
         "motor_mode": "1", "motor_mode_text": "Speed Mode", "fault_flags": "0", "fault_motor_overcurrent": "0",
         "timestamp": f"{number // 10}.{number % 10}00000000", "serial": "18446744073709551615",
     }  # fmt: skip

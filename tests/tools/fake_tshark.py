@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""A stand-in for tshark with the plugin, for what the real one does not do on demand: it crashes, refuses and fills disks.
+"""A stand-in for tshark with the plugin, for what the real one does not do on demand: it crashes, refuses, hangs.
 
-Its captures are JSON: {"motor": [row, ...], "events": [...], "summary": [...], "does": [what the 1st, 2nd, ... run does]};
-a row is {column: text}.  What it writes is what statistics.md of the plugin says.
+Its captures are JSON: {"motor": [row, ...], "events": [...], "summary": [...], "does": [what the 1st, 2nd, ... run
+does]}; a row is {column: text}.
 """
 
 import json
@@ -13,28 +13,24 @@ import time
 from pathlib import Path
 
 HEAD = ["time", "frame", "bus", "source", "id", "seq"]
+MOTOR = [
+    {"name": "rpm_measured", "title": "Measured speed", "kind": "float16", "unit": "RPM", "filter": "taurus.motor.rpm"},
+    {"name": "motor_mode", "title": "Motor mode", "kind": "uint8", "values": {"0": "Torque Mode", "1": "Speed Mode"}},
+    {"name": "fault_flags", "title": "Fault flags", "kind": "uint32", "group": "fault",
+     "flags": [{"name": "motor_overcurrent", "mask": 65536, "title": "Motor overcurrent"}]},
+    {"name": "timestamp", "title": "Time", "kind": "int64_ns", "unit": "s"},
+    {"name": "serial", "title": "Serial number", "kind": "uint64"},
+]  # fmt: skip
 FIELDS = {
     "version": os.environ.get("FAKE_VERSION", "1.0"),
     "messages": {
-        "motor": {
-            "title": "Motor Data",
-            "id": 0x210,
-            "every": 0.1,
-            "fields": [
-                {"name": "rpm_measured", "title": "Measured speed", "kind": "float16", "unit": "RPM", "filter": "taurus.motor.rpm_measured"},
-                {"name": "motor_mode", "title": "Motor mode", "kind": "uint8", "values": {"0": "Torque Mode", "1": "Speed Mode"}},
-                {"name": "fault_flags", "title": "Fault flags", "kind": "uint32", "group": "fault",
-                 "flags": [{"name": "motor_overcurrent", "mask": 65536, "title": "Motor overcurrent"}]},
-                {"name": "timestamp", "title": "Time", "kind": "int64_ns", "unit": "s"},
-                {"name": "serial", "title": "Serial number", "kind": "uint64"},
-            ],
-        },
+        "motor": {"title": "Motor Data", "id": 0x210, "every": 0.1, "fields": MOTOR},
         "note": {"title": "Note", "id": 0x300, "fields": [{"name": "text", "title": "Text", "kind": "string"}]},
     },
-}  # fmt: skip
+}
 COLUMNS = {
-    "motor": ["rpm_measured", "rpm_measured_special", "motor_mode", "motor_mode_text", "fault_flags", "fault_motor_overcurrent",
-              "timestamp", "serial"],
+    "motor": ["rpm_measured", "rpm_measured_special", "motor_mode", "motor_mode_text", "fault_flags",
+              "fault_motor_overcurrent", "timestamp", "serial"],
     "note": ["text"],
 }  # fmt: skip
 

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 
-from .errors import CaptureError, SetupError, YappError
+from .errors import CaptureError, SetupError, YappError, need
 from .results import MadeBy, Result, Results
 from .tables import digest, plugin_version, present
 from .tshark import Export, Tshark
 from .writers import Writer
 
-# The module and the function that write a kind; a kind's library is imported only when it is asked for.
+# The module and the function that write a kind, and the extra that it needs: imported only when it is asked for.
 KINDS = {
-    "parquet": ("writers", "write_parquet"),
-    "csv": ("writers", "write_csv"),
-    "mf4": ("mf4", "write_mf4"),
-    "mcap": ("mcap_file", "write_mcap"),
+    "parquet": ("writers", "write_parquet", ""),
+    "csv": ("writers", "write_csv", ""),
+    "mf4": ("mf4", "write_mf4", "mdf"),
+    "mcap": ("mcap_file", "write_mcap", "mcap"),
 }
 
 
@@ -36,8 +34,8 @@ class Job:
 
 def writer(to: str) -> Writer:
     """What writes this kind; SetupError where its library is missing."""
-    module, function = KINDS[to]
-    found: Callable[..., int] = getattr(import_module(f".{module}", __package__), function)
+    module, function, extra = KINDS[to]
+    found: Writer = getattr(need(f"{__package__}.{module}", extra), function)
     return found
 
 

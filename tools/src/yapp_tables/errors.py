@@ -19,13 +19,12 @@ class CaptureError(YappError):
 
 
 def need(module: str, extra: str) -> ModuleType:
-    """Import an optional library.
+    """Import a module that needs an optional library.
 
-    module: its name, "plotly.offline". extra: the extra of this package that brings it, "report".
+    module: "distributed", or a module of this package. extra: the extra of this package that brings the library.
     Raises SetupError with the command that installs it.
     """
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        library = module.partition(".")[0]
-        raise SetupError(f"{library} is missing ({error}): pip install 'yapp-tables[{extra}]'") from error
+        raise SetupError(f"{error.name or module} is missing ({error}): pip install 'yapp-tables[{extra}]'") from error

@@ -30,7 +30,9 @@ class Flight(Mapping[str, pa.Table]):
         self.partial = export.partial
         self.plugin = plugin_version(export.fields)
         self.events = table(export.records["events"], EVENTS)
-        self.faults = self.events.filter(pc.equal(self.events["kind"], "fault")).drop_columns(["kind", "length"])
+        self.faults = self.events.filter(pc.equal(self.events["kind"], "fault")).drop_columns(
+            ["kind", "length", "what"]
+        )
         self.summary = table(export.records["summary"], SUMMARY)
         self.statistics = statistics(export.records["summary"])
         self.messages: dict[str, Message] = {message.name: message for message in present(export)}

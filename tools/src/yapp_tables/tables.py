@@ -155,6 +155,11 @@ class Rows:
             if batch.num_rows:
                 yield self._typed(batch)
 
+    def first_time(self) -> int:
+        """The first row's time in nanoseconds since 1970."""
+        first: pa.RecordBatch = next(iter(self))
+        return int(first.column("time")[0].value)
+
     def _typed(self, batch: pa.RecordBatch) -> pa.RecordBatch:
         given = dict(zip(batch.schema.names, batch.columns, strict=True))
         given["time"] = _nanoseconds(given["time"])
@@ -205,6 +210,7 @@ EVENTS = pa.schema(
         "event": pa.string(),
         "active": pa.float64(),
         "length": pa.float64(),
+        "what": pa.string(),
     }
 )
 SUMMARY = pa.schema(
