@@ -5,18 +5,22 @@ from __future__ import annotations
 import argparse
 import glob
 import os
+import re
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from . import fleet
 from .convert import KINDS, Job, made_by, writer
-from .errors import SetupError, YappError
+from .errors import SetupError, YappError, need
 from .fleet import Failure, Progress
+from .flight import read_flight
 from .results import Results
 from .tshark import Tshark
 
 FAILED, REFUSED = 1, 2
+# What -o of `report` takes for a preference, and not for the page.
+PREFERENCE = re.compile(r"[a-z0-9_-]+(\.[a-z0-9_.-]+)+:|uat:")
 CAPTURES = "files, patterns such as 'flights/**/*.pcapng', - for a list from stdin"
 
 
@@ -57,7 +61,31 @@ def _parser() -> argparse.ArgumentParser:
         "--jobs", type=_positive, default=os.cpu_count() or 1, metavar="N", help="captures at a time on this machine"
     )
     convert.set_defaults(run=_convert)
+
+    report = commands.add_parser("report", parents=[common], help="one page of a capture, -o PAGE.html")
+    report.description = (
+        "One page of a capture that opens offline. -o PAGE.html names it, beside preferences given with -o."
+    )
+    report.add_argument("capture", type=Path, metavar="CAPTURE")
+    report.set_defaults(run=_report)
     return parser
+
+
+def _report(given: argparse.Namespace) -> int:
+    pages = [text for text in given.options if not PREFERENCE.match(text)]
+    if len(pages) > 1:
+        raise SetupError(f"one page at a time, not {' and '.join(pages)}")
+    given.options = [text for text in given.options if text not in pages]
+    page = Path(pages[0]) if pages else given.capture.with_suffix(".html")
+    write_report = need(f"{__package__}.report", "report").write_report
+    flight = read_flight(given.capture, _tshark(given))
+    try:
+        write_report(flight, page)
+    except OSError as error:
+        raise SetupError(f"{page} cannot be written: {error.strerror}") from error
+    if flight.partial:
+        print(f"yapp-tables: {given.capture}: read in part: {flight.partial}", file=sys.stderr)
+    return FAILED if flight.partial else 0
 
 
 def _positive(text: str) -> int:

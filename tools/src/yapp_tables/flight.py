@@ -80,11 +80,13 @@ def read(
     plugin: yapp.lua where it is not installed; tshark: the program where it is not in PATH.
     Of a damaged capture what can be read is returned, with a warning.  Raises YappError.
     """
-    path = Path(capture)
-    runner = Tshark(_text(tshark), _text(plugin), tuple(options), filter)
-    with tempfile.TemporaryDirectory(prefix="yapp-tables-") as folder:
-        export = runner.export(path, Path(folder, "export"), ("events", "summary"))
-        flight = Flight(path, export)
+    flight = read_flight(Path(capture), Tshark(_text(tshark), _text(plugin), tuple(options), filter))
     if flight.partial:
-        warnings.warn(f"{path}: read in part: {flight.partial}", stacklevel=2)
+        warnings.warn(f"{capture}: read in part: {flight.partial}", stacklevel=2)
     return flight
+
+
+def read_flight(capture: Path, tshark: Tshark) -> Flight:
+    """`read` for who has a Tshark; says nothing where the capture could be read in part only."""
+    with tempfile.TemporaryDirectory(prefix="yapp-tables-") as folder:
+        return Flight(capture, tshark.export(capture, Path(folder, "export"), ("events", "summary")))

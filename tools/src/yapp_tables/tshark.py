@@ -76,7 +76,11 @@ class Tshark:
         with tempfile.TemporaryDirectory(prefix="yapp-tables-") as folder:
             empty = Path(folder, "empty.pcap")
             empty.write_bytes(EMPTY_PCAP)
-            return self.export(empty, Path(folder, "export")).fields
+            try:
+                return self.export(empty, Path(folder, "export")).fields
+            except CaptureError as error:
+                # Nothing is wrong with this capture: it is the plugin that refuses, a filter for example.
+                raise SetupError(str(error).removeprefix(f"{empty}: ")) from error
 
     def _run(self, capture: Path, folder: Path, wanted: list[str]) -> subprocess.CompletedProcess[str]:
         command = [self._program(), "-q", "-r", str(capture.resolve())]
