@@ -1,12 +1,14 @@
 """Fixtures: captures for the stand-in of tshark, and the command as a user runs it."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+PLUGIN = os.environ.get("YAPP_PLUGIN", Path(__file__).parents[2] / "yapp.lua")
 FAKE = Path(__file__).with_name("fake_tshark.py")
 
 
@@ -20,6 +22,12 @@ def motor_row(number, **cells):
         "timestamp": f"{number // 10}.{number % 10}00000000", "serial": "18446744073709551615",
     }  # fmt: skip
     return row | cells
+
+
+def run_tables(folder, *arguments, **options):
+    """The command as a user runs it, in this folder; returns the finished process."""
+    command = [sys.executable, "-m", "yapp_tables", *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, **options)
 
 
 @pytest.fixture
@@ -39,8 +47,4 @@ def make_capture(tmp_path):
 def yapp_tables(tmp_path):
     """Runs the command with the stand-in for tshark; returns the finished process."""
 
-    def run(*arguments, **options):
-        command = [sys.executable, "-m", "yapp_tables", *map(str, arguments), "--tshark", FAKE]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, **options)
-
-    return run
+    return lambda *arguments, **options: run_tables(tmp_path, *arguments, "--tshark", FAKE, **options)

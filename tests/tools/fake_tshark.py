@@ -13,26 +13,29 @@ import time
 from pathlib import Path
 
 HEAD = ["time", "frame", "bus", "source", "id", "seq"]
-MOTOR = [
-    {"name": "rpm_measured", "title": "Measured speed", "kind": "float16", "unit": "RPM", "filter": "taurus.motor.rpm"},
-    {"name": "motor_mode", "title": "Motor mode", "kind": "uint8", "values": {"0": "Torque Mode", "1": "Speed Mode"}},
-    {"name": "fault_flags", "title": "Fault flags", "kind": "uint32", "group": "fault",
-     "flags": [{"name": "motor_overcurrent", "mask": 65536, "title": "Motor overcurrent"}]},
-    {"name": "timestamp", "title": "Time", "kind": "int64_ns", "unit": "s"},
-    {"name": "serial", "title": "Serial number", "kind": "uint64"},
-]  # fmt: skip
+COLUMNS = {
+    "motor": [
+        {"name": "rpm_measured", "type": "float", "unit": "RPM", "title": "Measured speed",
+         "filter": "taurus.motor.rpm"},
+        {"name": "rpm_measured_special", "type": "string"},
+        {"name": "motor_mode", "type": "integer", "title": "Motor mode", "kind": "uint", "bits": 8,
+         "values": {"0": "Torque Mode", "1": "Speed Mode"}},
+        {"name": "motor_mode_text", "type": "string"},
+        {"name": "fault_flags", "type": "integer", "kind": "flags", "bits": 32},
+        {"name": "fault_motor_overcurrent", "type": "bool", "title": "Motor overcurrent"},
+        {"name": "timestamp", "type": "time", "unit": "s"},
+        {"name": "serial", "type": "integer", "kind": "uint", "bits": 64},
+    ],
+    "note": [{"name": "text", "type": "string"}],
+}  # fmt: skip
 FIELDS = {
-    "version": os.environ.get("FAKE_VERSION", "1.0"),
+    "version": 1,
+    "plugin": os.environ.get("FAKE_VERSION", "1.0"),
     "messages": {
-        "motor": {"title": "Motor Data", "id": 0x210, "every": 0.1, "fields": MOTOR},
-        "note": {"title": "Note", "id": 0x300, "fields": [{"name": "text", "title": "Text", "kind": "string"}]},
+        "motor": {"title": "Motor Data", "every": 0.1, "columns": COLUMNS["motor"]},
+        "note": {"title": "Note", "columns": COLUMNS["note"]},
     },
 }
-COLUMNS = {
-    "motor": ["rpm_measured", "rpm_measured_special", "motor_mode", "motor_mode_text", "fault_flags",
-              "fault_motor_overcurrent", "timestamp", "serial"],
-    "note": ["text"],
-}  # fmt: skip
 
 
 def main(arguments):
@@ -77,8 +80,8 @@ def behave(capture, does):
                 f'tshark: The file "{capture}" isn\'t a capture file in a format TShark understands.', file=sys.stderr
             )
             sys.exit(2)
-        case "sleep":
-            time.sleep(600)
+        case "nap":
+            time.sleep(0.3)
     return 0
 
 
@@ -86,9 +89,9 @@ def write(folder, flight):
     folder.mkdir()
     (folder / "fields.json").write_text(json.dumps(FIELDS))
     for message, columns in COLUMNS.items():
-        if rows := flight.get(message):
-            lines = [",".join(row.get(name, "") for name in HEAD + columns) for row in rows]
-            (folder / f"{message}.csv").write_text("\n".join([",".join(HEAD + columns), *lines, ""]))
+        header = HEAD + [column["name"] for column in columns]
+        lines = [",".join(row.get(name, "") for name in header) for row in flight.get(message, [])]
+        (folder / f"{message}.csv").write_text("\n".join([",".join(header), *lines, ""]))
 
 
 if __name__ == "__main__":

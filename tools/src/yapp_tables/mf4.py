@@ -41,7 +41,7 @@ class _Groups:
     def __init__(self, mdf: Any, rows: Rows, start: int) -> None:
         self.mdf, self.rows, self.start = mdf, rows, start
         self.groups: dict[tuple[str, ...], int] = {}
-        head = [Column(name, rows.schema.field(name).type, "head") for name in ("frame", "id", "seq")]
+        head = [Column(name, rows.schema.field(name).type, "value") for name in ("frame", "id", "seq")]
         self.columns = head + [column for column in rows.columns if not self._is_meaning(column)]
 
     def write(self) -> int:

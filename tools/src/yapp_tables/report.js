@@ -4,8 +4,10 @@
   const data = JSON.parse(document.getElementById("data").textContent);
   const byId = (id) => document.getElementById(id);
   // Distinct in colour and, printed in grey, in lightness; the fields of a panel differ by their dashes.
-  const COLOURS = { light: ["#0b5fa5", "#d9480f", "#2b8a3e", "#9c36b5", "#5c4813", "#e0a100", "#0c8599", "#868e96"],
-    dark: ["#74c0fc", "#ff922b", "#69db7c", "#da77f2", "#e8cf9a", "#ffe066", "#66d9e8", "#ced4da"] };
+  const COLOURS = { light: ["#0b5fa5", "#d9480f", "#2b8a3e", "#9c36b5", "#5c4813", "#e0a100", "#0c8599", "#868e96",
+    "#c2255c", "#74b816", "#212529", "#a5b4fc"],
+    dark: ["#74c0fc", "#ff922b", "#69db7c", "#da77f2", "#e8cf9a", "#ffe066", "#66d9e8", "#ced4da",
+      "#faa2c1", "#c0eb75", "#ffffff", "#748ffc"] };
   const DASHES = ["solid", "dot", "dash", "longdash", "dashdot"], SAMPLES_OF_DASH = ["──", "···", "- -", "— —", "-·-"];
   const PANEL = 170, ROW = 22, GAP = 14, AXIS = 50;
 
@@ -13,7 +15,7 @@
     const chosen = document.documentElement.dataset.theme;
     return chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
   };
-  const colour = (source) => COLOURS[isDark() ? "dark" : "light"][source % 8];
+  const colour = (source) => COLOURS[isDark() ? "dark" : "light"][source % 12];
   const seconds = (value) => value === null || value === undefined ? "" : value.toFixed(3);
   const clock = (s) => {
     const ms = Math.round(s * 1000);
@@ -116,13 +118,9 @@
   const whole = [0, Math.max(data.length, 0.001)];
   const lines = [], others = [], axes = {}, notes = [];
   const plot = byId("plot");
-  let room = 0, rowsOfBars = [];
-
   // WebGL where there is any: some machines have none.
-  function lineType() {
-    const canvas = document.createElement("canvas");
-    return canvas.getContext("webgl") ? "scattergl" : "scatter";
-  }
+  const LINE = document.createElement("canvas").getContext("webgl") ? "scattergl" : "scatter";
+  let room = 0, rowsOfBars = [];
 
   function panel(number, about, domain) {
     const axis = number === 0 ? "y" : `y${number + 1}`, key = axis.replace("y", "yaxis");
@@ -134,7 +132,7 @@
     for (const trace of about.traces) {
       const field = about.fields[trace.field], values = numbers(trace.y, Float32Array);
       for (const value of values) if (value < bottom) bottom = value;
-      lines.push({ times: times[trace.x], values, trace: { type: lineType(), mode: "lines", yaxis: axis, source: trace.source,
+      lines.push({ times: times[trace.x], values, trace: { type: LINE, mode: "lines", yaxis: axis, source: trace.source,
         name: `${field.title}, ${data.sources[trace.source]}`, line: { dash: DASHES[trace.field % 5], width: 1.5 },
         connectgaps: false, hovertemplate: `%{y:.6~g} ${about.unit}<br>%{x:.3f} s<extra>%{fullData.name}</extra>` } });
     }

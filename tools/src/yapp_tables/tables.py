@@ -29,9 +29,16 @@ HEAD = {
     "id": pa.uint32(),
     "seq": pa.uint8(),
 }
-# How a kind of the catalogue is kept where its numbers are names, bits or too long for a float64.
-INTEGERS = {f"{sign}int{bits}": getattr(pa, f"{sign}int{bits}")() for sign in ("", "u") for bits in (8, 16, 32, 64)}
-TEXTS = ("string", "bytes")
+# The types of fields.json that need no second look, and their roles.  A time is the controller's own, in seconds.
+ROLES = {
+    "float": (pa.float64(), "value"),
+    "time": (pa.float64(), "clock"),
+    "bool": (pa.bool_(), "flag"),
+    "string": (pa.string(), "text"),
+    "boolean": (pa.bool_(), "flag"),
+    "text": (pa.string(), "text"),
+}
+CRC_GOOD = "crc_good"
 # The reserved counts that are numbers; `above` and `below` the range are none.
 SPECIAL = {"nan": float("nan"), "inf": float("inf"), "-inf": float("-inf")}
 BLOCK_BYTES = 8 << 20
@@ -41,7 +48,7 @@ BLOCK_BYTES = 8 << 20
 class Column:
     """A column of the CSV: its type, and what Parquet, MF4 and the report tell about it.
 
-    role: "value", "enum", "text" (an enum's meaning, a reserved count's name), "flags", "flag" or "head".
+    role: "value", "clock", "enum", "flags", "flag" or "text" (also an enum's meaning, a reserved count's name).
     """
 
     name: str
@@ -51,7 +58,6 @@ class Column:
     unit: str = ""
     filter: str = ""
     values: dict[int, str] = field(default_factory=dict)
-    group: str = ""
 
     def arrow(self) -> pa.Field:
         """The Arrow field; its metadata name title, unit, display filter and the meanings of an enum's numbers."""
@@ -84,35 +90,39 @@ def digest(fields: Record) -> str:
 
 def plugin_version(fields: Record) -> str:
     """The version of the plugin that wrote fields.json."""
-    return str(fields.get("version", "unknown"))
+    return str(fields.get("plugin", "unknown"))
 
 
 def _message(name: str, entry: Record) -> Message:
-    columns = [column for row in entry["fields"] for column in _columns(row)]
-    return Message(name, entry.get("title", name), entry.get("every"), {column.name: column for column in columns})
+    own = [column for column in entry["columns"] if column["name"] not in HEAD and column["name"] != CRC_GOOD]
+    texts = {column["name"] for column in own if column["type"] in ("string", "text")}
+    columns = {column["name"]: _column(column, f"{column['name']}_text" in texts) for column in own}
+    return Message(name, entry["title"] or name, entry.get("every"), columns)
 
 
-def _columns(row: Record) -> Iterator[Column]:
-    name, kind = row["name"], row.get("kind", "")
-    about = {"title": row.get("title", name), "filter": row.get("filter", "")}
-    if row.get("flags"):
-        group = row.get("group") or name
-        yield Column(name, INTEGERS.get(kind, pa.uint32()), "flags", **about)
-        for flag in row["flags"]:
-            title, path = flag.get("title", flag["name"]), flag.get("filter", "")
-            yield Column(f"{group}_{flag['name']}", pa.bool_(), "flag", title, filter=path, group=group)
-    elif row.get("values"):
-        values = {int(number): text for number, text in row["values"].items()}
-        yield Column(name, INTEGERS.get(kind, pa.int64()), "enum", values=values, **about)
-        yield Column(f"{name}_text", pa.string(), "text", title=about["title"])
-    elif kind in TEXTS:
-        yield Column(name, pa.string(), "text", **about)
-    elif kind == "bool":
-        yield Column(name, pa.bool_(), "flag", **about)
-    else:
-        exact = INTEGERS[kind] if kind in ("int64", "uint64") else pa.float64()
-        yield Column(name, exact, "value", unit=row.get("unit") or "", **about)
-        yield Column(f"{name}_special", pa.string(), "text", title=f"{about['title']}: reserved count")
+def _column(entry: Record, has_text: bool) -> Column:
+    """A column of fields.json. has_text: its numbers have names, in a column of their own."""
+    name, kind = entry["name"], entry["type"]
+    about = {"title": entry.get("title") or name, "unit": entry.get("unit") or "", "filter": entry.get("filter") or ""}
+    if kind in ROLES:
+        type_, role = ROLES[kind]
+        return Column(name, type_, role, **about)
+    if has_text:
+        values = {int(number): text for number, text in (entry.get("values") or {}).items()}
+        return Column(name, _integer(entry), "enum", values=values, **about)
+    if "flags" in (entry.get("kind"), kind):
+        return Column(name, _integer(entry), "flags", **about)
+    # A float64 has every integer of up to 53 bits.
+    return Column(name, _integer(entry) if entry.get("bits", 0) > 53 else pa.float64(), "value", **about)
+
+
+def _integer(entry: Record) -> pa.DataType:
+    """The integer type that the field fits in; int64 where its size is not told."""
+    bits = entry.get("bits")
+    if bits is None:
+        return pa.int64()
+    sign = "" if entry.get("kind") == "int" else "u"
+    return getattr(pa, f"{sign}int{next(size for size in (8, 16, 32, 64) if size >= bits)}")()
 
 
 class Rows:
@@ -124,7 +134,7 @@ class Rows:
         self._path = export.csv(message.name)
         with self._path.open(encoding="utf-8", newline="") as file:
             self._header = next(csv.reader(file), [])
-        strange = set(self._header) - message.columns.keys() - HEAD.keys() - {"crc_good"}
+        strange = set(self._header) - message.columns.keys() - HEAD.keys() - {CRC_GOOD}
         if strange or "time" not in self._header:
             raise SetupError(
                 f"{self._path.name} has columns that the plugin's fields.json does not tell: {strange or 'none'}"

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
 
@@ -33,15 +34,22 @@ def write_parquet(export: Export, source_file: str, name: str, folder: Path) -> 
 
 
 def write_csv(export: Export, source_file: str, name: str, folder: Path) -> int:
-    """CSV with one header row; time as UTC with nine digits, absent cells empty, reserved counts nan, inf and -inf."""
+    """CSV with one header row; time as UTC with nine digits; absent values and reserved counts are empty cells."""
     total = 0
     for message in present(export):
         rows = Rows(export, message, source_file)
         with pa.csv.CSVWriter(_path(folder, message.name, f"{name}.csv"), rows.schema) as file:
             for batch in rows:
-                file.write_batch(batch)
+                file.write_batch(_finite(batch))
                 total += len(batch)
     return total
+
+
+def _finite(batch: pa.RecordBatch) -> pa.RecordBatch:
+    """Without NaN and infinities: many a reader would take the whole column for text."""
+    floating = (pa.types.is_floating(field.type) for field in batch.schema)
+    columns = [pc.if_else(pc.is_finite(c), c, None) if f else c for c, f in zip(batch.columns, floating, strict=True)]
+    return pa.RecordBatch.from_arrays(columns, schema=batch.schema)
 
 
 def _path(folder: Path, message: str, name: str) -> Path:
