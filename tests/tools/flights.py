@@ -13,7 +13,7 @@ import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "e2e"))
+sys.path.append(str(Path(__file__).parents[1] / "e2e"))
 from crc32k import crc32k
 
 START = 1_700_000_000_000_000_000  # nanoseconds since 1970
@@ -107,7 +107,7 @@ class Controller:
         current = count(12 + self.rng.gauss(0, 0.3), -128, 128, 65530)
         payload = struct.pack(
             "<6HBBIIqBB", current, current, count(4000, -60000, 60000, 65530), raw_speed, count(48, -128, 128, 65530),
-            current, count(50 + phase / 60, -40, 210, 250), 1, 0x0012_0000, faults, time - self.boot,
+            current, count(50 + min(phase / 60, 100), -40, 210, 250), 1, 0x0012_0000, faults, time - self.boot,
             0x20 if faults else 0x2, raw_temperature,
         )  # fmt: skip
         return payload, raw_speed, raw_temperature, faults

@@ -8,7 +8,7 @@ import pandas as pd
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
-from conftest import motor_row
+from running import motor_row
 
 
 def files(folder):
@@ -43,7 +43,7 @@ def test_csv_has_one_header_row_and_reads_back(make_capture, yapp_tables, tmp_pa
     assert frame["rpm_measured"].tolist()[0] == 1000.5
     assert frame["time"].astype("int64").tolist()[0] == 1_700_000_000_000_000_001
     assert frame["rpm_measured"].isna().tolist() == [False, True, True]
-    assert frame["rpm_measured_special"].tolist()[1] == "inf"
+    assert str(frame["rpm_measured_special"][1]) == "inf"
     assert pl.read_csv(path, try_parse_dates=True)["fault_motor_overcurrent"].dtype == pl.Boolean
 
 

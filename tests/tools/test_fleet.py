@@ -9,8 +9,8 @@ import time
 
 import pyarrow.parquet as pq
 import pytest
-from conftest import FAKE, motor_row, run_tables
 from distributed import LocalCluster
+from running import FAKE, motor_row, run_tables
 
 COUNT = 24
 

@@ -11,8 +11,8 @@ import pyarrow.dataset as ds
 import pytest
 import yapp_tables as yt
 from asammdf import MDF
-from conftest import PLUGIN, run_tables
 from mcap.reader import make_reader
+from running import PLUGIN, run_tables
 
 OPTIONS = [word for option in flights.OPTIONS for word in ("-o", option)]
 

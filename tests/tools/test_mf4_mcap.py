@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 from asammdf import MDF
-from conftest import motor_row
 from mcap.reader import make_reader
+from running import motor_row
 
 ROWS = [
     motor_row(0),

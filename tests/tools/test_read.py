@@ -5,7 +5,7 @@ import math
 import pyarrow as pa
 import pytest
 import yapp_tables as yt
-from conftest import FAKE, motor_row
+from running import FAKE, motor_row
 
 
 def read(path, **options):

@@ -5,7 +5,7 @@ import time
 
 import flights
 import pytest
-from conftest import PLUGIN, run_tables
+from running import PLUGIN, run_tables
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
@@ -23,12 +23,15 @@ def page(tmp_path_factory):
     return folder / "flight.html", truth
 
 
-def open_browser(path, size="1300,1000"):
+def open_browser(path, phone=False):
     options = webdriver.ChromeOptions()
-    for argument in ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", f"--window-size={size}"):
+    for argument in ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--window-size=1300,1000"):
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     browser = webdriver.Chrome(options=options, service=Service("/usr/bin/chromedriver"))
+    if phone:
+        metrics = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
     browser.get(path.as_uri())
     for _ in range(600):
         if browser.execute_script("return document.documentElement.dataset.ready"):
@@ -49,11 +52,11 @@ def in_seconds(text):
     return int(minutes) * 60 + float(seconds)
 
 
-def cells(browser, table):
-    return browser.execute_script(
-        "return [...document.querySelectorAll(arguments[0])].map(row => [...row.cells].map(cell => cell.textContent))",
-        f"#{table} tbody tr",
-    )
+def rows_of(browser, table):
+    """A table's rows as {heading: text}."""
+    script = """return [...document.querySelectorAll(arguments[0])].map(row => [...row.cells].map(cell => cell.textContent))"""
+    head, *rows = browser.execute_script(script, f"#{table} tr")
+    return [dict(zip(head, row, strict=True)) for row in rows]
 
 
 def traces(browser, name, mode="lines"):
@@ -90,31 +93,31 @@ def test_it_opens_without_an_error_and_asks_the_network_for_nothing(browser, pag
 def test_the_fault_table_has_the_truths_rows(browser, page):
     truth = page[1]
     first = min(row[0] for row in truth.motor) - 1_400_000
-    rows = cells(browser, "faults")
+    rows = rows_of(browser, "faults")
     assert len(rows) == len(truth.faults) == 2
     for row, (begin, end, bus, number, flag) in zip(rows, truth.faults, strict=True):
-        assert in_seconds(row[0]) == pytest.approx((begin - first) / 1e9, abs=0.01)
+        assert in_seconds(row["begin"]) == pytest.approx((begin - first) / 1e9, abs=0.01)
         if end is None:
-            assert row[1] == "still active"
+            assert row["end"] == "still active"
         else:
-            assert in_seconds(row[1]) == pytest.approx((end - first) / 1e9, abs=0.01)
-            assert float(row[2]) == pytest.approx((end - begin) / 1e9, abs=0.002)
-        assert row[3] == f"{bus} 0x{number:03x}"
-        assert row[5].lower().replace(" ", "_") == flag
+            assert in_seconds(row["end"]) == pytest.approx((end - first) / 1e9, abs=0.01)
+            assert float(row["duration/s"]) == pytest.approx((end - begin) / 1e9, abs=0.002)
+        assert row["source"] == f"{bus} 0x{number:03x}"
+        assert row["what"].lower().replace(" ", "_") == flag
 
 
 def test_the_other_events_are_the_truths(browser, page):
     truth = page[1]
-    rows = cells(browser, "others")
-    motor = [row for row in rows if row[5] == "Motor Data"]
-    assert sum(row[6] == "reboot" for row in motor) == len(truth.reboots)
-    assert sum(row[6] == "silence" for row in motor) == len(truth.silences)
-    assert sum(int(row[3]) for row in motor if row[6] == "lost frames") == len(truth.incomplete)
+    motor = [row for row in rows_of(browser, "others") if row["message"] == "Motor Data"]
+    assert sum(row["what"] == "reboot" for row in motor) == len(truth.reboots)
+    assert sum(row["what"] == "silence" for row in motor) == len(truth.silences)
+    assert sum(int(row["count"]) for row in motor if row["what"] == "lost frames") == len(truth.incomplete)
 
 
 def test_a_click_on_a_fault_zooms_to_it_on_all_axes(browser):
     row = browser.find_elements(By.CSS_SELECTOR, "#faults tbody tr")[0]
-    begin, end = (in_seconds(cell) if ":" in cell else SECONDS for cell in cells(browser, "faults")[0][:2])
+    first = rows_of(browser, "faults")[0]
+    begin, end = (in_seconds(first[key]) if ":" in first[key] else SECONDS for key in ("begin", "end"))
     row.click()
     time.sleep(1.5)
     low, high = x_range(browser)
@@ -160,10 +163,10 @@ def test_light_and_dark(browser):
 
 
 def test_it_fits_a_phone(page):
-    phone = open_browser(page[0], "390,844")
+    phone = open_browser(page[0], phone=True)
     try:
         wide, window = phone.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
-        assert wide <= window
+        assert wide <= window == 390
         assert phone.execute_script("return document.getElementById('plot')._fullLayout.width") <= window
     finally:
         phone.quit()

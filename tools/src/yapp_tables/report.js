@@ -9,7 +9,8 @@
     dark: ["#74c0fc", "#ff922b", "#69db7c", "#da77f2", "#e8cf9a", "#ffe066", "#66d9e8", "#ced4da",
       "#faa2c1", "#c0eb75", "#ffffff", "#748ffc"] };
   const DASHES = ["solid", "dot", "dash", "longdash", "dashdot"], SAMPLES_OF_DASH = ["──", "···", "- -", "— —", "-·-"];
-  const PANEL = 170, ROW = 22, GAP = 14, AXIS = 50;
+  const PANEL = 156, ROW = 22, LINE_OF_TEXT = 16, AXIS = 50, TOP = 24;
+  const NARROW = innerWidth < 700;
 
   const isDark = () => {
     const chosen = document.documentElement.dataset.theme;
@@ -57,11 +58,11 @@
   }
 
   function tables() {
-    const what = [["source", "source"], ["message", "message"], ["what", "what"]];
-    fill(byId("faults"), [["begin", "begin", clock], ["end", "end", (s) => s === null ? "still active" : clock(s)],
-      ["duration/s", "length", seconds], ...what], data.faults, zoomTo);
-    fill(byId("others"), [["begin", "begin", clock], ["end", "end", clock], ["length/s", "length", seconds],
-      ["count", "count"], ...what], data.others, zoomTo);
+    const what = [["what", "what"], ["source", "source"], ["begin", "begin", clock]], message = ["message", "message"];
+    fill(byId("faults"), [...what, ["end", "end", (s) => s === null ? "still active" : clock(s)],
+      ["duration/s", "length", seconds], message], data.faults, zoomTo);
+    fill(byId("others"), [...what, ["end", "end", clock], ["length/s", "length", seconds], ["count", "count"], message],
+      data.others, zoomTo);
     byId("faults-box").hidden = !data.faults.length;
     byId("others-box").hidden = !data.others.length;
     const count = (n, one) => `${n} ${one}${n === 1 ? "" : "s"}`;
@@ -122,11 +123,16 @@
   const LINE = document.createElement("canvas").getContext("webgl") ? "scattergl" : "scatter";
   let room = 0, rowsOfBars = [];
 
+  // What a panel's dashes mean, in lines.
+  function legend(about) {
+    const fields = about.fields.map((field, i) => `${SAMPLES_OF_DASH[i % 5]} ${field.title}`), inLine = NARROW ? 2 : 6;
+    return fields.flatMap((_, i) => i % inLine ? [] : [fields.slice(i, i + inLine).join("   ")]);
+  }
+
   function panel(number, about, domain) {
     const axis = number === 0 ? "y" : `y${number + 1}`, key = axis.replace("y", "yaxis");
     axes[key] = { domain, title: { text: about.unit }, zeroline: false, automargin: true, fixedrange: false };
-    const legend = about.fields.map((field, i) => `${SAMPLES_OF_DASH[i % 5]} ${field.title}`).join("   ");
-    notes.push({ text: legend, xref: "paper", yref: "paper", x: 0, y: domain[1], xanchor: "left", yanchor: "bottom",
+    notes.push({ text: legend(about).join("<br>"), align: "left", xref: "paper", yref: "paper", x: 0, y: domain[1], xanchor: "left", yanchor: "bottom",
       showarrow: false, font: { size: 12 } });
     let bottom = Infinity;
     for (const trace of about.traces) {
@@ -157,29 +163,30 @@
 
   function layout() {
     const style = getComputedStyle(document.body), ink = style.color, paper = style.backgroundColor;
-    const line = isDark() ? "#363c42" : "#d5d9dd", narrow = innerWidth < 700;
-    const made = { height: plotHeight(), showlegend: false, barmode: "overlay", hovermode: "closest", dragmode: narrow ? false : "zoom",
-      paper_bgcolor: paper, plot_bgcolor: paper, font: { color: ink, family: style.fontFamily, size: narrow ? 11 : 13 },
-      margin: { l: narrow ? 45 : 70, r: 10, t: 24, b: AXIS }, annotations: notes, uirevision: "kept",
+    const line = isDark() ? "#363c42" : "#d5d9dd";
+    const made = { height: plotHeight(), showlegend: false, barmode: "overlay", hovermode: "closest", dragmode: NARROW ? false : "zoom",
+      paper_bgcolor: paper, plot_bgcolor: paper, font: { color: ink, family: style.fontFamily, size: NARROW ? 11 : 13 },
+      margin: { l: NARROW ? 45 : 70, r: 10, t: TOP, b: AXIS }, annotations: notes, uirevision: "kept",
       xaxis: { range: whole, anchor: axesInOrder().at(-1) ?? "y", title: { text: `seconds since ${data.start}` }, gridcolor: line, zeroline: false },
       shapes: data.faults.slice(0, 200).map((row) => ({ type: "rect", xref: "x", yref: "paper", x0: row.begin, x1: row.end ?? data.length,
         y0: 0, y1: 1, line: { width: 0 }, fillcolor: isDark() ? "#ff8a80" : "#b3261e", opacity: 0.12, layer: "below" })) };
     for (const [key, axis] of Object.entries(axes)) {
       made[key] = { ...axis, gridcolor: line };
-      if (key.length && axis.ticktext && narrow) made[key].ticktext = axis.ticktext.map((text) => text.length > 18 ? text.slice(0, 17) + "…" : text);
+      if (axis.ticktext && NARROW) made[key].ticktext = data.bars.map(({ title }) => title.length > 14 ? title.slice(0, 13) + "…" : title);
     }
     return made;
   }
 
   const axesInOrder = () => Object.keys(axes).map((key) => key.replace("axis", ""));
-  const plotHeight = () => data.panels.length * (PANEL + GAP) + data.bars.length * ROW + AXIS + 24 + GAP;
+  const heightOf = (about) => PANEL + LINE_OF_TEXT * legend(about).length;
+  const plotHeight = () => data.panels.reduce((sum, about) => sum + heightOf(about), 0) + data.bars.length * ROW + AXIS + TOP + LINE_OF_TEXT;
 
   function build() {
-    const inner = plotHeight() - AXIS - 24;
+    const inner = plotHeight() - AXIS - TOP;
     let top = inner;
     data.panels.forEach((about, number) => {
-      panel(number, about, [(top - PANEL) / inner, (top - GAP) / inner]);
-      top -= PANEL + GAP;
+      panel(number, about, [(top - heightOf(about)) / inner, (top - LINE_OF_TEXT * legend(about).length) / inner]);
+      top -= heightOf(about);
     });
     if (data.bars.length) bars(data.panels.length, [0, Math.max(data.bars.length * ROW, ROW) / inner]);
   }
