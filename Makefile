@@ -91,6 +91,6 @@ test-tools: needs-tools
 	$(TOOLS)/ruff check --config tools/pyproject.toml tools tests/tools
 	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools tests/tools
 	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src
-	$(TOOLS)/python -m pytest -q -n auto -p no:cacheprovider tests/tools
+	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider tests/tools
 
 .PHONY: test-tools needs-tools

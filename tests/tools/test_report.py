@@ -54,7 +54,8 @@ def in_seconds(text):
 
 def rows_of(browser, table):
     """A table's rows as {heading: text}."""
-    script = """return [...document.querySelectorAll(arguments[0])].map(row => [...row.cells].map(cell => cell.textContent))"""
+    cells = "[...row.cells].map(cell => cell.textContent)"
+    script = f"return [...document.querySelectorAll(arguments[0])].map(row => {cells})"
     head, *rows = browser.execute_script(script, f"#{table} tr")
     return [dict(zip(head, row, strict=True)) for row in rows]
 
