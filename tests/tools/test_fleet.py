@@ -1,5 +1,6 @@
 """Many captures: local threads, a Dask cluster of processes, workers that are killed."""
 
+import json
 import os
 import signal
 import subprocess
@@ -67,13 +68,47 @@ def test_a_cluster_of_processes_some_of_which_are_killed(fleet):
 def test_a_killed_run_is_finished_by_the_next(fleet):
     command = [sys.executable, "-m", "yapp_tables", "convert", "flights/*.pcapng", "--to", "parquet", "--out", "data"]
     with subprocess.Popen([*command, "--tshark", FAKE, "--jobs", "2"], cwd=fleet, stderr=subprocess.DEVNULL) as run:
-        while len(list((fleet / "data").glob("message=motor/*"))) < 3:
-            time.sleep(0.01)
-        run.kill()
+        kill_after_results(fleet, run)
     done = convert(fleet)
     assert done.returncode == 0, done.stderr
     assert "captures are up to date" in done.stderr
     assert sorted(path.name for path in (fleet / "data/message=motor").iterdir())[0] == "00.parquet"
+
+
+def test_a_scheduler_that_dies_is_a_sentence_and_what_was_done_is_kept(fleet):
+    dask = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+    ]
+    with subprocess.Popen(
+        [*dask, "--scheduler-file", "scheduler.json"], cwd=fleet, stderr=subprocess.DEVNULL
+    ) as scheduler:
+        while not (fleet / "scheduler.json").exists():
+            time.sleep(0.1)
+        address = json.loads((fleet / "scheduler.json").read_text())["address"]
+        worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard"]
+        with subprocess.Popen(worker, cwd=fleet, stderr=subprocess.DEVNULL) as at_work:
+            killer = threading.Thread(target=kill_after_results, args=(fleet, scheduler), daemon=True)
+            killer.start()
+            done = convert(fleet, "--scheduler", address)
+            at_work.kill()
+    assert done.returncode == 2
+    assert "the Dask scheduler went away" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert convert(fleet).returncode == 0
+    assert_complete(fleet)
+
+
+def kill_after_results(folder, process):
+    while len(list((folder / "data").glob("message=motor/*"))) < 3:
+        time.sleep(0.01)
+    process.kill()
 
 
 def test_no_scheduler_is_a_sentence(fleet):

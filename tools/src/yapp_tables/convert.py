@@ -60,8 +60,9 @@ def convert(job: Job) -> Result:
             made = Result(str(job.capture), state.st_size, state.st_mtime_ns, job.made_by, (), count, export.partial)
             return job.results.place(job.name, aside / "result", made)
     except OSError as error:
-        reason = "the disk is full" if error.errno == errno.ENOSPC else error
-        raise YappError(f"{job.results.out}: {reason}") from error
+        if error.errno == errno.ENOSPC:
+            raise SetupError(f"{job.results.out}: the disk is full") from error
+        raise YappError(f"{job.results.out}: {error}") from error
 
 
 def _check(job: Job, export: Export) -> None:

@@ -50,7 +50,10 @@ def executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
 
 
 def run(jobs: Sequence[Job], pool: Executor, progress: Progress) -> list[Failure]:
-    """Convert all, the largest first; returns what failed, after TRIES tries where another try may mend it."""
+    """Convert all, the largest first; returns what failed, after TRIES tries where another try may mend it.
+
+    Raises SetupError where the cluster is lost.
+    """
     failures: list[Failure] = []
     waiting: dict[Future[Result], tuple[Job, int]] = {}
     for job in sorted(jobs, key=lambda job: _size(job.capture), reverse=True):
@@ -59,21 +62,25 @@ def run(jobs: Sequence[Job], pool: Executor, progress: Progress) -> list[Failure
         done, _ = wait(waiting, timeout=1, return_when=FIRST_COMPLETED)
         for future in done:
             job, tries = waiting.pop(future)
+            if future.cancelled():
+                raise SetupError("the Dask scheduler went away; what was done is kept, the same command does the rest")
             error = future.exception()
             if error is not None and tries < TRIES and not isinstance(error, CaptureError | SetupError):
                 waiting[pool.submit(convert, job)] = job, tries + 1
                 continue
             result = None if error else future.result()
-            reason = result.partial if result else _reason(error)
-            if reason:
-                failures.append(Failure(job.capture, f"read in part: {reason}" if result else reason))
-            progress.done(job.capture, result, failures[-1] if reason else None)
+            failure = _failure(job, result, error)
+            failures += [failure] if failure else []
+            progress.done(job.capture, result, failure)
         progress.show()
     return sorted(failures, key=lambda failure: failure.capture)
 
 
-def _reason(error: BaseException | None) -> str:
-    return str(error) or type(error).__name__
+def _failure(job: Job, result: Result | None, error: BaseException | None) -> Failure | None:
+    if result:
+        return Failure(job.capture, f"read in part: {result.partial}") if result.partial else None
+    reason = str(error) or type(error).__name__
+    return Failure(job.capture, reason.removeprefix(f"{job.capture}: "))
 
 
 def _size(path: Path) -> int:

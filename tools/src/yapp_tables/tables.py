@@ -113,7 +113,7 @@ def _column(entry: Record, has_text: bool) -> Column:
     if "flags" in (entry.get("kind"), kind):
         return Column(name, _integer(entry), "flags", **about)
     # A float64 has every integer of up to 53 bits.
-    return Column(name, _integer(entry) if entry.get("bits", 0) > 53 else pa.float64(), "value", **about)
+    return Column(name, _integer(entry) if (entry.get("bits") or 0) > 53 else pa.float64(), "value", **about)
 
 
 def _integer(entry: Record) -> pa.DataType:
