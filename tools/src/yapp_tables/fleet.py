@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import logging
 import os
 import sys
 import time
@@ -41,6 +42,8 @@ def executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
             pool.shutdown(cancel_futures=True)
         return
     distributed = need("distributed", "fleet")
+    # What it has to say of lost workers it mends itself; a lost scheduler is told by `run`.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
         client = distributed.Client(scheduler, timeout=SCHEDULER_SECONDS)
     except (OSError, ValueError) as error:

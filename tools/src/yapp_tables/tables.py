@@ -35,8 +35,6 @@ ROLES = {
     "time": (pa.float64(), "clock"),
     "bool": (pa.bool_(), "flag"),
     "string": (pa.string(), "text"),
-    "boolean": (pa.bool_(), "flag"),
-    "text": (pa.string(), "text"),
 }
 CRC_GOOD = "crc_good"
 # The reserved counts that are numbers; `above` and `below` the range are none.
@@ -95,7 +93,7 @@ def plugin_version(fields: Record) -> str:
 
 def _message(name: str, entry: Record) -> Message:
     own = [column for column in entry["columns"] if column["name"] not in HEAD and column["name"] != CRC_GOOD]
-    texts = {column["name"] for column in own if column["type"] in ("string", "text")}
+    texts = {column["name"] for column in own if column["type"] == "string"}
     columns = {column["name"]: _column(column, f"{column['name']}_text" in texts) for column in own}
     return Message(name, entry["title"] or name, entry.get("every"), columns)
 
@@ -110,7 +108,7 @@ def _column(entry: Record, has_text: bool) -> Column:
     if has_text:
         values = {int(number): text for number, text in (entry.get("values") or {}).items()}
         return Column(name, _integer(entry), "enum", values=values, **about)
-    if "flags" in (entry.get("kind"), kind):
+    if entry.get("kind") == "flags":
         return Column(name, _integer(entry), "flags", **about)
     # A float64 has every integer of up to 53 bits.
     return Column(name, _integer(entry) if (entry.get("bits") or 0) > 53 else pa.float64(), "value", **about)
