@@ -43,7 +43,7 @@ def executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
         return
     distributed = need("distributed", "fleet")
     # What it has to say of lost workers it mends itself; a lost scheduler is told by `run`.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    logging.disable(logging.CRITICAL)
     try:
         client = distributed.Client(scheduler, timeout=SCHEDULER_SECONDS)
     except (OSError, ValueError) as error:
