@@ -79,3 +79,30 @@ install uninstall: needs-tshark needs-python
 ## One zip for every desktop, with install.py at its top; one with the profile for Wireshark's Import
 dist: needs-python
 	@/usr/bin/env python3 tools/dist.py
+uninstall: needs-tshark
+	@folder="$$(tests/plugin_folder)" && rm -rf "$$folder/yapp" && echo "Removed $$folder/yapp"
+
+## One zip to unpack in the plugin folder
+dist:
+	$(call install-missing,zip,zip)
+	@rm -rf dist && mkdir -p dist/yapp && cp -r $(FILES) dist/yapp/ && \
+	  (cd dist && zip -qr yapp-$(VERSION).zip yapp) && rm -r dist/yapp && echo dist/yapp-$(VERSION).zip
+
+# The Python package has its own environment, so that nothing is installed into the system's Python.
+TOOLS_VENV := $(HOME)/.cache/yapp-tools
+TOOLS := $(TOOLS_VENV)/bin
+
+needs-tools: needs-tshark
+	$(call install-missing,python3 chromium chromedriver,python3 python3-venv chromium chromium-driver,\
+	  python3 -c 'import ensurepip' 2>/dev/null)
+	@[ -x $(TOOLS)/python ] || python3 -m venv $(TOOLS_VENV)
+	@$(TOOLS)/pip install -q -e './tools[test]'
+
+## The Python package in tools/: ruff, mypy and its tests
+test-tools: needs-tools
+	$(TOOLS)/ruff check --config tools/pyproject.toml tools tests/tools
+	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools tests/tools
+	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src
+	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider tests/tools
+
+.PHONY: test-tools needs-tools
