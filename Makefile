@@ -79,15 +79,6 @@ install uninstall: needs-tshark needs-python
 ## One zip for every desktop, with install.py at its top; one with the profile for Wireshark's Import
 dist: needs-python
 	@/usr/bin/env python3 tools/dist.py
-uninstall: needs-tshark
-	@folder="$$(tests/plugin_folder)" && rm -rf "$$folder/yapp" && echo "Removed $$folder/yapp"
-
-## One zip to unpack in the plugin folder
-dist:
-	$(call install-missing,zip,zip)
-	@rm -rf dist && mkdir -p dist/yapp && cp -r $(FILES) dist/yapp/ && \
-	  (cd dist && zip -qr yapp-$(VERSION).zip yapp) && rm -r dist/yapp && echo dist/yapp-$(VERSION).zip
-
 # The Python package has its own environment, so that nothing is installed into the system's Python.
 TOOLS_VENV := $(HOME)/.cache/yapp-tools
 TOOLS := $(TOOLS_VENV)/bin

@@ -21,9 +21,9 @@ local parts = {}
 for _, name in ipairs {
   "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly", "can_repeated",
   "can_wrapper", "catalogue", "catalogue_files", "crc", "decode", "decode_columns", "facts", "file_asc",
-  "file_asc_reader", "file_candump", "file_candump_reader", "file_dump", "file_dump_reader", "file_head", "frame", "history",
-  "preferences", "reader", "serial_carrier", "serial_memory", "serial_stream", "sources", "stat", "stat_tell", "tree",
-  "utf8",
+  "file_asc_reader", "file_candump", "file_candump_line", "file_candump_reader", "file_dump", "file_dump_reader",
+  "file_head", "frame", "history", "preferences", "reader", "serial_carrier", "serial_memory", "serial_stream",
+  "sources", "stat", "stat_tell", "tree", "utf8",
 } do
   parts[name] = require("yapp_" .. name)
 end
@@ -224,7 +224,7 @@ for _, name in ipairs { "tcp.port", "udp.port" } do
 end
 DissectorTable.get("rtacser.data"):add_for_decode_as(serial)
 candump.register(parts.file_candump)
-parts.file_asc_reader.register { asc = parts.file_asc, packet = parts.file_candump.packet, told = candump }
+parts.file_asc_reader.register { asc = parts.file_asc, packet = parts.file_candump_line.packet, told = candump }
 parts.file_dump_reader.register(parts.file_dump, function() return streams:framer() end, controller_time)
 
 package.loaded["yapp.plugin"] = plugin

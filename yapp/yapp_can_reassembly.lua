@@ -19,10 +19,10 @@ Reassembly.__index = Reassembly
 -- size_of  function(id, bus) -> payload size of a known message, nil for an unknown one
 -- It has kept, a yapp_can_frames: what each frame is.
 --
--- A message has address (yapp_can_id's, of its Start), bus, size, crc, reserved (nil when 0), all from its Start; the looks of its frames
--- at 1 .. count, received (bytes); and when it has ended status: "good", "bad" (CRC), "short", "overrun", "cut" (by a
--- new Start), "unverified" (bytes not captured), payload, padding (nil when 0), calculated (a bad CRC), and last (the
--- look of its last frame).
+-- A message has address (yapp_can_id's), bus, size, crc, reserved (nil when 0), all from its Start; the looks of its
+-- frames at 1 .. count, received (bytes); and when it has ended status: "good", "bad" (CRC), "short", "overrun", "cut"
+-- (by a new Start), "unverified" (bytes not captured), payload, padding (nil when 0), calculated (a bad CRC), and last
+-- (the look of its last frame).
 function M.new(parts, size_of)
   return setmetatable({
     can_id = parts.can_id, crc = parts.crc, parts = parts, size_of = size_of, kept = parts.can_frames.new(parts.can_id),

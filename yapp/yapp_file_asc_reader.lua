@@ -10,7 +10,8 @@ local function fill(frame, record, data)
 end
 
 --- Makes the reader known to Wireshark. To be called once.
--- @param parts { asc = the module yapp_file_asc, packet = function(record, big_endian) -> a packet of LINUX_SLL2,
+-- @param parts { asc = the module yapp_file_asc, packet = function(record, bus number, big_endian) -> a packet of
+--   LINUX_SLL2,
 --   told = a table whose current_bus is the channel of the frame just read }
 function M.register(parts)
   local big_endian = Struct.pack("=I4", 1):byte(4) == 1
@@ -29,7 +30,7 @@ function M.register(parts)
   function handler.read(file, capture, frame)
     local record, offset = parts.asc.read(capture.private_table, file)
     if not record then return false end
-    fill(frame, record, parts.packet(record, big_endian))
+    fill(frame, record, parts.packet(record, record.number, big_endian))
     parts.told.current_bus = record.number
     return offset
   end
@@ -37,7 +38,7 @@ function M.register(parts)
   function handler.seek_read(file, capture, frame, offset)
     local record = parts.asc.seek_read(capture.private_table, file, offset)
     if not record then return false end
-    fill(frame, record, parts.packet(record, big_endian))
+    fill(frame, record, parts.packet(record, record.number, big_endian))
     parts.told.current_bus = record.number
     return true
   end
