@@ -28,7 +28,7 @@ end
 -- options  as for yapp_can_memory.new
 function Carrier:reset(options)
   self.memory = self.parts.can_memory.new(self.parts, options)
-  self.part_texts = {}
+  self.names = {} -- [name of the bus or false][id]: see names_of
 end
 
 --- Dissects one frame.
@@ -48,9 +48,23 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local record = memory:look(address, facts)
   if not record then return 0 end
   self.claim(address.id)
-  self:show { tvb = tvb, pinfo = pinfo, tree = tree, address = address, facts = facts, record = record,
-    bus_name = self.facts:bus_name(facts.bus) }
+  local names, wants = self:names_of(address.id, self.facts:bus_name(facts.bus)), self.tree:wants(tree, facts.is_again)
+  local columns = pinfo.cols
+  columns.protocol = "YAPP"
+  columns.src = names.source
+  if not wants.tree and self:is_plain_part(record, facts) then -- most frames of a packet list
+    columns.info = self:part_text(names, address, record, #facts.data)
+  else
+    columns.info = self:show { tvb = tvb, pinfo = pinfo, tree = tree, address = address, facts = facts, record = record,
+      names = names, wants = wants }
+  end
   return facts.reported
+end
+
+--- Whether a frame is a part of a message, and nothing is to be said of it but that.
+function Carrier:is_plain_part(record, facts)
+  return record.message and not (record.is_last or record.leads_to or record.faults or record.is_unfinished) and
+    #facts.data == facts.reported and not self.reader.stat.wanted
 end
 
 --- Says that a first pass may have been told wrong ids.
@@ -64,7 +78,7 @@ function Carrier:without_id(tvb, pinfo, tree)
   local builder = self.tree
   local item = tree
   self.memory:guess()
-  if builder:wants_yapp(tree) then
+  if builder:wants(tree, true).yapp then
     item = tree:add(builder.yapp, tvb())
     if tvb:len() > 0 then item:add(builder.fields.payload, tvb()) end
   end
@@ -78,29 +92,37 @@ local function key_of(bus, id)
   return (bus or -1) * 0x800 + id
 end
 
--- A view is what all of the following look at: { tvb, pinfo, tree, address, facts, record, bus_name, item = YAPP's own
--- item, or the tree where nobody wants one; wanted = whether anyone does }.
-
--- What an Info text says first, and the column Source has.
-local function name_of(self, view)
-  return self.tree:name(view.address.id, view.bus_name)
+--- What the messages of an ID are called, and texts of their parts: { bus = name of the bus or nil, name = in the Info
+-- column, source = in the column Source }.
+function Carrier:names_of(id, bus)
+  local of_bus = self.names[bus or false]
+  if not of_bus then
+    of_bus = {}
+    self.names[bus or false] = of_bus
+  end
+  local names = of_bus[id]
+  if not names then
+    names = { bus = bus, name = self.reader:label(id, bus), source = self.reader:source_text(id, bus), texts = {} }
+    of_bus[id] = names
+  end
+  return names
 end
 
--- Shows a frame: columns, tree, expert items.
+-- A view is what all of the following look at: { tvb, pinfo, tree, wants, address, facts, record, names, item = YAPP's
+-- own item, or the tree where nobody wants one; wanted = whether anyone does }.
+
+-- Shows a frame: tree and expert items; returns what the Info column says of it.
 function Carrier:show(view)
-  local builder, record, facts = self.tree, view.record, view.facts
+  local builder, record, facts, info = self.tree, view.record, view.facts
+  view.wanted = view.wants.yapp
   local is_message = record.is_last or record.alone and view.address.ctrl == 0
-  view.wanted = builder:wants_yapp(view.tree)
-  view.item = view.wanted and self:item(view) or builder:bare(view.tree, view.tvb, is_message)
-  local columns = view.pinfo.cols
-  columns.protocol = "YAPP"
-  columns.src = self.reader:source_text(view.address.id, view.bus_name)
+  view.item = view.wanted and self:item(view) or builder:bare(view.tree, view.wants, is_message)
   if record.alone then
-    columns.info = self:show_alone(view)
+    info = self:show_alone(view)
   elseif record.is_last then
-    columns.info = self:show_message(view)
+    info = self:show_message(view)
   else
-    columns.info = self:show_part(view)
+    info = self:show_part(view)
   end
   if #facts.data < facts.reported then
     builder:expert(view.item, "truncated",
@@ -109,13 +131,14 @@ function Carrier:show(view)
   for _, fault in ipairs(record.faults or {}) do builder:expert(view.item, fault.expert, fault.text) end
   if record.is_unfinished then builder:expert(view.item, "unfinished") end
   if self.reader.stat.wanted then self:tell(view) end
+  return info
 end
 
 -- Statistics are told of what is lost, and of parts of what may be.
 function Carrier:tell(view)
   local facts, address, record = view.facts, view.address, view.record
   local m = { id = address.id, seq = address.seq, source_key = key_of(facts.bus, address.id), bus_key = facts.bus,
-    bus = view.bus_name, frame = facts.number, time = view.pinfo.rel_ts, visited = facts.is_again,
+    bus = view.names.bus, frame = facts.number, time = view.pinfo.rel_ts, visited = facts.is_again,
     is_end = address.ctrl == self.parts.can_id.END }
   if record.faults then self.reader.tell:faults(m, record.faults) end
   if record.message and not record.is_last then self.reader.tell:part(m) end
@@ -137,12 +160,12 @@ function Carrier:item(view)
   local builder, address = self.tree, view.address
   local fields = builder.fields
   local item = view.tree:add(builder.yapp, view.tvb())
-  item:append_text((", %s, %s"):format(name_of(self, view), KINDS[address.ctrl] or "undefined frame"))
-  builder:add_id(item, nil, address.id, view.bus_name)
+  item:append_text((", %s, %s"):format(view.names.name, KINDS[address.ctrl] or "undefined frame"))
+  builder:add_id(item, nil, address.id, view.names.bus)
   item:add(fields.ctl, address.ctl):set_generated()
   item:add(fields.seq, address.seq):set_generated()
   item:add(fields["can.ctrl"], address.ctrl):set_generated()
-  builder:add_source(item, address.id, view.bus_name)
+  builder:add_source(item, address.id, view.names.bus)
   return item
 end
 
@@ -151,7 +174,7 @@ local function finished(view, payload, size)
   local record, facts, address = view.record, view.facts, view.address
   return { tree = view.tree, item = view.item, wanted = view.wanted, pinfo = view.pinfo, id = address.id,
     seq = address.seq, ctl = address.ctl, payload = payload, size = size, frame = facts.number, bus_key = facts.bus,
-    bus = view.bus_name, record = record, is_whole = true, source_key = key_of(facts.bus, address.id),
+    bus = view.names.bus, record = record, is_whole = true, source_key = key_of(facts.bus, address.id),
     visited = facts.is_again }
 end
 
@@ -170,16 +193,16 @@ function Carrier:show_alone(view)
   end
   local kind = KINDS[address.ctrl] or "CAN CTRL " .. address.ctrl
   local is_orphan = kind == "Middle" or kind == "End"
-  return ("%s  %s%s"):format(name_of(self, view), kind, is_orphan and " without a Start" or "")
+  return ("%s  %s%s"):format(view.names.name, kind, is_orphan and " without a Start" or "")
 end
 
 function Carrier:show_single(view)
   local facts, id = view.facts, view.address.id
   local data, reported = facts.data, facts.reported
-  local known = self.reader:size_of(id, view.bus_name)
+  local known = self.reader:size_of(id, view.names.bus)
   local padding = known and self.parts.can_id.padding(data, reported, known)
   local message = finished(view, padding and padding > 0 and data:sub(1, known) or data, padding and known or reported)
-  message.status, message.tvb, message.at = "single", view.tvb, 0
+  message.status, message.tvb, message.at = "single", (view.wanted or view.wants.taurus) and view.tvb, 0
   message.good = #data == reported
   local info = self.tree:payload(self:read(message))
   if view.wanted and (padding or 0) > 0 and #data > known then
@@ -197,28 +220,24 @@ function Carrier:read(message)
   return message
 end
 
--- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept.
-local function part_text(self, view)
-  local address, message = view.address, view.record.message
-  local name, size = name_of(self, view), message.size
-  local texts = self.part_texts[name]
-  if not texts or texts.size ~= size then
-    texts = { size = size }
-    self.part_texts[name] = texts
+--- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept.
+-- length  captured bytes of the frame
+function Carrier.part_text(_, names, address, record, length)
+  local message, texts = record.message, names.texts
+  local size, look = message.size, record.look
+  if texts.size ~= size then
+    texts = { size = size, start = ("%s  Start of %d bytes"):format(names.name, size) }
+    names.texts = texts
   end
-  if address.ctrl == START then
-    texts.start = texts.start or ("%s  Start of %d bytes"):format(name, size)
-    return texts.start
-  end
-  local index, look = message.count, view.record.look
+  if address.ctrl == START then return texts.start end
+  local index = message.count
   while index > 1 and message[index] ~= look do index = index - 1 end
-  if message[index] ~= look then return name .. "  part once more" end
+  if message[index] ~= look then return names.name .. "  part once more" end
   -- How many parts there are is sure in the end; before that, it is what classic CAN needs.
-  local parts = message.status == "good" and message.count or
-    #view.facts.data == 8 and 1 + (size + 7 - (size + 7) % 8) / 8
-  if not parts or index > parts then return ("%s  part %d"):format(name, index) end
+  local parts = message.status == "good" and message.count or length == 8 and 1 + (size + 7 - (size + 7) % 8) / 8
+  if not parts or index > parts then return ("%s  part %d"):format(names.name, index) end
   local key = parts * 0x100 + index
-  local text = texts[key] or ("%s  part %d of %d"):format(name, index, parts)
+  local text = texts[key] or ("%s  part %d of %d"):format(names.name, index, parts)
   if parts <= MAX_KEPT then texts[key] = text end
   return text
 end
@@ -237,7 +256,7 @@ function Carrier:show_part(view)
     if leads_to then item:add(fields["reassembled.in"], leads_to):set_generated() end
     if record.has_fault then item:add(fields["message.fault"], true):set_generated() end
   end
-  local text = part_text(self, view)
+  local text = self:part_text(view.names, view.address, record, #view.facts.data)
   return leads_to and ("%s  [Reassembled in #%d]"):format(text, leads_to) or text
 end
 
@@ -256,7 +275,7 @@ function Carrier:show_message(view)
   local status = entry.status
   message.status, message.crc, message.calculated, message.at = status, entry.crc, entry.calculated, 0
   message.good = status == "good"
-  if #entry.payload > 0 and builder:wants_any(view.tree) then
+  if #entry.payload > 0 and (view.wanted or view.wants.taurus) then
     message.tvb = ByteArray.new(entry.payload, true):tvb("Reassembled YAPP")
   end
   if view.wanted then self:message_tree(view, message) end
@@ -266,7 +285,7 @@ function Carrier:show_message(view)
     self:read(message)
     if view.wanted and message.tvb then item:add(builder.fields.payload, message.tvb()) end
     if view.wanted then builder:add_delta(item, message) end
-    return ("%s  %d of %d bytes%s"):format(name_of(self, view), entry.received, entry.size, STATUS_TEXT[status])
+    return ("%s  %d of %d bytes%s"):format(view.names.name, entry.received, entry.size, STATUS_TEXT[status])
   end
   return builder:payload(self:read(message)) .. (STATUS_TEXT[status] or "")
 end

@@ -133,8 +133,9 @@ end
 -- view  { tvb, pinfo, tree, packet, fact, bus_key, bus_name }; gets wanted = whether anyone wants a tree
 local function show(self, view)
   local tvb, events, raw, infos = view.tvb, view.packet.events, view.fact.bytes, {}
-  view.wanted = self.tree:wants_any(view.tree)
-  if not view.wanted then self.tree:bare(view.tree, tvb, true) end
+  local wants = self.tree:wants(view.tree, view.fact.visited)
+  view.wanted = wants.yapp or wants.taurus
+  if not view.wanted then self.tree:bare(view.tree, wants, true) end
   for i, event in ipairs(events) do
     local source, at, bytes, info = tvb, event.at, event.bytes
     if bytes and view.wanted then source = ByteArray.new(bytes, true):tvb("Reassembled YAPP") end
@@ -154,7 +155,7 @@ end
 -- Shows the bytes at the packet's end that wait for more; returns what the Info column says of them.
 local function show_pending(self, tvb, tree, packet)
   local builder, pending, leads_to = self.tree, packet.pending, packet.leads_to
-  if builder:wants_yapp(tree) then
+  if builder:wants(tree, true).yapp then
     local range = tvb(packet.done, pending)
     local item = tree:add(builder.yapp, range)
     item:append_text(", part of a frame")

@@ -76,6 +76,8 @@ end
 local Tree = {}
 Tree.__index = Tree
 
+local NOTHING = {} -- nobody wants any
+
 local function generated(item)
   item:set_generated()
   return item
@@ -99,6 +101,7 @@ end
 
 --- Forgets what was wanted of the file before.
 function Tree:reset()
+  self.wanted = nil
   self.messages:reset()
 end
 
@@ -110,29 +113,35 @@ local function find_handles(self)
   return self.yapp_handle
 end
 
---- Whether anyone wants YAPP's own items: visible, filtered or printed.
--- tree.hidden is false where there is no tree at all (always true from 4.6 on): then nobody wants anything.
-function Tree:wants_yapp(tree)
-  return tree.hidden and tree:referenced(self.yapp_handle or find_handles(self))
+local IS_TSHARK = not gui_enabled()
+
+--- What anyone wants of a tree.
+-- is_again  whether the packet was shown before
+-- returns   { tree = whether there may be one at all, yapp = whether YAPP's own items are visible, filtered or printed,
+--           taurus = whether those of messages are }.  In tshark this does not change within a first pass, so it is
+--           asked once; in Wireshark, and on later looks of sharkd, it may.
+function Tree:wants(tree, is_again)
+  local is_steady = IS_TSHARK and not is_again
+  if is_steady and self.wanted then return self.wanted end
+  local wants = NOTHING
+  if tree.hidden then -- false where there is none; always true from 4.6 on
+    wants = { tree = true, yapp = tree:referenced(self.yapp_handle or find_handles(self)),
+      taurus = tree:referenced(self.taurus_handle or find_handles(self)) }
+  end
+  if is_steady then self.wanted = wants end
+  return wants
 end
 
---- Whether anyone wants YAPP's items or a message's.
-function Tree:wants_any(tree)
-  return tree.hidden and
-    (tree:referenced(self.yapp_handle or find_handles(self)) or tree:referenced(self.taurus_handle))
-end
-
-local IS_TSHARK = not gui_enabled() -- what is wanted does not change within its first pass
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
 
 --- Where nobody wants YAPP's own items, but there is a tree: its name, for who asks for protocols (-z io,phs).
--- is_message  whether there is a message's name too
+-- wants       of the tree; is_message: whether there is a message's name too
 -- returns     the tree, for the expert items
 -- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
-function Tree:bare(tree, tvb, is_message)
-  if not SAYS_PROTOCOLS and not self.reader.stat.wanted and tree.hidden then
-    tree:add(self.yapp, tvb())
-    if is_message and not tree:referenced(self.taurus_handle) then tree:add(self.taurus, tvb()) end
+function Tree:bare(tree, wants, is_message)
+  if wants.tree and not SAYS_PROTOCOLS and not self.reader.stat.wanted then
+    tree:add(self.yapp)
+    if is_message and not wants.taurus then tree:add(self.taurus) end
   end
   return tree
 end
@@ -260,7 +269,7 @@ function Tree:payload(m)
   m.label = name ~= m.message.title and name or nil
   m.is_steady = IS_TSHARK and not m.visited
   local top = self.messages:show(m.tree, m.item, m)
-  if change then self.messages:add_change(top or m.item, m.message, change, m.time) end
+  if change then self.messages:add_change(top or m.item, m, top ~= nil) end
   return self.decode.info(m.message, m.raws, m.payload, name)
 end
 

@@ -155,6 +155,8 @@ end
 
 -- Changes -----------------------------------------------------------------------------------------------------------
 
+local NONE, WAYS = {}, { "raised", "cleared" }
+
 local function time_of(seconds)
   local text = format("%.0f", math.abs(seconds) * 1e9)
   local whole, rest = tonumber(text:sub(1, -10)) or 0, tonumber(text:sub(-9))
@@ -171,23 +173,14 @@ end
 -- The bits of one field that rose or fell.
 local function add_bits(self, item, field, way, bits)
   if bits == 0 then return end
-  local added = add_generated(item, self.fields[field][way], bits)
+  local added = item and add_generated(item, self.fields[field][way], bits)
   if added then added:append_text(" (" .. decode.flag_names(field, bits) .. ")") end
-  if field.alarm then (added or item):add_proto_expert_info(self.experts["fault." .. way]) end
+  return added
 end
 
---- Adds what the history says of a message, all of it generated, with its expert items.
--- item     the Taurus item, or YAPP's where no tree is wanted
--- message  compiled
--- change   a change of yapp_history's, with next_change = frame number where it is known; its frames are frame numbers
--- now      the time of the message, on the clock of change.active_since
-function Taurus:add_change(item, message, change, now)
+-- Adds what changed; returns the item of the clock's drift.
+local function add_values(self, item, message, change, now)
   local own, alarm = self.messages[message], message.alarms[1]
-  for _, one in ipairs(change.flags or {}) do
-    local watched = one.field.watched
-    add_bits(self, item, one.field, "raised", decode.band(one.raised, watched))
-    add_bits(self, item, one.field, "cleared", decode.band(one.cleared, watched))
-  end
   if alarm then
     local made, since = self.fields[alarm], change.active_since
     add_generated(item, made.active_time, since and time_of(now - since))
@@ -195,7 +188,23 @@ function Taurus:add_change(item, message, change, now)
     add_generated(item, made.next, change.next_change)
   end
   add_generated(item, own.command_in, change.command_in)
-  local drift = add_generated(item, own.drift, change.drift and time_of(change.drift))
+  return add_generated(item, own.drift, change.drift and time_of(change.drift))
+end
+
+--- Adds what the history says of a message, all of it generated, with its expert items.
+-- item     the Taurus item, or YAPP's where no tree is wanted
+-- m        a message of yapp_reader, with its change; the frames in that are frame numbers
+-- is_tree  whether it is the Taurus item; else there are expert items only
+function Taurus:add_change(item, m, is_tree)
+  local change = m.change
+  for _, one in ipairs(change.flags or NONE) do
+    for _, way in ipairs(WAYS) do
+      local bits = decode.band(one[way], one.field.watched)
+      local added = add_bits(self, is_tree and item, one.field, way, bits)
+      if bits ~= 0 and one.field.alarm then (added or item):add_proto_expert_info(self.experts["fault." .. way]) end
+    end
+  end
+  local drift = is_tree and add_values(self, item, m.message, change, m.time)
   if change.reboot then (drift or item):add_proto_expert_info(self.experts.reboot) end
   if change.stale then (drift or item):add_proto_expert_info(self.experts.stale) end
 end
