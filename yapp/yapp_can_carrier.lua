@@ -137,19 +137,19 @@ end
 -- Statistics are told of what is lost, and of parts of what may be.
 function Carrier:tell(view)
   local facts, address, record = view.facts, view.address, view.record
-  local m = { id = address.id, seq = address.seq, source_key = key_of(facts.bus, address.id), bus_key = facts.bus,
-    bus = view.names.bus, frame = facts.number, time = view.pinfo.rel_ts, visited = facts.is_again,
+  local m = { id = address.id, seq = address.seq, source = key_of(facts.bus, address.id), bus = facts.bus,
+    bus_name = view.names.bus, frame = facts.number, time = view.pinfo.rel_ts, visited = facts.is_again,
     is_end = address.ctrl == self.parts.can_id.END }
   if record.faults then self.reader.tell:faults(m, record.faults) end
   if record.message and not record.is_last then self.reader.tell:part(m) end
 end
 
 --- The messages that the capture ends before.
--- returns  list of { source_key, seq, frame = number of their last frame }
+-- returns  list of { source, seq, frame = number of their last frame }
 function Carrier:unfinished()
   local list = {}
   for i, message in ipairs(self.memory:unfinished()) do
-    list[i] = { source_key = key_of(message.bus, message.address.id), seq = message.address.seq,
+    list[i] = { source = key_of(message.bus, message.address.id), seq = message.address.seq,
       frame = math.floor(message[message.count]) }
   end
   return list
@@ -169,13 +169,14 @@ function Carrier:item(view)
   return item
 end
 
--- What a message is given to the reader and the tree as; see yapp_reader.
+-- What a message is given to the reader and the tree as; see yapp_reader.  With room for all that it gets later.
 local function finished(view, payload, size)
-  local record, facts, address = view.record, view.facts, view.address
-  return { tree = view.tree, item = view.item, wanted = view.wanted, pinfo = view.pinfo, id = address.id,
-    seq = address.seq, ctl = address.ctl, payload = payload, size = size, frame = facts.number, bus_key = facts.bus,
-    bus = view.names.bus, record = record, is_whole = true, source_key = key_of(facts.bus, address.id),
-    visited = facts.is_again }
+  local facts, address = view.facts, view.address
+  return { tree = view.tree, item = view.item, wanted = view.wanted, id = address.id, seq = address.seq,
+    ctl = address.ctl, payload = payload, size = size, source = key_of(facts.bus, address.id), bus = facts.bus,
+    bus_name = view.names.bus, name = view.names.name, frame = facts.number, time = view.pinfo.rel_ts,
+    visited = facts.is_again, is_whole = true, status = nil, good = nil, tvb = nil, at = 0, message = nil, raws = nil,
+    look = nil, has_fault = nil, change = nil, number = nil, delta = nil, label = nil, is_steady = nil }
 end
 
 -- A frame that stands alone: a single-frame message, or what belongs to none.
@@ -202,9 +203,9 @@ function Carrier:show_single(view)
   local known = self.reader:size_of(id, view.names.bus)
   local padding = known and self.parts.can_id.padding(data, reported, known)
   local message = finished(view, padding and padding > 0 and data:sub(1, known) or data, padding and known or reported)
-  message.status, message.tvb, message.at = "single", (view.wanted or view.wants.taurus) and view.tvb, 0
+  message.status, message.tvb = "single", (view.wanted or view.wants.taurus) and view.tvb
   message.good = #data == reported
-  local info = self.tree:payload(self:read(message))
+  local info = self.tree:payload(self:read(message, view.record))
   if view.wanted and (padding or 0) > 0 and #data > known then
     view.item:add(self.tree.fields.padding, view.tvb(known))
   end
@@ -212,11 +213,9 @@ function Carrier:show_single(view)
 end
 
 -- A finished message: its meaning and its history.
-function Carrier:read(message)
-  local memory, record = self.memory, message.record
-  local look = { source = message.source_key, bus = message.bus_key, time = message.pinfo.rel_ts }
-  self.reader:read(message, look, function() return memory:change(record, look) end)
-  if message.has_fault then memory:note_fault(record) end
+function Carrier:read(message, record)
+  self.reader:read(message, self.memory, record)
+  if message.has_fault then self.memory:note_fault(record) end
   return message
 end
 
@@ -273,8 +272,7 @@ function Carrier:show_message(view)
   local builder, item, entry = self.tree, view.item, view.record.message
   local message = finished(view, entry.payload, entry.size)
   local status = entry.status
-  message.status, message.crc, message.calculated, message.at = status, entry.crc, entry.calculated, 0
-  message.good = status == "good"
+  message.status, message.good = status, status == "good"
   if #entry.payload > 0 and (view.wanted or view.wants.taurus) then
     message.tvb = ByteArray.new(entry.payload, true):tvb("Reassembled YAPP")
   end
@@ -282,12 +280,12 @@ function Carrier:show_message(view)
   if status == "bad" then builder:bad_crc(item, entry) end
   if status == "short" or status == "overrun" then
     message.is_whole = false
-    self:read(message)
+    self:read(message, view.record)
     if view.wanted and message.tvb then item:add(builder.fields.payload, message.tvb()) end
     if view.wanted then builder:add_delta(item, message) end
     return ("%s  %d of %d bytes%s"):format(view.names.name, entry.received, entry.size, STATUS_TEXT[status])
   end
-  return builder:payload(self:read(message)) .. (STATUS_TEXT[status] or "")
+  return builder:payload(self:read(message, view.record)) .. (STATUS_TEXT[status] or "")
 end
 
 -- What YAPP's own item says of a message in its last frame.

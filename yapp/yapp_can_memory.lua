@@ -245,10 +245,10 @@ local function numbered(pass, change)
 end
 
 --- What changed with a message since its source's previous good one (see yapp_history).
--- record   of its last, or only, frame
 -- message  as History:note takes it; number and delta are filled in
+-- record   of its last, or only, frame
 -- returns  a change, or nil; its frames are numbers of frames
-function Memory:change(record, message)
+function Memory:change(message, record)
   local pass, look = record.pass, record.look
   if not pass then return nil end
   local history, change = pass.history

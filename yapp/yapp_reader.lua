@@ -102,22 +102,21 @@ local function has_alarm(message, raws)
   return false
 end
 
---- Reads a finished message.
--- m        { id, seq, ctl, size, payload, bus = name or nil, status, good = whether it is proved whole, ... }: gets
+--- Reads a finished message.  The record is what yapp_history, yapp_tree and yapp_stat_tell take it as.
+-- m        { id, seq, ctl, size, payload, status, good = whether it is proved whole, is_whole = whether the payload has
+--          all its bytes; source = key of bus or stream and ID, bus = key of the bus or stream, or nil, bus_name = or
+--          nil, frame = number, time = seconds since the first packet, ... }: gets
 --          message = of the catalogue, where the ID is known; raws and look = from decode.read, where the size fits
---          too; has_fault = whether a fault flag is set; source = name or nil; change = what ask returned
--- look     what yapp_history is asked with: { source, bus, number, time }; gets the rest
--- ask      function(look) -> change or nil
-function Reader:read(m, look, ask)
-  local message = self:message_of(m.id, m.bus)
-  m.message, m.source = message, self.sources:name(m.bus, m.id)
+--          too; has_fault = whether a fault flag is set; change = what is new since the source's previous one
+-- memory   whose change(memory, m, ...) tells that (yapp_can_memory, yapp_serial_memory); ...: what it takes besides
+function Reader:read(m, memory, ...)
+  local message = self:message_of(m.id, m.bus_name)
+  m.message = message
   if message and m.size == message.size and m.is_whole then
     m.raws, m.look = self.decode.read(message, m.payload)
     m.has_fault = m.look and has_alarm(message, m.raws)
   end
-  look.message, look.raws, look.payload = message, m.raws, m.payload
-  look.id, look.seq, look.good, m.time = m.id, m.seq, m.good, look.time
-  m.change = ask(look)
+  m.change = memory:change(m, ...)
   if self.stat.wanted then self.tell:message(m) end
 end
 

@@ -85,14 +85,12 @@ end
 
 -- What a frame means, and its history.
 local function read(self, view, index, message)
-  local bus = view.bus_key
-  local key = view.fact.stream .. "|" .. message.id
-  local look = { source = key, bus = bus, time = view.pinfo.rel_ts }
-  local m = { tree = view.tree, pinfo = view.pinfo, wanted = view.wanted, id = message.id, seq = message.seq,
-    ctl = message.ctl, size = message.size, payload = message.payload, status = message.status,
-    good = message.status == "good", is_whole = true, frame = view.fact.number, bus_key = bus, bus = view.bus_name,
-    source_key = key, visited = view.fact.visited }
-  self.reader:read(m, look, function() return self.memory:change(view.packet, index, view.fact, look) end)
+  local fact, name = view.fact, view.bus_name
+  local m = { tree = view.tree, wanted = view.wanted, id = message.id, seq = message.seq, ctl = message.ctl,
+    size = message.size, payload = message.payload, status = message.status, good = message.status == "good",
+    is_whole = true, source = fact.stream .. "|" .. message.id, bus = view.bus_key, bus_name = name,
+    name = self.tree:name(message.id, name), frame = fact.number, time = view.pinfo.rel_ts, visited = fact.visited }
+  self.reader:read(m, self.memory, view.packet, index, fact)
   return m
 end
 
@@ -133,7 +131,7 @@ end
 -- view  { tvb, pinfo, tree, packet, fact, bus_key, bus_name }; gets wanted = whether anyone wants a tree
 local function show(self, view)
   local tvb, events, raw, infos = view.tvb, view.packet.events, view.fact.bytes, {}
-  local wants = self.tree:wants(view.tree, view.fact.visited)
+  local wants = self.tree:wants(view.tree, view.fact.visited ~= false)
   view.wanted = wants.yapp or wants.taurus
   if not view.wanted then self.tree:bare(view.tree, wants, true) end
   for i, event in ipairs(events) do

@@ -275,12 +275,12 @@ local PLACE = 2 ^ -21 -- of a byte in its packet
 local LINKS = { "command_in", "previous_change", "next_change" } -- in a change of yapp_history
 
 --- What changed with a frame since its source's previous good one (see yapp_history).
+-- message  as History:note takes it; number and delta are filled in
 -- packet   from look, for this fact
 -- index    of the frame among its events
 -- fact     as given to look
--- message  as History:note takes it; number and delta are filled in
 -- returns  a change, or nil; its numbers are those of packets
-function Memory.change(_, packet, index, fact, message)
+function Memory.change(_, message, packet, index, fact)
   local pass, piece, number, change = packet.pass, packet.piece, fact.number
   message.number = number + (fact.place + (packet.events[index].at or 0)) * PLACE
   if packet.is_now then

@@ -25,11 +25,11 @@ end
 
 -- The source of a message: one table for all its records.
 local function source_of(self, m)
-  local source = self.sources[m.source_key]
+  local source = self.sources[m.source]
   if not source then
-    source = { key = m.source_key, bus_key = m.bus_key, bus = m.bus, name = self.reader:name_of(m.id, m.bus), id = m.id,
-      message = self.reader:message_of(m.id, m.bus) }
-    self.sources[m.source_key] = source
+    source = { key = m.source, bus_key = m.bus, bus = m.bus_name, name = self.reader:name_of(m.id, m.bus_name), id = m.id,
+      message = self.reader:message_of(m.id, m.bus_name) }
+    self.sources[m.source] = source
   end
   return source
 end
@@ -40,7 +40,7 @@ local function record_of(source, m)
 end
 
 --- A finished message, read.
--- m  of yapp_reader, with { source_key, bus_key, bus, frame, time = seconds since the first packet, visited }
+-- m  of yapp_reader, as read
 function Tell:message(m)
   if m.status ~= "good" and m.status ~= "single" and m.status ~= "bad" then return end
   local record = record_of(source_of(self, m), m)
@@ -49,7 +49,7 @@ function Tell:message(m)
 end
 
 --- Faults of a frame: those that say that a message, or a part of one, is lost.
--- m       { id, seq, source_key, bus_key, bus, frame, time, visited, is_end = whether the frame is an End }
+-- m       { id, seq, source, bus, bus_name, frame, time, visited, is_end = whether the frame is an End }
 -- faults  list of { expert, void = whether it has been taken back since }
 function Tell:faults(m, faults)
   for _, fault in ipairs(faults) do
@@ -69,12 +69,12 @@ function Tell:part(m)
 end
 
 --- The messages that the capture ends before.
--- messages  list of { source_key, seq, frame = number of their last frame }
+-- messages  list of { source, seq, frame = number of their last frame }
 -- returns   records, in the order of their frames
 function Tell:unfinished(messages)
   local records = {}
   for _, message in ipairs(messages) do
-    local source = self.sources[message.source_key]
+    local source = self.sources[message.source]
     local part = source and source.last and source.last[message.seq]
     if part and part.frame == message.frame then
       local record = record_of(source, part)

@@ -243,7 +243,7 @@ end
 local function show_bytes(self, m)
   local size = Tree.bytes(m.size)
   if m.wanted and m.tvb and #m.payload > 0 then m.item:add(self.fields.payload, m.tvb(m.at, #m.payload)) end
-  local name = self:name(m.id, m.bus)
+  local name = m.name
   if not m.message then
     local text, info = self.reader:hint(m)
     self:expert(m.item, "id.unknown", text)
@@ -265,7 +265,7 @@ function Tree:payload(m)
   end
   if not m.raws then return show_bytes(self, m) end
   if #m.payload == 0 then m.tvb = nil end
-  local name = self:name(m.id, m.bus)
+  local name = m.name
   m.label = name ~= m.message.title and name or nil
   m.is_steady = IS_TSHARK and not m.visited
   local top = self.messages:show(m.tree, m.item, m)

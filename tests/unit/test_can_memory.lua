@@ -222,13 +222,13 @@ function T.test_the_time_since_the_previous_message_is_kept()
     for i, row in ipairs(WHOLE) do
       local record = look(known, { 5 * round + i, row[2] })
       if i == 5 then
-        local change = known:change(record, { source = 1, id = 0x210, seq = 0, time = round * 0.25, good = true })
+        local change = known:change({ source = 1, id = 0x210, seq = 0, time = round * 0.25, good = true }, record)
         lu.assertEquals(change and change.delta, round == 1 and 0.25 or nil)
       end
     end
   end
   local record = look(known, { 10, "E", { again = true } })
-  lu.assertEquals(known:change(record, { source = 1, id = 0x210, seq = 0, time = 0.25, good = true }).delta, 0.25)
+  lu.assertEquals(known:change({ source = 1, id = 0x210, seq = 0, time = 0.25, good = true }, record).delta, 0.25)
 end
 
 return T

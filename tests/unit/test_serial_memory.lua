@@ -48,8 +48,8 @@ local function deltas_of(memory, packet, fact)
   local deltas = {}
   for i, event in ipairs(packet and packet.events or {}) do
     if event.status == "good" then
-      local change = memory:change(packet, i, fact, { source = fact.stream .. event.id, id = event.id, good = true,
-        time = fact.number, seq = 0 })
+      local change = memory:change({ source = fact.stream .. event.id, id = event.id, good = true,
+        time = fact.number, seq = 0 }, packet, i, fact)
       deltas[i] = change and change.delta
     end
   end
