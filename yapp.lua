@@ -331,7 +331,6 @@ end
 function yapp.init()
   read_preferences()
   buses:init()
-  if buses:has_numbered_starts() then register_all_starts() end
   search_streams()
   asked = false
   ids:reset()

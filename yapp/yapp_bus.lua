@@ -52,11 +52,6 @@ function Buses:are_several()
   return self.found.sources
 end
 
---- Whether the file seems to have Starts of CAN messages that are numbered, by its first bytes.
-function Buses:has_numbered_starts()
-  return self.found.numbered
-end
-
 --- Whether the file may have YAPP frames in TCP or UDP, by its first bytes.
 function Buses:may_have_frames()
   return self.found.frames
