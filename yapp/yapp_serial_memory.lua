@@ -36,7 +36,7 @@ end
 -- new_framer  function() -> a yapp_serial_stream
 function M.new(crc, new_framer)
   return setmetatable({ crc = crc, new_framer = new_framer, datagrams = new_framer(), first = new_pass(),
-    second = new_pass() }, Memory)
+    second = new_pass(), plain = { good = true, from = 0 } }, Memory)
 end
 
 -- What is known of a stream: when which message came; and, as far as it needs them, its framer, its length, and the
@@ -85,9 +85,9 @@ local function packet_of(self, piece, fact)
 end
 
 local function plain_packet(self, fact, note)
-  local size = #fact.bytes
-  local message = message_of(self, { good = true, from = 0, to = size, note = note }, fact.bytes, 0)
-  return { events = { message }, done = size, pending = 0 }
+  local size, plain = #fact.bytes, self.plain
+  plain.to, plain.note = size, note
+  return { events = { message_of(self, plain, fact.bytes, 0) }, done = size, pending = 0 }
 end
 
 -- Datagrams ------------------------------------------------------------------------------------------------------
@@ -224,10 +224,30 @@ local function keep(pass, piece, fact)
   end
 end
 
+-- Takes a packet that is one good frame, without what others need: this saves a tenth of the time of a packet.
+-- returns  the packet; nil for any other, of which nothing is taken
+local function take_plain(self, pass, stream, fact)
+  local number, place, bytes = fact.number, fact.place, fact.bytes
+  if fact.truncated or fact.transport == "segment" or pass.places[number] or pass.pieces[number] then return nil end
+  if fact.transport == "datagram" then
+    if not self.datagrams:pass(bytes) then return nil end
+  else
+    if not stream.framer or not stream.framer:pass(bytes) then return nil end
+    stream.length = stream.length + #bytes
+  end
+  local packet = plain_packet(self, fact)
+  local message = packet.events[1]
+  message.delta = note(stream, message, fact)
+  pass.places[number], pass.notes[number] = place, message.delta
+  return packet
+end
+
 -- Takes a packet into its stream.
 local function take_packet(self, pass, fact)
   local stream = stream_of(pass, fact.stream)
   pass.highest = fact.number
+  local plain = take_plain(self, pass, stream, fact)
+  if plain then return plain end
   local piece = take[fact.transport](self, stream, fact)
   for _, event in ipairs(piece.events) do
     if event.from >= piece.base then event.bytes = nil end -- they are in the packet anyway
