@@ -26,20 +26,20 @@ local function report(text)
   io.stderr:write("candump reader: ", text, "\n")
 end
 
--- Fills in Wireshark's frame; returns what Wireshark wants to hear.
-local function fill(frame, offset, bytes, bus, seconds, nanoseconds, comment)
-  if not offset then return false end
-  frame.rec_type = PACKET
+local function set_time(frame, seconds, nanoseconds)
   if seconds then
     frame.flags = HAS_TIME
     frame.time = NSTime.new(seconds, nanoseconds)
   else
     frame.flags = 0
   end
+end
+
+local function fill(frame, bytes, bus, comment)
+  frame.rec_type = PACKET
   frame.data = bytes
   if comment then frame.comment = comment end
   M.current_bus, M.current_bus_name = bus.number, bus.name
-  return offset
 end
 
 local function forget()
@@ -68,11 +68,19 @@ local function make_reader(candump, row, big_endian)
   end
 
   function handler.read(file, capture, frame)
-    return fill(frame, candump.read(capture.private_table, file))
+    local offset, bytes, bus, seconds, nanoseconds, comment = candump.read(capture.private_table, file)
+    if not offset then return false end
+    set_time(frame, seconds, nanoseconds)
+    fill(frame, bytes, bus, comment)
+    return offset
   end
 
   function handler.seek_read(file, capture, frame, offset)
-    return fill(frame, candump.seek_read(capture.private_table, file, offset)) ~= false
+    local found, bytes, bus, seconds, nanoseconds, comment = candump.seek_read(capture.private_table, file, offset)
+    if not found then return false end
+    set_time(frame, seconds, nanoseconds)
+    fill(frame, bytes, bus, comment)
+    return true
   end
 
   handler.read_close = forget

@@ -141,8 +141,8 @@ end
 function M.look(file, options)
   local head = file:read(HEAD) or ""
   local at_end = #head < HEAD
-  local encoding = utf16.of(head)
-  if encoding then head = sub(encoding:decode(head), encoding.skip / 2 + 1) end
+  local encoding
+  head, encoding = utf16.text(head)
   if find(head, "\0", 1, true) then return nil end
   local start = #match(head, "^\239?\187?\191?") + 1 -- a byte order mark
   local found = recognise((whole_lines(sub(head, start), at_end)), options.by_value)

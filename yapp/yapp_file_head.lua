@@ -1,6 +1,8 @@
 -- What the first bytes of a capture file say about the rest.  Pure Lua, 5.2 and 5.4.
 
 local frame = require("yapp_frame")
+local utf16 = require("yapp_file_utf16")
+local utf8 = require("yapp_utf8")
 
 local M = {}
 
@@ -14,8 +16,9 @@ local OURS = { [227] = true, [252] = true, [LINKTYPE_RTAC] = true }
 for linktype = 147, 162 do OURS[linktype] = true end
 local PROTOCOL = { [113] = 14, [LINKTYPE_SLL2] = 0 }
 
--- Block types of pcapng
-local INTERFACE, ENHANCED, SIMPLE, OLD = 1, 6, 3, 2
+-- Block types of pcapng, and options of an interface
+local SECTION, INTERFACE, ENHANCED, SIMPLE, OLD = 0x0A0D0D0A, 1, 6, 3, 2
+local IF_NAME, END_OF_OPTIONS = 2, 0
 
 local function number(head, at, size, little)
   local value = 0
@@ -47,25 +50,56 @@ local function read_pcap(head, little)
   return found
 end
 
+-- The name of an interface, from its block's options; nil without one that can be shown.
+-- at, stop  1-based: where the options begin, and where the block ends
+local function interface_name(head, at, stop, little)
+  while at + 4 <= stop do
+    local option, length = number(head, at, 2, little), number(head, at + 2, 2, little)
+    if not length or option == END_OF_OPTIONS or at + 4 + length > stop then return nil end
+    if option == IF_NAME then
+      local name = head:sub(at + 4, at + 3 + length):match("^[^\0]*")
+      return #name > 0 and utf8.is_printable(name) and name or nil
+    end
+    at = at + 4 + length + -length % 4
+  end
+end
+
+-- An interface of a pcapng file.
+local function note_interface(found, head, at, length, little)
+  local id, linktype = found.count, number(head, at + 8, 2, little)
+  found.count = id + 1
+  found.linktypes[id] = linktype or -1
+  if OURS[linktype] then found.ours = found.ours + 1 end
+  found.sources = found.sources or linktype == LINKTYPE_RTAC or found.ours > 1
+  if found.sections > 1 then return end -- the numbers begin again there
+  found.interfaces[id] = linktype
+  found.names[id] = interface_name(head, at + 16, at + length - 4, little)
+end
+
+-- A packet of a pcapng file: on a cooked capture it says whether its interface is one of ours.
+local function note_packet(found, head, at, little)
+  local id = number(head, at + 8, 4, little)
+  local linktype = found.linktypes[id]
+  if PROTOCOL[linktype] and is_ours(linktype, head, at + 28) then
+    found.ours, found.linktypes[id] = found.ours + 1, -1 -- once
+    found.sources = found.sources or linktype == LINKTYPE_SLL2 or found.ours > 1
+  end
+end
+
 local function read_pcapng(head)
   local little = head:sub(9, 12) == "\77\60\43\26"
-  local at, linktypes, count = 1, {}, 0
-  local found = { packets = false, sources = false, later = true }
+  local found = { packets = false, sources = false, later = true, interfaces = {}, names = {},
+    count = 0, sections = 0, linktypes = {}, ours = 0 }
+  local at = 1
   while true do
     local kind, length = number(head, at, 4, little), number(head, at + 4, 4, little)
     if not length or length < 12 then break end
-    if kind == INTERFACE then
-      local linktype = number(head, at + 8, 2, little)
-      linktypes[#linktypes + 1] = linktype or -1
-      if OURS[linktype] then count = count + 1 end
-      found.sources = found.sources or linktype == LINKTYPE_RTAC or count > 1
+    if kind == SECTION then
+      found.sections = found.sections + 1
+    elseif kind == INTERFACE then
+      note_interface(found, head, at, length, little)
     elseif kind == ENHANCED then
-      local interface = (number(head, at + 8, 4, little) or 0) + 1
-      local linktype = linktypes[interface]
-      if PROTOCOL[linktype] and is_ours(linktype, head, at + 28) then
-        count, linktypes[interface] = count + 1, -1 -- once
-        found.sources = found.sources or linktype == LINKTYPE_SLL2 or count > 1
-      end
+      note_packet(found, head, at, little)
     end
     found.packets = found.packets or kind == ENHANCED or kind == SIMPLE or kind == OLD
     at = at + length
@@ -94,17 +128,28 @@ local function has_header(head)
   return false
 end
 
--- What looks like a Start of a CAN message with a Seq: CAN CTRL 1, YAPP CTL 0, 8 bytes, the reserved ones 0.  In a
--- SocketCAN record (big endian, or little in cooked captures) and as a candump writes it.
-local NUMBERED_STARTS = {
-  "[\128-\159].@[^\0]\8.........\0\0", "[^\0]@.[\128-\159]\8.........\0\0",
-  "[01]%x%x%x40%x[1-9A-F]#" .. ("%x"):rep(12) .. "0000", "[01]%x%x%x40[1-9A-F]0#" .. ("%x"):rep(12) .. "0000",
-  "[01]%x%x%x40%x[1-9A-F] [^\n]- 00 00", "[01]%x%x%x40[1-9A-F]0 [^\n]- 00 00",
+-- The name of a bus in a line of candump text: with or without a time, with a direction. Which lines are candump's
+-- is told elsewhere; this is asked for lines of any text.
+local BUS_IN = {
+  "^%s*%([^()]+%)%s+(%S+)%s+%x+[#%s]", "^%s*(%S+)%s+%x+%s+[%[{]%x+[%]}]",
+  "^[^[{]-(%S+)%s+[RT]X [B-] [E-]%s+%x+%s+[%[{]",
 }
 
-local function has_numbered_starts(head)
-  for _, pattern in ipairs(NUMBERED_STARTS) do
-    if head:find(pattern) then return true end
+local function bus_in(line)
+  for _, pattern in ipairs(BUS_IN) do
+    local bus = line:match(pattern)
+    if bus then return bus end
+  end
+end
+
+-- Whether a text has several buses, as candump writes them.
+local function has_several_buses(head)
+  local text, first = utf16.text(head), nil
+  if text:find("\0", 1, true) then return false end
+  for line in text:gmatch("[^\r\n]+") do
+    local bus = bus_in(line)
+    if bus and first and bus ~= first then return true end
+    first = first or bus
   end
   return false
 end
@@ -114,7 +159,9 @@ end
 -- returns  { sources = whether the packets have several buses, interfaces or directions that the file tells apart,
 --            later = whether what follows these bytes may have such,
 --            frames = whether YAPP frames may be in it: not when it has packets and none of the first has one,
---            numbered = whether it seems to have Starts of CAN messages with a Seq }
+--            interfaces = { [id] = link type }, of a pcapng file; names = { [id] = the name that the file gives it },
+--              only names that can be shown (UTF-8, no control characters),
+--            several_buses = whether candump text has more than one }
 function M.read(head)
   local reader = READERS[head:sub(1, 4)]
   local found = reader and reader(head) or {}
@@ -122,7 +169,9 @@ function M.read(head)
     sources = found.sources or false,
     later = found.later ~= false and (#head == M.LENGTH or not found.packets),
     frames = not found.packets or has_header(head),
-    numbered = has_numbered_starts(head),
+    interfaces = found.interfaces or {},
+    names = found.names or {},
+    several_buses = not reader and has_several_buses(head),
   }
 end
 

@@ -25,12 +25,18 @@ local STARTS = {
   { "^[\1-\127]\0[\1-\127]\0", 0, LITTLE }, { "^\0[\1-\127]\0[\1-\127]", 0, BIG },
 }
 
---- The encoding of a text by its first bytes: nil unless it is UTF-16.
--- It reads and seeks like a file: encoding.file, to be set before. Its offset 0 is behind a byte order mark.
-function M.of(head)
+--- The first bytes of a file as text.
+-- @param head string
+-- @return the text, behind a byte order mark; and its encoding, nil unless it is UTF-16. That one reads and seeks like
+--   a file, encoding.file, to be set before; its offset 0 is behind the byte order mark
+function M.text(head)
   for _, row in ipairs(STARTS) do
-    if find(head, row[1]) then return setmetatable({ skip = row[2], characters = row[3] }, Encoding) end
+    if find(head, row[1]) then
+      local encoding = setmetatable({ skip = row[2], characters = row[3] }, Encoding)
+      return encoding:decode(sub(head, row[2] + 1)), encoding
+    end
   end
+  return head
 end
 
 --- The text in some bytes; half a character at their end is dropped.

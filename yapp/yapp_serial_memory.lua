@@ -37,7 +37,8 @@ end
 -- options     { new_framer = function() -> a yapp_serial_stream, new_history = function() -> a yapp_history }
 function M.new(crc, options)
   return setmetatable({ crc = crc, new_framer = options.new_framer, datagrams = options.new_framer(),
-    first = new_pass(options.new_history), second = new_pass(options.new_history) }, Memory)
+    first = new_pass(options.new_history), second = new_pass(options.new_history), plain = { good = true, from = 0 } },
+    Memory)
 end
 
 -- What is known of a stream: when which message came; and, as far as it needs them, its framer, its length, and the
@@ -86,9 +87,9 @@ local function packet_of(self, pass, piece, fact)
 end
 
 local function plain_packet(self, pass, fact)
-  local size = #fact.bytes
-  local message = message_of(self, { good = true, from = 0, to = size }, fact.bytes, 0)
-  return { pass = pass, events = { message }, done = size, pending = 0 }
+  local size, plain = #fact.bytes, self.plain
+  plain.to = size
+  return { pass = pass, events = { message_of(self, plain, fact.bytes, 0) }, done = size, pending = 0 }
 end
 
 -- Datagrams ------------------------------------------------------------------------------------------------------
@@ -217,10 +218,29 @@ local function keep(pass, piece, fact)
   end
 end
 
+-- Takes a packet that is one good frame, without what others need: this saves a tenth of the time of a packet.
+-- returns  the packet; nil for any other, of which nothing is taken
+local function take_plain(self, pass, stream, fact)
+  local number, place, bytes = fact.number, fact.place, fact.bytes
+  if fact.truncated or fact.transport == "segment" or pass.places[number] or pass.pieces[number] then return nil end
+  if fact.transport == "datagram" then
+    if not self.datagrams:pass(bytes) then return nil end
+  else
+    if not stream.framer or not stream.framer:pass(bytes) then return nil end
+    stream.length = stream.length + #bytes
+  end
+  pass.places[number] = place
+  local packet = plain_packet(self, pass, fact)
+  packet.is_now = true
+  return packet
+end
+
 -- Takes a packet into its stream.
 local function take_packet(self, pass, fact)
   local stream = stream_of(pass, fact.stream)
   pass.highest = fact.number
+  local plain = take_plain(self, pass, stream, fact)
+  if plain then return plain end
   local piece = take[fact.transport](self, stream, fact)
   for _, event in ipairs(piece.events) do
     if event.from >= piece.base then event.bytes = nil end -- they are in the packet anyway

@@ -270,14 +270,16 @@ function Stream:is_frame(bytes)
     crc.update(crc.INITIAL, bytes, 1, length - CRC_SIZE) == frame.crc(bytes, length)
 end
 
--- A good frame that comes when nothing waits: there is nothing to search or to keep.  Most frames come so, one in a
--- packet.
+--- Takes bytes that are one good frame and no more, when nothing waits: there is nothing to search or to keep.  Most
+-- frames come so, one in a packet.
+-- bytes    string
+-- returns  whether they were; otherwise nothing has happened, and feed() takes them
 function Stream:pass(bytes)
-  local from = self.buffer.from
-  local to = from + #bytes
-  self.buffer:pass(to)
-  self.searched = to
-  return { { kind = "frame", good = true, from = from, to = to, bytes = bytes } }
+  local buffer = self.buffer
+  if buffer.from ~= buffer.to or not self:is_frame(bytes) then return false end
+  self.searched = buffer.to + #bytes
+  buffer:pass(self.searched)
+  return true
 end
 
 --- Takes the next bytes of the stream.
@@ -288,7 +290,10 @@ end
 --          and in each: from, to (0-based offsets in the stream, `to` is behind the last byte), bytes (string)
 -- Document: "UART Stream Framing".
 function Stream:feed(bytes)
-  if self.buffer.from == self.buffer.to and self:is_frame(bytes) then return self:pass(bytes) end
+  local from = self.buffer.to
+  if self:pass(bytes) then
+    return { { kind = "frame", good = true, from = from, to = self.buffer.to, bytes = bytes } }
+  end
   local events = {}
   self.buffer:append(bytes)
   self:walk(events)

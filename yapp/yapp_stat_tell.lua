@@ -27,8 +27,8 @@ end
 local function source_of(self, m)
   local source = self.sources[m.source]
   if not source then
-    source = { key = m.source, bus_key = m.bus, bus = m.bus_name, name = self.reader:name_of(m.id, m.bus_name), id = m.id,
-      message = self.reader:message_of(m.id, m.bus_name) }
+    source = { key = m.source, bus_key = m.bus, bus = m.bus_name, name = self.reader:name_of(m.id, m.bus_name),
+      id = m.id, message = self.reader:message_of(m.id, m.bus_name) }
     self.sources[m.source] = source
   end
   return source

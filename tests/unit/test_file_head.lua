@@ -119,29 +119,57 @@ function T.test_sources_that_show_later()
   end
 end
 
--- A Start of ID 0x506 with a Seq means that all such Starts are asked for at once; without, that is no need.
-function T.test_numbered_starts()
-  local crc_size = "\1\2\3\4\32\0"
-  local function record(can_id, data, number)
-    return number(can_id + 0x80000000, 4) .. string.char(#data) .. "\0\0\0" .. data
+local function option(kind, value, number)
+  return number(kind, 2) .. number(#value, 2) .. value .. ("\0"):rep(-#value % 4)
+end
+
+-- The section, and interfaces with these options, before packets.
+local function with_options(options, number)
+  local text = { pcapng({}, {}, number) }
+  for _, one in ipairs(options) do
+    text[#text + 1] = block(1, number(227, 2) .. number(0, 2) .. number(0, 4) .. one, number)
   end
+  return table.concat(text)
+end
+
+function T.test_names_of_interfaces()
+  for _, number in ipairs { le, be } do
+    local comment, ended = option(1, "a comment", number), option(0, "", number)
+    local function named(name) return option(2, name, number) end
+    local file = with_options({
+      named("can0") .. ended, "", comment .. named("vcan12"), named("m\195\188") .. ended, named("\255"),
+      named("a\1b"), named(""), ended .. named("behind the end"), named("end\0\0\0"),
+      comment .. number(2, 2) .. number(60000, 2) .. "cut", named("can9"),
+    }, number)
+    local found = head.read(file)
+    lu.assertEquals(found.names, { [0] = "can0", [2] = "vcan12", [3] = "m\195\188", [8] = "end", [10] = "can9" })
+    for id = 0, 10 do lu.assertEquals(found.interfaces[id], 227) end
+    lu.assertNil(found.interfaces[11])
+    lu.assertEquals(head.read(file .. file).names, found.names) -- in a second section the numbers begin again
+    for length = 0, #file do lu.assertNotNil(head.read(file:sub(1, length)).names) end
+  end
+  lu.assertEquals(head.read("").names, {})
+  lu.assertEquals(head.read(pcap(227, { "x" }, le)).interfaces, {})
+end
+
+-- Lines, and whether they have several buses.
+function T.test_buses_of_candump_text()
   local rows = {
-    { pcap(227, { record(0x14184009, crc_size .. "\0\0", be) }, le), true },
-    { pcap(113, { ("\0"):rep(15) .. "\12" .. record(0x14184009, crc_size .. "\0\0", le) }, be), true },
-    { pcapng({ 227 }, { { 0, record(0x14184010, crc_size .. "\0\0", be) } }, le), true },
-    { "(1.0) can0 14184009#0102030420000000\n", true },
-    { "(1.0) can0 14184090#0102030420000000\n", true },
-    { " (1.0)  can0  14184009   [8]  01 02 03 04 20 00 00 00\n", true },
-    { pcap(227, { record(0x14184000, crc_size .. "\0\0", be) }, le), false }, -- no Seq
-    { pcap(227, { record(0x14188009, crc_size .. "\0\0", be) }, le), false }, -- a Middle
-    { pcap(227, { record(0x14184009, crc_size .. "\0\1", be) }, le), false }, -- reserved bytes
-    { pcap(227, { record(0x14184009, crc_size .. "\0", be) .. "\0", }, le), false }, -- seven bytes
-    { "(1.0) can0 14184000#0102030420000000\n", false },
-    { " (1.0)  can0  14184000   [8]  01 02 03 04 20 00 00 00\n", false },
-    { " (1.0)  can0  14184009   [8]  01 02 03 04 20 00 01 00\n", false },
-    { "", false },
+    { "(1.000000) can0 123#11\n(1.000000) can1 123#11\n", true },
+    { "(1.000000) can0 123#11\n(1.000000) can0 123#11\n", false },
+    { "cut#11\n\n# (remark)\n(1.000000) can0 123#11\r\n(1.000000) can1 123#11", true },
+    { "  can0  123   [1]  11\n  vcan0  123   [1]  11\n", true }, { "  can0  123   [1]  11\n", false },
+    { " (2023-11-14 22:13:20.000001)  can0  RX - -  123  [08]  11\n (000.1)  can1  TX B E  123  [08]  11\n", true },
+    { "some text\n(and more) of it\n", false }, { "", false },
+    { ("(1.000000) can0 123#11\n"):rep(2000) .. "(1.000000) can1 123#11\n", true },
+    { "(1.000000) can0 123#11\n(1.000000) can1 123#11\n\0", false },
+    { pcap(227, { "(1.000000) can0 123#11\n(1.000000) can1 123#11\n" }, le), false },
   }
-  for at, row in ipairs(rows) do lu.assertEquals(head.read(row[1]).numbered, row[2], "row " .. at) end
+  for i, row in ipairs(rows) do
+    lu.assertEquals(head.read(row[1]).several_buses, row[2], "row " .. i)
+    local wide = "\255\254" .. row[1]:gsub(".", "%0\0")
+    if i < 10 then lu.assertEquals(head.read(wide).several_buses, row[2], "UTF-16, row " .. i) end
+  end
 end
 
 return T
