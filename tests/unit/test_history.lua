@@ -247,7 +247,7 @@ function T.test_nothing_is_kept_of_messages_that_change_nothing()
   note(101, 20000)
   collectgarbage()
   collectgarbage()
-  lu.assertAlmostEquals(collectgarbage("count"), before, 40) -- Lua keeps some KB for itself
+  lu.assertTrue(collectgarbage("count") - before < 40) -- Lua keeps some KB for itself
 end
 
 return T
