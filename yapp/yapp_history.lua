@@ -216,9 +216,12 @@ local function tell(self, source, look, delta, clock)
       previous = source.changes[last_until(source.changes, look.number - 1)]
     end
   end
-  local change = { delta = delta, missing = event.missing, late = late, reboot = event.reboot, stale = state.stale,
-    drift = drift, command_in = command_in, flags = event.flags, active_since = active_since,
-    previous_change = previous }
+  -- A table of four: most changes are no more, and one with room for all keys costs 640 bytes of garbage.
+  local change = { delta = delta, drift = drift, command_in = command_in, active_since = active_since }
+  if late then change.late = late end
+  if state.stale then change.stale = true end
+  if previous then change.previous_change = previous end
+  if event ~= NOTHING then change.missing, change.reboot, change.flags = event.missing, event.reboot, event.flags end
   return next(change) and change
 end
 
@@ -230,7 +233,7 @@ end
 -- look     { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled or nil,
 --          raws = by index of field, nil where the payload does not fit, payload =, id =, seq =,
 --          number = of the message: it grows, and no other has it; time = seconds of the capture,
---          good = whether the CRC, or the lack of one, says that it is whole }
+--          good = whether the CRC, or the lack of one, says that it is whole }; it is not kept: one table may serve all
 -- returns  what changed, nil where nothing is known: {
 --   delta         seconds since the source's previous good message
 --   missing       messages missing before it by their Seq

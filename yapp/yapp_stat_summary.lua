@@ -15,16 +15,19 @@ local RANGE = { "min", "mean", "max" }
 local Summary = {}
 Summary.__index = Summary
 
-local function has_fraction(field)
-  return field.kind == "float" or field.kind == "ieee" or field.scale ~= nil
-end
+-- The kinds of fields whose values can be averaged, where they are no codes.
+local NUMERIC = { uint = true, int = true, float = true, ieee = true }
+local LARGEST = 1.7976931348623157e308 -- what is above it, or is not a number, is no value
 
--- The fields whose values can be averaged: numbers, and no codes, flags or times.
+-- A value grows evenly with the raw number that was sent: so these are gathered, within low and high, and the values
+-- made at the end.
 local function numeric(message)
   local fields = {}
   for i, field in ipairs(message and message.fields or {}) do
-    if not field.values and not field.flags and field.kind ~= "time" then
-      fields[#fields + 1] = { index = i, field = field, count = 0, sum = 0 }
+    if NUMERIC[field.kind] and not field.values then
+      local is_float = field.kind == "float" -- compressed: its reserved counts are above the ordinary ones, or below 0
+      fields[#fields + 1] = { index = i, field = field, count = 0, sum = 0, low = is_float and 0 or -LARGEST,
+        high = is_float and field.ordinary or LARGEST }
     end
   end
   return fields
@@ -47,21 +50,19 @@ end
 
 function Summary:note_values(group, record)
   local decode = self.context.decode
-  local raws, value_of = decode.read(group.message, record.payload), decode.value
-  local fields = group.fields
+  local raws, fields = decode.read(group.message, record.payload), group.fields
   for i = 1, #fields do
     local row = fields[i]
     local raw = raws[row.index]
-    local value = raw and value_of(row.field, raw)
-    if type(value) == "number" and value - value == 0 then -- finite
+    if type(raw) == "number" and raw >= row.low and raw <= row.high then
       if row.count == 0 then
-        row.min, row.max = value, value
-      elseif value < row.min then
-        row.min = value
-      elseif value > row.max then
-        row.max = value
+        row.min, row.max = raw, raw
+      elseif raw < row.min then
+        row.min = raw
+      elseif raw > row.max then
+        row.max = raw
       end
-      row.count, row.sum = row.count + 1, row.sum + value
+      row.count, row.sum = row.count + 1, row.sum + raw
     end
   end
 end
@@ -88,9 +89,11 @@ local function conclude(group, decode)
   group.rate = span and span > 0 and (group.count - 1) / span or nil
   group.gap_mean = span and span / (group.count - 1) or nil
   for _, row in ipairs(group.fields) do
-    if row.count > 0 then row.mean = row.sum / row.count end
-    if row.count > 0 and has_fraction(row.field) then
-      row.min, row.max = decode.rounded(row.field, row.min), decode.rounded(row.field, row.max)
+    if row.count > 0 then
+      local field = row.field
+      local min, max = decode.value(field, row.min), decode.value(field, row.max)
+      if field.kind == "float" or field.scale then min, max = decode.rounded(field, min), decode.rounded(field, max) end
+      row.mean, row.min, row.max = decode.value(field, row.sum / row.count), math.min(min, max), math.max(min, max)
     end
   end
 end

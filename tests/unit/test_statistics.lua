@@ -9,7 +9,7 @@ local T = {}
 -- A catalogue of two messages as it is compiled: only what statistics read.
 local FAULT = { name = "fault_flags", kind = "flags", alarm = "FAULT", undefined = 0xF0,
   flags = { { name = "hot", mask = 0x1 }, { name = "stall", mask = 0x6 } } }
-local VOLTS = { name = "volts", kind = "float", unit = "V" }
+local VOLTS = { name = "volts", kind = "float", unit = "V", ordinary = 250 }
 local MODE = { name = "mode", kind = "uint", values = { [0] = "off" } }
 local CLOCK = { name = "clock", kind = "time", offset = 1, size = 1 }
 local MOTOR = { name = "motor", title = "Motor Data", id = 0x210, every = 0.1, fields = { VOLTS, FAULT, MODE, CLOCK },
