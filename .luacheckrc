@@ -4,6 +4,6 @@ max_line_length = 120
 read_globals = {
   "all_field_infos", "ByteArray", "base", "bit", "Dir", "Dissector", "DissectorTable", "expert", "FileHandler", "frametype", "ftypes",
   "get_preference", "get_version", "gui_enabled", "Listener", "NSTime", "Pref", "Proto", "ProtoExpert", "ProtoField",
-  "register_filehandler", "report_failure", "register_stat_cmd_arg", "Struct", "UInt64", "Int64", "wtap", "wtap_encaps", "wtap_presence_flags", "wtap_rec_types", "wtap_tsprecs",
+  "register_filehandler", "report_failure", "register_stat_cmd_arg", "Struct", "TreeItem", "Tvb", "UInt64", "Int64", "wtap", "wtap_encaps", "wtap_presence_flags", "wtap_rec_types", "wtap_tsprecs",
 }
 files["tests/unit"] = { read_globals = { "arg" } }

@@ -83,7 +83,7 @@ function M.new(yapp, taurus, catalogue, decode)
   for _, row in ipairs(FIELDS) do list[#list + 1] = self.fields[row[1]] end
   yapp.fields = list
 
-  self.messages = tree_taurus.new(taurus, catalogue, decode)
+  self.messages = tree_taurus.new(taurus, catalogue)
   self.yapp_experts = tree_taurus.make_experts(yapp, "yapp.", YAPP_EXPERTS)
   return self
 end

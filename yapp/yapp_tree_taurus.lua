@@ -1,6 +1,8 @@
 -- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the values come from
 -- yapp_decode, what changed from the history.
 
+local decode = require("yapp_decode")
+local source = require("yapp_tree_taurus_source")
 local tree_fields = require("yapp_tree_taurus_fields")
 
 local M = {}
@@ -9,15 +11,17 @@ M.make_experts = tree_fields.make_experts
 
 local format = string.format
 
+-- A method that is looked up in an object costs as much as half of adding a field.
+local API = { add = TreeItem.add, add_le = TreeItem.add_le, append_text = TreeItem.append_text, range = Tvb.range }
+
 local Taurus = {}
 Taurus.__index = Taurus
 
 --- Makes the fields and expert items of the messages and hands them to the protocol.
 -- taurus     Proto
 -- catalogue  compiled
--- decode     the module yapp_decode
-function M.new(taurus, catalogue, decode)
-  local self = setmetatable({ taurus = taurus, decode = decode }, Taurus)
+function M.new(taurus, catalogue)
+  local self = setmetatable({ taurus = taurus, builders = {} }, Taurus)
   self.messages, self.fields, self.experts = tree_fields.make(taurus, catalogue, decode.SPECIALS)
   return self
 end
@@ -27,12 +31,12 @@ local function with_unit(item, field)
   return item
 end
 
--- The item of a field, by kind: (self, parent, range, field, raw, payload).
+-- Adds a field that the generated functions leave to others, by kind: (self, parent, range, field, raw).
 local adders = {}
 
 -- A number with a fraction, or the special that is there instead.
 local function add_real(self, parent, range, field, raw)
-  local decode, made = self.decode, self.fields[field]
+  local made = self.fields[field]
   local value, special = decode.value(field, raw)
   if value then return with_unit(parent:add(made.pf, range, decode.rounded(field, value)), field) end
   local item = parent:add(made.special, range, special)
@@ -44,60 +48,68 @@ local function add_real(self, parent, range, field, raw)
   return item
 end
 
-adders.float, adders.ieee = add_real, add_real
-
-function adders.uint(self, parent, range, field, raw)
-  if field.scale then return add_real(self, parent, range, field, raw) end
-  return with_unit(parent:add_le(self.fields[field].pf, range), field)
-end
-
-adders.int, adders.bool = adders.uint, adders.uint
+adders.float, adders.ieee, adders.uint, adders.int = add_real, add_real, add_real, add_real
 
 function adders.string(self, parent, range, field, raw)
-  return parent:add(self.fields[field].pf, range, self.decode.text(raw))
+  return parent:add(self.fields[field].pf, range, decode.text(raw))
 end
 
 function adders.bytes(self, parent, range, field)
   return parent:add(self.fields[field].pf, range)
 end
 
-function adders.flags(self, parent, range, field, raw)
-  local made = self.fields[field]
-  local item = parent:add_le(made.pf, range)
-  local names = raw ~= 0 and self.decode.flag_names(field, raw) or ""
-  if names ~= "" then item:append_text(" (" .. names .. ")") end
-  for _, flag in ipairs(made.flags) do item:add_le(flag, range) end
-  local undefined = self.decode.undefined(field, raw)
-  if undefined ~= 0 then item:add(made.undefined, range, undefined) end
-  return item
+-- A time has no raw value: it gets the payload.
+function adders.time(self, parent, range, field, payload)
+  return parent:add(self.fields[field].pf, range, NSTime.new(decode.time(payload, field.offset)))
 end
 
-function adders.time(self, parent, range, field, _, payload)
-  return parent:add(self.fields[field].pf, range, NSTime.new(self.decode.time(payload, field.offset)))
-end
+-- Builders ----------------------------------------------------------------------------------------------------------
 
--- Whether a field is wanted when the tree is built but not shown: it, or one of those below it.
-local function field_wanted(tree, made)
-  if tree:referenced(made.pf) then return true end
-  if made.special then return tree:referenced(made.special) end
-  for _, flag in ipairs(made.flags or {}) do
-    if tree:referenced(flag) then return true end
+-- How the tree of a message is built: { build, list (its ProtoFields by number), elements (indices), wanted }.
+local function make_builder(self, message)
+  local others, elements = {}, {}
+  for i, field in ipairs(message.fields) do
+    local adder = adders[field.kind]
+    others[i] = adder and function(parent, range, raw, payload)
+      return adder(self, parent, range, field, field.kind == "time" and payload or raw)
+    end
+    if field.element then elements[#elements + 1] = i end
   end
-  return made.undefined and tree:referenced(made.undefined)
+  local build, list = source.make(message, self.fields, others, API)
+  return { build = build, list = list, elements = elements, wanted = nil }
 end
 
--- Whether a field is in this payload: whole, and of the case that its message has.
-local function is_there(field, raw, raws, payload)
-  if raw ~= nil then return true end
-  local when = field.when
-  return field.kind == "time" and field.offset + 8 <= #payload and (not when or raws[when.index] == when.value)
+local function builder_of(self, message)
+  local _, version = decode.divisor()
+  if version ~= self.version then self.builders, self.version = {}, version end
+  local builder = self.builders[message]
+  if not builder then
+    builder = make_builder(self, message)
+    self.builders[message] = builder
+  end
+  return builder
+end
+
+--- To be called before each file: what is wanted of a tree may be other than before.
+function Taurus:reset()
+  for _, builder in pairs(self.builders) do builder.wanted = nil end
+end
+
+-- Which of the ProtoFields somebody wants of a tree that is not shown.  Asking is a call for each; while what is wanted
+-- cannot change the answers are kept.
+local function wanted(builder, tree, is_steady)
+  if builder.wanted and is_steady then return builder.wanted end
+  local want = {}
+  for number, pf in ipairs(builder.list) do want[number] = tree:referenced(pf) or nil end
+  builder.wanted = want
+  return want
 end
 
 local function add_differences(self, top, message, raws)
   local all, items = top.visible, self.messages[message].differences
   for i, difference in ipairs(message.differences) do
     if all or top:referenced(items[i]) then
-      local value = self.decode.difference(message, difference, raws)
+      local value = decode.difference(message, difference, raws)
       if value then with_unit(top:add(items[i], value), difference):set_generated() end
     end
   end
@@ -107,18 +119,14 @@ end
 local function build(self, tree, what)
   local message, payload, raws, tvb, at = what.message, what.payload, what.raws, what.tvb, what.at
   local range = tvb(at, math.min(message.size, #payload))
-  local top = tree:add(self.taurus, range)
-  top:set_text("Taurus " .. message.title)
+  local top = tree:add(self.taurus, range, "Taurus " .. message.title)
   top:add(self.messages[message].pf, range):set_hidden()
-  local all, items = tree.visible, {}
-  for i, field in ipairs(message.fields) do
-    local raw = raws[i]
-    if is_there(field, raw, raws, payload) and (all or field_wanted(tree, self.fields[field])) then
-      local parent = field.inside and items[message.index[field.inside]] or top
-      local item = adders[field.kind](self, parent, tvb(at + field.offset, field.size), field, raw, payload)
-      if field.element then item.text = field.title .. (item.text or ""):sub(#field.array_title + 1) end
-      items[i] = item
-    end
+  local builder, items = builder_of(self, message), {}
+  local want = not tree.visible and wanted(builder, tree, what.is_steady) or nil
+  builder.build(top, tvb, at, raws, payload, items, want)
+  for _, i in ipairs(builder.elements) do
+    local item, field = items[i], message.fields[i]
+    if item then item.text = field.title .. (item.text or ""):sub(#field.array_title + 1) end
   end
   if message.differences[1] then add_differences(self, top, message, raws) end
   return top, items
@@ -128,12 +136,14 @@ end
 -- tree, item  where the Taurus tree goes, and YAPP's own item, for the expert items of a message without a tree
 -- what        { message = compiled, payload = string, may be cut short, raws and look = from decode.read,
 --             tvb, at = where the payload lies; tvb nil when nobody wants a tree,
---             source = the name of its source for the label of a fault, or nil }
+--             source = the name of its source for the label of a fault, or nil,
+--             is_steady = whether what is wanted of a tree cannot change before the next reset: on the first pass of
+--             tshark; in Wireshark, and on later looks of sharkd, it may }
 -- returns     the Taurus item; nil without a tree
 function Taurus:show(tree, item, what)
   local top, items
   if what.tvb then top, items = build(self, tree, what) end
-  local remarks = what.look and self.decode.remarks(what.message, what.raws)
+  local remarks = what.look and decode.remarks(what.message, what.raws)
   if not remarks then return top end
   for _, remark in ipairs(remarks) do
     local place, name = items and items[remark[1]], remark[2]
@@ -162,7 +172,7 @@ end
 local function add_bits(self, item, field, way, bits)
   if bits == 0 then return end
   local added = add_generated(item, self.fields[field][way], bits)
-  if added then added:append_text(" (" .. self.decode.flag_names(field, bits) .. ")") end
+  if added then added:append_text(" (" .. decode.flag_names(field, bits) .. ")") end
   if field.alarm then (added or item):add_proto_expert_info(self.experts["fault." .. way]) end
 end
 
@@ -175,8 +185,8 @@ function Taurus:add_change(item, message, change, now)
   local own, alarm = self.messages[message], message.alarms[1]
   for _, one in ipairs(change.flags or {}) do
     local watched = one.field.watched
-    add_bits(self, item, one.field, "raised", self.decode.band(one.raised, watched))
-    add_bits(self, item, one.field, "cleared", self.decode.band(one.cleared, watched))
+    add_bits(self, item, one.field, "raised", decode.band(one.raised, watched))
+    add_bits(self, item, one.field, "cleared", decode.band(one.cleared, watched))
   end
   if alarm then
     local made, since = self.fields[alarm], change.active_since
