@@ -116,8 +116,8 @@ local FIELDS_OF_A_PART = 50
 -- message   compiled; fields: the ProtoFields by field
 -- others    [index of field] = function(parent, range, raw, payload) that adds what is not written out here
 -- api       { add, add_le, append_text of TreeItem, range of Tvb }
--- returns   function(top, tvb, at, raws, payload, items, want): items gets the items by index of field; want is nil when
---           all is shown, else { [number] = true } of the ProtoFields that are wanted; and the ProtoFields by number
+-- returns   function(top, tvb, at, raws, payload, items, want): items gets the items by index of field; want is nil
+--           when all is shown, else { [number] = true } of the ProtoFields that are wanted; and those by number
 function M.make(message, fields, others, api)
   local list, lines = {}, { HEAD }
   for i, field in ipairs(message.fields) do
