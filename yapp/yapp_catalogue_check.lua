@@ -44,6 +44,7 @@ end
 --- Says which option of a table is not among those that there are; one complaint, and what they are.
 -- what     "a flag", "type uint8": whose options they are
 -- options  { [name] = true }; positional: how many values without a name it has, nil for any number
+-- returns  true when there is nothing to say
 function M.check_options(t, what, options, complain, positional)
   local unknown, seen, key = nil, 0, next(t)
   while key ~= nil and seen < MAX_KEYS do
@@ -52,7 +53,7 @@ function M.check_options(t, what, options, complain, positional)
     if not known and (not unknown or text < unknown) then unknown = text end
     key, seen = next(t, key), seen + 1
   end
-  if not unknown then return end
+  if not unknown then return true end
   local names = {}
   for name in pairs(options) do names[#names + 1] = name end
   table.sort(names)

@@ -68,7 +68,7 @@ local function make_part(field, row, i, complain)
   local span = mask / low + 1
   while span % 2 == 0 do span = span / 2 end
   if span ~= 1 then return complain("%s: the bits of mask 0x%X are not side by side", what, mask) end
-  check.check_options(row, what, types.PART_OPTIONS, complain, 3)
+  if not check.check_options(row, what, types.PART_OPTIONS, complain, 3) then return end
   field.watched = field.watched - mask
   return { name = row[1], title = row[3], type = field.type, kind = "uint", filter = row[1], size = field.size,
     mask = mask, low = low, top = types.whole(mask / low), bottom = 0, inside = field }

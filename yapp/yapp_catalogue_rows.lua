@@ -183,7 +183,8 @@ local function add_row(build, row, complain)
   if not is_name(name) then return complain("%s is not a filter name (a-z, 0-9, _)", shown(name)) end
   if not def then build.failed[name] = true end
   if not def then return complain("unknown type %s; the types are %s", shown(row[2]), types.NAMES) end
-  check.check_options(row, "type " .. row[2], def.options, complain, 3)
+  build.failed[name] = not check.check_options(row, "type " .. row[2], def.options, complain, 3) or nil
+  if build.failed[name] then return end
   if def.kind == "variants" then return add_variants(build, row, complain) end
   if def.kind == "padding" then
     build.offset = build.offset + (size_of(row, def, complain) or 0)

@@ -2,6 +2,8 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp_catalogue")
+local columns = require("yapp_decode_columns")
+local decode = require("yapp_decode")
 
 local T = {}
 
@@ -182,6 +184,38 @@ function T.test_long_texts_are_cut_and_endless_tables_end()
   row.flags = { row }
   _, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 4, row } }
   lu.assertTrue(#problems > 0)
+end
+
+local NONSENSE = { 5, -1, 0.5, 2 ^ 53, 2 ^ 1000, 0 / 0, 1 / 0, "x", "", "f", true, false, {}, { {} }, { 5 },
+  { { 5 } }, { { "a", 1, "A" } }, { [0] = {}, [1] = { 5 }, x = {} }, { [1] = { { "v", "uint8", "V" } } }, print,
+  ("x"):rep(300), "\255", "%s%n" }
+local TYPE_OPTIONS = {
+  uint8 = { "values", "invalid", "flags", "group", "alarm", "bits", "unit", "scale", "offset", "count" },
+  float32 = { "min", "max", "unit", "count" }, string = { "length", "count" }, padding = { "length" },
+  variants = { "by", "cases" }, int64_ns = { "x" }, bool = { "count" } }
+
+-- Each option as anything: no error is raised, and what is compiled can be read.
+function T.test_nonsense_in_every_option()
+  for kind, options in pairs(TYPE_OPTIONS) do
+    for _, key in ipairs(options) do
+      for _, other in ipairs { "none", "flags", "bits", "values", "cases", "by", "length", "min" } do
+        for _, value in ipairs(NONSENSE) do
+          local row = { "g", kind, "G", [other] = value, [key] = value }
+          for size = 1, 9, 4 do
+            local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = size,
+              { "f", "uint8", "F" }, row, differences = key == "x" and value or nil } }
+            lu.assertEquals(#compiled.messages + math.min(#problems, 1), 1)
+            for _, one in ipairs(compiled.messages) do
+              local raws = decode.read(one, ("\255"):rep(size))
+              decode.remarks(one, raws)
+              lu.assertStrContains(decode.info(one, raws), "M")
+              lu.assertNotNil(columns.row(one, ("\255"):rep(size)))
+            end
+          end
+        end
+      end
+    end
+  end
 end
 
 -- The user's IDs ----------------------------------------------------------------------------------------------------
