@@ -335,7 +335,7 @@ NO_DUMPS = {
     "json": b'{"YP": [1, 2, 3]}\n' * 100,
     "trc": b";$FILEVERSION=1.1\n;\n" + b"     1)       1.9  Rx         0123  2  11 22 \n" * 100,
     "asc": b"date Tue Nov 14 22:13:20 2023\nbase hex  timestamps absolute\n" +
-           b"   0.000130 1  8404000x       Rx   d 8 11 22 33 44 55 66 77 88\n" * 10,
+           b"   0.000130 1  8404000x       Rx   d 8 BB BE 6F C7 20 00 00 00\n" * 10,
     "syslog": b"Nov 14 22:13:20 host kernel: [ 1.000000] can0: bus-off\n" * 100,
     "hex dump": b"00000000  59 50 00 00 10 02 00 00  20 00 00 00 00 00 00 00  |YP...... .......|\n" * 100,
     "candump log": (CAPTURES / "candump_log_plain.log").read_bytes(),
@@ -350,7 +350,7 @@ WITH_FRAMES = {
     "other logger": b"LOG1" + (b"\x00\x01\x02\x03" + ONE) * 100,
     "dump": ONE * 10,
 }
-OPENED = ["candump log", "candump screen", "pcap", "pcapng"]  # by other readers
+OPENED = ["asc", "candump log", "candump screen", "pcap", "pcapng"]  # by other readers
 
 
 def outcome(path, *arguments, plugin=True):
