@@ -4,9 +4,11 @@ import pathlib
 import shutil
 import uuid
 
+import levels
 import pytest
 import tshark
 
+pytestmark = levels.by_route
 CAPTURE = tshark.CAPTURES / "document_motor.pcap"
 GLOBALS = pathlib.Path(__file__).with_name("globals.lua")
 PLUGINS = ".local/lib/wireshark/plugins"
