@@ -1,8 +1,6 @@
 # make demo, make test: a fresh Debian or Ubuntu is enough; what is missing gets installed (sudo when not root).
 
 SHELL := bash
-VERSION := $(shell sed -n 's/^local VERSION = "\(.*\)"/\1/p' yapp.lua)
-FILES := yapp.lua taurus_fields.lua yapp README.md
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 CAPTURE ?=
 DEMO := document_motor document_command document_uart
@@ -10,7 +8,7 @@ DEMO := document_motor document_command document_uart
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
 .PHONY: demo test test-all unit unit-5.2 unit-5.4 e2e lint install uninstall dist soak matrix fuzz screenshots \
-  needs-tshark needs-tests
+  needs-tshark needs-python needs-tests
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
 define install-missing
@@ -26,9 +24,12 @@ endef
 needs-tshark:
 	$(call install-missing,tshark,tshark)
 
+needs-python:
+	$(call install-missing,python3,python3)
+
 needs-tests: needs-tshark
 	$(call install-missing,lua5.2 lua5.4 luacheck pytest-3 candump zip,lua5.2 lua5.4 lua-check lua-unit python3-pytest \
-	  python3-pytest-xdist can-utils zip,/usr/bin/python3 -c 'import xdist' 2>/dev/null)
+	  python3-pytest-xdist python3-can python3-serial can-utils zip,/usr/bin/python3 -c 'import xdist, can, serial' 2>/dev/null)
 
 ## The packet list and the decoded tree: of the specification's captures, or of CAPTURE=file
 demo: needs-tshark
@@ -72,16 +73,28 @@ fuzz: needs-tests
 screenshots:
 	tests/screenshots
 
-## Into the personal plugin folder, and out of it
-install: needs-tshark
-	@folder="$$(tests/plugin_folder)" && rm -rf "$$folder/yapp" && mkdir -p "$$folder/yapp" && \
-	  cp -r yapp.lua taurus_fields.lua yapp "$$folder/yapp/" && echo "Installed in $$folder/yapp"
+## For the user who runs it: plugin, live ports, profile; what was changed is kept.  And out of it
+install uninstall: needs-tshark needs-python
+	@/usr/bin/env python3 tools/install.py $@
 
-uninstall: needs-tshark
-	@folder="$$(tests/plugin_folder)" && rm -rf "$$folder/yapp" && echo "Removed $$folder/yapp"
+## One zip for every desktop, with install.py at its top; one with the profile for Wireshark's Import
+dist: needs-python
+	@/usr/bin/env python3 tools/dist.py
+# The Python package has its own environment, so that nothing is installed into the system's Python.
+TOOLS_VENV := $(HOME)/.cache/yapp-tools
+TOOLS := $(TOOLS_VENV)/bin
 
-## One zip to unpack in the plugin folder
-dist:
-	$(call install-missing,zip,zip)
-	@rm -rf dist && mkdir -p dist/yapp && cp -r $(FILES) dist/yapp/ && \
-	  (cd dist && zip -qr yapp-$(VERSION).zip yapp) && rm -r dist/yapp && echo dist/yapp-$(VERSION).zip
+needs-tools: needs-tshark
+	$(call install-missing,python3 chromium chromedriver,python3 python3-venv chromium chromium-driver,\
+	  python3 -c 'import ensurepip' 2>/dev/null)
+	@[ -x $(TOOLS)/python ] || python3 -m venv $(TOOLS_VENV)
+	@$(TOOLS)/pip install -q -e './tools[test]'
+
+## The Python package in tools/: ruff, mypy and its tests
+test-tools: needs-tools
+	$(TOOLS)/ruff check --config tools/pyproject.toml tools tests/tools
+	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools tests/tools
+	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src
+	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider tests/tools
+
+.PHONY: test-tools needs-tools

@@ -1,17 +1,37 @@
 -- The catalogue of Taurus messages: data only, the file to edit when a firmware adds or changes a message.
 --
+-- Your own messages, and your own versions of these, belong in a file of the same form, yapp_messages.lua in
+-- Wireshark's personal configuration folder: docs/messages.md shows it, and no new version of the plugin touches it.
+--
 -- A message is one entry of the list at the end; adding an entry is all it takes.  An entry has
 --   name    its filter name: taurus.<name>            title   what the packet list and the tree call it
 --   id      its default message ID, 0 .. 2047         size    its payload in bytes, checked against the rows
 --   info    what the Info column says: {field} or {field:format}, format as in string.format
--- and rows, one a field, in the order of the payload: { filter name, type, title, options }
---   types   uint8 uint16 uint32, int64_ns (a time in nanoseconds), float8 float16 (compressed, with min and max);
---           all little endian
+--   every   its period in seconds, 0.1 for 10 Hz: a gap of several periods gets the expert item yapp.late
+--   answers the name of the message that commands it: the field taurus.<message>.<name>_in has its latest frame
+--   differences  a list of { filter name, field, field, title }: the first less the second, where both have a value
+-- and rows, one a field, in the order of the payload: { filter name, type, title, options }.  Types, little endian:
+--   uint8 uint16 uint24 uint32 uint64, int8 .. int64     integers, signed ones in two's complement
+--   float8 float16 float24 .. float64 with min and max   compressed floats, "floatN <min; max>"
+--   float32 float64 without min and max                  IEEE 754; NaN and infinity are in <field>.special
+--   bool                                                 a byte that is 0 or 1
+--   int64_ns                                             a time in nanoseconds
+--   string, bytes with length                            so many bytes; a string ends at its first NUL
+--   padding with length                                  so many bytes that say nothing; no title
+--   variants with by and cases                           what lies there depends on the earlier field `by`:
+--                                                        cases = { [its value] = { rows }, ... }, the largest counts
+-- and options:
 --   unit    appended to the value
+--   scale, offset   of an integer: value = count * scale + offset, { "t", "int16", "Air", scale = 0.1, unit = "°C" }
 --   values  { [0] = "meaning", ... }: any other value gets the expert item taurus.value.invalid,
 --           or the one that `invalid` names
---   flags   a list of { filter name, mask, title }; `group` names it: taurus.<message>.<group>.<flag>.
---           `alarm` puts this word and the names of the set flags into the Info column and raises taurus.fault.active
+--   count   an array of so many: one filter name, in CSV <field>_1, <field>_2, ...
+--   bits    of an unsigned integer: a list of { filter name, mask, title, options } of parts of several bits side by
+--           side; options are unit, scale, offset, values, invalid
+--   flags   a list of { filter name, mask, title }; `group` names it: taurus.<message>.<group>.<flag>.  Bits that rise
+--           or fall are in <group>.raised and <group>.cleared.
+--           `alarm` makes them faults: its word and the names of the set flags are in the Info column, any of them
+--           raises taurus.fault.active, and each that rises or falls is an event, taurus.fault.raised or .cleared
 --
 -- Sections in quotes are those of the vendor's document, 600-0055-000 Rev A.
 
@@ -91,7 +111,7 @@ local HEALTH = {
 
 return {
   { -- "Taurus Command", faster than 5 Hz
-    name = "command", title = "Command", id = 0x000, size = 7,
+    name = "command", title = "Command", id = 0x000, size = 7, every = 0.2,
     info = "{enabled}, {key}  {motor_mode}  {rpm:%.1f} RPM  {torque_iq:%.2f} A",
     { "enabled", "uint8", "Enabled", values = { [0] = "Disabled", [1] = "Enabled" } },
     { "key", "uint8", "Key", values = { [0xA5] = "Full Operation", [0x5A] = "No Regeneration Allowed" },
@@ -101,8 +121,12 @@ return {
     { "rpm", "float16", "RPM", min = -100000, max = 100000, unit = "RPM" },
   },
   { -- "Taurus Motor Data", 10 Hz
-    name = "motor", title = "Motor Data", id = 0x210, size = 32,
+    name = "motor", title = "Motor Data", id = 0x210, size = 32, every = 0.1, answers = "command",
     info = "{rpm_commanded:%.1f}/{rpm_measured:%.1f} RPM  {dc_voltage:%.2f} V  {dc_current:%.2f} A",
+    differences = {
+      { "torque_iq_error", "torque_iq_measured", "torque_iq_commanded", "Torque IQ Error" },
+      { "rpm_error", "rpm_measured", "rpm_commanded", "RPM Error" },
+    },
     { "torque_iq_commanded", "float16", "Torque IQ Commanded", min = -128, max = 128, unit = "A" },
     { "torque_iq_measured", "float16", "Torque IQ Measured", min = -128, max = 128, unit = "A" },
     { "rpm_commanded", "float16", "RPM Commanded", min = -60000, max = 60000, unit = "RPM" },
@@ -118,7 +142,7 @@ return {
     { "esc_temperature", "float8", "ESC Temperature", min = -40, max = 210, unit = "°C" },
   },
   { -- "Taurus Health", 2 Hz
-    name = "health", title = "Health", id = 0x200, size = 17,
+    name = "health", title = "Health", id = 0x200, size = 17, every = 0.5,
     info = "control {control_thread_cpu:%.0f} %, Taurus {taurus_thread_cpu:%.0f} %  " ..
       "CPU {cpu_temperature:%.0f} °C, FET {fet_temperature:%.0f} °C",
     { "timestamp", "int64_ns", "Timestamp" },

@@ -1,243 +1,133 @@
 -- YAPP for Wireshark: the packet protocol of Taurus motor controllers on CAN, UART, TCP and UDP.
--- The way in: protocols, preferences, registration.  README.md says how to use it.
+-- The way in: protocols, preferences, dissectors, registration.  README.md says how to use it.
 
-local VERSION = "1.0.0"
+local VERSION = "2.0.0"
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 
--- Installed in the plugin folder and given by -X, or installed twice: the first one loads.
+-- Installed in the plugin folder and given by -X, or given twice: the first one loads.  Installed twice: yapp_copies.
 local loaded = package.loaded["yapp.plugin"]
 if loaded then
   io.stderr:write(("yapp: %syapp.lua (%s) is not loaded: %s (%s) is already there\n")
     :format(here, VERSION, loaded.path, loaded.version))
   return loaded
 end
+local plugin = { version = VERSION, path = here .. "yapp.lua" }
+set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
+  description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }
 
 package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
+require("yapp_copies").tell(plugin)
 local parts = {}
 for _, name in ipairs {
-  "bus", "can", "can_carrier", "can_id", "candump", "candump_reader", "catalogue", "crc", "decode", "dump",
-  "dump_reader", "head", "interleave", "reassembly", "serial_carrier", "serials", "stream", "tree",
-  "utf8",
+  "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly", "can_repeated",
+  "can_wrapper", "catalogue", "catalogue_files", "crc", "decode", "decode_columns", "facts", "file_asc",
+  "file_asc_reader", "file_candump", "file_candump_line", "file_candump_reader", "file_dump", "file_dump_reader",
+  "file_head", "frame", "history", "preferences", "reader", "serial_carrier", "serial_memory", "serial_stream",
+  "sources", "stat", "stat_tell", "tree", "utf8",
 } do
   parts[name] = require("yapp_" .. name)
 end
-local decode = parts.decode
+local decode, preferences, candump = parts.decode, parts.preferences, parts.file_candump_reader
 
--- Says what is wrong where the user sees it: one dialog in Wireshark, stderr in tshark.
-local function complain(texts)
-  if #texts == 0 then return end
-  if gui_enabled() and report_failure then return report_failure("YAPP: " .. table.concat(texts, "\n")) end
-  for _, text in ipairs(texts) do io.stderr:write("yapp: " .. text .. "\n") end
-end
-
-local said = {}
-local function complain_once(texts)
-  local new = {}
-  for _, text in ipairs(texts) do
-    if not said[text] then new[#new + 1] = "preferences: " .. text end
-    said[text] = true
-  end
-  complain(new)
-end
-
-local wide_open = false -- the preference "all extended CAN frames are YAPP"
+-- The user's own messages come behind ours: from Wireshark's personal configuration folder, and from where a preference
+-- or the environment says.  Fields can be registered only while a plugin loads, when no preference is known: that of
+-- the default profile is read from its file.
+local chosen_file = parts.catalogue_files.preference(Dir.personal_config_path("preferences"), "yapp.messages")
 
 local function load_catalogue()
-  local path = here .. "taurus_fields.lua"
-  local ok, entries, problem = pcall(loadfile, path) -- raises in 4.0 where plain Lua returns nil
-  if ok and entries then
-    ok, entries = pcall(entries)
-  elseif ok then
-    ok, entries = false, problem
+  local files = { { path = here .. "taurus_fields.lua" },
+    { path = Dir.personal_config_path("yapp_messages.lua"), optional = true } }
+  for _, path in ipairs { chosen_file or "", os.getenv("YAPP_MESSAGES") or "" } do
+    if path ~= "" then files[#files + 1] = { path = path } end
   end
-  local compiled, problems
-  if ok then ok, compiled, problems = pcall(parts.catalogue.compile, entries) end -- metatables may raise
-  if not ok then
-    complain { ("%s: the catalogue cannot be read, messages are shown as bytes: %s"):format(path,
-      tostring(compiled or entries):sub(1, 500)) }
-    return parts.catalogue.compile {}
-  end
-  for i, text in ipairs(problems) do problems[i] = path .. ": " .. text .. "; this message is shown as bytes" end
-  complain(problems)
-  return compiled
+  local compiled, problems = parts.catalogue_files.load(files)
+  preferences.complain(problems)
+  return compiled, #problems == 0
 end
 
-local catalogue = load_catalogue()
+-- Protocols and preferences -----------------------------------------------------------------------------------------
+
+local catalogue, is_whole = load_catalogue()
+local MAX_ID = parts.catalogue.MAX_ID
 local yapp = Proto("yapp", "Yet Another Packet Protocol")
+local all = Proto("yapp_all", "YAPP (all extended frames)")
 local serial = Proto("yapp_serial", "YAPP serial stream")
 local skipped = Proto("yapp_skipped", "YAPP, bytes between the frames of a serial dump")
 local taurus = Proto("taurus", "Taurus motor controller")
-local tree = parts.tree.new(yapp, taurus, catalogue, decode)
+local socketcan = Proto("yapp_socketcan", "YAPP's look at CAN headers")
+preferences.define(yapp, catalogue, decode, MAX_ID)
 
--- Preferences ---------------------------------------------------------------------------------------------------
+local facts = parts.facts.watch(parts.file_head, candump)
+local stat = parts.stat.new { catalogue = catalogue, is_whole = is_whole, decode = decode,
+  columns = parts.decode_columns, opened = function() facts:want_buses() end }
+local reader = parts.reader.new(decode, catalogue, stat)
+local tree = parts.tree.new { yapp = yapp, taurus = taurus, catalogue = catalogue, decode = decode, reader = reader }
 
-yapp.prefs.divisor = Pref.enum("Compressed floats divide by", decode.MAPPING,
-  "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed in the worked examples " ..
-  "of the vendor's document (0.4975 A, 749.26 RPM).",
-  { { 1, "2^N - 6 (mapping)", decode.MAPPING }, { 2, "2^N - 5 (worked examples)", decode.WORKED_EXAMPLES } })
-for _, message in ipairs(catalogue.messages) do
-  yapp.prefs[message.name .. "_ids"] = Pref.range(message.title .. " message IDs", ("0x%x"):format(message.id),
-    ("The IDs that carry Taurus %s. Change it when a controller has other IDs than the default, or when several " ..
-     "controllers share a bus: 0x210,0x211,0x300-0x303."):format(message.title), parts.catalogue.MAX_ID)
-end
-yapp.prefs.all_extended = Pref.bool("All extended CAN frames are YAPP", false,
-  "Switch it on for a bus that carries nothing but YAPP, to see unknown IDs, other YAPP CTL values and malformed " ..
-  "frames too. By default only what is surely YAPP is taken.")
-
-yapp.prefs.search_all = Pref.bool("Look for YAPP in all TCP and UDP traffic", false,
-  "YAPP in TCP and UDP is found by itself where a frame is among the first 64 KB of a file, and in live captures. " ..
-  "Switch it on when YAPP comes later in your files; it costs about 1 µs for each packet that no other protocol takes.")
-yapp.prefs.user_dlt = Pref.range("Link types that carry a serial stream", "",
-  "147 to 162, the numbers of DLT_USER0 to DLT_USER15: set it for serial captures with such a link type, where the " ..
-  "protocol's own DLT_USER table is not convenient. It takes the link type over from that table. Usually empty.", 162)
-
--- "0x210,0x300-0x303" as a list of numbers, each once
-local function parse_range(text, max)
-  local numbers, there = {}, {}
-  for part in tostring(text):gmatch("[^,%s]+") do
-    local first, last = part:match("^(%w+)-(%w+)$")
-    first, last = tonumber(first or part), tonumber(last or part)
-    for n = first or 1, first and math.min(last or -1, max) or 0 do
-      if not there[n] then numbers[#numbers + 1] = n end
-      there[n] = true
-    end
-  end
-  return numbers
-end
-
--- Carriers ------------------------------------------------------------------------------------------------------
-
-local buses = parts.bus.watch(parts.head)
-local candump = parts.candump_reader
-local ids = parts.can_id.new(function(number) return buses:can_fields(number) end)
-
-local function bus_of(pinfo)
-  return candump.current_bus or buses:current(pinfo)
-end
-
--- A stream goes on in a first pass as it began: sources that show later do not count.
-local streams = parts.serial_carrier.new(parts, tree, function(pinfo)
-  return buses:are_several() and bus_of(pinfo) or nil
-end)
-
--- The ids of a message are found by SocketCAN's table of ids: no other frame costs anything.
-local by_can_id = DissectorTable.get("can.extended_id")
-local registered = {}
--- CAN id 0 by way of a Proto of its own: any other call with match_uint 0 is from Decode As.
-local zero = Proto("yapp_zero", "YAPP, CAN id 0")
-local from_zero = false
-
-local function register_range(first, last)
-  if first == 0 then
-    by_can_id:add(0, zero)
-    first = 1
-  end
-  by_can_id:add(("%d-%d"):format(first, last), yapp)
-end
+-- SocketCAN's table of ids finds the frames of a message: no other frame costs anything.
+local by_can_id, is_registered = DissectorTable.get("can.extended_id"), {}
 
 -- Every CAN CTRL and Seq No of a message ID, with YAPP CTL 0.
-local function register_id(id)
-  if registered[id] then return end
-  registered[id] = true
+local function claim_id(id)
+  if is_registered[id] then return end
+  is_registered[id] = true
   for ctrl = 0, 3 do
     local first = id * 0x40000 + ctrl * 0x4000
-    register_range(first, first + 0xFF)
+    by_can_id:add(("%d-%d"):format(first, first + 0xFF), yapp)
   end
 end
 
-local frames = parts.can_carrier.new(parts, tree, bus_of, function(pinfo) return ids:is_remote(pinfo) end, register_id)
-
--- Starts of unknown messages: those that do not number their messages at once; the rest takes half a second and waits
--- until a frame that may be one has been seen.
-local function register_starts(last_seq)
-  for id = 0, parts.catalogue.MAX_ID do
-    local first = id * 0x40000 + 0x4000
-    if not registered[id] then by_can_id:add(("%d-%d"):format(first, first + last_seq), yapp) end
+-- Starts of unknown messages, of those that do not number themselves.
+local function claim_starts()
+  for id = 0, MAX_ID do
+    if not is_registered[id] then by_can_id:add(id * 0x40000 + 0x4000, yapp) end
   end
 end
-local all_starts = false
 
-local function register_all_starts()
-  if all_starts then return end
-  all_starts = true
-  register_starts(0xFF)
-end
+local frames = parts.can_carrier.new(parts, tree, reader, facts, claim_id)
+local streams = parts.serial_carrier.new(parts, tree, reader, facts)
+local tell = parts.stat_tell.new(stat, reader)
+reader:tell_to(tell)
+function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
+function stat.plugin.has_source(name) return reader.sources:has_name(name) end
+function stat.plugin.unfinished() return tell:unfinished(frames:unfinished()) end
 
-local wrapper = Proto("yapp_socketcan", "YAPP's look at CAN headers")
-
--- At the first frame that comes to us: the fields that a later one may need are asked for.
-local asked = false
-
-local function ask(pinfo)
-  asked = true
-  buses:can_fields(pinfo.number)
-end
-
-local function dissect_id(tvb, pinfo, root, id, wide)
-  if not asked then ask(pinfo) end
-  local length = frames:dissect(tvb, pinfo, root, id, wide)
-  if length == 0 then ids:note(pinfo.number, id) end
-  return length
-end
-
-local yapp_handle -- there is none yet while this file loads
-
-function zero.dissector(tvb, pinfo, root)
-  if not frames:takes_single(tvb, pinfo, 0, wide_open) then
-    ids:note(pinfo.number, 0)
-    return 0
-  end
-  yapp_handle = yapp_handle or Dissector.get("yapp")
-  from_zero = true
-  local length = yapp_handle:call(tvb, pinfo, root)
-  from_zero = false
-  return length
-end
+-- Dissectors --------------------------------------------------------------------------------------------------------
 
 -- Decode As on CAN: every extended data frame is YAPP's.
-local function dissect_all(tvb, pinfo, root)
-  local id, unknown = ids:find(pinfo)
-  ids:wrap(wrapper) -- from the next frame on the id is known
-  ids:forget()
-  if id then return frames:dissect(tvb, pinfo, root, id, true) end
-  if unknown and tvb:reported_len() > 0 then return frames:without_id(tvb, pinfo, root) end
-  return 0
+function all.dissector(tvb, pinfo, root)
+  local can_id, is_unknown = facts:find_id(tvb, pinfo)
+  parts.can_wrapper.wrap(socketcan, facts) -- from the next frame on the id is known
+  if can_id then return frames:dissect(tvb, pinfo, root, can_id, true) end
+  return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
 end
 
+-- With the preference "all extended": what no table claims.  A heuristic is called for every CAN frame of every capture
+-- that nobody else takes, so there is none before somebody wants it.
+local is_wide, is_heuristic = false, false -- is_wide: the preference
+
+local function take_all()
+  parts.can_wrapper.wrap(socketcan, facts)
+  if is_heuristic then return end
+  is_heuristic = true
+  all:register_heuristic("can", function(tvb, pinfo, root)
+    return is_wide and all.dissector(tvb, pinfo, root) > 0
+  end)
+end
+
+-- Called from the table of ids, where match_uint is the CAN id; and by Decode As under the name that version 1 had for
+-- it, where match_uint is 0.
 function yapp.dissector(tvb, pinfo, root)
-  local id = pinfo.match_uint
-  if id > 0xFFFF then return dissect_id(tvb, pinfo, root, id, wide_open) end
-  if not from_zero and pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
-  if from_zero then
-    from_zero = false
-    return dissect_id(tvb, pinfo, root, 0, wide_open)
+  local can_id = pinfo.match_uint
+  if can_id <= 0xFFFF then
+    if pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
+    if can_id == 0 and facts:is_decode_as(tvb, pinfo) then
+      frames:guess() -- a first pass without fields took all ids for 0
+      return all.dissector(tvb, pinfo, root)
+    end
   end
-  if id == 0 then return dissect_all(tvb, pinfo, root) end
-  return dissect_id(tvb, pinfo, root, id, wide_open)
-end
-
--- What may be a Start of a message that is not in the catalogue.
-local function is_like_start(tvb)
-  if tvb:reported_len() ~= 8 or tvb:len() ~= 8 then return false end
-  local data = tvb:raw()
-  return data:byte(7) == 0 and data:byte(8) == 0 and (data:byte(5) > 8 or data:byte(6) > 0)
-end
-
--- Frames that nobody claimed: all of them where the preference says so, and Starts of unknown messages.
-local function unclaimed(tvb, pinfo, root)
-  if not asked then ask(pinfo) end
-  if not wide_open and not is_like_start(tvb) then
-    ids:forget()
-    return false
-  end
-  local id, unknown = ids:find(pinfo)
-  ids:forget()
-  if id then return frames:dissect(tvb, pinfo, root, id, wide_open) > 0 end
-  if unknown then
-    frames:guess()
-    register_all_starts()
-  end
-  return false
+  local length = frames:dissect(tvb, pinfo, root, can_id, is_wide)
+  if length == 0 then facts:note_refused(can_id) end -- for Decode As, which is asked next
+  return length
 end
 
 function serial.dissector(tvb, pinfo, root)
@@ -263,93 +153,78 @@ end
 
 -- Every call from a heuristic costs, and TCP and UDP are most of other people's captures: so the search begins where
 -- the first bytes of a file have what may be a frame, or nothing yet, as in a live capture.
-local searching = false
+local is_searching = false
 
 local function search_streams()
-  if searching or not (yapp.prefs.search_all or buses:may_have_frames()) then return end
-  searching = true
+  if is_searching or not (yapp.prefs.search_all or facts:may_have_frames()) then return end
+  is_searching = true
   serial:register_heuristic("tcp", found_by_content)
   serial:register_heuristic("udp", found_by_content)
 end
 
 -- The controller's own time of a frame in a raw dump, "Nanoseconds since boot".
 local function controller_time(frame)
-  local low, high = frame:byte(5, 6)
-  local message = tree.by_id[low + high * 0x100]
-  if not message or not message.time or #frame < parts.stream.HEADER + message.size then return nil end
-  local seconds, nanoseconds = decode.time(frame, parts.stream.HEADER + message.time.offset)
+  local header = parts.frame.HEADER
+  local message = reader:message_of(parts.frame.parse(frame, 1))
+  if not message or not message.time or #frame < header + message.size then return nil end
+  local seconds, nanoseconds = decode.time(frame, header + message.time.offset)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 
--- Preferences and files -----------------------------------------------------------------------------------------
-
-local taken_dlts = {}
-
-local function take_dlts()
-  local encapsulations, wanted, others = DissectorTable.get("wtap_encap"), {}, {}
-  for _, dlt in ipairs(parse_range(yapp.prefs.user_dlt, 162)) do
-    if dlt < 147 then
-      others[#others + 1] = dlt
-    else
-      wanted[wtap.USER0 + dlt - 147] = true
-    end
-  end
-  if #others > 0 then
-    complain_once { ("link type %d is not a DLT_USER (147 to 162)%s"):format(others[1],
-      #others > 1 and (", nor are %d others"):format(#others - 1) or "") }
-  end
-  for encapsulation in pairs(wanted) do
-    if not taken_dlts[encapsulation] then
-      taken_dlts[encapsulation] = encapsulations:get_dissector(encapsulation) or true
-      encapsulations:add(encapsulation, serial)
-    end
-  end
-  for encapsulation, before in pairs(taken_dlts) do
-    if not wanted[encapsulation] then
-      encapsulations:remove(encapsulation, serial)
-      if before ~= true then encapsulations:add(encapsulation, before) end
-      taken_dlts[encapsulation] = nil
-    end
-  end
-end
+-- Preferences and files ---------------------------------------------------------------------------------------------
 
 local function read_preferences()
-  decode.use_divisor(catalogue, yapp.prefs.divisor)
-  local chosen = {}
+  local prefs, chosen = yapp.prefs, {}
+  decode.use_divisor(prefs.divisor)
   for _, message in ipairs(catalogue.messages) do
-    chosen[message.name] = parse_range(yapp.prefs[message.name .. "_ids"], parts.catalogue.MAX_ID)
+    chosen[message.name] = preferences.range(prefs[message.name .. "_ids"], MAX_ID)
   end
-  local by_id, problems = parts.catalogue.assign(catalogue, chosen)
-  complain_once(problems)
-  tree.by_id = by_id
-  for id in pairs(by_id) do register_id(id) end
-  wide_open = yapp.prefs.all_extended
-  if wide_open then ids:wrap(wrapper) end
-  take_dlts()
-end
-
-function yapp.init()
-  read_preferences()
-  buses:init()
-  if buses:has_numbered_starts() then register_all_starts() end
-  search_streams()
-  asked = false
-  ids:reset()
-  candump.current_bus = nil -- sharkd opens the next file without closing the first
-  frames:reset(buses:are_several())
-  streams:reset()
+  local by_id, clashes = parts.catalogue.assign(catalogue, chosen)
+  local sources, problems = parts.sources.parse(prefs.sources, catalogue)
+  preferences.complain_once(clashes)
+  preferences.complain_once(problems)
+  preferences.check_messages_file(prefs.messages, chosen_file)
+  reader:use(by_id, sources)
+  for id in pairs(by_id) do claim_id(id) end
+  for _, row in ipairs(sources:list()) do
+    if row.message then claim_id(row.id) end
+  end
+  is_wide = prefs.all_extended
+  if is_wide then take_all() end
+  preferences.take_link_types(prefs.user_dlt, serial)
 end
 yapp.prefs_changed = read_preferences
 
-register_starts(0)
-DissectorTable.get("can.subdissector"):add_for_decode_as(yapp)
-for _, name in ipairs { "tcp.port", "udp.port", "rtacser.data" } do
-  DissectorTable.get(name):add_for_decode_as(serial)
+function yapp.init()
+  read_preferences()
+  candump.current_bus = nil -- sharkd opens the next file without closing the first
+  facts:init()
+  search_streams()
+  local late, problems = preferences.late(yapp.prefs.late)
+  preferences.complain_once(problems)
+  local options = {
+    size_of = function(id, bus) return reader:size_of(id, facts:bus_name(bus)) end,
+    new_history = function() return parts.history.new { late = late } end,
+    has_buses = facts:are_several(),
+  }
+  reader:reset()
+  tell:reset()
+  tree:reset()
+  frames:reset(options)
+  streams:reset(options)
 end
-for _, name in ipairs { "tcp.port", "udp.port" } do DissectorTable.get(name):add_for_decode_as(yapp) end
-yapp:register_heuristic("can", unclaimed)
-candump.register(parts.candump)
-parts.dump_reader.register(parts.dump, function() return streams:framer() end, controller_time)
 
-local plugin = { version = VERSION, path = here .. "yapp.lua" }
+-- Registration ------------------------------------------------------------------------------------------------------
+
+claim_starts()
+stat:register()
+for _, proto in ipairs { all, yapp } do DissectorTable.get("can.subdissector"):add_for_decode_as(proto) end
+for _, name in ipairs { "tcp.port", "udp.port" } do
+  for _, proto in ipairs { serial, yapp } do DissectorTable.get(name):add_for_decode_as(proto) end
+end
+DissectorTable.get("rtacser.data"):add_for_decode_as(serial)
+candump.register(parts.file_candump)
+parts.file_asc_reader.register { asc = parts.file_asc, packet = parts.file_candump_line.packet, told = candump }
+parts.file_dump_reader.register(parts.file_dump, function() return streams:framer() end, controller_time)
+
 package.loaded["yapp.plugin"] = plugin

@@ -69,8 +69,9 @@ def as_text(frames):
 
 # What one pass can show ------------------------------------------------------------------------------------------
 
-# Where a capture does not tell its buses apart, only what comes later says that a Start cut nothing off.
-KNOWN_LATER = {"two_buses_unnamed"}
+# Only what comes later says that a Start cut nothing off, where a capture does not tell its buses apart, and that a frame
+# came twice, which the CRC proves.
+KNOWN_LATER = {"two_buses_unnamed", "extra_middle"}
 
 
 def blocks(text):

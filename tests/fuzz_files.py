@@ -158,7 +158,7 @@ def sll2(rng, data, fd, bus):
 
 
 def can_arguments(rng):
-    return [["-d", "can.subdissector,yapp"]] if rng.random() < 0.2 else []
+    return [["-d", f"can.subdissector,{rng.choice(['yapp', 'yapp_all'])}"]] if rng.random() < 0.2 else []
 
 
 def can(rng, count):

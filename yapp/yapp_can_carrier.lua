@@ -1,155 +1,75 @@
--- YAPP on SocketCAN: which frames are ours, and what is shown of them.  Wireshark's API.
+-- YAPP on CAN: what is shown of a frame.  Wireshark's API; what a frame is, yapp_can_memory knows.
 
 local M = {}
 
 local STATUS_TEXT = {
   bad = "  [BAD CRC]", short = "  [INCOMPLETE]", overrun = "  [OVERRUN]", unverified = "  [CUT SHORT]",
 }
+local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 local MAX_KEPT = 64 -- texts kept for the parts of long messages
 
--- Remote frames come with as many zeros as their DLC says; SocketCAN does not tell a dissector.
-local ZEROS = {}
-for length = 0, 8 do ZEROS[("\0"):rep(length)] = true end
-
-local address_of, KINDS, START, LONE, ORPHAN -- of yapp_can and yapp_reassembly; set in M.new
+local KINDS, START -- of yapp_can_id; set in M.new
 
 local Carrier = {}
 Carrier.__index = Carrier
 
 --- The CAN side of the plugin.
--- parts   the modules { can =, crc =, interleave =, reassembly =, serials = }
--- tree    a tree builder
--- bus_of  function(pinfo) -> number of the bus; nil where the capture does not say, false where only this pass does not
--- is_remote   function(pinfo) -> whether the frame is a remote frame, nil where nothing says
--- on_unknown  function(id): a frame of a message that is not in the catalogue was taken
-function M.new(parts, tree, bus_of, is_remote, on_unknown)
-  local self = setmetatable({ parts = parts, tree = tree, bus_of = bus_of, is_remote = is_remote,
-    on_unknown = on_unknown }, Carrier)
-  address_of, KINDS, START = parts.can.address, parts.can.KINDS, parts.can.START
-  LONE, ORPHAN = parts.reassembly.LONE, parts.reassembly.ORPHAN
-  self:reset()
-  return self
+-- parts    the modules { can_id =, can_memory =, ... }
+-- tree     a tree builder (yapp_tree)
+-- reader   a yapp_reader: what a finished message means
+-- facts    a yapp_facts
+-- claim    function(id): a frame of a message that is not in the catalogue was taken
+function M.new(parts, tree, reader, facts, claim)
+  KINDS, START = parts.can_id.KINDS, parts.can_id.START
+  return setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, claim = claim }, Carrier)
 end
 
 --- Forgets the capture file: nothing survives into the next one.
--- mixed  whether the next one is known to have several buses
-function Carrier:reset(mixed)
-  self.serials = self.parts.serials.new()
-  self.since = {} -- [ID of an unknown message]: serial of its first frame
-  self.state, self.second, self.guessed, self.mixed, self.first_bus = self:new_state(), nil, false, mixed, nil
-  self.again, self.reached = false, 0
-end
-
---- The first pass (of tshark -2, of sharkd) builds no tree and had to guess: the bus, the id of a frame, or whether it
--- was a remote frame.
-function Carrier:guess()
-  self.guessed = true
-end
-
--- Whether a frame of an unknown message came before its first Start: then the first pass was not asked about it, and
--- what it may know under this serial is another frame's, which a read filter rejected.
-function Carrier:is_early(id, serial)
-  return not self.tree.by_id[id] and serial < (self.since[id] or math.huge)
-end
-
--- What is known of the capture so far: a reassembler, and when each message came last.
-function Carrier:new_state()
-  local by_id = self.tree.by_id
-  local state = self.parts.reassembly.new(self.parts, function(id)
-    local message = by_id[id]
-    return message and message.size
-  end)
-  local serials = self.serials
-  state.last_time, state.deltas = {}, {}
-  function state.number_of(serial) return serials:number(serial) end
-  return state
-end
-
--- The time since the previous message with this ID on this bus; kept, because only a pass that comes in order knows it.
-local function note_time(state, pinfo, bus, id, serial)
-  local now, key, last_time = pinfo.rel_ts, (bus or -1) * 0x800 + id, state.last_time
-  local before = last_time[key]
-  last_time[key] = now
-  if before then state.deltas[serial] = now - before end
-end
-
-function Carrier:note_bus(bus, doubtful)
-  if bus == false or doubtful then self.guessed = true end
-  if bus then
-    self.first_bus = self.first_bus or bus
-    if bus ~= self.first_bus then self.mixed = true end
-  end
-end
-
--- A look at a frame, in the order of the capture.
-function Carrier:look(state, bus, pinfo, address, data, reported, serial, wide, doubtful)
-  if bus ~= nil or doubtful then self:note_bus(bus, doubtful) end
-  local entry = state:frame(bus, address, data, reported, serial, wide, doubtful)
-  if entry and (entry == LONE or entry.last == serial) then note_time(state, pinfo, bus, address.id, serial) end
-  return entry
+-- options  as for yapp_can_memory.new
+function Carrier:reset(options)
+  self.memory = self.parts.can_memory.new(self.parts, options)
+  self.names = {} -- [name of the bus or false][id]: see names_of
 end
 
 --- Dissects one frame.
--- id    29-bit CAN id
--- wide  true when the user says that every extended frame is YAPP
--- returns the number of bytes that are ours, 0 for a frame that is not
-function Carrier:dissect(tvb, pinfo, tree, id, wide)
-  local reported = tvb:reported_len()
-  if reported == 0 then return 0 end
-  local number, state, leads_to = pinfo.number, self.state, nil
-  -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
-  local address, data = address_of(id), tvb:len() > 0 and tvb:raw() or ""
-  local doubtful = false
-  if ZEROS[data] then
-    local remote = self.is_remote(pinfo)
-    doubtful = remote == nil
-    if remote or doubtful and data == "" then
-      self:pass_over(tvb, pinfo, doubtful)
-      return 0
-    end
+-- can_id   29-bit CAN id
+-- is_wide  whether the user says that every extended frame is YAPP
+-- returns  the number of bytes that are ours, 0 for a frame that is not
+function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
+  local memory = self.memory
+  local facts = self.facts:can_frame(tvb, pinfo, memory:highest())
+  if facts.reported == 0 then return 0 end
+  if facts.remote or facts.doubtful and facts.data == "" then
+    if facts.doubtful then memory:guess() else memory:pass_over(facts) end
+    return 0
   end
-  local entry, serial
-  local serials = self.serials
-  -- Numbers grow on the first pass: this saves a call for most frames.
-  if number > serials.highest and not (self.again and pinfo.visited) or not pinfo.visited then
-    serial = serials:next(number, tvb:offset(), state.frames)
-    entry = self:look(state, self.bus_of(pinfo), pinfo, address, data, reported, serial, wide, doubtful)
-  else
-    if not self.again then
-      self.again = true
-      self.is_remote(pinfo) -- asks for the fields that a later frame may need
-    end
-    serial = serials:find(number, tvb:offset(), state.frames)
-    if not serial then return 0 end
-    if not wide and (serials.filtered or not self.guessed) and self:is_early(address.id, serial) then return 0 end
-    entry, state, leads_to = self:look_again(pinfo, address, data, reported, serial, wide, doubtful)
-  end
-  if not entry then return 0 end
-  local builder = self.tree
-  if not builder.by_id[address.id] and not self.since[address.id] then
-    self.since[address.id] = serial
-    self.on_unknown(address.id)
-  end
-  local wanted = builder:wanted(tree, entry.kind or entry.last == serial)
-  local item = wanted and self:item(tvb, tree, address) or tree
+  facts.wide = is_wide
+  local address = self.parts.can_id.address(can_id)
+  local record = memory:look(address, facts)
+  if not record then return 0 end
+  self.claim(address.id)
+  local names, wants = self:names_of(address.id, self.facts:bus_name(facts.bus)), self.tree:wants(tree, facts.is_again)
   local columns = pinfo.cols
   columns.protocol = "YAPP"
-  if entry.kind then
-    columns.info = self:show_lone(tvb, tree, item, address, data, reported, entry, wanted)
-  elseif entry.last == serial then
-    columns.info = self:show_message(tvb, tree, item, address, data, entry, wanted)
+  columns.src = names.source
+  if not wants.tree and self:is_plain_part(record, facts) then -- most frames of a packet list
+    columns.info = self:part_text(names, address, record, #facts.data)
   else
-    columns.info = self:show_part(tvb, item, address, data, entry, serial, wanted, entry.last or leads_to)
+    columns.info = self:show { tvb = tvb, pinfo = pinfo, tree = tree, address = address, facts = facts, record = record,
+      names = names, wants = wants }
   end
-  if #data < reported then
-    builder:expert(item, "truncated", ("The capture has %d of the frame's %d bytes"):format(#data, reported))
-  end
-  local faults = state.faults[serial]
-  if faults then
-    for _, fault in ipairs(faults) do builder:expert(item, fault[1], fault[2]) end
-  end
-  if wanted then builder:add_delta(item, state.deltas[serial]) end
-  return reported
+  return facts.reported
+end
+
+--- Whether a frame is a part of a message, and nothing is to be said of it but that.
+function Carrier:is_plain_part(record, facts)
+  return record.message and not (record.is_last or record.leads_to or record.faults or record.is_unfinished) and
+    #facts.data == facts.reported and not self.reader.stat.wanted
+end
+
+--- Says that a first pass may have been told wrong ids.
+function Carrier:guess()
+  self.memory:guess()
 end
 
 --- A frame that is YAPP's by the user's word, but whose CAN id nothing says: Decode As on its first frame, on a pass
@@ -157,216 +77,233 @@ end
 function Carrier:without_id(tvb, pinfo, tree)
   local builder = self.tree
   local item = tree
-  self.guessed = true
-  if builder:wanted(tree, false) then
+  self.memory:guess()
+  if builder:wants(tree, true).yapp then
     item = tree:add(builder.yapp, tvb())
     if tvb:len() > 0 then item:add(builder.fields.payload, tvb()) end
   end
   pinfo.cols.protocol = "YAPP"
-  builder:expert(item, "can.id.missing", "The CAN id of this frame is not known yet; reload or redissect to see it")
+  builder:expert(item, "can.id.missing")
   return tvb:reported_len()
 end
 
--- YAPP's own tree item, with what the CAN id says.
-function Carrier:item(tvb, tree, address)
-  local builder = self.tree
-  local fields = builder.fields
-  local item = tree:add(builder.yapp, tvb())
-  item:append_text((", %s, %s"):format(builder:name(address.id), KINDS[address.ctrl] or "undefined frame"))
-  builder:add_id(item, nil, address.id)
-  item:add(fields.ctl, address.ctl):set_generated()
-  item:add(fields.seq, address.seq):set_generated()
-  item:add(fields["can.ctrl"], address.ctrl):set_generated()
-  return item
+-- The key of a source: bus and ID.
+local function key_of(bus, id)
+  return (bus or -1) * 0x800 + id
 end
 
--- A later look at a frame.  Where the first pass had to guess, a second one that comes in order knows better; but what
--- will come it has from the first.  In Wireshark a look for the packet list may not have the bus that a look for the
--- details has: the second pass is made of looks of one kind.
-function Carrier:look_again(pinfo, address, data, reported, serial, wide, doubtful)
-  local first, second = self.state, self.second
-  local entry = second and serial <= self.reached and second:entry(serial)
-  local left = not entry and wide and serial == self.reached -- the table of ids had it, and left it to us
-  if not second or serial > self.reached or left then
-    local bus = self.guessed and self.bus_of(pinfo)
-    if not self.guessed or self.serials.filtered or second and bus == false and self.second_has_bus or
-      not (left or self:follows(serial)) then
-      entry = first:entry(serial)
-      if not entry and wide then entry = self:late(address, serial) end
-      return entry, first
-    end
-    if not second then
-      second = self:new_state()
-      self.second, self.second_has_bus = second, bus ~= false
-    end
-    self.reached = serial
-    entry = self:look(second, self.second_has_bus and bus, pinfo, address, data, reported, serial, wide, doubtful)
+--- What the messages of an ID are called, and texts of their parts: { bus = name of the bus or nil, name = in the Info
+-- column, source = in the column Source }.
+function Carrier:names_of(id, bus)
+  local of_bus = self.names[bus or false]
+  if not of_bus then
+    of_bus = {}
+    self.names[bus or false] = of_bus
   end
-  return entry, second, entry and not entry.kind and self:foreseen(entry[1])
-end
-
--- A frame that is not ours after all.
-function Carrier:pass_over(tvb, pinfo, doubtful)
-  if doubtful then
-    self.guessed = true
-  elseif pinfo.visited then
-    local serial = self.serials:find(pinfo.number, tvb:offset(), self.state.frames)
-    if serial and serial > self.reached and self:follows(serial) then self.reached = serial end
+  local names = of_bus[id]
+  if not names then
+    names = { bus = bus, name = self.reader:label(id, bus), source = self.reader:source_text(id, bus), texts = {} }
+    of_bus[id] = names
   end
+  return names
 end
 
--- Whether a second pass goes on here: it has seen all frames that came to us before.  Who asks for a frame here and
--- there, as sharkd does, gets what the first pass knows.  A read filter leaves gaps: then there is no second pass.
-function Carrier:follows(serial)
-  local frames = self.state.frames
-  for before = self.reached + 1, serial - 1 do
-    if frames[before] then return false end
-    self.reached = before
+-- A view is what all of the following look at: { tvb, pinfo, tree, wants, address, facts, record, names, item = YAPP's
+-- own item, or the tree where nobody wants one; wanted = whether anyone does }.
+
+-- Shows a frame: tree and expert items; returns what the Info column says of it.
+function Carrier:show(view)
+  local builder, record, facts, info = self.tree, view.record, view.facts
+  view.wanted = view.wants.yapp
+  local is_message = record.is_last or record.alone and view.address.ctrl == 0
+  view.item = view.wanted and self:item(view) or builder:bare(view.tree, view.wants, is_message)
+  if record.alone then
+    info = self:show_alone(view)
+  elseif record.is_last then
+    info = self:show_message(view)
+  else
+    info = self:show_part(view)
   end
-  return true
-end
-
--- Where the message that begins with a frame ends, by the first pass; if that mixed buses, it has this from the CRC.
-function Carrier:foreseen(serial)
-  local message = self.state:entry(serial)
-  return message and (message.status == "good" or not self.mixed) and message.last or nil
-end
-
--- A frame whose id was not known on the first pass, the first one under Decode As: what stands alone can still be
--- shown, but a message that it began or ended is lost.
-function Carrier:late(address, serial)
-  local state = self.state
-  if address.ctrl == 0 or address.ctrl > 3 then
-    return state:frame(nil, address, "?", 1, serial, true)
+  if #facts.data < facts.reported then
+    builder:expert(view.item, "truncated",
+      ("The capture has %d of the frame's %d bytes"):format(#facts.data, facts.reported))
   end
-  if not state.faults[serial] then
-    state:fault(serial, "can.id.missing", "The CAN id was not known on the first pass: reload to see the message")
-  end
-  return ORPHAN
-end
-
---- Whether a frame of a single-frame id would be taken.
-function Carrier:takes_single(tvb, pinfo, id, wide)
-  local reported = tvb:reported_len()
-  local data = tvb:len() > 0 and tvb:raw() or ""
-  if reported == 0 then return false end
-  if ZEROS[data] and self.is_remote(pinfo) then
-    self:pass_over(tvb, pinfo)
-    return false
-  end
-  local message = self.tree.by_id[id]
-  return wide or message ~= nil and self.parts.can.padding(data, reported, message.size) ~= nil
-end
-
--- A frame that stands alone: a single-frame message, or what belongs to none.
-function Carrier:show_lone(tvb, tree, item, address, data, reported, entry, wanted)
-  local builder = self.tree
-  if entry == LONE then return self:show_single(tvb, tree, item, address.id, data, reported, wanted) end
-  if wanted and address.ctrl == START then
-    self:start_tree(tvb, item, #data)
-  elseif wanted and #data > 0 then
-    item:add(builder.fields["fragment.data"], tvb())
-  end
-  local kind = KINDS[address.ctrl] or "CAN CTRL " .. address.ctrl
-  return ("%s  %s%s"):format(builder:name(address.id), kind, entry == ORPHAN and " without a Start" or "")
-end
-
-function Carrier:show_single(tvb, tree, item, msg, data, reported, wanted)
-  local builder = self.tree
-  local message = builder.by_id[msg]
-  local fits = message and self.parts.can.padding(data, reported, message.size)
-  local padding = fits or 0
-  local payload = padding > 0 and data:sub(1, message.size) or data
-  local info = builder:payload(tree, item, msg, payload, wanted and tvb, 0, fits and message.size or reported)
-  if wanted and padding > 0 and #data > #payload then item:add(builder.fields.padding, tvb(#payload)) end
+  for _, fault in ipairs(record.faults or {}) do builder:expert(view.item, fault.expert, fault.text) end
+  if record.is_unfinished then builder:expert(view.item, "unfinished") end
+  if self.reader.stat.wanted then self:tell(view) end
   return info
 end
 
--- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept.
-local function part_info(builder, address, entry, serial, length)
-  local texts, size = address.part_info, entry.size
-  if not texts or texts.by_id ~= builder.by_id or texts.size ~= size then
-    texts = { by_id = builder.by_id, name = builder:name(address.id), size = size }
-    address.part_info = texts
+-- Statistics are told of what is lost, and of parts of what may be.
+function Carrier:tell(view)
+  local facts, address, record = view.facts, view.address, view.record
+  local m = { id = address.id, seq = address.seq, source_key = key_of(facts.bus, address.id), bus_key = facts.bus,
+    bus = view.names.bus, frame = facts.number, time = view.pinfo.rel_ts, visited = facts.is_again,
+    is_end = address.ctrl == self.parts.can_id.END }
+  if record.faults then self.reader.tell:faults(m, record.faults) end
+  if record.message and not record.is_last then self.reader.tell:part(m) end
+end
+
+--- The messages that the capture ends before.
+-- returns  list of { source_key, seq, frame = number of their last frame }
+function Carrier:unfinished()
+  local list = {}
+  for i, message in ipairs(self.memory:unfinished()) do
+    list[i] = { source_key = key_of(message.bus, message.address.id), seq = message.address.seq,
+      frame = math.floor(message[message.count]) }
   end
-  if address.ctrl == START then
-    texts.start = texts.start or ("%s  Start of %d bytes"):format(texts.name, size)
-    return texts.start
+  return list
+end
+
+-- YAPP's own tree item, with what the CAN id says.
+function Carrier:item(view)
+  local builder, address = self.tree, view.address
+  local fields = builder.fields
+  local item = view.tree:add(builder.yapp, view.tvb())
+  item:append_text((", %s, %s"):format(view.names.name, KINDS[address.ctrl] or "undefined frame"))
+  builder:add_id(item, nil, address.id, view.names.bus)
+  item:add(fields.ctl, address.ctl):set_generated()
+  item:add(fields.seq, address.seq):set_generated()
+  item:add(fields["can.ctrl"], address.ctrl):set_generated()
+  builder:add_source(item, address.id, view.names.bus)
+  return item
+end
+
+-- What a message is given to the reader and the tree as; see yapp_reader.
+local function finished(view, payload, size)
+  local record, facts, address = view.record, view.facts, view.address
+  return { tree = view.tree, item = view.item, wanted = view.wanted, pinfo = view.pinfo, id = address.id,
+    seq = address.seq, ctl = address.ctl, payload = payload, size = size, frame = facts.number, bus_key = facts.bus,
+    bus = view.names.bus, record = record, is_whole = true, source_key = key_of(facts.bus, address.id),
+    visited = facts.is_again }
+end
+
+-- A frame that stands alone: a single-frame message, or what belongs to none.
+function Carrier:show_alone(view)
+  local address, data = view.address, view.facts.data
+  if address.ctrl == 0 then return self:show_single(view) end
+  if view.wanted and address.ctrl == START then
+    self:start_tree(view)
+  elseif view.wanted and #data > 0 then
+    view.item:add(self.tree.fields["fragment.data"], view.tvb())
   end
-  local index = entry.count
-  while index > 1 and entry[index] ~= serial do index = index - 1 end
+  if view.record.is_late then
+    self.tree:expert(view.item, "can.id.missing",
+      "The CAN id was not known on the first pass: reload to see the message")
+  end
+  local kind = KINDS[address.ctrl] or "CAN CTRL " .. address.ctrl
+  local is_orphan = kind == "Middle" or kind == "End"
+  return ("%s  %s%s"):format(view.names.name, kind, is_orphan and " without a Start" or "")
+end
+
+function Carrier:show_single(view)
+  local facts, id = view.facts, view.address.id
+  local data, reported = facts.data, facts.reported
+  local known = self.reader:size_of(id, view.names.bus)
+  local padding = known and self.parts.can_id.padding(data, reported, known)
+  local message = finished(view, padding and padding > 0 and data:sub(1, known) or data, padding and known or reported)
+  message.status, message.tvb, message.at = "single", (view.wanted or view.wants.taurus) and view.tvb, 0
+  message.good = #data == reported
+  local info = self.tree:payload(self:read(message))
+  if view.wanted and (padding or 0) > 0 and #data > known then
+    view.item:add(self.tree.fields.padding, view.tvb(known))
+  end
+  return info
+end
+
+-- A finished message: its meaning and its history.
+function Carrier:read(message)
+  local memory, record = self.memory, message.record
+  local look = { source = message.source_key, bus = message.bus_key, time = message.pinfo.rel_ts }
+  self.reader:read(message, look, function() return memory:change(record, look) end)
+  if message.has_fault then memory:note_fault(record) end
+  return message
+end
+
+--- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept.
+-- length  captured bytes of the frame
+function Carrier.part_text(_, names, address, record, length)
+  local message, texts = record.message, names.texts
+  local size, look = message.size, record.look
+  if texts.size ~= size then
+    texts = { size = size, start = ("%s  Start of %d bytes"):format(names.name, size) }
+    names.texts = texts
+  end
+  if address.ctrl == START then return texts.start end
+  local index = message.count
+  while index > 1 and message[index] ~= look do index = index - 1 end
+  if message[index] ~= look then return names.name .. "  part once more" end
   -- How many parts there are is sure in the end; before that, it is what classic CAN needs.
-  local parts = entry.status == "good" and entry.count or
-    length == 8 and 1 + (size + 7 - (size + 7) % 8) / 8
-  if not parts or index > parts then return ("%s  part %d"):format(texts.name, index) end
+  local parts = message.status == "good" and message.count or length == 8 and 1 + (size + 7 - (size + 7) % 8) / 8
+  if not parts or index > parts then return ("%s  part %d"):format(names.name, index) end
   local key = parts * 0x100 + index
-  local text = texts[key] or ("%s  part %d of %d"):format(texts.name, index, parts)
+  local text = texts[key] or ("%s  part %d of %d"):format(names.name, index, parts)
   if parts <= MAX_KEPT then texts[key] = text end
   return text
 end
 
 -- A Start, a Middle, or an End that completes nothing.
-function Carrier:show_part(tvb, item, address, data, entry, serial, wanted, leads_to)
-  local fields = self.tree.fields
-  leads_to = leads_to and self.serials:number_of(leads_to)
-  if wanted then
-    if address.ctrl == START then
-      self:start_tree(tvb, item, #data)
-      item:append_text((" of %d bytes"):format(entry.size))
-    elseif #data > 0 then
-      item:add(fields["fragment.data"], tvb())
+function Carrier:show_part(view)
+  local fields, item, record = self.tree.fields, view.item, view.record
+  local leads_to = record.leads_to
+  if view.wanted then
+    if view.address.ctrl == START then
+      self:start_tree(view)
+      item:append_text((" of %d bytes"):format(record.message.size))
+    elseif #view.facts.data > 0 then
+      item:add(fields["fragment.data"], view.tvb())
     end
     if leads_to then item:add(fields["reassembled.in"], leads_to):set_generated() end
+    if record.has_fault then item:add(fields["message.fault"], true):set_generated() end
   end
-  local text = part_info(self.tree, address, entry, serial, #data)
+  local text = self:part_text(view.names, view.address, record, #view.facts.data)
   return leads_to and ("%s  [Reassembled in #%d]"):format(text, leads_to) or text
 end
 
 -- What a Start says, as far as it was captured.
-function Carrier:start_tree(tvb, item, length)
-  local fields = self.tree.fields
-  if length >= 4 then item:add_le(fields.crc, tvb(0, 4)) end
-  if length >= 6 then item:add_le(fields.size, tvb(4, 2)):append_text(" bytes") end
-  if length >= 8 then item:add_le(fields.reserved, tvb(6, 2)) end
-end
-
-function Carrier:fragments_tree(item, tvb, entry)
-  local fields = self.tree.fields
-  local list = item:add(fields.fragments, tvb())
-  list:set_text(("%d fragments (%d bytes)"):format(entry.count, #entry.payload))
-  list:set_generated()
-  for i = 1, entry.count do
-    local number = self.serials:number_of(entry[i])
-    if number then list:add(fields.fragment, number):set_generated() end
-  end
-  list:add(fields["fragment.count"], entry.count):set_generated()
-  list:add(fields["reassembled.length"], #entry.payload):set_generated()
+function Carrier:start_tree(view)
+  local fields, item, length = self.tree.fields, view.item, #view.facts.data
+  if length >= 4 then item:add_le(fields.crc, view.tvb(0, 4)) end
+  if length >= 6 then item:add_le(fields.size, view.tvb(4, 2)):append_text(" bytes") end
+  if length >= 8 then item:add_le(fields.reserved, view.tvb(6, 2)) end
 end
 
 -- The last frame of a message: what was put together.
-function Carrier:show_message(tvb, tree, item, address, data, entry, wanted)
-  local builder, payload, status = self.tree, entry.payload, entry.status
-  local whole
-  if wanted then
-    if #payload > 0 then whole = ByteArray.new(payload, true):tvb("Reassembled YAPP") end
-    item:add(builder.fields["reassembled.in"], self.serials:number_of(entry.last)):set_generated()
-    item:add(builder.fields.size, entry.size):append_text(" bytes"):set_generated()
-    item:add(builder.fields.reserved, entry.reserved or 0):set_generated()
-    self.state:restore(entry, address)
-    builder:add_crc(item, nil, entry)
-    self:fragments_tree(item, whole or tvb, entry)
-    if entry.padding and entry.padding <= #data then
-      item:add(builder.fields.padding, tvb(#data - entry.padding))
-    end
-    item:append_text(", CRC " .. (status == "good" and "good" or status == "bad" and "BAD" or "unverified"))
+function Carrier:show_message(view)
+  local builder, item, entry = self.tree, view.item, view.record.message
+  local message = finished(view, entry.payload, entry.size)
+  local status = entry.status
+  message.status, message.crc, message.calculated, message.at = status, entry.crc, entry.calculated, 0
+  message.good = status == "good"
+  if #entry.payload > 0 and (view.wanted or view.wants.taurus) then
+    message.tvb = ByteArray.new(entry.payload, true):tvb("Reassembled YAPP")
   end
+  if view.wanted then self:message_tree(view, message) end
   if status == "bad" then builder:bad_crc(item, entry) end
   if status == "short" or status == "overrun" then
-    if whole then item:add(builder.fields.payload, whole()) end
-    return ("%s  %d of %d bytes%s"):format(builder:name(address.id), entry.received, entry.size, STATUS_TEXT[status])
+    message.is_whole = false
+    self:read(message)
+    if view.wanted and message.tvb then item:add(builder.fields.payload, message.tvb()) end
+    if view.wanted then builder:add_delta(item, message) end
+    return ("%s  %d of %d bytes%s"):format(view.names.name, entry.received, entry.size, STATUS_TEXT[status])
   end
-  local info = builder:payload(tree, item, address.id, payload, whole, 0, entry.size)
-  return info .. (STATUS_TEXT[status] or "")
+  return builder:payload(self:read(message)) .. (STATUS_TEXT[status] or "")
+end
+
+-- What YAPP's own item says of a message in its last frame.
+function Carrier:message_tree(view, message)
+  local builder, item, entry, data = self.tree, view.item, view.record.message, view.facts.data
+  local fields = builder.fields
+  item:add(fields["reassembled.in"], view.facts.number):set_generated()
+  item:add(fields.size, entry.size):append_text(" bytes"):set_generated()
+  item:add(fields.reserved, entry.reserved or 0):set_generated()
+  builder:add_crc(item, nil, entry)
+  local numbers = self.memory:frames_of(view.record)
+  builder:add_fragments(item, message.tvb or view.tvb, numbers, entry.count, #entry.payload)
+  if entry.padding and entry.padding <= #data then
+    item:add(fields.padding, view.tvb(#data - entry.padding))
+  end
+  item:append_text(CRC_TEXT[entry.status] or ", CRC unverified")
 end
 
 return M

@@ -1,119 +1,82 @@
--- The id of a CAN frame that came to us without one: by Decode As, by a heuristic.  Wireshark's API.
---
--- A dissector that SocketCAN calls gets the payload alone.  Called from the table of ids it finds the id in
--- pinfo.match_uint; else there are the CAN header, which a wrapper around SocketCAN reads (exact, on every pass, at
--- the cost of a name in frame.protocols: only where the user asked for all of a bus), the tree and the Info column.
+-- YAPP's use of a CAN frame: the 29-bit id, CAN FD padding, the header that the CRC covers ("CAN Framing").
+-- Pure Lua, 5.2 and 5.4.
 
 local M = {}
 
-local EXTENDED, REMOTE, ERROR, MASK = 0x80000000, 0x40000000, 0x20000000, 0x20000000
+local char = string.char
 
-local Ids = {}
-Ids.__index = Ids
+-- COMPAT 5.4: a quotient is a float there, and prints as one.
+local integer = rawget(math, "tointeger") or function(n) return n end
 
---- fields  function(frame number) -> { [filter name] = value } of the tree so far, and whether none of CAN's is missing
-function M.new(fields)
-  local self = setmetatable({ fields = fields }, Ids)
-  self:reset()
-  return self
-end
+-- CAN CTRL
+M.SINGLE, M.START, M.MIDDLE, M.END = 0, 1, 2, 3
+M.KINDS = { [0] = "Single", "Start", "Middle", "End" }
 
---- Forgets the capture file.
-function Ids:reset()
-  self.number, self.read = 0, 0
-  self.is_swapped = get_preference("can.byte_swap") -- of records that a little endian machine wrote as they were
-end
-
---- Notes the id of a frame for those who are asked next; forget it when nobody will ask.
-function Ids:note(number, id)
-  self.number, self.id = number, id
-end
-
-function Ids:forget()
-  self.number = 0
-end
-
--- "Ext. ID: 138428416 (0x8404000), Length: 8", as SocketCAN leaves it
--- returns  the text, nil where the columns are not there
-local function column(pinfo)
-  local text = tostring(pinfo.cols.info)
-  return (text:find("ID: ", 1, true) or text:find("^ERR")) and text or nil
-end
-
-local function truth(value) return value == true or value == 1 end
-
---- The id of the current frame.
--- returns  29-bit id; nil where it is not an extended data frame; nil and true where nothing says
-function Ids:find(pinfo)
-  if self.number == pinfo.number then return self.id end
-  local fields, is_whole = self.fields(pinfo.number)
-  local id, extended = fields["can.id"], fields["can.flags.xtd"]
-  if is_whole then
-    local data = truth(extended) and not truth(fields["can.flags.rtr"])
-    return data and id and id % MASK or nil
+-- CAN FD has these lengths above 8: FD_LENGTH[n] is the shortest that holds n bytes.
+local FD_LENGTH = {}
+do
+  local n = 0
+  for _, length in ipairs { 8, 12, 16, 20, 24, 32, 48, 64 } do
+    while n <= length do FD_LENGTH[n], n = length, n + 1 end
   end
-  local text = column(pinfo)
-  if not text then return nil, true end
-  return not text:find("Remote", 1, true) and tonumber(text:match("Ext%. ID: (%d+)")) or nil
 end
 
---- Whether the current frame is a remote frame: those have no data, but captures give them zeros.
--- returns  true or false; nil where nothing says
-function Ids:is_remote(pinfo)
-  if self.read == pinfo.number then return self.no_data end
-  local fields, is_whole = self.fields(pinfo.number)
-  local rtr = fields["can.flags.rtr"]
-  if rtr ~= nil then return truth(rtr) end
-  if is_whole then return false end -- CAN FD has no remote frames
-  local text = column(pinfo)
-  if not text then return nil end
-  return text:find("Remote", 1, true) ~= nil
+M.MAX_KEPT = 4096 -- ids kept taken apart: a bus has few, a hostile capture any number
+local addresses, address_count = {}, 0
+
+--- A 29-bit CAN id taken apart ("CAN Message IDs").
+-- can_id   0 .. 0x1FFFFFFF
+-- returns  { can_id, id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, key = what the frames of a message
+--          share, key_bytes = the same as 4 bytes, big endian }; usually the same table for the same id: read only
+function M.address(can_id)
+  local address = addresses[can_id]
+  if address then return address end
+  local seq = integer(can_id % 0x100)
+  local ctl = integer((can_id - seq) / 0x100 % 0x40)
+  local ctrl = integer((can_id - can_id % 0x4000) / 0x4000 % 0x10)
+  local key = can_id - ctrl * 0x4000
+  local a, b, c, d = key % 0x100, key % 0x10000, key % 0x1000000, key
+  address = { can_id = can_id, id = integer((can_id - can_id % 0x40000) / 0x40000), ctrl = ctrl, ctl = ctl, seq = seq,
+    key = key, key_bytes = char((d - c) / 0x1000000, (c - b) / 0x10000, (b - a) / 0x100, a) }
+  if address_count == M.MAX_KEPT then addresses, address_count = {}, 0 end
+  addresses[can_id], address_count = address, address_count + 1
+  return address
 end
 
--- The first word of a SocketCAN record; big endian in its own encapsulation (unless a preference says otherwise), host
--- order in cooked captures.
-local function header_id(tvb, little)
-  if tvb:len() < 8 then return nil end
-  local word = little and tvb(0, 4):le_uint() or tvb(0, 4):uint()
-  if word < EXTENDED or word % (2 * REMOTE) >= REMOTE or word % (2 * ERROR) >= ERROR then return nil end
-  return word % MASK
+--- How many bytes of CAN FD padding a last, or single, frame carries.
+-- data    its captured bytes; reported: its length on the bus; needed: what the message still lacks
+-- returns 0 when it fits exactly, the number of zero bytes when it is padded as CAN FD is, else nil
+function M.padding(data, reported, needed)
+  if reported == needed then return 0 end
+  if reported > 8 and needed > 0 and needed < reported and FD_LENGTH[needed] == reported and
+    not data:find("[^%z]", needed + 1) then
+    return reported - needed
+  end
 end
 
---- Reads the CAN header of every frame from now on.
--- proto  a Proto for the wrapper
-function Ids:wrap(proto)
-  if self.wrapped then return end
-  self.wrapped = true
-  local little = true -- the host's order, on every machine that Wireshark is built for today
-  local carriers = {}
-  for _, row in ipairs { { "wtap_encap", wtap.SOCKETCAN, false }, { "sll.ltype", 0x0C, little },
-    { "sll.ltype", 0x0D, little } } do
-    local tables = DissectorTable.get(row[1])
-    carriers[#carriers + 1] = { tables = tables, value = row[2], little = row[3], inner = tables:get_dissector(row[2]) }
-  end
-  function proto.dissector(tvb, pinfo, tree)
-    local key = pinfo.match_uint
-    for _, carrier in ipairs(carriers) do
-      if carrier.value == key and carrier.inner then
-        local id = header_id(tvb, carrier.little or key == wtap.SOCKETCAN and self.is_swapped)
-        self.read, self.no_data = pinfo.number, not id -- or not extended: then the frame is not ours either
-        self:note(pinfo.number, id)
-        -- What the capture cut, others throw past Lua, which never gets back what that takes of its stack: so SocketCAN
-        -- is not called for half a header, and of a frame that is not ours it sees the captured bytes alone: that is
-        -- shown as malformed, where without us it would be limited in size.  A frame that is malformed has its item by
-        -- the time pcall returns, and is no error of ours.
-        local length = tvb:len()
-        if length < 8 then return 0 end
-        local seen = not id and length < tvb:reported_len() and tvb(0, length):tvb() or tvb
-        local ok, taken = pcall(carrier.inner.call, carrier.inner, seen, pinfo, tree)
-        return ok and taken or length
-      end
-    end
-    return 0
-  end
-  for _, carrier in ipairs(carriers) do
-    if carrier.inner then carrier.tables:add(carrier.value, proto) end
-  end
+--- The 12 bytes that the CRC covers before the payload ("Computing the UART and Ethernet Frame IDs from the CAN ID").
+-- address   { id, seq, ctl }
+-- size      of the payload; reserved: number, 0 when left out
+function M.header(address, size, reserved)
+  local id = address.id
+  reserved = reserved or 0
+  return char(0x59, 0x50, address.seq, address.ctl, id % 0x100, (id - id % 0x100) / 0x100, 0, 0,
+    size % 0x100, (size - size % 0x100) / 0x100, reserved % 0x100, (reserved - reserved % 0x100) / 0x100)
+end
+
+--- What a Start says ("Multi-Frame Start").
+-- data     its captured bytes
+-- returns  crc, size, reserved; each nil where its bytes are not there
+function M.start(data)
+  local a, b, c, d, e, f, g, h = data:byte(1, 8)
+  return d and a + b * 0x100 + c * 0x10000 + d * 0x1000000, f and e + f * 0x100, h and g + h * 0x100
+end
+
+--- Whether a Start opens a plausible message of 9 bytes or more, all of it captured: what is surely YAPP's.
+-- known    payload size of the message that the catalogue has for this ID, nil for an unknown ID
+function M.is_plausible_start(data, reported, known)
+  local _, size, reserved = M.start(data)
+  return reported == 8 and reserved == 0 and size > 8 and (not known or size == known)
 end
 
 return M

@@ -3,37 +3,27 @@
 -- Polynomial 0x1'32C0'0699, most significant bit first, not reflected, initial value 0xFFFFFFFF, no final xor
 -- (vendor document, "CRC Calculation").
 
+local bits = require("yapp_bits")
+
 local M = {}
 
 local POLYNOMIAL = 0x32C00699
 M.INITIAL = 0xFFFFFFFF
 
 local byte = string.byte
-local tointeger = rawget(math, "tointeger")
-
--- One step of the table, in plain arithmetic: exact in doubles and in integers alike.
-local function xor_slowly(a, b)
-  local result, place = 0, 1
-  for _ = 1, 32 do
-    if a % 2 ~= b % 2 then result = result + place end
-    a, b, place = (a - a % 2) / 2, (b - b % 2) / 2, place * 2
-  end
-  return result
-end
 
 local TABLE = {}
 for i = 0, 255 do
-  local register = i * 2 ^ 24
+  local register = i * 0x1000000
   for _ = 1, 8 do
-    local top = register >= 2 ^ 31
-    register = (register * 2) % 2 ^ 32
-    if top then register = xor_slowly(register, POLYNOMIAL) end
+    local top = register >= 0x80000000
+    register = register * 2 % 0x100000000
+    if top then register = bits.bxor(register, POLYNOMIAL) end
   end
-  -- COMPAT 5.4: 2 ^ 24 is a float there, and the native operators want integers.
-  TABLE[i] = tointeger and tointeger(register) or register
+  TABLE[i] = register
 end
 
--- Native operators are syntax errors in Lua 5.2, so they hide in a string.
+-- For Lua 5.4.
 local NATIVE = [[
   local TABLE, byte = ...
   local function run(register, data, from, to)
@@ -55,14 +45,13 @@ local NATIVE = [[
     end
     return register
   end
-  local function xor(a, b) return a ~ b end
   local function apply(map, x)
     return map[1][x & 255] ~ map[2][x >> 8 & 255] ~ map[3][x >> 16 & 255] ~ map[4][x >> 24]
   end
-  return run, xor, apply
+  return run, apply
 ]]
 
--- Lua 5.2: Wireshark has BitOp ("bit", signed results), plain Lua has "bit32" (unsigned).
+-- For Lua 5.2.
 local function with_library(library)
   local bxor, band, lshift, rshift = library.bxor, library.band, library.lshift, library.rshift
   -- A call costs more than a table look-up here: eight bytes a step, each through its own table.
@@ -89,21 +78,19 @@ local function with_library(library)
     end
     return register % 0x100000000
   end
-  local function xor(a, b) return bxor(a, b) % 0x100000000 end
   local function apply(map, x)
     return bxor(map[1][band(x, 255)], map[2][band(rshift(x, 8), 255)],
       map[3][band(rshift(x, 16), 255)], map[4][rshift(x, 24)]) % 0x100000000
   end
-  return run, xor, apply
+  return run, apply
 end
 
 -- apply: a linear map of the register; the map is four tables, one for each byte of the register.
-local run, xor, apply
-local native = load(NATIVE, "=yapp_crc native")
-if native then
-  run, xor, apply = native(TABLE, byte)
+local run, apply
+if bits.library then
+  run, apply = with_library(bits.library)
 else
-  run, xor, apply = with_library(rawget(_G, "bit") or require("bit32"))
+  run, apply = load(NATIVE, "=yapp_crc native")(TABLE, byte)
 end
 
 --- Runs the register over data[from .. to].
@@ -121,7 +108,7 @@ function M.of(data)
 end
 
 --- The exclusive or of two registers, 0 .. 0xFFFFFFFF each.
-M.xor = xor
+M.xor = bits.bxor
 
 local POWERS = {} -- [k]: the map "2^k zero bytes go through the register", made when first asked for
 

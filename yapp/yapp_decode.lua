@@ -1,4 +1,11 @@
 -- From the payload of a message to its values, by the compiled catalogue.  Pure Lua, 5.2 and 5.4.
+-- What it needs to know of a message or a field, beyond what the catalogue says, it keeps here.
+
+local bits = require("yapp_bits")
+local info = require("yapp_catalogue_info")
+local numbers = require("yapp_decode_numbers")
+local reader = require("yapp_decode_reader")
+local utf8 = require("yapp_utf8")
 
 local M = {}
 
@@ -10,93 +17,41 @@ local SPECIALS = {
 local SPECIALS_SHORT = { [0] = "NaN", "+inf", "-inf", "above range", "below range" }
 M.SPECIALS = SPECIALS
 
-local byte, format, concat = string.byte, string.format, table.concat
+local format, concat, band = string.format, table.concat, bits.band
 local unpack = rawget(table, "unpack")
+local WEAK = { __mode = "k" }
 
--- COMPAT 5.4: a quotient is a float there, and NSTime takes integers only.
-local integer = rawget(math, "tointeger") or function(n) return n end
+-- Reading -----------------------------------------------------------------------------------------------------------
 
--- Native operators are syntax errors in Lua 5.2; Wireshark's has BitOp (signed results), plain Lua 5.2 has bit32.
-local native = load("return function(a, b) return a & b end")
-local library = not native and (rawget(_G, "bit") or require("bit32"))
-local band = native and native() or function(a, b) return library.band(a, b) % 0x100000000 end
+local readers, raws_of = setmetatable({}, WEAK), setmetatable({}, WEAK) -- by message
 
--- The reader of a message as Lua source: this runs for every packet, and one straight function is three times as fast
--- as a loop over the fields.  It fills raws and says whether any count needs a second look.
---   raws[5] = p9 + p10 * 0x100    if raws[5] > 65530 then look = true end
-local function reader_source(message)
-  local lines = { "local byte, band, VALUES = ... return function(payload, raws) local look = false local a, b, c, d" }
-  for i, field in ipairs(message.fields) do
-    local size = field.size
-    if size <= 4 then
-      lines[#lines + 1] = format("a, b, c, d = byte(payload, %d, %d)", field.offset + 1, field.offset + size)
-      lines[#lines + 1] = "a = a" .. (" + b * 0x100 + c * 0x10000 + d * 0x1000000"):sub(1, ({ 0, 12, 0, 42 })[size])
-      lines[#lines + 1] = format("raws[%d] = a", i)
-      if field.values then lines[#lines + 1] = format("if not VALUES[%d][a] then look = true end", i) end
-      if field.undefined and not field.alarm then
-        lines[#lines + 1] = format("if a ~= 0 and band(a, %d) ~= 0 then look = true end", field.undefined)
-      end
-      if field.ordinary then lines[#lines + 1] = format("if a > %d then look = true end", field.ordinary) end
-    end
-  end
-  lines[#lines + 1] = "return look end"
-  return concat(lines, "\n")
-end
-
-local function make_reader(message)
-  local values = {}
-  for i, field in ipairs(message.fields) do values[i] = field.values end
-  return load(reader_source(message), "=reader of " .. message.name)(byte, band, values)
-end
-
---- The raw counts of a payload.
+--- The raw values of a payload.
 -- message  compiled
 -- payload  string; may be shorter than the message where a capture cut it: only fields that are whole are read
--- returns  { [index of field] = unsigned number }, without times (see M.time) and without missing fields; the same
---          table for every payload of a message.  And whether M.remarks has something to say.
+-- returns  { [index of field] = raw }, without times (see M.time), missing fields and cases that are not chosen: the
+--          same table for every payload of a message.  And whether M.remarks has something to say.
+-- A raw is the integer or the count as sent, but for ieee the number, for a 64 bit integer beyond 2^53 its decimal
+-- digits, for strings and bytes the bytes; of a compressed float of seven or eight bytes -1 - n is the reserved count
+-- n.
 function M.read(message, payload)
-  local raws = message.raws
-  local reader = message.reader
-  if not reader then
-    reader = make_reader(message)
-    message.reader = reader
+  local read, raws = readers[message], raws_of[message]
+  if not read then
+    read, raws = reader.make(message), {}
+    readers[message], raws_of[message] = read, raws
   end
   local missing = message.size - #payload
-  local look = reader(missing > 0 and payload .. ("\0"):rep(missing) or payload, raws)
-  if missing > 0 then
-    for i, field in ipairs(message.fields) do
-      if field.offset + field.size > #payload then raws[i] = nil end
-    end
+  if missing <= 0 then return raws, read(payload, raws) end
+  local look = read(payload .. ("\0"):rep(missing), raws)
+  for i, field in ipairs(message.fields) do
+    if field.offset + field.size > #payload then raws[i] = nil end
   end
   return raws, look
 end
 
---- A signed 64 bit count of nanoseconds, little endian ("Time"), split exactly.
--- payload  string; offset: 0-based
--- returns  seconds, nanoseconds; both negative, or zero, for a negative time
-function M.time(payload, offset)
-  local bytes = { byte(payload, offset + 1, offset + 8) }
-  local negative = bytes[8] >= 0x80
-  if negative then -- two's complement: invert, add one
-    local carry = 1
-    for i = 1, 8 do
-      local b = 0xFF - bytes[i] + carry
-      carry = b > 0xFF and 1 or 0
-      bytes[i] = b % 0x100
-    end
-  end
-  -- Long division by 10^9, a byte a step: no intermediate leaves the exact range of a double.
-  local seconds, rest = 0, 0
-  for i = 8, 1, -1 do
-    rest = rest * 0x100 + bytes[i]
-    local nanoseconds = rest % 1000000000
-    seconds = seconds * 0x100 + (rest - nanoseconds) / 1000000000
-    rest = nanoseconds
-  end
-  seconds = integer(seconds)
-  if negative then return -seconds, -rest end
-  return seconds, rest
-end
+--- A signed 64 bit count of nanoseconds ("Time"): seconds, nanoseconds, see yapp_decode_numbers.
+M.time = numbers.time
+
+-- Values ------------------------------------------------------------------------------------------------------------
 
 -- Compressed floats: floatN <min; max> has counts 0 .. top, top = 2^N - 1.  The five highest are reserved; the others
 -- map linearly:  value = min + count * (max - min) / (top - 5).  The document's worked examples divide by top - 4;
@@ -104,79 +59,116 @@ end
 M.MAPPING = 5
 M.WORKED_EXAMPLES = 4
 
---- Makes every compressed float of a catalogue divide by top - divisor.
--- divisor  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
-function M.use_divisor(catalogue, divisor)
-  for _, message in ipairs(catalogue.messages) do
-    for _, field in ipairs(message.fields) do
-      if field.kind == "float" then field.steps = field.top - divisor end
-    end
-  end
+local divisor = M.MAPPING
+local version = 0
+
+--- Makes every compressed float divide by top - divisor.
+-- new  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
+function M.use_divisor(new)
+  if new ~= divisor then divisor, version = new, version + 1 end
+end
+
+--- What compressed floats divide by, as top - divisor, and a number that changes with it.
+function M.divisor() return divisor, version end
+
+-- Which reserved count a count of a compressed float is (0 .. 4), nil for an ordinary one.
+local function reserved(field, raw)
+  if raw > field.ordinary then return field.top - raw end
+  if raw < 0 then return -1 - raw end
 end
 
 -- One division at the end, so that the middle of a symmetric range is 0 and not nearly 0.
 local function float(field, raw)
-  return (field.min * field.steps + raw * (field.max - field.min)) / field.steps
+  local steps = field.top - divisor
+  return (field.min * steps + raw * (field.max - field.min)) / steps
 end
 
 --- The value of a compressed float, unrounded; nil and which special (0 .. 4) for a reserved count.
 function M.float(field, raw)
-  if raw > field.top - 5 then return nil, field.top - raw end
+  local special = reserved(field, raw)
+  if special then return nil, special end
   return float(field, raw)
 end
 
---- A value at the seven digits that a count can carry, so that a filter with == 1.1 matches.
-function M.round(value)
-  return tonumber(format("%.7g", value))
+local function ieee(raw)
+  if raw ~= raw then return nil, 0 end
+  if raw - raw ~= 0 then return nil, raw > 0 and 1 or 2 end
+  return raw
 end
 
--- What is remarkable in a value of each kind: calls add(expert, text).
-local remarks_of = {}
+--- The text of a string field: up to its first NUL; where that is no UTF-8, or has control characters, what is not
+-- printable ASCII is written \xNN.
+function M.text(raw)
+  local text = raw:match("^%Z*")
+  if not text:find("[%c\128-\255]") then return text end
+  if not text:find("%c") and not utf8.ascii(text):find("[\128-\255]") then return text end
+  return (text:gsub("[%c\128-\255]", function(char) return format("\\x%02x", char:byte()) end))
+end
 
-function remarks_of.float(field, raw, add)
-  if raw > field.top - 5 then
-    add("value.special", format("%s: %s (0x%0" .. field.size * 2 .. "x)", field.title, SPECIALS[field.top - raw], raw))
+--- Bytes as hexadecimal digits.
+function M.hex(raw)
+  return (raw:gsub(".", function(char) return format("%02x", char:byte()) end))
+end
+
+--- The value of a field in its unit, unrounded.
+-- raw      from M.read
+-- returns  a number; a string for strings, bytes (hexadecimal) and integers beyond 2^53; nil where there is none, and
+--          then which special (0 .. 4, as <field>.special has it) for a float that is no number
+function M.value(field, raw)
+  if not raw then return nil end
+  local kind = field.kind
+  if kind == "float" then return M.float(field, raw) end
+  if kind == "ieee" then return ieee(raw) end
+  if field.scale then return raw * field.scale + field.zero end
+  if kind == "string" then return M.text(raw) end
+  if kind == "bytes" then return M.hex(raw) end
+  return raw
+end
+
+-- The digits that a compressed float of so many bytes can carry.
+local DIGITS = { 7, 7, 10, 10, 15, 15, 15, 15 }
+
+--- The format of a value with as many digits as its count can carry: "%.7g"; nil for ieee and what is no fraction.
+function M.format_of(field)
+  if field.kind == "float" then return "%." .. DIGITS[field.size] .. "g" end
+  return field.scale and "%.15g" or nil
+end
+
+local formats = setmetatable({}, WEAK) -- by field
+
+--- A value with the digits that its count can carry, so that a filter with == 1.1 matches.
+function M.rounded(field, value)
+  local shape = formats[field]
+  if not shape then
+    shape = M.format_of(field) or "ieee"
+    formats[field] = shape
   end
+  if shape == "ieee" then return numbers.shortest(value, field.size) end
+  return tonumber(format(shape, value))
 end
 
-function remarks_of.flags(field, raw, add)
-  if raw == 0 then return end
-  if field.alarm then add("fault.active", field.title .. ": " .. M.flag_names(field, raw)) end
-  local undefined = band(raw, field.undefined)
-  if undefined ~= 0 then add("flags.undefined", format("%s: undefined bits 0x%x", field.title, undefined)) end
+--- The value of a difference of a message, at seven digits; nil where one of its two fields has none.
+function M.difference(message, difference, raws)
+  local a, b = message.fields[difference.a], message.fields[difference.b]
+  local first, second = M.value(a, raws[difference.a]), M.value(b, raws[difference.b])
+  if not first or not second then return nil end
+  return tonumber(format("%.7g", first - second))
 end
 
-function remarks_of.uint(field, raw, add)
-  if field.values and not field.values[raw] then
-    add(field.invalid, format("%s: 0x%02x is not a value that the document defines", field.title, raw))
-  end
-end
+-- Flags -------------------------------------------------------------------------------------------------------------
 
---- What is remarkable in the values: one entry an expert item.
--- message  compiled
--- raws     from M.read
--- returns  a list of { index of field, expert, text }, nil when there is nothing
-function M.remarks(message, raws)
-  local remarks
-  local fields = message.fields
-  for i = 1, #fields do
-    local field, raw = fields[i], raws[i]
-    local values = field.values
-    if raw and (field.flags or field.ordinary and raw > field.ordinary or values and not values[raw]) then
-      remarks = remarks or {}
-      remarks_of[field.kind](field, raw, function(expert, text) remarks[#remarks + 1] = { i, expert, text } end)
-    end
-  end
-  return remarks and remarks[1] and remarks
-end
+--- The bits that two numbers of 32 bits have in common.
+M.band = band
 
 --- The bits that are set and that no flag of the field defines, as a number.
 function M.undefined(field, raw)
   return band(raw, field.undefined)
 end
 
---- The filter names of the flags that are set, undefined bits as one number: "motor_overcurrent, hall_timeout".
-function M.flag_names(field, raw)
+local MOST_NAMES = 256
+local names_of = setmetatable({}, WEAK) -- by field: { [raw] = text, count = number of texts }
+
+local function make_names(field, raw)
   local names = {}
   for _, flag in ipairs(field.flags) do
     if band(raw, flag.mask) ~= 0 then names[#names + 1] = flag.name end
@@ -186,48 +178,138 @@ function M.flag_names(field, raw)
   return concat(names, ", ")
 end
 
-local function shown(part, raw)
-  local field = part.field
-  if not raw then return "?" end
-  if field.kind == "float" then
-    if raw > field.top - 5 then return SPECIALS_SHORT[field.top - raw] end
-    return format(part.format, float(field, raw))
+--- The filter names of the flags that are set, undefined bits as one number: "motor_overcurrent, hall_timeout".
+function M.flag_names(field, raw)
+  local known = names_of[field]
+  if not known or known.count >= MOST_NAMES then
+    known = { count = 0 }
+    names_of[field] = known
   end
-  return field.values and (field.values[raw] or format("invalid 0x%x", raw)) or format("%d", raw)
+  local text = known[raw]
+  if not text then
+    text = make_names(field, raw)
+    known[raw], known.count = text, known.count + 1
+  end
+  return text
+end
+
+-- Remarks -----------------------------------------------------------------------------------------------------------
+
+-- Adds { i, expert } for what is remarkable in a value, by kind.
+local remarks_of = {}
+
+function remarks_of.float(field, raw, i, add)
+  if reserved(field, raw) then add(i, "value.special") end
+end
+
+function remarks_of.ieee(_, raw, i, add)
+  if raw - raw ~= 0 then add(i, "value.special") end
+end
+
+function remarks_of.flags(field, raw, i, add)
+  if field.alarm and band(raw, field.watched) ~= 0 then add(i, "fault.active") end
+  if M.undefined(field, raw) ~= 0 then add(i, "flags.undefined") end
+end
+
+function remarks_of.uint(field, raw, i, add)
+  if field.values and not field.values[raw] or field.cases and not field.cases[raw] then add(i, field.invalid) end
+end
+
+remarks_of.int = remarks_of.uint
+
+function remarks_of.bool(field, raw, i, add)
+  if raw > 1 or field.cases and not field.cases[raw] then add(i, field.invalid) end
+end
+
+--- What is remarkable in the values: one entry an expert item.
+-- message  compiled
+-- raws     from M.read
+-- returns  a list of { index of field, expert }, nil when there is nothing
+function M.remarks(message, raws)
+  local remarks
+  local function add(i, expert)
+    remarks = remarks or {}
+    remarks[#remarks + 1] = { i, expert }
+  end
+  for i, field in ipairs(message.fields) do
+    local raw, look = raws[i], remarks_of[field.kind]
+    if raw and look then look(field, raw, i, add) end
+  end
+  return remarks
+end
+
+-- The Info column ---------------------------------------------------------------------------------------------------
+
+-- What a field that is no fraction shows, when there is nothing special about it.
+local function usual(field, raw)
+  if field.values then return field.values[raw] end
+  if field.kind == "bool" then return raw == 0 and "false" or raw == 1 and "true" or nil end
+  if field.kind == "string" or field.kind == "bytes" then return M.value(field, raw) end
+  return type(raw) == "number" and format("%.0f", raw) or raw -- tostring has 14 digits in Lua 5.2
+end
+
+local function shown(part, raw, payload)
+  local field = part.field
+  if field.kind == "time" and payload and #payload >= field.offset + 8 then
+    return M.seconds(M.time(payload, field.offset)) .. " s"
+  end
+  if not raw then return "?" end
+  if info.is_real(field) then
+    local value, special = M.value(field, raw)
+    return special and SPECIALS_SHORT[special] or format(part.format, value)
+  end
+  return usual(field, raw) or format(field.kind == "int" and "invalid %d" or "invalid 0x%x", raw)
+end
+
+--- A time in seconds with nine digits behind the point.
+function M.seconds(seconds, nanoseconds)
+  local sign = (seconds < 0 or nanoseconds < 0) and "-" or ""
+  return format("%s%d.%09d", sign, seconds < 0 and -seconds or seconds, nanoseconds < 0 and -nanoseconds or nanoseconds)
 end
 
 -- The parts of an Info text one by one, for values that the usual format cannot show.
-local function info_in_parts(message, raws)
-  local texts = { message.title, "  " }
+local function info_in_parts(message, raws, payload)
+  local texts = {}
   for i, part in ipairs(message.info) do
-    texts[i + 2] = part.field and shown(part, raws[part.index]) or part
+    texts[i] = part.field and shown(part, raws[part.index], payload) or part
   end
   return concat(texts)
 end
 
 local values = {} -- of one Info text at a time
 
---- What the Info column says of a message.
-function M.info(message, raws)
-  local fields, text = message.info_fields, nil
+-- The text of a message with nothing special to show; nil where there is.
+local function usual_info(message, raws)
+  local fields = message.info_fields
   for i = 1, #fields do
     local part = fields[i]
     local field, raw = part.field, raws[part.index]
     local value
-    if not raw then break end
-    if field.kind ~= "float" then
-      value = field.values and field.values[raw]
-    elseif raw <= field.top - 5 then
-      value = float(field, raw)
+    if raw then
+      if field.kind == "float" then
+        if raw <= field.ordinary and raw >= 0 then value = float(field, raw) end
+      elseif field.kind == "ieee" or field.scale then
+        value = M.value(field, raw)
+      else
+        value = usual(field, raw)
+      end
     end
-    if not value then break end
+    if not value then return nil end
     values[i] = value
-    if i == #fields then text = format(message.info_format, unpack(values, 1, i)) end
   end
-  text = text or info_in_parts(message, raws)
+  return format(message.info_format, unpack(values, 1, #fields))
+end
+
+--- What the Info column says of a message.
+-- raws     from M.read; payload: the string that they are from, for times
+-- name     what the message is called; its title when left out
+function M.info(message, raws, payload, name)
+  local text = (name or message.title) .. "  " .. (usual_info(message, raws) or info_in_parts(message, raws, payload))
   for _, field in ipairs(message.alarms) do
     local raw = raws[message.index[field]]
-    if raw and raw ~= 0 then text = text .. "  " .. field.alarm .. " " .. M.flag_names(field, raw) end
+    if raw and band(raw, field.watched) ~= 0 then
+      text = text .. "  " .. field.alarm .. " " .. M.flag_names(field, raw)
+    end
   end
   return text
 end

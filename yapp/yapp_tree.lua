@@ -1,5 +1,7 @@
--- What a user sees: the fields, the expert items, the trees of YAPP and of the Taurus messages, the Info column.
+-- What a user sees of YAPP: the fields, the expert items, the tree, the Info column. The messages: yapp_tree_taurus.
 -- Wireshark's API; what is shown comes in finished, from the reassembly or the framing.
+
+local tree_taurus = require("yapp_tree_taurus")
 
 local M = {}
 
@@ -30,6 +32,10 @@ local FIELDS = {
   { "reassembled.length", "uint32", "Reassembled length", "DEC" },
   { "skipped", "bytes", "Skipped bytes" },
   { "time_delta", "relative_time", "Time since the previous message with this ID" },
+  { "bus", "string", "Bus" },
+  { "source", "string", "Source" },
+  { "message.fault", "bool", "Message has a fault flag set" },
+  { "seq.missing", "uint8", "Messages missing before this one", "DEC" },
 }
 
 -- filter, what it says by itself, group, severity
@@ -38,6 +44,9 @@ local YAPP_EXPERTS = {
   { "fragment.orphan", "Middle or End without a Start", "SEQUENCE", "WARN" },
   { "fragment.incomplete", "Message with bytes missing", "REASSEMBLE", "WARN" },
   { "fragment.overrun", "More bytes than the message's size", "REASSEMBLE", "WARN" },
+  { "fragment.duplicate", "Frame delivered twice", "SEQUENCE", "NOTE" },
+  { "unfinished", "The capture ends before the message does", "REASSEMBLE", "WARN" },
+  { "late", "A long gap before this message", "SEQUENCE", "WARN" },
   { "size.mismatch", "Payload length is not the catalogue's", "PROTOCOL", "WARN" },
   { "id.unknown", "Message ID is not in the catalogue", "UNDECODED", "NOTE" },
   { "reserved.nonzero", "Reserved bytes are not 0", "PROTOCOL", "WARN" },
@@ -46,22 +55,6 @@ local YAPP_EXPERTS = {
   { "stream.skipped", "Bytes that belong to no frame", "SEQUENCE", "NOTE" },
   { "truncated", "The capture cut the packet short", "MALFORMED", "WARN" },
 }
-local TAURUS_EXPERTS = {
-  { "fault.active", "Fault flags are set", "RESPONSE_CODE", "ERROR" },
-  { "command.key.invalid", "Key is not valid: the command is ignored", "PROTOCOL", "WARN" },
-  { "value.special", "Reserved count of a compressed float", "PROTOCOL", "NOTE" },
-  { "flags.undefined", "A bit is set that no table defines", "PROTOCOL", "NOTE" },
-  { "value.invalid", "Value that the document does not define", "PROTOCOL", "WARN" },
-}
-
-local function make_experts(proto, prefix, rows)
-  local experts = {}
-  for _, row in ipairs(rows) do
-    experts[row[1]] = ProtoExpert.new(prefix .. row[1], row[2], expert.group[row[3]], expert.severity[row[4]])
-  end
-  proto.experts = experts
-  return experts
-end
 
 local function make_yapp_fields(names)
   local fields = {}
@@ -71,7 +64,7 @@ local function make_yapp_fields(names)
     if name == "id" then values = names end
     if kind == "framenum" then
       fields[name] = ProtoField.framenum(filter, title, base.NONE)
-    elseif kind == "bytes" or kind == "none" or kind == "relative_time" then
+    elseif not row[4] then
       fields[name] = ProtoField[kind](filter, title)
     else
       fields[name] = ProtoField[kind](filter, title, base[row[4]], values)
@@ -80,94 +73,120 @@ local function make_yapp_fields(names)
   return fields
 end
 
--- The ProtoFields of one catalogue field, kept in it: pf, and special_pf, flag.pf, undefined_pf.
-local function make_taurus_field(field, specials, add)
-  local bits = field.size * 8
-  if field.kind == "float" then
-    field.pf = add(ProtoField.double(field.filter, field.title))
-    field.special_pf = add(ProtoField.uint8(field.filter .. ".special", field.title, base.DEC, specials))
-  elseif field.kind == "time" then
-    field.pf = add(ProtoField.relative_time(field.filter, field.title))
-  elseif field.kind == "flags" then
-    field.pf = add(ProtoField["uint" .. bits](field.filter, field.title, base.HEX))
-    for _, flag in ipairs(field.flags) do
-      flag.pf = add(ProtoField.bool(flag.filter, flag.title, bits, nil, flag.mask))
-    end
-    field.undefined_pf = add(ProtoField.uint32(field.undefined_filter, "Undefined bits", base.HEX))
-  else
-    field.pf = add(ProtoField["uint" .. bits](field.filter, field.title, field.values and base.HEX or base.DEC,
-      field.values))
-  end
-end
-
 local Tree = {}
 Tree.__index = Tree
 
---- Makes fields and expert items and hands them to the two protocols.
--- yapp, taurus  Proto
--- catalogue     compiled; its fields get their ProtoFields
--- decode        the module yapp_decode
--- returns       the tree builder; set its by_id ({ [id] = message }) before use
-function M.new(yapp, taurus, catalogue, decode)
-  local self = setmetatable({ yapp = yapp, taurus = taurus, decode = decode,
-    by_id = catalogue.by_id, default_names = {} }, Tree)
-  for id, message in pairs(catalogue.by_id) do self.default_names[id] = message.title end
-  self.fields = make_yapp_fields(self.default_names)
-  local list = {}
-  for _, row in ipairs(FIELDS) do list[#list + 1] = self.fields[row[1]] end
-  yapp.fields = list
-
-  list = {}
-  local function add(pf)
-    list[#list + 1] = pf
-    return pf
-  end
-  for _, message in ipairs(catalogue.messages) do
-    message.pf = add(ProtoField.none(message.filter, message.title))
-    for _, field in ipairs(message.fields) do make_taurus_field(field, self.decode.SPECIALS, add) end
-  end
-  taurus.fields = list
-  self.yapp_experts = make_experts(yapp, "yapp.", YAPP_EXPERTS)
-  self.taurus_experts = make_experts(taurus, "taurus.", TAURUS_EXPERTS)
-  return self
-end
-
--- The API asks what is wanted by dissector, and those exist only when loading has ended.
-function Tree:find_handles()
-  self.yapp_handle, self.taurus_handle = Dissector.get("yapp"), Dissector.get("taurus")
-  return self.yapp_handle
-end
-
---- Whether anyone wants the tree of YAPP, or (with_taurus) of the message too: visible, filtered or printed.
-function Tree:wanted(tree, with_taurus)
-  return tree:referenced(self.yapp_handle or self:find_handles()) or
-    with_taurus and tree:referenced(self.taurus_handle)
-end
-
---- What an ID is called: "Motor Data", "ID 0x123".
-function Tree:name(id)
-  local message = self.by_id[id]
-  return message and message.title or string.format("ID 0x%x", id)
-end
-
---- Adds an expert item of YAPP's.
-function Tree:expert(item, name, text)
-  item:add_proto_expert_info(self.yapp_experts[name], text)
-end
+local NOTHING = {} -- nobody wants any
 
 local function generated(item)
   item:set_generated()
   return item
 end
 
--- The id, with the name that the user's mapping gives it.
-function Tree:add_id(item, range, id)
+--- Makes fields and expert items and hands them to the two protocols.
+-- options  { yapp =, taurus = Proto, catalogue = compiled, decode = the module, reader = a yapp_reader }
+function M.new(options)
+  local self = setmetatable({ yapp = options.yapp, taurus = options.taurus, decode = options.decode,
+    reader = options.reader, default_names = {} }, Tree)
+  for id, message in pairs(options.catalogue.by_id) do self.default_names[id] = message.title end
+  self.fields = make_yapp_fields(self.default_names)
+  local list = {}
+  for _, row in ipairs(FIELDS) do list[#list + 1] = self.fields[row[1]] end
+  self.yapp.fields = list
+
+  self.messages = tree_taurus.new(self.taurus, options.catalogue)
+  self.yapp_experts = tree_taurus.make_experts(self.yapp, "yapp.", YAPP_EXPERTS)
+  return self
+end
+
+--- Forgets what was wanted of the file before.
+function Tree:reset()
+  self.wanted = nil
+  self.messages:reset()
+end
+
+-- What is wanted -----------------------------------------------------------------------------------------------------
+
+-- The API asks what is wanted by dissector, and those exist only when loading has ended.
+local function find_handles(self)
+  self.yapp_handle, self.taurus_handle = Dissector.get("yapp"), Dissector.get("taurus")
+  return self.yapp_handle
+end
+
+local IS_TSHARK = not gui_enabled()
+
+--- What anyone wants of a tree.
+-- is_again  whether the packet was shown before
+-- returns   { tree = whether there may be one at all, yapp = whether YAPP's own items are visible, filtered or printed,
+--           taurus = whether those of messages are }.  In tshark this does not change within a first pass, so it is
+--           asked once; in Wireshark, and on later looks of sharkd, it may.
+function Tree:wants(tree, is_again)
+  local is_steady = IS_TSHARK and not is_again
+  if is_steady and self.wanted then return self.wanted end
+  local wants = NOTHING
+  if tree.hidden then -- false where there is none; always true from 4.6 on
+    wants = { tree = true, yapp = tree:referenced(self.yapp_handle or find_handles(self)),
+      taurus = tree:referenced(self.taurus_handle or find_handles(self)) }
+  end
+  if is_steady then self.wanted = wants end
+  return wants
+end
+
+local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
+
+--- Where nobody wants YAPP's own items, but there is a tree: its name, for who asks for protocols (-z io,phs).
+-- wants       of the tree; is_message: whether there is a message's name too
+-- returns     the tree, for the expert items
+-- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
+function Tree:bare(tree, wants, is_message)
+  if wants.tree and not SAYS_PROTOCOLS and not self.reader.stat.wanted then
+    tree:add(self.yapp)
+    if is_message and not wants.taurus then tree:add(self.taurus) end
+  end
+  return tree
+end
+
+--- What an ID is called: "Motor Data", "Motor Data 0x212 (can1)", "Motor Data left_fore", "ID 0x123".
+-- bus_name  text, or nil where the capture names none
+function Tree:name(id, bus_name)
+  return self.reader:label(id, bus_name)
+end
+
+--- Adds an expert item of YAPP's.
+-- text  what there is to say of this packet: its own item, so that the expert's text is the same each time and
+--       `-z expert` can count it; nil where the expert's says all
+function Tree:expert(item, name, text)
+  if text and item.visible then item = generated(item:add(text)) end
+  item:add_proto_expert_info(self.yapp_experts[name])
+end
+
+--- Adds the id, with the name that the user's mapping gives it.
+-- range  TvbRange, nil where the CAN id has it
+function Tree:add_id(item, range, id, bus_name)
   local added = range and item:add(self.fields.id, range, id) or generated(item:add(self.fields.id, id))
-  local message = self.by_id[id]
+  local message = self.reader:message_of(id, bus_name)
   local title = message and message.title
   if title ~= self.default_names[id] then
     added:set_text(string.format("Message ID: %s (0x%08x)", title or "Unknown", id))
   end
+end
+
+--- Adds the bus and the name of the source, where there are such.
+function Tree:add_source(item, id, bus_name)
+  if bus_name then generated(item:add(self.fields.bus, bus_name)) end
+  local source = self.reader:name_of(id, bus_name)
+  if source then generated(item:add(self.fields.source, source)) end
+end
+
+--- Adds the frames that a message was put together from.
+-- tvb      of the whole; numbers: of its frames; count: of them, with any that a read filter rejected; length: in bytes
+function Tree:add_fragments(item, tvb, numbers, count, length)
+  local fields = self.fields
+  local list = generated(item:add(fields.fragments, tvb()))
+  list:set_text(("%d fragments (%d bytes)"):format(count, length))
+  for _, number in ipairs(numbers) do generated(list:add(fields.fragment, number)) end
+  generated(list:add(fields["fragment.count"], count))
+  generated(list:add(fields["reassembled.length"], length))
 end
 
 --- Adds a CRC with its status, and the expert item when it is bad.
@@ -193,83 +212,26 @@ end
 
 --- Says that a CRC is bad, with what was received and expected.
 function Tree:bad_crc(item, message)
-  self:expert(item, "crc.bad", string.format("Bad CRC: received 0x%08x, expected 0x%08x",
+  self:expert(item, "crc.bad", string.format("Received 0x%08x, expected 0x%08x",
     message.crc, message.calculated))
 end
 
---- Adds a time since the previous message, in seconds.
-function Tree:add_delta(item, seconds)
-  if not seconds then return end
-  local negative = seconds < 0
+-- Seconds as a double, to the nanosecond.
+local function relative_time(seconds)
   local nanoseconds = string.format("%.0f", math.abs(seconds) * 1e9)
   local whole, rest = tonumber(nanoseconds:sub(1, -10)) or 0, tonumber(nanoseconds:sub(-9))
-  if negative then whole, rest = -whole, -rest end
-  generated(item:add(self.fields.time_delta, NSTime.new(whole, rest)))
+  if seconds < 0 then whole, rest = -whole, -rest end
+  return NSTime.new(whole, rest)
 end
+M.relative_time = relative_time
 
--- Taurus --------------------------------------------------------------------------------------------------------
-
-local adders = {}
-
-function adders.float(self, parent, range, field, raw)
-  local value, special = self.decode.float(field, raw)
-  if value then
-    local item = parent:add(field.pf, range, self.decode.round(value))
-    if field.unit then item:append_text(" " .. field.unit) end
-    return item
-  end
-  local item = parent:add(field.special_pf, range, special)
-  item:set_text(string.format("%s: %s (0x%0" .. field.size * 2 .. "x)", field.title,
-    self.decode.SPECIALS[special], raw))
-  return item
-end
-
-function adders.uint(_, parent, range, field)
-  local item = parent:add_le(field.pf, range)
-  if field.unit then item:append_text(" " .. field.unit) end
-  return item
-end
-
-function adders.flags(self, parent, range, field, raw)
-  local item = parent:add_le(field.pf, range)
-  if raw ~= 0 then item:append_text(" (" .. self.decode.flag_names(field, raw) .. ")") end
-  for _, flag in ipairs(field.flags) do item:add_le(flag.pf, range) end
-  local undefined = self.decode.undefined(field, raw)
-  if undefined ~= 0 then item:add(field.undefined_pf, range, undefined) end
-  return item
-end
-
-function adders.time(self, parent, range, field, _, payload)
-  return parent:add(field.pf, range, NSTime.new(self.decode.time(payload, field.offset)))
-end
-
--- Whether a field is wanted when the tree is built but not shown: it, or one of those below it.
-local function field_wanted(tree, field)
-  if tree:referenced(field.pf) then return true end
-  if field.special_pf then return tree:referenced(field.special_pf) end
-  if field.flags then
-    for _, flag in ipairs(field.flags) do
-      if tree:referenced(flag.pf) then return true end
-    end
-    return tree:referenced(field.undefined_pf)
-  end
-  return false
-end
-
--- The tree of a message; returns the items by index of field, for the remarks.
-function Tree:taurus_tree(tree, tvb, at, message, raws, payload)
-  local length = math.min(message.size, #payload)
-  local top = tree:add(self.taurus, tvb(at, length))
-  top:set_text("Taurus " .. message.title)
-  top:add(message.pf, tvb(at, length)):set_hidden()
-  local all, items = tree.visible, {}
-  for i, field in ipairs(message.fields) do
-    if field.offset + field.size > #payload then break end
-    if all or field_wanted(tree, field) then
-      items[i] = adders[field.kind](self, top, tvb(at + field.offset, field.size), field, raws[i], payload)
-    end
-  end
-  return items, top
+--- Adds what YAPP's own item says of a message's history: the time since the previous one, messages that are missing.
+-- message  of yapp_reader
+function Tree:add_delta(item, message)
+  local change, fields = message.change or {}, self.fields
+  if change.delta then generated(item:add(fields.time_delta, relative_time(change.delta))) end
+  if change.missing then generated(item:add(fields["seq.missing"], change.missing)) end
+  if message.has_fault then generated(item:add(fields["message.fault"], true)) end
 end
 
 --- A number of bytes in words: "1 byte", "2 bytes".
@@ -277,35 +239,38 @@ function Tree.bytes(count)
   return count == 1 and "1 byte" or ("%d bytes"):format(count)
 end
 
---- Shows a payload: the message of the catalogue, or bytes.
--- tree, item  where the Taurus tree goes, and YAPP's own item
--- id          message ID; payload: string, may be shorter than the message where the capture cut it
--- tvb, at     where the payload lies; nil when nobody wants a tree
--- size        the size of the message; the payload is shorter where the capture cut it
--- returns     what the Info column says of it
-function Tree:payload(tree, item, id, payload, tvb, at, size)
-  local message, decode = self.by_id[id], self.decode
-  if not message or size ~= message.size then
-    if tvb and #payload > 0 then item:add(self.fields.payload, tvb(at, #payload)) end
-    if not message then
-      self:expert(item, "id.unknown", string.format("Message ID 0x%x is not in the catalogue", id))
-      return string.format("ID 0x%x  %s", id, Tree.bytes(#payload))
-    end
-    self:expert(item, "size.mismatch", string.format("%s has %s, the catalogue says %d",
-      message.title, Tree.bytes(size), message.size))
-    return string.format("%s  %s, not %d", message.title, Tree.bytes(size), message.size)
+-- A message that is not in the catalogue, or not as it is there: bytes.
+local function show_bytes(self, m)
+  local size = Tree.bytes(m.size)
+  if m.wanted and m.tvb and #m.payload > 0 then m.item:add(self.fields.payload, m.tvb(m.at, #m.payload)) end
+  local name = self:name(m.id, m.bus)
+  if not m.message then
+    local text, info = self.reader:hint(m)
+    self:expert(m.item, "id.unknown", text)
+    return ("%s  %s%s"):format(name, Tree.bytes(#m.payload), info or "")
   end
-  local raws, look = decode.read(message, payload)
-  local items, top = {}, item
-  if tvb and #payload > 0 then items, top = self:taurus_tree(tree, tvb, at, message, raws, payload) end
-  local remarks = look and decode.remarks(message, raws)
-  if remarks then
-    for _, remark in ipairs(remarks) do
-      local target = items[remark[1]] or top
-      target:add_proto_expert_info(self.taurus_experts[remark[2]], remark[3])
-    end
+  self:expert(m.item, "size.mismatch", ("%s has %s, the catalogue says %d"):format(name, size, m.message.size))
+  return ("%s  %s, not %d"):format(name, size, m.message.size)
+end
+
+--- Shows a finished message: the message of the catalogue, or bytes.
+-- m        of yapp_reader, with { tree = where the Taurus tree goes, item = YAPP's own item or the tree, wanted =
+--          whether there is one, tvb and at = where the payload lies, tvb nil where nobody wants a tree }
+-- returns  what the Info column says of it
+function Tree:payload(m)
+  if m.wanted then self:add_delta(m.item, m) end
+  local change = m.change
+  if change and change.late then
+    self:expert(m.item, "late", ("%.3f s since the previous one"):format(change.late))
   end
-  return decode.info(message, raws)
+  if not m.raws then return show_bytes(self, m) end
+  if #m.payload == 0 then m.tvb = nil end
+  local name = self:name(m.id, m.bus)
+  m.label = name ~= m.message.title and name or nil
+  m.is_steady = IS_TSHARK and not m.visited
+  local top = self.messages:show(m.tree, m.item, m)
+  if change then self.messages:add_change(top or m.item, m, top ~= nil) end
+  return self.decode.info(m.message, m.raws, m.payload, name)
 end
 
 return M

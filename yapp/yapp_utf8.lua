@@ -16,4 +16,31 @@ function M.ascii(text)
   return text
 end
 
+--- Whether the text is UTF-8 without control characters.
+function M.is_printable(text)
+  return not M.ascii(text):find("[%c\128-\255]")
+end
+
+-- A character that may be printed, or several of ASCII; nil where there is none.
+local function printable_at(text, at)
+  local ascii = text:match("^[^%c\128-\255]+", at)
+  if ascii then return ascii end
+  for _, character in ipairs(CHARACTERS) do
+    local found = text:match("^" .. character, at)
+    if found then return found end
+  end
+end
+
+--- The text fit to be printed: "\xNN" for each byte of a control character, and each that is no UTF-8.
+function M.printable(text)
+  if M.is_printable(text) then return text end
+  local parts, at = {}, 1
+  while at <= #text do
+    local part = printable_at(text, at)
+    parts[#parts + 1] = part or ("\\x%02X"):format(text:byte(at))
+    at = at + #(part or "?")
+  end
+  return table.concat(parts)
+end
+
 return M

@@ -19,8 +19,8 @@ TSHARK = os.environ.get("TSHARK", "tshark")
 
 REGISTER = """
 package.path = "%s/yapp/?.lua;" .. package.path
-local reader = require("yapp_candump_reader")
-reader.register(require("yapp_candump"))
+local reader = require("yapp_file_candump_reader")
+reader.register(require("yapp_file_candump"))
 io.stderr:write("reader registered\\n")
 """
 
@@ -225,6 +225,31 @@ def test_names_of_buses_are_shown_once(tmp_path):
         comments = run(tmp_path, [*extra, "-r", path, "-T", "fields", "-e", "frame.comment"])[1].splitlines()
         assert comments[:2] == ["Interface index 0 is can0", "Interface index 1 is vcan0"]
         assert not any(comments[2:])
+
+
+def test_names_of_buses_are_text(tmp_path):
+    """A name that is no UTF-8, or has control characters, reaches no comment as it is."""
+    path = tmp_path / "names.log"
+    path.write_bytes(b"(1700000000.000001) can\xff 123#11\n(1700000000.000002) v\x01\xc3\xbcn 123#11\n" * 2)
+    comments = run(tmp_path, ["-r", path, "-T", "fields", "-e", "frame.comment"])[1].splitlines()
+    assert [comment.replace("\\\\", "\\") for comment in comments] == [
+        r"Interface index 0 is can\xFF", r"Interface index 1 is v\x01ün", "", ""]
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-16-le"])
+def test_utf16(tmp_path, encoding):
+    """What PowerShell's > makes of candump's output."""
+    path = tmp_path / "powershell.log"
+    text = (CAPTURES / "candump_log_two_buses.log").read_text().replace("\n", "\r\n")
+    path.write_bytes(("\ufeff" * (encoding == "utf-16-be") + text).encode(encoding))
+    for extra in ([], ["-2"], ["-2", "-R", "sll.ifindex == 1"]):
+        shown = rows(tmp_path, [*extra, "-r", path])
+        times = stamps(ABSOLUTE, len(TWO_BUSES))
+        first, step = (1, 2) if "-R" in extra else (0, 1)
+        assert_frames(shown, TWO_BUSES[first::step], times[first::step])
+    plain = tmp_path / "plain.log"
+    plain.write_bytes((CAPTURES / "candump_log_plain.log").read_text().encode(encoding))
+    assert_frames(rows(tmp_path, ["-r", plain]), MESSAGE, stamps(ABSOLUTE, 5))
 
 
 def test_lost_frames_are_shown(tmp_path):

@@ -55,7 +55,7 @@ def planted(folder, monkeypatch):
         shutil.rmtree(home, ignore_errors=True)
 
 
-DISSECTOR = ("yapp/yapp_stream.lua", "function Stream:feed")
+DISSECTOR = ("yapp/yapp_serial_stream.lua", "function Stream:feed")
 INIT = ("yapp.lua", "function yapp.init")
 
 
@@ -80,9 +80,9 @@ def test_an_error_of_the_first_pass_alone_is_seen(planted, way):
 
 # What is planted, into which capture's decoding, and what the fuzzer is to say; limits are lower, to see them soon.
 PLANTED = {
-    "reader": ("yapp/yapp_candump_reader.lua", "local function fill", 'error("planted")', "candump_log2long.txt",
+    "reader": ("yapp/yapp_file_candump_reader.lua", "local function fill", 'error("planted")', "candump_log2long.txt",
                "FileHandler"),
-    "dump reader": ("yapp/yapp_dump_reader.lua", "local function fill", 'error("planted")',
+    "dump reader": ("yapp/yapp_file_dump_reader.lua", "local function fill", 'error("planted")',
                     "fuzz_dump_of_another_size.yapp", "FileHandler"),
     "load": ("yapp/yapp_crc.lua", "local M", 'error("planted")', "document_udp.pcap", "Lua:"),
     "init": (*INIT, 'error("planted")', "document_udp.pcap", "planted"),

@@ -97,13 +97,59 @@ def test_the_same_script_twice(home):
     the_one_line(load(home, *arguments, *arguments))
 
 
-def test_two_versions_in_plugin_folders(home):
-    """Wireshark knows a plugin's file by its name and runs the first alone, without a word."""
-    install(home / PLUGINS / "yapp-1", version="1")
-    install(home / PLUGINS / "yapp-2", version="2")
-    assert load(home) == []
-    _, loaded = the_one_line(load(home, *script(install(home / "new"))))
-    assert "yapp-1" in loaded and "1-" in loaded
+def old_version(folder):
+    """A copy that does not look for others, as 1.0.0 did not."""
+    install(folder, version="old")
+    (folder / "yapp/yapp_copies.lua").unlink()
+    entry = folder / "yapp.lua"
+    text = entry.read_text()
+    assert 'require("yapp_copies").tell(plugin)\n' in text
+    entry.write_text(text.replace('require("yapp_copies").tell(plugin)\n', ""))
+
+
+@pytest.mark.parametrize("first, second", [(install, install), (old_version, install), (install, old_version)])
+def test_two_copies_in_plugin_folders(home, first, second):
+    """Wireshark knows a plugin's file by its name and runs the first alone, without a word; the plugin has one."""
+    first(home / PLUGINS / "yapp-1")
+    second(home / PLUGINS / "yapp-2")
+    refused, loaded = the_one_line(load(home))
+    assert "yapp-2" in refused and "yapp-1" in loaded
+
+
+def test_a_copy_in_the_former_plugin_folder(home):
+    install(home / PLUGINS / "yapp")
+    install(home / ".config/wireshark/plugins/yapp")
+    refused, loaded = the_one_line(load(home))
+    assert ".config" in refused and PLUGINS in loaded
+
+
+def clone(folder):
+    install(folder)
+    (folder / "tests/unit").mkdir(parents=True)
+
+
+def test_a_clone_in_a_plugin_folder(home):
+    clone(home / PLUGINS / "clone")
+    errors = load(home)
+    assert len(errors) == 1 and "clone of the repository" in errors[0] and "make install" in errors[0]
+
+
+@pytest.mark.parametrize("name", ["a-clone", "z-clone"])
+def test_a_clone_beside_an_installation(home, name):
+    clone(home / PLUGINS / name)
+    install(home / PLUGINS / "yapp")
+    errors = load(home)
+    assert any(name in line and "make install" in line for line in errors), errors
+    assert sum("is not loaded" in line for line in errors) == 1
+
+
+def test_about_plugins(home):
+    """Version and description of Help, About, Plugins."""
+    install(home / PLUGINS / "yapp")
+    load(home)  # sets the rights
+    done = tshark.run("-G", "plugins", plugin=False, env={"HOME": str(home)})
+    line, = (line.split("\t") for line in done.stdout.splitlines() if line.startswith("yapp.lua"))
+    assert line[1] == tshark.plugin_version()
 
 
 def test_a_clone_in_the_plugin_folder(home):

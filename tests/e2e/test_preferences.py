@@ -167,7 +167,7 @@ BROKEN = [
     ('name = "health"', 'name = "Health"', 'message 3: name "Health" is not a filter name', "Health"),
     ('name = "health", title = "Health"', 'name = "health"', "message health: the title is missing", "Health"),
     ('{ "enabled", 0x20000,', '{ "enabled", 0x10000,',
-     "message motor, field status_flags: flag enabled: bit 0x10000 is already another flag's", "Motor Data"),
+     "message motor, field status_flags: flag enabled: bit 0x10000 is already another's", "Motor Data"),
     ('{ "faulted", 0x20,', '{ "faulted", 0x100,',
      "message motor, field motor_state: flag faulted: mask 256 does not fit", "Motor Data"),
     ('{ "faulted", 0x20,', '{ "ready", 0x20,', "message motor, field motor_state: flag ready: the name is taken",

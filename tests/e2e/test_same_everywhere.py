@@ -144,13 +144,13 @@ def test_buses_never_mix(kind, passes, folder):
 @pytest.mark.parametrize("first", [Frame(0x123, bytes(8), kind="standard"), remote(0x08404000, 8)], ids=["11 bits", "remote"])
 def test_decode_as_leaves_others_alone_from_the_first_frame_on(first, passes, folder):
     path = written(folder, [first, *Sent(0x210, 0, 0, MOTOR).frames()])
-    lines = tshark.run("-r", path, *passes, "-d", "can.subdissector,yapp").stdout.splitlines()
+    lines = tshark.run("-r", path, *passes, "-d", "can.subdissector,yapp_all").stdout.splitlines()
     assert "YAPP" not in lines[0] and all("YAPP" in line for line in lines[1:])
 
 
 def test_decode_as_in_two_passes_has_the_first_message(folder):
     path = written(folder, Sent(0x300, 2, 0, MOTOR).frames())
-    rows = shown(path, "yapp.crc.status", passes=("-2", "-d", "can.subdissector,yapp"))
+    rows = shown(path, "yapp.crc.status", passes=("-2", "-d", "can.subdissector,yapp_all"))
     assert rows == [[""], [""], [""], [""], ["1"]]
 
 
@@ -227,7 +227,7 @@ def test_a_number_that_nobody_was_asked_about(before, read_filter, folder):
 @levels.each_once
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
 @pytest.mark.parametrize("layout", ["plain", "interfaces", "sll", "sll2"])
-@pytest.mark.parametrize("arguments", [("-d", "can.subdissector,yapp"), can_generator.EVERY_EXTENDED], ids=["Decode As", "all"])
+@pytest.mark.parametrize("arguments", [("-d", "can.subdissector,yapp_all"), can_generator.EVERY_EXTENDED], ids=["Decode As", "all"])
 def test_malformed_frames_of_known_ids(arguments, layout, passes, folder):
     frames = [*Sent(0x210, 0, 0, MOTOR).frames(), remote(0, 7), *Sent(0x210, 0, 0, bytes(32)).frames(),
               Frame(0x08000000, bytes(3)), Frame(0x08404000, b"abc"), *Sent(0x210, 0, 0, MOTOR).frames()]
@@ -309,7 +309,7 @@ def test_interfaces_with_high_numbers(interface, folder):
 
 @levels.each_once
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
-@pytest.mark.parametrize("arguments", [("-d", "can.subdissector,yapp"), can_generator.EVERY_EXTENDED, ()],
+@pytest.mark.parametrize("arguments", [("-d", "can.subdissector,yapp_all"), can_generator.EVERY_EXTENDED, ()],
                          ids=["Decode As", "all", "default"])
 def test_ids_in_the_byte_order_of_the_machine(arguments, passes, folder):
     """Old captures have them so; a preference of SocketCAN says it."""

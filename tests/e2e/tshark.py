@@ -29,6 +29,11 @@ def version():
 
 
 @functools.lru_cache(None)
+def plugin_version():
+    return re.search(r'^local VERSION = "(.*)"', (PLUGIN / "yapp.lua").read_text(), re.MULTILINE)[1]
+
+
+@functools.lru_cache(None)
 def _user():
     # As root, 4.4 and later ignore Lua plugins without a word.
     return {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 and version() >= (4, 4) else {}

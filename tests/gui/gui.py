@@ -56,7 +56,8 @@ def wait_for(condition, seconds=60):
 class Wireshark:
     """with Wireshark(arguments) as wireshark: a running Wireshark, with the plugin loaded by the route of the tests."""
 
-    def __init__(self, *arguments, plugin=tshark.PLUGIN, route=tshark.ROUTE):
+    def __init__(self, *arguments, plugin=tshark.PLUGIN, route=tshark.ROUTE, profile=None):
+        """profile: a folder; it is there, beside the default one, which is used unless the arguments say otherwise"""
         self.arguments, self.processes = list(map(str, arguments)), []
         self.home = pathlib.Path(tempfile.mkdtemp(prefix="yapp-gui-"))
         installed = self.home / ".local/lib/wireshark/plugins/yapp"
@@ -69,6 +70,9 @@ class Wireshark:
         (config / "preferences").write_text(PREFERENCES)
         (config / "recent").write_text(PROFILE_RECENT)
         (config / "recent_common").write_text(RECENT)
+        if profile:
+            shutil.copytree(profile, config / "profiles" / profile.name)
+            (config / "profiles" / profile.name / "recent").write_text("gui.toolbar_main_show: FALSE\n")
         self.stderr_path = self.home / "stderr"
         self.user = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}
         if self.user:
@@ -181,6 +185,23 @@ class Wireshark:
 
     def stderr(self):
         return self.stderr_path.read_text(errors="replace")
+
+    def words(self, area="", scale=300):
+        """The words that can be read in an area of the screen, WxH+X+Y, in one text."""
+        path = self.home / "words.png"
+        self.picture(path)
+        crop = ["-crop", area, "+repage"] if area else []
+        subprocess.run(["convert", path, *crop, "-colorspace", "gray", "-scale", f"{scale}%", path], check=True)
+        done = subprocess.run(["tesseract", path, "-", "--psm", "11"], capture_output=True, text=True, check=True)
+        return " ".join(done.stdout.split())
+
+    def pixels(self, colour):
+        """How many pixels of the screen have a colour, #rrggbb."""
+        path = self.home / "pixels.png"
+        self.picture(path)
+        done = subprocess.run(["convert", path, "-fill", "black", "+opaque", colour, "-fill", "white", "-opaque", colour,
+                               "-format", "%[fx:mean*w*h]", "info:"], capture_output=True, text=True, check=True)
+        return round(float(done.stdout))
 
     def picture(self, path):
         subprocess.run(["import", "-window", "root", path], env=self.environment, check=True)

@@ -177,3 +177,33 @@ def test_a_missing_filter_is_seen(captures):
         wireshark.filter("taurus.no_such_field")
         wireshark.keys("Escape", "ctrl+Home")
         wireshark.tree("Frame 1:")
+
+
+def text_of(wireshark, title):
+    """The text of a window of ours."""
+    wireshark.wait_for_window(title)
+
+    def read():
+        wireshark.clipboard("-i")
+        wireshark.keys("Tab", "ctrl+a", "ctrl+c")
+        return wireshark.clipboard()
+    return gui.wait_for(read, 20)
+
+
+def test_a_statistic_in_a_window(captures):
+    with gui.Wireshark("-r", captures / "first.pcap", "-z", "yapp,check,fault=0,crc=0") as wireshark:
+        text = text_of(wireshark, "YAPP Check")
+        assert "FAILED  fault=0" in text and "YAPP check: FAILED" in text
+        assert wireshark.wireshark.poll() is None
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+def test_statistics_in_the_menu(captures):
+    with gui.Wireshark("-r", captures / "first.pcap") as wireshark:
+        wireshark.wait_for_window("first.pcap")
+        # Tools, its last entry YAPP: Check, Events, Export tables, Faults
+        wireshark.press("alt+t", "Up", "Right", "Down", "Down", "Down", "Return",
+                        until=lambda: any("YAPP Faults" in title for title in wireshark.windows().values()))
+        text = text_of(wireshark, "YAPP Faults")
+        assert "YAPP faults: 2 changes" in text and "motor_overcurrent" in text
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()

@@ -37,27 +37,58 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { info = "{g}" }, 'message m: info names a field "g"' },
     { { info = "{f:%d}" }, "message m: info: the format" },
     { { [1] = 5 }, "message m, field 1: a field is a row" },
+    { { rate = 5 }, 'message m: unknown option "rate"; a message has answers, differences, every, id, info, name' },
+    { { every = 0 }, "message m: every 0 is not a period" }, { { every = "1" }, 'message m: every "1" is not' },
+    { { answers = "A b" }, 'message m: answers "A b" is not the name of a message' },
+    { { differences = 5 }, "message m: differences must be a list" },
+    { { differences = { { "d", "f", "g", "D" } } }, 'message m: difference d: "g" is no field of numbers' },
+    { { differences = { { "d", "f", "f" } } }, "message m: difference d has no title" },
+    { { differences = { { "f", "f", "f", "D" } } }, "message m, field f: the filter name taurus.m.f is taken" },
+    { { [1] = { "f", "int64_ns", "F" }, [2] = { "clock_drift", "uint8", "C" }, size = 9 },
+      "message m, field clock_drift: the filter name taurus.m.clock_drift is taken" },
     { { [2] = { "f", "uint8", "F" }, size = 2 }, "message m, field f: the name is there twice" },
   } do
     local compiled, problems = catalogue.compile { message(row[1]) }
     lu.assertStrContains(problems[1] or "nothing", row[2])
-    lu.assertEquals(#compiled.messages, 0)
+    lu.assertEquals({ #compiled.messages, #problems }, { 0, 1 }, row[2])
   end
 end
 
 function T.test_what_is_wrong_with_a_field_is_said()
   for _, row in ipairs {
     { { [1] = "F" }, 'field 1: "F" is not a filter name' }, { { [1] = false }, "field 1: false is not a filter name" },
-    { { [2] = "int8" }, 'field f: unknown type "int8"' }, { { [2] = false }, "field f: unknown type false" },
+    { { [2] = "int7" }, 'field f: unknown type "int7"; the types are bool, bytes, float8, float16' },
+    { { [2] = false }, "field f: unknown type false" },
     { { [3] = "" }, "field f: the title" },
-    { { unit = 5 }, "field f: unit" }, { { alarm = "FAULT" }, "field f: alarm" },
+    { { unit = 5 }, "field f: unit" }, { { group = "g" }, "field f: group is for" },
+    { { alarm = "FAULT" }, "field f: alarm" },
     { { [2] = "float8" }, "field f: float8 needs min and max" },
     { { [2] = "float8", min = 1, max = 1 }, "field f: float8 needs min and max" },
     { { [2] = "float8", min = 2, max = 1 }, "field f: float8 needs min and max" },
     { { [2] = "float8", min = 0, max = math.huge }, "field f: float8 needs min and max" },
     { { [2] = "float8", min = 0 / 0, max = 1 }, "field f: float8 needs min and max" },
     { { [2] = "float8", min = "0", max = 1 }, "field f: float8 needs min and max" },
-    { { [2] = "float8", min = 0, max = 1, values = {} }, "field f: values and flags are for unsigned integers" },
+    { { [2] = "float8", min = 0, max = 1, values = {} }, 'field f: unknown option "values"; type float8 has count' },
+    { { units = "V" }, 'field f: unknown option "units"; type uint8 has alarm, bits, count' },
+    { { [4] = "V" }, "field f: unknown option 4" },
+    { { [2] = "int64_ns", unit = "s" }, 'unknown option "unit"; type int64_ns has none', 8 },
+    { { scale = 0 }, "field f: scale 0 is not" }, { { scale = "x" }, 'field f: scale "x" is not' },
+    { { offset = 1 / 0 }, "field f: offset" },
+    { { scale = 2, values = {} }, "field f: a field has a scale, or values" },
+    { { count = 0 }, "field f: count 0 is not" }, { { count = 1025 }, "field f: count 1025 is not" },
+    { { count = 2, flags = {}, group = "g" }, "field f: flags and bits are not for an array" },
+    { { [2] = "string" }, "field f: string needs a length" }, { { [2] = "bytes", length = 0 }, "bytes needs a" },
+    { { [2] = "padding" }, "field f: padding needs a length" },
+    { { [2] = "variants", by = "g", cases = {} }, 'field f: by "g" is not an earlier' },
+    { { bits = 5 }, "field f: bits must be a list" }, { { bits = { 5 } }, "field f: bits 1: 5 is not" },
+    { { bits = { { "a", 5, "A" } } }, "field f: bits a: the bits of mask 0x5 are not side by" },
+    { { bits = { { "a", 3, "A" }, { "b", 2, "B" } } }, "field f: bits b: bit 0x2 is already another's" },
+    { { bits = { { "a", 256, "A" } } }, "field f: bits a: mask 256 does not fit" },
+    { { bits = { { "a", 3, "A", values = { [4] = "x" } } } }, "field f: value 4 does not fit" },
+    { { bits = { { "a", 3, "A", min = 1 } } }, 'field f: unknown option "min"; bits a has invalid' },
+    { { bits = { { "a", 3, "A" } },
+      flags = { { "x", 1, "X" } }, group = "g" }, "bits a: bit 0x1 is already" },
+    { { [2] = "int8", values = { [128] = "x" } }, "field f: value 128 does not fit the type int8" },
     { { values = 5 }, "field f: values must be a table" },
     { { values = { [256] = "x" } }, "field f: value 256" }, { { values = { [-1] = "x" } }, "field f: value -1" },
     { { values = { x = "x" } }, 'field f: value "x"' }, { { values = { [1] = 5 } }, "field f: value 1 has no meaning" },
@@ -72,9 +103,10 @@ function T.test_what_is_wrong_with_a_field_is_said()
     { { flags = { { "undefined", 1, "A" } }, group = "g" }, "field f: flag undefined: the name is taken" },
     { { flags = { { "a", 3, "A" }, { "b", 2, "B" } }, group = "g" }, "field f: flag b: bit 0x2 is already another" },
   } do
-    local compiled, problems = catalogue.compile { message(nil, row[1]) }
-    lu.assertStrContains(problems[1] or "nothing", "message m, " .. row[2])
-    lu.assertEquals(#compiled.messages, 0)
+    local compiled, problems = catalogue.compile { message(row[3] and { size = row[3] }, row[1]) }
+    lu.assertStrContains(problems[1] or "nothing", row[2])
+    lu.assertStrContains(problems[1] or "nothing", "message m, field ")
+    lu.assertEquals({ #compiled.messages, #problems }, { 0, 1 }, row[2])
   end
 end
 

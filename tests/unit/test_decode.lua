@@ -10,8 +10,8 @@ local function field(kind, min, max)
   local compiled, problems = catalogue.compile {
     { name = "m", title = "M", id = 1, size = kind == "float16" and 2 or 1, { "f", kind, "F", min = min, max = max } } }
   lu.assertEquals(problems, {})
-  decode.use_divisor(compiled, decode.MAPPING)
-  return compiled.messages[1].fields[1], compiled
+  decode.use_divisor(decode.MAPPING)
+  return compiled.messages[1].fields[1]
 end
 
 function T.test_floats()
@@ -61,18 +61,20 @@ function T.test_every_count()
 end
 
 function T.test_the_divisor_of_the_worked_examples()
-  local f, compiled = field("float16", -200, 200)
-  decode.use_divisor(compiled, decode.WORKED_EXAMPLES)
+  local f = field("float16", -200, 200)
+  decode.use_divisor(decode.WORKED_EXAMPLES)
   lu.assertAlmostEquals(decode.float(f, 32847), 0.4975, 0.0005)
-  f, compiled = field("float16", -100000, 100000)
-  decode.use_divisor(compiled, decode.WORKED_EXAMPLES)
+  f = field("float16", -100000, 100000)
+  decode.use_divisor(decode.WORKED_EXAMPLES)
   lu.assertAlmostEquals(decode.float(f, 33011), 749.26, 0.005)
+  decode.use_divisor(decode.MAPPING)
 end
 
 function T.test_rounding()
-  lu.assertTrue(decode.round(1.1000000001) == 1.1)
-  lu.assertTrue(decode.round(-0.12345678) == -0.1234568)
-  lu.assertTrue(decode.round(0) == 0)
+  local f = field("float16", -10, 5)
+  lu.assertTrue(decode.rounded(f, 1.1000000001) == 1.1)
+  lu.assertTrue(decode.rounded(f, -0.12345678) == -0.1234568)
+  lu.assertTrue(decode.rounded(f, 0) == 0)
 end
 
 local function bytes(hex) return (hex:gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)) end
@@ -104,7 +106,6 @@ end
 -- The real catalogue ------------------------------------------------------------------------------------------------
 
 local TAURUS = catalogue.compile(dofile("taurus_fields.lua"))
-decode.use_divisor(TAURUS, decode.MAPPING)
 local MOTOR, COMMAND = TAURUS.by_id[0x210], TAURUS.by_id[0]
 local EXAMPLE = bytes("FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000000E38CD23CE04E000005FF")
 

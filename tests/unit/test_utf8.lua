@@ -25,4 +25,15 @@ function T.test_nothing_is_joined()
   lu.assertEquals(utf8.ascii("\224\194\176\160\128"), "\224?\160\128")
 end
 
+function T.test_printable()
+  for text, expected in pairs {
+    [""] = "", ["can0"] = "can0", ["\195\188 \240\144\128\128"] = "\195\188 \240\144\128\128",
+    ["a\255b\0c\127"] = "a\\xFFb\\x00c\\x7F", ["\194\133"] = "\\xC2\\x85", ["\195"] = "\\xC3",
+    ["\195\195\188"] = "\\xC3\195\188", ["\237\160\128\n"] = "\\xED\\xA0\\x80\\x0A",
+  } do
+    lu.assertEquals(utf8.printable(text), expected)
+    lu.assertEquals(utf8.is_printable(text), text == expected)
+  end
+end
+
 return T

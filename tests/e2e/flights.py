@@ -1,0 +1,423 @@
+"""Flights: captures of buses with motor controllers and planted events, with their truth, from a seed.
+
+    flight = flights.make(seed)
+    flight.write(path, form)      "pcapng" (a named interface each bus), "sll2" (an index each bus), "candump" (a log)
+    flight.arguments(form)        the preferences that go with it
+    flight.truth(form)            {"events": [...], "faults": [...], "summary": [...]}, as docs name the JSON lines
+    flight.rows(form)             the good messages of known IDs: what CSV has
+
+The truth is worked out from what was sent and what was planted, by the rules of the public names: nothing in it was ever
+read from a capture.  What could be read in two ways is not planted: between two losses of a source an intact message comes.
+"""
+import collections
+import dataclasses
+import random
+import struct
+
+import model
+from can_generator import END, MIDDLE, SINGLE, START, Frame, Sent, message_crc
+
+SECOND = 1_000_000_000
+EVERY = {"command": 0.2, "motor": 0.1, "health": 0.5}  # periods; a gap above LATE of them is a silence
+LATE = 2.5
+FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
+KIND = {name: ident for ident, (name, _, _) in model.MESSAGES.items()}
+FORMS = ["pcapng", "sll2", "candump"]
+
+
+@dataclasses.dataclass
+class Message:
+    """A message as it was sent, and what became of it."""
+    sender: "Sender"
+    at: int  # ns since 1970
+    seq: int
+    payload: bytes
+    fate: str = "good"      # or crc; lost Start, Middle, End: the frame that is not in the capture
+    frames: list = dataclasses.field(default_factory=list)  # those that are in the capture, in order
+    cut: bool = False       # the capture ended before the message did
+
+    @property
+    def is_good(self):
+        return self.fate == "good" and not self.cut and bool(self.frames)
+
+
+@dataclasses.dataclass(eq=False)
+class Placed(Frame):
+    at: int = 0
+    number: int = 0
+
+
+class Sender:
+    """One ID on one bus."""
+
+    def __init__(self, rng, bus, ident, kind):
+        self.rng, self.bus, self.ident, self.kind = rng, bus, ident, kind
+        self.numbered = kind != "unknown" and rng.random() < 0.3
+        self.seq = rng.randrange(256) if self.numbered else 0
+        self.clock = rng.randrange(10**12)
+        self.faults, self.status, self.state = 0, 0x40010000, 1
+        self.messages = []
+
+    def payload(self):
+        rng = self.rng
+        if self.kind == "motor":
+            counts = [rng.choice([65535, 65534, 65533, 65532, 65531]) if rng.random() < 0.01 else rng.randrange(30000, 36000)
+                      for _ in range(6)]
+            return struct.pack("<6HBBIIqBB", *counts, rng.randrange(60, 100), 1, self.status, self.faults, self.clock,
+                               self.state, 255 if rng.random() < 0.02 else rng.randrange(60, 110))
+        if self.kind == "health":
+            return struct.pack("<q", self.clock) + bytes(rng.randrange(20, 120) for _ in range(7)) + bytes([1, 4])
+        if self.kind == "command":
+            return struct.pack("<BBBHH", 1, 0xA5, 1, rng.randrange(65000), rng.randrange(65000))
+        return rng.randbytes(20)
+
+    def step_clock(self, elapsed, stands_still):
+        """The controller's clock goes on, begins anew, or stands still."""
+        if self.rng.random() < 0.01:
+            self.clock = min(self.clock - 1, self.rng.randrange(10**8))
+        elif not stands_still:
+            self.clock += elapsed + self.rng.randrange(-1000, 1000)
+
+    def change_flags(self):
+        rng = self.rng
+        if rng.random() < 0.05:
+            self.faults ^= rng.choice([*model.FAULT, 0x80000, 0x8000000])  # the last two stand in no table
+        if rng.random() < 0.03:
+            self.faults = 0
+        if rng.random() < 0.05:
+            self.status ^= rng.choice(list(model.STATUS))
+
+    def fly(self, begin, end):
+        """All its messages from one time to another."""
+        rng = self.rng
+        period = int(EVERY.get(self.kind, 0.3) * SECOND) // (3 if self.kind == "command" else 1)
+        time, before, clean, still = begin + rng.randrange(period), None, 3, 0
+        stops = rng.randrange(begin, end) if rng.random() < 0.15 else end
+        while time < min(end, stops):
+            if before is not None:
+                still = still - 1 if still else rng.randrange(1, 4) if rng.random() < 0.02 else 0
+                self.step_clock(time - before, still > 0)
+            self.change_flags()
+            message = Message(self, time, self.seq, self.payload())
+            self.plan(message, clean)
+            clean = clean + 1 if message.fate == "good" else 0
+            self.messages.append(message)
+            if self.numbered:
+                self.seq = (self.seq + 1) % 256
+            before = time
+            time += period + rng.randrange(-period // 40, period // 40)
+            if rng.random() < 0.02:
+                time += period * rng.choice([1, 2, 4, 8])  # messages that were never sent
+        return self
+
+    def plan(self, message, clean):
+        """What happens to a message on its way."""
+        rng = self.rng
+        sent = Sent(self.ident, 0, message.seq, message.payload)
+        if self.kind == "command":
+            frames = [sent.frame(SINGLE, message.payload)]
+        else:
+            frames = sent.frames()
+        if clean >= 2 and self.kind in ("motor", "health") and rng.random() < 0.04:
+            # Where messages are numbered, nothing tells that one whose End is lost will not go on.
+            message.fate = rng.choice(["crc", "Start", "Middle"] + ([] if self.numbered else ["End"]))
+            if message.fate == "crc":
+                wrong = message_crc(self.ident, 0, message.seq, message.payload) ^ 1 << rng.randrange(32)
+                frames[0] = sent.start(crc=wrong)
+            else:
+                lost = {"Start": START, "Middle": MIDDLE, "End": END}[message.fate]
+                frames.remove(rng.choice([frame for frame in frames if frame.can_id >> 14 & 15 == lost]))
+        at = message.at
+        for frame in frames:
+            message.frames.append(Placed(frame.can_id, frame.data, bus=self.bus, origin=message, at=at))
+            at += rng.randrange(150_000, 500_000)
+
+
+# The truth ---------------------------------------------------------------------------------------------------------
+
+class Truth:
+    """What follows from the messages of a flight, source by source."""
+
+    def __init__(self, flight, form):
+        self.flight, self.form = flight, form
+        self.events, self.faults, self.summary = [], [], []
+        for sender in flight.senders:
+            if any(message.frames for message in sender.messages):
+                self.source(sender)
+        self.faults.sort(key=lambda line: (line["event"] == "active", line["frame"]))
+        self.events.sort(key=lambda line: (line["time"], line["frame"]))
+
+    def who(self, sender):
+        kind = sender.kind if sender.kind != "unknown" else None
+        return {"bus": self.flight.bus_name(sender.bus, self.form), "id": sender.ident,
+                "source": self.flight.name(sender, self.form), "message": kind}
+
+    def event(self, kind, sender, frame, **more):
+        self.events.append({"kind": kind, "time": frame.at, "frame": frame.number, **self.who(sender), **more})
+
+    def fault(self, sender, frame, flag, event, active):
+        line = {"time": frame.at, "frame": frame.number, **self.who(sender), "field": "fault_flags", "flag": flag,
+                "event": event, "active": active}
+        self.faults.append(line)
+        self.events.append({"kind": "fault", **line})
+
+    def source(self, sender):
+        """One source: its messages in order, each with the good one before it."""
+        lost = crc = 0
+        good = []
+        state = {"set": {}, "clock": None, "faults": 0}
+        counts = collections.Counter()
+        for index, message in enumerate(sender.messages):
+            if not message.frames:
+                continue
+            if message.is_good:
+                self.good(sender, message, good[-1] if good else None, state, counts)
+                good.append(message)
+            elif message.fate == "crc" and not message.cut:
+                crc += 1
+                self.event("crc", sender, message.frames[-1])
+            else:
+                lost += 1
+                self.lost(sender, message, sender.messages[index + 1:])
+        if good:
+            for bit, since in sorted(state["set"].items(), key=lambda item: (item[1], item[0])):
+                last = good[-1].frames[-1]
+                self.fault(sender, last, flag_name(bit), "active", last.at - since)
+            self.silence(sender, good[-1], self.flight.frames[-1].at)
+        counts["reboots"] += 0
+        self.summary.append({**self.who(sender), "crc_bad": crc, "incomplete": lost, "late": counts["late"],
+                             "reboots": counts["reboots"], **rates(good), "values": ranges(sender, good)})
+        self.counted = counts
+
+    def good(self, sender, message, before, state, counts):
+        last = message.frames[-1]
+        if before and self.silence(sender, before, last.at):
+            counts["late"] += 1
+        if sender.kind not in ("motor", "health"):
+            return
+        clock = clock_of(sender, message.payload)
+        if state["clock"] is not None and clock <= state["clock"]:
+            kind = "reboot" if clock < state["clock"] else "stale"
+            counts[kind + "s"] += 1
+            self.event(kind, sender, last)
+        state["clock"] = clock
+        if sender.kind == "motor":
+            self.flags(sender, message, state)
+
+    def flags(self, sender, message, state):
+        now, last = struct.unpack_from("<I", message.payload, 18)[0], message.frames[-1]
+        for bit in order(now | state["faults"]):
+            if now & bit and not state["faults"] & bit:
+                state["set"][bit] = last.at
+                self.fault(sender, last, flag_name(bit), "raised", None)
+            elif state["faults"] & bit and not now & bit:
+                self.fault(sender, last, flag_name(bit), "cleared", last.at - state["set"].pop(bit))
+        state["faults"] = now
+
+    def silence(self, sender, before, until):
+        """Whether a gap is one; it is told at the message before it."""
+        last = before.frames[-1]
+        every = EVERY.get(sender.kind)
+        if not every or until - last.at <= round(LATE * every * SECOND):
+            return False
+        self.event("silence", sender, last, length=until - last.at)
+        return True
+
+    def lost(self, sender, message, later):
+        """A message that is not whole: told where that shows."""
+        frames = message.frames
+        started = frames[0].can_id >> 14 & 15 == START
+        ended = frames[-1].can_id >> 14 & 15 == END
+        if not started:
+            self.event("incomplete", sender, frames[0], what="orphan")
+        elif ended:
+            self.event("incomplete", sender, frames[-1], what="incomplete")
+        else:
+            following = next((one for one in later if one.frames), None)
+            if following:
+                self.event("incomplete", sender, following.frames[0], what="incomplete")
+            else:
+                self.event("unfinished", sender, frames[-1])
+
+
+def order(bits):
+    """The bits in the order of the table, those that it has not behind them."""
+    known = [bit for bit in model.FAULT if bits & bit]
+    return known + [bit for bit in (1 << place for place in range(32)) if bits & bit and bit not in model.FAULT]
+
+
+def flag_name(bit):
+    return model.FAULT.get(bit, f"undefined_{bit:#x}")
+
+
+def clock_of(sender, payload):
+    return struct.unpack_from("<q", payload, 22 if sender.kind == "motor" else 0)[0]
+
+
+def rates(good):
+    times = [message.frames[-1].at for message in good]
+    gaps = [(after - before, message.frames[-1].number)
+            for before, after, message in zip(times, times[1:], good[1:])]
+    span = times[-1] - times[0] if times else 0
+    longest = max(gaps, key=lambda gap: gap[0]) if gaps else (None, None)
+    return {"count": len(good), "rate": len(gaps) * SECOND / span if span else None,
+            "gap_min": min(gaps)[0] if gaps else None, "gap_mean": span / len(gaps) if gaps else None,
+            "gap_max": longest[0], "gap_max_frame": longest[1]}
+
+
+def numbers(sender, payload):
+    """The values that can be averaged: {field: value}; a reserved count has none."""
+    if sender.kind == "unknown":
+        return {}
+    found, at = {}, 0
+    for field, size, kind in model.MESSAGES[KIND[sender.kind]][2]:
+        count = int.from_bytes(payload[at:at + size], "little")
+        at += size
+        if model.is_float(kind):
+            special = 2 ** (8 * size) - 1 - count < 5
+            found[field] = None if special else model.value(count, size, kind[0], kind[1])
+        elif field == "board_revision":
+            found[field] = count
+    return found
+
+
+def ranges(sender, good):
+    values = collections.defaultdict(list)
+    for message in good:
+        for field, value in numbers(sender, message.payload).items():
+            values[field] += [value] if value is not None else []
+    if not good and sender.kind != "unknown":
+        values = {field: [] for field in numbers(sender, bytes(32))}
+    return {field: {"min": min(list_), "mean": sum(list_) / len(list_), "max": max(list_)} if list_ else
+            {"min": None, "mean": None, "max": None} for field, list_ in values.items()}
+
+
+# The flight --------------------------------------------------------------------------------------------------------
+
+class Flight:
+    def __init__(self, seed):
+        rng = self.rng = random.Random(f"flight {seed}")
+        self.begin = 1_700_000_000 * SECOND + rng.randrange(10**12)
+        self.end = self.begin + rng.randrange(4, 12) * SECOND
+        self.names = rng.sample(["can0", "can1", "vcan_2", "left.can"], rng.choice([1, 2, 3]))
+        self.senders = []
+        for bus in range(len(self.names)):
+            self.add_bus(bus)
+        self.choose_names()
+        self.collect()
+
+    def add_bus(self, bus):
+        rng = self.rng
+        self.senders.append(Sender(rng, bus, FIRST_ID["command"], "command"))
+        for place in rng.sample(range(4), rng.choice([1, 2, 3])):
+            self.senders.append(Sender(rng, bus, FIRST_ID["motor"] + place, "motor"))
+            if rng.random() < 0.7:
+                self.senders.append(Sender(rng, bus, FIRST_ID["health"] + place, "health"))
+        if rng.random() < 0.3:
+            self.senders.append(Sender(rng, bus, 0x320, "unknown"))
+
+    def choose_names(self):
+        """The preference: some names for every bus, some for one."""
+        rng, self.anywhere, self.by_bus = self.rng, {}, {}
+        for sender in self.senders:
+            kind = "" if sender.kind == "unknown" else sender.kind + ":"
+            if rng.random() < 0.3:
+                self.anywhere.setdefault(sender.ident, (kind, f"esc {sender.ident:x}"))
+            elif rng.random() < 0.3:
+                self.by_bus[sender.bus, sender.ident] = (kind, f"{sender.kind}_{sender.bus}_{sender.ident:x}")
+
+    def collect(self):
+        """All frames in the order of time, others' among them; cut at the end in the middle of a message, maybe."""
+        rng = self.rng
+        frames = []
+        for sender in self.senders:
+            for message in sender.fly(self.begin, self.end).messages:
+                frames += message.frames
+        for _ in range(len(frames) // 10):
+            frames.append(Placed(0x18FEF100 | rng.randrange(256), rng.randbytes(8), bus=rng.randrange(len(self.names)),
+                                 at=rng.randrange(self.begin, self.end + SECOND)))
+        frames.sort(key=lambda frame: frame.at)
+        if rng.random() < 0.5:
+            starts = [place for place, frame in enumerate(frames) if frame.origin and frame.can_id >> 14 & 15 == START]
+            frames = frames[:rng.choice(starts[-8:]) + rng.randrange(1, 3)]
+        self.frames, kept = frames, set(map(id, frames))
+        for number, frame in enumerate(frames, 1):
+            frame.number = number
+        for sender in self.senders:
+            for message in sender.messages:
+                sent = len(message.frames)
+                message.frames = [frame for frame in message.frames if id(frame) in kept]
+                message.cut = len(message.frames) < sent
+
+    def bus_name(self, bus, form):
+        return None if form == "sll2" else self.names[bus]
+
+    def name(self, sender, form):
+        """What the user called a source; where the capture names no bus, only what was said of every bus holds."""
+        row = self.anywhere.get(sender.ident)
+        if form != "sll2":
+            row = self.by_bus.get((sender.bus, sender.ident), row)
+        return row and row[1]
+
+    def arguments(self, form):
+        parts = [f"{ident:#x}={kind}{name}" for ident, (kind, name) in self.anywhere.items()]
+        parts += [f"{self.names[bus]}/{ident:#x}={kind}{name}" for (bus, ident), (kind, name) in self.by_bus.items()]
+        ids = {kind: ",".join(sorted({f"{sender.ident:#x}" for sender in self.senders if sender.kind == kind}))
+               for kind in ("motor", "health")}
+        reader = ["-X", "read_format:yapp_candump"] if form == "candump" else []
+        return [*reader, "-o", f"yapp.sources:{', '.join(parts)}", "-o", f"yapp.motor_ids:0x210,{ids['motor']}", "-o",
+                f"yapp.health_ids:0x200,{ids['health']}"]
+
+    def truth(self, form):
+        truth = Truth(self, form)
+        return {"events": truth.events, "faults": truth.faults, "summary": truth.summary}
+
+    def rows(self, form):
+        """Of each known message the good ones in the order of the capture: (frame, bus, source, message)."""
+        found = {"command": [], "motor": [], "health": []}
+        for sender in self.senders:
+            for message in sender.messages:
+                if message.is_good and sender.kind in found:
+                    found[sender.kind].append((message.frames[-1], self.bus_name(sender.bus, form),
+                                               self.name(sender, form), message))
+        return {kind: sorted(rows, key=lambda row: row[0].number) for kind, rows in found.items()}
+
+    def write(self, path, form):
+        if form == "candump":
+            path.write_text("".join(
+                f"({frame.at // SECOND}.{frame.at % SECOND:09d}) {self.names[frame.bus]} "
+                f"{frame.can_id:08X}#{frame.data.hex().upper()}\n" for frame in self.frames))
+        else:
+            path.write_bytes(self.pcapng(form))
+        return path
+
+    def pcapng(self, form):
+        linktype, sll2 = (276, True) if form == "sll2" else (227, False)
+        blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
+        for name in [None] if sll2 else self.names:
+            options = option(2, name.encode()) if name else b""
+            blocks.append(block(1, struct.pack("<HHI", linktype, 0, 0) + options + option(9, b"\x09") + option(0, b"")))
+        for frame in self.frames:
+            record = frame.record(little=sll2)
+            if sll2:
+                record = struct.pack(">HHIHBB8x", 0x0C, 0, frame.bus + 1, 280, 0, 0) + record
+            head = struct.pack("<IIIII", 0 if sll2 else frame.bus, frame.at >> 32, frame.at & 0xFFFFFFFF, len(record),
+                               len(record))
+            blocks.append(block(6, head + pad(record)))
+        return b"".join(blocks)
+
+
+def pad(data):
+    return data + bytes(-len(data) % 4)
+
+
+def block(kind, body):
+    return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
+
+
+def option(code, value):
+    return struct.pack("<HH", code, len(value)) + pad(value)
+
+
+def make(seed):
+    return Flight(seed)

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""docs/files.md: each file of its table opens, or does not, as the table says for this Wireshark."""
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+import tshark
+
+FOLDER = tshark.CAPTURES / "other"
+DOCUMENT = tshark.ROOT / "docs/files.md"
+PYTHON = os.environ.get("YAPP_PYTHON") or ("/usr/bin/python3" if os.path.exists("/usr/bin/python3") else sys.executable)
+# Voltage of Motor Data, speed of Command.
+WHOLE = {"motor": ["47.97314\t", "47.97314\t", "\t671.4482"], "motor_fd": ["47.97314\t"],
+         "two_interfaces": ["47.97314\t", "47.97314\t"]}
+
+
+def table():
+    """(file, what the table says of this Wireshark)"""
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in DOCUMENT.read_text().splitlines()
+             if line.startswith("|")]
+    versions = [tuple(int(part) for part in cell.split(".")) for cell in lines[0][2:-1]]
+    column = 2 + max((at for at, version in enumerate(versions) if version <= tshark.version()), default=0)
+    return [(name, line[column]) for line in lines[2:] for name in line[-1].split(", ")]
+
+
+def messages(path):
+    done = tshark.run("-2", "-r", path, "-T", "fields", "-e", "taurus.motor.dc_voltage", "-e", "taurus.command.rpm",
+                      check=False)
+    return [line for line in done.stdout.splitlines() if line.strip()], done.stderr
+
+
+@pytest.mark.parametrize("name, says", table(), ids=lambda value: value)
+def test_table(name, says):
+    whole = WHOLE[re.match(r"(motor_fd|motor|two_interfaces)", name)[0]]
+    shown, errors = messages(FOLDER / name)
+    if says == "no":
+        assert shown == [] and "isn't a capture file in a format" in errors
+    else:
+        assert shown == {"yes": whole, "not Commands": whole[:-1]}[says], errors
+
+
+def test_table_has_every_file():
+    assert {name for name, _ in table()} == {path.name for path in FOLDER.iterdir()} - {"make.py"}
+
+
+def test_buses_are_told_apart():
+    for name, says in table():
+        if says != "no" and name in ("motor.blf", "motor_2_1.trc"):
+            rows = tshark.fields(FOLDER / name, ["frame.interface_id", "taurus.motor.dc_voltage"], "-2")
+            assert [row[0] for row in rows if row[1]] == ["0", "1"]
+
+
+def test_channels_of_asc():
+    rows = tshark.fields(FOLDER / "motor.asc", ["sll.ifindex", "taurus.motor.dc_voltage", "frame.time_epoch"], "-2")
+    assert [(row[0], row[2]) for row in rows if row[1]] == [("1", "1700000000.004000000"), ("2", "1700000000.009000000")]
+    tshark.assert_no_lua_errors(FOLDER / "motor.asc")
+
+
+def test_two_channels_of_asc_at_once(folder):
+    """Their frames in turns: on one bus they would spoil each other."""
+    head, frames = re.match(r"(.*?measurement\n)(.*)", (FOLDER / "motor.asc").read_text(), re.DOTALL).groups()
+    lines = frames.splitlines(keepends=True)
+    path = folder / "mixed.asc"
+    path.write_text(head + "".join(line for pair in zip(lines[:5], lines[5:10]) for line in pair))
+    for passes in ([], ["-2"]):
+        rows = tshark.fields(path, ["frame.number", "yapp.crc.status"], *passes)
+        assert [row[0] for row in rows if row[1] == "1"] == ["9", "10"]
+
+
+def test_conversions(folder):
+    """The commands of the document, where python-can is there."""
+    commands = re.findall(r"^    python3 -m (can\.logconvert) (\S+) (\S+)", DOCUMENT.read_text(), re.MULTILINE)
+    assert len(commands) == 2
+    if subprocess.run([PYTHON, "-c", "import can.logconvert"], capture_output=True, check=False).returncode:
+        pytest.skip("no python-can")
+    for module, source, target in commands:
+        shutil.copy(FOLDER / source, folder)
+        subprocess.run([PYTHON, "-m", module, source, target], cwd=folder, check=True, capture_output=True)
+        assert messages(folder / target)[0] == WHOLE["motor"], source

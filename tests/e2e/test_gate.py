@@ -1,0 +1,290 @@
+"""The CI recipe in a real shell, on what it must let pass and on what it must stop; and how statistics end otherwise."""
+import os
+import shutil
+import subprocess
+
+import pytest
+
+import tshark
+from can_generator import END, START, Frame, Sent, message_crc
+from flights import block, option, pad, struct
+
+RECIPE = next(line.strip() for line in (tshark.ROOT / "docs/statistics.md").read_text().splitlines()
+              if line.startswith("    tshark -q -r run.pcapng"))
+MOTOR, OTHER = 0x210, 0x310
+BEGIN = 1_700_000_000_000_000_000
+
+
+def motor_payload(index, faults=0):
+    return struct.pack("<6HBBIIqBB", *[32765] * 6, 70, 1, 0x40010000, faults, index * 100_000_000, 1, 80)
+
+
+def flight(ident=MOTOR, seq=0, count=30, spoil=None):
+    """Frames of Motor Data, ten a second: (time, frame).  spoil(index, frames, payload) changes those of a message."""
+    placed = []
+    for index in range(count):
+        sent = Sent(ident, 0, seq, motor_payload(index))
+        frames = spoil(index, sent) if spoil else sent.frames()
+        placed += [(BEGIN + index * 100_000_000 + place * 300_000, frame) for place, frame in enumerate(frames)]
+        seq = (seq + 1) % 256 if seq else 0
+    return placed
+
+
+def only_at(wanted, change):
+    return lambda index, sent: change(sent) if index == wanted else sent.frames()
+
+
+def without(ctrl):
+    return lambda sent: [frame for frame in sent.frames() if frame.can_id >> 14 & 15 != ctrl]
+
+
+def with_fault(sent):
+    return Sent(sent.msg, 0, sent.seq, motor_payload(9, faults=0x10000)).frames()
+
+
+def with_bad_crc(sent):
+    return [sent.start(crc=message_crc(sent.msg, 0, sent.seq, sent.payload) ^ 1), *sent.frames()[1:]]
+
+
+def pcapng(placed):
+    blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)),
+              block(1, struct.pack("<HHI", 227, 0, 0) + option(2, b"can0") + option(9, b"\x09") + option(0, b""))]
+    for at, frame in placed:
+        record = frame.record()
+        blocks.append(block(6, struct.pack("<IIIII", 0, at >> 32, at & 0xFFFFFFFF, len(record), len(record)) + pad(record)))
+    return b"".join(blocks)
+
+
+CLEAN = flight()
+
+
+def installed(folder, change=None):
+    """A home with the plugin in its plugin folder, and what a change makes of it."""
+    plugin = tshark.copy_plugin(folder / "home" / tshark.PERSONAL_FOLDER / "yapp")
+    if change:
+        change(plugin)
+    for path in [folder, *folder.rglob("*")]:
+        path.chmod(0o777 if path.is_dir() else 0o666)
+    return folder / "home"
+
+
+def shell(folder, command, home):
+    """Runs a line in bash as a CI job would; returns the exit code, standard output and standard error."""
+    environment = {**os.environ, "HOME": str(home), "LC_ALL": "C.UTF-8"}
+    environment.pop("XDG_CONFIG_HOME", None)
+    done = subprocess.run(["bash", "-e", "-c", command], cwd=folder, env=environment, capture_output=True, text=True,
+                          timeout=120, stdin=subprocess.DEVNULL, **tshark._user())
+    errors = [line for line in done.stderr.splitlines() if not line.startswith("Running as user")]
+    return done.returncode, done.stdout, "\n".join(errors)
+
+
+def gate(folder, data, command=RECIPE, change=None, plugin=True):
+    (folder / "run.pcapng").write_bytes(data)
+    if plugin:
+        home = installed(folder, change)
+    else:
+        home = folder / "home"
+        home.mkdir(mode=0o777)
+    return shell(folder, command, home)
+
+
+def break_catalogue(plugin):
+    (plugin / "taurus_fields.lua").write_text("return {")
+
+
+def break_one_message(plugin):
+    path = plugin / "taurus_fields.lua"
+    path.write_text(path.read_text().replace('name = "health", title = "Health", id = 0x200, size = 17',
+                                             'name = "health", title = "Health", id = 0x200, size = 18'))
+
+
+def lose_module(plugin):
+    (plugin / "yapp" / "yapp_crc.lua").unlink()
+
+
+CASES = {
+    "clean": (pcapng(CLEAN), 0),
+    "fault": (pcapng(flight(spoil=only_at(9, with_fault))), 20),
+    "bad CRC": (pcapng(flight(spoil=only_at(9, with_bad_crc))), 20),
+    "lost Start": (pcapng(flight(spoil=only_at(9, without(START)))), 20),
+    "lost End": (pcapng(flight(spoil=only_at(9, without(END)))), 20),
+    "cut at the end": (pcapng(CLEAN[:-2]), 20),
+    "one frame of the last message": (pcapng(CLEAN[:-4]), 20),
+    "other IDs": (pcapng(flight(OTHER)), 20),
+    "empty capture": (pcapng([]), 21),
+    "nothing of ours": (pcapng([(BEGIN, Frame(0x18FEF100, bytes(8)))]), 21),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_recipe(folder, name):
+    data, code = CASES[name]
+    returned, output, errors = gate(folder, data)
+    assert (returned, errors) == (code, ""), output
+    assert "unknown=0" in output and output.count("\n") >= 5
+
+
+def test_other_ids_that_are_numbered(folder):
+    """Where nothing claims the frames, there is nothing to judge."""
+    assert gate(folder, pcapng(flight(OTHER, seq=1)))[0] in (20, 21)
+
+
+def test_broken_catalogue(folder):
+    returned, _, errors = gate(folder, pcapng(CLEAN), change=break_one_message)
+    assert returned == 21
+    assert "taurus_fields.lua" in errors and "the catalogue did not load whole" in errors
+
+
+def test_no_catalogue(folder):
+    """Then all messages are unknown, which the rules forbid."""
+    returned, _, errors = gate(folder, pcapng(CLEAN), change=break_catalogue)
+    assert returned == 20
+    assert "taurus_fields.lua" in errors and "the catalogue did not load whole" in errors
+
+
+def test_broken_catalogue_and_a_fault(folder):
+    assert gate(folder, CASES["fault"][0], change=break_one_message)[0] == 20
+
+
+def test_missing_module(folder):
+    assert gate(folder, pcapng(CLEAN), change=lose_module)[0] == 1
+
+
+def test_no_plugin(folder):
+    assert gate(folder, pcapng(CLEAN), plugin=False)[0] == 1
+
+
+def test_truncated_file(folder):
+    returned, output, errors = gate(folder, pcapng(CLEAN)[:-20])
+    assert returned >= 2 and "cut short" in errors
+    assert "unknown=0" in output  # the rules are printed all the same
+
+
+def test_two_passes_and_a_capture_that_is_written(folder):
+    data = CASES["fault"][0]
+    assert gate(folder, data, RECIPE + " -2")[0] == 20
+    returned, _, _ = shell(folder, RECIPE.replace("-q", "-w out.pcapng"), folder / "home")
+    assert returned == 20
+    frames = shell(folder, "tshark -r out.pcapng -T fields -e frame.number", folder / "home")[1]
+    assert len(frames.split()) == 150
+
+
+def test_a_job_goes_on_behind_a_gate_that_holds(folder):
+    assert gate(folder, pcapng(CLEAN), RECIPE + " && echo went on")[1].endswith("went on\n")
+    (folder / "run.pcapng").write_bytes(CASES["fault"][0])
+    assert "went on" not in shell(folder, RECIPE + "; echo went on", folder / "home")[1]
+
+
+# The other ends ------------------------------------------------------------------------------------------------------
+
+def z(folder, *arguments, data=None, home=None, command="tshark -q -r run.pcapng"):
+    (folder / "run.pcapng").write_bytes(pcapng(CLEAN) if data is None else data)
+    taps = " ".join(f"-z 'yapp,{argument}'" for argument in arguments)
+    return shell(folder, f"{command} {taps}", home or folder / "home")
+
+
+@pytest.fixture
+def home(folder):
+    return installed(folder)
+
+
+def test_what_z_says(folder, home):
+    _, output, errors = shell(folder, "tshark -z help", home)
+    listed = [line.strip() for line in (output + errors).splitlines() if "yapp" in line]
+    assert {"yapp,summary", "yapp,faults", "yapp,events", "yapp,csv", "yapp,check"} <= set(listed)
+
+
+@pytest.mark.parametrize("argument, text", [
+    ("nonsense", "it is yapp,summary or yapp,faults"), ("summary,jsn", "jsn: the options of summary"),
+    ("check", "it needs a rule"), ("check,motr.rate=1", "there is no message"),
+    ("summary,filter=taurus.motor.nonsense == 1", "the filter taurus.motor.nonsense == 1 is not one"),
+    ("summary,filter=(", "the filter ( is not one"), ("csv,/proc/none/x", "cannot be made"), ("csv,-,moter", "moter"),
+])
+def test_wrong_arguments(folder, home, argument, text):
+    returned, _, errors = z(folder, argument)
+    assert returned == 21
+    assert text in errors and "Lua" not in errors
+
+
+def test_a_folder_that_is_not_writable(folder, home):
+    (folder / "closed").mkdir()
+    (folder / "closed").chmod(0o555)
+    (folder / "file").write_text("")
+    if tshark._user():
+        assert z(folder, "csv,closed/table")[0] == 21
+        assert z(folder, "csv,closed")[0] == 21
+    assert z(folder, "csv,file/table")[0] == 21
+    assert z(folder, "csv,file")[0] == 21
+
+
+def test_csv_does_not_overwrite_unasked(folder, home):
+    assert z(folder, "csv,a/b/c")[0] == 0
+    before = (folder / "a/b/c/motor.csv").read_text()
+    assert before.count("\n") == 31
+    returned, _, errors = z(folder, "csv,a/b/c", data=pcapng(CLEAN[:5]))
+    assert returned == 21 and "replace" in errors
+    assert (folder / "a/b/c/motor.csv").read_text() == before
+    assert z(folder, "csv,a/b/c,replace", data=pcapng(CLEAN[:5]))[0] == 0
+    assert (folder / "a/b/c/motor.csv").read_text().count("\n") == 2
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+def test_full_disk(folder, home):
+    for argument in ("csv,-,motor", "summary", "check,crc=0"):
+        returned, _, errors = z(folder, argument, command="exec >/dev/full; tshark -q -r run.pcapng")
+        assert returned == 21 and "No space left" in errors, argument
+    table = folder / "table"
+    table.mkdir()
+    table.chmod(0o777)
+    os.symlink("/dev/full", table / "motor.csv.part")
+    returned, _, errors = z(folder, "csv,table")
+    assert returned == 21 and "No space left" in errors
+    assert list(table.iterdir()) == []
+
+
+def test_printed_table(folder, home):
+    returned, output, _ = z(folder, "csv,-,motor,filter=frame.number > 100")
+    lines = output.splitlines()
+    assert (returned, len(lines)) == (0, 11)
+    assert lines[1].startswith("1700000002.001200000,105,can0,,528,0,0,")
+
+
+def test_filter_decides_what_counts(folder, home):
+    data = CASES["fault"][0]
+    assert z(folder, "check,fault=0", data=data)[0] == 20
+    assert z(folder, "check,fault=0,filter=frame.number > 60", data=data)[0] == 0
+    assert z(folder, "check,fault=0,filter=frame.number > 1000", data=data)[0] == 21
+    cut = CASES["cut at the end"][0]
+    assert z(folder, "check,incomplete=0,filter=frame.number < 140", data=cut)[0] == 0
+    assert z(folder, "check,incomplete=0,filter=taurus.motor || yapp.id", data=cut)[0] == 20
+
+
+def test_several_statistics_in_one_run(folder, home):
+    returned, output, _ = z(folder, "check,fault=0", "summary", "check,fault=1,count=x", "events",
+                            data=CASES["fault"][0])
+    assert returned == 20
+    assert "YAPP summary: 1 source" in output and "YAPP events: 2" in output and output.count("unknown=0") == 2
+
+
+def test_other_countries_write_numbers_with_a_comma(folder, home):
+    """Made here: few machines have such a locale."""
+    locale = folder / "de_DE.UTF-8"
+    made = shutil.which("localedef") and subprocess.run(
+        ["localedef", "-i", "de_DE", "-f", "UTF-8", str(locale)], capture_output=True, check=False).returncode == 0
+    if not made:
+        pytest.skip("no locale can be made")
+    for path in [locale, *locale.rglob("*")]:
+        path.chmod(0o777 if path.is_dir() else 0o666)
+    german = f"LOCPATH={folder} LC_ALL=de_DE.UTF-8 tshark -q -r run.pcapng"
+    table = z(folder, "csv,-,motor")[1]
+    assert z(folder, "csv,-,motor", command=german)[1] == table
+    assert len({line.count(",") for line in table.splitlines()}) == 1
+    assert z(folder, "check,motor.rate=9.5,motor.dc_voltage=-0.5..0.5", command=german)[0] == 0
+
+
+def test_report(folder, home):
+    assert z(folder, "check,fault=0,junit=report.xml")[0] == 0
+    assert 'tests="2" failures="0" errors="0"' in (folder / "report.xml").read_text()
+    returned, _, errors = z(folder, "check,fault=0,junit=none/report.xml")
+    assert returned == 21 and "the report is not written" in errors
+    shutil.rmtree(folder / "home")

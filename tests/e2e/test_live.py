@@ -1,0 +1,672 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Live ports: extcap/yapp_extcap.py on a pseudo terminal, and CAN on python-can's virtual bus; by itself, and under the real
+tshark.  Every byte that is written comes out, in order; and whatever ends a capture is said."""
+import os
+import pathlib
+import pty
+import random
+import re
+import shutil
+import signal
+import stat
+import struct
+import subprocess
+import sys
+import termios
+import textwrap
+import threading
+import time
+import tty
+
+import pytest
+import tshark
+
+EXTCAP = tshark.ROOT / "extcap/yapp_extcap.py"
+# YAPP_PYTHON: one with python-can and pyserial, where the system's has none.
+PYTHON = os.environ.get("YAPP_PYTHON") or ("/usr/bin/python3" if os.path.exists("/usr/bin/python3") else sys.executable)
+FRAME = bytes.fromhex("5950000010020000 20000000 FD7FFD7FFD7FFD7FF5AFFD7F1801 00000140 00000000 E38CD23CE04E0000 05FF BBBE6FC7")
+
+
+def spoken(*arguments, check=True):
+    """What the extcap answers: stdout, stderr."""
+    done = subprocess.run([PYTHON, EXTCAP, *arguments], capture_output=True, text=True, check=False, timeout=60)
+    if check:
+        assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout, done.stderr
+
+
+class Port:
+    """A pseudo terminal: the name that a program opens, and the far end."""
+
+    def __init__(self):
+        try:
+            self.far, near = pty.openpty()
+        except OSError as problem:
+            pytest.skip(f"no pseudo terminals here: {problem}")
+        self.name = os.ttyname(near)
+        tty.setraw(near)
+        user = tshark._user()
+        if user:
+            os.chown(self.name, user["user"], user["group"])
+        self.near = near
+
+    def wait_until_open(self, baud=termios.B500000):
+        deadline = time.monotonic() + 20
+        while termios.tcgetattr(self.near)[5] != baud:
+            assert time.monotonic() < deadline, "nobody opened the port"
+            time.sleep(0.02)
+        time.sleep(0.1)
+
+    def write(self, data):
+        while data:
+            data = data[os.write(self.far, data):]
+
+    def unplug(self):
+        os.close(self.near)
+        os.close(self.far)
+        self.far = self.near = None
+
+    def close(self):
+        if self.far is not None:
+            self.unplug()
+
+
+@pytest.fixture
+def port():
+    port = Port()
+    yield port
+    port.close()
+
+
+@pytest.fixture
+def second():
+    port = Port()
+    yield port
+    port.close()
+
+
+def blocks(data):
+    """The blocks of a pcapng file: (type, body)."""
+    at = 0
+    while at + 12 <= len(data):
+        kind, size = struct.unpack_from("=II", data, at)
+        if at + size > len(data):
+            return
+        assert struct.unpack_from("=I", data, at + size - 4)[0] == size
+        yield kind, data[at + 8:at + size - 4]
+        at += size
+
+
+def options_of(body, at):
+    while at + 4 <= len(body):
+        code, size = struct.unpack_from("=HH", body, at)
+        if code == 0:
+            return
+        yield code, body[at + 4:at + 4 + size]
+        at += 4 + (size + 3) // 4 * 4
+
+
+class Pcapng:
+    """What a capture has: interfaces [(link type, name)], packets [(interface, seconds, data, direction)]."""
+
+    def __init__(self, data):
+        self.interfaces, self.packets = [], []
+        for kind, body in blocks(data):
+            if kind == 1:
+                values = dict(options_of(body, 8))
+                assert values[9] == b"\x09"
+                self.interfaces.append((struct.unpack_from("=H", body)[0], values[2].decode()))
+            elif kind == 6:
+                interface, high, low, size, whole = struct.unpack_from("=5I", body)
+                assert size == whole
+                flags = dict(options_of(body, 20 + (size + 3) // 4 * 4)).get(2, bytes(4))
+                self.packets.append((interface, ((high << 32) + low) / 1e9, body[20:20 + size], flags[0] & 3))
+
+    def bytes_of(self, interface=0):
+        """What came on a serial port: the packets' data behind the name of the dissector."""
+        prefix = struct.pack(">HH", 12, 12) + b"yapp_serial\0" + bytes(4)
+        data = [packet[2] for packet in self.packets if packet[0] == interface]
+        assert all(packet.startswith(prefix) for packet in data)
+        return b"".join(packet[len(prefix):] for packet in data)
+
+
+class Extcap:
+    """The extcap alone, started as Wireshark does; its fifo is read by a thread."""
+
+    def __init__(self, folder, *arguments, interface="yapp-serial", program=EXTCAP, start=True):
+        self.fifo = folder / f"fifo{random.random()}"
+        os.mkfifo(self.fifo)
+        self.data, self.reader = b"", None
+        self.process = subprocess.Popen([PYTHON, program, "--capture", "--extcap-interface", interface, "--fifo", self.fifo,
+                                         *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.file = open(self.fifo, "rb", buffering=0)
+        if start:
+            self.read()
+
+    def read(self):
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
+
+    def _read(self):
+        while True:
+            more = self.file.read(1 << 16)
+            if not more:
+                return
+            self.data += more
+
+    def end(self, how=signal.SIGTERM, code=0, timeout=5):
+        """Ends it, or waits for its end; returns what was captured, and what it said."""
+        if how:
+            self.process.send_signal(how)
+        out, errors = self.process.communicate(timeout=timeout)
+        assert (self.process.returncode, out) == (code, ""), errors
+        if self.reader:
+            self.reader.join(5)
+        return Pcapng(self.data), errors
+
+
+def wait_for(condition, seconds=10):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+# The contract ---------------------------------------------------------------------------------------------------------
+
+def test_interfaces():
+    for version in ("4.0", "4.4", "4.6"):
+        out, _ = spoken("--extcap-interfaces", f"--extcap-version={version}")
+        lines = out.splitlines()
+        assert lines[0].startswith(f"extcap {{version={tshark.plugin_version()}}}")
+        assert lines[1] == "interface {value=yapp-serial}{display=YAPP serial port}"
+        assert len(lines) == 2 or lines[2:] == ["interface {value=yapp-can}{display=YAPP CAN adapter}"]
+
+
+@pytest.mark.parametrize("interface, number", [("yapp-serial", 252), ("yapp-can", 227)])
+def test_link_types(interface, number):
+    out, _ = spoken("--extcap-dlts", "--extcap-interface", interface)
+    assert out.startswith(f"dlt {{number={number}}}") and out.count("\n") == 1
+
+
+@pytest.mark.parametrize("interface, calls", [("yapp-serial", ["port", "baud", "parity", "stopbits", "second"]),
+                                              ("yapp-can", ["adapter", "channel", "bitrate", "fd", "data-bitrate"])])
+def test_settings(interface, calls):
+    out, _ = spoken("--extcap-config", "--extcap-interface", interface)
+    assert re.findall(r"^arg \{number=(\d)\}\{call=--([\w-]+)\}", out, re.MULTILINE) == [
+        (str(number), call) for number, call in enumerate(calls)]
+    for line in out.splitlines():
+        assert re.fullmatch(r"(arg|value) (\{\w+=[^{}]+\})+", line), line
+
+
+def test_defaults_are_the_documents():
+    out, _ = spoken("--extcap-config", "--extcap-interface", "yapp-serial")
+    assert "{call=--baud}" in out and "{default=500000}" in out
+    assert "{value=none}{display=none}{default=true}" in out and "{value=1}{display=1}{default=true}" in out
+
+
+def test_ports_are_asked_for_again():
+    out, _ = spoken("--extcap-interface", "yapp-serial", "--extcap-config", "--extcap-reload-option", "port")
+    assert all(line.startswith("value {arg=0}") for line in out.splitlines())
+
+
+def test_listing_opens_no_port(tmp_path):
+    """Opening one would reset some boards."""
+    if not shutil.which("strace"):
+        pytest.skip("no strace")
+    log = tmp_path / "log"
+    done = subprocess.run(["strace", "-f", "-e", "trace=open,openat", "-o", log, PYTHON, EXTCAP, "--extcap-config",
+                           "--extcap-interface", "yapp-serial"], capture_output=True, check=False)
+    if done.returncode or not log.stat().st_size:
+        pytest.skip("strace is not allowed here")
+    assert not re.search(r'"/dev/(tty|cu)', log.read_text())
+
+
+def test_unknown_interface():
+    assert "there is no interface 'nope'" in spoken("--extcap-dlts", "--extcap-interface", "nope", check=False)[1]
+
+
+def test_tshark_lists_it(home):
+    assert re.search(r"yapp-serial \(YAPP serial port\)", run_tshark(home, "-D").communicate(timeout=60)[0])
+
+
+# A serial port --------------------------------------------------------------------------------------------------------
+
+def test_every_byte_comes_out(folder, port):
+    source = random.Random(1)
+    sent = b"".join(FRAME if source.random() < 0.5 else source.randbytes(source.randrange(300)) for _ in range(300))
+    extcap = Extcap(folder, "--port", port.name, "--extcap-capture-filter", "x", "--unknown", "option", "--baud", "500000")
+    port.wait_until_open()
+    begin, at = time.time(), 0
+    while at < len(sent):
+        size = source.choice([1, 7, 48, 500, 5000])
+        port.write(sent[at:at + size])
+        at += size
+        time.sleep(source.choice([0, 0, 0.001, 0.01]))
+    time.sleep(0.1)
+    capture, errors = extcap.end()
+    assert errors == "" and capture.interfaces == [(252, port.name)]
+    assert capture.bytes_of() == sent
+    times = [packet[1] for packet in capture.packets]
+    assert times == sorted(times) and begin - 1 < times[0] <= times[-1] < time.time() + 1
+
+
+def test_frames_with_pauses_are_packets_and_not_held_back(folder, port):
+    extcap = Extcap(folder, "--port", port.name)
+    port.wait_until_open()
+    waited, sent = [], []
+    for count in range(1, 21):
+        sent.append(time.time())
+        port.write(FRAME)
+        begin = time.monotonic()
+        wait_for(lambda: extcap.data.count(FRAME) == count)
+        waited.append(time.monotonic() - begin)
+        time.sleep(0.02)
+    capture, _ = extcap.end()
+    assert len(capture.packets) == 20
+    assert sorted(waited)[10] < 0.05, waited  # the machine has pauses of its own
+    late = sorted(packet[1] - at for packet, at in zip(capture.packets, sent))
+    assert late[0] >= -0.001 and late[10] < 0.02, late
+
+
+def test_two_directions(folder, port, second):
+    extcap = Extcap(folder, "--port", port.name, "--second", second.name)
+    port.wait_until_open()
+    second.wait_until_open()
+    for number in range(10):
+        port.write(b"there %d " % number)
+        second.write(b"back %d " % number)
+        time.sleep(0.01)
+    wait_for(lambda: b"there 9" in extcap.data and b"back 9" in extcap.data)
+    capture, _ = extcap.end()
+    assert capture.interfaces == [(252, port.name), (252, second.name)]
+    assert capture.bytes_of(0) == b"".join(b"there %d " % number for number in range(10))
+    assert capture.bytes_of(1) == b"".join(b"back %d " % number for number in range(10))
+    assert {(packet[0], packet[3]) for packet in capture.packets} == {(0, 1), (1, 2)}
+
+
+@pytest.mark.parametrize("baud", [9600, 115200, 500000, 3000000])
+def test_settings_of_the_line(folder, port, baud):
+    """Parity cannot be seen on a pseudo terminal."""
+    extcap = Extcap(folder, "--port", port.name, "--baud", baud, "--stopbits", 2, "--parity", "even")
+    port.wait_until_open(getattr(termios, f"B{baud}"))
+    control = termios.tcgetattr(port.near)[2]
+    assert control & termios.CSTOPB and control & termios.CLOCAL
+    extcap.end()
+
+
+def test_an_unusual_rate(folder, port):
+    extcap = Extcap(folder, "--port", port.name, "--baud", 250000)
+    settings = bytearray(44)
+
+    def rate():
+        import fcntl
+        fcntl.ioctl(port.near, 0x802C542A, settings)
+        return struct.unpack_from("=I", settings, 40)[0]
+
+    wait_for(lambda: rate() == 250000)
+    time.sleep(0.1)
+    port.write(FRAME)
+    wait_for(lambda: FRAME in extcap.data)
+    extcap.end()
+
+
+SPEED = 300_000  # bytes a second: 3 Mbaud
+
+
+def pour(port, seconds):
+    """Writes at 3 Mbaud; returns what was written."""
+    data = (FRAME * 1000)[:SPEED // 100]
+    begin = time.monotonic()
+    for count in range(round(seconds * 100)):
+        port.write(data)
+        time.sleep(max(0, begin + (count + 1) / 100 - time.monotonic()))
+    return data * round(seconds * 100)
+
+
+def test_three_megabaud_without_loss(folder, port):
+    """YAPP_LIVE_SECONDS=60 for a minute."""
+    extcap = Extcap(folder, "--port", port.name, "--baud", 3000000)
+    port.wait_until_open(termios.B3000000)
+    sent = pour(port, float(os.environ.get("YAPP_LIVE_SECONDS", "3")))
+    time.sleep(0.2)
+    capture, errors = extcap.end(timeout=30)
+    assert errors == "" and capture.bytes_of() == sent
+
+
+# What ends a capture ---------------------------------------------------------------------------------------------------
+
+def refused(folder, *arguments):
+    """What it says when it cannot begin; its fifo is a capture without packets all the same."""
+    capture, errors = Extcap(folder, *arguments).end(how=None, code=1)
+    assert capture.packets == [] and len(capture.interfaces) >= 1
+    assert errors.startswith("YAPP: ") and errors.count("\n") == 1
+    return errors
+
+
+def test_no_port(folder):
+    assert "no port was chosen" in refused(folder)
+
+
+def test_missing_port(folder):
+    assert "there is no port /dev/ttyNOPE" in refused(folder, "--port", "/dev/ttyNOPE")
+
+
+@pytest.mark.parametrize("path", ["/dev/null", "/etc/passwd"])
+def test_not_a_port(folder, path):
+    assert f"{path} is not a serial port" in refused(folder, "--port", path)
+
+
+def test_one_port_for_both_directions(folder, port):
+    assert "is both ports" in refused(folder, "--port", port.name, "--second", port.name)
+
+
+def test_busy_port(folder, port):
+    first = Extcap(folder, "--port", port.name)
+    port.wait_until_open()
+    assert f"{port.name} is in use by another program" in refused(folder, "--port", port.name)
+    first.end()
+
+
+def test_a_port_that_is_free_again(folder, port):
+    for _ in range(2):
+        extcap = Extcap(folder, "--port", port.name)
+        port.wait_until_open()
+        extcap.end()
+        attributes = termios.tcgetattr(port.near)
+        attributes[4] = attributes[5] = termios.B9600
+        termios.tcsetattr(port.near, termios.TCSANOW, attributes)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_port_that_is_not_permitted(folder, port):
+    os.chmod(port.name, 0)
+    errors = refused(folder, "--port", port.name)
+    import grp
+    group = grp.getgrgid(os.stat(port.name).st_gid).gr_name
+    assert f"belongs to the group {group}: sudo usermod -aG {group} $USER" in errors
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become somebody else")
+def test_port_of_root(folder, port):
+    os.chmod(port.name, 0o600)
+    os.chmod(folder, 0o777)
+    os.mkfifo(folder / "fifo")
+    os.chmod(folder / "fifo", 0o666)
+    shutil.copy(EXTCAP, folder / "extcap.py")
+    process = subprocess.Popen(["/usr/bin/python3", folder / "extcap.py", "--capture", "--extcap-interface", "yapp-serial", "--port",
+                                port.name, "--fifo", folder / "fifo"], stderr=subprocess.PIPE, text=True, user=65534,
+                               group=65534, extra_groups=[])
+    (folder / "fifo").read_bytes()
+    assert re.search(r"belongs to the group (\w+): sudo usermod -aG \1 \$USER", process.communicate(timeout=10)[1])
+    assert stat.S_IMODE(os.stat(port.name).st_mode) == 0o600
+
+
+def test_unplugged(folder, port):
+    extcap = Extcap(folder, "--port", port.name)
+    port.wait_until_open()
+    port.write(FRAME)
+    wait_for(lambda: FRAME in extcap.data)
+    port.unplug()
+    capture, errors = extcap.end(how=None, code=1)
+    assert capture.bytes_of() == FRAME and "is gone: was it unplugged?" in errors
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("busy", [False, True])
+def test_signals_end_it(folder, port, how, busy):
+    extcap = Extcap(folder, "--port", port.name)
+    port.wait_until_open()
+    port.write(FRAME)
+    wait_for(lambda: FRAME in extcap.data)
+    if busy:
+        threading.Thread(target=lambda: [port.write(FRAME) for _ in range(50)], daemon=True).start()
+    begin = time.monotonic()
+    capture, errors = extcap.end(how)
+    assert errors == "" and capture.packets and time.monotonic() - begin < 2
+    assert (FRAME * 51).startswith(capture.bytes_of())
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_closed_fifo_ends_it(folder, port, busy):
+    extcap = Extcap(folder, "--port", port.name, start=False)
+    extcap.file.read(100)
+    port.wait_until_open()
+    extcap.file.close()
+    if busy:
+        port.write(FRAME)
+    _, errors = extcap.end(how=None)
+    assert errors == ""
+
+
+# Under tshark ---------------------------------------------------------------------------------------------------------
+
+@pytest.fixture
+def home(folder):
+    """A home with the extcap where this Wireshark looks."""
+    home = folder / "home"
+    for name in (".config/wireshark/extcap", ".local/lib/wireshark/extcap"):
+        (home / name).mkdir(parents=True)
+        shutil.copy(EXTCAP, home / name)
+    for path in [home, *home.rglob("*")]:
+        path.chmod(0o777)
+    return home
+
+
+def run_tshark(home, *arguments):
+    environment = {**os.environ, "HOME": str(home), "LC_ALL": "C.UTF-8"}
+    environment.pop("XDG_CONFIG_HOME", None)
+    return subprocess.Popen(["tshark", *map(str, arguments)], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                            text=True, stdin=subprocess.DEVNULL, **tshark._user())
+
+
+def ends(process, timeout=20):
+    out, errors = process.communicate(timeout=timeout)
+    assert "Lua:" not in errors
+    return out, errors
+
+
+def test_tshark_decodes_what_comes(home, port):
+    process = run_tshark(home, *tshark.load(), "-i", "yapp-serial", "-o", f"extcap.yapp_serial.port:{port.name}", "-l", "-T",
+                         "fields", "-e", "frame.interface_name", "-e", "taurus.motor.dc_voltage", "-c", "5")
+    port.wait_until_open()
+    for _ in range(5):
+        port.write(FRAME)
+        time.sleep(0.05)
+    out, _ = ends(process)
+    assert out.splitlines() == [f"{port.name}\t47.97314"] * 5
+
+
+def test_tshark_keeps_every_byte(home, folder, port, second):
+    path = folder / "live.pcapng"
+    process = run_tshark(home, "-q", "-i", "yapp-serial", "-o", f"extcap.yapp_serial.port:{port.name}", "-o",
+                         f"extcap.yapp_serial.second:{second.name}", "-o", "extcap.yapp_serial.baud:3000000", "-w", path)
+    port.wait_until_open(termios.B3000000)
+    second.wait_until_open(termios.B3000000)
+    other = threading.Thread(target=lambda: pour(second, 2))
+    other.start()
+    sent = pour(port, 2)
+    other.join()
+    time.sleep(1)
+    process.send_signal(signal.SIGINT)
+    ends(process)
+    capture = Pcapng(path.read_bytes())
+    assert [link for link, _ in capture.interfaces] == [252, 252]
+    assert capture.bytes_of(0) == sent and capture.bytes_of(1) == sent
+    shown = tshark.fields(path, ["frame.interface_id", "yapp.crc.status"], "-c", "20")
+    assert {row[0] for row in shown} == {"0", "1"} and all(set(row[1]) <= {"1", ","} for row in shown)
+
+
+def test_tshark_says_what_is_wrong(home):
+    out, errors = ends(run_tshark(home, "-i", "yapp-serial", "-o", "extcap.yapp_serial.port:/dev/ttyNOPE"))
+    assert out == "" and "there is no port /dev/ttyNOPE" in errors
+
+
+def test_tshark_and_a_port_that_goes(home, port):
+    process = run_tshark(home, *tshark.load(), "-i", "yapp-serial", "-o", f"extcap.yapp_serial.port:{port.name}", "-l", "-T",
+                         "fields", "-e", "taurus.motor.dc_voltage")
+    port.wait_until_open()
+    port.write(FRAME)
+    time.sleep(0.5)
+    port.unplug()
+    out, errors = ends(process)
+    assert out == "47.97314\n" and f"{port.name} is gone" in errors
+
+
+def test_nothing_runs_on_after_tshark(home, port):
+    process = run_tshark(home, "-i", "yapp-serial", "-o", f"extcap.yapp_serial.port:{port.name}", "-w", "/dev/null")
+    port.wait_until_open()
+    process.kill()
+    process.wait()
+    process.stdout.close()
+    process.stderr.close()
+
+    def mine():
+        return [number for number in os.listdir("/proc") if number.isdigit() and port.name in command_of(number)]
+
+    wait_for(lambda: not mine())
+
+
+def command_of(number):
+    try:
+        return pathlib.Path(f"/proc/{number}/cmdline").read_text().split("\0")
+    except OSError:
+        return []
+
+
+DOCUMENT = (tshark.ROOT / "docs/live.md").read_text()
+
+
+@pytest.mark.parametrize("command", re.findall(r"^    tshark -i yapp-serial (.*)", DOCUMENT, re.MULTILINE))
+def test_commands_of_the_document(home, folder, port, second, command):
+    for name, there in (("/dev/ttyUSB0", port.name), ("/dev/ttyUSB1", second.name), ("both.pcapng", folder / "both.pcapng")):
+        command = command.replace(name, str(there))
+    process = run_tshark(home, *tshark.load(), "-l", "-i", "yapp-serial", *command.split())
+    port.wait_until_open()
+    port.write(FRAME[:42] + FRAME)  # the first is cut off
+    time.sleep(1)
+    process.send_signal(signal.SIGINT)
+    out, errors = ends(process)
+    assert "captured" in errors
+    if "both" in command:
+        assert (folder / "both.pcapng").read_bytes().count(FRAME) == 1
+    else:
+        assert ("Motor Data" in out) == ("fault.active" not in command)
+
+
+def test_settings_in_the_document():
+    for interface in ("yapp-serial", "yapp-can"):
+        out, _ = spoken("--extcap-config", "--extcap-interface", interface)
+        calls = {call.replace("-", "_") for call in re.findall(r"\{call=--([\w-]+)\}", out)}
+        named = set(re.findall(rf"extcap\.{interface.replace('-', '_')}\.(\w+):", DOCUMENT))
+        assert named and named <= calls
+        for call in calls:
+            assert f"`{call.replace('_', '-')}`" in DOCUMENT
+
+
+# CAN, and pyserial ----------------------------------------------------------------------------------------------------
+
+def has(module):
+    return subprocess.run([PYTHON, "-c", f"import {module}"], capture_output=True, check=False).returncode == 0
+
+
+VIRTUAL = """
+    import sys, threading, time
+    import can
+    sys.path.insert(0, {folder!r})
+    import yapp_extcap
+
+    def send():
+        bus = can.Bus(interface="virtual", channel="bench")
+        while not any(thread.name.endswith("(forward)") for thread in threading.enumerate()):
+            time.sleep(0.01)
+        motor = bytes.fromhex("{motor}")
+        bus.send(can.Message(arbitration_id=0x210 << 18 | 1 << 14, data=bytes.fromhex("BBBE6FC720000000")))
+        for part, ctrl in ((motor[:8], 2), (motor[8:16], 2), (motor[16:24], 2), (motor[24:], 3)):
+            bus.send(can.Message(arbitration_id=0x210 << 18 | ctrl << 14, data=part))
+        bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"12"))
+        bus.send(can.Message(arbitration_id=0x210 << 18, is_remote_frame=True, dlc=4))
+        bus.send(can.Message(arbitration_id=0x100 << 18, is_fd=True, bitrate_switch=True, data=bytes(64)))
+        bus.send(can.Message(arbitration_id=8, is_error_frame=True, data=bytes(8)))
+        bus.shutdown()
+
+    if "--capture" in sys.argv:
+        threading.Thread(target=send, daemon=True).start()
+    code = yapp_extcap.main()
+    sys.stdout.flush()
+    import os
+    os._exit(code)
+"""
+
+
+@pytest.fixture
+def can_extcap(folder):
+    """An extcap in whose process somebody sends on python-can's virtual bus, which has no other processes on it."""
+    if not has("can"):
+        pytest.skip("no python-can")
+    shutil.copy(EXTCAP, folder / "yapp_extcap.py")
+    program = folder / "can_extcap.py"
+    text = textwrap.dedent(VIRTUAL).format(folder=str(folder), motor=FRAME[12:44].hex())
+    program.write_text(f"#!{PYTHON}\n" + text)
+    program.chmod(0o755)
+    (folder / "yapp_extcap.py").chmod(0o644)
+    return program
+
+
+CAN_ARGUMENTS = ["--adapter", "virtual", "--channel", "bench", "--fd", "true"]
+
+
+def test_can_frames(folder, can_extcap):
+    extcap = Extcap(folder, *CAN_ARGUMENTS, interface="yapp-can", program=can_extcap)
+    wait_for(lambda: len(Pcapng(extcap.data).packets) == 9)
+    capture, errors = extcap.end()
+    assert errors == "" and capture.interfaces == [(227, "virtual bench")]
+    data = [packet[2] for packet in capture.packets]
+    assert data[0] == bytes.fromhex("88404000 08 000000 BBBE6FC720000000")
+    assert data[5] == bytes.fromhex("00000123 02 000000") + b"12"
+    assert data[6] == bytes.fromhex("C8400000 04 000000")
+    assert data[7] == bytes.fromhex("84000000 40 050000") + bytes(64)
+    assert data[8][:4] == bytes.fromhex("A0000008")
+    assert all(abs(packet[1] - time.time()) < 60 for packet in capture.packets)
+
+
+def test_can_under_tshark(home, can_extcap):
+    for folder in (".config/wireshark/extcap", ".local/lib/wireshark/extcap"):
+        shutil.copy(can_extcap, home / folder / "can_extcap.py")
+        (home / folder / "yapp_extcap.py").unlink()
+    process = run_tshark(home, *tshark.load(), "-i", "yapp-can", "-o", "extcap.yapp_can.adapter:virtual", "-o",
+                         "extcap.yapp_can.channel:bench", "-l", "-c", "9", "-T", "fields", "-e", "can.id", "-e",
+                         "taurus.motor.dc_voltage")
+    out, _ = ends(process)
+    assert [line.split("\t")[1] for line in out.splitlines()] == ["", "", "", "", "47.97314", "", "", "", ""]
+
+
+@pytest.mark.skipif(not has("can"), reason="no python-can")
+def test_can_that_is_not_there(folder):
+    extcap = Extcap(folder, "--adapter", "nonsense", "--channel", "x", interface="yapp-can")
+    assert "nonsense x cannot be opened" in extcap.end(how=None, code=1)[1]
+    assert "no adapter was chosen" in Extcap(folder, interface="yapp-can").end(how=None, code=1)[1]
+
+
+@pytest.mark.skipif(has("can"), reason="python-can is there")
+def test_without_python_can(folder):
+    extcap = Extcap(folder, "--adapter", "pcan", interface="yapp-can")
+    assert "python-can is needed" in extcap.end(how=None, code=1)[1]
+
+
+@pytest.mark.skipif(not has("serial"), reason="no pyserial")
+def test_the_way_of_windows(folder, port):
+    """pyserial, on the same pseudo terminal."""
+    program = folder / "windows.py"
+    program.write_text(f"import os, sys\nsys.path.insert(0, {str(EXTCAP.parent)!r})\nimport yapp_extcap\n"
+                       "yapp_extcap.pieces = yapp_extcap.pieces_by_pyserial\nos._exit(yapp_extcap.main())\n")
+    extcap = Extcap(folder, "--port", port.name, program=program)
+    port.wait_until_open()
+    for _ in range(10):
+        port.write(FRAME)
+        time.sleep(0.02)
+    wait_for(lambda: extcap.data.count(FRAME) == 10)
+    capture, errors = extcap.end()
+    assert errors == "" and len(capture.packets) == 10 and capture.bytes_of() == FRAME * 10
+    extcap = Extcap(folder, "--port", "/dev/ttyNOPE", program=program)
+    assert "/dev/ttyNOPE cannot be opened" in extcap.end(how=None, code=1)[1]

@@ -1,0 +1,300 @@
+#!/usr/bin/env python3
+"""Messages of the user's own: where they are loaded from, every type of field, and docs/messages.md.
+
+    test_messages.py    writes NAME.pcap and NAME.expected of test_captures/own_messages anew: look at the difference"""
+import html
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+import tshark
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captures"))
+import expected  # noqa: E402
+import make  # noqa: E402
+
+OWN = tshark.CAPTURES / "own_messages"
+CATALOGUE = OWN / "messages.lua"
+NAMES = sorted(path.stem for path in OWN.glob("*.frames"))
+PERSONAL = pathlib.Path(".config/wireshark")  # in a home
+
+
+@pytest.fixture
+def own(monkeypatch):
+    monkeypatch.setenv("YAPP_MESSAGES", str(CATALOGUE))
+
+
+def pcap(name):
+    return make.pcap(make.Source((OWN / f"{name}.frames").read_text()))
+
+
+def shown(name, *options):
+    """The Taurus tree and the Info column of each frame."""
+    path = OWN / f"{name}.pcap"
+    tshark.assert_no_lua_errors(path)
+    infos = tshark.fields(path, [expected.column("Info")], *options)
+    tree = tshark.run(*options, "-r", path, "-O", "taurus").stdout
+    blocks = re.findall(r"(?m)^(Taurus .*\n(?:    .*\n)*)", tree)
+    lines = []
+    for number, (info, block) in enumerate(zip(infos, blocks), 1):
+        kept = [line for line in block.splitlines() if not re.match(r" +\[(Severity|Group|[^\]:]*\]$)", line)]
+        lines += [f"frame {number}: " + info[0].replace("\\\\", "\\"), *(f"    {line}".rstrip() for line in kept)]
+    text = "".join(f"{line}\n" for line in lines)
+    # Versions differ in the digits of very large and very small numbers, and of times.
+    text = re.sub(r"\b\d[.\d]*e[-+]\d+", lambda match: f"{float(match[0]):.6g}", text)
+    return re.sub(r"(?m)(\d[.\d]*) seconds?$", lambda match: f"{float(match[1]):.9f} seconds", text)
+
+
+# The types -------------------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_text_makes_the_capture(name):
+    assert (OWN / f"{name}.pcap").read_bytes() == pcap(name)
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize("name", NAMES)
+def test_tree_and_info(name):
+    text = (OWN / f"{name}.expected").read_text()
+    assert shown(name) == text
+    assert shown(name, "-2") == text
+
+
+# Field and its values by frame, typed by hand from the bytes; - where it is absent.
+VALUES = {
+    "unsigned.u8": "0 1 255 0", "unsigned.u16": "0 1 65535 0", "unsigned.u24": "0 1 16777215 0",
+    "unsigned.u32": "0 1 4294967295 0", "unsigned.u64": "0 1 18446744073709551615 9007199254740993",
+    "signed.i8": "0 -1 127 -128 2", "signed.i16": "0 -1 32767 -32768 2", "signed.i24": "0 -1 8388607 -8388608 2",
+    "signed.i32": "0 -1 2147483647 -2147483648 2",
+    "signed.i64": "0 -1 9223372036854775807 -9223372036854775808 2",
+    "real.f32": "0.1 3.4028235e+38 1.4013e-45 - - - 0", "real.f32.special": "- - - 0 1 2 -",
+    "real.f64": "0.1 1e+300 5e-324 - - - 0", "real.f64.special": "- - - 0 1 2 -",
+    **{f"compressed.c{bits}": f"{low} {high} - - - - -" for bits, low, high in [
+        (8, -40, 210), (16, -10, 5), (24, 0, 16777210), *((bits, -1, 1) for bits in (32, 40, 48, 56, 64))]},
+    **{f"compressed.c{bits}.special": "- - 4 3 2 1 0" for bits in range(8, 65, 8)},
+    "scaled.air": "-10.5 -3276.8 3276.7", "scaled.water": "87.5 -40 87.5",
+    "scaled.latitude": "47.3979147 -214.7483648 214.7483647", "scaled.up": "1.5 0 9007199254740.99",
+    "scaled.gradient": "-98 -3236.8 3189.2",
+    "parts.word": "0x0000 0x8ff7 0x0012 0x7009", "parts.word.armed": "0 1 0 0", "parts.gear": "0x00 0x07 0x02 0x01",
+    "parts.load": "0 127.5 0.5 0", "parts.word.undefined": "- - - 0x00007008", "parts.low": "0 5 15 0",
+    "parts.high": "0 10 0 15",
+    "text.on": "0 1 1 0", "text.key": "00010203 fffe7f80 00000000 00000000",
+    "cells.cell": "1,2,3 0,65.535,0.001", "cells.hot": "0,1,0 1,1,1",
+    "report.what": "0x00 0x01 0x02 0x03", "report.speed": "- 1 - -", "report.volts": "- - 48 -",
+    "report.since": "- - 1.000000000 -",
+}
+
+
+def same(text, wanted):
+    """A value as some version prints it: booleans in words, doubles with more digits."""
+    if text in ("True", "False"):
+        text = "1" if text == "True" else "0"
+    if text == wanted:
+        return True
+    number = r"[-+\d.e]+"
+    if not (re.fullmatch(number, text) and re.fullmatch(number, wanted)):
+        return text.startswith("0x") and wanted.startswith("0x") and int(text, 16) == int(wanted, 16)
+    return float(text) == pytest.approx(float(wanted), rel=1e-9, abs=0) if "." in text or "e" in text else False
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize("name", NAMES)
+def test_values(name):
+    fields = [field for field in VALUES if field.startswith(f"{name}.")]
+    rows = tshark.fields(OWN / f"{name}.pcap", [f"taurus.{field}" for field in fields])
+    for place, field in enumerate(fields):
+        for row, wanted in zip(rows, VALUES[field].split(" "), strict=True):
+            texts = row[place].split(",") if row[place] else ["-"]
+            assert len(texts) == len(wanted.split(",")), (field, row[place])
+            assert all(same(*pair) for pair in zip(texts, wanted.split(","))), (field, row[place], wanted)
+
+
+# Capture, display filter, its frames.
+FILTERS = [
+    ("unsigned", "taurus.unsigned.u64 == 18446744073709551615", [3]), ("unsigned", "taurus.unsigned.u24 > 1", [3]),
+    ("signed", "taurus.signed.i24 < 0", [2, 4]), ("signed", "taurus.signed.i64 < -9223372036854775807", [4]),
+    ("signed", "taurus.value.invalid", [5]),
+    ("real", "taurus.real.f32 == 0.1", [1]), ("real", "taurus.real.f64 == 0.1", [1]),
+    ("real", "taurus.real.f32 > 0 || taurus.real.f32 <= 0", [1, 2, 3, 7]),
+    ("real", "taurus.real.f64.special == 0", [4]), ("real", "taurus.value.special", [4, 5, 6]),
+    ("compressed", "taurus.compressed.c64 == 1", [2]), ("compressed", "taurus.compressed.c40.special == 4", [3]),
+    ("scaled", "taurus.scaled.air == -10.5", [1]), ("scaled", "taurus.scaled.latitude == 47.3979147", [1]),
+    ("parts", "taurus.parts.gear == 7", [2]), ("parts", "taurus.parts.load == 127.5", [2]),
+    ("parts", "taurus.fault.active", [2, 4]), ("parts", "taurus.parts.word.armed == 1", [2]),
+    ("text", 'taurus.text.name == "ESC 1"', [1]), ("text", "taurus.text.on == 1", [2, 3]),
+    ("text", "taurus.text.key == ff:fe:7f:80", [2]),
+    ("cells", "any taurus.cells.cell > 60", [2]), ("cells", "taurus.cells.cell == 2", [1]),
+    ("report", "taurus.report.speed == 1", [2]), ("report", "taurus.report.since", [3]),
+    ("report", "taurus.value.invalid", [4]),
+]
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize("name, text, frames", FILTERS)
+def test_filters(name, text, frames):
+    done = tshark.run("-r", OWN / f"{name}.pcap", "-Y", text, "-T", "fields", "-e", "frame.number")
+    assert [int(number) for number in done.stdout.split()] == frames
+
+
+def test_every_type_is_in_the_captures_and_in_the_head_of_the_catalogue():
+    done = subprocess.run(["lua5.4", "-e", "package.path = 'yapp/?.lua' print(require('yapp_catalogue_types').NAMES)"],
+                          capture_output=True, text=True, check=True, cwd=tshark.ROOT)
+    used, head = CATALOGUE.read_text(), (tshark.ROOT / "taurus_fields.lua").read_text().split("\nlocal ")[0]
+    types = done.stdout.strip().split(", ")
+    assert len(types) > 20
+    for name in types:
+        assert f'"{name}"' in used + (tshark.ROOT / "taurus_fields.lua").read_text(), name
+        family = re.sub(r"\d+$", "", name)
+        assert re.search(rf"\b{family}", head), name
+
+
+# Where they are loaded from --------------------------------------------------------------------------------------
+
+ENTRY = ('return {{ {{ name = "{name}", title = "{title}", id = {ident}, size = 7, {{ "one", "uint8", "One" }}, '
+         '{{ "rest", "bytes", "Rest", length = 6 }} }} }}')
+COMMAND = tshark.CAPTURES / "document_command.pcap"
+
+
+def home_with(folder, files):
+    """A home with these files in Wireshark's personal configuration folder, and the arguments that load the plugin."""
+    (folder / PERSONAL).mkdir(parents=True)
+    for name, text in files.items():
+        (folder / PERSONAL / name).write_text(text)
+    plugin = tshark.copy_plugin(folder / "plugin")
+    for path in [folder, *folder.rglob("*")]:
+        path.chmod(0o777 if path.is_dir() else 0o644)
+    return {"plugin": False, "env": {"HOME": str(folder)}}, tshark.load(plugin / "yapp.lua")
+
+
+def loaded(folder, files, *arguments, env=None):
+    """What the Info column says of a Command, and what the plugin says on stderr."""
+    options, load = home_with(folder, files)
+    options["env"].update(env or {})
+    done = tshark.run(*load, "-r", COMMAND, "-T", "fields", "-e", expected.column("Info"), *arguments, **options)
+    return done.stdout.strip(), [line for line in done.stderr.splitlines() if line.startswith("yapp: ")]
+
+
+def test_the_personal_folder(folder):
+    text = ENTRY.format(name="command", title="Mine", ident=0)
+    assert loaded(folder, {"yapp_messages.lua": text}) == ("Mine", [])
+
+
+def test_a_path_in_a_preference_takes_effect_at_the_next_start(folder):
+    path = folder / "elsewhere.lua"
+    path.write_text(ENTRY.format(name="command", title="Chosen", ident=0))
+    files = {"yapp_messages.lua": ENTRY.format(name="command", title="Mine", ident=0),
+             "preferences": f"yapp.messages: {path}\n"}
+    assert loaded(folder, files) == ("Chosen", [])
+
+
+def test_a_preference_for_one_run_says_what_to_do(folder):
+    path = folder / "elsewhere.lua"
+    path.write_text(ENTRY.format(name="command", title="Chosen", ident=0))
+    info, said = loaded(folder, {}, "-o", f"yapp.messages:{path}")
+    assert info.startswith("Command  Enabled")
+    assert said == [f"yapp: preferences: {path} is read at the next start, if the default profile names it; for one run "
+                    "set the environment variable YAPP_MESSAGES to it"]
+
+
+def test_the_environment(folder):
+    path = folder / "elsewhere.lua"
+    path.write_text(ENTRY.format(name="command", title="Named", ident=0))
+    files = {"yapp_messages.lua": ENTRY.format(name="command", title="Mine", ident=0)}
+    assert loaded(folder, files, env={"YAPP_MESSAGES": str(path)}) == ("Named", [])
+
+
+def test_a_file_that_is_not_there(folder):
+    info, said = loaded(folder, {}, env={"YAPP_MESSAGES": "/no/such.lua"})
+    assert info.startswith("Command  Enabled")
+    assert said == ["yapp: /no/such.lua: not found; its messages are shown as bytes"]
+
+
+def test_an_error_names_file_message_and_field_and_the_rest_works(folder):
+    text = ENTRY.format(name="mine", title="Mine", ident=5).replace('"uint8"', '"unit8"')
+    info, said = loaded(folder, {"yapp_messages.lua": text})
+    assert info.startswith("Command  Enabled")
+    assert len(said) == 1
+    assert said[0].startswith(f"yapp: {folder / PERSONAL}/yapp_messages.lua: message mine, field one: unknown type "
+                              '"unit8"; the types are ')
+    assert said[0].endswith("; this message is shown as bytes")
+
+
+def test_an_unknown_option_is_one_message(folder):
+    text = ENTRY.format(name="mine", title="Mine", ident=5).replace('"One"', '"One", units = "V"')
+    _, said = loaded(folder, {"yapp_messages.lua": text})
+    assert len(said) == 1 and 'message mine, field one: unknown option "units"; type uint8 has alarm, bits,' in said[0]
+
+
+def test_no_catalogue_at_all(folder):
+    options, load = home_with(folder, {})
+    (folder / "plugin/taurus_fields.lua").unlink()
+    done = tshark.run(*load, "-r", COMMAND, **options)
+    assert "taurus_fields.lua: not found; its messages are shown as bytes" in done.stderr
+    assert "bad argument" not in done.stderr
+
+
+def test_names_and_types_of_what_is_generated():
+    load = tshark.load(tshark.PLUGIN / "yapp.lua")
+    rows = [line.split("\t") for line in tshark.run("-G", "fields", *load, plugin=False).stdout.splitlines()]
+    types = {row[2]: row[3] for row in rows if row[0] == "F"}
+    wanted = {
+        "motor.fault.raised": "UINT32", "motor.fault.cleared": "UINT32", "motor.status.raised": "UINT32",
+        "motor.status.cleared": "UINT32", "motor.state.raised": "UINT8", "motor.state.cleared": "UINT8",
+        "health.status.raised": "UINT8", "motor.fault.active_time": "RELATIVE_TIME",
+        "motor.fault.previous_change": "FRAMENUM", "motor.fault.next_change": "FRAMENUM", "motor.rpm_error": "DOUBLE",
+        "motor.torque_iq_error": "DOUBLE", "motor.command_in": "FRAMENUM", "motor.clock_drift": "RELATIVE_TIME",
+        "health.clock_drift": "RELATIVE_TIME", "fault.raised": "NONE", "fault.cleared": "NONE", "reboot": "NONE",
+        "stale": "NONE",
+    }
+    assert {name: types.get(f"taurus.{name}") for name in wanted} == {
+        name: f"FT_{kind}" for name, kind in wanted.items()}
+
+
+def test_differences():
+    rows = tshark.fields(tshark.CAPTURES / "info_column.pcap", ["taurus.motor.rpm_error", "taurus.motor.torque_iq_error"])
+    assert [row for row in rows if row[0]] == [["-1.831222", "0"]]
+    path = tshark.CAPTURES / "reserved_counts_motor.pcap"
+    both = "taurus.motor.torque_iq_measured && taurus.motor.torque_iq_commanded"
+    found = tshark.run("-r", path, "-Y", f"taurus.motor.torque_iq_error && !({both})").stdout
+    missing = tshark.run("-r", path, "-Y", f"!taurus.motor.torque_iq_error && {both}").stdout
+    assert found == missing == ""
+
+
+# docs/messages.md ------------------------------------------------------------------------------------------------
+
+def test_the_page_about_messages(folder):
+    """Its file, its commands in a real shell, and what they print."""
+    page = (tshark.ROOT / "docs/messages.md").read_text()
+    code = re.search(r"(?s)```lua\n(.*?)```", page)[1]
+    options, load = home_with(folder, {"yapp_messages.lua": code})
+    wrapper = folder / "bin/tshark"
+    wrapper.parent.mkdir()
+    wrapper.write_text(f'#!/bin/sh\nexec {shutil.which("tshark")} {" ".join(load)} "$@"\n')
+    wrapper.chmod(0o755)
+    environment = {**os.environ, **options["env"], "LC_ALL": "C.UTF-8", "TZ": "UTC",
+                   "PATH": f"{wrapper.parent}:{os.environ['PATH']}"}
+    environment.pop("XDG_CONFIG_HOME", None)
+    ran = 0
+    for block in re.findall(r"(?m)((?:^    .*\n)+)", page):
+        lines = [html.unescape(line[4:]) for line in block.splitlines()]
+        if not lines[0].startswith("$ "):
+            continue
+        command, wanted = lines[0][2:], lines[1:]
+        done = subprocess.run(["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True,
+                              timeout=tshark.TIMEOUT, **tshark._user())
+        assert done.returncode == 0 and "Lua" not in done.stderr, done.stderr
+        assert done.stdout.rstrip().splitlines() == wanted, command
+        ran += 1
+    assert ran >= 4
+
+
+if __name__ == "__main__":
+    os.environ["YAPP_MESSAGES"] = str(CATALOGUE)
+    for one in NAMES:
+        (OWN / f"{one}.pcap").write_bytes(pcap(one))
+        (OWN / f"{one}.expected").write_text(shown(one))

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""profiles/YAPP: every name in it is a field, the columns and the colours are what tshark makes of them, and the colours
+can be told apart by everybody."""
+import csv
+import itertools
+import re
+import shutil
+
+import pytest
+import tshark
+
+# In the list of public names, and not in the plugin yet: to be emptied.
+TO_COME = {"yapp.source", "yapp.message.fault", "yapp.unfinished", "yapp.late", "taurus.fault.raised", "taurus.fault.cleared",
+           "taurus.reboot", "taurus.stale"}
+
+PROFILE = tshark.ROOT / "profiles/YAPP"
+
+
+def lines_of(name):
+    return [line for line in (PROFILE / name).read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")]
+
+
+def uat(name):
+    return list(csv.reader(lines_of(name)))
+
+
+def colour_rules():
+    """name -> filter, background, text; the colours as three numbers from 0 to 1."""
+    rules = {}
+    for line in lines_of("colorfilters"):
+        name, text, back, front = re.fullmatch(r"@([^@]*)@([^@]*)@\[([\d,]*)\]\[([\d,]*)\]", line).groups()
+        rules[name] = text, *([int(part) / 65535 for part in colour.split(",")] for colour in (back, front))
+    return rules
+
+
+@pytest.fixture(scope="module")
+def home():
+    """A home with the profile."""
+    path = tshark.writable_folder()
+    shutil.copytree(PROFILE, path / ".config/wireshark/profiles/YAPP")
+    for entry in [path, *path.rglob("*")]:
+        entry.chmod(0o777)
+    yield path
+    shutil.rmtree(path, ignore_errors=True)
+
+
+def run(home, *arguments):
+    return tshark.run("-C", "YAPP", *tshark.load(), *arguments, plugin=False, env={"HOME": str(home)})
+
+
+if tshark.ROUTE == "plugin":  # the home of the tests has it in its plugin folder, this one has not
+    pytestmark = pytest.mark.skip(reason="the same by both routes")
+
+
+@pytest.fixture(scope="module")
+def known():
+    """The names of all fields; -G takes no -X, so the plugin has to lie in a plugin folder."""
+    path = tshark.writable_folder()
+    tshark.copy_plugin(path / tshark.PERSONAL_FOLDER / "yapp")
+    for entry in [path, *path.rglob("*")]:
+        entry.chmod(0o777 if entry.is_dir() else 0o644)
+    done = tshark.run("-G", "fields", plugin=False, env={"HOME": str(path)})
+    yield {line.split("\t")[2] for line in done.stdout.splitlines() if line.count("\t") > 1}
+    shutil.rmtree(path, ignore_errors=True)
+
+
+def test_every_name_is_a_field(known):
+    texts = [text for text, _, _ in colour_rules().values()]
+    texts += [row[2] for row in uat("dfilter_buttons")]
+    texts += [text for row in uat("io_graphs") for text in (row[2], row[6])]
+    texts += [text for row in uat("plots") for text in (row[3], row[6])]
+    texts += re.findall(r"%Cus:([\w.]+):", (PROFILE / "preferences").read_text())
+    names = set(re.findall(r"(?:yapp|taurus)[\w.]*", " ".join(texts)))
+    assert len(names) > 20 and names - known - TO_COME == set()
+
+
+def test_shape_of_the_tables():
+    assert {len(row) for row in uat("dfilter_buttons")} == {4}
+    assert all(row[0] == "TRUE" and row[1].startswith("YAPP//") and row[3] for row in uat("dfilter_buttons"))
+    assert {len(row) for row in uat("io_graphs")} == {9}
+    assert {len(row) for row in uat("plots")} == {8}
+    assert "auto_switch_filter: yapp" in lines_of("profile_settings")
+
+
+def test_columns(home):
+    done = run(home, "-r", tshark.CAPTURES / "document_uart.pcap", "-T", "psml")
+    titles = re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[0])
+    assert titles == ["No.", "Time", "Source", "RPM", "Voltage", "Current", "State", "Faults", "Protocol", "Info"]
+    values = dict(zip(titles, re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[1])))
+    assert (values["Voltage"], values["RPM"], values["Protocol"]) == ("47.97314", "0", "YAPP")
+
+
+@pytest.mark.parametrize("capture, rule", [
+    ("bad_crc_can.pcap", "YAPP bad CRC"), ("lost_middle.pcap", "YAPP incomplete or stray"),
+    ("end_without_start.pcap", "YAPP incomplete or stray"), ("middle_without_start.pcap", "YAPP incomplete or stray"),
+    ("invalid_key.pcap", "YAPP command ignored"), ("fault_flags.pcap", "YAPP fault raised"),
+])
+def test_colours(home, known, capture, rule):
+    if TO_COME - known and rule in ("YAPP incomplete or stray", "YAPP fault raised"):
+        pytest.skip(f"no {', '.join(TO_COME - known)} yet")
+    done = run(home, "--color", "-r", tshark.CAPTURES / capture, "-T", "fields", "-e", "frame.coloring_rule.name")
+    assert TO_COME - known or "Could not compile" not in done.stderr
+    assert rule in done.stdout.splitlines()
+
+
+def test_what_is_well_has_no_colour(home):
+    done = run(home, "--color", "-r", tshark.CAPTURES / "document_command.pcap", "-T", "fields", "-e",
+               "frame.coloring_rule.name")
+    assert done.stdout.strip() == ""
+
+
+# Colours ---------------------------------------------------------------------------------------------------------------
+
+def linear(colour):
+    return [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in colour]
+
+
+def luminance(colour):
+    return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear(colour)))
+
+
+def test_text_is_readable():
+    """WCAG's contrast, 4.5 for text; what is coloured is coloured alike in dark mode."""
+    for name, (_, back, front) in colour_rules().items():
+        low, high = sorted((luminance(back), luminance(front)))
+        assert (high + 0.05) / (low + 0.05) >= 4.5, name
+
+
+# How full protanopes, deuteranopes and tritanopes see linear RGB (Machado, Oliveira and Fernandes, 2009).
+SIGHT = {
+    "normal": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "protan": ((0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216), (-0.003882, -0.048116, 1.051998)),
+    "deutan": ((0.367322, 0.860646, -0.227968), (0.280085, 0.672501, 0.047413), (-0.011820, 0.042940, 0.968881)),
+    "tritan": ((1.255528, -0.076749, -0.178779), (-0.078411, 0.930809, 0.147602), (0.004733, 0.691367, 0.303900)),
+}
+
+
+def lab(rgb):
+    """CIELAB of linear RGB."""
+    matrix = ((0.4124, 0.3576, 0.1805), (0.2126, 0.7152, 0.0722), (0.0193, 0.1192, 0.9505))
+    white = (0.9505, 1, 1.089)
+    x, y, z = (sum(a * b for a, b in zip(row, rgb)) / w for row, w in zip(matrix, white))
+    x, y, z = (value ** (1 / 3) if value > 0.008856 else 7.787 * value + 16 / 116 for value in (x, y, z))
+    return 116 * y - 16, 500 * (x - y), 200 * (y - z)
+
+
+def seen(colour, sight):
+    rgb = linear(colour)
+    return lab([min(1, max(0, sum(a * b for a, b in zip(row, rgb)))) for row in SIGHT[sight]])
+
+
+@pytest.mark.parametrize("sight", SIGHT)
+def test_colours_can_be_told_apart(sight):
+    """By everybody: 10 apart in CIELAB is two colours at a glance; the text's colour adds to it."""
+    for (a, first), (b, second) in itertools.combinations(colour_rules().items(), 2):
+        distance = sum((p - q) ** 2 for p, q in zip(seen(first[1], sight), seen(second[1], sight))) ** 0.5
+        assert distance >= 15, (a, b, distance)
+
+
+@pytest.mark.parametrize("sight", SIGHT)
+@pytest.mark.parametrize("name", ["io_graphs", "plots"])
+def test_lines_can_be_told_apart(sight, name):
+    """Those that are shown in one graph."""
+    rows = [(row[1] if name == "plots" else "", row[2 if name == "plots" else 1], row[4 if name == "plots" else 3])
+            for row in uat(name) if row[0] in ("TRUE", "Enabled")]
+    for first, second in itertools.combinations(rows, 2):
+        if first[0] == second[0]:
+            colours = [seen([int(row[2][at:at + 2], 16) / 255 for at in (1, 3, 5)], sight) for row in (first, second)]
+            assert sum((p - q) ** 2 for p, q in zip(*colours)) ** 0.5 >= 15, (first, second)

@@ -1,0 +1,199 @@
+"""Flights with planted events come out of -z yapp,... exactly: in one pass and in two, in every form of capture.
+
+YAPP_FLIGHTS=100: more seeds.
+"""
+import csv
+import functools
+import json
+import os
+from decimal import Decimal
+
+import pytest
+
+import flights
+import model
+import tshark
+
+SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", 4)) + 1)
+PASSES = {"one pass": (), "two passes": ("-2",)}
+CASES = [(seed, flights.FORMS[seed % 3], passes) for seed in SEEDS for passes in PASSES]
+CHECKED = pytest.mark.parametrize("seed, form, passes", CASES)
+
+
+@functools.lru_cache(None)
+def flight_of(seed):
+    return flights.make(seed)
+
+
+def statistics(flight, form, capture, *whats, passes=(), check=True):
+    """The JSON lines of some statistics, by kind; and the exit code."""
+    taps = [argument for what in whats for argument in ("-z", f"yapp,{what}")]
+    done = tshark.run(*passes, *flight.arguments(form), "-q", "-r", capture, *taps, check=check)
+    found = {"events": [], "faults": [], "summary": [], "check": [], "csv": []}
+    for text in done.stdout.splitlines():
+        line = json.loads(text, parse_float=Decimal)
+        kind = "events" if "kind" in line else "faults" if "event" in line else "check" if "rule" in line else \
+            "csv" if "rows" in line else "summary"
+        found[kind].append(line)
+    assert "yapp:" not in done.stderr, done.stderr
+    return found, done.returncode
+
+
+def seconds(nanoseconds):
+    return None if nanoseconds is None else Decimal(nanoseconds).scaleb(-9)
+
+
+def with_times(lines):
+    """The truth's nanoseconds as the seconds that JSON has."""
+    return [{key: seconds(value) if key in ("time", "active", "length") else value for key, value in line.items()}
+            for line in lines]
+
+
+def sort_key(line):
+    return json.dumps({key: str(value) for key, value in line.items()}, sort_keys=True)
+
+
+def assert_close(found, expected, what, limit=1e-9):
+    assert (found is None) == (expected is None), what
+    assert found is None or abs(float(found) - float(expected)) <= limit * max(1.0, abs(float(expected))), what
+
+
+@pytest.fixture(scope="module")
+def results():
+    """Each capture is read once for all statistics."""
+    folder = tshark.writable_folder()
+
+    @functools.lru_cache(None)
+    def get(seed, form, passes):
+        flight = flight_of(seed)
+        capture = flight.write(folder / f"{seed}.{form}.{'log' if form == 'candump' else 'pcapng'}", form)
+        table = folder / f"{seed}.{form}.{passes}".replace(" ", "")
+        return run_all(flight, form, capture, table, PASSES[passes]), table, capture
+
+    return get
+
+
+def run_all(flight, form, capture, table, passes):
+    """The lines of three statistics, and the table of a fourth, from one run."""
+    found, code = statistics(flight, form, capture, "events,json", "faults,json", "summary,json",
+                             f"csv,{table},json", passes=passes)
+    assert code == 0
+    return found
+
+
+@CHECKED
+def test_events(results, seed, form, passes):
+    found = results(seed, form, passes)[0]["events"]
+    expected = with_times(flight_of(seed).truth(form)["events"])
+    assert [line["time"] for line in found] == sorted(line["time"] for line in found)
+    assert sorted(found, key=sort_key) == sorted(expected, key=sort_key)
+
+
+@CHECKED
+def test_faults(results, seed, form, passes):
+    found = results(seed, form, passes)[0]["faults"]
+    assert found == with_times(flight_of(seed).truth(form)["faults"])
+
+
+@CHECKED
+def test_summary(results, seed, form, passes):
+    def key(line):
+        return (line["bus"] or "", line["id"], line["count"], line["gap_max_frame"] or 0)
+
+    found = sorted(results(seed, form, passes)[0]["summary"], key=key)
+    expected = sorted(flight_of(seed).truth(form)["summary"], key=key)
+    assert len(found) == len(expected)
+    for line, truth in zip(found, expected):
+        assert line.keys() == truth.keys()
+        for name, value in truth.items():
+            if name in ("rate", "gap_min", "gap_mean", "gap_max"):
+                scale = 1 if name == "rate" else Decimal(10) ** -9
+                assert_close(line[name], None if value is None else Decimal(value) * scale, (name, truth))
+            elif name == "values":
+                assert line[name].keys() == value.keys()
+                for field, of_field in value.items():
+                    for end, number in of_field.items():
+                        # The ends of a range have the seven digits of a value.
+                        assert_close(line[name][field][end], number, (field, end, truth), 5e-7)
+            else:
+                assert line[name] == value, (name, truth)
+
+
+def check_row(row, frame, bus, source, message):
+    """A row of a table against the message that was sent."""
+    who = {"time": f"{frame.at // flights.SECOND}.{frame.at % flights.SECOND:09d}", "frame": str(frame.number),
+           "bus": bus or "", "source": source or "", "id": str(message.sender.ident), "seq": str(message.seq)}
+    assert {name: row[name] for name in who} == who
+    at = 0
+    for field, size, kind in model.MESSAGES[flights.KIND[message.sender.kind]][2]:
+        count = int.from_bytes(message.payload[at:at + size], "little")
+        at += size
+        if kind is None:
+            assert Decimal(row[field]) == seconds(count)
+        elif model.is_float(kind):
+            special = 2 ** (8 * size) - 1 - count
+            if special < 5:
+                assert (row[field], row[f"{field}_special"]) == ("", ["nan", "inf", "-inf", "above", "below"][special])
+            else:
+                assert float(row[field]) == pytest.approx(model.value(count, size, kind[0], kind[1]), rel=1e-6, abs=1e-9)
+                assert row[f"{field}_special"] == ""
+        else:
+            assert int(row[field]) == count
+        for bit, flag in (kind[1] if kind and model.is_flags(kind) else {}).items():
+            assert row[f"{kind[0]}_{flag}"] == ("1" if count & bit else "0")
+
+
+@CHECKED
+def test_csv(results, seed, form, passes):
+    table = results(seed, form, passes)[1]
+    assert sorted(path.name for path in table.iterdir()) == ["command.csv", "fields.json", "health.csv", "motor.csv"]
+    described = json.loads((table / "fields.json").read_text())["messages"]
+    for kind, expected in flight_of(seed).rows(form).items():
+        with open(table / f"{kind}.csv", newline="") as file:
+            reader = csv.DictReader(file)
+            rows = list(reader)
+        assert [column["name"] for column in described[kind]["columns"]] == reader.fieldnames
+        assert len(rows) == len(expected)
+        for row, truth in zip(rows, expected):
+            check_row(row, *truth)
+
+
+# check ---------------------------------------------------------------------------------------------------------------
+
+def rules_of(summary, events):
+    """Rules at what was really seen: (text, tightened text) of each, for all sources together."""
+    def seen(kind, by="kind"):
+        counted = {}
+        for line in events:
+            if line.get(by) == kind or isinstance(kind, set) and line.get(by) in kind:
+                counted.setdefault((line["bus"], line["id"], line["message"]), set()).add(line["frame"])
+        return max(map(len, counted.values()), default=0)
+
+    rules = [("crc", seen("crc")), ("incomplete", seen({"incomplete", "unfinished"})), ("reboot", seen("reboot")),
+             ("stale", seen("stale")), ("fault", seen("raised", "event")),
+             ("unknown", max((line["count"] for line in summary if not line["message"]), default=0))]
+    loose = [f"{name}={count}" for name, count in rules]
+    tight = [f"{name}={count - 1}" for name, count in rules if count]
+    for kind in ("command", "motor", "health"):
+        counts = [line["count"] for line in summary if line["message"] == kind]
+        if counts:
+            loose.append(f"{kind}.count={min(counts)}")
+            tight.append(f"{kind}.count={min(counts) + 1}")
+    return loose, tight
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_check(results, seed):
+    """Each rule holds at what the truth has, and fails one step beyond."""
+    form, flight = "pcapng", flight_of(seed)
+    truth = flight.truth(form)
+    capture = results(seed, flights.FORMS[seed % 3], "one pass")[2].with_name(f"{seed}.check.pcapng")
+    flight.write(capture, form)
+    summary = [line for line in truth["summary"]]
+    loose, tight = rules_of(summary, truth["events"])
+    for rules, code in ((loose, 0), (tight + [loose[5]], 20)):
+        found, returned = statistics(flight, form, capture, "check,json," + ",".join(rules), check=False)
+        assert returned == code, found["check"]
+        failed = {line["rule"] for line in found["check"] if line["ok"] is False}
+        assert failed == (set() if code == 0 else set(tight)), found["check"]
+        assert all(line["ok"] is not None for line in found["check"])

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""The profile YAPP in Wireshark's windows: column names, colours, the group of filter buttons and the lines of the graphs
+are read off the screen."""
+import pathlib
+import shutil
+import sys
+import time
+
+import pytest
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
+import gui  # noqa: E402
+
+MISSING = [*gui.MISSING, *(name for name in ("tesseract", "convert", "import") if not shutil.which(name))]
+pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}")
+PROFILE = gui.ROOT / "profiles/YAPP"
+VERSION = gui.tshark.version()
+
+
+@pytest.fixture
+def capture():
+    folder = gui.tshark.writable_folder()
+    (folder / "flight.pcap").write_bytes(gui.demo())
+    yield folder / "flight.pcap"
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def wait_for_words(wireshark, words, area="", scale=300):
+    """Waits until all of these can be read."""
+    read = []
+
+    def found():
+        read[:] = [wireshark.words(area, scale).lower()]
+        return all(word.lower() in read[0] for word in words)
+    try:
+        gui.wait_for(found, 30)
+    except AssertionError as error:
+        raise AssertionError(f"not all of {words} in: {read[0]}") from error
+
+
+def test_columns_buttons_colours(capture):
+    with gui.Wireshark("-C", "YAPP", "-r", capture, "-Y", "taurus.motor.fault_flags > 0", profile=PROFILE) as wireshark:
+        wireshark.wait_for_window("flight.pcap")
+        wait_for_words(wireshark, ["Source", "RPM", "Voltage", "Current", "State", "Faults", "Info"],
+                       f"{gui.WIDTH}x60+0+60")
+        assert wireshark.pixels("#ffbe79") > 2000  # a fault is active
+        width = 120
+        wait_for_words(wireshark, ["YAPP"], f"{width}x30+{gui.WIDTH - width}+43")
+        wireshark.xdotool("mousemove", gui.WIDTH - 60, 57, "click", "1")
+        wait_for_words(wireshark, ["Faults", "Wire", "Controllers", "Commands", "Messages"])
+
+
+def test_graphs(capture):
+    with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
+        wireshark.wait_for_window("flight.pcap")
+        wireshark.press("alt+s", "i", until=lambda: any("I/O Graphs" in title for title in wireshark.windows().values()))
+        wireshark.wait_for_window("I/O Graphs")
+        wait_for_words(wireshark, ["RPM measured", "RPM commanded", "Faults raised"], scale=200)
+        for colour in ("#0072b2", "#56b4e9"):
+            assert wireshark.pixels(colour) > 100, colour
+
+
+@pytest.mark.skipif(VERSION < (4, 4), reason="from 4.4 on")
+def test_it_is_switched_to(capture):
+    with gui.Wireshark("-r", capture, profile=PROFILE) as wireshark:
+        wireshark.wait_for_window("flight.pcap")
+        wait_for_words(wireshark, ["Profile: YAPP"])
+        time.sleep(1)
+        assert len(wireshark.windows()) == 1
+
+
+@pytest.mark.skipif(VERSION < (4, 6), reason="from 4.6 on")
+def test_plots(capture):
+    with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
+        wireshark.wait_for_window("flight.pcap")
+        # Under Statistics, the eighth from the top, without a letter of its own.
+        wireshark.press("alt+s", *["Down"] * 7, "Return",
+                        until=lambda: any("Plots" in title for title in wireshark.windows().values()))
+        wireshark.wait_for_window("Plots")
+        wait_for_words(wireshark, ["RPM measured", "RPM commanded", "Voltage", "Current"], scale=200)
+        assert wireshark.pixels("#0072b2") > 100

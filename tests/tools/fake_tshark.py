@@ -1,0 +1,98 @@
+#!/usr/bin/env python3
+"""A stand-in for tshark with the plugin, for what the real one does not do on demand: it crashes, refuses, hangs.
+
+Its captures are JSON: {"motor": [row, ...], "events": [...], "summary": [...], "does": [what the 1st, 2nd, ... run
+does]}; a row is {column: text}.
+"""
+
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+HEAD = ["time", "frame", "bus", "source", "id", "seq"]
+COLUMNS = {
+    "motor": [
+        {"name": "rpm_measured", "type": "float", "unit": "RPM", "title": "Measured speed",
+         "filter": "taurus.motor.rpm"},
+        {"name": "rpm_measured_special", "type": "string"},
+        {"name": "motor_mode", "type": "integer", "title": "Motor mode", "kind": "uint", "bits": 8,
+         "values": {"0": "Torque Mode", "1": "Speed Mode"}},
+        {"name": "motor_mode_text", "type": "string"},
+        {"name": "fault_flags", "type": "integer", "kind": "flags", "bits": 32},
+        {"name": "fault_motor_overcurrent", "type": "bool", "title": "Motor overcurrent"},
+        {"name": "timestamp", "type": "time", "unit": "s"},
+        {"name": "serial", "type": "integer", "kind": "uint", "bits": 64},
+    ],
+    "note": [{"name": "text", "type": "string"}],
+}  # fmt: skip
+FIELDS = {
+    "version": 1,
+    "plugin": os.environ.get("FAKE_VERSION", "1.0"),
+    "messages": {
+        "motor": {"title": "Motor Data", "every": 0.1, "columns": COLUMNS["motor"]},
+        "note": {"title": "Note", "columns": COLUMNS["note"]},
+    },
+}
+
+
+def main(arguments):
+    if arguments == ["--version"]:
+        print(f"TShark (Wireshark) {os.environ.get('FAKE_WIRESHARK', '4.0.17')}")
+        return 0
+    capture = Path(arguments[arguments.index("-r") + 1])
+    wanted = [arguments[at + 1].split(",") for at, word in enumerate(arguments) if word == "-z"]
+    content = capture.read_bytes()
+    if os.environ.get("FAKE_PLUGIN") == "none":
+        print(f'tshark: Invalid -z argument "{",".join(wanted[0])}"; it must be one of:', file=sys.stderr)
+        return 1
+    flight = json.loads(content) if content.startswith(b"{") else {}
+    code = behave(capture, flight.get("does", []))
+    for name, what, *rest in wanted:
+        assert name == "yapp", name
+        if what == "csv":
+            write(Path(rest[0]), flight)
+        else:
+            assert rest[0] == "json", rest
+            for record in flight.get(what, []):
+                print(json.dumps(record))
+    return code
+
+
+def behave(capture, does):
+    tries = capture.with_suffix(".tries")
+    number = len(tries.read_text()) if tries.exists() else 0
+    with tries.open("a") as file:
+        file.write(".")
+    match does[number] if number < len(does) else "":
+        case "crash":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        case "cut":
+            print(
+                f'tshark: The file "{capture}" appears to have been cut short in the middle of a packet.',
+                file=sys.stderr,
+            )
+            return 2
+        case "refuse":
+            print(
+                f'tshark: The file "{capture}" isn\'t a capture file in a format TShark understands.', file=sys.stderr
+            )
+            sys.exit(2)
+        case "nap":
+            time.sleep(0.3)
+    return 0
+
+
+def write(folder, flight):
+    folder.mkdir()
+    (folder / "fields.json").write_text(json.dumps(FIELDS))
+    for message, columns in COLUMNS.items():
+        header = HEAD + [column["name"] for column in columns]
+        lines = [",".join(row.get(name, "") for name in header) for row in flight.get(message, [])]
+        (folder / f"{message}.csv").write_text("\n".join([",".join(header), *lines, ""]))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

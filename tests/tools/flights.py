@@ -1,0 +1,177 @@
+#!/usr/bin/env python3
+"""Flights with known truth: four controllers on two buses; faults, a reboot, a silence, lost frames, reserved counts.
+
+flights.py SEED SECONDS FILE.pcapng
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1] / "e2e"))
+from crc32k import crc32k
+
+START = 1_700_000_000_000_000_000  # nanoseconds since 1970
+OPTIONS = ("yapp.motor_ids:0x210,0x211", "yapp.health_ids:0x200,0x201")
+BUSES = ("can0", "can1")
+OVERCURRENT, STALL = 0x1_0000, 0x80_0000
+FLAGS = {OVERCURRENT: "motor_overcurrent", STALL: "motor_stall"}
+NAN16, NAN8, ABOVE8 = 65535, 255, 252
+
+
+def count(value, low, high, top):
+    """The count that stands for a value: of 2^N - 6 equal steps the nearest."""
+    return round((value - low) / (high - low) * top)
+
+
+def value(raw, low, high, top):
+    return low + raw * (high - low) / top
+
+
+@dataclass
+class Truth:
+    """motor: (time, bus, id, raw speed, raw ESC temperature, faults); faults: (begin, end or None, bus, id, flag);
+    reboots, incomplete: (time, bus, id); silences: (time, bus, id, length).  Times in nanoseconds."""
+
+    motor: list = field(default_factory=list)
+    health: int = 0
+    command: int = 0
+    faults: list = field(default_factory=list)
+    reboots: list = field(default_factory=list)
+    silences: list = field(default_factory=list)
+    incomplete: list = field(default_factory=list)
+
+
+class Pcapng:
+    def __init__(self, path):
+        self.file = open(path, "wb")  # noqa: SIM115
+        self.block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))
+        for bus in BUSES:
+            name = bus.encode()
+            options = (
+                struct.pack("<HH4s", 2, len(name), name) + struct.pack("<HHB3x", 9, 1, 9) + struct.pack("<HH", 0, 0)
+            )
+            self.block(1, struct.pack("<HHI", 227, 0, 0) + options)
+
+    def block(self, kind, body):
+        size = len(body) + 12
+        self.file.write(struct.pack("<II", kind, size) + body + struct.pack("<I", size))
+
+    def frame(self, time, bus, can_id, data):
+        packet = struct.pack(">IB3x", can_id | 0x8000_0000, len(data)) + data
+        head = struct.pack("<IIIII", bus, time >> 32, time & 0xFFFF_FFFF, len(packet), len(packet))
+        self.block(6, head + packet + bytes(-len(packet) % 4))
+
+
+def frames(message, payload):
+    """The CAN frames of a message: one, or Start, Middles and End."""
+    if len(payload) <= 8:
+        return [(message << 18, payload)]
+    crc = crc32k(b"YP" + struct.pack("<BBIHH", 0, 0, message, len(payload), 0) + payload)
+    parts = [(message << 18 | 0x8000, payload[at : at + 8]) for at in range(0, len(payload), 8)]
+    parts[-1] = message << 18 | 0xC000, parts[-1][1]
+    return [(message << 18 | 0x4000, struct.pack("<IHH", crc, len(payload), 0)), *parts]
+
+
+class Controller:
+    """One controller and what happens to it."""
+
+    def __init__(self, rng, seconds, bus, number, plan):
+        self.rng, self.bus, self.number = rng, bus, number
+        self.boot = START - rng.randrange(10**10)
+        self.fault = self.reboot = self.silence = None
+        at = START + int(seconds * 1e9 * rng.uniform(0.2, 0.4))
+        if "fault" in plan:
+            self.fault = at, at + int(seconds * 1e9 * 0.1), OVERCURRENT
+        if "last fault" in plan:
+            self.fault = at, None, STALL
+        if "reboot" in plan:
+            self.reboot = at
+        if "silence" in plan:
+            self.silence = at, at + int(seconds * 1e9 * 0.1)
+
+    def motor(self, time):
+        phase = (time - START) / 1e9
+        speed = 4000 + 500 * math.sin(phase / 7 + self.number) + self.rng.gauss(0, 5)
+        raw_speed = NAN16 if self.rng.random() < 0.002 else count(speed, -60000, 60000, 65530)
+        raw_temperature = (
+            self.rng.choice([NAN8, ABOVE8]) if self.number == 3 and phase % 20 < 1 else count(45, -40, 210, 250)
+        )
+        begin, end, flag = self.fault or (math.inf, None, 0)
+        faults = flag if begin <= time < (end or math.inf) else 0
+        current = count(12 + self.rng.gauss(0, 0.3), -128, 128, 65530)
+        payload = struct.pack(
+            "<6HBBIIqBB", current, current, count(4000, -60000, 60000, 65530), raw_speed, count(48, -128, 128, 65530),
+            current, count(50 + min(phase / 60, 100), -40, 210, 250), 1, 0x0012_0000, faults, time - self.boot,
+            0x20 if faults else 0x2, raw_temperature,
+        )  # fmt: skip
+        return payload, raw_speed, raw_temperature, faults
+
+    def health(self, time):
+        return struct.pack("<q9B", time - self.boot, 40, 50, 80, 85, 90, 3, 9, 1, 2)
+
+
+def write(path, seed, seconds, plans=(("fault",), ("reboot",), ("silence",), ("last fault",))):
+    """Write a flight; plans: what happens to each controller. Returns its Truth."""
+    rng, truth, pcap = random.Random(seed), Truth(), Pcapng(path)
+    controllers = [Controller(rng, seconds, n // 2, n, plan) for n, plan in enumerate(plans)]
+    state = [{"faults": 0, "last": None, "since": None} for _ in plans]
+    for tick in range(int(seconds * 10)):
+        for n, controller in enumerate(controllers):
+            time = START + tick * 100_000_000 + n * 7_000_000 + rng.randrange(1_000_000)
+            if n % 2 == 0:
+                truth.command += 1
+                send(pcap, time - 1_000_000, controller.bus, 0, struct.pack("<BBBHH", 1, 0xA5, 1, 32765, 34000))
+            if controller.silence and controller.silence[0] <= time < controller.silence[1]:
+                continue
+            _motor(pcap, truth, controller, state[n], time)
+            if tick % 5 == 0:
+                truth.health += 1
+                send(pcap, time + 3_000_000, controller.bus, 0x200 + n % 2, controller.health(time))
+    for n, known in enumerate(state):
+        if known["faults"]:
+            truth.faults.append((known["since"], None, BUSES[n // 2], 0x210 + n % 2, FLAGS[known["faults"]]))
+    truth.faults.sort(key=lambda row: row[0])
+    pcap.file.close()
+    return truth
+
+
+def _motor(pcap, truth, controller, known, time):
+    """Send Motor Data, or lose a frame of it, and note what that means."""
+    bus, message = BUSES[controller.bus], 0x210 + controller.number % 2
+    if controller.reboot and time >= controller.reboot:
+        controller.boot, controller.reboot, rebooted = time - 10_000_000, None, True
+    else:
+        rebooted = False
+    payload, raw_speed, raw_temperature, faults = controller.motor(time)
+    lose = not rebooted and known["faults"] == faults and controller.rng.random() < 0.004
+    send(pcap, time, controller.bus, message, payload, lose=2 if lose else None)
+    if lose:
+        truth.incomplete.append((time, bus, message))
+        return
+    done = time + 4 * 100_000
+    if rebooted:
+        truth.reboots.append((done, bus, message))
+    if known["last"] and done - known["last"] > 250_000_000:
+        truth.silences.append((known["last"], bus, message, done - known["last"]))
+    if faults and not known["faults"]:
+        known["since"] = done
+    if known["faults"] and not faults:
+        truth.faults.append((known["since"], done, bus, message, FLAGS[known["faults"]]))
+    known["faults"], known["last"] = faults, done
+    truth.motor.append((done, bus, message, raw_speed, raw_temperature, faults))
+
+
+def send(pcap, time, bus, message, payload, lose=None):
+    for number, (can_id, data) in enumerate(frames(message, payload)):
+        if number != lose:
+            pcap.frame(time + number * 100_000, bus, can_id, data)
+
+
+if __name__ == "__main__":
+    write(sys.argv[3], int(sys.argv[1]), float(sys.argv[2]))

@@ -1,0 +1,27 @@
+"""The command as a user runs it, and rows for the stand-in of tshark."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+PLUGIN = os.environ.get("YAPP_PLUGIN", Path(__file__).parents[2] / "yapp.lua")
+FAKE = Path(__file__).with_name("fake_tshark.py")
+
+
+def motor_row(number, **cells):
+    """The row of a Motor Data message, ten a second, all cells as the plugin's CSV has them."""
+    row = {
+        "time": f"{1_700_000_000 + number // 10}.{number % 10}00000001", "frame": str(5 * number + 5), "bus": "can0",
+        "source": "", "id": "528", "seq": str(number % 256),
+        "rpm_measured": f"{1000 + number}.5", "rpm_measured_special": "",
+        "motor_mode": "1", "motor_mode_text": "Speed Mode", "fault_flags": "0", "fault_motor_overcurrent": "0",
+        "timestamp": f"{number // 10}.{number % 10}00000000", "serial": "18446744073709551615",
+    }  # fmt: skip
+    return row | cells
+
+
+def run_tables(folder, *arguments, **options):
+    """The command as a user runs it, in this folder; returns the finished process."""
+    command = [sys.executable, "-m", "yapp_tables", *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, **options)

@@ -1,0 +1,144 @@
+"""yapp-tables convert: what is written, what is skipped, what fails and how; with a stand-in for tshark."""
+
+import csv
+import os
+
+import duckdb
+import pandas as pd
+import polars as pl
+import pyarrow.parquet as pq
+import pytest
+from running import motor_row
+
+
+def files(folder):
+    return sorted(
+        str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file() and ".yapp" not in str(path)
+    )
+
+
+def flight(make_capture, name="flight.pcapng", count=3, **more):
+    return make_capture(name, motor=[motor_row(n) for n in range(count)], **more)
+
+
+def test_parquet_reads_back_with_pandas_polars_and_duckdb(make_capture, yapp_tables, tmp_path):
+    done = yapp_tables("convert", flight(make_capture), "--to", "parquet", "--out", "data")
+    assert done.returncode == 0, done.stderr
+    path = tmp_path / "data/message=motor/flight.parquet"
+    assert files(tmp_path / "data") == ["message=motor/flight.parquet"]
+    assert pq.read_schema(path).field("rpm_measured").metadata[b"unit"] == b"RPM"
+    frame = pd.read_parquet(path)
+    assert frame["time"].dt.tz is not None
+    assert frame["rpm_measured"].tolist() == [1000.5, 1001.5, 1002.5]
+    assert pl.read_parquet(path)["time"].dtype == pl.Datetime("ns", "UTC")
+    query = f"SELECT message, max(rpm_measured) FROM '{tmp_path}/data/*/*.parquet' GROUP BY message"
+    assert duckdb.sql(query).fetchall() == [("motor", 1002.5)]
+
+
+def test_csv_has_one_header_row_and_reads_back(make_capture, yapp_tables, tmp_path):
+    rows = [motor_row(0), motor_row(1, rpm_measured="", rpm_measured_special="inf"), motor_row(2, rpm_measured="")]
+    assert yapp_tables("convert", make_capture("a.pcap", motor=rows), "--to", "csv", "--out", "data").returncode == 0
+    path = tmp_path / "data/message=motor/a.csv"
+    frame = pd.read_csv(path, parse_dates=["time"])
+    assert frame["rpm_measured"].tolist()[0] == 1000.5
+    assert frame["time"].astype("int64").tolist()[0] == 1_700_000_000_000_000_001
+    assert frame["rpm_measured"].isna().tolist() == [False, True, True]
+    assert str(frame["rpm_measured_special"][1]) == "inf"
+    assert pl.read_csv(path, try_parse_dates=True)["fault_motor_overcurrent"].dtype == pl.Boolean
+
+
+def test_up_to_date_results_are_skipped_and_others_made_again(make_capture, yapp_tables, tmp_path):
+    capture = flight(make_capture)
+    command = ["convert", capture, "--to", "parquet", "--out", "data"]
+    yapp_tables(*command)
+    path = tmp_path / "data/message=motor/flight.parquet"
+    made = path.stat().st_mtime_ns
+    assert "1 of 1 captures are up to date" in yapp_tables(*command).stderr
+    assert path.stat().st_mtime_ns == made
+    for change in ("capture", "plugin", "options", "file"):
+        more, env = [], os.environ
+        match change:
+            case "capture":
+                os.utime(capture)
+            case "plugin":
+                env = os.environ | {"FAKE_VERSION": "2.0"}
+            case "options":
+                more = ["-o", "yapp.motor_ids:0x211"]
+            case "file":
+                path.unlink()
+        done = yapp_tables(*command, *more, env=env)
+        assert done.returncode == 0, done.stderr
+        assert "up to date" not in done.stderr
+        assert path.stat().st_mtime_ns > made, change
+        made = path.stat().st_mtime_ns
+
+
+def test_a_folder_of_another_version_is_refused_unless_all_of_it_is_made_again(make_capture, yapp_tables):
+    one, two = flight(make_capture, "one.pcap"), flight(make_capture, "two.pcap")
+    yapp_tables("convert", one, "--to", "parquet", "--out", "data")
+    newer = os.environ | {"FAKE_VERSION": "2.0"}
+    done = yapp_tables("convert", two, "--to", "parquet", "--out", "data", env=newer)
+    assert done.returncode == 2
+    assert "results of another version" in done.stderr
+    assert yapp_tables("convert", one, two, "--to", "parquet", "--out", "data", env=newer).returncode == 0
+
+
+def test_captures_of_one_name_get_two_names_each_time(make_capture, yapp_tables, tmp_path):
+    flight(make_capture, "a/flight.pcap"), flight(make_capture, "b/flight.pcap")
+    command = ["convert", "*/flight.pcap", "--to", "parquet", "--out", "data"]
+    assert yapp_tables(*command).returncode == 0
+    before = files(tmp_path / "data")
+    assert len(before) == 2
+    assert "2 of 2" in yapp_tables(*command).stderr
+    assert "1 of 1" in yapp_tables("convert", "b/flight.pcap", *command[2:]).stderr
+    assert files(tmp_path / "data") == before
+
+
+def test_failures_are_listed_and_hold_nobody_up(make_capture, yapp_tables, tmp_path):
+    flight(make_capture, "good.pcap")
+    flight(make_capture, "cut.pcap", does=["cut"])
+    flight(make_capture, "twice.pcap", does=["crash", "crash"])
+    flight(make_capture, "always.pcap", does=["crash"] * 9)
+    make_capture("empty.pcap")
+    command = ["convert", "*.pcap", "--to", "parquet", "--out", "data"]
+    done = yapp_tables(*command)
+    assert done.returncode == 1
+    with (tmp_path / "data/failures.csv").open() as file:
+        failures = {os.path.basename(row["capture"]): row["reason"] for row in csv.DictReader(file)}
+    assert sorted(failures) == ["always.pcap", "cut.pcap", "empty.pcap"]
+    assert "signal 11" in failures["always.pcap"]
+    assert "cut short" in failures["cut.pcap"]
+    assert "no YAPP messages" in failures["empty.pcap"]
+    assert files(tmp_path / "data/message=motor") == ["cut.partial.parquet", "good.parquet", "twice.parquet"]
+    assert not list((tmp_path / "data/.yapp-tables").glob("work-*"))
+    # The same again: what is damaged is still said, and a repaired capture replaces what was partial.
+    assert "read in part" in (yapp_tables(*command), (tmp_path / "data/failures.csv").read_text())[1]
+    flight(make_capture, "cut.pcap")
+    yapp_tables(*command)
+    assert files(tmp_path / "data/message=motor") == ["cut.parquet", "good.parquet", "twice.parquet"]
+
+
+def test_a_list_from_stdin(make_capture, yapp_tables, tmp_path):
+    flight(make_capture, "one.pcap"), flight(make_capture, "two.pcap")
+    done = yapp_tables("convert", "-", "--to", "csv", "--out", "data", input="one.pcap\n\ntwo.pcap\n")
+    assert done.returncode == 0
+    assert files(tmp_path / "data") == ["message=motor/one.csv", "message=motor/two.csv"]
+    assert "2/2 files" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "sentence"),
+    [
+        (["none*.pcap", "--to", "csv", "--out", "data"], 2, "no file matches none*.pcap"),
+        (["none.pcap", "--to", "csv", "--out", "data"], 1, "no such file"),
+        (["flight.pcap", "--to", "csv", "--out", "flight.pcap"], 2, "cannot be written"),
+        (["flight.pcap", "--to", "xls", "--out", "data"], 2, "invalid choice"),
+        (["flight.pcap", "--to", "csv", "--out", "data", "--plugin", "none.lua"], 2, "no plugin at"),
+    ],
+)
+def test_bad_input_gets_a_sentence(make_capture, yapp_tables, arguments, code, sentence):
+    flight(make_capture, "flight.pcap")
+    done = yapp_tables("convert", *arguments)
+    assert done.returncode == code
+    assert sentence in done.stderr
+    assert "Traceback" not in done.stderr

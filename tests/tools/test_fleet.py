@@ -1,0 +1,117 @@
+"""Many captures: local threads, a Dask cluster of processes, workers that are killed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pyarrow.parquet as pq
+import pytest
+from distributed import LocalCluster
+from running import FAKE, motor_row, run_tables
+
+COUNT = 24
+
+
+@pytest.fixture
+def fleet(make_capture, tmp_path):
+    for number in range(COUNT):
+        rows = [motor_row(n, rpm_measured=str(number)) for n in range(100 + number)]
+        make_capture(f"flights/{number:02}.pcapng", motor=rows, does=["nap"])
+    return tmp_path
+
+
+def convert(folder, *arguments):
+    return run_tables(
+        folder, "convert", "flights/*.pcapng", "--to", "parquet", "--out", "data", "--tshark", FAKE, *arguments
+    )
+
+
+def assert_complete(folder):
+    motor = folder / "data/message=motor"
+    rows = {int(path.stem): pq.read_metadata(path).num_rows for path in motor.glob("*.parquet")}
+    assert rows == {number: 100 + number for number in range(COUNT)}
+    assert not list((folder / "data/.yapp-tables").glob("work-*"))
+
+
+def test_threads(fleet):
+    done = convert(fleet, "--jobs", 4)
+    assert done.returncode == 0, done.stderr
+    assert_complete(fleet)
+    assert f"{COUNT}/{COUNT} files" in done.stderr
+
+
+def test_a_cluster_of_processes_some_of_which_are_killed(fleet):
+    with LocalCluster(n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        pids = [worker.process.pid for worker in cluster.workers.values()]
+
+        def kill():
+            motor = fleet / "data/message=motor"
+            for pid in pids[:2]:
+                before = len(list(motor.glob("*")))
+                while len(list(motor.glob("*"))) < before + 2:
+                    time.sleep(0.01)
+                os.kill(pid, signal.SIGKILL)
+
+        killer = threading.Thread(target=kill, daemon=True)
+        killer.start()
+        done = convert(fleet, "--scheduler", cluster.scheduler_address)
+        assert done.returncode == 0, done.stderr
+        killer.join(1)
+        assert not killer.is_alive()
+    assert_complete(fleet)
+
+
+def test_a_killed_run_is_finished_by_the_next(fleet):
+    command = [sys.executable, "-m", "yapp_tables", "convert", "flights/*.pcapng", "--to", "parquet", "--out", "data"]
+    with subprocess.Popen([*command, "--tshark", FAKE, "--jobs", "2"], cwd=fleet, stderr=subprocess.DEVNULL) as run:
+        kill_after_results(fleet, run)
+    done = convert(fleet)
+    assert done.returncode == 0, done.stderr
+    assert "captures are up to date" in done.stderr
+    assert sorted(path.name for path in (fleet / "data/message=motor").iterdir())[0] == "00.parquet"
+
+
+def test_a_scheduler_that_dies_is_a_sentence_and_what_was_done_is_kept(fleet):
+    dask = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+    ]
+    with subprocess.Popen(
+        [*dask, "--scheduler-file", "scheduler.json"], cwd=fleet, stderr=subprocess.DEVNULL
+    ) as scheduler:
+        while not (fleet / "scheduler.json").exists():
+            time.sleep(0.1)
+        address = json.loads((fleet / "scheduler.json").read_text())["address"]
+        worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard"]
+        with subprocess.Popen(worker, cwd=fleet, stderr=subprocess.DEVNULL) as at_work:
+            killer = threading.Thread(target=kill_after_results, args=(fleet, scheduler), daemon=True)
+            killer.start()
+            done = convert(fleet, "--scheduler", address)
+            at_work.kill()
+    assert done.returncode == 2
+    assert "the Dask scheduler went away" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert convert(fleet).returncode == 0
+    assert_complete(fleet)
+
+
+def kill_after_results(folder, process):
+    while len(list((folder / "data").glob("message=motor/*"))) < 3:
+        time.sleep(0.01)
+    process.kill()
+
+
+def test_no_scheduler_is_a_sentence(fleet):
+    done = convert(fleet, "--scheduler", "tcp://127.0.0.1:1")
+    assert done.returncode == 2
+    assert "no Dask scheduler answers at tcp://127.0.0.1:1" in done.stderr

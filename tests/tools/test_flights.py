@@ -1,0 +1,153 @@
+"""Real tshark, the real plugin, flights with known truth: every value, every event, in every kind of file."""
+
+import json
+import math
+import os
+
+import flights
+import numpy as np
+import polars as pl
+import pyarrow.dataset as ds
+import pytest
+import yapp_tables as yt
+from asammdf import MDF
+from mcap.reader import make_reader
+from running import PLUGIN, run_tables
+
+OPTIONS = [word for option in flights.OPTIONS for word in ("-o", option)]
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """Where a flight is, and its truth."""
+    path = tmp_path_factory.mktemp("flight") / "flight.pcapng"
+    return path, flights.write(path, 3, 60)
+
+
+def convert(path, to):
+    done = run_tables(path.parent, "convert", path, "--to", to, "--out", to, *OPTIONS, "--plugin", PLUGIN)
+    assert done.returncode == 0, done.stderr
+    return path.parent / to
+
+
+def speeds(truth):
+    """Time, bus, id and speed of every Motor Data message, in order of time; None for a reserved count."""
+    rows = sorted(truth.motor)
+    return [
+        (time, bus, number, None if raw == flights.NAN16 else flights.value(raw, -60000, 60000, 65530))
+        for time, bus, number, raw, _, _ in rows
+    ]
+
+
+def assert_speeds(found, truth):
+    """found: (time, bus, id, speed) in any order, NaN or None for a reserved count."""
+    found, expected = sorted(found, key=lambda row: row[0]), speeds(truth)
+    assert [row[:3] for row in found] == [row[:3] for row in expected]
+    for row, (_, _, _, speed) in zip(found, expected, strict=True):
+        assert (row[3] is None or math.isnan(row[3])) if speed is None else abs(row[3] - speed) < 0.01
+
+
+def test_read_has_every_value_and_every_event(flight):
+    path, truth = flight
+    read = yt.read(path, options=flights.OPTIONS, plugin=PLUGIN)
+    assert (len(read["health"]), len(read["command"])) == (truth.health, truth.command)
+    motor = read["motor"]
+    columns = (motor[name].to_pylist() for name in ("bus", "id", "rpm_measured"))
+    assert_speeds(zip(motor["time"].cast("int64").to_pylist(), *columns, strict=True), truth)
+    hot = [row[4] for row in sorted(truth.motor)]
+    specials = motor.sort_by("time")["esc_temperature_special"].to_pylist()
+    assert specials == [{flights.NAN8: "nan", flights.ABOVE8: "above"}.get(raw) for raw in hot]
+    events = read.events.to_pylist()
+    faults = {(row["time"].value, row["bus"], row["id"], row["flag"]) for row in events if row["event"] == "raised"}
+    assert faults == {(begin, bus, number, flag) for begin, _, bus, number, flag in truth.faults}
+    assert sum(row["event"] == "cleared" for row in events) == sum(end is not None for _, end, *_ in truth.faults)
+    reboots = [(row["time"].value, row["bus"], row["id"]) for row in events if row["kind"] == "reboot"]
+    assert [row for row in reboots if row[2] >= 0x210] == truth.reboots
+    assert sum(row["kind"] == "incomplete" for row in events) == len(truth.incomplete)
+    counts = {(row["bus"], row["id"]): row["count"] for row in read.summary.to_pylist()}
+    for bus, number in {row[1:3] for row in truth.motor}:
+        assert counts[bus, number] == sum(row[1:3] == (bus, number) for row in truth.motor)
+
+
+def test_parquet(flight):
+    path, truth = flight
+    motor = ds.dataset(convert(path, "parquet") / "message=motor").to_table()
+    columns = (motor[name].to_pylist() for name in ("bus", "id", "rpm_measured"))
+    assert_speeds(zip(motor["time"].cast("int64").to_pylist(), *columns, strict=True), truth)
+
+
+def test_csv(flight):
+    path, truth = flight
+    motor = pl.read_csv(convert(path, "csv") / "message=motor/flight.csv", infer_schema_length=None)
+    times = motor["time"].str.to_datetime("%Y-%m-%d %H:%M:%S%.9fZ", time_unit="ns").dt.timestamp("ns")
+    assert_speeds(zip(times, motor["bus"], motor["id"], motor["rpm_measured"], strict=True), truth)
+
+
+def test_mf4(flight):
+    path, truth = flight
+    found = []
+    with MDF(convert(path, "mf4") / "flight.mf4") as mdf:
+        start = round(mdf.header.start_time.timestamp()) * 10**9
+        for index, group in enumerate(mdf.groups):
+            message, bus, number = group.channel_group.acq_name.split()
+            if message == "motor":
+                speed = mdf.get("rpm_measured", group=index, ignore_invalidation_bits=True)
+                assert speed.unit == "RPM"
+                times = [start + round(time * 1e9) for time in speed.timestamps]
+                found += [(time, bus, int(number, 16), value) for time, value in zip(times, speed.samples, strict=True)]
+                assert np.isnan(speed.samples).sum() == sum(
+                    row[3] == flights.NAN16 for row in truth.motor if row[1:3] == (bus, int(number, 16))
+                )
+    assert_speeds(found, truth)
+
+
+def test_mcap(flight):
+    path, truth = flight
+    found = []
+    with (convert(path, "mcap") / "flight.mcap").open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            if channel.topic.startswith("/motor"):
+                row = json.loads(message.data)
+                found.append((message.log_time, row["bus"], row["id"], row.get("rpm_measured")))
+    assert_speeds(found, truth)
+
+
+def test_a_filter_narrows(flight):
+    path, truth = flight
+    fault = yt.read(path, options=flights.OPTIONS, plugin=PLUGIN, filter="taurus.motor.fault.motor_overcurrent == 1")
+    assert list(fault) == ["motor"]
+    assert len(fault["motor"]) == sum(row[5] == flights.OVERCURRENT for row in truth.motor)
+
+
+def test_a_cut_capture_is_partial(flight, tmp_path):
+    cut = tmp_path / "cut.pcapng"
+    cut.write_bytes(flight[0].read_bytes()[:-50_005])
+    done = run_tables(tmp_path, "convert", cut, "--to", "parquet", "--out", "data", *OPTIONS, "--plugin", PLUGIN)
+    assert done.returncode == 1
+    assert "cut short" in (tmp_path / "data/failures.csv").read_text()
+    assert (tmp_path / "data/message=motor/cut.partial.parquet").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["-o", "yapp.no_such:1"], "yapp.no_such"),
+        (["--filter", "no such filter"], "no such filter"),
+        (["--plugin", os.devnull], "no plugin"),
+    ],
+)
+def test_what_tshark_refuses_is_said_in_one_sentence(flight, tmp_path, arguments, sentence):
+    plugin = [] if "--plugin" in arguments else ["--plugin", PLUGIN]
+    done = run_tables(tmp_path, "convert", flight[0], "--to", "csv", "--out", "data", *plugin, *arguments)
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "data").exists()
+
+
+def test_what_is_no_capture(flight, tmp_path):
+    (tmp_path / "text.pcap").write_text("This is no capture, whatever its name says.\n" * 9)
+    with pytest.raises(yt.CaptureError, match="isn't a capture file"):
+        yt.read(tmp_path / "text.pcap", plugin=PLUGIN)
+    with pytest.raises(yt.SetupError, match="no YAPP plugin"):
+        yt.read(flight[0])

@@ -1,0 +1,58 @@
+"""What the report's pictures are made of: no extreme and no gap is lost."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from yapp_tables.series import Source, sources, spans, thin
+
+
+def source(times, every=0.1):
+    return Source("esc", pa.table({}), np.asarray(times, float), every)
+
+
+@pytest.mark.parametrize("most", [10, 100, 999, 10_000])
+def test_extremes_stay(most):
+    rng = np.random.default_rng(most)
+    values = rng.normal(size=5000)
+    values[rng.integers(0, 5000, 50)] = np.nan
+    values[[17, 3000]] = 99, -99
+    times, (thinned,) = thin(source(np.arange(5000) * 0.1), [values], most)
+    assert len(times) == len(thinned) <= most + 2
+    assert (np.nanmax(thinned), np.nanmin(thinned)) == (99, -99)
+    assert (np.diff(times) >= 0).all()
+
+
+@pytest.mark.parametrize("most", [100, 10_000])
+def test_gaps_stay(most):
+    times = np.concatenate([np.arange(2000), np.arange(2600, 4000)]) * 0.1
+    thinned, (values,) = thin(source(times), [np.ones(len(times))], most)
+    gap = np.flatnonzero(np.isnan(values))
+    assert len(gap) == 1
+    assert thinned[gap[0] - 1] == pytest.approx(199.9)
+    assert thinned[gap[0] + 1] == pytest.approx(260.0)
+
+
+def test_what_comes_first_is_drawn_first():
+    _, (falls,) = thin(source(np.arange(8) * 0.1), [np.array([9, 5, 5, 1, 1, 5, 5, 9.0])], 4)
+    assert falls.tolist() == [9, 1, 1, 9]
+
+
+def test_spans_end_where_the_value_changes_or_the_source_falls_silent():
+    times = [0, 0.1, 0.2, 0.3, 5.0, 5.1]
+    found = spans(source(times), np.array([0, 1, 1, 0, 1, 1.0]), 100)
+    assert found == [(0, 0.1, 0), (0.1, 0.3, 1), (0.3, 0.4, 0), (5.0, pytest.approx(5.2), 1)]
+    assert [span[2] for span in spans(source(times), np.array([0, 1, 1, 0, 1, 1.0]), 2)] == [1, 1]
+
+
+def test_a_source_is_its_name_or_its_bus_and_id():
+    table = pa.table(
+        {
+            "time": pa.array([3, 1, 2], pa.timestamp("ns", "UTC")),
+            "bus": ["can0", None, "can0"],
+            "id": pa.array([0x210, 0x210, 0x211], pa.uint32()),
+            "source": [None, None, "left"],
+        }
+    )
+    assert [(one.name, one.times.tolist()) for one in sources(table, 0.1, 1)] == [
+        ("0x210", [0.0]), ("can0 0x210", [2e-9]), ("left", [1e-9]),
+    ]  # fmt: skip

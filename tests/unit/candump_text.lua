@@ -1,0 +1,51 @@
+-- candump text in memory, and the frames in it.
+if not arg then return end -- run by Wireshark, see run.lua
+local candump = require("yapp_file_candump")
+
+local M = {}
+
+-- A file in memory as Wireshark gives it: reads in order, goes back to its start unless it is a pipe.
+function M.file(text, is_pipe, buffer)
+  local file = { pos = 0, largest = 0 }
+  function file:read(count)
+    local part = text:sub(self.pos + 1, self.pos + count)
+    self.pos = self.pos + #part
+    return part ~= "" and part or nil
+  end
+  function file:seek(_, offset)
+    if is_pipe and self.pos > buffer then return nil, "Illegal seek" end
+    self.pos = offset
+    return offset
+  end
+  return file
+end
+
+-- The log or nil, its file, what it told.
+function M.opened(text, all, by_value)
+  local told = {}
+  local file = M.file(text)
+  local function report(message) told[#told + 1] = message end
+  local log = candump.open(file, { all = all, by_value = by_value, report = report })
+  return log, file, told
+end
+
+-- What read and seek_read return, as a record.
+function M.frame(offset, bytes, bus, seconds, nanoseconds, comment)
+  return offset and { offset = offset, bytes = bytes, bus = bus.number, bus_name = bus.name, seconds = seconds,
+    nanoseconds = nanoseconds, comment = comment }
+end
+
+-- All frames of a text; nil where it is not taken.
+function M.frames_of(text, all)
+  local log, file, told = M.opened(text, all)
+  local frames = {}
+  if not log then return nil, told end
+  local frame = M.frame(candump.read(log, file))
+  while frame do
+    frames[#frames + 1] = frame
+    frame = M.frame(candump.read(log, file))
+  end
+  return frames, told, log
+end
+
+return M

@@ -1,0 +1,72 @@
+-- The 29-bit id, CAN FD padding, and the header that the CRC covers.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local can = require("yapp_can_id")
+
+local T = {}
+
+function T.test_ids()
+  for _, row in ipairs { -- CAN id, Msg ID, CAN CTRL, YAPP CTL, Seq
+    { 0x08404000, 0x210, 1, 0, 0 }, -- the document's example
+    { 0x08408000, 0x210, 2, 0, 0 },
+    { 0x0840C000, 0x210, 3, 0, 0 },
+    { 0x00000000, 0, 0, 0, 0 },
+    { 0x1FFFFFFF, 2047, 15, 63, 255 },
+    { 0x000000FF, 0, 0, 0, 255 },
+    { 0x00003F00, 0, 0, 63, 0 },
+    { 0x0003C000, 0, 15, 0, 0 },
+    { 0x1FFC0000, 2047, 0, 0, 0 },
+  } do
+    local address = can.address(row[1])
+    lu.assertEquals({ address.id, address.ctrl, address.ctl, address.seq }, { row[2], row[3], row[4], row[5] })
+  end
+end
+
+function T.test_the_key_is_all_but_the_can_ctrl()
+  local key = can.address(0x08404000).key
+  for ctrl = 0, 15 do lu.assertEquals(can.address(0x08400000 + ctrl * 0x4000).key, key) end
+  for _, other in ipairs { 0x08404001, 0x08404100, 0x08444000 } do
+    lu.assertNotEquals(can.address(other).key, key)
+  end
+end
+
+function T.test_many_ids_cost_no_more_than_some()
+  collectgarbage()
+  local before = collectgarbage("count")
+  for can_id = 0, 100000 do can.address(can_id) end
+  collectgarbage()
+  lu.assertTrue(collectgarbage("count") - before < 4096)
+  lu.assertEquals(can.address(0x08404000).id, 0x210)
+end
+
+function T.test_padding()
+  local function bytes(count, zeros) return ("x"):rep(count) .. ("\0"):rep(zeros) end
+  for _, row in ipairs { -- data, reported, needed, padding
+    { bytes(8, 0), 8, 8, 0 },
+    { bytes(1, 0), 1, 1, 0 },
+    { bytes(64, 0), 64, 64, 0 },
+    { bytes(9, 3), 12, 9, 3 },
+    { bytes(17, 3), 20, 17, 3 },
+    { bytes(33, 15), 48, 33, 15 },
+    { bytes(49, 15), 64, 49, 15 },
+    { bytes(7, 1), 8, 7, nil },     -- 7 bytes need no padding
+    { bytes(9, 7), 16, 9, nil },    -- 12 would have done
+    { bytes(10, 0) .. "\0x", 12, 10, nil }, -- not zeros
+    { bytes(12, 0), 12, 13, nil },  -- too few
+    { bytes(0, 12), 12, 0, nil },   -- nothing is missing
+    { bytes(0, 12), 12, -4, nil },
+    { bytes(64, 0), 64, 65, nil },
+    { bytes(9, 1), 12, 9, 3 },      -- two of the zeros were not captured
+    { bytes(4, 0), 12, 9, 3 },
+  } do
+    lu.assertEquals(can.padding(row[1], row[2], row[3]), row[4], ("%d for %d"):format(row[2], row[3]))
+  end
+end
+
+function T.test_header()
+  lu.assertEquals(can.header({ id = 0x210, seq = 0, ctl = 0 }, 32), "YP\0\0\16\2\0\0\32\0\0\0")
+  lu.assertEquals(can.header({ id = 0x7FF, seq = 0x15, ctl = 0x3F }, 0xABCD, 0x1234),
+    "YP\21\63\255\7\0\0\205\171\52\18")
+end
+
+return T

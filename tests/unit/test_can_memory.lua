@@ -1,0 +1,234 @@
+-- What is known of a file's CAN frames over its passes, as tables: which frames come, and what each look at them says.
+--
+-- A look is { number, what, more }: what is "S", "M1" .. "M3", "E" (the parts of a message of 32 bytes), "C" (a
+-- Command), or "?" (a Middle of an ID that nobody knows); more = { place =, bus =, again =, uninformed =, id =, wide =,
+-- doubtful = }. What it says is written "part>5" (leads to frame 5), "good:1,2,3,4,5" (with its frames), "single",
+-- "orphan", "-".
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local can_id = require("yapp_can_id")
+local crc = require("yapp_crc")
+local history = require("yapp_history")
+local memory = require("yapp_can_memory")
+
+local T = {}
+
+local parts = { can_id = can_id, crc = crc }
+for _, name in ipairs { "can_frames", "can_reassembly", "can_interleave", "can_repeated" } do
+  parts[name] = require("yapp_" .. name)
+end
+
+local SIZES = { [0] = 7, [0x210] = 32, [0x211] = 32 }
+local PAYLOADS = { [1] = ("a"):rep(8) .. ("b"):rep(8) .. ("c"):rep(8) .. ("d"):rep(8),
+  [2] = ("e"):rep(8) .. ("f"):rep(8) .. ("g"):rep(8) .. ("h"):rep(8) }
+
+local function little_endian(value, count)
+  local bytes = {}
+  for i = 1, count do
+    bytes[i] = string.char(value % 256)
+    value = (value - value % 256) / 256
+  end
+  return table.concat(bytes)
+end
+
+local function new(options)
+  options = options or {}
+  return memory.new(parts, { size_of = function(id) return SIZES[id] end, has_buses = options.has_buses,
+    new_history = function() return history.new() end })
+end
+
+local function id_of(id, ctrl) return id * 0x40000 + ctrl * 0x4000 end
+
+-- The CAN id and data of a frame in words.
+local function frame_of(what, more)
+  local id, payload = more.id or 0x210, PAYLOADS[more.payload or more.bus or 1]
+  if what == "C" then return id_of(0, 0), "1234567" end
+  if what == "?" then return id_of(0x123, 2), "12345678" end
+  if what == "S" then
+    local header = can_id.header({ id = id, seq = 0, ctl = 0 }, 32)
+    return id_of(id, 1), little_endian(crc.of(header .. payload), 4) .. little_endian(32, 2) .. "\0\0"
+  end
+  if what == "E" then return id_of(id, 3), payload:sub(25) end
+  local index = tonumber(what:sub(2))
+  return id_of(id, 2), payload:sub(8 * index - 7, 8 * index)
+end
+
+local function said(known, record)
+  if not record then return "-" end
+  local text
+  if record.alone then
+    text = can_id.address(record.alone).ctrl == 0 and "single" or record.is_late and "late" or "orphan"
+  elseif record.is_last then
+    text = record.message.status .. ":" .. table.concat(known:frames_of(record), ",")
+  else
+    text = "part" .. (record.leads_to and (">%d"):format(record.leads_to) or "")
+  end
+  return text .. (record.is_unfinished and " unfinished" or "") .. (record.has_fault and " fault" or "")
+end
+
+local function look(known, row)
+  local more = row[3] or {}
+  local id, data = frame_of(row[2], more)
+  local number = row[1]
+  return known:look(can_id.address(id), { number = number, place = more.place or 8, is_again = more.again or false,
+    data = data, reported = #data, bus = not more.uninformed and more.bus or nil, informed = not more.uninformed,
+    doubtful = more.doubtful or false, wide = more.wide or false })
+end
+
+-- Makes looks; returns what each said, in one text.
+local function looks(known, rows, common)
+  local texts = {}
+  for i, row in ipairs(rows) do
+    local more = {}
+    for key, value in pairs(row[3] or {}) do more[key] = value end
+    for key, value in pairs(common or {}) do more[key] = value end
+    texts[i] = said(known, look(known, { row[1], row[2], more }))
+  end
+  return table.concat(texts, " ")
+end
+
+local AGAIN = { again = true }
+local WHOLE = { { 1, "S" }, { 2, "M1" }, { 3, "M2" }, { 4, "M3" }, { 5, "E" } }
+local WHOLE_AGAIN = "part>5 part>5 part>5 part>5 good:1,2,3,4,5"
+
+function T.test_one_pass_and_later_looks()
+  local known = new()
+  lu.assertEquals(looks(known, WHOLE), "part part part part good:1,2,3,4,5")
+  lu.assertEquals(looks(known, WHOLE, AGAIN), WHOLE_AGAIN)
+  lu.assertEquals(looks(known, { WHOLE[5], WHOLE[2], WHOLE[2], WHOLE[1] }, AGAIN),
+    "good:1,2,3,4,5 part>5 part>5 part>5")
+end
+
+function T.test_a_frame_that_never_came()
+  local known = new()
+  looks(known, WHOLE)
+  lu.assertEquals(looks(known, { { 6, "M1" }, { 3, "?" }, { 3, "C" }, { 5, "E", { place = 60 } } }, AGAIN), "- - - -")
+  lu.assertEquals(looks(known, { { 6, "M1", { wide = true } } }, AGAIN), "late")
+end
+
+-- A packet of IEEE 1722 has several CAN frames.
+function T.test_several_frames_in_a_packet()
+  local rows = {}
+  for i, row in ipairs(WHOLE) do rows[i] = { i < 4 and 1 or 2, row[2], { place = 30 * i } } end
+  rows[6] = { 2, "C", { place = 200 } }
+  local known = new()
+  lu.assertEquals(looks(known, rows), "part part part part good:1,1,1,2,2 single")
+  lu.assertEquals(looks(known, rows, AGAIN), "part>2 part>2 part>2 part>2 good:1,1,1,2,2 single")
+  lu.assertEquals(looks(known, { { 2, "C", { place = 30 } }, { 1, "S", { place = 60 } } }, AGAIN), "- part>2")
+end
+
+-- With -2 -R a frame that is rejected has the number of the next one: frame 3 of the first pass is frame 2 of the
+-- second.
+function T.test_a_read_filter()
+  local known = new()
+  local rows = { { 1, "S" }, { 2, "M1" }, { 2, "M2" }, { 2, "M3" }, { 2, "E" }, { 3, "C" }, { 3, "S" } }
+  lu.assertEquals(looks(known, rows), "part part part part good:1,2 single part") -- the Middles' number is another's
+  lu.assertEquals(looks(known, { { 1, "S" }, { 2, "E" } }, AGAIN), "part>2 good:1,2")
+  lu.assertEquals(looks(known, { { 2, "C" }, { 3, "C" } }, AGAIN), "- -")
+end
+
+function T.test_the_last_frame_was_rejected()
+  local known = new()
+  looks(known, { { 1, "S" }, { 2, "M1" }, { 3, "M2" }, { 4, "M3" }, { 5, "E" }, { 5, "C" } })
+  lu.assertEquals(looks(known, { { 1, "S" }, { 4, "M3" }, { 5, "C" } }, AGAIN), "part part single")
+end
+
+-- The first time the table of ids asks, the second time Decode As: it is one look.
+function T.test_asked_twice()
+  local known = new()
+  lu.assertEquals(looks(known, { { 1, "?" }, { 1, "?", { wide = true } }, { 2, "C" } }), "- orphan single")
+  lu.assertEquals(known.first.is_filtered, nil)
+end
+
+-- Two buses send in turns; a first pass without fields (tshark -2) cannot tell them apart.
+local function two_buses()
+  local rows = {}
+  for _, what in ipairs { "S", "M1", "M2", "M3", "E" } do
+    for bus = 1, 2 do rows[#rows + 1] = { #rows + 1, what, { bus = bus } } end
+  end
+  return rows
+end
+
+local APART = "part>9 part>10 part>9 part>10 part>9 part>10 part>9 part>10 good:1,3,5,7,9 good:2,4,6,8,10"
+
+function T.test_a_second_pass_refines_the_first()
+  local known = new { has_buses = true }
+  lu.assertEquals(looks(known, two_buses(), { uninformed = true }),
+    "part part part part part part part part good:1,3,5,7,9 good:2,4,6,8,10")
+  lu.assertEquals(looks(known, two_buses(), AGAIN), APART)
+  lu.assertEquals(looks(known, two_buses(), AGAIN), APART) -- a third look
+end
+
+function T.test_at_random_the_first_pass_is_asked()
+  local known, rows = new { has_buses = true }, two_buses()
+  looks(known, rows, { uninformed = true })
+  lu.assertEquals(looks(known, { rows[9], rows[1], rows[2], rows[10] }, AGAIN),
+    "good:1,3,5,7,9 part>9 part>10 good:2,4,6,8,10")
+  lu.assertEquals(known.second and known.reached or 0, 2) -- rows 1 and 2 came in order
+end
+
+-- The second pass knows better where the first had frames of two buses for one message.
+function T.test_what_the_first_pass_mixed()
+  local rows = { { 1, "S", { bus = 1 } }, { 2, "M1", { bus = 1 } }, { 3, "M2", { bus = 1 } }, { 4, "M3", { bus = 1 } },
+    { 5, "E", { bus = 2, payload = 1 } } }
+  local known = new { has_buses = true }
+  lu.assertEquals(looks(known, rows, { uninformed = true }), "part part part part good:1,2,3,4,5")
+  lu.assertEquals(looks(known, rows, AGAIN), "part>5 part>5 part>5 part>5 orphan") -- the links are by CRC
+end
+
+function T.test_an_uninformed_look_between()
+  local known, rows = new { has_buses = true }, two_buses()
+  looks(known, rows, { uninformed = true })
+  looks(known, { rows[1], rows[2] }, AGAIN)
+  lu.assertEquals(looks(known, { rows[3] }, { again = true, uninformed = true }), "part>9")
+  lu.assertEquals(looks(known, { rows[3], rows[4] }, AGAIN), "part>9 part>10")
+end
+
+-- What a first pass took for a Middle is a remote frame: the second is told, and goes on.
+function T.test_a_remote_frame_that_the_first_pass_took()
+  local known = new()
+  local rows = { { 1, "S" }, { 2, "M1" }, { 3, "?", { wide = true, doubtful = true } }, { 4, "M2" }, { 5, "M3" },
+    { 6, "E" } }
+  looks(known, rows)
+  lu.assertEquals(looks(known, { rows[1], rows[2] }, AGAIN), "part>6 part>6")
+  known:pass_over { number = 3, place = 8, is_again = true, informed = true }
+  lu.assertEquals(looks(known, { rows[4], rows[5], rows[6] }, AGAIN), "part>6 part>6 good:1,2,4,5,6")
+  lu.assertEquals(known.reached, 6)
+end
+
+function T.test_unfinished()
+  local known = new()
+  local rows = { { 1, "S" }, { 2, "M1" }, { 4, "C" } }
+  lu.assertEquals(looks(known, rows), "part part single")
+  lu.assertEquals(looks(known, rows, AGAIN), "part part unfinished single")
+  lu.assertEquals(#known:unfinished(), 1)
+  known = new { has_buses = true } -- what a first pass may have mixed says nothing: the second has to end first
+  looks(known, rows, { uninformed = true })
+  lu.assertEquals(looks(known, rows, { again = true, bus = 1 }), "part part single")
+  lu.assertEquals(looks(known, rows, { again = true, bus = 1 }), "part part unfinished single")
+end
+
+function T.test_a_fault_is_known_in_every_frame()
+  local known = new()
+  local record
+  for _, row in ipairs(WHOLE) do record = look(known, row) end
+  known:note_fault(record)
+  lu.assertEquals(looks(known, { WHOLE[1], WHOLE[3] }, AGAIN), "part>5 fault part>5 fault")
+end
+
+function T.test_the_time_since_the_previous_message_is_kept()
+  local known = new()
+  for round = 0, 1 do
+    for i, row in ipairs(WHOLE) do
+      local record = look(known, { 5 * round + i, row[2] })
+      if i == 5 then
+        local change = known:change(record, { source = 1, id = 0x210, seq = 0, time = round * 0.25, good = true })
+        lu.assertEquals(change and change.delta, round == 1 and 0.25 or nil)
+      end
+    end
+  end
+  local record = look(known, { 10, "E", { again = true } })
+  lu.assertEquals(known:change(record, { source = 1, id = 0x210, seq = 0, time = 0.25, good = true }).delta, 0.25)
+end
+
+return T

@@ -1,0 +1,94 @@
+-- Files of messages: the user's after the plugin's; what is wrong with one of them does not take the others along.
+local lu = require("luaunit")
+local files = require("yapp_catalogue_files")
+
+local T = {}
+
+local made = {}
+
+local function write(text)
+  local path = os.tmpname()
+  made[#made + 1] = path
+  local file = assert(io.open(path, "wb"))
+  file:write(text)
+  file:close()
+  return path
+end
+
+function T.tearDown()
+  for _, path in ipairs(made) do os.remove(path) end
+  made = {}
+end
+
+local function entry(name, id, kind)
+  return ('{ name = "%s", title = "T", id = %d, size = 1, { "f", "%s", "F" } },'):format(name, id, kind or "uint8")
+end
+
+-- The names, IDs and types of what was loaded, and the problems.
+local function load(...)
+  local list = {}
+  for i, text in ipairs { ... } do list[i] = { path = write(text) } end
+  local compiled, problems = files.load(list)
+  local names = {}
+  for i, message in ipairs(compiled.messages) do
+    names[i] = ("%s %d %s"):format(message.name, message.id, message.fields[1].type)
+  end
+  return table.concat(names, ", "), problems, list
+end
+
+function T.test_own_messages_and_replacements()
+  local names, problems = load("return {" .. entry("a", 1) .. entry("b", 2) .. "}",
+    "return {" .. entry("c", 3) .. entry("a", 7, "int8") .. "}", "return {" .. entry("c", 4) .. "}")
+  lu.assertEquals({ names, problems }, { "a 7 int8, b 2 uint8, c 4 uint8", {} })
+end
+
+function T.test_an_error_names_file_message_and_field()
+  local names, problems, list = load("return {" .. entry("a", 1) .. "}", "return {" .. entry("b", 2, "uint9") ..
+    entry("c", 1) .. entry("d", 4) .. entry("d", 5) .. "}")
+  lu.assertEquals(names, "a 1 uint8, d 4 uint8")
+  local path = list[2].path
+  lu.assertEquals(#problems, 3)
+  lu.assertStrContains(problems[1], path .. ': message b, field f: unknown type "uint9"; the types are')
+  lu.assertEquals(problems[2], path .. ": message c: id 0x1 is that of message a; this message is shown as bytes")
+  lu.assertEquals(problems[3], path .. ": message d: the name is there twice; this message is shown as bytes")
+end
+
+function T.test_a_file_that_is_no_catalogue()
+  for text, said in pairs {
+    ["return 5"] = "the file must return a list of messages, not 5",
+    [""] = "the file must return a list of messages, not nil",
+    ["return {"] = "the catalogue cannot be read: ", ["error('planted')"] = ":1: planted",
+    ["error({})"] = "the catalogue cannot be read: table", ["error()"] = "the catalogue cannot be read: nil",
+    ["local t = {} for i = 1, 3000 do t[i] = 1 end return t"] = "3000 messages, but there are only 2048 IDs",
+    ["return setmetatable({}, { __len = function() error('planted') end })"] = "planted",
+    ["return { setmetatable({}, { __index = function() error('planted') end }) }"] = "planted",
+  } do
+    local names, problems, list = load("return {" .. entry("a", 1) .. "}", text)
+    lu.assertEquals({ names, #problems }, { "a 1 uint8", 1 }, text)
+    lu.assertStrContains(problems[1], list[2].path)
+    lu.assertStrContains(problems[1], said)
+  end
+end
+
+function T.test_a_file_that_is_not_there()
+  local path = write("return {" .. entry("a", 1) .. "}")
+  local compiled, problems = files.load { { path = path }, { path = path .. ".no", optional = true } }
+  lu.assertEquals({ #compiled.messages, problems }, { 1, {} })
+  compiled, problems = files.load { { path = path .. ".no" }, { path = path } }
+  lu.assertEquals({ #compiled.messages, problems },
+    { 1, { path .. ".no: not found; its messages are shown as bytes" } })
+end
+
+function T.test_a_preference_in_its_file()
+  for text, value in pairs {
+    ["yapp.messages: /a b/c.lua\n"] = "/a b/c.lua", ["x: 1\r\nyapp.messages: C:\\d.lua\r\ny: 2\r\n"] = "C:\\d.lua",
+    ["# yapp.messages: no\n"] = "none", ["yapp.messages:\nx: 1\n"] = "none", ["yapp.messages: \n"] = "none",
+    [""] = "none", ["a.yapp.messages: no\n"] = "none", ["yapp.messages_too: no\n"] = "none",
+    ["yapp.messages: last"] = "last",
+  } do
+    lu.assertEquals(files.preference(write(text), "yapp.messages") or "none", value, text)
+  end
+  lu.assertNil(files.preference(write("") .. ".no", "yapp.messages"))
+end
+
+return T

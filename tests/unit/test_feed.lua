@@ -1,0 +1,171 @@
+-- From the dissection to the statistics: passes, filters, parts of one message, times.
+local lu = require("luaunit")
+local feed_of = require("yapp_stat_feed")
+
+local T = {}
+
+local SOURCE, OTHER = { key = 1, id = 1 }, { key = 2, id = 2 }
+
+-- A statistic that notes what it gets.
+local function notes(code, text)
+  local self = { got = {} }
+  function self.message(_, record, counts) self.got[#self.got + 1] = record.name .. (counts and "" or "-") end
+  function self.finish(_, last)
+    self.last = last and last.rel
+    return code, text
+  end
+  return self
+end
+
+local function offer(feed, frame, name, with, visited)
+  local record = { frame = frame, rel = frame, source = SOURCE, seq = 0, name = name, good = true }
+  for key, value in pairs(with or {}) do record[key] = value end
+  feed:offer(record, visited or false)
+end
+
+function T.test_messages_in_the_order_of_the_capture()
+  local feed, one = feed_of.new(), notes()
+  feed:add(one, false)
+  feed:packet(1, 0)
+  offer(feed, 2, "a")
+  offer(feed, 2, "b")
+  feed:packet(2, 1)
+  offer(feed, 3, "c")
+  feed:packet(3, 2)
+  feed:packet(4, 9)
+  lu.assertEquals({ feed:finish { { frame = 3, source = SOURCE, name = "d", lost = "unfinished" } } }, { 0, {} })
+  lu.assertEquals({ one.got, one.last }, { { "a", "b", "c", "d" }, 9 })
+end
+
+function T.test_nothing()
+  local feed, one = feed_of.new(), notes()
+  feed:add(one, false)
+  lu.assertEquals({ feed:finish {} }, { 0, {} })
+  lu.assertEquals({ one.got, one.last }, { {} })
+end
+
+-- tshark -2 dissects all packets before the first tap runs; a capture may have a single one.
+function T.test_the_first_of_two_passes_does_not_count()
+  for count = 1, 3 do
+    local feed, one, expected = feed_of.new(), notes(), {}
+    feed:add(one, false)
+    for frame = 1, count do offer(feed, frame, "first", {}, false) end
+    for frame = 1, count do
+      offer(feed, frame, "second", {}, true)
+      feed:packet(frame, frame)
+      expected[frame] = "second"
+    end
+    feed:finish {}
+    lu.assertEquals(one.got, expected)
+  end
+end
+
+-- A message that a read filter rejects, or that is looked at between two passes over the file.
+function T.test_packets_that_no_tap_sees()
+  local feed, one = feed_of.new(), notes()
+  feed:add(one, false)
+  offer(feed, 5, "rejected")
+  offer(feed, 6, "a")
+  feed:packet(6, 1)
+  offer(feed, 7, "rejected")
+  feed:packet(8, 1)
+  feed:finish {}
+  lu.assertEquals(one.got, { "a" })
+end
+
+function T.test_all_packets_come_again()
+  local feed, one = feed_of.new(), notes()
+  feed:add(one, false)
+  offer(feed, 1, "clicked on", {}, true)
+  feed:reset()
+  offer(feed, 1, "a", {}, true)
+  feed:packet(1, 0)
+  feed:finish {}
+  lu.assertEquals(one.got, { "a" })
+end
+
+-- The taps of a packet run in any order.
+function T.test_filters()
+  local feed, all, some, both = feed_of.new(), notes(), notes(), notes()
+  both.sees_all = true
+  feed:add(all, false)
+  local entry, another = feed:add(some, true), feed:add(both, true)
+  for frame = 30, 70 do
+    offer(feed, frame, tostring(frame))
+    if frame % 2 == 0 then feed:matched(entry, frame) end
+    feed:packet(frame, frame)
+    if frame % 3 == 0 then
+      feed:matched(entry, frame)
+      feed:matched(entry, frame)
+    end
+    if frame == 64 then feed:matched(another, frame) end
+  end
+  feed:finish { { frame = 33, source = SOURCE, name = "33 too" }, { frame = 31, source = SOURCE, name = "31 too" } }
+  local expected = {}
+  for frame = 30, 70 do
+    if frame % 2 == 0 or frame % 3 == 0 then expected[#expected + 1] = tostring(frame) end
+  end
+  expected[#expected + 1] = "33 too"
+  lu.assertEquals(some.got, expected)
+  lu.assertEquals(#all.got, 43)
+  lu.assertEquals({ both.got[34], both.got[35], both.got[36] }, { "63-", "64", "65-" })
+end
+
+-- A message without its Start is orphaned once, however many frames it has.
+function T.test_orphans_of_one_message()
+  local feed, one = feed_of.new(), notes()
+  feed:add(one, false)
+  local frame = 0
+  local function orphan(name, with)
+    frame = frame + 1
+    local more = { lost = "orphan", good = false }
+    for key, value in pairs(with or {}) do more[key] = value end
+    offer(feed, frame, name, more)
+    feed:packet(frame, frame)
+  end
+  local function message(name)
+    frame = frame + 1
+    offer(feed, frame, name)
+    feed:packet(frame, frame)
+  end
+  orphan("a1")
+  orphan("a2")
+  orphan("other's", { source = OTHER })
+  orphan("a3", { is_end = true })
+  orphan("b1")
+  message("c")
+  orphan("d1", { is_end = true })
+  orphan("e1", { is_end = true })
+  orphan("f1", { seq = 7 })
+  orphan("g1", { seq = 8 })
+  orphan("g2", { seq = 8, is_end = true })
+  feed:finish {}
+  lu.assertEquals(table.concat(one.got, " "), "a1 other's b1 c d1 e1 f1 g1")
+end
+
+function T.test_exact_times()
+  local feed = feed_of.new()
+  local function time(rel) return { feed:time(rel) } end
+  feed:begins(1700000000, 999999999, 0)
+  lu.assertEquals(time(0), { 1700000000, 999999999 })
+  lu.assertEquals(time(0.000000001), { 1700000001, 0 })
+  lu.assertEquals(time(86400.123456789), { 1700086401, 123456788 })
+  lu.assertEquals(time(4194302.999999998), { 1704194303, 999999997 }) -- 48 days
+  lu.assertEquals(time(-2), { 1699999998, 999999999 }) -- an earlier packet behind a later one
+  feed:begins(1700000000, 5, 2.000000001) -- the first packet that a read filter left
+  lu.assertEquals(time(2.000000001), { 1700000000, 5 })
+  lu.assertEquals(time(0), { 1699999998, 4 })
+end
+
+function T.test_what_did_not_hold_comes_before_what_could_not_be_told()
+  local function finish(...)
+    local feed = feed_of.new()
+    for _, code in ipairs { ... } do feed:add(notes(code ~= 0 and code or nil, "text " .. code), false) end
+    return { feed:finish {} }
+  end
+  lu.assertEquals(finish(0, 21), { 21, { "text 0", "text 21" } })
+  lu.assertEquals(finish(21, 20, 0)[1], 20)
+  lu.assertEquals(finish(20, 21)[1], 20)
+end
+
+return T

@@ -1,0 +1,119 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+local lu = require("luaunit")
+local asc = require("yapp_file_asc")
+
+local T = {}
+
+local HEAD = "date Tue Nov 14 22:13:20.001 2023\r\nbase hex  timestamps absolute\r\ninternal events logged\r\n"
+
+local function shown(line, base)
+  local r = asc.parse(line, base or 16)
+  if not r then return nil end
+  local kind = (r.fd and "fd " or "") .. (r.sent and "tx " or "")
+  return ("%d %d %08X %s%d %d %s"):format(r.stamp / 1000, r.number, r.id, kind, r.length, r.flags,
+    r.data:gsub(".", function(byte) return ("%02X"):format(byte:byte()) end))
+end
+
+function T.test_lines()
+  for line, expected in pairs {
+    [" 0.001000 1  8404000x        Rx   d 8 BB BE 6F C7 20 00 00 00"] = "1000 1 88404000 8 0 BBBE6FC720000000",
+    ["12.5 2 123 Tx d 2 01 ff  Length = 100 BitCount = 60 ID = 291"] = "12500000 2 00000123 tx 2 0 01FF",
+    ["0.1 1 0x Rx d 0"] = "100000 1 80000000 0 0 ",
+    ["0.1 1 123 Rx r"] = "100000 1 40000123 0 0 ",
+    ["0.1 1 8404000x Rx r 4 Length = 0"] = "100000 1 C8404000 4 0 ",
+    ["0.1 1 8404000x Rx d f 1 2 3 4 5 6 7 8"] = "100000 1 88404000 8 0 0102030405060708",
+    ["0.1 3 ErrorFrame"] = "100000 3 20000080 8 0 0000000000000000",
+    ["0.1 3  ErrorFrame Flags = 0xe CodeExt = 0x20a2"] = "100000 3 20000080 8 0 0000000000000000",
+    ["0.1 CANFD 1 Rx 8404000x  1 0 8  8 BB BE 6F C7 20 0 0 0  0 0 3000 0 0 0 0 0"] =
+      "100000 1 88404000 fd 8 5 BBBE6FC720000000",
+    ["0.1 CANFD 1 Tx 123 Name_1 0 1 9 12 1 2 3 4 5 6 7 8 9 A B C 0 0 1000 0"] =
+      "100000 1 00000123 fd tx 12 6 0102030405060708090A0B0C",
+    ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2"] = "100000 1 00000123 fd 2 4 0102",
+    ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2 130000 130 0 0 0 0 0 0"] = "100000 1 00000123 2 0 0102",
+    ["0.1 CANFD 1 Rx 123 0 0 4 0 130000 130 10 0 0 0 0 0"] = "100000 1 40000123 0 0 ",
+    ["4999999.999999 1 1 Rx d 0"] = "4999999999999 1 00000001 0 0 ",
+  } do
+    lu.assertEquals(shown(line), expected, line)
+  end
+end
+
+function T.test_decimal()
+  lu.assertEquals(shown("0.1 1 138428416x Rx d 2 255 16", 10), "100000 1 88404000 2 0 FF10")
+  lu.assertNil(shown("0.1 1 8404000x Rx d 2 256 16", 10))
+end
+
+function T.test_lines_without_a_frame()
+  for _, line in ipairs { "", " ", "// comment", "0.000000 Start of measurement", "End TriggerBlock",
+    "1.0 1 Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.01%", "0.1 1 EngineData Rx d 1 00", "0.1 1 8404000x Rx d 8 BB BE",
+    "0.1 1 800 Rx d 0", "0.1 1 20000000x Rx d 0", "0.1 1 123 Rx d 1 100", "0.1 1 123 Rx x 1 00", "0.1 70000 123 Rx d 0",
+    "12345678 1 123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 f 65 00", "0.1 CANFD 1 Rx 123 0 0 9 12 1 2 3", "x 1 123 Rx d 0",
+    "0.1 CANFD 1 Rx 123 0 0 9 12 1 2 3 4 5 6 7 8 9 A B C 0 0 0 0", "0.1 1 123456789ABx Rx d 0", "0.1 1" } do
+    lu.assertNil(shown(line), line)
+  end
+end
+
+-- A file in memory, read as Wireshark's.
+local function file_of(text)
+  local at = 1
+  return {
+    read = function(_, count)
+      local part = text:sub(at, at + count - 1)
+      at = at + #part
+      return part ~= "" and part or nil
+    end,
+    seek = function(_, _, offset) at = offset + 1 end,
+  }
+end
+
+local function frames(text)
+  local file, again, found = file_of(text), file_of(text), {}
+  local log = asc.open(file)
+  if not log then return nil end
+  for record, offset in function() return asc.read(log, file) end do
+    lu.assertEquals(asc.seek_read(log, again, offset), record)
+    found[#found + 1] = record
+  end
+  return found
+end
+
+local function times(text)
+  local found, start = {}, os.time { year = 2023, month = 11, day = 14, hour = 22, min = 13, sec = 20 }
+  for i, record in ipairs(frames(text)) do
+    found[i] = ("%d.%09d"):format(record.seconds - start, record.nanoseconds)
+  end
+  return table.concat(found, " ")
+end
+
+function T.test_what_is_asc()
+  lu.assertEquals(frames(HEAD), {})
+  lu.assertEquals(#frames(HEAD .. "0.1 1 123 Rx d 0"), 1)
+  lu.assertEquals(#frames(HEAD:gsub("hex", "dec") .. "0.1 1 123 Rx d 0\n"), 1)
+  for _, text in ipairs { "", "date", "date Tue Nov 14 22:13:20 2023\n", "base hex timestamps absolute\n",
+    "date 2023\nbase oct timestamps absolute\n", "(0.1) can0 123#00\n" } do
+    lu.assertNil(frames(text), text)
+  end
+end
+
+function T.test_times()
+  local frame = "0.5 1 123 Rx d 0\n"
+  lu.assertEquals(times(HEAD .. frame .. "1.25 1 123 Rx d 0\n"), "0.501000000 1.251000000")
+  lu.assertEquals(times(HEAD:gsub("absolute", "relative") .. frame .. frame), "0.501000000 1.001000000")
+  -- python-can's: the date is when the file was made.
+  local block = "Begin Triggerblock Tue Nov 14 22:13:20.1 2023\n"
+  lu.assertEquals(times(HEAD:gsub("2023", "2026") .. block .. frame), "0.501000000")
+  -- CANoe's: a block that began 100 s later, with times since the date.
+  lu.assertEquals(times(HEAD .. frame .. "Begin Triggerblock Tue Nov 14 10:15:00.500 pm 2023\n100.5 1 123 Rx d 0\n"),
+    "0.501000000 100.501000000")
+  lu.assertEquals(times(HEAD:gsub("Tue Nov", "Die Nov") .. frame), "0.501000000")
+  lu.assertNil(frames(HEAD:gsub("Nov", "Xyz") .. frame)[1].seconds)
+end
+
+function T.test_long_lines_and_many_blocks()
+  local text = {}
+  for i = 1, 5000 do text[i] = ("%d.000000 1 8404000x Rx d 8 BB BE 6F C7 20 00 00 00"):format(i) end
+  lu.assertEquals(#frames(HEAD .. table.concat(text, "\r\n")), 5000)
+  lu.assertEquals(#frames(HEAD .. ("x"):rep(300000) .. "\n0.5 1 123 Rx d 0\n"), 1)
+  lu.assertTrue(#frames(HEAD .. ("Begin Triggerblock Tue Nov 14 22:13:20 2023\n0.1 1 123 Rx d 0\n"):rep(3000)) == 3000)
+end
+
+return T

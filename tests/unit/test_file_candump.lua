@@ -1,0 +1,221 @@
+-- A file of candump text: times, buses, offsets, what is told of broken lines.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local candump = require("yapp_file_candump")
+local line = require("yapp_file_candump_line")
+local text_of = require("candump_text")
+
+local frames_of, opened, text_file = text_of.frames_of, text_of.opened, text_of.file
+
+local function column(frames, name)
+  local values = {}
+  for i, frame in ipairs(frames) do values[i] = frame[name] end
+  return values
+end
+
+local T = {}
+
+local HEAD = "(1700000000.000001) can0 123#11\n"
+
+local function screen(stamps, buses)
+  local lines = {}
+  for i, stamp in ipairs(stamps) do
+    lines[i] = string.format(" (%s)  %s  123   [1]  11\n", stamp, buses and buses[i] or "can0")
+  end
+  return table.concat(lines)
+end
+
+local function times(frames)
+  local list = {}
+  for i, frame in ipairs(frames) do list[i] = string.format("%d.%09d", frame.seconds, frame.nanoseconds) end
+  return list
+end
+
+function T.test_times_since_the_first_stay()
+  local frames = frames_of(screen({ "000.000000", "000.500000", "001.700000" }))
+  lu.assertEquals(times(frames), { "0.000000000", "0.500000000", "1.700000000" })
+end
+
+function T.test_times_of_two_buses_may_change_places()
+  local stamps = { "000.000000", "000.000300", "000.000290", "000.000600", "000.000590" }
+  local frames = frames_of(screen(stamps, { "can0", "can0", "can1", "can0", "can1" }))
+  lu.assertEquals(times(frames)[5], "0.000590000")
+end
+
+function T.test_deltas_are_added_up()
+  local frames = frames_of(screen({ "000.000000", "000.900000", "000.200000", "000.000100", "002.000000" }))
+  lu.assertEquals(times(frames),
+    { "0.000000000", "0.900000000", "1.100000000", "1.100100000", "3.100100000" })
+end
+
+-- As an adapter stamps that fetches several frames at once.
+function T.test_equal_times_since_the_first_stay()
+  local stamps = {}
+  for i = 0, 39 do stamps[i + 1] = ("000.%06d"):format(i - i % 2) end
+  lu.assertEquals(times(frames_of(screen(stamps)))[40], "0.000038000")
+end
+
+function T.test_equal_deltas_are_added_up()
+  local frames = frames_of(screen({ "000.000000", "000.010000", "000.010000", "000.010000" }))
+  lu.assertEquals(times(frames)[4], "0.030000000")
+end
+
+-- Reading again at any offset gives the same record, in any order of reading.
+local function assert_same_again(text)
+  local frames, _, log = frames_of(text)
+  local file = text_file(text)
+  local order = {}
+  for i = 1, #frames do order[i] = i end
+  for i = #frames, 1, -1 do order[#order + 1] = i end
+  for i = 1, #frames do order[#order + 1] = i * 7919 % #frames + 1 end
+  for _, i in ipairs(order) do
+    lu.assertEquals(text_of.frame(candump.seek_read(log, file, frames[i].offset)), frames[i])
+  end
+end
+
+function T.test_reading_again()
+  local stamps, buses = {}, {}
+  for i = 1, 500 do stamps[i], buses[i] = string.format("000.%06d", i * 7919 % 1000), "can" .. i % 3 end
+  assert_same_again(screen(stamps, buses))
+  assert_same_again((screen(stamps, buses):gsub("can1[^\n]*\n", "%0\nbroken\n", 100)))
+  assert_same_again((screen(stamps):gsub("000%.", "1700000000.")))
+end
+
+function T.test_numbers_of_buses()
+  local stamps = { "000.000000", "000.000001", "000.000002", "000.000003", "000.000004", "000.000005" }
+  local frames = frames_of(screen(stamps, { "can1", "any", "can0", "vcan1", "can1", "can12345" }))
+  lu.assertEquals(column(frames, "bus"), { 1, 0, 2, 3, 1, 4 })
+  lu.assertStrContains(frames[1].comment, "Interface index 1 is can1")
+  lu.assertNil(frames[5].comment)
+end
+
+function T.test_more_buses_than_any_file_has()
+  local lines = {}
+  for i = 1, 70000 do lines[i] = string.format("(1.000000) b%dx 123#11\n", i) end
+  local frames = frames_of(table.concat(lines))
+  lu.assertEquals(#frames, 70000)
+  lu.assertEquals(#frames[70000].bytes, 20 + 8 + 1)
+end
+
+function T.test_broken_lines_are_told_and_skipped()
+  local text = HEAD .. "\n" .. HEAD .. "oh no\n" .. "(1.000000) can0 123#1\n" .. HEAD .. "# remark\n" .. HEAD
+  local frames, told = frames_of(text)
+  lu.assertEquals(#frames, 4)
+  lu.assertEquals(told, { "line 2: an empty line, skipped", 'line 4: not a candump line, skipped: "oh no"',
+    'line 5: the data bytes do not fit, line skipped: "(1.000000) can0 123#1"',
+    'line 7: a comment, skipped: "# remark"' })
+  lu.assertNil(frames[2].comment)
+  lu.assertStrContains(frames[3].comment, "line 4: not a candump line")
+  lu.assertStrContains(frames[3].comment, "line 5: the data bytes do not fit")
+end
+
+function T.test_many_broken_lines_do_not_flood()
+  local frames, told = frames_of(HEAD:rep(1000) .. ("oh no\n\n"):rep(500) .. HEAD)
+  lu.assertEquals(#frames, 1001)
+  lu.assertEquals(#told, 8)
+  lu.assertEquals(told[7], "500 times: an empty line, skipped")
+  lu.assertEquals(told[8], "500 times: not a candump line, skipped")
+end
+
+function T.test_a_line_without_end_costs_its_length_only()
+  local long = ("x"):rep(3000000)
+  local frames, told = frames_of(HEAD .. HEAD .. long .. "\n" .. HEAD:gsub("can0", "can1") .. long)
+  lu.assertEquals(column(frames, "offset"), { 0, #HEAD, 2 * #HEAD + #long + 1 })
+  lu.assertEquals(#told, 2)
+  lu.assertStrContains(told[1], "line 3: longer than any candump line")
+  lu.assertStrContains(told[2], "line 5: longer than any candump line")
+end
+
+function T.test_a_byte_order_mark_is_passed_over()
+  local frames = frames_of("\239\187\191" .. HEAD .. HEAD:gsub("can0", "can1"))
+  lu.assertEquals(column(frames, "offset"), { 3, 3 + #HEAD })
+  lu.assertEquals(#frames_of("\239\187\191" .. HEAD), 1)
+end
+
+function T.test_decimals()
+  lu.assertEquals(opened(HEAD, true).decimals, 6)
+  lu.assertEquals(opened("(1700000000.000001001) can0 123#11\n").decimals, 9)
+end
+
+-- LINUX_SLL2: protocol, reserved, ifindex, ARPHRD_CAN 280, packet type, address length and address; then SocketCAN.
+
+-- The short way for lines of the usual form says what the long way says.
+function T.test_usual_lines_between_others()
+  local lines, expected = {}, {}
+  local forms = { "(%d.000001) can0 08404000#BBBE6FC720000000", "(%d.000001) can1 123#", "(%d.000001) can0 123#1122 R",
+    "(%d.000001) can0 123#11\r", "(%d.000001) can0 08404000#bbbe6fC7 T", "(%d.000001) can1 08404000#R2",
+    "(%d.000001) can0 08404000##1AABB", "(%d.000001)  can0  123   [1]  11", "(%d.000001) can0 00000123#11",
+    "(%d.000001) can0 123#1", "(%d.000001000) can1 123#", "(%d.000001) can2 08404000#", "(%d.000001) can2 1#" }
+  for i = 1, 300 do
+    lines[i] = forms[i * 7919 % #forms + 1]:format(1700000000 + i)
+    local record = line.parse(lines[i])
+    if record then expected[#expected + 1] = line.packet(record, tonumber(record.bus:sub(-1))) end
+  end
+  local text = table.concat(lines, "\n")
+  local frames, _, log = frames_of(text)
+  lu.assertEquals(column(frames, "bytes"), expected)
+  local file = text_file(text)
+  for _, frame in ipairs(frames) do
+    lu.assertEquals(text_of.frame(candump.seek_read(log, file, frame.offset)), frame)
+  end
+end
+
+function T.test_more_ids_than_are_remembered()
+  local lines = {}
+  for i = 1, 10000 do lines[i] = ("(1700000000.%06d) can0 %08X#11"):format(i, i * 7919 % 5000 * 0x10000) end
+  local frames = frames_of(table.concat(lines, "\n"), true)
+  lu.assertEquals(#frames, 10000)
+  for i = 1, #frames, 97 do
+    lu.assertEquals(frames[i].bytes, line.packet(line.parse(lines[i]), 0), "frame " .. i)
+  end
+end
+
+-- What a bus is called, fit to be printed; the frames keep their numbers apart.
+function T.test_names_of_buses_are_fit_to_be_printed()
+  local frames = frames_of("(1.000000) can\255 123#11\n(1.000001) can\254 123#11\n(1.000002) \195\188can 123#\n" ..
+    "(1.000003) \1\127can9 123#\n(1.000004) can\255 123#11\n")
+  lu.assertEquals(column(frames, "bus_name"), { "can\\xFF", "can\\xFE", "\195\188can", "\\x01\\x7Fcan9", "can\\xFF" })
+  lu.assertEquals(column(frames, "bus"), { 0, 1, 2, 9, 0 })
+  lu.assertEquals(frames[1].comment, "Interface index 0 is can\\xFF")
+end
+
+-- Text in UTF-16: mark, and whether the high byte comes first.
+function T.test_utf16()
+  local lines = {}
+  for i = 1, 4000 do lines[i] = ("(1700000000.%06d) can%d 08404000#%08X"):format(i, i % 2, i) end
+  lines[3000] = "# a remark: \255"
+  local text = table.concat(lines, "\r\n")
+  local expected = frames_of(text)
+  for _, row in ipairs { { "\255\254", "%0\0" }, { "\254\255", "\0%0" }, { "", "%0\0" }, { "", "\0%0" } } do
+    local wide = row[1] .. text:gsub(".", row[2])
+    local frames, told, log = frames_of(wide)
+    lu.assertEquals(#frames, 3999)
+    lu.assertStrContains(told[1], "line 3000: a comment")
+    lu.assertEquals(frames, expected)
+    local file = text_file(wide)
+    for i = #frames, 1, -197 do
+      lu.assertEquals(text_of.frame(candump.seek_read(log, file, frames[i].offset)), frames[i])
+    end
+  end
+end
+
+function T.test_utf16_of_one_bus_is_not_left_to_others()
+  lu.assertEquals(#frames_of("\255\254" .. HEAD:rep(3):gsub(".", "%0\0")), 3)
+  lu.assertEquals(#frames_of("\255\254" .. HEAD:rep(3):gsub(".", "%0\0") .. "x"), 3) -- half a character
+  lu.assertNil((opened("\255\254" .. HEAD:gsub(".", "%0\0\0\0")))) -- UTF-32
+  lu.assertNil((opened("\255\254h\0e\0l\0l\0o\0\n\0")))
+end
+
+-- The bus of a log that is left to Wireshark's own reader.
+function T.test_the_bus_of_a_plain_log()
+  local function plain_bus(text)
+    local log, bus = candump.open(text_file(text), {})
+    lu.assertNil(log)
+    return bus
+  end
+  lu.assertEquals(plain_bus(HEAD:rep(5000)), "can0")
+  lu.assertEquals(plain_bus((HEAD:gsub("can0", "v\255n"))), "v\\xFFn")
+  lu.assertNil(plain_bus("some text\n"))
+end
+
+return T

@@ -1,0 +1,177 @@
+-- A line of candump text: every form, what is no frame, the packet made of it.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local candump = require("yapp_file_candump_line")
+
+local function bytes(hex)
+  return (hex:gsub("%s", ""):gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end))
+end
+
+local T = {}
+
+-- Line, then what it must give: bus, id with SocketCAN's flags, data in hex, and fields that are not the usual ones.
+local LINES = {
+  { "(1700000000.000001) can0 08404000#BBBE6FC720000000", "can0", 0x88404000, "BBBE6FC720000000",
+    { seconds = 1700000000, nanoseconds = 1000, relative = false } },
+  { "(1700000000.000000001) vcan12 123#", "vcan12", 0x123, "", { seconds = 1700000000, nanoseconds = 1 } },
+  { "(12.5) can0 7ff#aBcD", "can0", 0x7FF, "ABCD", { seconds = 12, nanoseconds = 500000000 } },
+  { "(1.000000)  can0 123#11.22.33", "can0", 0x123, "112233" },
+  { "(1.000000) can0 123#11 R", "can0", 0x123, "11", { sent = false } },
+  { "(1.000000) can0 123#11 T\r", "can0", 0x123, "11", { sent = true } },
+  { "(1.000000) can0 123#R", "can0", 0x40000123, "", { length = 0 } },
+  { "(1.000000) can0 08404000#R8 T", "can0", 0xC8404000, "0000000000000000", { length = 8, sent = true } },
+  { "(1.000000) can0 123#R8_F", "can0", 0x40000123, "0000000000000000", { raw_dlc = 15 } },
+  { "(1.000000) can0 123#1122334455667788_E", "can0", 0x123, "1122334455667788", { raw_dlc = 14 } },
+  { "(1.000000) can0 123##5112233445566778899AABBCC R", "can0", 0x123, "112233445566778899AABBCC",
+    { fd = true, flags = 5 } },
+  { "(1.000000) can0 123##0", "can0", 0x123, "", { fd = true } },
+  { "(1.000000) can0 20000004#0008000000000000", "can0", 0x20000004, "0008000000000000" },
+  { "  can0  08404000   [8]  BB BE 6F C7 20 00 00 00", "can0", 0x88404000, "BBBE6FC720000000" },
+  { "can0\t08404000\t[8]\tBB\tBE\t6F\tC7\t20\t00\t00\t00\t", "can0", 0x88404000, "BBBE6FC720000000" },
+  { "  can0       7FF   [0] ", "can0", 0x7FF, "" },
+  { "  can0  08404000  [08]  BB BE 6F C7 20 00 00 00", "can0", 0x88404000, "BBBE6FC720000000", { fd = true } },
+  { "  can0  123   [2]  remote request", "can0", 0x40000123, "0000", { length = 2 } },
+  { "  can0  20000004   [8]  00 08 00 00 00 00 00 00   ERRORFRAME", "can0", 0x20000004, "0008000000000000" },
+  { "  can0  123   [3]  41 42 43                  'ABC'", "can0", 0x123, "414243" },
+  { "  can0  123   [3]  27 20 27                  '' ''", "can0", 0x123, "272027" },
+  { "  can0  123   [1]  23                        '#'", "can0", 0x123, "23" },
+  { "  can0  123   [3]  43`42`41                  `CBA`", "can0", 0x123, "414243" },
+  { "  can0  123   [2]  00000001 11111110", "can0", 0x123, "01FE" },
+  { "  can0  123   [2]  00000001`11111110", "can0", 0x123, "FE01" },
+  { "  can0  123   [1]  10101010", "can0", 0x123, "AA" },
+  { "  can0  123   {E}  01 02 03 04 05 06 07 08", "can0", 0x123, "0102030405060708", { raw_dlc = 14, length = 8 } },
+  { "  can0  123   {2}  01 02", "can0", 0x123, "0102", { raw_dlc = 0, length = 2 } },
+  { " (000.000499)  can0  TX B E       123  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B", "can0", 0x123,
+    "000102030405060708090A0B", { fd = true, flags = 3, sent = true, nanoseconds = 499000, relative = true } },
+  { " (0000000007.000001)  can0  RX - -  123   [1]  01", "can0", 0x123, "01", { seconds = 7, relative = false } },
+  { "  \27[1m\27[34mcan0\27[0m  123   [1]  01", "can0", 0x123, "01" },
+  { " \27[1m\27[34m(1700000000.000001)  can0  123   [1]  01\27[0m", "can0", 0x123, "01" },
+}
+
+function T.test_every_form_of_line()
+  for _, row in ipairs(LINES) do
+    local record, why = candump.parse(row[1])
+    lu.assertNotNil(record, row[1] .. ": " .. tostring(why))
+    lu.assertEquals({ record.bus, record.id, record.data, record.note }, { row[2], row[3], bytes(row[4]) }, row[1])
+    local usual = { fd = false, flags = 0, raw_dlc = 0, sent = false, length = #record.data }
+    for name, value in pairs(row[5] or {}) do usual[name] = value end
+    for name, value in pairs(usual) do lu.assertEquals(record[name], value, row[1] .. ": " .. name) end
+  end
+end
+
+-- Line, and a word of the reason, nil for lines that belong to the one above.
+local OTHERS = {
+  { "", "empty" }, { " \t\r", "empty" }, { "# remark", "comment" }, { "; remark", "comment" }, { "// r", "comment" },
+  { "DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)", "lost frames" },
+  { "\tcontroller-problem{tx-error-warning}" }, { "\tbus-error\27[0m" }, { "\terror-counter-tx-rx{{96}{127}}" },
+  { "\tsomething else", "not a candump line" },
+  { "(1.000000) can0 84", "not a candump line" },
+  { "(1.000000) can0 1234#11", "CAN id" }, { "(1.000000) can0 800#11", "CAN id" },
+  { "(1.000000) can0 40000000#11", "CAN id" }, { " (1.000000)  can0  FFF   [1]  11", "CAN id" },
+  { "(1.000000) can0 123#1", "data bytes" }, { "(1.000000) can0 123#1G", "data bytes" },
+  { "(1.000000) can0 123#112233445566778899", "data bytes" }, { "(1.000000) can0 123#R9", "data bytes" },
+  { "(1.000000) can0 123##", "data bytes" }, { "(1.000000) can0 123##0" .. ("11"):rep(65), "data bytes" },
+  { "(1.000000) can0 00123#81:00:12345678#112233", "CAN XL" },
+  { "(1234567890123.000000) can0 123#11", "time" }, { " (2023-13-01 00:00:00.000000)  can0  123   [1]  11", "time" },
+  { " (soon)  can0  123   [1]  11", "time" },
+  { " (1.000000)  can0  123   [2]  11", "data bytes" }, { " (1.000000)  can0  123   [2]  11 22 33", "data bytes" },
+  { " (1.000000)  can0  123   [9]  11 22 33 44 55 66 77 88 99", "data bytes" },
+  { "  can0  123   [2]  11 22 and more", "not a candump line" },
+  { "see 123 [1] for more", "data bytes" },
+  { ("x"):rep(5000), "longer" },
+}
+
+function T.test_lines_without_a_frame()
+  for _, row in ipairs(OTHERS) do
+    local record, why = candump.parse(row[1])
+    lu.assertNil(record, row[1])
+    if row[2] then
+      lu.assertStrContains(tostring(why), row[2], false, false, row[1])
+    else
+      lu.assertNil(why, row[1])
+    end
+  end
+end
+
+function T.test_local_time_with_date()
+  local record = candump.parse(" (2023-11-14 22:13:20.000001)  can0  123   [1]  11")
+  lu.assertEquals(os.date("%Y-%m-%d %H:%M:%S", record.seconds), "2023-11-14 22:13:20")
+  lu.assertEquals({ record.nanoseconds, record.relative }, { 1000, false })
+end
+
+function T.test_letters_that_look_like_digits()
+  local record = candump.parse("can0\t0840C000\t[8]\tD2\t\208\151C\t\206\149O\t4E\t$\\odot \\odot$\t00\t05\tFF\t")
+  lu.assertEquals(record.data, bytes("D23CE04E000005FF"))
+  lu.assertStrContains(record.note, "look like hex digits")
+end
+
+function T.test_text_behind_a_frame_is_told()
+  local record = candump.parse("(1.000000) can0 123#11 at the gate")
+  lu.assertEquals({ record.data, record.note }, { "\17", "text behind the frame, ignored" })
+end
+
+function T.test_packet()
+  local record = candump.parse("(1.000000) can0 08404000#BBBE6FC720000000 T")
+  lu.assertEquals(candump.packet(record, 258), bytes("000C 0000 00000102 0118 04 00 0000000000000000" ..
+    "00404088 08 00 00 00 BBBE6FC720000000"))
+  lu.assertEquals(candump.packet(record, 0, true), bytes("000C 0000 00000000 0118 04 00 0000000000000000" ..
+    "88404000 08 00 00 00 BBBE6FC720000000"))
+end
+
+function T.test_packet_of_can_fd_and_raw_dlc()
+  local record = candump.parse("(1.000000) can3 123##5AABB R")
+  lu.assertEquals(candump.packet(record, 3), bytes("000D 0000 00000003 0118 00 00 0000000000000000" ..
+    "23010000 02 05 00 00 AABB"))
+  record = candump.parse("(1.000000) can3 123#1122334455667788_E")
+  lu.assertEquals(candump.packet(record, 3):sub(21, 28), bytes("23010000 08 00 00 0E"))
+end
+
+-- A seeded generator, the same in every Lua.
+local function random_source(seed)
+  return function(limit)
+    seed = seed * 16807 % 2147483647
+    return seed % limit + 1
+  end
+end
+
+-- Lines with characters changed, dropped and doubled: never an error, and what is a frame makes a packet.
+function T.test_damaged_lines_never_fail()
+  local random, letters = random_source(42), "0 1F#[]{}()R.T`'\t\27\\x$\194\208\206\160"
+  for _, row in ipairs(LINES) do
+    for _ = 1, 300 do
+      local line = row[1]
+      for _ = 1, random(4) do
+        local at, letter = random(#line), letters:sub(random(#letters))
+        line = line:sub(1, at - 1) .. letter:sub(1, random(3) - 1) .. line:sub(at + random(3) - 1)
+      end
+      local record = candump.parse(line)
+      if record then
+        lu.assertEquals(#candump.packet(record, 0), 28 + record.length, line)
+      end
+    end
+  end
+end
+
+-- Frames of every form come back with their bytes, written as candump's lib.c writes them.
+function T.test_written_frames_come_back()
+  local random = random_source(7)
+  for _ = 1, 500 do
+    local fd, hex, log = random(2) == 1, {}, {}
+    local sizes = fd and { 0, 1, 8, 12, 16, 20, 24, 32, 48, 64 } or { 0, 1, 2, 3, 4, 5, 6, 7, 8 }
+    local size, id = sizes[random(#sizes)], random(0x20000000) - 1
+    for i = 1, size do
+      hex[i] = string.format("%02X", random(256) - 1)
+      log[i] = hex[i]
+    end
+    local data = bytes(table.concat(hex))
+    local line = string.format("(1700000000.000001) can0 %08X#%s%s", id, fd and "#1" or "", table.concat(log))
+    local shown = string.format(" (1700000000.000001)  can0  %08X %s  %s", id,
+      fd and string.format(" [%02d]", size) or string.format("  [%d]", size), table.concat(hex, " "))
+    for _, text in ipairs { line, shown } do
+      local record = candump.parse(text)
+      lu.assertEquals({ record.id, record.data, record.fd }, { id + 0x80000000, data, fd }, text)
+    end
+  end
+end
+
+return T

@@ -1,0 +1,130 @@
+-- Which files are candump text, and which of them Wireshark's own reader gets right.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local candump = require("yapp_file_candump")
+local candump_text = require("candump_text")
+
+local frames_of, opened, text_file = candump_text.frames_of, candump_text.opened, candump_text.file
+
+local T = {}
+
+local HEAD = "(1700000000.000001) can0 123#11\n"
+
+function T.test_plain_logs_are_left_to_the_builtin_reader()
+  for _, text in ipairs { HEAD, HEAD .. "(1700000000.000002) can0 00000123#", HEAD:gsub("\n", "\r\n"),
+    HEAD .. "(1.000000) can0 123#R4\n(1.000000) can0 123##3112233445566778899AABBCC\n", HEAD:rep(100000) } do
+    lu.assertNil((opened(text)), text:sub(1, 200))
+    lu.assertNotNil((opened(text, true)), text:sub(1, 200))
+  end
+end
+
+-- One line each that the built-in reader of some version gets wrong.
+local DEVIATIONS = {
+  "", " ", "# remark", "(1.000000) can1 123#11", "(1.000000)  can0 123#11", "(1.000000) can0 123#11 ",
+  "(1.000000) can0 123#11 R", "(1.000000) can0 123#1", "(1.000000) can0 123#11.22", "(1.000001000) can0 123#11",
+  "(1.5) can0 123#11", "(1.000000) can0 123##011223344556677889", "(1.000000) can0 123#112233445566778899", "text",
+  "(1.000000) can0 1234#11", "(1.000000) can0 1122334455667788_E", " (1.000000) can0 123#11", ("x"):rep(3000000),
+}
+
+function T.test_a_deviation_anywhere_is_seen()
+  for _, line in ipairs(DEVIATIONS) do
+    local name = line:sub(1, 60)
+    lu.assertNotNil((opened(HEAD .. line .. "\n" .. HEAD)), name)
+    lu.assertNotNil((opened(HEAD:rep(1000) .. line .. "\n" .. HEAD)), name)
+  end
+  lu.assertNotNil((opened(HEAD:rep(600000) .. DEVIATIONS[4] .. "\n" .. HEAD)))
+end
+
+-- The reader of Wireshark 4.6 takes an id up to 7FF for a standard one and an error frame for an extended one.
+function T.test_ids_that_a_reader_by_value_gets_wrong()
+  for _, id in ipairs { "00000000", "000007FF", "000007ff", "20000004", "20000088" } do
+    local text = HEAD .. "(1700000000.000002) can0 " .. id .. "#11\n"
+    lu.assertNil((opened(text)), id)
+    lu.assertNotNil((opened(text, false, true)), id)
+  end
+  for _, id in ipairs { "000", "7FF", "00000800", "1FFFFFFF", "08404000" } do
+    lu.assertNil((opened(HEAD .. "(1700000000.000002) can0 " .. id .. "#11\n", false, true)), id)
+  end
+end
+
+function T.test_no_frame_is_lost_after_looking_ahead()
+  local text = HEAD:rep(3000) .. "(1.000000) can1 124#22"
+  local frames = frames_of(text)
+  lu.assertEquals(#frames, 3001)
+  lu.assertEquals({ frames[3001].offset, frames[3001].bytes:byte(21, 22) }, { 3000 * #HEAD, 0x24, 1 })
+end
+
+function T.test_a_pipe_that_cannot_be_rewound_is_taken()
+  for _, lines in ipairs { 3000, 20000 } do
+    local file = text_file(HEAD:rep(lines), true, 65536)
+    local log, count = candump.open(file, {}), 0
+    while candump.read(log, file) do count = count + 1 end
+    lu.assertEquals(count, lines)
+  end
+  lu.assertNil(candump.open(text_file(HEAD:rep(1000), true, 65536), {}))
+end
+
+-- Texts of other programs, none of which may be taken.
+local FOREIGN = {
+  "", "\n\n\n", "hello\n", "\0\1\2\3", HEAD .. "\0", ("\255"):rep(5000), ("x"):rep(100000),
+  "time,id,dlc,data\n0.1,123,8,11 22 33 44 55 66 77 88\n",
+  "timestamp,arbitration_id,extended,remote,error,dlc,data\n1.2,0x123,0,0,0,2,ESI=\n",
+  "date Tue Nov 14 10:13:20 pm 2023\nbase hex  timestamps absolute\nno internal events logged\n" ..
+    "   0.000130 1  8404000x        Rx   d 8 BB BE 6F C7 20 00 00 00\n",
+  ";$FILEVERSION=1.1\n;$STARTTIME=45244.9\n     1)       1.9  Rx         0123  2  11 22\n",
+  ";$FILEVERSION=2.1\n      1     0.130 DT 1      0123 Rx -  2    11 22\n",
+  "Timestamp: 1700000000.000001    ID: 123    S Rx                DL:  2    11 22\n",
+  "Nov 14 22:13:20 host kernel: can0: bus-off\n", "t12321122\r", "123#1122\n",
+  " (1700000000.000001)  can0  123  [2]  [SF] ln: 1    data: 11\n", "0x123 [2] 11 22\n", "can0: 123 [1]\n",
+  "# Notes\n\nOn the bus we saw\n\n  can0  123   [1]  11\n\nwhich is odd. Then nothing\nhappened for a while.\n",
+  "OTHER LOGGER 1.0\n" .. HEAD:rep(5), "<0x123> [2] 11 22\n", "No.     Time\n      1 0.000000 CAN 16 ID: 291\n",
+}
+
+function T.test_other_text_is_never_taken()
+  for _, text in ipairs(FOREIGN) do
+    lu.assertNil((opened(text)), text:sub(1, 80))
+    lu.assertNil((opened(text, true)), text:sub(1, 80))
+  end
+end
+
+function T.test_a_log_cut_at_its_start()
+  for _, first in ipairs { "00.000001) can0 123#1122334455667788", "3#11 R", "#", "788", "3   [2]  11 22", "11 22 33",
+    "2 33 ", "o. ...'", "[8]  remote request" } do
+    lu.assertEquals(#(frames_of(first .. "\n" .. HEAD:rep(3)) or {}), 3, first)
+  end
+end
+
+-- Cut anywhere in the first line of every capture: the rest of that line is no frame, or one without its time.
+function T.test_every_form_cut_at_its_start()
+  local names = assert(io.popen("ls test_captures/candump_*"))
+  for name in names:lines() do
+    local file = assert(io.open(name, "rb"))
+    local text = file:read("*a")
+    file:close()
+    local all, first = #frames_of(text, true), text:find("\n", 1, true)
+    if name:find("broken") or name:find("document") then first = 0 end -- two such lines; letters for digits
+    for at = 2, first - 1 do
+      local count = #(frames_of(text:sub(at), true) or {})
+      lu.assertTrue(count == all or count == all - 1, ("%s: %d of %d frames of %q"):format(name, count, all,
+        text:sub(at, first)))
+    end
+  end
+  names:close()
+end
+
+function T.test_a_shell_in_front_of_the_frames()
+  for _, lines in ipairs { "$ candump -ta can0", "$ sudo ip link set can0 up\n$ candump can0",
+    "Script started on 2026-11-14 22:13:20+00:00\npi@drone:~$ ls\nrun.log\npi@drone:~$ candump -L any",
+    "Enabling Logfile 'candump-2026-11-14_221320.log'", "Disabled standard output while logging.",
+    "\nWarning: Console output active while logging!\nEnabling Logfile 'candump-2026-11-14_221320.log'\n" } do
+    lu.assertEquals(#(frames_of(lines .. "\n" .. HEAD:rep(8)) or {}), 8, lines)
+  end
+end
+
+function T.test_only_the_start_of_other_text_is_read()
+  local file = text_file(("some text\n"):rep(10000))
+  lu.assertNil(candump.open(file, {}))
+  lu.assertEquals(file.pos, 4096)
+end
+
+return T

@@ -1,0 +1,170 @@
+-- A raw serial dump: records, offsets, times, and what is not a dump.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local crc = require("yapp_crc")
+local dump = require("yapp_file_dump")
+local stream = require("yapp_serial_stream")
+
+-- What the API's file objects do.
+local function file_of(text)
+  local at = 1
+  return {
+    read = function(_, count)
+      if at > #text then return nil end
+      local piece = text:sub(at, at + count - 1)
+      at = at + #piece
+      return piece
+    end,
+    seek = function(_, _, offset)
+      at = offset + 1
+      return offset
+    end,
+  }
+end
+
+local function le(value, size)
+  local bytes = {}
+  for i = 1, size do bytes[i], value = string.char(value % 256), (value - value % 256) / 256 end
+  return table.concat(bytes)
+end
+
+local function frame(id, payload)
+  local text = "YP\0\0" .. le(id, 4) .. le(#payload, 2) .. "\0\0" .. payload
+  return text .. le(crc.of(text), 4)
+end
+
+local function new_framer() return stream.new(crc, function() return true end) end
+
+-- ID 1 has a time stamp: its first byte, in seconds.
+local function time_of(bytes)
+  if bytes:byte(5) == 1 then return bytes:byte(13), 500 end
+end
+
+local function records(text)
+  local file, list = file_of(text), {}
+  local log = dump.open(file, new_framer, time_of)
+  while true do
+    local record = log:read(file)
+    if not record then return list, log, file end
+    list[#list + 1] = record
+  end
+end
+
+local TEXT = "boot\r\n" .. frame(2, "a") .. frame(1, "\7xx") .. frame(2, "b") .. "shell> " .. frame(1, "\9") .. "end"
+
+-- Checks records against rows { bytes, seconds, nanoseconds }, a time of nil for none; offsets follow.
+local function assert_records(text, rows)
+  local list = records(text)
+  lu.assertEquals(#list, #rows)
+  local offset = 0
+  for i, row in ipairs(rows) do
+    lu.assertTrue(list[i].bytes == row[1], "record " .. i) -- long ones are not worth printing
+    local shown = { list[i].offset, list[i].seconds, list[i].nanoseconds }
+    lu.assertEquals(shown, { offset, row[2], row[3] }, "record " .. i)
+    offset = offset + #row[1]
+  end
+end
+
+local T = {}
+
+function T.test_records_offsets_and_times()
+  assert_records(TEXT, {
+    { "boot\r\n", 7, 500 }, { frame(2, "a"), 7, 500 }, { frame(1, "\7xx"), 7, 500 }, { frame(2, "b"), 7, 500 },
+    { "shell> ", 7, 500 }, { frame(1, "\9"), 9, 500 }, { "end", 9, 500 },
+  })
+end
+
+function T.test_without_a_time_stamp()
+  local bad = frame(1, "\9"):sub(1, -2) .. "?"
+  assert_records("> " .. frame(2, "a") .. bad, { { "> " }, { frame(2, "a") }, { bad } })
+end
+
+function T.test_a_time_stamp_that_comes_late()
+  local list = records(frame(2, "a") .. ("x"):rep(1200000) .. frame(1, "\9") .. frame(2, "b"))
+  lu.assertNil(list[1].seconds)
+  lu.assertNil(list[#list - 2].seconds)
+  lu.assertEquals({ list[#list].bytes, list[#list].seconds }, { frame(2, "b"), 9 })
+end
+
+function T.test_a_second_look_in_any_order()
+  local list, log, file = records(TEXT)
+  for i = #list, 1, -1 do
+    lu.assertEquals(log:read_again(file, list[i].offset), list[i], "record " .. i)
+  end
+end
+
+function T.test_many_records_cross_the_chunks()
+  local pieces = {}
+  for i = 1, 5000 do pieces[i] = frame(i % 2 + 1, ("p"):rep(i % 60 + 1)) .. (i % 10 == 0 and "noise" or "") end
+  local text = table.concat(pieces)
+  local list, log, file = records(text)
+  local joined = {}
+  for i, record in ipairs(list) do joined[i] = record.bytes end
+  lu.assertTrue(table.concat(joined) == text)
+  lu.assertEquals(#list, 5500)
+  for i = 1, #list, 37 do lu.assertEquals(log:read_again(file, list[i].offset).bytes, list[i].bytes) end
+end
+
+function T.test_bytes_between_frames_are_one_record()
+  local text = ("x"):rep(65000)
+  assert_records(frame(2, "a") .. text .. frame(2, "b"), { { frame(2, "a") }, { text }, { frame(2, "b") } })
+  assert_records(frame(2, "a") .. text .. "YP", { { frame(2, "a") }, { text .. "YP" } })
+end
+
+function T.test_long_ranges_are_cut()
+  local rows = { { frame(2, "a") }, { ("x"):rep(65536) }, { ("x"):rep(65536) }, { ("x"):rep(7) }, { frame(2, "b") } }
+  local texts = {}
+  for i, row in ipairs(rows) do texts[i] = row[1] end
+  assert_records(table.concat(texts), rows)
+  texts[4], rows[4] = "", rows[5]
+  rows[5] = nil
+  assert_records(table.concat(texts), rows)
+end
+
+function T.test_a_claim_that_is_long_in_doubt()
+  local claim = "YP\0\0" .. le(3, 4) .. le(65535, 2) .. "\0\0"
+  local text = claim:rep(12000)
+  local list = records(frame(2, "a") .. text .. frame(2, "b"))
+  local joined, longest = {}, 0
+  for i, record in ipairs(list) do joined[i], longest = record.bytes, math.max(longest, #record.bytes) end
+  lu.assertTrue(table.concat(joined) == frame(2, "a") .. text .. frame(2, "b"))
+  lu.assertTrue(longest < 262000) -- what Wireshark takes
+end
+
+function T.test_a_second_look_before_the_end()
+  local file = file_of(TEXT)
+  local log = dump.open(file, new_framer, time_of)
+  for i = 1, 7 do
+    local record = log:read(file)
+    lu.assertEquals(log:read_again(file_of(TEXT), record.offset), record, "record " .. i)
+  end
+end
+
+function T.test_what_is_a_dump()
+  local rows = {
+    { "", false }, { "YP", false }, { "some text\n", false }, { frame(2, "a"), true },
+    { ("noise"):rep(20000) .. frame(2, "a"), true }, { frame(2, "a"):sub(1, -2) .. "?", false },
+  }
+  for i, row in ipairs(rows) do
+    lu.assertEquals(dump.open(file_of(row[1]), new_framer, time_of) ~= nil, row[2], "row " .. i)
+  end
+end
+
+-- A pipe cannot go back.
+function T.test_it_goes_back_only_for_a_late_frame()
+  local file = file_of(TEXT)
+  file.seek = nil
+  lu.assertEquals(dump.open(file, new_framer, time_of):read(file).bytes, "boot\r\n")
+  file = file_of(TEXT)
+  local head = file:read(10)
+  lu.assertEquals(dump.open(file, new_framer, time_of, head):read(file).bytes, "boot\r\n")
+end
+
+function T.test_the_first_frame_comes_late()
+  local text = ("noise"):rep(500000)
+  local list = records(text .. frame(1, "\9") .. frame(2, "a"))
+  lu.assertEquals({ list[1].offset, list[1].seconds, #list[1].bytes }, { 0, 9, 65536 })
+  lu.assertEquals({ list[#list - 1].offset, list[#list].bytes }, { #text, frame(2, "a") })
+end
+
+return T

@@ -1,0 +1,147 @@
+-- What the first bytes of a capture file say: several sources or one, YAPP frames or none.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local head = require("yapp_file_head")
+
+local function le(value, size)
+  local bytes = {}
+  for i = 1, size do bytes[i], value = string.char(value % 256), (value - value % 256) / 256 end
+  return table.concat(bytes)
+end
+
+local function be(value, size) return le(value, size):reverse() end
+
+local function pcap(linktype, packets, number, magic)
+  local text = { magic or number(0xA1B2C3D4, 4), number(2, 2), number(4, 2), ("\0"):rep(8), number(65535, 4),
+    number(linktype, 4) }
+  for _, packet in ipairs(packets) do
+    text[#text + 1] = ("\0"):rep(8) .. number(#packet, 4) .. number(#packet, 4) .. packet
+  end
+  return table.concat(text)
+end
+
+local function block(kind, body, number)
+  body = body .. ("\0"):rep(-#body % 4)
+  return number(kind, 4) .. number(#body + 12, 4) .. body .. number(#body + 12, 4)
+end
+
+-- interfaces: link types; packets: { interface, bytes }
+local function pcapng(interfaces, packets, number)
+  local text = { block(0x0A0D0D0A, number(0x1A2B3C4D, 4) .. number(1, 2) .. number(0, 2) .. ("\255"):rep(8), number) }
+  for _, linktype in ipairs(interfaces) do
+    text[#text + 1] = block(1, number(linktype, 2) .. number(0, 2) .. number(0, 4), number)
+  end
+  for _, packet in ipairs(packets) do
+    text[#text + 1] = block(6, number(packet[1], 4) .. ("\0"):rep(8) .. number(#packet[2], 4) ..
+      number(#packet[2], 4) .. packet[2], number)
+  end
+  return table.concat(text)
+end
+
+local CAN_OVER_SLL2 = "\0\12\0\0" .. ("\0"):rep(16) .. ("\0"):rep(16)
+local CAN_OVER_SLL = ("\0"):rep(15) .. "\12" .. ("\0"):rep(16)
+local IP_OVER_SLL2 = "\8\0\0\0" .. ("\0"):rep(60)
+local FRAME = "YP\0\0\16\2\0\0\32\0\0\0" .. ("x"):rep(36)
+
+local T = {}
+
+-- file, whether it has several sources
+function T.test_sources()
+  for _, number in ipairs { le, be } do
+    local rows = {
+      { pcap(227, { "x" }, number), false },
+      { pcap(1, { "x" }, number), false },
+      { pcap(276, { CAN_OVER_SLL2 }, number), true },
+      { pcap(276, { IP_OVER_SLL2 }, number), false },
+      { pcap(250, { "x" }, number), true },
+      { pcapng({ 227 }, { { 0, "x" } }, number), false },
+      { pcapng({ 227, 227 }, { { 0, "x" } }, number), true },
+      { pcapng({ 1, 1, 227 }, { { 0, "x" } }, number), false },
+      { pcapng({ 147, 162 }, {}, number), true },
+      { pcapng({ 1, 276 }, { { 0, "x" }, { 1, CAN_OVER_SLL2 } }, number), true },
+      { pcapng({ 276 }, { { 0, IP_OVER_SLL2 } }, number), false },
+      { pcap(276, { IP_OVER_SLL2, IP_OVER_SLL2, CAN_OVER_SLL2 }, number), true },
+      { pcapng({ 113 }, { { 0, CAN_OVER_SLL } }, number), false },
+      { pcapng({ 113, 113 }, { { 0, CAN_OVER_SLL }, { 0, CAN_OVER_SLL } }, number), false },
+      { pcapng({ 113, 113 }, { { 0, CAN_OVER_SLL }, { 1, CAN_OVER_SLL } }, number), true },
+      { pcapng({ 227, 113 }, { { 0, "x" }, { 1, CAN_OVER_SLL } }, number), true },
+    }
+    for i, row in ipairs(rows) do lu.assertEquals(head.read(row[1]).sources, row[2], "row " .. i) end
+  end
+  lu.assertTrue(head.read("LOGG....").sources)
+end
+
+function T.test_nanosecond_pcap()
+  lu.assertTrue(head.read(pcap(276, { CAN_OVER_SLL2 }, le, "\77\60\178\161")).sources)
+  lu.assertTrue(head.read(pcap(276, { CAN_OVER_SLL2 }, be, "\161\178\60\77")).sources)
+end
+
+-- file, whether YAPP frames may be in it
+function T.test_frames()
+  local rows = {
+    { "", true }, -- nothing known
+    { "some other file", true },
+    { pcap(1, {}, le), true }, -- no packet yet: a live capture
+    { pcapng({ 1 }, {}, le), true },
+    { pcap(1, { ("x"):rep(60) }, le), false },
+    { pcap(1, { "noise" .. FRAME }, le), true },
+    { pcap(1, { "YP" .. ("x"):rep(60) }, le), false }, -- no plausible header
+    { pcap(1, { "YP YPYP" .. FRAME }, le), true },
+    { pcap(1, { "YP\0\0\16\8\0\0\32\0\0\0" .. ("x"):rep(36) }, le), false }, -- ID above 2047
+    { pcap(1, { "YP\0\0\16\2\0\0\32\0\0\1" .. ("x"):rep(36) }, le), false }, -- reserved bytes
+    { pcapng({ 1 }, { { 0, ("x"):rep(60) } }, be), false },
+    { pcapng({ 1 }, { { 0, FRAME } }, be), true },
+  }
+  for i, row in ipairs(rows) do lu.assertEquals(head.read(row[1]).frames, row[2], "row " .. i) end
+end
+
+-- A damaged or cut file must not raise, nor run for ever.
+function T.test_every_cut()
+  local files = { pcapng({ 227, 227 }, { { 0, FRAME } }, le), pcap(276, { CAN_OVER_SLL2 }, be),
+    "\10\13\13\10" .. ("\0"):rep(40) }
+  for _, file in ipairs(files) do
+    for length = 0, #file do lu.assertNotNil(head.read(file:sub(1, length))) end
+  end
+end
+
+-- Whether several sources may show later: where the file goes on, and its kind can tell them apart.
+function T.test_sources_that_show_later()
+  local long = ("x"):rep(head.LENGTH)
+  local rows = {
+    { pcapng({ 227 }, { { 0, "x" } }, le), false }, { pcapng({ 227 }, { { 0, long } }, le), true },
+    { pcapng({ 227 }, {}, le), true }, -- a live capture
+    { pcap(227, { long }, le), false }, { pcap(1, { long }, be), false },
+    { pcap(276, { IP_OVER_SLL2, long }, be), true },
+    { pcap(276, { IP_OVER_SLL2 }, le), false }, { "", true },
+  }
+  for at, row in ipairs(rows) do
+    lu.assertEquals(head.read(row[1]:sub(1, head.LENGTH)).later, row[2], "row " .. at)
+  end
+end
+
+-- A Start of ID 0x506 with a Seq means that all such Starts are asked for at once; without, that is no need.
+function T.test_numbered_starts()
+  local crc_size = "\1\2\3\4\32\0"
+  local function record(can_id, data, number)
+    return number(can_id + 0x80000000, 4) .. string.char(#data) .. "\0\0\0" .. data
+  end
+  local rows = {
+    { pcap(227, { record(0x14184009, crc_size .. "\0\0", be) }, le), true },
+    { pcap(113, { ("\0"):rep(15) .. "\12" .. record(0x14184009, crc_size .. "\0\0", le) }, be), true },
+    { pcapng({ 227 }, { { 0, record(0x14184010, crc_size .. "\0\0", be) } }, le), true },
+    { "(1.0) can0 14184009#0102030420000000\n", true },
+    { "(1.0) can0 14184090#0102030420000000\n", true },
+    { " (1.0)  can0  14184009   [8]  01 02 03 04 20 00 00 00\n", true },
+    { pcap(227, { record(0x14184000, crc_size .. "\0\0", be) }, le), false }, -- no Seq
+    { pcap(227, { record(0x14188009, crc_size .. "\0\0", be) }, le), false }, -- a Middle
+    { pcap(227, { record(0x14184009, crc_size .. "\0\1", be) }, le), false }, -- reserved bytes
+    { pcap(227, { record(0x14184009, crc_size .. "\0", be) .. "\0", }, le), false }, -- seven bytes
+    { "(1.0) can0 14184000#0102030420000000\n", false },
+    { " (1.0)  can0  14184000   [8]  01 02 03 04 20 00 00 00\n", false },
+    { " (1.0)  can0  14184009   [8]  01 02 03 04 20 00 01 00\n", false },
+    { "", false },
+  }
+  for at, row in ipairs(rows) do lu.assertEquals(head.read(row[1]).numbered, row[2], "row " .. at) end
+end
+
+return T

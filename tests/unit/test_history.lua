@@ -1,0 +1,254 @@
+-- The history of sources: what changes from one good message to the next, in order and on later looks.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local history = require("yapp_history")
+
+local T = {}
+
+-- Two messages as the catalogue compiles them: only what a history reads.
+local STATUS = { name = "status_flags", kind = "flags" }
+local FAULT = { name = "fault_flags", kind = "flags", alarm = "FAULT" }
+local MOTOR = { name = "motor", every = 0.1, answers = "command", fields = { { kind = "float" }, STATUS, FAULT },
+  time = { offset = 2 } }
+local COMMAND = { name = "command", every = 0.2, fields = {} }
+
+-- Eight bytes, little endian, of a number of nanoseconds.
+local function int64(n)
+  local bytes = {}
+  if n < 0 then n = n + 2 ^ 64 end
+  for i = 1, 8 do
+    bytes[i] = string.char(n % 256)
+    n = (n - n % 256) / 256
+  end
+  return table.concat(bytes)
+end
+
+-- A Motor Data message at a time; clock in seconds.
+local function motor(number, time, with)
+  with = with or {}
+  local clock = with.clock or time
+  return { source = with.source or 0x210, bus = with.bus, message = MOTOR, id = 0x210, seq = with.seq or 0,
+    number = number, time = time, good = with.good ~= false, raws = { 7, with.status or 0, with.fault or 0 },
+    payload = "ab" .. int64(clock * 1e9) }
+end
+
+local function command(number, time, bus)
+  return { source = "command" .. tostring(bus), bus = bus, message = COMMAND, id = 0, seq = 0, number = number,
+    time = time, good = true, raws = {}, payload = "" }
+end
+
+-- What a list of looks gives in order; each as one key of the change, or all of them.
+local function run(looks, key, options)
+  local h, found = history.new(options), {}
+  for i, look in ipairs(looks) do
+    local change = h:note(look)
+    if key then found[i] = change and change[key] or "-" else found[i] = change end
+  end
+  return found, h
+end
+
+function T.test_the_first_message_has_nothing_but_its_clock()
+  local h = history.new()
+  lu.assertEquals(h:note(motor(1, 0)), { drift = 0 })
+  lu.assertNil(h:note { source = 5, id = 5, seq = 0, number = 2, time = 1, good = true, payload = "" })
+  lu.assertNil(h:note { source = 6, id = 6, seq = 0, number = 3, time = 1, good = false, payload = "" })
+end
+
+function T.test_deltas_are_from_the_previous_good_message_of_the_source()
+  lu.assertEquals(run({ motor(1, 1), motor(2, 1.5, { source = "other" }), motor(3, 3), motor(4, 4, { good = false }),
+    motor(5, 7), command(6, 8), command(7, 8.5) }, "delta"), { "-", "-", 2, 1, 4, "-", 0.5 })
+end
+
+function T.test_a_gap_is_late_above_the_limit()
+  local looks = { motor(1, 0), motor(2, 0.25), motor(3, 0.5001), command(4, 1), command(5, 1.5), command(6, 2.1) }
+  local late = run(looks, "late")
+  lu.assertEquals({ late[2], late[5] }, { "-", "-" }) -- 2.5 periods are no more than the limit
+  lu.assertAlmostEquals(late[3], 0.2501, 1e-9)
+  lu.assertAlmostEquals(late[6], 0.6, 1e-9)
+  lu.assertEquals(run(looks, "late", { late = 10 }), { "-", "-", "-", "-", "-", "-" })
+end
+
+function T.test_seq_gaps_where_seq_numbers()
+  local function missing(...)
+    local looks = {}
+    for i, seq in ipairs { ... } do looks[i] = motor(i, i, { seq = seq }) end
+    return run(looks, "missing")
+  end
+  lu.assertEquals(missing(0, 0, 0), { "-", "-", "-" })
+  lu.assertEquals(missing(7, 7), { "-", "-" })
+  lu.assertEquals(missing(5, 6, 7, 9, 10, 14), { "-", "-", "-", 1, "-", 3 })
+  lu.assertEquals(missing(254, 255, 0, 2), { "-", "-", "-", 1 })
+  lu.assertEquals(missing(3, 5, 5), { "-", 1, "-" }) -- the same message again
+end
+
+function T.test_a_reboot_begins_a_new_numbering_and_a_new_drift()
+  local looks = { motor(1, 10, { clock = 100, seq = 200 }), motor(2, 11, { clock = 101.5, seq = 201 }),
+    motor(3, 15, { clock = 1, seq = 0 }), motor(4, 16, { clock = 2.25, seq = 2 }) }
+  lu.assertEquals(run(looks, "reboot"), { "-", "-", true, "-" })
+  lu.assertEquals(run(looks, "missing"), { "-", "-", "-", 1 })
+  local drift = run(looks, "drift")
+  for i, expected in ipairs { 0, 0.5, 0, 0.25 } do lu.assertAlmostEquals(drift[i], expected, 1e-9) end
+end
+
+function T.test_a_clock_that_stands_still()
+  local looks = { motor(1, 1, { clock = 5 }), motor(2, 2, { clock = 5 }), motor(3, 3, { clock = 5, good = false }),
+    motor(4, 4, { clock = 5 }), motor(5, 5, { clock = 6 }), motor(6, 6, { clock = 6 }) }
+  lu.assertEquals(run(looks, "stale"), { "-", true, "-", true, "-", true })
+  lu.assertEquals(run(looks, "reboot"), { "-", "-", "-", "-", "-", "-" })
+end
+
+function T.test_clocks_at_the_ends_of_their_range()
+  lu.assertEquals(run({ motor(1, 1, { clock = -2 }), motor(2, 2, { clock = -1 }), motor(3, 3, { clock = 0 }),
+    motor(4, 4, { clock = -0.5 }) }, "reboot"), { "-", "-", "-", true })
+  local change = run({ motor(1, 1, { clock = 9007199 }), motor(2, 2, { clock = 9007199.000000001 }) })[2]
+  lu.assertEquals({ change.stale, change.reboot }, {})
+end
+
+function T.test_flags_that_rise_and_fall()
+  local changes = run { motor(1, 1, { status = 3 }), motor(2, 2, { status = 6, fault = 0x80000001 }),
+    motor(3, 3, { status = 6, fault = 0x80000001 }), motor(4, 4, { status = 6, fault = 0x10 }) }
+  lu.assertNil(changes[1].flags)
+  lu.assertEquals(changes[2].flags, { { field = STATUS, value = 6, raised = 4, cleared = 1 },
+    { field = FAULT, value = 0x80000001, raised = 0x80000001, cleared = 0 } })
+  lu.assertNil(changes[3].flags)
+  lu.assertEquals(changes[4].flags, { { field = FAULT, value = 0x10, raised = 0x10, cleared = 0x80000001 } })
+end
+
+function T.test_alarms_of_the_first_message_are_raised()
+  local change = run({ motor(1, 1, { fault = 6, status = 1 }) })[1]
+  lu.assertEquals(change.flags, { { field = FAULT, value = 6, raised = 6, cleared = 0 } })
+  lu.assertEquals(change.active_since, 1)
+end
+
+function T.test_since_when_the_oldest_alarm_is_set()
+  lu.assertEquals(run({ motor(1, 1), motor(2, 2, { fault = 1 }), motor(3, 3, { fault = 3 }), motor(4, 4, { fault = 2 }),
+    motor(5, 5, { fault = 0 }), motor(6, 6, { fault = 1 }), motor(7, 7, { fault = 1, clock = 0 }) }, "active_since"),
+    { "-", 2, 2, 3, "-", 6, 6 })
+end
+
+function T.test_a_message_that_is_not_good_changes_nothing()
+  local looks = { motor(1, 1), motor(2, 2, { fault = 1, seq = 9, clock = 0, good = false }), motor(3, 3),
+    motor(4, 4, { fault = 1 }) }
+  local changes = run(looks)
+  lu.assertEquals(changes[2], { delta = 1 })
+  lu.assertEquals({ changes[3].flags, changes[3].missing, changes[3].reboot }, {})
+  lu.assertEquals(changes[4].flags[1].raised, 1)
+end
+
+function T.test_a_payload_that_does_not_fit_has_no_flags_and_no_clock()
+  local odd = motor(2, 2)
+  odd.raws = nil
+  local changes = run { motor(1, 1, { fault = 1 }), odd, motor(3, 3) }
+  lu.assertEquals(changes[2].delta, 1)
+  lu.assertEquals({ changes[2].flags, changes[2].drift }, {})
+  lu.assertEquals(changes[3].flags[1].cleared, 1)
+end
+
+function T.test_links_to_the_changes_before_and_after()
+  local looks = { motor(10, 1), motor(20, 2, { fault = 1 }), motor(30, 3, { fault = 1, status = 1 }),
+    motor(40, 4, { fault = 3 }), motor(50, 5), motor(60, 6), motor(70, 7, { fault = 1 }) }
+  local previous, h = run(looks, "previous_change")
+  lu.assertEquals(previous, { "-", "-", 20, 20, 40, "-", 50 })
+  lu.assertEquals({ h:next_change(20), h:next_change(40), h:next_change(50) }, { 40, 50, 70 })
+  lu.assertNil(h:next_change(70))
+  lu.assertNil(h:next_change(30)) -- none itself
+  lu.assertEquals({ h:next_change(30, 0x210), h:next_change(1, 0x210), h:next_change(60, 0x210) }, { 40, 20, 70 })
+  lu.assertNil(h:next_change(20, "nobody"))
+end
+
+function T.test_the_latest_command_on_the_bus()
+  local looks = { motor(1, 1, { bus = 1 }), command(2, 2, 1), motor(3, 3, { bus = 1 }),
+    motor(4, 4, { bus = 2, source = 2 }), command(5, 5, 2), command(6, 5, nil), motor(7, 6, { bus = 1 }),
+    motor(8, 7, { bus = 2, source = 2 }), motor(9, 8, { source = 3 }) }
+  lu.assertEquals(run(looks, "command_in"), { "-", "-", 2, "-", "-", "-", 2, 5, 6 })
+  local bad = command(2, 2)
+  bad.good = false
+  lu.assertEquals(run({ bad, motor(3, 3) }, "command_in"), { "-", "-" })
+end
+
+function T.test_the_catalogue_says_which_messages_others_answer()
+  local catalogue = { messages = { { name = "a", answers = "b" }, { name = "b" }, { name = "command" } } }
+  local h = history.new { catalogue = catalogue }
+  local function note(number, message)
+    local change = h:note { source = message.name, message = message, id = 1, seq = 0, number = number, time = number,
+      good = true, raws = {}, payload = "" }
+    return change and change.command_in
+  end
+  for i, message in ipairs(catalogue.messages) do
+    message.fields = {}
+    lu.assertNil(note(i, message))
+  end
+  lu.assertEquals(note(4, catalogue.messages[1]), 2)
+  lu.assertNil(note(5, catalogue.messages[3]))
+end
+
+function T.test_sources_in_the_order_in_which_they_showed()
+  local _, h = run { motor(1, 1, { source = "b" }), command(2, 2, 1), motor(3, 3, { source = "b" }) }
+  local keys = {}
+  for i, source in ipairs(h:sources()) do keys[i] = source.key end
+  lu.assertEquals(keys, { "b", "command1" })
+end
+
+-- A random capture: the same seed gives the same looks.
+local function random_looks(seed, count)
+  local state = seed
+  local function random(n) -- 0 .. n - 1, the same in every Lua
+    state = (state * 16807) % 2147483647
+    return state % n
+  end
+  local looks, clocks, faults, time = {}, { 0, 0, 0 }, { 0, 0, 0 }, 0
+  for i = 1, count do
+    time = time + random(100) / 100
+    local who = 1 + random(4)
+    if who == 4 then
+      looks[i] = command(i * 3, time, random(3))
+    else
+      local step = random(20)
+      clocks[who] = step == 0 and 0 or step == 1 and clocks[who] or clocks[who] + step
+      if random(4) == 0 then faults[who] = random(8) end
+      looks[i] = motor(i * 3, time, { source = who, bus = who % 2, clock = clocks[who], fault = faults[who],
+        status = random(10) == 0 and 1 or 0, seq = random(3), good = random(8) > 0 })
+      if random(30) == 0 then looks[i].raws = nil end
+    end
+  end
+  return looks, random
+end
+
+function T.test_a_later_look_gets_the_same_in_any_order()
+  for seed = 1, 30 do
+    local looks, random = random_looks(seed * 7919, 300)
+    local h, noted = history.new(), {}
+    for i, look in ipairs(looks) do
+      noted[i] = h:note(look) or false
+      look.delta = noted[i] and noted[i].delta or nil
+      local before = 1 + random(i) -- some are asked for while the first pass goes on
+      lu.assertEquals(h:change(looks[before]) or false, noted[before])
+    end
+    for _ = 1, 600 do
+      local i = 1 + random(#looks)
+      lu.assertEquals(h:change(looks[i]) or false, noted[i], ("seed %d, look %d"):format(seed, i))
+    end
+  end
+end
+
+-- Memory grows with events, not with messages.
+function T.test_nothing_is_kept_of_messages_that_change_nothing()
+  local h = history.new()
+  local look = motor(1, 0)
+  local function note(first, last)
+    for i = first, last do
+      look.number, look.time, look.seq, look.payload = i, i * 0.1, i % 256, "ab" .. int64(i * 1e8)
+      h:note(look)
+    end
+  end
+  note(1, 100)
+  collectgarbage()
+  collectgarbage()
+  local before = collectgarbage("count")
+  note(101, 20000)
+  collectgarbage()
+  collectgarbage()
+  lu.assertTrue(collectgarbage("count") < before + 40) -- Lua keeps some KB for itself
+end
+
+return T

@@ -1,0 +1,33 @@
+-- The JSON writer.
+local lu = require("luaunit")
+local json = require("yapp_stat_json")
+
+local T = {}
+
+function T.test_values()
+  local expected = {
+    { 1, "1" }, { -0.5, "-0.5" }, { 0.1, "0.1" }, { 1 / 3, "0.33333333333333331" }, { 2 ^ 53 - 1, "9007199254740991" },
+    { 1e300, "1e+300" }, { math.huge, "null" }, { -math.huge, "null" }, { 0 / 0, "null" }, { true, "true" },
+    { false, "false" }, { 4294967295, "4294967295" }, { json.raw("[1]"), "[1]" },
+    { 'a"b\\c\n\r\t\1\127', '"a\\"b\\\\c\\n\\r\\t\\u0001\\u007f"' }, { "°C", '"°C"' }, { "\255°", '"??"' },
+  }
+  for _, row in ipairs(expected) do lu.assertEquals(json.value(row[1]), row[2]) end
+  lu.assertEquals(json.value(nil), "null")
+end
+
+function T.test_objects_keep_the_order_of_their_keys()
+  lu.assertEquals(json.object({ "z", "a", "none" }, { a = 1, z = "x", other = 5 }), '{"z":"x","a":1,"none":null}')
+  lu.assertEquals(json.object({}, {}), "{}")
+  lu.assertEquals(json.list { 1, "a", json.raw("{}") }, '[1,"a",{}]')
+end
+
+function T.test_times()
+  lu.assertEquals(json.time(1700000000, 5).json, "1700000000.000000005")
+  lu.assertEquals(json.time(-1, 900000000).json, "-0.100000000")
+  lu.assertEquals(json.time(-2, 0).json, "-2.000000000")
+  lu.assertEquals(json.seconds(0.25).json, "0.250000000")
+  lu.assertEquals(json.seconds(-1e-12).json, "0.000000000")
+  lu.assertNil(json.seconds(nil))
+end
+
+return T

@@ -1,0 +1,403 @@
+-- Statistics from tables of records: what is counted, what is printed, how a gate ends.
+-- luacheck: no max string line length (tables as they are printed)
+local lu = require("luaunit")
+local options_of = require("yapp_stat_options")
+local feed_of = require("yapp_stat_feed")
+
+local T = {}
+
+-- A catalogue of two messages as it is compiled: only what statistics read.
+local FAULT = { name = "fault_flags", kind = "flags", alarm = "FAULT", undefined = 0xF0,
+  flags = { { name = "hot", mask = 0x1 }, { name = "stall", mask = 0x6 } } }
+local VOLTS = { name = "volts", kind = "float", unit = "V" }
+local MODE = { name = "mode", kind = "uint", values = { [0] = "off" } }
+local CLOCK = { name = "clock", kind = "time", offset = 1, size = 1 }
+local MOTOR = { name = "motor", title = "Motor Data", id = 0x210, every = 0.1, fields = { VOLTS, FAULT, MODE, CLOCK },
+  alarms = { FAULT }, time = CLOCK }
+local NOTE = { name = "note", title = "Note", id = 1, fields = {}, alarms = {}, by_name = {}, index = {} }
+MOTOR.by_name, MOTOR.index = {}, {}
+for i, field in ipairs(MOTOR.fields) do MOTOR.by_name[field.name], MOTOR.index[field] = field, i end
+local CATALOGUE = { messages = { MOTOR, NOTE }, by_id = { [0x210] = MOTOR, [1] = NOTE } }
+
+-- A payload is its first byte: volts; 255 is a reserved count.
+local DECODE = {
+  read = function(_, payload) return { payload:byte(), 0, 3 } end,
+  value = function(_, raw) if raw == 255 then return nil, 0 end return raw end,
+  rounded = function(_, value) return tonumber(("%.7g"):format(value)) end,
+  time = function(payload) return payload:byte(2), 500000000 end,
+}
+local COLUMNS = {
+  columns = function() return { { name = "volts", unit = "V", type = "float", field = VOLTS } } end,
+  row = function(_, payload) return tostring(payload:byte()) end,
+}
+
+local LEFT = { key = "a", bus_key = 1, bus = "can0", name = "left", id = 0x210, message = MOTOR }
+local RIGHT = { key = "b", bus_key = 2, bus = 'can"1', id = 0x210, message = MOTOR }
+local ODD = { key = "c", bus_key = 1, bus = "can0", id = 0x300 }
+
+-- A good message of 10 V; with: what is otherwise.
+local function record(frame, rel, with)
+  local one = { frame = frame, rel = rel, source = LEFT, seq = 0, payload = "\10\4", fits = true, good = true }
+  for key, value in pairs(with or {}) do one[key] = value end
+  if one.lost or one.is_bad then one.good = false end
+  return one
+end
+
+local function raised(value, bits, cleared)
+  return { flags = { { field = FAULT, value = value, raised = bits, cleared = cleared or 0 } } }
+end
+
+-- Runs statistics over records; last: when the last packet came.  Returns what was printed, the code, and the texts.
+local function run(arguments, records, with)
+  with = with or {}
+  local printed, feed = {}, feed_of.new()
+  for _, argument in ipairs(arguments) do
+    local options = options_of.read("yapp," .. argument, CATALOGUE)
+    if argument:find("^check") == nil then lu.assertEquals(options.problems, {}) end
+    local context = { out = function(text) printed[#printed + 1] = text end, decode = DECODE, columns = COLUMNS,
+      clock = function(rel) return feed:time(rel) end, catalogue = CATALOGUE, is_whole = not with.is_broken,
+      late = function() return 2.5 end, has_source = function(name) return name == "left" end,
+      make_folder = with.make_folder }
+    local statistic, problem = require("yapp_stat_" .. options.what).new(options, context)
+    if not statistic then return nil, nil, { problem } end
+    feed:add(statistic, false)
+  end
+  feed:begins(1700000000, 5, 0)
+  for _, one in ipairs(records) do
+    feed:offer(one, false)
+    feed:packet(one.frame, one.rel)
+  end
+  if with.last then feed:packet(9999, with.last) end
+  local code, texts = feed:finish(with.unfinished or {})
+  return table.concat(printed), code, texts
+end
+
+local function lines(text)
+  local list = {}
+  for line in text:gmatch("[^\n]+") do list[#list + 1] = line end
+  return list
+end
+
+-- summary -------------------------------------------------------------------------------------------------------
+
+function T.test_summary()
+  local printed = run({ "summary,json" }, { record(1, 0),
+    record(2, 0.5, { payload = "\20\4", change = { late = 0.5 } }),
+    record(3, 0.6, { is_bad = true, payload = "\200\4" }),
+    record(4, 0.7, { payload = "\255\4", change = { reboot = true } }), record(5, 0.8, { lost = "orphan" }),
+    record(6, 0.9, { source = ODD, fits = false }) })
+  lu.assertEquals(lines(printed), {
+    '{"bus":"can0","id":528,"source":"left","message":"motor","count":3,"rate":2.8571428571428572,' ..
+      '"gap_min":0.200000000,"gap_mean":0.350000000,"gap_max":0.500000000,"gap_max_frame":2,' ..
+      '"crc_bad":1,"incomplete":1,"late":1,"reboots":1,"values":{"volts":{"min":10,"mean":15,"max":20}}}',
+    '{"bus":"can0","id":768,"source":null,"message":null,"count":1,"rate":null,"gap_min":null,' ..
+      '"gap_mean":null,"gap_max":null,"gap_max_frame":null,"crc_bad":0,"incomplete":0,' ..
+      '"late":0,"reboots":0,"values":{}}' })
+end
+
+function T.test_summary_in_words()
+  local printed = run({ "summary" }, { record(1, 0), record(2, 0.1, { source = RIGHT }), record(3, 0.25) },
+    { last = 2 })
+  lu.assertEquals(printed, [[
+YAPP summary: 2 sources in 2.000 s
+
+bus    ID     source  message     count  rate/Hz  gap/ms min     mean      max  in frame  bad CRC  incomplete  late  reboots
+can0   0x210  left    Motor Data      2    4.000     250.000  250.000  250.000         3        0           0     0        0
+can"1  0x210          Motor Data      1                                                         0           0     0        0
+
+bus    ID     source  message     field  unit  min  mean  max  values
+can0   0x210  left    Motor Data  volts  V      10    10   10       2
+can"1  0x210          Motor Data  volts  V      10    10   10       1
+]])
+  lu.assertEquals(run({ "summary" }, {}), "YAPP summary: 0 sources in 0.000 s\n")
+end
+
+-- faults and events ---------------------------------------------------------------------------------------------
+
+local FAULTY = {
+  record(1, 1, { change = raised(0x1, 0x1) }), record(2, 2, { change = raised(0x23, 0x22) }),
+  record(3, 3, { change = raised(0x24, 0x4, 0x3) }), record(4, 4.5),
+}
+
+function T.test_faults_with_bits_of_one_flag_and_bits_of_none()
+  local found = {}
+  for i, line in ipairs(lines((run({ "faults,json" }, FAULTY)))) do
+    found[i] = line:match('"frame":(%d+)') .. " " .. line:match('"flag":"([^"]*)"') .. " " ..
+      line:match('"event":"([^"]*)"') .. " " .. line:match('"active":([^}]*)')
+  end
+  lu.assertEquals(found, { "1 hot raised null", "2 stall raised null", "2 undefined_0x20 raised null",
+    "3 hot cleared 2.000000000", "4 stall active 2.500000000", "4 undefined_0x20 active 2.500000000" })
+end
+
+function T.test_faults_in_words()
+  lu.assertEquals(run({ "faults" }, { FAULTY[1], record(2, 1.5, { change = raised(0, 0, 1) }) }), [[
+YAPP faults: 2 changes
+
+time (UTC)                  since start/s  frame  bus   ID     source  message     flag  event    active/s
+2023-11-14 22:13:21.000000       1.000000      1  can0  0x210  left    Motor Data  hot   raised
+2023-11-14 22:13:21.500000       1.500000      2  can0  0x210  left    Motor Data  hot   cleared  0.500000
+]])
+  lu.assertEquals(run({ "faults" }, {}), "YAPP faults: none\n")
+end
+
+local function kinds(printed)
+  local found = {}
+  for i, line in ipairs(lines(printed)) do
+    found[i] = line:match('"kind":"(%w+)"') .. " " .. line:match('"time":([%d.]+)'):sub(9) .. " " ..
+      line:match('"frame":(%d+)') .. " " .. (line:match('"length":([%d.]+)') or line:match('"what":"(%w+)"') or "")
+  end
+  return found
+end
+
+function T.test_events_are_in_the_order_of_time()
+  local printed = run({ "events,json" }, { record(1, 0), record(2, 1, { source = RIGHT }),
+    record(3, 2, { change = { late = 2, reboot = true } }), record(4, 2.1, { is_bad = true }),
+    record(5, 2.2, { lost = "orphan" }), record(6, 2.25, { change = { stale = true } }),
+    record(7, 2.3, { lost = "incomplete", source = RIGHT }) },
+    { last = 2.4, unfinished = { record(7, 2.35, { lost = "unfinished" }) } })
+  lu.assertEquals(kinds(printed), { "silence 00.000000005 1 2.000000000", "silence 01.000000005 2 1.400000000",
+    "reboot 02.000000005 3 ", "crc 02.100000005 4 ", "incomplete 02.200000005 5 orphan", "stale 02.250000005 6 ",
+    "incomplete 02.300000005 7 incomplete", "unfinished 02.350000005 7 " })
+end
+
+function T.test_events_in_words()
+  local records = { record(1, 0), record(2, 0.1, { lost = "overrun", source = ODD }) }
+  lu.assertEquals(run({ "events" }, records, { last = 5 }), [[
+YAPP events: 2
+
+time (UTC)                  since start/s  frame  bus   ID     source  message     event       what
+2023-11-14 22:13:20.000000       0.000000      1  can0  0x210  left    Motor Data  silence     nothing for 5.000000 s, to the end
+2023-11-14 22:13:20.100000       0.100000      2  can0  0x300          unknown     incomplete  more bytes than its size
+]])
+end
+
+-- csv -----------------------------------------------------------------------------------------------------------
+
+local ROWS = { record(1, 0.25), record(2, 0.5, { is_bad = true }), record(3, 1, { source = RIGHT, seq = 7 }),
+  record(4, 2, { fits = false }), record(5, 3, { source = ODD, fits = false }) }
+
+local function read(path)
+  local file = assert(io.open(path, "rb"))
+  local text = file:read("*a")
+  file:close()
+  return text
+end
+
+-- A folder of its own for a test; gone after it.
+local function with_folder(test)
+  local folder = os.tmpname()
+  os.remove(folder)
+  assert(os.execute("mkdir " .. folder))
+  local ok, problem = pcall(test, folder, { make_folder = function() return true end })
+  os.execute("rm -r " .. folder)
+  if not ok then error(problem, 0) end
+end
+
+function T.test_csv_is_printed()
+  lu.assertEquals(run({ "csv,-,motor" }, ROWS), "time,frame,bus,source,id,seq,volts\n" ..
+    "1700000000.250000005,1,can0,left,528,0,10\n" .. '1700000001.000000005,3,"can""1",,528,7,10\n')
+  lu.assertEquals(run({ "csv,-,motor,all" }, { ROWS[2] }), "time,frame,bus,source,id,seq,crc_good,volts\n" ..
+    "1700000000.500000005,2,can0,left,528,0,0,10\n")
+end
+
+function T.test_csv_in_a_folder()
+  with_folder(function(folder, with)
+    local printed, code = run({ "csv," .. folder }, ROWS, with)
+    lu.assertEquals(code, 0)
+    lu.assertStrContains(printed, "motor.csv  2 messages")
+    lu.assertEquals(#lines(read(folder .. "/motor.csv")), 3)
+    lu.assertEquals(read(folder .. "/note.csv"), "time,frame,bus,source,id,seq,volts\n")
+    lu.assertStrContains(read(folder .. "/fields.json"), '"motor":{"title":"Motor Data","columns":[{"name":"time",')
+    lu.assertNil(io.open(folder .. "/motor.csv.part"))
+  end)
+end
+
+function T.test_csv_overwrites_only_what_it_is_told_to()
+  with_folder(function(folder, with)
+    run({ "csv," .. folder }, ROWS, with)
+    local _, _, texts = run({ "csv," .. folder }, {}, with)
+    lu.assertStrContains(texts[1], "is there; add the option replace")
+    lu.assertEquals(#lines(read(folder .. "/motor.csv")), 3)
+    run({ "csv," .. folder .. ",replace" }, {}, with)
+    lu.assertEquals(#lines(read(folder .. "/motor.csv")), 1)
+  end)
+end
+
+-- /dev/full takes no byte: a full disk.
+function T.test_csv_on_a_full_disk()
+  with_folder(function(folder, with)
+    assert(os.execute("ln -s /dev/full " .. folder .. "/motor.csv.part"))
+    local _, code, texts = run({ "csv," .. folder }, ROWS, with)
+    lu.assertEquals(code, 21)
+    lu.assertStrContains(texts[1], "motor.csv: No space left on device")
+    for _, name in ipairs { "motor.csv", "note.csv", "fields.json", "note.csv.part", "fields.json.part" } do
+      lu.assertNil(io.open(folder .. "/" .. name), name)
+    end
+  end)
+end
+
+-- check ---------------------------------------------------------------------------------------------------------
+
+-- The verdicts of rules over records: "rule source ok seen frame", each a line.
+local function verdicts(rules, records, with)
+  local printed, code, texts = run({ "check,json," .. rules }, records, with)
+  local found = {}
+  for i, line in ipairs(lines(printed)) do
+    found[i] = ("%s %s %s %s %s"):format(line:match('"rule":"([^"]*)"'), line:match('"source":"?([^",]*)'),
+      line:match('"ok":(%w+)'), line:match('"seen":([^,]*)'), line:match('"frame":([^,]*)'))
+  end
+  return found, code, texts
+end
+
+function T.test_check_counts_by_source()
+  local records = { record(1, 0, { change = raised(1, 1) }), record(2, 1, { source = RIGHT }),
+    record(3, 2, { is_bad = true }), record(4, 3, { change = { reboot = true, stale = true } }),
+    record(5, 4, { lost = "orphan" }),
+    record(6, 5, { change = raised(0, 0, 1) }) }
+  local found, code = verdicts("fault=0,crc=0,incomplete=1,reboot=0,stale=1", records)
+  lu.assertEquals(found, { "fault=0 left false 1 1", "fault=0 null true 0 null", "crc=0 left false 1 3",
+    "crc=0 null true 0 null", "incomplete=1 left true 1 5", "incomplete=1 null true 0 null", "reboot=0 left false 1 4",
+    "reboot=0 null true 0 null", "stale=1 left true 1 4", "stale=1 null true 0 null", "unknown=0 null true 0 null" })
+  lu.assertEquals(code, 20)
+end
+
+function T.test_check_rates_and_gaps()
+  local records = { record(1, 0), record(2, 0.5), record(3, 0.75), record(4, 1) }
+  lu.assertEquals({ verdicts("motor.count=4,motor.rate=3,motor.gap=0.5", records) }, { {
+    "motor.count=4 left true 4 4", "motor.rate=3 left true 3 4", "motor.gap=0.5 left true 0.5 2",
+    "unknown=0 null true 0 null" }, 0, {} })
+  local found, code = verdicts("motor.count=5,motor.rate=3.01,motor.gap=0.9", records, { last = 2 })
+  lu.assertEquals(found, { "motor.count=5 left false 4 4", "motor.rate=3.01 left false 3 4",
+    "motor.gap=0.9 left false 1 4", "unknown=0 null true 0 null" })
+  lu.assertEquals(code, 20)
+  lu.assertEquals(verdicts("motor.rate=1", { record(1, 0) }), { "motor.rate=1 left false 0 1",
+    "unknown=0 null true 0 null" })
+end
+
+function T.test_check_ranges()
+  local records = { record(1, 0), record(2, 1, { payload = "\40\4" }), record(3, 2, { payload = "\60\4" }) }
+  for range, expected in pairs { ["10..60"] = "true 0 null", ["10.."] = "true 0 null", ["..60"] = "true 0 null",
+    ["11..59"] = "false 2 1", ["..39.5"] = "false 2 3", ["-1e3..1E+2"] = "true 0 null" } do
+    lu.assertEquals(verdicts("motor.volts=" .. range, records)[1], ("motor.volts=%s left %s"):format(range, expected))
+  end
+  records[4] = record(4, 3, { payload = "\255\4" }) -- a reserved count is outside
+  lu.assertEquals(verdicts("motor.volts=0..", records)[1], "motor.volts=0.. left false 1 4")
+  lu.assertEquals(verdicts("motor.mode=3..3,motor.fault_flags=..0,motor.clock=4.5..4.5", records), {
+    "motor.mode=3..3 left true 0 null", "motor.fault_flags=..0 left true 0 null",
+    "motor.clock=4.5..4.5 left true 0 null", "unknown=0 null true 0 null" })
+end
+
+function T.test_what_was_not_decoded_was_not_checked()
+  local strange = record(2, 1, { source = ODD, fits = false })
+  local found, code = verdicts("crc=0", { record(1, 0), strange })
+  lu.assertEquals(found[3], "unknown=0 null false 1 2")
+  lu.assertEquals(code, 20)
+  found, code = verdicts("unknown=1", { strange })
+  lu.assertEquals({ found, code }, { { "unknown=1 null true 1 2" }, 0 })
+  lu.assertEquals(verdicts("crc=0", { record(3, 2, { fits = false }) })[2], "unknown=0 left false 1 3")
+end
+
+function T.test_what_cannot_be_judged()
+  local function code_of(rules, records, with) return (select(2, verdicts(rules, records, with))) end
+  local good = { record(1, 0) }
+  lu.assertEquals(code_of("fault=0", {}), 21)
+  lu.assertEquals(code_of("unknown=0", {}), 21)
+  lu.assertEquals(code_of("note.count=1", good), 21)
+  lu.assertEquals(code_of("source=nobody,motor.count=1", good), 21)
+  lu.assertEquals(code_of("fault=0", { record(1, 0, { is_bad = true }) }), 21)
+  lu.assertEquals(code_of("motor.rate=1", { record(1, 0), record(2, 0) }), 21)
+  lu.assertEquals(code_of("crc=0", good, { is_broken = true }), 21)
+  lu.assertEquals(code_of("crc=0,nonsense=1", good), 21)
+  lu.assertEquals(code_of("motor.count=9,nonsense=1", good), 20) -- both
+  lu.assertEquals(code_of("crc=0", good), 0)
+end
+
+function T.test_rules_about_one_source()
+  local records = { record(1, 0), record(2, 1, { source = RIGHT, is_bad = true }) }
+  local found, code = verdicts("source=left,crc=0,motor.count=1", records)
+  lu.assertEquals(found, { "crc=0 left true 0 null", "motor.count=1 left true 1 1", "unknown=0 null true 0 null" })
+  lu.assertEquals(code, 0)
+  found, code = verdicts("crc=0,source=left,unknown=0", records)
+  lu.assertEquals(found, { "crc=0 left true 0 null", "crc=0 null false 1 2", "unknown=0 left true 0 null" })
+  lu.assertEquals(code, 20)
+  local _, _, texts = verdicts("source=who,crc=0", records)
+  lu.assertEquals(texts, { "check: no source is called who in the preference" })
+end
+
+function T.test_check_in_words()
+  lu.assertEquals(run({ "check,motor.volts=20..30,motor.gap=1,note.count=1" }, { record(1, 0), record(2, 0.5) }), [[
+check       rule                bus   ID     source  message     seen                         frame
+FAILED      motor.volts=20..30  can0  0x210  left    Motor Data  2 of 2 outside, worst 10         1
+ok          motor.gap=1         can0  0x210  left    Motor Data  0.500000 s                       2
+NOT JUDGED  note.count=1                                         no message that it is about
+ok          unknown=0                                            0
+
+YAPP check: FAILED
+]])
+end
+
+function T.test_a_report_for_ci()
+  with_folder(function(folder)
+    local path = folder .. "/report.xml"
+    local _, code = run({ "check,motor.count=2,crc=0,note.count=1,junit=" .. path }, { record(1, 0) })
+    lu.assertEquals(code, 20)
+    lu.assertEquals(read(path), [[
+<?xml version="1.0" encoding="UTF-8"?>
+<testsuite name="yapp.check" tests="4" failures="1" errors="1">
+  <testcase classname="yapp.check" name="motor.count=2 can0 0x210 left"><failure message="1, frame 1"/></testcase>
+  <testcase classname="yapp.check" name="crc=0 can0 0x210 left"/>
+  <testcase classname="yapp.check" name="note.count=1"><error message="no message that it is about"/></testcase>
+  <testcase classname="yapp.check" name="unknown=0"/>
+</testsuite>
+]])
+    local _, unwritable, texts = run({ "check,crc=0,junit=" .. folder .. "/none/x.xml" }, { record(1, 0) })
+    lu.assertEquals(unwritable, 21)
+    lu.assertStrContains(texts[1], "the report is not written")
+  end)
+end
+
+-- Options -------------------------------------------------------------------------------------------------------
+
+function T.test_options()
+  local function read_options(text) return options_of.read("yapp," .. text, CATALOGUE) end
+  local options = read_options("summary,json,filter=a == 1, b,filter=c")
+  lu.assertEquals({ options.what, options.json, options.filter, options.problems },
+    { "summary", true, "a == 1, b,filter=c", {} })
+  options = read_options("csv,a/b,all,replace,json")
+  lu.assertEquals({ options.folder, options.all, options.replace, options.json }, { "a/b", true, true, true })
+  lu.assertEquals(read_options("csv,-,motor,all").chosen, MOTOR)
+  lu.assertEquals(read_options("check,crc=0,junit=a=b.xml").junit, "a=b.xml")
+end
+
+function T.test_wrong_options_are_named()
+  local expected = {
+    ["nonsense"] = "yapp,nonsense: it is yapp,summary or yapp,faults or yapp,events or yapp,csv or yapp,check",
+    ["summary,jsn"] = "jsn: the options of summary are json, filter=EXPRESSION",
+    ["faults,"] = "an empty option: the options of faults are json, filter=EXPRESSION",
+    ["events,filter= "] = "filter=: the display filter is missing",
+    ["csv"] = "csv: it is csv,FOLDER or csv,-,MESSAGE",
+    ["csv,-"] = "csv,-: it is csv,-,MESSAGE",
+    ["csv,-,moter"] = "moter: there is no such message in the catalogue",
+    ["csv,x,over"] = "over: the options of csv are replace, all, json, filter=EXPRESSION",
+    ["check,crc=-1"] = 'crc=-1: "-1" is not a number of messages',
+    ["check,crc=1.5"] = 'crc=1.5: "1.5" is not a number of messages',
+    ["check,motor.rate=fast"] = 'motor.rate=fast: "fast" is not a rate',
+    ["check,motor.rate=nan"] = 'motor.rate=nan: "nan" is not a rate',
+    ["check,motor.gap=-1"] = 'motor.gap=-1: "-1" is not a gap',
+    ["check,motr.rate=1"] = 'motr.rate=1: there is no message "motr", but motor, note',
+    ["check,motor.volt=1..2"] = 'motor.volt=1..2: motor has no field "volt", but volts, fault_flags, mode, clock',
+    ["check,motor.volts=3"] = "motor.volts=3: a range is A..B, A.. or ..B",
+    ["check,motor.volts=.."] = "motor.volts=..: a range is A..B, A.. or ..B",
+    ["check,motor.volts=5..4"] = "motor.volts=5..4: nothing lies in this range",
+    ["check,motor.volts=0x5..9"] = "motor.volts=0x5..9: a range is A..B, A.. or ..B",
+    ["check,source="] = "source=: the name is missing",
+    ["check,junit="] = "junit=: the file is missing",
+  }
+  for text, problem in pairs(expected) do
+    lu.assertEquals(options_of.read("yapp," .. text, CATALOGUE).problems[1], problem)
+  end
+  lu.assertStrContains(options_of.read("yapp,check", CATALOGUE).problems[1], "it needs a rule")
+  lu.assertStrContains(options_of.read("yapp,check,fault", CATALOGUE).problems[1], "a rule is one of fault=N")
+end
+
+return T

@@ -1,0 +1,232 @@
+-- Every type that a row of the catalogue may have, at its limits: the raw value, the value, the row of CSV.
+local lu = require("luaunit")
+local catalogue = require("yapp_catalogue")
+local columns = require("yapp_decode_columns")
+local decode = require("yapp_decode")
+
+local T = {}
+
+local function bytes(hex) return (hex:gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)) end
+
+-- A message with these rows, as large as they say.
+local function message(size, ...)
+  local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = size, ... } }
+  lu.assertEquals(problems, {})
+  return compiled.messages[1]
+end
+
+-- The row of CSV of a payload, and the experts of its remarks.
+local function shown(m, hex)
+  local raws = decode.read(m, bytes(hex))
+  local experts = {}
+  for _, remark in ipairs(decode.remarks(m, raws) or {}) do
+    experts[#experts + 1] = m.fields[remark[1]].name .. " " .. remark[2]
+  end
+  return columns.row(m, bytes(hex)), table.concat(experts, ", ")
+end
+
+-- type, options, payload, row, experts
+local LIMITS = {
+  { "uint8", {}, "00", "0" }, { "uint8", {}, "ff", "255" }, { "uint16", {}, "0100", "1" },
+  { "uint16", {}, "feff", "65534" },
+  { "uint24", {}, "010000", "1" }, { "uint24", {}, "ffffff", "16777215" },
+  { "uint32", {}, "ffffffff", "4294967295" }, { "uint32", {}, "00000080", "2147483648" },
+  { "uint64", {}, "0000000000000000", "0" }, { "uint64", {}, "ffffffffffffffff", "18446744073709551615" },
+  { "uint64", {}, "0000000000002000", "9007199254740992" }, { "uint64", {}, "0100000000002000", "9007199254740993" },
+  { "uint64", {}, "ffffffffffff1f00", "9007199254740991" }, { "uint64", {}, "0000000000000080", "9223372036854775808" },
+  { "int8", {}, "7f", "127" }, { "int8", {}, "80", "-128" }, { "int8", {}, "ff", "-1" },
+  { "int16", {}, "ff7f", "32767" }, { "int16", {}, "0080", "-32768" }, { "int16", {}, "ffff", "-1" },
+  { "int24", {}, "ffff7f", "8388607" }, { "int24", {}, "000080", "-8388608" }, { "int24", {}, "ffffff", "-1" },
+  { "int32", {}, "ffffff7f", "2147483647" }, { "int32", {}, "00000080", "-2147483648" },
+  { "int32", {}, "ffffffff", "-1" },
+  { "int64", {}, "ffffffffffffff7f", "9223372036854775807" },
+  { "int64", {}, "0000000000000080", "-9223372036854775808" },
+  { "int64", {}, "ffffffffffffffff", "-1" }, { "int64", {}, "00000000ffffffff", "-4294967296" },
+  { "int64", {}, "00ca9a3b00000000", "1000000000" }, { "int64", {}, "0100000000000080", "-9223372036854775807" },
+
+  { "float32", {}, "0000803f", "1," }, { "float32", {}, "cdcccc3d", "0.1," }, { "float32", {}, "000080bf", "-1," },
+  { "float32", {}, "cdcc8c3f", "1.1," }, { "float32", {}, "6666863f", "1.05," },
+  { "float32", {}, "0000804b", "16777216," },
+  { "float32", {}, "ffff7f7f", "3.4028235e+38," }, { "float32", {}, "01000000", "1.4013e-45," },
+  { "float32", {}, "00008000", "1.17549435e-38," }, { "float32", {}, "00000000", "0," },
+  { "float32", {}, "00000080", "-0," },
+  { "float32", {}, "0000807f", ",inf", "f value.special" }, { "float32", {}, "000080ff", ",-inf", "f value.special" },
+  { "float32", {}, "0100807f", ",nan", "f value.special" }, { "float32", {}, "ffffffff", ",nan", "f value.special" },
+  { "float64", {}, "000000000000f03f", "1," }, { "float64", {}, "9a9999999999b93f", "0.1," },
+  { "float64", {}, "182d4454fb210940", "3.1415926535897931," },
+  { "float64", {}, "0000000000004043", "9007199254740992," },
+  { "float64", {}, "ffffffffffffef7f", "1.7976931348623157e+308," },
+  { "float64", {}, "0100000000000000", "4.94065645841247e-324," },
+  { "float64", {}, "000000000000f07f", ",inf", "f value.special" },
+  { "float64", {}, "000000000000f0ff", ",-inf", "f value.special" },
+  { "float64", {}, "010000000000f07f", ",nan", "f value.special" },
+
+  { "float8", { min = -40, max = 210 }, "fa", "210," },
+  { "float8", { min = -40, max = 210 }, "fb", ",below", "f value.special" },
+  { "float16", { min = -10, max = 5 }, "fcff", ",above", "f value.special" },
+  { "float24", { min = 0, max = 16777210 }, "faffff", "16777210," },
+  { "float24", { min = 0, max = 16777210 }, "010000", "1," },
+  { "float24", { min = 0, max = 1 }, "fdffff", ",-inf", "f value.special" },
+  { "float32", { min = 0, max = 4294967290 }, "ffffff7f", "2147483647," },
+  { "float32", { min = -1, max = 1 }, "faffffff", "1," },
+  { "float32", { min = -1, max = 1 }, "feffffff", ",inf", "f value.special" },
+  { "float40", { min = -1, max = 1 }, "faffffffff", "1," },
+  { "float40", { min = -1, max = 1 }, "ffffffffff", ",nan", "f value.special" },
+  { "float48", { min = 0, max = 281474976710650 }, "0000000000 80", "140737488355328," },
+  { "float56", { min = -1, max = 1 }, "00000000000000", "-1," },
+  { "float56", { min = -1, max = 1 }, "faffffffffffff", "1," },
+  { "float56", { min = -1, max = 1 }, "fbffffffffffff", ",below", "f value.special" },
+  { "float64", { min = -1, max = 1 }, "faffffffffffffff", "1," },
+  { "float64", { min = -1, max = 1 }, "ffffffffffffffff", ",nan", "f value.special" },
+  { "float64", { min = -1, max = 1 }, "fffffffffffffffe", "0.9921875," },
+
+  { "int16", { scale = 0.1, unit = "°C" }, "97ff", "-10.5" }, { "int16", { scale = 0.1 }, "0300", "0.3" },
+  { "uint8", { scale = 0.5, offset = -40 }, "00", "-40" }, { "uint8", { offset = -50 }, "ff", "205" },
+  { "int32", { scale = 1e-7 }, "b168de3a", "98.7654321" }, { "uint64", { scale = 0.001 }, "e803000000000000", "1" },
+  { "bool", {}, "00", "0" }, { "bool", {}, "01", "1" }, { "bool", {}, "02", "1", "f value.invalid" },
+  { "uint8", { values = { [1] = "one, two" } }, "01", '1,"one, two"' },
+  { "uint8", { values = { [1] = "one" } }, "02", "2,", "f value.invalid" },
+  { "int8", { values = { [-1] = "lost" } }, "ff", "-1,lost" },
+  { "int8", { values = {} }, "80", "-128,", "f value.invalid" },
+  { "string", { length = 6 }, "616200000000", "ab" }, { "string", { length = 2 }, "6162", "ab" },
+  { "string", { length = 4 }, "00616263", "" }, { "string", { length = 3 }, "c2b043", "\194\176C" },
+  { "string", { length = 3 }, "61ff0a", "a\\xff\\x0a" }, { "string", { length = 3 }, "612c62", '"a,b"' },
+  { "string", { length = 3 }, "612262", '"a""b"' },
+  { "bytes", { length = 4 }, "00ff7f80", "00ff7f80" },
+  { "int64_ns", {}, "ffffffffffffffff", "-0.000000001" },
+  { "int64_ns", {}, "ffffffffffffff7f", "9223372036.854775807" },
+  { "int64_ns", {}, "0000000000000080", "-9223372036.854775808" },
+  { "int64_ns", {}, "00ca9a3b00000000", "1.000000000" },
+}
+
+function T.test_limits()
+  for _, case in ipairs(LIMITS) do
+    local kind, options, hex, wanted, experts = case[1], case[2], case[3]:gsub(" ", ""), case[4], case[5] or ""
+    local row = { "f", kind, "F" }
+    for key, value in pairs(options) do row[key] = value end
+    local m = message(#hex / 2, row)
+    lu.assertEquals({ shown(m, hex) }, { wanted, experts }, kind .. " " .. hex)
+    local names = {}
+    for i, column in ipairs(columns.columns(m)) do names[i] = column.name end
+    lu.assertEquals(select(2, wanted:gsub('"[^"]*"', ""):gsub(",", "")), #names - 1, kind)
+  end
+end
+
+function T.test_every_type_is_there()
+  local there = {}
+  for _, case in ipairs(LIMITS) do there[case[1]] = true end
+  for _, name in ipairs { "padding", "variants" } do there[name] = true end -- below
+  for name in require("yapp_catalogue_types").NAMES:gmatch("[^, ]+") do lu.assertTrue(there[name], name) end
+end
+
+-- Every value of four bytes that is a decimal of few digits is shown as that decimal.
+function T.test_the_shortest_digits_of_four_bytes()
+  local shortest = require("yapp_decode_numbers").shortest
+  local m = message(4, { "f", "float32", "F" })
+  local seed = 1
+  for _ = 1, 20000 do
+    seed = (seed * 1103515245 + 12345) % 2147483648
+    local hex = ("%08x"):format(seed)
+    local value = decode.value(m.fields[1], decode.read(m, bytes(hex))[1])
+    if value then
+      local short = shortest(value, 4)
+      lu.assertTrue(math.abs(short - value) <= math.max(math.abs(value) * 2 ^ -24, 2 ^ -150), hex)
+      lu.assertTrue(#("%.9g"):format(short) <= #("%.9g"):format(value))
+    end
+  end
+end
+
+function T.test_parts_of_bits()
+  local m = message(3, { "state", "uint16", "State", group = "s", flags = { { "armed", 0x8000, "Armed" } },
+    alarm = "ARMED",
+    bits = { { "gear", 0x7, "Gear", values = { [0] = "P", [7] = "D" } },
+    { "load", 0x0FF0, "Load", scale = 0.5, unit = "%" } } },
+    { "after", "uint8", "After" })
+  lu.assertEquals({ shown(m, "f78f2a") }, { "36855,1,7,D,127.5,42", "state fault.active" })
+  lu.assertEquals({ shown(m, "010001") }, { "1,0,1,,0,1", "gear value.invalid" })
+  lu.assertEquals({ shown(m, "08f000") }, { "61448,1,0,P,0,0", "state fault.active, state flags.undefined" })
+  local state = m.by_name.state
+  lu.assertEquals({ state.undefined, state.watched, m.by_name.gear.offset, m.by_name.gear.filter },
+    { 0x7008, 0xF008, 0, "taurus.m.gear" })
+  m = message(4, { "word", "uint32", "Word", bits = { { "high", 0xFF000000, "High" }, { "all", 0x00FFFFFF, "Rest" } } })
+  lu.assertEquals({ shown(m, "010203ff") }, { "4278387201,255,197121", "" })
+end
+
+function T.test_arrays()
+  local m = message(9, { "cell", "uint16", "Cell", count = 3, scale = 0.001, unit = "V" }, { "end", "uint8", "End" },
+    { "on", "bool", "On", count = 2 })
+  lu.assertEquals(shown(m, "e803d007ffff050001"), "1,2,65.535,5,0,1")
+  local names, offsets = {}, {}
+  for i, f in ipairs(m.fields) do names[i], offsets[i] = f.name .. " " .. f.filter, f.offset end
+  lu.assertEquals(names, { "cell_1 taurus.m.cell", "cell_2 taurus.m.cell", "cell_3 taurus.m.cell", "end taurus.m.end",
+    "on_1 taurus.m.on", "on_2 taurus.m.on" })
+  lu.assertEquals(offsets, { 0, 2, 4, 6, 7, 8 })
+  lu.assertEquals({ columns.columns(m)[2].name, columns.columns(m)[2].unit, m.by_name.cell_2.title },
+    { "cell_2", "V", "Cell 2" })
+end
+
+function T.test_padding()
+  local m = message(8, { "a", "uint8", "A" }, { "gap", "padding", length = 3 }, { "b", "uint32", "B" })
+  lu.assertEquals({ shown(m, "01ffffff02000000"), #m.fields }, { "1,2", 2 })
+end
+
+function T.test_variants()
+  local m = message(12, { "kind", "uint8", "Kind" }, { "data", "variants", by = "kind", cases = {
+    [1] = { { "speed", "float32", "Speed" } },
+    [2] = { { "volts", "uint16", "Volts", values = { [7] = "seven" } }, { "since", "int64_ns", "Since" } },
+    [3] = {} } }, { "after", "uint8", "After" })
+  lu.assertEquals({ shown(m, "010000803f00000000000005") }, { "1,1,,,,,5", "" })
+  lu.assertEquals({ shown(m, "02070000ca9a3b0000000005") }, { "2,,,7,seven,1.000000000,5", "" })
+  lu.assertEquals({ shown(m, "02080000ca9a3b0000000005") }, { "2,,,8,,1.000000000,5", "volts value.invalid" })
+  lu.assertEquals({ shown(m, "03ffffffffffffffffffff05") }, { "3,,,,,,5", "" })
+  lu.assertEquals({ shown(m, "04ffffffffffffffffffff05") }, { "4,,,,,,5", "kind value.invalid" })
+  lu.assertEquals({ m.time or "none", m.by_name.volts.offset, m.by_name.after.offset }, { "none", 1, 11 })
+  local raws = decode.read(m, bytes("0100"))
+  lu.assertEquals({ raws[1], raws[2] or "none" }, { 1, "none" })
+end
+
+function T.test_differences()
+  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 4,
+    differences = { { "d", "a", "b", "D" } }, { "a", "float16", "A", min = -10, max = 5 },
+    { "b", "int16", "B", scale = 0.5 } } }
+  local m = compiled.messages[1]
+  lu.assertEquals(decode.difference(m, m.differences[1], decode.read(m, bytes("faff0300"))), 3.5)
+  lu.assertNil(decode.difference(m, m.differences[1], decode.read(m, bytes("ffff0300"))))
+end
+
+function T.test_names_of_columns_that_are_taken()
+  local m = message(4, { "time", "uint8", "T" }, { "id", "uint8", "I" }, { "x", "uint8", "X", values = {} },
+    { "x_text", "uint8", "Y" })
+  local names = {}
+  for i, column in ipairs(columns.columns(m)) do names[i] = column.name end
+  lu.assertEquals(names, { "time_2", "id_2", "x", "x_text", "x_text_2" })
+end
+
+function T.test_info_of_every_kind()
+  local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 31,
+    info = "{a} {b:%.1f} {c} {d} {e} {f:%.2f} {g} {h}", { "a", "int8", "A" }, { "b", "int16", "B", scale = 0.1 },
+    { "c", "bool", "C" }, { "d", "string", "D", length = 3 }, { "e", "bytes", "E", length = 2 },
+    { "f", "float32", "F" }, { "g", "uint64", "G" }, { "h", "int64_ns", "H" }, { "i", "padding", length = 2 } } }
+  lu.assertEquals(problems, {})
+  local m = compiled.messages[1]
+  local payload = bytes("ff" .. "97ff" .. "01" .. "616263" .. "00ff" .. "cdcc8c3f" .. "0000000000002000" ..
+    "00ca9a3b00000000" .. "0000")
+  lu.assertEquals(decode.info(m, decode.read(m, payload), payload),
+    "M  -1 -10.5 true abc 00ff 1.10 9007199254740992 1.000000000 s")
+  payload = bytes("ff" .. "97ff" .. "02" .. "616263" .. "00ff" .. "ffffffff") .. payload:sub(14)
+  lu.assertEquals(decode.info(m, decode.read(m, payload), payload),
+    "M  -1 -10.5 invalid 0x2 abc 00ff NaN 9007199254740992 1.000000000 s")
+end
+
+function T.test_many_fields_of_every_kind()
+  local rows, size = {}, 0
+  for i = 1, 1024 do
+    local kind = ({ "uint8", "float16", "uint64", "float32" })[i % 4 + 1]
+    rows[i] = { "f" .. i, kind, "F", min = kind == "float16" and 0 or nil, max = kind == "float16" and 1 or nil }
+    size = size + ({ 1, 2, 8, 4 })[i % 4 + 1]
+  end
+  local m = message(size, (table.unpack or unpack)(rows)) -- luacheck: ignore
+  lu.assertEquals(select(2, columns.row(m, ("\1"):rep(size)):gsub(",", "")), #columns.columns(m) - 1)
+end
+
+return T

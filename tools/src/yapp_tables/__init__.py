@@ -1,0 +1,6 @@
+"""Captures of YAPP and Taurus as tables: tshark and the plugin decode, pyarrow stores."""
+
+from .errors import CaptureError, SetupError, YappError
+from .flight import Flight, read
+
+__all__ = ["CaptureError", "Flight", "SetupError", "YappError", "read"]

@@ -1,0 +1,144 @@
+"""The command: yapp-tables convert, yapp-tables report."""
+
+from __future__ import annotations
+
+import argparse
+import glob
+import os
+import re
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from . import fleet
+from .convert import KINDS, Job, made_by, writer
+from .errors import SetupError, YappError, need
+from .fleet import Failure, Progress
+from .flight import read_flight
+from .results import Results
+from .tshark import Tshark
+
+FAILED, REFUSED = 1, 2
+# What -o of `report` takes for a preference, and not for the page.
+PREFERENCE = re.compile(r"[a-z0-9_-]+(\.[a-z0-9_.-]+)+:|uat:")
+CAPTURES = "files, patterns such as 'flights/**/*.pcapng', - for a list from stdin"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command. Returns its exit code: 0 all done, 1 a capture failed, 2 nothing could be done."""
+    given = _parser().parse_args(arguments)
+    try:
+        code: int = given.run(given)
+        return code
+    except SetupError as error:
+        print(f"yapp-tables: {error}", file=sys.stderr)
+        return REFUSED
+    except YappError as error:
+        print(f"yapp-tables: {error}", file=sys.stderr)
+        return FAILED
+    except KeyboardInterrupt:
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="yapp-tables", description="Captures of YAPP and Taurus as tables.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument(
+        "-o", dest="options", action="append", default=[], metavar="NAME:VALUE", help="a preference for tshark"
+    )
+    common.add_argument("--filter", metavar="EXPRESSION", help="a display filter: only these messages")
+    common.add_argument("--plugin", metavar="PATH", help="yapp.lua, where the plugin is not installed")
+    common.add_argument("--tshark", metavar="PATH", help="the program, where it is not in PATH")
+
+    convert = commands.add_parser("convert", parents=[common], help="captures to a data set")
+    convert.add_argument("captures", nargs="+", metavar="CAPTURE", help=CAPTURES)
+    convert.add_argument("--to", choices=KINDS, required=True)
+    convert.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    convert.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="work on this Dask cluster")
+    convert.add_argument(
+        "--jobs", type=_positive, default=os.cpu_count() or 1, metavar="N", help="captures at a time on this machine"
+    )
+    convert.set_defaults(run=_convert)
+
+    report = commands.add_parser("report", parents=[common], help="one page of a capture, -o PAGE.html")
+    report.description = (
+        "One page of a capture that opens offline. -o PAGE.html names it, beside preferences given with -o."
+    )
+    report.add_argument("capture", type=Path, metavar="CAPTURE")
+    report.set_defaults(run=_report)
+    return parser
+
+
+def _report(given: argparse.Namespace) -> int:
+    pages = [text for text in given.options if not PREFERENCE.match(text)]
+    if len(pages) > 1:
+        raise SetupError(f"one page at a time, not {' and '.join(pages)}")
+    given.options = [text for text in given.options if text not in pages]
+    page = Path(pages[0]) if pages else given.capture.with_suffix(".html")
+    write_report = need(f"{__package__}.report", "report").write_report
+    flight = read_flight(given.capture, _tshark(given))
+    try:
+        write_report(flight, page)
+    except OSError as error:
+        raise SetupError(f"{page} cannot be written: {error.strerror}") from error
+    if flight.partial:
+        print(f"yapp-tables: {given.capture}: read in part: {flight.partial}", file=sys.stderr)
+    return FAILED if flight.partial else 0
+
+
+def _positive(text: str) -> int:
+    if not text.isdigit() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 1 on")
+    return int(text)
+
+
+def _tshark(given: argparse.Namespace) -> Tshark:
+    return Tshark(given.tshark, given.plugin and os.path.abspath(given.plugin), tuple(given.options), given.filter)
+
+
+def _captures(patterns: Iterable[str]) -> list[Path]:
+    """The files that are meant, absolute, in order, each once; SetupError where a pattern finds none."""
+    found: dict[Path, None] = {}
+    for pattern in patterns:
+        if pattern == "-":
+            names = [line for line in sys.stdin.read().splitlines() if line.strip()]
+        elif os.path.exists(pattern) or not glob.has_magic(pattern):
+            names = [pattern]
+        else:
+            names = sorted(name for name in glob.glob(pattern, recursive=True) if os.path.isfile(name))
+            if not names:
+                raise SetupError(f"no file matches {pattern}")
+        found |= dict.fromkeys(Path(os.path.abspath(name)) for name in names)
+    if not found:
+        raise SetupError("no captures: the list is empty")
+    return list(found)
+
+
+def _convert(given: argparse.Namespace) -> int:
+    captures = _captures(given.captures)
+    writer(given.to)
+    tshark = _tshark(given)
+    made = made_by(tshark, tshark.catalogue())
+    results = Results(given.out.resolve(), given.to)
+    results.open(captures, made)
+    try:
+        jobs, failures = [], []
+        for capture, name in results.names(captures).items():
+            current = results.current(name, capture, made)
+            if current is None:
+                jobs.append(Job(capture, name, results, tshark, made))
+            elif current.partial:
+                failures.append(Failure(capture, f"read in part: {current.partial}"))
+        if len(jobs) < len(captures):
+            print(f"{len(captures) - len(jobs)} of {len(captures)} captures are up to date", file=sys.stderr)
+        with fleet.executor(given.scheduler, given.jobs) as pool:
+            failures += fleet.run(jobs, pool, Progress.of(jobs))
+        fleet.write_failures(results.out / "failures.csv", failures)
+    finally:
+        results.close()
+    if failures:
+        listed = f"{len(failures)} of {len(captures)} captures failed"
+        print(f"yapp-tables: {listed}: {results.out / 'failures.csv'}", file=sys.stderr)
+    return FAILED if failures else 0

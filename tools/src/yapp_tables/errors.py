@@ -1,0 +1,30 @@
+"""What can go wrong, each as a sentence for the person at the keyboard."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+
+class YappError(Exception):
+    """A sentence that says what is wrong and what to do about it."""
+
+
+class SetupError(YappError):
+    """Something is wrong with the machine or the command, not with a capture: no other capture would do better."""
+
+
+class CaptureError(YappError):
+    """Something is wrong with this capture; another try would say the same."""
+
+
+def need(module: str, extra: str) -> ModuleType:
+    """Import a module that needs an optional library.
+
+    module: "distributed", or a module of this package. extra: the extra of this package that brings the library.
+    Raises SetupError with the command that installs it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise SetupError(f"{error.name or module} is missing ({error}): pip install 'yapp-tables[{extra}]'") from error

@@ -1,0 +1,101 @@
+"""MF4 (ASAM MDF 4.10): one file a capture, a channel group for each message of each source."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from asammdf import MDF, Signal
+
+from .sources import by_source
+from .tables import Column, Rows, plugin_version, present
+from .tshark import Export
+
+# As the plugin numbers the reserved counts in `<field>.special`.
+SPECIAL = ("nan", "inf", "-inf", "above", "below")
+NANOSECONDS = 1_000_000_000
+
+
+def write_mf4(export: Export, source_file: str, name: str, folder: Path) -> int:
+    """Write a capture: units, meanings of numbers, invalidation bits where a value is absent, the time it began at."""
+    folder.mkdir()
+    total = 0
+    all_rows = [Rows(export, message, source_file) for message in present(export)]
+    start = min(rows.first_time() for rows in all_rows) // NANOSECONDS
+    with MDF(version="4.10", temporary_folder=str(folder.parent)) as mdf:
+        mdf.header.start_time = datetime.fromtimestamp(start, UTC)
+        mdf.header.comment = f"{source_file}, YAPP plugin {plugin_version(export.fields)}"
+        for rows in all_rows:
+            total += _Groups(mdf, rows, start).write()
+        mdf.save(folder / f"{name}.mf4", compression=2, overwrite=True)
+    return total
+
+
+class _Groups:
+    """The channel groups of one message, one for each source."""
+
+    def __init__(self, mdf: Any, rows: Rows, start: int) -> None:
+        self.mdf, self.rows, self.start = mdf, rows, start
+        self.groups: dict[tuple[str, ...], int] = {}
+        head = [Column(name, rows.schema.field(name).type, "value") for name in ("frame", "id", "seq")]
+        self.columns = head + [column for column in rows.columns if not self._is_meaning(column)]
+
+    def write(self) -> int:
+        """Add all rows. Returns how many there are."""
+        total = 0
+        for source, batch in by_source(self.rows):
+            since = pc.subtract(batch.column("time").cast(pa.int64()), self.start * NANOSECONDS)
+            times = since.to_numpy(zero_copy_only=False) / NANOSECONDS
+            samples = [(column, *_samples(batch.column(column.name), column)) for column in self.columns]
+            if source in self.groups:
+                self.mdf.extend(
+                    self.groups[source], [(times, None), *((array, absent) for _, array, absent in samples)]
+                )
+            else:
+                signals = [self._signal(column, array, absent, times) for column, array, absent in samples]
+                name = " ".join((self.rows.message.name, *source))
+                self.groups[source] = self.mdf.append(
+                    signals, acq_name=name, comment=self.rows.message.title, common_timebase=True
+                )
+            total += len(times)
+        return total
+
+    def _is_meaning(self, column: Column) -> bool:
+        """An enum's text: the number's conversion says the same."""
+        return column.name.endswith("_text") and column.name.removesuffix("_text") in self.rows.message.columns
+
+    def _signal(self, column: Column, samples: Any, absent: Any, times: Any) -> Any:
+        values = dict(enumerate(SPECIAL)) if _is_special(column) else column.values
+        conversion: dict[str, Any] = {}
+        for number, (value, text) in enumerate(values.items()):
+            conversion |= {f"val_{number}": value, f"text_{number}": text.encode()}
+        return Signal(
+            samples,
+            times,
+            name=column.name,
+            unit=column.unit,
+            comment=column.title,
+            conversion=conversion or None,
+            invalidation_bits=absent,
+            encoding="utf-8" if samples.dtype.kind == "S" else None,
+        )
+
+
+def _is_special(column: Column) -> bool:
+    return column.role == "text" and column.name.endswith("_special")
+
+
+def _samples(values: pa.Array, column: Column) -> tuple[Any, Any]:
+    """The values as numpy has them, and where there are none."""
+    absent = values.is_null().to_numpy(zero_copy_only=False)
+    if _is_special(column):
+        values = pc.index_in(values, pa.array(SPECIAL)).cast(pa.uint8())
+    if pa.types.is_string(values.type):
+        return np.char.encode(pc.fill_null(values, "").to_numpy(zero_copy_only=False).astype("U"), "utf-8"), absent
+    if pa.types.is_boolean(values.type):
+        values = values.cast(pa.uint8())
+    return pc.fill_null(values, 0).to_numpy(zero_copy_only=False), absent

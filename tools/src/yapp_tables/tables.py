@@ -1,0 +1,274 @@
+"""Types: what fields.json and the plugin's CSV say, as Arrow schemas and streams of typed record batches."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+from pyarrow import csv as arrow_csv
+
+from .errors import SetupError
+from .tshark import Export, Record
+
+TIME = pa.timestamp("ns", tz="UTC")
+# Every message's first columns.  The CSV has no source_file: that is the capture's own name.
+HEAD = {
+    "time": TIME,
+    "source_file": pa.string(),
+    "bus": pa.string(),
+    "frame": pa.int64(),
+    "source": pa.string(),
+    "id": pa.uint32(),
+    "seq": pa.uint8(),
+}
+# The types of fields.json that need no second look, and their roles.  A time is the controller's own, in seconds.
+ROLES = {
+    "float": (pa.float64(), "value"),
+    "time": (pa.float64(), "clock"),
+    "bool": (pa.bool_(), "flag"),
+    "string": (pa.string(), "text"),
+}
+CRC_GOOD = "crc_good"
+# The reserved counts that are numbers; `above` and `below` the range are none.
+SPECIAL = {"nan": float("nan"), "inf": float("inf"), "-inf": float("-inf")}
+BLOCK_BYTES = 8 << 20
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the CSV: its type, and what Parquet, MF4 and the report tell about it.
+
+    role: "value", "clock", "enum", "flags", "flag" or "text" (also an enum's meaning, a reserved count's name).
+    """
+
+    name: str
+    type: pa.DataType
+    role: str
+    title: str = ""
+    unit: str = ""
+    filter: str = ""
+    values: dict[int, str] = field(default_factory=dict)
+
+    def arrow(self) -> pa.Field:
+        """The Arrow field; its metadata name title, unit, display filter and the meanings of an enum's numbers."""
+        about = {"title": self.title, "unit": self.unit, "filter": self.filter}
+        if self.values:
+            about["values"] = json.dumps(self.values, ensure_ascii=False)
+        return pa.field(self.name, self.type, metadata={key: text for key, text in about.items() if text})
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message of the catalogue as fields.json describes it. every: its period in seconds, where it has one."""
+
+    name: str
+    title: str
+    every: float | None
+    columns: dict[str, Column]
+
+
+def messages(fields: Record) -> dict[str, Message]:
+    """The catalogue in fields.json, by message name."""
+    return {name: _message(name, entry) for name, entry in fields["messages"].items()}
+
+
+def digest(fields: Record) -> str:
+    """A short name of the catalogue's content; IDs, which are a matter of each aircraft, do not change it."""
+    content = {name: entry | {"id": None} for name, entry in fields["messages"].items()}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def plugin_version(fields: Record) -> str:
+    """The version of the plugin that wrote fields.json."""
+    return str(fields.get("plugin", "unknown"))
+
+
+def _message(name: str, entry: Record) -> Message:
+    own = [column for column in entry["columns"] if column["name"] not in HEAD and column["name"] != CRC_GOOD]
+    texts = {column["name"] for column in own if column["type"] == "string"}
+    columns = {column["name"]: _column(column, f"{column['name']}_text" in texts) for column in own}
+    return Message(name, entry["title"] or name, entry.get("every"), columns)
+
+
+def _column(entry: Record, has_text: bool) -> Column:
+    """A column of fields.json. has_text: its numbers have names, in a column of their own."""
+    name, kind = entry["name"], entry["type"]
+    about = {"title": entry.get("title") or name, "unit": entry.get("unit") or "", "filter": entry.get("filter") or ""}
+    if kind in ROLES:
+        type_, role = ROLES[kind]
+        return Column(name, type_, role, **about)
+    if has_text:
+        values = {int(number): text for number, text in (entry.get("values") or {}).items()}
+        return Column(name, _integer(entry), "enum", values=values, **about)
+    if entry.get("kind") == "flags":
+        return Column(name, _integer(entry), "flags", **about)
+    # A float64 has every integer of up to 53 bits.
+    return Column(name, _integer(entry) if (entry.get("bits") or 0) > 53 else pa.float64(), "value", **about)
+
+
+def _integer(entry: Record) -> pa.DataType:
+    """The integer type that the field fits in; int64 where its size is not told."""
+    bits = entry.get("bits")
+    if bits is None:
+        return pa.int64()
+    sign = "" if entry.get("kind") == "int" else "u"
+    return getattr(pa, f"{sign}int{next(size for size in (8, 16, 32, 64) if size >= bits)}")()
+
+
+class Rows:
+    """The rows of one message in an export: their schema, and typed record batches, a few megabytes at a time."""
+
+    def __init__(self, export: Export, message: Message, source_file: str) -> None:
+        """source_file: what the column of this name says, the capture's own name."""
+        self.message, self.source_file = message, source_file
+        self._path = export.csv(message.name)
+        with self._path.open(encoding="utf-8", newline="") as file:
+            self._header = next(csv.reader(file), [])
+        strange = set(self._header) - message.columns.keys() - HEAD.keys() - {CRC_GOOD}
+        if strange or "time" not in self._header:
+            raise SetupError(
+                f"{self._path.name} has columns that the plugin's fields.json does not tell: {strange or 'none'}"
+            )
+        self.columns = [message.columns[name] for name in self._header if name in message.columns]
+        about = {"message": message.name, "title": message.title, "every": str(message.every or "")}
+        head = [pa.field(name, type_) for name, type_ in HEAD.items()]
+        self.schema = pa.schema(head + [column.arrow() for column in self.columns], metadata=about)
+
+    def __iter__(self) -> Iterator[pa.RecordBatch]:
+        """Read the file once more from its beginning."""
+        types = {column.name: column.type for column in self.columns} | {
+            name: t for name, t in HEAD.items() if t != TIME
+        }
+        reader = arrow_csv.open_csv(
+            self._path,
+            # One thread: a fleet has a capture for every core.
+            read_options=arrow_csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES),
+            parse_options=arrow_csv.ParseOptions(newlines_in_values=any(c.role == "text" for c in self.columns)),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=types | {"time": pa.string()},
+                null_values=[""],
+                strings_can_be_null=True,
+                quoted_strings_can_be_null=False,
+            ),
+        )
+        for batch in reader:
+            if batch.num_rows:
+                yield self._typed(batch)
+
+    def first_time(self) -> int:
+        """The first row's time in nanoseconds since 1970."""
+        first: pa.RecordBatch = next(iter(self))
+        return int(first.column("time")[0].value)
+
+    def _typed(self, batch: pa.RecordBatch) -> pa.RecordBatch:
+        given = dict(zip(batch.schema.names, batch.columns, strict=True))
+        given["time"] = _nanoseconds(given["time"])
+        given["source_file"] = pa.repeat(pa.scalar(self.source_file), batch.num_rows)
+        for column in self.columns:
+            special = given.get(f"{column.name}_special")
+            if special is not None and special.null_count < len(special):
+                given[column.name] = _with_special(given[column.name], special)
+        absent = (name for name in HEAD if name not in given)
+        given |= {name: pa.nulls(batch.num_rows, HEAD[name]) for name in absent}
+        return pa.RecordBatch.from_arrays([given[name] for name in self.schema.names], schema=self.schema)
+
+
+def _nanoseconds(seconds: pa.Array) -> pa.Array:
+    """Seconds as text with nine digits are nanoseconds once the point is gone."""
+    return pc.replace_substring(seconds, ".", "").cast(pa.int64()).cast(TIME)
+
+
+def _with_special(values: pa.Array, special: pa.Array) -> pa.Array:
+    for name, number in SPECIAL.items():
+        values = pc.if_else(pc.fill_null(pc.equal(special, name), False), number, values)
+    return values
+
+
+def present(export: Export) -> list[Message]:
+    """The messages that the export has rows of, in the catalogue's order."""
+    return [message for message in messages(export.fields).values() if _has_rows(export.csv(message.name))]
+
+
+def _has_rows(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return len(list(zip(range(2), file, strict=False))) == 2
+
+
+EVENTS = pa.schema(
+    {
+        "time": TIME,
+        "kind": pa.string(),
+        "frame": pa.int64(),
+        "bus": pa.string(),
+        "id": pa.uint32(),
+        "source": pa.string(),
+        "message": pa.string(),
+        "field": pa.string(),
+        "flag": pa.string(),
+        "event": pa.string(),
+        "active": pa.float64(),
+        "length": pa.float64(),
+        "what": pa.string(),
+    }
+)
+SUMMARY = pa.schema(
+    {
+        "bus": pa.string(),
+        "id": pa.uint32(),
+        "source": pa.string(),
+        "message": pa.string(),
+        "count": pa.int64(),
+        "rate": pa.float64(),
+        "gap_min": pa.float64(),
+        "gap_mean": pa.float64(),
+        "gap_max": pa.float64(),
+        "gap_max_frame": pa.int64(),
+        "crc_bad": pa.int64(),
+        "incomplete": pa.int64(),
+        "late": pa.int64(),
+        "reboots": pa.int64(),
+    }
+)
+STATISTICS = pa.schema(
+    {
+        "bus": pa.string(),
+        "id": pa.uint32(),
+        "source": pa.string(),
+        "message": pa.string(),
+        "field": pa.string(),
+        "min": pa.float64(),
+        "mean": pa.float64(),
+        "max": pa.float64(),
+    }
+)
+
+
+def table(records: list[Record], schema: pa.Schema) -> pa.Table:
+    """JSON lines of a statistic as a table; keys that the schema does not name are left out."""
+    return pa.Table.from_pylist(
+        [{key: _cell(key, record.get(key)) for key in schema.names} for record in records], schema
+    )
+
+
+def _cell(key: str, value: Any) -> Any:
+    if isinstance(value, Decimal):
+        return int(value.scaleb(9)) if key == "time" else float(value)
+    return value * 10**9 if key == "time" and isinstance(value, int) else value
+
+
+def statistics(summary: list[Record]) -> pa.Table:
+    """The summary's `values`: a row for each source and field."""
+    rows = [
+        record | {"field": name} | values for record in summary for name, values in (record.get("values") or {}).items()
+    ]
+    return table(rows, STATISTICS)

@@ -1,0 +1,163 @@
+"""tshark and the plugin: one run over one capture, its statistics written to a folder, its refusals as sentences."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass, field
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+from .errors import CaptureError, SetupError, YappError
+
+INSTALL_TSHARK = "install Wireshark (Debian, Ubuntu: apt-get install tshark) or name the program with --tshark PATH"
+INSTALL_PLUGIN = "install it (make install, in the plugin's folder) or name it with --plugin PATH/yapp.lua"
+# Where Wireshark's own installers put tshark without naming it in PATH.
+USUAL_PLACES = ("/Applications/Wireshark.app/Contents/MacOS/tshark", r"C:\Program Files\Wireshark\tshark.exe")
+# An empty capture: a pcap header (SocketCAN, 64 KB packets) and no packet.
+EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000")
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Export:
+    """What one run left behind: `<message>.csv` and `fields.json` in folder, and the lines of the other statistics."""
+
+    folder: Path
+    fields: Record
+    records: dict[str, list[Record]] = field(default_factory=dict)
+    partial: str | None = None
+
+    def csv(self, message: str) -> Path:
+        """Where the rows of a message are, whether or not there are any."""
+        return self.folder / f"{message}.csv"
+
+
+@dataclass(frozen=True)
+class Tshark:
+    """How tshark is called: everything that all captures of one command have in common.
+
+    program: a path or a name in PATH, None for the usual places; plugin: yapp.lua where it is not installed;
+    options: preferences, each NAME:VALUE as after tshark's -o; filter: a display filter, None for all messages.
+    """
+
+    program: str | None = None
+    plugin: str | None = None
+    options: tuple[str, ...] = ()
+    filter: str | None = None
+
+    def export(self, capture: Path, folder: Path, statistics: tuple[str, ...] = ()) -> Export:
+        """Write a capture's messages to folder, which is made; statistics: what else to gather, "events" or "summary".
+
+        Returns an Export; its `partial` is tshark's reason where the capture is damaged.
+        Raises SetupError, CaptureError and, for what another try may mend, YappError.
+        """
+        if not capture.is_file():
+            raise CaptureError(f"{capture}: no such file" if not capture.exists() else f"{capture} is not a file")
+        if not os.access(capture, os.R_OK):
+            raise CaptureError(f"{capture} cannot be read: permission denied")
+        folder.mkdir(parents=True)
+        csv = folder / "csv"
+        # Relative to tshark's own folder: a comma in a path would end the option.
+        wanted = ["csv,csv", *(f"{name},json" for name in statistics)]
+        done = self._run(capture, folder, wanted)
+        partial = self._refusal(capture, done, written=(csv / "fields.json").is_file())
+        fields: Record = json.loads((csv / "fields.json").read_text(encoding="utf-8"))
+        return Export(csv, fields, _records(done.stdout, statistics), partial)
+
+    def catalogue(self) -> Record:
+        """fields.json of this plugin with these options; asked with an empty capture, it proves tshark and plugin."""
+        with tempfile.TemporaryDirectory(prefix="yapp-tables-") as folder:
+            empty = Path(folder, "empty.pcap")
+            empty.write_bytes(EMPTY_PCAP)
+            try:
+                return self.export(empty, Path(folder, "export")).fields
+            except CaptureError as error:
+                # Nothing is wrong with this capture: it is the plugin that refuses, a filter for example.
+                raise SetupError(str(error).removeprefix(f"{empty}: ")) from error
+
+    def _run(self, capture: Path, folder: Path, wanted: list[str]) -> subprocess.CompletedProcess[str]:
+        command = [self._program(), "-q", "-r", str(capture.resolve())]
+        if self.plugin is not None:
+            command += ["-X", f"lua_script:{self._plugin()}"]
+        for option in self.options:
+            command += ["-o", option]
+        narrowed = f",filter={self.filter}" if self.filter else ""
+        for what in wanted:
+            command += ["-z", f"yapp,{what}{narrowed}"]
+        try:
+            return subprocess.run(
+                command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, encoding="utf-8", errors="replace"
+            )
+        except OSError as error:
+            raise SetupError(f"{command[0]} cannot be run ({error.strerror}): {INSTALL_TSHARK}") from error
+
+    def _program(self) -> str:
+        if self.program is not None:
+            found = shutil.which(self.program)
+            if found is None:
+                raise SetupError(f"{self.program} is no program that can be run: {INSTALL_TSHARK}")
+            return str(Path(found).resolve())
+        for place in ("tshark", *USUAL_PLACES):
+            if found := shutil.which(place):
+                return found
+        raise SetupError(f"tshark was not found: {INSTALL_TSHARK}")
+
+    def _plugin(self) -> Path:
+        path = Path(self.plugin or "")
+        script = path / "yapp.lua" if path.is_dir() else path
+        if not script.is_file():
+            raise SetupError(f"no plugin at {path}: --plugin names the plugin's yapp.lua")
+        return script.resolve()
+
+    def _refusal(self, capture: Path, done: subprocess.CompletedProcess[str], written: bool) -> str | None:
+        """None where all went well, the reason where part of the capture was read; raises where nothing was."""
+        said = _complaint(done.stderr)
+        if "-z argument" in done.stderr or "-z option" in done.stderr:
+            raise SetupError(self._no_plugin())
+        if done.returncode < 0:
+            raise YappError(f"{capture}: tshark was ended by signal {-done.returncode}")
+        if done.returncode == 0 and written:
+            return None
+        if done.returncode == 0:
+            raise SetupError(f"the plugin wrote no fields.json{said and ': ' + said}: {INSTALL_PLUGIN}")
+        if written and done.returncode > 1:
+            return said or f"tshark ended with {done.returncode}"
+        if "reference" in said or "-o flag" in said:
+            raise SetupError(said)
+        raise CaptureError(f"{capture}: {said or f'tshark ended with {done.returncode}'}")
+
+    def _no_plugin(self) -> str:
+        if os.name == "posix" and os.geteuid() == 0 and self.version() >= (4, 4):
+            return "as root, Wireshark 4.4 and later ignore Lua plugins without a word: run this as an ordinary user"
+        if self.plugin is not None:
+            return f"{self.plugin} has no -z yapp,csv: it is too old, or did not load"
+        return f"tshark has no YAPP plugin, or one that is too old for -z yapp,csv: {INSTALL_PLUGIN}"
+
+    def version(self) -> tuple[int, ...]:
+        """tshark's own version, (4, 0, 17)."""
+        text = subprocess.run([self._program(), "--version"], capture_output=True, text=True, check=False).stdout
+        found = re.search(r"\d+(\.\d+)+", text)
+        return tuple(int(part) for part in found[0].split(".")) if found else ()
+
+
+def _complaint(stderr: str) -> str:
+    """What tshark said, without what it says every time as root, on one line."""
+    lines = [line.strip() for line in stderr.splitlines()]
+    return " ".join(line.removeprefix("tshark: ") for line in lines if line and not line.startswith("Running as user"))
+
+
+def _records(stdout: str, statistics: tuple[str, ...]) -> dict[str, list[Record]]:
+    """The JSON lines of the statistics, told apart by their keys; numbers with a point stay exact."""
+    records: dict[str, list[Record]] = {name: [] for name in statistics}
+    for line in stdout.splitlines():
+        if line.startswith("{"):
+            record = json.loads(line, parse_float=Decimal)
+            records["events" if "kind" in record else "summary"].append(record)
+    return records

@@ -1,0 +1,145 @@
+-- What is kept of the CAN frames of one pass: what each of them is, and what is wrong with it.  Pure Lua, 5.2 and 5.4.
+--
+-- All is kept by look: a number that grows, whose whole part is the frame's number (see yapp_can_memory).
+
+local M = {}
+
+local byte, char, sub = string.byte, string.char, string.sub
+local unpack = rawget(table, "unpack")
+
+local MAX_DISTANCE, MAX_COUNT = 255, 64 -- what fits the small form of a good message
+local PACKED = 9 -- bytes of it besides distances and payload: count, key, CRC
+
+local Frames = {}
+Frames.__index = Frames
+
+--- Nothing is known yet.
+-- can_id   the module
+-- It has entries, by look: a message; the look of the last frame of a good message; in that last frame the message as
+-- a string; or, for a frame that belongs to no message, a number below 0.  And faults, by look: a list of
+-- { expert =, text =, void = nil or true once it is taken back }.
+function M.new(can_id)
+  return setmetatable({ can_id = can_id, entries = {}, faults = {}, distances = {} }, Frames)
+end
+
+--- Says that something is wrong at a frame; of a message that may still come out good, where it is given.
+function Frames:fault(look, expert, text, message)
+  local list = self.faults[look]
+  if not list then
+    list = {}
+    self.faults[look] = list
+  end
+  list[#list + 1] = { expert = expert, text = text, message = message }
+  if message then
+    message.blamed = message.blamed or {}
+    message.blamed[#message.blamed + 1] = look
+  end
+end
+
+-- Takes back the faults of a frame that is_void says so of.
+local function take_back(self, look, is_void)
+  local list = self.faults[look]
+  for i = list and #list or 0, 1, -1 do
+    if is_void(list[i]) then table.remove(list, i).void = true end
+  end
+  if list and #list == 0 then self.faults[look] = nil end
+end
+
+-- Takes back what was said of a message that came out good after all.
+local function forgive(self, message)
+  for _, look in ipairs(message.blamed) do
+    take_back(self, look, function(fault) return fault.message == message end)
+  end
+end
+
+--- A frame that belongs to no message.
+-- can_id  its 29-bit id: CAN CTRL says what it is
+function Frames:alone(look, can_id)
+  self.entries[look] = -1 - can_id
+end
+
+--- A Middle or End whose message is not known.
+function Frames:orphan(look, address)
+  self:alone(look, address.can_id)
+  self:fault(look, "fragment.orphan",
+    ("%s of a message whose Start is not here"):format(address.ctrl == self.can_id.END and "End" or "Middle"))
+end
+
+local OF_NO_MESSAGE = { ["fragment.orphan"] = true, ["fragment.duplicate"] = true }
+
+--- A frame becomes a message's: that it seemed to be nobody's, or one delivered twice, is void.
+function Frames:give(look, message)
+  if self.faults[look] then
+    take_back(self, look, function(fault) return OF_NO_MESSAGE[fault.expert] end)
+  end
+  self.entries[look] = message
+end
+
+--- A good message has another frame with the same bytes instead of one of its frames.
+function Frames:exchange(look, other)
+  local message = self:entry(look)
+  for i = 1, message.count do
+    if message[i] == look then message[i] = other end
+  end
+  table.sort(message)
+  for i = 1, message.count do self:give(message[i], message) end
+end
+
+--- A frame that CAN delivered twice: its message is whole without it.
+function Frames:duplicate(look, message)
+  self.entries[look] = message
+  self:fault(look, "fragment.duplicate", "The frame before it once more: the CRC says that the message has one of them")
+end
+
+--- A message came out good.  What a later look at it needs is little: which frames it had, and their bytes; the usual
+-- message keeps both as one string.
+function Frames:good(message)
+  if message.blamed then return forgive(self, message) end -- rare: it stays as it is
+  local count, last, entries, distances = message.count, message.last, self.entries, self.distances
+  local is_usual = not (message.reserved or message.padding or message.duplicates) and count <= MAX_COUNT and
+    last - message[1] <= MAX_DISTANCE
+  for i = 1, is_usual and count or 0 do
+    distances[i] = last - message[i]
+    is_usual = is_usual and distances[i] % 1 == 0
+  end
+  if not is_usual then return end
+  for i = 1, count - 1 do entries[message[i]] = last end
+  -- Count, distances, key, and the CRC as the Start has it.
+  entries[last] = char(count, unpack(distances, 1, count)) .. message.address.key_bytes .. sub(message.sent, 1, 4) ..
+    message.payload
+end
+
+local function take_out(packed, last, can_id)
+  local count = byte(packed)
+  local message = { byte(packed, 2, count + 1) }
+  for i = 1, count do message[i] = last - message[i] end
+  local a, b, c, d, e, f, g, h = byte(packed, count + 2, count + PACKED)
+  message.address = can_id.address(a * 0x1000000 + b * 0x10000 + c * 0x100 + d)
+  message.crc = e + f * 0x100 + g * 0x10000 + h * 0x1000000
+  message.count, message.last, message.status, message.payload = count, last, "good", sub(packed, count + PACKED + 1)
+  message.size = #message.payload
+  message.received = message.size
+  return message
+end
+
+--- What a frame is.
+-- returns  its message; or nil and the CAN id of a frame that belongs to none; or nothing for one that is not YAPP's
+function Frames:entry(look)
+  local entry = self.entries[look]
+  if type(entry) == "number" then
+    if entry < 0 then return nil, -1 - entry end
+    look, entry = entry, self.entries[entry]
+  end
+  if type(entry) == "string" then return take_out(entry, look, self.can_id) end
+  return entry
+end
+
+--- The last frame of a frame's message, for little: nil where it has not ended or the frame belongs to none.
+function Frames:last_of(look)
+  local entry = self.entries[look]
+  if type(entry) == "number" then return entry >= 0 and entry or nil end
+  if type(entry) == "string" then return look end
+  return entry and entry.last
+end
+
+return M

@@ -1,0 +1,281 @@
+-- All that is known of a file's CAN frames.  Pure Lua, 5.2 and 5.4: it is told facts and asked what a frame is.
+--
+-- A pass is frames in order, and each pass numbers its own looks at them; passes meet only at (frame number, place in
+-- the packet, id).  A look is the frame's number; where the same number comes again, because the packet has several CAN
+-- frames or because a read filter rejected the frame that had it, a fraction tells them apart.
+-- ("Frames 7 and 8 come, -R drops 7: then 8 is called 7 again.  The looks are 7 and 7 + STEP; the second stays 7's.")
+
+local M = {}
+
+local floor = math.floor
+
+local LINKS, NOTHING = { "command_in", "previous_change", "next_change" }, {} -- in a change of yapp_history
+
+local STEP = 2 ^ -21 -- two million frames of one number, of two thousand million numbers
+
+-- A pass ------------------------------------------------------------------------------------------------------------
+
+local Pass = {}
+Pass.__index = Pass
+
+local function new_pass(memory)
+  local reassembly = memory.parts.can_reassembly.new(memory.parts, memory.size_of)
+  return setmetatable({
+    reassembly = reassembly, kept = reassembly.kept, history = memory.new_history(),
+    highest = 0, latest = 0, -- number, and look, of the newest frame
+    repeats = {},            -- [number] = { [place] = look }, where a number came more than once
+    odd = {},                -- [number] = place, where it is not the usual one
+    deltas = {}, faulty = {}, -- by look
+  }, Pass)
+end
+
+-- The look at a frame that comes in order.
+local function next_look(pass, number, place)
+  if number > pass.highest then
+    pass.usual = pass.usual or place
+    if place ~= pass.usual then pass.odd[number] = place end
+    pass.highest, pass.latest, pass.place = number, number, place
+    return number
+  end
+  local is_same = place == pass.place
+  if is_same and pass.kept.entries[pass.latest] == nil then return pass.latest end -- it was not taken the first time
+  local places = pass.repeats[number] or { [pass.place] = pass.latest }
+  if is_same then pass.is_filtered = true end
+  pass.latest, pass.place = pass.latest + STEP, place
+  places[place] = pass.latest
+  pass.repeats[number] = places
+  return pass.latest
+end
+
+-- The look that a pass had at a frame, nil if none: the key of its id tells it from one that a read filter rejected.
+local function find_look(pass, number, place, key)
+  local places, look = pass.repeats[number], number
+  if places then
+    look = places[place]
+  elseif (pass.odd[number] or pass.usual) ~= place then
+    return nil
+  end
+  local message, alone = pass.kept:entry(look)
+  if message and message.address.key == key then return look, message end
+  if alone and pass.kept.can_id.address(alone).key == key then return look, nil, alone end
+end
+
+local function place_of(pass, look)
+  local number = floor(look)
+  for place, other in pairs(pass.repeats[number] or {}) do
+    if other == look then return place end
+  end
+  return pass.odd[number] or pass.usual
+end
+
+-- The number of the frame of a look; nil for one that a read filter rejected.
+local function number_of(pass, look)
+  local number = floor(look)
+  local places = pass.repeats[number]
+  if not places then return number end
+  for _, other in pairs(places) do
+    if other == look then return number end
+  end
+end
+
+-- The memory --------------------------------------------------------------------------------------------------------
+
+local Memory = {}
+Memory.__index = Memory
+
+--- The memory of one capture file.
+-- parts     the modules { can_id =, crc =, can_frames =, can_reassembly =, can_interleave =, can_repeated = }
+-- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown one;
+--             new_history = function() -> a yapp_history, one for each pass;
+--             has_buses = whether the file is known to have several buses }
+function M.new(parts, options)
+  local self = setmetatable({ parts = parts, size_of = options.size_of, new_history = options.new_history,
+    is_mixed = options.has_buses or false, is_guessed = false, reached = 0, records = {} }, Memory)
+  self.first = new_pass(self)
+  return self
+end
+
+--- The highest number so far: a frame above it cannot have been looked at before, which saves asking Wireshark.
+-- returns  number; infinity once a second look has been seen
+function Memory:highest()
+  return self.is_again and math.huge or self.first.highest
+end
+
+--- Says that the first pass cannot know all of the facts.
+function Memory:guess()
+  self.is_guessed = true
+end
+
+-- Takes a frame in the order of a pass; returns whether it is YAPP's, and its message, or the id of one without.
+local function take(self, pass, address, facts, look)
+  if not facts.informed or facts.doubtful then self.is_guessed = true end
+  if facts.bus then
+    self.first_bus = self.first_bus or facts.bus
+    if facts.bus ~= self.first_bus then self.is_mixed = true end
+  end
+  facts.look = look
+  local is_ours, message = pass.reassembly:frame(address, facts)
+  if is_ours then return true, message, not message and address.can_id or nil end
+end
+
+-- Whether a second pass goes on at this frame: it has seen all that the first knows in front of it.  Who asks for a
+-- frame here and there, as sharkd does, gets what the first pass knows.
+local function follows(self, number)
+  local first = self.first
+  for before = self.reached + 1, number - 1 do
+    if first.repeats[before] or first.kept.entries[before] ~= nil then return false end
+    self.reached = before
+  end
+  return true
+end
+
+-- Whether this look belongs to a second pass that refines a first one that had to guess.  A read filter leaves gaps:
+-- then there is none.  In Wireshark a look for the packet list may not have the bus that a look for the details has:
+-- the second pass is made of looks of one kind.
+local function refines(self, facts)
+  if not self.is_guessed or self.first.is_filtered then return false end
+  local second, number = self.second, facts.number
+  if second and second.is_informed and not facts.informed then return false end
+  if second and number < second.highest then return false end
+  return number <= self.reached or follows(self, number)
+end
+
+-- What the first pass knows of a message that the second has not seen to its end; if the first mixed buses, it has this
+-- from the CRC.
+local function foreseen(self, message)
+  local second, start = self.second, message[1]
+  local look, same = find_look(self.first, floor(start), place_of(second, start), message.address.key)
+  if not same or same[1] ~= look or self.is_mixed and same.status ~= "good" then return nil end
+  return same
+end
+
+-- The second pass's look at a frame, and whether it is made now; nil where that pass has not come so far, or not by
+-- here, and nil and false where it left the frame to others.
+local function second_look(self, address, facts)
+  local second = self.second
+  if second then
+    local look, message, alone = find_look(second, facts.number, facts.place, address.key)
+    if look then return look, false, message, alone end
+  end
+  if not refines(self, facts) then return nil end
+  if not second then
+    second = new_pass(self)
+    second.is_informed = facts.informed
+    self.second = second
+  end
+  self.reached = math.max(self.reached, facts.number)
+  local look = next_look(second, facts.number, facts.place)
+  local is_ours, message, alone = take(self, second, address, facts, look)
+  if not is_ours then return nil, false end
+  return look, true, message, alone
+end
+
+-- The record of a frame that belongs to a message which has not ended here: where it leads to.
+local function link(self, record, message)
+  local pass, has_ended = record.pass, self.is_again
+  if not message.last and pass == self.second then
+    local same = foreseen(self, message)
+    if same then
+      message, pass = same, self.first
+    else
+      has_ended = not record.is_now and pass.highest >= self.first.highest
+    end
+  end
+  local last = message.last
+  if last then
+    record.leads_to, record.has_fault = number_of(pass, last), pass.faulty[last]
+  elseif has_ended and not message.status then
+    record.is_unfinished = floor(message[message.count]) == floor(record.look)
+  end
+end
+
+-- is_now  whether the look was made now; message, alone: what kept:entry says of it
+local function record_of(self, pass, look, is_now, message, alone)
+  local record = { pass = pass, look = look, message = message, alone = alone, faults = pass.kept.faults[look],
+    is_now = is_now, is_last = message ~= nil and message.last == look }
+  if message and not record.is_last and (self.is_again or message.last) then link(self, record, message) end
+  return record
+end
+
+--- What a frame is.
+-- address  yapp_can_id.address of its 29-bit id
+-- facts    { number, place = where in its packet, is_again = whether Wireshark has shown it before, data, reported,
+--          bus, informed = whether this pass can tell the bus, doubtful, wide: as for Reassembly:frame }
+-- returns  nil for a frame that is not YAPP's, else a record of its own:
+--          { message = its message, or alone = the CAN id of a frame without one; is_last = whether the message ends
+--            here; leads_to = number of the frame where it does; is_unfinished = whether it never does, and this is its
+--            last frame; has_fault = whether the message has a fault flag set, as far as that is known;
+--            faults = list of { expert, text } or nil; is_now = whether the frame was taken just now, in order;
+--            is_late = whether no pass had its id in time }
+function Memory:look(address, facts)
+  local first = self.first
+  if not facts.is_again then
+    local look = next_look(first, facts.number, facts.place)
+    local is_ours, message, alone = take(self, first, address, facts, look)
+    return is_ours and record_of(self, first, look, true, message, alone) or nil
+  end
+  self.is_again = true
+  local look, is_now, message, alone = second_look(self, address, facts)
+  if look then return record_of(self, self.second, look, is_now, message, alone) end
+  if is_now == false then return nil end
+  look, message, alone = find_look(first, facts.number, facts.place, address.key)
+  if look then return record_of(self, first, look, false, message, alone) end
+  if facts.wide then return { alone = address.can_id, is_late = true } end
+end
+
+--- A frame that is not ours after all: a remote frame that an earlier pass could not tell.
+-- facts  as for look
+function Memory:pass_over(facts)
+  if facts.is_again and refines(self, facts) then self.reached = math.max(self.reached, facts.number) end
+end
+
+--- The numbers of the frames of a message that has ended, in order; without those that a read filter rejected.
+function Memory.frames_of(_, record)
+  local numbers, message = {}, record.message
+  for i = 1, message.count do numbers[#numbers + 1] = number_of(record.pass, message[i]) end
+  return numbers
+end
+
+-- A change with numbers of frames for looks.
+local function numbered(pass, change)
+  for _, name in ipairs(change and LINKS or NOTHING) do
+    change[name] = change[name] and number_of(pass, change[name])
+  end
+  return change
+end
+
+--- What changed with a message since its source's previous good one (see yapp_history).
+-- record   of its last, or only, frame
+-- message  as History:note takes it; number and delta are filled in
+-- returns  a change, or nil; its frames are numbers of frames
+function Memory:change(record, message)
+  local pass, look = record.pass, record.look
+  if not pass then return nil end
+  local history, change = pass.history
+  message.number = look
+  if record.is_now then
+    change = history:note(message)
+    pass.deltas[look] = change and change.delta
+    -- What is still to come the second pass has from the first, if that did not mix buses.
+    if pass == self.second and not self.is_mixed then history = self.first.history end
+  else
+    message.delta = pass.deltas[look]
+    change = history:change(message)
+  end
+  if change and (change.flags or change.active_since) then
+    change.next_change = history:next_change(look, message.source)
+  end
+  return numbered(pass, change)
+end
+
+--- Notes that a message has a fault flag set, for later looks at its other frames.
+function Memory.note_fault(_, record)
+  if record.pass then record.pass.faulty[record.look] = true end
+end
+
+--- The messages of the pass that was made last that never ended.
+function Memory:unfinished()
+  return (self.second or self.first).reassembly:unfinished()
+end
+
+return M

@@ -1,0 +1,306 @@
+-- Reassembly of YAPP over CAN: Start, Middle, End ("Multi-Frame CAN YAPP").  Pure Lua, 5.2 and 5.4: it takes frames in
+-- order and says what each of them is.
+
+local M = {}
+
+local concat, floor = table.concat, math.floor
+
+-- Bounds.  An open message costs memory until something ends it.
+local MAX_OPEN = 1024 -- open messages; the oldest make room
+local CREDIT_PER_FRAME, MAX_CREDIT = 32, 4096 -- steps of the searches among frames
+local MAX_REPEATED = 8 -- frames that a message may have too many, where they repeat others
+local BUS = 0x20000000 -- keys of frames have 29 bits
+
+local Reassembly = {}
+Reassembly.__index = Reassembly
+
+--- The reassembly of one pass over a capture file.
+-- parts    the modules { can_id =, crc =, can_frames =, can_interleave =, can_repeated = }
+-- size_of  function(id, bus) -> payload size of a known message, nil for an unknown one
+-- It has kept, a yapp_can_frames: what each frame is.
+--
+-- A message has address (yapp_can_id's), bus, size, crc, reserved (nil when 0), all from its Start; the looks of its
+-- frames at 1 .. count, received (bytes); and when it has ended status: "good", "bad" (CRC), "short", "overrun", "cut"
+-- (by a new Start), "unverified" (bytes not captured), payload, padding (nil when 0), calculated (a bad CRC), and last
+-- (the look of its last frame).
+function M.new(parts, size_of)
+  return setmetatable({
+    can_id = parts.can_id, crc = parts.crc, parts = parts, size_of = size_of, kept = parts.can_frames.new(parts.can_id),
+    open = {}, open_count = 0, queue = {}, queue_length = 0, credit = MAX_CREDIT, seeds = {}, seed_count = 0,
+  }, Reassembly)
+end
+
+-- How a message ends ----------------------------------------------------------------------------------------------
+
+--- The message has more or fewer bytes than its size; returns the status.
+function Reassembly:misfit(message, received, look)
+  if received < message.size then
+    self.kept:fault(look, "fragment.incomplete", ("The message that started in frame %d ends with %d of %d bytes")
+      :format(floor(message[1]), received, message.size), message)
+    return "short"
+  elseif received > message.size then
+    self.kept:fault(look, "fragment.overrun", ("%d bytes for the %d of the message that started in frame %d")
+      :format(received, message.size, floor(message[1])), message)
+    return "overrun"
+  end
+end
+
+--- The CRC register behind the header of a message: messages of one kind have the same header again and again.
+function Reassembly:seed(message)
+  local key = message.address.key * 0x10000 + message.size
+  local seed = not message.reserved and self.seeds[key]
+  if not seed then
+    seed = self.crc.of(self.can_id.header(message.address, message.size, message.reserved))
+    if self.seed_count == self.can_id.MAX_KEPT then self.seeds, self.seed_count = {}, 0 end
+    if not message.reserved then self.seeds[key], self.seed_count = seed, self.seed_count + 1 end
+  end
+  return seed
+end
+
+--- Ends a message: status when it is known, else the CRC decides.
+function Reassembly:finish(message, payload, look, status)
+  message.payload, message.last, message.chunks = payload, look, nil
+  if status or message.truncated then
+    message.status = status or "unverified"
+    return
+  end
+  local calculated = self.crc.update(self:seed(message), payload)
+  if calculated == message.crc then
+    message.status = "good"
+    self.kept:good(message)
+  else
+    message.status, message.calculated = "bad", calculated
+  end
+end
+
+--- Pays for steps of a search; every frame that comes brings some credit.
+-- returns  whether there was enough
+function Reassembly:spend(steps)
+  self.credit = self.credit - steps
+  return self.credit >= 0
+end
+
+-- Open messages -----------------------------------------------------------------------------------------------------
+
+-- A slot is the key of a message and its bus.  It holds a message or, where several of a key may be open, a pool of
+-- them (yapp_can_interleave).
+local function close(self, slot)
+  self.open[slot] = nil
+  self.open_count = self.open_count - 1
+end
+
+-- A message that did not come out whole and that nobody will look into again.
+local function give_up(open)
+  for _, message in ipairs(open.messages or { open }) do
+    message.status = message.status or "cut"
+    message.chunks = nil
+  end
+end
+
+-- Makes room for more open messages: the queue has their slots, oldest first, and slots long closed.
+local function make_room(self)
+  local live, seen, queue = {}, {}, {}
+  for i = self.queue_length, 1, -1 do -- a slot is as old as its newest Start
+    local slot = self.queue[i]
+    if self.open[slot] and not seen[slot] then
+      seen[slot] = true
+      live[#live + 1] = slot
+    end
+  end
+  local keep = math.min(#live, MAX_OPEN / 2)
+  for i = #live, 1, -1 do
+    local slot = live[i]
+    if i <= keep then
+      queue[#queue + 1] = slot
+    else
+      give_up(self.open[slot])
+      close(self, slot)
+    end
+  end
+  self.queue, self.queue_length = queue, #queue
+end
+
+local function enter(self, slot, message)
+  if self.open_count >= MAX_OPEN or self.queue_length >= 4 * MAX_OPEN then make_room(self) end
+  self.open[slot], self.open_count = message, self.open_count + 1
+  self.queue_length = self.queue_length + 1
+  self.queue[self.queue_length] = slot
+end
+
+-- A Start arrived while something is open in its slot.  On a known bus that is cut off; else it may be another bus's,
+-- and what follows decides.
+local function overtake(self, slot, open, frame)
+  local newest = open.messages and open:newest() or open
+  if not newest.status and not newest.overtaken then
+    local received = open.messages and open:received() or open.received
+    self.kept:fault(frame.look, "fragment.incomplete",
+      ("A new Start cuts off the message that started in frame %d: %d of %d bytes")
+      :format(floor(newest[1]), received, newest.size), newest)
+  end
+  if frame.bus or newest.status or newest.truncated then
+    give_up(open)
+    return close(self, slot)
+  end
+  if not open.messages then
+    open = self.parts.can_interleave.new(self, open)
+    self.open[slot] = open
+  end
+  if not open:overtake() then close(self, slot) end
+end
+
+-- Kinds of frames ---------------------------------------------------------------------------------------------------
+
+-- What is wrong with a Start, as far as it was captured.
+local function check_start(kept, frame, size, reserved, known)
+  local look = frame.look
+  if frame.reported > 8 then
+    kept:fault(look, "size.mismatch", ("A Start has 8 bytes, this one has %d"):format(frame.reported))
+  end
+  if reserved and size == 0 then
+    kept:fault(look, "size.mismatch", "The size of the message is 0")
+  elseif reserved and known and size ~= known then
+    kept:fault(look, "size.mismatch", ("The size is %d bytes, the catalogue says %d"):format(size, known))
+  end
+  if reserved and reserved ~= 0 then
+    kept:fault(look, "reserved.nonzero", ("The reserved bytes are 0x%04x, not 0"):format(reserved))
+  end
+  if frame.reported < 8 then
+    kept:fault(look, "fragment.incomplete",
+      ("A Start has 8 bytes, this one has %d: its message cannot be put together"):format(frame.reported))
+  end
+end
+
+local function start(self, slot, address, frame)
+  local look, known = frame.look, self.size_of(address.id, frame.bus)
+  local crc, size, reserved = self.can_id.start(frame.data)
+  if not frame.wide then -- a plausible one, or for a known ID one that the capture cut
+    if address.ctl ~= 0 or frame.reported ~= 8 or not (reserved or known) then return false end
+    if reserved and (reserved ~= 0 or size <= 8 or known and size ~= known) then return false end
+  end
+  local open = self.open[slot]
+  if open then
+    overtake(self, slot, open, frame)
+    open = self.open[slot]
+  end
+  if size ~= known or reserved ~= 0 or frame.reported ~= 8 then check_start(self.kept, frame, size, reserved, known) end
+  if not reserved or size == 0 then
+    self.kept:alone(look, address.can_id)
+    return true
+  end
+  -- Room for what comes in the usual message of five frames: saves Lua three steps of growth in each table.
+  local message = { look, nil, nil, nil, nil, count = 1, parts = 0, received = 0, repeats = 0,
+    chunks = { nil, nil, nil, nil }, address = address, bus = frame.bus, size = size, crc = crc,
+    sent = frame.data, reserved = reserved ~= 0 and reserved or nil, status = nil, payload = nil, last = nil }
+  self.kept.entries[look] = message
+  if open then open:add(message) else enter(self, slot, message) end
+  return true, message
+end
+
+-- The End of the only message in its slot.
+local function complete(self, message, frame)
+  local needed = message.size - message.received + frame.reported
+  local padding = self.can_id.padding(frame.data, frame.reported, needed)
+  if not padding and message.repeats > 0 and not message.truncated then
+    padding = self.parts.can_repeated.take_out(self, message, frame)
+  end
+  local payload = concat(message.chunks)
+  if not padding then
+    return self:finish(message, payload, frame.look, self:misfit(message, message.received, frame.look))
+  end
+  if padding > 0 then
+    message.padding, payload = padding, payload:sub(1, message.size)
+  end
+  self:finish(message, payload, frame.look)
+end
+
+-- The bytes of a part: whether they may be those of the frame before it, delivered twice, is for the CRC to say.
+local function add_bytes(message, frame)
+  local data, parts, chunks = frame.data, message.parts, message.chunks
+  if data == chunks[parts] then message.repeats = message.repeats + frame.reported end
+  message.parts, chunks[parts + 1] = parts + 1, data
+  if #data < frame.reported then message.truncated = true end
+end
+
+-- A Middle or End of the only message in its slot.
+local function add_part(self, slot, message, frame, is_end)
+  local look, count = frame.look, message.count + 1
+  self.kept.entries[look] = message
+  message.count, message[count] = count, look
+  message.received = message.received + frame.reported
+  if message.status then -- it had too many bytes before
+    self:misfit(message, message.received, look)
+  else
+    if not message.truncated then add_bytes(message, frame) end
+    if is_end then
+      complete(self, message, frame)
+    elseif message.received > message.size + math.min(message.repeats, MAX_REPEATED * frame.reported) then
+      message.status = self:misfit(message, message.received, look)
+      message.chunks = nil
+    end
+  end
+  if is_end then close(self, slot) end
+  return true, message
+end
+
+local function continue(self, slot, address, frame)
+  local message, is_end = self.open[slot], address.ctrl == self.can_id.END
+  if not message then
+    if not frame.wide and not (address.ctl == 0 and self.size_of(address.id, frame.bus)) then return false end
+    self.kept:orphan(frame.look, address)
+    return true
+  end
+  if frame.doubtful and not message.messages and not message.status and not message.truncated then
+    message = self.parts.can_interleave.new(self, message)
+    self.open[slot] = message
+  end
+  if not message.messages then return add_part(self, slot, message, frame, is_end) end
+  message:frame(address, frame)
+  if #message.messages == 0 then close(self, slot) end
+  return true, (self.kept:entry(frame.look))
+end
+
+local function other(self, _, address, frame)
+  if not frame.wide then return false end
+  self.kept:alone(frame.look, address.can_id)
+  self.kept:fault(frame.look, "can.ctrl.invalid", ("CAN CTRL is %d; 0 to 3 are defined"):format(address.ctrl))
+  return true
+end
+
+local function single(self, _, address, frame)
+  if not frame.wide then
+    local size = self.size_of(address.id, frame.bus)
+    if not (size and address.ctl == 0 and self.can_id.padding(frame.data, frame.reported, size)) then return false end
+  end
+  self.kept:alone(frame.look, address.can_id)
+  return true
+end
+
+local TAKERS = { [0] = single, start, continue, continue }
+
+--- Takes one CAN frame; frames come in order.
+-- address  yapp_can_id.address of its 29-bit id
+-- frame    { look = a number that grows, whose whole part is the frame's number; data = captured bytes; reported = its
+--          length on the bus; bus = number, nil where the capture does not say; wide = whether the user says that
+--          every extended frame is YAPP, else only what is surely YAPP is claimed; doubtful = whether it is a frame of
+--          zeros that may be a remote frame: size and CRC say whether it belongs }
+-- returns  whether it is YAPP's, and its message: kept:entry(frame.look) says the same at any later time
+function Reassembly:frame(address, frame)
+  if self.credit < MAX_CREDIT then self.credit = math.max(self.credit, 0) + CREDIT_PER_FRAME end
+  local slot = frame.bus and address.key + (frame.bus + 1) * BUS or address.key
+  return (TAKERS[address.ctrl] or other)(self, slot, address, frame)
+end
+
+--- The messages that began and have not ended: at the end of the capture these are unfinished.
+-- returns  list of messages
+function Reassembly:unfinished()
+  local list = {}
+  for _, open in pairs(self.open) do
+    for _, message in ipairs(open.messages or { open }) do
+      if not message.status and not message.overtaken then list[#list + 1] = message end
+    end
+  end
+  table.sort(list, function(a, b) return a[1] < b[1] end)
+  return list
+end
+
+return M

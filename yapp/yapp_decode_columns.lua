@@ -1,0 +1,192 @@
+-- A message as a row of CSV: its columns, and the cells of a payload.  Pure Lua, 5.2 and 5.4.
+--
+-- An enum is its number and, in NAME_text, its meaning; flags are the integer and, in GROUP_FLAG, 0 or 1; a float that
+-- is no ordinary number is an empty cell and what it is in NAME_special.  The row of a message is made by a function
+-- that is generated for it: out[1] = format("%.7g,", (-8387840 + raws[1] * 256) / 65530) and so on.
+
+local bits = require("yapp_bits")
+local decode = require("yapp_decode")
+local numbers = require("yapp_decode_numbers")
+local reader = require("yapp_decode_reader")
+
+local M = {}
+
+local format, concat = string.format, table.concat
+
+-- What the rows of every message begin with, and a name that a reader may add.
+local TAKEN = { "time", "frame", "bus", "source", "id", "seq", "crc_good" }
+local SPECIALS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" } -- an empty cell, and the one beside it
+local MOST_CELLS = 1024
+
+--- A text as a cell of CSV: in quotes where it must be.
+function M.quoted(text)
+  if text:find('[,"\r\n]') then return '"' .. text:gsub('"', '""') .. '"' end
+  return text
+end
+
+-- Columns -----------------------------------------------------------------------------------------------------------
+
+local INTEGERS = { uint = true, int = true, flags = true }
+
+-- The columns of a field: { name, type } each.
+local function columns_of(field)
+  local kind, name = field.kind, field.name
+  if kind == "float" or kind == "ieee" then return { { name, "float" }, { name .. "_special", "string" } } end
+  if kind == "time" or kind == "bool" then return { { name, kind } } end
+  if not INTEGERS[kind] then return { { name, "string" } } end
+  if field.values then return { { name, "integer" }, { name .. "_text", "string" } } end
+  local columns = { { name, field.scale and "float" or "integer" } }
+  local group = field.group and field.group:match("[^.]+$")
+  for _, flag in ipairs(field.flags or {}) do columns[#columns + 1] = { group .. "_" .. flag.name, "bool" } end
+  return columns
+end
+
+local columns_by_message = setmetatable({}, { __mode = "k" })
+
+local function make_columns(message)
+  local columns, taken = {}, {}
+  for _, name in ipairs(TAKEN) do taken[name] = true end
+  for _, field in ipairs(message.fields) do
+    for i, column in ipairs(columns_of(field)) do
+      local name, count = column[1], 1
+      while taken[name] do
+        count = count + 1
+        name = column[1] .. "_" .. count
+      end
+      taken[name] = true
+      local unit = i == 1 and (field.kind == "time" and "s" or field.unit) or nil
+      columns[#columns + 1] = { name = name, unit = unit, type = column[2], field = field }
+    end
+  end
+  return columns
+end
+
+--- The columns of a message, in order.
+-- returns  a list of { name =, unit = or nil, type = "float", "integer", "bool", "string" or "time" (seconds),
+--          field = }; a name that another column has already ("time", "id") gets "_2" behind it
+function M.columns(message)
+  local columns = columns_by_message[message]
+  if not columns then
+    columns = make_columns(message)
+    columns_by_message[message] = columns
+  end
+  return columns
+end
+
+-- Cells -------------------------------------------------------------------------------------------------------------
+
+-- The cells of a field as a text, from its raw value, by kind; of few values each is made once.
+local cells = {}
+
+function cells.float(field, raw)
+  local value, special = decode.float(field, raw)
+  return special and SPECIALS[special] or format(decode.format_of(field) .. ",", value)
+end
+
+function cells.ieee(field, raw)
+  local value, special = decode.value(field, raw)
+  if special then return SPECIALS[special] end
+  if field.size == 4 then return format("%.9g,", numbers.shortest(value, 4)) end
+  local text = format("%.15g,", value)
+  return tonumber(text:sub(1, -2)) == value and text or format("%.17g,", value)
+end
+
+function cells.uint(field, raw)
+  if field.scale then return format("%.15g", decode.value(field, raw)) end
+  local text = type(raw) == "number" and format("%.0f", raw) or raw
+  return field.values and text .. "," .. M.quoted(field.values[raw] or "") or text
+end
+
+function cells.flags(field, raw)
+  local texts = { format("%.0f", raw) }
+  for i, flag in ipairs(field.flags) do texts[i + 1] = bits.band(raw, flag.mask) ~= 0 and "1" or "0" end
+  return concat(texts, ",")
+end
+
+function cells.string(field, raw) return M.quoted(decode.value(field, raw)) end
+
+cells.int, cells.bytes = cells.uint, cells.string
+function cells.bool(_, raw) return raw == 0 and "0" or "1" end
+
+-- A function of the raw value that keeps what it made, as long as that is not too much.
+local function remembering(field)
+  local known, count, make = {}, 0, cells[field.kind]
+  return function(raw)
+    local text = known[raw]
+    if text then return text end
+    if count >= MOST_CELLS then known, count = {}, 0 end
+    text, count = make(field, raw), count + 1
+    known[raw] = text
+    return text
+  end
+end
+
+-- Which kinds have few values: they repeat from message to message.
+local function has_few(field)
+  return field.size == 1 or field.kind == "flags" or field.values ~= nil
+end
+
+-- Rows --------------------------------------------------------------------------------------------------------------
+
+-- A number as source; COMPAT 5.4: as a float.
+local function literal(number)
+  local text = format("%.17g", number)
+  return text:find("[.e]") and text or text .. ".0"
+end
+
+-- One field's line of source.
+local function line_source(field, i)
+  if field.kind == "time" then return format("out[%d] = seconds(time(payload, %d))", i, field.offset) end
+  if field.kind ~= "float" or has_few(field) or field.size > 6 then
+    return format("out[%d] = CELLS[%d](raws[%d])", i, i, i)
+  end
+  local steps = field.top - decode.divisor()
+  return format('a = raws[%d]\nif a > %d then out[%d] = SPECIALS[%d - a] else out[%d] = ' ..
+    'format("%s,", (%s + a * %s) / %s) end', i, field.ordinary, i, field.top, i, decode.format_of(field),
+    literal(field.min * steps), literal(field.max - field.min), literal(steps))
+end
+
+local function row_source(message)
+  local lines = { "local CELLS, SPECIALS, EMPTY, out, format, concat, time, seconds = ...",
+    "return function(payload, raws) local a" }
+  for i, field in ipairs(message.fields) do
+    local line, when = line_source(field, i), field.when
+    if when then
+      line = format("if raws[%d] == %d then %s else out[%d] = EMPTY[%d] end", when.index, when.value, line, i, i)
+    end
+    lines[#lines + 1] = line
+  end
+  lines[#lines + 1] = format('return concat(out, ",", 1, %d) end', #message.fields)
+  return concat(lines, "\n")
+end
+
+-- The writer of a message: { read, raws, row, version of the divisor }.
+local function make_writer(message)
+  local made, empty = {}, {}
+  for i, field in ipairs(message.fields) do
+    local make = cells[field.kind]
+    made[i] = has_few(field) and remembering(field) or make and function(raw) return make(field, raw) end
+    empty[i] = (","):rep(#columns_of(field) - 1)
+  end
+  local chunk = assert(load(row_source(message), "=row of " .. message.name))
+  local row = chunk(made, SPECIALS, empty, {}, format, concat, decode.time, decode.seconds)
+  return { read = reader.make(message), raws = {}, row = row, version = select(2, decode.divisor()) }
+end
+
+local writers = setmetatable({}, { __mode = "k" })
+
+--- The cells of a message, joined by commas, in the order of its columns; quoted where they must be.
+-- payload  string; nil is returned where it is shorter than the message
+function M.row(message, payload)
+  if #payload < message.size then return nil end
+  local writer = writers[message]
+  local _, version = decode.divisor()
+  if not writer or writer.version ~= version then
+    writer = make_writer(message)
+    writers[message] = writer
+  end
+  writer.read(payload, writer.raws)
+  return writer.row(payload, writer.raws)
+end
+
+return M

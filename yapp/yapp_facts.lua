@@ -1,0 +1,246 @@
+-- What other layers say of a packet: its bus, interface or direction, its CAN id, whether it is a remote frame.
+-- Wireshark's API.
+--
+-- A dissector is not told.  Fields say it, but only where a tree is built, and a Field extractor would build one for
+-- every packet of every capture.  So a file is looked at when it is opened, its first bytes only, and only where these
+-- say that it has several sources of ours a tap asks for the fields.  CAN's own fields are asked for where there is a
+-- tree without them: Wireshark 4.4 and later leave out what nobody wants.
+
+local M = {}
+
+local BUS_FIELDS = "frame.interface_id || frame.interface_name || sll.ifindex || rtacser.eventtype"
+local CAN_FIELDS = "can.id || can.flags.xtd || can.flags.rtr || canfd.flags.brs"
+local NAMES = {}
+for name in (BUS_FIELDS .. " || " .. CAN_FIELDS):gmatch("[%w_.]+") do NAMES[name] = true end
+
+-- Remote frames come with as many zeros as their DLC says; SocketCAN does not tell a dissector.
+local ZEROS = {}
+for length = 0, 8 do ZEROS[("\0"):rep(length)] = true end
+
+local DIRECTION = { 0, 1, 0, 1 } -- of RTAC events: data sent, data received, ...
+local MASK = 0x20000000 -- of the 29 bits of an id
+
+local Facts = {}
+Facts.__index = Facts
+
+--- Looks at files from now on.  Call it once.
+-- head     the module yapp_file_head
+-- candump  the reader of candump text: { current_bus, current_bus_name, plain_bus }
+function M.watch(head, candump)
+  local self = setmetatable({ found = head.read(""), candump = candump, record = {} }, Facts)
+  -- A reader that never reads: the only place where the API shows a file.
+  local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the first bytes", "rms")
+  function handler.read_open(file)
+    self.found = head.read(file:read(head.LENGTH) or "")
+    return false
+  end
+  function handler.read() return false end
+  function handler.seek_read() return false end
+  register_filehandler(handler)
+  self:init()
+  return self
+end
+
+local function remove(tap)
+  if tap then tap:remove() end
+end
+
+--- A new file is about to be dissected.
+function Facts:init()
+  if self.found.sources or self.is_wanted and self.found.later then
+    self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS)
+  else
+    remove(self.bus_tap)
+    self.bus_tap = nil
+  end
+  remove(self.can_tap)
+  self.can_tap, self.asked_at = nil, nil
+  self.says_bus, self.numbers, self.names, self.count = {}, {}, {}, 0
+  self.is_swapped = get_preference("can.byte_swap") -- of records that a little endian machine wrote as they were
+  self.header_number, self.header_id, self.refused, self.asked = 0, nil, {}, nil
+end
+
+--- Sees to it that the names of buses are known, whatever the file's first bytes say.
+function Facts:want_buses()
+  self.is_wanted = true
+  if self.found.later then self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS) end
+end
+
+--- Whether the file tells several sources apart, by its first bytes.
+function Facts:are_several()
+  return self.found.sources
+end
+
+--- Whether the file may have YAPP frames in TCP or UDP, by its first bytes.
+function Facts:may_have_frames()
+  return self.found.frames
+end
+
+-- Fields ------------------------------------------------------------------------------------------------------------
+
+-- all_field_infos raises where there is no tree; and on 4.0 the value of an item without bytes, such as a packet
+-- comment, throws past Lua: only what is wanted is asked for its value.
+local function by_name(ok, ...)
+  local found = {}
+  if ok then
+    for _, info in ipairs { ... } do
+      local name = info.name
+      if NAMES[name] then found[name] = info.value end
+    end
+  end
+  return found, ok
+end
+
+-- The fields of a CAN frame that are in the tree so far.
+-- returns  { [filter name] = value }, empty on a pass that builds no tree; and whether none of CAN's own is left out
+local function can_fields(self, number)
+  local fields, has_tree = by_name(pcall(all_field_infos))
+  if not has_tree then return fields, false end
+  local is_asked = self.can_tap and self.asked_at ~= number
+  local is_whole = fields["can.id"] ~= nil and fields["can.flags.xtd"] ~= nil and
+    (is_asked or fields["can.flags.rtr"] ~= nil or fields["canfd.flags.brs"] ~= nil)
+  if not is_whole and not self.can_tap then
+    self.can_tap, self.asked_at = Listener.new("frame", CAN_FIELDS), number
+  end
+  return fields, is_whole
+end
+
+local function is_true(value) return value == true or value == 1 end
+
+-- "Ext. ID: 138428416 (0x8404000), Length: 8", as SocketCAN leaves it in the Info column.
+-- returns  the text, nil where the columns are not there
+local function column(pinfo)
+  local text = tostring(pinfo.cols.info)
+  return (text:find("ID: ", 1, true) or text:find("^ERR")) and text or nil
+end
+
+-- Buses -------------------------------------------------------------------------------------------------------------
+
+-- The number of a source: 1, 2, 3, as they show.  (Exact for a million interfaces of 2^32 indexes each.)
+local function number_of(self, interface, index, direction)
+  local source = interface * 2 ^ 33 + index * 2 + direction
+  local number = self.numbers[source]
+  if not number then
+    number = self.count + 1
+    self.numbers[source], self.count = number, number
+  end
+  return number
+end
+
+--- Where the current packet was captured.
+-- returns  number, nil where nothing says; and whether this pass can know it
+function Facts:bus(pinfo)
+  local candump = self.candump
+  if candump.current_bus then
+    self.names[candump.current_bus] = self.names[candump.current_bus] or candump.current_bus_name
+    return candump.current_bus, true
+  end
+  if not self.bus_tap and not self.found.later then return nil, true end
+  local visited = pinfo.visited
+  if self.says_bus[visited] == false then return nil, false end
+  local fields = by_name(pcall(all_field_infos))
+  local interface, index, event = fields["frame.interface_id"], fields["sll.ifindex"], fields["rtacser.eventtype"]
+  local says_bus = interface ~= nil or index ~= nil or event ~= nil
+  -- One or the other for all of a pass: a message does not begin on a bus and end on none.
+  if self.says_bus[visited] == nil then self.says_bus[visited] = says_bus end
+  if not says_bus then return nil, false end
+  local bus = number_of(self, interface or 0, index or 0, DIRECTION[event] or 0)
+  if self.names[bus] == nil then self.names[bus] = self:interface_name(interface, fields["frame.interface_name"]) end
+  return bus, true
+end
+
+--- The name of an interface, where the capture has one: false if not.
+function Facts:interface_name(interface, shown)
+  local name = self.found.names and self.found.names[interface or 0]
+  if not name and shown and shown ~= "unknown" then name = shown end
+  return name or false
+end
+
+--- What a bus is called.
+-- bus      its number; nil where the capture has one source or tells none apart
+-- returns  text, or nil where the capture names none
+function Facts:bus_name(bus)
+  if bus then return self.names[bus] or nil end
+  return self.found.only_name or self.candump.plain_bus
+end
+
+-- A CAN frame -------------------------------------------------------------------------------------------------------
+
+--- What the wrapper around SocketCAN read in the header of the current frame (yapp_can_wrapper).
+-- can_id  29 bits; nil for a frame that is not an extended data frame
+function Facts:note_header(number, can_id)
+  self.header_number, self.header_id = number, can_id
+end
+
+--- The table of ids had the current frame, whose facts are those of the last can_frame, and left it to Decode As.
+function Facts:note_refused(can_id)
+  local refused = self.refused
+  refused.number, refused.place, refused.can_id = self.record.number, self.record.place, can_id
+end
+
+local function is_refused(self, tvb, pinfo)
+  return self.refused.number == pinfo.number and self.refused.place == tvb:offset()
+end
+
+--- The id of the current frame, which came by Decode As.
+-- returns  29-bit id; nil where it is not an extended data frame; nil and true where nothing says
+function Facts:find_id(tvb, pinfo)
+  if self.header_number == pinfo.number then return self.header_id end
+  if is_refused(self, tvb, pinfo) then return self.refused.can_id end
+  local fields, is_whole = can_fields(self, pinfo.number)
+  local id, extended = fields["can.id"], fields["can.flags.xtd"]
+  if is_whole then
+    local data = is_true(extended) and not is_true(fields["can.flags.rtr"])
+    return data and id and id % MASK or nil
+  end
+  local text = column(pinfo)
+  if not text then return nil, true end
+  return not text:find("Remote", 1, true) and tonumber(text:match("Ext%. ID: (%d+)")) or nil
+end
+
+--- Whether the current frame, which came with 0 for its id, did so by Decode As and not from the table of ids: it has
+-- another id, or the table had it already.
+function Facts:is_decode_as(tvb, pinfo)
+  if is_refused(self, tvb, pinfo) then return true end
+  local can_id, is_unknown = self:find_id(tvb, pinfo)
+  return not is_unknown and can_id ~= 0
+end
+
+-- Whether the current frame is a remote frame: those have no data, but captures give them zeros.
+-- returns  true or false; nil where nothing says
+local function is_remote(self, pinfo)
+  if self.header_number == pinfo.number then return not self.header_id end -- or not extended: then it is not ours
+  local fields, is_whole = can_fields(self, pinfo.number)
+  local rtr = fields["can.flags.rtr"]
+  if rtr ~= nil then return is_true(rtr) end
+  if is_whole then return false end -- CAN FD has no remote frames
+  local text = column(pinfo)
+  if not text then return nil end
+  return text:find("Remote", 1, true) ~= nil
+end
+
+--- What a look at a CAN frame needs to know, asked for once.
+-- highest  the highest number so far: one above it is new, and Wireshark cannot have shown it before
+-- returns  { number, place, is_again, data, reported, bus, informed = whether this pass can tell the bus,
+--            remote = whether it is a remote frame, doubtful = whether it may be one and nothing says }:
+--          the same table for every frame
+function Facts:can_frame(tvb, pinfo, highest)
+  local record, number = self.record, pinfo.number
+  record.number, record.place, record.is_again = number, tvb:offset(), number <= highest and pinfo.visited
+  record.reported = tvb:reported_len()
+  -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
+  record.data = tvb:len() > 0 and tvb:raw() or ""
+  if self.asked ~= record.is_again then -- at a pass's first frame: a later one may need them
+    self.asked = record.is_again
+    can_fields(self, number)
+  end
+  record.bus, record.informed = self:bus(pinfo)
+  record.remote, record.doubtful = false, false
+  if ZEROS[record.data] and record.reported > 0 then
+    local remote = is_remote(self, pinfo)
+    record.remote, record.doubtful = remote or false, remote == nil
+  end
+  return record
+end
+
+return M

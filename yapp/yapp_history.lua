@@ -1,0 +1,287 @@
+-- The history of each source: what changed between a good message and the good one before it.  Pure Lua, 5.2 and 5.4.
+--
+-- A source is a bus or stream, and an ID.  What changed is worked out once, in the order of the capture, and kept as
+-- events, so that a later look at any message gets the same: memory grows with events, Commands and reboots, not with
+-- messages.
+
+local M = {}
+
+local byte = string.byte
+
+local NOTHING = {} -- how things stand before a source's first event
+
+local History = {}
+History.__index = History
+
+--- The history of one pass over one capture.
+-- options  { late = how many periods of its message a gap must exceed to be one (2.5),
+--            catalogue = compiled: which messages others answer (without it, the one that is called command) }
+function M.new(options)
+  options = options or {}
+  local answered = { command = not options.catalogue or nil }
+  for _, message in ipairs(options.catalogue and options.catalogue.messages or {}) do
+    if message.answers then answered[message.answers] = true end
+  end
+  return setmetatable({ late = options.late or 2.5, answered = answered, by_key = {}, list = {}, commands = {},
+    kinds = {} }, History)
+end
+
+-- The place of the last of these ascending numbers that is not above `most`, 0 where none is.
+local function last_until(numbers, most)
+  local low, high = 0, #numbers
+  if high == 0 or numbers[high] <= most then return high end
+  while low < high do
+    local middle = (low + high + 1 - (low + high + 1) % 2) / 2
+    if numbers[middle] <= most then low = middle else high = middle - 1 end
+  end
+  return low
+end
+
+-- Which fields of a message are flags: worked out once a message.
+local function kind_of(self, message)
+  local kind = self.kinds[message]
+  if not kind then
+    kind = { flags = {}, clock_at = message.time and message.time.offset + 1 }
+    for i, field in ipairs(message.fields) do
+      if field.kind == "flags" then kind.flags[#kind.flags + 1] = i end
+    end
+    self.kinds[message] = kind
+  end
+  return kind
+end
+
+-- The controller's clock in nanoseconds: an int64, little endian; exact up to 104 days (2^53 ns).
+local function clock_of(payload, at)
+  local a, b, c, d, e, f, g, h = byte(payload, at, at + 7)
+  if not h then return nil end
+  local nanoseconds = a + b * 0x100 + c * 0x10000 + d * 0x1000000 +
+    (e + f * 0x100 + g * 0x10000 + h * 0x1000000) * 0x100000000
+  return h < 0x80 and nanoseconds or nanoseconds - 2 ^ 64
+end
+
+-- The bits that rose and that fell between two values.
+local function difference(before, now)
+  local raised, cleared, bit = 0, 0, 1
+  while before > 0 or now > 0 do
+    local b, n = before % 2, now % 2
+    if n > b then raised = raised + bit elseif b > n then cleared = cleared + bit end
+    before, now, bit = (before - b) / 2, (now - n) / 2, bit * 2
+  end
+  return raised, cleared
+end
+
+local function new_source(look)
+  return { key = look.source, id = look.id, bus = look.bus, message = look.message,
+    values = {},     -- of the flags of the previous good message, by index of field
+    raised_at = {},  -- [index of an alarm field] = { [bit] = when it was raised }
+    state = NOTHING, -- after the latest event: { active_since, clock, time (where drift is 0), stale }
+    numbers = {}, events = {}, -- what happened: events[i] at the message numbers[i]
+    changes = {},    -- numbers of the messages that changed an alarm
+  }
+end
+
+-- Since when the oldest alarm bit that is still set has been set.
+local function oldest(raised_at)
+  local since
+  for _, times in pairs(raised_at) do
+    for _, time in pairs(times) do
+      if not since or time < since then since = time end
+    end
+  end
+  return since
+end
+
+-- Keeps when each bit was raised.
+local function note_bits(times, value, time)
+  local bit, rest = 1, value
+  while rest > 0 do
+    local is_set = rest % 2 == 1
+    if is_set and not times[bit] then times[bit] = time end
+    rest, bit = (rest - rest % 2) / 2, bit * 2
+  end
+  for raised in pairs(times) do
+    if value % (2 * raised) < raised then times[raised] = nil end
+  end
+end
+
+-- What changed in one flags field; nil for nothing.  Of a source's first message the alarms count as raised.
+local function flag_change(source, index, look)
+  local field, now = look.message.fields[index], look.raws[index]
+  local before = source.values[index] or field.alarm and 0
+  source.values[index] = now
+  if not before or before == now then return nil end
+  local raised, cleared = difference(before, now)
+  if field.alarm then
+    local times = source.raised_at[index] or {}
+    source.raised_at[index] = times
+    note_bits(times, now, look.time)
+  end
+  return { field = field, value = now, raised = raised, cleared = cleared }
+end
+
+-- What changed in the flags of a good message; nil for nothing.
+local function flag_changes(source, kind, look)
+  local changes
+  local raws, values = look.raws, source.values
+  for i = 1, #kind.flags do
+    local index = kind.flags[i]
+    local raw = raws[index]
+    if raw and raw ~= values[index] then
+      local change = flag_change(source, index, look)
+      if change then
+        changes = changes or {}
+        changes[#changes + 1] = change
+      end
+    end
+  end
+  return changes
+end
+
+local function has_alarm(changes)
+  for i = 1, changes and #changes or 0 do
+    if changes[i].field.alarm then return true end
+  end
+  return false
+end
+
+-- Keeps what happened at a message, and how things stand after it.
+local function keep(source, look, event, clock, time)
+  if has_alarm(event.flags) then event.is_alarm, source.changes[#source.changes + 1] = true, look.number end
+  event.active_since, event.clock, event.time = oldest(source.raised_at), clock, time
+  local count = #source.numbers + 1
+  source.numbers[count], source.events[count], source.state = look.number, event, event
+end
+
+-- A good message: keeps what it changes; returns the controller's clock.
+local function follow(self, source, look)
+  local message, state = look.message, source.state
+  local flags, clock, is_new_clock, reboot, stale
+  if message and look.raws then
+    local kind = kind_of(self, message)
+    flags = flag_changes(source, kind, look)
+    clock = kind.clock_at and clock_of(look.payload, kind.clock_at)
+    if clock then
+      local before = source.clock
+      reboot, stale = before and clock < before or nil, before == clock or nil
+      is_new_clock, source.clock = reboot or not before, clock
+    end
+  end
+  local seq, previous, missing = look.seq, source.seq, nil
+  source.seq, source.last_time = seq, look.time
+  -- A Seq that stands still numbers nothing; a controller that reboots begins anew.
+  if seq and previous and seq ~= previous and not reboot then
+    missing = (seq - previous - 1) % 256
+    if missing == 0 then missing = nil end
+  end
+  if flags or missing or is_new_clock or stale ~= state.stale then
+    keep(source, look, { flags = flags, missing = missing, reboot = reboot, stale = stale },
+      is_new_clock and clock or state.clock, is_new_clock and look.time or state.time)
+  end
+  return clock
+end
+
+-- The numbers of a bus's messages of one kind that others answer.
+local function commands_of(self, bus, name)
+  local by_name = self.commands[bus or false]
+  if not by_name then
+    by_name = {}
+    self.commands[bus or false] = by_name
+  end
+  local numbers = by_name[name]
+  if not numbers then
+    numbers = {}
+    by_name[name] = numbers
+  end
+  return numbers
+end
+
+-- The change of a good message from what is kept.
+local function tell(self, source, look, delta, clock)
+  local place = last_until(source.numbers, look.number)
+  local state = source.events[place] or NOTHING
+  local event = source.numbers[place] == look.number and state or NOTHING
+  local message, active_since, late, drift, command_in, previous = look.message, state.active_since, nil, nil, nil, nil
+  if message then
+    local every = message.every
+    if every and delta and delta > self.late * every then late = delta end
+    if state.clock and look.raws then
+      clock = clock or clock_of(look.payload, message.time.offset + 1)
+      drift = clock and (clock - state.clock) / 1e9 - (look.time - state.time)
+    end
+    if message.answers then
+      local numbers = commands_of(self, look.bus, message.answers)
+      command_in = numbers[last_until(numbers, look.number - 1)]
+    end
+    if active_since or event.is_alarm then
+      previous = source.changes[last_until(source.changes, look.number - 1)]
+    end
+  end
+  local change = { delta = delta, missing = event.missing, late = late, reboot = event.reboot, stale = state.stale,
+    drift = drift, command_in = command_in, flags = event.flags, active_since = active_since,
+    previous_change = previous }
+  return next(change) and change
+end
+
+local function only_delta(delta)
+  return delta and { delta = delta }
+end
+
+--- Takes the next message, in the order of the capture.
+-- look     { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled or nil,
+--          raws = by index of field, nil where the payload does not fit, payload =, id =, seq =,
+--          number = of the message: it grows, and no other has it; time = seconds of the capture,
+--          good = whether the CRC, or the lack of one, says that it is whole }
+-- returns  what changed, nil where nothing is known: {
+--   delta         seconds since the source's previous good message
+--   missing       messages missing before it by their Seq
+--   late          seconds, where delta is more than a lost message or two
+--   reboot, stale true where the controller's clock went back, stood still
+--   drift         seconds: controller's clock less the capture's, since the source's first message or reboot
+--   command_in    number of the latest good message on the bus before it of those that it answers: a Command
+--   flags         { { field =, value =, raised = bits, cleared = bits } ... } of every flags field that changed; in a
+--                 source's first message all alarms that are set are raised, other flags are not told
+--   active_since  time at which the oldest alarm bit that is still set was raised
+--   previous_change  number of the message before it that changed an alarm, where one is set or changed }
+-- A message that is not good changes nothing and has its delta only.
+function History:note(look)
+  local source = self.by_key[look.source]
+  if not source then
+    source = new_source(look)
+    self.by_key[look.source], self.list[#self.list + 1] = source, source
+  end
+  local delta = source.last_time and look.time - source.last_time
+  if not look.good then return only_delta(delta) end
+  local clock = follow(self, source, look)
+  local message = look.message
+  if message and self.answered[message.name] then
+    local numbers = commands_of(self, look.bus, message.name)
+    numbers[#numbers + 1] = look.number
+  end
+  return tell(self, source, look, delta, clock)
+end
+
+--- What History:note said of a message, at any later time and in any order.
+-- look     as it was given to note, and delta = what note said, which only the caller keeps
+function History:change(look)
+  local source = self.by_key[look.source]
+  if not source or not look.good then return only_delta(look.delta) end
+  return tell(self, source, look, look.delta)
+end
+
+--- The number of the next message of a source that changes an alarm, nil where none does.
+-- number   of a message
+-- source   its key; without it the number must be that of a message that changes an alarm
+function History:next_change(number, source)
+  for _, one in ipairs(source and { self.by_key[source] } or self.list) do
+    local changes = one.changes
+    local place = last_until(changes, number)
+    if source or changes[place] == number then return changes[place + 1] end
+  end
+end
+
+--- The sources in the order in which they showed: a list of { key =, id =, bus =, message = }.
+function History:sources()
+  return self.list
+end
+
+return M

@@ -1,0 +1,223 @@
+-- Statistics in tshark (-z yapp,...): taps, output, exit codes.  Wireshark's windows are yapp_stat_menu's.  API.
+
+local M = {}
+
+local MODULES = {}
+for _, what in ipairs { "summary", "faults", "events", "csv", "check" } do MODULES[what] = "yapp_stat_" .. what end
+local FAILED = 21 -- what could not be done or told
+
+local Stat = {}
+Stat.__index = Stat
+
+--- The statistics of one plugin.
+-- plugin  { catalogue = compiled, is_whole = whether it loaded without a problem, decode =, columns = modules,
+--           late = function() -> how many periods of its message make a gap one,
+--           has_source = function(name) -> whether the user gave some source this name,
+--           unfinished = function() -> records of the messages that the capture ends before,
+--           opened = function(): records are wanted, with the names of their buses.  tshark handles -z when the file is
+--           open and init has run, before the first packet }
+-- Stat.wanted says whether anyone wants messages: ask it before making a record for Stat:offer.
+function M.new(plugin)
+  return setmetatable({ plugin = plugin, wanted = false }, Stat)
+end
+
+--- A message of the packet that is dissected, or a lost part of one.
+-- record   of yapp_stat_groups
+-- visited  pinfo.visited
+function Stat:offer(record, visited)
+  self.feed:offer(record, visited)
+end
+
+-- Output --------------------------------------------------------------------------------------------------------
+
+local function say(text)
+  io.stderr:write("yapp: ", (text:gsub("\n", "\nyapp: ")), "\n")
+end
+
+-- Ends tshark.  What other statistics of this run would still print is lost: the exit code counts for more.
+local function leave(code)
+  io.stdout:flush()
+  os.exit(code)
+end
+
+-- Standard output, with what went wrong on it: a full disk shows only here.
+local function new_output()
+  local output = {}
+  function output.write(text)
+    local ok, problem = io.stdout:write(text)
+    if not ok then output.problem = output.problem or problem end
+  end
+  function output.finish()
+    local ok, problem = io.stdout:flush()
+    if not ok then output.problem = output.problem or problem end
+    return output.problem
+  end
+  return output
+end
+
+-- Makes a folder, and those above it.
+local function make_folder(path)
+  local made = ""
+  for part, separator in path:gmatch("([^/\\]*)([/\\]*)") do
+    made = made .. part
+    if part ~= "" and not Dir.exists(made) then
+      local ok = Dir.make(made)
+      if not ok and not Dir.exists(made) then return nil, made .. ": no permission, or no place for it" end
+    end
+    made = made .. separator
+  end
+  return true
+end
+
+-- Taps ----------------------------------------------------------------------------------------------------------
+
+-- When the first packet was captured, to the microsecond: pinfo.abs_ts is a double with steps of 0.24 microseconds.
+local function begin_roughly(feed, pinfo)
+  local microseconds = math.floor(pinfo.abs_ts * 1e6 + 0.5)
+  local rest = microseconds % 1000000
+  feed:begins((microseconds - rest) / 1000000, rest * 1000, pinfo.rel_ts)
+end
+
+-- The tap that asks for the field which has it to the nanosecond; asking costs, so it goes when it knows.
+local function tap_clock(feed)
+  local clock = { tap = Listener.new("frame", "frame.time_epoch") }
+  function clock.tap.packet(pinfo)
+    if clock.is_exact then return end
+    for _, info in ipairs { all_field_infos() } do
+      if info.name == "frame.time_epoch" then
+        feed:begins(info.value.secs, info.value.nsecs, pinfo.rel_ts)
+        clock.is_exact = true
+      end
+    end
+  end
+  function clock.tap.reset() clock.is_exact = false end
+  return clock
+end
+
+-- The tap that sees every packet.
+local function tap_packets(feed)
+  local tap, clock = Listener.new("frame"), tap_clock(feed)
+  local is_kept = gui_enabled() -- where all packets may come again
+  function tap.packet(pinfo)
+    if not feed.epoch then begin_roughly(feed, pinfo) end
+    if clock and clock.is_exact and not is_kept then
+      clock.tap:remove()
+      clock = nil
+    end
+    feed:packet(pinfo.number, pinfo.rel_ts)
+  end
+  function tap.reset() feed:reset() end
+  return tap
+end
+
+local function tap_filter(feed, entry, filter)
+  local tap = Listener.new("frame", filter)
+  function tap.packet(pinfo) feed:matched(entry, pinfo.number) end
+  return tap
+end
+
+-- Begins a statistic.
+-- returns  its taps; nil and what is wrong
+function Stat:begin(options, out)
+  local plugin = self.plugin
+  local statistic, problem = require(MODULES[options.what]).new(options, { out = out,
+    clock = function(rel) return self.feed:time(rel) end, decode = plugin.decode,
+    columns = plugin.columns, catalogue = plugin.catalogue, is_whole = plugin.is_whole, late = plugin.late,
+    has_source = plugin.has_source, make_folder = make_folder })
+  if not statistic then return nil, options.what .. ": " .. problem end
+  local entry = self.feed:add(statistic, options.filter ~= nil)
+  if not options.filter then return {} end
+  local ok, tap = pcall(tap_filter, self.feed, entry, options.filter)
+  if not ok then return nil, ("the filter %s is not one: %s"):format(options.filter, tostring(tap)) end
+  return { tap }
+end
+
+function Stat:open()
+  self.feed, self.wanted = require("yapp_stat_feed").new(), true
+  self.plugin.opened()
+end
+
+function Stat:finish()
+  return self.feed:finish(self.plugin.unfinished())
+end
+
+--- Runs a statistic over all packets, in Wireshark, and returns what it says and what is wrong as one text.
+-- text  as behind -z
+function Stat:run(text)
+  local locale = os.setlocale(nil, "numeric")
+  os.setlocale("C", "numeric")
+  local said = self:run_once(text)
+  os.setlocale(locale, "numeric")
+  return said
+end
+
+function Stat:run_once(text)
+  local options, said = require("yapp_stat_options").read(text, self.plugin.catalogue), {}
+  local function out(part) said[#said + 1] = part end
+  for _, problem in ipairs(options.problems) do out(problem .. "\n") end
+  if #options.problems > 0 then return table.concat(said) end
+  self:open()
+  local taps, problem = self:begin(options, out)
+  if taps then
+    taps[#taps + 1] = tap_packets(self.feed)
+    retap_packets()
+    local ok, code, texts = pcall(self.finish, self)
+    for _, one in ipairs(ok and texts or { tostring(code) }) do out(one .. "\n") end
+    for _, tap in ipairs(taps) do tap:remove() end
+  else
+    out(problem .. "\n")
+  end
+  self.feed, self.wanted = nil, false
+  return table.concat(said)
+end
+
+-- tshark --------------------------------------------------------------------------------------------------------
+
+-- All is seen: prints, says what is wrong, ends with a code where one is due.
+local function conclude(self, output)
+  local ok, code, texts = pcall(self.finish, self)
+  if not ok then code, texts = FAILED, { tostring(code) } end
+  local problem = output.finish()
+  if problem then
+    texts[#texts + 1] = "standard output: " .. problem
+    if code == 0 then code = FAILED end
+  end
+  for _, text in ipairs(texts) do say(text) end
+  if code ~= 0 then leave(code) end
+end
+
+-- One -z argument.  Wireshark swallows an error here, so all that can fail ends with a message and a code.
+function Stat:argument(text)
+  os.setlocale("C", "numeric") -- de_DE reads no "0.5", and writes 48,2 into a table of commas
+  local options = require("yapp_stat_options").read(text, self.plugin.catalogue)
+  for _, problem in ipairs(options.problems) do say(problem) end
+  if #options.problems > 0 and not options.rules then leave(FAILED) end
+  if not self.feed then
+    self:open()
+    self.output = new_output()
+    local tap = tap_packets(self.feed)
+    function tap.draw() conclude(self, self.output) end
+  end
+  local taps, problem = self:begin(options, self.output.write)
+  if not taps then
+    say(problem)
+    leave(FAILED)
+  end
+end
+
+--- Registers -z yapp,... and, in Wireshark, the menus.
+function Stat:register()
+  local menu = gui_enabled() and require("yapp_stat_menu").register(self)
+  local function run(text)
+    if menu then return menu.show(text) end
+    local ok, problem = pcall(self.argument, self, text)
+    if not ok then
+      say(tostring(problem))
+      leave(FAILED)
+    end
+  end
+  for what in pairs(MODULES) do register_stat_cmd_arg("yapp," .. what, run) end
+  register_stat_cmd_arg("yapp", run) -- the longest name that fits is called: this one for what there is not
+end
+
+return M

@@ -1,0 +1,88 @@
+-- What carriers tell the statistics: finished messages, and parts of messages that are lost, as records (see
+-- yapp_stat_groups).  Pure Lua, 5.2 and 5.4.
+
+local M = {}
+
+local LOST = {
+  ["fragment.incomplete"] = "incomplete", ["fragment.orphan"] = "orphan", ["fragment.overrun"] = "overrun",
+}
+
+local Tell = {}
+Tell.__index = Tell
+
+--- stat    a yapp_stat
+-- reader  a yapp_reader
+function M.new(stat, reader)
+  local self = setmetatable({ stat = stat, reader = reader }, Tell)
+  self:reset()
+  return self
+end
+
+--- Forgets the capture file.
+function Tell:reset()
+  self.sources = {}
+end
+
+-- The source of a message: one table for all its records.
+local function source_of(self, m)
+  local source = self.sources[m.source_key]
+  if not source then
+    source = { key = m.source_key, bus_key = m.bus_key, bus = m.bus, name = self.reader:name_of(m.id, m.bus), id = m.id,
+      message = self.reader:message_of(m.id, m.bus) }
+    self.sources[m.source_key] = source
+  end
+  return source
+end
+
+local function record_of(source, m)
+  return { frame = m.frame, rel = m.time, source = source, seq = m.seq, payload = m.payload or "", good = false,
+    fits = false, change = false }
+end
+
+--- A finished message, read.
+-- m  of yapp_reader, with { source_key, bus_key, bus, frame, time = seconds since the first packet, visited }
+function Tell:message(m)
+  if m.status ~= "good" and m.status ~= "single" and m.status ~= "bad" then return end
+  local record = record_of(source_of(self, m), m)
+  record.good, record.is_bad, record.fits, record.change = m.good, m.status == "bad", m.raws ~= nil, m.change
+  self.stat:offer(record, m.visited)
+end
+
+--- Faults of a frame: those that say that a message, or a part of one, is lost.
+-- m       { id, seq, source_key, bus_key, bus, frame, time, visited, is_end = whether the frame is an End }
+-- faults  list of { expert, void = whether it has been taken back since }
+function Tell:faults(m, faults)
+  for _, fault in ipairs(faults) do
+    if LOST[fault.expert] then
+      local record = record_of(source_of(self, m), m)
+      record.lost, record.is_end, record.fault = LOST[fault.expert], m.is_end, fault
+      self.stat:offer(record, m.visited)
+    end
+  end
+end
+
+--- A frame of a message that has not ended: when it came, should the capture end before the message does.
+function Tell:part(m)
+  local source = source_of(self, m)
+  source.last = source.last or {}
+  source.last[m.seq] = m
+end
+
+--- The messages that the capture ends before.
+-- messages  list of { source_key, seq, frame = number of their last frame }
+-- returns   records, in the order of their frames
+function Tell:unfinished(messages)
+  local records = {}
+  for _, message in ipairs(messages) do
+    local source = self.sources[message.source_key]
+    local part = source and source.last and source.last[message.seq]
+    if part and part.frame == message.frame then
+      local record = record_of(source, part)
+      record.lost, records[#records + 1] = "unfinished", record
+    end
+  end
+  table.sort(records, function(a, b) return a.frame < b.frame end)
+  return records
+end
+
+return M
