@@ -135,7 +135,7 @@ def among_others(name, passes, options, is_right):
     All captures whose texts name the same options are shown in one run; where the frames of this one are right among
     the others', that is enough.  If not it is shown alone, and that counts: a first pass has no fields to tell the
     interfaces apart, so it may take something from its neighbours.  In test-all each is shown alone."""
-    if not levels.DEEP:
+    if not levels.ALL:
         own = make.read(name).options
         names = tuple(other for other in make.names() if make.read(other).options == own)
         frames = shown_together(names, passes, tuple(options))[name]

@@ -11,15 +11,14 @@ import tshark  # noqa: E402
 
 
 def pytest_configure(config):
-    for line in ("deep: in test-all only", "each_once: in `make test` each value once, in test-all all combinations",
-                 "xdist_group(name): in one process"):
+    for line in levels.MARKERS:
         config.addinivalue_line("markers", line)
 
 
 def pytest_collection_modifyitems(config, items):
-    if not levels.DEEP and not any("::" in argument for argument in config.args): # a test that is asked for by name runs
-        chosen = levels.quick(items)
-        config.hook.pytest_deselected(items=[item for item in items if item not in set(chosen)])
+    if not any("::" in argument for argument in config.args):  # a test that is asked for by name runs
+        chosen = levels.chosen(items)
+        config.hook.pytest_deselected(items=sorted(set(items) - set(chosen), key=items.index))
         items[:] = chosen
 
 

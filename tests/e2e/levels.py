@@ -1,24 +1,40 @@
-"""Two levels of tests: `make test` proves each behaviour once, `make test-all` (YAPP_DEEP=1) in every form and with every
-seed.
+"""How much the tests do: YAPP_LEVEL says it.
 
-    @levels.deep            a test, or a row of parameters (pytest.param(..., marks=levels.deep)), for test-all only
-    @levels.each_once       of parameters that combine: each value once is enough for `make test`
-    levels.size(80, 320)    how many random cases: in `make test`, in test-all
+    quick      each behaviour once: `make test`
+    route      of these, what may depend on how the plugin was loaded: `make test-all`, by the other route on each version
+    version    each behaviour once, all combinations of what may depend on Wireshark's version, all random cases:
+               `make test-all`, on each version
+    all        everything: `make test-all`, on this machine's version
+
+What the tests say of themselves, each by itself or a whole file by pytestmark = [...]:
+
+    @levels.deep            only where everything is done; so does a row, pytest.param(..., marks=levels.deep)
+    @levels.each_once       of parameters that combine: each value once is enough for quick
+    @levels.by_version      not less in version than in all
+    @levels.by_route        done in route
     @levels.together("x")   tests that share what they asked tshark for run in one process
+    levels.size(80, 320)    so many random cases: in quick and route, in version and all
 """
 import os
 
 import pytest
 
-DEEP = os.environ.get("YAPP_DEEP", "") not in ("", "0")
+LEVEL = os.environ.get("YAPP_LEVEL") or "quick"
+assert LEVEL in ("quick", "route", "version", "all"), f"YAPP_LEVEL is {LEVEL}"
+ALL = LEVEL == "all"
 
 deep = pytest.mark.deep
 each_once = pytest.mark.each_once
+by_version = pytest.mark.by_version
+by_route = pytest.mark.by_route
 together = pytest.mark.xdist_group
+
+MARKERS = ["deep: only in the level all", "each_once: in the level quick each value once", "by_version: all in the level version",
+           "by_route: in the level route", "xdist_group(name): in one process"]
 
 
 def size(some, many):
-    return many if DEEP else some
+    return many if LEVEL in ("version", "all") else some
 
 
 def places(items):
@@ -39,12 +55,16 @@ def each_value(items):
     return [item for item in items if any(all(step % length == place for place, length in where[item]) for step in steps)]
 
 
-def quick(items):
-    """The tests that `make test` runs."""
-    kept = [item for item in items if not item.get_closest_marker("deep")]
+def chosen(items):
+    """The tests of this level."""
+    def is_whole(item):
+        return ALL or LEVEL == "version" and item.get_closest_marker("by_version")
+
+    kept = [item for item in items if is_whole(item) or not item.get_closest_marker("deep")]
     combined = {}
     for item in kept:
-        if item.get_closest_marker("each_once"):
+        if item.get_closest_marker("each_once") and not is_whole(item):
             combined.setdefault(item.function, []).append(item)
-    chosen = {item for one in combined.values() for item in each_value(one)}
-    return [item for item in kept if item.function not in combined or item in chosen]
+    once = {item for one in combined.values() for item in each_value(one)}
+    return [item for item in kept if (item.function not in combined or item in once) and
+            (LEVEL != "route" or item.get_closest_marker("by_route"))]

@@ -1,6 +1,6 @@
 """Random CAN captures against their truth, in one pass and in two.
 
-    python3 -m pytest tests/e2e/test_can_soak.py        some small captures; more with YAPP_DEEP=1
+    python3 -m pytest tests/e2e/test_can_soak.py        some small captures; more with YAPP_LEVEL=all
     make soak                                           1,000 captures, about a million frames: the same with
                                                         YAPP_SOAK_CAPTURES=1000 YAPP_SOAK_FRAMES=1000
 

@@ -162,6 +162,7 @@ def assert_frames(shown, frames, times):
         assert [row["frame.time_epoch"] for row in shown] == times
 
 
+@levels.by_version
 @levels.each_once
 @pytest.mark.parametrize("way", ["one pass", "-2", "written"])
 @pytest.mark.parametrize("name, frames, start", FILES, ids=[row[0] for row in FILES])

@@ -16,7 +16,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captu
 import expected  # noqa: E402
 import make  # noqa: E402
 
-pytestmark = levels.together("captures")
+pytestmark = [levels.by_route, levels.together("captures")]
 NAMES = make.names()
 MOTOR = bytes.fromhex("FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000" "0000E38CD23CE04E000005FF")
 

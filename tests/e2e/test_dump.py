@@ -250,6 +250,7 @@ def some(seed=SEED):
     return b"\r\n> " + clocked(rng, 20)
 
 
+@levels.by_route
 @pytest.mark.parametrize("name", ["run", "run.bin", "run.log", "run.yapp.bak", "-"])
 def test_any_other_name(name, folder):
     """It is not taken unless the user says what it is."""
@@ -299,6 +300,7 @@ def at(payload, seconds):
     return payload[:where] + struct.pack("<q", now) + payload[where + 8:]
 
 
+@levels.by_route
 def test_the_capture_of_the_repository(folder):
     """It is made of what is written here."""
     command = frame(0, bytes.fromhex("015A014F80F380"))
@@ -400,6 +402,7 @@ def test_captures_named_yapp(name, folder):
     assert done == outcome(dump(folder, WITH_FRAMES[name], "file"))[0]
 
 
+@levels.by_route
 @levels.each_once
 @pytest.mark.parametrize("name", ["file", "file.bin", "file.other"])
 @pytest.mark.parametrize("kind", ["r", "rs"])

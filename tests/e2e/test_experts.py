@@ -13,7 +13,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captu
 import expected  # noqa: E402
 import make  # noqa: E402
 
-pytestmark = levels.together("captures")
+pytestmark = [levels.by_route, levels.together("captures")]
 WIDE = {"-o": ["-o", "yapp.all_extended:TRUE"], "-d": ["-d", "can.subdissector,yapp_all"]}
 
 # Every capture with expert items of YAPP's own: the frames of each.  Captures not named here have none.

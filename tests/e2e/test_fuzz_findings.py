@@ -60,6 +60,7 @@ INIT = ("yapp.lua", "function yapp.init")
 
 
 @levels.deep
+@levels.by_version
 @pytest.mark.parametrize("installed", [False, True], ids=["script", "plugin"])
 @pytest.mark.parametrize("way", fuzz.WAYS, ids=short)
 def test_every_way_sees_an_error(planted, way, installed):

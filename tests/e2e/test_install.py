@@ -4,9 +4,11 @@ import pathlib
 import shutil
 import uuid
 
+import levels
 import pytest
 import tshark
 
+pytestmark = levels.by_route
 CAPTURE = tshark.CAPTURES / "document_motor.pcap"
 GLOBALS = pathlib.Path(__file__).with_name("globals.lua")
 PLUGINS = ".local/lib/wireshark/plugins"
@@ -122,13 +124,13 @@ def test_a_copy_in_the_former_plugin_folder(home):
 
 
 def clone(folder):
-    install(folder)
-    (folder / "tests/unit").mkdir(parents=True)
+    """With the tests: Wireshark runs all of its .lua files."""
+    shutil.copytree(tshark.ROOT, folder, ignore=shutil.ignore_patterns(".git", "docs", "dist", "fuzz_*"))
 
 
 def test_a_clone_in_a_plugin_folder(home):
     clone(home / PLUGINS / "clone")
-    errors = load(home)
+    errors = load(home, cwd=home)
     assert len(errors) == 1 and "clone of the repository" in errors[0] and "make install" in errors[0]
 
 
@@ -136,7 +138,7 @@ def test_a_clone_in_a_plugin_folder(home):
 def test_a_clone_beside_an_installation(home, name):
     clone(home / PLUGINS / name)
     install(home / PLUGINS / "yapp")
-    errors = load(home)
+    errors = load(home, cwd=home)
     assert any(name in line and "make install" in line for line in errors), errors
     assert sum("is not loaded" in line for line in errors) == 1
 
@@ -148,14 +150,6 @@ def test_about_plugins(home):
     done = tshark.run("-G", "plugins", plugin=False, env={"HOME": str(home)})
     line, = (line.split("\t") for line in done.stdout.splitlines() if line.startswith("yapp.lua"))
     assert line[1] == tshark.plugin_version()
-
-
-def test_a_clone_in_the_plugin_folder(home):
-    """Wireshark runs every .lua file in it, those of the tests too."""
-    clone = home / PLUGINS / "clone"
-    shutil.copytree(tshark.ROOT, clone, ignore=shutil.ignore_patterns(".git", "test_captures", "dist"))
-    line, = load(home, cwd=home)
-    assert line.startswith("yapp: ") and str(clone) in line and "clone" in line and "make install" in line
 
 
 def test_file_names_cannot_clash():

@@ -4,6 +4,7 @@ import sys
 
 import pytest
 
+import levels
 import model
 import tshark
 
@@ -11,6 +12,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captu
 import expected  # noqa: E402
 import make  # noqa: E402
 
+pytestmark = levels.by_route
 MOTOR = "FD 7F FD 7F FD 7F FD 7F F5 AF FD 7F 18 01 00 00 01 40 00 00 00 00 E3 8C D2 3C E0 4E 00 00 05 FF"
 HEALTH = "00 CA 9A 3B 00 00 00 00 7D 32 5A 46 50 19 64 01 03"
 

@@ -13,6 +13,7 @@ import levels
 import tshark
 from can_generator import Frame, Sent
 
+pytestmark = levels.by_version
 COMMAND = bytes.fromhex("015A014F80F380")
 MOTOR = bytes(range(1, 33))
 PASSES = [(), ("-2",), ("-2", "-Y", "frame"), ("-2", "-R", "frame"), ("-Y", "frame")]
@@ -322,6 +323,7 @@ def test_ids_in_the_byte_order_of_the_machine(arguments, passes, folder):
     assert rows == [["0x00000210", ""]] * 4 + [["0x00000210", "1"]] + [["0x00000123", ""]] * 4 + [["0x00000123", "1"]]
 
 
+@levels.by_route
 def test_the_document_as_text_in_a_tree(folder):
     shutil.copy(tshark.CAPTURES / "candump_document.txt", folder / "document.txt")
     assert shown(folder / "document.txt", "yapp.crc.status") == [[""], [""], [""], [""], ["1"]]

@@ -8,9 +8,10 @@ import subprocess
 import pytest
 
 import can_generator
+import levels
 import tshark
 
-pytestmark = pytest.mark.skipif(not shutil.which("sharkd"), reason="sharkd is not installed")
+pytestmark = [levels.by_route, pytest.mark.skipif(not shutil.which("sharkd"), reason="sharkd is not installed")]
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """Serial streams over every carrier, against their truth, in one pass and in two.
 
-    python3 -m pytest tests/e2e/test_streams.py                                some random streams; more with YAPP_DEEP=1
+    python3 -m pytest tests/e2e/test_streams.py                                some random streams; more with YAPP_LEVEL=all
     YAPP_SOAK_STREAMS=1000 python3 -m pytest -s tests/e2e/test_streams.py      a thousand
 
 YAPP_SEED chooses other ones.  A failure says which carrier, seed and packet.
@@ -336,7 +336,7 @@ def test_situation(name):
     """All those over one carrier in one file, and alone where something is wrong there; in test-all each alone."""
     together = tuple(other for other in SITUATIONS if SITUATIONS[other][0] == SITUATIONS[name][0])
     for passes in PASSES:
-        if levels.DEEP or problems_of(together, passes):
+        if levels.ALL or problems_of(together, passes):
             problems = problems_of((name,), passes)
             assert not problems, f"{passes}:\n" + "\n".join(problems)
 

@@ -1,7 +1,9 @@
 """The tests' own way to run tshark sees what goes wrong in Lua, whatever is asked for: exit code 0 proves nothing."""
+import levels
 import pytest
 import tshark
 
+pytestmark = levels.by_route
 CAPTURE = tshark.CAPTURES / "document_motor.pcap"
 PLANTED = """
 local planted = Proto("planted", "Planted")

@@ -1,12 +1,7 @@
 -- Runs the pure tests: lua5.2 tests/unit/run.lua tests/unit/test_*.lua, from the top of the repository.
--- Wireshark runs every .lua file below its plugin folder, so also those of a clone of the repository there: without a
--- command line (arg) this file says so, and the others in this folder do nothing.
-if not arg then
-  local here = debug.getinfo(1, "S").source:match("^@(.*)[/\\]tests[/\\]unit[/\\]") or "this folder"
-  io.stderr:write(("yapp: %s is a clone of the repository inside the plugin folder: keep it elsewhere, and run " ..
-    "`make install` there\n"):format(here))
-  return
-end
+-- Wireshark runs every .lua file below its plugin folder, so also these, of a clone of the repository there: without a
+-- command line (arg) they do nothing, and yapp.lua says that the clone does not belong there.
+if not arg then return end
 
 -- Some releases package LuaUnit, one file for every Lua, for later Luas only.
 package.path = "./yapp/?.lua;./?.lua;./tests/unit/?.lua;" .. package.path .. ";/usr/share/lua/5.4/?.lua"

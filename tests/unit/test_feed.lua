@@ -1,4 +1,5 @@
 -- From the dissection to the statistics: passes, filters, parts of one message, times.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local feed_of = require("yapp_stat_feed")
 

@@ -1,4 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local asc = require("yapp_file_asc")
 

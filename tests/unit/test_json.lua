@@ -1,4 +1,5 @@
 -- The JSON writer.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local json = require("yapp_stat_json")
 

@@ -1,5 +1,6 @@
 -- Statistics from tables of records: what is counted, what is printed, how a gate ends.
 -- luacheck: no max string line length (tables as they are printed)
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local options_of = require("yapp_stat_options")
 local feed_of = require("yapp_stat_feed")

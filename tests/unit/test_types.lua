@@ -1,4 +1,5 @@
 -- Every type that a row of the catalogue may have, at its limits: the raw value, the value, the row of CSV.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp_catalogue")
 local columns = require("yapp_decode_columns")
