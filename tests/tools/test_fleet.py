@@ -12,6 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 from distributed import LocalCluster
 from running import FAKE, motor_row, run_tables
+from yapp_tables.fleet import Failure, Progress
+from yapp_tables.results import MadeBy, Result
 
 COUNT = 24
 
@@ -115,3 +117,24 @@ def test_no_scheduler_is_a_sentence(fleet):
     done = convert(fleet, "--scheduler", "tcp://127.0.0.1:1")
     assert done.returncode == 2
     assert "no Dask scheduler answers at tcp://127.0.0.1:1" in done.stderr
+
+
+def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere(make_capture, capsys):
+    capture, other = make_capture("a.pcap", motor=[]), make_capture("b.pcap", motor=[])
+    size = capture.stat().st_size
+    for terminal in (True, False):
+        progress = Progress(files=2, bytes=2 * size, terminal=terminal)
+        progress.done(capture, Result(str(capture), size, 0, MadeBy("1", "c"), (), 1234), None)
+        progress.show()
+        shown = capsys.readouterr().err
+        if terminal:
+            assert shown.startswith("\r\x1b[K[############------------] 1/2 files, ")
+            assert ", 1,234 messages, " in shown
+            assert shown.endswith(" left")
+        else:
+            assert shown == ""
+        progress.done(other, None, Failure(other, "no YAPP messages in it"))
+        told, last = capsys.readouterr().err.strip().split("\n")
+        assert told.endswith(f"{other}: no YAPP messages in it")
+        assert "2/2 files" in last
+        assert "1 failed" in last

@@ -23,7 +23,7 @@ def page(tmp_path_factory):
     return folder / "flight.html", truth
 
 
-def open_browser(path, phone=False):
+def open_browser(path, phone=False, way="svg"):
     options = webdriver.ChromeOptions()
     for argument in ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--window-size=1300,1000"):
         options.add_argument(argument)
@@ -32,7 +32,7 @@ def open_browser(path, phone=False):
     if phone:
         metrics = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-    browser.get(path.as_uri())
+    browser.get(f"{path.as_uri()}#{way}")
     for _ in range(600):
         if browser.execute_script("return document.documentElement.dataset.ready"):
             return browser
@@ -40,9 +40,9 @@ def open_browser(path, phone=False):
     raise AssertionError(browser.get_log("browser"))
 
 
-@pytest.fixture(scope="module")
-def browser(page):
-    browser = open_browser(page[0])
+@pytest.fixture(scope="module", params=["svg", "webgl"])
+def browser(page, request):
+    browser = open_browser(page[0], way=request.param)
     yield browser
     browser.quit()
 
@@ -88,7 +88,7 @@ def test_it_opens_without_an_error_and_asks_the_network_for_nothing(browser, pag
     asked = [
         message["params"]["request"]["url"] for message in messages if message["method"] == "Network.requestWillBeSent"
     ]
-    assert [url for url in asked if not url.startswith(("data:", "blob:"))] == [page[0].as_uri()]
+    assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {page[0].as_uri()}
 
 
 def test_the_fault_table_has_the_truths_rows(browser, page):

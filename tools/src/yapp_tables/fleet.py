@@ -19,7 +19,7 @@ from .results import Result
 
 TRIES = 3
 SCHEDULER_SECONDS = 30
-LINE_SECONDS = 10
+LINE_SECONDS = 30
 BAR = 24
 
 

@@ -76,7 +76,8 @@
   // ---- samples
 
   function numbers(text, Kind) {
-    const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    const letters = atob(text), bytes = new Uint8Array(letters.length);
+    for (let i = 0; i < letters.length; i++) bytes[i] = letters.charCodeAt(i);
     return new Kind(bytes.buffer);
   }
 
@@ -115,12 +116,19 @@
 
   // ---- pictures
 
+  // Whether WebGL is drawn by a graphics card: where the processor has to, SVG is faster.  #webgl and #svg force either.
+  function hasGpu() {
+    if (location.hash) return location.hash === "#webgl";
+    const gl = document.createElement("canvas").getContext("webgl");
+    const about = gl?.getExtension("WEBGL_debug_renderer_info");
+    return Boolean(gl) && !/swiftshader|llvmpipe|software/i.test(about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : "");
+  }
+
   const times = data.times.map((text) => numbers(text, Float64Array));
   const whole = [0, Math.max(data.length, 0.001)];
   const lines = [], others = [], axes = {}, notes = [];
   const plot = byId("plot");
-  // WebGL where there is any: some machines have none.
-  const LINE = document.createElement("canvas").getContext("webgl") ? "scattergl" : "scatter";
+  const LINE = hasGpu() ? "scattergl" : "scatter";
   let room = 0, rowsOfBars = [];
 
   // What a panel's dashes mean, in lines.

@@ -39,7 +39,8 @@ ROLES = {
 CRC_GOOD = "crc_good"
 # The reserved counts that are numbers; `above` and `below` the range are none.
 SPECIAL = {"nan": float("nan"), "inf": float("inf"), "-inf": float("-inf")}
-BLOCK_BYTES = 8 << 20
+# Arrow reads up to 32 blocks ahead.
+BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
