@@ -105,13 +105,15 @@ end
 -- that nobody else takes, so there is none before somebody wants it.
 local is_wide, is_heuristic = false, false -- is_wide: the preference
 
+local function unclaimed(tvb, pinfo, root)
+  return is_wide and all.dissector(tvb, pinfo, root) > 0
+end
+
 local function take_all()
   parts.can_wrapper.wrap(socketcan, facts)
   if is_heuristic then return end
   is_heuristic = true
-  all:register_heuristic("can", function(tvb, pinfo, root)
-    return is_wide and all.dissector(tvb, pinfo, root) > 0
-  end)
+  all:register_heuristic("can", unclaimed)
 end
 
 -- Called from the table of ids, where match_uint is the CAN id; and by Decode As under the name that version 1 had for
@@ -204,7 +206,7 @@ function yapp.init()
   preferences.complain_once(problems)
   local options = {
     size_of = function(id, bus) return reader:size_of(id, facts:bus_name(bus)) end,
-    new_history = function() return parts.history.new { late = late } end,
+    new_history = function() return parts.history.new { late = late, catalogue = catalogue } end,
     has_buses = facts:are_several(),
   }
   reader:reset()

@@ -37,10 +37,11 @@ local function next_look(pass, number, place)
     pass.highest, pass.latest, pass.place = number, number, place
     return number
   end
-  local is_same = place == pass.place
-  if is_same and pass.kept.entries[pass.latest] == nil then return pass.latest end -- it was not taken the first time
+  if place == pass.place and pass.kept.entries[pass.latest] == nil then return pass.latest end -- it was left to others
   local places = pass.repeats[number] or { [pass.place] = pass.latest }
-  if is_same then pass.is_filtered = true end
+  if place <= pass.place then -- another packet: a read filter rejected the one before
+    pass.is_filtered, places = true, {}
+  end
   pass.latest, pass.place = pass.latest + STEP, place
   places[place] = pass.latest
   pass.repeats[number] = places

@@ -27,6 +27,7 @@ function M.new(parts, size_of)
   return setmetatable({
     can_id = parts.can_id, crc = parts.crc, parts = parts, size_of = size_of, kept = parts.can_frames.new(parts.can_id),
     open = {}, open_count = 0, queue = {}, queue_length = 0, credit = MAX_CREDIT, seeds = {}, seed_count = 0,
+    claimed = {}, -- unknown IDs of which a Start without a Seq has come: then others may have one
   }, Reassembly)
 end
 
@@ -176,7 +177,9 @@ local function start(self, slot, address, frame)
   if not frame.wide then -- a plausible one, or for a known ID one that the capture cut
     if address.ctl ~= 0 or frame.reported ~= 8 or not (reserved or known) then return false end
     if reserved and (reserved ~= 0 or size <= 8 or known and size ~= known) then return false end
+    if not known and address.seq ~= 0 and not self.claimed[address.id] then return false end
   end
+  if not known then self.claimed[address.id] = true end
   local open = self.open[slot]
   if open then
     overtake(self, slot, open, frame)

@@ -193,19 +193,16 @@ local function is_refused(self, tvb, pinfo)
 end
 
 --- The id of the current frame, which came by Decode As.
--- returns  29-bit id; nil where it is not an extended data frame; nil and true where nothing says
+-- returns  29-bit id; nil where it is not an extended frame; nil and true where nothing says
 function Facts:find_id(tvb, pinfo)
   if self.header_number == pinfo.number then return self.header_id end
   if is_refused(self, tvb, pinfo) then return self.refused.can_id end
   local fields, is_whole = can_fields(self, pinfo.number)
   local id, extended = fields["can.id"], fields["can.flags.xtd"]
-  if is_whole then
-    local data = is_true(extended) and not is_true(fields["can.flags.rtr"])
-    return data and id and id % MASK or nil
-  end
+  if is_whole then return is_true(extended) and id and id % MASK or nil end
   local text = column(pinfo)
   if not text then return nil, true end
-  return not text:find("Remote", 1, true) and tonumber(text:match("Ext%. ID: (%d+)")) or nil
+  return tonumber(text:match("Ext%. ID: (%d+)"))
 end
 
 --- Whether the current frame, which came with 0 for its id, did so by Decode As and not from the table of ids: it has

@@ -12,7 +12,8 @@ Reader.__index = Reader
 -- catalogue  compiled
 -- stat      { wanted = whether anyone wants to be told of messages }
 function M.new(decode, catalogue, stat)
-  return setmetatable({ decode = decode, messages = catalogue.messages, stat = stat, by_id = {}, hinted = {} }, Reader)
+  return setmetatable({ decode = decode, messages = catalogue.messages, stat = stat, by_id = {}, is_by_id = true,
+    hinted = {} }, Reader)
 end
 
 --- Tells someone of what is read, of what is lost, and of parts, while stat wants it.

@@ -299,8 +299,9 @@ local LINKS = { "command_in", "previous_change", "next_change" } -- in a change 
 -- packet   from look, for this fact
 -- index    of the frame among its events
 -- fact     as given to look
--- returns  a change, or nil; its numbers are those of packets
+-- returns  a change, or nil, as for a frame that is not good; its numbers are those of packets
 function Memory.change(_, message, packet, index, fact)
+  if not message.good then return nil end
   local pass, piece, number, change = packet.pass, packet.piece, fact.number
   message.number = number + (fact.place + (packet.events[index].at or 0)) * PLACE
   if packet.is_now then

@@ -124,8 +124,9 @@ class Open:
     crc: int
     reserved: int
     members: list
-    data: bytes = b""
+    chunks: list = dataclasses.field(default_factory=list)  # the frames behind the Start
     received: int = 0
+    repeated: int = 0  # bytes of Middles that are the frame before them once more
     snapped: bool = False
     overrun: bool = False
 
@@ -133,8 +134,9 @@ class Open:
 class Bus:
     """One bus: says what each frame is, strictly by the rules."""
 
-    def __init__(self, wide):
+    def __init__(self, wide, claimed):
         self.wide, self.open, self.verdicts = wide, {}, {}
+        self.claimed = claimed  # unknown IDs that had a Start without a Seq, on any bus
         self.cuts = {}  # key: Starts to come until a broken message, which may be another bus's, is forgotten
 
     def frame(self, number, frame):
@@ -172,6 +174,8 @@ class Bus:
         if len(frame.kept) < 8:
             return kind is not None
         _, size, reserved = struct.unpack("<IHH", frame.data)
+        if kind is None and key[2] and key[0] not in self.claimed:
+            return False
         return reserved == 0 and size > 8 and (kind is None or size == SIZES[kind])
 
     @staticmethod
@@ -188,6 +192,8 @@ class Bus:
             verdict.payload = frame.data[:SIZES[kind]]
 
     def start(self, verdict, number, key, kind, frame):
+        if kind is None:
+            self.claimed.add(key[0])
         self.cuts[key] = max(0, self.cuts.get(key, 0) - 1)
         before = self.open.pop(key, None)
         if before:
@@ -215,29 +221,53 @@ class Bus:
         if not message:
             verdict.experts.add("fragment.orphan")
             return
-        padding = fits(frame, message.size - message.received) if is_end else None
+        if not message.overrun and message.chunks and message.chunks[-1].data == frame.data:
+            message.repeated += len(frame.data)
         message.members.append(number)
-        message.received += len(frame.data) - (padding or 0)
-        message.data += frame.data[:len(frame.data) - (padding or 0)]
+        message.chunks.append(frame)
+        message.received += len(frame.data)
         message.snapped = message.snapped or len(frame.kept) < len(frame.data)
         if is_end:
             del self.open[key]
-        if is_end and message.received != message.size:
-            self.cuts[key] = 4
-        if message.received > message.size:
+            self.end(verdict, number, key, kind, message)
+        elif message.overrun or message.received > message.size + min(message.repeated, 8 * len(frame.data)):
             message.overrun = True
             verdict.experts.add("fragment.overrun")
-        elif is_end and message.received < message.size:
-            verdict.experts.add("fragment.incomplete")
-        elif is_end:
-            verdict.padding = padding or 0
-            self.whole(verdict, number, key, kind, message)
+
+    def end(self, verdict, number, key, kind, message):
+        """A message has one End: the bytes are right, or without frames that came twice, or the message is broken."""
+        before = message.received - len(message.chunks[-1].data)
+        padding = fits(message.chunks[-1], message.size - before)
+        if padding is None and not message.snapped and not message.overrun:
+            padding = self.without_repeated(key, message)
+        if padding is not None and not message.overrun:
+            verdict.padding = padding
+            return self.whole(verdict, number, key, kind, message)
+        self.cuts[key] = 4
+        verdict.experts.add("fragment.incomplete" if message.received < message.size else "fragment.overrun")
+
+    @staticmethod
+    def without_repeated(key, message):
+        """CAN may deliver a frame twice: leaves out those without which the CRC is right; returns the padding then."""
+        doubtful = [at for at in range(1, len(message.chunks) - 1) if message.chunks[at].data == message.chunks[at - 1].data]
+        for count in range(1, len(doubtful) + 1):
+            for out in itertools.combinations(doubtful, count):
+                kept = [chunk for at, chunk in enumerate(message.chunks) if at not in out]
+                padding = fits(kept[-1], message.size - sum(len(chunk.data) for chunk in kept[:-1]))
+                data = b"".join(chunk.data for chunk in kept)[:message.size]
+                if padding is not None and message_crc(key[0], key[1], key[2], data, message.reserved) == message.crc:
+                    message.members = [message.members[0], *(member for at, member in enumerate(message.members[1:])
+                                                             if at not in out)]
+                    message.chunks = kept
+                    return padding
+        return None
 
     def whole(self, verdict, number, key, kind, message):
         msg, ctl, seq = key
-        good = message_crc(msg, ctl, seq, message.data, message.reserved) == message.crc
+        data = b"".join(chunk.data for chunk in message.chunks)[:message.size]
+        good = message_crc(msg, ctl, seq, data, message.reserved) == message.crc
         verdict.status = 2 if message.snapped else 1 if good else 0
-        verdict.payload, verdict.members = message.data, message.members
+        verdict.payload, verdict.members = data, message.members
         if verdict.status == 0:
             verdict.experts.add("crc.bad")
             self.cuts[key] = 4
@@ -508,9 +538,9 @@ class Capture:
 
     def __init__(self, frames, layout, wide):
         self.frames, self.layout, self.wide = frames, layout, wide
-        buses = {}
+        buses, claimed = {}, set()
         for number, frame in enumerate(frames, 1):
-            buses.setdefault(frame.bus, Bus(wide)).frame(number, frame)
+            buses.setdefault(frame.bus, Bus(wide, claimed)).frame(number, frame)
         self.verdicts = {number: verdict for bus in buses.values() for number, verdict in bus.verdicts.items()}
         self.numbers_of, self.status_of = {}, {}
         for number, frame in enumerate(frames, 1):

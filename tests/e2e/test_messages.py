@@ -44,7 +44,9 @@ def shown(name, *options):
     for number, (info, block) in enumerate(zip(infos, blocks), 1):
         kept = [line for line in block.splitlines() if not re.match(r" +\[(Severity|Group|[^\]:]*\]$)", line)]
         lines += [f"frame {number}: " + info[0].replace("\\\\", "\\"), *(f"    {line}".rstrip() for line in kept)]
-    text = "".join(f"{line}\n" for line in lines)
+    # What is new since the message before it is another test's.
+    news = r" +\[(.* (raised|cleared): |Time since |.* change in: |Clock drift|Expert Info .*: A fault was )"
+    text = "".join(f"{line}\n" for line in lines if not re.match(news, line))
     # Versions differ in the digits of very large and very small numbers, and of times.
     text = re.sub(r"\b\d[.\d]*e[-+]\d+", lambda match: f"{float(match[0]):.6g}", text)
     return re.sub(r"(?m)(\d[.\d]*) seconds?$", lambda match: f"{float(match[1]):.9f} seconds", text)

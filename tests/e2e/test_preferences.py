@@ -241,9 +241,9 @@ def test_adding_a_message_is_adding_an_entry(folder):
                       "-e", "taurus.fault.active", **options)
     rows = [[{"True": "1", "False": "0"}.get(value, value) for value in line.split("\t")]
             for line in done.stdout.splitlines()]
-    assert [row[0] for row in rows[:3]] == ["ESC Status  On  50.0 %  WARNING hot, cold",
-                                            "ESC Status  invalid 0x2  NaN %  WARNING undefined 0x2",
-                                            "ESC Status  Off  0.0 %"]
+    assert [row[0] for row in rows[:3]] == ["ESC Status 0x220  On  50.0 %  WARNING hot, cold",
+                                            "ESC Status 0x220  invalid 0x2  NaN %  WARNING undefined 0x2",
+                                            "ESC Status 0x221  Off  0.0 %"]  # two IDs carry it
     assert rows[0][1:8] == ["0x01", "50", "", "0x8001", "1", "1", "4660"]
     assert rows[1][1:8] == ["0x02", "", "0", "0x0002", "0", "0", "0"]
     assert [[bool(value) for value in row[8:]] for row in rows[:3]] == [
@@ -260,9 +260,8 @@ def install(home, name):
     return folder
 
 
-# Folders with the plugin, whether -X gives it too, and how often it says that it is there already.  Wireshark itself
-# passes over a file whose name it has loaded from another folder.
-PLACES = [(["yapp"], False, 0), ([], True, 0), (["yapp"], True, 1), (["yapp", "yapp_old"], False, 0)]
+# Folders with the plugin, whether -X gives it too, and how often it says that it is there already.
+PLACES = [(["yapp"], False, 0), ([], True, 0), (["yapp"], True, 1), (["yapp", "yapp_old"], False, 1)]
 
 
 @pytest.mark.parametrize("installed, script, said", PLACES)

@@ -221,6 +221,9 @@ function T.test_only_what_is_surely_yapp_is_claimed()
     { "S33 M8", "- orphan+fragment.orphan", { ids = MOTOR } },
     { "S32 M8 S33 M8 M8 E8", "part part - part part bad", { ids = MOTOR } },
     { "S9", "-", { ids = { [""] = { 0x123, 1, 0 } } } },
+    { "aS9 aM8 aE1 bS9 bM8 bE1 aS9 aM8 aE1", "- - - part part good part part good", -- once the ID is known as YAPP's
+      { ids = { a = { 0x123, 0, 9 }, b = { 0x123, 0, 0 } }, buses = false } },
+    { "S32 M8", "part part", { ids = { [""] = { 0x210, 0, 9 } } } },
     { "X8", "-", { ids = MOTOR } },
   }
   check({ -- the user says that all is YAPP
@@ -352,7 +355,7 @@ function T.test_the_newest_messages_survive_a_flood()
   local state = bus.reassembler()
   local payload = ("y"):rep(16)
   local function send(seq, ctrl, data, number)
-    return bus.frame(state, { bus.can_id(0x123, ctrl, 0, seq), look = number, data = data, bus = 1 })
+    return bus.frame(state, { bus.can_id(0x123, ctrl, 0, seq), look = number, data = data, bus = 1, wide = true })
   end
   local other = bus.start(5, 0, 0, ("x"):rep(2000))
   send(1, 1, bus.start(0x123, 0, 1, payload), 1)

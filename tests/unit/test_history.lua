@@ -1,4 +1,5 @@
 -- The history of sources: what changes from one good message to the next, in order and on later looks.
+if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local history = require("yapp_history")
 
