@@ -29,7 +29,7 @@ needs-python:
 
 needs-tests: needs-tshark
 	$(call install-missing,lua5.2 lua5.4 luacheck pytest-3 candump zip,lua5.2 lua5.4 lua-check lua-unit python3-pytest \
-	  python3-pytest-xdist python3-can python3-serial can-utils zip,/usr/bin/python3 -c 'import xdist, can, serial' 2>/dev/null)
+	  python3-pytest-xdist python3-can python3-serial can-utils zip,/usr/bin/python3 -c 'import xdist; import can; import serial' 2>/dev/null)
 
 ## The packet list and the decoded tree: of the specification's captures, or of CAPTURE=file
 demo: needs-tshark
