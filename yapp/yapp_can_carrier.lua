@@ -8,7 +8,7 @@ local STATUS_TEXT = {
 local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 local MAX_KEPT = 64 -- texts kept for the parts of long messages
 
-local KINDS, START -- of yapp_can_id; set in M.new
+local KINDS, START, address_of -- of yapp_can_id; set in M.new
 
 local Carrier = {}
 Carrier.__index = Carrier
@@ -20,7 +20,7 @@ Carrier.__index = Carrier
 -- facts    a yapp_facts
 -- claim    function(id): a frame of a message that is not in the catalogue was taken
 function M.new(parts, tree, reader, facts, claim)
-  KINDS, START = parts.can_id.KINDS, parts.can_id.START
+  KINDS, START, address_of = parts.can_id.KINDS, parts.can_id.START, parts.can_id.address
   return setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, claim = claim }, Carrier)
 end
 
@@ -28,7 +28,7 @@ end
 -- options  as for yapp_can_memory.new
 function Carrier:reset(options)
   self.memory = self.parts.can_memory.new(self.parts, options)
-  self.names = {} -- [name of the bus or false][id]: see names_of
+  self.names = {} -- [bus or false][id]: see names_of
 end
 
 --- Dissects one frame.
@@ -44,11 +44,10 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
     return 0
   end
   facts.wide = is_wide
-  local address = self.parts.can_id.address(can_id)
+  local address = address_of(can_id)
   local record = memory:look(address, facts)
   if not record then return 0 end
-  self.claim(address.id)
-  local names, wants = self:names_of(address.id, self.facts:bus_name(facts.bus)), self.tree:wants(tree, facts.is_again)
+  local names, wants = self:names_of(address.id, facts.bus), self.tree:wants(tree, facts.is_again)
   local columns = pinfo.cols
   columns.protocol = "YAPP"
   columns.src = names.source
@@ -92,20 +91,22 @@ local function key_of(bus, id)
   return (bus or -1) * 0x800 + id
 end
 
+-- What is said of an ID for the first time.
+local function new_names(self, id, bus)
+  local of_bus, name = self.names[bus or false] or {}, self.facts:bus_name(bus)
+  self.names[bus or false] = of_bus
+  of_bus[id] = { bus = name, name = self.reader:label(id, name), source = self.reader:source_text(id, name),
+    texts = {} }
+  self.claim(id)
+  return of_bus[id]
+end
+
 --- What the messages of an ID are called, and texts of their parts: { bus = name of the bus or nil, name = in the Info
--- column, source = in the column Source }.
+-- column, source = in the column Source, texts }.
+-- bus  number or nil
 function Carrier:names_of(id, bus)
   local of_bus = self.names[bus or false]
-  if not of_bus then
-    of_bus = {}
-    self.names[bus or false] = of_bus
-  end
-  local names = of_bus[id]
-  if not names then
-    names = { bus = bus, name = self.reader:label(id, bus), source = self.reader:source_text(id, bus), texts = {} }
-    of_bus[id] = names
-  end
-  return names
+  return of_bus and of_bus[id] or new_names(self, id, bus)
 end
 
 -- A view is what all of the following look at: { tvb, pinfo, tree, wants, address, facts, record, names, item = YAPP's

@@ -192,9 +192,16 @@ end
 
 -- is_now  whether the look was made now; message, alone: what kept:entry says of it
 local function record_of(self, pass, look, is_now, message, alone)
-  local record = { pass = pass, look = look, message = message, alone = alone, faults = pass.kept.faults[look],
-    is_now = is_now, is_last = message ~= nil and message.last == look }
-  if message and not record.is_last and (self.is_again or message.last) then link(self, record, message) end
+  local record = { pass = pass, look = look, message = message, is_now = is_now } -- no more for most: small is fast
+  local faults = pass.kept.faults[look]
+  if faults then record.faults = faults end
+  if alone then
+    record.alone = alone
+  elseif message.last == look then
+    record.is_last = true
+  elseif self.is_again or message.last then
+    link(self, record, message)
+  end
   return record
 end
 
