@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """What README.md and CONTRIBUTING.md say: their commands in a real shell, their filters, links, names of files and functions."""
 import os
 import re
