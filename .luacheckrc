@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Exactly what Wireshark 4.0 to 4.6 defines and this plugin uses; anything else is a leak.
 std = "min"
 max_line_length = 120

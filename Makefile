@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 # make demo, make test: a fresh Debian or Ubuntu is enough; what is missing gets installed (sudo when not root).
 
 SHELL := bash

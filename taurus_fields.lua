@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The catalogue of Taurus messages: data only, the file to edit when a firmware adds or changes a message.
 --
 -- Your own messages, and your own versions of these, belong in a file of the same form, yapp_messages.lua in

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
 """The text beside each capture, NAME.expected: what tshark shows of it in the fields of yapp and taurus, and in Info.
 
     expected.py             writes all of them anew; look at the difference before it is committed

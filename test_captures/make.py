@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Makes the captures of this folder: the text NAME.frames becomes NAME.pcap, or NAME.pcapng.
 
     make.py             makes all of them

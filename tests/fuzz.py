@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Feeds the plugin with damaged captures: fuzz.py --frames 100000 --seed 1
 
 Makes YAPP traffic on every carrier and text and dumps for every file reader, takes the captures of test_captures too,

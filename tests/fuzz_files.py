@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """The files that fuzz.py shows: YAPP on every carrier, text and dumps for every reader, captures of ours; all damaged.
 
 Everything comes out of a random.Random: the same one makes the same file.

@@ -7,8 +7,8 @@ import re
 import zipfile
 
 TOP = pathlib.Path(__file__).resolve().parents[1]
-WHOLE = ("yapp.lua", "taurus_fields.lua", "yapp/*.lua", "extcap/*.py", "profiles/*/*", "README.md", "CHANGELOG.md", "LICENSE",
-         "docs/*")
+WHOLE = ("yapp.lua", "taurus_fields.lua", "yapp/*.lua", "extcap/*.py", "profiles/*/*", "README.md", "CHANGELOG.md",
+         "CONTRIBUTING.md", "LICENSE", "docs/*")
 
 
 def pack(name, files):

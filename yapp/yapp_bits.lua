@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Bit operations on numbers of 32 bits.  Pure Lua, 5.2 and 5.4.
 
 local M = {}

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- YAPP on CAN: what is shown of a frame.  Wireshark's API; what a frame is, yapp_can_memory knows.
 
 local M = {}

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What is kept of the CAN frames of one pass: what each of them is, and what is wrong with it.  Pure Lua, 5.2 and 5.4.
 --
 -- All is kept by look: a number that grows, whose whole part is the frame's number (see yapp_can_memory).

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Messages of one key that interleave, where a capture does not tell its buses apart.  Pure Lua, 5.2 and 5.4.
 --
 -- A Start that arrives while a message with the same key is open may cut it off, or come from another bus.  From then

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- All that is known of a file's CAN frames.  Pure Lua, 5.2 and 5.4: it is told facts and asked what a frame is.
 --
 -- A pass is frames in order, and each pass numbers its own looks at them; passes meet only at (frame number, place in

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Reassembly of YAPP over CAN: Start, Middle, End ("Multi-Frame CAN YAPP").  Pure Lua, 5.2 and 5.4: it takes frames in
 -- order and says what each of them is.
 

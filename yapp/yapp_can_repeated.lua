@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- CAN may deliver a frame twice (its sender did not see the acknowledgement): which Middles of a message that is too
 -- long are there once too often.  Pure Lua, 5.2 and 5.4.  The CRC is the proof; nothing is left out without it.
 

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Reads the CAN header in front of SocketCAN, for those who take all frames of a bus: exact, on every pass, at the cost
 -- of a name in frame.protocols and about 1 µs a CAN frame; so only where the user asked for all of a bus.  Wireshark's
 -- API.

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The catalogue compiler: checks the lists of messages once, at load, and works out what decoding needs.
 -- Pure Lua, 5.2 and 5.4.
 

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What the parts of a catalogue have to be, and how it is said that one is not.  Pure Lua, 5.2 and 5.4.
 
 local utf8 = require("yapp_utf8")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The files of the catalogue: the plugin's own messages, and those of the user, which come after and may replace them.
 -- Pure Lua, 5.2 and 5.4.
 

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The bits of a field of the catalogue: its flags, and the parts of several bits.  Pure Lua, 5.2 and 5.4.
 
 local check = require("yapp_catalogue_check")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What the Info column says of a message, as the catalogue writes it: "{name:%.1f} V".  Pure Lua, 5.2 and 5.4.
 
 local check = require("yapp_catalogue_check")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- From the rows of a message to its fields: types and options checked, offsets worked out.  Pure Lua, 5.2 and 5.4.
 
 local check = require("yapp_catalogue_check")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The types that a row of the catalogue may have, and the options of each.  Pure Lua, 5.2 and 5.4.
 
 local M = {}

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- CRC-32K/6.4 (Koopman), the check value of YAPP frames.  Pure Lua, 5.2 and 5.4.
 --
 -- Polynomial 0x1'32C0'0699, most significant bit first, not reflected, initial value 0xFFFFFFFF, no final xor

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- From the payload of a message to its values, by the compiled catalogue.  Pure Lua, 5.2 and 5.4.
 -- What it needs to know of a message or a field, beyond what the catalogue says, it keeps here.
 

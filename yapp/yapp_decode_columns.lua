@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- A message as a row of CSV: its columns, and the cells of a payload.  Pure Lua, 5.2 and 5.4.
 --
 -- An enum is its number and, in NAME_text, its meaning; flags are the integer and, in GROUP_FLAG, 0 or 1; a float that

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Numbers as they lie in a payload, little endian ("YAPP Data Types", "Time").  Pure Lua, 5.2 and 5.4.
 
 local M = {}

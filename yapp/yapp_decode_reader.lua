@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Makes the reader of a message: a straight function, as Lua source.  Pure Lua, 5.2 and 5.4.
 --
 -- It runs for every packet, and is three times as fast as a loop over the fields.  It fills raws and says whether any

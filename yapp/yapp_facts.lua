@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What other layers say of a packet: its bus, interface or direction, its CAN id, whether it is a remote frame.
 -- Wireshark's API.
 --

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The text candump prints and logs: a whole file into a series of packets. Pure Lua.
 local candump_line = require("yapp_file_candump_line")
 local recognise = require("yapp_file_candump_recognise")

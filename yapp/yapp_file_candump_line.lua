@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- A line of what candump prints and logs: the CAN frame that it tells of, and that frame as a packet. Pure Lua.
 --
 -- Two forms, after can-utils (lib.c, candump.c), plus the same line pasted from a document:

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Wireshark's file reader for candump text: thin, everything about the text is in yapp_file_candump.lua.
 local PACKET, HAS_TIME = wtap_rec_types.PACKET, wtap_presence_flags.TS
 local NSTime = NSTime

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Whether a file is candump text, and whether Wireshark's own reader gets it right. Pure Lua.
 local candump_line = require("yapp_file_candump_line")
 local utf16 = require("yapp_file_utf16")

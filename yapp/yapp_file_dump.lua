@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- A raw serial dump as records: what `cat /dev/ttyUSB0 > run.yapp` saved.  Pure Lua, 5.2 and 5.4; the file is
 -- anything with read and seek.
 

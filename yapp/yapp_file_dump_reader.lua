@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Wireshark's file reader for raw serial dumps: thin, yapp_file_dump.lua does the work.
 
 local M = {}

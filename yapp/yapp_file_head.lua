@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What the first bytes of a capture file say about the rest.  Pure Lua, 5.2 and 5.4.
 
 local frame = require("yapp_frame")

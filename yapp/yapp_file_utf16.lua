@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- A file of UTF-16 text, as PowerShell's `>` writes it, read as if it were ASCII. Pure Lua.
 --
 -- A character becomes a byte, or two beyond the basic plane: what is not ASCII, a "?". So offsets are counted in units

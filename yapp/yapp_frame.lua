@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The frame of a serial stream and of Ethernet: its header and the CRC behind the payload.  Pure Lua, 5.2 and 5.4.
 --
 --   "YP", seq (1), ctl (1), id (4), size (2), reserved (2), payload (size), CRC (4), little endian

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The history of each source: what changed between a good message and the good one before it.  Pure Lua, 5.2 and 5.4.
 --
 -- A source is a bus or stream, and an ID.  What changed is worked out once, in the order of the capture, and kept as

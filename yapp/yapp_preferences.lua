@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The preferences: what they are called, what they say, and what is made of their texts.  Wireshark's API.
 
 local M = {}

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What a finished message means: which message of the catalogue it is, its values, its source and what changed there.
 -- Pure Lua, 5.2 and 5.4.  Carriers bring messages; the tree and the observers get them from here.
 

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- YAPP in byte streams and datagrams, UART captures, TCP, UDP: asks the memory what a packet holds, and shows it.
 -- Wireshark's API.
 

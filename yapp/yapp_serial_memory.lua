@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- All that is known of a file's byte streams and datagrams: the frames of a packet, where their bytes came, and when.
 -- Pure Lua, 5.2 and 5.4.
 --

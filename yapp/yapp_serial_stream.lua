@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Stream framing: finds YAPP frames in bytes that also hold noise, shell text and damaged frames.  Pure Lua.
 --
 -- A candidate is "YP" with a plausible header.  Candidates may overlap; they are judged in the order of their

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The names that the user gave to sources, and what a source is called.  Pure Lua, 5.2 and 5.4.
 --
 --   0x210=motor:left_fore, 0x211=motor:left_aft, can1/0x210=motor:right_fore, 0x212=left_tail, 0x213=motor:

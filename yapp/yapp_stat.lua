@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Statistics in tshark (-z yapp,...): taps, output, exit codes.  Wireshark's windows are yapp_stat_menu's.  API.
 
 local M = {}

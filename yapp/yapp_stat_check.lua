@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- -z yapp,check: rules that a capture must keep, and the exit code of a gate.  Pure Lua, 5.2 and 5.4.
 --
 -- 0 every rule was judged and held, 20 one did not hold, 21 one could not be judged; both: 20.

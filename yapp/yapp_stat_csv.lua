@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- -z yapp,csv: a table for each message of the catalogue, in a folder or printed.  Pure Lua, 5.2 and 5.4.
 --
 -- FOLDER/motor.csv ...  time, frame, bus, source, id, seq, then the columns of the message

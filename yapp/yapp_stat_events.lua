@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- -z yapp,events: what happened, in the order of time: faults, reboots, clocks that stand still, silences, bad CRCs,
 -- messages that are not whole.  Pure Lua, 5.2 and 5.4.
 

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- -z yapp,faults: when each fault flag rose and fell, on which source, for how long.  Pure Lua, 5.2 and 5.4.
 
 local json, text = require("yapp_stat_json"), require("yapp_stat_text")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- From the dissection to the statistics: messages in the order of the capture, each statistic those that its filter
 -- lets count; and exact times.  Pure Lua, 5.2 and 5.4.
 --

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Files that are written aside and get their names when they are whole: nobody ever reads half of one.
 -- Pure Lua, 5.2 and 5.4.
 

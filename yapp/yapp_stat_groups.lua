@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What a statistic keeps of each source.  Pure Lua, 5.2 and 5.4.
 --
 -- A record is what a statistic gets of a message, or of a part of one that is lost: {

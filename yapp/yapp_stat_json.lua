@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- JSON lines with their keys in a fixed order.  Pure Lua, 5.2 and 5.4.
 
 local M = {}

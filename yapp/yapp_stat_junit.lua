@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- A test report in JUnit's XML, as CI systems read it.  Pure Lua, 5.2 and 5.4.
 
 local files = require("yapp_stat_file")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Statistics in Wireshark: Tools > YAPP and Statistics > YAPP, the texts of -z yapp,... in windows.  Wireshark's API.
 
 local M = {}

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What stands behind -z yapp,...: from the text to options.  Pure Lua, 5.2 and 5.4.
 
 local rules = require("yapp_stat_rules")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The rules of -z yapp,check: from their text to what is judged.  Pure Lua, 5.2 and 5.4.
 
 local M = {}

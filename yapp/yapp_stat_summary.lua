@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- -z yapp,summary: each source with its rate, gaps, losses, and the range of its values.  Pure Lua, 5.2 and 5.4.
 --
 -- Good messages are counted and make rates, gaps and values; beside them stand those with a bad CRC and those that are

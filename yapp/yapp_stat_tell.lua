@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What carriers tell the statistics: finished messages, and parts of messages that are lost, as records (see
 -- yapp_stat_groups).  Pure Lua, 5.2 and 5.4.
 

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Tables and times as a person reads them.  Pure Lua, 5.2 and 5.4.
 
 local M = {}

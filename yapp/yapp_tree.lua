@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What a user sees of YAPP: the fields, the expert items, the tree, the Info column. The messages: yapp_tree_taurus.
 -- Wireshark's API; what is shown comes in finished, from the reassembly or the framing.
 

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the values come from
 -- yapp_decode, what changed from the history.
 

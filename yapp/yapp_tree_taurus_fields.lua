@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The ProtoFields and expert items of the Taurus messages, made from the compiled catalogue.  Wireshark's API.
 
 local M = {}

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Makes the function that builds the tree of a message: straight Lua source, made from the compiled catalogue.
 --
 -- It runs for every message that is shown, and what is known of a message when it loads (places, masks, scales, labels)

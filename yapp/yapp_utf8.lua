@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- UTF-8 in bytes that may be anything.  Pure Lua, 5.2 and 5.4.
 
 local M = {}

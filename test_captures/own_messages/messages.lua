@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- A message for each kind of field, as a user's own file has them: the captures beside it show their limits.
 return {
   { name = "unsigned", title = "Unsigned", id = 0x301, size = 18, every = 0.1,

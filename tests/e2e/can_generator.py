@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Random CAN captures of YAPP with their truth, from a seed.
 
     capture = can_generator.capture(seed, layout="interfaces", wide=False, situations=20, frames=50)

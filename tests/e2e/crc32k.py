@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """CRC-32K/6.4 for the generators, written from the document ("CRC Calculation") without a look at the plugin."""
 
 POLYNOMIAL = 0x32C00699

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Flights: captures of buses with motor controllers and planted events, with their truth, from a seed.
 
     flight = flights.make(seed)

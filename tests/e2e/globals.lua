@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Run before and after a plugin: the second run tells, on stderr, what changed among the globals and in the libraries.
 local KEY = "yapptest.globals"
 local LIBRARIES = { "string", "table", "math", "io", "os", "debug", "coroutine", "bit", "bit32", "utf8" }

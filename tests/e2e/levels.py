@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """How much the tests do: YAPP_LEVEL says it.
 
     quick      each behaviour once: `make test`

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """What a capture has to show, worked out without the plugin: the tables of the document and of the list of filter
 names typed once more, the float codec as its formula, and the CRC a bit at a time (test_captures/make.py)."""
 import struct

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """A file reader of another plugin: a file that begins with OTHER is its own, a record 23 bytes of it."""
 
 # % its type, "r" or "rs"

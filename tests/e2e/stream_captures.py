@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Random serial streams with known truth, and the captures that carry them.
 
 The rules of the framing are read plainly here, everything anew for each prefix of a stream (Oracle): slow, and written

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Random CAN captures against their truth, in one pass and in two.
 
     python3 -m pytest tests/e2e/test_can_soak.py        some small captures; more with YAPP_LEVEL=all

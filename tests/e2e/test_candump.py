@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """candump text opened by name: every form gives the frames it was printed from, and no other file is taken.
 
 The captures are what candump 2020.11 (2023.03 for *_raw_dlc) and log2long print for the frames listed here. Written by

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """The captures of test_captures/: made from their text, shown as the text beside them says, and right by the document.
 
 What is right is not taken from the plugin: model.py works the values out, and the tables here are typed by hand."""

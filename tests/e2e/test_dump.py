@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Raw serial dumps: a .yapp file opens by its name, each frame and each range between frames is a record, nothing is
 lost; and no file of others is taken.
 

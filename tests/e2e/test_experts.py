@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Expert items: each has a capture, a display filter that finds exactly its frames, and a line in -z expert."""
 import pathlib
 import re

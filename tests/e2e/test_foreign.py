@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Everybody else's traffic: with the plugin, tshark -V says the same as without, byte for byte.
 
 The frames are made from a seed.  Random extended frames may be well-formed YAPP: can_generator.Bus says which, and only

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """What `make fuzz` found stays found: test_captures/fuzz_*, each with the arguments it failed with; and the fuzzer sees
 what goes wrong, tried with faults planted into copies of the plugin."""
 import importlib

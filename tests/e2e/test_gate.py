@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """The CI recipe in a real shell, on what it must let pass and on what it must stop; and how statistics end otherwise."""
 import os
 import shutil

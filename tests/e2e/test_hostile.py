@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Input that is meant to harm: sizes and lengths at their ends, preferences, candump lines, catalogues.  Time and memory
 stay bounded, the words say what is wrong and where, and what is good is still decoded."""
 import resource

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Loading: by both routes, twice, from any folder; beside other plugins nothing of theirs is touched."""
 import os
 import pathlib

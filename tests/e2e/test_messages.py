@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Messages of the user's own: where they are loaded from, every type of field, and docs/messages.md.
 
     test_messages.py    writes NAME.pcap and NAME.expected of test_captures/own_messages anew: look at the difference"""

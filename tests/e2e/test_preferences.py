@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """What the user may set: preferences, the catalogue, where the plugin is installed.  Nonsense gets a clear message."""
 import pathlib
 import sys

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """What a frame is depends on nothing that is asked for: not on fields, filters and passes, not on what other layers show."""
 import functools
 import random

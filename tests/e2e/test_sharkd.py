@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Frames asked for here and there, as sharkd's clients do: each is what it is in the whole capture."""
 import json
 import os

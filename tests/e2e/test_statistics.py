@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Flights with planted events come out of -z yapp,... exactly: in one pass and in two, in every form of capture.
 
 YAPP_FLIGHTS=100: more seeds.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Serial streams over every carrier, against their truth, in one pass and in two.
 
     python3 -m pytest tests/e2e/test_streams.py                                some random streams; more with YAPP_LEVEL=all

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """The tests' own way to run tshark sees what goes wrong in Lua, whatever is asked for: exit code 0 proves nothing."""
 import levels
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Runs the real tshark with the plugin.  Every run asserts that nothing went wrong in Lua: exit code 0 proves nothing.
 
 YAPP_ROUTE=script (the default) loads the plugin by -X lua_script, YAPP_ROUTE=plugin from a personal plugin folder.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Runs the real Wireshark on a display of its own, under Xvfb, and sees its windows.  Run by hand it makes the README's
 picture: gui.py FILE.png"""
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Wireshark's windows: it decodes, filters and shows the tree; no error dialog at load, after reloading Lua plugins, after
 opening another file."""
 import pathlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Fixtures: captures for the stand-in of tshark, and the command that runs with it."""
 
 import json

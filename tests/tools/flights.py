@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Flights with known truth: four controllers on two buses; faults, a reboot, a silence, lost frames, reserved counts.
 
 flights.py SEED SECONDS FILE.pcapng

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """The command as a user runs it, and rows for the stand-in of tshark."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """yapp-tables convert: what is written, what is skipped, what fails and how; with a stand-in for tshark."""
 
 import csv

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """The recipes of docs/tables.md, run in order as a user would, with the plugin in the personal folder."""
 
 import os

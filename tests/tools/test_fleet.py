@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Many captures: local threads, a Dask cluster of processes, workers that are killed."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Real tshark, the real plugin, flights with known truth: every value, every event, in every kind of file."""
 
 import json

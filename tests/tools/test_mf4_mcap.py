@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """MF4 and MCAP, read back by asammdf and mcap; with a stand-in for tshark."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """yt.read: types, reserved counts, events, refusals; with a stand-in for tshark."""
 
 import math

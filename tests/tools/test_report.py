@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """yapp-tables report: the page of a flight with known truth, in a real headless Chromium."""
 
 import json

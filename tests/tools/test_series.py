@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """What the report's pictures are made of: no extreme and no gap is lost."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Runs the pure tests: lua5.2 tests/unit/run.lua tests/unit/test_*.lua, from the top of the repository.
 -- Wireshark runs every .lua file below its plugin folder, so also these, of a clone of the repository there: without a
 -- command line (arg) they do nothing, and yapp.lua says that the clone does not belong there.

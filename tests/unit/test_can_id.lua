@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The 29-bit id, CAN FD padding, and the header that the CRC covers.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

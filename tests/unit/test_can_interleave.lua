@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Messages of one key that interleave where the capture does not tell its buses, in the words of test_can_reassembly.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What is known of a file's CAN frames over its passes, as tables: which frames come, and what each look at them says.
 --
 -- A look is { number, what, more }: what is "S", "M1" .. "M3", "E" (the parts of a message of 32 bytes), "C" (a

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Reassembly where it is known on which bus a frame was: each rule by itself, as text: "S32 M8 M8 M8 E8" is a good
 -- message of 32 bytes.
 --

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The catalogue's checks: every error names the message and the field, and no catalogue can hang or raise.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Files of messages: the user's after the plugin's; what is wrong with one of them does not take the others along.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- CRC-32K against the document's worked example and the check value worked out bit by bit.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Values: compressed floats against the document's table, times, flags, the Info column.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- From the dissection to the statistics: passes, filters, parts of one message, times.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

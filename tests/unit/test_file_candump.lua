@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- A file of candump text: times, buses, offsets, what is told of broken lines.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- A line of candump text: every form, what is no frame, the packet made of it.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- A raw serial dump: records, offsets, times, and what is not a dump.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

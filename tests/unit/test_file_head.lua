@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- What the first bytes of a capture file say: several sources or one, YAPP frames or none.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

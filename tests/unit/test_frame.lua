@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The header of a serial frame: read, judged, built.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The history of sources: what changes from one good message to the next, in order and on later looks.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

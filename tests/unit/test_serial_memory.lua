@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The memory of byte streams: situations as tables of packets, and what each look at them has to say.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Stream framing: each rule by itself, then random streams against a plain reading of the rules.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- The preference that names sources, and what they are called.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

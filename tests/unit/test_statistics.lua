@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Statistics from tables of records: what is counted, what is printed, how a gate ends.
 -- luacheck: no max string line length (tables as they are printed)
 if not arg then return end -- run by Wireshark, see run.lua

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 -- Every type that a row of the catalogue may have, at its limits: the raw value, the value, the row of CSV.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local utf8 = require("yapp_utf8")

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Captures of YAPP and Taurus as tables: tshark and the plugin decode, pyarrow stores."""
 
 from .errors import CaptureError, SetupError, YappError

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """One capture to its result: tshark writes aside, a writer makes files of that, they are renamed to their place."""
 
 from __future__ import annotations

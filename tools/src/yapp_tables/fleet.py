@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Many captures: on this machine's cores or on a Dask cluster, with retries, progress and a list of what failed."""
 
 from __future__ import annotations

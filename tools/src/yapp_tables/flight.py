@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """A capture in a notebook: its messages as tables."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """MCAP: one file a capture, a topic for each source (`/motor/can0/0x210`), messages and their schemas as JSON."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """MF4 (ASAM MDF 4.10): one file a capture, a channel group for each message of each source."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """One page with what went wrong and pictures of a capture; it opens offline, in any browser."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """The output folder: which capture has which name, what is up to date, and how a result gets its place at once."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Numbers for pictures: samples thinned so that extremes and gaps stay, and spans in which something held."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """MF4 and MCAP keep each source by itself: a signal of four controllers in one channel would be a zigzag."""
 
 from __future__ import annotations

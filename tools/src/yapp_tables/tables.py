@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Types: what fields.json and the plugin's CSV say, as Arrow schemas and streams of typed record batches."""
 
 from __future__ import annotations

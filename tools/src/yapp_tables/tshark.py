@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """tshark and the plugin: one run over one capture, its statistics written to a folder, its refusals as sentences."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
 """Parquet and CSV: a file for each message, partitioned as `message=motor/flight.parquet`."""
 
 from __future__ import annotations

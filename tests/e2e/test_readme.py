@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""What README.md and CONTRIBUTING.md say: their commands in a real shell, their filters, links, names of files and functions."""
+import os
+import re
+import shutil
+import subprocess
+
+import pytest
+
+import flights
+import levels
+import tshark
+
+pytestmark = levels.together("readme")
+README = (tshark.ROOT / "README.md").read_text()
+MAP = (tshark.ROOT / "CONTRIBUTING.md").read_text()
+PAGES = [path.relative_to(tshark.ROOT) for path in (tshark.ROOT / "README.md", tshark.ROOT / "CONTRIBUTING.md",
+                                                    *sorted((tshark.ROOT / "docs").glob("*.md")))]
+FLIGHT = flights.make(3)
+CODES = {"check": 20}  # the flight has faults
+
+
+def table(title):
+    """The rows of the table under a heading: lists of cells, without the head."""
+    rows = re.search(rf"\n## {title}\n(?:.*\n)*?((?:\|.*\n)+)", README)[1].splitlines()[2:]
+    return [[cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", row)[1:-1]] for row in rows]
+
+
+QUESTIONS = [row[1].strip("`") for row in table("Questions and answers")]
+EXAMPLES = re.findall(r"<!-- run -->\n    \$ (.*)\n((?:    .*\n)+)", README)
+SEVERAL = re.findall(r"<!-- run each -->\n\n    (tshark .*)\n", README)
+
+
+def shell(folder, command, *arguments):
+    """Runs a line in bash, with a tshark in front that loads the plugin and takes some arguments more."""
+    wrapper = folder / "bin/tshark"
+    wrapper.parent.mkdir(exist_ok=True)
+    quoted = " ".join(f"'{argument}'" for argument in [*tshark.load(), *arguments])
+    wrapper.write_text(f'#!/bin/sh\nexec {shutil.which("tshark")} {quoted} "$@"\n')
+    wrapper.chmod(0o755)
+    environment = {**os.environ, "HOME": str(tshark.home()), "LC_ALL": "C.UTF-8", "TZ": "UTC",
+                   "PATH": f"{wrapper.parent}:{os.environ['PATH']}"}
+    environment.pop("XDG_CONFIG_HOME", None)
+    done = subprocess.run(["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True,
+                          timeout=tshark.TIMEOUT, stdin=subprocess.DEVNULL, **tshark._user())
+    assert "Lua" not in done.stderr, done.stderr
+    return done
+
+
+def counted(lines, kind):
+    return sum(line["kind"] == kind for line in lines)
+
+
+@pytest.fixture
+def flight(folder):
+    FLIGHT.write(folder / "flight.pcapng", "pcapng")
+    return folder
+
+
+def test_its_examples_print_what_they_say(folder):
+    assert len(EXAMPLES) >= 2
+    for name in ("yapp.lua", "taurus_fields.lua", "yapp", "test_captures"):
+        (folder / name).symlink_to(tshark.ROOT / name)
+    for command, printed in EXAMPLES:
+        wanted = [line[4:].rstrip() for line in printed.splitlines()]
+        if tshark.ROUTE == "plugin":
+            command = command.replace(" -X lua_script:yapp.lua", "")
+        done = subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, text=True, check=True,
+                              env={**os.environ, "HOME": str(tshark.home()), "TZ": "UTC"}, **tshark._user())
+        assert [line.rstrip() for line in done.stdout.splitlines()] == wanted, command
+
+
+@pytest.mark.parametrize("command", QUESTIONS)
+def test_a_question_is_answered(flight, command):
+    what = re.search(r"-z (?:yapp,)?(\w+)|yapp\.message\.(\w+)", command)
+    what = what[1] or what[2]
+    done = shell(flight, command, *FLIGHT.arguments("pcapng"))
+    assert done.returncode == CODES.get(what, 0), done.stderr
+    truth, rows = FLIGHT.truth("pcapng"), FLIGHT.rows("pcapng")
+    if what == "faults":
+        for fault in truth["faults"]:
+            assert re.search(rf"\s{fault['frame']}\s.*{fault['bus']}.*{fault['flag']}\s+{fault['event']}", done.stdout)
+    elif what == "events":
+        assert done.stdout.startswith(f"YAPP events: {len(truth['events'])}\n")
+        assert len(re.findall(r"  reboot  ", done.stdout)) == counted(truth["events"], "reboot") > 0
+        assert len(re.findall(r"  silence  ", done.stdout)) == counted(truth["events"], "silence") > 0
+    elif what == "summary":
+        assert done.stdout.startswith(f"YAPP summary: {len(truth['summary'])} sources")
+    elif what == "csv":
+        for name, messages in rows.items():
+            assert (flight / f"tables/{name}.csv").read_text().count("\n") == len(messages) + 1
+    elif what == "fault":
+        frames = [frame.number for frame, _, _, message in rows["motor"] if int.from_bytes(message.payload[18:22], "little")
+                  for frame in message.frames]
+        kept = shell(flight, "tshark -r faults.pcapng -T fields -e frame.time_epoch").stdout.split()
+        times = shell(flight, "tshark -r flight.pcapng -T fields -e frame.time_epoch").stdout.split()
+        assert set(kept) >= {times[number - 1] for number in frames} and frames
+    elif what == "expert":
+        assert "A fault was raised" in done.stdout and "A long gap before this message" in done.stdout
+    else:
+        assert what == "check" and "FAILED" in done.stdout
+
+
+def test_all_questions_are_tried():
+    assert len(QUESTIONS) >= 6 and len(SEVERAL) == 2
+
+
+def test_several_controllers(flight):
+    by_id, by_name = (shell(flight, command) for command in SEVERAL)
+    assert by_id.returncode == by_name.returncode == 0
+    assert "Motor Data 0x212 (vcan_2)" in by_id.stdout and "Health 0x201" in by_id.stdout
+    assert "Motor Data right_fore" in by_name.stdout and "left_fore" not in by_name.stdout  # can1 alone has this ID
+
+
+def test_its_filters_are_filters():
+    cells = [row[1] for row in table("Filters")] + re.findall(r"^\| .* \| (`[^`]*`) \|$", README.split("\n## ")[0], re.M)
+    filters = [text.replace("\\|", "|") for cell in cells for text in re.findall(r"`([^`]+)`", cell)]
+    assert len(filters) > 15
+    tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
+
+
+# How they are made -------------------------------------------------------------------------------------------------
+
+def test_it_is_short_and_begins_with_what_matters():
+    lines = README.splitlines()
+    assert len(lines) < 200
+    first = "\n".join(lines[:25])
+    for part in ("![", "make install", "taurus.fault.active", "[Filters](#filters)"):
+        assert part in first
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_links(page):
+    text = (tshark.ROOT / page).read_text()
+    for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)", text):
+        path = (tshark.ROOT / page).parent / target if target else tshark.ROOT / page
+        assert path.exists(), target
+        titles = [re.sub(r"[^\w -]", "", title).strip().lower().replace(" ", "-")
+                  for title in re.findall(r"^#+ (.*)", path.read_text(), re.M)] if anchor else []
+        assert not anchor or anchor in titles, anchor
+
+
+def test_the_map_names_what_there_is():
+    """Modules, functions and files that CONTRIBUTING.md names are there, and no module is left out of it."""
+    modules = {path.stem: path.read_text() for path in (tshark.ROOT / "yapp").glob("*.lua")}
+    named = set(re.findall(r"\b(yapp_(?:can|serial|file|stat|tree|decode|catalogue)\w*|yapp_(?:facts|reader|history|sources|frame))\b",
+                           MAP)) - {"yapp_all", "yapp_serial"}
+    assert {name for name in named if not any(module.startswith(name) for module in modules)} == set()
+    called = re.findall(r"`(yapp_\w+)[:.](\w+)`", MAP)
+    assert len(called) > 15
+    for module, function in called:
+        assert re.search(rf"function ([\w.]+[:.])?{function}\b", modules[module]), f"{module}:{function}"
+    for path in re.findall(r"`((?:tests|tools|docs|test_captures)/[\w./]+)`", MAP):
+        assert (tshark.ROOT / path).exists(), path
+    makefile = (tshark.ROOT / "Makefile").read_text()
+    for target in re.findall(r"\bmake ([a-z-]+)\b", MAP):
+        assert re.search(rf"^[\w .-]*\b{target}\b[\w .-]*:", makefile, re.M), target
