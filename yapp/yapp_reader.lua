@@ -13,7 +13,8 @@ Reader.__index = Reader
 -- catalogue  compiled
 -- stat      { wanted = whether anyone wants to be told of messages }
 function M.new(decode, catalogue, stat)
-  return setmetatable({ decode = decode, messages = catalogue.messages, stat = stat, by_id = {}, is_by_id = true,
+  return setmetatable({ decode = decode, messages = catalogue.messages, stat = stat, is_by_id = true,
+    by_id = catalogue.by_id, -- until init: readers of files are asked before
     hinted = {} }, Reader)
 end
 

@@ -135,9 +135,9 @@ class Open:
 class Bus:
     """One bus: says what each frame is, strictly by the rules."""
 
-    def __init__(self, wide, claimed):
+    def __init__(self, wide, claimed=None):
         self.wide, self.open, self.verdicts = wide, {}, {}
-        self.claimed = claimed  # unknown IDs that had a Start without a Seq, on any bus
+        self.claimed = set() if claimed is None else claimed  # unknown IDs that had a Start without a Seq, on any bus
         self.cuts = {}  # key: Starts to come until a broken message, which may be another bus's, is forgotten
 
     def frame(self, number, frame):
