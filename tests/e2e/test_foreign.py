@@ -251,7 +251,7 @@ def test_ethernet(folder):
 FLOOD = levels.size(50_000, 200_000)
 BYTES_A_FRAME = 3500  # a generous bound: what a frame of a broken message may cost
 BYTES_BESIDES = 100_000_000  # and what any file may, with all IDs registered
-GOOD = can_generator.Sent(0x123, 0, 7, bytes(range(40)))
+GOOD = can_generator.Sent(0x123, 0, 0, bytes(range(40)))
 
 
 def distinct_starts():
