@@ -123,9 +123,11 @@ local function put_back(frame)
 end
 
 -- Depth first over the frames from `at` on; the newest frame has to be the last taken.
--- goal  { crc =, exchange = whether a good message's frames may be had for others like them, padding = (found) }
-local function search(self, goal, at, register, needed, taken)
-  local reassembly, frames = self.reassembly, self.frames
+-- goal     { crc =, exchange = whether a good message's frames may be had for others like them, padding = (found),
+--          taken = places of the frames that are taken so far }
+-- returns  those of a whole message; nil where there is none
+local function search(self, goal, at, register, needed)
+  local reassembly, frames, taken = self.reassembly, self.frames, goal.taken
   local last = #frames
   while at <= last do
     local frame = frames[at]
@@ -141,7 +143,7 @@ local function search(self, goal, at, register, needed, taken)
     elseif length < needed and not frame.is_end and take(self, goal, frame) then
       taken[#taken + 1] = at
       local behind = reassembly.crc.update(register, frame.data)
-      if search(self, goal, at + 1, behind, needed - length, taken) then return taken end
+      if search(self, goal, at + 1, behind, needed - length) then return taken end
       taken[#taken] = nil
       put_back(frame)
     end
@@ -242,8 +244,8 @@ local function find_whole(self)
   if all then return messages[#messages], all, goal end
   for _, exchange in ipairs { false, true } do
     for _, message in ipairs(messages) do
-      goal = { crc = message.crc, exchange = exchange }
-      local taken = search(self, goal, message.from, reassembly:seed(message), message.size, {})
+      goal = { crc = message.crc, exchange = exchange, taken = {} }
+      local taken = search(self, goal, message.from, reassembly:seed(message), message.size)
       if taken then return message, taken, goal end
     end
   end

@@ -59,7 +59,7 @@ local function find_look(pass, number, place, key)
   end
   local message, alone = pass.kept:entry(look)
   if message and message.address.key == key then return look, message end
-  if alone and pass.kept.can_id.address(alone).key == key then return look, nil, alone end
+  if alone and pass.kept.can_id.address(alone).key == key then return look end
 end
 
 local function place_of(pass, look)
@@ -108,7 +108,7 @@ function Memory:guess()
   self.is_guessed = true
 end
 
--- Takes a frame in the order of a pass; returns whether it is YAPP's, and its message, or the id of one without.
+-- Takes a frame in the order of a pass; returns whether it is YAPP's, and its message.
 local function take(self, pass, address, facts, look)
   if not facts.informed or facts.doubtful then self.is_guessed = true end
   if facts.bus then
@@ -116,8 +116,7 @@ local function take(self, pass, address, facts, look)
     if facts.bus ~= self.first_bus then self.is_mixed = true end
   end
   facts.look = look
-  local is_ours, message = pass.reassembly:frame(address, facts)
-  if is_ours then return true, message, not message and address.can_id or nil end
+  return pass.reassembly:frame(address, facts)
 end
 
 -- Whether a second pass goes on at this frame: it has seen all that the first knows in front of it.  Who asks for a
@@ -156,8 +155,8 @@ end
 local function second_look(self, address, facts)
   local second = self.second
   if second then
-    local look, message, alone = find_look(second, facts.number, facts.place, address.key)
-    if look then return look, false, message, alone end
+    local look, message = find_look(second, facts.number, facts.place, address.key)
+    if look then return look, false, message end
   end
   if not refines(self, facts) then return nil end
   if not second then
@@ -167,9 +166,9 @@ local function second_look(self, address, facts)
   end
   self.reached = math.max(self.reached, facts.number)
   local look = next_look(second, facts.number, facts.place)
-  local is_ours, message, alone = take(self, second, address, facts, look)
+  local is_ours, message = take(self, second, address, facts, look)
   if not is_ours then return nil, false end
-  return look, true, message, alone
+  return look, true, message
 end
 
 -- The record of a frame that belongs to a message which has not ended here: where it leads to.
@@ -191,13 +190,13 @@ local function link(self, record, message)
   end
 end
 
--- is_now  whether the look was made now; message, alone: what kept:entry says of it
-local function record_of(self, pass, look, is_now, message, alone)
+-- is_now  whether the look was made now; message: of the frame, nil for one that belongs to none
+local function record_of(self, pass, look, is_now, message)
   local record = { pass = pass, look = look, message = message, is_now = is_now } -- no more for most: small is fast
   local faults = pass.kept.faults[look]
   if faults then record.faults = faults end
-  if alone then
-    record.alone = alone
+  if not message then
+    record.alone = select(2, pass.kept:entry(look))
   elseif message.last == look then
     record.is_last = true
   elseif self.is_again or message.last then
@@ -220,15 +219,15 @@ function Memory:look(address, facts)
   local first = self.first
   if not facts.is_again then
     local look = next_look(first, facts.number, facts.place)
-    local is_ours, message, alone = take(self, first, address, facts, look)
-    return is_ours and record_of(self, first, look, true, message, alone) or nil
+    local is_ours, message = take(self, first, address, facts, look)
+    return is_ours and record_of(self, first, look, true, message) or nil
   end
   self.is_again = true
-  local look, is_now, message, alone = second_look(self, address, facts)
-  if look then return record_of(self, self.second, look, is_now, message, alone) end
+  local look, is_now, message = second_look(self, address, facts)
+  if look then return record_of(self, self.second, look, is_now, message) end
   if is_now == false then return nil end
-  look, message, alone = find_look(first, facts.number, facts.place, address.key)
-  if look then return record_of(self, first, look, false, message, alone) end
+  look, message = find_look(first, facts.number, facts.place, address.key)
+  if look then return record_of(self, first, look, false, message) end
   if facts.wide then return { alone = address.can_id, is_late = true } end
 end
 
