@@ -136,6 +136,8 @@ local BUS_IN = {
   "^[^[{]-(%S+)%s+[RT]X [B-] [E-]%s+%x+%s+[%[{]",
 }
 
+local LONGEST_START = 300 -- of a line: no bus stands behind it, and a long line without blanks would cost its square
+
 local function bus_in(line)
   for _, pattern in ipairs(BUS_IN) do
     local bus = line:match(pattern)
@@ -148,7 +150,7 @@ local function has_several_buses(head)
   local text, first = utf16.text(head), nil
   if text:find("\0", 1, true) then return false end
   for line in text:gmatch("[^\r\n]+") do
-    local bus = bus_in(line)
+    local bus = bus_in(line:sub(1, LONGEST_START))
     if bus and first and bus ~= first then return true end
     first = first or bus
   end
