@@ -31,7 +31,12 @@ local function find(folder, depth, found)
   end
 end
 
+-- COMPAT 4.4: listing a folder by Dir corrupts the program's memory there ("malloc(): mismatching next->prev_size" in
+-- about half of the runs), so nothing is looked for: the first copy by the alphabet loads, and no line says so.
+local CANNOT_LIST = get_version():find("^4%.[1-4]%.") ~= nil
+
 local function in_plugin_folders()
+  if CANNOT_LIST then return {} end
   local found, folders = {}, {}
   local roots = { Dir.global_plugins_path(), Dir.personal_plugins_path(), Dir.personal_config_path("plugins") }
   for _, folder in ipairs(roots) do

@@ -107,7 +107,7 @@ EXPERTS = [
     ("taurus.fault.cleared", "events", [5, 7], "Notes", "A fault was cleared",
      "Fault Flags cleared: 0x00010000 (motor_overcurrent)"),
     ("taurus.reboot", "events", [7], "Warns", "The controller's time went back: it was started anew", "Clock drift"),
-    ("taurus.stale", "events", [6], "Warns", "The controller's time stood still", "Clock drift: -0.100000000"),
+    ("taurus.stale", "events", [6], "Warns", "The controller's time stood still", "Clock drift: -0.1"),
     ("taurus.command.key.invalid", "invalid_key", [1, 4], "Warns", "Key is not valid: the command is ignored", "Key: "),
     ("taurus.value.special", "document_motor", [5], "Notes", "No ordinary number: a reserved count, NaN or infinity",
      "ESC Temperature: Not a Number (0xff)"),
