@@ -73,11 +73,4 @@ function M.start(data)
   return d and a + b * 0x100 + c * 0x10000 + d * 0x1000000, f and e + f * 0x100, h and g + h * 0x100
 end
 
---- Whether a Start opens a plausible message of 9 bytes or more, all of it captured: what is surely YAPP's.
--- known    payload size of the message that the catalogue has for this ID, nil for an unknown ID
-function M.is_plausible_start(data, reported, known)
-  local _, size, reserved = M.start(data)
-  return reported == 8 and reserved == 0 and size > 8 and (not known or size == known)
-end
-
 return M

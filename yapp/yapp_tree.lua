@@ -217,20 +217,11 @@ function Tree:bad_crc(item, message)
     message.crc, message.calculated))
 end
 
--- Seconds as a double, to the nanosecond.
-local function relative_time(seconds)
-  local nanoseconds = string.format("%.0f", math.abs(seconds) * 1e9)
-  local whole, rest = tonumber(nanoseconds:sub(1, -10)) or 0, tonumber(nanoseconds:sub(-9))
-  if seconds < 0 then whole, rest = -whole, -rest end
-  return NSTime.new(whole, rest)
-end
-M.relative_time = relative_time
-
 --- Adds what YAPP's own item says of a message's history: the time since the previous one, messages that are missing.
 -- message  of yapp_reader
 function Tree:add_delta(item, message)
   local change, fields = message.change or {}, self.fields
-  if change.delta then generated(item:add(fields.time_delta, relative_time(change.delta))) end
+  if change.delta then generated(item:add(fields.time_delta, tree_taurus.relative_time(change.delta))) end
   if change.missing then generated(item:add(fields["seq.missing"], change.missing)) end
   if message.has_fault then generated(item:add(fields["message.fault"], true)) end
 end

@@ -158,7 +158,8 @@ end
 
 local NONE, WAYS = {}, { "raised", "cleared" }
 
-local function time_of(seconds)
+--- Seconds, a double, as a time to the nanosecond.
+function M.relative_time(seconds)
   local text = format("%.0f", math.abs(seconds) * 1e9)
   local whole, rest = tonumber(text:sub(1, -10)) or 0, tonumber(text:sub(-9))
   if seconds < 0 then whole, rest = -whole, -rest end
@@ -184,12 +185,12 @@ local function add_values(self, item, message, change, now)
   local own, alarm = self.messages[message], message.alarms[1]
   if alarm then
     local made, since = self.fields[alarm], change.active_since
-    add_generated(item, made.active_time, since and time_of(now - since))
+    add_generated(item, made.active_time, since and M.relative_time(now - since))
     add_generated(item, made.previous, change.previous_change)
     add_generated(item, made.next, change.next_change)
   end
   add_generated(item, own.command_in, change.command_in)
-  return add_generated(item, own.drift, change.drift and time_of(change.drift))
+  return add_generated(item, own.drift, change.drift and M.relative_time(change.drift))
 end
 
 --- Adds what the history says of a message, all of it generated, with its expert items.

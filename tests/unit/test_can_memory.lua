@@ -11,6 +11,7 @@ local can_id = require("yapp_can_id")
 local crc = require("yapp_crc")
 local history = require("yapp_history")
 local memory = require("yapp_can_memory")
+local little_endian = require("stream_generator").little_endian
 
 local T = {}
 
@@ -22,15 +23,6 @@ end
 local SIZES = { [0] = 7, [0x210] = 32, [0x211] = 32 }
 local PAYLOADS = { [1] = ("a"):rep(8) .. ("b"):rep(8) .. ("c"):rep(8) .. ("d"):rep(8),
   [2] = ("e"):rep(8) .. ("f"):rep(8) .. ("g"):rep(8) .. ("h"):rep(8) }
-
-local function little_endian(value, count)
-  local bytes = {}
-  for i = 1, count do
-    bytes[i] = string.char(value % 256)
-    value = (value - value % 256) / 256
-  end
-  return table.concat(bytes)
-end
 
 local function new(options)
   options = options or {}
