@@ -23,7 +23,7 @@ Carrier.__index = Carrier
 function M.new(parts, tree, reader, facts, claim)
   KINDS, START, address_of = parts.can_id.KINDS, parts.can_id.START, parts.can_id.address
   return setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, claim = claim, view = {},
-    message = {} }, Carrier)
+    message = {}, record = {} }, Carrier)
 end
 
 --- Forgets the capture file: nothing survives into the next one.
@@ -39,7 +39,7 @@ end
 -- returns  the number of bytes that are ours, 0 for a frame that is not
 function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local memory = self.memory
-  local facts = self.facts:can_frame(tvb, pinfo, memory:highest())
+  local facts = self.facts:can_frame(tvb, pinfo, memory.highest)
   if facts.reported == 0 then return 0 end
   if facts.remote or facts.doubtful and facts.data == "" then
     if facts.doubtful then memory:guess() else memory:pass_over(facts) end
@@ -47,7 +47,7 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   end
   facts.wide = is_wide
   local address = address_of(can_id)
-  local record = memory:look(address, facts)
+  local record = memory:look(address, facts, self.record)
   if not record then return 0 end
   local names, wants = self:names_of(address.id, facts.bus), self.tree:wants(tree, facts.is_again)
   local columns = pinfo.cols
@@ -182,6 +182,7 @@ local function finished(self, view, payload, size)
   m.id, m.seq, m.ctl, m.payload, m.size = address.id, address.seq, address.ctl, payload, size
   m.source, m.bus, m.bus_name, m.name = key_of(facts.bus, address.id), facts.bus, names.bus, names.name
   m.frame, m.time, m.visited, m.is_whole = facts.number, view.pinfo.rel_ts, facts.is_again, true
+  m.is_brief = not (view.wanted or view.wants.taurus or self.reader.stat.wanted)
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   return m
 end

@@ -242,7 +242,11 @@ function Facts:can_frame(tvb, pinfo, highest)
     self.asked = record.is_again
     can_fields(self, number)
   end
-  record.bus, record.informed = self:bus(pinfo)
+  if self.bus_tap or self.found.later or self.candump.current_bus then
+    record.bus, record.informed = self:bus(pinfo)
+  else
+    record.bus, record.informed = nil, true
+  end
   record.remote, record.doubtful = false, false
   if ZEROS[record.data] and record.reported > 0 then
     local remote = is_remote(self, pinfo)
