@@ -218,7 +218,8 @@ end
 --          bus, informed = whether this pass can tell the bus, doubtful, wide: as for Reassembly:frame }
 -- record   a table to fill in, of an earlier look or empty; its message is good until the next look
 -- returns  nil for a frame that is not YAPP's, else the record:
---          { message = its message, or alone = the CAN id of a frame without one; is_last = whether the message ends
+--          { is_rare = whether there is more than that it is a part of a message which goes on;
+--            message = its message, or alone = the CAN id of a frame without one; is_last = whether the message ends
 --            here; leads_to = number of the frame where it does; is_unfinished = whether it never does, and this is its
 --            last frame; has_fault = whether the message has a fault flag set, as far as that is known;
 --            faults = list of { expert, text } or nil; is_now = whether the frame was taken just now, in order;
@@ -227,7 +228,7 @@ function Memory:look(address, facts, record)
   local first = self.first
   if not facts.is_again then
     local look = next_look(first, facts.number, facts.place)
-    if not self.is_again then self.highest = first.highest end
+    if not self.is_again then self.highest = facts.number end
     local is_ours, message = take(self, first, address, facts, look)
     return is_ours and fill(self, record, first, look, true, message) or nil
   end

@@ -225,29 +225,27 @@ local function complete(self, message, frame)
   return self:finish(message, payload, frame.look)
 end
 
--- The bytes of a part: whether they may be those of the frame before it, delivered twice, is for the CRC to say.
-local function add_bytes(message, frame)
-  local data, parts, chunks = frame.data, message.parts, message.chunks
-  if data == chunks[parts] then message.repeats = message.repeats + frame.reported end
-  message.parts, chunks[parts + 1] = parts + 1, data
-  if #data < frame.reported then message.truncated = true end
-end
-
 -- A Middle or End of the only message in its slot.
 local function add_part(self, slot, message, frame, is_end)
-  local look, count = frame.look, message.count + 1
+  local look, count, reported = frame.look, message.count + 1, frame.reported
+  local received = message.received + reported
   self.kept.entries[look] = message
-  message.count, message[count] = count, look
-  message.received = message.received + frame.reported
+  message.count, message[count], message.received = count, look, received
   if message.status then -- it had too many bytes before
-    self:misfit(message, message.received, look)
+    self:misfit(message, received, look)
   else
-    if not message.truncated then add_bytes(message, frame) end
+    if not message.truncated then
+      local data, parts, chunks = frame.data, message.parts, message.chunks
+      -- Whether it is the frame before it, delivered twice, is for the CRC to say.
+      if data == chunks[parts] then message.repeats = message.repeats + reported end
+      message.parts, chunks[parts + 1] = parts + 1, data
+      if #data < reported then message.truncated = true end
+    end
     if is_end then
       local chunks = message.chunks
       if complete(self, message, frame) then self.spare, message.chunks = message, chunks end
-    elseif message.received > message.size + math.min(message.repeats, MAX_REPEATED * frame.reported) then
-      message.status = self:misfit(message, message.received, look)
+    elseif received > message.size and received > message.size + math.min(message.repeats, MAX_REPEATED * reported) then
+      message.status = self:misfit(message, received, look)
       message.chunks = nil
     end
   end
@@ -256,7 +254,7 @@ local function add_part(self, slot, message, frame, is_end)
 end
 
 local function continue(self, slot, address, frame)
-  local message, is_end = self.open[slot], address.ctrl == self.can_id.END
+  local message = self.open[slot]
   if not message then
     if not frame.wide and not (address.ctl == 0 and self.size_of(address.id, frame.bus)) then return false end
     self.kept:orphan(frame.look, address)
@@ -266,7 +264,7 @@ local function continue(self, slot, address, frame)
     message = self.parts.can_interleave.new(self, message)
     self.open[slot] = message
   end
-  if not message.messages then return add_part(self, slot, message, frame, is_end) end
+  if not message.messages then return add_part(self, slot, message, frame, address.ctrl == self.can_id.END) end
   message:frame(address, frame)
   if #message.messages == 0 then close(self, slot) end
   return true, (self.kept:entry(frame.look))
