@@ -72,9 +72,12 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local columns = pinfo.cols
   columns.protocol = "YAPP"
   columns.src = names.source
-  if not (record.is_rare or wants.tree or self.reader.stat.wanted) and #facts.data == facts.reported then
+  local length = #facts.data
+  if not (record.is_rare or wants.tree or self.reader.stat.wanted) and length == facts.reported then
     -- Most frames of a packet list.
-    columns.info = self:part_text(names, address, record, #facts.data)
+    local message, texts = record.message, names.texts
+    columns.info = texts.size == message.size and length == 8 and texts[message.count] or
+      self:part_text(names, address, record, length)
   else
     local view = self.view
     view.tvb, view.pinfo, view.tree, view.wants = tvb, pinfo, tree, wants
@@ -219,23 +222,25 @@ function Carrier:read(message, record)
   return message
 end
 
---- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept.
+--- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept: those of
+-- a message in frames of classic CAN by the number of the part.
 -- length  captured bytes of the frame
 function Carrier.part_text(_, names, address, record, length)
   local message, texts = record.message, names.texts
   local size, look = message.size, record.look
   if texts.size ~= size then
-    texts = { size = size, start = ("%s  Start of %d bytes"):format(names.name, size) }
+    texts = { ("%s  Start of %d bytes"):format(names.name, size), size = size }
     names.texts = texts
   end
-  if address.ctrl == START then return texts.start end
+  if address.ctrl == START then return texts[1] end
   local index = message.count
   while index > 1 and message[index] ~= look do index = index - 1 end
   if message[index] ~= look then return names.name .. "  part once more" end
   -- How many parts there are is sure in the end; before that, it is what classic CAN needs.
-  local parts = message.status == "good" and message.count or length == 8 and 1 + (size + 7 - (size + 7) % 8) / 8
+  local usual = 1 + (size + 7 - (size + 7) % 8) / 8
+  local parts = message.status == "good" and message.count or length == 8 and usual
   if not parts or index > parts then return ("%s  part %d"):format(names.name, index) end
-  local key = parts * 0x100 + index
+  local key = parts == usual and index or parts * 0x1000 + index
   local text = texts[key] or ("%s  part %d of %d"):format(names.name, index, parts)
   if parts <= MAX_KEPT then texts[key] = text end
   return text

@@ -188,22 +188,19 @@ local function link(self, record, message)
   end
 end
 
--- What only few frames have in their records.
-local RARE = { "alone", "is_last", "leads_to", "is_unfinished", "has_fault", "faults", "is_late" }
-
 -- Fills in a record.  Most frames are a part of a message that goes on: these get the four keys that all have.
 -- is_now  whether the look was made now; message: of the frame, nil for one that belongs to none
 local function fill(self, record, pass, look, is_now, message)
   if record.is_rare then
-    for i = 1, #RARE do record[RARE[i]] = nil end
-    record.is_rare = false
+    record.is_rare, record.is_last, record.alone, record.leads_to = false, nil, nil, nil
+    record.is_unfinished, record.has_fault, record.faults, record.is_late = nil, nil, nil, nil
   end
   record.pass, record.look, record.message, record.is_now = pass, look, message, is_now
-  local faults = pass.kept.faults[look]
+  local faults = look and pass.kept.faults[look]
   if message and not faults and not message.last and not self.is_again then return record end
   record.is_rare, record.faults = true, faults
   if not message then
-    record.alone = select(2, pass.kept:entry(look))
+    record.alone = look and select(2, pass.kept:entry(look))
   elseif message.last == look then
     record.is_last = true
   elseif self.is_again or message.last then
@@ -239,8 +236,8 @@ function Memory:look(address, facts, record)
   look, message = find_look(first, facts.number, facts.place, address.key)
   if look then return fill(self, record, first, look, false, message) end
   if not facts.wide then return nil end
-  for key in pairs(record) do record[key] = nil end
-  record.alone, record.is_late, record.is_rare = address.can_id, true, true
+  fill(self, record, first)
+  record.alone, record.is_late = address.can_id, true
   return record
 end
 
