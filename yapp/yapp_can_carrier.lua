@@ -39,13 +39,13 @@ local function key_of(bus, id)
 end
 
 -- What the messages of an ID are called, and texts of their parts, for the first time: { bus = name of the bus or nil,
--- name = in the Info column, source = in the column Source, texts }.
+-- name = in the Info column, source = in the column Source, texts, titles = of YAPP's item by CAN CTRL }.
 -- bus  number or nil
 local function new_names(self, id, bus)
   local of_bus, name = self.names[bus or false] or {}, self.facts:bus_name(bus)
   self.names[bus or false] = of_bus
   of_bus[id] = { bus = name, name = self.reader:label(id, name), source = self.reader:source_text(id, name),
-    texts = {} }
+    texts = {}, titles = {} }
   self.claim(id)
   return of_bus[id]
 end
@@ -158,12 +158,17 @@ end
 function Carrier:item(view)
   local builder, address = self.tree, view.address
   local fields = builder.fields
-  local item = view.tree:add(builder.yapp, view.tvb())
-  item:append_text((", %s, %s"):format(view.names.name, KINDS[address.ctrl] or "undefined frame"))
+  local titles, ctrl = view.names.titles, address.ctrl
+  local title = titles[ctrl]
+  if not title then
+    title = ("%s, %s, %s"):format(builder.yapp.description, view.names.name, KINDS[ctrl] or "undefined frame")
+    titles[ctrl] = title
+  end
+  local item = view.tree:add(builder.yapp, view.tvb(), title)
   builder:add_id(item, nil, address.id, view.names.bus)
   item:add(fields.ctl, address.ctl):set_generated()
   item:add(fields.seq, address.seq):set_generated()
-  item:add(fields["can.ctrl"], address.ctrl):set_generated()
+  item:add(fields["can.ctrl"], ctrl):set_generated()
   builder:add_source(item, address.id, view.names.bus)
   return item
 end

@@ -11,7 +11,8 @@ local M = {}
 
 local BUS_FIELDS = "frame.interface_id || frame.interface_name || sll.ifindex || rtacser.eventtype"
 local CAN_FIELDS = "can.id || can.flags.xtd || can.flags.rtr || canfd.flags.brs"
-local NAMES = {}
+local NAMES, NOTHING = {}, {}
+local SOCKETCAN = wtap.SOCKETCAN -- an encapsulation, as frame.encap_type has it
 for name in (BUS_FIELDS .. " || " .. CAN_FIELDS):gmatch("[%w_.]+") do NAMES[name] = true end
 
 -- Remote frames come with as many zeros as their DLC says; SocketCAN does not tell a dissector.
@@ -89,12 +90,16 @@ end
 
 -- all_field_infos raises where there is no tree; and on 4.0 the value of an item without bytes, such as a packet
 -- comment, throws past Lua: only what is wanted is asked for its value.
-local function by_name(ok, ...)
-  local found = {}
-  if ok then
-    for _, info in ipairs { ... } do
-      local name = info.name
-      if NAMES[name] then found[name] = info.value end
+-- is_for_bus  whether only what tells the bus is asked for: on SocketCAN nothing behind the encapsulation does
+local function by_name(is_for_bus, ok, ...)
+  local found, infos = {}, ok and { ... } or NOTHING
+  for i = 1, #infos do
+    local info = infos[i]
+    local name = info.name
+    if NAMES[name] then
+      found[name] = info.value
+    elseif is_for_bus and name == "frame.encap_type" and info.value == SOCKETCAN then
+      break
     end
   end
   return found, ok
@@ -103,7 +108,7 @@ end
 -- The fields of a CAN frame that are in the tree so far.
 -- returns  { [filter name] = value }, empty on a pass that builds no tree; and whether none of CAN's own is left out
 local function can_fields(self, number)
-  local fields, has_tree = by_name(pcall(all_field_infos))
+  local fields, has_tree = by_name(false, pcall(all_field_infos))
   if not has_tree then return fields, false end
   local is_asked = self.can_tap and self.asked_at ~= number
   local is_whole = fields["can.id"] ~= nil and fields["can.flags.xtd"] ~= nil and
@@ -149,7 +154,7 @@ function Facts:bus(pinfo)
   if not self.bus_tap and not self.found.later then return nil, true end
   local visited = pinfo.visited
   if self.says_bus[visited] == false then return nil, false end
-  local fields = by_name(pcall(all_field_infos))
+  local fields = by_name(true, pcall(all_field_infos))
   local interface, index, event = fields["frame.interface_id"], fields["sll.ifindex"], fields["rtacser.eventtype"]
   local says_bus = interface ~= nil or index ~= nil or event ~= nil
   -- One or the other for all of a pass: a message does not begin on a bus and end on none.
