@@ -90,7 +90,11 @@ local tell = parts.stat_tell.new(stat, reader)
 reader:tell_to(tell)
 function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
 function stat.plugin.has_source(name) return reader.sources:has_name(name) end
-function stat.plugin.unfinished() return tell:unfinished(frames:unfinished()) end
+function stat.plugin.unfinished()
+  local messages = frames:unfinished()
+  for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end
+  return tell:unfinished(messages)
+end
 
 -- Dissectors --------------------------------------------------------------------------------------------------------
 

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The CI recipe in a real shell, on what it must let pass and on what it must stop; and how statistics end otherwise."""
+import json
 import os
 import shutil
 import subprocess
 
 import pytest
 
+import make
 import tshark
 from can_generator import END, START, Frame, Sent, message_crc
 from flights import block, option, pad, struct
@@ -159,6 +161,28 @@ def test_truncated_file(folder):
     returned, output, errors = gate(folder, pcapng(CLEAN)[:-20])
     assert returned >= 2 and "cut short" in errors
     assert "unknown=0" in output  # the rules are printed all the same
+
+
+STREAM = """link {link}
+let motor = 00*32
+> [210 $motor]
+> 59 50 02 00 10 02 00 00 20 00 00 00 FD 7F
+> FD 7F FD 7F FD 7F
+"""
+
+
+@pytest.mark.parametrize("link, kind, frame", [("pdu", "unfinished", 3), ("tcp", "unfinished", 3),
+                                               ("udp", "incomplete", 2)])
+def test_a_stream_that_ends_within_a_frame(folder, home, link, kind, frame):
+    """A datagram is all there is: what is missing will not come."""
+    data = make.pcap(make.Source(STREAM.format(link=link)))
+    for passes in "", " -2":
+        returned, output, _ = z(folder, "events,json", "check,incomplete=0", data=data,
+                                command="tshark -q -r run.pcapng" + passes)
+        events = [json.loads(line) for line in output.splitlines() if line.startswith("{")]
+        found = [(one["kind"], one["frame"], one["id"], one["message"]) for one in events]
+        assert found == [(kind, frame, 0x210, "motor")]
+        assert returned == 20 and z(folder, "check,incomplete=1", data=data)[0] == 0
 
 
 def test_two_passes_and_a_capture_that_is_written(folder):
