@@ -291,22 +291,6 @@ def test_several_statistics_in_one_run(folder, home):
     assert "YAPP summary: 1 source" in output and "YAPP events: 2" in output and output.count("unknown=0") == 2
 
 
-def test_other_countries_write_numbers_with_a_comma(folder, home):
-    """Made here: few machines have such a locale."""
-    locale = folder / "de_DE.UTF-8"
-    made = shutil.which("localedef") and subprocess.run(
-        ["localedef", "-i", "de_DE", "-f", "UTF-8", str(locale)], capture_output=True, check=False).returncode == 0
-    if not made:
-        pytest.skip("no locale can be made")
-    for path in [locale, *locale.rglob("*")]:
-        path.chmod(0o777 if path.is_dir() else 0o666)
-    german = f"LOCPATH={folder} LC_ALL=de_DE.UTF-8 tshark -q -r run.pcapng"
-    table = z(folder, "csv,-,motor")[1]
-    assert z(folder, "csv,-,motor", command=german)[1] == table
-    assert len({line.count(",") for line in table.splitlines()}) == 1
-    assert z(folder, "check,motor.rate=9.5,motor.dc_voltage=-0.5..0.5", command=german)[0] == 0
-
-
 def test_report(folder, home):
     assert z(folder, "check,fault=0,junit=report.xml")[0] == 0
     assert 'tests="2" failures="0" errors="0"' in (folder / "report.xml").read_text()
