@@ -16,8 +16,8 @@ local plugin = { version = VERSION, path = here .. "yapp.lua" }
 set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
   description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }
 
--- A number has a point, as in Wireshark's own times and filters, whatever the user's locale has: with a comma "%.1f" writes
--- text that no program reads, Lua 5.2 reads no "2.5", and Lua that is made from numbers is none.
+-- A number has a point, as in Wireshark's own times and filters, whatever the user's locale has: with a comma "%.1f"
+-- writes text that no program reads, Lua 5.2 reads no "2.5", and Lua that is made from numbers is none.
 os.setlocale("C", "numeric")
 
 package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path

@@ -49,12 +49,15 @@ def with_bad_crc(sent):
     return [sent.start(crc=message_crc(sent.msg, 0, sent.seq, sent.payload) ^ 1), *sent.frames()[1:]]
 
 
-def pcapng(placed):
-    blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)),
-              block(1, struct.pack("<HHI", 227, 0, 0) + option(2, b"can0") + option(9, b"\x09") + option(0, b""))]
+def pcapng(placed, buses=("can0",)):
+    blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
+    for name in buses:
+        options = option(2, name.encode()) + option(9, b"\x09") + option(0, b"")
+        blocks.append(block(1, struct.pack("<HHI", 227, 0, 0) + options))
     for at, frame in placed:
         record = frame.record()
-        blocks.append(block(6, struct.pack("<IIIII", 0, at >> 32, at & 0xFFFFFFFF, len(record), len(record)) + pad(record)))
+        head = struct.pack("<IIIII", frame.bus, at >> 32, at & 0xFFFFFFFF, len(record), len(record))
+        blocks.append(block(6, head + pad(record)))
     return b"".join(blocks)
 
 
@@ -192,6 +195,30 @@ def test_two_passes_and_a_capture_that_is_written(folder):
     assert returned == 20
     frames = shell(folder, "tshark -r out.pcapng -T fields -e frame.number", folder / "home")[1]
     assert len(frames.split()) == 150
+
+
+def two_buses(spoil):
+    """Two buses, each with the same ID at the same time; what is spoiled is on the second."""
+    placed = []
+    for bus in 0, 1:
+        for at, frame in flight(count=3, spoil=spoil if bus else None):
+            frame.bus = bus
+            placed.append((at + bus * 100_000, frame))
+    return pcapng(sorted(placed, key=lambda one: one[0]), buses=("can0", "can1"))
+
+
+def with_fault_and_bad_crc(sent):
+    frames = with_fault(sent)
+    return [sent.start(crc=1), *frames[1:]]
+
+
+@pytest.mark.parametrize("change", [with_fault, with_fault_and_bad_crc])
+def test_whole_messages_of_several_buses_are_saved(folder, home, change):
+    (folder / "run.pcapng").write_bytes(two_buses(only_at(1, change)))
+    assert shell(folder, "tshark -2 -r run.pcapng -Y yapp.message.fault -w faults.pcapng", home)[0] == 0
+    fields = "-T fields -e frame.interface_name -e yapp.can.ctrl -e yapp.message.fault"
+    kept = shell(folder, f"tshark -2 -r faults.pcapng {fields}", home)[1]
+    assert [line.split("\t")[:2] for line in kept.splitlines()] == [["can1", ctrl] for ctrl in "12223"]
 
 
 def test_a_job_goes_on_behind_a_gate_that_holds(folder):

@@ -209,6 +209,29 @@ function T.test_a_fault_is_known_in_every_frame()
   lu.assertEquals(looks(known, { WHOLE[1], WHOLE[3] }, AGAIN), "part>5 fault part>5 fault")
 end
 
+-- A bad CRC proves nothing about the rest of a message, but its frames are kept with the fault rather than lost.
+function T.test_a_fault_in_a_bad_message_where_buses_mix()
+  local function spoiled(rows)
+    for i, row in ipairs(rows) do
+      if row[2] == "M3" and row[3].bus == 2 then rows[i] = { row[1], "M3", { bus = 2, payload = 1 } } end
+    end
+    return rows
+  end
+  for _, apart in ipairs { false, true } do
+    local rows = spoiled(two_buses())
+    if apart then table.sort(rows, function(a, b) return a[3].bus * 99 + a[1] < b[3].bus * 99 + b[1] end) end
+    for i, row in ipairs(rows) do row[1] = i end
+    local known = new { has_buses = true }
+    for _, row in ipairs(rows) do
+      local record = look(known, { row[1], row[2], { bus = row[3].bus, payload = row[3].payload, uninformed = true } })
+      if record.is_last and record.message.status == "bad" then known:note_fault(record) end
+    end
+    local second = looks(known, rows, AGAIN)
+    lu.assertEquals(select(2, second:gsub("part fault", "")), 4, second)
+    lu.assertEquals(select(2, second:gsub("fault", "")), 4, second)
+  end
+end
+
 function T.test_the_time_since_the_previous_message_is_kept()
   local known = new()
   for round = 0, 1 do
