@@ -143,12 +143,13 @@ end
 
 -- What the first pass knows of a message that the second has not seen to its end.
 -- returns  the message there; and whether it is surely the same: if the first mixed buses, it is where it has this from
---          the CRC, and likely where no other message was open when it ended
+--          the CRC or nothing of its kind came behind it; and likely where no other message was open when it ended
 local function foreseen(self, message)
   local second, start = self.second, message[1]
   local look, same = find_look(self.first, floor(start), place_of(second, start), message.address.key)
   if not same or same[1] ~= look then return nil end
-  if not self.is_mixed or same.status == "good" then return same, true end
+  local is_alone = not (same.status or same.from)
+  if not self.is_mixed or same.status == "good" or is_alone then return same, true end
   if same.is_only then return same, false end
 end
 
@@ -273,7 +274,7 @@ function Memory:change(message, record)
     message.delta = pass.deltas[look]
     change = history:change(message)
   end
-  if change and (change.flags or change.active_since) then
+  if change and (change.is_alarm or change.active_since) then
     change.next_change = history:next_change(look, message.source)
   end
   return numbered(pass, change)

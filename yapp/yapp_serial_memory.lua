@@ -339,7 +339,7 @@ function Memory.change(_, message, packet, index, fact)
     change = pass.history:change(message)
   end
   if not change then return nil end
-  if change.flags or change.active_since then
+  if change.is_alarm or change.active_since then
     change.next_change = pass.history:next_change(message.number, message.source)
   end
   for _, name in ipairs(LINKS) do change[name] = change[name] and floor(change[name]) end
