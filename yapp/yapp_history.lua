@@ -9,6 +9,7 @@ local M = {}
 
 local byte = string.byte
 
+local NANOSECOND = 1e-9 -- what a capture's times have; a difference of two of them has a little more or less
 local NOTHING = {} -- how things stand before a source's first event
 
 local History = {}
@@ -204,7 +205,7 @@ local function tell(self, source, look, delta, clock)
   local message, active_since, late, drift, command_in, previous = look.message, state.active_since, nil, nil, nil, nil
   if message then
     local every = message.every
-    if every and delta and delta > self.late * every then late = delta end
+    if every and delta and delta > self.late * every + NANOSECOND / 2 then late = delta end
     if state.clock and look.raws then
       clock = clock or clock_of(look.payload, message.time.offset + 1)
       drift = clock and (clock - state.clock) / 1e9 - (look.time - state.time)

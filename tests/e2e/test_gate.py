@@ -311,6 +311,11 @@ def test_filter_decides_what_counts(folder, home):
     assert z(folder, "check,incomplete=0,filter=taurus.motor || yapp.id", data=cut)[0] == 20
 
 
+def test_limits_that_are_just_kept(folder, home):
+    returned, output, _ = z(folder, "check,json,motor.rate=10,motor.gap=0.1,motor.count=30")
+    assert returned == 0, output
+
+
 def test_several_statistics_in_one_run(folder, home):
     returned, output, _ = z(folder, "check,fault=0", "summary", "check,fault=1,count=x", "events",
                             data=CASES["fault"][0])
