@@ -326,6 +326,9 @@ def test_several_statistics_in_one_run(folder, home):
 def test_report(folder, home):
     assert z(folder, "check,fault=0,junit=report.xml")[0] == 0
     assert 'tests="2" failures="0" errors="0"' in (folder / "report.xml").read_text()
+    # A pipe or a device is written, not replaced: with root's rights /dev/stdout would be a file from then on.
+    assert z(folder, "check,fault=0,junit=/dev/fd/3", command="exec 3>pipe.xml; tshark -q -r run.pcapng")[0] == 0
+    assert (folder / "pipe.xml").read_text() == (folder / "report.xml").read_text()
     returned, _, errors = z(folder, "check,fault=0,junit=none/report.xml")
     assert returned == 21 and "the report is not written" in errors
     shutil.rmtree(folder / "home")
