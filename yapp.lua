@@ -16,6 +16,10 @@ local plugin = { version = VERSION, path = here .. "yapp.lua" }
 set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
   description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }
 
+-- A number has a point, as in Wireshark's own times and filters, whatever the user's locale has: with a comma "%.1f"
+-- writes text that no program reads, Lua 5.2 reads no "2.5", and Lua that is made from numbers is none.
+os.setlocale("C", "numeric")
+
 package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
 require("yapp_copies").tell(plugin)
 local parts = {}
@@ -90,7 +94,11 @@ local tell = parts.stat_tell.new(stat, reader)
 reader:tell_to(tell)
 function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
 function stat.plugin.has_source(name) return reader.sources:has_name(name) end
-function stat.plugin.unfinished() return tell:unfinished(frames:unfinished()) end
+function stat.plugin.unfinished()
+  local messages = frames:unfinished()
+  for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end
+  return tell:unfinished(messages)
+end
 
 -- Dissectors --------------------------------------------------------------------------------------------------------
 

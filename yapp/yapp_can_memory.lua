@@ -139,13 +139,16 @@ local function refines(self, facts)
   return number <= self.reached or follows(self, number)
 end
 
--- What the first pass knows of a message that the second has not seen to its end; if the first mixed buses, it has this
--- from the CRC.
+-- What the first pass knows of a message that the second has not seen to its end.
+-- returns  the message there; and whether it is surely the same: if the first mixed buses, it is where it has this from
+--          the CRC or nothing of its kind came behind it; and likely where no other message was open when it ended
 local function foreseen(self, message)
   local second, start = self.second, message[1]
   local look, same = find_look(self.first, floor(start), place_of(second, start), message.address.key)
-  if not same or same[1] ~= look or self.is_mixed and same.status ~= "good" then return nil end
-  return same
+  if not same or same[1] ~= look then return nil end
+  local is_alone = not (same.status or same.from)
+  if not self.is_mixed or same.status == "good" or is_alone then return same, true end
+  if same.is_only then return same, false end
 end
 
 -- The second pass's look at a frame, and whether it is made now; nil where that pass has not come so far, or not by
@@ -173,10 +176,11 @@ end
 local function link(self, record, message)
   local pass, has_ended = record.pass, self.is_again
   if not message.last and pass == self.second then
-    local same = foreseen(self, message)
-    if same then
+    local same, is_sure = foreseen(self, message)
+    if is_sure then
       message, pass = same, self.first
     else
+      record.has_fault = same and self.first.faulty[same.last] -- kept rather than lost
       has_ended = not record.is_now and pass.highest >= self.first.highest
     end
   end
@@ -282,7 +286,7 @@ function Memory:change(message, record)
     message.delta = pass.deltas[look]
     change = history:change(message)
   end
-  if change and (change.flags or change.active_since) then
+  if change and (change.is_alarm or change.active_since) then
     change.next_change = history:next_change(look, message.source)
   end
   return numbered(pass, change)

@@ -22,8 +22,8 @@ Reassembly.__index = Reassembly
 --
 -- A message has address (yapp_can_id's), bus, size, crc, reserved (nil when 0), all from its Start; the looks of its
 -- frames at 1 .. count, received (bytes); and when it has ended status: "good", "bad" (CRC), "short", "overrun", "cut"
--- (by a new Start), "unverified" (bytes not captured), payload, padding (nil when 0), calculated (a bad CRC), and last
--- (the look of its last frame).
+-- (by a new Start), "unverified" (bytes not captured), payload, padding (nil when 0), calculated (a bad CRC), is_only
+-- (whether no other message was open that its bytes may belong to), and last (the look of its last frame).
 function M.new(parts, size_of)
   return setmetatable({
     can_id = parts.can_id, crc = parts.crc, parts = parts, size_of = size_of, kept = parts.can_frames.new(parts.can_id),
@@ -72,7 +72,7 @@ function Reassembly:finish(message, payload, look, status)
     message.status = "good"
     return self.kept:good(message)
   else
-    message.status, message.calculated = "bad", calculated
+    message.status, message.calculated, message.is_only = "bad", calculated, not message.from
   end
 end
 

@@ -9,6 +9,7 @@ local M = {}
 
 local byte = string.byte
 
+local NANOSECOND = 1e-9 -- what a capture's times have; a difference of two of them has a little more or less
 local NOTHING = {} -- how things stand before a source's first event
 
 local History = {}
@@ -196,7 +197,7 @@ end
 
 local function is_late(self, message, delta)
   local every = message and message.every
-  return every and delta and delta > self.late * every
+  return every and delta and delta > self.late * every + NANOSECOND / 2
 end
 
 -- The change of a good message from what is kept.
@@ -225,6 +226,7 @@ local function tell(self, source, look, delta, clock)
   if state.stale then change.stale = true end
   if previous then change.previous_change = previous end
   if event ~= NOTHING then change.missing, change.reboot, change.flags = event.missing, event.reboot, event.flags end
+  if event.is_alarm then change.is_alarm = true end
   return next(change) and change
 end
 
@@ -248,6 +250,7 @@ end
 --   command_in    number of the latest good message on the bus before it of those that it answers: a Command
 --   flags         { { field =, value =, raised = bits, cleared = bits } ... } of every flags field that changed; in a
 --                 source's first message all alarms that are set are raised, other flags are not told
+--   is_alarm      true where an alarm is among these
 --   active_since  time at which the oldest alarm bit that is still set was raised
 --   previous_change  number of the message before it that changed an alarm, where one is set or changed }
 -- A message that is not good changes nothing and has its delta only.

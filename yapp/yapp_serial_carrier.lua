@@ -33,6 +33,7 @@ end
 function Carrier:reset(options)
   self.memory = self.parts.serial_memory.new(self.parts.crc, {
     new_framer = function() return self:framer() end, new_history = options.new_history })
+  self.latest = {} -- [stream]: its latest packet that ends within a frame, as the statistics are told of one
 end
 
 --- A framer of a stream: a yapp_serial_stream.
@@ -84,12 +85,17 @@ local function add_frame(self, view, tvb, at, message)
   return item
 end
 
+-- The key of a source.
+local function source_of(stream, id)
+  return stream .. "|" .. id
+end
+
 -- What a frame means, and its history.
 local function read(self, view, index, message)
   local fact, name = view.fact, view.bus_name
   local m = { tree = view.tree, wanted = view.wanted, id = message.id, seq = message.seq, ctl = message.ctl,
     size = message.size, payload = message.payload, status = message.status, good = message.status == "good",
-    is_whole = true, source = fact.stream .. "|" .. message.id, bus = view.bus_key, bus_name = name,
+    is_whole = true, source = source_of(fact.stream, message.id), bus = view.bus_key, bus_name = name,
     name = self.tree:name(message.id, name), frame = fact.number, time = view.pinfo.rel_ts, visited = fact.visited,
     is_brief = not (view.wanted or self.reader.stat.wanted) }
   self.reader:read(m, self.memory, view.packet, index, fact)
@@ -154,17 +160,39 @@ end
 
 -- Shows the bytes at the packet's end that wait for more; returns what the Info column says of them.
 local function show_pending(self, tvb, tree, packet)
-  local builder, pending, leads_to = self.tree, packet.pending, packet.leads_to
+  local builder, pending, leads_to, item = self.tree, packet.pending, packet.leads_to, tree
   if builder:wants(tree, true).yapp then
     local range = tvb(packet.done, pending)
-    local item = tree:add(builder.yapp, range)
+    item = tree:add(builder.yapp, range)
     item:append_text(", part of a frame")
     item:add(builder.fields["fragment.data"], range)
     if leads_to then item:add(builder.fields["reassembled.in"], leads_to):set_generated() end
   end
+  if packet.is_unfinished then builder:expert(item, "unfinished") end
   return leads_to and ("[Reassembled in #%d]"):format(leads_to) or
     packet.missing and ("[%s of a frame, %d to come]"):format(builder.bytes(pending), packet.missing) or
     ("[%s wait for more]"):format(builder.bytes(pending))
+end
+
+-- Statistics are told of the frames that the capture ends before, and when their last bytes came.
+local function note_latest(self, pinfo, fact, bus_key, bus_name)
+  self.latest[fact.stream] = { frame = fact.number, time = pinfo.rel_ts, bus = bus_key, bus_name = bus_name }
+end
+
+--- The messages that the capture ends before, for the statistics.
+-- returns  list of { source, seq, frame = number of the packet with its last bytes }
+function Carrier:unfinished()
+  local list = {}
+  for _, open in ipairs(self.memory:unfinished()) do
+    local m = self.latest[open.stream]
+    if m and m.frame == open.number then
+      local id, _, _, seq = frame.parse(open.header, 1)
+      m.id, m.seq, m.source = id, seq, source_of(open.stream, id)
+      self.reader.tell:part(m)
+      list[#list + 1] = m
+    end
+  end
+  return list
 end
 
 -- The capture cut the packet short: this is said at the frame that it cut, where there is one.
@@ -221,6 +249,9 @@ function Carrier:dissect(tvb, pinfo, tree)
   if #events > 0 or transport ~= "segment" then
     show(self, { tvb = tvb, pinfo = pinfo, tree = tree, packet = packet, fact = fact, bus_key = bus_key,
       bus_name = self.facts:bus_name(source) })
+  end
+  if self.reader.stat.wanted and packet.done < size then
+    note_latest(self, pinfo, fact, bus_key, self.facts:bus_name(source))
   end
   if packet.pending > 0 then
     pinfo.cols.info:append((#events > 0 and " | " or "") .. show_pending(self, tvb, tree, packet))

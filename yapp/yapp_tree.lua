@@ -261,8 +261,10 @@ function Tree:payload(m)
   m.label = name ~= m.message.title and name or nil
   m.is_steady = IS_TSHARK and not m.visited
   local top = self.messages:show(m.tree, m.item, m)
-  if change then self.messages:add_change(top or m.item, m, top ~= nil) end
-  return self.decode.info(m.message, m.raws, m.payload, name)
+  local info = self.decode.info(m.message, m.raws, m.payload, name)
+  if not change then return info end
+  self.messages:add_change(top or m.item, m, top ~= nil)
+  return info .. (change.reboot and "  REBOOT" or change.stale and "  STALE" or "")
 end
 
 return M

@@ -263,6 +263,15 @@ function T.test_check_counts_by_source()
   lu.assertEquals(code, 20)
 end
 
+-- Times are doubles: 0.3 - 0.2 is less than 0.1, and 1.1 - 1 is more.
+function T.test_check_limits_that_are_just_kept()
+  local records = {}
+  for i = 1, 20 do records[i] = record(i, i / 10) end
+  for _, rule in ipairs { "motor.rate=10", "motor.gap=0.1" } do
+    lu.assertEquals(select(2, verdicts(rule .. ",unknown=99", records)), 0, rule)
+  end
+end
+
 function T.test_check_rates_and_gaps()
   local records = { record(1, 0), record(2, 0.5), record(3, 0.75), record(4, 1) }
   lu.assertEquals({ verdicts("motor.count=4,motor.rate=3,motor.gap=0.5", records) }, { {
