@@ -119,6 +119,13 @@ def test_its_filters_are_filters():
     tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
 
 
+def test_the_filters_of_the_help():
+    text = (tshark.ROOT / "yapp/yapp_stat_help.lua").read_text()
+    filters = [part for line in re.findall(r"^.{50}((?:yapp|taurus)\..*)$", text, re.M) for part in re.split(r", or ", line)]
+    assert len(filters) >= 9
+    tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
+
+
 # How they are made -------------------------------------------------------------------------------------------------
 
 def test_it_is_short_and_begins_with_what_matters():

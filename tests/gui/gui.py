@@ -15,7 +15,7 @@ for folder in ("tests/e2e", "test_captures"):
 import make  # noqa: E402
 import tshark  # noqa: E402
 
-NEEDED = ("wireshark", "Xvfb", "openbox", "xdotool", "xclip")
+NEEDED = ("wireshark", "Xvfb", "openbox", "xdotool", "xclip", "tesseract", "convert", "import")
 MISSING = [name for name in NEEDED if not shutil.which(name)]
 WIDTH, HEIGHT = 1100, 740
 
@@ -187,14 +187,28 @@ class Wireshark:
     def stderr(self):
         return self.stderr_path.read_text(errors="replace")
 
-    def words(self, area="", scale=300):
-        """The words that can be read in an area of the screen, WxH+X+Y, in one text."""
+    def read(self, area="", scale=300):
+        """The words that can be read in an area of the screen, WxH+X+Y: [(word, left, top, width, height)], the places in
+        parts of the area."""
         path = self.home / "words.png"
         self.picture(path)
         crop = ["-crop", area, "+repage"] if area else []
         subprocess.run(["convert", path, *crop, "-colorspace", "gray", "-scale", f"{scale}%", path], check=True)
-        done = subprocess.run(["tesseract", path, "-", "--psm", "11"], capture_output=True, text=True, check=True)
-        return " ".join(done.stdout.split())
+        done = subprocess.run(["tesseract", path, "-", "--psm", "11", "tsv"], capture_output=True, text=True, check=True)
+        lines = [line.split("\t") for line in done.stdout.splitlines()[1:]]
+        return [(line[11], *(int(cell) * 100 // scale for cell in line[6:10])) for line in lines if line[11].strip()]
+
+    def words(self, area="", scale=300):
+        """The words of an area in one text."""
+        return " ".join(word for word, *_ in self.read(area, scale))
+
+    def click(self, word):
+        """Clicks on the lowest place where this word can be read: a button of a window's."""
+        def found():
+            return [place for text, *place in self.read(scale=200) if text == word]
+        left, top, width, height = max(wait_for(found, 30), key=lambda place: place[1])
+        self.xdotool("mousemove", left + width // 2, top + height // 2, "click", "1")
+        time.sleep(1)
 
     def pixels(self, colour):
         """How many pixels of the screen have a colour, #rrggbb."""

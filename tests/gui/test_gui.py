@@ -199,12 +199,102 @@ def test_a_statistic_in_a_window(captures):
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
 
 
+# Under Tools, the last entry is YAPP; its entries by the alphabet.
+MENU = ["Check", "Events", "Export tables", "Faults", "Help", "Open the flight page", "Summary"]
+
+
+def choose(wireshark, entry, title=None):
+    """Chooses from the menu, until its window is there."""
+    wireshark.press("alt+t", "Up", "Right", *["Down"] * MENU.index(entry), "Return",
+                    until=lambda: any(f"YAPP {title or entry}" in name for name in wireshark.windows().values()))
+
+
+def answer(wireshark, title, text):
+    """Types into a dialog with one line, and presses its button."""
+    dialog = wireshark.wait_for_window(title)
+    wireshark.xdotool("mousemove", "--window", dialog, 250, 25, "click", "1")  # the focus is on OK
+    wireshark.keys("ctrl+a")
+    wireshark.type(text)
+    wireshark.keys("Return")
+    gui.wait_for(lambda: dialog not in wireshark.windows())
+
+
 def test_statistics_in_the_menu(captures):
     with gui.Wireshark("-r", captures / "first.pcap") as wireshark:
         wireshark.wait_for_window("first.pcap")
-        # Tools, its last entry YAPP: Check, Events, Export tables, Faults
-        wireshark.press("alt+t", "Up", "Right", "Down", "Down", "Down", "Return",
-                        until=lambda: any("YAPP Faults" in title for title in wireshark.windows().values()))
+        choose(wireshark, "Faults")
         text = text_of(wireshark, "YAPP Faults")
         assert "YAPP faults: 2 changes" in text and "motor_overcurrent" in text
+
+        wireshark.clipboard("-i")
+        wireshark.click("Copy")
+        assert gui.wait_for(wireshark.clipboard, 20).splitlines() == text.splitlines()
+
+        wireshark.click("Save")
+        answer(wireshark, "YAPP Save", str(captures / "faults.txt"))
+        gui.wait_for((captures / "faults.txt").exists, 20)
+        assert (captures / "faults.txt").read_text().splitlines() == text.splitlines()
+
+        wireshark.wait_for_window("YAPP Faults")
+        wireshark.click("Show")
+        wireshark.wait_for_window("first.pcap")
+        wireshark.keys("ctrl+Home", "Tab", "ctrl+Right")
+        wireshark.tree("Frame 236:", *FAULT)
+        wireshark.keys("ctrl+Down")
+        wireshark.tree("Frame 330:", *FAULT)
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+def test_check_tables_and_help_in_the_menu(captures):
+    with gui.Wireshark("-r", captures / "first.pcap") as wireshark:
+        wireshark.wait_for_window("first.pcap")
+        choose(wireshark, "Check")
+        answer(wireshark, "YAPP Check", "fault=0,motor.count=60")
+        assert "FAILED  fault=0" in text_of(wireshark, "YAPP Check")
+        wireshark.keys("Escape")
+        choose(wireshark, "Export tables")
+        answer(wireshark, "YAPP Export tables", str(captures / "tables"))
+        assert "motor.csv" in text_of(wireshark, "YAPP Export tables")
+        assert (captures / "tables/motor.csv").read_text().count("\n") == 61
+        wireshark.keys("Escape")
+        choose(wireshark, "Help")
+        assert "taurus.fault.active" in text_of(wireshark, "YAPP Help")
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+def program(folder, name, text):
+    path = folder / "bin" / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+    return path
+
+
+def test_the_flight_page(captures, monkeypatch):
+    """Of the capture that is open, by yapp-tables, in the browser."""
+    captures.chmod(0o777)
+    program(captures, "yapp-tables", f'echo "$@" >{captures}/said; echo page >"$4"')
+    program(captures, "xdg-open", f'echo "$@" >{captures}/opened')
+    monkeypatch.setenv("PATH", f"{captures}/bin:/usr/bin:/bin")
+    with gui.Wireshark("-r", captures / "first.pcap", "-o", "yapp.sources:0x210=motor:it's mine") as wireshark:
+        wireshark.wait_for_window("first.pcap")
+        choose(wireshark, "Open the flight page")
+        wireshark.wait_for_window("YAPP Open the flight page")
+        wireshark.keys("Return")
+        gui.wait_for((captures / "opened").exists, 20)
+        said, capture, page = (captures / "said").read_text(), captures / "first.pcap", captures / "first.html"
+        assert said.startswith(f"report {capture} -o {page} -o yapp.sources:0x210=motor:it's mine -o yapp.late:2.5")
+        assert page.read_text() == "page\n"
+        gui.wait_for(lambda: (captures / "opened").read_text() == f"file://{page}\n", 20)
+        assert len(wireshark.windows()) == 1
+
+
+def test_no_flight_page(captures, monkeypatch):
+    """Without yapp-tables the window says where it comes from."""
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    with gui.Wireshark("-r", captures / "first.pcap") as wireshark:
+        wireshark.wait_for_window("first.pcap")
+        choose(wireshark, "Open the flight page")
+        answer(wireshark, "YAPP Open the flight page", str(captures / "first.pcap"))
+        assert "pip install" in text_of(wireshark, "YAPP Flight page")
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()

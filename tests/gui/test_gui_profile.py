@@ -11,8 +11,7 @@ import pytest
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 import gui  # noqa: E402
 
-MISSING = [*gui.MISSING, *(name for name in ("tesseract", "convert", "import") if not shutil.which(name))]
-pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}")
+pytestmark = pytest.mark.skipif(bool(gui.MISSING), reason=f"not installed: {', '.join(gui.MISSING)}")
 PROFILE = gui.ROOT / "profiles/YAPP"
 VERSION = gui.tshark.version()
 
