@@ -19,8 +19,7 @@ VERSION = gui.tshark.version()
 @pytest.fixture
 def capture():
     folder = gui.tshark.writable_folder()
-    (folder / "flight.pcap").write_bytes(gui.demo())
-    yield folder / "flight.pcap"
+    yield shutil.copy(gui.FLIGHT, folder / "flight.pcapng")
     shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -39,7 +38,7 @@ def wait_for_words(wireshark, words, area="", scale=300):
 
 def test_columns_buttons_colours(capture):
     with gui.Wireshark("-C", "YAPP", "-r", capture, "-Y", "taurus.motor.fault_flags > 0", profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcap")
+        wireshark.wait_for_window("flight.pcapng")
         wait_for_words(wireshark, ["Source", "RPM", "Voltage", "Current", "State", "Faults", "Info"],
                        f"{gui.WIDTH}x60+0+60")
         assert wireshark.pixels("#ffbe79") > 2000  # a fault is active
@@ -51,7 +50,7 @@ def test_columns_buttons_colours(capture):
 
 def test_graphs(capture):
     with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcap")
+        wireshark.wait_for_window("flight.pcapng")
         wireshark.press("alt+s", "i", until=lambda: any("I/O Graphs" in title for title in wireshark.windows().values()))
         wireshark.wait_for_window("I/O Graphs")
         wait_for_words(wireshark, ["RPM measured", "RPM commanded", "Faults raised"], scale=200)
@@ -62,7 +61,7 @@ def test_graphs(capture):
 @pytest.mark.skipif(VERSION < (4, 4), reason="from 4.4 on")
 def test_it_is_switched_to(capture):
     with gui.Wireshark("-r", capture, profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcap")
+        wireshark.wait_for_window("flight.pcapng")
         wait_for_words(wireshark, ["Profile: YAPP"])
         time.sleep(1)
         assert len(wireshark.windows()) == 1
@@ -71,7 +70,7 @@ def test_it_is_switched_to(capture):
 @pytest.mark.skipif(VERSION < (4, 6), reason="from 4.6 on")
 def test_plots(capture):
     with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcap")
+        wireshark.wait_for_window("flight.pcapng")
         # Under Statistics, the eighth from the top, without a letter of its own.
         wireshark.press("alt+s", *["Down"] * 7, "Return",
                         until=lambda: any("Plots" in title for title in wireshark.windows().values()))
