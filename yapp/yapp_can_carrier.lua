@@ -23,14 +23,31 @@ Carrier.__index = Carrier
 function M.new(parts, tree, reader, facts, claim)
   KINDS, START, address_of = parts.can_id.KINDS, parts.can_id.START, parts.can_id.address
   return setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, claim = claim, view = {},
-    message = {} }, Carrier)
+    message = {}, record = {} }, Carrier)
 end
 
 --- Forgets the capture file: nothing survives into the next one.
 -- options  as for yapp_can_memory.new
 function Carrier:reset(options)
   self.memory = self.parts.can_memory.new(self.parts, options)
-  self.names = {} -- [bus or false][id]: see names_of
+  self.names = {} -- [bus or false][id]: see new_names
+end
+
+-- The key of a source: bus and ID.
+local function key_of(bus, id)
+  return (bus or -1) * 0x800 + id
+end
+
+-- What the messages of an ID are called, and texts of their parts, for the first time: { bus = name of the bus or nil,
+-- name = in the Info column, source = in the column Source, texts }.
+-- bus  number or nil
+local function new_names(self, id, bus)
+  local of_bus, name = self.names[bus or false] or {}, self.facts:bus_name(bus)
+  self.names[bus or false] = of_bus
+  of_bus[id] = { bus = name, name = self.reader:label(id, name), source = self.reader:source_text(id, name),
+    texts = {} }
+  self.claim(id)
+  return of_bus[id]
 end
 
 --- Dissects one frame.
@@ -39,21 +56,24 @@ end
 -- returns  the number of bytes that are ours, 0 for a frame that is not
 function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local memory = self.memory
-  local facts = self.facts:can_frame(tvb, pinfo, memory:highest())
+  local facts = self.facts:can_frame(tvb, pinfo, memory.highest)
   if facts.reported == 0 then return 0 end
-  if facts.remote or facts.doubtful and facts.data == "" then
+  if facts.is_odd and (facts.remote or facts.data == "") then
     if facts.doubtful then memory:guess() else memory:pass_over(facts) end
     return 0
   end
   facts.wide = is_wide
   local address = address_of(can_id)
-  local record = memory:look(address, facts)
+  local record = memory:look(address, facts, self.record)
   if not record then return 0 end
-  local names, wants = self:names_of(address.id, facts.bus), self.tree:wants(tree, facts.is_again)
+  local of_bus = self.names[facts.bus or false]
+  local names = of_bus and of_bus[address.id] or new_names(self, address.id, facts.bus)
+  local wants = self.tree:wants(tree, facts.is_again)
   local columns = pinfo.cols
   columns.protocol = "YAPP"
   columns.src = names.source
-  if not wants.tree and self:is_plain_part(record, facts) then -- most frames of a packet list
+  if not (record.is_rare or wants.tree or self.reader.stat.wanted) and #facts.data == facts.reported then
+    -- Most frames of a packet list.
     columns.info = self:part_text(names, address, record, #facts.data)
   else
     local view = self.view
@@ -62,12 +82,6 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
     columns.info = self:show(view)
   end
   return facts.reported
-end
-
---- Whether a frame is a part of a message, and nothing is to be said of it but that.
-function Carrier:is_plain_part(record, facts)
-  return record.message and not (record.is_last or record.leads_to or record.faults or record.is_unfinished) and
-    #facts.data == facts.reported and not self.reader.stat.wanted
 end
 
 --- Says that a first pass may have been told wrong ids.
@@ -88,29 +102,6 @@ function Carrier:without_id(tvb, pinfo, tree)
   pinfo.cols.protocol = "YAPP"
   builder:expert(item, "can.id.missing")
   return tvb:reported_len()
-end
-
--- The key of a source: bus and ID.
-local function key_of(bus, id)
-  return (bus or -1) * 0x800 + id
-end
-
--- What is said of an ID for the first time.
-local function new_names(self, id, bus)
-  local of_bus, name = self.names[bus or false] or {}, self.facts:bus_name(bus)
-  self.names[bus or false] = of_bus
-  of_bus[id] = { bus = name, name = self.reader:label(id, name), source = self.reader:source_text(id, name),
-    texts = {} }
-  self.claim(id)
-  return of_bus[id]
-end
-
---- What the messages of an ID are called, and texts of their parts: { bus = name of the bus or nil, name = in the Info
--- column, source = in the column Source, texts }.
--- bus  number or nil
-function Carrier:names_of(id, bus)
-  local of_bus = self.names[bus or false]
-  return of_bus and of_bus[id] or new_names(self, id, bus)
 end
 
 -- A view is what all of the following look at: { tvb, pinfo, tree, wants, address, facts, record, names, item = YAPP's
@@ -182,6 +173,7 @@ local function finished(self, view, payload, size)
   m.id, m.seq, m.ctl, m.payload, m.size = address.id, address.seq, address.ctl, payload, size
   m.source, m.bus, m.bus_name, m.name = key_of(facts.bus, address.id), facts.bus, names.bus, names.name
   m.frame, m.time, m.visited, m.is_whole = facts.number, view.pinfo.rel_ts, facts.is_again, true
+  m.is_brief = not (view.wanted or view.wants.taurus or self.reader.stat.wanted)
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   return m
 end

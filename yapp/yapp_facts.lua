@@ -230,23 +230,28 @@ end
 --- What a look at a CAN frame needs to know, asked for once.
 -- highest  the highest number so far: one above it is new, and Wireshark cannot have shown it before
 -- returns  { number, place, is_again, data, reported, bus, informed = whether this pass can tell the bus,
---            remote = whether it is a remote frame, doubtful = whether it may be one and nothing says }:
---          the same table for every frame
+--            remote = whether it is a remote frame, doubtful = whether it may be one and nothing says,
+--            is_odd = whether it may be either }: the same table for every frame
 function Facts:can_frame(tvb, pinfo, highest)
   local record, number = self.record, pinfo.number
-  record.number, record.place, record.is_again = number, tvb:offset(), number <= highest and pinfo.visited
-  record.reported = tvb:reported_len()
   -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
-  record.data = tvb:len() > 0 and tvb:raw() or ""
+  local data = tvb:len() > 0 and tvb:raw() or ""
+  record.number, record.place, record.is_again = number, tvb:offset(), number <= highest and pinfo.visited
+  record.reported, record.data = tvb:reported_len(), data
   if self.asked ~= record.is_again then -- at a pass's first frame: a later one may need them
     self.asked = record.is_again
     can_fields(self, number)
   end
-  record.bus, record.informed = self:bus(pinfo)
-  record.remote, record.doubtful = false, false
-  if ZEROS[record.data] and record.reported > 0 then
-    local remote = is_remote(self, pinfo)
-    record.remote, record.doubtful = remote or false, remote == nil
+  if self.bus_tap or self.found.later or self.candump.current_bus then
+    record.bus, record.informed = self:bus(pinfo)
+  elseif record.bus or not record.informed then
+    record.bus, record.informed = nil, true
+  end
+  local is_odd = ZEROS[data] and record.reported > 0
+  if is_odd or record.is_odd then
+    local remote = false
+    if is_odd then remote = is_remote(self, pinfo) end
+    record.is_odd, record.remote, record.doubtful = is_odd, remote or false, remote == nil
   end
   return record
 end
