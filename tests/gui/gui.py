@@ -16,7 +16,7 @@ FLIGHT = ROOT / "docs/flight.pcapng"  # two controllers; see test_captures/fligh
 
 NEEDED = ("wireshark", "Xvfb", "openbox", "xdotool", "xclip", "tesseract", "convert", "import")
 MISSING = [name for name in NEEDED if not shutil.which(name)]
-WIDTH, HEIGHT = 1100, 740
+WIDTH, HEIGHT = 1200, 740
 
 # No questions, and the columns that matter here; packet list over tree, no bytes.
 PREFERENCES = r"""
@@ -56,8 +56,9 @@ def wait_for(condition, seconds=60):
 class Wireshark:
     """with Wireshark(arguments) as wireshark: a running Wireshark, with the plugin loaded by the route of the tests."""
 
-    def __init__(self, *arguments, plugin=tshark.PLUGIN, route=tshark.ROUTE, profile=None):
-        """profile: a folder; it is there, beside the default one, which is used unless the arguments say otherwise"""
+    def __init__(self, *arguments, plugin=tshark.PLUGIN, route=tshark.ROUTE, profile=None, recent=""):
+        """profile: a folder; it is there, beside the default one, which is used unless the arguments say otherwise; recent:
+        what Wireshark remembers of it besides"""
         self.arguments, self.processes = list(map(str, arguments)), []
         self.home = pathlib.Path(tempfile.mkdtemp(prefix="yapp-gui-"))
         installed = self.home / ".local/lib/wireshark/plugins/yapp"
@@ -72,7 +73,7 @@ class Wireshark:
         (config / "recent_common").write_text(RECENT)
         if profile:
             shutil.copytree(profile, config / "profiles" / profile.name)
-            (config / "profiles" / profile.name / "recent").write_text(PROFILE_RECENT.rpartition("column.width")[0])
+            (config / "profiles" / profile.name / "recent").write_text("gui.toolbar_main_show: FALSE\n" + recent)
         self.stderr_path = self.home / "stderr"
         self.user = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}
         if self.user:

@@ -2,6 +2,8 @@
 """The profile YAPP in Wireshark's windows: column names, colours, the group of filter buttons and the lines of the graphs
 are read off the screen."""
 import pathlib
+import re
+import shlex
 import shutil
 import sys
 import time
@@ -37,10 +39,14 @@ def wait_for_words(wireshark, words, area="", scale=300):
 
 
 def test_columns_buttons_colours(capture):
-    with gui.Wireshark("-C", "YAPP", "-r", capture, "-Y", "taurus.motor.fault_flags > 0", profile=PROFILE) as wireshark:
+    """By the command of docs/fault.md."""
+    command = re.search(r"^    wireshark (.*)", (gui.ROOT / "docs/fault.md").read_text(), re.MULTILINE)[1]
+    words = [str(capture) if word == "docs/flight.pcapng" else word for word in shlex.split(command)]
+    with gui.Wireshark(*words, "-Y", "taurus.motor.fault_flags > 0", profile=PROFILE) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
         wait_for_words(wireshark, ["Source", "RPM", "Voltage", "Current", "State", "Faults", "Info"],
                        f"{gui.WIDTH}x60+0+60")
+        wait_for_words(wireshark, ["right"])  # the name
         assert wireshark.pixels("#ffbe79") > 2000  # a fault is active
         width = 120
         wait_for_words(wireshark, ["YAPP"], f"{width}x30+{gui.WIDTH - width}+43")
