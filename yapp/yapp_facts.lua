@@ -19,6 +19,8 @@ for name in (BUS_FIELDS .. " || " .. CAN_FIELDS):gmatch("[%w_.]+") do NAMES[name
 local ZEROS = {}
 for length = 0, 8 do ZEROS[("\0"):rep(length)] = true end
 
+local IN_WIRESHARK = gui_enabled() -- tshark numbers frames anew (-R), and all of a pass has a tree or none
+
 local DIRECTION = { 0, 1, 0, 1 } -- of RTAC events: data sent, data received, ...
 local MASK = 0x20000000 -- of the 29 bits of an id
 
@@ -66,6 +68,7 @@ function Facts:init()
   remove(self.can_tap)
   self.can_tap, self.asked_at = nil, nil
   self.says_bus, self.numbers, self.names, self.count = {}, {}, {}, 0
+  self.buses = {} -- [number of a frame] = its bus: in Wireshark a later look may have no tree, and so no fields
   self.is_swapped = get_preference("can.byte_swap") -- of records that a little endian machine wrote as they were
   self.header_number, self.header_id, self.refused, self.asked = 0, nil, {}, nil
 end
@@ -153,6 +156,8 @@ function Facts:bus(pinfo)
   end
   if not self.bus_tap and not self.found.later then return nil, true end
   local visited = pinfo.visited
+  local bus = visited and self.buses[pinfo.number]
+  if bus then return bus, true end
   if self.says_bus[visited] == false then return nil, false end
   local fields = by_name(true, pcall(all_field_infos))
   local interface, index, event = fields["frame.interface_id"], fields["sll.ifindex"], fields["rtacser.eventtype"]
@@ -160,7 +165,8 @@ function Facts:bus(pinfo)
   -- One or the other for all of a pass: a message does not begin on a bus and end on none.
   if self.says_bus[visited] == nil then self.says_bus[visited] = says_bus end
   if not says_bus then return nil, false end
-  local bus = number_of(self, interface or 0, index or 0, DIRECTION[event] or 0)
+  bus = number_of(self, interface or 0, index or 0, DIRECTION[event] or 0)
+  if IN_WIRESHARK then self.buses[pinfo.number] = bus end
   if self.names[bus] == nil then self.names[bus] = self:interface_name(interface, fields["frame.interface_name"]) end
   return bus, true
 end
