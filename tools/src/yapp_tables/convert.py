@@ -11,6 +11,7 @@ from .errors import CaptureError, SetupError, YappError, need
 from .results import MadeBy, Result, Results
 from .tables import digest, plugin_version, present
 from .tshark import Export, Tshark
+from .watch import PROGRESS, Watch
 from .writers import Writer
 
 # The module and the function that write a kind, and the extra that it needs: imported only when it is asked for.
@@ -53,7 +54,7 @@ def convert(job: Job) -> Result:
     state = job.capture.stat() if job.capture.exists() else None
     try:
         with job.results.aside() as aside:
-            export = job.tshark.export(job.capture, aside / "export")
+            export = job.tshark.export(job.capture, aside / "export", watch=Watch(aside / PROGRESS, job.capture))
             _check(job, export)
             name = f"{job.name}.partial" if export.partial else job.name
             count = writer(job.results.to)(export, job.capture.name, name, aside / "result")

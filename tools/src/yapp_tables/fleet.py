@@ -17,6 +17,7 @@ from pathlib import Path
 from .convert import Job, convert
 from .errors import CaptureError, SetupError, need
 from .results import Result
+from .watch import NOWHERE, Position
 
 TRIES = 3
 SCHEDULER_SECONDS = 30
@@ -76,7 +77,9 @@ def run(jobs: Sequence[Job], pool: Executor, progress: Progress) -> list[Failure
             failure = _failure(job, result, error)
             failures += [failure] if failure else []
             progress.done(job.capture, result, failure)
-        progress.show()
+        if waiting:
+            progress.inside = jobs[0].results.position()
+            progress.show()
     return sorted(failures, key=lambda failure: failure.capture)
 
 
@@ -115,6 +118,7 @@ class Progress:
     bytes_done: int = 0
     messages: int = 0
     failed: int = 0
+    inside: Position = NOWHERE
     started: float = field(default_factory=time.monotonic)
     shown: float = field(default_factory=time.monotonic)
 
@@ -126,6 +130,7 @@ class Progress:
     def done(self, capture: Path, result: Result | None, failure: Failure | None) -> None:
         """Count a capture that came to its end."""
         self.files_done += 1
+        self.inside = NOWHERE
         self.bytes_done += _size(capture)
         self.messages += result.messages if result else 0
         if failure:
@@ -145,19 +150,22 @@ class Progress:
 
     def text(self) -> str:
         """Files, bytes, messages, failures and the time left."""
-        spent = time.monotonic() - self.started
-        left = spent / self.bytes_done * (self.bytes - self.bytes_done) if self.bytes_done else None
+        spent, read = time.monotonic() - self.started, self._read()
+        left = spent / read * (self.bytes - read) if read else None
         parts = [
             f"{self.files_done}/{self.files} files",
-            f"{self.bytes_done / 1e6:,.1f}/{self.bytes / 1e6:,.1f} MB",
-            f"{self.messages:,} messages",
+            f"{read / 1e6:,.1f}/{self.bytes / 1e6:,.1f} MB",
+            f"{self.messages + self.inside.messages:,} messages",
             f"{self.failed} failed" if self.failed else "",
             f"{_clock(left)} left" if left else f"{_clock(spent)}",
         ]
         return ", ".join(part for part in parts if part)
 
+    def _read(self) -> int:
+        return min(self.bytes_done + self.inside.bytes, self.bytes)
+
     def _bar(self) -> str:
-        full = round(BAR * self.bytes_done / self.bytes) if self.bytes else BAR
+        full = round(BAR * self._read() / self.bytes) if self.bytes else BAR
         return f"[{'#' * full}{'-' * (BAR - full)}]"
 
     def _print(self, text: str) -> None:

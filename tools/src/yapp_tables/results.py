@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from .errors import SetupError
+from .watch import Position, position
 
 # Raised when files get other names, columns or types: a folder holds results of one layout.
 LAYOUT = 1
@@ -121,6 +122,10 @@ class Results:
             yield folder
         finally:
             shutil.rmtree(folder, ignore_errors=True)
+
+    def position(self) -> Position:
+        """How far the captures are that are at work in this run, on whatever machine."""
+        return position(self._work)
 
     def place(self, name: str, folder: Path, made: Result) -> Result:
         """Rename all files in folder to their place, and what an older result of this name has left away."""
