@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import csv
+import io
 import logging
-import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -18,6 +18,7 @@ from .convert import Job, convert
 from .errors import CaptureError, SetupError, need
 from .results import Result
 from .watch import NOWHERE, Position
+from .whole import write_whole
 
 TRIES = 3
 SCHEDULER_SECONDS = 30
@@ -95,16 +96,15 @@ def _size(path: Path) -> int:
 
 
 def write_failures(path: Path, failures: Sequence[Failure]) -> None:
-    """failures.csv: capture, reason; none where nothing failed."""
+    """failures.csv: capture, reason; none where nothing failed. Raises OSError."""
     if not failures:
         path.unlink(missing_ok=True)
         return
-    aside = path.with_suffix(".part")
-    with aside.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow(["capture", "reason"])
-        rows.writerows((str(failure.capture), failure.reason) for failure in failures)
-    os.replace(aside, path)
+    text = io.StringIO(newline="")
+    rows = csv.writer(text)
+    rows.writerow(["capture", "reason"])
+    rows.writerows((str(failure.capture), failure.reason) for failure in failures)
+    write_whole(path, text.getvalue())
 
 
 @dataclass

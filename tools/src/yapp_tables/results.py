@@ -16,6 +16,7 @@ from pathlib import Path
 
 from .errors import SetupError
 from .watch import Position, position
+from .whole import write_whole
 
 # Raised when files get other names, columns or types: a folder holds results of one layout.
 LAYOUT = 1
@@ -139,9 +140,7 @@ class Results:
         for file in set(before.files if before else ()) - set(files):
             (self.out / file).unlink(missing_ok=True)
         # Last: a result that was cut off half-way is not known, and is made again.
-        note = folder / "note.json"
-        note.write_text(json.dumps(asdict(made), indent=1), encoding="utf-8")
-        os.replace(note, self._note(name))
+        write_whole(self._note(name), json.dumps(asdict(made), indent=1))
         return made
 
     def _note(self, name: str) -> Path:

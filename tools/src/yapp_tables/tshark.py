@@ -65,7 +65,8 @@ class Tshark:
         Raises SetupError, CaptureError and, for what another try may mend, YappError.
         """
         if not capture.is_file():
-            raise CaptureError(f"{capture}: no such file" if not capture.exists() else f"{capture} is not a file")
+            what = "no file: 'FOLDER/**/*.pcapng' takes those in it" if capture.is_dir() else "no such file"
+            raise CaptureError(f"{capture}: {what}")
         if not os.access(capture, os.R_OK):
             raise CaptureError(f"{capture} cannot be read: permission denied")
         folder.mkdir(parents=True)

@@ -7,6 +7,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from .whole import write_whole
+
 PROGRESS = "progress"
 
 
@@ -35,10 +37,7 @@ class Watch:
         for path in tables.glob("*.csv*"):
             self._count(path)
         # The first line of a table is its header.
-        text = f"{self._bytes(pid)} {max(0, self._lines - len(self._read))}"
-        aside = self.note.with_suffix(".part")
-        aside.write_text(text, encoding="ascii")
-        os.replace(aside, self.note)
+        write_whole(self.note, f"{self._bytes(pid)} {max(0, self._lines - len(self._read))}")
 
     def _count(self, path: Path) -> None:
         name = path.name.removesuffix(".part")
