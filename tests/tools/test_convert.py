@@ -90,6 +90,8 @@ def test_captures_of_one_name_get_two_names_each_time(make_capture, yapp_tables,
     assert yapp_tables(*command).returncode == 0
     before = files(tmp_path / "data")
     assert len(before) == 2
+    sources = set(pl.read_parquet(tmp_path / "data/*/*.parquet")["source_file"])
+    assert sources == {"flight.pcap", str(tmp_path / "b/flight.pcap")}
     assert "2 of 2" in yapp_tables(*command).stderr
     assert "1 of 1" in yapp_tables("convert", "b/flight.pcap", *command[2:]).stderr
     assert files(tmp_path / "data") == before

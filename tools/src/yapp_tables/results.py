@@ -53,6 +53,14 @@ class Result:
     partial: str | None = None
 
 
+def plain_name(capture: Path) -> str:
+    """The name of a capture's result where no other capture of the folder has it: `flight` of flight.pcapng.gz."""
+    plain = capture.name
+    while Path(plain).suffix.lower() in SUFFIXES:
+        plain = Path(plain).stem
+    return plain
+
+
 class Results:
     """The results of one kind in one output folder; what is known of them is in its hidden folder `.yapp-tables`."""
 
@@ -91,9 +99,7 @@ class Results:
         names: dict[Path, str] = {}
         taken: set[str] = set()
         for capture in captures:
-            plain = capture.name
-            while Path(plain).suffix.lower() in SUFFIXES:
-                plain = Path(plain).stem
+            plain = plain_name(capture)
             long = f"{plain}-{hashlib.sha256(str(capture).encode()).hexdigest()[:8]}"
             owner = self.find(plain)
             free = plain not in taken and (owner is None or owner.capture == str(capture))

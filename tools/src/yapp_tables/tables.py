@@ -20,7 +20,7 @@ from .errors import SetupError
 from .tshark import Export, Record
 
 TIME = pa.timestamp("ns", tz="UTC")
-# Every message's first columns.  The CSV has no source_file: that is the capture's own name.
+# Every message's first columns.  The CSV has no source_file: that is the capture's name.
 HEAD = {
     "time": TIME,
     "source_file": pa.string(),
@@ -125,7 +125,7 @@ class Rows:
     """The rows of one message in an export: their schema, and typed record batches, a few megabytes at a time."""
 
     def __init__(self, export: Export, message: Message, source_file: str) -> None:
-        """source_file: what the column of this name says, the capture's own name."""
+        """source_file: what the column of this name says."""
         self.message, self.source_file = message, source_file
         self._path = export.csv(message.name)
         with self._path.open(encoding="utf-8", newline="") as file:

@@ -107,10 +107,10 @@ class Tshark:
             found = shutil.which(self.program)
             if found is None:
                 raise SetupError(f"{self.program} is no program that can be run: {INSTALL_TSHARK}")
-            return str(Path(found).resolve())
+            return os.path.abspath(found)
         for place in ("tshark", *USUAL_PLACES):
             if found := shutil.which(place):
-                return found
+                return os.path.abspath(found)
         raise SetupError(f"tshark was not found: {INSTALL_TSHARK}")
 
     def _plugin(self) -> Path:
