@@ -93,8 +93,8 @@ needs-tools: needs-tshark
 
 ## The Python package in tools/: ruff, mypy and its tests
 test-tools: needs-tools
-	$(TOOLS)/ruff check --config tools/pyproject.toml tools tests/tools
-	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools tests/tools
+	$(TOOLS)/ruff check --config tools/pyproject.toml tools/src tests/tools
+	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools/src tests/tools
 	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src
 	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider tests/tools
 

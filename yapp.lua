@@ -62,7 +62,7 @@ local socketcan = Proto("yapp_socketcan", "YAPP's look at CAN headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local facts = parts.facts.watch(parts.file_head, candump)
-local stat = parts.stat.new { catalogue = catalogue, is_whole = is_whole, decode = decode,
+local stat = parts.stat.new { version = VERSION, catalogue = catalogue, is_whole = is_whole, decode = decode,
   columns = parts.decode_columns, opened = function() facts:want_buses() end }
 local reader = parts.reader.new(decode, catalogue, stat)
 local tree = parts.tree.new { yapp = yapp, taurus = taurus, catalogue = catalogue, decode = decode, reader = reader }
