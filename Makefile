@@ -54,9 +54,9 @@ unit: needs-tests
 unit-5.2 unit-5.4: unit-%:
 	lua$* tests/unit/run.lua tests/unit/test_*.lua
 
-# YAPP_LEVEL=all: everything, see tests/e2e/levels.py.
+# YAPP_LEVEL=all: everything, see tests/e2e/levels.py.  One more than there are cores: some tests wait for a port.
 e2e: needs-tests
-	pytest-3 -q -n auto --dist loadgroup -p no:cacheprovider tests/e2e
+	pytest-3 -q -n $$(($$(nproc) + 1)) --dist loadgroup -p no:cacheprovider tests/e2e
 
 ## The same generators, many more captures: 1,000 CAN captures and 1,000 streams
 soak: needs-tests

@@ -12,10 +12,11 @@ from decimal import Decimal
 import pytest
 
 import flights
+import levels
 import model
 import tshark
 
-SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", 4)) + 1)
+SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", levels.size(3, 4))) + 1)
 PASSES = {"one pass": (), "two passes": ("-2",)}
 CASES = [(seed, flights.FORMS[seed % 3], passes) for seed in SEEDS for passes in PASSES]
 CHECKED = pytest.mark.parametrize("seed, form, passes", CASES)
