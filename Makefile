@@ -54,9 +54,9 @@ unit: needs-tests
 unit-5.2 unit-5.4: unit-%:
 	lua$* tests/unit/run.lua tests/unit/test_*.lua
 
-# YAPP_LEVEL=all: everything, see tests/e2e/levels.py.
+# YAPP_LEVEL=all: everything, see tests/e2e/levels.py.  One more than there are cores: some tests wait for a port.
 e2e: needs-tests
-	pytest-3 -q -n auto --dist loadgroup -p no:cacheprovider tests/e2e
+	pytest-3 -q -n $$(($$(nproc) + 1)) --dist loadgroup -p no:cacheprovider tests/e2e
 
 ## The same generators, many more captures: 1,000 CAN captures and 1,000 streams
 soak: needs-tests
@@ -93,8 +93,8 @@ needs-tools: needs-tshark
 
 ## The Python package in tools/: ruff, mypy and its tests
 test-tools: needs-tools
-	$(TOOLS)/ruff check --config tools/pyproject.toml tools tests/tools
-	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools tests/tools
+	$(TOOLS)/ruff check --config tools/pyproject.toml tools/src tests/tools
+	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools/src tests/tools
 	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src
 	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider tests/tools
 

@@ -373,15 +373,19 @@ def keep(seed, number, problem, way, where):
     return path, shlex.join([*words, "-r", path.name, *way]), len(units)
 
 
-def replay(path):
-    """What goes wrong with a kept capture: as it was found, and in the principal ways."""
+AS_FOUND = []
+EVERY_WAY = [TREE, TWO_PASSES, ("-2", *FILTER), ("sharkd",)]
+
+
+def replay(path, ways=EVERY_WAY):
+    """What goes wrong with a kept capture: as it was found, and in other ways."""
     sidecar = path.with_suffix(".args")
     lines = [line for line in sidecar.read_text().splitlines() if not line.startswith("#")] if sidecar.exists() else []
     arguments, found = (shlex.split(line) for line in (lines + ["", ""])[:2])
     capture = Capture(path.suffix, b"", [path.read_bytes()], [arguments] if arguments else [])
     folder = tshark.writable_folder()
     try:
-        for way in dict.fromkeys([tuple(found) or TREE, TREE, TWO_PASSES, ("-2", *FILTER), ("sharkd",)]):
+        for way in dict.fromkeys([tuple(found) or TREE, *ways]):
             if way[0] != "sharkd" or shutil.which("sharkd"):
                 problem = look(capture, way, folder, tshark.ROUTE == "plugin").problem
                 if problem:

@@ -96,7 +96,8 @@ local function read(self, view, index, message)
   local m = { tree = view.tree, wanted = view.wanted, id = message.id, seq = message.seq, ctl = message.ctl,
     size = message.size, payload = message.payload, status = message.status, good = message.status == "good",
     is_whole = true, source = source_of(fact.stream, message.id), bus = view.bus_key, bus_name = name,
-    name = self.tree:name(message.id, name), frame = fact.number, time = view.pinfo.rel_ts, visited = fact.visited }
+    name = self.tree:name(message.id, name), frame = fact.number, time = view.pinfo.rel_ts, visited = fact.visited,
+    is_brief = not (view.wanted or self.reader.stat.wanted) }
   self.reader:read(m, self.memory, view.packet, index, fact)
   return m
 end

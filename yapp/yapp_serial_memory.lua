@@ -331,8 +331,8 @@ function Memory.change(_, message, packet, index, fact)
   local pass, piece, number, change = packet.pass, packet.piece, fact.number
   message.number = number + (fact.place + (packet.events[index].at or 0)) * PLACE
   if packet.is_now then
-    change = pass.history:note(message)
-    local delta = change and change.delta
+    local delta
+    change, delta = pass.history:note(message)
     if piece then piece.events[index].delta = delta else pass.deltas[number] = delta end
   else
     if piece then message.delta = piece.events[index].delta else message.delta = pass.deltas[number] end

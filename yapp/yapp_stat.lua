@@ -11,7 +11,7 @@ local Stat = {}
 Stat.__index = Stat
 
 --- The statistics of one plugin.
--- plugin  { catalogue = compiled, is_whole = whether it loaded without a problem, decode =, columns = modules,
+-- plugin  { version = text, decode =, columns = modules, catalogue = compiled, is_whole = whether all of it loaded,
 --           late = function() -> how many periods of its message make a gap one,
 --           has_source = function(name) -> whether the user gave some source this name,
 --           unfinished = function() -> records of the messages that the capture ends before,
@@ -122,7 +122,7 @@ end
 function Stat:begin(options, out)
   local plugin = self.plugin
   local statistic, problem = require(MODULES[options.what]).new(options, { out = out,
-    clock = function(rel) return self.feed:time(rel) end, decode = plugin.decode,
+    clock = function(rel) return self.feed:time(rel) end, version = plugin.version, decode = plugin.decode,
     columns = plugin.columns, catalogue = plugin.catalogue, is_whole = plugin.is_whole, late = plugin.late,
     has_source = plugin.has_source, make_folder = make_folder })
   if not statistic then return nil, options.what .. ": " .. problem end

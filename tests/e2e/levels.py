@@ -14,7 +14,8 @@ What the tests say of themselves, each by itself or a whole file by pytestmark =
     @levels.by_version      not less in version than in all
     @levels.by_route        done in route
     @levels.together("x")   tests that share what they asked tshark for run in one process
-    levels.size(80, 320)    so many random cases: in quick and route, in version and all
+    levels.size(80, 320)    so many random cases: 320 only where everything is done
+    levels.few(rows, some)  of a test's rows, these in every level, the others as if deep
 """
 import os
 
@@ -35,7 +36,13 @@ MARKERS = ["deep: only in the level all", "each_once: in the level quick each va
 
 
 def size(some, many):
-    return many if LEVEL in ("version", "all") else some
+    return many if ALL else some
+
+
+def few(rows, some, several=False):
+    """several: a row is the values of several parameters."""
+    assert all(one in rows for one in some), f"{some} are not all in {rows}"
+    return [row if row in some else pytest.param(*(row if several else [row]), marks=deep) for row in rows]
 
 
 def places(items):

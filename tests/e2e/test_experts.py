@@ -124,35 +124,31 @@ def test_every_expert_item_has_a_capture():
     assert {row[0] for row in EXPERTS + KNOWN_LATER} == set(model.EXPERTS + model.EVENT_EXPERTS)
 
 
-def filtered(capture, text, *options):
-    return [int(number) for number, in tshark.fields(capture, ["frame.number"], *options, "-Y", text)]
-
-
 def found_and_listed(name, capture, *passes):
-    """The frames that the filter finds, and what -z expert lists, which the filter does not concern: { severity: text }."""
+    """The frames that the filter finds, { number: tree }, and what -z expert lists, which the filter does not concern:
+    { severity: text }."""
     path, options = make.capture(capture)[0], make.read(capture).options
-    done = tshark.run(*options, *passes, "-r", path, "-Y", name, "-T", "fields", "-e", "frame.number", "-z", "expert")
-    numbers, listed = re.fullmatch(r"(?s)((?:\d+\n)*)(.*)", done.stdout).groups()
-    sections = re.findall(r"(?ms)^(\w+) \(\d+\)\n=+\n(.*?)(?=^\w+ \(\d+\)$|\Z)", listed)
-    return [int(number) for number in numbers.split()], dict(sections)
+    done = tshark.run(*options, *passes, "-r", path, "-Y", name, "-O", "yapp,taurus", "-z", "expert")
+    section = r"(?m)^(\w+) \(\d+\)\n=+\n"
+    trees, *listed = re.split(section, done.stdout)
+    found = re.split(r"(?m)^Frame (\d+):", trees)[1:]
+    return {int(number): tree for number, tree in zip(found[::2], found[1::2])}, dict(zip(listed[::2], listed[1::2]))
 
 
 @pytest.mark.parametrize("name, capture, frames, severity, text, label", EXPERTS)
 def test_filter_and_expert_list(name, capture, frames, severity, text, label):
     found, listed = found_and_listed(name, capture)
-    assert found == frames
+    assert list(found) == frames
     counts = re.findall(rf"(?m)^ +(\d+) +\w+ +YAPP\w*  +{re.escape(text)}$", listed.get(severity, ""))
     assert sum(map(int, counts)) >= len(frames), listed
-    done = tshark.run(*make.read(capture).options, "-r", make.capture(capture)[0], "-Y", f"frame.number == {frames[0]}",
-                      "-O", "yapp,taurus")
-    assert label in done.stdout
+    assert label in found[frames[0]]
 
 
 @pytest.mark.parametrize("name, capture, frames, severity, text", KNOWN_LATER)
 def test_what_is_known_on_a_later_look(name, capture, frames, severity, text):
-    assert found_and_listed(name, capture)[0] == []
+    assert found_and_listed(name, capture)[0] == {}
     found, listed = found_and_listed(name, capture, "-2")
-    assert found == frames and re.search(rf"(?m)^ +1 +\w+ +YAPP\w*  +{re.escape(text)}$", listed[severity])
+    assert list(found) == frames and re.search(rf"(?m)^ +1 +\w+ +YAPP\w*  +{re.escape(text)}$", listed[severity])
 
 
 # Claims ----------------------------------------------------------------------------------------------------------
@@ -206,9 +202,7 @@ def test_each_flag_is_found_in_its_frame_and_in_no_other(name, path, bits, last)
     """Frame 1 has no bit, frame n + 2 has bit n, the last frame has all."""
     frames = {flag: mask.bit_length() + 1 for mask, flag in bits.items()}
     there = [f"{path}.{flag} == 1 && frame.number == {number}" for flag, number in frames.items()]
-    elsewhere = [f"{path}.{flag} == 1 && !(frame.number in {{{number}, {last}}})" for flag, number in frames.items()]
+    elsewhere = [f"{path}.{flag} == 1 && frame.number != {number} && frame.number != {last}" for flag, number in frames.items()]
     everywhere = " && ".join(f"{path}.{flag} == 1" for flag in frames)
-    capture = make.capture(name)[0]
-    assert filtered(capture, " || ".join(there)) == sorted(frames.values())
-    assert filtered(capture, " || ".join(elsewhere)) == []
-    assert filtered(capture, everywhere) == [last]
+    tshark.assert_found(make.capture(name)[0], [(" || ".join(there), sorted(frames.values())),
+                                                (" || ".join(elsewhere), []), (everywhere, [last])])

@@ -24,7 +24,8 @@ FINDINGS = sorted(path for path in tshark.CAPTURES.glob("fuzz_*") if path.suffix
 
 @pytest.mark.parametrize("path", FINDINGS, ids=lambda path: path.stem)
 def test_finding(path):
-    assert list(fuzz.replay(path)) == []
+    """As it was found; in test-all in every principal way too."""
+    assert list(fuzz.replay(path, levels.size(fuzz.AS_FOUND, fuzz.EVERY_WAY))) == []
 
 
 # The detectors -----------------------------------------------------------------------------------------------------

@@ -62,7 +62,8 @@ def frame(ident, ctrl, data="00*8"):
     return f"can0 {ident << 18 | ctrl << 14:08X} {data}"
 
 
-@pytest.mark.parametrize("arguments", [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp")],
+@pytest.mark.parametrize("arguments", levels.few(
+    [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp")], [("-d", "can.subdissector,yapp")]),
                          ids=["default", "all_extended", "decode_as"])
 def test_sizes_that_a_start_announces(folder, arguments):
     """A message of any size with nothing, too little, or too much; the message after them is decoded."""
@@ -77,16 +78,18 @@ def test_sizes_that_a_start_announces(folder, arguments):
     assert decoded(path, *arguments)[-1] == len(lines) + 4
 
 
+@levels.deep
 def test_starts_without_end(folder):
     """A Start of 65,535 bytes for each message ID, again and again."""
-    lines = [start(ident, 0xFFFF) for ident in range(1, 2048)] * levels.size(2, 10)
+    lines = [start(ident, 0xFFFF) for ident in range(1, 2048)] * 10
     path = given.write(folder, *lines, f"can0 [210 {given.MOTOR}]")
     assert decoded(path) == [len(lines) + 5]
 
 
+@levels.deep
 def test_the_longest_messages(folder):
     """65,535 bytes in frames of 8: all of it arrives."""
-    count = levels.size(1, 3)
+    count = 3
     lines = [f"can0 [123 {'5A*65535'}]"] * count
     path = given.write(folder, *lines, f"can0 [210 {given.MOTOR}]")
     assert len(decoded(path, "-o", "yapp.all_extended:TRUE")) == 1
@@ -103,7 +106,8 @@ HEADERS = {
 }
 
 
-@pytest.mark.parametrize("name", HEADERS)
+@levels.by_version
+@pytest.mark.parametrize("name", levels.few(HEADERS, ["announced sizes"]))
 def test_a_serial_dump_of_headers(folder, name):
     """A megabyte in which each header says that 65,535 bytes follow; and the frame at its end."""
     header = HEADERS[name]
@@ -126,6 +130,8 @@ LENGTHS = [0, 1, 7, 9, 15, 16, 64, 65, 128, 254, 255]
 HEADS = [(can_id, size) for can_id in (0, 0x08400000, 0x08404000, 0x08408000, 0x0840C000) for size in (0, 1, 7, 8, 64)]
 
 
+@levels.by_version
+@levels.each_once
 @pytest.mark.parametrize("arguments", [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp")],
                          ids=["default", "all_extended", "decode_as"])
 @pytest.mark.parametrize("flags", [0, 4], ids=["can", "fd"])
@@ -147,6 +153,7 @@ def test_lengths_above_the_record(folder, flags, arguments):
 ALL_IDS = ("motor", "command", "health")
 
 
+@levels.deep
 def test_each_id_is_given_to_each_message():
     """It is said, but not 4,096 times."""
     path = tshark.CAPTURES / "document_command.pcap"
@@ -156,8 +163,8 @@ def test_each_id_is_given_to_each_message():
     assert len(lines) <= 25
 
 
-@pytest.mark.parametrize("text", [
-    "0-2047," * 10000 + "0", "0x210," * 20000 + "0", *(pytest.param(text, marks=levels.deep) for text in ("2047-0", "5-", "-"))],
+@levels.deep
+@pytest.mark.parametrize("text", ["0-2047," * 10000 + "0", "0x210," * 20000 + "0", "2047-0", "5-", "-"],
                          ids=["all", "one", "backward", "open", "dash"])
 def test_ranges_without_end(text):
     """Wireshark takes all of these for ranges; each ID counts once."""
@@ -165,17 +172,18 @@ def test_ranges_without_end(text):
     assert len(lines) <= 2
 
 
-@pytest.mark.parametrize("setting", [
+@pytest.mark.parametrize("setting", levels.few([
     "yapp.motor_ids:0-4294967295", "yapp.motor_ids:0-99999999999999999999", "yapp.motor_ids:\u00e9",
-    "yapp.motor_ids:1e3", "yapp.user_dlt:0-4294967295", "yapp.motor_ids:" + "9" * 100000], ids=lambda text: text[:30])
+    "yapp.motor_ids:1e3", "yapp.user_dlt:0-4294967295", "yapp.motor_ids:" + "9" * 100000],
+    ["yapp.motor_ids:0-4294967295", "yapp.user_dlt:0-4294967295"]), ids=lambda text: text[:30])
 def test_ranges_beyond_the_ids_are_refused(setting):
     done = tshark.run("-o", setting, "-r", tshark.CAPTURES / "document_command.pcap", check=False, limits=limits)
     assert done.returncode != 0 and setting[:20] in done.stderr
 
 
-@pytest.mark.parametrize("setting", ["yapp.divisor:", "yapp.divisor:7", "yapp.divisor:" + "x" * 100000,
-                                     "yapp.all_extended:maybe", "yapp.search_all:" + "x" * 100000],
-                         ids=lambda text: text[:30])
+@pytest.mark.parametrize("setting", levels.few(
+    ["yapp.divisor:", "yapp.divisor:7", "yapp.divisor:" + "x" * 100000, "yapp.all_extended:maybe", "yapp.search_all:" + "x" * 100000],
+    ["yapp.divisor:7", "yapp.all_extended:maybe"]), ids=lambda text: text[:30])
 def test_garbage_leaves_a_choice_as_it_is(setting):
     path = tshark.CAPTURES / "document_command.pcap"
     done = tshark.run("-o", setting, "-r", path, "-T", "fields", "-e", "taurus.command.rpm", check=False, limits=limits)
@@ -204,8 +212,9 @@ LINES = {
 COMMAND = b"(1700000000.000000) can0 00000000#015A014F80F380\n"
 
 
+@levels.by_version
 @levels.each_once
-@pytest.mark.parametrize("name", LINES)
+@pytest.mark.parametrize("name", levels.few(LINES, ["data", "high bytes"]))
 @pytest.mark.parametrize("ended", [True, False], ids=["ended", "endless"])
 def test_candump_lines_of_a_megabyte(folder, name, ended):
     """Skipped with one message; the frames around it are read."""
@@ -221,7 +230,7 @@ def test_candump_lines_of_a_megabyte(folder, name, ended):
 def test_many_bad_candump_lines(folder):
     """Not a message for each of them."""
     path = folder / "bad.log"
-    path.write_bytes(COMMAND * 50 + b"(1700000000.000000) can0 00000000#0\n" * 100000 + COMMAND)
+    path.write_bytes(COMMAND * 50 + b"(1700000000.000000) can0 00000000#0\n" * levels.size(10000, 100000) + COMMAND)
     numbers, lines = decoded_and_said(path, "-X", "read_format:yapp_candump")
     assert numbers == list(range(1, 52)) and len(lines) <= 20
 
@@ -273,7 +282,9 @@ CATALOGUES = {
 UNREADABLE = ("an error", "no stack", "a million entries")
 
 
-@pytest.mark.parametrize("name", CATALOGUES)
+@levels.by_version
+@pytest.mark.parametrize("name", levels.few(CATALOGUES, ["a million fields in one", "texts of a megabyte", "an error in a field",
+                                                         "no stack"]))
 def test_catalogue(folder, name):
     text, texts = CATALOGUES[name]
     options, load = given.with_catalogue(folder, text)
@@ -315,6 +326,8 @@ def test_wrong_types(folder, keys):
             assert done.returncode == 0 and len(done.stderr.splitlines()) < 25
 
 
+@levels.deep
+@levels.by_version
 def test_as_many_messages_as_there_are_ids(folder):
     options, load = given.with_catalogue(folder, "local t = {} for i = 1, 2048 do t[i] = { name = 'm' .. i, "
                                          "title = 'M', id = i - 1, size = 1, { 'f', 'uint8', 'F' } } end return t")

@@ -349,6 +349,15 @@ def test_the_zip_installs(home, folder, zips):
     assert all_of(home) == set()
 
 
+def test_the_zip_has_what_its_readme_leads_to(zips):
+    names = set(zipfile.ZipFile(zips[0]).namelist())
+    assert {"yapp/install.py", "yapp/docs/fault.md", "yapp/docs/flight.pcapng", "yapp/tools/pyproject.toml"} <= names
+    assert any(name.startswith("yapp/tools/src/yapp_tables/") for name in names)
+    readme = (tshark.ROOT / "README.md").read_text()
+    for target in re.findall(r"\]\((?!https?:|#)([^)#]*)", readme):
+        assert f"yapp/{target}" in names, target
+
+
 def test_the_zip_unpacked_in_the_plugin_folder(home, zips):
     zipfile.ZipFile(zips[0]).extractall(home / PLUGINS)
     done = tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-T", "fields", "-e", "taurus.motor.dc_voltage",

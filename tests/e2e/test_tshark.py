@@ -31,6 +31,14 @@ def test_an_error_in_a_frame_is_seen_in_trees_and_lists(arguments, load):
         tshark.run("-r", CAPTURE, *load, *arguments)
 
 
+def test_an_error_in_a_frame_is_seen_where_filters_are_counted(load):
+    tshark.assert_found(CAPTURE, [("frame.number > 3", [4, 5])])
+    with pytest.raises(AssertionError, match="'2', 1"):
+        tshark.assert_found(CAPTURE, [("frame.number > 3", [5])])
+    with pytest.raises(AssertionError, match=tshark.LUA_ERROR):
+        tshark.assert_found(CAPTURE, [("frame.number > 3", [4, 5])], *load)
+
+
 def test_an_error_at_load_is_seen(folder):
     (folder / "planted.lua").write_text("error('planted')")
     with pytest.raises(AssertionError, match="Lua:"):

@@ -114,6 +114,20 @@ def fields(capture, names, *arguments, occurrence="a", separator="\t"):
     return [row[:-1] for row in rows]
 
 
+def assert_found(capture, rows, *arguments):
+    """Display filters (without commas) find their frames and no others; rows are (filter, numbers of frames).
+
+    All in one run, which counts: the frames that a filter finds, and those that it finds of the ones it has to."""
+    asked = []
+    for text, frames in rows:
+        asked += [text, f"({text}) && ({' || '.join(f'frame.number == {number}' for number in frames) or 'frame.len < 0'})"]
+    asked.append(LUA_ERROR)
+    done = run(*arguments, "-q", "-z", ",".join(["io,stat,0", *asked]), "-r", capture)
+    counts = re.findall(r"\d+", re.search(r"(?m)^\|[^|]*<>[^|]*\|(.*)\|$", done.stdout)[1])[::2]  # frames and bytes in turns
+    wanted = [len(frames) for _, frames in rows for _ in range(2)] + [0]
+    assert [int(count) for count in counts] == wanted, [row for row in zip(asked, counts, wanted) if int(row[1]) != row[2]]
+
+
 def truth(text):
     """A boolean field: 4.0 prints 1 and 0, later versions True and False."""
     return {"1": True, "True": True, "0": False, "False": False}[text]

@@ -3,6 +3,7 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local candump = require("yapp_file_candump")
+local levels = require("levels")
 local line = require("yapp_file_candump_line")
 local text_of = require("candump_text")
 
@@ -76,7 +77,9 @@ end
 
 function T.test_reading_again()
   local stamps, buses = {}, {}
-  for i = 1, 500 do stamps[i], buses[i] = string.format("000.%06d", i * 7919 % 1000), "can" .. i % 3 end
+  for i = 1, levels.size(200, 500) do
+    stamps[i], buses[i] = string.format("000.%06d", i * 7919 % 1000), "can" .. i % 3
+  end
   assert_same_again(screen(stamps, buses))
   assert_same_again((screen(stamps, buses):gsub("can1[^\n]*\n", "%0\nbroken\n", 100)))
   assert_same_again((screen(stamps):gsub("000%.", "1700000000.")))
@@ -119,7 +122,7 @@ function T.test_many_broken_lines_do_not_flood()
 end
 
 function T.test_a_line_without_end_costs_its_length_only()
-  local long = ("x"):rep(3000000)
+  local long = ("x"):rep(levels.size(300000, 3000000))
   local frames, told = frames_of(HEAD .. HEAD .. long .. "\n" .. HEAD:gsub("can0", "can1") .. long)
   lu.assertEquals(column(frames, "offset"), { 0, #HEAD, 2 * #HEAD + #long + 1 })
   lu.assertEquals(#told, 2)
@@ -182,16 +185,16 @@ end
 
 -- Text in UTF-16: mark, and whether the high byte comes first.
 function T.test_utf16()
-  local lines = {}
-  for i = 1, 4000 do lines[i] = ("(1700000000.%06d) can%d 08404000#%08X"):format(i, i % 2, i) end
-  lines[3000] = "# a remark: \255"
+  local lines, count = {}, levels.size(800, 4000)
+  for i = 1, count do lines[i] = ("(1700000000.%06d) can%d 08404000#%08X"):format(i, i % 2, i) end
+  lines[count - 100] = "# a remark: \255"
   local text = table.concat(lines, "\r\n")
   local expected = frames_of(text)
   for _, row in ipairs { { "\255\254", "%0\0" }, { "\254\255", "\0%0" }, { "", "%0\0" }, { "", "\0%0" } } do
     local wide = row[1] .. text:gsub(".", row[2])
     local frames, told, log = frames_of(wide)
-    lu.assertEquals(#frames, 3999)
-    lu.assertStrContains(told[1], "line 3000: a comment")
+    lu.assertEquals(#frames, count - 1)
+    lu.assertStrContains(told[1], "line " .. count - 100 .. ": a comment")
     lu.assertEquals(frames, expected)
     local file = text_file(wide)
     for i = #frames, 1, -197 do

@@ -4,6 +4,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local crc = require("yapp_crc")
 local stream = require("yapp_serial_stream")
+local levels = require("levels")
 local generator = require("stream_generator")
 
 local frame, header, little_endian = generator.frame, generator.header, generator.little_endian
@@ -395,7 +396,7 @@ local function run(pieces)
 end
 
 function T.test_random_streams_in_random_pieces()
-  for seed = 1, 600 do
+  for seed = 1, levels.size(60, 600) do
     local random = generator.random(seed)
     local bytes = generator.stream(random, random(16))
     local expected = expected_events(bytes)
@@ -406,7 +407,7 @@ function T.test_random_streams_in_random_pieces()
 end
 
 function T.test_random_streams_lose_no_intact_frame()
-  for seed = 1001, 1200 do
+  for seed = 1001, 1000 + levels.size(40, 200) do
     local random = generator.random(seed)
     local bytes = generator.stream(random, random(16))
     local got = ", " .. run(generator.cut(random, bytes, 30)) .. ", "
@@ -420,7 +421,7 @@ function T.test_random_streams_lose_no_intact_frame()
 end
 
 function T.test_random_streams_give_out_all_that_is_final()
-  for seed = 2001, 2080 do
+  for seed = 2001, 2000 + levels.size(12, 80) do
     local random = generator.random(seed)
     local bytes, s = generator.stream(random, random(8)), new()
     for at = 1, #bytes do
@@ -433,7 +434,7 @@ end
 
 -- In a long wait the older bytes are put away: no header and no CRC may be torn by it.
 function T.test_good_frame_anywhere_in_a_long_wait()
-  for length = 985, 1045 do
+  for length = levels.size(1005, 985), levels.size(1030, 1045) do
     local bytes = header(5, 65535) .. ("x"):rep(length) .. GOOD
     local expected = ("skipped 0-%d, good %d-%d"):format(12 + length, 12 + length, #bytes)
     lu.assertEquals(run(generator.cut(nil, bytes, 1)), expected)
@@ -456,6 +457,7 @@ local HARD = {
   dense_claims = function() return "YP\0\0\5\0\0\0" end, -- the next "YP" is the size
   intact_in_claims = function(random) return random(100) == 1 and GOOD or header(5, 65535) end,
 }
+local HARDEST = { dense_claims = HARD.dense_claims, intact_in_claims = HARD.intact_in_claims }
 
 local function hard(make, count)
   local random, parts, length = generator.random(7), {}, 0
@@ -480,7 +482,7 @@ local function instructions(run_it)
 end
 
 function T.test_work_is_linear()
-  for kind, make in pairs(HARD) do
+  for kind, make in pairs(levels.size(HARDEST, HARD)) do
     local once, s = hard(make, 100000), new()
     feed_in_pieces(s, once, 1400) -- the candidates that wait are now as many as ever
     local first = instructions(function() feed_in_pieces(s, once, 1400) end)
@@ -517,7 +519,7 @@ function T.test_each_byte_is_judged_once_and_in_the_crc_a_few_times_at_most()
       judged = judged + 1
       return accepts(id, size)
     end
-    local bytes = hard(make, 100000)
+    local bytes = hard(make, levels.size(20000, 100000))
     feed_in_pieces(stream.new(counting, counting_accepts), bytes, 1400)
     lu.assertTrue(judged <= 1.1 * #bytes / 8, kind .. ": " .. judged)
     lu.assertTrue(updated <= 2.5 * #bytes, kind .. ": " .. updated)
@@ -527,7 +529,7 @@ end
 
 function T.test_memory_is_bounded_by_the_largest_candidate()
   for kind, make in pairs(HARD) do
-    local bytes, s, fed = hard(make, 200000), new(), 0
+    local bytes, s, fed = hard(make, levels.size(70000, 200000)), new(), 0
     collectgarbage()
     local before = collectgarbage("count")
     for at = 1, #bytes, 1000 do

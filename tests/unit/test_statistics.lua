@@ -57,7 +57,8 @@ local function run(arguments, records, with)
     local options = options_of.read("yapp," .. argument, CATALOGUE)
     if argument:find("^check") == nil then lu.assertEquals(options.problems, {}) end
     local context = { out = function(text) printed[#printed + 1] = text end, decode = DECODE, columns = COLUMNS,
-      clock = function(rel) return feed:time(rel) end, catalogue = CATALOGUE, is_whole = not with.is_broken,
+      version = "9.8.7", clock = function(rel) return feed:time(rel) end, catalogue = CATALOGUE,
+      is_whole = not with.is_broken,
       late = function() return 2.5 end, has_source = function(name) return name == "left" end,
       make_folder = with.make_folder }
     local statistic, problem = require("yapp_stat_" .. options.what).new(options, context)
@@ -209,7 +210,8 @@ function T.test_csv_in_a_folder()
     lu.assertStrContains(printed, "motor.csv  2 messages")
     lu.assertEquals(#lines(read(folder .. "/motor.csv")), 3)
     lu.assertEquals(read(folder .. "/note.csv"), "time,frame,bus,source,id,seq,volts\n")
-    lu.assertStrContains(read(folder .. "/fields.json"), '"motor":{"title":"Motor Data","columns":[{"name":"time",')
+    lu.assertStrContains(read(folder .. "/fields.json"), '{"version":1,"plugin":"9.8.7","messages":{"motor":' ..
+      '{"title":"Motor Data","every":0.1,"columns":[{"name":"time",')
     lu.assertNil(io.open(folder .. "/motor.csv.part"))
   end)
 end
