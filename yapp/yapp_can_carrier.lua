@@ -39,13 +39,14 @@ local function key_of(bus, id)
 end
 
 -- What the messages of an ID are called, and texts of their parts, for the first time: { bus = name of the bus or nil,
--- name = in the Info column, source = in the column Source, texts, titles = of YAPP's item by CAN CTRL }.
+-- name = in the Info column, source = in the column Source, texts, titles = of YAPP's item by CAN CTRL,
+-- parts = what statistics were told, by Seq }.
 -- bus  number or nil
 local function new_names(self, id, bus)
   local of_bus, name = self.names[bus or false] or {}, self.facts:bus_name(bus)
   self.names[bus or false] = of_bus
   of_bus[id] = { bus = name, name = self.reader:label(id, name), source = self.reader:source_text(id, name),
-    texts = {}, titles = {} }
+    texts = {}, titles = {}, parts = {} }
   self.claim(id)
   return of_bus[id]
 end
@@ -72,9 +73,9 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local columns = pinfo.cols
   columns.protocol = "YAPP"
   columns.src = names.source
-  local length = #facts.data
-  if not (record.is_rare or wants.tree or self.reader.stat.wanted) and length == facts.reported then
-    -- Most frames of a packet list.
+  local length, is_told = #facts.data, self.reader.stat.wanted
+  if is_told and record.message and not record.is_last then self:tell_part(names, address, facts, pinfo.rel_ts) end
+  if not (record.is_rare or wants.any) and length == facts.reported then -- most frames of a packet list
     local message, texts = record.message, names.texts
     columns.info = texts.size == message.size and length == 8 and texts[message.count] or
       self:part_text(names, address, record, length)
@@ -129,18 +130,29 @@ function Carrier:show(view)
   end
   for _, fault in ipairs(record.faults or {}) do builder:expert(view.item, fault.expert, fault.text) end
   if record.is_unfinished then builder:expert(view.item, "unfinished") end
-  if self.reader.stat.wanted then self:tell(view) end
+  if record.faults and self.reader.stat.wanted then self:tell_faults(view) end
   return info
 end
 
--- Statistics are told of what is lost, and of parts of what may be.
-function Carrier:tell(view)
-  local facts, address, record = view.facts, view.address, view.record
-  local m = { id = address.id, seq = address.seq, source = key_of(facts.bus, address.id), bus = facts.bus,
-    bus_name = view.names.bus, frame = facts.number, time = view.pinfo.rel_ts, visited = facts.is_again,
-    is_end = address.ctrl == self.parts.can_id.END }
-  if record.faults then self.reader.tell:faults(m, record.faults) end
-  if record.message and not record.is_last then self.reader.tell:part(m) end
+-- Statistics are told of what is lost.
+function Carrier:tell_faults(view)
+  local facts, address = view.facts, view.address
+  self.reader.tell:faults({ id = address.id, seq = address.seq, source = key_of(facts.bus, address.id),
+    bus = facts.bus, bus_name = view.names.bus, frame = facts.number, time = view.pinfo.rel_ts,
+    visited = facts.is_again, is_end = address.ctrl == self.parts.can_id.END }, view.record.faults)
+end
+
+-- And, for the messages that the capture ends before, of parts: of a message's in one record, told once.
+-- time  seconds since the first packet
+function Carrier:tell_part(names, address, facts, time)
+  local part = names.parts[address.seq]
+  if not part then
+    part = { id = address.id, seq = address.seq, source = key_of(facts.bus, address.id), bus = facts.bus,
+      bus_name = names.bus }
+    names.parts[address.seq] = part
+    self.reader.tell:part(part)
+  end
+  part.frame, part.time, part.visited = facts.number, time, facts.is_again
 end
 
 --- The messages that the capture ends before.
