@@ -36,14 +36,16 @@ needs-tests: needs-tshark
 demo: needs-tshark
 	@tests/demo $(if $(CAPTURE),"$(CAPTURE)",$(DEMO:%=test_captures/%.pcap))
 
-## What a developer runs after every change: each behaviour once, in three minutes
+## What a developer runs after every change: each behaviour once, in three minutes on two cores
 test: lint unit e2e
 
-## What CI runs: everything on this machine's Wireshark, then 4.0, 4.4 and 4.6 by both loading routes, and fuzzing
+## What CI runs: everything on this machine's Wireshark, the other ones of 4.0, 4.4 and 4.6, each by both loading routes,
+## and some fuzzing: in twenty minutes.  What takes a night has targets of its own: soak, fuzz, YAPP_LEVEL=all tests/matrix
 test-all:
 	YAPP_LEVEL=all $(MAKE) test
+	YAPP_LEVEL=route YAPP_ROUTE=plugin $(MAKE) e2e
 	tests/matrix --rest
-	$(MAKE) fuzz
+	$(MAKE) fuzz FRAMES=$(or $(FRAMES),20000)
 
 lint: needs-tests
 	luacheck -q .

@@ -55,12 +55,19 @@ def places(items):
             for item in items}
 
 
+def value_count(items):
+    return len({(name, repr(value)) for item in items for name, value in item.callspec.params.items()})
+
+
 def each_value(items):
     """Of a test in all combinations of its parameters: the first values together, the second ones together, and so on,
     beginning anew where a list is at its end."""
     where = places(items)
     steps = range(max(length for one in where.values() for _, length in one))
-    return [item for item in items if any(all(step % length == place for place, length in where[item]) for step in steps)]
+    once = [item for item in items if any(all(step % length == place for place, length in where[item]) for step in steps)]
+    assert value_count(once) == value_count(items), \
+        f"{items[0].nodeid}: parameters that depend on each other do not combine"
+    return once
 
 
 def chosen(items):

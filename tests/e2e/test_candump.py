@@ -166,8 +166,9 @@ def assert_frames(shown, frames, times):
 @levels.by_version
 @levels.each_once
 @pytest.mark.parametrize("way", ["one pass", "-2", "written"])
-@pytest.mark.parametrize("name, frames, start", FILES, ids=[row[0] for row in FILES])
-def test_form(tmp_path, name, frames, start, way):
+@pytest.mark.parametrize("form", FILES, ids=[row[0] for row in FILES])
+def test_form(tmp_path, form, way):
+    name, frames, start = form
     path, written = CAPTURES / f"candump_{name}", tmp_path / "out.pcapng"
     no_time = [""] * len(frames)
     times = stamps(start, len(frames)) if start is not None else no_time
@@ -277,10 +278,11 @@ def log_text(count, buses):
     return "".join(lines)
 
 
+LINES = levels.size(8000, 20000)
 LARGE = {
-    "two buses": log_text(20000, lambda i: i % 2),
-    "one bus": log_text(20000, lambda i: 0),
-    "second bus at the end": log_text(20000, lambda i: i // 19999),
+    "two buses": log_text(LINES, lambda i: i % 2),
+    "one bus": log_text(LINES, lambda i: 0),
+    "second bus at the end": log_text(LINES, lambda i: i // (LINES - 1)),
 }
 
 
@@ -298,12 +300,12 @@ def test_files_redirections_and_pipes(tmp_path, name, way):
             shown = rows(tmp_path, ["-r", "-"], stdin=cat.stdout)
     else:
         shown = rows(tmp_path, [*(["-2"] if way == "-2" else []), "-r", path])
-    assert [row["data"] for row in shown] == [f"{i:08x}" for i in range(20000)]
+    assert [row["data"] for row in shown] == [f"{i:08x}" for i in range(LINES)]
 
 
 def test_deltas_of_a_long_file(tmp_path):
     path = tmp_path / "delta.txt"
-    gaps = [0] + [i * 7919 % 1000 for i in range(1, 5000)]
+    gaps = [0] + [i * 7919 % 1000 for i in range(1, levels.size(1000, 5000))]
     path.write_text("".join(f" (000.{gap:06d})  can0  {291 + i % 3:03X}   [1]  11\n" for i, gap in enumerate(gaps)))
     total, times = 0, []
     for gap in gaps:

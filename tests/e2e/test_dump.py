@@ -313,7 +313,7 @@ def test_the_capture_of_the_repository(folder):
     path = CAPTURES / "dump_document.yapp"
     assert path.read_bytes() == data
     assert [event.kind for event in records(data)] == ["skipped", "good", "good", "skipped", "good", "bad", "good", "cut"]
-    assert_shown(path, folder, data)
+    assert_shown(path, folder, data, levels.size(["one pass", "-2", "written"], WAYS))
 
 
 # Files of others -------------------------------------------------------------------------------------------------

@@ -244,13 +244,13 @@ def test_ethernet(folder):
     packets = internet_packets(random.Random(f"{SEED} internet"))
     path.write_bytes(can_generator.pcap_head(1) + b"".join(
         can_generator.pcap_packet(number, packet, len(packet)) for number, packet in enumerate(packets, 1)))
-    assert differing(path) == set()
-    assert differing(path, "-2") == set()
+    for passes in levels.size([["-2"]], [["-2"], []]):
+        assert differing(path, *passes) == set()
 
 
 # Floods ------------------------------------------------------------------------------------------------------------
 
-FLOOD = levels.size(30_000, 200_000)
+FLOOD = levels.size(10_000, 200_000)
 BYTES_A_FRAME = 3500  # a generous bound: what a frame of a broken message may cost
 BYTES_BESIDES = 100_000_000  # and what any file may, with all IDs registered
 GOOD = can_generator.Sent(0x123, 0, 0, bytes(range(40)))

@@ -282,7 +282,6 @@ CATALOGUES = {
 UNREADABLE = ("an error", "no stack", "a million entries")
 
 
-@levels.by_version
 @pytest.mark.parametrize("name", levels.few(CATALOGUES, ["a million fields in one", "texts of a megabyte", "an error in a field",
                                                          "no stack"]))
 def test_catalogue(folder, name):
