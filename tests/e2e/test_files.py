@@ -59,6 +59,15 @@ def test_channels_of_asc():
     tshark.assert_no_lua_errors(FOLDER / "motor.asc")
 
 
+@pytest.mark.parametrize("name", ["motor.asc", "motor.blf"])
+@pytest.mark.parametrize("passes", [[], ["-2"]], ids=len)
+def test_names_of_channels(name, passes):
+    """CANoe writes both: what one is called in a filter, a table and a preference is the same in the other."""
+    rows = tshark.fields(FOLDER / name, ["taurus.motor.dc_voltage", "yapp.bus", "yapp.source"], "-o",
+                         "yapp.sources:CAN-2/0x210=motor:right", *passes)
+    assert [row[1:] for row in rows if row[0]] == [["CAN-1", ""], ["CAN-2", "right"]]
+
+
 def test_two_channels_of_asc_at_once(folder):
     """Their frames in turns: on one bus they would spoil each other."""
     head, frames = re.match(r"(.*?measurement\n)(.*)", (FOLDER / "motor.asc").read_text(), re.DOTALL).groups()

@@ -328,7 +328,8 @@ def zips(folder):
     top = folder / "top"
     top.mkdir()
     names = git("ls-files", "-z", "--cached", "--others", "--exclude-standard").decode().split("\0")[:-1]
-    names = names or [*tshark.PLUGIN_FILES, "tools", "extcap", "profiles"]
+    names = names or [*tshark.PLUGIN_FILES, "tools", "extcap", "profiles", "docs", "LICENSE",
+                      *(path.name for path in tshark.ROOT.glob("*.md"))]
     for name in names:
         if (tshark.ROOT / name).is_dir():
             shutil.copytree(tshark.ROOT / name, top / name)
