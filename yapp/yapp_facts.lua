@@ -32,9 +32,10 @@ Facts.__index = Facts
 -- candump  the reader of candump text: { current_bus, current_bus_name, plain_bus }
 function M.watch(head, candump)
   local self = setmetatable({ found = head.read(""), candump = candump, record = {} }, Facts)
-  -- A reader that never reads: the only place where the API shows a file.
+  -- A reader that never reads: the only place where the API shows a file.  It names both arguments: what a reader does
+  -- not hold may be collected while it reads, and Wireshark writes into both when it is back.
   local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the first bytes", "rms")
-  function handler.read_open(file)
+  function handler.read_open(file, _)
     self.found = head.read(file:read(head.LENGTH) or "")
     return false
   end
