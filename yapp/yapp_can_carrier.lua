@@ -59,7 +59,7 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local memory = self.memory
   local facts = self.facts:can_frame(tvb, pinfo, memory.highest)
   if facts.reported == 0 then return 0 end
-  if facts.is_odd and (facts.remote or facts.data == "") then
+  if facts.is_odd and (facts.remote or facts.doubtful and facts.data == "") then
     if facts.doubtful then memory:guess() else memory:pass_over(facts) end
     return 0
   end
