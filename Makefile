@@ -8,8 +8,8 @@ DEMO := document_motor document_command document_uart
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
-.PHONY: demo test test-all unit unit-5.2 unit-5.4 e2e lint install uninstall dist soak matrix fuzz screenshots \
-  needs-tshark needs-python needs-tests
+.PHONY: demo test test-all unit unit-5.2 unit-5.4 e2e lint install uninstall dist soak matrix fuzz bench screenshots \
+  needs-tshark needs-python needs-tests needs-bench
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
 define install-missing
@@ -73,6 +73,15 @@ matrix:
 fuzz: needs-tests
 	/usr/bin/env python3 tests/fuzz.py --frames $(or $(FRAMES),100000) --seed $(or $(SEED),1)
 
+## Beside its peers, into BENCH.md: RUNS=5; LONG=1 long captures too, so often; BASE=folder another version.  Never fails
+bench:
+	-@$(MAKE) --no-print-directory needs-bench
+	-/usr/bin/env python3 tests/bench/bench.py $(if $(RUNS),--runs $(RUNS)) $(if $(LONG),--long $(LONG)) $(if $(BASE),--base "$(BASE)")
+
+needs-bench: needs-tshark
+	$(call install-missing,python3 lua5.2 lua5.4,python3 python3-venv python3-can lua5.2 lua5.4,\
+	  /usr/bin/python3 -c 'import can; import ensurepip' 2>/dev/null)
+
 screenshots:
 	tests/screenshots
 
@@ -95,8 +104,8 @@ needs-tools: needs-tshark
 
 ## The Python package in tools/: ruff, mypy and its tests
 test-tools: needs-tools
-	$(TOOLS)/ruff check --config tools/pyproject.toml tools tests/tools
-	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools tests/tools
+	$(TOOLS)/ruff check --config tools/pyproject.toml tools/src tests/tools
+	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools/src tests/tools
 	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src
 	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider tests/tools
 

@@ -16,12 +16,15 @@ local plugin = { version = VERSION, path = here .. "yapp.lua" }
 set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
   description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }
 
+-- A number has a point, as in Wireshark's own times and filters, whatever the user's locale has: with a comma "%.1f"
+-- writes text that no program reads, Lua 5.2 reads no "2.5", and Lua that is made from numbers is none.
+os.setlocale("C", "numeric")
+
 package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
-require("yapp_copies").tell(plugin)
 local parts = {}
 for _, name in ipairs {
   "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly", "can_repeated",
-  "can_wrapper", "catalogue", "catalogue_files", "crc", "decode", "decode_columns", "facts", "file_asc",
+  "can_wrapper", "catalogue", "catalogue_files", "copies", "crc", "decode", "decode_columns", "facts", "file_asc",
   "file_asc_reader", "file_candump", "file_candump_line", "file_candump_reader", "file_dump", "file_dump_reader",
   "file_head", "frame", "history", "preferences", "reader", "serial_carrier", "serial_memory", "serial_stream",
   "sources", "stat", "stat_tell", "tree", "utf8",
@@ -59,7 +62,7 @@ local socketcan = Proto("yapp_socketcan", "YAPP's look at CAN headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local facts = parts.facts.watch(parts.file_head, candump)
-local stat = parts.stat.new { catalogue = catalogue, is_whole = is_whole, decode = decode,
+local stat = parts.stat.new { version = VERSION, catalogue = catalogue, is_whole = is_whole, decode = decode,
   columns = parts.decode_columns, opened = function() facts:want_buses() end }
 local reader = parts.reader.new(decode, catalogue, stat)
 local tree = parts.tree.new { yapp = yapp, taurus = taurus, catalogue = catalogue, decode = decode, reader = reader }
@@ -90,7 +93,11 @@ local tell = parts.stat_tell.new(stat, reader)
 reader:tell_to(tell)
 function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
 function stat.plugin.has_source(name) return reader.sources:has_name(name) end
-function stat.plugin.unfinished() return tell:unfinished(frames:unfinished()) end
+function stat.plugin.unfinished()
+  local messages = frames:unfinished()
+  for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end
+  return tell:unfinished(messages)
+end
 
 -- Dissectors --------------------------------------------------------------------------------------------------------
 
@@ -199,6 +206,7 @@ end
 yapp.prefs_changed = read_preferences
 
 function yapp.init()
+  parts.copies.tell(plugin)
   read_preferences()
   candump.current_bus = nil -- sharkd opens the next file without closing the first
   facts:init()

@@ -399,6 +399,35 @@ def candump_file(rng, count):
     return Capture(rng.choice((".log", ".txt")), b"", units, arguments if rng.random() < 0.5 else [])
 
 
+def asc_line(rng, now, bus, can_id, data, fd, dec):
+    name = (f"{can_id & 0x1FFFFFFF:{'d' if dec else 'X'}}x" if can_id & EXTENDED else f"{can_id & 0x7FF:{'d' if dec else 'X'}}")
+    words = " ".join(f"{byte:d}" if dec else f"{byte:02X}" for byte in data)
+    stamp, direction = f"{now // 10**6:4d}.{now % 10**6:06d}", rng.choice(("Rx", "Rx", "Tx"))
+    if can_id & ERROR:
+        return f"{stamp} {bus + 1}  ErrorFrame"
+    if fd:
+        code = FD_LENGTHS.index(len(data)) if len(data) in FD_LENGTHS else 15
+        return (f"{stamp} CANFD {bus + 1:3d} {direction} {name:>11} {rng.choice(('', 'a name'))} {rng.randrange(2)} "
+                f"{rng.randrange(2)} {code:x} {len(data):2d} {words} 0 0 {rng.choice(('1000', '3000', '200010', 'x'))} 0 0 0 0 0")
+    body = f"r {len(data):x}" if can_id & REMOTE else f"d {len(data):x} {words}"
+    return f"{stamp} {bus + 1}  {name:15} {direction}   {body}"
+
+
+def asc_file(rng, count):
+    """Vector's ASC, in hex or decimal, with absolute times or relative ones, in blocks."""
+    dec, begin = rng.random() < 0.2, "Begin Triggerblock Tue Nov 14 22:13:20.001 2023"
+    head = ["date " + rng.choice(("Tue Nov 14 10:13:20.001 pm 2023", "Die Nov 14 22:13:20 2023", "today", "")),
+            f"base {'dec' if dec else 'hex'}  timestamps {rng.choice(('absolute', 'relative'))}", "internal events logged", begin]
+    lines, now = [], 0
+    for frame in can_traffic(rng, count):
+        now += rng.randrange(1000)
+        lines.append(asc_line(rng, now, *frame, dec).encode())
+        if rng.random() < 0.001:
+            lines += [b"End TriggerBlock", begin.encode()]
+    end = rng.choice((b"\n", b"\r\n"))
+    return Capture(".asc", (end.decode().join(head)).encode() + end, [line + end for line in damaged_lines(rng, lines)], [])
+
+
 def dump_file(rng, count):
     units = [piece for piece in stream(rng, count) if piece]
     if rng.random() < 0.5:
@@ -491,7 +520,7 @@ def editcap_file(rng, count):
     return capture
 
 
-MAKERS = [packet_file] * 6 + [candump_file] * 2 + [dump_file] + [corpus_file] * 4 + [editcap_file] * 2
+MAKERS = [packet_file] * 6 + [candump_file] * 2 + [asc_file, dump_file] + [corpus_file] * 4 + [editcap_file] * 2
 
 
 def make(rng, longest):

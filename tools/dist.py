@@ -8,7 +8,7 @@ import zipfile
 
 TOP = pathlib.Path(__file__).resolve().parents[1]
 WHOLE = ("yapp.lua", "taurus_fields.lua", "yapp/*.lua", "extcap/*.py", "profiles/*/*", "README.md", "CHANGELOG.md",
-         "CONTRIBUTING.md", "LICENSE", "docs/*")
+         "CONTRIBUTING.md", "LICENSE", "docs/*", "tools/pyproject.toml", "tools/README.md", "tools/src/*/*.*")
 
 
 def pack(name, files):

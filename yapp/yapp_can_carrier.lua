@@ -23,14 +23,32 @@ Carrier.__index = Carrier
 function M.new(parts, tree, reader, facts, claim)
   KINDS, START, address_of = parts.can_id.KINDS, parts.can_id.START, parts.can_id.address
   return setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, claim = claim, view = {},
-    message = {} }, Carrier)
+    message = {}, record = {} }, Carrier)
 end
 
 --- Forgets the capture file: nothing survives into the next one.
 -- options  as for yapp_can_memory.new
 function Carrier:reset(options)
   self.memory = self.parts.can_memory.new(self.parts, options)
-  self.names = {} -- [bus or false][id]: see names_of
+  self.names = {} -- [bus or false][id]: see new_names
+end
+
+-- The key of a source: bus and ID.
+local function key_of(bus, id)
+  return (bus or -1) * 0x800 + id
+end
+
+-- What the messages of an ID are called, and texts of their parts, for the first time: { bus = name of the bus or nil,
+-- name = in the Info column, source = in the column Source, texts, titles = of YAPP's item by CAN CTRL,
+-- parts = what statistics were told, by Seq }.
+-- bus  number or nil
+local function new_names(self, id, bus)
+  local of_bus, name = self.names[bus or false] or {}, self.facts:bus_name(bus)
+  self.names[bus or false] = of_bus
+  of_bus[id] = { bus = name, name = self.reader:label(id, name), source = self.reader:source_text(id, name),
+    texts = {}, titles = {}, parts = {} }
+  self.claim(id)
+  return of_bus[id]
 end
 
 --- Dissects one frame.
@@ -39,22 +57,28 @@ end
 -- returns  the number of bytes that are ours, 0 for a frame that is not
 function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local memory = self.memory
-  local facts = self.facts:can_frame(tvb, pinfo, memory:highest())
+  local facts = self.facts:can_frame(tvb, pinfo, memory.highest)
   if facts.reported == 0 then return 0 end
-  if facts.remote or facts.doubtful and facts.data == "" then
+  if facts.is_odd and (facts.remote or facts.data == "") then
     if facts.doubtful then memory:guess() else memory:pass_over(facts) end
     return 0
   end
   facts.wide = is_wide
   local address = address_of(can_id)
-  local record = memory:look(address, facts)
+  local record = memory:look(address, facts, self.record)
   if not record then return 0 end
-  local names, wants = self:names_of(address.id, facts.bus), self.tree:wants(tree, facts.is_again)
+  local of_bus = self.names[facts.bus or false]
+  local names = of_bus and of_bus[address.id] or new_names(self, address.id, facts.bus)
+  local wants = self.tree:wants(tree, facts.is_again)
   local columns = pinfo.cols
   columns.protocol = "YAPP"
   columns.src = names.source
-  if not wants.tree and self:is_plain_part(record, facts) then -- most frames of a packet list
-    columns.info = self:part_text(names, address, record, #facts.data)
+  local length, is_told = #facts.data, self.reader.stat.wanted
+  if is_told and record.message and not record.is_last then self:tell_part(names, address, facts, pinfo.rel_ts) end
+  if not (record.is_rare or wants.any) and length == facts.reported then -- most frames of a packet list
+    local message, texts = record.message, names.texts
+    columns.info = texts.size == message.size and length == 8 and texts[message.count] or
+      self:part_text(names, address, record, length)
   else
     local view = self.view
     view.tvb, view.pinfo, view.tree, view.wants = tvb, pinfo, tree, wants
@@ -62,12 +86,6 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
     columns.info = self:show(view)
   end
   return facts.reported
-end
-
---- Whether a frame is a part of a message, and nothing is to be said of it but that.
-function Carrier:is_plain_part(record, facts)
-  return record.message and not (record.is_last or record.leads_to or record.faults or record.is_unfinished) and
-    #facts.data == facts.reported and not self.reader.stat.wanted
 end
 
 --- Says that a first pass may have been told wrong ids.
@@ -88,29 +106,6 @@ function Carrier:without_id(tvb, pinfo, tree)
   pinfo.cols.protocol = "YAPP"
   builder:expert(item, "can.id.missing")
   return tvb:reported_len()
-end
-
--- The key of a source: bus and ID.
-local function key_of(bus, id)
-  return (bus or -1) * 0x800 + id
-end
-
--- What is said of an ID for the first time.
-local function new_names(self, id, bus)
-  local of_bus, name = self.names[bus or false] or {}, self.facts:bus_name(bus)
-  self.names[bus or false] = of_bus
-  of_bus[id] = { bus = name, name = self.reader:label(id, name), source = self.reader:source_text(id, name),
-    texts = {} }
-  self.claim(id)
-  return of_bus[id]
-end
-
---- What the messages of an ID are called, and texts of their parts: { bus = name of the bus or nil, name = in the Info
--- column, source = in the column Source, texts }.
--- bus  number or nil
-function Carrier:names_of(id, bus)
-  local of_bus = self.names[bus or false]
-  return of_bus and of_bus[id] or new_names(self, id, bus)
 end
 
 -- A view is what all of the following look at: { tvb, pinfo, tree, wants, address, facts, record, names, item = YAPP's
@@ -135,18 +130,29 @@ function Carrier:show(view)
   end
   for _, fault in ipairs(record.faults or {}) do builder:expert(view.item, fault.expert, fault.text) end
   if record.is_unfinished then builder:expert(view.item, "unfinished") end
-  if self.reader.stat.wanted then self:tell(view) end
+  if record.faults and self.reader.stat.wanted then self:tell_faults(view) end
   return info
 end
 
--- Statistics are told of what is lost, and of parts of what may be.
-function Carrier:tell(view)
-  local facts, address, record = view.facts, view.address, view.record
-  local m = { id = address.id, seq = address.seq, source = key_of(facts.bus, address.id), bus = facts.bus,
-    bus_name = view.names.bus, frame = facts.number, time = view.pinfo.rel_ts, visited = facts.is_again,
-    is_end = address.ctrl == self.parts.can_id.END }
-  if record.faults then self.reader.tell:faults(m, record.faults) end
-  if record.message and not record.is_last then self.reader.tell:part(m) end
+-- Statistics are told of what is lost.
+function Carrier:tell_faults(view)
+  local facts, address = view.facts, view.address
+  self.reader.tell:faults({ id = address.id, seq = address.seq, source = key_of(facts.bus, address.id),
+    bus = facts.bus, bus_name = view.names.bus, frame = facts.number, time = view.pinfo.rel_ts,
+    visited = facts.is_again, is_end = address.ctrl == self.parts.can_id.END }, view.record.faults)
+end
+
+-- And, for the messages that the capture ends before, of parts: of a message's in one record, told once.
+-- time  seconds since the first packet
+function Carrier:tell_part(names, address, facts, time)
+  local part = names.parts[address.seq]
+  if not part then
+    part = { id = address.id, seq = address.seq, source = key_of(facts.bus, address.id), bus = facts.bus,
+      bus_name = names.bus }
+    names.parts[address.seq] = part
+    self.reader.tell:part(part)
+  end
+  part.frame, part.time, part.visited = facts.number, time, facts.is_again
 end
 
 --- The messages that the capture ends before.
@@ -164,12 +170,17 @@ end
 function Carrier:item(view)
   local builder, address = self.tree, view.address
   local fields = builder.fields
-  local item = view.tree:add(builder.yapp, view.tvb())
-  item:append_text((", %s, %s"):format(view.names.name, KINDS[address.ctrl] or "undefined frame"))
+  local titles, ctrl = view.names.titles, address.ctrl
+  local title = titles[ctrl]
+  if not title then
+    title = ("%s, %s, %s"):format(builder.yapp.description, view.names.name, KINDS[ctrl] or "undefined frame")
+    titles[ctrl] = title
+  end
+  local item = view.tree:add(builder.yapp, view.tvb(), title)
   builder:add_id(item, nil, address.id, view.names.bus)
   item:add(fields.ctl, address.ctl):set_generated()
   item:add(fields.seq, address.seq):set_generated()
-  item:add(fields["can.ctrl"], address.ctrl):set_generated()
+  item:add(fields["can.ctrl"], ctrl):set_generated()
   builder:add_source(item, address.id, view.names.bus)
   return item
 end
@@ -182,6 +193,7 @@ local function finished(self, view, payload, size)
   m.id, m.seq, m.ctl, m.payload, m.size = address.id, address.seq, address.ctl, payload, size
   m.source, m.bus, m.bus_name, m.name = key_of(facts.bus, address.id), facts.bus, names.bus, names.name
   m.frame, m.time, m.visited, m.is_whole = facts.number, view.pinfo.rel_ts, facts.is_again, true
+  m.is_brief = not (view.wanted or view.wants.taurus or self.reader.stat.wanted)
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   return m
 end
@@ -227,23 +239,25 @@ function Carrier:read(message, record)
   return message
 end
 
---- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept.
+--- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept: those of
+-- a message in frames of classic CAN by the number of the part.
 -- length  captured bytes of the frame
 function Carrier.part_text(_, names, address, record, length)
   local message, texts = record.message, names.texts
   local size, look = message.size, record.look
   if texts.size ~= size then
-    texts = { size = size, start = ("%s  Start of %d bytes"):format(names.name, size) }
+    texts = { ("%s  Start of %d bytes"):format(names.name, size), size = size }
     names.texts = texts
   end
-  if address.ctrl == START then return texts.start end
+  if address.ctrl == START then return texts[1] end
   local index = message.count
   while index > 1 and message[index] ~= look do index = index - 1 end
   if message[index] ~= look then return names.name .. "  part once more" end
   -- How many parts there are is sure in the end; before that, it is what classic CAN needs.
-  local parts = message.status == "good" and message.count or length == 8 and 1 + (size + 7 - (size + 7) % 8) / 8
+  local usual = 1 + (size + 7 - (size + 7) % 8) / 8
+  local parts = message.status == "good" and message.count or length == 8 and usual
   if not parts or index > parts then return ("%s  part %d"):format(names.name, index) end
-  local key = parts * 0x100 + index
+  local key = parts == usual and index or parts * 0x1000 + index
   local text = texts[key] or ("%s  part %d of %d"):format(names.name, index, parts)
   if parts <= MAX_KEPT then texts[key] = text end
   return text

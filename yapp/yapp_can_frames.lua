@@ -18,7 +18,7 @@ Frames.__index = Frames
 -- can_id   the module
 -- It has entries, by look: a message; the look of the last frame of a good message; in that last frame the message as
 -- a string; or, for a frame that belongs to no message, a number below 0.  And faults, by look: a list of
--- { expert =, text =, void = nil or true once it is taken back }.
+-- { expert =, text =, void = nil or true once it is taken back }.  And has_fractions: whether any look may have one.
 function M.new(can_id)
   return setmetatable({ can_id = can_id, entries = {}, faults = {}, distances = {} }, Frames)
 end
@@ -92,22 +92,33 @@ function Frames:duplicate(look, message)
   self:fault(look, "fragment.duplicate", "The frame before it once more: the CRC says that the message has one of them")
 end
 
+-- Whether the distances of a message's looks are no whole numbers.
+local function has_fractions(message)
+  for i = 1, message.count do
+    if (message.last - message[i]) % 1 ~= 0 then return true end
+  end
+  return false
+end
+
 --- A message came out good.  What a later look at it needs is little: which frames it had, and their bytes; the usual
 -- message keeps both as one string.
+-- returns  whether the table of the message is needed no more
 function Frames:good(message)
-  if message.blamed then return forgive(self, message) end -- rare: it stays as it is
-  local count, last, entries, distances = message.count, message.last, self.entries, self.distances
-  local is_usual = not (message.reserved or message.padding or message.duplicates) and count <= MAX_COUNT and
-    last - message[1] <= MAX_DISTANCE
-  for i = 1, is_usual and count or 0 do
-    distances[i] = last - message[i]
-    is_usual = is_usual and distances[i] % 1 == 0
+  if message.blamed then -- rare: it stays as it is
+    forgive(self, message)
+    return false
   end
-  if not is_usual then return end
-  for i = 1, count - 1 do entries[message[i]] = last end
+  local count, last, entries, distances = message.count, message.last, self.entries, self.distances
+  if message.reserved or message.padding or message.duplicates or count > MAX_COUNT or
+    last - message[1] > MAX_DISTANCE or self.has_fractions and has_fractions(message) then return false end
+  for i = 1, count do
+    local look = message[i]
+    distances[i], entries[look] = last - look, last
+  end
   -- Count, distances, key, and the CRC as the Start has it.
   entries[last] = char(count, unpack(distances, 1, count)) .. message.address.key_bytes .. sub(message.sent, 1, 4) ..
     message.payload
+  return true
 end
 
 local function take_out(packed, last, can_id)

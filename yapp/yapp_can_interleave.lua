@@ -266,6 +266,8 @@ end
 -- that message stays for what may come.
 local function end_newest(self, look)
   local newest, reassembly, ended = self:newest(), self.reassembly, {}
+  local is_only = #self.messages == 1
+  if is_only then ended = newest end
   for key, value in pairs(newest) do ended[key] = value end
   local taken, length = leftovers(self, newest)
   local last = self.frames[#self.frames]
@@ -273,8 +275,9 @@ local function end_newest(self, look)
   local status = not padding and reassembly:misfit(newest, length, look) or nil
   ended.padding = padding and padding > 0 and padding or nil
   newest.overtaken = newest.overtaken or 0
-  if #self.messages == 1 then self.messages = {} end
+  if is_only then self.messages = {} end
   award(self, ended, taken, status)
+  ended.is_only = is_only
 end
 
 -- More bytes than all open messages can use: none of them will come out good.

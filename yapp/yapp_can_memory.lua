@@ -33,8 +33,10 @@ end
 -- The look at a frame that comes in order.
 local function next_look(pass, number, place)
   if number > pass.highest then
-    pass.usual = pass.usual or place
-    if place ~= pass.usual then pass.odd[number] = place end
+    if place ~= pass.usual then
+      pass.usual = pass.usual or place
+      if place ~= pass.usual then pass.odd[number] = place end
+    end
     pass.highest, pass.latest, pass.place = number, number, place
     return number
   end
@@ -43,7 +45,7 @@ local function next_look(pass, number, place)
   if place <= pass.place then -- another packet: a read filter rejected the one before
     pass.is_filtered, places = true, {}
   end
-  pass.latest, pass.place = pass.latest + STEP, place
+  pass.latest, pass.place, pass.kept.has_fractions = pass.latest + STEP, place, true
   places[place] = pass.latest
   pass.repeats[number] = places
   return pass.latest
@@ -90,17 +92,13 @@ Memory.__index = Memory
 -- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown one;
 --             new_history = function() -> a yapp_history, one for each pass;
 --             has_buses = whether the file is known to have several buses }
+-- It has highest: the highest number so far, infinity once a second look has been seen.  A frame above it cannot have
+-- been looked at before, which saves asking Wireshark.
 function M.new(parts, options)
   local self = setmetatable({ parts = parts, size_of = options.size_of, new_history = options.new_history,
-    is_mixed = options.has_buses or false, is_guessed = false, reached = 0, records = {} }, Memory)
+    is_mixed = options.has_buses or false, is_guessed = false, reached = 0, highest = 0 }, Memory)
   self.first = new_pass(self)
   return self
-end
-
---- The highest number so far: a frame above it cannot have been looked at before, which saves asking Wireshark.
--- returns  number; infinity once a second look has been seen
-function Memory:highest()
-  return self.is_again and math.huge or self.first.highest
 end
 
 --- Says that the first pass cannot know all of the facts.
@@ -141,13 +139,16 @@ local function refines(self, facts)
   return number <= self.reached or follows(self, number)
 end
 
--- What the first pass knows of a message that the second has not seen to its end; if the first mixed buses, it has this
--- from the CRC.
+-- What the first pass knows of a message that the second has not seen to its end.
+-- returns  the message there; and whether it is surely the same: if the first mixed buses, it is where it has this from
+--          the CRC or nothing of its kind came behind it; and likely where no other message was open when it ended
 local function foreseen(self, message)
   local second, start = self.second, message[1]
   local look, same = find_look(self.first, floor(start), place_of(second, start), message.address.key)
-  if not same or same[1] ~= look or self.is_mixed and same.status ~= "good" then return nil end
-  return same
+  if not same or same[1] ~= look then return nil end
+  local is_alone = not (same.status or same.from)
+  if not self.is_mixed or same.status == "good" or is_alone then return same, true end
+  if same.is_only then return same, false end
 end
 
 -- The second pass's look at a frame, and whether it is made now; nil where that pass has not come so far, or not by
@@ -175,10 +176,11 @@ end
 local function link(self, record, message)
   local pass, has_ended = record.pass, self.is_again
   if not message.last and pass == self.second then
-    local same = foreseen(self, message)
-    if same then
+    local same, is_sure = foreseen(self, message)
+    if is_sure then
       message, pass = same, self.first
     else
+      record.has_fault = same and self.first.faulty[same.last] -- kept rather than lost
       has_ended = not record.is_now and pass.highest >= self.first.highest
     end
   end
@@ -190,13 +192,19 @@ local function link(self, record, message)
   end
 end
 
+-- Fills in a record.  Most frames are a part of a message that goes on: these get the four keys that all have.
 -- is_now  whether the look was made now; message: of the frame, nil for one that belongs to none
-local function record_of(self, pass, look, is_now, message)
-  local record = { pass = pass, look = look, message = message, is_now = is_now } -- no more for most: small is fast
-  local faults = pass.kept.faults[look]
-  if faults then record.faults = faults end
+local function fill(self, record, pass, look, is_now, message)
+  if record.is_rare then
+    record.is_rare, record.is_last, record.alone, record.leads_to = false, nil, nil, nil
+    record.is_unfinished, record.has_fault, record.faults, record.is_late = nil, nil, nil, nil
+  end
+  record.pass, record.look, record.message, record.is_now = pass, look, message, is_now
+  local faults = look and pass.kept.faults[look]
+  if message and not faults and not message.last and not self.is_again then return record end
+  record.is_rare, record.faults = true, faults
   if not message then
-    record.alone = select(2, pass.kept:entry(look))
+    record.alone = look and select(2, pass.kept:entry(look))
   elseif message.last == look then
     record.is_last = true
   elseif self.is_again or message.last then
@@ -209,26 +217,32 @@ end
 -- address  yapp_can_id.address of its 29-bit id
 -- facts    { number, place = where in its packet, is_again = whether Wireshark has shown it before, data, reported,
 --          bus, informed = whether this pass can tell the bus, doubtful, wide: as for Reassembly:frame }
--- returns  nil for a frame that is not YAPP's, else a record of its own:
---          { message = its message, or alone = the CAN id of a frame without one; is_last = whether the message ends
+-- record   a table to fill in, of an earlier look or empty; its message is good until the next look
+-- returns  nil for a frame that is not YAPP's, else the record:
+--          { is_rare = whether there is more than that it is a part of a message which goes on;
+--            message = its message, or alone = the CAN id of a frame without one; is_last = whether the message ends
 --            here; leads_to = number of the frame where it does; is_unfinished = whether it never does, and this is its
 --            last frame; has_fault = whether the message has a fault flag set, as far as that is known;
 --            faults = list of { expert, text } or nil; is_now = whether the frame was taken just now, in order;
 --            is_late = whether no pass had its id in time }
-function Memory:look(address, facts)
+function Memory:look(address, facts, record)
   local first = self.first
   if not facts.is_again then
     local look = next_look(first, facts.number, facts.place)
+    if not self.is_again then self.highest = facts.number end
     local is_ours, message = take(self, first, address, facts, look)
-    return is_ours and record_of(self, first, look, true, message) or nil
+    return is_ours and fill(self, record, first, look, true, message) or nil
   end
-  self.is_again = true
+  self.is_again, self.highest = true, math.huge
   local look, is_now, message = second_look(self, address, facts)
-  if look then return record_of(self, self.second, look, is_now, message) end
+  if look then return fill(self, record, self.second, look, is_now, message) end
   if is_now == false then return nil end
   look, message = find_look(first, facts.number, facts.place, address.key)
-  if look then return record_of(self, first, look, false, message) end
-  if facts.wide then return { alone = address.can_id, is_late = true } end
+  if look then return fill(self, record, first, look, false, message) end
+  if not facts.wide then return nil end
+  fill(self, record, first)
+  record.alone, record.is_late = address.can_id, true
+  return record
 end
 
 --- A frame that is not ours after all: a remote frame that an earlier pass could not tell.
@@ -262,15 +276,17 @@ function Memory:change(message, record)
   local history, change = pass.history
   message.number = look
   if record.is_now then
-    change = history:note(message)
-    pass.deltas[look] = change and change.delta
+    local delta
+    change, delta = history:note(message)
+    pass.deltas[look] = delta
+    if not change then return nil end
     -- What is still to come the second pass has from the first, if that did not mix buses.
     if pass == self.second and not self.is_mixed then history = self.first.history end
   else
     message.delta = pass.deltas[look]
     change = history:change(message)
   end
-  if change and (change.flags or change.active_since) then
+  if change and (change.is_alarm or change.active_since) then
     change.next_change = history:next_change(look, message.source)
   end
   return numbered(pass, change)

@@ -22,8 +22,8 @@ Reassembly.__index = Reassembly
 --
 -- A message has address (yapp_can_id's), bus, size, crc, reserved (nil when 0), all from its Start; the looks of its
 -- frames at 1 .. count, received (bytes); and when it has ended status: "good", "bad" (CRC), "short", "overrun", "cut"
--- (by a new Start), "unverified" (bytes not captured), payload, padding (nil when 0), calculated (a bad CRC), and last
--- (the look of its last frame).
+-- (by a new Start), "unverified" (bytes not captured), payload, padding (nil when 0), calculated (a bad CRC), is_only
+-- (whether no other message was open that its bytes may belong to), and last (the look of its last frame).
 function M.new(parts, size_of)
   return setmetatable({
     can_id = parts.can_id, crc = parts.crc, parts = parts, size_of = size_of, kept = parts.can_frames.new(parts.can_id),
@@ -60,6 +60,7 @@ function Reassembly:seed(message)
 end
 
 --- Ends a message: status when it is known, else the CRC decides.
+-- returns  whether the table of the message is needed no more, once this frame has been shown
 function Reassembly:finish(message, payload, look, status)
   message.payload, message.last, message.chunks = payload, look, nil
   if status or message.truncated then
@@ -69,9 +70,9 @@ function Reassembly:finish(message, payload, look, status)
   local calculated = self.crc.update(self:seed(message), payload)
   if calculated == message.crc then
     message.status = "good"
-    self.kept:good(message)
+    return self.kept:good(message)
   else
-    message.status, message.calculated = "bad", calculated
+    message.status, message.calculated, message.is_only = "bad", calculated, not message.from
   end
 end
 
@@ -191,54 +192,60 @@ local function start(self, slot, address, frame)
     self.kept:alone(look, address.can_id)
     return true
   end
-  -- Room for what comes in the usual message of five frames: saves Lua three steps of growth in each table.
-  local message = { look, nil, nil, nil, nil, count = 1, parts = 0, received = 0, repeats = 0,
-    chunks = { nil, nil, nil, nil }, address = address, bus = frame.bus, size = size, crc = crc,
-    sent = frame.data, reserved = reserved ~= 0 and reserved or nil, status = nil, payload = nil, last = nil }
+  local message = self.spare -- of an earlier message: a fifth of the garbage of a packet list
+  if message then
+    self.spare = nil
+    message[1], message.status, message.payload, message.last = look, nil, nil, nil
+  else -- with room for the usual message of five frames: saves Lua three steps of growth in each table
+    message = { look, nil, nil, nil, nil, count = 1, parts = 0, received = 0, repeats = 0,
+      chunks = { nil, nil, nil, nil }, status = nil, payload = nil, last = nil, reserved = nil }
+  end
+  message.count, message.parts, message.received, message.repeats = 1, 0, 0, 0
+  message.address, message.bus, message.size, message.crc, message.sent = address, frame.bus, size, crc, frame.data
+  if reserved ~= 0 then message.reserved = reserved end
   self.kept.entries[look] = message
   if open then open:add(message) else enter(self, slot, message) end
   return true, message
 end
 
--- The End of the only message in its slot.
+-- The End of the only message in its slot; returns as finish does.
 local function complete(self, message, frame)
   local needed = message.size - message.received + frame.reported
   local padding = self.can_id.padding(frame.data, frame.reported, needed)
   if not padding and message.repeats > 0 and not message.truncated then
     padding = self.parts.can_repeated.take_out(self, message, frame)
   end
-  local payload = concat(message.chunks)
+  local payload = concat(message.chunks, "", 1, message.parts)
   if not padding then
     return self:finish(message, payload, frame.look, self:misfit(message, message.received, frame.look))
   end
   if padding > 0 then
     message.padding, payload = padding, payload:sub(1, message.size)
   end
-  self:finish(message, payload, frame.look)
-end
-
--- The bytes of a part: whether they may be those of the frame before it, delivered twice, is for the CRC to say.
-local function add_bytes(message, frame)
-  local data, parts, chunks = frame.data, message.parts, message.chunks
-  if data == chunks[parts] then message.repeats = message.repeats + frame.reported end
-  message.parts, chunks[parts + 1] = parts + 1, data
-  if #data < frame.reported then message.truncated = true end
+  return self:finish(message, payload, frame.look)
 end
 
 -- A Middle or End of the only message in its slot.
 local function add_part(self, slot, message, frame, is_end)
-  local look, count = frame.look, message.count + 1
+  local look, count, reported = frame.look, message.count + 1, frame.reported
+  local received = message.received + reported
   self.kept.entries[look] = message
-  message.count, message[count] = count, look
-  message.received = message.received + frame.reported
+  message.count, message[count], message.received = count, look, received
   if message.status then -- it had too many bytes before
-    self:misfit(message, message.received, look)
+    self:misfit(message, received, look)
   else
-    if not message.truncated then add_bytes(message, frame) end
+    if not message.truncated then
+      local data, parts, chunks = frame.data, message.parts, message.chunks
+      -- Whether it is the frame before it, delivered twice, is for the CRC to say.
+      if data == chunks[parts] then message.repeats = message.repeats + reported end
+      message.parts, chunks[parts + 1] = parts + 1, data
+      if #data < reported then message.truncated = true end
+    end
     if is_end then
-      complete(self, message, frame)
-    elseif message.received > message.size + math.min(message.repeats, MAX_REPEATED * frame.reported) then
-      message.status = self:misfit(message, message.received, look)
+      local chunks = message.chunks
+      if complete(self, message, frame) then self.spare, message.chunks = message, chunks end
+    elseif received > message.size and received > message.size + math.min(message.repeats, MAX_REPEATED * reported) then
+      message.status = self:misfit(message, received, look)
       message.chunks = nil
     end
   end
@@ -247,7 +254,7 @@ local function add_part(self, slot, message, frame, is_end)
 end
 
 local function continue(self, slot, address, frame)
-  local message, is_end = self.open[slot], address.ctrl == self.can_id.END
+  local message = self.open[slot]
   if not message then
     if not frame.wide and not (address.ctl == 0 and self.size_of(address.id, frame.bus)) then return false end
     self.kept:orphan(frame.look, address)
@@ -257,7 +264,7 @@ local function continue(self, slot, address, frame)
     message = self.parts.can_interleave.new(self, message)
     self.open[slot] = message
   end
-  if not message.messages then return add_part(self, slot, message, frame, is_end) end
+  if not message.messages then return add_part(self, slot, message, frame, address.ctrl == self.can_id.END) end
   message:frame(address, frame)
   if #message.messages == 0 then close(self, slot) end
   return true, (self.kept:entry(frame.look))

@@ -7,6 +7,8 @@ local check = require("yapp_catalogue_check")
 
 local M = {}
 
+local DENIED = 13 -- EACCES
+
 -- What a file returns, and whether it ran; else why not.  It is a program: it may raise anything.
 local function run(path)
   local ok, chunk, problem = pcall(loadfile, path) -- Wireshark's raises where plain Lua returns nil
@@ -18,10 +20,10 @@ end
 
 -- The list of a file; nil and why there is none.
 local function read(path)
-  local file, problem = io.open(path)
+  local file, problem, code = io.open(path)
   if not file then
-    -- The system's own words have the path in front; "not found" is ours.
-    return nil, problem and problem:find("[Dd]enied") and "cannot be read: " .. problem or "not found"
+    -- The system's own words have the path in front, and are the user's language; "not found" is ours.
+    return nil, code == DENIED and "cannot be read: " .. problem or "not found"
   end
   file:close()
   local entries, ran = run(path)

@@ -55,7 +55,8 @@ local NATIVE = [[
 -- For Lua 5.2.
 local function with_library(library)
   local bxor, band, lshift, rshift = library.bxor, library.band, library.lshift, library.rshift
-  -- A call costs more than a table look-up here: eight bytes a step, each through its own table.
+  -- A call costs more than a table look-up here: eight bytes a step, each through its own table, and so the register's,
+  -- which arithmetic takes apart.
   local NEXT = { [0] = TABLE }
   for k = 1, 7 do
     NEXT[k] = {}
@@ -69,9 +70,13 @@ local function with_library(library)
     local at = from
     while at + 7 <= to do
       local a, b, c, d, e, f, g, h = byte(data, at, at + 7)
-      local x = bxor(register, a * 0x1000000 + b * 0x10000 + c * 0x100 + d)
-      register = bxor(T7[rshift(x, 24)], T6[band(rshift(x, 16), 255)], T5[band(rshift(x, 8), 255)], T4[band(x, 255)],
-        T3[e], T2[f], T1[g], T0[h])
+      local z = register % 0x100
+      register = (register - z) / 0x100
+      local y = register % 0x100
+      register = (register - y) / 0x100
+      local x = register % 0x100
+      register = bxor(T7[(register - x) / 0x100], T6[x], T5[y], T4[z],
+        T7[a], T6[b], T5[c], T4[d], T3[e], T2[f], T1[g], T0[h]) % 0x100000000
       at = at + 8
     end
     for i = at, to do

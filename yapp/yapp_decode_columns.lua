@@ -29,7 +29,7 @@ end
 
 local INTEGERS = { uint = true, int = true, flags = true }
 
--- The columns of a field: { name, type } each.
+-- The columns of a field: { name, type, the flag that it is } each.
 local function columns_of(field)
   local kind, name = field.kind, field.name
   if kind == "float" or kind == "ieee" then return { { name, "float" }, { name .. "_special", "string" } } end
@@ -38,7 +38,7 @@ local function columns_of(field)
   if field.values then return { { name, "integer" }, { name .. "_text", "string" } } end
   local columns = { { name, field.scale and "float" or "integer" } }
   local group = field.group and field.group:match("[^.]+$")
-  for _, flag in ipairs(field.flags or {}) do columns[#columns + 1] = { group .. "_" .. flag.name, "bool" } end
+  for _, flag in ipairs(field.flags or {}) do columns[#columns + 1] = { group .. "_" .. flag.name, "bool", flag } end
   return columns
 end
 
@@ -56,7 +56,7 @@ local function make_columns(message)
       end
       taken[name] = true
       local unit = i == 1 and (field.kind == "time" and "s" or field.unit) or nil
-      columns[#columns + 1] = { name = name, unit = unit, type = column[2], field = field }
+      columns[#columns + 1] = { name = name, unit = unit, type = column[2], field = field, flag = column[3] }
     end
   end
   return columns
@@ -64,7 +64,7 @@ end
 
 --- The columns of a message, in order.
 -- returns  a list of { name =, unit = or nil, type = "float", "integer", "bool", "string" or "time" (seconds),
---          field = }; a name that another column has already ("time", "id") gets "_2" behind it
+--          field =, flag = of one of flags }; a name that another column has already ("time", "id") gets "_2" behind it
 function M.columns(message)
   local columns = columns_by_message[message]
   if not columns then

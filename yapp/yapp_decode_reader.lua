@@ -3,8 +3,8 @@
 --
 -- It runs for every packet, and is three times as fast as a loop over the fields.  It fills raws and says whether any
 -- count needs a second look.
---   a, b = byte(payload, 9, 10)
---   a = a + b * 0x100
+--   local b9, b10, b11, ... = byte(payload, 9, 82)
+--   a = b9 + b10 * 0x100
 --   raws[5] = a
 --   if a > 65530 then look = true end
 
@@ -16,16 +16,43 @@ local M = {}
 local format = string.format
 local native = load("return 1 & 1") ~= nil -- a syntax error in Lua 5.2
 
-local LETTERS = { "a", "b", "c", "d", "e", "f" }
-
 -- The little endian count of up to six bytes, in a.
 local function count_source(field)
-  local size, sum = field.size, { "a = a" }
-  for i = 2, size do sum[i] = format("%s * 0x1%s", LETTERS[i], ("00"):rep(i - 1)) end
-  local names = table.concat(LETTERS, ", ", 1, size)
-  local source = format("%s = byte(payload, %d, %d)", names, field.offset + 1, field.offset + size)
-  if size > 1 then source = source .. "\n" .. table.concat(sum, " + ") end
-  return source
+  local sum = {}
+  for i = 1, field.size do
+    local weight = i > 1 and " * 0x1" .. ("00"):rep(i - 1) or ""
+    sum[i] = format("b%d%s", field.offset + i, weight)
+  end
+  return "a = " .. table.concat(sum, " + ")
+end
+
+local MOST_BYTES = 100 -- a function has up to 200 local variables
+
+local function is_counted(field)
+  return field.kind ~= "time" and field.kind ~= "ieee" and field.kind ~= "string" and field.kind ~= "bytes" and
+    not field.mask and field.size <= 6
+end
+
+-- Runs of fields whose bytes are asked for in one call, which costs more than a field: by index of its first field
+-- { last = index of the last, from, to = bytes }.
+local function runs_of(fields)
+  local runs, run = {}, nil
+  for i, field in ipairs(fields) do
+    local to = field.offset + field.size
+    if run and (field.when ~= fields[run.last].when or to <= run.to or to - run.from >= MOST_BYTES) then run = nil end
+    if is_counted(field) then
+      run = run or { from = field.offset + 1 }
+      run.last, run.to, runs[run.first or i] = i, to, run
+      run.first = run.first or i
+    end
+  end
+  return runs
+end
+
+local function run_source(run)
+  local names = {}
+  for at = run.from, run.to do names[#names + 1] = "b" .. at end
+  return format("do local %s = byte(payload, %d, %d)", table.concat(names, ", "), run.from, run.to)
 end
 
 -- Lines that set a to the raw value of a field, by kind.
@@ -98,11 +125,16 @@ local function case_source(before, after, first, last)
 end
 
 local function reader_source(message)
-  local lines, when, first = { "return function(payload, raws) local look, a, b, c, d, e, f = false" }, nil, 1
+  local lines, when, first = { "return function(payload, raws) local look, a = false" }, nil, 1
+  local runs, run = runs_of(message.fields), nil
   for i, field in ipairs(message.fields) do
     if field.when ~= when then
       lines[#lines + 1] = case_source(when, field.when, first, i - 1)
       when, first = field.when, i
+    end
+    if runs[i] then
+      run = runs[i]
+      lines[#lines + 1] = run_source(run)
     end
     local source = sources[field.kind]
     if source then -- a time has no raw value
@@ -111,6 +143,7 @@ local function reader_source(message)
       local condition = look_source(field, i)
       if condition then lines[#lines + 1] = format("if %s then look = true end", condition) end
     end
+    if run and run.last == i then lines[#lines + 1] = "end" end
   end
   if when then lines[#lines + 1] = case_source(when, nil, first, #message.fields) end
   lines[#lines + 1] = "return look end"

@@ -11,12 +11,15 @@ local M = {}
 
 local BUS_FIELDS = "frame.interface_id || frame.interface_name || sll.ifindex || rtacser.eventtype"
 local CAN_FIELDS = "can.id || can.flags.xtd || can.flags.rtr || canfd.flags.brs"
-local NAMES = {}
+local NAMES, NOTHING = {}, {}
+local SOCKETCAN = wtap.SOCKETCAN -- an encapsulation, as frame.encap_type has it
 for name in (BUS_FIELDS .. " || " .. CAN_FIELDS):gmatch("[%w_.]+") do NAMES[name] = true end
 
 -- Remote frames come with as many zeros as their DLC says; SocketCAN does not tell a dissector.
 local ZEROS = {}
 for length = 0, 8 do ZEROS[("\0"):rep(length)] = true end
+
+local IN_WIRESHARK = gui_enabled() -- tshark numbers frames anew (-R), and all of a pass has a tree or none
 
 local DIRECTION = { 0, 1, 0, 1 } -- of RTAC events: data sent, data received, ...
 local MASK = 0x20000000 -- of the 29 bits of an id
@@ -29,9 +32,10 @@ Facts.__index = Facts
 -- candump  the reader of candump text: { current_bus, current_bus_name, plain_bus }
 function M.watch(head, candump)
   local self = setmetatable({ found = head.read(""), candump = candump, record = {} }, Facts)
-  -- A reader that never reads: the only place where the API shows a file.
+  -- A reader that never reads: the only place where the API shows a file.  It names both arguments: what a reader does
+  -- not hold may be collected while it reads, and Wireshark writes into both when it is back.
   local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the first bytes", "rms")
-  function handler.read_open(file)
+  function handler.read_open(file, _)
     self.found = head.read(file:read(head.LENGTH) or "")
     return false
   end
@@ -65,6 +69,7 @@ function Facts:init()
   remove(self.can_tap)
   self.can_tap, self.asked_at = nil, nil
   self.says_bus, self.numbers, self.names, self.count = {}, {}, {}, 0
+  self.buses = {} -- [number of a frame] = its bus: in Wireshark a later look may have no tree, and so no fields
   self.is_swapped = get_preference("can.byte_swap") -- of records that a little endian machine wrote as they were
   self.header_number, self.header_id, self.refused, self.asked = 0, nil, {}, nil
 end
@@ -89,12 +94,16 @@ end
 
 -- all_field_infos raises where there is no tree; and on 4.0 the value of an item without bytes, such as a packet
 -- comment, throws past Lua: only what is wanted is asked for its value.
-local function by_name(ok, ...)
-  local found = {}
-  if ok then
-    for _, info in ipairs { ... } do
-      local name = info.name
-      if NAMES[name] then found[name] = info.value end
+-- is_for_bus  whether only what tells the bus is asked for: on SocketCAN nothing behind the encapsulation does
+local function by_name(is_for_bus, ok, ...)
+  local found, infos = {}, ok and { ... } or NOTHING
+  for i = 1, #infos do
+    local info = infos[i]
+    local name = info.name
+    if NAMES[name] then
+      found[name] = info.value
+    elseif is_for_bus and name == "frame.encap_type" and info.value == SOCKETCAN then
+      break
     end
   end
   return found, ok
@@ -103,7 +112,7 @@ end
 -- The fields of a CAN frame that are in the tree so far.
 -- returns  { [filter name] = value }, empty on a pass that builds no tree; and whether none of CAN's own is left out
 local function can_fields(self, number)
-  local fields, has_tree = by_name(pcall(all_field_infos))
+  local fields, has_tree = by_name(false, pcall(all_field_infos))
   if not has_tree then return fields, false end
   local is_asked = self.can_tap and self.asked_at ~= number
   local is_whole = fields["can.id"] ~= nil and fields["can.flags.xtd"] ~= nil and
@@ -148,14 +157,17 @@ function Facts:bus(pinfo)
   end
   if not self.bus_tap and not self.found.later then return nil, true end
   local visited = pinfo.visited
+  local bus = visited and self.buses[pinfo.number]
+  if bus then return bus, true end
   if self.says_bus[visited] == false then return nil, false end
-  local fields = by_name(pcall(all_field_infos))
+  local fields = by_name(true, pcall(all_field_infos))
   local interface, index, event = fields["frame.interface_id"], fields["sll.ifindex"], fields["rtacser.eventtype"]
   local says_bus = interface ~= nil or index ~= nil or event ~= nil
   -- One or the other for all of a pass: a message does not begin on a bus and end on none.
   if self.says_bus[visited] == nil then self.says_bus[visited] = says_bus end
   if not says_bus then return nil, false end
-  local bus = number_of(self, interface or 0, index or 0, DIRECTION[event] or 0)
+  bus = number_of(self, interface or 0, index or 0, DIRECTION[event] or 0)
+  if IN_WIRESHARK then self.buses[pinfo.number] = bus end
   if self.names[bus] == nil then self.names[bus] = self:interface_name(interface, fields["frame.interface_name"]) end
   return bus, true
 end
@@ -230,23 +242,28 @@ end
 --- What a look at a CAN frame needs to know, asked for once.
 -- highest  the highest number so far: one above it is new, and Wireshark cannot have shown it before
 -- returns  { number, place, is_again, data, reported, bus, informed = whether this pass can tell the bus,
---            remote = whether it is a remote frame, doubtful = whether it may be one and nothing says }:
---          the same table for every frame
+--            remote = whether it is a remote frame, doubtful = whether it may be one and nothing says,
+--            is_odd = whether it may be either }: the same table for every frame
 function Facts:can_frame(tvb, pinfo, highest)
   local record, number = self.record, pinfo.number
-  record.number, record.place, record.is_again = number, tvb:offset(), number <= highest and pinfo.visited
-  record.reported = tvb:reported_len()
   -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
-  record.data = tvb:len() > 0 and tvb:raw() or ""
+  local data = tvb:len() > 0 and tvb:raw() or ""
+  record.number, record.place, record.is_again = number, tvb:offset(), number <= highest and pinfo.visited
+  record.reported, record.data = tvb:reported_len(), data
   if self.asked ~= record.is_again then -- at a pass's first frame: a later one may need them
     self.asked = record.is_again
     can_fields(self, number)
   end
-  record.bus, record.informed = self:bus(pinfo)
-  record.remote, record.doubtful = false, false
-  if ZEROS[record.data] and record.reported > 0 then
-    local remote = is_remote(self, pinfo)
-    record.remote, record.doubtful = remote or false, remote == nil
+  if self.bus_tap or self.found.later or self.candump.current_bus then
+    record.bus, record.informed = self:bus(pinfo)
+  elseif record.bus or not record.informed then
+    record.bus, record.informed = nil, true
+  end
+  local is_odd = ZEROS[data] and record.reported > 0
+  if is_odd or record.is_odd then
+    local remote = false
+    if is_odd then remote = is_remote(self, pinfo) end
+    record.is_odd, record.remote, record.doubtful = is_odd, remote or false, remote == nil
   end
   return record
 end

@@ -47,7 +47,7 @@ local function name_reader()
   local shown, refused
   local handler = FileHandler.new("YAPP (tells other files from .yapp)", "yapp_name", "Takes no file", "r")
 
-  function handler.read_open(file)
+  function handler.read_open(file, _) -- held until the end, see yapp_facts
     local head = read_head(file)
     if head ~= refused then shown = head end
     refused = nil

@@ -9,6 +9,7 @@ local M = {}
 
 local byte = string.byte
 
+local NANOSECOND = 1e-9 -- what a capture's times have; a difference of two of them has a little more or less
 local NOTHING = {} -- how things stand before a source's first event
 
 local History = {}
@@ -40,14 +41,11 @@ end
 
 -- Which fields of a message are flags: worked out once a message.
 local function kind_of(self, message)
-  local kind = self.kinds[message]
-  if not kind then
-    kind = { flags = {}, clock_at = message.time and message.time.offset + 1 }
-    for i, field in ipairs(message.fields) do
-      if field.kind == "flags" then kind.flags[#kind.flags + 1] = i end
-    end
-    self.kinds[message] = kind
+  local kind = { flags = {}, clock_at = message.time and message.time.offset + 1 }
+  for i, field in ipairs(message.fields) do
+    if field.kind == "flags" then kind.flags[#kind.flags + 1] = i end
   end
+  self.kinds[message] = kind
   return kind
 end
 
@@ -153,12 +151,12 @@ local function keep(source, look, event, clock, time)
   source.numbers[count], source.events[count], source.state = look.number, event, event
 end
 
--- A good message: keeps what it changes; returns the controller's clock.
+-- A good message: keeps what it changes; returns the controller's clock, and whether there is anything new.
 local function follow(self, source, look)
   local message, state = look.message, source.state
   local flags, clock, is_new_clock, reboot, stale
   if message and look.raws then
-    local kind = kind_of(self, message)
+    local kind = self.kinds[message] or kind_of(self, message)
     flags = flag_changes(source, kind, look)
     clock = kind.clock_at and clock_of(look.payload, kind.clock_at)
     if clock then
@@ -174,11 +172,12 @@ local function follow(self, source, look)
     missing = (seq - previous - 1) % 256
     if missing == 0 then missing = nil end
   end
-  if flags or missing or is_new_clock or stale ~= state.stale then
+  local is_new = flags or missing or is_new_clock or stale ~= state.stale
+  if is_new then
     keep(source, look, { flags = flags, missing = missing, reboot = reboot, stale = stale },
       is_new_clock and clock or state.clock, is_new_clock and look.time or state.time)
   end
-  return clock
+  return clock, is_new or stale
 end
 
 -- The numbers of a bus's messages of one kind that others answer.
@@ -196,6 +195,11 @@ local function commands_of(self, bus, name)
   return numbers
 end
 
+local function is_late(self, message, delta)
+  local every = message and message.every
+  return every and delta and delta > self.late * every + NANOSECOND / 2
+end
+
 -- The change of a good message from what is kept.
 local function tell(self, source, look, delta, clock)
   local place = last_until(source.numbers, look.number)
@@ -203,8 +207,7 @@ local function tell(self, source, look, delta, clock)
   local event = source.numbers[place] == look.number and state or NOTHING
   local message, active_since, late, drift, command_in, previous = look.message, state.active_since, nil, nil, nil, nil
   if message then
-    local every = message.every
-    if every and delta and delta > self.late * every then late = delta end
+    if is_late(self, message, delta) then late = delta end
     if state.clock and look.raws then
       clock = clock or clock_of(look.payload, message.time.offset + 1)
       drift = clock and (clock - state.clock) / 1e9 - (look.time - state.time)
@@ -223,6 +226,7 @@ local function tell(self, source, look, delta, clock)
   if state.stale then change.stale = true end
   if previous then change.previous_change = previous end
   if event ~= NOTHING then change.missing, change.reboot, change.flags = event.missing, event.reboot, event.flags end
+  if event.is_alarm then change.is_alarm = true end
   return next(change) and change
 end
 
@@ -234,8 +238,10 @@ end
 -- look     { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled or nil,
 --          raws = by index of field, nil where the payload does not fit, payload =, id =, seq =,
 --          number = of the message: it grows, and no other has it; time = seconds of the capture,
---          good = whether the CRC, or the lack of one, says that it is whole }; it is not kept: one table may serve all
--- returns  what changed, nil where nothing is known: {
+--          good = whether the CRC, or the lack of one, says that it is whole,
+--          is_brief = whether nobody asks for more than what is new: then there is no change where nothing is };
+--          it is not kept: one table may serve all
+-- returns  what changed, nil where nothing is known, and delta by itself: {
 --   delta         seconds since the source's previous good message
 --   missing       messages missing before it by their Seq
 --   late          seconds, where delta is more than a lost message or two
@@ -244,6 +250,7 @@ end
 --   command_in    number of the latest good message on the bus before it of those that it answers: a Command
 --   flags         { { field =, value =, raised = bits, cleared = bits } ... } of every flags field that changed; in a
 --                 source's first message all alarms that are set are raised, other flags are not told
+--   is_alarm      true where an alarm is among these
 --   active_since  time at which the oldest alarm bit that is still set was raised
 --   previous_change  number of the message before it that changed an alarm, where one is set or changed }
 -- A message that is not good changes nothing and has its delta only.
@@ -254,14 +261,15 @@ function History:note(look)
     self.by_key[look.source], self.list[#self.list + 1] = source, source
   end
   local delta = source.last_time and look.time - source.last_time
-  if not look.good then return only_delta(delta) end
-  local clock = follow(self, source, look)
+  if not look.good then return only_delta(delta), delta end
+  local clock, is_new = follow(self, source, look)
   local message = look.message
   if message and self.answered[message.name] then
     local numbers = commands_of(self, look.bus, message.name)
     numbers[#numbers + 1] = look.number
   end
-  return tell(self, source, look, delta, clock)
+  if look.is_brief and not is_new and not is_late(self, message, delta) then return nil, delta end
+  return tell(self, source, look, delta, clock), delta
 end
 
 --- What History:note said of a message, at any later time and in any order.

@@ -20,7 +20,8 @@ Carrier.__index = Carrier
 -- reader   a yapp_reader: what a finished message means
 -- facts    a yapp_facts
 function M.new(parts, tree, reader, facts)
-  local self = setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, fact = {} }, Carrier)
+  local self = setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, fact = {}, view = {},
+    message = {} }, Carrier)
   function self.accepts(id, size)
     local message = reader:message_of(id)
     return not message or message.size == size
@@ -33,6 +34,7 @@ end
 function Carrier:reset(options)
   self.memory = self.parts.serial_memory.new(self.parts.crc, {
     new_framer = function() return self:framer() end, new_history = options.new_history })
+  self.latest = {} -- [stream]: its latest packet that ends within a frame, as the statistics are told of one
 end
 
 --- A framer of a stream: a yapp_serial_stream.
@@ -84,13 +86,20 @@ local function add_frame(self, view, tvb, at, message)
   return item
 end
 
--- What a frame means, and its history.
+-- The key of a source.
+local function source_of(stream, id)
+  return stream .. "|" .. id
+end
+
+-- What a frame means, and its history: in a record that is used again, as nobody keeps it.
 local function read(self, view, index, message)
-  local fact, name = view.fact, view.bus_name
-  local m = { tree = view.tree, wanted = view.wanted, id = message.id, seq = message.seq, ctl = message.ctl,
-    size = message.size, payload = message.payload, status = message.status, good = message.status == "good",
-    is_whole = true, source = fact.stream .. "|" .. message.id, bus = view.bus_key, bus_name = name,
-    name = self.tree:name(message.id, name), frame = fact.number, time = view.pinfo.rel_ts, visited = fact.visited }
+  local fact, name, m = view.fact, view.bus_name, self.message
+  m.tree, m.wanted, m.id, m.seq, m.ctl = view.tree, view.wanted, message.id, message.seq, message.ctl
+  m.size, m.payload, m.status, m.good = message.size, message.payload, message.status, message.status == "good"
+  m.is_whole, m.source, m.bus, m.bus_name = true, source_of(fact.stream, message.id), view.bus_key, name
+  m.name, m.frame, m.time = self.tree:name(message.id, name), fact.number, view.pinfo.rel_ts
+  m.visited, m.is_brief = fact.visited, not (view.wanted or self.reader.stat.wanted)
+  m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   self.reader:read(m, self.memory, view.packet, index, fact)
   return m
 end
@@ -131,39 +140,62 @@ end
 -- Shows what a packet holds; what lies in the packet has no bytes of its own.
 -- view  { tvb, pinfo, tree, packet, fact, bus_key, bus_name }; gets wanted = whether anyone wants a tree
 local function show(self, view)
-  local tvb, events, raw, infos = view.tvb, view.packet.events, view.fact.bytes, {}
+  local tvb, events, raw, info = view.tvb, view.packet.events, view.fact.bytes, ""
   local wants = self.tree:wants(view.tree, view.fact.visited ~= false)
   view.wanted = wants.yapp or wants.taurus
   if not view.wanted then self.tree:bare(view.tree, wants, true) end
   for i, event in ipairs(events) do
-    local source, at, bytes, info = tvb, event.at, event.bytes
+    local source, at, bytes = tvb, event.at, event.bytes
+    local text
     if bytes and view.wanted then source = ByteArray.new(bytes, true):tvb("Reassembled YAPP") end
     if event.status == "skipped" then
-      info = show_skipped(self, view, source, at or 0, bytes or raw:sub(at + 1, at + event.length))
+      text = show_skipped(self, view, source, at or 0, bytes or raw:sub(at + 1, at + event.length))
     else
-      info = show_frame(self, view, source, i)
+      text = show_frame(self, view, source, i)
     end
-    if i <= 10 then infos[i] = info end
+    if i <= 10 then info = i == 1 and text or info .. " | " .. text end
   end
-  if #events > 10 then infos[11] = ("and %d more"):format(#events - 10) end
+  if #events > 10 then info = ("%s | and %d more"):format(info, #events - 10) end
   local columns = view.pinfo.cols
   columns.protocol = "YAPP"
-  columns.info = table.concat(infos, " | ")
+  columns.info = info
 end
 
 -- Shows the bytes at the packet's end that wait for more; returns what the Info column says of them.
-local function show_pending(self, tvb, tree, packet)
-  local builder, pending, leads_to = self.tree, packet.pending, packet.leads_to
-  if builder:wants(tree, true).yapp then
+local function show_pending(self, tvb, tree, packet, is_again)
+  local builder, pending, leads_to, item = self.tree, packet.pending, packet.leads_to, tree
+  if builder:wants(tree, is_again).yapp then
     local range = tvb(packet.done, pending)
-    local item = tree:add(builder.yapp, range)
+    item = tree:add(builder.yapp, range)
     item:append_text(", part of a frame")
     item:add(builder.fields["fragment.data"], range)
     if leads_to then item:add(builder.fields["reassembled.in"], leads_to):set_generated() end
   end
+  if packet.is_unfinished then builder:expert(item, "unfinished") end
   return leads_to and ("[Reassembled in #%d]"):format(leads_to) or
     packet.missing and ("[%s of a frame, %d to come]"):format(builder.bytes(pending), packet.missing) or
     ("[%s wait for more]"):format(builder.bytes(pending))
+end
+
+-- Statistics are told of the frames that the capture ends before, and when their last bytes came.
+local function note_latest(self, pinfo, fact, bus_key, bus_name)
+  self.latest[fact.stream] = { frame = fact.number, time = pinfo.rel_ts, bus = bus_key, bus_name = bus_name }
+end
+
+--- The messages that the capture ends before, for the statistics.
+-- returns  list of { source, seq, frame = number of the packet with its last bytes }
+function Carrier:unfinished()
+  local list = {}
+  for _, open in ipairs(self.memory:unfinished()) do
+    local m = self.latest[open.stream]
+    if m and m.frame == open.number then
+      local id, _, _, seq = frame.parse(open.header, 1)
+      m.id, m.seq, m.source = id, seq, source_of(open.stream, id)
+      self.reader.tell:part(m)
+      list[#list + 1] = m
+    end
+  end
+  return list
 end
 
 -- The capture cut the packet short: this is said at the frame that it cut, where there is one.
@@ -218,11 +250,16 @@ function Carrier:dissect(tvb, pinfo, tree)
   if not packet then return 0 end
   local events, transport, size = packet.events, fact.transport, #fact.bytes
   if #events > 0 or transport ~= "segment" then
-    show(self, { tvb = tvb, pinfo = pinfo, tree = tree, packet = packet, fact = fact, bus_key = bus_key,
-      bus_name = self.facts:bus_name(source) })
+    local view = self.view
+    view.tvb, view.pinfo, view.tree, view.packet, view.fact = tvb, pinfo, tree, packet, fact
+    view.bus_key, view.bus_name = bus_key, self.facts:bus_name(source)
+    show(self, view)
+  end
+  if self.reader.stat.wanted and packet.done < size then
+    note_latest(self, pinfo, fact, bus_key, self.facts:bus_name(source))
   end
   if packet.pending > 0 then
-    pinfo.cols.info:append((#events > 0 and " | " or "") .. show_pending(self, tvb, tree, packet))
+    pinfo.cols.info:append((#events > 0 and " | " or "") .. show_pending(self, tvb, tree, packet, fact.visited))
   end
   if transport == "segment" then
     if packet.done < size then pinfo.desegment_offset, pinfo.desegment_len = packet.done, ONE_MORE_SEGMENT end

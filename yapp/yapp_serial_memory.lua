@@ -80,11 +80,23 @@ local function shown(self, event, piece, fact)
   return message
 end
 
+-- The header of the frame that is open at the end of a stream; nil for none.
+local function open_header(stream)
+  local framer = stream.joined and stream.joined.framer or stream.framer
+  return framer and framer:open_header()
+end
+
+-- Whether the capture ends before the frame of a packet's last bytes: a pass that has come to its end knows.
+local function is_unfinished(self, pass, piece, fact)
+  local stream = fact.visited and pass.highest >= self.first.highest and pass.streams[fact.stream]
+  return stream and stream.newest == piece and open_header(stream) ~= nil
+end
+
 local function packet_of(self, pass, piece, fact)
   local events = {}
   for i, event in ipairs(piece.events) do events[i] = shown(self, event, piece, fact) end
   return { pass = pass, piece = piece, events = events, done = piece.done, pending = piece.pending,
-    missing = piece.missing, leads_to = piece.leads_to }
+    missing = piece.missing, leads_to = piece.leads_to, is_unfinished = is_unfinished(self, pass, piece, fact) }
 end
 
 local function plain_packet(self, pass, fact)
@@ -243,6 +255,7 @@ local function take_packet(self, pass, fact)
   local plain = take_plain(self, pass, stream, fact)
   if plain then return plain end
   local piece = take[fact.transport](self, stream, fact)
+  stream.newest, stream.number = piece, fact.number
   for _, event in ipairs(piece.events) do
     if event.from >= piece.base then event.bytes = nil end -- they are in the packet anyway
   end
@@ -271,7 +284,8 @@ end
 -- returns  nil where the first pass was not asked about these bytes, else
 --          { events = array, done = bytes that are settled, pending = bytes at the end that wait for more,
 --            missing = bytes to come of the frame that waits, nil where no header is whole,
---            leads_to = number of the packet that shows them, as far as is known }
+--            leads_to = number of the packet that shows them, as far as is known;
+--            is_unfinished = whether the capture ends before the frame that they begin: a later look knows }
 --          An event is a frame, finished, or a range of bytes that belong to none (status and place only):
 --          { status = "good" | "bad" | "cut" | "skipped", id, seq, ctl, size, reserved, payload, crc,
 --            calculated = where bad, missing = bytes of one that is cut, truncated = whether the capture cut it,
@@ -292,6 +306,17 @@ function Memory:look(fact)
   return recall(self, first, fact)
 end
 
+--- The frames that the capture ends before, as far as the pass that was made last has come.
+-- returns  list of { stream = its key, header = string, number = of the last packet with bytes of it }
+function Memory:unfinished()
+  local list = {}
+  for key, stream in pairs((self.second.highest > 0 and self.second or self.first).streams) do
+    local header = open_header(stream)
+    if header then list[#list + 1] = { stream = key, header = header, number = stream.number } end
+  end
+  return list
+end
+
 local PLACE = 2 ^ -21 -- of a byte in its packet
 local LINKS = { "command_in", "previous_change", "next_change" } -- in a change of yapp_history
 
@@ -306,15 +331,15 @@ function Memory.change(_, message, packet, index, fact)
   local pass, piece, number, change = packet.pass, packet.piece, fact.number
   message.number = number + (fact.place + (packet.events[index].at or 0)) * PLACE
   if packet.is_now then
-    change = pass.history:note(message)
-    local delta = change and change.delta
+    local delta
+    change, delta = pass.history:note(message)
     if piece then piece.events[index].delta = delta else pass.deltas[number] = delta end
   else
     if piece then message.delta = piece.events[index].delta else message.delta = pass.deltas[number] end
     change = pass.history:change(message)
   end
   if not change then return nil end
-  if change.flags or change.active_since then
+  if change.is_alarm or change.active_since then
     change.next_change = pass.history:next_change(message.number, message.source)
   end
   for _, name in ipairs(LINKS) do change[name] = change[name] and floor(change[name]) end

@@ -151,6 +151,7 @@ function Stream:find_candidate()
     if size == false then return nil end
     if size then
       self.found = new_candidate(from, HEADER + size + CRC_SIZE)
+      self.found.header = sub(text, at, at + HEADER - 1)
       return self.found
     end
   end
@@ -320,6 +321,15 @@ end
 --- The offset of the first byte not yet given out in an event.
 function Stream:offset()
   return self.buffer.from
+end
+
+--- The frame of which nothing is decided yet, the earliest: where the capture ends here, it ends before this frame.
+-- returns  its header; nil where there is none, or only a part of its header
+function Stream:open_header()
+  for i = self.first, self.last do
+    local candidate = self.queue[i]
+    if candidate.from >= self.buffer.from then return candidate.header end
+  end
 end
 
 --- The bytes missing for the end of the earliest waiting candidate.

@@ -11,7 +11,7 @@ local Stat = {}
 Stat.__index = Stat
 
 --- The statistics of one plugin.
--- plugin  { catalogue = compiled, is_whole = whether it loaded without a problem, decode =, columns = modules,
+-- plugin  { version = text, decode =, columns = modules, catalogue = compiled, is_whole = whether all of it loaded,
 --           late = function() -> how many periods of its message make a gap one,
 --           has_source = function(name) -> whether the user gave some source this name,
 --           unfinished = function() -> records of the messages that the capture ends before,
@@ -122,7 +122,7 @@ end
 function Stat:begin(options, out)
   local plugin = self.plugin
   local statistic, problem = require(MODULES[options.what]).new(options, { out = out,
-    clock = function(rel) return self.feed:time(rel) end, decode = plugin.decode,
+    clock = function(rel) return self.feed:time(rel) end, version = plugin.version, decode = plugin.decode,
     columns = plugin.columns, catalogue = plugin.catalogue, is_whole = plugin.is_whole, late = plugin.late,
     has_source = plugin.has_source, make_folder = make_folder })
   if not statistic then return nil, options.what .. ": " .. problem end
@@ -145,14 +145,6 @@ end
 --- Runs a statistic over all packets, in Wireshark, and returns what it says and what is wrong as one text.
 -- text  as behind -z
 function Stat:run(text)
-  local locale = os.setlocale(nil, "numeric")
-  os.setlocale("C", "numeric")
-  local said = self:run_once(text)
-  os.setlocale(locale, "numeric")
-  return said
-end
-
-function Stat:run_once(text)
   local options, said = require("yapp_stat_options").read(text, self.plugin.catalogue), {}
   local function out(part) said[#said + 1] = part end
   for _, problem in ipairs(options.problems) do out(problem .. "\n") end
@@ -189,7 +181,6 @@ end
 
 -- One -z argument.  Wireshark swallows an error here, so all that can fail ends with a message and a code.
 function Stat:argument(text)
-  os.setlocale("C", "numeric") -- de_DE reads no "0.5", and writes 48,2 into a table of commas
   local options = require("yapp_stat_options").read(text, self.plugin.catalogue)
   for _, problem in ipairs(options.problems) do say(problem) end
   if #options.problems > 0 and not options.rules then leave(FAILED) end

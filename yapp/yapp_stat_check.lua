@@ -102,7 +102,7 @@ end
 
 -- A good message.
 function Check:good(group, record)
-  local gap = group.last and record.rel - group.last
+  local gap = group.last and groups.span(group.last, record.rel)
   if gap and gap > (group.gap or -1) then group.gap, group.gap_frame = gap, record.frame end
   group.first, group.last, group.last_frame = group.first or record.rel, record.rel, record.frame
   group.count = group.count + 1
@@ -154,7 +154,7 @@ function judge.count(rule, group)
 end
 
 function judge.rate(rule, group)
-  local span = group.count > 1 and group.last - group.first
+  local span = group.count > 1 and groups.span(group.first, group.last)
   local rate = span and span > 0 and (group.count - 1) / span or group.count == 1 and 0 or nil
   return { seen = rate, frame = group.last_frame, ok = rate and rate >= rule.limit }
 end
@@ -162,7 +162,7 @@ end
 function judge.gap(rule, group, last)
   if group.count == 0 then return {} end
   local gap, frame = group.gap or 0, group.gap_frame or group.last_frame
-  local to_end = last and last.rel - group.last or 0
+  local to_end = last and groups.span(group.last, last.rel) or 0
   if to_end > gap then gap, frame = to_end, group.last_frame end
   return { seen = gap, frame = frame, ok = gap <= rule.limit }
 end

@@ -5,7 +5,7 @@
 -- FOLDER/fields.json    what each column is
 
 local json, text = require("yapp_stat_json"), require("yapp_stat_text")
-local files = require("yapp_stat_file")
+local fields, files = require("yapp_stat_fields"), require("yapp_stat_file")
 
 local M = {}
 
@@ -15,7 +15,6 @@ local COMMON = {
 }
 local CRC_GOOD = { name = "crc_good", type = "bool" }
 local FIELDS = "fields.json"
-local COLUMN_KEYS = { "name", "unit", "type", "filter", "title" }
 
 local Csv = {}
 Csv.__index = Csv
@@ -57,16 +56,13 @@ local function prepare(self)
       return nil, ("%s is there; add the option replace to write it anew"):format(path_of(options.folder, name))
     end
   end
-  local fields
-  fields, problem = files.create(path_of(options.folder, FIELDS))
-  if not fields then return nil, problem end
-  self.fields = fields
-  return true
+  self.fields, problem = files.create(path_of(options.folder, FIELDS))
+  return self.fields ~= nil, problem
 end
 
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =, all = booleans, json = }
 -- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds, catalogue =,
---          columns = module, make_folder = function(path) -> true or nil, why }
+--          columns = module, version = the plugin's, make_folder = function(path) -> true or nil, why }
 -- returns  the statistic; nil and what is wrong
 function M.new(options, context)
   local self = setmetatable({ options = options, context = context, files = {}, counts = {}, prefixes = {},
@@ -115,23 +111,6 @@ function Csv:message(record)
   end
 end
 
-local function describe(self)
-  local names, messages = {}, {}
-  for i, message in ipairs(self.context.catalogue.messages) do
-    local columns = {}
-    for j, column in ipairs(columns_of(self, message)) do
-      local field = column.field
-      columns[j] = json.raw(json.object(COLUMN_KEYS, { name = column.name, unit = column.unit, type = column.type,
-        filter = field and field.filter, title = field and field.title }))
-    end
-    names[i] = message.name
-    messages[message.name] = json.raw(json.object({ "title", "columns" }, { title = message.title,
-      columns = json.raw(json.list(columns)) }))
-  end
-  self.fields:write(json.object({ "version", "messages" }, { version = 1,
-    messages = json.raw(json.object(names, messages)) }) .. "\n")
-end
-
 -- Ends all files; a message that never came has its header.
 local function finish_files(self)
   local list = { self.fields }
@@ -147,7 +126,8 @@ end
 --- returns  the exit code: nil for 0, 21 where a file could not be written, and a text that says why
 function Csv:finish()
   if self.options.chosen then return end
-  describe(self)
+  local catalogue, version = self.context.catalogue, self.context.version
+  self.fields:write(fields.describe(catalogue, version, function(message) return columns_of(self, message) end) .. "\n")
   local problem = finish_files(self)
   if problem then return 21, "csv: " .. problem end
   local rows, out = {}, self.context.out

@@ -3,7 +3,7 @@
 -- messages that are not whole.  Pure Lua, 5.2 and 5.4.
 
 local json, text = require("yapp_stat_json"), require("yapp_stat_text")
-local faults = require("yapp_stat_faults")
+local faults, groups = require("yapp_stat_faults"), require("yapp_stat_groups")
 
 local M = {}
 
@@ -81,7 +81,7 @@ function Events:silent(last)
   for _, before in pairs(self.before) do
     local record = before.record
     local every = record.source.message and record.source.message.every
-    local length = every and last and last.rel - record.rel
+    local length = every and last and groups.span(record.rel, last.rel)
     if length and before.counts and length > self.context.late() * every then
       self:add("silence", record, { length = length, is_last = true })
     end

@@ -5,6 +5,7 @@
 local M = {}
 
 local ASIDE = ".part"
+local DEVICES = "^/dev/" -- a file in their place would be the end of them: they are written as they are
 local FULL = 65536 -- bytes that wait before they are written
 
 local File = {}
@@ -20,9 +21,10 @@ end
 --- Begins a file.
 -- returns  the file; nil and why not
 function M.create(path)
-  local handle, problem = io.open(path .. ASIDE, "wb")
+  local aside = path:find(DEVICES) and path or path .. ASIDE
+  local handle, problem = io.open(aside, "wb")
   if not handle then return nil, problem end
-  return setmetatable({ path = path, handle = handle, waiting = {}, count = 0, size = 0 }, File)
+  return setmetatable({ path = path, aside = aside, handle = handle, waiting = {}, count = 0, size = 0 }, File)
 end
 
 local function write_out(self)
@@ -52,10 +54,11 @@ end
 --- Gives a closed file its name, in place of one that is there.
 -- returns  true; nil and what went wrong
 function File:publish()
-  local ok, problem = os.rename(self.path .. ASIDE, self.path)
+  if self.aside == self.path then return true end
+  local ok, problem = os.rename(self.aside, self.path)
   if not ok then -- Windows puts no file in the place of another
     os.remove(self.path)
-    ok, problem = os.rename(self.path .. ASIDE, self.path)
+    ok, problem = os.rename(self.aside, self.path)
   end
   return ok, problem
 end
@@ -63,7 +66,7 @@ end
 --- Leaves nothing of a file that has no name yet.
 function File:discard()
   if io.type(self.handle) == "file" then self.handle:close() end
-  os.remove(self.path .. ASIDE)
+  if self.aside ~= self.path then os.remove(self.aside) end
 end
 
 --- Ends files and gives them their names, all or, where one fails, none.

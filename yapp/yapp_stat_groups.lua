@@ -38,6 +38,11 @@ function Groups:of(record)
   return group
 end
 
+--- The seconds between two times, which are those of a capture: to the nanosecond, so that 0.1 s is no more than 0.1.
+function M.span(from, to)
+  return math.floor((to - from) * 1e9 + 0.5) / 1e9
+end
+
 --- All of them: by bus as these showed, then by ID.
 function Groups:sorted()
   table.sort(self.list, function(a, b)

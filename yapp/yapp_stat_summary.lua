@@ -43,7 +43,7 @@ function M.new(options, context)
 end
 
 local function note_gap(group, record)
-  local gap = group.last and record.rel - group.last
+  local gap = group.last and groups.span(group.last, record.rel)
   if not gap then return end
   if not group.gap_max or gap > group.gap_max then group.gap_max, group.gap_max_frame = gap, record.frame end
   if not group.gap_min or gap < group.gap_min then group.gap_min = gap end
@@ -86,7 +86,7 @@ end
 
 -- What is worked out when all has been seen; the ends of a range have the digits of a single value.
 local function conclude(group, decode)
-  local span = group.count > 1 and group.last - group.first
+  local span = group.count > 1 and groups.span(group.first, group.last)
   group.rate = span and span > 0 and (group.count - 1) / span or nil
   group.gap_mean = span and span / (group.count - 1) or nil
   for _, row in ipairs(group.fields) do

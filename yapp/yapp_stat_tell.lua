@@ -62,7 +62,8 @@ function Tell:faults(m, faults)
   end
 end
 
---- A frame of a message that has not ended: when it came, should the capture end before the message does.
+--- A frame of a message that has not ended: when it came, should the capture end before the message does.  Its frame,
+-- time and visited may change later: they are those of the latest.
 function Tell:part(m)
   local source = source_of(self, m)
   source.last = source.last or {}

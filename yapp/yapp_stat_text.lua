@@ -61,6 +61,23 @@ function M.count(number, thing)
   return ("%d %s%s"):format(number, thing, number == 1 and "" or "s")
 end
 
+--- The frames that tables name, in a text of several tables, parted by empty lines: numbers in the columns "frame" and
+-- "in frame", each once, in order.
+function M.frames(text)
+  local frames, is_known, stop, is_head = {}, {}, nil, true
+  for line in text:gmatch("([^\n]*)\n") do
+    line = line:gsub("[\194-\244][\128-\191]*", "?") -- a place a character
+    if is_head then stop = select(2, line:find("%f[%w]frame%f[^%w]")) end
+    local frame = not is_head and stop and tonumber(line:sub(1, stop):match("(%d+)$"))
+    if frame and not is_known[frame] then
+      frames[#frames + 1], is_known[frame] = frame, true
+    end
+    is_head = line == ""
+  end
+  table.sort(frames)
+  return frames
+end
+
 --- An ID as it is shown: "0x210".
 function M.id(id)
   return ("0x%x"):format(id)

@@ -115,32 +115,34 @@ local function find_handles(self)
 end
 
 local IS_TSHARK = not gui_enabled()
+local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
 
 --- What anyone wants of a tree.
 -- is_again  whether the packet was shown before
--- returns   { tree = whether there may be one at all, yapp = whether YAPP's own items are visible, filtered or printed,
---           taurus = whether those of messages are }.  In tshark this does not change within a first pass, so it is
---           asked once; in Wireshark, and on later looks of sharkd, it may.
+-- returns   { yapp = whether YAPP's own items are visible, filtered or printed, taurus = whether those of messages are,
+--           names = whether, without them, the names of protocols are (see bare), any = whether any is }.  In tshark
+--           this does not change within a first pass, so it is asked once; in Wireshark, and on later looks of sharkd,
+--           it may.
 function Tree:wants(tree, is_again)
   local is_steady = IS_TSHARK and not is_again
   if is_steady and self.wanted then return self.wanted end
   local wants = NOTHING
   if tree.hidden then -- false where there is none; always true from 4.6 on
-    wants = { tree = true, yapp = tree:referenced(self.yapp_handle or find_handles(self)),
-      taurus = tree:referenced(self.taurus_handle or find_handles(self)) }
+    wants = { yapp = tree:referenced(self.yapp_handle or find_handles(self)),
+      taurus = tree:referenced(self.taurus_handle or find_handles(self)),
+      names = not SAYS_PROTOCOLS and not self.reader.stat.wanted }
+    wants.any = wants.yapp or wants.taurus or wants.names
   end
   if is_steady then self.wanted = wants end
   return wants
 end
-
-local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
 
 --- Where nobody wants YAPP's own items, but there is a tree: its name, for who asks for protocols (-z io,phs).
 -- wants       of the tree; is_message: whether there is a message's name too
 -- returns     the tree, for the expert items
 -- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
 function Tree:bare(tree, wants, is_message)
-  if wants.tree and not SAYS_PROTOCOLS and not self.reader.stat.wanted then
+  if wants.names then
     tree:add(self.yapp)
     if is_message and not wants.taurus then tree:add(self.taurus) end
   end
@@ -261,8 +263,10 @@ function Tree:payload(m)
   m.label = name ~= m.message.title and name or nil
   m.is_steady = IS_TSHARK and not m.visited
   local top = self.messages:show(m.tree, m.item, m)
-  if change then self.messages:add_change(top or m.item, m, top ~= nil) end
-  return self.decode.info(m.message, m.raws, m.payload, name)
+  local info = self.decode.info(m.message, m.raws, m.payload, name)
+  if not change then return info end
+  self.messages:add_change(top or m.item, m, top ~= nil)
+  return info .. (change.reboot and "  REBOOT" or change.stale and "  STALE" or "")
 end
 
 return M

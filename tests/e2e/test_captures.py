@@ -85,7 +85,7 @@ def test_the_text_makes_the_capture(name):
 
 
 def test_nothing_else_lies_there():
-    others = {"make.py", "expected.py"}
+    others = {"make.py", "expected.py", "flight.py"}
     for path in tshark.CAPTURES.iterdir():
         if path.is_file() and path.name not in others and not path.name.startswith(("candump_", "dump_", "fuzz_")):
             assert path.stem in NAMES, f"{path.name} has no {path.stem}.frames"
@@ -295,7 +295,9 @@ INFO = [
     ("end_without_start", 1, "Motor Data  End without a Start"),
     ("unknown_id", 1, "ID 0x123  3 bytes"),
     ("wrong_size", 1, "Command  6 bytes, not 7"),
-    ("reserved_counts_motor", 21, "Motor Data  0.0/0.0 RPM  NaN V  0.00 A"),
+    ("reserved_counts_motor", 21, "Motor Data  0.0/0.0 RPM  NaN V  0.00 A  STALE"),
+    ("events", 6, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  FAULT hall_timeout  STALE"),
+    ("events", 7, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  REBOOT"),
     ("uart_shell", 1, 'Skipped 7 bytes "login: " | Motor Data  0.0/0.0 RPM  47.97 V  0.00 A | Skipped 6 bytes '
      '"\\r\\nOK\\r\\n" | Health  control 50 %, Taurus 20 %  CPU 50 °C, FET 40 °C | Skipped 3 bytes "bye"'),
 ]

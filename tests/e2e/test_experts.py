@@ -116,6 +116,7 @@ EXPERTS = [
     ("taurus.value.invalid", "undefined_values", [1, 2, 7], "Warns", "Value that is not defined", "Enabled: "),
 ]
 KNOWN_LATER = [("yapp.unfinished", "unfinished", [8], "Warns", "The capture ends before the message does"),
+               ("yapp.unfinished", "unfinished_uart", [3], "Warns", "The capture ends before the message does"),
                ("yapp.fragment.duplicate", "extra_middle", [4], "Notes", "Frame delivered twice")]
 
 
@@ -147,7 +148,7 @@ def test_filter_and_expert_list(name, capture, frames, severity, text, label):
 def test_what_is_known_on_a_later_look(name, capture, frames, severity, text):
     assert found_and_listed(name, capture)[0] == {}
     found, listed = found_and_listed(name, capture, "-2")
-    assert list(found) == frames and re.search(rf"(?m)^ +1 +\w+ +YAPP  +{re.escape(text)}$", listed[severity])
+    assert list(found) == frames and re.search(rf"(?m)^ +1 +\w+ +YAPP\w*  +{re.escape(text)}$", listed[severity])
 
 
 # Claims ----------------------------------------------------------------------------------------------------------

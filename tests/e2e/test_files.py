@@ -59,6 +59,15 @@ def test_channels_of_asc():
     tshark.assert_no_lua_errors(FOLDER / "motor.asc")
 
 
+@pytest.mark.parametrize("name", ["motor.asc", "motor.blf"])
+@pytest.mark.parametrize("passes", [[], ["-2"]], ids=len)
+def test_names_of_channels(name, passes):
+    """CANoe writes both: what one is called in a filter, a table and a preference is the same in the other."""
+    rows = tshark.fields(FOLDER / name, ["taurus.motor.dc_voltage", "yapp.bus", "yapp.source"], "-o",
+                         "yapp.sources:CAN-2/0x210=motor:right", *passes)
+    assert [row[1:] for row in rows if row[0]] == [["CAN-1", ""], ["CAN-2", "right"]]
+
+
 def test_two_channels_of_asc_at_once(folder):
     """Their frames in turns: on one bus they would spoil each other."""
     head, frames = re.match(r"(.*?measurement\n)(.*)", (FOLDER / "motor.asc").read_text(), re.DOTALL).groups()
@@ -80,3 +89,13 @@ def test_conversions(folder):
         shutil.copy(FOLDER / source, folder)
         subprocess.run([PYTHON, "-m", module, source, target], cwd=folder, check=True, capture_output=True)
         assert messages(folder / target)[0] == WHOLE["motor"], source
+
+
+def test_readers_hold_what_wireshark_hands_them():
+    """A reader that does not name an argument does not hold it: collected while the reader reads, it is freed, and
+    Wireshark writes into it afterwards.  4.4.18 ended with "malloc(): mismatching next->prev_size"."""
+    wanted = {"read_open": 2, "read": 3, "seek_read": 4}
+    found = [(path.name, name, arguments.count(",") + 1) for path in (tshark.PLUGIN / "yapp").glob("*.lua")
+             for name, arguments in re.findall(r"(?m)function handler\.(\w+)\((.*?)\)(?: --.*)?$", path.read_text())]
+    assert len(found) >= 8
+    assert [(file, name) for file, name, count in found if count != wanted[name]] == []

@@ -104,8 +104,10 @@ def old_version(folder):
     (folder / "yapp/yapp_copies.lua").unlink()
     entry = folder / "yapp.lua"
     text = entry.read_text()
-    assert 'require("yapp_copies").tell(plugin)\n' in text
-    entry.write_text(text.replace('require("yapp_copies").tell(plugin)\n', ""))
+    for part in ("parts.copies.tell(plugin)\n", '"copies", '):
+        assert part in text
+        text = text.replace(part, "")
+    entry.write_text(text)
 
 
 @pytest.mark.parametrize("first, second", [(install, install), (old_version, install), (install, old_version)])

@@ -328,7 +328,8 @@ def zips(folder):
     top = folder / "top"
     top.mkdir()
     names = git("ls-files", "-z", "--cached", "--others", "--exclude-standard").decode().split("\0")[:-1]
-    names = names or [*tshark.PLUGIN_FILES, "tools", "extcap", "profiles"]
+    names = names or [*tshark.PLUGIN_FILES, "tools", "extcap", "profiles", "docs", "LICENSE",
+                      *(path.name for path in tshark.ROOT.glob("*.md"))]
     for name in names:
         if (tshark.ROOT / name).is_dir():
             shutil.copytree(tshark.ROOT / name, top / name)
@@ -347,6 +348,15 @@ def test_the_zip_installs(home, folder, zips):
     assert any(line.startswith("checked") for line in lines)
     run(home, "uninstall", source=folder / "unpacked/yapp")
     assert all_of(home) == set()
+
+
+def test_the_zip_has_what_its_readme_leads_to(zips):
+    names = set(zipfile.ZipFile(zips[0]).namelist())
+    assert {"yapp/install.py", "yapp/docs/fault.md", "yapp/docs/flight.pcapng", "yapp/tools/pyproject.toml"} <= names
+    assert any(name.startswith("yapp/tools/src/yapp_tables/") for name in names)
+    readme = (tshark.ROOT / "README.md").read_text()
+    for target in re.findall(r"\]\((?!https?:|#)([^)#]*)", readme):
+        assert f"yapp/{target}" in names, target
 
 
 def test_the_zip_unpacked_in_the_plugin_folder(home, zips):

@@ -443,8 +443,10 @@ def test_a_closed_fifo_ends_it(folder, port, busy):
 
 @pytest.fixture
 def home(folder):
-    """A home with the extcap where this Wireshark looks."""
+    """A home with the extcap where this Wireshark looks; and with the plugin where that is how it is loaded."""
     home = folder / "home"
+    if tshark.ROUTE == "plugin":
+        tshark.copy_plugin(home / tshark.PERSONAL_FOLDER / "yapp")
     for name in (".config/wireshark/extcap", ".local/lib/wireshark/extcap"):
         (home / name).mkdir(parents=True)
         shutil.copy(EXTCAP, home / name)
@@ -552,6 +554,12 @@ def test_commands_of_the_document(home, folder, port, second, command):
         assert (folder / "both.pcapng").read_bytes().count(FRAME) == 1
     else:
         assert ("Motor Data" in out) == ("fault.active" not in command)
+
+
+def test_the_readme_has_commands_of_the_document():
+    section = re.search(r"\n## Live\n(.*?)\n## ", (tshark.ROOT / "README.md").read_text(), re.DOTALL)[1]
+    commands = re.findall(r"^    .*", section, re.MULTILINE)
+    assert len(commands) == 7 and all(f"{command}\n" in DOCUMENT for command in commands)
 
 
 def test_settings_in_the_document():

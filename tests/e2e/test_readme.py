@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What README.md and CONTRIBUTING.md say: their commands in a real shell, their filters, links, names of files and functions."""
+"""What README.md, docs/fault.md and CONTRIBUTING.md say: their commands in a real shell, their filters, links, names of files and functions."""
 import os
 import re
 import shutil
@@ -7,6 +7,7 @@ import subprocess
 
 import pytest
 
+import flight as flight_capture
 import flights
 import levels
 import tshark
@@ -27,7 +28,9 @@ def table(title):
 
 
 QUESTIONS = [row[1].strip("`") for row in table("Questions and answers")]
-EXAMPLES = re.findall(r"<!-- run -->\n    \$ (.*)\n((?:    .*\n)+)", README)
+FAULT = (tshark.ROOT / "docs/fault.md").read_text()
+# (exit code or nothing, command, what it prints)
+EXAMPLES = re.findall(r"<!-- run( \d+)? -->\n    \$ (.*)\n((?:    .*\n)+)", README + FAULT)
 SEVERAL = re.findall(r"<!-- run each -->\n\n    (tshark .*)\n", README)
 
 
@@ -57,17 +60,24 @@ def flight(folder):
     return folder
 
 
-def test_its_examples_print_what_they_say(folder):
-    assert len(EXAMPLES) >= 2
-    for name in ("yapp.lua", "taurus_fields.lua", "yapp", "test_captures"):
+@pytest.mark.parametrize("code, command, printed", EXAMPLES, ids=lambda text: text[:60])
+def test_examples_print_what_they_say(folder, code, command, printed):
+    for name in ("yapp.lua", "taurus_fields.lua", "yapp", "test_captures", "docs"):
         (folder / name).symlink_to(tshark.ROOT / name)
-    for command, printed in EXAMPLES:
-        wanted = [line[4:].rstrip() for line in printed.splitlines()]
-        if tshark.ROUTE == "plugin":
-            command = command.replace(" -X lua_script:yapp.lua", "")
-        done = subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, text=True, check=True,
-                              env={**os.environ, "HOME": str(tshark.home()), "TZ": "UTC"}, **tshark._user())
-        assert [line.rstrip() for line in done.stdout.splitlines()] == wanted, command
+    done = shell(folder, command.replace(" -X lua_script:yapp.lua", ""))
+    wanted = [line[4:].rstrip() for line in printed.splitlines()]
+    assert [line.rstrip() for line in done.stdout.splitlines()] == wanted, done.stderr
+    assert done.returncode == int(code or 0)
+
+
+def test_all_examples_are_tried():
+    commands = re.findall(r"^    (?:\$ )?((?:tshark|wireshark) .*)", FAULT, re.M)
+    assert len(commands) == 7 and sum(command.startswith("wireshark") for command in commands) == 1
+    assert len(EXAMPLES) == 2 + 6
+
+
+def test_the_flight_is_made_by_its_script():
+    assert flight_capture.TARGET.read_bytes() == flight_capture.flight()
 
 
 @pytest.mark.parametrize("command", QUESTIONS)
@@ -116,6 +126,13 @@ def test_its_filters_are_filters():
     cells = [row[1] for row in table("Filters")] + re.findall(r"^\| .* \| (`[^`]*`) \|$", README.split("\n## ")[0], re.M)
     filters = [text.replace("\\|", "|") for cell in cells for text in re.findall(r"`([^`]+)`", cell)]
     assert len(filters) > 15
+    tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
+
+
+def test_the_filters_of_the_help():
+    text = (tshark.ROOT / "yapp/yapp_stat_help.lua").read_text()
+    filters = [part for line in re.findall(r"^.{50}((?:yapp|taurus)\..*)$", text, re.M) for part in re.split(r", or ", line)]
+    assert len(filters) >= 9
     tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
 
 

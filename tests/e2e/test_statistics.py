@@ -145,11 +145,30 @@ def check_row(row, frame, bus, source, message):
             assert row[f"{kind[0]}_{flag}"] == ("1" if count & bit else "0")
 
 
+def check_fields(described):
+    """fields.json against the document's tables: units, filters, and of integers how wide they are."""
+    for name, _, fields in model.MESSAGES.values():
+        columns = {column["name"]: column for column in described[name]["columns"]}
+        for field, size, kind in fields:
+            column = columns[field]
+            assert column["filter"] == f"taurus.{name}.{field}"
+            if kind is None:
+                assert (column["type"], column["unit"]) == ("time", "s")
+            elif model.is_float(kind):
+                assert (column["type"], column["unit"]) == ("float", kind[2])
+            else:
+                width = "flags" if model.is_flags(kind) else "uint"
+                assert (column["type"], column["kind"], column["bits"]) == ("integer", width, 8 * size)
+            for flag in kind[1].values() if model.is_flags(kind) else ():
+                assert columns[f"{kind[0]}_{flag}"]["filter"] == f"taurus.{name}.{kind[0]}.{flag}"
+
+
 @CHECKED
 def test_csv(results, seed, form, passes):
     table = results(seed, form, passes)[1]
     assert sorted(path.name for path in table.iterdir()) == ["command.csv", "fields.json", "health.csv", "motor.csv"]
     described = json.loads((table / "fields.json").read_text())["messages"]
+    check_fields(described)
     for kind, expected in flight_of(seed).rows(form).items():
         with open(table / f"{kind}.csv", newline="") as file:
             reader = csv.DictReader(file)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Runs the real Wireshark on a display of its own, under Xvfb, and sees its windows.  Run by hand it makes the README's
-picture: gui.py FILE.png"""
+"""Runs the real Wireshark on a display of its own, under Xvfb, and sees its windows."""
 import os
 import pathlib
 import shutil
@@ -10,14 +9,14 @@ import tempfile
 import time
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-for folder in ("tests/e2e", "test_captures"):
-    sys.path.insert(0, str(ROOT / folder))
-import make  # noqa: E402
+sys.path.insert(0, str(ROOT / "tests/e2e"))
 import tshark  # noqa: E402
 
-NEEDED = ("wireshark", "Xvfb", "openbox", "xdotool", "xclip")
+FLIGHT = ROOT / "docs/flight.pcapng"  # two controllers; see test_captures/flight.py
+
+NEEDED = ("wireshark", "Xvfb", "openbox", "xdotool", "xclip", "tesseract", "convert", "import")
 MISSING = [name for name in NEEDED if not shutil.which(name)]
-WIDTH, HEIGHT = 1100, 740
+WIDTH, HEIGHT = 1200, 740
 
 # No questions, and the columns that matter here; packet list over tree, no bytes.
 PREFERENCES = r"""
@@ -57,8 +56,9 @@ def wait_for(condition, seconds=60):
 class Wireshark:
     """with Wireshark(arguments) as wireshark: a running Wireshark, with the plugin loaded by the route of the tests."""
 
-    def __init__(self, *arguments, plugin=tshark.PLUGIN, route=tshark.ROUTE, profile=None):
-        """profile: a folder; it is there, beside the default one, which is used unless the arguments say otherwise"""
+    def __init__(self, *arguments, plugin=tshark.PLUGIN, route=tshark.ROUTE, profile=None, recent=""):
+        """profile: a folder; it is there, beside the default one, which is used unless the arguments say otherwise; recent:
+        what Wireshark remembers of it besides"""
         self.arguments, self.processes = list(map(str, arguments)), []
         self.home = pathlib.Path(tempfile.mkdtemp(prefix="yapp-gui-"))
         installed = self.home / ".local/lib/wireshark/plugins/yapp"
@@ -73,7 +73,7 @@ class Wireshark:
         (config / "recent_common").write_text(RECENT)
         if profile:
             shutil.copytree(profile, config / "profiles" / profile.name)
-            (config / "profiles" / profile.name / "recent").write_text("gui.toolbar_main_show: FALSE\n")
+            (config / "profiles" / profile.name / "recent").write_text("gui.toolbar_main_show: FALSE\n" + recent)
         self.stderr_path = self.home / "stderr"
         self.user = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}
         if self.user:
@@ -187,14 +187,28 @@ class Wireshark:
     def stderr(self):
         return self.stderr_path.read_text(errors="replace")
 
-    def words(self, area="", scale=300):
-        """The words that can be read in an area of the screen, WxH+X+Y, in one text."""
+    def read(self, area="", scale=300):
+        """The words that can be read in an area of the screen, WxH+X+Y: [(word, left, top, width, height)], the places in
+        parts of the area."""
         path = self.home / "words.png"
         self.picture(path)
         crop = ["-crop", area, "+repage"] if area else []
         subprocess.run(["convert", path, *crop, "-colorspace", "gray", "-scale", f"{scale}%", path], check=True)
-        done = subprocess.run(["tesseract", path, "-", "--psm", "11"], capture_output=True, text=True, check=True)
-        return " ".join(done.stdout.split())
+        done = subprocess.run(["tesseract", path, "-", "--psm", "11", "tsv"], capture_output=True, text=True, check=True)
+        lines = [line.split("\t") for line in done.stdout.splitlines()[1:]]
+        return [(line[11], *(int(cell) * 100 // scale for cell in line[6:10])) for line in lines if line[11].strip()]
+
+    def words(self, area="", scale=300):
+        """The words of an area in one text."""
+        return " ".join(word for word, *_ in self.read(area, scale))
+
+    def click(self, word):
+        """Clicks on the lowest place where this word can be read: a button of a window's."""
+        def found():
+            return [place for text, *place in self.read(scale=200) if text == word]
+        left, top, width, height = max(wait_for(found, 30), key=lambda place: place[1])
+        self.xdotool("mousemove", left + width // 2, top + height // 2, "click", "1")
+        time.sleep(1)
 
     def pixels(self, colour):
         """How many pixels of the screen have a colour, #rrggbb."""
@@ -204,48 +218,7 @@ class Wireshark:
                                "-format", "%[fx:mean*w*h]", "info:"], capture_output=True, text=True, check=True)
         return round(float(done.stdout))
 
-    def picture(self, path):
-        subprocess.run(["import", "-window", "root", path], env=self.environment, check=True)
-
-
-def demo():
-    """A capture for the picture: a motor runs up, draws too much and stops."""
-    def count(value, low, high, top=65530):
-        return round((value - low) / (high - low) * top)
-
-    lines, rpm = ["link can"], 0.0
-    for tick in range(60):
-        now, running, wobble = tick * 0.1, tick < 42, (tick * 7919 % 13 - 6) / 6
-        wanted = min(tick * 220, 5200)
-        rpm = wanted * 0.99 + 12 * wobble if running else rpm * 0.93
-        amps = (4.5 + wanted / 900 + (55 if tick >= 40 else 0) + 0.3 * wobble) * running
-        counts = [count(amps, -128, 128), count(amps + 0.1 * wobble, -128, 128), count(wanted * running, -60000, 60000),
-                  count(rpm, -60000, 60000), count(48.2 - amps / 30, -128, 128), count(amps * 0.6, -128, 128)]
-        data = b"".join(value.to_bytes(2, "little") for value in counts) + bytes([80 + tick // 3, 1])
-        data += (0x40120000 if running else 0x40010000).to_bytes(4, "little")
-        data += (0 if running else 0x10000).to_bytes(4, "little")
-        data += (86725 * 10**9 + tick * 10**8).to_bytes(8, "little") + bytes([0x03 if running else 0x24, 88 + tick // 4])
-        lines.append(f"{now:.3f} can0 [210 {data.hex(' ')}]")
-        if tick % 2 == 0:
-            command = bytes([1, 0xA5, 1]) + count(0, -200, 200).to_bytes(2, "little")
-            lines.append(f"{now + 0.03:.3f} can0 [0 {(command + count(wanted, -1e5, 1e5).to_bytes(2, 'little')).hex(' ')}]")
-    return make.pcap(make.Source("\n".join(lines)))
-
-
-def screenshot(path):
-    with tempfile.TemporaryDirectory() as name:
-        capture = pathlib.Path(name) / "taurus.pcap"
-        pathlib.Path(name).chmod(0o755)
-        capture.write_bytes(demo())
-        with Wireshark("-r", capture, "-Y", "taurus.motor.fault.motor_overcurrent == 1") as wireshark:
-            wireshark.wait_for_window("taurus.pcap")
-            time.sleep(3)
-            # The first packet is chosen; in the tree: the last protocol and its fields.
-            wireshark.xdotool("mousemove", WIDTH // 2, HEIGHT - 60, "click", "1", "mousemove", WIDTH - 1, HEIGHT // 2)
-            wireshark.keys("Down", "End", "Right")
-            time.sleep(1)
-            wireshark.picture(path)
-
-
-if __name__ == "__main__":
-    screenshot(sys.argv[1])
+    def picture(self, path, area="", window="root"):
+        """A picture of the screen, of an area of it, WxH+X+Y, or of a window."""
+        crop = ["-crop", area, "+repage"] if area else []
+        subprocess.run(["import", "-window", window, *crop, path], env=self.environment, check=True)

@@ -64,7 +64,7 @@ def assert_quiet(wireshark, title):
 @pytest.fixture
 def captures():
     folder = gui.tshark.writable_folder()
-    (folder / "first.pcap").write_bytes(gui.demo())
+    shutil.copy(gui.FLIGHT, folder / "first.pcapng")
     shutil.copy(gui.tshark.CAPTURES / "document_udp.pcap", folder / "second.pcap")
     yield folder
     shutil.rmtree(folder, ignore_errors=True)
@@ -85,23 +85,23 @@ FAULT = ("Taurus Motor Data", "Fault Flags: 0x00010000 (motor_overcurrent)", "Mo
 def test_no_error_dialog(captures):
     """Loads, decodes, filters, shows the tree; reloads with the filter in use; opens another file; reloads again."""
     probe = Probe(captures)
-    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcap") as wireshark:
-        wireshark.wait_for_window("first.pcap")
-        probe.wait_for(90)
-        assert_quiet(wireshark, "first.pcap")
+    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcapng") as wireshark:
+        wireshark.wait_for_window("first.pcapng")
+        probe.wait_for(402)
+        assert_quiet(wireshark, "first.pcapng")
 
         wireshark.filter("taurus.fault.active")
         wireshark.keys("ctrl+Home", "Tab", "ctrl+Right")  # the first packet; in the tree, Expand All
-        wireshark.tree("Frame 236:", *FAULT)
+        wireshark.tree("Frame 719:", *FAULT)
         wireshark.keys("ctrl+End")
-        wireshark.tree("Frame 330:", *FAULT)
-        assert_quiet(wireshark, "first.pcap")
+        wireshark.tree("Frame 893:", *FAULT)
+        assert_quiet(wireshark, "first.pcapng")
 
         probe.forget()
-        wireshark.press("ctrl+shift+l", until=lambda: probe.says(90))
+        wireshark.press("ctrl+shift+l", until=lambda: probe.says(402))
         wireshark.keys("ctrl+Home")
-        wireshark.tree("Frame 236:", "CRC good", "Taurus Motor Data")
-        assert_quiet(wireshark, "first.pcap")
+        wireshark.tree("Frame 719:", "CRC good", "Taurus Motor Data")
+        assert_quiet(wireshark, "first.pcapng")
 
         probe.forget()
         open_file(wireshark, captures / "second.pcap")
@@ -123,12 +123,12 @@ def test_a_broken_catalogue_is_told_in_a_window(captures):
     plugin, probe = gui.tshark.copy_plugin(captures), Probe(captures)
     catalogue = plugin / "taurus_fields.lua"
     catalogue.write_text(catalogue.read_text().replace("size = 32", "size = 31"))
-    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcap", plugin=plugin) as wireshark:
+    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcapng", plugin=plugin) as wireshark:
         wireshark.wait_for_window("Wireshark", whole=True)
         wireshark.keys("Return")
-        wireshark.wait_for_window("first.pcap")
-        probe.wait_for(30)  # the Commands
-        assert_quiet(wireshark, "first.pcap")
+        wireshark.wait_for_window("first.pcapng")
+        probe.wait_for(167)  # Commands and Health
+        assert_quiet(wireshark, "first.pcapng")
 
 
 # The checks themselves ---------------------------------------------------------------------------------------------
@@ -143,40 +143,42 @@ def test_an_error_at_load_is_seen(captures):
     plugin = gui.tshark.copy_plugin(captures)
     with open(plugin / "yapp.lua", "a") as file:
         file.write('\nerror("planted")\n')
-    with gui.Wireshark("-r", captures / "first.pcap", plugin=plugin) as wireshark:
+    with gui.Wireshark("-r", captures / "first.pcapng", plugin=plugin) as wireshark:
         gui.wait_for(wireshark.windows)
         time.sleep(5)
         with pytest.raises(AssertionError):
-            assert_quiet(wireshark, "first.pcap")
+            assert_quiet(wireshark, "first.pcapng")
 
 
 def test_an_error_at_reload_is_seen(captures):
     probe = Probe(captures)
-    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcap") as wireshark:
-        wireshark.wait_for_window("first.pcap")
-        probe.wait_for(90)
-        assert_quiet(wireshark, "first.pcap")
+    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcapng") as wireshark:
+        wireshark.wait_for_window("first.pcapng")
+        probe.wait_for(402)
+        assert_quiet(wireshark, "first.pcapng")
         with open(wireshark.plugin / "yapp.lua", "a") as file:
             file.write('\nerror("planted")\n')
         wireshark.press("ctrl+shift+l", until=lambda: len(wireshark.windows()) > 1)
         with pytest.raises(AssertionError):
-            assert_quiet(wireshark, "first.pcap")
+            assert_quiet(wireshark, "first.pcapng")
 
 
 def test_an_error_in_a_dissector_is_seen(captures):
     plugin, probe = gui.tshark.copy_plugin(captures), Probe(captures)
     plant(plugin / "yapp/yapp_decode.lua", "function M.read(message, payload)", 'error("planted")')
-    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcap", plugin=plugin) as wireshark:
-        wireshark.wait_for_window("first.pcap")
-        probe.wait_for(0, errors=90)
+    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", captures / "first.pcapng", plugin=plugin) as wireshark:
+        wireshark.wait_for_window("first.pcapng")
+        probe.wait_for(0, errors=402)
 
 
 def test_a_missing_filter_is_seen(captures):
     """A filter that is not applied leaves the first packet on top."""
-    with gui.Wireshark("-r", captures / "first.pcap") as wireshark:
-        wireshark.wait_for_window("first.pcap")
+    with gui.Wireshark("-r", captures / "first.pcapng") as wireshark:
+        wireshark.wait_for_window("first.pcapng")
         wireshark.filter("taurus.no_such_field")
-        wireshark.keys("Escape", "ctrl+Home")
+        wireshark.keys("Escape")
+        wireshark.xdotool("mousemove", 300, 100, "click", "1")  # the list, where the keys then go
+        wireshark.keys("ctrl+Home")
         wireshark.tree("Frame 1:")
 
 
@@ -192,19 +194,109 @@ def text_of(wireshark, title):
 
 
 def test_a_statistic_in_a_window(captures):
-    with gui.Wireshark("-r", captures / "first.pcap", "-z", "yapp,check,fault=0,crc=0") as wireshark:
+    with gui.Wireshark("-r", captures / "first.pcapng", "-z", "yapp,check,fault=0,crc=0") as wireshark:
         text = text_of(wireshark, "YAPP Check")
         assert "FAILED  fault=0" in text and "YAPP check: FAILED" in text
         assert wireshark.wireshark.poll() is None
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
 
 
+# Under Tools, the last entry is YAPP; its entries by the alphabet.
+MENU = ["Check", "Events", "Export tables", "Faults", "Help", "Open the flight page", "Summary"]
+
+
+def choose(wireshark, entry, title=None):
+    """Chooses from the menu, until its window is there."""
+    wireshark.press("alt+t", "Up", "Right", *["Down"] * MENU.index(entry), "Return",
+                    until=lambda: any(f"YAPP {title or entry}" in name for name in wireshark.windows().values()))
+
+
+def answer(wireshark, title, text):
+    """Types into a dialog with one line, and presses its button."""
+    dialog = wireshark.wait_for_window(title)
+    wireshark.xdotool("mousemove", "--window", dialog, 250, 25, "click", "1")  # the focus is on OK
+    wireshark.keys("ctrl+a")
+    wireshark.type(text)
+    wireshark.keys("Return")
+    gui.wait_for(lambda: dialog not in wireshark.windows())
+
+
 def test_statistics_in_the_menu(captures):
-    with gui.Wireshark("-r", captures / "first.pcap") as wireshark:
-        wireshark.wait_for_window("first.pcap")
-        # Tools, its last entry YAPP: Check, Events, Export tables, Faults
-        wireshark.press("alt+t", "Up", "Right", "Down", "Down", "Down", "Return",
-                        until=lambda: any("YAPP Faults" in title for title in wireshark.windows().values()))
+    with gui.Wireshark("-r", captures / "first.pcapng") as wireshark:
+        wireshark.wait_for_window("first.pcapng")
+        choose(wireshark, "Faults")
         text = text_of(wireshark, "YAPP Faults")
         assert "YAPP faults: 2 changes" in text and "motor_overcurrent" in text
+
+        wireshark.clipboard("-i")
+        wireshark.click("Copy")
+        assert gui.wait_for(wireshark.clipboard, 20).splitlines() == text.splitlines()
+
+        wireshark.click("Save")
+        answer(wireshark, "YAPP Save", str(captures / "faults.txt"))
+        gui.wait_for((captures / "faults.txt").exists, 20)
+        assert (captures / "faults.txt").read_text().splitlines() == text.splitlines()
+
+        wireshark.wait_for_window("YAPP Faults")
+        wireshark.click("Show")
+        wireshark.wait_for_window("first.pcapng")
+        wireshark.keys("ctrl+Home", "Tab", "ctrl+Right")
+        wireshark.tree("Frame 719:", *FAULT)
+        wireshark.keys("ctrl+Down")
+        wireshark.tree("Frame 908:", "Fault Flags cleared: 0x00010000 (motor_overcurrent)")
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+def test_check_tables_and_help_in_the_menu(captures):
+    with gui.Wireshark("-r", captures / "first.pcapng") as wireshark:
+        wireshark.wait_for_window("first.pcapng")
+        choose(wireshark, "Check")
+        answer(wireshark, "YAPP Check", "fault=0,motor.count=60")
+        assert "FAILED  fault=0" in text_of(wireshark, "YAPP Check")
+        wireshark.keys("Escape")
+        choose(wireshark, "Export tables")
+        answer(wireshark, "YAPP Export tables", str(captures / "tables"))
+        assert "motor.csv" in text_of(wireshark, "YAPP Export tables")
+        assert (captures / "tables/motor.csv").read_text().count("\n") == 236
+        wireshark.keys("Escape")
+        choose(wireshark, "Help")
+        assert "taurus.fault.active" in text_of(wireshark, "YAPP Help")
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+def program(folder, name, text):
+    path = folder / "bin" / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+    return path
+
+
+def test_the_flight_page(captures, monkeypatch):
+    """Of the capture that is open, by yapp-tables, in the browser."""
+    captures.chmod(0o777)
+    program(captures, "yapp-tables", f'echo "$@" >{captures}/said; echo page >"$4"')
+    program(captures, "xdg-open", f'echo "$@" >{captures}/opened')
+    monkeypatch.setenv("PATH", f"{captures}/bin:/usr/bin:/bin")
+    with gui.Wireshark("-r", captures / "first.pcapng", "-o", "yapp.sources:0x210=motor:it's mine") as wireshark:
+        wireshark.wait_for_window("first.pcapng")
+        choose(wireshark, "Open the flight page")
+        wireshark.wait_for_window("YAPP Open the flight page")
+        wireshark.keys("Return")
+        gui.wait_for((captures / "opened").exists, 20)
+        said, capture, page = (captures / "said").read_text(), captures / "first.pcapng", captures / "first.html"
+        assert said.startswith(f"report {capture} -o {page} -o yapp.sources:0x210=motor:it's mine -o yapp.late:2.5")
+        assert page.read_text() == "page\n"
+        gui.wait_for(lambda: (captures / "opened").read_text() == f"file://{page}\n", 20)
+        assert len(wireshark.windows()) == 1
+
+
+def test_no_flight_page(captures, monkeypatch):
+    """Without yapp-tables the window says where it comes from."""
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    with gui.Wireshark("-r", captures / "first.pcapng") as wireshark:
+        wireshark.wait_for_window("first.pcapng")
+        choose(wireshark, "Open the flight page")
+        answer(wireshark, "YAPP Open the flight page", str(captures / "first.pcapng"))
+        assert "pip install" in text_of(wireshark, "YAPP Flight page")
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()

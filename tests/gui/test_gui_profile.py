@@ -2,6 +2,8 @@
 """The profile YAPP in Wireshark's windows: column names, colours, the group of filter buttons and the lines of the graphs
 are read off the screen."""
 import pathlib
+import re
+import shlex
 import shutil
 import sys
 import time
@@ -11,8 +13,7 @@ import pytest
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 import gui  # noqa: E402
 
-MISSING = [*gui.MISSING, *(name for name in ("tesseract", "convert", "import") if not shutil.which(name))]
-pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}")
+pytestmark = pytest.mark.skipif(bool(gui.MISSING), reason=f"not installed: {', '.join(gui.MISSING)}")
 PROFILE = gui.ROOT / "profiles/YAPP"
 VERSION = gui.tshark.version()
 
@@ -20,8 +21,7 @@ VERSION = gui.tshark.version()
 @pytest.fixture
 def capture():
     folder = gui.tshark.writable_folder()
-    (folder / "flight.pcap").write_bytes(gui.demo())
-    yield folder / "flight.pcap"
+    yield shutil.copy(gui.FLIGHT, folder / "flight.pcapng")
     shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -39,10 +39,14 @@ def wait_for_words(wireshark, words, area="", scale=300):
 
 
 def test_columns_buttons_colours(capture):
-    with gui.Wireshark("-C", "YAPP", "-r", capture, "-Y", "taurus.motor.fault_flags > 0", profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcap")
+    """By the command of docs/fault.md."""
+    command = re.search(r"^    wireshark (.*)", (gui.ROOT / "docs/fault.md").read_text(), re.MULTILINE)[1]
+    words = [str(capture) if word == "docs/flight.pcapng" else word for word in shlex.split(command)]
+    with gui.Wireshark(*words, "-Y", "taurus.motor.fault_flags > 0", profile=PROFILE) as wireshark:
+        wireshark.wait_for_window("flight.pcapng")
         wait_for_words(wireshark, ["Source", "RPM", "Voltage", "Current", "State", "Faults", "Info"],
                        f"{gui.WIDTH}x60+0+60")
+        wait_for_words(wireshark, ["right"])  # the name
         assert wireshark.pixels("#ffbe79") > 2000  # a fault is active
         width = 120
         wait_for_words(wireshark, ["YAPP"], f"{width}x30+{gui.WIDTH - width}+43")
@@ -52,7 +56,7 @@ def test_columns_buttons_colours(capture):
 
 def test_graphs(capture):
     with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcap")
+        wireshark.wait_for_window("flight.pcapng")
         wireshark.press("alt+s", "i", until=lambda: any("I/O Graphs" in title for title in wireshark.windows().values()))
         wireshark.wait_for_window("I/O Graphs")
         wait_for_words(wireshark, ["RPM measured", "RPM commanded", "Faults raised"], scale=200)
@@ -63,7 +67,7 @@ def test_graphs(capture):
 @pytest.mark.skipif(VERSION < (4, 4), reason="from 4.4 on")
 def test_it_is_switched_to(capture):
     with gui.Wireshark("-r", capture, profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcap")
+        wireshark.wait_for_window("flight.pcapng")
         wait_for_words(wireshark, ["Profile: YAPP"])
         time.sleep(1)
         assert len(wireshark.windows()) == 1
@@ -72,7 +76,7 @@ def test_it_is_switched_to(capture):
 @pytest.mark.skipif(VERSION < (4, 6), reason="from 4.6 on")
 def test_plots(capture):
     with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
-        wireshark.wait_for_window("flight.pcap")
+        wireshark.wait_for_window("flight.pcapng")
         # Under Statistics, the eighth from the top, without a letter of its own.
         wireshark.press("alt+s", *["Down"] * 7, "Return",
                         until=lambda: any("Plots" in title for title in wireshark.windows().values()))

@@ -83,11 +83,24 @@ def behave(capture, does):
             sys.exit(2)
         case "nap":
             time.sleep(0.3)
+        case "slow":
+            read_half(capture)
     return 0
 
 
+def read_half(capture):
+    """Half of the capture is read and two rows are written for as long as a terminal would show it."""
+    Path("csv").mkdir()
+    with capture.open("rb", buffering=0) as file, Path("csv/motor.csv.part").open("w") as rows:
+        file.read(capture.stat().st_size // 2)
+        rows.write("header\n1\n2\n")
+        rows.flush()
+        time.sleep(2.5)
+    Path(rows.name).unlink()
+
+
 def write(folder, flight):
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     (folder / "fields.json").write_text(json.dumps(FIELDS))
     for message, columns in COLUMNS.items():
         header = HEAD + [column["name"] for column in columns]

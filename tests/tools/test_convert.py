@@ -90,6 +90,8 @@ def test_captures_of_one_name_get_two_names_each_time(make_capture, yapp_tables,
     assert yapp_tables(*command).returncode == 0
     before = files(tmp_path / "data")
     assert len(before) == 2
+    sources = set(pl.read_parquet(tmp_path / "data/*/*.parquet")["source_file"])
+    assert sources == {"flight.pcap", str(tmp_path / "b/flight.pcap")}
     assert "2 of 2" in yapp_tables(*command).stderr
     assert "1 of 1" in yapp_tables("convert", "b/flight.pcap", *command[2:]).stderr
     assert files(tmp_path / "data") == before
@@ -119,6 +121,28 @@ def test_failures_are_listed_and_hold_nobody_up(make_capture, yapp_tables, tmp_p
     assert files(tmp_path / "data/message=motor") == ["cut.parquet", "good.parquet", "twice.parquet"]
 
 
+# /dev/full takes no byte: a full disk.
+def test_a_full_disk_is_a_sentence_and_leaves_no_half_file(make_capture, yapp_tables, tmp_path):
+    flight(make_capture)
+    make_capture("empty.pcap")
+    aside = {".failures.csv.part": "empty.pcap", ".yapp-tables/.flight.parquet.json.part": "flight.pcapng"}
+    for name, capture in aside.items():
+        path = tmp_path / "data" / name
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.symlink_to("/dev/full")
+        done = yapp_tables("convert", capture, "--to", "parquet", "--out", "data")
+        assert done.returncode == 1
+        assert "No space left on device" in done.stderr or "the disk is full" in done.stderr
+        assert "Traceback" not in done.stderr
+        assert not path.is_symlink()
+    assert "the disk is full" in (tmp_path / "data/failures.csv").read_text()
+    (tmp_path / ".page.html.part").symlink_to("/dev/full")
+    done = yapp_tables("report", "flight.pcapng", "-o", "page.html")
+    assert done.returncode == 2
+    assert "page.html cannot be written: No space left on device" in done.stderr
+    assert not (tmp_path / "page.html").exists()
+
+
 def test_a_list_from_stdin(make_capture, yapp_tables, tmp_path):
     flight(make_capture, "one.pcap"), flight(make_capture, "two.pcap")
     done = yapp_tables("convert", "-", "--to", "csv", "--out", "data", input="one.pcap\n\ntwo.pcap\n")
@@ -132,6 +156,7 @@ def test_a_list_from_stdin(make_capture, yapp_tables, tmp_path):
     [
         (["none*.pcap", "--to", "csv", "--out", "data"], 2, "no file matches none*.pcap"),
         (["none.pcap", "--to", "csv", "--out", "data"], 1, "no such file"),
+        ([".", "--to", "csv", "--out", "data"], 1, "no file"),
         (["flight.pcap", "--to", "csv", "--out", "flight.pcap"], 2, "cannot be written"),
         (["flight.pcap", "--to", "xls", "--out", "data"], 2, "invalid choice"),
         (["flight.pcap", "--to", "csv", "--out", "data", "--plugin", "none.lua"], 2, "no plugin at"),

@@ -45,3 +45,10 @@ def test_recipe(folder, number):
     assert "Traceback" not in done.stderr
     if language == "python":
         assert done.stdout.strip()
+
+
+def test_the_package_has_the_plugins_version():
+    top = Path(__file__).parents[2]
+    plugin = re.search(r'^local VERSION = "(.*)"', (top / "yapp.lua").read_text(), re.M)
+    package = re.search(r'^version = "(.*)"', (top / "tools/pyproject.toml").read_text(), re.M)
+    assert package[1] == plugin[1]

@@ -3,6 +3,8 @@
 
 import json
 import os
+import pty
+import re
 import signal
 import subprocess
 import sys
@@ -139,3 +141,17 @@ def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere(make_capture, capsy
         assert told.endswith(f"{other}: no YAPP messages in it")
         assert "2/2 files" in last
         assert "1 failed" in last
+
+
+def test_progress_inside_one_large_file(make_capture, tmp_path):
+    capture = make_capture("large.pcap", motor=[motor_row(n) for n in range(3000)], does=["slow"])
+    ours, theirs = pty.openpty()
+    command = ["convert", "large.pcap", "--to", "parquet", "--out", "data", "--tshark", FAKE]
+    done = subprocess.run([sys.executable, "-m", "yapp_tables", *command], cwd=tmp_path, stderr=theirs, check=False)
+    os.close(theirs)
+    shown = os.read(ours, 100_000).decode()
+    assert done.returncode == 0, shown
+    size = capture.stat().st_size / 1e6
+    half, all_of_it = f"{size / 2:,.1f}/{size:,.1f} MB", f"{size:,.1f}/{size:,.1f} MB"
+    assert re.search(rf"#-.* 0/1 files, {half}, 2 messages, 0:\d\d left", shown)
+    assert f"1/1 files, {all_of_it}, 3,000 messages, 0:0" in shown

@@ -164,9 +164,37 @@ def test_light_and_dark(browser):
     assert browser.execute_script("return document.getElementById('plot').layout.paper_bgcolor") != before
 
 
+def test_states_and_flags_are_bars(browser, page):
+    script = """const all = document.getElementById("plot").data;
+      return all.filter(trace => trace.type === "bar" && trace.name === arguments[0])
+        .map(({base, x, text}) => base.map((begin, i) => [begin, begin + x[i], text[i] ?? null]))"""
+    (mode,) = browser.execute_script(script, "Motor Mode, can0 0x210")
+    assert {text for _, _, text in mode} == {"Speed Mode"}
+    ((begin, end, bus, number, _),) = [row for row in page[1].faults if row[4] == "motor_overcurrent"]
+    (((low, high, text),),) = browser.execute_script(script, f"Motor overcurrent, {bus} 0x{number:03x}")
+    first = min(row[0] for row in page[1].motor) - 1_400_000
+    assert (low, high) == pytest.approx(((begin - first) / 1e9, (end - first) / 1e9), abs=0.01)
+    assert text is None
+
+
+def test_printed_it_fits_the_paper_and_is_light(browser):
+    script = """const plot = document.getElementById("plot"), style = getComputedStyle(document.body);
+      return [plot._fullLayout.width, plot.layout.paper_bgcolor, style.backgroundColor]"""
+    browser.execute_script("document.documentElement.dataset.theme = 'dark'; dispatchEvent(new Event('beforeprint'))")
+    time.sleep(1)
+    assert browser.execute_script(script) == [700, "rgb(255, 255, 255)", "rgb(255, 255, 255)"]
+    browser.execute_script("dispatchEvent(new Event('afterprint'))")
+    time.sleep(1)
+    width, *colours = browser.execute_script(script)
+    assert width > 1000
+    assert colours == ["rgb(20, 23, 26)"] * 2
+
+
 def test_it_fits_a_phone(page):
     phone = open_browser(page[0], phone=True)
     try:
+        texts = "return [...document.querySelectorAll('.annotation')].map(text => text.getBoundingClientRect().right)"
+        assert max(phone.execute_script(texts)) <= 390
         wide, window = phone.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
         assert wide <= window == 390
         assert phone.execute_script("return document.getElementById('plot')._fullLayout.width") <= window

@@ -65,7 +65,7 @@ local function look(known, row)
   local number = row[1]
   return known:look(can_id.address(id), { number = number, place = more.place or 8, is_again = more.again or false,
     data = data, reported = #data, bus = not more.uninformed and more.bus or nil, informed = not more.uninformed,
-    doubtful = more.doubtful or false, wide = more.wide or false })
+    doubtful = more.doubtful or false, wide = more.wide or false }, {})
 end
 
 -- Makes looks; returns what each said, in one text.
@@ -195,10 +195,15 @@ function T.test_unfinished()
   lu.assertEquals(looks(known, rows), "part part single")
   lu.assertEquals(looks(known, rows, AGAIN), "part part unfinished single")
   lu.assertEquals(#known:unfinished(), 1)
-  known = new { has_buses = true } -- what a first pass may have mixed says nothing: the second has to end first
+  known = new { has_buses = true } -- nothing that may belong to it comes behind it on any bus
   looks(known, rows, { uninformed = true })
-  lu.assertEquals(looks(known, rows, { again = true, bus = 1 }), "part part single")
   lu.assertEquals(looks(known, rows, { again = true, bus = 1 }), "part part unfinished single")
+  known = new { has_buses = true } -- what the first pass mixed says nothing: the second has to end first
+  rows = { { 1, "S", { bus = 1 } }, { 2, "M1", { bus = 1 } }, { 3, "S", { bus = 2 } }, { 4, "M1", { bus = 2 } },
+    { 5, "C", { bus = 1 } } }
+  looks(known, rows, { uninformed = true })
+  lu.assertEquals(looks(known, rows, AGAIN), "part part part part single")
+  lu.assertEquals(looks(known, rows, AGAIN), "part part unfinished part part unfinished single")
 end
 
 function T.test_a_fault_is_known_in_every_frame()
@@ -207,6 +212,29 @@ function T.test_a_fault_is_known_in_every_frame()
   for _, row in ipairs(WHOLE) do record = look(known, row) end
   known:note_fault(record)
   lu.assertEquals(looks(known, { WHOLE[1], WHOLE[3] }, AGAIN), "part>5 fault part>5 fault")
+end
+
+-- A bad CRC proves nothing about the rest of a message, but its frames are kept with the fault rather than lost.
+function T.test_a_fault_in_a_bad_message_where_buses_mix()
+  local function spoiled(rows)
+    for i, row in ipairs(rows) do
+      if row[2] == "M3" and row[3].bus == 2 then rows[i] = { row[1], "M3", { bus = 2, payload = 1 } } end
+    end
+    return rows
+  end
+  for _, apart in ipairs { false, true } do
+    local rows = spoiled(two_buses())
+    if apart then table.sort(rows, function(a, b) return a[3].bus * 99 + a[1] < b[3].bus * 99 + b[1] end) end
+    for i, row in ipairs(rows) do row[1] = i end
+    local known = new { has_buses = true }
+    for _, row in ipairs(rows) do
+      local record = look(known, { row[1], row[2], { bus = row[3].bus, payload = row[3].payload, uninformed = true } })
+      if record.is_last and record.message.status == "bad" then known:note_fault(record) end
+    end
+    local second = looks(known, rows, AGAIN)
+    lu.assertEquals(select(2, second:gsub("part fault", "")), 4, second)
+    lu.assertEquals(select(2, second:gsub("fault", "")), 4, second)
+  end
 end
 
 function T.test_the_time_since_the_previous_message_is_kept()

@@ -322,6 +322,7 @@ end
 function T.test_looks_that_are_no_numbers_of_frames()
   local state, payload = bus.reassembler(), ("x"):rep(16)
   local last = 7 + 2 * 2 ^ -21
+  state.kept.has_fractions = true
   bus.frame(state, { bus.can_id(0x123, 1, 0, 0), look = 7, bus = 1, data = bus.start(0x123, 0, 0, payload) })
   bus.frame(state, { bus.can_id(0x123, 2, 0, 0), look = 7 + 2 ^ -21, bus = 1, data = payload:sub(1, 8) })
   local entry = bus.frame(state, { bus.can_id(0x123, 3, 0, 0), look = last, bus = 1, data = payload:sub(9) })

@@ -67,6 +67,7 @@ function T.test_a_gap_is_late_above_the_limit()
   lu.assertEquals({ late[2], late[5] }, { "-", "-" }) -- 2.5 periods are no more than the limit
   lu.assertAlmostEquals(late[3], 0.2501, 1e-9)
   lu.assertAlmostEquals(late[6], 0.6, 1e-9)
+  lu.assertEquals(run({ motor(1, 0.3), motor(2, 0.55) }, "late"), { "-", "-" }) -- of doubles the difference is more
   lu.assertEquals(run(looks, "late", { late = 10 }), { "-", "-", "-", "-", "-", "-" })
 end
 

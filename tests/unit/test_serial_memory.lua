@@ -126,6 +126,57 @@ function T.test_what_the_capture_cut()
   lu.assertEquals({ packet.events[1].truncated, packet.events[1].payload, packet.events[1].crc }, { true, "message " })
 end
 
+-- "a 5 of 3": stream, ID and last packet of each frame that the capture ends before.
+local function unfinished(memory)
+  local list = {}
+  for i, open in ipairs(memory:unfinished()) do
+    list[i] = ("%s %d of %d"):format(open.stream, open.header:byte(5), open.number)
+  end
+  table.sort(list)
+  return table.concat(list, ", ")
+end
+
+-- The numbers of the packets of which a look says that the capture ends before their frame.
+local function say_unfinished(memory, packets, other)
+  local list = {}
+  for _, packet in ipairs(packets) do
+    if memory:look(facts(packet, other)).is_unfinished then list[#list + 1] = packet[1] end
+  end
+  return table.concat(list, ",")
+end
+
+function T.test_the_capture_ends_before_a_frame()
+  local packets = { { 1, A:sub(1, 20), stream = "a" }, { 2, B, stream = "b" }, { 3, A:sub(21), stream = "a" },
+    { 4, "x" .. A:sub(1, 14), stream = "a" }, { 5, A:sub(15, 17), stream = "a" }, { 6, B:sub(1, 11), stream = "c" } }
+  local memory = new()
+  lu.assertEquals(say_unfinished(memory, packets, {}), "")
+  lu.assertEquals(unfinished(memory), "a 5 of 5")
+  lu.assertEquals(say_unfinished(memory, packets, { visited = true }), "5")
+  memory = one_pass({ { 1, A .. B:sub(1, 12) }, { 2, B:sub(1, 16) } }, { "good 5 @0", "" }, "segment")
+  lu.assertEquals(unfinished(memory), " 6 of 2")
+  one_pass({ { 1, A:sub(1, 20), truncated = true } }, { "cut 5 @0 -5" })
+  lu.assertEquals(unfinished(one_pass({ { 1, A:sub(1, 20) } }, { "cut 5 @0 -5" }, "datagram")), "")
+end
+
+-- Which of two that overlap it is nobody knows: the one that began first is shown when more comes.
+function T.test_the_capture_ends_before_one_of_two_frames()
+  local memory = one_pass({ { 1, generator.header(7, 20) .. generator.header(8, 90) .. "12345678" } },
+    { "32 wait for 4" })
+  lu.assertEquals(unfinished(memory), " 7 of 1")
+  memory:look(facts({ 2, "1234" }, {})) -- now that is a bad one, for which the other has to wait
+  lu.assertEquals(unfinished(memory), " 7 of 2")
+end
+
+function T.test_a_second_pass_has_streams_of_its_own()
+  local packets = { { 1, A:sub(1, 14), source = "<" }, { 2, B:sub(1, 14), source = ">" } }
+  local memory = new()
+  for _, packet in ipairs(packets) do memory:look(facts(packet, {})) end
+  local knows = { visited = true, informed = true }
+  lu.assertEquals(say_unfinished(memory, packets, knows), "2") -- the last: then the pass has come to its end
+  lu.assertEquals(say_unfinished(memory, packets, knows), "1,2")
+  lu.assertEquals(unfinished(memory), "< 5 of 1, > 6 of 2")
+end
+
 function T.test_streams_do_not_mix()
   one_pass({ { 1, A:sub(1, 9), stream = "a" }, { 2, B, stream = "b" }, { 3, A:sub(10), stream = "a" },
     { 5, A, stream = "b" } }, { "9 wait", "good 6 @0", "good 5 in 1,3", "good 5 @0" })

@@ -57,7 +57,8 @@ local function run(arguments, records, with)
     local options = options_of.read("yapp," .. argument, CATALOGUE)
     if argument:find("^check") == nil then lu.assertEquals(options.problems, {}) end
     local context = { out = function(text) printed[#printed + 1] = text end, decode = DECODE, columns = COLUMNS,
-      clock = function(rel) return feed:time(rel) end, catalogue = CATALOGUE, is_whole = not with.is_broken,
+      version = "9.8.7", clock = function(rel) return feed:time(rel) end, catalogue = CATALOGUE,
+      is_whole = not with.is_broken,
       late = function() return 2.5 end, has_source = function(name) return name == "left" end,
       make_folder = with.make_folder }
     local statistic, problem = require("yapp_stat_" .. options.what).new(options, context)
@@ -209,7 +210,8 @@ function T.test_csv_in_a_folder()
     lu.assertStrContains(printed, "motor.csv  2 messages")
     lu.assertEquals(#lines(read(folder .. "/motor.csv")), 3)
     lu.assertEquals(read(folder .. "/note.csv"), "time,frame,bus,source,id,seq,volts\n")
-    lu.assertStrContains(read(folder .. "/fields.json"), '"motor":{"title":"Motor Data","columns":[{"name":"time",')
+    lu.assertStrContains(read(folder .. "/fields.json"), '{"version":1,"plugin":"9.8.7","messages":{"motor":' ..
+      '{"title":"Motor Data","every":0.1,"columns":[{"name":"time",')
     lu.assertNil(io.open(folder .. "/motor.csv.part"))
   end)
 end
@@ -261,6 +263,15 @@ function T.test_check_counts_by_source()
     "crc=0 null true 0 null", "incomplete=1 left true 1 5", "incomplete=1 null true 0 null", "reboot=0 left false 1 4",
     "reboot=0 null true 0 null", "stale=1 left true 1 4", "stale=1 null true 0 null", "unknown=0 null true 0 null" })
   lu.assertEquals(code, 20)
+end
+
+-- Times are doubles: 0.3 - 0.2 is less than 0.1, and 1.1 - 1 is more.
+function T.test_check_limits_that_are_just_kept()
+  local records = {}
+  for i = 1, 20 do records[i] = record(i, i / 10) end
+  for _, rule in ipairs { "motor.rate=10", "motor.gap=0.1" } do
+    lu.assertEquals(select(2, verdicts(rule .. ",unknown=99", records)), 0, rule)
+  end
 end
 
 function T.test_check_rates_and_gaps()

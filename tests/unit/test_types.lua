@@ -204,6 +204,30 @@ function T.test_names_of_columns_that_are_taken()
   lu.assertEquals(names, { "time_2", "id_2", "x", "x_text", "x_text_2" })
 end
 
+-- fields.json: what a reader needs for the type of a column, and what its numbers mean.
+function T.test_columns_are_described()
+  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 16, every = 0.5,
+    { "mode", "int8", "Mode", values = { [10] = "ten", [-1] = "lost", [2] = 'a "b"' } },
+    { "bits", "uint16", "Bits", group = "bit", flags = { { "hot", 0x1, "Too Hot" } } },
+    { "volts", "float16", "Volts", min = 0, max = 5, unit = "V" }, { "serial", "uint64", "Serial" },
+    { "plain", "uint24", "Plain", values = {} } } }
+  local function column(name, type, title, rest)
+    local json = '{"name":"%s","unit":null,"type":"%s","filter":"taurus.m.%s","title":"%s",%s}'
+    return json:format(name, type, rest.filter or name, title, rest[1] or '"kind":null,"bits":null,"values":null')
+  end
+  lu.assertEquals(require("yapp_stat_fields").describe(compiled, "9.8.7", columns.columns),
+    '{"version":1,"plugin":"9.8.7","messages":{"m":{"title":"M","every":0.5,"columns":[' .. table.concat({
+      column("mode", "integer", "Mode", { '"kind":"int","bits":8,"values":{"-1":"lost","2":"a \\"b\\"","10":"ten"}' }),
+      column("mode_text", "string", "Mode", { filter = "mode" }),
+      column("bits", "integer", "Bits", { '"kind":"flags","bits":16,"values":null' }),
+      column("bit_hot", "bool", "Too Hot", { filter = "bit.hot" }),
+      (column("volts", "float", "Volts", {}):gsub('"unit":null', '"unit":"V"')),
+      column("volts_special", "string", "Volts", { filter = "volts" }),
+      column("serial", "integer", "Serial", { '"kind":"uint","bits":64,"values":null' }),
+      column("plain", "integer", "Plain", { '"kind":"uint","bits":24,"values":{}' }),
+      column("plain_text", "string", "Plain", { filter = "plain" }) }, ",") .. "]}}}")
+end
+
 function T.test_info_of_every_kind()
   local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 31,
     info = "{a} {b:%.1f} {c} {d} {e} {f:%.2f} {g} {h}", { "a", "int8", "A" }, { "b", "int16", "B", scale = 0.1 },

@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SetupError as error:
         print(f"yapp-tables: {error}", file=sys.stderr)
         return REFUSED
-    except YappError as error:
+    except (YappError, OSError) as error:
         print(f"yapp-tables: {error}", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
@@ -78,6 +78,8 @@ def _report(given: argparse.Namespace) -> int:
         raise SetupError(f"one page at a time, not {' and '.join(pages)}")
     given.options = [text for text in given.options if text not in pages]
     page = Path(pages[0]) if pages else given.capture.with_suffix(".html")
+    if not page.parent.is_dir():
+        raise SetupError(f"{page} cannot be written: no folder {page.parent}")
     write_report = need(f"{__package__}.report", "report").write_report
     flight = read_flight(given.capture, _tshark(given))
     try:
@@ -136,10 +138,17 @@ def _convert(given: argparse.Namespace) -> int:
             print(f"{len(captures) - len(jobs)} of {len(captures)} captures are up to date", file=sys.stderr)
         with fleet.executor(given.scheduler, given.jobs) as pool:
             failures += fleet.run(jobs, pool, Progress.of(jobs))
-        fleet.write_failures(results.out / "failures.csv", failures)
     finally:
         results.close()
+    return _tell(failures, len(captures), results.out / "failures.csv")
+
+
+def _tell(failures: list[Failure], count: int, path: Path) -> int:
+    """List the captures that failed; returns the exit code."""
+    try:
+        fleet.write_failures(path, failures)
+    except OSError as error:
+        raise YappError(f"{path} cannot be written: {error.strerror}") from error
     if failures:
-        listed = f"{len(failures)} of {len(captures)} captures failed"
-        print(f"yapp-tables: {listed}: {results.out / 'failures.csv'}", file=sys.stderr)
+        print(f"yapp-tables: {len(failures)} of {count} captures failed: {path}", file=sys.stderr)
     return FAILED if failures else 0

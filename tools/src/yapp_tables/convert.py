@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .errors import CaptureError, SetupError, YappError, need
-from .results import MadeBy, Result, Results
+from .results import MadeBy, Result, Results, plain_name
 from .tables import digest, plugin_version, present
 from .tshark import Export, Tshark
+from .watch import PROGRESS, Watch
 from .writers import Writer
 
 # The module and the function that write a kind, and the extra that it needs: imported only when it is asked for.
@@ -53,10 +54,12 @@ def convert(job: Job) -> Result:
     state = job.capture.stat() if job.capture.exists() else None
     try:
         with job.results.aside() as aside:
-            export = job.tshark.export(job.capture, aside / "export")
+            export = job.tshark.export(job.capture, aside / "export", watch=Watch(aside / PROGRESS, job.capture))
             _check(job, export)
             name = f"{job.name}.partial" if export.partial else job.name
-            count = writer(job.results.to)(export, job.capture.name, name, aside / "result")
+            # Captures of one name are told apart by their paths.
+            source_file = job.capture.name if job.name == plain_name(job.capture) else str(job.capture)
+            count = writer(job.results.to)(export, source_file, name, aside / "result")
             assert state is not None
             made = Result(str(job.capture), state.st_size, state.st_mtime_ns, job.made_by, (), count, export.partial)
             return job.results.place(job.name, aside / "result", made)

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import csv
+import io
 import logging
-import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -17,6 +17,8 @@ from pathlib import Path
 from .convert import Job, convert
 from .errors import CaptureError, SetupError, need
 from .results import Result
+from .watch import NOWHERE, Position
+from .whole import write_whole
 
 TRIES = 3
 SCHEDULER_SECONDS = 30
@@ -76,7 +78,9 @@ def run(jobs: Sequence[Job], pool: Executor, progress: Progress) -> list[Failure
             failure = _failure(job, result, error)
             failures += [failure] if failure else []
             progress.done(job.capture, result, failure)
-        progress.show()
+        if waiting:
+            progress.inside = jobs[0].results.position()
+            progress.show()
     return sorted(failures, key=lambda failure: failure.capture)
 
 
@@ -92,16 +96,15 @@ def _size(path: Path) -> int:
 
 
 def write_failures(path: Path, failures: Sequence[Failure]) -> None:
-    """failures.csv: capture, reason; none where nothing failed."""
+    """failures.csv: capture, reason; none where nothing failed. Raises OSError."""
     if not failures:
         path.unlink(missing_ok=True)
         return
-    aside = path.with_suffix(".part")
-    with aside.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow(["capture", "reason"])
-        rows.writerows((str(failure.capture), failure.reason) for failure in failures)
-    os.replace(aside, path)
+    text = io.StringIO(newline="")
+    rows = csv.writer(text)
+    rows.writerow(["capture", "reason"])
+    rows.writerows((str(failure.capture), failure.reason) for failure in failures)
+    write_whole(path, text.getvalue())
 
 
 @dataclass
@@ -115,6 +118,7 @@ class Progress:
     bytes_done: int = 0
     messages: int = 0
     failed: int = 0
+    inside: Position = NOWHERE
     started: float = field(default_factory=time.monotonic)
     shown: float = field(default_factory=time.monotonic)
 
@@ -126,6 +130,7 @@ class Progress:
     def done(self, capture: Path, result: Result | None, failure: Failure | None) -> None:
         """Count a capture that came to its end."""
         self.files_done += 1
+        self.inside = NOWHERE
         self.bytes_done += _size(capture)
         self.messages += result.messages if result else 0
         if failure:
@@ -145,19 +150,22 @@ class Progress:
 
     def text(self) -> str:
         """Files, bytes, messages, failures and the time left."""
-        spent = time.monotonic() - self.started
-        left = spent / self.bytes_done * (self.bytes - self.bytes_done) if self.bytes_done else None
+        spent, read = time.monotonic() - self.started, self._read()
+        left = spent / read * (self.bytes - read) if read else None
         parts = [
             f"{self.files_done}/{self.files} files",
-            f"{self.bytes_done / 1e6:,.1f}/{self.bytes / 1e6:,.1f} MB",
-            f"{self.messages:,} messages",
+            f"{read / 1e6:,.1f}/{self.bytes / 1e6:,.1f} MB",
+            f"{self.messages + self.inside.messages:,} messages",
             f"{self.failed} failed" if self.failed else "",
             f"{_clock(left)} left" if left else f"{_clock(spent)}",
         ]
         return ", ".join(part for part in parts if part)
 
+    def _read(self) -> int:
+        return min(self.bytes_done + self.inside.bytes, self.bytes)
+
     def _bar(self) -> str:
-        full = round(BAR * self.bytes_done / self.bytes) if self.bytes else BAR
+        full = round(BAR * self._read() / self.bytes) if self.bytes else BAR
         return f"[{'#' * full}{'-' * (BAR - full)}]"
 
     def _print(self, text: str) -> None:

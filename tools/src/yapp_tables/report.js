@@ -4,13 +4,13 @@
   const data = JSON.parse(document.getElementById("data").textContent);
   const byId = (id) => document.getElementById(id);
   // Distinct in colour and, printed in grey, in lightness; the fields of a panel differ by their dashes.
-  const COLOURS = { light: ["#0b5fa5", "#d9480f", "#2b8a3e", "#9c36b5", "#5c4813", "#e0a100", "#0c8599", "#868e96",
-    "#c2255c", "#74b816", "#212529", "#a5b4fc"],
-    dark: ["#74c0fc", "#ff922b", "#69db7c", "#da77f2", "#e8cf9a", "#ffe066", "#66d9e8", "#ced4da",
-      "#faa2c1", "#c0eb75", "#ffffff", "#748ffc"] };
+  const COLOURS = { light: ["#123f7a", "#e8590c", "#237032", "#e0a100", "#5f1a8c", "#e64980", "#0b7285", "#8f979f",
+    "#5c4813", "#74b816", "#212529", "#748ffc"],
+    dark: ["#74c0fc", "#ff922b", "#69db7c", "#ffe066", "#da77f2", "#faa2c1", "#66d9e8", "#ced4da",
+      "#e8cf9a", "#c0eb75", "#ffffff", "#748ffc"] };
   const DASHES = ["solid", "dot", "dash", "longdash", "dashdot"], SAMPLES_OF_DASH = ["──", "···", "- -", "— —", "-·-"];
-  const PANEL = 156, ROW = 22, LINE_OF_TEXT = 16, AXIS = 50, TOP = 24;
-  const NARROW = innerWidth < 700;
+  const PANEL = 156, ROW = 22, LINE_OF_TEXT = 16, AXIS = 50, TOP = 30;
+  const NARROW = innerWidth < 700, LETTERS = NARROW ? 36 : 70, PAPER = 700; // A4 and Letter, upright, in pixels
 
   const isDark = () => {
     const chosen = document.documentElement.dataset.theme;
@@ -130,11 +130,16 @@
   const plot = byId("plot");
   const LINE = hasGpu() ? "scattergl" : "scatter";
   let room = 0, rowsOfBars = [];
+  let screen = null; // while the page is printed, what it is on the screen
 
-  // What a panel's dashes mean, in lines.
+  // What a panel's dashes mean, in lines that fit.
   function legend(about) {
-    const fields = about.fields.map((field, i) => `${SAMPLES_OF_DASH[i % 5]} ${field.title}`), inLine = NARROW ? 2 : 6;
-    return fields.flatMap((_, i) => i % inLine ? [] : [fields.slice(i, i + inLine).join("   ")]);
+    const texts = [];
+    about.fields.forEach((field, i) => {
+      const text = `${SAMPLES_OF_DASH[i % 5]} ${field.title}`, last = texts.length - 1;
+      if (last >= 0 && texts[last].length + text.length < LETTERS) texts[last] += `   ${text}`; else texts.push(text);
+    });
+    return texts;
   }
 
   function panel(number, about, domain) {
@@ -172,7 +177,7 @@
   function layout() {
     const style = getComputedStyle(document.body), ink = style.color, paper = style.backgroundColor;
     const line = isDark() ? "#363c42" : "#d5d9dd";
-    const made = { height: plotHeight(), showlegend: false, barmode: "overlay", hovermode: "closest", dragmode: NARROW ? false : "zoom",
+    const made = { height: plotHeight(), width: screen ? PAPER : undefined, autosize: !screen, showlegend: false, barmode: "overlay", hovermode: "closest", dragmode: NARROW ? false : "zoom",
       paper_bgcolor: paper, plot_bgcolor: paper, font: { color: ink, family: style.fontFamily, size: NARROW ? 11 : 13 },
       margin: { l: NARROW ? 45 : 70, r: 10, t: TOP, b: AXIS }, annotations: notes, uirevision: "kept",
       xaxis: { range: whole, anchor: axesInOrder().at(-1) ?? "y", title: { text: `seconds since ${data.start}` }, gridcolor: line, zeroline: false },
@@ -269,5 +274,15 @@
     document.documentElement.dataset.ready = "yes";
   });
   byId("theme").onclick = () => { document.documentElement.dataset.theme = isDark() ? "light" : "dark"; repaint(); };
+  addEventListener("beforeprint", () => {
+    screen = { theme: document.documentElement.dataset.theme };
+    document.documentElement.dataset.theme = "light";
+    repaint();
+  });
+  addEventListener("afterprint", () => {
+    if (screen.theme) document.documentElement.dataset.theme = screen.theme; else delete document.documentElement.dataset.theme;
+    screen = null;
+    repaint();
+  });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
 })();

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import base64
 import json
-import os
 from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
@@ -20,6 +19,7 @@ from plotly.offline import get_plotlyjs
 from .flight import Flight
 from .series import Array, Source, numbers, sources, spans, thin
 from .tables import Column
+from .whole import write_whole
 
 # What the page keeps of a signal of one source; the page itself thins that to what its window has room for.
 SAMPLES = 100_000
@@ -31,7 +31,7 @@ COUNTED = {"crc": "bad CRC", "incomplete": "lost frames", "unfinished": "cut off
 
 
 def write_report(flight: Flight, path: Path) -> None:
-    """Write the page of a flight to path."""
+    """Write the page of a flight to path. Raises OSError."""
     package = files(__package__)
     page = package.joinpath("report.html").read_text(encoding="utf-8")
     data = json.dumps(_Page(flight).data(), ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
@@ -39,9 +39,7 @@ def write_report(flight: Flight, path: Path) -> None:
     head, _, tail = page.partition("/*DATA*/")
     for name, text in parts.items():
         tail = tail.replace(name, text, 1)
-    aside = path.with_name(f".{path.name}.part")
-    aside.write_text(head + data + tail, encoding="utf-8")
-    os.replace(aside, path)
+    write_whole(path, head + data + tail)
 
 
 class _Page:

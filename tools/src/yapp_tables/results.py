@@ -15,6 +15,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from .errors import SetupError
+from .watch import Position, position
+from .whole import write_whole
 
 # Raised when files get other names, columns or types: a folder holds results of one layout.
 LAYOUT = 1
@@ -49,6 +51,14 @@ class Result:
     files: tuple[str, ...] = ()
     messages: int = 0
     partial: str | None = None
+
+
+def plain_name(capture: Path) -> str:
+    """The name of a capture's result where no other capture of the folder has it: `flight` of flight.pcapng.gz."""
+    plain = capture.name
+    while Path(plain).suffix.lower() in SUFFIXES:
+        plain = Path(plain).stem
+    return plain
 
 
 class Results:
@@ -89,9 +99,7 @@ class Results:
         names: dict[Path, str] = {}
         taken: set[str] = set()
         for capture in captures:
-            plain = capture.name
-            while Path(plain).suffix.lower() in SUFFIXES:
-                plain = Path(plain).stem
+            plain = plain_name(capture)
             long = f"{plain}-{hashlib.sha256(str(capture).encode()).hexdigest()[:8]}"
             owner = self.find(plain)
             free = plain not in taken and (owner is None or owner.capture == str(capture))
@@ -122,6 +130,10 @@ class Results:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
+    def position(self) -> Position:
+        """How far the captures are that are at work in this run, on whatever machine."""
+        return position(self._work)
+
     def place(self, name: str, folder: Path, made: Result) -> Result:
         """Rename all files in folder to their place, and what an older result of this name has left away."""
         files = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
@@ -134,9 +146,7 @@ class Results:
         for file in set(before.files if before else ()) - set(files):
             (self.out / file).unlink(missing_ok=True)
         # Last: a result that was cut off half-way is not known, and is made again.
-        note = folder / "note.json"
-        note.write_text(json.dumps(asdict(made), indent=1), encoding="utf-8")
-        os.replace(note, self._note(name))
+        write_whole(self._note(name), json.dumps(asdict(made), indent=1))
         return made
 
     def _note(self, name: str) -> Path:

@@ -20,7 +20,7 @@ from .errors import SetupError
 from .tshark import Export, Record
 
 TIME = pa.timestamp("ns", tz="UTC")
-# Every message's first columns.  The CSV has no source_file: that is the capture's own name.
+# Every message's first columns.  The CSV has no source_file: that is the capture's name.
 HEAD = {
     "time": TIME,
     "source_file": pa.string(),
@@ -90,46 +90,42 @@ def digest(fields: Record) -> str:
 
 def plugin_version(fields: Record) -> str:
     """The version of the plugin that wrote fields.json."""
-    return str(fields.get("plugin", "unknown"))
+    return str(fields["plugin"])
 
 
 def _message(name: str, entry: Record) -> Message:
     own = [column for column in entry["columns"] if column["name"] not in HEAD and column["name"] != CRC_GOOD]
-    texts = {column["name"] for column in own if column["type"] == "string"}
-    columns = {column["name"]: _column(column, f"{column['name']}_text" in texts) for column in own}
-    return Message(name, entry["title"] or name, entry.get("every"), columns)
+    return Message(
+        name, entry["title"] or name, entry.get("every"), {column["name"]: _column(column) for column in own}
+    )
 
 
-def _column(entry: Record, has_text: bool) -> Column:
-    """A column of fields.json. has_text: its numbers have names, in a column of their own."""
+def _column(entry: Record) -> Column:
     name, kind = entry["name"], entry["type"]
     about = {"title": entry.get("title") or name, "unit": entry.get("unit") or "", "filter": entry.get("filter") or ""}
     if kind in ROLES:
         type_, role = ROLES[kind]
         return Column(name, type_, role, **about)
-    if has_text:
-        values = {int(number): text for number, text in (entry.get("values") or {}).items()}
+    if entry.get("values") is not None:
+        values = {int(number): text for number, text in entry["values"].items()}
         return Column(name, _integer(entry), "enum", values=values, **about)
-    if entry.get("kind") == "flags":
+    if entry["kind"] == "flags":
         return Column(name, _integer(entry), "flags", **about)
     # A float64 has every integer of up to 53 bits.
-    return Column(name, _integer(entry) if (entry.get("bits") or 0) > 53 else pa.float64(), "value", **about)
+    return Column(name, _integer(entry) if entry["bits"] > 53 else pa.float64(), "value", **about)
 
 
 def _integer(entry: Record) -> pa.DataType:
-    """The integer type that the field fits in; int64 where its size is not told."""
-    bits = entry.get("bits")
-    if bits is None:
-        return pa.int64()
-    sign = "" if entry.get("kind") == "int" else "u"
-    return getattr(pa, f"{sign}int{next(size for size in (8, 16, 32, 64) if size >= bits)}")()
+    """The integer type that the field fits in."""
+    sign = "" if entry["kind"] == "int" else "u"
+    return getattr(pa, f"{sign}int{next(size for size in (8, 16, 32, 64) if size >= entry['bits'])}")()
 
 
 class Rows:
     """The rows of one message in an export: their schema, and typed record batches, a few megabytes at a time."""
 
     def __init__(self, export: Export, message: Message, source_file: str) -> None:
-        """source_file: what the column of this name says, the capture's own name."""
+        """source_file: what the column of this name says."""
         self.message, self.source_file = message, source_file
         self._path = export.csv(message.name)
         with self._path.open(encoding="utf-8", newline="") as file:

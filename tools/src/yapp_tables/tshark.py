@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import CaptureError, SetupError, YappError
+from .watch import Watch
 
 INSTALL_TSHARK = "install Wireshark (Debian, Ubuntu: apt-get install tshark) or name the program with --tshark PATH"
 INSTALL_PLUGIN = "install it (make install, in the plugin's folder) or name it with --plugin PATH/yapp.lua"
@@ -22,6 +23,7 @@ INSTALL_PLUGIN = "install it (make install, in the plugin's folder) or name it w
 USUAL_PLACES = ("/Applications/Wireshark.app/Contents/MacOS/tshark", r"C:\Program Files\Wireshark\tshark.exe")
 # An empty capture: a pcap header (SocketCAN, 64 KB packets) and no packet.
 EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000")
+LOOK_SECONDS = 1
 
 Record = dict[str, Any]
 
@@ -53,23 +55,29 @@ class Tshark:
     options: tuple[str, ...] = ()
     filter: str | None = None
 
-    def export(self, capture: Path, folder: Path, statistics: tuple[str, ...] = ()) -> Export:
-        """Write a capture's messages to folder, which is made; statistics: what else to gather, "events" or "summary".
+    def export(
+        self, capture: Path, folder: Path, statistics: tuple[str, ...] = (), watch: Watch | None = None
+    ) -> Export:
+        """Write a capture's messages to folder, which is made.
 
+        statistics: what else to gather, "events" or "summary"; watch: who wants to know how far it is.
         Returns an Export; its `partial` is tshark's reason where the capture is damaged.
         Raises SetupError, CaptureError and, for what another try may mend, YappError.
         """
         if not capture.is_file():
-            raise CaptureError(f"{capture}: no such file" if not capture.exists() else f"{capture} is not a file")
+            what = "no file: 'FOLDER/**/*.pcapng' takes those in it" if capture.is_dir() else "no such file"
+            raise CaptureError(f"{capture}: {what}")
         if not os.access(capture, os.R_OK):
             raise CaptureError(f"{capture} cannot be read: permission denied")
         folder.mkdir(parents=True)
         csv = folder / "csv"
         # Relative to tshark's own folder: a comma in a path would end the option.
         wanted = ["csv,csv", *(f"{name},json" for name in statistics)]
-        done = self._run(capture, folder, wanted)
+        done = _run(self._command(capture, wanted), folder, watch)
         partial = self._refusal(capture, done, written=(csv / "fields.json").is_file())
         fields: Record = json.loads((csv / "fields.json").read_text(encoding="utf-8"))
+        if "plugin" not in fields:
+            raise SetupError(f"the plugin is too old, its fields.json does not name its version: {INSTALL_PLUGIN}")
         return Export(csv, fields, _records(done.stdout, statistics), partial)
 
     def catalogue(self) -> Record:
@@ -83,7 +91,7 @@ class Tshark:
                 # Nothing is wrong with this capture: it is the plugin that refuses, a filter for example.
                 raise SetupError(str(error).removeprefix(f"{empty}: ")) from error
 
-    def _run(self, capture: Path, folder: Path, wanted: list[str]) -> subprocess.CompletedProcess[str]:
+    def _command(self, capture: Path, wanted: list[str]) -> list[str]:
         command = [self._program(), "-q", "-r", str(capture.resolve())]
         if self.plugin is not None:
             command += ["-X", f"lua_script:{self._plugin()}"]
@@ -92,22 +100,17 @@ class Tshark:
         narrowed = f",filter={self.filter}" if self.filter else ""
         for what in wanted:
             command += ["-z", f"yapp,{what}{narrowed}"]
-        try:
-            return subprocess.run(
-                command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, encoding="utf-8", errors="replace"
-            )
-        except OSError as error:
-            raise SetupError(f"{command[0]} cannot be run ({error.strerror}): {INSTALL_TSHARK}") from error
+        return command
 
     def _program(self) -> str:
         if self.program is not None:
             found = shutil.which(self.program)
             if found is None:
                 raise SetupError(f"{self.program} is no program that can be run: {INSTALL_TSHARK}")
-            return str(Path(found).resolve())
+            return os.path.abspath(found)
         for place in ("tshark", *USUAL_PLACES):
             if found := shutil.which(place):
-                return found
+                return os.path.abspath(found)
         raise SetupError(f"tshark was not found: {INSTALL_TSHARK}")
 
     def _plugin(self) -> Path:
@@ -146,6 +149,27 @@ class Tshark:
         text = subprocess.run([self._program(), "--version"], capture_output=True, text=True, check=False).stdout
         found = re.search(r"\d+(\.\d+)+", text)
         return tuple(int(part) for part in found[0].split(".")) if found else ()
+
+
+def _run(command: list[str], folder: Path, watch: Watch | None) -> subprocess.CompletedProcess[str]:
+    pipe = subprocess.PIPE
+    try:
+        process = subprocess.Popen(
+            command, cwd=folder, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, encoding="utf-8", errors="replace"
+        )
+    except OSError as error:
+        raise SetupError(f"{command[0]} cannot be run ({error.strerror}): {INSTALL_TSHARK}") from error
+    with process:
+        while True:
+            try:
+                stdout, stderr = process.communicate(timeout=LOOK_SECONDS)
+                return subprocess.CompletedProcess(command, process.returncode, stdout, stderr)
+            except subprocess.TimeoutExpired:
+                if watch:
+                    watch.look(process.pid, folder / "csv")
+            except BaseException:
+                process.kill()
+                raise
 
 
 def _complaint(stderr: str) -> str:

@@ -16,7 +16,7 @@ from .tshark import Export
 
 ROW_GROUP = 100_000
 
-# A writer: what to write, the capture's own name, the result's name (of its files), the folder to write to; returns
+# A writer: what to write, what `source_file` says, the result's name (of its files), the folder to write to; returns
 # the number of messages written.
 Writer = Callable[[Export, str, str, Path], int]
 

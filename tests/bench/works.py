@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""What `make bench` measures: each work with its peers, as command lines.
+
+    none    tshark without the plugin          floor   tests/bench/floor.lua, the least that a Lua dissector does
+    isotp   tshark's own reassembly, in C      script  tests/bench/peer.py, what one would write instead
+    now     the plugin                         before  another version of it
+    list    the plugin's packet list
+"""
+import pathlib
+import typing
+
+from traffic import FRAMES
+
+HERE = pathlib.Path(__file__).resolve().parent
+LIST, FILTER, VERBOSE, VALUES, TABLES = ("packet list", "one fault filter", "`-V`", "`-T fields`, the 13 Motor Data values",
+                                         "all values in one pass, `-z yapp,csv`")
+UART, START, LOG = "UART, packets of 64 bytes", "start: a capture of one frame", "candump log"
+LONG_LIST, LONG_LOG = "packet list, ten times the frames", "candump log, long"
+MOTOR = ("torque_iq_commanded torque_iq_measured rpm_commanded rpm_measured dc_voltage dc_current motor_temperature motor_mode "
+         "status_flags fault_flags timestamp motor_state esc_temperature").split()
+VALUE_FIELDS = ["-T", "fields", *(word for name in MOTOR for word in ("-e", f"taurus.motor.{name}"))]
+FAULT = "taurus.motor.fault.motor_overcurrent"
+LONGER, LOG_LONGER = 10, 30  # times the usual traffic
+
+
+class Target(typing.NamedTuple):
+    """How much the plugin may take: of what the peer takes, or (difference) seconds more than it."""
+    peer: str
+    limit: float
+    difference: bool = False
+
+
+class Work(typing.NamedTuple):
+    title: str
+    commands: dict  # { peer: command line }
+    target: Target = None
+    times: int = 1  # how often it is measured where others are once
+
+
+class Shark:
+    """tshark's command lines."""
+
+    def __init__(self, plugin, folder):
+        self.plugin, self.folder = plugin, folder
+
+    def none(self, capture, *arguments):
+        return ["tshark", "-r", str(self.folder / capture), *arguments]
+
+    def now(self, capture, *arguments):
+        return ["tshark", "-X", load(self.plugin), *self.none(capture, *arguments)[1:]]
+
+    def isotp(self, *arguments):
+        return [*self.none("isotp.pcap", *arguments), "-d", "can.subdissector,iso15765"]
+
+    def floor(self, level, *arguments):
+        return ["tshark", "-X", f"lua_script:{HERE / 'floor.lua'}", "-X", f"lua_script1:{level}",
+                *self.none("yapp.pcap", *arguments)[1:]]
+
+
+def load(plugin):
+    return f"lua_script:{plugin / 'yapp.lua'}"
+
+
+def works(shark, python, messages):
+    """The works on a folder with all of the traffic.
+
+    shark   Shark;  python: the command of a Python that has python-can;  messages: how many the traffic has"""
+    floor, now, none, isotp = shark.floor, shark.now, shark.none, shark.isotp
+    of_script = [python, str(HERE / "peer.py"), str(shark.folder / "yapp.log"), str(shark.folder / "script.csv")]
+    tables = ["-q", "-z", f"yapp,csv,{shark.folder / 'tables'},replace"]
+    count = f"{messages * FRAMES:,}"
+    return [
+        Work(LIST, {"none": none("yapp.pcap"), "isotp": isotp(), "empty": floor("empty"), "floor": floor("columns"),
+                    "asked": floor("asked"), "now": now("yapp.pcap")}, Target("isotp", 2.0)),
+        Work(FILTER, {"none": none("yapp.pcap", "-Y", "frame.number % 5 == 0"),
+                      "isotp": isotp("-Y", "iso15765.reassembled.length"),
+                      "floor": floor("gated", "-Y", "floor.f1"), "now": now("yapp.pcap", "-Y", FAULT)},
+             Target("isotp", 2.5)),
+        Work(VERBOSE, {"none": none("yapp.pcap", "-V"), "isotp": isotp("-V"), "floor": floor("tree", "-V"),
+                       "now": now("yapp.pcap", "-V")}, Target("isotp", 3.0)),
+        Work(VALUES, {"script": of_script, "now": now("yapp.pcap", *VALUE_FIELDS)}, Target("script", 4.0)),
+        Work(TABLES, {"script": of_script, "list": now("yapp.pcap"), "now": now("yapp.pcap", *tables)}, Target("script", 1.2)),
+        Work(f"{count} UDP packets", {"none": none("udp.pcap"), "now": now("udp.pcap")}, Target("none", 1.02)),
+        Work(f"{count} foreign CAN frames", {"none": none("isotp.pcap"), "now": now("isotp.pcap")}, Target("none", 1.05)),
+        Work(UART, {"none": none("uart.pcap"), "list": now("yapp.pcap"), "now": now("uart.pcap")}, Target("list", 0.8)),
+        Work(LOG, {"none": none("yapp.log"), "now": now("yapp.log")}, Target("none", 2.5)),
+        Work(START, {"none": none("one.pcap"), "now": now("one.pcap")}, Target("none", 0.04, difference=True), times=4),
+    ]
+
+
+def long_works(short, long):
+    """The works on long captures: Sharks of the usual traffic, and of a folder with LONGER times as much of yapp.pcap and
+    isotp.pcap, LOG_LONGER times as much of yapp.log."""
+    both = {}
+    for ending, shark in (("", long), (" short", short)):
+        both.update({f"none{ending}": shark.none("yapp.pcap"), f"isotp{ending}": shark.isotp(),
+                     f"now{ending}": shark.now("yapp.pcap")})
+    return [Work(LONG_LIST, both), Work(LONG_LOG, {"none": long.none("yapp.log"), "now": long.now("yapp.log")},
+                                       Target("none", 2.5))]
+
+
+def with_version(work, plugin, other):
+    """The work with another version of the plugin as a peer: where the command line has the plugin's, it has this one's."""
+    def command(line):
+        return [load(other) if word == load(plugin) else word for word in line]
+
+    added = {peer.replace("now", "before"): command(line) for peer, line in work.commands.items() if peer.startswith("now")}
+    return work._replace(commands={**work.commands, **added})

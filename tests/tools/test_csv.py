@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Tables of -z yapp,csv in pandas and polars, read as docs/statistics.md says: right types, every value the truth's."""
+
+import importlib.util
+import re
+import subprocess
+import sys
+from decimal import Decimal
+from pathlib import Path
+
+import pandas as pd
+import polars as pl
+import pytest
+from running import PLUGIN
+
+TESTS = Path(__file__).parents[1]
+sys.path.append(str(TESTS / "e2e"))
+import model  # noqa: E402
+
+RECIPE = re.search(r"^```python\n(.*?)^```", (TESTS.parent / "docs/statistics.md").read_text(), re.M | re.S)[1]
+SPECIALS = ["nan", "inf", "-inf", "above", "below"]
+
+
+def generator():
+    """The flights of the end-to-end tests: another module of this name."""
+    spec = importlib.util.spec_from_file_location("e2e_flights", TESTS / "e2e/flights.py")
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module", params=[3, 5])
+def flight(request, tmp_path_factory):
+    """A folder with the tables of a flight, and the flight."""
+    folder = tmp_path_factory.mktemp("csv")
+    made = generator().make(request.param)
+    made.write(folder / "flight.pcapng", "pcapng")
+    command = ["tshark", "-X", f"lua_script:{PLUGIN}", *made.arguments("pcapng"), "-q", "-r", "flight.pcapng"]
+    subprocess.run([*command, "-z", "yapp,csv,tables"], cwd=folder, check=True)
+    return folder, made
+
+
+def cells_of(frame, bus, source, message):
+    """What a row has to have: {column: value}."""
+    yield from {
+        "time": Decimal(frame.at).scaleb(-9), "frame": frame.number, "bus": bus, "source": source,
+        "id": message.sender.ident, "seq": message.seq,
+    }.items()  # fmt: skip
+    at = 0
+    for field, size, kind in model.MESSAGES[message.sender.ident & ~0xF][2]:
+        count = int.from_bytes(message.payload[at : at + size], "little")
+        at += size
+        if kind is None:
+            yield field, Decimal(count).scaleb(-9)
+        elif model.is_float(kind):
+            special = 2 ** (8 * size) - 1 - count
+            value = pytest.approx(model.value(count, size, kind[0], kind[1]), rel=1e-6, abs=1e-9)
+            yield field, None if special < 5 else value
+            yield f"{field}_special", SPECIALS[special] if special < 5 else None
+        else:
+            yield field, count
+            for bit, flag in (kind[1] if model.is_flags(kind) else {}).items():
+                yield f"{kind[0]}_{flag}", bool(count & bit)
+
+
+def read(folder, monkeypatch):
+    """The message motor as the recipe reads it: with pandas, and with polars."""
+    monkeypatch.chdir(folder)
+    first, second = {}, {}
+    exec(RECIPE.rsplit("\ntypes", 1)[0], first)
+    exec(RECIPE, second)
+    return first["motor"], second["motor"]
+
+
+def test_every_value(flight, monkeypatch):
+    folder, made = flight
+    by_pandas, by_polars = read(folder, monkeypatch)
+    rows = made.rows("pcapng")["motor"]
+    assert len(by_pandas) == len(by_polars) == len(rows) > 30
+    for one, other, truth in zip(by_pandas.to_dict("records"), by_polars.to_dicts(), rows, strict=True):
+        for name, value in cells_of(*truth):
+            shown = None if pd.isna(one[name]) else one[name]
+            assert (Decimal(shown) if isinstance(value, Decimal) else shown) == value, name
+            assert other[name] == value, name
+    assert [stamp.value for stamp in by_pandas.index] == [frame.at for frame, *_ in rows]
+
+
+def test_types(flight, monkeypatch):
+    by_pandas, by_polars = read(flight[0], monkeypatch)
+    kinds = {"rpm_measured": (pl.Float64, "float64"), "fault_flags": (pl.Int64, "Int64"), "id": (pl.Int64, "Int64"),
+             "fault_motor_overcurrent": (pl.Int8, "boolean"), "esc_temperature_special": (pl.String, "string"),
+             "bus": (pl.String, "string"), "timestamp": (pl.Decimal(38, 9), "string")}  # fmt: skip
+    for name, (of_polars, of_pandas) in kinds.items():
+        assert by_polars[name].dtype == of_polars, name
+        assert by_pandas[name].dtype == of_pandas, name
