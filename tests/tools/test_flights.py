@@ -8,7 +8,9 @@ import os
 import flights
 import numpy as np
 import polars as pl
+import pyarrow as pa
 import pyarrow.dataset as ds
+import pyarrow.parquet as pq
 import pytest
 import yapp_tables as yt
 from asammdf import MDF
@@ -48,6 +50,19 @@ def assert_speeds(found, truth):
         assert (row[3] is None or math.isnan(row[3])) if speed is None else abs(row[3] - speed) < 0.01
 
 
+def test_types_and_what_the_metadata_says(flight):
+    motor = yt.read(flight[0], options=flights.OPTIONS, plugin=PLUGIN)["motor"].schema
+    assert motor.names[:7] == ["time", "source_file", "bus", "frame", "source", "id", "seq"]
+    assert motor.field("time").type == pa.timestamp("ns", tz="UTC")
+    assert (motor.metadata[b"title"], motor.metadata[b"every"]) == (b"Motor Data", b"0.1")
+    types = {"rpm_measured": pa.float64(), "motor_mode": pa.uint8(), "motor_mode_text": pa.string()}
+    types |= {"fault_flags": pa.uint32(), "fault_motor_stall": pa.bool_(), "esc_temperature_special": pa.string()}
+    assert {name: motor.field(name).type for name in types} == types
+    assert motor.field("rpm_measured").metadata[b"unit"] == b"RPM"
+    assert json.loads(motor.field("motor_mode").metadata[b"values"]) == {"0": "Torque Mode", "1": "Speed Mode"}
+    assert motor.field("fault_motor_stall").metadata[b"filter"] == b"taurus.motor.fault.motor_stall"
+
+
 def test_read_has_every_value_and_every_event(flight):
     path, truth = flight
     read = yt.read(path, options=flights.OPTIONS, plugin=PLUGIN)
@@ -72,7 +87,10 @@ def test_read_has_every_value_and_every_event(flight):
 
 def test_parquet(flight):
     path, truth = flight
-    motor = ds.dataset(convert(path, "parquet") / "message=motor").to_table()
+    folder = convert(path, "parquet") / "message=motor"
+    # PlotJuggler reads no dictionary columns.
+    assert not [field for field in pq.read_schema(folder / "flight.parquet") if pa.types.is_dictionary(field.type)]
+    motor = ds.dataset(folder).to_table()
     columns = (motor[name].to_pylist() for name in ("bus", "id", "rpm_measured"))
     assert_speeds(zip(motor["time"].cast("int64").to_pylist(), *columns, strict=True), truth)
 
@@ -94,6 +112,7 @@ def test_mf4(flight):
             if message == "motor":
                 speed = mdf.get("rpm_measured", group=index, ignore_invalidation_bits=True)
                 assert speed.unit == "RPM"
+                assert set(mdf.get("motor_mode", group=index).samples) == {b"Speed Mode"}
                 times = [start + round(time * 1e9) for time in speed.timestamps]
                 found += [(time, bus, int(number, 16), value) for time, value in zip(times, speed.samples, strict=True)]
                 assert np.isnan(speed.samples).sum() == sum(

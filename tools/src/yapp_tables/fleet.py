@@ -21,7 +21,7 @@ from .watch import NOWHERE, Position
 from .whole import write_whole
 
 TRIES = 3
-SCHEDULER_SECONDS = 30
+SCHEDULER_SECONDS = 10
 LINE_SECONDS = 30
 BAR = 24
 
