@@ -41,9 +41,11 @@ local function runs_of(fields)
     local to = field.offset + field.size
     if run and (field.when ~= fields[run.last].when or to <= run.to or to - run.from >= MOST_BYTES) then run = nil end
     if is_counted(field) then
-      run = run or { from = field.offset + 1 }
-      run.last, run.to, runs[run.first or i] = i, to, run
-      run.first = run.first or i
+      if not run then
+        run = { from = field.offset + 1 }
+        runs[i] = run
+      end
+      run.last, run.to = i, to
     end
   end
   return runs
