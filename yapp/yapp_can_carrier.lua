@@ -75,7 +75,8 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   columns.src = names.source
   local length, is_told = #facts.data, self.reader.stat.wanted
   if is_told and record.message and not record.is_last then self:tell_part(names, address, facts, pinfo.rel_ts) end
-  if not (record.is_rare or wants.any) and length == facts.reported then -- most frames of a packet list
+  if not (record.is_rare or wants.yapp) and length == facts.reported then -- most frames
+    if wants.names then self.tree:bare(tree, wants) end
     local message, texts = record.message, names.texts
     columns.info = texts.size == message.size and length == 8 and texts[message.count] or
       self:part_text(names, address, record, length)

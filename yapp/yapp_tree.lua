@@ -120,9 +120,8 @@ local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
 --- What anyone wants of a tree.
 -- is_again  whether the packet was shown before
 -- returns   { yapp = whether YAPP's own items are visible, filtered or printed, taurus = whether those of messages are,
---           names = whether, without them, the names of protocols are (see bare), any = whether any is }.  In tshark
---           this does not change within a first pass, so it is asked once; in Wireshark, and on later looks of sharkd,
---           it may.
+--           names = whether, without them, the names of protocols are (see bare) }.  In tshark this does not change
+--           within a first pass, so it is asked once; in Wireshark, and on later looks of sharkd, it may.
 function Tree:wants(tree, is_again)
   local is_steady = IS_TSHARK and not is_again
   if is_steady and self.wanted then return self.wanted end
@@ -131,7 +130,6 @@ function Tree:wants(tree, is_again)
     wants = { yapp = tree:referenced(self.yapp_handle or find_handles(self)),
       taurus = tree:referenced(self.taurus_handle or find_handles(self)),
       names = not SAYS_PROTOCOLS and not self.reader.stat.wanted }
-    wants.any = wants.yapp or wants.taurus or wants.names
   end
   if is_steady then self.wanted = wants end
   return wants
