@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -39,7 +40,7 @@ ROLES = {
 }
 CRC_GOOD = "crc_good"
 # The reserved counts that are numbers; `above` and `below` the range are none.
-SPECIAL = {"nan": float("nan"), "inf": float("inf"), "-inf": float("-inf")}
+SPECIAL = ("nan", "inf", "-inf")
 # Arrow reads up to 32 blocks ahead.
 BLOCK_BYTES = 1 << 20
 
@@ -169,7 +170,7 @@ class Rows:
     def _typed(self, batch: pa.RecordBatch) -> pa.RecordBatch:
         given = dict(zip(batch.schema.names, batch.columns, strict=True))
         given["time"] = _nanoseconds(given["time"])
-        given["source_file"] = pa.repeat(pa.scalar(self.source_file), batch.num_rows)
+        given["source_file"] = _repeated(self.source_file, batch.num_rows)
         for column in self.columns:
             special = given.get(f"{column.name}_special")
             if special is not None and special.null_count < len(special):
@@ -184,9 +185,20 @@ def _nanoseconds(seconds: pa.Array) -> pa.Array:
     return pc.replace_substring(seconds, ".", "").cast(pa.int64()).cast(TIME)
 
 
+# From here to `present` no Python value becomes Arrow's by pa.scalar or pa.array: these import pandas where it is
+# installed, and that takes as long as to write a flight of half an hour.
+def _repeated(text: str, count: int) -> pa.Array:
+    """A column of strings that are all this one, which is not empty."""
+    data = text.encode()
+    offsets = array("i", range(0, (count + 1) * len(data), len(data)))
+    return pa.StringArray.from_buffers(count, pa.py_buffer(offsets), pa.py_buffer(data * count))
+
+
 def _with_special(values: pa.Array, special: pa.Array) -> pa.Array:
-    for name, number in SPECIAL.items():
-        values = pc.if_else(pc.fill_null(pc.equal(special, name), False), number, values)
+    for name in SPECIAL:
+        names = _repeated(name, 1)
+        number = names.cast(pa.float64())[0]
+        values = pc.if_else(pc.is_in(special, value_set=names), number, values)
     return values
 
 
