@@ -222,7 +222,9 @@ class Bus:
         if not message:
             verdict.experts.add("fragment.orphan")
             return
-        if not message.overrun and message.chunks and message.chunks[-1].data == frame.data:
+        # Of bytes that the capture does not have nobody can say that they are the same.
+        known = not message.overrun and not message.snapped
+        if known and message.chunks and message.chunks[-1].data == frame.kept:
             message.repeated += len(frame.data)
         message.members.append(number)
         message.chunks.append(frame)
