@@ -98,7 +98,7 @@ def test_nothing_else_lies_there():
 RUNS = [(name, passes) for name in NAMES for passes in expected.PASSES if passes != "-2 -Y" or name in MESSAGES]
 
 
-@pytest.mark.parametrize("name, passes", RUNS)
+@pytest.mark.parametrize("name, passes", levels.few(RUNS, [run for run in RUNS if run[1] != "-2 -Y"], several=True))
 def test_fields_and_info(name, passes):
     wanted, text = expected.comparison(name, passes, shown(name, passes))
     assert text == wanted
@@ -218,6 +218,7 @@ def test_command_of_the_document():
 
 # Messages of several frames --------------------------------------------------------------------------------------
 
+@levels.each_once
 @pytest.mark.parametrize("passes", expected.PASSES)
 @pytest.mark.parametrize("name", MESSAGES)
 def test_links_between_the_frames_of_a_message(name, passes):

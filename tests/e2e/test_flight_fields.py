@@ -12,10 +12,11 @@ from decimal import Decimal
 import pytest
 
 import flights
+import levels
 import model
 import tshark
 
-SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", 4)) + 1)
+SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", levels.size(3, 4))) + 1)
 EXPERTS = ["yapp.late", "taurus.reboot", "taurus.stale", "taurus.fault.raised", "taurus.fault.cleared"]
 FLAGS = [f"taurus.motor.{group}.{way}" for group in ("fault", "status", "state") for way in ("raised", "cleared")]
 LINKS = ["taurus.motor.command_in", "taurus.motor.fault.previous_change", "taurus.motor.fault.next_change"]

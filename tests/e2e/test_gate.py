@@ -7,6 +7,7 @@ import subprocess
 
 import pytest
 
+import levels
 import make
 import tshark
 from can_generator import END, START, Frame, Sent, message_crc
@@ -122,7 +123,8 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", levels.few(CASES, ["clean", "fault", "bad CRC", "lost Start", "cut at the end", "other IDs",
+                                                   "empty capture"]))
 def test_recipe(folder, name):
     data, code = CASES[name]
     returned, output, errors = gate(folder, data)
@@ -246,12 +248,15 @@ def test_what_z_says(folder, home):
     assert {"yapp,summary", "yapp,faults", "yapp,events", "yapp,csv", "yapp,check"} <= set(listed)
 
 
-@pytest.mark.parametrize("argument, text", [
+WRONG = [
     ("nonsense", "it is yapp,summary or yapp,faults"), ("summary,jsn", "jsn: the options of summary"),
     ("check", "it needs a rule"), ("check,motr.rate=1", "there is no message"),
     ("summary,filter=taurus.motor.nonsense == 1", "the filter taurus.motor.nonsense == 1 is not one"),
     ("summary,filter=(", "the filter ( is not one"), ("csv,/proc/none/x", "cannot be made"), ("csv,-,moter", "moter"),
-])
+]
+
+
+@pytest.mark.parametrize("argument, text", levels.few(WRONG, [WRONG[0], WRONG[3], WRONG[4], WRONG[6]], several=True))
 def test_wrong_arguments(folder, home, argument, text):
     returned, _, errors = z(folder, argument)
     assert returned == 21

@@ -3,8 +3,8 @@
 import shutil
 import subprocess
 
+import levels
 import pytest
-
 import tshark
 
 OWN = tshark.CAPTURES / "own_messages"
@@ -36,7 +36,7 @@ def shown(name, environment, *arguments):
     return done.stdout, errors, done.returncode
 
 
-@pytest.mark.parametrize("name", CAPTURES)
+@pytest.mark.parametrize("name", levels.few(CAPTURES, ["events.pcap", "own_messages/scaled.pcap", "candump_screen_delta.txt"]))
 def test_what_is_shown(german, name):
     """Times, the Info column, trees, expert items; and that a preference was understood."""
     arguments = ["-P", "-t", "e", "-O", "yapp,taurus"]
@@ -51,8 +51,11 @@ def test_the_german_is_one(german):
     assert subprocess.run(command, shell=True, capture_output=True, text=True, check=True).stdout == "1,0"
 
 
-@pytest.mark.parametrize("statistic", ["summary", "summary,json", "faults", "events,json", "csv,-,motor",
-                                       "check,json,motor.rate=0.5,motor.dc_voltage=-0.5..99.5"])
+STATISTICS = ["summary", "csv,-,motor", "check,json,motor.rate=0.5,motor.dc_voltage=-0.5..99.5", "summary,json", "faults",
+              "events,json"]
+
+
+@pytest.mark.parametrize("statistic", levels.few(STATISTICS, STATISTICS[:3]))
 def test_statistics(german, statistic):
     arguments = ["-q", "-z", f"yapp,{statistic}"]
     wanted = shown("events.pcap", {}, *arguments)
