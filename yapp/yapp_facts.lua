@@ -248,7 +248,8 @@ function Facts:can_frame(tvb, pinfo, highest)
   local record, number = self.record, pinfo.number
   -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
   local data = tvb:len() > 0 and tvb:raw() or ""
-  record.number, record.place, record.is_again = number, tvb:offset(), number <= highest and pinfo.visited
+  record.number, record.place = number, self.found.place or tvb:offset()
+  record.is_again = number <= highest and pinfo.visited
   record.reported, record.data = tvb:reported_len(), data
   if self.asked ~= record.is_again then -- at a pass's first frame: a later one may need them
     self.asked = record.is_again

@@ -12,8 +12,9 @@ M.LENGTH = 65536
 
 -- Link types: SocketCAN, exported PDUs, RTAC serial, DLT_USER 0 .. 15, and Linux cooked captures, whose packets have
 -- the protocol at this offset: 0x000C for CAN, 0x000D for CAN FD.
-local LINKTYPE_SLL2, LINKTYPE_RTAC = 276, 250
-local OURS = { [227] = true, [252] = true, [LINKTYPE_RTAC] = true }
+local LINKTYPE_SOCKETCAN, LINKTYPE_SLL2, LINKTYPE_RTAC = 227, 276, 250
+local SOCKETCAN_HEADER = 8 -- bytes
+local OURS = { [LINKTYPE_SOCKETCAN] = true, [252] = true, [LINKTYPE_RTAC] = true }
 for linktype = 147, 162 do OURS[linktype] = true end
 local PROTOCOL = { [113] = 14, [LINKTYPE_SLL2] = 0 }
 
@@ -41,6 +42,7 @@ end
 local function read_pcap(head, little)
   local linktype = (number(head, 21, 4, little) or 0) % 0x10000 -- above it, what is said of frame check sequences
   local found, at = { packets = #head > 40, sources = linktype == LINKTYPE_RTAC }, 25
+  found.place = linktype == LINKTYPE_SOCKETCAN and SOCKETCAN_HEADER or nil
   found.later = linktype == LINKTYPE_SLL2
   while found.later and not found.sources do
     local length = number(head, at + 8, 4, little)
@@ -161,6 +163,7 @@ end
 -- head     string
 -- returns  { sources = whether the packets have several buses, interfaces or directions that the file tells apart,
 --            later = whether what follows these bytes may have such,
+--            place = where in each packet the data of its CAN frame begins, nil where that is not the same for all,
 --            frames = whether YAPP frames may be in it: not when it has packets and none of the first has one,
 --            interfaces = { [id] = link type }, of a pcapng file; names = { [id] = the name that the file gives it },
 --              only names that can be shown (UTF-8, no control characters),
@@ -170,6 +173,7 @@ function M.read(head)
   local found = reader and reader(head) or {}
   return {
     sources = found.sources or false,
+    place = found.place,
     later = found.later ~= false and (#head == M.LENGTH or not found.packets),
     frames = not found.packets or has_header(head),
     interfaces = found.interfaces or {},

@@ -70,6 +70,8 @@ function T.test_sources()
     for i, row in ipairs(rows) do lu.assertEquals(head.read(row[1]).sources, row[2], "row " .. i) end
   end
   lu.assertTrue(head.read("LOGG....").sources)
+  lu.assertEquals(head.read(pcap(227, {}, le)).place, 8)
+  lu.assertNil(head.read(pcap(276, {}, le)).place)
 end
 
 function T.test_nanosecond_pcap()
