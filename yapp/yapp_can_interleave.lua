@@ -19,12 +19,19 @@ local MAX_WASTE = 4096  -- bytes in the pool beyond what its messages can use
 local Pool = {}
 Pool.__index = Pool
 
+-- The table of a message may have served a longer one before (yapp_can_reassembly): what it still has of that goes, as
+-- the looks of a message that changes hands are sorted.
+local function trim(message)
+  for i = #message, message.count + 1, -1 do message[i] = nil end
+end
+
 --- A pool for one key.
 -- reassembly  gives seed, misfit, finish, spend, what is kept of frames, and the modules can_id and crc
 -- first       the message that is open, with the looks and chunks of its frames
 function M.new(reassembly, first)
   local self = setmetatable({ reassembly = reassembly, messages = { first }, frames = {} }, Pool)
   first.from = 1
+  trim(first)
   for i = 1, first.parts do
     local data = first.chunks[i]
     self.frames[i] = { look = first[i + 1], data = data, length = #data }
@@ -84,6 +91,7 @@ end
 --- The message that a Start opens.
 function Pool:add(message)
   message.from = #self.frames + 1
+  trim(message)
   self.messages[#self.messages + 1] = message
 end
 

@@ -52,6 +52,31 @@ function T.test_both_are_kept_for_a_later_look()
   lu.assertNotEquals(state.kept:entry(9).payload, state.kept:entry(10).payload)
 end
 
+-- The table of a message that came out good serves the next one: of a longer message before nothing is left in it.
+function T.test_frames_change_hands_behind_a_longer_message()
+  local state, look = bus.reassembler(), 0
+  local function send(ctrl, data)
+    look = look + 1
+    bus.frame(state, { bus.can_id(0x123, ctrl, 0, 0), look = look, data = data })
+  end
+  local function start(payload) send(1, bus.start(0x123, 0, 0, payload)) end
+  local function frames_of(number)
+    local message, looks = state.kept:entry(number), {}
+    for i = 1, message.count do looks[i] = message[i] end
+    return looks
+  end
+  local long, same = ("longlong"):rep(8), "theirsss"
+  start(long)
+  for _ = 1, 7 do send(2, "longlong") end
+  send(3, "longlong") -- 9
+  start(same .. "of one  " .. "its end ")
+  start(same .. "of two  " .. "the end ")
+  for _, data in ipairs { same, "of two  ", same, "of one  " } do send(2, data) end
+  send(3, "its end ") -- with the first of the same frames, which only the other can have
+  send(3, "the end ")
+  lu.assertEquals({ frames_of(10), frames_of(11) }, { { 10, 14, 15, 16 }, { 11, 12, 13, 17 } })
+end
+
 function T.test_the_capture_says_the_bus()
   check({
     { "aS32 aM8 aS32 aM8 aM8 aE8 aM8 aM8 aM8 aE8",
