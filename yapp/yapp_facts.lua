@@ -33,7 +33,8 @@ function M.watch(head, candump)
   local self = setmetatable({ found = head.read(""), candump = candump, record = {} }, Facts)
   -- A reader that never reads: the only place where the API shows a file.
   local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the first bytes", "rms")
-  function handler.read_open(file)
+  -- COMPAT 4.4: all arguments are named.  One that is not may be collected before Wireshark writes to it, after this.
+  function handler.read_open(file, _capture)
     self.found = head.read(file:read(head.LENGTH) or "")
     return false
   end

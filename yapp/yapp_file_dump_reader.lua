@@ -47,7 +47,8 @@ local function name_reader()
   local shown, refused
   local handler = FileHandler.new("YAPP (tells other files from .yapp)", "yapp_name", "Takes no file", "r")
 
-  function handler.read_open(file)
+  -- COMPAT 4.4: all arguments are named.  One that is not may be collected before Wireshark writes to it, after this.
+  function handler.read_open(file, _capture)
     local head = read_head(file)
     if head ~= refused then shown = head end
     refused = nil
