@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Input that is meant to harm: sizes and lengths at their ends, preferences, candump lines, catalogues.  Time and memory
 stay bounded, the words say what is wrong and where, and what is good is still decoded."""
+import pathlib
 import resource
 import struct
 
@@ -335,3 +336,14 @@ def test_as_many_messages_as_there_are_ids(folder):
                       "taurus.m529.f", "-e", "_ws.lua.error", limits=limits, **options)
     assert done.stdout == "42\t\t\t\n\t43\t\t\n\t\t44\t\n"
     assert "yapp: " not in done.stderr
+
+
+# Wireshark's own memory ----------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("name", ["document_motor.pcap", "two_interfaces.pcapng", "dump_document.yapp", "candump_log_two_buses.log",
+                                  "other/motor.asc"])
+def test_a_collector_that_is_always_at_work(name):
+    """Wireshark 4.4 writes to the arguments of a reader's function after it has returned: if one was collected meanwhile, into
+    memory of others, and ends."""
+    script = pathlib.Path(__file__).with_name("collect.lua")
+    assert tshark.run("-X", f"lua_script:{script}", "-r", tshark.CAPTURES / name, "-T", "fields", "-e", "yapp.id").stdout.strip()
