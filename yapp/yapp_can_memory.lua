@@ -272,7 +272,7 @@ end
 -- returns  a change, or nil; its frames are numbers of frames
 function Memory:change(message, record)
   local pass, look = record.pass, record.look
-  if not pass then return nil end
+  if not look then return nil end -- is_late: no history has it
   local history, change = pass.history
   message.number = look
   if record.is_now then
@@ -294,7 +294,7 @@ end
 
 --- Notes that a message has a fault flag set, for later looks at its other frames.
 function Memory.note_fault(_, record)
-  if record.pass then record.pass.faulty[record.look] = true end
+  if record.look then record.pass.faulty[record.look] = true end
 end
 
 --- The messages of the pass that was made last that never ended.

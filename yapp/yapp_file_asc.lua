@@ -8,7 +8,7 @@
 --    0.002000 CANFD   1 Rx   840C000x                          1 0 d 32 FD 7F ...
 local M = {}
 
-local HEAD, BLOCK, LONGEST = 4096, 65536, 4096
+local HEAD, BLOCK, LONGEST = 4096, 65536, 1024 -- bytes; 64 bytes of data in decimal, and all that may stand around
 local EXTENDED, REMOTE, ERROR, BUS_ERROR = 0x80000000, 0x40000000, 0x20000000, 0x80
 local FDF, BRS, ESI = 4, 1, 2 -- of a SocketCAN frame
 local MOST_STARTS = 1000 -- times at which a log began anew
@@ -46,6 +46,14 @@ local function read_stamp(text)
   local whole, fraction = text:match("^(%d+)%.?(%d*)$")
   if not whole or #whole > 7 then return nil end -- 115 days
   return tonumber(whole) * NANO + tonumber((fraction .. "000000000"):sub(1, 9))
+end
+
+-- The time in front of a line, and what is behind it; nil for a line without.  (Of a pattern that goes on behind the
+-- digits, a thousand digits would be tried a thousand times over.)
+local function stamp_of(line)
+  local text, rest = line:match("^%s*(%d*%.?%d*)()")
+  local stamp = line:find("^%s", rest) and read_stamp(text)
+  if stamp then return stamp, line:match("^%s*(.*)$", rest) end
 end
 
 -- A line --------------------------------------------------------------------------------------------------------------
@@ -109,8 +117,7 @@ end
 -- @return a record { stamp = ns, number = channel, id = with SocketCAN's flags, fd, sent, length, flags, raw_dlc = 0,
 --   data }, or nil for a line that is no frame
 function M.parse(line, base)
-  local stamp, rest = line:match("^%s*(%d+%.?%d*)%s+(.*)$")
-  stamp = stamp and read_stamp(stamp)
+  local stamp, rest = stamp_of(line)
   if not stamp then return nil end
   local record = { stamp = stamp, raw_dlc = 0 }
   local channel, id, direction, behind = rest:match("^(%d+)%s+(%x+x?)%s+([RT]x)%s+(.*)$")
@@ -124,8 +131,8 @@ function M.parse(line, base)
     record.number, record.sent = tonumber(channel), direction == "Tx" or nil
     return record.id and record.number <= 0xFFFF and read(record, behind, base) or nil
   end
-  channel = rest:match("^(%d+)%s+ErrorFrame") or rest:match("^CANFD%s+(%d+)%s+%S*%s*ErrorFrame")
-  record.number = tonumber(channel)
+  channel, behind = rest:gsub("^CANFD%s+", ""):match("^(%d+)%s+(.*)$")
+  record.number = channel and (behind:find("^ErrorFrame") or behind:find("^[RT]x%s+ErrorFrame")) and tonumber(channel)
   if not record.number or record.number > 0xFFFF then return nil end
   record.id, record.length, record.flags, record.data = ERROR + BUS_ERROR, 8, 0, ("\0"):rep(8)
   return record
@@ -145,7 +152,17 @@ function M.open(file)
     text = head, from = 0, at = 1, starts = {}, clocks = {} }
 end
 
--- The next line and its offset in the file; nil at the end.  A line that is too long comes in pieces.
+-- Goes on behind a line that is longer than any frame's.
+local function skip_line(log, file)
+  local stop
+  repeat
+    log.from, log.text, log.at = log.from + #log.text, file:read(BLOCK) or "", 1
+    stop = log.text:find("\n", 1, true)
+  until stop or log.text == ""
+  log.at = (stop or 0) + 1
+end
+
+-- The next line and its offset in the file; nil at the end, "" for one that is too long.
 local function next_line(log, file)
   local stop = log.text:find("\n", log.at, true)
   while not stop and #log.text - log.at < LONGEST do
@@ -155,9 +172,13 @@ local function next_line(log, file)
     stop = log.text:find("\n", 1, true)
   end
   if log.at > #log.text then return nil end
-  stop = math.min(stop or #log.text, log.at + LONGEST)
-  local line, offset = log.text:sub(log.at, stop), log.from + log.at - 1
-  log.at = stop + 1
+  local offset = log.from + log.at - 1
+  if (stop or #log.text) - log.at > LONGEST then
+    if stop then log.at = stop + 1 else skip_line(log, file) end
+    return "", offset
+  end
+  local line = log.text:sub(log.at, stop or #log.text)
+  log.at = (stop or #log.text) + 1
   return line, offset
 end
 
@@ -191,7 +212,7 @@ function M.read(log, file)
   while true do
     local line, offset = next_line(log, file)
     if not line then return nil end
-    local stamp = read_stamp(line:match("^%s*(%d+%.?%d*)%s") or "")
+    local stamp = stamp_of(line)
     if stamp and log.trigger then begin(log, offset, stamp) end
     if stamp and log.is_relative then log.clock = log.clock + stamp end
     local record = M.parse(line, log.base)

@@ -100,6 +100,23 @@ function T.test_a_frame_that_never_came()
 end
 
 -- A packet of IEEE 1722 has several CAN frames.
+-- It may be a whole message of a source that has a history: it changes nothing there.
+function T.test_a_message_that_no_pass_had()
+  local known, record = new(), {}
+  local function change(number, seq, again)
+    local id, data = frame_of("C", {})
+    record = known:look(can_id.address(id), { number = number, place = 8, is_again = again, data = data,
+      reported = #data, informed = true, wide = true }, record)
+    return known:change({ source = 1, id = 0, seq = seq, good = true, time = number, payload = data }, record)
+  end
+  change(2, 1, false)
+  lu.assertEquals(change(3, 5, false), { delta = 1, missing = 3 })
+  lu.assertNil(change(1, 0, true))
+  lu.assertTrue(record.is_late)
+  known:note_fault(record)
+  lu.assertEquals(change(3, 5, true), { delta = 1, missing = 3 })
+end
+
 function T.test_several_frames_in_a_packet()
   local rows = {}
   for i, row in ipairs(WHOLE) do rows[i] = { i < 4 and 1 or 2, row[2], { place = 30 * i } } end

@@ -114,6 +114,11 @@ function T.test_long_lines_and_many_blocks()
   for i = 1, 5000 do text[i] = ("%d.000000 1 8404000x Rx d 8 BB BE 6F C7 20 00 00 00"):format(i) end
   lu.assertEquals(#frames(HEAD .. table.concat(text, "\r\n")), 5000)
   lu.assertEquals(#frames(HEAD .. ("x"):rep(300000) .. "\n0.5 1 123 Rx d 0\n"), 1)
+  for _, length in ipairs { 1000, 1024, 1025, 4097, 70000 } do -- no part of a long line is a frame
+    local long = "//" .. ("x"):rep(length - 2) .. " 0.4 1 123 Rx d 0\n"
+    lu.assertEquals(#frames(HEAD .. long .. "0.5 1 123 Rx d 0\n" .. long), 1, length)
+  end
+  lu.assertEquals(#frames(HEAD .. ("9"):rep(2000000) .. "\n0.5 1 123 Rx d 0\n"), 1)
   lu.assertTrue(#frames(HEAD .. ("Begin Triggerblock Tue Nov 14 22:13:20 2023\n0.1 1 123 Rx d 0\n"):rep(3000)) == 3000)
 end
 
