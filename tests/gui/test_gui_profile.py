@@ -68,7 +68,7 @@ def test_graphs(capture):
 def test_it_is_switched_to(capture):
     with gui.Wireshark("-r", capture, profile=PROFILE) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
-        wait_for_words(wireshark, ["Profile: YAPP"])
+        wait_for_words(wireshark, ["Profile: YAPP"], f"300x30+{gui.WIDTH - 300}+{gui.HEIGHT - 30}")
         time.sleep(1)
         assert len(wireshark.windows()) == 1
 
