@@ -74,7 +74,7 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   columns.protocol = "YAPP"
   columns.src = names.source
   local length, is_told = #facts.data, self.reader.stat.wanted
-  if is_told and record.message and not record.is_last then self:tell_part(names, address, facts, pinfo) end
+  if is_told and record.message and not record.is_last then self:tell_part(names, address, facts, pinfo.rel_ts) end
   if not (record.is_rare or wants.yapp) and length == facts.reported then -- most frames
     if wants.names then self.tree:bare(tree, wants) end
     local message, texts = record.message, names.texts
@@ -135,22 +135,17 @@ function Carrier:show(view)
   return info
 end
 
--- Whether Wireshark has shown the packet before, exactly where a statistic has to know: a first pass that had no ids is
--- none for the memory.
-local function visited(self, facts, pinfo)
-  return facts.is_again or self.reader.stat.wanted and pinfo.visited
-end
-
 -- Statistics are told of what is lost.
 function Carrier:tell_faults(view)
   local facts, address = view.facts, view.address
   self.reader.tell:faults({ id = address.id, seq = address.seq, source = key_of(facts.bus, address.id),
     bus = facts.bus, bus_name = view.names.bus, frame = facts.number, time = view.pinfo.rel_ts,
-    visited = visited(self, facts, view.pinfo), is_end = address.ctrl == self.parts.can_id.END }, view.record.faults)
+    visited = facts.is_again, is_end = address.ctrl == self.parts.can_id.END }, view.record.faults)
 end
 
 -- And, for the messages that the capture ends before, of parts: of a message's in one record, told once.
-function Carrier:tell_part(names, address, facts, pinfo)
+-- time  seconds since the first packet
+function Carrier:tell_part(names, address, facts, time)
   local part = names.parts[address.seq]
   if not part then
     part = { id = address.id, seq = address.seq, source = key_of(facts.bus, address.id), bus = facts.bus,
@@ -158,7 +153,7 @@ function Carrier:tell_part(names, address, facts, pinfo)
     names.parts[address.seq] = part
     self.reader.tell:part(part)
   end
-  part.frame, part.time, part.visited = facts.number, pinfo.rel_ts, visited(self, facts, pinfo)
+  part.frame, part.time, part.visited = facts.number, time, facts.is_again
 end
 
 --- The messages that the capture ends before.
@@ -198,8 +193,7 @@ local function finished(self, view, payload, size)
   m.tree, m.item, m.wanted, m.tvb, m.at = view.tree, view.item, view.wanted, nil, 0
   m.id, m.seq, m.ctl, m.payload, m.size = address.id, address.seq, address.ctl, payload, size
   m.source, m.bus, m.bus_name, m.name = key_of(facts.bus, address.id), facts.bus, names.bus, names.name
-  m.frame, m.time, m.is_whole = facts.number, view.pinfo.rel_ts, true
-  m.visited = visited(self, facts, view.pinfo)
+  m.frame, m.time, m.visited, m.is_whole = facts.number, view.pinfo.rel_ts, facts.is_again, true
   m.is_brief = not (view.wanted or view.wants.taurus or self.reader.stat.wanted)
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   return m

@@ -179,8 +179,7 @@ end
 
 -- Statistics are told of the frames that the capture ends before, and when their last bytes came.
 local function note_latest(self, pinfo, fact, bus_key, bus_name)
-  self.latest[fact.stream] = { frame = fact.number, time = pinfo.rel_ts, bus = bus_key, bus_name = bus_name,
-    visited = fact.visited }
+  self.latest[fact.stream] = { frame = fact.number, time = pinfo.rel_ts, bus = bus_key, bus_name = bus_name }
 end
 
 --- The messages that the capture ends before, for the statistics.

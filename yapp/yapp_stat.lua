@@ -105,7 +105,7 @@ local function tap_packets(feed)
       clock.tap:remove()
       clock = nil
     end
-    feed:packet(pinfo.number, pinfo.rel_ts, pinfo.visited)
+    feed:packet(pinfo.number, pinfo.rel_ts)
   end
   function tap.reset() feed:reset() end
   return tap

@@ -120,19 +120,18 @@ local function flush(self)
 end
 
 --- A packet of any kind has been dissected.
--- number, rel, visited  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a packet
---                       that the first pass rejected is another packet's in the second
-function Feed:packet(number, rel, visited)
+-- number, rel  of the packet; rel = seconds since the first one
+function Feed:packet(number, rel)
   if self.waiting_count > 0 then flush(self) end
-  self.last_rel, self.is_again = rel, visited
-  if self.number == number and self.visited == visited then
+  self.last_rel = rel
+  if self.number == number then
     self.waiting, self.queue, self.waiting_count, self.queued = self.queue, self.waiting, self.queued, 0
     self.number = nil
   end
 end
 
 --- All packets have come.
--- unfinished  records of messages that the capture ends before, with the visited of their last frames
+-- unfinished  records of messages that the capture ends before
 -- returns     the exit code (0, 20 or 21: what did not hold before what could not be told), and a list of texts
 function Feed:finish(unfinished)
   flush(self)
@@ -140,9 +139,7 @@ function Feed:finish(unfinished)
   for _, record in ipairs(self.doubtful) do
     if not record.fault.void then hand_on(self, record) end
   end
-  for _, record in ipairs(unfinished) do
-    if record.visited == self.is_again then hand_on(self, record) end -- else a read filter rejected it
-  end
+  for _, record in ipairs(unfinished) do hand_on(self, record) end
   local code, texts = 0, {}
   for _, entry in ipairs(self.statistics) do
     local this, text = entry.statistic:finish(last)

@@ -80,7 +80,7 @@ function Tell:unfinished(messages)
     local part = source and source.last and source.last[message.seq]
     if part and part.frame == message.frame then
       local record = record_of(source, part)
-      record.lost, record.visited, records[#records + 1] = "unfinished", part.visited, record
+      record.lost, records[#records + 1] = "unfinished", record
     end
   end
   table.sort(records, function(a, b) return a.frame < b.frame end)

@@ -241,14 +241,6 @@ def test_malformed_frames_of_known_ids(arguments, layout, passes, folder):
     assert bool(rows[11][1]) and bool(rows[12][2])
 
 
-@pytest.mark.parametrize("first", [Frame(0, COMMAND), Sent(0x210, 0, 0, MOTOR).frames()[0]], ids=["message", "Start"])
-def test_a_statistic_counts_nothing_that_a_read_filter_rejects(first, folder):
-    """The next packet has its number."""
-    path = written(folder, [first, Frame(0x123, bytes(8), kind="standard")])
-    done = tshark.run("-2", "-R", "!yapp", "-q", "-r", path, "-z", "yapp,summary")
-    assert done.stdout.startswith("YAPP summary: 0 sources"), done.stdout
-
-
 def acf_can(frames):
     """IEEE 1722: several CAN frames in one Ethernet packet, NTSCF with ACF-CAN messages."""
     messages = b""

@@ -28,15 +28,14 @@ end
 function T.test_messages_in_the_order_of_the_capture()
   local feed, one = feed_of.new(), notes()
   feed:add(one, false)
-  feed:packet(1, 0, false)
+  feed:packet(1, 0)
   offer(feed, 2, "a")
   offer(feed, 2, "b")
-  feed:packet(2, 1, false)
+  feed:packet(2, 1)
   offer(feed, 3, "c")
-  feed:packet(3, 2, false)
-  feed:packet(4, 9, false)
-  local d = { frame = 3, source = SOURCE, name = "d", visited = false, lost = "unfinished" }
-  lu.assertEquals({ feed:finish { d } }, { 0, {} })
+  feed:packet(3, 2)
+  feed:packet(4, 9)
+  lu.assertEquals({ feed:finish { { frame = 3, source = SOURCE, name = "d", lost = "unfinished" } } }, { 0, {} })
   lu.assertEquals({ one.got, one.last }, { { "a", "b", "c", "d" }, 9 })
 end
 
@@ -55,7 +54,7 @@ function T.test_the_first_of_two_passes_does_not_count()
     for frame = 1, count do offer(feed, frame, "first", {}, false) end
     for frame = 1, count do
       offer(feed, frame, "second", {}, true)
-      feed:packet(frame, frame, true)
+      feed:packet(frame, frame)
       expected[frame] = "second"
     end
     feed:finish {}
@@ -69,21 +68,10 @@ function T.test_packets_that_no_tap_sees()
   feed:add(one, false)
   offer(feed, 5, "rejected")
   offer(feed, 6, "a")
-  feed:packet(6, 1, false)
+  feed:packet(6, 1)
   offer(feed, 7, "rejected")
-  feed:packet(8, 1, false)
+  feed:packet(8, 1)
   feed:finish {}
-  lu.assertEquals(one.got, { "a" })
-end
-
--- tshark -2 -R: the number of a rejected packet is another's in the second pass.
-function T.test_what_a_read_filter_rejects()
-  local feed, one = feed_of.new(), notes()
-  feed:add(one, false)
-  offer(feed, 1, "rejected")
-  feed:packet(1, 0, true)
-  feed:finish { { frame = 1, source = SOURCE, name = "rejected", lost = "unfinished", visited = false },
-    { frame = 1, source = SOURCE, name = "a", lost = "unfinished", visited = true } }
   lu.assertEquals(one.got, { "a" })
 end
 
@@ -93,7 +81,7 @@ function T.test_all_packets_come_again()
   offer(feed, 1, "clicked on", {}, true)
   feed:reset()
   offer(feed, 1, "a", {}, true)
-  feed:packet(1, 0, true)
+  feed:packet(1, 0)
   feed:finish {}
   lu.assertEquals(one.got, { "a" })
 end
@@ -107,15 +95,14 @@ function T.test_filters()
   for frame = 30, 70 do
     offer(feed, frame, tostring(frame))
     if frame % 2 == 0 then feed:matched(entry, frame) end
-    feed:packet(frame, frame, false)
+    feed:packet(frame, frame)
     if frame % 3 == 0 then
       feed:matched(entry, frame)
       feed:matched(entry, frame)
     end
     if frame == 64 then feed:matched(another, frame) end
   end
-  feed:finish { { frame = 33, source = SOURCE, name = "33 too", visited = false },
-    { frame = 31, source = SOURCE, name = "31 too", visited = false } }
+  feed:finish { { frame = 33, source = SOURCE, name = "33 too" }, { frame = 31, source = SOURCE, name = "31 too" } }
   local expected = {}
   for frame = 30, 70 do
     if frame % 2 == 0 or frame % 3 == 0 then expected[#expected + 1] = tostring(frame) end
@@ -136,12 +123,12 @@ function T.test_orphans_of_one_message()
     local more = { lost = "orphan", good = false }
     for key, value in pairs(with or {}) do more[key] = value end
     offer(feed, frame, name, more)
-    feed:packet(frame, frame, false)
+    feed:packet(frame, frame)
   end
   local function message(name)
     frame = frame + 1
     offer(feed, frame, name)
-    feed:packet(frame, frame, false)
+    feed:packet(frame, frame)
   end
   orphan("a1")
   orphan("a2")

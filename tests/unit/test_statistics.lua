@@ -68,9 +68,9 @@ local function run(arguments, records, with)
   feed:begins(1700000000, 5, 0)
   for _, one in ipairs(records) do
     feed:offer(one, false)
-    feed:packet(one.frame, one.rel, false)
+    feed:packet(one.frame, one.rel)
   end
-  if with.last then feed:packet(9999, with.last, false) end
+  if with.last then feed:packet(9999, with.last) end
   local code, texts = feed:finish(with.unfinished or {})
   return table.concat(printed), code, texts
 end
@@ -157,7 +157,7 @@ function T.test_events_are_in_the_order_of_time()
     record(3, 2, { change = { late = 2, reboot = true } }), record(4, 2.1, { is_bad = true }),
     record(5, 2.2, { lost = "orphan" }), record(6, 2.25, { change = { stale = true } }),
     record(7, 2.3, { lost = "incomplete", source = RIGHT }) },
-    { last = 2.4, unfinished = { record(7, 2.35, { lost = "unfinished", visited = false }) } })
+    { last = 2.4, unfinished = { record(7, 2.35, { lost = "unfinished" }) } })
   lu.assertEquals(kinds(printed), { "silence 00.000000005 1 2.000000000", "silence 01.000000005 2 1.400000000",
     "reboot 02.000000005 3 ", "crc 02.100000005 4 ", "incomplete 02.200000005 5 orphan", "stale 02.250000005 6 ",
     "incomplete 02.300000005 7 incomplete", "unfinished 02.350000005 7 " })
