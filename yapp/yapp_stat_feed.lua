@@ -120,11 +120,12 @@ local function flush(self)
 end
 
 --- A packet of any kind has been dissected.
--- number, rel  of the packet; rel = seconds since the first one
+-- number, rel  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a packet that the
+--              first pass rejected is another packet's in the second, which has another time
 function Feed:packet(number, rel)
   if self.waiting_count > 0 then flush(self) end
   self.last_rel = rel
-  if self.number == number then
+  if self.number == number and self.queue[self.queued].rel == rel then
     self.waiting, self.queue, self.waiting_count, self.queued = self.queue, self.waiting, self.queued, 0
     self.number = nil
   end

@@ -241,6 +241,14 @@ def test_malformed_frames_of_known_ids(arguments, layout, passes, folder):
     assert bool(rows[11][1]) and bool(rows[12][2])
 
 
+def test_a_statistic_counts_nothing_that_a_read_filter_rejects(folder):
+    """The next packet has its number."""
+    path = written(folder, [Frame(0, COMMAND), Frame(0x123, bytes(8), kind="standard")])
+    for options, count in [((), 1), (("-2",), 1), (("-2", "-R", "yapp"), 1), (("-2", "-R", "!yapp"), 0)]:
+        done = tshark.run(*options, "-q", "-r", path, "-z", "yapp,summary")
+        assert done.stdout.startswith(f"YAPP summary: {count} source"), (options, done.stdout)
+
+
 def acf_can(frames):
     """IEEE 1722: several CAN frames in one Ethernet packet, NTSCF with ACF-CAN messages."""
     messages = b""

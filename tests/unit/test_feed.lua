@@ -28,12 +28,12 @@ end
 function T.test_messages_in_the_order_of_the_capture()
   local feed, one = feed_of.new(), notes()
   feed:add(one, false)
-  feed:packet(1, 0)
+  feed:packet(1, 1)
   offer(feed, 2, "a")
   offer(feed, 2, "b")
-  feed:packet(2, 1)
+  feed:packet(2, 2)
   offer(feed, 3, "c")
-  feed:packet(3, 2)
+  feed:packet(3, 3)
   feed:packet(4, 9)
   lu.assertEquals({ feed:finish { { frame = 3, source = SOURCE, name = "d", lost = "unfinished" } } }, { 0, {} })
   lu.assertEquals({ one.got, one.last }, { { "a", "b", "c", "d" }, 9 })
@@ -68,11 +68,21 @@ function T.test_packets_that_no_tap_sees()
   feed:add(one, false)
   offer(feed, 5, "rejected")
   offer(feed, 6, "a")
-  feed:packet(6, 1)
+  feed:packet(6, 6)
   offer(feed, 7, "rejected")
-  feed:packet(8, 1)
+  feed:packet(8, 8)
   feed:finish {}
   lu.assertEquals(one.got, { "a" })
+end
+
+-- tshark -2 -R: the number of a rejected packet is another's in the second pass.
+function T.test_the_number_of_a_rejected_packet()
+  local feed, one = feed_of.new(), notes()
+  feed:add(one, false)
+  offer(feed, 1, "rejected")
+  feed:packet(1, 1.5)
+  feed:finish {}
+  lu.assertEquals(one.got, {})
 end
 
 function T.test_all_packets_come_again()
@@ -81,7 +91,7 @@ function T.test_all_packets_come_again()
   offer(feed, 1, "clicked on", {}, true)
   feed:reset()
   offer(feed, 1, "a", {}, true)
-  feed:packet(1, 0)
+  feed:packet(1, 1)
   feed:finish {}
   lu.assertEquals(one.got, { "a" })
 end
