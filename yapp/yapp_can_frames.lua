@@ -8,19 +8,22 @@ local M = {}
 local byte, char, sub = string.byte, string.char, string.sub
 local unpack = rawget(table, "unpack")
 
-local MAX_DISTANCE, MAX_COUNT = 255, 64 -- what fits the small form of a good message
+local MAX_COUNT = 64 -- of frames, in the small form of a good message
 local PACKED = 9 -- bytes of it besides distances and payload: count, key, CRC
+local ALONE, LAST, MAX_DISTANCE -- of yapp_can_archive; set in M.new
 
 local Frames = {}
 Frames.__index = Frames
 
 --- Nothing is known yet.
--- can_id   the module
--- It has entries, by look: a message; the look of the last frame of a good message; in that last frame the message as
--- a string; or, for a frame that belongs to no message, a number below 0.  And faults, by look: a list of
--- { expert =, text =, void = nil or true once it is taken back }.  And has_fractions: whether any look may have one.
-function M.new(can_id)
-  return setmetatable({ can_id = can_id, entries = {}, faults = {}, distances = {} }, Frames)
+-- parts    the modules { can_id =, can_archive = }
+-- It has entries, by look: a message whose table is kept; all else is in its archive, which is asked second.  And
+-- faults, by look: a list of { expert =, text =, void = nil or true once it is taken back }.  And has_fractions:
+-- whether any look may have one.
+function M.new(parts)
+  ALONE, LAST, MAX_DISTANCE = parts.can_archive.ALONE, parts.can_archive.LAST, parts.can_archive.MAX_DISTANCE
+  return setmetatable({ can_id = parts.can_id, archive = parts.can_archive.new(), entries = {}, faults = {},
+    distances = {} }, Frames)
 end
 
 --- Says that something is wrong at a frame; of a message that may still come out good, where it is given.
@@ -56,7 +59,9 @@ end
 --- A frame that belongs to no message.
 -- can_id  its 29-bit id: CAN CTRL says what it is
 function Frames:alone(look, can_id)
-  self.entries[look] = -1 - can_id
+  local archive = self.archive
+  archive.codes[look], archive.extras[look] = ALONE, can_id
+  if look >= archive.due then archive:pack(look) end
 end
 
 --- A Middle or End whose message is not known.
@@ -108,16 +113,19 @@ function Frames:good(message)
     forgive(self, message)
     return false
   end
-  local count, last, entries, distances = message.count, message.last, self.entries, self.distances
+  local count, last, entries, distances, archive = message.count, message.last, self.entries, self.distances, self.archive
   if message.reserved or message.padding or message.duplicates or count > MAX_COUNT or
     last - message[1] > MAX_DISTANCE or self.has_fractions and has_fractions(message) then return false end
+  local codes = archive.codes
   for i = 1, count do
     local look = message[i]
-    distances[i], entries[look] = last - look, last
+    local distance = last - look
+    distances[i], codes[look], entries[look] = distance, distance, nil
   end
   -- Count, distances, key, and the CRC as the Start has it.
-  entries[last] = char(count, unpack(distances, 1, count)) .. message.address.key_bytes .. sub(message.sent, 1, 4) ..
-    message.payload
+  codes[last], archive.extras[last] = LAST, char(count, unpack(distances, 1, count)) .. message.address.key_bytes ..
+    sub(message.sent, 1, 4) .. message.payload
+  if last >= archive.due then archive:pack(last) end
   return true
 end
 
@@ -137,21 +145,18 @@ end
 --- What a frame is.
 -- returns  its message; or nil and the CAN id of a frame that belongs to none; or nothing for one that is not YAPP's
 function Frames:entry(look)
-  local entry = self.entries[look]
-  if type(entry) == "number" then
-    if entry < 0 then return nil, -1 - entry end
-    look, entry = entry, self.entries[entry]
-  end
-  if type(entry) == "string" then return take_out(entry, look, self.can_id) end
-  return entry
+  local message = self.entries[look]
+  if message then return message end
+  local code, extra = self.archive:get(look)
+  if code == ALONE then return nil, extra end
+  if not code then return nil end
+  if code < ALONE then return self:entry(look + code) end
+  return take_out(extra, look, self.can_id)
 end
 
---- The last frame of a frame's message, for little: nil where it has not ended or the frame belongs to none.
-function Frames:last_of(look)
-  local entry = self.entries[look]
-  if type(entry) == "number" then return entry >= 0 and entry or nil end
-  if type(entry) == "string" then return look end
-  return entry and entry.last
+--- Whether anything is known of a look.
+function Frames:has(look)
+  return self.entries[look] ~= nil or self.archive:get(look) ~= nil
 end
 
 return M

@@ -22,11 +22,10 @@ Pass.__index = Pass
 local function new_pass(memory)
   local reassembly = memory.parts.can_reassembly.new(memory.parts, memory.size_of)
   return setmetatable({
-    reassembly = reassembly, kept = reassembly.kept, history = memory.new_history(),
+    reassembly = reassembly, kept = reassembly.kept, archive = reassembly.kept.archive, history = memory.new_history(),
     highest = 0, latest = 0, -- number, and look, of the newest frame
     repeats = {},            -- [number] = { [place] = look }, where a number came more than once
     odd = {},                -- [number] = place, where it is not the usual one
-    deltas = {}, faulty = {}, -- by look
   }, Pass)
 end
 
@@ -40,7 +39,7 @@ local function next_look(pass, number, place)
     pass.highest, pass.latest, pass.place = number, number, place
     return number
   end
-  if place == pass.place and pass.kept.entries[pass.latest] == nil then return pass.latest end -- it was left to others
+  if place == pass.place and not pass.kept:has(pass.latest) then return pass.latest end -- it was left to others
   local places = pass.repeats[number] or { [pass.place] = pass.latest }
   if place <= pass.place then -- another packet: a read filter rejected the one before
     pass.is_filtered, places = true, {}
@@ -56,6 +55,7 @@ local function find_look(pass, number, place, key)
   local places, look = pass.repeats[number], number
   if places then
     look = places[place]
+    if not look then return nil end
   elseif (pass.odd[number] or pass.usual) ~= place then
     return nil
   end
@@ -88,7 +88,8 @@ local Memory = {}
 Memory.__index = Memory
 
 --- The memory of one capture file.
--- parts     the modules { can_id =, crc =, can_frames =, can_reassembly =, can_interleave =, can_repeated = }
+-- parts     the modules { can_id =, crc =, can_frames =, can_archive =, can_reassembly =, can_interleave =,
+--           can_repeated = }
 -- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown one;
 --             new_history = function() -> a yapp_history, one for each pass;
 --             has_buses = whether the file is known to have several buses }
@@ -122,7 +123,7 @@ end
 local function follows(self, number)
   local first = self.first
   for before = self.reached + 1, number - 1 do
-    if first.repeats[before] or first.kept.entries[before] ~= nil then return false end
+    if first.repeats[before] or first.kept:has(before) then return false end
     self.reached = before
   end
   return true
@@ -180,13 +181,13 @@ local function link(self, record, message)
     if is_sure then
       message, pass = same, self.first
     else
-      record.has_fault = same and self.first.faulty[same.last] -- kept rather than lost
+      record.has_fault = same and self.first.archive:is_faulty(same.last) -- kept rather than lost
       has_ended = not record.is_now and pass.highest >= self.first.highest
     end
   end
   local last = message.last
   if last then
-    record.leads_to, record.has_fault = number_of(pass, last), pass.faulty[last]
+    record.leads_to, record.has_fault = number_of(pass, last), pass.archive:is_faulty(last)
   elseif has_ended and not message.status then
     record.is_unfinished = floor(message[message.count]) == floor(record.look)
   end
@@ -278,12 +279,12 @@ function Memory:change(message, record)
   if record.is_now then
     local delta
     change, delta = history:note(message)
-    pass.deltas[look] = delta
+    pass.archive.deltas[look] = delta
     if not change then return nil end
     -- What is still to come the second pass has from the first, if that did not mix buses.
     if pass == self.second and not self.is_mixed then history = self.first.history end
   else
-    message.delta = pass.deltas[look]
+    message.delta = pass.archive:delta(look)
     change = history:change(message)
   end
   if change and (change.is_alarm or change.active_since) then
@@ -294,7 +295,8 @@ end
 
 --- Notes that a message has a fault flag set, for later looks at its other frames.
 function Memory.note_fault(_, record)
-  if record.look then record.pass.faulty[record.look] = true end
+  local look, archive = record.look, record.pass.archive
+  if look and not archive:is_faulty(look) then archive.faulty[look] = true end
 end
 
 --- The messages of the pass that was made last that never ended.
