@@ -1,7 +1,11 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- YAPP on CAN: what is shown of a frame.  Wireshark's API; what a frame is, yapp_can_memory knows.
 
+local items = require("yapp_tree_items")
+
 local M = {}
+
+local add, add_le, add_generated, append_text = items.add, items.add_le, items.add_generated, items.append_text
 
 local STATUS_TEXT = {
   bad = "  [BAD CRC]", short = "  [INCOMPLETE]", overrun = "  [OVERRUN]", unverified = "  [CUT SHORT]",
@@ -101,8 +105,8 @@ function Carrier:without_id(tvb, pinfo, tree)
   local item = tree
   self.memory:guess()
   if builder:wants(tree, true).yapp then
-    item = tree:add(builder.yapp, tvb())
-    if tvb:len() > 0 then item:add(builder.fields.payload, tvb()) end
+    item = add(tree, builder.yapp, tvb())
+    if tvb:len() > 0 then add(item, builder.fields.payload, tvb()) end
   end
   pinfo.cols.protocol = "YAPP"
   builder:expert(item, "can.id.missing")
@@ -170,19 +174,15 @@ end
 -- YAPP's own tree item, with what the CAN id says.
 function Carrier:item(view)
   local builder, address = self.tree, view.address
-  local fields = builder.fields
   local titles, ctrl = view.names.titles, address.ctrl
   local title = titles[ctrl]
   if not title then
     title = ("%s, %s, %s"):format(builder.yapp.description, view.names.name, KINDS[ctrl] or "undefined frame")
     titles[ctrl] = title
   end
-  local item = view.tree:add(builder.yapp, view.tvb(), title)
-  builder:add_id(item, nil, address.id, view.names.bus)
-  item:add(fields.ctl, address.ctl):set_generated()
-  item:add(fields.seq, address.seq):set_generated()
-  item:add(fields["can.ctrl"], ctrl):set_generated()
-  builder:add_source(item, address.id, view.names.bus)
+  view.range = view.tvb()
+  local item = add(view.tree, builder.yapp, view.range, title)
+  builder:add_address(item, address, view.names.bus)
   return item
 end
 
@@ -206,7 +206,7 @@ function Carrier:show_alone(view)
   if view.wanted and address.ctrl == START then
     self:start_tree(view)
   elseif view.wanted and #data > 0 then
-    view.item:add(self.tree.fields["fragment.data"], view.tvb())
+    add(view.item, self.tree.fields["fragment.data"], view.range)
   end
   if view.record.is_late then
     self.tree:expert(view.item, "can.id.missing",
@@ -228,7 +228,7 @@ function Carrier:show_single(view)
   message.good = #data == reported
   local info = self.tree:payload(self:read(message, view.record))
   if view.wanted and (padding or 0) > 0 and #data > known then
-    view.item:add(self.tree.fields.padding, view.tvb(known))
+    add(view.item, self.tree.fields.padding, view.tvb(known))
   end
   return info
 end
@@ -271,12 +271,12 @@ function Carrier:show_part(view)
   if view.wanted then
     if view.address.ctrl == START then
       self:start_tree(view)
-      item:append_text((" of %d bytes"):format(record.message.size))
+      append_text(item, (" of %d bytes"):format(record.message.size))
     elseif #view.facts.data > 0 then
-      item:add(fields["fragment.data"], view.tvb())
+      add(item, fields["fragment.data"], view.range)
     end
-    if leads_to then item:add(fields["reassembled.in"], leads_to):set_generated() end
-    if record.has_fault then item:add(fields["message.fault"], true):set_generated() end
+    if leads_to then add_generated(item, fields["reassembled.in"], leads_to) end
+    if record.has_fault then add_generated(item, fields["message.fault"], true) end
   end
   local text = self:part_text(view.names, view.address, record, #view.facts.data)
   return leads_to and ("%s  [Reassembled in #%d]"):format(text, leads_to) or text
@@ -285,9 +285,9 @@ end
 -- What a Start says, as far as it was captured.
 function Carrier:start_tree(view)
   local fields, item, length = self.tree.fields, view.item, #view.facts.data
-  if length >= 4 then item:add_le(fields.crc, view.tvb(0, 4)) end
-  if length >= 6 then item:add_le(fields.size, view.tvb(4, 2)):append_text(" bytes") end
-  if length >= 8 then item:add_le(fields.reserved, view.tvb(6, 2)) end
+  if length >= 4 then add_le(item, fields.crc, view.tvb(0, 4)) end
+  if length >= 6 then append_text(add_le(item, fields.size, view.tvb(4, 2)), " bytes") end
+  if length >= 8 then add_le(item, fields.reserved, view.tvb(6, 2)) end
 end
 
 -- The last frame of a message: what was put together.
@@ -304,7 +304,7 @@ function Carrier:show_message(view)
   if status == "short" or status == "overrun" then
     message.is_whole = false
     self:read(message, view.record)
-    if view.wanted and message.tvb then item:add(builder.fields.payload, message.tvb()) end
+    if view.wanted and message.tvb then add(item, builder.fields.payload, message.tvb()) end
     if view.wanted then builder:add_delta(item, message) end
     return ("%s  %d of %d bytes%s"):format(view.names.name, entry.received, entry.size, STATUS_TEXT[status])
   end
@@ -315,16 +315,16 @@ end
 function Carrier:message_tree(view, message)
   local builder, item, entry, data = self.tree, view.item, view.record.message, view.facts.data
   local fields = builder.fields
-  item:add(fields["reassembled.in"], view.facts.number):set_generated()
-  item:add(fields.size, entry.size):append_text(" bytes"):set_generated()
-  item:add(fields.reserved, entry.reserved or 0):set_generated()
+  add_generated(item, fields["reassembled.in"], view.facts.number)
+  append_text(add_generated(item, fields.size, entry.size), " bytes")
+  add_generated(item, fields.reserved, entry.reserved or 0)
   builder:add_crc(item, nil, entry)
   local numbers = self.memory:frames_of(view.record)
   builder:add_fragments(item, message.tvb or view.tvb, numbers, entry.count, #entry.payload)
   if entry.padding and entry.padding <= #data then
-    item:add(fields.padding, view.tvb(#data - entry.padding))
+    add(item, fields.padding, view.tvb(#data - entry.padding))
   end
-  item:append_text(CRC_TEXT[entry.status] or ", CRC unverified")
+  append_text(item, CRC_TEXT[entry.status] or ", CRC unverified")
 end
 
 return M

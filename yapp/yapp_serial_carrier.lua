@@ -3,8 +3,11 @@
 -- Wireshark's API.
 
 local frame = require("yapp_frame")
+local items = require("yapp_tree_items")
 
 local M = {}
+
+local add, add_le, add_generated, append_text = items.add, items.add_le, items.add_generated, items.append_text
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 
@@ -68,21 +71,21 @@ end
 local function add_frame(self, view, tvb, at, message)
   local builder, status = self.tree, message.status
   local fields = builder.fields
-  local item = view.tree:add(builder.yapp, tvb(at, message.length))
-  item:append_text((", %s"):format(builder:name(message.id, view.bus_name)))
-  item:add(fields.sync, tvb(at, 2))
-  item:add(fields.seq, tvb(at + 2, 1))
-  item:add(fields.ctl, tvb(at + 3, 1))
+  local item = add(view.tree, builder.yapp, tvb(at, message.length))
+  append_text(item, (", %s"):format(builder:name(message.id, view.bus_name)))
+  add(item, fields.sync, tvb(at, 2))
+  add(item, fields.seq, tvb(at + 2, 1))
+  add(item, fields.ctl, tvb(at + 3, 1))
   builder:add_id(item, tvb(at + 4, 4), message.id, view.bus_name)
-  item:add_le(fields.size, tvb(at + 8, 2)):append_text(" bytes")
-  item:add_le(fields.reserved, tvb(at + 10, 2))
+  append_text(add_le(item, fields.size, tvb(at + 8, 2)), " bytes")
+  add_le(item, fields.reserved, tvb(at + 10, 2))
   builder:add_source(item, message.id, view.bus_name)
   if message.parts then
-    item:add(fields["reassembled.in"], message.shown_in):set_generated()
+    add_generated(item, fields["reassembled.in"], message.shown_in)
     builder:add_fragments(item, tvb, message.parts, #message.parts, message.length)
   end
   if status ~= "cut" then builder:add_crc(item, tvb(at + HEADER + message.size, CRC_SIZE), message) end
-  item:append_text(status == "good" and ", CRC good" or status == "bad" and ", CRC BAD" or ", not whole")
+  append_text(item, status == "good" and ", CRC good" or status == "bad" and ", CRC BAD" or ", not whole")
   return item
 end
 
@@ -166,10 +169,10 @@ local function show_pending(self, tvb, tree, packet, is_again)
   local builder, pending, leads_to, item = self.tree, packet.pending, packet.leads_to, tree
   if builder:wants(tree, is_again).yapp then
     local range = tvb(packet.done, pending)
-    item = tree:add(builder.yapp, range)
-    item:append_text(", part of a frame")
-    item:add(builder.fields["fragment.data"], range)
-    if leads_to then item:add(builder.fields["reassembled.in"], leads_to):set_generated() end
+    item = add(tree, builder.yapp, range)
+    append_text(item, ", part of a frame")
+    add(item, builder.fields["fragment.data"], range)
+    if leads_to then add_generated(item, builder.fields["reassembled.in"], leads_to) end
   end
   if packet.is_unfinished then builder:expert(item, "unfinished") end
   return leads_to and ("[Reassembled in #%d]"):format(leads_to) or

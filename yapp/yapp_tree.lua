@@ -2,9 +2,13 @@
 -- What a user sees of YAPP: the fields, the expert items, the tree, the Info column. The messages: yapp_tree_taurus.
 -- Wireshark's API; what is shown comes in finished, from the reassembly or the framing.
 
+local items = require("yapp_tree_items")
 local tree_taurus = require("yapp_tree_taurus")
 
 local M = {}
+
+local add, add_le, add_generated = items.add, items.add_le, items.add_generated
+local append_text, set_text = items.append_text, items.set_text
 
 local FRAME_KINDS = { [0] = "Single", "Start", "Middle", "End" }
 local CRC_STATUS = { [0] = "Bad", "Good", "Unverified" }
@@ -79,11 +83,6 @@ Tree.__index = Tree
 
 local NOTHING = {} -- nobody wants any
 
-local function generated(item)
-  item:set_generated()
-  return item
-end
-
 --- Makes fields and expert items and hands them to the two protocols.
 -- options  { yapp =, taurus = Proto, catalogue = compiled, decode = the module, reader = a yapp_reader }
 function M.new(options)
@@ -157,37 +156,48 @@ end
 -- text  what there is to say of this packet: its own item, so that the expert's text is the same each time and
 --       `-z expert` can count it; nil where the expert's says all
 function Tree:expert(item, name, text)
-  if text and item.visible then item = generated(item:add(text)) end
+  if text and item.visible then item = add_generated(item, text) end
   item:add_proto_expert_info(self.yapp_experts[name])
+end
+
+--- Adds what the CAN id says, all of it generated.
+-- address  yapp_can_id's
+function Tree:add_address(item, address, bus_name)
+  local fields = self.fields
+  self:add_id(item, nil, address.id, bus_name)
+  add_generated(item, fields.ctl, address.ctl)
+  add_generated(item, fields.seq, address.seq)
+  add_generated(item, fields["can.ctrl"], address.ctrl)
+  self:add_source(item, address.id, bus_name)
 end
 
 --- Adds the id, with the name that the user's mapping gives it.
 -- range  TvbRange, nil where the CAN id has it
 function Tree:add_id(item, range, id, bus_name)
-  local added = range and item:add(self.fields.id, range, id) or generated(item:add(self.fields.id, id))
+  local added = range and add(item, self.fields.id, range, id) or add_generated(item, self.fields.id, id)
   local message = self.reader:message_of(id, bus_name)
   local title = message and message.title
   if title ~= self.default_names[id] then
-    added:set_text(string.format("Message ID: %s (0x%08x)", title or "Unknown", id))
+    set_text(added, string.format("Message ID: %s (0x%08x)", title or "Unknown", id))
   end
 end
 
 --- Adds the bus and the name of the source, where there are such.
 function Tree:add_source(item, id, bus_name)
-  if bus_name then generated(item:add(self.fields.bus, bus_name)) end
+  if bus_name then add_generated(item, self.fields.bus, bus_name) end
   local source = self.reader:name_of(id, bus_name)
-  if source then generated(item:add(self.fields.source, source)) end
+  if source then add_generated(item, self.fields.source, source) end
 end
 
 --- Adds the frames that a message was put together from.
 -- tvb      of the whole; numbers: of its frames; count: of them, with any that a read filter rejected; length: in bytes
 function Tree:add_fragments(item, tvb, numbers, count, length)
   local fields = self.fields
-  local list = generated(item:add(fields.fragments, tvb()))
-  list:set_text(("%d fragments (%d bytes)"):format(count, length))
-  for _, number in ipairs(numbers) do generated(list:add(fields.fragment, number)) end
-  generated(list:add(fields["fragment.count"], count))
-  generated(list:add(fields["reassembled.length"], length))
+  local list = add_generated(item, fields.fragments, tvb())
+  set_text(list, ("%d fragments (%d bytes)"):format(count, length))
+  for i = 1, #numbers do add_generated(list, fields.fragment, numbers[i]) end
+  add_generated(list, fields["fragment.count"], count)
+  add_generated(list, fields["reassembled.length"], length)
 end
 
 --- Adds a CRC with its status, and the expert item when it is bad.
@@ -195,18 +205,18 @@ end
 -- message { crc, status, calculated }
 function Tree:add_crc(item, range, message)
   local fields, status = self.fields, message.status
-  local crc = range and item:add_le(fields.crc, range) or generated(item:add(fields.crc, message.crc))
+  local crc = range and add_le(item, fields.crc, range) or add_generated(item, fields.crc, message.crc)
   local code = STATUS_CODE[status] or UNVERIFIED
   if status == "good" then
-    crc:append_text(" [correct]")
+    append_text(crc, " [correct]")
   elseif status == "bad" then
-    crc:append_text(string.format(" [incorrect, should be 0x%08x]", message.calculated))
+    append_text(crc, string.format(" [incorrect, should be 0x%08x]", message.calculated))
   else
-    crc:append_text(" [unverified]")
+    append_text(crc, " [unverified]")
   end
-  generated(item:add(fields["crc.status"], code))
+  add_generated(item, fields["crc.status"], code)
   if status == "bad" then
-    generated(item:add(fields["crc.calculated"], message.calculated))
+    add_generated(item, fields["crc.calculated"], message.calculated)
   end
   return crc
 end
@@ -221,9 +231,9 @@ end
 -- message  of yapp_reader
 function Tree:add_delta(item, message)
   local change, fields = message.change or {}, self.fields
-  if change.delta then generated(item:add(fields.time_delta, tree_taurus.relative_time(change.delta))) end
-  if change.missing then generated(item:add(fields["seq.missing"], change.missing)) end
-  if message.has_fault then generated(item:add(fields["message.fault"], true)) end
+  if change.delta then add_generated(item, fields.time_delta, items.relative_time(change.delta)) end
+  if change.missing then add_generated(item, fields["seq.missing"], change.missing) end
+  if message.has_fault then add_generated(item, fields["message.fault"], true) end
 end
 
 --- A number of bytes in words: "1 byte", "2 bytes".

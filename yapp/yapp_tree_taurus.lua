@@ -3,6 +3,7 @@
 -- yapp_decode, what changed from the history.
 
 local decode = require("yapp_decode")
+local items_of = require("yapp_tree_items")
 local source = require("yapp_tree_taurus_source")
 local tree_fields = require("yapp_tree_taurus_fields")
 
@@ -12,8 +13,8 @@ M.make_experts = tree_fields.make_experts
 
 local format = string.format
 
--- A method that is looked up in an object costs as much as half of adding a field.
-local API = { add = TreeItem.add, add_le = TreeItem.add_le, append_text = TreeItem.append_text, range = Tvb.range }
+local add, append_text, set_generated = items_of.add, items_of.append_text, items_of.set_generated
+local relative_time = items_of.relative_time
 
 local Taurus = {}
 Taurus.__index = Taurus
@@ -28,7 +29,7 @@ function M.new(taurus, catalogue)
 end
 
 local function with_unit(item, field)
-  if field.unit then item:append_text(" " .. field.unit) end
+  if field.unit then append_text(item, " " .. field.unit) end
   return item
 end
 
@@ -39,8 +40,8 @@ local adders = {}
 local function add_real(self, parent, range, field, raw)
   local made = self.fields[field]
   local value, special = decode.value(field, raw)
-  if value then return with_unit(parent:add(made.pf, range, decode.rounded(field, value)), field) end
-  local item = parent:add(made.special, range, special)
+  if value then return with_unit(add(parent, made.pf, range, decode.rounded(field, value)), field) end
+  local item = add(parent, made.special, range, special)
   if field.kind == "float" and raw > 0 then
     item:set_text(format("%s: %s (0x%0" .. field.size * 2 .. "x)", field.title, decode.SPECIALS[special], raw))
   else
@@ -52,16 +53,16 @@ end
 adders.float, adders.ieee, adders.uint, adders.int = add_real, add_real, add_real, add_real
 
 function adders.string(self, parent, range, field, raw)
-  return parent:add(self.fields[field].pf, range, decode.text(raw))
+  return add(parent, self.fields[field].pf, range, decode.text(raw))
 end
 
 function adders.bytes(self, parent, range, field)
-  return parent:add(self.fields[field].pf, range)
+  return add(parent, self.fields[field].pf, range)
 end
 
 -- A time has no raw value: it gets the payload.
 function adders.time(self, parent, range, field, payload)
-  return parent:add(self.fields[field].pf, range, NSTime.new(decode.time(payload, field.offset)))
+  return add(parent, self.fields[field].pf, range, NSTime.new(decode.time(payload, field.offset)))
 end
 
 -- Builders ----------------------------------------------------------------------------------------------------------
@@ -76,7 +77,7 @@ local function make_builder(self, message)
     end
     if field.element then elements[#elements + 1] = i end
   end
-  local build, list = source.make(message, self.fields, others, API)
+  local build, list = source.make(message, self.fields, others, items_of)
   return { build = build, list = list, elements = elements, wanted = nil }
 end
 
@@ -111,7 +112,7 @@ local function add_differences(self, top, message, raws)
   for i, difference in ipairs(message.differences) do
     if all or top:referenced(items[i]) then
       local value = decode.difference(message, difference, raws)
-      if value then with_unit(top:add(items[i], value), difference):set_generated() end
+      if value then set_generated(with_unit(add(top, items[i], value), difference)) end
     end
   end
 end
@@ -120,8 +121,8 @@ end
 local function build(self, tree, what)
   local message, payload, raws, tvb, at = what.message, what.payload, what.raws, what.tvb, what.at
   local range = tvb(at, math.min(message.size, #payload))
-  local top = tree:add(self.taurus, range, "Taurus " .. message.title)
-  top:add(self.messages[message].pf, range):set_hidden()
+  local top = add(tree, self.taurus, range, "Taurus " .. message.title)
+  items_of.set_hidden(add(top, self.messages[message].pf, range))
   local builder, items = builder_of(self, message), {}
   local want = not tree.visible and wanted(builder, tree, what.is_steady) or nil
   builder.build(top, tvb, at, raws, payload, items, want)
@@ -158,25 +159,17 @@ end
 
 local NONE, WAYS = {}, { "raised", "cleared" }
 
---- Seconds, a double, as a time to the nanosecond.
-function M.relative_time(seconds)
-  local text = format("%.0f", math.abs(seconds) * 1e9)
-  local whole, rest = tonumber(text:sub(1, -10)) or 0, tonumber(text:sub(-9))
-  if seconds < 0 then whole, rest = -whole, -rest end
-  return NSTime.new(whole, rest)
-end
-
 -- Adds a generated field where somebody wants it; nil for a value or a field that is not there.
 local function add_generated(item, pf, value)
   if not pf or value == nil or not (item.visible or item:referenced(pf)) then return nil end
-  return item:add(pf, value):set_generated()
+  return items_of.add_generated(item, pf, value)
 end
 
 -- The bits of one field that rose or fell.
 local function add_bits(self, item, field, way, bits)
   if bits == 0 then return end
   local added = item and add_generated(item, self.fields[field][way], bits)
-  if added then added:append_text(" (" .. decode.flag_names(field, bits) .. ")") end
+  if added then append_text(added, " (" .. decode.flag_names(field, bits) .. ")") end
   return added
 end
 
@@ -185,12 +178,12 @@ local function add_values(self, item, message, change, now)
   local own, alarm = self.messages[message], message.alarms[1]
   if alarm then
     local made, since = self.fields[alarm], change.active_since
-    add_generated(item, made.active_time, since and M.relative_time(now - since))
+    add_generated(item, made.active_time, since and relative_time(now - since))
     add_generated(item, made.previous, change.previous_change)
     add_generated(item, made.next, change.next_change)
   end
   add_generated(item, own.command_in, change.command_in)
-  return add_generated(item, own.drift, change.drift and M.relative_time(change.drift))
+  return add_generated(item, own.drift, change.drift and relative_time(change.drift))
 end
 
 --- Adds what the history says of a message, all of it generated, with its expert items.
