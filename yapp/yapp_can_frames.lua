@@ -10,19 +10,19 @@ local unpack = rawget(table, "unpack")
 
 local MAX_COUNT = 64 -- of frames, in the small form of a good message
 local PACKED = 9 -- bytes of it besides distances and payload: count, key, CRC
-local ALONE, LAST, MAX_DISTANCE -- of yapp_can_archive; set in M.new
+local ALONE, LAST, MAX_DISTANCE -- of yapp_archive; set in M.new
 
 local Frames = {}
 Frames.__index = Frames
 
 --- Nothing is known yet.
--- parts    the modules { can_id =, can_archive = }
+-- parts    the modules { can_id =, archive = }
 -- It has entries, by look: a message whose table is kept; all else is in its archive, which is asked second.  And
 -- faults, by look: a list of { expert =, text =, void = nil or true once it is taken back }.  And has_fractions:
 -- whether any look may have one.
 function M.new(parts)
-  ALONE, LAST, MAX_DISTANCE = parts.can_archive.ALONE, parts.can_archive.LAST, parts.can_archive.MAX_DISTANCE
-  return setmetatable({ can_id = parts.can_id, archive = parts.can_archive.new(), entries = {}, faults = {},
+  ALONE, LAST, MAX_DISTANCE = parts.archive.NUMBER, parts.archive.TEXT, parts.archive.MAX_DISTANCE
+  return setmetatable({ can_id = parts.can_id, archive = parts.archive.new(), entries = {}, faults = {},
     distances = {} }, Frames)
 end
 
@@ -113,9 +113,10 @@ function Frames:good(message)
     forgive(self, message)
     return false
   end
-  local count, last, entries, distances, archive = message.count, message.last, self.entries, self.distances, self.archive
+  local count, last = message.count, message.last
   if message.reserved or message.padding or message.duplicates or count > MAX_COUNT or
     last - message[1] > MAX_DISTANCE or self.has_fractions and has_fractions(message) then return false end
+  local entries, distances, archive = self.entries, self.distances, self.archive
   local codes = archive.codes
   for i = 1, count do
     local look = message[i]

@@ -88,7 +88,7 @@ local Memory = {}
 Memory.__index = Memory
 
 --- The memory of one capture file.
--- parts     the modules { can_id =, crc =, can_frames =, can_archive =, can_reassembly =, can_interleave =,
+-- parts     the modules { can_id =, crc =, can_frames =, archive =, can_reassembly =, can_interleave =,
 --           can_repeated = }
 -- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown one;
 --             new_history = function() -> a yapp_history, one for each pass;

@@ -16,7 +16,7 @@ local Reassembly = {}
 Reassembly.__index = Reassembly
 
 --- The reassembly of one pass over a capture file.
--- parts    the modules { can_id =, crc =, can_frames =, can_archive =, can_interleave =, can_repeated = }
+-- parts    the modules { can_id =, crc =, can_frames =, archive =, can_interleave =, can_repeated = }
 -- size_of  function(id, bus) -> payload size of a known message, nil for an unknown one
 -- It has kept, a yapp_can_frames: what each frame is.
 --

@@ -21,6 +21,8 @@ for length = 0, 8 do ZEROS[("\0"):rep(length)] = true end
 
 local IN_WIRESHARK = gui_enabled() -- tshark numbers frames anew (-R), and all of a pass has a tree or none
 
+local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset -- see yapp_tree_items
+
 local DIRECTION = { 0, 1, 0, 1 } -- of RTAC events: data sent, data received, ...
 local MASK = 0x20000000 -- of the 29 bits of an id
 
@@ -247,10 +249,10 @@ end
 function Facts:can_frame(tvb, pinfo, highest)
   local record, number = self.record, pinfo.number
   -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
-  local data = tvb:len() > 0 and tvb:raw() or ""
-  record.number, record.place = number, self.found.place or tvb:offset()
+  local data = length_of(tvb) > 0 and raw_of(tvb) or ""
+  record.number, record.place = number, self.found.place or offset_of(tvb)
   record.is_again = number <= highest and pinfo.visited
-  record.reported, record.data = tvb:reported_len(), data
+  record.reported, record.data = reported_of(tvb), data
   if self.asked ~= record.is_again then -- at a pass's first frame: a later one may need them
     self.asked = record.is_again
     can_fields(self, number)

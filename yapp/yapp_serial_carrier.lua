@@ -11,7 +11,8 @@ local add, add_le, add_generated, append_text = items.add, items.add_le, items.a
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 
-local TCP, UDP = 2, 3 -- pinfo.port_type
+local NONE, TCP, UDP = 0, 2, 3 -- pinfo.port_type
+local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset -- see yapp_tree_items
 local ONE_MORE_SEGMENT = 0x0fffffff -- DESEGMENT_ONE_MORE_SEGMENT
 
 local Carrier = {}
@@ -37,6 +38,7 @@ end
 function Carrier:reset(options)
   self.memory = self.parts.serial_memory.new(self.parts.crc, {
     new_framer = function() return self:framer() end, new_history = options.new_history })
+  self.names = {} -- [bus or false][id]: what messages are called in the Info column
   self.latest = {} -- [stream]: its latest packet that ends within a frame, as the statistics are told of one
 end
 
@@ -89,6 +91,21 @@ local function add_frame(self, view, tvb, at, message)
   return item
 end
 
+-- What a message is called.
+local function name_of(self, id, bus_name)
+  local of_bus = self.names[bus_name or false]
+  if not of_bus then
+    of_bus = {}
+    self.names[bus_name or false] = of_bus
+  end
+  local name = of_bus[id]
+  if not name then
+    name = self.tree:name(id, bus_name)
+    of_bus[id] = name
+  end
+  return name
+end
+
 -- The key of a source.
 local function source_of(stream, id)
   return stream .. "|" .. id
@@ -100,7 +117,7 @@ local function read(self, view, index, message)
   m.tree, m.wanted, m.id, m.seq, m.ctl = view.tree, view.wanted, message.id, message.seq, message.ctl
   m.size, m.payload, m.status, m.good = message.size, message.payload, message.status, message.status == "good"
   m.is_whole, m.source, m.bus, m.bus_name = true, source_of(fact.stream, message.id), view.bus_key, name
-  m.name, m.frame, m.time = self.tree:name(message.id, name), fact.number, view.pinfo.rel_ts
+  m.name, m.frame, m.time = name_of(self, message.id, name), fact.number, view.pinfo.rel_ts
   m.visited, m.is_brief = fact.visited, not (view.wanted or self.reader.stat.wanted)
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   self.reader:read(m, self.memory, view.packet, index, fact)
@@ -220,6 +237,7 @@ end
 
 -- By which packets of one stream know each other.
 local function key_of(pinfo, kind, source)
+  if kind == NONE then return source or "" end -- a serial line has no addresses
   return ("%s|%s|%s|%s|%s|%s"):format(source or "", kind, tostring(pinfo.src), pinfo.src_port, tostring(pinfo.dst),
     pinfo.dst_port)
 end
@@ -235,11 +253,11 @@ end
 
 -- The facts of a packet, in a record that is used again; its bus, for history; and the number of its interface or
 -- direction.  A stream goes on in a first pass as it began: sources that show later do not count.
-local function facts_of(self, tvb, pinfo)
+local function facts_of(self, tvb, pinfo, length)
   local fact, transport, kind = self.fact, transport_of(pinfo)
   local source = kind ~= UDP and kind ~= TCP and self.facts:are_several() and self.facts:bus(pinfo) or nil
-  fact.number, fact.place, fact.bytes, fact.transport = pinfo.number, tvb:offset(), tvb:raw(), transport
-  fact.visited, fact.informed, fact.truncated = pinfo.visited, source ~= nil, tvb:reported_len() > tvb:len()
+  fact.number, fact.place, fact.bytes, fact.transport = pinfo.number, offset_of(tvb), raw_of(tvb), transport
+  fact.visited, fact.informed, fact.truncated = pinfo.visited, source ~= nil, reported_of(tvb) > length
   fact.stream = key_of(pinfo, kind, source)
   return fact, bus_of(pinfo, kind), source
 end
@@ -247,8 +265,9 @@ end
 --- Dissects what a carrier hands over.
 -- returns the number of bytes that are ours
 function Carrier:dissect(tvb, pinfo, tree)
-  if tvb:len() == 0 or pinfo.in_error_pkt then return 0 end -- an ICMP error only quotes what was sent before
-  local fact, bus_key, source = facts_of(self, tvb, pinfo)
+  local length = length_of(tvb)
+  if length == 0 or pinfo.in_error_pkt then return 0 end -- an ICMP error only quotes what was sent before
+  local fact, bus_key, source = facts_of(self, tvb, pinfo, length)
   local packet = self.memory:look(fact)
   if not packet then return 0 end
   local events, transport, size = packet.events, fact.transport, #fact.bytes

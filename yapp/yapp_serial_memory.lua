@@ -10,9 +10,12 @@
 -- pass for that: frames of two sources may begin with the same bytes.
 --
 -- Most packets are one good frame and no more.  Of such a one only the place is kept, and what was noted of it: the
--- rest is in its bytes, which come again with each look.
+-- rest is in its bytes, which come again with each look.  Of another its piece is kept, as a text when nothing in it
+-- changes any more.
 
+local archive = require("yapp_archive")
 local frame = require("yapp_frame")
+local serial_piece = require("yapp_serial_piece")
 
 local M = {}
 
@@ -26,7 +29,7 @@ local function new_pass(new_history)
   return {
     history = new_history(),
     streams = {},            -- [key]: see stream_of
-    places = {}, deltas = {}, -- [number of a packet that is one good frame]
+    archive = archive.new(), -- by number of a packet: the place of one that is one good frame; or a piece as text
     pieces = {},             -- [number of another packet]: its piece; one more of the same packet is in `other`
     highest = 0,             -- the number of the last packet taken
     informed = false,        -- whether the pass told sources apart
@@ -42,12 +45,12 @@ function M.new(crc, options)
     Memory)
 end
 
--- What is known of a stream: when which message came; and, as far as it needs them, its framer, its length, and the
--- packets with bytes that wait.
+-- What is known of a stream: when which message came; and, as far as it needs them, its framer, its length, the packets
+-- with bytes that wait, and the pieces that will not change behind the packet at hand.
 local function stream_of(pass, key)
   local stream = pass.streams[key]
   if not stream then
-    stream = { length = 0, waiting = {}, first = 1, last = 0 }
+    stream = { length = 0, waiting = {}, first = 1, last = 0, settled = {} }
     pass.streams[key] = stream
   end
   return stream
@@ -180,6 +183,7 @@ end
 local function forget(stream, offset)
   local waiting = stream.waiting
   while stream.first <= stream.last and waiting[stream.first].to <= offset do
+    stream.settled[#stream.settled + 1] = waiting[stream.first].piece
     waiting[stream.first] = nil
     stream.first = stream.first + 1
   end
@@ -209,9 +213,32 @@ end
 
 -- The passes -----------------------------------------------------------------------------------------------------
 
+-- Pieces that nothing changes any more are kept as texts; not those of the number that may come again (-R).
+local function settle(pass, stream, number)
+  local settled, rest = stream.settled, {}
+  for i = 1, #settled do
+    local piece = settled[i]
+    local at = piece.number
+    if at == number then
+      rest[#rest + 1] = piece
+    elseif pass.pieces[at] == piece and not piece.other and not pass.archive:get(at) then
+      local text = serial_piece.pack(piece)
+      if text then pass.pieces[at], pass.archive.codes[at], pass.archive.extras[at] = nil, archive.TEXT, text end
+    end
+  end
+  stream.settled = rest
+end
+
+local function keep_place(pass, number, place)
+  local kept = pass.archive
+  kept.codes[number], kept.extras[number] = archive.NUMBER, place
+  if number >= kept.due then kept:pack(number) end
+end
+
 -- Nothing is known any more of a piece: a packet that a read filter rejected had the same number.
 local function drop(pass, number, place)
-  if pass.places[number] == place then pass.places[number], pass.deltas[number] = nil, nil end
+  local kept = pass.archive
+  if kept.extras[number] == place then kept.codes[number], kept.extras[number], kept.deltas[number] = nil, nil, nil end
   local before, piece = nil, pass.pieces[number]
   while piece and piece.place ~= place do before, piece = piece, piece.other end
   if not piece then return end
@@ -222,12 +249,13 @@ local function keep(pass, piece, fact)
   local number, place, event = fact.number, fact.place, piece.events[1]
   drop(pass, number, place)
   if event and event.good and event.from == piece.base and event.to - event.from == #fact.bytes and
-    not pass.places[number] then
-    pass.places[number] = place
+    not pass.archive.codes[number] then
+    keep_place(pass, number, place)
     return true
   else
-    piece.place, piece.other = place, pass.pieces[number]
+    piece.place, piece.number, piece.other = place, number, pass.pieces[number]
     pass.pieces[number] = piece
+    if number >= pass.archive.due then pass.archive:pack(number) end
   end
 end
 
@@ -235,14 +263,15 @@ end
 -- returns  the packet; nil for any other, of which nothing is taken
 local function take_plain(self, pass, stream, fact)
   local number, place, bytes = fact.number, fact.place, fact.bytes
-  if fact.truncated or fact.transport == "segment" or pass.places[number] or pass.pieces[number] then return nil end
+  if fact.truncated or fact.transport == "segment" or pass.archive.codes[number] or
+    pass.pieces[number] then return nil end
   if fact.transport == "datagram" then
     if not self.datagrams:pass(bytes) then return nil end
   else
     if not stream.framer or not stream.framer:pass(bytes) then return nil end
     stream.length = stream.length + #bytes
   end
-  pass.places[number] = place
+  keep_place(pass, number, place)
   local packet = plain_packet(self, pass, fact)
   packet.is_now = true
   return packet
@@ -252,6 +281,7 @@ end
 local function take_packet(self, pass, fact)
   local stream = stream_of(pass, fact.stream)
   pass.highest = fact.number
+  if stream.settled[1] then settle(pass, stream, fact.number) end
   local plain = take_plain(self, pass, stream, fact)
   if plain then return plain end
   local piece = take[fact.transport](self, stream, fact)
@@ -261,15 +291,20 @@ local function take_packet(self, pass, fact)
   end
   local packet = packet_of(self, pass, piece, fact)
   packet.is_now = true
-  if keep(pass, piece, fact) then packet.piece = nil end
+  if keep(pass, piece, fact) then
+    packet.piece = nil
+  elseif piece.pending == 0 then
+    stream.settled[#stream.settled + 1] = piece
+  end
   return packet
 end
 
 -- What the pass knows of a packet, or nil.
 local function recall(self, pass, fact)
   local number, place = fact.number, fact.place
-  if pass.places[number] == place then return plain_packet(self, pass, fact) end
-  local piece = pass.pieces[number]
+  local code, extra = pass.archive:get(number)
+  if code == archive.NUMBER and extra == place then return plain_packet(self, pass, fact) end
+  local piece = code == archive.TEXT and serial_piece.unpack(extra, number) or pass.pieces[number]
   while piece and piece.place ~= place do piece = piece.other end
   return piece and packet_of(self, pass, piece, fact)
 end
@@ -333,9 +368,9 @@ function Memory.change(_, message, packet, index, fact)
   if packet.is_now then
     local delta
     change, delta = pass.history:note(message)
-    if piece then piece.events[index].delta = delta else pass.deltas[number] = delta end
+    if piece then piece.events[index].delta = delta else pass.archive.deltas[number] = delta end
   else
-    if piece then message.delta = piece.events[index].delta else message.delta = pass.deltas[number] end
+    if piece then message.delta = piece.events[index].delta else message.delta = pass.archive:delta(number) end
     change = pass.history:change(message)
   end
   if not change then return nil end

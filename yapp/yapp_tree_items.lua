@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Adding items to a tree, as functions: a method that Lua has to look up in an item costs a third of what adding a field
--- does.  Wireshark's API.
+-- Adding items to a tree, as functions: a method that Lua has to look up in an item costs a third of what adding a
+-- field does.  Wireshark's API.
 
 local M = {}
 

@@ -43,8 +43,9 @@ function bus.reassembler()
     state.steps = state.steps + 1
     return crc.update(...)
   end
-  state = reassembly.new({ can_id = can_id, crc = counted, can_archive = require("yapp_can_archive"),
-    can_frames = require("yapp_can_frames"), can_interleave = require("yapp_can_interleave"), can_repeated = require("yapp_can_repeated") },
+  state = reassembly.new({ can_id = can_id, crc = counted, archive = require("yapp_archive"),
+    can_frames = require("yapp_can_frames"),
+    can_interleave = require("yapp_can_interleave"), can_repeated = require("yapp_can_repeated") },
     function(id) return bus.known[id] end)
   state.steps = 0
   return state

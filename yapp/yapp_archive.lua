@@ -1,12 +1,12 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What is kept of the looks at CAN frames, in little memory.  Pure Lua, 5.2 and 5.4.
+-- What is kept of the frames of a capture, in little memory.  Pure Lua, 5.2 and 5.4.
 --
--- A look has a code, and some have an extra:
---   0           nothing
---   1 .. 253    the frame of a good message that ends so many looks later
---   254 ALONE   a frame that belongs to no message; extra: its CAN id
---   255 LAST    the last frame of a good message; extra: the message, as text (yapp_can_frames)
--- Those of the newest looks lie in tables.  Behind them 256 looks at a time become one string, a block: their codes, and
+-- A look (a number that grows: of a frame, as a rule) has a code, and some have an extra:
+--   0            nothing
+--   1 .. 253     belongs to the look that is so many looks later
+--   254 NUMBER   extra: a number below 2^32
+--   255 TEXT     extra: a text
+-- Those of the newest looks lie in tables.  Behind them 256 looks at a time become one text, a block: their codes, and
 -- then, of each look with an extra, in order, the extra and a note: a long capture takes half the memory, and Lua's
 -- collector, which goes over all tables and texts again and again, has next to nothing to go over.
 -- A note is 6 bytes: twice the delta in nanoseconds plus 1, 0 for none; plus 1 where the message has a fault flag set.
@@ -18,12 +18,12 @@ local concat = table.concat
 local unpack = rawget(table, "unpack")
 
 local BLOCK = 256
-M.ALONE, M.LAST = 254, 255
+M.NUMBER, M.TEXT = 254, 255
 M.MAX_DISTANCE = 253 -- what a code has room for
-local ALONE, LAST = M.ALONE, M.LAST
+local NUMBER, TEXT = M.NUMBER, M.TEXT
 
 local NOTE = 6
-local MAX_NOTE = 2 ^ (8 * NOTE)
+local MAX_DELTA = 2 ^ (8 * NOTE - 1)
 local NANOSECONDS = 1e9 -- in a second
 
 local Archive = {}
@@ -39,25 +39,39 @@ end
 
 -- Packing -----------------------------------------------------------------------------------------------------------
 
--- Below 2^48, as 6 bytes, little endian.
-local function bytes_of(n)
+--- A number below 2^48 as 6 bytes, little endian.
+function M.bytes_of(n)
   local a, b, c, d, e = n % 0x100, n % 0x10000, n % 0x1000000, n % 0x100000000, n % 0x10000000000
   return char(a, (b - a) / 0x100, (c - b) / 0x10000, (d - c) / 0x1000000, (e - d) / 0x100000000,
     (n - e) / 0x10000000000)
 end
 
+--- A delta in seconds as a number below 2^47: nanoseconds plus 1, 0 for none; nil where it does not fit.
+function M.from_delta(delta)
+  if not delta then return 0 end
+  local number = floor(delta * NANOSECONDS + 0.5) + 1
+  return number > 0 and number < MAX_DELTA and number or nil
+end
+
+--- And back.
+function M.to_delta(number)
+  return number > 0 and (number - 1) / NANOSECONDS or nil
+end
+
+local bytes_of, from_delta, to_delta = M.bytes_of, M.from_delta, M.to_delta
+
 -- What does not fit stays where it is.
 local function note_of(self, look)
-  local delta = self.deltas[look]
-  local note = delta and 2 * (floor(delta * NANOSECONDS + 0.5) + 1) or 0
-  if note >= 0 and note < MAX_NOTE then self.deltas[look] = nil else note = 0 end
+  local delta = from_delta(self.deltas[look])
+  if delta then self.deltas[look] = nil end
+  local note = 2 * (delta or 0)
   if self.faulty[look] then note, self.faulty[look] = note + 1, nil end
   return bytes_of(note)
 end
 
 local function pack_extra(self, look, code, rest)
   local extra, count = self.extras[look], #rest
-  if code == LAST then
+  if code == TEXT then
     local length = #extra
     rest[count + 1], rest[count + 2] = char(length % 0x100, (length - length % 0x100) / 0x100), extra
   else
@@ -75,14 +89,15 @@ local function pack_block(self, number)
     local code = codes[look]
     if code then
       codes[look], is_empty = nil, false
-      if code >= ALONE then pack_extra(self, look, code, rest) end
+      if code >= NUMBER then pack_extra(self, look, code, rest) end
     end
     buffer[i] = code or 0
   end
   if not is_empty then self.blocks[number] = char(unpack(buffer, 1, BLOCK)) .. concat(rest) end
 end
 
---- Packs what is old: what lies further behind the newest look than a code reaches.
+--- Packs what is old: what lies further behind the newest look than a code reaches.  What is written for an older look
+-- stays in the tables.
 function Archive:pack(newest)
   while newest >= self.due do
     pack_block(self, self.first)
@@ -92,11 +107,14 @@ end
 
 -- Asking ------------------------------------------------------------------------------------------------------------
 
-local function number_at(text, at, count)
+--- The number in so many bytes of a text.
+function M.number_at(text, at, count)
   local number = 0
   for i = at + count - 1, at, -1 do number = number * 0x100 + byte(text, i) end
   return number
 end
+
+local number_at = M.number_at
 
 -- The extras of a block: { [index] = { extra, note } }.  The last two blocks stay open: who goes through a capture asks
 -- for some looks of one by turns with some of the next.
@@ -108,10 +126,10 @@ local function open(self, number)
   opened = { number = number }
   for i = 1, BLOCK do
     local code = byte(block, i)
-    local length = code == LAST and number_at(block, at, 2) or 4
-    if code >= ALONE then
-      local extra = code == ALONE and number_at(block, at, 4)
-      if code == LAST then
+    local length = code == TEXT and number_at(block, at, 2) or 4
+    if code >= NUMBER then
+      local extra = code == NUMBER and number_at(block, at, 4)
+      if code == TEXT then
         at = at + 2
         extra = sub(block, at, at + length - 1)
       end
@@ -136,20 +154,20 @@ function Archive:get(look)
   if code then return code, self.extras[look] end
   local block, number, index = find(self, look)
   code = block and byte(block, index) or 0
-  if code >= ALONE then return code, open(self, number)[index][1] end
+  if code >= NUMBER then return code, open(self, number)[index][1] end
   return code > 0 and code or nil
 end
 
 local function packed_note(self, look)
   local block, number, index = find(self, look)
-  return block and byte(block, index) >= ALONE and open(self, number)[index][2] or 0
+  return block and byte(block, index) >= NUMBER and open(self, number)[index][2] or 0
 end
 
 --- The delta of a look, to the nanosecond; nil for none.
 function Archive:delta(look)
   if self.deltas[look] then return self.deltas[look] end
   local note = packed_note(self, look)
-  return note > 1 and ((note - note % 2) / 2 - 1) / NANOSECONDS or nil
+  return to_delta((note - note % 2) / 2)
 end
 
 --- Whether the message that ends at a look has a fault flag set.

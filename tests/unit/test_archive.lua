@@ -1,0 +1,158 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The archive says the same of a look at any later time: held against tables that keep all as it was written.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local archive = require("yapp_archive")
+local levels = require("levels")
+local serial_piece = require("yapp_serial_piece")
+
+local T = {}
+
+local random = math.random
+
+local function text_of(length)
+  local list = {}
+  for i = 1, length do list[i] = string.char(random(0, 255)) end
+  return table.concat(list)
+end
+
+-- A delta to the nanosecond, some at the limits of what a note has room for.
+local DELTAS = { 0, 1e-9, -1e-9, 0.1, 86400, 140737, 140738, 1e9, -5 }
+local function some_delta()
+  if random(3) == 1 then return DELTAS[random(#DELTAS)] end
+  return random(0, 2000000) / 1e6
+end
+
+-- Writes looks in order, of which some are missing, and now and then an older one once more.
+local function written(count)
+  local kept, truth, look = archive.new(), {}, 0
+  for _ = 1, count do
+    look = look + (random(50) == 1 and random(2000) or random(20) == 1 and 0.25 or random(3))
+    local at = random(40) == 1 and look > 1200 and look - random(1000) or look
+    local code = random(3)
+    code = code == 1 and random(archive.MAX_DISTANCE) or code == 2 and archive.NUMBER or archive.TEXT
+    local extra
+    if code == archive.NUMBER then extra = random(4) == 1 and 2 ^ 32 - 1 or random(0, 2 ^ 29) end
+    if code == archive.TEXT then extra = text_of(random(50) == 1 and 65535 or random(0, 60)) end
+    local row = { code = code, extra = extra }
+    kept.codes[at], kept.extras[at], kept.deltas[at], kept.faulty[at] = code, extra, nil, nil
+    if code >= archive.NUMBER and not truth[at] then -- as for messages: a look ends one, once
+      row.delta, row.is_faulty = random(5) > 1 and some_delta() or nil, random(4) == 1
+      kept.deltas[at], kept.faulty[at] = row.delta, row.is_faulty or nil
+    elseif truth[at] then
+      row.delta, row.is_faulty, row.is_again = nil, nil, true
+    end
+    truth[at] = row
+    if look >= kept.due then kept:pack(look) end
+  end
+  return kept, truth, look
+end
+
+function T.test_as_written()
+  for seed = 1, levels.size(5, 100) do
+    math.randomseed(seed)
+    local kept, truth, last = written(3000)
+    local looks = {}
+    for look in pairs(truth) do looks[#looks + 1] = look end
+    table.sort(looks)
+    for i = 1, 2 * #looks do -- first in order, then in any
+      local look = looks[i] or looks[random(#looks)]
+      local row, message = truth[look], ("seed %d, look %s"):format(seed, look)
+      local code, extra = kept:get(look)
+      lu.assertEquals({ code, extra }, { row.code, row.extra }, message)
+      if not row.is_again then
+        lu.assertEquals(kept:is_faulty(look), row.is_faulty or false, message)
+        local delta = kept:delta(look)
+        lu.assertEquals(delta ~= nil, row.delta ~= nil, message)
+        if delta then lu.assertAlmostEquals(delta, row.delta, 1e-10, message) end
+      end
+    end
+    for look = 0, last do
+      if not truth[look] then lu.assertNil(kept:get(look), ("seed %d, look %d"):format(seed, look)) end
+    end
+  end
+end
+
+-- What it is for: of a long capture next to nothing stays in tables.
+function T.test_is_packed()
+  local kept = archive.new()
+  for look = 1, 100000 do
+    local is_last = look % 5 == 0
+    kept.codes[look] = is_last and archive.TEXT or 5 - look % 5
+    if is_last then kept.extras[look], kept.deltas[look] = ("x"):rep(46), 0.001 end
+    if look >= kept.due then kept:pack(look) end
+  end
+  for _, name in ipairs { "codes", "extras", "deltas" } do
+    local count = 0
+    for _ in pairs(kept[name]) do count = count + 1 end
+    lu.assertTrue(count < 600, name .. ": " .. count)
+  end
+  local bytes = 0
+  for _, block in pairs(kept.blocks) do bytes = bytes + #block end
+  lu.assertTrue(bytes < 100000 * 12, "bytes: " .. bytes)
+end
+
+-- Pieces ----------------------------------------------------------------------------------------------------------
+
+local function some_event(number, base)
+  local kind = ({ "frame", "skipped" })[random(2)]
+  local from = base + random(-200, 300)
+  local event = { kind = kind, from = from, to = from + random(1, 300) }
+  if kind == "frame" then
+    event.good = random(2) == 1
+    if event.good and random(3) > 1 then event.delta = random(0, 1000000) / 1e6 end
+    if from < base then
+      event.parts = {}
+      for i = 1, random(1, 4) do event.parts[i] = number - random(0, 300) end
+    end
+  end
+  if from < base then event.bytes = text_of(event.to - from) end
+  return event
+end
+
+local function some_piece()
+  local number, base = random(1000, 100000), random(0, 10 ^ 9)
+  local piece = { number = number, base = base, place = random(0, 100), done = random(0, 1000),
+    pending = random(0, 1000), events = {} }
+  if random(2) == 1 then piece.missing = random(0, 60000) end
+  if random(2) == 1 then piece.leads_to = number + random(1, 60000) end
+  for i = 1, random(0, 6) do piece.events[i] = some_event(number, base) end
+  return piece
+end
+
+function T.test_pieces()
+  math.randomseed(1)
+  for case = 1, levels.size(500, 20000) do
+    local piece = some_piece()
+    local back = serial_piece.unpack(serial_piece.pack(piece), piece.number)
+    for i, event in ipairs(piece.events) do
+      event.from, event.to = event.from - piece.base, event.to - piece.base
+      local delta = back.events[i].delta
+      lu.assertEquals(delta ~= nil, event.delta ~= nil, "case " .. case)
+      if delta then
+        lu.assertAlmostEquals(delta, event.delta, 1e-10)
+        back.events[i].delta = event.delta
+      end
+    end
+    piece.base = 0
+    lu.assertEquals(back, piece, "case " .. case)
+  end
+end
+
+-- What a text has no room for stays as it is.
+function T.test_pieces_without_room()
+  local rows = {
+    { events = { { kind = "cut", from = 0, to = 20, missing = 5 } } },
+    { events = { { kind = "frame", good = false, from = 0, to = 20, truncated = true } } },
+    { events = { { kind = "frame", good = true, from = 0, to = 20, delta = -1 } } },
+    { events = { { kind = "skipped", from = 0, to = 40000 } } },
+    { events = { { kind = "skipped", from = -40000, to = 5, bytes = ("x"):rep(40005) } } },
+    { events = {}, done = 70000 }, { events = {}, leads_to = 70005 }, { events = {}, missing = 65535 },
+  }
+  for i, row in ipairs(rows) do
+    row.number, row.base, row.place, row.done, row.pending = 4, 0, 0, row.done or 20, 0
+    lu.assertNil(serial_piece.pack(row), "row " .. i)
+  end
+end
+
+return T
