@@ -11,7 +11,7 @@ local add, add_le, add_generated, append_text = items.add, items.add_le, items.a
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 
-local NONE, TCP, UDP = 0, 2, 3 -- pinfo.port_type
+local TCP, UDP = 2, 3 -- pinfo.port_type
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset -- see yapp_tree_items
 local ONE_MORE_SEGMENT = 0x0fffffff -- DESEGMENT_ONE_MORE_SEGMENT
 
@@ -237,7 +237,6 @@ end
 
 -- By which packets of one stream know each other.
 local function key_of(pinfo, kind, source)
-  if kind == NONE then return source or "" end -- a serial line has no addresses
   return ("%s|%s|%s|%s|%s|%s"):format(source or "", kind, tostring(pinfo.src), pinfo.src_port, tostring(pinfo.dst),
     pinfo.dst_port)
 end
