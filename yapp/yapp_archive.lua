@@ -5,7 +5,7 @@
 --   0            nothing
 --   1 .. 253     belongs to the look that is so many looks later
 --   254 NUMBER   extra: a number below 2^32
---   255 TEXT     extra: a text
+--   255 TEXT     extra: a text of at most 65,535 bytes
 -- Those of the newest looks lie in tables.  Behind them 256 looks at a time become one text, a block: their codes, and
 -- then, of each look with an extra, in order, the extra and a note: a long capture takes half the memory, and Lua's
 -- collector, which goes over all tables and texts again and again, has next to nothing to go over.
@@ -20,6 +20,7 @@ local unpack = rawget(table, "unpack")
 local BLOCK = 256
 M.NUMBER, M.TEXT = 254, 255
 M.MAX_DISTANCE = 253 -- what a code has room for
+M.MAX_TEXT = 0xFFFF -- bytes
 local NUMBER, TEXT = M.NUMBER, M.TEXT
 
 local NOTE = 6

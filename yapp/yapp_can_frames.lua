@@ -10,6 +10,7 @@ local unpack = rawget(table, "unpack")
 
 local MAX_COUNT = 64 -- of frames, in the small form of a good message
 local PACKED = 9 -- bytes of it besides distances and payload: count, key, CRC
+local MAX_SIZE = 0xFF00 -- of a payload in it
 local ALONE, LAST, MAX_DISTANCE -- of yapp_archive; set in M.new
 
 local Frames = {}
@@ -78,6 +79,7 @@ function Frames:give(look, message)
   if self.faults[look] then
     take_back(self, look, function(fault) return OF_NO_MESSAGE[fault.expert] end)
   end
+  self.archive.codes[look], self.archive.extras[look] = nil, nil
   self.entries[look] = message
 end
 
@@ -114,7 +116,7 @@ function Frames:good(message)
     return false
   end
   local count, last = message.count, message.last
-  if message.reserved or message.padding or message.duplicates or count > MAX_COUNT or
+  if message.reserved or message.padding or message.duplicates or count > MAX_COUNT or message.size > MAX_SIZE or
     last - message[1] > MAX_DISTANCE or self.has_fractions and has_fractions(message) then return false end
   local entries, distances, archive = self.entries, self.distances, self.archive
   local codes = archive.codes

@@ -213,15 +213,16 @@ end
 
 -- The passes -----------------------------------------------------------------------------------------------------
 
--- Pieces that nothing changes any more are kept as texts; not those of the number that may come again (-R).
+-- Pieces that nothing changes any more are kept as texts.  One of the number that may come again (-R) waits; one that
+-- has been dropped, or is not the only piece of its packet, is let be.
 local function settle(pass, stream, number)
-  local settled, rest = stream.settled, {}
-  for i = 1, #settled do
-    local piece = settled[i]
+  local rest = {}
+  for _, piece in ipairs(stream.settled) do
     local at = piece.number
-    if at == number then
+    local is_only = pass.pieces[at] == piece and not piece.other
+    if is_only and at == number then
       rest[#rest + 1] = piece
-    elseif pass.pieces[at] == piece and not piece.other and not pass.archive:get(at) then
+    elseif is_only and not pass.archive:get(at) then
       local text = serial_piece.pack(piece)
       if text then pass.pieces[at], pass.archive.codes[at], pass.archive.extras[at] = nil, archive.TEXT, text end
     end
@@ -311,7 +312,7 @@ end
 
 --- What a packet holds.
 -- fact     what is known of it; the memory keeps nothing of this table:
---            number, place        of the packet; of its bytes in it, any number that is the same with each look
+--            number, place        of the packet; of its bytes in it, in bytes: the same with each look
 --            bytes, truncated     string; whether the capture has fewer than the packet had
 --            transport            "datagram"; "segment", of TCP, which hands over again what is not `done`; "stream"
 --            stream               key of the stream, on a first pass and where `informed`

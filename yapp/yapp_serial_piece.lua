@@ -62,7 +62,8 @@ function M.pack(piece)
   if not fits then return nil end
   local text = {}
   for from = 1, length, 128 do text[#text + 1] = char(unpack(buffer, from, min(from + 127, length))) end
-  return concat(text) .. concat(rest)
+  text = concat(text) .. concat(rest)
+  return #text <= archive.MAX_TEXT and text or nil
 end
 
 -- Takes numbers of 2 bytes from a text.

@@ -146,6 +146,8 @@ function T.test_pieces_without_room()
     { events = { { kind = "frame", good = false, from = 0, to = 20, truncated = true } } },
     { events = { { kind = "frame", good = true, from = 0, to = 20, delta = -1 } } },
     { events = { { kind = "skipped", from = 0, to = 40000 } } },
+    { events = { { kind = "skipped", from = -32000, to = 5, bytes = ("x"):rep(32005) },
+      { kind = "skipped", from = -32000, to = 5, bytes = ("x"):rep(34000) } } },
     { events = { { kind = "skipped", from = -40000, to = 5, bytes = ("x"):rep(40005) } } },
     { events = {}, done = 70000 }, { events = {}, leads_to = 70005 }, { events = {}, missing = 65535 },
   }

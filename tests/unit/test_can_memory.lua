@@ -92,6 +92,24 @@ function T.test_one_pass_and_later_looks()
     "good:1,2,3,4,5 part>5 part>5 part>5")
 end
 
+-- More than an archive's text has room for; and frames behind it, so that it would be packed.
+function T.test_a_message_of_65530_bytes()
+  local known, record, payload = new(), {}, ("x"):rep(65530)
+  local function see(number, ctrl, data, again)
+    record = known:look(can_id.address(id_of(0x123, ctrl)), { number = number, place = 8, is_again = again or false,
+      data = data, reported = #data, informed = true, wide = true, bus = 0 }, record)
+    return record
+  end
+  local header = can_id.header({ id = 0x123, seq = 0, ctl = 0 }, #payload)
+  see(1, 1, little_endian(crc.of(header .. payload), 4) .. little_endian(#payload, 2) .. "\0\0")
+  for number = 2, 33 do see(number, 2, payload:sub(1, 2000)) end
+  lu.assertEquals(see(34, 3, payload:sub(1, 1530)).message.status, "good")
+  for number = 35, 1000 do see(number, 0, "1234567") end
+  lu.assertEquals(see(1, 1, "", true).leads_to, 34)
+  lu.assertTrue(see(34, 3, "", true).is_last)
+  lu.assertEquals(record.message.payload, payload)
+end
+
 function T.test_a_frame_that_never_came()
   local known = new()
   looks(known, WHOLE)

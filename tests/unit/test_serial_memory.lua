@@ -321,4 +321,45 @@ function T.test_one_frame_a_packet_costs_little()
   lu.assertEquals(in_words(memory:look(facts({ 5000, A }, { visited = true }))), "good 5 @0")
 end
 
+-- Nor do packets with ends and beginnings of frames, when the stream has gone on: 40 frames of 48 bytes, 64 at a time.
+function T.test_parts_of_frames_cost_little()
+  local stream, packets = {}, {}
+  for i = 1, 40 do stream[i] = generator.frame(5, ("%032d"):format(i)) end
+  stream = table.concat(stream)
+  for at = 1, #stream, 64 do packets[#packets + 1] = stream:sub(at, at + 63) end
+  collectgarbage()
+  collectgarbage()
+  local before = collectgarbage("count")
+  local memory = new()
+  local function look(number, visited)
+    return memory:look(facts({ number, packets[(number - 1) % #packets + 1] }, { visited = visited }))
+  end
+  for i = 1, 200 * #packets do look(i) end
+  collectgarbage()
+  collectgarbage()
+  lu.assertTrue((collectgarbage("count") - before) * 1024 / (200 * #packets) < 250) -- bytes a packet
+  for _, number in ipairs { 2, 3002, 1502, 5999 } do
+    lu.assertEquals(in_words(look(number, true)):match("^good 5 in %d+,%d+"), ("good 5 in %d,%d"):format(number - 1, number))
+  end
+end
+
+-- A read filter (-R) that rejects many packets gives all of them one number.
+function T.test_one_number_for_many_packets()
+  local memory = new()
+  for _ = 1, 500 do memory:look(facts({ 7, "noise" }, {})) end
+  lu.assertTrue(#memory.first.streams[""].settled <= 2)
+  lu.assertEquals(in_words(memory:look(facts({ 7, "noise" }, { visited = true }))), "skipped 5 @0")
+end
+
+-- More than a text has room for.
+function T.test_a_frame_of_two_large_packets()
+  local memory, large = new(), generator.frame(5, ("x"):rep(65000))
+  memory:look(facts({ 300, large:sub(1, 1000) }, {}))
+  memory:look(facts({ 301, large:sub(1001) }, {}))
+  for number = 302, 1000 do memory:look(facts({ number, A }, {})) end
+  lu.assertEquals(in_words(memory:look(facts({ 300, large:sub(1, 1000) }, { visited = true }))),
+    "1000 wait for 64016, to 301")
+  lu.assertEquals(in_words(memory:look(facts({ 301, large:sub(1001) }, { visited = true }))), "good 5 in 300,301")
+end
+
 return T
