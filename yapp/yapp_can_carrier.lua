@@ -73,14 +73,15 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   if not record then return 0 end
   local of_bus = self.names[facts.bus or false]
   local names = of_bus and of_bus[address.id] or new_names(self, address.id, facts.bus)
-  local wants = self.tree:wants(tree, facts.is_again)
+  local builder = self.tree
+  local wants = not facts.is_again and builder.wanted or builder:wants(tree, facts.is_again)
   local columns = pinfo.cols
   columns.protocol = "YAPP"
   columns.src = names.source
   local length, is_told = #facts.data, self.reader.stat.wanted
   if is_told and record.message and not record.is_last then self:tell_part(names, address, facts, pinfo.rel_ts) end
   if not (record.is_rare or wants.yapp) and length == facts.reported then -- most frames
-    if wants.names then self.tree:bare(tree, wants) end
+    if wants.names then builder:bare(tree, wants) end
     local message, texts = record.message, names.texts
     columns.info = texts.size == message.size and length == 8 and texts[message.count] or
       self:part_text(names, address, record, length)

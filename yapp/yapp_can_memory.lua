@@ -22,7 +22,8 @@ Pass.__index = Pass
 local function new_pass(memory)
   local reassembly = memory.parts.can_reassembly.new(memory.parts, memory.size_of)
   return setmetatable({
-    reassembly = reassembly, kept = reassembly.kept, archive = reassembly.kept.archive, history = memory.new_history(),
+    reassembly = reassembly, kept = reassembly.kept, archive = reassembly.kept.archive,
+    faults = reassembly.kept.faults, history = memory.new_history(),
     highest = 0, latest = 0, -- number, and look, of the newest frame
     repeats = {},            -- [number] = { [place] = look }, where a number came more than once
     odd = {},                -- [number] = place, where it is not the usual one
@@ -201,7 +202,7 @@ local function fill(self, record, pass, look, is_now, message)
     record.is_unfinished, record.has_fault, record.faults, record.is_late = nil, nil, nil, nil
   end
   record.pass, record.look, record.message, record.is_now = pass, look, message, is_now
-  local faults = look and pass.kept.faults[look]
+  local faults = look and pass.faults[look]
   if message and not faults and not message.last and not self.is_again then return record end
   record.is_rare, record.faults = true, faults
   if not message then
@@ -232,7 +233,12 @@ function Memory:look(address, facts, record)
     local look = next_look(first, facts.number, facts.place)
     if not self.is_again then self.highest = facts.number end
     local is_ours, message = take(self, first, address, facts, look)
-    return is_ours and fill(self, record, first, look, true, message) or nil
+    if not is_ours then return nil end
+    if not message or message.last or record.is_rare or self.is_again or first.faults[look] then
+      return fill(self, record, first, look, true, message)
+    end
+    record.pass, record.look, record.message, record.is_now = first, look, message, true -- as fill does it
+    return record
   end
   self.is_again, self.highest = true, math.huge
   local look, is_now, message = second_look(self, address, facts)

@@ -68,6 +68,7 @@ function Facts:init()
     remove(self.bus_tap)
     self.bus_tap = nil
   end
+  self.asks_bus = (self.bus_tap or self.found.later) and true or false
   remove(self.can_tap)
   self.can_tap, self.asked_at = nil, nil
   self.says_bus, self.numbers, self.names, self.count = {}, {}, {}, 0
@@ -257,7 +258,7 @@ function Facts:can_frame(tvb, pinfo, highest)
     self.asked = record.is_again
     can_fields(self, number)
   end
-  if self.bus_tap or self.found.later or self.candump.current_bus then
+  if self.asks_bus or self.candump.current_bus then
     record.bus, record.informed = self:bus(pinfo)
   elseif record.bus or not record.informed then
     record.bus, record.informed = nil, true

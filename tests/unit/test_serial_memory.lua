@@ -339,7 +339,8 @@ function T.test_parts_of_frames_cost_little()
   collectgarbage()
   lu.assertTrue((collectgarbage("count") - before) * 1024 / (200 * #packets) < 250) -- bytes a packet
   for _, number in ipairs { 2, 3002, 1502, 5999 } do
-    lu.assertEquals(in_words(look(number, true)):match("^good 5 in %d+,%d+"), ("good 5 in %d,%d"):format(number - 1, number))
+    local expected = ("good 5 in %d,%d"):format(number - 1, number)
+    lu.assertEquals(in_words(look(number, true)):sub(1, #expected), expected)
   end
 end
 
