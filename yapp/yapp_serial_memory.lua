@@ -10,12 +10,10 @@
 -- pass for that: frames of two sources may begin with the same bytes.
 --
 -- Most packets are one good frame and no more.  Of such a one only the place is kept, and what was noted of it: the
--- rest is in its bytes, which come again with each look.  Of another its piece is kept, as a text when nothing in it
--- changes any more.
+-- rest is in its bytes, which come again with each look.  Of another its piece is kept (yapp_serial_kept).
 
-local archive = require("yapp_archive")
 local frame = require("yapp_frame")
-local serial_piece = require("yapp_serial_piece")
+local serial_kept = require("yapp_serial_kept")
 
 local M = {}
 
@@ -29,8 +27,7 @@ local function new_pass(new_history)
   return {
     history = new_history(),
     streams = {},            -- [key]: see stream_of
-    archive = archive.new(), -- by number of a packet: the place of one that is one good frame; or a piece as text
-    pieces = {},             -- [number of another packet]: its piece; one more of the same packet is in `other`
+    kept = serial_kept.new(), -- of each packet
     highest = 0,             -- the number of the last packet taken
     informed = false,        -- whether the pass told sources apart
   }
@@ -213,66 +210,18 @@ end
 
 -- The passes -----------------------------------------------------------------------------------------------------
 
--- Pieces that nothing changes any more are kept as texts.  One of the number that may come again (-R) waits; one that
--- has been dropped, or is not the only piece of its packet, is let be.
-local function settle(pass, stream, number)
-  local rest = {}
-  for _, piece in ipairs(stream.settled) do
-    local at = piece.number
-    local is_only = pass.pieces[at] == piece and not piece.other
-    if is_only and at == number then
-      rest[#rest + 1] = piece
-    elseif is_only and not pass.archive:get(at) then
-      local text = serial_piece.pack(piece)
-      if text then pass.pieces[at], pass.archive.codes[at], pass.archive.extras[at] = nil, archive.TEXT, text end
-    end
-  end
-  stream.settled = rest
-end
-
-local function keep_place(pass, number, place)
-  local kept = pass.archive
-  kept.codes[number], kept.extras[number] = archive.NUMBER, place
-  if number >= kept.due then kept:pack(number) end
-end
-
--- Nothing is known any more of a piece: a packet that a read filter rejected had the same number.
-local function drop(pass, number, place)
-  local kept = pass.archive
-  if kept.extras[number] == place then kept.codes[number], kept.extras[number], kept.deltas[number] = nil, nil, nil end
-  local before, piece = nil, pass.pieces[number]
-  while piece and piece.place ~= place do before, piece = piece, piece.other end
-  if not piece then return end
-  if before then before.other = piece.other else pass.pieces[number] = piece.other end
-end
-
-local function keep(pass, piece, fact)
-  local number, place, event = fact.number, fact.place, piece.events[1]
-  drop(pass, number, place)
-  if event and event.good and event.from == piece.base and event.to - event.from == #fact.bytes and
-    not pass.archive.codes[number] then
-    keep_place(pass, number, place)
-    return true
-  else
-    piece.place, piece.number, piece.other = place, number, pass.pieces[number]
-    pass.pieces[number] = piece
-    if number >= pass.archive.due then pass.archive:pack(number) end
-  end
-end
-
 -- Takes a packet that is one good frame, without what others need: this saves a tenth of the time of a packet.
 -- returns  the packet; nil for any other, of which nothing is taken
 local function take_plain(self, pass, stream, fact)
   local number, place, bytes = fact.number, fact.place, fact.bytes
-  if fact.truncated or fact.transport == "segment" or pass.archive.codes[number] or
-    pass.pieces[number] then return nil end
+  if fact.truncated or fact.transport == "segment" or pass.kept:has(number) then return nil end
   if fact.transport == "datagram" then
     if not self.datagrams:pass(bytes) then return nil end
   else
     if not stream.framer or not stream.framer:pass(bytes) then return nil end
     stream.length = stream.length + #bytes
   end
-  keep_place(pass, number, place)
+  pass.kept:keep_place(number, place)
   local packet = plain_packet(self, pass, fact)
   packet.is_now = true
   return packet
@@ -282,7 +231,7 @@ end
 local function take_packet(self, pass, fact)
   local stream = stream_of(pass, fact.stream)
   pass.highest = fact.number
-  if stream.settled[1] then settle(pass, stream, fact.number) end
+  if stream.settled[1] then stream.settled = pass.kept:settle(stream.settled, fact.number) end
   local plain = take_plain(self, pass, stream, fact)
   if plain then return plain end
   local piece = take[fact.transport](self, stream, fact)
@@ -292,7 +241,7 @@ local function take_packet(self, pass, fact)
   end
   local packet = packet_of(self, pass, piece, fact)
   packet.is_now = true
-  if keep(pass, piece, fact) then
+  if pass.kept:keep(piece, fact) then
     packet.piece = nil
   elseif piece.pending == 0 then
     stream.settled[#stream.settled + 1] = piece
@@ -302,11 +251,8 @@ end
 
 -- What the pass knows of a packet, or nil.
 local function recall(self, pass, fact)
-  local number, place = fact.number, fact.place
-  local code, extra = pass.archive:get(number)
-  if code == archive.NUMBER and extra == place then return plain_packet(self, pass, fact) end
-  local piece = code == archive.TEXT and serial_piece.unpack(extra, number) or pass.pieces[number]
-  while piece and piece.place ~= place do piece = piece.other end
+  local piece, is_plain = pass.kept:recall(fact.number, fact.place)
+  if is_plain then return plain_packet(self, pass, fact) end
   return piece and packet_of(self, pass, piece, fact)
 end
 
@@ -369,9 +315,9 @@ function Memory.change(_, message, packet, index, fact)
   if packet.is_now then
     local delta
     change, delta = pass.history:note(message)
-    if piece then piece.events[index].delta = delta else pass.archive.deltas[number] = delta end
+    if piece then piece.events[index].delta = delta else pass.kept.archive.deltas[number] = delta end
   else
-    if piece then message.delta = piece.events[index].delta else message.delta = pass.archive:delta(number) end
+    if piece then message.delta = piece.events[index].delta else message.delta = pass.kept.archive:delta(number) end
     change = pass.history:change(message)
   end
   if not change then return nil end

@@ -1,0 +1,90 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- What is kept of the packets of one pass over byte streams and datagrams, by number of the packet and place in it.
+-- Pure Lua, 5.2 and 5.4.
+--
+-- In the archive: of a packet that is one good frame its place, and of most others their piece as a text.  In pieces,
+-- by number: a piece that may still change, or that a text has no room for; one more of the same packet is in `other`.
+
+local archive = require("yapp_archive")
+local serial_piece = require("yapp_serial_piece")
+
+local M = {}
+
+local Kept = {}
+Kept.__index = Kept
+
+--- Nothing is known yet.  It has archive, whose deltas are those of packets that are one good frame.
+function M.new()
+  return setmetatable({ archive = archive.new(), pieces = {} }, Kept)
+end
+
+--- Whether anything is known of the newest packet.
+function Kept:has(number)
+  return self.archive.codes[number] ~= nil or self.pieces[number] ~= nil
+end
+
+--- A packet that is one good frame.
+-- place  of its bytes
+function Kept:keep_place(number, place)
+  local kept = self.archive
+  kept.codes[number], kept.extras[number] = archive.NUMBER, place
+  if number >= kept.due then kept:pack(number) end
+end
+
+-- Nothing is known any more of a piece: a packet that a read filter rejected had the same number.
+local function drop(self, number, place)
+  local kept = self.archive
+  if kept.extras[number] == place then kept.codes[number], kept.extras[number], kept.deltas[number] = nil, nil, nil end
+  local before, piece = nil, self.pieces[number]
+  while piece and piece.place ~= place do before, piece = piece, piece.other end
+  if not piece then return end
+  if before then before.other = piece.other else self.pieces[number] = piece.other end
+end
+
+--- Any packet.
+-- piece    of yapp_serial_memory; fact: of its packet
+-- returns  whether it is one good frame: then the piece is not needed
+function Kept:keep(piece, fact)
+  local number, place, event = fact.number, fact.place, piece.events[1]
+  drop(self, number, place)
+  if event and event.good and event.from == piece.base and event.to - event.from == #fact.bytes and
+    not self.archive.codes[number] then
+    self:keep_place(number, place)
+    return true
+  end
+  piece.place, piece.number, piece.other = place, number, self.pieces[number]
+  self.pieces[number] = piece
+  if number >= self.archive.due then self.archive:pack(number) end
+  return false
+end
+
+--- Pieces that nothing changes any more become texts.  One of the number that may come again (-R) waits; one that has
+-- been dropped, or is not the only piece of its packet, is let be.
+-- settled  list of pieces
+-- returns  list of those that wait
+function Kept:settle(settled, number)
+  local rest, kept = {}, self.archive
+  for _, piece in ipairs(settled) do
+    local at = piece.number
+    local is_only = self.pieces[at] == piece and not piece.other
+    if is_only and at == number then
+      rest[#rest + 1] = piece
+    elseif is_only and not kept:get(at) then
+      local text = serial_piece.pack(piece)
+      if text then self.pieces[at], kept.codes[at], kept.extras[at] = nil, archive.TEXT, text end
+    end
+  end
+  return rest
+end
+
+--- What is known of a packet.
+-- returns  its piece, nil for none; or nil and true for one good frame
+function Kept:recall(number, place)
+  local code, extra = self.archive:get(number)
+  if code == archive.NUMBER and extra == place then return nil, true end
+  local piece = code == archive.TEXT and serial_piece.unpack(extra, number) or self.pieces[number]
+  while piece and piece.place ~= place do piece = piece.other end
+  return piece
+end
+
+return M
