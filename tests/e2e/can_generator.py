@@ -252,13 +252,19 @@ class Bus:
     @staticmethod
     def without_repeated(key, message):
         """CAN may deliver a frame twice: leaves out those without which the CRC is right; returns the padding then."""
-        doubtful = [at for at in range(1, len(message.chunks) - 1) if message.chunks[at].data == message.chunks[at - 1].data]
-        for count in range(1, len(doubtful) + 1):
-            for out in itertools.combinations(doubtful, count):
-                kept = [chunk for at, chunk in enumerate(message.chunks) if at not in out]
-                padding = fits(kept[-1], message.size - sum(len(chunk.data) for chunk in kept[:-1]))
+        chunks = message.chunks
+        runs = [[first + at for at, _ in enumerate(run)] for first, run in runs_of([chunk.data for chunk in chunks[:-1]])]
+        for count in range(1, sum(len(run) - 1 for run in runs) + 1):
+            for shares in shares_of([len(run) - 1 for run in runs], count):
+                # Which frames of a run go makes no difference to its bytes: the first stays.
+                out = {at for run, share in zip(runs, shares) for at in run[1:share + 1]}
+                needed = message.size - message.received + sum(len(chunks[at].data) for at in out) + len(chunks[-1].data)
+                padding = fits(chunks[-1], needed)
+                if padding is None:
+                    continue
+                kept = [chunk for at, chunk in enumerate(chunks) if at not in out]
                 data = b"".join(chunk.data for chunk in kept)[:message.size]
-                if padding is not None and message_crc(key[0], key[1], key[2], data, message.reserved) == message.crc:
+                if message_crc(key[0], key[1], key[2], data, message.reserved) == message.crc:
                     message.members = [message.members[0], *(member for at, member in enumerate(message.members[1:])
                                                              if at not in out)]
                     message.chunks = kept
@@ -280,6 +286,28 @@ class Bus:
             verdict.experts.add("size.mismatch")
         for member in message.members:
             self.verdicts[member].reassembled_in = number
+
+
+def runs_of(items):
+    """Neighbours that are the same, two or more: [(index of the first, list)]."""
+    first, runs = 0, []
+    for _, run in itertools.groupby(items):
+        run = list(run)
+        if len(run) > 1:
+            runs.append((first, run))
+        first += len(run)
+    return runs
+
+
+def shares_of(limits, count):
+    """The ways to make up a number of one share for each limit, none above it; the largest first shares first."""
+    if not limits:
+        if count == 0:
+            yield ()
+        return
+    for first in range(min(limits[0], count), max(0, count - sum(limits[1:])) - 1, -1):
+        for rest in shares_of(limits[1:], count - first):
+            yield (first, *rest)
 
 
 def fits(frame, needed):
