@@ -38,7 +38,6 @@ end
 function Carrier:reset(options)
   self.memory = self.parts.serial_memory.new(self.parts.crc, {
     new_framer = function() return self:framer() end, new_history = options.new_history })
-  self.names = {} -- [bus or false][id]: what messages are called in the Info column
   self.latest = {} -- [stream]: its latest packet that ends within a frame, as the statistics are told of one
 end
 
@@ -91,21 +90,6 @@ local function add_frame(self, view, tvb, at, message)
   return item
 end
 
--- What a message is called.
-local function name_of(self, id, bus_name)
-  local of_bus = self.names[bus_name or false]
-  if not of_bus then
-    of_bus = {}
-    self.names[bus_name or false] = of_bus
-  end
-  local name = of_bus[id]
-  if not name then
-    name = self.tree:name(id, bus_name)
-    of_bus[id] = name
-  end
-  return name
-end
-
 -- The key of a source.
 local function source_of(stream, id)
   return stream .. "|" .. id
@@ -117,7 +101,7 @@ local function read(self, view, index, message)
   m.tree, m.wanted, m.id, m.seq, m.ctl = view.tree, view.wanted, message.id, message.seq, message.ctl
   m.size, m.payload, m.status, m.good = message.size, message.payload, message.status, message.status == "good"
   m.is_whole, m.source, m.bus, m.bus_name = true, source_of(fact.stream, message.id), view.bus_key, name
-  m.name, m.frame, m.time = name_of(self, message.id, name), fact.number, view.pinfo.rel_ts
+  m.name, m.frame, m.time = self.tree:name(message.id, name), fact.number, view.pinfo.rel_ts
   m.visited, m.is_brief = fact.visited, not (view.wanted or self.reader.stat.wanted)
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   self.reader:read(m, self.memory, view.packet, index, fact)
