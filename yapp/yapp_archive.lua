@@ -127,15 +127,13 @@ local function open(self, number)
   opened = { number = number }
   for i = 1, BLOCK do
     local code = byte(block, i)
-    local length = code == TEXT and number_at(block, at, 2) or 4
-    if code >= NUMBER then
-      local extra = code == NUMBER and number_at(block, at, 4)
-      if code == TEXT then
-        at = at + 2
-        extra = sub(block, at, at + length - 1)
-      end
-      opened[i] = { extra, number_at(block, at + length, NOTE) }
-      at = at + length + NOTE
+    if code == NUMBER then
+      opened[i] = { number_at(block, at, 4), number_at(block, at + 4, NOTE) }
+      at = at + 4 + NOTE
+    elseif code == TEXT then
+      local behind = at + 2 + number_at(block, at, 2)
+      opened[i] = { sub(block, at + 2, behind - 1), number_at(block, behind, NOTE) }
+      at = behind + NOTE
     end
   end
   self.opened[slot] = opened

@@ -74,7 +74,7 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local of_bus = self.names[facts.bus or false]
   local names = of_bus and of_bus[address.id] or new_names(self, address.id, facts.bus)
   local builder = self.tree
-  local wants = not facts.is_again and builder.wanted or builder:wants(tree, facts.is_again)
+  local wants = builder:wants(tree, facts.is_again)
   local columns = pinfo.cols
   columns.protocol = "YAPP"
   columns.src = names.source

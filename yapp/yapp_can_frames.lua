@@ -3,6 +3,8 @@
 --
 -- All is kept by look: a number that grows, whose whole part is the frame's number (see yapp_can_memory).
 
+local archive = require("yapp_archive")
+
 local M = {}
 
 local byte, char, sub = string.byte, string.char, string.sub
@@ -10,21 +12,19 @@ local unpack = rawget(table, "unpack")
 
 local MAX_COUNT = 64 -- of frames, in the small form of a good message
 local PACKED = 9 -- bytes of it besides distances and payload: count, key, CRC
-local MAX_SIZE = 0xFF00 -- of a payload in it
-local ALONE, LAST, MAX_DISTANCE -- of yapp_archive; set in M.new
+local MAX_SIZE = archive.MAX_TEXT - MAX_COUNT - PACKED -- of a payload in it
+local ALONE, LAST, MAX_DISTANCE = archive.NUMBER, archive.TEXT, archive.MAX_DISTANCE -- codes there
 
 local Frames = {}
 Frames.__index = Frames
 
 --- Nothing is known yet.
--- parts    the modules { can_id =, archive = }
+-- can_id   the module
 -- It has entries, by look: a message whose table is kept; all else is in its archive, which is asked second.  And
 -- faults, by look: a list of { expert =, text =, void = nil or true once it is taken back }.  And has_fractions:
 -- whether any look may have one.
-function M.new(parts)
-  ALONE, LAST, MAX_DISTANCE = parts.archive.NUMBER, parts.archive.TEXT, parts.archive.MAX_DISTANCE
-  return setmetatable({ can_id = parts.can_id, archive = parts.archive.new(), entries = {}, faults = {},
-    distances = {} }, Frames)
+function M.new(can_id)
+  return setmetatable({ can_id = can_id, archive = archive.new(), entries = {}, faults = {}, distances = {} }, Frames)
 end
 
 --- Says that something is wrong at a frame; of a message that may still come out good, where it is given.
@@ -60,9 +60,9 @@ end
 --- A frame that belongs to no message.
 -- can_id  its 29-bit id: CAN CTRL says what it is
 function Frames:alone(look, can_id)
-  local archive = self.archive
-  archive.codes[look], archive.extras[look] = ALONE, can_id
-  if look >= archive.due then archive:pack(look) end
+  local kept = self.archive
+  kept.codes[look], kept.extras[look] = ALONE, can_id
+  if look >= kept.due then kept:pack(look) end
 end
 
 --- A Middle or End whose message is not known.
@@ -118,17 +118,17 @@ function Frames:good(message)
   local count, last = message.count, message.last
   if message.reserved or message.padding or message.duplicates or count > MAX_COUNT or message.size > MAX_SIZE or
     last - message[1] > MAX_DISTANCE or self.has_fractions and has_fractions(message) then return false end
-  local entries, distances, archive = self.entries, self.distances, self.archive
-  local codes = archive.codes
+  local entries, distances, kept = self.entries, self.distances, self.archive
+  local codes = kept.codes
   for i = 1, count do
     local look = message[i]
     local distance = last - look
     distances[i], codes[look], entries[look] = distance, distance, nil
   end
   -- Count, distances, key, and the CRC as the Start has it.
-  codes[last], archive.extras[last] = LAST, char(count, unpack(distances, 1, count)) .. message.address.key_bytes ..
+  codes[last], kept.extras[last] = LAST, char(count, unpack(distances, 1, count)) .. message.address.key_bytes ..
     sub(message.sent, 1, 4) .. message.payload
-  if last >= archive.due then archive:pack(last) end
+  if last >= kept.due then kept:pack(last) end
   return true
 end
 

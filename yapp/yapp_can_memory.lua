@@ -89,8 +89,7 @@ local Memory = {}
 Memory.__index = Memory
 
 --- The memory of one capture file.
--- parts     the modules { can_id =, crc =, can_frames =, archive =, can_reassembly =, can_interleave =,
---           can_repeated = }
+-- parts     the modules { can_id =, crc =, can_frames =, can_reassembly =, can_interleave =, can_repeated = }
 -- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown one;
 --             new_history = function() -> a yapp_history, one for each pass;
 --             has_buses = whether the file is known to have several buses }
@@ -233,12 +232,7 @@ function Memory:look(address, facts, record)
     local look = next_look(first, facts.number, facts.place)
     if not self.is_again then self.highest = facts.number end
     local is_ours, message = take(self, first, address, facts, look)
-    if not is_ours then return nil end
-    if not message or message.last or record.is_rare or self.is_again or first.faults[look] then
-      return fill(self, record, first, look, true, message)
-    end
-    record.pass, record.look, record.message, record.is_now = first, look, message, true -- as fill does it
-    return record
+    return is_ours and fill(self, record, first, look, true, message) or nil
   end
   self.is_again, self.highest = true, math.huge
   local look, is_now, message = second_look(self, address, facts)

@@ -16,7 +16,7 @@ local Reassembly = {}
 Reassembly.__index = Reassembly
 
 --- The reassembly of one pass over a capture file.
--- parts    the modules { can_id =, crc =, can_frames =, archive =, can_interleave =, can_repeated = }
+-- parts    the modules { can_id =, crc =, can_frames =, can_interleave =, can_repeated = }
 -- size_of  function(id, bus) -> payload size of a known message, nil for an unknown one
 -- It has kept, a yapp_can_frames: what each frame is.
 --
@@ -26,7 +26,7 @@ Reassembly.__index = Reassembly
 -- (whether no other message was open that its bytes may belong to), and last (the look of its last frame).
 function M.new(parts, size_of)
   return setmetatable({
-    can_id = parts.can_id, crc = parts.crc, parts = parts, size_of = size_of, kept = parts.can_frames.new(parts),
+    can_id = parts.can_id, crc = parts.crc, parts = parts, size_of = size_of, kept = parts.can_frames.new(parts.can_id),
     open = {}, open_count = 0, queue = {}, queue_length = 0, credit = MAX_CREDIT, seeds = {}, seed_count = 0,
     claimed = {}, -- unknown IDs of which a Start without a Seq has come: then others may have one
   }, Reassembly)

@@ -7,7 +7,7 @@ local M = {}
 local abs, floor = math.abs, math.floor
 local add, set_generated = TreeItem.add, TreeItem.set_generated
 
--- As in Wireshark's API: the item first.
+-- As in Wireshark's API: the item first, or the Tvb.
 M.add, M.add_le, M.append_text, M.set_generated = add, TreeItem.add_le, TreeItem.append_text, set_generated
 M.set_hidden, M.set_text, M.range = TreeItem.set_hidden, TreeItem.set_text, Tvb.range
 

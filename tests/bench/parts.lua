@@ -8,7 +8,7 @@ local top = arg[0]:match("^(.*)tests[/\\]bench[/\\]") or "./"
 package.path = top .. "yapp/?.lua;" .. package.path
 
 local parts = {}
-for _, name in ipairs { "archive", "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly",
+for _, name in ipairs { "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly",
   "can_repeated", "catalogue", "crc", "decode", "history", "reader" } do
   parts[name] = require("yapp_" .. name)
 end

@@ -253,7 +253,7 @@ class Bus:
     def without_repeated(key, message):
         """CAN may deliver a frame twice: leaves out those without which the CRC is right; returns the padding then."""
         chunks = message.chunks
-        runs = [[first + at for at, _ in enumerate(run)] for first, run in runs_of([chunk.data for chunk in chunks[:-1]])]
+        runs = runs_of([chunk.data for chunk in chunks[:-1]])
         for count in range(1, sum(len(run) - 1 for run in runs) + 1):
             for shares in shares_of([len(run) - 1 for run in runs], count):
                 # Which frames of a run go makes no difference to its bytes: the first stays.
@@ -289,14 +289,9 @@ class Bus:
 
 
 def runs_of(items):
-    """Neighbours that are the same, two or more: [(index of the first, list)]."""
-    first, runs = 0, []
-    for _, run in itertools.groupby(items):
-        run = list(run)
-        if len(run) > 1:
-            runs.append((first, run))
-        first += len(run)
-    return runs
+    """The indices of neighbours that are the same, two or more: a list for each run."""
+    runs = [list(run) for _, run in itertools.groupby(range(len(items)), key=items.__getitem__)]
+    return [run for run in runs if len(run) > 1]
 
 
 def shares_of(limits, count):

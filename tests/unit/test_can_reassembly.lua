@@ -43,8 +43,7 @@ function bus.reassembler()
     state.steps = state.steps + 1
     return crc.update(...)
   end
-  state = reassembly.new({ can_id = can_id, crc = counted, archive = require("yapp_archive"),
-    can_frames = require("yapp_can_frames"),
+  state = reassembly.new({ can_id = can_id, crc = counted, can_frames = require("yapp_can_frames"),
     can_interleave = require("yapp_can_interleave"), can_repeated = require("yapp_can_repeated") },
     function(id) return bus.known[id] end)
   state.steps = 0
