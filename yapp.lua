@@ -24,10 +24,10 @@ package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
 local parts = {}
 for _, name in ipairs {
   "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly", "can_repeated",
-  "can_wrapper", "catalogue", "catalogue_files", "copies", "crc", "decode", "decode_columns", "facts", "file_asc",
-  "file_asc_reader", "file_candump", "file_candump_line", "file_candump_reader", "file_dump", "file_dump_reader",
-  "file_head", "frame", "history", "preferences", "reader", "serial_carrier", "serial_memory", "serial_stream",
-  "sources", "stat", "stat_tell", "tree", "utf8",
+  "can_wrapper", "catalogue", "catalogue_files", "collector", "copies", "crc", "decode", "decode_columns", "facts",
+  "file_asc", "file_asc_reader", "file_candump", "file_candump_line", "file_candump_reader", "file_dump",
+  "file_dump_reader", "file_head", "frame", "history", "preferences", "reader", "serial_carrier", "serial_memory",
+  "serial_stream", "sources", "stat", "stat_tell", "tree", "utf8",
 } do
   parts[name] = require("yapp_" .. name)
 end
@@ -218,6 +218,7 @@ function yapp.init()
     new_history = function() return parts.history.new { late = late, catalogue = catalogue } end,
     has_buses = facts:are_several(),
   }
+  parts.collector.reset()
   reader:reset()
   tell:reset()
   tree:reset()

@@ -11,6 +11,8 @@
 -- collector, which goes over all tables and texts again and again, has next to nothing to go over.
 -- A note is 6 bytes: twice the delta in nanoseconds plus 1, 0 for none; plus 1 where the message has a fault flag set.
 
+local collector = require("yapp_collector")
+
 local M = {}
 
 local byte, char, sub, floor = string.byte, string.char, string.sub, math.floor
@@ -94,7 +96,10 @@ local function pack_block(self, number)
     end
     buffer[i] = code or 0
   end
-  if not is_empty then self.blocks[number] = char(unpack(buffer, 1, BLOCK)) .. concat(rest) end
+  if is_empty then return end
+  local block = char(unpack(buffer, 1, BLOCK)) .. concat(rest)
+  self.blocks[number] = block
+  collector.packed(#block)
 end
 
 --- Packs what is old: what lies further behind the newest look than a code reaches.  What is written for an older look
