@@ -12,7 +12,7 @@ local M = {}
 
 local PAUSE = 110 -- start when so many percent of what is in use are reached
 local STEP = 1000 -- percent of the speed at which new objects come
-local OTHERS = 16 * 1024 -- KiB that may be in use besides what is packed
+local OTHERS = 16 * 1024 -- KiB that may be in use besides what is packed, and as much again as that is
 
 local ours = 0 -- bytes that are packed
 local before -- { pause, step } of others, while ours are set
@@ -38,7 +38,7 @@ end
 --- To be called with the bytes of each text that is kept to the end of the capture.
 function M.packed(bytes)
   ours = ours + bytes
-  local is_small = collectgarbage("count") - ours / 1024 <= OTHERS
+  local is_small = collectgarbage("count") - 2 * ours / 1024 <= OTHERS
   if not is_small then
     restore()
   elseif not before then

@@ -8,6 +8,7 @@
 local M = {}
 
 local byte = string.byte
+local unpack = rawget(table, "unpack")
 
 local NANOSECOND = 1e-9 -- what a capture's times have; a difference of two of them has a little more or less
 local NOTHING = {} -- how things stand before a source's first event
@@ -41,7 +42,7 @@ end
 
 -- Which fields of a message are flags: worked out once a message.
 local function kind_of(self, message)
-  local kind = { flags = {}, clock_at = message.time and message.time.offset + 1 }
+  local kind = { flags = {}, known = {}, clock_at = message.time and message.time.offset + 1 }
   for i, field in ipairs(message.fields) do
     if field.kind == "flags" then kind.flags[#kind.flags + 1] = i end
   end
@@ -103,19 +104,40 @@ local function note_bits(times, value, time)
   end
 end
 
--- What changed in one flags field; nil for nothing.  Of a source's first message the alarms count as raised.
-local function flag_change(source, index, look)
+-- A change of a flags field, as a list of its own.  Flags go to and fro between a few values: the same change is kept
+-- once, not once an event.
+local function change_of(kind, field, before, now)
+  local known = kind.known[field] or {}
+  kind.known[field] = known
+  local by_value = known[before] or {}
+  known[before] = by_value
+  local list = by_value[now]
+  if not list then
+    local raised, cleared = difference(before, now)
+    list = { { field = field, value = now, raised = raised, cleared = cleared } }
+    by_value[now] = list
+  end
+  return list
+end
+
+-- What changed in one flags field, as a list; nil for nothing.  Of a source's first message the alarms count as raised.
+local function flag_change(source, kind, index, look)
   local field, now = look.message.fields[index], look.raws[index]
   local before = source.values[index] or field.alarm and 0
   source.values[index] = now
   if not before or before == now then return nil end
-  local raised, cleared = difference(before, now)
   if field.alarm then
     local times = source.raised_at[index] or {}
     source.raised_at[index] = times
     note_bits(times, now, look.time)
   end
-  return { field = field, value = now, raised = raised, cleared = cleared }
+  return change_of(kind, field, before, now)
+end
+
+local function both(list, change)
+  list = { unpack(list) }
+  list[#list + 1] = change[1]
+  return list
 end
 
 -- What changed in the flags of a good message; nil for nothing.
@@ -126,11 +148,8 @@ local function flag_changes(source, kind, look)
     local index = kind.flags[i]
     local raw = raws[index]
     if raw and raw ~= values[index] then
-      local change = flag_change(source, index, look)
-      if change then
-        changes = changes or {}
-        changes[#changes + 1] = change
-      end
+      local change = flag_change(source, kind, index, look)
+      changes = changes and change and both(changes, change) or changes or change
     end
   end
   return changes
@@ -143,10 +162,10 @@ local function has_alarm(changes)
   return false
 end
 
--- Keeps what happened at a message, and how things stand after it.
-local function keep(source, look, event, clock, time)
+-- Keeps what happened at a message, and how things stand after it: event has clock and time of it.
+local function keep(source, look, event)
+  event.active_since = oldest(source.raised_at)
   if has_alarm(event.flags) then event.is_alarm, source.changes[#source.changes + 1] = true, look.number end
-  event.active_since, event.clock, event.time = oldest(source.raised_at), clock, time
   local count = #source.numbers + 1
   source.numbers[count], source.events[count], source.state = look.number, event, event
 end
@@ -174,8 +193,12 @@ local function follow(self, source, look)
   end
   local is_new = flags or missing or is_new_clock or stale ~= state.stale
   if is_new then
-    keep(source, look, { flags = flags, missing = missing, reboot = reboot, stale = stale },
-      is_new_clock and clock or state.clock, is_new_clock and look.time or state.time)
+    local event = { flags = flags, clock = is_new_clock and clock or state.clock,
+      time = is_new_clock and look.time or state.time, active_since = nil, is_alarm = nil }
+    if missing then event.missing = missing end
+    if reboot then event.reboot = true end
+    if stale then event.stale = true end
+    keep(source, look, event)
   end
   return clock, is_new or stale
 end
