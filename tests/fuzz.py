@@ -82,7 +82,7 @@ def preferences(rng):
 
 # Runs --------------------------------------------------------------------------------------------------------------
 
-PLUGIN = ROOT
+PLUGIN, ONCE = ROOT, False
 LONGEST = 6000  # frames of a file
 SHORT = 10_000  # shorter ones are shown in three ways, longer ones in two: a tree takes its time
 
@@ -148,6 +148,12 @@ WAYS = [
     ("sharkd",),
 ]
 
+# --once: no tree is written, each frame is looked at once or twice, and a statistic is made.
+COUNTS = ("-q", "-z", "expert", "-z", "io,stat,0,frame,yapp")
+STATISTICS = ("yapp,summary", "yapp,summary,json", "yapp,faults", "yapp,faults,json", "yapp,events", "yapp,events,json",
+              "yapp,csv,WRITE,replace,all", "yapp,check,fault=0,crc=0,motor.gap=0.1,motor.dc_voltage=20..60")
+CHECK_CODES = (20, 21)  # a rule does not hold, could not be judged
+
 
 def limits(frames, size):
     def apply():
@@ -166,7 +172,8 @@ DAMAGED_FILE = re.compile(r"cut short|damaged|corrupt|isn't a capture file|can't
 # An error in Lua; and an exception of Wireshark's own that goes through our code: Lua never gets back what it takes of
 # the stack, and after a hundred of them nothing works any more.
 ERROR = re.compile(rb"Lua Error[^\n\"]*|_ws\.lua\.error[^\n]*|Dissector bug, protocol (?:YAPP|TAURUS)[^\n\"]*|"
-                   rb"Malformed Packet: (?:YAPP|TAURUS)|limited during capture: (?:YAPP|TAURUS)")
+                   rb"Malformed Packet: (?:YAPP|TAURUS)|limited during capture: (?:YAPP|TAURUS)|"
+                   rb" (?:YAPP|TAURUS)[^\n]* (?:Malformed Packet|Dissector bug|Packet size limited)")  # of -z expert
 
 
 class Run:
@@ -184,7 +191,7 @@ class Run:
             else:
                 load = [] if installed or not plugin else ["-X", f"lua_script:{homes() / 'script/yapp.lua'}"]
                 written = str(path) + ".out"
-                command = ["tshark", *load, *words, "-r", str(path), *(written if w == "WRITE" else w for w in way)]
+                command = ["tshark", *load, *words, "-r", str(path), *(w.replace("WRITE", written) for w in way)]
             size = path.stat().st_size
             child = subprocess.Popen(command, stdin=stdin, stdout=out, stderr=err,
                                      env=environment(installed and plugin), preexec_fn=limits(frames, size),
@@ -212,7 +219,10 @@ class Run:
             time.sleep(0.005)
 
     def frames_read(self):
-        """Of TWO_PASSES: the number of frames, and how many of them are YAPP's."""
+        """Of TWO_PASSES and COUNTS: the number of frames, and how many of them are YAPP's."""
+        counted = re.search(rb"<> +[\d.]+ +\| +(\d+) +\| +\d+ +\| +(\d+) ", self.out)
+        if counted:
+            return int(counted[1]), int(counted[2])
         lines = [line.split(b"\t") for line in self.out.splitlines()]
         return len(lines), sum(len(line) > 2 and line[2] != b"" for line in lines)
 
@@ -232,7 +242,8 @@ class Run:
         found = re.search(r"Lua:.*", self.err)
         if found:
             return found[0]
-        if self.code and not DAMAGED_FILE.search(self.err):
+        is_verdict = self.code in CHECK_CODES and any("yapp,check" in word for word in self.command)
+        if self.code and not is_verdict and not DAMAGED_FILE.search(self.err):
             return f"exit code {self.code}: {self.err.strip().splitlines()[-1:]}"
         return None
 
@@ -274,6 +285,8 @@ def make(seed, number):
     ways = [TREE, TWO_PASSES, rng.choice(WAYS[2:])]
     if len(capture.units) > SHORT:
         ways = [TWO_PASSES, rng.choice(WAYS[:1] + WAYS[2:])]
+    if ONCE:
+        ways = [(*rng.choice(((), (), ("-2",))), *COUNTS, "-z", rng.choice(STATISTICS))]
     return capture, ways, rng.random() < 0.5
 
 
@@ -289,7 +302,7 @@ def look(capture, way, folder, installed=False, units=None, arguments=None):
     if run.problem and re.match("crash|hang|exit|memory", run.problem):
         # Wireshark alone does the same: not our fault, but told.
         others = [group for group in groups if not OURS.search(group[-1])]
-        plain = tuple("io,stat,0" if word.startswith("io,stat") else OURS.sub("frame", word) for word in way)
+        plain = tuple("io,stat,0" if word.startswith(("io,stat", "yapp,")) else OURS.sub("frame", word) for word in way)
         alone = Run(path, others, plain, frames, plugin=False).problem
         if alone and alone.split()[0] == run.problem.split()[0]:
             run.problem, run.not_ours = None, run.problem
@@ -315,7 +328,7 @@ def one_file(seed, number):
             if way[0] == "sharkd" and not shutil.which("sharkd"):
                 continue
             run = look(capture, way, folder, installed)
-            if way == TWO_PASSES:
+            if way == TWO_PASSES or ONCE:
                 result.frames, result.yapp = run.frames_read()
             if len(capture.units) > 3000:  # of less, the start of the program is the most
                 result.slowest = max(result.slowest, run.cpu / len(capture.units))
@@ -412,19 +425,20 @@ def results(seed, frames, jobs, deadline):
 
 
 def main():
-    global PLUGIN, LONGEST
+    global PLUGIN, LONGEST, ONCE
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--frames", type=int, default=100_000)
     parser.add_argument("--seed", default="1")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--longest", type=int, default=LONGEST, help="frames of a file; more make more frames a second")
+    parser.add_argument("--once", action="store_true", help="each file in one way, without a tree: many frames a second")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
     parser.add_argument("--file", type=int, help="look at this file of the seed only")
     parser.add_argument("--replay", type=pathlib.Path, help="look at this capture only")
     parser.add_argument("--plugin", type=pathlib.Path, default=ROOT, help="folder of the plugin")
     parser.add_argument("--keep", type=pathlib.Path, default=CAPTURES, help="where findings go")
     options = parser.parse_args()
-    PLUGIN, LONGEST = options.plugin.resolve(), options.longest
+    PLUGIN, LONGEST, ONCE = options.plugin.resolve(), options.longest, options.once
     homes()  # before the workers start, for all of them
     try:
         if options.replay:
