@@ -5,8 +5,8 @@
 -- objects with a finalizer, and Lua goes over such several times until they are free: once they are more than the
 -- processor's cache holds, that takes longer than to make them.  So, while a capture of ours is read, it starts early
 -- and does not dawdle: a tree takes a third less time.
--- To go over what is in use more often costs next to nothing while that is little; after a million frames it starts less
--- early.  Where other scripts keep much, and for captures without YAPP, Lua has its own pace.
+-- To go over what is in use more often costs next to nothing while that is little; after a million frames it starts
+-- less early.  Where other scripts keep much, and for captures without YAPP, Lua has its own pace.
 
 local M = {}
 
