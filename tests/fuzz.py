@@ -220,7 +220,7 @@ class Run:
 
     def frames_read(self):
         """Of TWO_PASSES and COUNTS: the number of frames, and how many of them are YAPP's."""
-        counted = re.search(rb"<> +[\d.]+ +\| +(\d+) +\| +\d+ +\| +(\d+) ", self.out)
+        counted = re.search(rb"<> +[\d.]+ *\| +(\d+) +\| +\d+ +\| +(\d+) ", self.out)
         if counted:
             return int(counted[1]), int(counted[2])
         lines = [line.split(b"\t") for line in self.out.splitlines()]
