@@ -105,7 +105,7 @@ local function note_bits(times, value, time)
 end
 
 -- A change of a flags field, as a list of its own.  Flags go to and fro between a few values: the same change is kept
--- once, not once an event.
+-- once, not once an event; nobody writes into it.
 local function change_of(kind, field, before, now)
   local known = kind.known[field] or {}
   kind.known[field] = known
@@ -134,6 +134,7 @@ local function flag_change(source, kind, index, look)
   return change_of(kind, field, before, now)
 end
 
+-- A new list: either may be one that is kept.
 local function both(list, change)
   list = { unpack(list) }
   list[#list + 1] = change[1]
@@ -162,10 +163,9 @@ local function has_alarm(changes)
   return false
 end
 
--- Keeps what happened at a message, and how things stand after it: event has clock and time of it.
+-- Keeps what happened at a message, and how things stand after it.
 local function keep(source, look, event)
-  event.active_since = oldest(source.raised_at)
-  if has_alarm(event.flags) then event.is_alarm, source.changes[#source.changes + 1] = true, look.number end
+  if event.is_alarm then source.changes[#source.changes + 1] = look.number end
   local count = #source.numbers + 1
   source.numbers[count], source.events[count], source.state = look.number, event, event
 end
@@ -193,12 +193,9 @@ local function follow(self, source, look)
   end
   local is_new = flags or missing or is_new_clock or stale ~= state.stale
   if is_new then
-    local event = { flags = flags, clock = is_new_clock and clock or state.clock,
-      time = is_new_clock and look.time or state.time, active_since = nil, is_alarm = nil }
-    if missing then event.missing = missing end
-    if reboot then event.reboot = true end
-    if stale then event.stale = true end
-    keep(source, look, event)
+    keep(source, look, { flags = flags, missing = missing, reboot = reboot, stale = stale,
+      clock = is_new_clock and clock or state.clock, time = is_new_clock and look.time or state.time,
+      active_since = oldest(source.raised_at), is_alarm = has_alarm(flags) or nil })
   end
   return clock, is_new or stale
 end

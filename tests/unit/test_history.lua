@@ -56,6 +56,21 @@ function T.test_the_first_message_has_nothing_but_its_clock()
   lu.assertNil(h:note { source = 6, id = 6, seq = 0, number = 3, time = 1, good = false, payload = "" })
 end
 
+-- Changes that come again are kept once: a message that changes two fields writes into neither's.
+function T.test_a_change_that_comes_again_has_its_own_field_only()
+  local function change(field, value, raised, cleared)
+    return { field = field, value = value, raised = raised, cleared = cleared }
+  end
+  local looks = { motor(1, 0), motor(2, 1, { status = 1 }), motor(3, 2), motor(4, 3, { status = 1, fault = 4 }),
+    motor(5, 4), motor(6, 5, { status = 1 }), motor(7, 6, { status = 1, fault = 4 }) }
+  local rose, fell = change(STATUS, 1, 1, 0), change(STATUS, 0, 0, 1)
+  local truth = { "-", { rose }, { fell }, { rose, change(FAULT, 4, 4, 0) }, { fell, change(FAULT, 0, 0, 4) },
+    { rose }, { change(FAULT, 4, 4, 0) } }
+  local found, h = run(looks, "flags")
+  lu.assertEquals(found, truth)
+  for i = 2, #looks do lu.assertEquals(h:change(looks[i]).flags, truth[i]) end
+end
+
 function T.test_deltas_are_from_the_previous_good_message_of_the_source()
   lu.assertEquals(run({ motor(1, 1), motor(2, 1.5, { source = "other" }), motor(3, 3), motor(4, 4, { good = false }),
     motor(5, 7), command(6, 8), command(7, 8.5) }, "delta"), { "-", "-", 2, 1, 4, "-", 0.5 })
