@@ -193,7 +193,8 @@ local function finished(self, view, payload, size)
   local m, facts, address, names = self.message, view.facts, view.address, view.names
   m.tree, m.item, m.wanted, m.tvb, m.at = view.tree, view.item, view.wanted, nil, 0
   m.id, m.seq, m.ctl, m.payload, m.size = address.id, address.seq, address.ctl, payload, size
-  m.source, m.bus, m.bus_name, m.name = key_of(facts.bus, address.id), facts.bus, names.bus, names.name
+  m.source = key_of(not view.record.is_blind and facts.bus or nil, address.id)
+  m.bus, m.bus_name, m.name = facts.bus, names.bus, names.name
   m.frame, m.time, m.visited, m.is_whole = facts.number, view.pinfo.rel_ts, facts.is_again, true
   m.is_brief = not (view.wanted or view.wants.taurus or self.reader.stat.wanted)
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil

@@ -97,7 +97,7 @@ Memory.__index = Memory
 -- been looked at before, which saves asking Wireshark.
 function M.new(parts, options)
   local self = setmetatable({ parts = parts, size_of = options.size_of, new_history = options.new_history,
-    is_mixed = options.has_buses or false, is_guessed = false, reached = 0, highest = 0 }, Memory)
+    is_mixed = options.has_buses or false, is_guessed = false, is_blind = false, reached = 0, highest = 0 }, Memory)
   self.first = new_pass(self)
   return self
 end
@@ -109,7 +109,8 @@ end
 
 -- Takes a frame in the order of a pass; returns whether it is YAPP's, and its message.
 local function take(self, pass, address, facts, look)
-  if not facts.informed or facts.doubtful then self.is_guessed = true end
+  if facts.doubtful then self.is_guessed = true end
+  if not facts.informed then self.is_blind = true end
   if facts.bus then
     self.first_bus = self.first_bus or facts.bus
     if facts.bus ~= self.first_bus then self.is_mixed = true end
@@ -133,7 +134,8 @@ end
 -- then there is none.  In Wireshark a look for the packet list may not have the bus that a look for the details has:
 -- the second pass is made of looks of one kind.
 local function refines(self, facts)
-  if not self.is_guessed or self.first.is_filtered then return false end
+  local is_better = self.is_guessed or self.is_blind and facts.bus
+  if not is_better or self.first.is_filtered then return false end
   local second, number = self.second, facts.number
   if second and second.is_informed and not facts.informed then return false end
   if second and number < second.highest then return false end
@@ -198,7 +200,7 @@ end
 local function fill(self, record, pass, look, is_now, message)
   if record.is_rare then
     record.is_rare, record.is_last, record.alone, record.leads_to = false, nil, nil, nil
-    record.is_unfinished, record.has_fault, record.faults, record.is_late = nil, nil, nil, nil
+    record.is_unfinished, record.has_fault, record.faults, record.is_late, record.is_blind = nil, nil, nil, nil, nil
   end
   record.pass, record.look, record.message, record.is_now = pass, look, message, is_now
   local faults = look and pass.faults[look]
@@ -225,7 +227,8 @@ end
 --            here; leads_to = number of the frame where it does; is_unfinished = whether it never does, and this is its
 --            last frame; has_fault = whether the message has a fault flag set, as far as that is known;
 --            faults = list of { expert, text } or nil; is_now = whether the frame was taken just now, in order;
---            is_late = whether no pass had its id in time }
+--            is_late = whether no pass had its id in time; is_blind = whether what is known of it was found without
+--            buses: then its source is none of a bus }
 function Memory:look(address, facts, record)
   local first = self.first
   if not facts.is_again then
@@ -239,7 +242,11 @@ function Memory:look(address, facts, record)
   if look then return fill(self, record, self.second, look, is_now, message) end
   if is_now == false then return nil end
   look, message = find_look(first, facts.number, facts.place, address.key)
-  if look then return fill(self, record, first, look, false, message) end
+  if look then
+    fill(self, record, first, look, false, message)
+    record.is_blind = self.is_blind
+    return record
+  end
   if not facts.wide then return nil end
   fill(self, record, first)
   record.alone, record.is_late = address.can_id, true

@@ -151,7 +151,7 @@ local function number_of(self, interface, index, direction)
 end
 
 --- Where the current packet was captured.
--- returns  number, nil where nothing says; and whether this pass can know it
+-- returns  number, nil where nothing says, or no more than a file's first interface; and whether this pass can know it
 function Facts:bus(pinfo)
   local candump = self.candump
   if candump.current_bus then
@@ -172,6 +172,11 @@ function Facts:bus(pinfo)
   bus = number_of(self, interface or 0, index or 0, DIRECTION[event] or 0)
   if IN_WIRESHARK then self.buses[pinfo.number] = bus end
   if self.names[bus] == nil then self.names[bus] = self:interface_name(interface, fields["frame.interface_name"]) end
+  -- A file's only interface may stand for several buses: Linux's "any" does, and two captures merged into one.
+  if bus == 1 and not (index or event or self.found.sources) then
+    self.only_name = self.names[1] or self.only_name
+    return nil, true
+  end
   return bus, true
 end
 

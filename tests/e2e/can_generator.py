@@ -524,8 +524,8 @@ def merge(rng, streams):
 
 def _situation(rng, serial, slot, layout, wide, count):
     fd = rng.random() < 0.35
-    faultless = layout == "merged" and rng.random() < 0.5
-    style = Style(wide, layout == "merged", 0 if faultless else rng.choice([0, 0.1, 0.3, 0.6]),
+    faultless = layout in MERGED and rng.random() < 0.5
+    style = Style(wide, layout in MERGED, 0 if faultless else rng.choice([0, 0.1, 0.3, 0.6]),
                   0 if faultless else rng.choice([0, 0, 0, 0.2]),
                   rng.choice([0, 0.1]), serial)
     kinds = rng.sample(list(FIRST_ID), rng.randrange(1, 6))
@@ -540,10 +540,11 @@ def _situation(rng, serial, slot, layout, wide, count):
     return merge(rng, buses)
 
 
-LAYOUTS = ["plain", "one interface", "interfaces", "sll2", "merged"]
-BUS_IS_TOLD = {"interfaces", "sll2"}
+LAYOUTS = ["plain", "one interface", "interfaces", "sll2", "merged", "merged interface"]
 ONE_BUS = {"plain", "one interface"}
 SEVERAL_BUSES = {"interfaces", "sll2"}
+MERGED = {"merged", "merged interface"}
+INTERFACES = {"interfaces": 2, "one interface": 1, "merged interface": 1}
 
 
 def payload_of(frames):
@@ -632,6 +633,10 @@ def pcapng_head(linktypes):
         _block(1, struct.pack("<HHI", linktype, 0, 0)) for linktype in linktypes)
 
 
+# Names of hosts, none: longer than what the plugin looks at when a file is opened, so other interfaces may follow.
+FILLER = _block(4, struct.pack("<HHHH", 0, 0, 1, 65532) + b" " * 65532 + struct.pack("<HH", 0, 0))
+
+
 def pcapng_packet(number, interface, record, captured):
     return _block(6, struct.pack("<IIIII", interface, 0, number * 1000, captured, len(record)) + record[:captured])
 
@@ -655,11 +660,13 @@ def sll_head(frame):
 def write(path, frames, layout):
     """Writes frames as pcap or pcapng; the layout says how the file tells its buses, if it does."""
     with open(path, "wb") as file:
-        if layout in ("interfaces", "one interface"):
-            file.write(pcapng_head([LINKTYPE_SOCKETCAN] * (2 if layout == "interfaces" else 1)))
+        if layout in INTERFACES:
+            file.write(pcapng_head([LINKTYPE_SOCKETCAN] * INTERFACES[layout]))
+            if layout == "merged interface":
+                file.write(FILLER)
             for number, frame in enumerate(frames, 1):
                 record = frame.record()
-                file.write(pcapng_packet(number, frame.bus, record, _captured(frame, record, 0)))
+                file.write(pcapng_packet(number, frame.bus if layout == "interfaces" else 0, record, _captured(frame, record, 0)))
             return
         linktype, head = {"sll2": (LINKTYPE_SLL2, sll2_head), "sll": (LINKTYPE_SLL, sll_head)}.get(
             layout, (LINKTYPE_SOCKETCAN, None))
@@ -668,3 +675,13 @@ def write(path, frames, layout):
             before = head(frame) if head else b""
             record = before + frame.record(little=head is not None)
             file.write(pcap_packet(number, record, _captured(frame, record, len(before))))
+
+
+def write_behind_ip(path, count, frames):
+    """Writes frames as Linux cooked v2, behind so many packets of IP."""
+    ip = struct.pack(">HHIHBB8x", 0x0800, 0, 2, 1, 0, 6) + bytes(20)
+    records = [ip] * count + [sll2_head(frame) + frame.record(little=True) for frame in frames]
+    with open(path, "wb") as file:
+        file.write(pcap_head(LINKTYPE_SLL2))
+        for number, record in enumerate(records):
+            file.write(pcap_packet(number, record, len(record)))

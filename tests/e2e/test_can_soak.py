@@ -113,7 +113,7 @@ class Comparison:
                 frame.can_id & 0xFF and not can_generator.kind_of(frame.can_id >> 18)}
 
     def run(self):
-        strict = self.capture.layout != "merged"
+        strict = self.capture.layout not in can_generator.MERGED
         used = set()
         for number, new in self.new_number.items():
             verdict, row = self.capture.verdicts[number], self.rows.get(new, collections.defaultdict(str))
@@ -250,10 +250,10 @@ def test_random_captures(number, folder):
         TOTAL[name] += sum(name in verdict.experts for verdict in capture.verdicts.values())
 
 
-@pytest.mark.parametrize("layout", levels.few(can_generator.LAYOUTS, ["interfaces", "merged"]))
+@pytest.mark.parametrize("layout", levels.few(can_generator.LAYOUTS, ["interfaces", "merged interface"]))
 def test_filters(layout, folder):
     """A display filter and a read filter do not change what a frame is."""
-    wide = layout != "merged"
+    wide = layout not in can_generator.MERGED
     seed = f"{SEED}.filters"
     capture, path = make_one(seed, layout, wide), folder / "random.pcap"
     capture.write(path)
@@ -261,7 +261,7 @@ def test_filters(layout, folder):
     compare(seed, layout, wide, capture, path, "-2", "-Y", "yapp")
     # A read filter renumbers the frames; the messages stay the same.  (Not so of merged buses in a long capture: what
     # the search among their messages may cost grows with the frames that come.)
-    if layout == "merged":
+    if layout in can_generator.MERGED:
         can_generator.write(path, capture.frames[:1500], layout)
     assert good_messages(capture, path, "-2", "-R", "yapp") == good_messages(capture, path, "-2", "-Y", "yapp")
 

@@ -100,21 +100,6 @@ def stray_end(buses):
     return frames
 
 
-def ip_over_sll2():
-    return struct.pack(">HHIHBB8x", 0x0800, 0, 2, 1, 0, 6) + bytes(20)
-
-
-def sll2_file(path, before, frames):
-    with open(path, "wb") as file:
-        file.write(can_generator.pcap_head(can_generator.LINKTYPE_SLL2))
-        for number in range(before):
-            record = ip_over_sll2()
-            file.write(can_generator.pcap_packet(number, record, len(record)))
-        for number, frame in enumerate(frames, before):
-            record = can_generator.sll2_head(frame) + frame.record(little=True)
-            file.write(can_generator.pcap_packet(number, record, len(record)))
-
-
 def pcapng_file(path, linktypes, frames):
     with open(path, "wb") as file:
         file.write(can_generator.pcapng_head(linktypes))
@@ -132,7 +117,7 @@ def test_buses_never_mix(kind, passes, folder):
     path, frames = folder / "two.pcapng", stray_end([0, 0, 0, 0, 1])
     before = {"IP first": 1, "IP for long": 2000}.get(kind, 0)
     if before:
-        sll2_file(path, before, frames)
+        can_generator.write_behind_ip(path, before, frames)
     else:
         cooked = can_generator.LINKTYPE_SLL
         pcapng_file(path, [cooked if kind == "SLL" else can_generator.LINKTYPE_SOCKETCAN, cooked], frames)

@@ -52,7 +52,7 @@ def ask(home, path, frames):
             for result in answers_of(home, path, *map(details, frames))]
 
 
-@pytest.mark.parametrize("layout", ["interfaces", "sll2", "merged"])
+@pytest.mark.parametrize("layout", ["interfaces", "sll2", "merged", "merged interface"])
 def test_any_order(layout, folder, home):
     """Two buses send messages of the same key in turns."""
     frames, expected = [], {}
@@ -71,6 +71,23 @@ def test_any_order(layout, folder, home):
         assert f"yapp.reassembled.in == {last}" in fields, number
         assert not any("fragment.incomplete" in text or "fragment.orphan" in text for text in fields), number
         assert ("yapp.crc.status == 1" in fields) == (number == last), number
+
+
+# The first pass over a long capture has no fields, so no interface; the details of a frame have one.
+@pytest.mark.parametrize("before", [0, 2000], ids=["one interface", "IP for long"])
+def test_what_changed_since_the_message_before(before, folder, home):
+    path, messages = pathlib.Path(folder) / "long.pcapng", []
+    for fault in (0, 0, 1):
+        payload = bytes(18) + bytes([fault]) + bytes(13)  # fault flags, bit 0
+        messages += [can_generator.Sent(0x210, 0, 0, payload).frames() for _ in range(200)]
+    frames = [frame for message in messages for frame in message]
+    if before:
+        can_generator.write_behind_ip(path, before, frames)
+    else:
+        can_generator.write(path, frames, "one interface")
+    raised = before + 5 * 401
+    found, = ask(home, path, [raised])
+    assert {"taurus.motor.fault.raised == 0x00000001", "yapp.crc.status == 1"} <= found, sorted(found)
 
 
 def test_details_and_packet_list_in_turns(folder, home):
