@@ -244,7 +244,7 @@ local function is_remote(self, pinfo)
   if is_whole then return false end -- CAN FD has no remote frames
   local text = column(pinfo)
   if not text then return nil end
-  return text:find("Remote", 1, true) ~= nil
+  return text:find("Remote", 1, true) ~= nil and tostring(pinfo.cols.protocol) ~= "CANFD"
 end
 
 --- What a look at a CAN frame needs to know, asked for once.

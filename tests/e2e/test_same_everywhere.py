@@ -79,6 +79,14 @@ def test_a_remote_frame_is_no_message_to_count_from(passes, folder):
     assert rows == [[""], [""], ["0.002000000"]]
 
 
+@pytest.mark.parametrize("passes", [(), ("-2",)], ids=" ".join)
+def test_can_fd_has_no_remote_frames(passes, folder):
+    """Whatever its id says: the packet list, where only a text tells, and a tree agree."""
+    path = written(folder, [Frame(0, bytes(7), fd=True, kind="remote")])
+    assert "Command" in tshark.run(*passes, "-r", path).stdout
+    assert shown(path, "yapp.id", passes=passes) == [["0x00000000"]]
+
+
 @levels.each_once
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=" ".join)
 @pytest.mark.parametrize("options", [("-V",), ("-T", "fields", "-e", "yapp.crc.status")], ids=" ".join)
