@@ -266,6 +266,17 @@ def test_filters(layout, folder):
     assert good_messages(capture, path, "-2", "-R", "yapp") == good_messages(capture, path, "-2", "-Y", "yapp")
 
 
+@pytest.mark.parametrize("layout", levels.few(can_generator.LAYOUTS, ["merged interface"]))
+def test_the_packet_list_says_what_a_tree_says(layout, folder):
+    """The list builds no tree, so it knows less: what that changes, its interface or a flag, must not show."""
+    seed, wide = f"{SEED}.list", layout not in can_generator.MERGED
+    capture, path = make_one(seed, layout, wide), folder / "random.pcapng"
+    capture.write(path)
+    listed = tshark.run("-r", path, *capture.preferences, "-o", 'gui.column.format:"No.","%m","Info","%i"').stdout
+    shown = tshark.fields(path, ["frame.number", "_ws.col.Info", "frame.interface_id"], *capture.preferences)
+    assert [line.split() for line in listed.splitlines()] == [[number, *info.split()] for number, info, _ in shown]
+
+
 def test_one_reassembled_in_finds_all_frames(folder):
     """In two passes one filter finds a message, whichever way the bus is told."""
     for layout in can_generator.LAYOUTS:
