@@ -140,8 +140,8 @@ end
 -- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
 function Tree:bare(tree, wants, is_message)
   if wants.names then
-    tree:add(self.yapp)
-    if is_message and not wants.taurus then tree:add(self.taurus) end
+    add(tree, self.yapp)
+    if is_message and not wants.taurus then add(tree, self.taurus) end
   end
   return tree
 end
