@@ -158,7 +158,7 @@ class Wireshark:
                 return wait_for(until, 15)
             except AssertionError:
                 pass
-        raise AssertionError(f"nothing came of {keys}: {self.windows()}")
+        raise AssertionError(f"nothing came of {keys}: {self.windows()}, exit code {self.wireshark.poll()}\n{self.stderr()}")
 
     def clipboard(self, *words):
         """What the clipboard has; with -i: empties it."""
