@@ -193,7 +193,7 @@ local function finished(self, view, payload, size)
   local m, facts, address, names = self.message, view.facts, view.address, view.names
   m.tree, m.item, m.wanted, m.tvb, m.at = view.tree, view.item, view.wanted, nil, 0
   m.id, m.seq, m.ctl, m.payload, m.size = address.id, address.seq, address.ctl, payload, size
-  m.source = key_of(not view.record.is_blind and facts.bus or nil, address.id)
+  m.source, m.blind_source = key_of(facts.bus, address.id), key_of(nil, address.id)
   m.bus, m.bus_name, m.name = facts.bus, names.bus, names.name
   m.frame, m.time, m.visited, m.is_whole = facts.number, view.pinfo.rel_ts, facts.is_again, true
   m.is_brief = not (view.wanted or view.wants.taurus or self.reader.stat.wanted)

@@ -107,14 +107,17 @@ function Memory:guess()
   self.is_guessed = true
 end
 
+-- Notes that there are several buses.
+local function note_bus(self, bus)
+  self.first_bus = self.first_bus or bus
+  if bus ~= self.first_bus then self.is_mixed = true end
+end
+
 -- Takes a frame in the order of a pass; returns whether it is YAPP's, and its message.
 local function take(self, pass, address, facts, look)
   if facts.doubtful then self.is_guessed = true end
-  if not facts.informed then self.is_blind = true end
-  if facts.bus then
-    self.first_bus = self.first_bus or facts.bus
-    if facts.bus ~= self.first_bus then self.is_mixed = true end
-  end
+  if not facts.informed and pass == self.first then self.is_blind = true end
+  if facts.bus then note_bus(self, facts.bus) end
   facts.look = look
   return pass.reassembly:frame(address, facts)
 end
@@ -134,8 +137,7 @@ end
 -- then there is none.  In Wireshark a look for the packet list may not have the bus that a look for the details has:
 -- the second pass is made of looks of one kind.
 local function refines(self, facts)
-  local is_better = self.is_guessed or self.is_blind and facts.bus
-  if not is_better or self.first.is_filtered then return false end
+  if not (self.is_guessed or self.is_blind) or self.first.is_filtered then return false end
   local second, number = self.second, facts.number
   if second and second.is_informed and not facts.informed then return false end
   if second and number < second.highest then return false end
@@ -200,7 +202,7 @@ end
 local function fill(self, record, pass, look, is_now, message)
   if record.is_rare then
     record.is_rare, record.is_last, record.alone, record.leads_to = false, nil, nil, nil
-    record.is_unfinished, record.has_fault, record.faults, record.is_late, record.is_blind = nil, nil, nil, nil, nil
+    record.is_unfinished, record.has_fault, record.faults, record.is_late = nil, nil, nil, nil
   end
   record.pass, record.look, record.message, record.is_now = pass, look, message, is_now
   local faults = look and pass.faults[look]
@@ -219,7 +221,7 @@ end
 --- What a frame is.
 -- address  yapp_can_id.address of its 29-bit id
 -- facts    { number, place = where in its packet, is_again = whether Wireshark has shown it before, data, reported,
---          bus, informed = whether this pass can tell the bus, doubtful, wide: as for Reassembly:frame }
+--          bus, is_apart, informed = whether this pass can tell the bus, doubtful, wide: as for Reassembly:frame }
 -- record   a table to fill in, of an earlier look or empty; its message is good until the next look
 -- returns  nil for a frame that is not YAPP's, else the record:
 --          { is_rare = whether there is more than that it is a part of a message which goes on;
@@ -227,8 +229,7 @@ end
 --            here; leads_to = number of the frame where it does; is_unfinished = whether it never does, and this is its
 --            last frame; has_fault = whether the message has a fault flag set, as far as that is known;
 --            faults = list of { expert, text } or nil; is_now = whether the frame was taken just now, in order;
---            is_late = whether no pass had its id in time; is_blind = whether what is known of it was found without
---            buses: then its source is none of a bus }
+--            is_late = whether no pass had its id in time }
 function Memory:look(address, facts, record)
   local first = self.first
   if not facts.is_again then
@@ -238,15 +239,18 @@ function Memory:look(address, facts, record)
     return is_ours and fill(self, record, first, look, true, message) or nil
   end
   self.is_again, self.highest = true, math.huge
+  if facts.bus then note_bus(self, facts.bus) end
   local look, is_now, message = second_look(self, address, facts)
-  if look then return fill(self, record, self.second, look, is_now, message) end
-  if is_now == false then return nil end
-  look, message = find_look(first, facts.number, facts.place, address.key)
   if look then
-    fill(self, record, first, look, false, message)
-    record.is_blind = self.is_blind
-    return record
+    fill(self, record, self.second, look, is_now, message)
+    local is_message = record.is_last or record.alone and address.ctrl == 0
+    if is_message or self.is_guessed or self.is_mixed or facts.is_apart then return record end
+    -- Else the second pass knows no more than the first, which knows what comes behind a frame.
+  elseif is_now == false then
+    return nil
   end
+  look, message = find_look(first, facts.number, facts.place, address.key)
+  if look then return fill(self, record, first, look, false, message) end
   if not facts.wide then return nil end
   fill(self, record, first)
   record.alone, record.is_late = address.can_id, true
@@ -274,8 +278,27 @@ local function numbered(pass, change)
   return change
 end
 
+-- What the first pass, which told no buses, noted of a message: its source has none there.
+local function blind_change(self, message)
+  if self.is_mixed then return nil end -- several sources were one
+  local source, bus = message.source, message.bus
+  message.source, message.bus = message.blind_source, nil
+  local change = self.first.history:change(message)
+  message.source, message.bus = source, bus
+  return change
+end
+
+-- The next change of a message's alarms.  What is still to come the second pass has from the first, if that did not mix
+-- buses.
+local function next_change(self, message, record)
+  local pass = record.is_now and record.pass == self.second and not self.is_mixed and self.first or record.pass
+  local is_blind = pass == self.first and self.is_blind
+  return pass.history:next_change(record.look, is_blind and message.blind_source or message.source)
+end
+
 --- What changed with a message since its source's previous good one (see yapp_history).
--- message  as History:note takes it; number and delta are filled in
+-- message  as History:note takes it, and blind_source = key of its source where no buses are told; number and delta are
+--          filled in
 -- record   of its last, or only, frame
 -- returns  a change, or nil; its frames are numbers of frames
 function Memory:change(message, record)
@@ -287,16 +310,16 @@ function Memory:change(message, record)
     local delta
     change, delta = history:note(message)
     pass.archive.deltas[look] = delta
-    if not change then return nil end
-    -- What is still to come the second pass has from the first, if that did not mix buses.
-    if pass == self.second and not self.is_mixed then history = self.first.history end
   else
     message.delta = pass.archive:delta(look)
-    change = history:change(message)
+    if pass == self.first and self.is_blind then
+      change = blind_change(self, message)
+    else
+      change = history:change(message)
+    end
   end
-  if change and (change.is_alarm or change.active_since) then
-    change.next_change = history:next_change(look, message.source)
-  end
+  if not change then return nil end
+  if change.is_alarm or change.active_since then change.next_change = next_change(self, message, record) end
   return numbered(pass, change)
 end
 

@@ -130,8 +130,8 @@ local function enter(self, slot, message)
   self.queue[self.queue_length] = slot
 end
 
--- A Start arrived while something is open in its slot.  On a known bus that is cut off; else it may be another bus's,
--- and what follows decides.
+-- A Start arrived while something is open in its slot.  On a bus that is told from others that is cut off; else it may
+-- be another bus's, and what follows decides.
 local function overtake(self, slot, open, frame)
   local newest = open.messages and open:newest() or open
   if not newest.status and not newest.overtaken then
@@ -140,7 +140,7 @@ local function overtake(self, slot, open, frame)
       ("A new Start cuts off the message that started in frame %d: %d of %d bytes")
       :format(floor(newest[1]), received, newest.size), newest)
   end
-  if frame.bus or newest.status or newest.truncated then
+  if frame.bus and frame.is_apart or newest.status or newest.truncated then
     give_up(open)
     return close(self, slot)
   end
@@ -291,9 +291,10 @@ local TAKERS = { [0] = single, start, continue, continue }
 --- Takes one CAN frame; frames come in order.
 -- address  yapp_can_id.address of its 29-bit id
 -- frame    { look = a number that grows, whose whole part is the frame's number; data = captured bytes; reported = its
---          length on the bus; bus = number, nil where the capture does not say; wide = whether the user says that
---          every extended frame is YAPP, else only what is surely YAPP is claimed; doubtful = whether it is a frame of
---          zeros that may be a remote frame: size and CRC say whether it belongs }
+--          length on the bus; bus = number, nil where the capture does not say; is_apart = whether frames of other
+--          buses have other numbers for sure; wide = whether the user says that every extended frame is YAPP, else only
+--          what is surely YAPP is claimed; doubtful = whether it is a frame of zeros that may be a remote frame: size
+--          and CRC say whether it belongs }
 -- returns  whether it is YAPP's, and its message: kept:entry(frame.look) says the same at any later time
 function Reassembly:frame(address, frame)
   if self.credit < MAX_CREDIT then self.credit = math.max(self.credit, 0) + CREDIT_PER_FRAME end

@@ -12,6 +12,7 @@ local M = {}
 local BUS_FIELDS = "frame.interface_id || frame.interface_name || sll.ifindex || rtacser.eventtype"
 local CAN_FIELDS = "can.id || can.flags.xtd || can.flags.rtr || canfd.flags.brs"
 local NAMES, NOTHING = {}, {}
+local LINKTYPE_SLL2, LINKTYPE_RTAC = 276, 250
 local SOCKETCAN = wtap.SOCKETCAN -- an encapsulation, as frame.encap_type has it
 for name in (BUS_FIELDS .. " || " .. CAN_FIELDS):gmatch("[%w_.]+") do NAMES[name] = true end
 
@@ -52,23 +53,16 @@ local function remove(tap)
   if tap then tap:remove() end
 end
 
--- The name of a file's only bus, where nothing tells buses apart; nil where it has none.
-local function only_name(found, candump)
-  local id = next(found.interfaces)
-  if id and next(found.interfaces, id) == nil then return found.names[id] end
-  return candump.plain_bus
-end
-
 --- A new file is about to be dissected.
 function Facts:init()
-  self.only_name = only_name(self.found, self.candump)
+  self.only_name = self.found.name or self.candump.plain_bus
   if self.found.sources or self.is_wanted and self.found.later then
     self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS)
   else
     remove(self.bus_tap)
     self.bus_tap = nil
   end
-  self.asks_bus = (self.bus_tap or self.found.later) and true or false
+  self.asks_bus, self.is_apart = (self.bus_tap or self.found.later) and true or false, self.found.sources
   remove(self.can_tap)
   self.can_tap, self.asked_at = nil, nil
   self.says_bus, self.numbers, self.names, self.count = {}, {}, {}, 0
@@ -150,8 +144,18 @@ local function number_of(self, interface, index, direction)
   return number
 end
 
+-- Whether a pass knows all that tells where a packet was captured: with -2 the first one has only the fields that a
+-- filter names.
+local function says_all(found, interface, index, event)
+  local id = next(found.interfaces)
+  if interface == nil and id and next(found.interfaces, id) then return false end
+  local linktype = found.interfaces[interface or id]
+  if linktype == LINKTYPE_SLL2 and index == nil or linktype == LINKTYPE_RTAC and event == nil then return false end
+  return interface ~= nil or index ~= nil or event ~= nil
+end
+
 --- Where the current packet was captured.
--- returns  number, nil where nothing says, or no more than a file's first interface; and whether this pass can know it
+-- returns  number, nil where nothing says; and whether this pass can know it
 function Facts:bus(pinfo)
   local candump = self.candump
   if candump.current_bus then
@@ -165,18 +169,15 @@ function Facts:bus(pinfo)
   if self.says_bus[visited] == false then return nil, false end
   local fields = by_name(true, pcall(all_field_infos))
   local interface, index, event = fields["frame.interface_id"], fields["sll.ifindex"], fields["rtacser.eventtype"]
-  local says_bus = interface ~= nil or index ~= nil or event ~= nil
+  local says_bus = says_all(self.found, interface, index, event)
   -- One or the other for all of a pass: a message does not begin on a bus and end on none.
   if self.says_bus[visited] == nil then self.says_bus[visited] = says_bus end
   if not says_bus then return nil, false end
   bus = number_of(self, interface or 0, index or 0, DIRECTION[event] or 0)
+  -- A file's only interface may stand for several buses: Linux's "any" does, and two captures merged into one.
+  self.is_apart = self.is_apart or self.count > 1 or index ~= nil or event ~= nil
   if IN_WIRESHARK then self.buses[pinfo.number] = bus end
   if self.names[bus] == nil then self.names[bus] = self:interface_name(interface, fields["frame.interface_name"]) end
-  -- A file's only interface may stand for several buses: Linux's "any" does, and two captures merged into one.
-  if bus == 1 and not (index or event or self.found.sources) then
-    self.only_name = self.names[1] or self.only_name
-    return nil, true
-  end
   return bus, true
 end
 
@@ -249,9 +250,9 @@ end
 
 --- What a look at a CAN frame needs to know, asked for once.
 -- highest  the highest number so far: one above it is new, and Wireshark cannot have shown it before
--- returns  { number, place, is_again, data, reported, bus, informed = whether this pass can tell the bus,
---            remote = whether it is a remote frame, doubtful = whether it may be one and nothing says,
---            is_odd = whether it may be either }: the same table for every frame
+-- returns  { number, place, is_again, data, reported, bus, is_apart = whether no other bus can have its number,
+--            informed = whether this pass can tell the bus, remote = whether it is a remote frame, doubtful = whether
+--            it may be one and nothing says, is_odd = whether it may be either }: the same table for every frame
 function Facts:can_frame(tvb, pinfo, highest)
   local record, number = self.record, pinfo.number
   -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
@@ -265,6 +266,7 @@ function Facts:can_frame(tvb, pinfo, highest)
   end
   if self.asks_bus or self.candump.current_bus then
     record.bus, record.informed = self:bus(pinfo)
+    record.is_apart = self.is_apart or self.candump.current_bus ~= nil
   elseif record.bus or not record.informed then
     record.bus, record.informed = nil, true
   end

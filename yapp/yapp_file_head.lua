@@ -72,7 +72,7 @@ local function note_interface(found, head, at, length, little)
   local id, linktype = found.count, number(head, at + 8, 2, little)
   found.count = id + 1
   found.linktypes[id] = linktype or -1
-  if OURS[linktype] then found.ours = found.ours + 1 end
+  if OURS[linktype] then found.ours, found.only = found.ours + 1, id end
   found.sources = found.sources or linktype == LINKTYPE_RTAC or found.ours > 1
   if found.sections > 1 then return end -- the numbers begin again there
   found.interfaces[id] = linktype
@@ -84,7 +84,7 @@ local function note_packet(found, head, at, little)
   local id = number(head, at + 8, 4, little)
   local linktype = found.linktypes[id]
   if PROTOCOL[linktype] and is_ours(linktype, head, at + 28) then
-    found.ours, found.linktypes[id] = found.ours + 1, -1 -- once
+    found.ours, found.linktypes[id], found.only = found.ours + 1, -1, id -- once
     found.sources = found.sources or linktype == LINKTYPE_SLL2 or found.ours > 1
   end
 end
@@ -159,6 +159,11 @@ local function has_several_buses(head)
   return false
 end
 
+local function only_name(found)
+  local only = found.ours == 1 and found.only or found.count == 1 and 0
+  return only and found.names[only] or nil
+end
+
 --- Reads a file's first bytes.
 -- head     string
 -- returns  { sources = whether the packets have several buses, interfaces or directions that the file tells apart,
@@ -166,7 +171,8 @@ end
 --            place = where in each packet the data of its CAN frame begins, nil where that is not the same for all,
 --            frames = whether YAPP frames may be in it: not when it has packets and none of the first has one,
 --            interfaces = { [id] = link type }, of a pcapng file; names = { [id] = the name that the file gives it },
---              only names that can be shown (UTF-8, no control characters),
+--              only names that can be shown (UTF-8, no control characters); name = that of the only interface of ours,
+--              or the only one at all, nil where there are several,
 --            several_buses = whether candump text has more than one }
 function M.read(head)
   local reader = READERS[head:sub(1, 4)]
@@ -178,6 +184,7 @@ function M.read(head)
     frames = not found.packets or has_header(head),
     interfaces = found.interfaces or {},
     names = found.names or {},
+    name = only_name(found),
     several_buses = not reader and has_several_buses(head),
   }
 end

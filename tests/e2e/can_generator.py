@@ -634,7 +634,7 @@ def pcapng_head(linktypes):
 
 
 # Names of hosts, none: longer than what the plugin looks at when a file is opened, so other interfaces may follow.
-FILLER = _block(4, struct.pack("<HHHH", 0, 0, 1, 65532) + b" " * 65532 + struct.pack("<HH", 0, 0))
+LONG_BLOCK = _block(4, struct.pack("<HHHH", 0, 0, 1, 65532) + b" " * 65532 + struct.pack("<HH", 0, 0))
 
 
 def pcapng_packet(number, interface, record, captured):
@@ -663,7 +663,7 @@ def write(path, frames, layout):
         if layout in INTERFACES:
             file.write(pcapng_head([LINKTYPE_SOCKETCAN] * INTERFACES[layout]))
             if layout == "merged interface":
-                file.write(FILLER)
+                file.write(LONG_BLOCK)
             for number, frame in enumerate(frames, 1):
                 record = frame.record()
                 file.write(pcapng_packet(number, frame.bus if layout == "interfaces" else 0, record, _captured(frame, record, 0)))

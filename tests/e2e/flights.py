@@ -16,7 +16,7 @@ import random
 import struct
 
 import model
-from can_generator import END, MIDDLE, SINGLE, START, Frame, Sent, message_crc
+from can_generator import END, LONG_BLOCK, MIDDLE, SINGLE, START, Frame, Sent, message_crc
 
 SECOND = 1_000_000_000
 EVERY = {"command": 0.2, "motor": 0.1, "health": 0.5}  # periods; a gap above LATE of them is a silence
@@ -24,6 +24,7 @@ LATE = 2.5
 FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
 KIND = {name: ident for ident, (name, _, _) in model.MESSAGES.items()}
 FORMS = ["pcapng", "sll2", "candump"]
+LATE_PCAPNG = "late pcapng"  # the interfaces but the first one behind what the plugin looks at when it opens a file
 
 
 @dataclasses.dataclass
@@ -398,6 +399,8 @@ class Flight:
         for name in [None] if sll2 else self.names:
             options = option(2, name.encode()) if name else b""
             blocks.append(block(1, struct.pack("<HHI", linktype, 0, 0) + options + option(9, b"\x09") + option(0, b"")))
+            if form == LATE_PCAPNG and len(blocks) == 2:
+                blocks.append(LONG_BLOCK)
         for frame in self.frames:
             record = frame.record(little=sll2)
             if sll2:

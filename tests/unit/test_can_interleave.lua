@@ -84,6 +84,13 @@ function T.test_the_capture_says_the_bus()
   }, { buses = true })
 end
 
+-- One interface may stand for several buses.
+function T.test_all_on_one_interface()
+  check({
+    { "aS32 bS32 aM8 bM8 aM8 bM8 aM8 bM8 aE8 bE8", "part part part part part part part part good good" },
+  }, { interface = true })
+end
+
 -- A message that is overtaken more than three times is given up.
 function T.test_four_open_messages()
   check {

@@ -64,8 +64,8 @@ local function look(known, row)
   local id, data = frame_of(row[2], more)
   local number = row[1]
   return known:look(can_id.address(id), { number = number, place = more.place or 8, is_again = more.again or false,
-    data = data, reported = #data, bus = not more.uninformed and more.bus or nil, informed = not more.uninformed,
-    doubtful = more.doubtful or false, wide = more.wide or false }, {})
+    data = data, reported = #data, bus = not more.uninformed and more.bus or nil, is_apart = more.bus ~= nil,
+    informed = not more.uninformed, doubtful = more.doubtful or false, wide = more.wide or false }, {})
 end
 
 -- Makes looks; returns what each said, in one text.

@@ -106,7 +106,8 @@ end
 
 --- Sends frames; returns what each of them is, in words, and the reassembler.
 -- text     words; ids: { [sender] = { id, ctl, seq } }
--- options  wide, buses (true: each sender has a bus of its own, which the capture tells), ids
+-- options  wide, buses (true: each sender has a bus of its own, which the capture tells), interface (true: all have the
+--          same, and nothing else is told), ids
 function bus.send(text, options)
   options = options or {}
   local state, senders, list, number = bus.reassembler(), {}, {}, 0
@@ -114,7 +115,7 @@ function bus.send(text, options)
     number = number + 1
     local id, data, reported, name = frame(word, senders, options.ids or {})
     state:frame(can_id.address(id), { look = number, data = data, reported = reported, wide = options.wide,
-      bus = options.buses and ("_" .. name):byte(-1) or nil })
+      bus = options.buses and ("_" .. name):byte(-1) or options.interface and 1 or nil, is_apart = options.buses })
     list[number] = named(state.kept, number)
   end
   for i = 1, number do

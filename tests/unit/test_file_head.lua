@@ -127,10 +127,12 @@ local function option(kind, value, number)
 end
 
 -- The section, and interfaces with these options, before packets.
-local function with_options(options, number)
+-- linktypes  of those that are no SocketCAN
+local function with_options(options, number, linktypes)
   local text = { pcapng({}, {}, number) }
-  for _, one in ipairs(options) do
-    text[#text + 1] = block(1, number(227, 2) .. number(0, 2) .. number(0, 4) .. one, number)
+  for i, one in ipairs(options) do
+    local linktype = linktypes and linktypes[i] or 227
+    text[#text + 1] = block(1, number(linktype, 2) .. number(0, 2) .. number(0, 4) .. one, number)
   end
   return table.concat(text)
 end
@@ -153,6 +155,17 @@ function T.test_names_of_interfaces()
   end
   lu.assertEquals(head.read("").names, {})
   lu.assertEquals(head.read(pcap(227, { "x" }, le)).interfaces, {})
+end
+
+function T.test_the_name_of_the_only_interface_of_ours()
+  local function name_of(...)
+    return head.read(with_options({ option(2, "one", le), option(2, "two", le) }, le, { ... })).name
+  end
+  lu.assertEquals(name_of(1, 227), "two") -- Ethernet and CAN
+  lu.assertEquals(name_of(227, 1), "one")
+  lu.assertNil(name_of(227, 227))
+  lu.assertNil(name_of(1, 1))
+  lu.assertEquals(head.read(with_options({ option(2, "one", le) }, le, { 1 })).name, "one")
 end
 
 -- Lines, and whether they have several buses.
