@@ -63,8 +63,9 @@ local function number_of(decode, field, raw, payload)
     local seconds, nanoseconds = decode.time(payload, field.offset)
     return seconds + nanoseconds / 1e9
   end
-  if field.values or field.flags then return raw end
+  if field.values or field.flags then return tonumber(raw) end
   local value = decode.value(field, raw)
+  if type(value) == "string" then value = tonumber(value) end -- of 64 bits, where a double is not exact
   return type(value) == "number" and value == value and value or nil
 end
 

@@ -58,10 +58,9 @@ function Events:good(record, counts)
     self.before[record.source.key] = before
   end
   before.record, before.counts = record, counts
-  if not counts then return end
-  if change and change.reboot then self:add("reboot", record) end
-  if change and change.stale then self:add("stale", record) end
-  self.tracker:message(record, self.keeper)
+  if counts and change and change.reboot then self:add("reboot", record) end
+  if counts and change and change.stale then self:add("stale", record) end
+  self.tracker:message(record, counts and self.keeper or nil)
 end
 
 function Events:message(record, counts)

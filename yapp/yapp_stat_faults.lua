@@ -53,7 +53,8 @@ local function entry(record, field, flag, event, active)
     flag = flag, event = event, active = active }
 end
 
--- The begins and ends in one field.
+-- The begins and ends in one field.  add is nil where the message does not count: what it raised is known all the same,
+-- and what it cleared is gone with the next message that counts.
 function Tracker:compare(source, record, change, add)
   local field, now = change.field, change.value
   local before = now - change.raised + change.cleared
@@ -62,26 +63,38 @@ function Tracker:compare(source, record, change, add)
     local key = field.name .. "." .. flag.name
     if is and not was then
       source.raised = source.raised + 1
+      source.gone[key] = nil
       source.set[key] = { field = field, flag = flag.name, since = record.rel, order = source.raised }
-      add(entry(record, field, flag.name, "raised"))
+      if add then add(entry(record, field, flag.name, "raised")) end
     elseif was and not is then
       local set = source.set[key]
-      source.set[key] = nil
-      add(entry(record, field, flag.name, "cleared", set and record.rel - set.since))
+      if add then
+        source.set[key] = nil
+        add(entry(record, field, flag.name, "cleared", set and record.rel - set.since))
+      elseif set then
+        source.gone[key] = true
+      end
     end
   end
+end
+
+-- A message of a source that counts.
+local function count(source, record)
+  source.last = record
+  for key in pairs(source.gone) do source.gone[key], source.set[key] = nil, nil end
 end
 
 --- Takes a good message; calls add(entry) for each flag of an alarm that rose or fell:
 -- { kind = "fault", rel =, frame =, source =, field = name, flag = name, event = "raised", "cleared" or "active",
 --   active = seconds since it was raised, nil where that was not seen }
+-- add  nil for a message that does not count
 function Tracker:message(record, add)
   local source = self.sources[record.source.key]
-  if source then source.last = record end
+  if source and add then count(source, record) end
   for _, change in ipairs(record.change and record.change.flags or {}) do
     if change.field.alarm then
       if not source then
-        source = { set = {}, raised = 0, last = record, order = #self.list + 1 }
+        source = { set = {}, gone = {}, raised = 0, last = add and record, order = #self.list + 1 }
         self.sources[record.source.key], self.list[source.order] = source, source
       end
       self:compare(source, record, change, add)
@@ -91,9 +104,13 @@ end
 
 --- At the end of the capture: add(entry) for each flag that is still set, at its source's last good message.
 function Tracker:finish(add)
-  table.sort(self.list, function(a, b) return a.last.frame < b.last.frame or
-    a.last.frame == b.last.frame and a.order < b.order end)
+  local list = {}
   for _, source in ipairs(self.list) do
+    if source.last then list[#list + 1] = source end
+  end
+  table.sort(list, function(a, b) return a.last.frame < b.last.frame or
+    a.last.frame == b.last.frame and a.order < b.order end)
+  for _, source in ipairs(list) do
     local sets = {}
     for _, set in pairs(source.set) do sets[#sets + 1] = set end
     table.sort(sets, function(a, b) return a.order < b.order end)
@@ -120,7 +137,7 @@ Faults.__index = Faults
 -- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds }
 function M.new(options, context)
   local self = setmetatable({ options = options, out = context.out, clock = context.clock, tracker = M.tracker(),
-    rows = {}, count = 0 }, Faults)
+    rows = {}, count = 0, sees_all = true }, Faults)
   function self.adder(one) self:add(one) end
   return self
 end
@@ -133,8 +150,8 @@ function Faults:add(one)
     text.id(source.id), source.name, source.message.title, one.flag, one.event, text.span(one.active) }
 end
 
-function Faults:message(record)
-  if record.good then self.tracker:message(record, self.adder) end
+function Faults:message(record, counts)
+  if record.good then self.tracker:message(record, counts and self.adder or nil) end
 end
 
 function Faults:finish()

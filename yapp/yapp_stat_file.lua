@@ -56,17 +56,21 @@ end
 function File:publish()
   if self.aside == self.path then return true end
   local ok, problem = os.rename(self.aside, self.path)
-  if not ok then -- Windows puts no file in the place of another
+  local other = not ok and io.open(self.path, "ab") -- a file, no folder
+  if other then -- Windows puts no file in the place of another
+    other:close()
     os.remove(self.path)
     ok, problem = os.rename(self.aside, self.path)
   end
-  return ok, problem
+  if not ok then return nil, ("%s: %s"):format(self.path, problem) end
+  self.is_published = true
+  return true
 end
 
---- Leaves nothing of a file that has no name yet.
+--- Leaves nothing of a file.
 function File:discard()
   if io.type(self.handle) == "file" then self.handle:close() end
-  if self.aside ~= self.path then os.remove(self.aside) end
+  if self.aside ~= self.path then os.remove(self.is_published and self.path or self.aside) end
 end
 
 --- Ends files and gives them their names, all or, where one fails, none.
@@ -79,9 +83,10 @@ function M.finish(list)
   end
   for _, file in ipairs(list) do
     if ok then ok, problem = file:publish() end
-    if not ok then file:discard() end
   end
-  return ok, problem
+  if ok then return true end
+  for _, file in ipairs(list) do file:discard() end
+  return nil, problem
 end
 
 return M

@@ -31,6 +31,9 @@ local function range_rule(rule, message, name, low, high)
   if not field then
     return nil, ("%s has no field %q, but %s"):format(message.name, name, names_of(message.fields))
   end
+  if field.kind == "string" or field.kind == "bytes" then
+    return nil, ("%s.%s is a text, which has no range"):format(message.name, name)
+  end
   rule.kind, rule.field, rule.low, rule.high = "range", field, number(low), number(high)
   if low ~= "" and not rule.low or high ~= "" and not rule.high or low == "" and high == "" then
     return nil, "a range is A..B, A.. or ..B"

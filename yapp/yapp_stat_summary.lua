@@ -55,6 +55,7 @@ function Summary:note_values(group, record)
   for i = 1, #fields do
     local row = fields[i]
     local raw = raws[row.index]
+    if type(raw) == "string" then raw = tonumber(raw) + 0.0 end -- of 64 bits: a text where a double is not exact
     if type(raw) == "number" and raw >= row.low and raw <= row.high then
       if row.count == 0 then
         row.min, row.max = raw, raw

@@ -6,6 +6,7 @@ local M = {}
 
 local LOST = {
   ["fragment.incomplete"] = "incomplete", ["fragment.orphan"] = "orphan", ["fragment.overrun"] = "overrun",
+  truncated = "incomplete", -- by the capture: what was not decoded was not checked
 }
 
 local Tell = {}
@@ -43,8 +44,10 @@ end
 --- A finished message, read.
 -- m  of yapp_reader, as read
 function Tell:message(m)
-  if m.status ~= "good" and m.status ~= "single" and m.status ~= "bad" then return end
+  local is_truncated = m.status == "unverified" or m.status == "single" and not m.good
+  if not (m.good or is_truncated or m.status == "bad") then return end
   local record = record_of(source_of(self, m), m)
+  record.lost = is_truncated and LOST.truncated or nil
   record.good, record.is_bad, record.fits, record.change = m.good, m.status == "bad", m.raws ~= nil, m.change
   self.stat:offer(record, m.visited)
 end

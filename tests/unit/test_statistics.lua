@@ -16,7 +16,9 @@ local MODE = { name = "mode", kind = "uint", values = { [0] = "off" } }
 local CLOCK = { name = "clock", kind = "time", offset = 1, size = 1 }
 local MOTOR = { name = "motor", title = "Motor Data", id = 0x210, every = 0.1, fields = { VOLTS, FAULT, MODE, CLOCK },
   alarms = { FAULT }, time = CLOCK }
-local NOTE = { name = "note", title = "Note", id = 1, fields = {}, alarms = {}, by_name = {}, index = {} }
+local TEXT = { name = "text", kind = "string" }
+local NOTE = { name = "note", title = "Note", id = 1, fields = { TEXT }, alarms = {}, by_name = { text = TEXT },
+  index = { [TEXT] = 1 } }
 MOTOR.by_name, MOTOR.index = {}, {}
 for i, field in ipairs(MOTOR.fields) do MOTOR.by_name[field.name], MOTOR.index[field] = field, i end
 local CATALOGUE = { messages = { MOTOR, NOTE }, by_id = { [0x210] = MOTOR, [1] = NOTE } }
@@ -49,25 +51,28 @@ local function raised(value, bits, cleared)
   return { flags = { { field = FAULT, value = value, raised = bits, cleared = cleared or 0 } } }
 end
 
--- Runs statistics over records; last: when the last packet came.  Returns what was printed, the code, and the texts.
+-- Runs statistics over records; last: when the last packet came; matches: { [frame] = true } of a filter; epoch: of the
+-- first packet.  Returns what was printed, the code, and the texts.
 local function run(arguments, records, with)
   with = with or {}
-  local printed, feed = {}, feed_of.new()
+  local printed, feed, entry = {}, feed_of.new()
   for _, argument in ipairs(arguments) do
-    local options = options_of.read("yapp," .. argument, CATALOGUE)
+    local catalogue = with.catalogue or CATALOGUE
+    local options = options_of.read("yapp," .. argument, catalogue)
     if argument:find("^check") == nil then lu.assertEquals(options.problems, {}) end
-    local context = { out = function(text) printed[#printed + 1] = text end, decode = DECODE, columns = COLUMNS,
-      version = "9.8.7", clock = function(rel) return feed:time(rel) end, catalogue = CATALOGUE,
+    local context = { out = function(text) printed[#printed + 1] = text end, decode = with.decode or DECODE,
+      columns = COLUMNS, version = "9.8.7", clock = function(rel) return feed:time(rel) end, catalogue = catalogue,
       is_whole = not with.is_broken,
       late = function() return 2.5 end, has_source = function(name) return name == "left" end,
       make_folder = with.make_folder }
     local statistic, problem = require("yapp_stat_" .. options.what).new(options, context)
     if not statistic then return nil, nil, { problem } end
-    feed:add(statistic, false)
+    entry = feed:add(statistic, with.matches ~= nil)
   end
-  feed:begins(1700000000, 5, 0)
+  feed:begins(with.epoch or 1700000000, 5, 0)
   for _, one in ipairs(records) do
     feed:offer(one, false)
+    if with.matches and with.matches[one.frame] then feed:matched(entry, one.frame) end
     feed:packet(one.frame, one.rel)
   end
   if with.last then feed:packet(9999, with.last) end
@@ -130,6 +135,31 @@ function T.test_faults_with_bits_of_one_flag_and_bits_of_none()
   end
   lu.assertEquals(found, { "1 hot raised null", "2 stall raised null", "2 undefined_0x20 raised null",
     "3 hot cleared 2.000000000", "4 stall active 2.500000000", "4 undefined_0x20 active 2.500000000" })
+end
+
+-- What is raised and cleared between the messages that count is known, though it is not told.
+function T.test_faults_of_the_messages_that_count()
+  local records = { record(1, 1), record(2, 2, { change = raised(1, 1) }), record(3, 3),
+    record(4, 4, { change = raised(0, 0, 1) }), record(5, 5) }
+  local function found(...)
+    local matches, shown = {}, {}
+    for _, frame in ipairs { ... } do matches[frame] = true end
+    for _, what in ipairs { "faults,json", "events,json" } do
+      local texts = {}
+      for i, line in ipairs(lines((run({ what }, records, { matches = matches, last = 5 })))) do
+        texts[i] = line:match('"frame":(%d+)') .. " " .. (line:match('"event":"([^"]*)"') or "")
+      end
+      shown[#shown + 1] = table.concat(texts, ", ")
+    end
+    lu.assertStrContains(shown[2], shown[1])
+    return shown[1]
+  end
+  lu.assertEquals(found(1, 2, 3, 4, 5), "2 raised, 4 cleared")
+  lu.assertEquals(found(1, 2, 5), "2 raised") -- clear in frame 5
+  lu.assertEquals(found(3), "3 active")
+  lu.assertEquals(found(1, 2, 3), "2 raised, 3 active")
+  lu.assertEquals(found(3, 4), "4 cleared")
+  lu.assertEquals(found(1, 5), "")
 end
 
 function T.test_faults_in_words()
@@ -201,6 +231,26 @@ function T.test_csv_is_printed()
     "1700000000.250000005,1,can0,left,528,0,10\n" .. '1700000001.000000005,3,"can""1",,528,7,10\n')
   lu.assertEquals(run({ "csv,-,motor,all" }, { ROWS[2] }), "time,frame,bus,source,id,seq,crc_good,volts\n" ..
     "1700000000.500000005,2,can0,left,528,0,0,10\n")
+end
+
+function T.test_csv_before_1970()
+  lu.assertEquals(lines(run({ "csv,-,motor" }, { record(1, 0), record(2, 0.75), record(3, 2) }, { epoch = -2 })), {
+    "time,frame,bus,source,id,seq,volts", "-1.999999995,1,can0,left,528,0,10", "-1.249999995,2,can0,left,528,0,10",
+    "0.000000005,3,can0,left,528,0,10" })
+end
+
+-- A folder in the place of a file: nothing of the table is left, and the folder stays.
+function T.test_csv_in_the_place_of_a_folder()
+  with_folder(function(folder, with)
+    assert(os.execute("mkdir " .. folder .. "/note.csv"))
+    local _, code, texts = run({ "csv," .. folder .. ",replace" }, ROWS, with)
+    lu.assertEquals(code, 21)
+    lu.assertStrContains(texts[1], "note.csv: ")
+    for _, name in ipairs { "motor.csv", "fields.json", "motor.csv.part", "note.csv.part" } do
+      lu.assertNil(io.open(folder .. "/" .. name), name)
+    end
+    assert(os.execute("rmdir " .. folder .. "/note.csv"))
+  end)
 end
 
 function T.test_csv_in_a_folder()
@@ -298,6 +348,22 @@ function T.test_check_ranges()
   lu.assertEquals(verdicts("motor.mode=3..3,motor.fault_flags=..0,motor.clock=4.5..4.5", records), {
     "motor.mode=3..3 left true 0 null", "motor.fault_flags=..0 left true 0 null",
     "motor.clock=4.5..4.5 left true 0 null", "unknown=0 null true 0 null" })
+end
+
+-- Numbers of 64 bits that a double has not exactly are texts until they are counted.
+function T.test_numbers_of_64_bits()
+  local wide = { name = "wide", kind = "uint", size = 8 }
+  local message = { name = "big", title = "Big", id = 2, fields = { wide }, alarms = {}, by_name = { wide = wide },
+    index = { [wide] = 1 } }
+  local source = { key = "w", id = 2, message = message }
+  local decode = { read = function(_, payload) return { tonumber(payload) < 10 and tonumber(payload) or payload } end,
+    value = function(_, raw) return raw end }
+  local records = { record(1, 0, { source = source, payload = "3" }),
+    record(2, 1, { source = source, payload = "18446744073709551615" }) }
+  local with = { decode = decode, catalogue = { messages = { message }, by_id = {} } }
+  lu.assertEquals(verdicts("big.wide=0..2e19", records, with)[1], "big.wide=0..2e19 null true 0 null")
+  lu.assertEquals(verdicts("big.wide=0..2e18", records, with)[1], "big.wide=0..2e18 null false 1 2")
+  lu.assertStrContains(run({ "summary,json" }, records, with), '"min":3,"mean":9.2233720368547758e+18,"max":1.8446744073709552e+19')
 end
 
 function T.test_what_was_not_decoded_was_not_checked()
@@ -400,6 +466,7 @@ function T.test_wrong_options_are_named()
     ["check,motr.rate=1"] = 'motr.rate=1: there is no message "motr", but motor, note',
     ["check,motor.volt=1..2"] = 'motor.volt=1..2: motor has no field "volt", but volts, fault_flags, mode, clock',
     ["check,motor.volts=3"] = "motor.volts=3: a range is A..B, A.. or ..B",
+    ["check,note.text=0..1"] = "note.text=0..1: note.text is a text, which has no range",
     ["check,motor.volts=.."] = "motor.volts=..: a range is A..B, A.. or ..B",
     ["check,motor.volts=5..4"] = "motor.volts=5..4: nothing lies in this range",
     ["check,motor.volts=0x5..9"] = "motor.volts=0x5..9: a range is A..B, A.. or ..B",
