@@ -234,11 +234,19 @@ local function bus_of(pinfo, kind)
   return one < other and one .. other or other .. one
 end
 
--- The facts of a packet, in a record that is used again; its bus, for history; and the number of its interface or
--- direction.  A stream goes on in a first pass as it began: sources that show later do not count.
+-- The number of a packet's interface or direction.  Where the file's first bytes have one source, that has none: a look
+-- that is told no more then finds the same.  Others that show later have theirs where the first pass was told of them.
+local function source_of_packet(self, pinfo, kind)
+  if kind == UDP or kind == TCP then return nil end
+  local bus = self.facts:bus(pinfo)
+  if self.facts:are_several() then return bus end
+  return bus and bus > 1 and (not pinfo.visited or self.memory:is_informed()) and bus or nil
+end
+
+-- The facts of a packet, in a record that is used again; its bus, for history; and its source.
 local function facts_of(self, tvb, pinfo, length)
   local fact, transport, kind = self.fact, transport_of(pinfo)
-  local source = kind ~= UDP and kind ~= TCP and self.facts:are_several() and self.facts:bus(pinfo) or nil
+  local source = source_of_packet(self, pinfo, kind)
   fact.number, fact.place, fact.bytes, fact.transport = pinfo.number, offset_of(tvb), raw_of(tvb), transport
   fact.visited, fact.informed, fact.truncated = pinfo.visited, source ~= nil, reported_of(tvb) > length
   fact.stream = key_of(pinfo, kind, source)

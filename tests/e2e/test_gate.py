@@ -9,8 +9,9 @@ import pytest
 
 import levels
 import make
+import stream_captures
 import tshark
-from can_generator import END, START, Frame, Sent, message_crc
+from can_generator import END, LONG_BLOCK, START, Frame, Sent, message_crc
 from flights import block, option, pad, struct
 
 RECIPE = next(line.strip() for line in (tshark.ROOT / "docs/statistics.md").read_text().splitlines()
@@ -50,6 +51,15 @@ def with_bad_crc(sent):
     return [sent.start(crc=message_crc(sent.msg, 0, sent.seq, sent.payload) ^ 1), *sent.frames()[1:]]
 
 
+def cut_in(place):
+    """The snap length left two bytes of one frame of a message with a fault."""
+    def change(sent):
+        frames = with_fault(sent)
+        frames[place].captured = 2
+        return frames
+    return change
+
+
 def pcapng(placed, buses=("can0",)):
     blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
     for name in buses:
@@ -57,8 +67,9 @@ def pcapng(placed, buses=("can0",)):
         blocks.append(block(1, struct.pack("<HHI", 227, 0, 0) + options))
     for at, frame in placed:
         record = frame.record()
-        head = struct.pack("<IIIII", frame.bus, at >> 32, at & 0xFFFFFFFF, len(record), len(record))
-        blocks.append(block(6, head + pad(record)))
+        kept = record if frame.captured is None else record[:8 + frame.captured]
+        head = struct.pack("<IIIII", frame.bus, at >> 32, at & 0xFFFFFFFF, len(kept), len(record))
+        blocks.append(block(6, head + pad(kept)))
     return b"".join(blocks)
 
 
@@ -116,6 +127,9 @@ CASES = {
     "lost Start": (pcapng(flight(spoil=only_at(9, without(START)))), 20),
     "lost End": (pcapng(flight(spoil=only_at(9, without(END)))), 20),
     "cut at the end": (pcapng(CLEAN[:-2]), 20),
+    "a Middle that the capture cut": (pcapng(flight(spoil=only_at(9, cut_in(2)))), 20),
+    "an End that the capture cut": (pcapng(flight(spoil=only_at(9, cut_in(4)))), 20),
+    "a Command that the capture cut": (pcapng([*CLEAN, (CLEAN[-1][0], Frame(0, bytes(7), captured=3))]), 20),
     "one frame of the last message": (pcapng(CLEAN[:-4]), 20),
     "other IDs": (pcapng(flight(OTHER)), 20),
     "empty capture": (pcapng([]), 21),
@@ -123,8 +137,8 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", levels.few(CASES, ["clean", "fault", "bad CRC", "lost Start", "cut at the end", "other IDs",
-                                                   "empty capture"]))
+@pytest.mark.parametrize("name", levels.few(CASES, ["clean", "fault", "bad CRC", "lost Start", "cut at the end",
+                                                   "a Middle that the capture cut", "other IDs", "empty capture"]))
 def test_recipe(folder, name):
     data, code = CASES[name]
     returned, output, errors = gate(folder, data)
@@ -160,6 +174,28 @@ def test_missing_module(folder):
 
 def test_no_plugin(folder):
     assert gate(folder, pcapng(CLEAN), plugin=False)[0] == 1
+
+
+def uart(interface, index, data):
+    at = BEGIN + index * 100_000_000
+    return block(6, struct.pack("<IIIII", interface, at >> 32, at & 0xFFFFFFFF, len(data), len(data)) + pad(data))
+
+
+def test_a_second_port_that_shows_late(folder):
+    """Two ports in a capture, the second behind what is looked at when it is opened: their bytes do not mix."""
+    blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
+    blocks += [block(1, struct.pack("<HHI", 147, 0, 0) + option(2, name) + option(9, b"\x09") + option(0, b"")) + more
+               for name, more in ((b"ttyA", LONG_BLOCK), (b"ttyB", b""))]
+    for index in range(20):
+        frames = [stream_captures.frame(MOTOR, motor_payload(index + base)) for base in (0, 500)]
+        for part in (slice(0, 20), slice(20, None)):  # halves, in turns
+            blocks += [uart(interface, index, frame[part]) for interface, frame in enumerate(frames)]
+    (folder / "run.pcapng").write_bytes(b"".join(blocks))
+    printed = tshark.run("-o", "yapp.user_dlt:147", "-q", "-r", folder / "run.pcapng", "-z",
+                         "yapp,check,json,crc=0,incomplete=0,reboot=0,motor.count=20").stdout
+    found = [json.loads(line) for line in printed.splitlines()]
+    assert len(found) == 9 and all(line["ok"] for line in found), found
+    assert {line["bus"] for line in found if line["rule"] == "motor.count=20"} == {"ttyA", "ttyB"}
 
 
 def test_truncated_file(folder):

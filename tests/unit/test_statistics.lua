@@ -363,7 +363,8 @@ function T.test_numbers_of_64_bits()
   local with = { decode = decode, catalogue = { messages = { message }, by_id = {} } }
   lu.assertEquals(verdicts("big.wide=0..2e19", records, with)[1], "big.wide=0..2e19 null true 0 null")
   lu.assertEquals(verdicts("big.wide=0..2e18", records, with)[1], "big.wide=0..2e18 null false 1 2")
-  lu.assertStrContains(run({ "summary,json" }, records, with), '"min":3,"mean":9.2233720368547758e+18,"max":1.8446744073709552e+19')
+  lu.assertStrContains(run({ "summary,json" }, records, with),
+    '"min":3,"mean":9.2233720368547758e+18,"max":1.8446744073709552e+19')
 end
 
 function T.test_what_was_not_decoded_was_not_checked()
