@@ -195,7 +195,7 @@ local function finished(self, view, payload, size)
   m.id, m.seq, m.ctl, m.payload, m.size = address.id, address.seq, address.ctl, payload, size
   m.source, m.blind_source = key_of(facts.bus, address.id), key_of(nil, address.id)
   m.bus, m.bus_name, m.name = facts.bus, names.bus, names.name
-  m.frame, m.time, m.visited, m.is_whole = facts.number, view.pinfo.rel_ts, facts.is_again, true
+  m.frame, m.time, m.visited, m.is_whole, m.is_unsure = facts.number, view.pinfo.rel_ts, facts.is_again, true, nil
   m.is_brief = not (view.wanted or view.wants.taurus or self.reader.stat.wanted)
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   return m

@@ -249,8 +249,9 @@ function Memory:look(address, facts, record)
   elseif is_now == false then
     return nil
   end
-  look, message = find_look(first, facts.number, facts.place, address.key)
-  if look then return fill(self, record, first, look, false, message) end
+  local before, its = find_look(first, facts.number, facts.place, address.key)
+  if before then return fill(self, record, first, before, false, its) end
+  if look then return record end
   if not facts.wide then return nil end
   fill(self, record, first)
   record.alone, record.is_late = address.can_id, true
@@ -280,7 +281,8 @@ end
 
 -- What the first pass, which told no buses, noted of a message: its source has none there.
 local function blind_change(self, message)
-  if self.is_mixed then return nil end -- several sources were one
+  message.is_unsure = self.is_mixed -- several sources were one
+  if message.is_unsure then return nil end
   local source, bus = message.source, message.bus
   message.source, message.bus = message.blind_source, nil
   local change = self.first.history:change(message)
@@ -298,7 +300,7 @@ end
 
 --- What changed with a message since its source's previous good one (see yapp_history).
 -- message  as History:note takes it, and blind_source = key of its source where no buses are told; number and delta are
---          filled in
+--          filled in, and is_unsure = whether this is not known
 -- record   of its last, or only, frame
 -- returns  a change, or nil; its frames are numbers of frames
 function Memory:change(message, record)

@@ -56,6 +56,7 @@ end
 --- A new file is about to be dissected.
 function Facts:init()
   self.only_name = self.found.name or self.candump.plain_bus
+  self.own_name = self.found.own_name or self.only_name
   if self.found.sources or self.is_wanted and self.found.later then
     self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS)
   else
@@ -190,10 +191,11 @@ end
 
 --- What a bus is called.
 -- bus      its number; nil where the capture has one source or tells none apart
+-- is_ip    whether it came in UDP or TCP, so by any interface
 -- returns  text, or nil where the capture names none
-function Facts:bus_name(bus)
+function Facts:bus_name(bus, is_ip)
   if bus then return self.names[bus] or nil end
-  return self.only_name
+  return is_ip and self.only_name or not is_ip and self.own_name or nil
 end
 
 -- A CAN frame -------------------------------------------------------------------------------------------------------
@@ -268,7 +270,7 @@ function Facts:can_frame(tvb, pinfo, highest)
     record.bus, record.informed = self:bus(pinfo)
     record.is_apart = self.is_apart or self.candump.current_bus ~= nil
   elseif record.bus or not record.informed then
-    record.bus, record.informed = nil, true
+    record.bus, record.is_apart, record.informed = nil, false, true
   end
   local is_odd = ZEROS[data] and record.reported > 0
   if is_odd or record.is_odd then

@@ -159,11 +159,6 @@ local function has_several_buses(head)
   return false
 end
 
-local function only_name(found)
-  local only = found.ours == 1 and found.only or found.count == 1 and 0
-  return only and found.names[only] or nil
-end
-
 --- Reads a file's first bytes.
 -- head     string
 -- returns  { sources = whether the packets have several buses, interfaces or directions that the file tells apart,
@@ -171,8 +166,8 @@ end
 --            place = where in each packet the data of its CAN frame begins, nil where that is not the same for all,
 --            frames = whether YAPP frames may be in it: not when it has packets and none of the first has one,
 --            interfaces = { [id] = link type }, of a pcapng file; names = { [id] = the name that the file gives it },
---              only names that can be shown (UTF-8, no control characters); name = that of the only interface of ours,
---              or the only one at all, nil where there are several,
+--              only names that can be shown (UTF-8, no control characters);
+--            name = that of the only interface, nil where there are several; own_name = that of the only one of ours,
 --            several_buses = whether candump text has more than one }
 function M.read(head)
   local reader = READERS[head:sub(1, 4)]
@@ -184,7 +179,8 @@ function M.read(head)
     frames = not found.packets or has_header(head),
     interfaces = found.interfaces or {},
     names = found.names or {},
-    name = only_name(found),
+    name = found.count == 1 and found.names[0] or nil,
+    own_name = found.ours == 1 and found.names[found.only] or nil,
     several_buses = not reader and has_several_buses(head),
   }
 end

@@ -102,7 +102,7 @@ local function read(self, view, index, message)
   m.size, m.payload, m.status, m.good = message.size, message.payload, message.status, message.status == "good"
   m.is_whole, m.source, m.bus, m.bus_name = true, source_of(fact.stream, message.id), view.bus_key, name
   m.name, m.frame, m.time = self.tree:name(message.id, name), fact.number, view.pinfo.rel_ts
-  m.visited, m.is_brief = fact.visited, not (view.wanted or self.reader.stat.wanted)
+  m.visited, m.is_brief, m.is_unsure = fact.visited, not (view.wanted or self.reader.stat.wanted), nil
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   self.reader:read(m, self.memory, view.packet, index, fact)
   return m
@@ -243,14 +243,14 @@ local function source_of_packet(self, pinfo, kind)
   return bus and bus > 1 and (not pinfo.visited or self.memory:is_informed()) and bus or nil
 end
 
--- The facts of a packet, in a record that is used again; its bus, for history; and its source.
+-- The facts of a packet, in a record that is used again; its bus, for history; and the name of that.
 local function facts_of(self, tvb, pinfo, length)
   local fact, transport, kind = self.fact, transport_of(pinfo)
   local source = source_of_packet(self, pinfo, kind)
   fact.number, fact.place, fact.bytes, fact.transport = pinfo.number, offset_of(tvb), raw_of(tvb), transport
   fact.visited, fact.informed, fact.truncated = pinfo.visited, source ~= nil, reported_of(tvb) > length
   fact.stream = key_of(pinfo, kind, source)
-  return fact, bus_of(pinfo, kind), source
+  return fact, bus_of(pinfo, kind), self.facts:bus_name(source, kind == UDP or kind == TCP)
 end
 
 --- Dissects what a carrier hands over.
@@ -258,18 +258,18 @@ end
 function Carrier:dissect(tvb, pinfo, tree)
   local length = length_of(tvb)
   if length == 0 or pinfo.in_error_pkt then return 0 end -- an ICMP error only quotes what was sent before
-  local fact, bus_key, source = facts_of(self, tvb, pinfo, length)
+  local fact, bus_key, bus_name = facts_of(self, tvb, pinfo, length)
   local packet = self.memory:look(fact)
   if not packet then return 0 end
   local events, transport, size = packet.events, fact.transport, #fact.bytes
   if #events > 0 or transport ~= "segment" then
     local view = self.view
     view.tvb, view.pinfo, view.tree, view.packet, view.fact = tvb, pinfo, tree, packet, fact
-    view.bus_key, view.bus_name = bus_key, self.facts:bus_name(source)
+    view.bus_key, view.bus_name = bus_key, bus_name
     show(self, view)
   end
   if self.reader.stat.wanted and packet.done < size then
-    note_latest(self, pinfo, fact, bus_key, self.facts:bus_name(source))
+    note_latest(self, pinfo, fact, bus_key, bus_name)
   end
   if packet.pending > 0 then
     pinfo.cols.info:append((#events > 0 and " | " or "") .. show_pending(self, tvb, tree, packet, fact.visited))

@@ -23,14 +23,6 @@ function Kept:has(number)
   return self.archive.codes[number] ~= nil or self.pieces[number] ~= nil
 end
 
---- Whether anything is known of packets between two numbers.
-function Kept:has_between(after, before)
-  for number = after + 1, before - 1 do
-    if self.pieces[number] or self.archive:get(number) then return true end
-  end
-  return false
-end
-
 --- A packet that is one good frame.
 -- place  of its bytes
 function Kept:keep_place(number, place)

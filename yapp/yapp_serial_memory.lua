@@ -30,7 +30,6 @@ local function new_pass(new_history)
     kept = serial_kept.new(), -- of each packet
     highest = 0,             -- the number of the last packet taken
     informed = false,        -- whether the pass told sources apart
-    has_gap = false,         -- whether it left packets out: someone asked for one here and there
   }
 end
 
@@ -284,10 +283,7 @@ function Memory:look(fact)
   if fact.informed and not first.informed then
     local packet = fact.number <= second.highest and recall(self, second, fact)
     if packet then return packet end
-    if fact.number >= second.highest then
-      second.has_gap = second.has_gap or first.kept:has_between(second.highest, fact.number)
-      return take_packet(self, second, fact)
-    end
+    if fact.number >= second.highest then return take_packet(self, second, fact) end
   end
   return recall(self, first, fact)
 end
@@ -312,15 +308,16 @@ local PLACE = 2 ^ -21 -- of a byte in its packet
 local LINKS = { "command_in", "previous_change", "next_change" } -- in a change of yapp_history
 
 --- What changed with a frame since its source's previous good one (see yapp_history).
--- message  as History:note takes it; number and delta are filled in
+-- message  as History:note takes it; number, delta and is_unsure are filled in
 -- packet   from look, for this fact
 -- index    of the frame among its events
 -- fact     as given to look
--- returns  a change, or nil, as for a frame that is not good, and where what came before it is not known for sure: the
---          first pass took several sources for one, or the second left packets out; its numbers are those of packets
+-- returns  a change, or nil, as for a frame that is not good, and where it is_unsure: the first pass took several
+--          sources for one; its numbers are those of packets
 function Memory:change(message, packet, index, fact)
-  local is_blind = packet.pass == self.first and fact.informed and not self.first.informed
-  if not message.good or is_blind or packet.pass.has_gap then return nil end
+  if not message.good then return nil end
+  message.is_unsure = packet.pass == self.first and fact.informed and not self.first.informed
+  if message.is_unsure then return nil end
   local pass, piece, number, change = packet.pass, packet.piece, fact.number
   message.number = number + (fact.place + (packet.events[index].at or 0)) * PLACE
   if packet.is_now then

@@ -106,7 +106,7 @@ function Check:good(group, record)
   local gap = group.last and groups.span(group.last, record.rel)
   if gap and gap > (group.gap or -1) then group.gap, group.gap_frame = gap, record.frame end
   group.first, group.last, group.last_frame = group.first or record.rel, record.rel, record.frame
-  group.count = group.count + 1
+  group.count, group.is_unsure = group.count + 1, group.is_unsure or record.is_unsure
   local change, counts = record.change, group.counts
   if not record.fits then add(counts.unknown, record.frame) end
   if change then
@@ -118,7 +118,7 @@ function Check:good(group, record)
 end
 
 function Check:message(record)
-  self.seen = self.seen + 1
+  if not record.lost then self.seen = self.seen + 1 end
   local group = self.groups:of(record)
   if record.lost then
     add(group.counts.incomplete, record.frame)
@@ -141,10 +141,10 @@ end
 
 judge.crc, judge.incomplete, judge.unknown = judge_count, judge_count, judge_count
 
--- These are seen in good messages only.
+-- These are seen in good messages only, where it is known what came before.
 local function judge_good(rule, group)
   local result = judge_count(rule, group)
-  if group.count == 0 then result.ok = nil end
+  if group.count == 0 or result.ok and group.is_unsure then result.ok = nil end
   return result
 end
 
@@ -230,7 +230,11 @@ local WORDS = { [true] = "ok", [false] = "FAILED" }
 
 local function seen_text(result)
   local kind = result.rule.kind
-  if result.ok == nil then return result.group and "nothing to judge" or "no message that it is about" end
+  if result.ok == nil then
+    local group = result.group
+    return not group and "no message that it is about" or
+      group.is_unsure and group.count > 0 and "what came before is not known" or "nothing to judge"
+  end
   if kind == "rate" then return ("%.3f Hz"):format(result.seen) end
   if kind == "gap" then return ("%.6f s"):format(result.seen) end
   if kind ~= "range" then return tostring(result.seen) end

@@ -53,8 +53,8 @@ local function entry(record, field, flag, event, active)
     flag = flag, event = event, active = active }
 end
 
--- The begins and ends in one field.  add is nil where the message does not count: what it raised is known all the same,
--- and what it cleared is gone with the next message that counts.
+-- The begins and ends in one field.  add is nil where the message does not count: then what has risen or is gone waits
+-- for the next message that counts.
 function Tracker:compare(source, record, change, add)
   local field, now = change.field, change.value
   local before = now - change.raised + change.cleared
@@ -63,16 +63,16 @@ function Tracker:compare(source, record, change, add)
     local key = field.name .. "." .. flag.name
     if is and not was then
       source.raised = source.raised + 1
-      source.gone[key] = nil
-      source.set[key] = { field = field, flag = flag.name, since = record.rel, order = source.raised }
+      local place = add and source.set or source.risen
+      place[key] = { field = field, flag = flag.name, since = record.rel, order = source.raised }
       if add then add(entry(record, field, flag.name, "raised")) end
     elseif was and not is then
       local set = source.set[key]
       if add then
         source.set[key] = nil
         add(entry(record, field, flag.name, "cleared", set and record.rel - set.since))
-      elseif set then
-        source.gone[key] = true
+      else
+        source.risen[key], source.gone[key] = nil, set
       end
     end
   end
@@ -82,6 +82,7 @@ end
 local function count(source, record)
   source.last = record
   for key in pairs(source.gone) do source.gone[key], source.set[key] = nil, nil end
+  for key, set in pairs(source.risen) do source.risen[key], source.set[key] = nil, set end
 end
 
 --- Takes a good message; calls add(entry) for each flag of an alarm that rose or fell:
@@ -94,7 +95,7 @@ function Tracker:message(record, add)
   for _, change in ipairs(record.change and record.change.flags or {}) do
     if change.field.alarm then
       if not source then
-        source = { set = {}, gone = {}, raised = 0, last = add and record, order = #self.list + 1 }
+        source = { set = {}, gone = {}, risen = {}, raised = 0, last = add and record, order = #self.list + 1 }
         self.sources[record.source.key], self.list[source.order] = source, source
       end
       self:compare(source, record, change, add)

@@ -27,7 +27,7 @@ local function numeric(message)
   for i, field in ipairs(message and message.fields or {}) do
     if NUMERIC[field.kind] and not field.values then
       local is_float = field.kind == "float" -- compressed: its reserved counts are above the ordinary ones, or below 0
-      fields[#fields + 1] = { index = i, field = field, count = 0, sum = 0, low = is_float and 0 or -LARGEST,
+      fields[#fields + 1] = { index = i, field = field, count = 0, sum = 0.0, low = is_float and 0 or -LARGEST,
         high = is_float and field.ordinary or LARGEST }
     end
   end

@@ -47,7 +47,7 @@ function Tell:message(m)
   local is_truncated = m.status == "unverified" or m.status == "single" and not m.good
   if not (m.good or is_truncated or m.status == "bad") then return end
   local record = record_of(source_of(self, m), m)
-  record.lost = is_truncated and LOST.truncated or nil
+  record.lost, record.is_unsure = is_truncated and LOST.truncated or nil, m.is_unsure
   record.good, record.is_bad, record.fits, record.change = m.good, m.status == "bad", m.raws ~= nil, m.change
   self.stat:offer(record, m.visited)
 end

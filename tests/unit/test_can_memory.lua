@@ -2,9 +2,9 @@
 -- What is known of a file's CAN frames over its passes, as tables: which frames come, and what each look at them says.
 --
 -- A look is { number, what, more }: what is "S", "M1" .. "M3", "E" (the parts of a message of 32 bytes), "C" (a
--- Command), or "?" (a Middle of an ID that nobody knows); more = { place =, bus =, again =, uninformed =, id =, wide =,
--- doubtful = }. What it says is written "part>5" (leads to frame 5), "good:1,2,3,4,5" (with its frames), "single",
--- "orphan", "-".
+-- Command), or "?" (a Middle of an ID that nobody knows); more = { place =, bus =, together = whether all buses have
+-- this number, again =, uninformed =, id =, seq =, wide =, doubtful = }. What it says is written "part>5" (leads to
+-- frame 5), "good:1,2,3,4,5" (with its frames), "single", "orphan", "-".
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local can_id = require("yapp_can_id")
@@ -30,7 +30,7 @@ local function new(options)
     new_history = function() return history.new() end })
 end
 
-local function id_of(id, ctrl) return id * 0x40000 + ctrl * 0x4000 end
+local function id_of(id, ctrl, seq) return id * 0x40000 + ctrl * 0x4000 + (seq or 0) end
 
 -- The CAN id and data of a frame in words.
 local function frame_of(what, more)
@@ -38,12 +38,12 @@ local function frame_of(what, more)
   if what == "C" then return id_of(0, 0), "1234567" end
   if what == "?" then return id_of(0x123, 2), "12345678" end
   if what == "S" then
-    local header = can_id.header({ id = id, seq = 0, ctl = 0 }, 32)
-    return id_of(id, 1), little_endian(crc.of(header .. payload), 4) .. little_endian(32, 2) .. "\0\0"
+    local header = can_id.header({ id = id, seq = more.seq or 0, ctl = 0 }, 32)
+    return id_of(id, 1, more.seq), little_endian(crc.of(header .. payload), 4) .. little_endian(32, 2) .. "\0\0"
   end
-  if what == "E" then return id_of(id, 3), payload:sub(25) end
+  if what == "E" then return id_of(id, 3, more.seq), payload:sub(25) end
   local index = tonumber(what:sub(2))
-  return id_of(id, 2), payload:sub(8 * index - 7, 8 * index)
+  return id_of(id, 2, more.seq), payload:sub(8 * index - 7, 8 * index)
 end
 
 local function said(known, record)
@@ -64,8 +64,9 @@ local function look(known, row)
   local id, data = frame_of(row[2], more)
   local number = row[1]
   return known:look(can_id.address(id), { number = number, place = more.place or 8, is_again = more.again or false,
-    data = data, reported = #data, bus = not more.uninformed and more.bus or nil, is_apart = more.bus ~= nil,
-    informed = not more.uninformed, doubtful = more.doubtful or false, wide = more.wide or false }, {})
+    data = data, reported = #data, bus = not more.uninformed and more.bus or nil,
+    is_apart = more.bus ~= nil and not more.together, informed = not more.uninformed,
+    doubtful = more.doubtful or false, wide = more.wide or false }, {})
 end
 
 -- Makes looks; returns what each said, in one text.
@@ -193,6 +194,16 @@ function T.test_at_random_the_first_pass_is_asked()
   lu.assertEquals(looks(known, { rows[9], rows[1], rows[2], rows[10] }, AGAIN),
     "good:1,3,5,7,9 part>9 part>10 good:2,4,6,8,10")
   lu.assertEquals(known.second and known.reached or 0, 2) -- rows 1 and 2 came in order
+end
+
+-- An ID may be known by the name of its bus only, which a first pass without fields did not have.
+function T.test_what_only_the_second_pass_took()
+  local known = memory.new(parts, { size_of = function(_, bus) return bus and 32 end,
+    new_history = function() return history.new() end })
+  local rows = {}
+  for i, what in ipairs { "S", "M1", "M2", "M3", "E" } do rows[i] = { i, what, { id = 0x321, seq = 9, bus = 1 } } end
+  lu.assertEquals(looks(known, rows, { uninformed = true }), "- - - - -")
+  lu.assertEquals(looks(known, rows, { again = true, together = true }), "part part part part good:1,2,3,4,5")
 end
 
 -- The second pass knows better where the first had frames of two buses for one message.

@@ -157,15 +157,18 @@ function T.test_names_of_interfaces()
   lu.assertEquals(head.read(pcap(227, { "x" }, le)).interfaces, {})
 end
 
-function T.test_the_name_of_the_only_interface_of_ours()
-  local function name_of(...)
-    return head.read(with_options({ option(2, "one", le), option(2, "two", le) }, le, { ... })).name
+function T.test_the_name_of_the_only_interface()
+  local function names_of(...)
+    local found = head.read(with_options({ option(2, "one", le), option(2, "two", le) }, le, { ... }))
+    lu.assertNil(found.name)
+    return found.own_name
   end
-  lu.assertEquals(name_of(1, 227), "two") -- Ethernet and CAN
-  lu.assertEquals(name_of(227, 1), "one")
-  lu.assertNil(name_of(227, 227))
-  lu.assertNil(name_of(1, 1))
-  lu.assertEquals(head.read(with_options({ option(2, "one", le) }, le, { 1 })).name, "one")
+  lu.assertEquals(names_of(1, 227), "two") -- Ethernet and CAN
+  lu.assertEquals(names_of(227, 1), "one")
+  lu.assertNil(names_of(227, 227))
+  lu.assertNil(names_of(1, 1))
+  local alone = head.read(with_options({ option(2, "one", le) }, le, { 1 }))
+  lu.assertEquals({ alone.name, alone.own_name }, { "one" })
 end
 
 -- Lines, and whether they have several buses.

@@ -160,6 +160,10 @@ function T.test_faults_of_the_messages_that_count()
   lu.assertEquals(found(1, 2, 3), "2 raised, 3 active")
   lu.assertEquals(found(3, 4), "4 cleared")
   lu.assertEquals(found(1, 5), "")
+  records[5] = record(5, 5, { change = raised(1, 1) }) -- it rises again, behind the last one that counts
+  lu.assertEquals(found(2), "2 raised, 2 active")
+  lu.assertEquals(found(2, 4), "2 raised, 4 cleared")
+  lu.assertEquals(found(2, 5), "2 raised, 5 raised, 5 active")
 end
 
 function T.test_faults_in_words()
@@ -365,6 +369,10 @@ function T.test_numbers_of_64_bits()
   lu.assertEquals(verdicts("big.wide=0..2e18", records, with)[1], "big.wide=0..2e18 null false 1 2")
   lu.assertStrContains(run({ "summary,json" }, records, with),
     '"min":3,"mean":9.2233720368547758e+18,"max":1.8446744073709552e+19')
+  local since_1970 = {} -- in µs: their sum has more than 64 bits
+  for i = 1, 6000 do since_1970[i] = record(i, i, { source = source, payload = "1700000000000000" }) end
+  with.decode.read = function(_, payload) return { tonumber(payload) } end
+  lu.assertStrContains(run({ "summary,json" }, since_1970, with), '"mean":1700000000000000,')
 end
 
 function T.test_what_was_not_decoded_was_not_checked()
@@ -388,6 +396,11 @@ function T.test_what_cannot_be_judged()
   lu.assertEquals(code_of("motor.rate=1", { record(1, 0), record(2, 0) }), 21)
   lu.assertEquals(code_of("crc=0", good, { is_broken = true }), 21)
   lu.assertEquals(code_of("crc=0,nonsense=1", good), 21)
+  lu.assertEquals(code_of("unknown=0", { record(1, 0, { lost = "incomplete", source = ODD }) }), 21)
+  local unsure = record(2, 1, { is_unsure = true }) -- what came before it is not known
+  lu.assertEquals(code_of("fault=0", { good[1], unsure }), 21)
+  lu.assertEquals(code_of("crc=0", { good[1], unsure }), 0)
+  lu.assertEquals(code_of("fault=0", { record(1, 0, { change = raised(1, 1) }), unsure }), 20)
   lu.assertEquals(code_of("motor.count=9,nonsense=1", good), 20) -- both
   lu.assertEquals(code_of("crc=0", good), 0)
 end
