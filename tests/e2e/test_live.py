@@ -51,7 +51,7 @@ class Port:
         self.near = near
 
     def wait_until_open(self, baud=termios.B500000):
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 60
         while termios.tcgetattr(self.near)[5] != baud:
             assert time.monotonic() < deadline, "nobody opened the port"
             time.sleep(0.02)
