@@ -107,17 +107,10 @@ function Memory:guess()
   self.is_guessed = true
 end
 
--- Notes that there are several buses.
-local function note_bus(self, bus)
-  self.first_bus = self.first_bus or bus
-  if bus ~= self.first_bus then self.is_mixed = true end
-end
-
 -- Takes a frame in the order of a pass; returns whether it is YAPP's, and its message.
 local function take(self, pass, address, facts, look)
   if facts.doubtful then self.is_guessed = true end
   if not facts.informed and pass == self.first then self.is_blind = true end
-  if facts.bus then note_bus(self, facts.bus) end
   facts.look = look
   return pass.reassembly:frame(address, facts)
 end
@@ -231,7 +224,11 @@ end
 --            faults = list of { expert, text } or nil; is_now = whether the frame was taken just now, in order;
 --            is_late = whether no pass had its id in time }
 function Memory:look(address, facts, record)
-  local first = self.first
+  local first, bus = self.first, facts.bus
+  if bus then
+    self.first_bus = self.first_bus or bus
+    if bus ~= self.first_bus then self.is_mixed = true end
+  end
   if not facts.is_again then
     local look = next_look(first, facts.number, facts.place)
     if not self.is_again then self.highest = facts.number end
@@ -239,7 +236,6 @@ function Memory:look(address, facts, record)
     return is_ours and fill(self, record, first, look, true, message) or nil
   end
   self.is_again, self.highest = true, math.huge
-  if facts.bus then note_bus(self, facts.bus) end
   local look, is_now, message = second_look(self, address, facts)
   if look then
     fill(self, record, self.second, look, is_now, message)

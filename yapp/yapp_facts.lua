@@ -12,7 +12,8 @@ local M = {}
 local BUS_FIELDS = "frame.interface_id || frame.interface_name || sll.ifindex || rtacser.eventtype"
 local CAN_FIELDS = "can.id || can.flags.xtd || can.flags.rtr || canfd.flags.brs"
 local NAMES, NOTHING = {}, {}
-local LINKTYPE_SLL2, LINKTYPE_RTAC = 276, 250
+-- What tells the sources of a link type apart, besides the interface: Linux cooked v2, RTAC serial.
+local TELLS = { [276] = "sll.ifindex", [250] = "rtacser.eventtype" }
 local SOCKETCAN = wtap.SOCKETCAN -- an encapsulation, as frame.encap_type has it
 for name in (BUS_FIELDS .. " || " .. CAN_FIELDS):gmatch("[%w_.]+") do NAMES[name] = true end
 
@@ -147,12 +148,12 @@ end
 
 -- Whether a pass knows all that tells where a packet was captured: with -2 the first one has only the fields that a
 -- filter names.
-local function says_all(found, interface, index, event)
-  local id = next(found.interfaces)
+local function says_all(found, fields)
+  local interface, id = fields["frame.interface_id"], next(found.interfaces)
   if interface == nil and id and next(found.interfaces, id) then return false end
-  local linktype = found.interfaces[interface or id]
-  if linktype == LINKTYPE_SLL2 and index == nil or linktype == LINKTYPE_RTAC and event == nil then return false end
-  return interface ~= nil or index ~= nil or event ~= nil
+  local other = TELLS[found.interfaces[interface or id]]
+  if other then return fields[other] ~= nil end
+  return interface ~= nil or fields["sll.ifindex"] ~= nil or fields["rtacser.eventtype"] ~= nil
 end
 
 --- Where the current packet was captured.
@@ -170,7 +171,7 @@ function Facts:bus(pinfo)
   if self.says_bus[visited] == false then return nil, false end
   local fields = by_name(true, pcall(all_field_infos))
   local interface, index, event = fields["frame.interface_id"], fields["sll.ifindex"], fields["rtacser.eventtype"]
-  local says_bus = says_all(self.found, interface, index, event)
+  local says_bus = says_all(self.found, fields)
   -- One or the other for all of a pass: a message does not begin on a bus and end on none.
   if self.says_bus[visited] == nil then self.says_bus[visited] = says_bus end
   if not says_bus then return nil, false end

@@ -176,7 +176,37 @@ def test_no_plugin(folder):
     assert gate(folder, pcapng(CLEAN), plugin=False)[0] == 1
 
 
-def uart(interface, index, data):
+def test_a_read_filter_where_several_buses_have_one_id(folder):
+    """The first pass, which has no fields, then takes both for one source, and what came before is not known."""
+    placed = []
+    for index in range(6):
+        for bus in (0, 1):
+            fault = 0x10000 if (index, bus) == (3, 0) else 0
+            for ident, payload in ((MOTOR, motor_payload(index, fault)), (0x200, bytes(17))):  # one CAN FD frame each
+                (can_id, data), = make.can_frames({"id": ident, "payload": payload, "seq": 0, "ctl": 0,
+                                                   "wrong_crc": False}, True)
+                placed.append((BEGIN + index * 100_000_000, Frame(can_id, data, fd=True, bus=bus)))
+    (folder / "run.pcapng").write_bytes(pcapng(placed, ("can0", "can1")))
+    for passes, code in (((), 20), (("-2",), 20), (("-2", "-R", "yapp.id == 0x210"), 21)):
+        done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,check,fault=0", check=False)
+        assert done.returncode == code, (passes, done.stdout)
+    assert "what came before is not known" in done.stdout
+
+
+def test_a_name_is_that_of_its_own_interface(folder):
+    """CAN has the name of the only CAN interface; what comes by UDP has none where there are several."""
+    datagram = stream_captures.udp(stream_captures.Packet(stream_captures.frame(MOTOR, motor_payload(1)),
+                                                          stream_captures.Place(stream_captures.ETHERNET, 0, 0)))
+    command = Frame(0, bytes(7)).record()
+    blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
+    blocks += [block(1, struct.pack("<HHI", linktype, 0, 0) + option(2, name) + option(9, b"\x09") + option(0, b""))
+               for linktype, name in ((1, b"eth0"), (227, b"can0"))]
+    blocks += [packet(0, 0, datagram), packet(1, 1, command)]
+    (folder / "run.pcapng").write_bytes(b"".join(blocks))
+    assert tshark.fields(folder / "run.pcapng", ["yapp.id", "yapp.bus"]) == [["0x00000210", ""], ["0x00000000", "can0"]]
+
+
+def packet(interface, index, data):
     at = BEGIN + index * 100_000_000
     return block(6, struct.pack("<IIIII", interface, at >> 32, at & 0xFFFFFFFF, len(data), len(data)) + pad(data))
 
@@ -189,7 +219,7 @@ def test_a_second_port_that_shows_late(folder):
     for index in range(20):
         frames = [stream_captures.frame(MOTOR, motor_payload(index + base)) for base in (0, 500)]
         for part in (slice(0, 20), slice(20, None)):  # halves, in turns
-            blocks += [uart(interface, index, frame[part]) for interface, frame in enumerate(frames)]
+            blocks += [packet(interface, index, frame[part]) for interface, frame in enumerate(frames)]
     (folder / "run.pcapng").write_bytes(b"".join(blocks))
     printed = tshark.run("-o", "yapp.user_dlt:147", "-q", "-r", folder / "run.pcapng", "-z",
                          "yapp,check,json,crc=0,incomplete=0,reboot=0,motor.count=20").stdout
