@@ -74,22 +74,24 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local of_bus = self.names[facts.bus or false]
   local names = of_bus and of_bus[address.id] or new_names(self, address.id, facts.bus)
   local builder = self.tree
-  local wants = builder:wants(tree, facts.is_again)
-  local columns = pinfo.cols
-  columns.protocol = "YAPP"
-  columns.src = names.source
+  local wants = builder:wants(tree, pinfo, facts.is_again)
+  local columns = wants.columns and pinfo.cols
+  if columns then columns.protocol, columns.src = "YAPP", names.source end
   local length, is_told = #facts.data, self.reader.stat.wanted
   if is_told and record.message and not record.is_last then self:tell_part(names, address, facts, pinfo.rel_ts) end
   if not (record.is_rare or wants.yapp) and length == facts.reported then -- most frames
     if wants.names then builder:bare(tree, wants) end
-    local message, texts = record.message, names.texts
-    columns.info = texts.size == message.size and length == 8 and texts[message.count] or
-      self:part_text(names, address, record, length)
+    if columns then
+      local message, texts = record.message, names.texts
+      columns.info = texts.size == message.size and length == 8 and texts[message.count] or
+        self:part_text(names, address, record, length)
+    end
   else
     local view = self.view
     view.tvb, view.pinfo, view.tree, view.wants = tvb, pinfo, tree, wants
     view.address, view.facts, view.record, view.names = address, facts, record, names
-    columns.info = self:show(view)
+    local info = self:show(view)
+    if columns then columns.info = info end
   end
   return facts.reported
 end
@@ -105,7 +107,7 @@ function Carrier:without_id(tvb, pinfo, tree)
   local builder = self.tree
   local item = tree
   self.memory:guess()
-  if builder:wants(tree, true).yapp then
+  if builder:wants(tree, pinfo, true).yapp then
     item = add(tree, builder.yapp, tvb())
     if tvb:len() > 0 then add(item, builder.fields.payload, tvb()) end
   end
@@ -196,6 +198,7 @@ local function finished(self, view, payload, size)
   m.source, m.blind_source = key_of(facts.bus, address.id), key_of(nil, address.id)
   m.bus, m.bus_name, m.name = facts.bus, names.bus, names.name
   m.frame, m.time, m.visited, m.is_whole, m.is_unsure = facts.number, view.pinfo.rel_ts, facts.is_again, true, nil
+  m.has_columns = view.wants.columns
   m.is_brief = not (view.wanted or view.wants.taurus or self.reader.stat.wanted)
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   return m

@@ -101,6 +101,7 @@ local function read(self, view, index, message)
   m.tree, m.wanted, m.id, m.seq, m.ctl = view.tree, view.wanted, message.id, message.seq, message.ctl
   m.size, m.payload, m.status, m.good = message.size, message.payload, message.status, message.status == "good"
   m.is_whole, m.source, m.bus, m.bus_name = true, source_of(fact.stream, message.id), view.bus_key, name
+  m.has_columns = view.wants.columns
   m.name, m.frame, m.time = self.tree:name(message.id, name), fact.number, view.pinfo.rel_ts
   m.visited, m.is_brief, m.is_unsure = fact.visited, not (view.wanted or self.reader.stat.wanted), nil
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
@@ -142,10 +143,10 @@ local function show_skipped(self, view, tvb, at, bytes)
 end
 
 -- Shows what a packet holds; what lies in the packet has no bytes of its own.
--- view  { tvb, pinfo, tree, packet, fact, bus_key, bus_name }; gets wanted = whether anyone wants a tree
+-- view  { tvb, pinfo, tree, wants, packet, fact, bus_key, bus_name }; gets wanted = whether anyone wants a tree
 local function show(self, view)
   local tvb, events, raw, info = view.tvb, view.packet.events, view.fact.bytes, ""
-  local wants = self.tree:wants(view.tree, view.fact.visited ~= false)
+  local wants = view.wants
   view.wanted = wants.yapp or wants.taurus
   if not view.wanted then self.tree:bare(view.tree, wants, true) end
   for i, event in ipairs(events) do
@@ -160,15 +161,15 @@ local function show(self, view)
     if i <= 10 then info = i == 1 and text or info .. " | " .. text end
   end
   if #events > 10 then info = ("%s | and %d more"):format(info, #events - 10) end
+  if not wants.columns then return end
   local columns = view.pinfo.cols
-  columns.protocol = "YAPP"
-  columns.info = info
+  columns.protocol, columns.info = "YAPP", info
 end
 
 -- Shows the bytes at the packet's end that wait for more; returns what the Info column says of them.
-local function show_pending(self, tvb, tree, packet, is_again)
+local function show_pending(self, tvb, tree, packet, wants)
   local builder, pending, leads_to, item = self.tree, packet.pending, packet.leads_to, tree
-  if builder:wants(tree, is_again).yapp then
+  if wants.yapp then
     local range = tvb(packet.done, pending)
     item = add(tree, builder.yapp, range)
     append_text(item, ", part of a frame")
@@ -262,17 +263,18 @@ function Carrier:dissect(tvb, pinfo, tree)
   local packet = self.memory:look(fact)
   if not packet then return 0 end
   local events, transport, size = packet.events, fact.transport, #fact.bytes
+  local wants = self.tree:wants(tree, pinfo, fact.visited)
   if #events > 0 or transport ~= "segment" then
     local view = self.view
     view.tvb, view.pinfo, view.tree, view.packet, view.fact = tvb, pinfo, tree, packet, fact
-    view.bus_key, view.bus_name = bus_key, bus_name
+    view.wants, view.bus_key, view.bus_name = wants, bus_key, bus_name
     show(self, view)
   end
   if self.reader.stat.wanted and packet.done < size then
     note_latest(self, pinfo, fact, bus_key, bus_name)
   end
   if packet.pending > 0 then
-    pinfo.cols.info:append((#events > 0 and " | " or "") .. show_pending(self, tvb, tree, packet, fact.visited))
+    pinfo.cols.info:append((#events > 0 and " | " or "") .. show_pending(self, tvb, tree, packet, wants))
   end
   if transport == "segment" then
     if packet.done < size then pinfo.desegment_offset, pinfo.desegment_len = packet.done, ONE_MORE_SEGMENT end
@@ -287,8 +289,8 @@ end
 function Carrier:skipped(tvb, pinfo, tree)
   local size = tvb:len()
   if size > 0 then
-    show(self, { tvb = tvb, pinfo = pinfo, tree = tree, fact = { bytes = tvb:raw() },
-      packet = { events = { { status = "skipped", at = 0, length = size } } } })
+    show(self, { tvb = tvb, pinfo = pinfo, tree = tree, wants = self.tree:wants(tree, pinfo, true),
+      fact = { bytes = tvb:raw() }, packet = { events = { { status = "skipped", at = 0, length = size } } } })
   end
   return size
 end

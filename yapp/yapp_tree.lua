@@ -81,8 +81,6 @@ end
 local Tree = {}
 Tree.__index = Tree
 
-local NOTHING = {} -- nobody wants any
-
 --- Makes fields and expert items and hands them to the two protocols.
 -- options  { yapp =, taurus = Proto, catalogue = compiled, decode = the module, reader = a yapp_reader }
 function M.new(options)
@@ -114,22 +112,30 @@ local function find_handles(self)
 end
 
 local IS_TSHARK = not gui_enabled()
+local NO_COLUMN = "(info)" -- what the API calls it where there are no columns at all
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
+local NOTHING, LIST = {}, { columns = true } -- where nobody wants a tree
 
---- What anyone wants of a tree.
+-- What is wanted of a look at a packet.
+local function ask(self, tree, pinfo, is_steady)
+  local has_columns = not is_steady or tostring(pinfo.cols.info) ~= NO_COLUMN
+  -- false where there is none; always true from 4.6 on
+  if not tree.hidden then return has_columns and LIST or NOTHING end
+  return { columns = has_columns, yapp = tree:referenced(self.yapp_handle or find_handles(self)),
+    taurus = tree:referenced(self.taurus_handle or find_handles(self)),
+    names = not SAYS_PROTOCOLS and not self.reader.stat.wanted }
+end
+
+--- What anyone wants of a packet.
 -- is_again  whether the packet was shown before
 -- returns   { yapp = whether YAPP's own items are visible, filtered or printed, taurus = whether those of messages are,
---           names = whether, without them, the names of protocols are (see bare) }.  In tshark this does not change
---           within a first pass, so it is asked once; in Wireshark, and on later looks of sharkd, it may.
-function Tree:wants(tree, is_again)
+--           names = whether, without them, the names of protocols are (see bare), columns = whether there are columns:
+--           tshark has them for a packet list, and not with -V, -q, most of -T or in a first pass of two }.  In tshark
+--           this does not change within a first pass, so it is asked once; in Wireshark, and on later looks of sharkd,
+--           it may.
+function Tree:wants(tree, pinfo, is_again)
   local is_steady = IS_TSHARK and not is_again
-  if is_steady and self.wanted then return self.wanted end
-  local wants = NOTHING
-  if tree.hidden then -- false where there is none; always true from 4.6 on
-    wants = { yapp = tree:referenced(self.yapp_handle or find_handles(self)),
-      taurus = tree:referenced(self.taurus_handle or find_handles(self)),
-      names = not SAYS_PROTOCOLS and not self.reader.stat.wanted }
-  end
+  local wants = is_steady and self.wanted or ask(self, tree, pinfo, is_steady)
   if is_steady then self.wanted = wants end
   return wants
 end
@@ -257,8 +263,9 @@ end
 
 --- Shows a finished message: the message of the catalogue, or bytes.
 -- m        of yapp_reader, with { tree = where the Taurus tree goes, item = YAPP's own item or the tree, wanted =
---          whether there is one, tvb and at = where the payload lies, tvb nil where nobody wants a tree }
--- returns  what the Info column says of it
+--          whether there is one, tvb and at = where the payload lies, tvb nil where nobody wants a tree,
+--          has_columns = whether anyone sees the Info column }
+-- returns  what the Info column says of it, or a part of that where nobody sees it
 function Tree:payload(m)
   if m.wanted then self:add_delta(m.item, m) end
   local change = m.change
@@ -271,7 +278,7 @@ function Tree:payload(m)
   m.label = name ~= m.message.title and name or nil
   m.is_steady = IS_TSHARK and not m.visited
   local top = self.messages:show(m.tree, m.item, m)
-  local info = self.decode.info(m.message, m.raws, m.payload, name)
+  local info = m.has_columns and self.decode.info(m.message, m.raws, m.payload, name) or ""
   if not change then return info end
   self.messages:add_change(top or m.item, m, top ~= nil)
   return info .. (change.reboot and "  REBOOT" or change.stale and "  STALE" or "")

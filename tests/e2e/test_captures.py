@@ -3,6 +3,7 @@
 
 What is right is not taken from the plugin: model.py works the values out, and the tables here are typed by hand."""
 import pathlib
+import re
 import sys
 import xml.etree.ElementTree
 
@@ -307,6 +308,22 @@ INFO = [
 @pytest.mark.parametrize("name, number, text", INFO)
 def test_info_column(name, number, text):
     assert frame(name, number)["info"] == text
+
+
+COLUMNS = {"Protocol": "%p", "Source": "%s", "Info": "%i"}
+SHOWN = {"document_motor": {"Protocol": "YAPP", "Source": "0x210", "Info": "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"},
+         "document_uart": {"Protocol": "YAPP", "Info": "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"}}
+
+
+@pytest.mark.parametrize("arguments", [(), ("-2",), ("-P", "-V"), ("-2", "-P", "-q", "-z", "io,phs"), ("-T", "psml")],
+                         ids=" ".join)
+@pytest.mark.parametrize("name", SHOWN)
+def test_every_column_wherever_it_is_printed(name, arguments):
+    """tshark has no columns with -V, -q and in a first pass of two; then no text is made for them."""
+    for title, text in SHOWN[name].items():
+        printed = tshark.run("-r", tshark.CAPTURES / f"{name}.pcap", *arguments, "-o",
+                             f'gui.column.format:"{title}","{COLUMNS[title]}"').stdout
+        assert re.search(rf"(?m)^ *(<section>)?{re.escape(text)} *(</section>)?$", printed), (title, printed)
 
 
 # Capture, frame, field, and how the tree reads.
