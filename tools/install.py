@@ -310,9 +310,14 @@ def install(wireshark):
 def uninstall(wireshark):
     installation = Installation(wireshark)
     if not installation.target.exists():
-        return print(f"Nothing is installed in {installation.target}")
+        print(f"Nothing is installed in {installation.target}")
+        return
+    files = [path for path in installation.hashes if path.parent == wireshark.extcap]
+    there = sorted(files) + [folder for folder in (wireshark.profile, installation.target) if folder.is_dir()]
     installation.uninstall()
-    return print(f"removed   {installation.target}{', except what is kept' if installation.said else ''}")
+    for path in there:
+        if path.is_dir() or not path.exists():
+            print(f"removed   {path}{', except what is kept' if path.exists() else ''}")
 
 
 def main():

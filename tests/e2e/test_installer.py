@@ -87,7 +87,8 @@ def test_everything_is_installed_and_removed(home, source):
         assert (home / extcap / path.name).read_bytes() == path.read_bytes()
         assert os.access(home / extcap / path.name, os.X_OK)
     assert run(home, source=source, path=REAL) == lines
-    assert "removed" in run(home, "uninstall", source=source, path=REAL)[-1]
+    folders = [home / extcap / "yapp_extcap.py", home / PROFILE, home / YAPP]
+    assert run(home, "uninstall", source=source, path=REAL) == [f"removed   {path}" for path in folders]
     assert all_of(home) == set()
 
 
