@@ -142,7 +142,7 @@ def set_line(fd, options):
     rate = getattr(termios, f"B{options.baud}", None)
     control = termios.CS8 | termios.CREAD | termios.CLOCAL
     control |= {"none": 0, "even": termios.PARENB, "odd": termios.PARENB | termios.PARODD}[options.parity]
-    control |= termios.CSTOPB if options.stopbits == 2 else 0
+    control |= termios.CSTOPB if options.stopbits == "2" else 0
     attributes = termios.tcgetattr(fd)
     attributes[:4] = [0, 0, control, 0]
     attributes[4:6] = [rate or termios.B38400] * 2
@@ -215,7 +215,7 @@ def pieces_by_pyserial(port, options):
     except ImportError as problem:
         raise Problem(f"pyserial is needed: {sys.executable} -m pip install pyserial") from problem
     try:
-        line = serial.Serial(port, options.baud, parity=options.parity[0].upper(), stopbits=options.stopbits, timeout=WAIT)
+        line = serial.Serial(port, options.baud, parity=options.parity[0].upper(), stopbits=int(options.stopbits), timeout=WAIT)
     except (OSError, ValueError) as problem:
         raise Problem(f"{port} cannot be opened: {problem}. Is it plugged in, or open in another program? Ports: "
                       f"{', '.join(serial_ports()) or 'none'}") from problem
@@ -330,6 +330,9 @@ def capture(interface, options):
                for number, (_, source) in enumerate(sources)]
     with open(options.fifo, "wb", buffering=0) as fifo:  # first: what ends before that leaves dumpcap waiting
         fifo.write(head_of_file(interface.link, [name or interface.title for name, _ in sources]))
+        for value in vars(options).values():
+            if isinstance(value, Problem):
+                raise value
         for _, source in sources:
             next(source)
         for thread in threads:
@@ -420,6 +423,15 @@ def list_settings(interface, only=None):
                 print(f"value {{arg={number}}}{{value={value}}}{{display={value}}}{{default={default}}}")
 
 
+def number(name):
+    """Reads a setting; what is wrong with it is told when the fifo is open: what ends before that leaves dumpcap waiting."""
+    return lambda text: int(text) if text.isdecimal() else Problem(f"{name} is a number, not {text!r}")
+
+
+def one_of(name, *values):
+    return lambda text: text if text in values else Problem(f"{name} is {', '.join(values[:-1])} or {values[-1]}, not {text!r}")
+
+
 def parse(arguments):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
                                      allow_abbrev=False)
@@ -433,12 +445,12 @@ def parse(arguments):
         parser.add_argument("--" + name, default="")
     for name in ("port", "second"):
         parser.add_argument("--" + name, default="", type=lambda text: "" if text == "none" else text)
-    parser.add_argument("--baud", type=int, default=500000)
-    parser.add_argument("--parity", choices=("none", "even", "odd"), default="none")
-    parser.add_argument("--stopbits", type=int, choices=(1, 2), default=1)
-    parser.add_argument("--bitrate", type=int, default=1000000)
+    parser.add_argument("--baud", type=number("the baud rate"), default=500000)
+    parser.add_argument("--parity", type=one_of("parity", "none", "even", "odd"), default="none")
+    parser.add_argument("--stopbits", type=one_of("the number of stop bits", "1", "2"), default="1")
+    parser.add_argument("--bitrate", type=number("the bit rate"), default=1000000)
     parser.add_argument("--fd", nargs="?", const=True, default=False, type=lambda text: text.lower() == "true")
-    parser.add_argument("--data-bitrate", type=int, default=5000000)
+    parser.add_argument("--data-bitrate", type=number("the bit rate of data"), default=5000000)
     return parser.parse_known_args(arguments)[0]
 
 

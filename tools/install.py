@@ -307,16 +307,21 @@ def install(wireshark):
             print(f"{name:<9} {there}")
 
 
+def contents(path):
+    """What is there: the path, and those in it."""
+    return [each for each in (path, *path.rglob("*")) if os.path.lexists(str(each))]
+
+
 def uninstall(wireshark):
     installation = Installation(wireshark)
     if not installation.target.exists():
         print(f"Nothing is installed in {installation.target}")
         return
     files = [path for path in installation.hashes if path.parent == wireshark.extcap]
-    there = sorted(files) + [folder for folder in (wireshark.profile, installation.target) if folder.is_dir()]
+    there = {path: contents(path) for path in (*sorted(files), wireshark.profile, installation.target)}
     installation.uninstall()
-    for path in there:
-        if path.is_dir() or not path.exists():
+    for path, before in there.items():
+        if contents(path) != before:
             print(f"removed   {path}{', except what is kept' if path.exists() else ''}")
 
 

@@ -123,7 +123,7 @@ local function compile_message(entry, where, problems)
   local size = rows.compile(message, entry, where, problems)
   if #problems > before then return end
   if is_size(entry.size) and size ~= entry.size and #entry > 0 then
-    complain("size is %d, but the fields add up to %d bytes", entry.size, size)
+    complain("size is %d, but the fields add up to %d byte%s", entry.size, size, size == 1 and "" or "s")
   end
   if is_text(message.title) then info.compile(message, entry.info == nil and "" or entry.info, complain) end
   compile_differences(message, entry.differences, complain)
@@ -176,7 +176,7 @@ local function items(list, most, depth)
   return count
 end
 
--- One entry of the list: found gets what is wrong with it; returns how many items it has, and adds it if it is good.
+-- One entry of the list, number i of its file: found gets what is wrong with it, and it is added if nothing is.
 local function add_entry(catalogue, entry, i, state)
   local complain = check.complainer("message " .. i, state.found)
   if type(entry) ~= "table" then return complain("a message is a table, not %s", shown(entry)) end
@@ -192,6 +192,7 @@ end
 --- A list of messages itself; nil and what is wrong with it as a whole.  The messages are not looked at.
 function M.check_list(entries)
   if type(entries) ~= "table" then return nil, "the file must return a list of messages, not " .. shown(entries) end
+  if entries.name ~= nil then return nil, "the file must return a list of messages, { { name = ... } }, not one" end
   if #entries > M.MAX_ID + 1 then
     return nil, string.format("%d messages, but there are only %d IDs", #entries, M.MAX_ID + 1)
   end
@@ -201,6 +202,7 @@ end
 --- Checks a catalogue and compiles it.
 -- entries  what taurus_fields.lua returns: a list of messages, described there
 -- files    optional list: the file that each entry is from; texts about it begin with that
+-- numbers  optional list: the number of each entry in its file
 -- returns  { messages = list, by_id = { [id] = message } } of the messages without a fault, and a list of texts,
 --          each saying which message and field is wrong and why; empty when all is well.  Raises only what the entries'
 --          own metatables raise.
@@ -215,14 +217,14 @@ end
 --   float      compressed: min, max, top, ordinary (the highest count that is no reserved one)
 --   ieee, bool, string, bytes, time
 -- and, where it is one of an array, element (1 ..) and array_title; in a case of variants, when = { index, value }.
-function M.compile(entries, files)
+function M.compile(entries, files, numbers)
   local catalogue, problems = { messages = {}, by_id = {} }, {}
   local list, problem = M.check_list(entries)
   if not list then return catalogue, { problem } end
   local state = { names = {}, left = MAX_ITEMS, found = {} }
   for i = 1, #entries do
     state.found = {}
-    add_entry(catalogue, entries[i], i, state)
+    add_entry(catalogue, entries[i], numbers and numbers[i] or i, state)
     check.append(problems, state.found, files and files[i] .. ": ")
     if state.left < 0 then break end
   end

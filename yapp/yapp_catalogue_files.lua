@@ -31,7 +31,8 @@ local function read(path)
   return catalogue.check_list(entries)
 end
 
--- Appends the entries of a file; one with the name of an entry of an earlier file takes its place.
+-- Appends the entries of a file, each with its number there; one with the name of an entry of an earlier file takes its
+-- place.
 local function merge(all, entries, path)
   local places = {}
   for i, entry in ipairs(all.entries) do
@@ -41,15 +42,15 @@ local function merge(all, entries, path)
     local entry = entries[i]
     local place = type(entry) == "table" and places[entry.name]
     place = place or #all.entries + 1
-    all.entries[place], all.files[place] = entry or false, path
+    all.entries[place], all.files[place], all.numbers[place] = entry or false, path, i
   end
 end
 
 -- All lists as one, compiled.
 local function compile(lists)
-  local all = { entries = {}, files = {} }
+  local all = { entries = {}, files = {}, numbers = {} }
   for _, list in ipairs(lists) do merge(all, list.entries, list.path) end
-  local compiled, problems = catalogue.compile(all.entries, all.files)
+  local compiled, problems = catalogue.compile(all.entries, all.files, all.numbers)
   for i, text in ipairs(problems) do problems[i] = text .. "; this message is shown as bytes" end
   return compiled, problems
 end

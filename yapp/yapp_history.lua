@@ -54,9 +54,9 @@ end
 local function clock_of(payload, at)
   local a, b, c, d, e, f, g, h = byte(payload, at, at + 7)
   if not h then return nil end
-  local nanoseconds = a + b * 0x100 + c * 0x10000 + d * 0x1000000 +
+  if h >= 0x80 then h = h - 0x100 end
+  return a + b * 0x100 + c * 0x10000 + d * 0x1000000 +
     (e + f * 0x100 + g * 0x10000 + h * 0x1000000) * 0x100000000
-  return h < 0x80 and nanoseconds or nanoseconds - 2 ^ 64
 end
 
 -- The bits that rose and that fell between two values.

@@ -58,6 +58,7 @@ end
 
 -- What is wrong with a name, nil for nothing.
 local function check_name(name)
+  if name:find(";.*=") then return "sources are parted by commas" end
   if #name > MAX_NAME then return ("the name has more than %d bytes"):format(MAX_NAME) end
   if name:find("%c") or require("yapp_utf8").ascii(name):find("[\128-\255]") then
     return "the name is not a text"

@@ -129,7 +129,10 @@ function Stat:begin(options, out)
   local entry = self.feed:add(statistic, options.filter ~= nil)
   if not options.filter then return {} end
   local ok, tap = pcall(tap_filter, self.feed, entry, options.filter)
-  if not ok then return nil, ("the filter %s is not one: %s"):format(options.filter, tostring(tap)) end
+  if not ok then
+    local why = tostring(tap):match("is invalid %- (.*)$") or tap -- before that stands a place in this file
+    return nil, ("the filter %s is not one: %s"):format(options.filter, why)
+  end
   return { tap }
 end
 

@@ -26,7 +26,7 @@ Events.__index = Events
 --          late = function() -> how many periods of a message make a silence }
 function M.new(options, context)
   local self = setmetatable({ options = options, context = context, tracker = faults.tracker(), list = {},
-    before = {}, sees_all = true }, Events)
+    before = {}, sees_all = true, tells_changes = true }, Events)
   function self.keeper(event) self:keep(event) end
   return self
 end

@@ -138,7 +138,7 @@ Faults.__index = Faults
 -- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds }
 function M.new(options, context)
   local self = setmetatable({ options = options, out = context.out, clock = context.clock, tracker = M.tracker(),
-    rows = {}, count = 0, sees_all = true }, Faults)
+    rows = {}, count = 0, sees_all = true, tells_changes = true }, Faults)
   function self.adder(one) self:add(one) end
   return self
 end

@@ -8,6 +8,10 @@
 
 local M = {}
 
+local UNTOLD = 21 -- the exit code where something could not be told
+local NOT_KNOWN = "what came before a message is not known, as with -2 -R several buses were one: faults that rose " ..
+  "or fell, reboots and gaps are not told"
+
 local Feed = {}
 Feed.__index = Feed
 
@@ -21,7 +25,7 @@ end
 function Feed:reset()
   self.queue, self.queued, self.number, self.visited = {}, 0, nil, nil
   self.waiting, self.waiting_count, self.last_rel, self.orphans, self.epoch = {}, 0, nil, {}, nil
-  self.doubtful = {}
+  self.doubtful, self.is_unsure = {}, false
   for _, entry in ipairs(self.statistics) do entry.matched = {} end
 end
 
@@ -100,6 +104,7 @@ local function hand_on(self, record)
     local entry = self.statistics[i]
     local statistic = entry.statistic
     local is_counted = counts(entry, record.frame)
+    if record.is_unsure and statistic.tells_changes then self.is_unsure = true end
     if is_counted or statistic.sees_all then statistic:message(record, is_counted) end
   end
 end
@@ -141,7 +146,7 @@ function Feed:finish(unfinished)
     if not record.fault.void then hand_on(self, record) end
   end
   for _, record in ipairs(unfinished) do hand_on(self, record) end
-  local code, texts = 0, {}
+  local code, texts = self.is_unsure and UNTOLD or 0, { self.is_unsure and NOT_KNOWN or nil }
   for _, entry in ipairs(self.statistics) do
     local this, text = entry.statistic:finish(last)
     if this and (code == 0 or this < code) then code = this end

@@ -45,24 +45,29 @@ local function read_csv(options, parts, catalogue)
   end
 end
 
+local NO_RULE = "no rule follows: it is for those behind it"
+
 local function read_check(options, parts, catalogue)
   options.rules = {}
-  local source
+  local source, unused -- unused: "source=NAME", before a rule comes
   for i = 3, #parts do
     local part = parts[i]
     if part == "json" then
       options.json = true
     elseif part:find("^source=") then
-      source = part:match("=(.*)$")
+      if unused then complain(options, unused, NO_RULE) end
+      source, unused = part:match("=(.*)$"), part
       if source == "" then complain(options, part, "the name is missing") end
     elseif part:find("^junit=") then
       options.junit = part:match("=(.*)$")
       if options.junit == "" then complain(options, part, "the file is missing") end
     else
       local rule, problem = rules.read(part, catalogue, source)
+      unused = nil
       if rule then options.rules[#options.rules + 1] = rule else complain(options, part, problem) end
     end
   end
+  if unused then complain(options, unused, NO_RULE) end
   if #options.rules == 0 and #options.problems == 0 then
     complain(options, "check", "it needs a rule: " .. rules.NAMES)
   end

@@ -37,7 +37,7 @@ end
 --- options  { json = boolean }
 -- context  { out = function(text), decode = module }
 function M.new(options, context)
-  return setmetatable({ options = options, context = context, groups = groups.new(function(source)
+  return setmetatable({ options = options, context = context, tells_changes = true, groups = groups.new(function(source)
     return { count = 0, crc_bad = 0, incomplete = 0, late = 0, reboots = 0, fields = numeric(source.message) }
   end) }, Summary)
 end

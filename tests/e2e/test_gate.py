@@ -191,6 +191,9 @@ def test_a_read_filter_where_several_buses_have_one_id(folder):
         done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,check,fault=0", check=False)
         assert done.returncode == code, (passes, done.stdout)
     assert "what came before is not known" in done.stdout
+    for what, code in (("faults", 21), ("events", 21), ("summary", 21), ("csv,-,motor", 0)):
+        done = tshark.run("-2", "-R", "yapp.id == 0x210", "-q", "-r", folder / "run.pcapng", "-z", f"yapp,{what}", check=False)
+        assert (done.returncode, "yapp: what came before" in done.stderr) == (code, code == 21), what
 
 
 def test_a_name_is_that_of_its_own_interface(folder):

@@ -92,6 +92,13 @@ def test_everything_is_installed_and_removed(home, source):
     assert all_of(home) == set()
 
 
+def test_uninstall_twice(home, source):
+    run(home, source=source)
+    edit(home / YAPP / "taurus_fields.lua")
+    assert f"removed   {home / YAPP}, except what is kept" in run(home, "uninstall", source=source)
+    assert not any("removed" in line for line in run(home, "uninstall", source=source))
+
+
 def test_an_extcap_of_an_earlier_wireshark(home, folder, source):
     """4.0 had it in another folder than 4.4 has: after an upgrade of Wireshark it is in one place again."""
     run(home, source=source, path=other_tshark(folder, "TShark (Wireshark) 4.0.1 (v4.0.1)\nwith Lua 5.2"), code=1)

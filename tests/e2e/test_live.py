@@ -357,6 +357,13 @@ def test_not_a_port(folder, path):
     assert f"{path} is not a serial port" in refused(folder, "--port", path)
 
 
+@pytest.mark.parametrize("flag, value, said", [
+    ("--baud", "fast", "the baud rate is a number, not 'fast'"), ("--parity", "mark", "parity is none, even or odd, not 'mark'"),
+    ("--stopbits", "3", "the number of stop bits is 1 or 2, not '3'")])
+def test_a_setting_that_is_none(folder, port, flag, value, said):
+    assert said in refused(folder, "--port", port.name, flag, value)
+
+
 def test_one_port_for_both_directions(folder, port):
     assert "is both ports" in refused(folder, "--port", port.name, "--second", port.name)
 
@@ -502,6 +509,8 @@ def test_tshark_keeps_every_byte(home, folder, port, second):
 def test_tshark_says_what_is_wrong(home):
     out, errors = ends(run_tshark(home, "-i", "yapp-serial", "-o", "extcap.yapp_serial.port:/dev/ttyNOPE"))
     assert out == "" and "there is no port /dev/ttyNOPE" in errors
+    out, errors = ends(run_tshark(home, "-i", "yapp-serial", "-o", "extcap.yapp_serial.baud:fast"))
+    assert out == "" and "the baud rate is a number" in errors
 
 
 def test_tshark_and_a_port_that_goes(home, port):

@@ -55,8 +55,15 @@ function T.test_an_error_names_file_message_and_field()
   lu.assertEquals(problems[3], path .. ": message d: the name is there twice; this message is shown as bytes")
 end
 
+function T.test_a_message_without_a_name_has_its_number_in_the_file()
+  local _, problems, list = load("return {" .. entry("a", 1) .. entry("b", 2) .. "}",
+    "return {" .. entry("c", 3) .. "{ id = 4 } }")
+  lu.assertStrContains(problems[1], list[2].path .. ": message 2: name nil is not a filter name")
+end
+
 function T.test_a_file_that_is_no_catalogue()
   for text, said in pairs {
+    ['return { name = "c", id = 3 }'] = "the file must return a list of messages, { { name = ... } }, not one",
     ["return 5"] = "the file must return a list of messages, not 5",
     [""] = "the file must return a list of messages, not nil",
     ["return {"] = "the catalogue cannot be read: ", ["error('planted')"] = ":1: planted",

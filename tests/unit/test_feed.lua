@@ -39,6 +39,18 @@ function T.test_messages_in_the_order_of_the_capture()
   lu.assertEquals({ one.got, one.last }, { { "a", "b", "c", "d" }, 9 })
 end
 
+function T.test_what_came_before_is_not_known()
+  for tells, code in pairs { [true] = 21, [false] = 0 } do
+    local feed, one = feed_of.new(), notes()
+    one.tells_changes = tells
+    feed:add(one, false)
+    offer(feed, 1, "a", { is_unsure = true })
+    feed:packet(1, 1)
+    local got, texts = feed:finish {}
+    lu.assertEquals({ got, #texts, one.got }, { code, tells and 1 or 0, { "a" } })
+  end
+end
+
 function T.test_nothing()
   local feed, one = feed_of.new(), notes()
   feed:add(one, false)

@@ -17,7 +17,6 @@ local COMMAND = { name = "command", every = 0.2, fields = {} }
 -- Eight bytes, little endian, of a number of nanoseconds.
 local function int64(n)
   local bytes = {}
-  if n < 0 then n = n + 2 ^ 64 end
   for i = 1, 8 do
     bytes[i] = string.char(n % 256)
     n = (n - n % 256) / 256
@@ -118,6 +117,8 @@ end
 function T.test_clocks_at_the_ends_of_their_range()
   lu.assertEquals(run({ motor(1, 1, { clock = -2 }), motor(2, 2, { clock = -1 }), motor(3, 3, { clock = 0 }),
     motor(4, 4, { clock = -0.5 }) }, "reboot"), { "-", "-", "-", true })
+  lu.assertEquals(run({ motor(1, 1, { clock = -2e-9 }), motor(2, 2, { clock = -1e-9 }), motor(3, 3, { clock = 0 }) },
+    "stale"), { "-", "-", "-" })
   local change = run({ motor(1, 1, { clock = 9007199 }), motor(2, 2, { clock = 9007199.000000001 }) })[2]
   lu.assertEquals({ change.stale, change.reboot }, {})
 end

@@ -45,6 +45,12 @@ function T.test_a_message_without_a_name_and_names_with_signs()
     { "motor", "left:aft=2", "ÄÖ rotor 3" })
 end
 
+function T.test_another_sign_between_sources()
+  local s, problems = parse("0x210=motor:left;can1/0x210=right, 0x211=a;b")
+  lu.assertEquals(problems, { "sources: 0x210=motor:left;can1/0x210=right: sources are parted by commas" })
+  lu.assertEquals(s:name(nil, 0x211), "a;b")
+end
+
 function T.test_buses_with_odd_names()
   local s, problems = parse([["USB, ""left"" = 1"/0x210=motor:a, vcan/0/0x210=b, \Device\NPF_{1-2}/0x210=c, "x" / 1=d]])
   lu.assertEquals(problems, {})

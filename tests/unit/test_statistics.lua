@@ -484,6 +484,8 @@ function T.test_wrong_options_are_named()
     ["check,motor.volts=.."] = "motor.volts=..: a range is A..B, A.. or ..B",
     ["check,motor.volts=5..4"] = "motor.volts=5..4: nothing lies in this range",
     ["check,motor.volts=0x5..9"] = "motor.volts=0x5..9: a range is A..B, A.. or ..B",
+    ["check,fault=0,source=x"] = "source=x: no rule follows: it is for those behind it",
+    ["check,source=x,source=y,fault=0"] = "source=x: no rule follows: it is for those behind it",
     ["check,source="] = "source=: the name is missing",
     ["check,junit="] = "junit=: the file is missing",
   }
