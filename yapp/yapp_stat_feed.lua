@@ -9,8 +9,8 @@
 local M = {}
 
 local UNTOLD = 21 -- the exit code where something could not be told
-local NOT_KNOWN = "what came before a message is not known, as with -2 -R several buses were one: faults that rose " ..
-  "or fell, reboots and gaps are not told"
+local NOT_KNOWN = "what came before a message is not known (-2 -R takes several buses for one): faults that rose or " ..
+  "fell, reboots and gaps are missing"
 
 local Feed = {}
 Feed.__index = Feed
@@ -29,7 +29,8 @@ function Feed:reset()
   for _, entry in ipairs(self.statistics) do entry.matched = {} end
 end
 
---- Adds a statistic.
+--- Adds a statistic: with message(record, is_counted) and finish(last); sees_all = whether it gets what does not count
+-- too, tells_changes = whether what it says rests on what came before a message.
 -- returns  what matched is told by, where it has a filter
 function Feed:add(statistic, has_filter)
   local entry = { statistic = statistic, has_filter = has_filter, matched = {} }
@@ -104,7 +105,7 @@ local function hand_on(self, record)
     local entry = self.statistics[i]
     local statistic = entry.statistic
     local is_counted = counts(entry, record.frame)
-    if record.is_unsure and statistic.tells_changes then self.is_unsure = true end
+    if is_counted and record.is_unsure and statistic.tells_changes then self.is_unsure = true end
     if is_counted or statistic.sees_all then statistic:message(record, is_counted) end
   end
 end
