@@ -65,7 +65,7 @@ local facts = parts.facts.watch(parts.file_head, candump)
 local stat = parts.stat.new { version = VERSION, catalogue = catalogue, is_whole = is_whole, decode = decode,
   columns = parts.decode_columns, opened = function() facts:want_buses() end }
 local reader = parts.reader.new(decode, catalogue, stat)
-local tree = parts.tree.new { yapp = yapp, taurus = taurus, catalogue = catalogue, decode = decode, reader = reader }
+local tree = parts.tree.new { yapp = yapp, taurus = taurus, catalogue = catalogue, reader = reader }
 
 -- SocketCAN's table of ids finds the frames of a message: no other frame costs anything.
 local by_can_id, is_registered = DissectorTable.get("can.extended_id"), {}

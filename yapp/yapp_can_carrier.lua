@@ -13,7 +13,7 @@ local STATUS_TEXT = {
 local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 local MAX_KEPT = 64 -- texts kept for the parts of long messages
 
-local KINDS, START, address_of -- of yapp_can_id; set in M.new
+local KINDS, START, MIDDLE, address_of -- of yapp_can_id; set in M.new
 
 local Carrier = {}
 Carrier.__index = Carrier
@@ -25,7 +25,8 @@ Carrier.__index = Carrier
 -- facts    a yapp_facts
 -- claim    function(id): a frame of a message that is not in the catalogue was taken
 function M.new(parts, tree, reader, facts, claim)
-  KINDS, START, address_of = parts.can_id.KINDS, parts.can_id.START, parts.can_id.address
+  local can_id = parts.can_id
+  KINDS, START, MIDDLE, address_of = can_id.KINDS, can_id.START, can_id.MIDDLE, can_id.address
   return setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, claim = claim, view = {},
     message = {}, record = {} }, Carrier)
 end
@@ -55,12 +56,39 @@ local function new_names(self, id, bus)
   return of_bus[id]
 end
 
+-- The column Info of a part that goes on, in the frame that has just come.
+local function set_part(self, columns, names, address, message, look, length)
+  local texts = names.texts
+  columns.protocol, columns.src = "YAPP", names.source
+  columns.info = texts.size == message.size and length == 8 and texts[message.count] or
+    self:part_text(names, address, message, look, length)
+end
+
+-- The short way: a new Middle that is no more than the next part of a message, of which nobody wants a tree.
+-- returns  the bytes that are ours; nil for any other frame
+local function take_middle(self, tvb, pinfo, tree, address)
+  local memory, wants = self.memory, self.tree:wants(tree, pinfo, false)
+  if wants.yapp then return nil end
+  local number, place, data, bus = self.facts:plain_frame(tvb, pinfo, memory.highest)
+  local message = number and memory:middle(address, number, place, data, bus)
+  if not message then return nil end
+  local names, length = self.names[bus or false][address.id], #data
+  if self.reader.stat.wanted then self:tell_part(names, address, bus, number, pinfo.rel_ts, false) end
+  if wants.names then self.tree:bare(tree, wants) end
+  if wants.columns then set_part(self, pinfo.cols, names, address, message, number, length) end
+  return length
+end
+
 --- Dissects one frame.
 -- can_id   29-bit CAN id
 -- is_wide  whether the user says that every extended frame is YAPP
 -- returns  the number of bytes that are ours, 0 for a frame that is not
 function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
-  local memory = self.memory
+  local memory, builder, address = self.memory, self.tree, address_of(can_id)
+  if address.ctrl == MIDDLE and not memory.is_again then
+    local length = take_middle(self, tvb, pinfo, tree, address)
+    if length then return length end
+  end
   local facts = self.facts:can_frame(tvb, pinfo, memory.highest)
   if facts.reported == 0 then return 0 end
   if facts.is_odd and (facts.remote or facts.doubtful and facts.data == "") then
@@ -68,25 +96,21 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
     return 0
   end
   facts.wide = is_wide
-  local address = address_of(can_id)
   local record = memory:look(address, facts, self.record)
   if not record then return 0 end
   local of_bus = self.names[facts.bus or false]
   local names = of_bus and of_bus[address.id] or new_names(self, address.id, facts.bus)
-  local builder = self.tree
   local wants = builder:wants(tree, pinfo, facts.is_again)
   local columns = wants.columns and pinfo.cols
-  if columns then columns.protocol, columns.src = "YAPP", names.source end
   local length, is_told = #facts.data, self.reader.stat.wanted
-  if is_told and record.message and not record.is_last then self:tell_part(names, address, facts, pinfo.rel_ts) end
+  if is_told and record.message and not record.is_last then
+    self:tell_part(names, address, facts.bus, facts.number, pinfo.rel_ts, facts.is_again)
+  end
   if not (record.is_rare or wants.yapp) and length == facts.reported then -- most frames
     if wants.names then builder:bare(tree, wants) end
-    if columns then
-      local message, texts = record.message, names.texts
-      columns.info = texts.size == message.size and length == 8 and texts[message.count] or
-        self:part_text(names, address, record, length)
-    end
+    if columns then set_part(self, columns, names, address, record.message, record.look, length) end
   else
+    if columns then columns.protocol, columns.src = "YAPP", names.source end
     local view = self.view
     view.tvb, view.pinfo, view.tree, view.wants = tvb, pinfo, tree, wants
     view.address, view.facts, view.record, view.names = address, facts, record, names
@@ -152,15 +176,14 @@ end
 
 -- And, for the messages that the capture ends before, of parts: of a message's in one record, told once.
 -- time  seconds since the first packet
-function Carrier:tell_part(names, address, facts, time)
+function Carrier:tell_part(names, address, bus, number, time, is_again)
   local part = names.parts[address.seq]
   if not part then
-    part = { id = address.id, seq = address.seq, source = key_of(facts.bus, address.id), bus = facts.bus,
-      bus_name = names.bus }
+    part = { id = address.id, seq = address.seq, source = key_of(bus, address.id), bus = bus, bus_name = names.bus }
     names.parts[address.seq] = part
     self.reader.tell:part(part)
   end
-  part.frame, part.time, part.visited = facts.number, time, facts.is_again
+  part.frame, part.time, part.visited = number, time, is_again
 end
 
 --- The messages that the capture ends before.
@@ -247,10 +270,9 @@ end
 
 --- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept: those of
 -- a message in frames of classic CAN by the number of the part.
--- length  captured bytes of the frame
-function Carrier.part_text(_, names, address, record, length)
-  local message, texts = record.message, names.texts
-  local size, look = message.size, record.look
+-- message, look, length  of the frame: captured bytes
+function Carrier.part_text(_, names, address, message, look, length)
+  local size, texts = message.size, names.texts
   if texts.size ~= size then
     texts = { ("%s  Start of %d bytes"):format(names.name, size), size = size }
     names.texts = texts
@@ -283,7 +305,7 @@ function Carrier:show_part(view)
     if leads_to then add_generated(item, fields["reassembled.in"], leads_to) end
     if record.has_fault then add_generated(item, fields["message.fault"], true) end
   end
-  local text = self:part_text(view.names, view.address, record, #view.facts.data)
+  local text = self:part_text(view.names, view.address, record.message, record.look, #view.facts.data)
   return leads_to and ("%s  [Reassembled in #%d]"):format(text, leads_to) or text
 end
 

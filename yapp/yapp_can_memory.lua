@@ -93,11 +93,12 @@ Memory.__index = Memory
 -- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown one;
 --             new_history = function() -> a yapp_history, one for each pass;
 --             has_buses = whether the file is known to have several buses }
--- It has highest: the highest number so far, infinity once a second look has been seen.  A frame above it cannot have
--- been looked at before, which saves asking Wireshark.
+-- It has is_again: whether a second look has been seen.  And highest: the highest number so far, infinity from then on.
+-- A frame above it cannot have been looked at before, which saves asking Wireshark.
 function M.new(parts, options)
   local self = setmetatable({ parts = parts, size_of = options.size_of, new_history = options.new_history,
-    is_mixed = options.has_buses or false, is_guessed = false, is_blind = false, reached = 0, highest = 0 }, Memory)
+    is_mixed = options.has_buses or false, is_guessed = false, is_blind = false, is_again = false, reached = 0,
+    highest = 0 }, Memory)
   self.first = new_pass(self)
   return self
 end
@@ -209,6 +210,17 @@ local function fill(self, record, pass, look, is_now, message)
     link(self, record, message)
   end
   return record
+end
+
+--- The short way to take a new Middle of which nothing can be said but that it is a part of a message.
+-- number, place, data, bus  as look has them of a new frame that is whole and, for sure, no remote frame
+-- returns                   its message; nil where it is not so: then nothing was done, and look takes it
+function Memory:middle(address, number, place, data, bus)
+  local first = self.first
+  local message = place == first.place and first.reassembly:middle(address, number, data, bus)
+  if not message then return nil end
+  self.highest, first.highest, first.latest = number, number, number
+  return message
 end
 
 --- What a frame is.

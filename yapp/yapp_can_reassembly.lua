@@ -225,6 +225,25 @@ local function complete(self, message, frame)
   return self:finish(message, payload, frame.look)
 end
 
+local function slot_of(address, bus)
+  return bus and address.key + (bus + 1) * BUS or address.key
+end
+
+--- Takes a Middle of which nothing can be said but that it is the next part of a message: most frames are.
+-- look, data, bus  as Reassembly:frame has them
+-- returns          its message; nil where it is not so: then nothing was done, and Reassembly:frame takes the frame
+function Reassembly:middle(address, look, data, bus)
+  local message = self.open[slot_of(address, bus)]
+  local chunks = message and message.chunks
+  if not chunks or message.truncated or self.credit < MAX_CREDIT then return nil end
+  local received, parts, count = message.received + #data, message.parts, message.count + 1
+  if received >= message.size or data == chunks[parts] then return nil end
+  self.kept.entries[look] = message
+  message.count, message[count], message.received = count, look, received
+  message.parts, chunks[parts + 1] = parts + 1, data
+  return message
+end
+
 -- A Middle or End of the only message in its slot.
 local function add_part(self, slot, message, frame, is_end)
   local look, count, reported = frame.look, message.count + 1, frame.reported
@@ -298,8 +317,7 @@ local TAKERS = { [0] = single, start, continue, continue }
 -- returns  whether it is YAPP's, and its message: kept:entry(frame.look) says the same at any later time
 function Reassembly:frame(address, frame)
   if self.credit < MAX_CREDIT then self.credit = math.max(self.credit, 0) + CREDIT_PER_FRAME end
-  local slot = frame.bus and address.key + (frame.bus + 1) * BUS or address.key
-  return (TAKERS[address.ctrl] or other)(self, slot, address, frame)
+  return (TAKERS[address.ctrl] or other)(self, slot_of(address, frame.bus), address, frame)
 end
 
 --- The messages that began and have not ended: at the end of the capture these are unfinished.

@@ -3,7 +3,6 @@
 -- What it needs to know of a message or a field, beyond what the catalogue says, it keeps here.
 
 local bits = require("yapp_bits")
-local info = require("yapp_catalogue_info")
 local numbers = require("yapp_decode_numbers")
 local reader = require("yapp_decode_reader")
 local utf8 = require("yapp_utf8")
@@ -15,11 +14,9 @@ local M = {}
 local SPECIALS = {
   [0] = "Not a Number", "Positive Infinity", "Negative Infinity", "Out of Range High", "Out of Range Low",
 }
-local SPECIALS_SHORT = { [0] = "NaN", "+inf", "-inf", "above range", "below range" }
 M.SPECIALS = SPECIALS
 
 local format, concat, band = string.format, table.concat, bits.band
-local unpack = rawget(table, "unpack")
 local WEAK = { __mode = "k" }
 
 -- Reading -----------------------------------------------------------------------------------------------------------
@@ -52,6 +49,12 @@ end
 --- A signed 64 bit count of nanoseconds ("Time"): seconds, nanoseconds, see yapp_decode_numbers.
 M.time = numbers.time
 
+--- A time in seconds with nine digits behind the point.
+function M.seconds(seconds, nanoseconds)
+  local sign = (seconds < 0 or nanoseconds < 0) and "-" or ""
+  return format("%s%d.%09d", sign, seconds < 0 and -seconds or seconds, nanoseconds < 0 and -nanoseconds or nanoseconds)
+end
+
 -- Values ------------------------------------------------------------------------------------------------------------
 
 -- Compressed floats: floatN <min; max> has counts 0 .. top, top = 2^N - 1.  The five highest are reserved; the others
@@ -71,6 +74,20 @@ end
 
 --- What compressed floats divide by, as top - divisor, and a number that changes with it.
 function M.divisor() return divisor, version end
+
+-- A number as source; COMPAT 5.4: as a float.
+local function literal(number)
+  local text = format("%.17g", number)
+  return text:find("[.e]") and text or text .. ".0"
+end
+
+--- The value of a compressed float as Lua source: "(-8387840.0 + a * 256.0) / 65530.0".  It is that of the divisor of
+-- now: what is made of it is good as long as the second of M.divisor() is the same.
+-- a  what has the count, as source
+function M.float_source(field, a)
+  local steps = field.top - divisor
+  return format("(%s + %s * %s) / %s", literal(field.min * steps), a, literal(field.max - field.min), literal(steps))
+end
 
 -- Which reserved count a count of a compressed float is (0 .. 4), nil for an ordinary one.
 local function reserved(field, raw)
@@ -237,82 +254,6 @@ function M.remarks(message, raws)
     if raw and look then look(field, raw, i, add) end
   end
   return remarks
-end
-
--- The Info column ---------------------------------------------------------------------------------------------------
-
--- What a field that is no fraction shows, when there is nothing special about it.
-local function usual(field, raw)
-  if field.values then return field.values[raw] end
-  if field.kind == "bool" then return raw == 0 and "false" or raw == 1 and "true" or nil end
-  if field.kind == "string" or field.kind == "bytes" then return M.value(field, raw) end
-  return type(raw) == "number" and format("%.0f", raw) or raw -- tostring has 14 digits in Lua 5.2
-end
-
-local function shown(part, raw, payload)
-  local field = part.field
-  if field.kind == "time" and payload and #payload >= field.offset + 8 then
-    return M.seconds(M.time(payload, field.offset)) .. " s"
-  end
-  if not raw then return "?" end
-  if info.is_real(field) then
-    local value, special = M.value(field, raw)
-    return special and SPECIALS_SHORT[special] or format(part.format, value)
-  end
-  return usual(field, raw) or format(field.kind == "int" and "invalid %d" or "invalid 0x%x", raw)
-end
-
---- A time in seconds with nine digits behind the point.
-function M.seconds(seconds, nanoseconds)
-  local sign = (seconds < 0 or nanoseconds < 0) and "-" or ""
-  return format("%s%d.%09d", sign, seconds < 0 and -seconds or seconds, nanoseconds < 0 and -nanoseconds or nanoseconds)
-end
-
--- The parts of an Info text one by one, for values that the usual format cannot show.
-local function info_in_parts(message, raws, payload)
-  local texts = {}
-  for i, part in ipairs(message.info) do
-    texts[i] = part.field and shown(part, raws[part.index], payload) or part
-  end
-  return concat(texts)
-end
-
-local values = {} -- of one Info text at a time
-
--- The text of a message with nothing special to show; nil where there is.
-local function usual_info(message, raws)
-  local fields = message.info_fields
-  for i = 1, #fields do
-    local part = fields[i]
-    local field, raw = part.field, raws[part.index]
-    local value
-    if raw then
-      if field.kind == "float" then
-        if raw <= field.ordinary and raw >= 0 then value = float(field, raw) end
-      elseif field.kind == "ieee" or field.scale then
-        value = M.value(field, raw)
-      else
-        value = usual(field, raw)
-      end
-    end
-    if not value then return nil end
-    values[i] = value
-  end
-  return format(message.info_format, unpack(values, 1, #fields))
-end
-
---- What the Info column says of a message.
--- raws     from M.read; payload: the string that they are from, for times
--- name     what the message is called; its title when left out
-function M.info(message, raws, payload, name)
-  local text = (name or message.title) .. "  " .. (usual_info(message, raws) or info_in_parts(message, raws, payload))
-  for _, field in ipairs(message.alarms) do
-    local raw = raws[message.index[field]]
-    if raw and band(raw, field.watched) ~= 0 then
-      text = text .. "  " .. field.alarm .. " " .. M.flag_names(field, raw)
-    end
-  end
-  return text
 end
 
 return M

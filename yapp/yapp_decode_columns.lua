@@ -129,22 +129,14 @@ end
 
 -- Rows --------------------------------------------------------------------------------------------------------------
 
--- A number as source; COMPAT 5.4: as a float.
-local function literal(number)
-  local text = format("%.17g", number)
-  return text:find("[.e]") and text or text .. ".0"
-end
-
 -- One field's line of source.
 local function line_source(field, i)
   if field.kind == "time" then return format("out[%d] = seconds(time(payload, %d))", i, field.offset) end
   if field.kind ~= "float" or has_few(field) or field.size > 6 then
     return format("out[%d] = CELLS[%d](raws[%d])", i, i, i)
   end
-  local steps = field.top - decode.divisor()
-  return format('a = raws[%d]\nif a > %d then out[%d] = SPECIALS[%d - a] else out[%d] = ' ..
-    'format("%s,", (%s + a * %s) / %s) end', i, field.ordinary, i, field.top, i, decode.format_of(field),
-    literal(field.min * steps), literal(field.max - field.min), literal(steps))
+  return format('a = raws[%d]\nif a > %d then out[%d] = SPECIALS[%d - a] else out[%d] = format("%s,", %s) end', i,
+    field.ordinary, i, field.top, i, decode.format_of(field), decode.float_source(field, "a"))
 end
 
 local function row_source(message)

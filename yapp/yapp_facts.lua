@@ -251,6 +251,18 @@ local function is_remote(self, pinfo)
   return text:find("Remote", 1, true) ~= nil and tostring(pinfo.cols.protocol) ~= "CANFD"
 end
 
+--- What there is to know of a frame that is new, whole and of a bus that nobody has to ask for, and that is no remote
+-- frame: most are.
+-- highest  as for can_frame
+-- returns  number, place, data, bus; nothing for a frame that can_frame has to look at
+function Facts:plain_frame(tvb, pinfo, highest)
+  local number, bus = pinfo.number, self.candump.current_bus
+  if number <= highest or not bus and self.asks_bus or length_of(tvb) == 0 then return nil end
+  local data = raw_of(tvb)
+  if #data ~= reported_of(tvb) or ZEROS[data] then return nil end
+  return number, self.found.place or offset_of(tvb), data, bus
+end
+
 --- What a look at a CAN frame needs to know, asked for once.
 -- highest  the highest number so far: one above it is new, and Wireshark cannot have shown it before
 -- returns  { number, place, is_again, data, reported, bus, is_apart = whether no other bus can have its number,

@@ -2,6 +2,7 @@
 -- What a user sees of YAPP: the fields, the expert items, the tree, the Info column. The messages: yapp_tree_taurus.
 -- Wireshark's API; what is shown comes in finished, from the reassembly or the framing.
 
+local info_of = require("yapp_decode_info")
 local items = require("yapp_tree_items")
 local tree_taurus = require("yapp_tree_taurus")
 
@@ -82,10 +83,10 @@ local Tree = {}
 Tree.__index = Tree
 
 --- Makes fields and expert items and hands them to the two protocols.
--- options  { yapp =, taurus = Proto, catalogue = compiled, decode = the module, reader = a yapp_reader }
+-- options  { yapp =, taurus = Proto, catalogue = compiled, reader = a yapp_reader }
 function M.new(options)
-  local self = setmetatable({ yapp = options.yapp, taurus = options.taurus, decode = options.decode,
-    reader = options.reader, default_names = {} }, Tree)
+  local self = setmetatable({ yapp = options.yapp, taurus = options.taurus, reader = options.reader,
+    default_names = {} }, Tree)
   for id, message in pairs(options.catalogue.by_id) do self.default_names[id] = message.title end
   self.fields = make_yapp_fields(self.default_names)
   local list = {}
@@ -278,7 +279,7 @@ function Tree:payload(m)
   m.label = name ~= m.message.title and name or nil
   m.is_steady = IS_TSHARK and not m.visited
   local top = self.messages:show(m.tree, m.item, m)
-  local info = m.has_columns and self.decode.info(m.message, m.raws, m.payload, name) or ""
+  local info = m.has_columns and info_of.text(m.message, m.raws, m.payload, name) or ""
   if not change then return info end
   self.messages:add_change(top or m.item, m, top ~= nil)
   return info .. (change.reboot and "  REBOOT" or change.stale and "  STALE" or "")

@@ -18,12 +18,6 @@ local M = {}
 
 local format, concat = string.format, table.concat
 
--- A number as source; COMPAT 5.4: as a float.
-local function literal(number)
-  local text = format("%.17g", number)
-  return text:find("[.e]") and text or text .. ".0"
-end
-
 -- Adds a ProtoField to the list; returns its number.
 local function number_of(list, pf)
   list[#list + 1] = pf
@@ -48,9 +42,7 @@ end
 function lines_of.float(field, i, made, list, parent)
   if field.size > 6 then return other_lines(field, i, made, list, parent) end
   local pf, special = number_of(list, made.pf), number_of(list, made.special)
-  local steps = field.top - decode.divisor()
-  local number = format("format(%q, (%s + a * %s) / %s)", decode.format_of(field), literal(field.min * steps),
-    literal(field.max - field.min), literal(steps))
+  local number = format("format(%q, %s)", decode.format_of(field), decode.float_source(field, "a"))
   local unit = field.unit and " " .. field.unit or ""
   return {
     format("if a > %d then", field.ordinary),

@@ -9,7 +9,7 @@ package.path = top .. "yapp/?.lua;" .. package.path
 
 local parts = {}
 for _, name in ipairs { "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly",
-  "can_repeated", "catalogue", "crc", "decode", "history", "reader" } do
+  "can_repeated", "catalogue", "crc", "decode", "decode_info", "history", "reader" } do
   parts[name] = require("yapp_" .. name)
 end
 local catalogue = parts.catalogue.compile(dofile(top .. "taurus_fields.lua"))
@@ -59,7 +59,7 @@ local function run(path, step)
     if step == "reassembly" then return end
     finish(m, address, facts, found.message)
     reader:read(m, step == "values" and NO_HISTORY or memory, found)
-    if step == "info" then parts.decode.info(m.message, m.raws, m.payload) end
+    if step == "info" then parts.decode_info.text(m.message, m.raws, m.payload) end
   end)
   return count
 end

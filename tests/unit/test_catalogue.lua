@@ -5,6 +5,7 @@ local lu = require("luaunit")
 local catalogue = require("yapp_catalogue")
 local columns = require("yapp_decode_columns")
 local decode = require("yapp_decode")
+local decode_info = require("yapp_decode_info")
 local levels = require("levels")
 
 local T = {}
@@ -212,7 +213,7 @@ function T.test_nonsense_in_every_option()
             for _, one in ipairs(compiled.messages) do
               local raws = decode.read(one, ("\255"):rep(size))
               decode.remarks(one, raws)
-              lu.assertStrContains(decode.info(one, raws), "M")
+              lu.assertStrContains(decode_info.text(one, raws), "M")
               lu.assertNotNil(columns.row(one, ("\255"):rep(size)))
             end
           end

@@ -4,6 +4,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp_catalogue")
 local decode = require("yapp_decode")
+local decode_info = require("yapp_decode_info")
 
 local T = {}
 
@@ -115,7 +116,7 @@ function T.test_the_document_s_example()
   lu.assertEquals(raws[MOTOR.index[MOTOR.by_name.dc_voltage]], 0xAFF5)
   lu.assertEquals(raws[MOTOR.index[MOTOR.by_name.status_flags]], 0x40010000)
   lu.assertEquals(decode.flag_names(MOTOR.by_name.status_flags, 0x40010000), "stopped, mpos_update")
-  lu.assertEquals(decode.info(MOTOR, raws), "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A")
+  lu.assertEquals(decode_info.text(MOTOR, raws), "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A")
   local remarks = decode.remarks(MOTOR, raws)
   lu.assertEquals({ #remarks, remarks[1][2] }, { 1, "value.special" }) -- no thermistor on the ESC
 end
@@ -126,7 +127,7 @@ function T.test_a_payload_that_is_cut()
     for i, f in ipairs(MOTOR.fields) do
       if f.kind ~= "time" then lu.assertEquals(raws[i] ~= nil, f.offset + f.size <= length) end
     end
-    lu.assertStrContains(decode.info(MOTOR, raws), "Motor Data")
+    lu.assertStrContains(decode_info.text(MOTOR, raws), "Motor Data")
   end
 end
 
@@ -160,7 +161,7 @@ end
 
 function T.test_special_values_in_the_info_column()
   local raws = decode.read(COMMAND, bytes("01A501FFFFFEFF"))
-  lu.assertEquals(decode.info(COMMAND, raws), "Command  Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")
+  lu.assertEquals(decode_info.text(COMMAND, raws), "Command  Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")
 end
 
 return T

@@ -5,6 +5,7 @@ local lu = require("luaunit")
 local catalogue = require("yapp_catalogue")
 local columns = require("yapp_decode_columns")
 local decode = require("yapp_decode")
+local decode_info = require("yapp_decode_info")
 
 local T = {}
 
@@ -237,10 +238,10 @@ function T.test_info_of_every_kind()
   local m = compiled.messages[1]
   local payload = bytes("ff" .. "97ff" .. "01" .. "616263" .. "00ff" .. "cdcc8c3f" .. "0000000000002000" ..
     "00ca9a3b00000000" .. "0000")
-  lu.assertEquals(decode.info(m, decode.read(m, payload), payload),
+  lu.assertEquals(decode_info.text(m, decode.read(m, payload), payload),
     "M  -1 -10.5 true abc 00ff 1.10 9007199254740992 1.000000000 s")
   payload = bytes("ff" .. "97ff" .. "02" .. "616263" .. "00ff" .. "ffffffff") .. payload:sub(14)
-  lu.assertEquals(decode.info(m, decode.read(m, payload), payload),
+  lu.assertEquals(decode_info.text(m, decode.read(m, payload), payload),
     "M  -1 -10.5 invalid 0x2 abc 00ff NaN 9007199254740992 1.000000000 s")
 end
 
