@@ -160,15 +160,16 @@ function Carrier:show(view)
     builder:expert(view.item, "truncated",
       ("The capture has %d of the frame's %d bytes"):format(#facts.data, facts.reported))
   end
-  for _, fault in ipairs(record.faults or {}) do builder:expert(view.item, fault.expert, fault.text) end
+  if record.faults then self:show_faults(view) end
   if record.is_unfinished then builder:expert(view.item, "unfinished") end
-  if record.faults and self.reader.stat.wanted then self:tell_faults(view) end
   return info
 end
 
--- Statistics are told of what is lost.
-function Carrier:tell_faults(view)
+-- What is wrong with a frame; statistics are told of what is lost.
+function Carrier:show_faults(view)
   local facts, address = view.facts, view.address
+  for _, fault in ipairs(view.record.faults) do self.tree:expert(view.item, fault.expert, fault.text) end
+  if not self.reader.stat.wanted then return end
   self.reader.tell:faults({ id = address.id, seq = address.seq, source = key_of(facts.bus, address.id),
     bus = facts.bus, bus_name = view.names.bus, frame = facts.number, time = view.pinfo.rel_ts,
     visited = facts.is_again, is_end = address.ctrl == self.parts.can_id.END }, view.record.faults)
@@ -222,7 +223,7 @@ local function finished(self, view, payload, size)
   m.bus, m.bus_name, m.name = facts.bus, names.bus, names.name
   m.frame, m.time, m.visited, m.is_whole, m.is_unsure = facts.number, view.pinfo.rel_ts, facts.is_again, true, nil
   m.has_columns = view.wants.columns
-  m.is_brief = not (view.wanted or view.wants.taurus or self.reader.stat.wanted)
+  m.is_brief = not (view.wanted or view.wants.taurus or self.reader.stat.wants_changes)
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   return m
 end

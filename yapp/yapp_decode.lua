@@ -21,29 +21,39 @@ local WEAK = { __mode = "k" }
 
 -- Reading -----------------------------------------------------------------------------------------------------------
 
-local readers, raws_of = setmetatable({}, WEAK), setmetatable({}, WEAK) -- by message
+local kept_of = setmetatable({}, WEAK) -- by message: { read, raws, payload and look of the latest }
+
+-- Reads a payload that a capture cut.
+local function read_short(kept, message, payload)
+  local raws = kept.raws
+  kept.look = kept.read(payload .. ("\0"):rep(message.size - #payload), raws)
+  for i, field in ipairs(message.fields) do
+    if field.offset + field.size > #payload then raws[i] = nil end
+  end
+end
 
 --- The raw values of a payload.
 -- message  compiled
 -- payload  string; may be shorter than the message where a capture cut it: only fields that are whole are read
 -- returns  { [index of field] = raw }, without times (see M.time), missing fields and cases that are not chosen: the
---          same table for every payload of a message.  And whether M.remarks has something to say.
+--          same table for every payload of a message, to be read only.  And whether M.remarks has something to say.
 -- A raw is the integer or the count as sent, but for ieee the number, for a 64 bit integer beyond 2^53 its decimal
 -- digits, for strings and bytes the bytes; of a compressed float of seven or eight bytes -1 - n is the reserved count
 -- n.
 function M.read(message, payload)
-  local read, raws = readers[message], raws_of[message]
-  if not read then
-    read, raws = reader.make(message), {}
-    readers[message], raws_of[message] = read, raws
+  local kept = kept_of[message]
+  if not kept then
+    kept = { read = reader.make(message), raws = {} }
+    kept_of[message] = kept
   end
-  local missing = message.size - #payload
-  if missing <= 0 then return raws, read(payload, raws) end
-  local look = read(payload .. ("\0"):rep(missing), raws)
-  for i, field in ipairs(message.fields) do
-    if field.offset + field.size > #payload then raws[i] = nil end
+  if kept.payload == payload then return kept.raws, kept.look end -- a statistic comes after the tree
+  kept.payload = payload
+  if #payload >= message.size then
+    kept.look = kept.read(payload, kept.raws)
+  else
+    read_short(kept, message, payload)
   end
-  return raws, look
+  return kept.raws, kept.look
 end
 
 --- A signed 64 bit count of nanoseconds ("Time"): seconds, nanoseconds, see yapp_decode_numbers.

@@ -8,7 +8,6 @@
 local bits = require("yapp_bits")
 local decode = require("yapp_decode")
 local numbers = require("yapp_decode_numbers")
-local reader = require("yapp_decode_reader")
 
 local M = {}
 
@@ -153,7 +152,7 @@ local function row_source(message)
   return concat(lines, "\n")
 end
 
--- The writer of a message: { read, raws, row, version of the divisor }.
+-- The writer of a message: { row, version of the divisor }.
 local function make_writer(message)
   local made, empty = {}, {}
   for i, field in ipairs(message.fields) do
@@ -163,7 +162,7 @@ local function make_writer(message)
   end
   local chunk = assert(load(row_source(message), "=row of " .. message.name))
   local row = chunk(made, SPECIALS, empty, {}, format, concat, decode.time, decode.seconds)
-  return { read = reader.make(message), raws = {}, row = row, version = select(2, decode.divisor()) }
+  return { row = row, version = select(2, decode.divisor()) }
 end
 
 local writers = setmetatable({}, { __mode = "k" })
@@ -178,8 +177,7 @@ function M.row(message, payload)
     writer = make_writer(message)
     writers[message] = writer
   end
-  writer.read(payload, writer.raws)
-  return writer.row(payload, writer.raws)
+  return writer.row(payload, (decode.read(message, payload)))
 end
 
 return M

@@ -30,7 +30,8 @@ function Feed:reset()
 end
 
 --- Adds a statistic: with message(record, is_counted) and finish(last); sees_all = whether it gets what does not count
--- too, tells_changes = whether what it says rests on what came before a message.
+-- too, tells_changes = whether what it says rests on what came before a message, only_values = whether it does not look
+-- at what changed.
 -- returns  what matched is told by, where it has a filter
 function Feed:add(statistic, has_filter)
   local entry = { statistic = statistic, has_filter = has_filter, matched = {} }
@@ -126,12 +127,13 @@ local function flush(self)
 end
 
 --- A packet of any kind has been dissected.
--- number, rel  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a packet that the
+-- number, rel  of the packet; rel = seconds since the first one.  The number may be left out where no message waits for
+--              it: where self.number is nil.  With tshark -2 -R the number of a packet that the
 --              first pass rejected is another packet's in the second, which has another time
 function Feed:packet(number, rel)
   if self.waiting_count > 0 then flush(self) end
   self.last_rel = rel
-  if self.number == number and self.queue[self.queued].rel == rel then
+  if number and self.number == number and self.queue[self.queued].rel == rel then
     self.waiting, self.queue, self.waiting_count, self.queued = self.queue, self.waiting, self.queued, 0
     self.number = nil
   end
