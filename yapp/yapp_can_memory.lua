@@ -217,9 +217,9 @@ end
 -- returns                   its message; nil where it is not so: then nothing was done, and look takes it
 function Memory:middle(address, number, place, data, bus)
   local first = self.first
-  local message = place == first.place and first.reassembly:middle(address, number, data, bus)
+  local message = place == first.usual and first.reassembly:middle(address, number, data, bus)
   if not message then return nil end
-  self.highest, first.highest, first.latest = number, number, number
+  self.highest, first.highest, first.latest, first.place = number, number, number, place
   return message
 end
 
