@@ -2,16 +2,17 @@
 -- YAPP on CAN: what is shown of a frame.  Wireshark's API; what a frame is, yapp_can_memory knows.
 
 local items = require("yapp_tree_items")
+local parts_of = require("yapp_can_part")
 
 local M = {}
 
+local newest_part, part_text = parts_of.newest, parts_of.text
 local add, add_le, add_generated, append_text = items.add, items.add_le, items.add_generated, items.append_text
 
 local STATUS_TEXT = {
   bad = "  [BAD CRC]", short = "  [INCOMPLETE]", overrun = "  [OVERRUN]", unverified = "  [CUT SHORT]",
 }
 local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
-local MAX_KEPT = 64 -- texts kept for the parts of long messages
 
 local KINDS, START, MIDDLE, address_of -- of yapp_can_id; set in M.new
 
@@ -56,14 +57,6 @@ local function new_names(self, id, bus)
   return of_bus[id]
 end
 
--- The column Info of a part that goes on, in the frame that has just come.
-local function set_part(self, columns, names, address, message, look, length)
-  local texts = names.texts
-  columns.protocol, columns.src = "YAPP", names.source
-  columns.info = texts.size == message.size and length == 8 and texts[message.count] or
-    self:part_text(names, address, message, look, length)
-end
-
 -- The short way: a new Middle that is no more than the next part of a message, of which nobody wants a tree.
 -- returns  the bytes that are ours; nil for any other frame
 local function take_middle(self, tvb, pinfo, tree, address)
@@ -73,9 +66,16 @@ local function take_middle(self, tvb, pinfo, tree, address)
   local message = number and memory:middle(address, number, place, data, bus)
   if not message then return nil end
   local names, length = self.names[bus or false][address.id], #data
-  if self.reader.stat.wanted then self:tell_part(names, address, bus, number, pinfo.rel_ts, false) end
+  if self.reader.stat.wanted then
+    local part = self:told_part(names, address, bus)
+    part.frame, part.time, part.visited = number, pinfo.rel_ts, false
+  end
   if wants.names then self.tree:bare(tree, wants) end
-  if wants.columns then set_part(self, pinfo.cols, names, address, message, number, length) end
+  if wants.columns then
+    local columns = pinfo.cols
+    columns.protocol, columns.src = "YAPP", names.source
+    columns.info = newest_part(names, address, message, number, length)
+  end
   return length
 end
 
@@ -102,15 +102,16 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local names = of_bus and of_bus[address.id] or new_names(self, address.id, facts.bus)
   local wants = builder:wants(tree, pinfo, facts.is_again)
   local columns = wants.columns and pinfo.cols
+  if columns then columns.protocol, columns.src = "YAPP", names.source end
   local length, is_told = #facts.data, self.reader.stat.wanted
   if is_told and record.message and not record.is_last then
-    self:tell_part(names, address, facts.bus, facts.number, pinfo.rel_ts, facts.is_again)
+    local part = self:told_part(names, address, facts.bus)
+    part.frame, part.time, part.visited = facts.number, pinfo.rel_ts, facts.is_again
   end
   if not (record.is_rare or wants.yapp) and length == facts.reported then -- most frames
     if wants.names then builder:bare(tree, wants) end
-    if columns then set_part(self, columns, names, address, record.message, record.look, length) end
+    if columns then columns.info = newest_part(names, address, record.message, record.look, length) end
   else
-    if columns then columns.protocol, columns.src = "YAPP", names.source end
     local view = self.view
     view.tvb, view.pinfo, view.tree, view.wants = tvb, pinfo, tree, wants
     view.address, view.facts, view.record, view.names = address, facts, record, names
@@ -175,16 +176,16 @@ function Carrier:show_faults(view)
     visited = facts.is_again, is_end = address.ctrl == self.parts.can_id.END }, view.record.faults)
 end
 
--- And, for the messages that the capture ends before, of parts: of a message's in one record, told once.
--- time  seconds since the first packet
-function Carrier:tell_part(names, address, bus, number, time, is_again)
+-- And, for the messages that the capture ends before, of parts: of a message's in one record, told once, to which the
+-- caller writes frame, time (seconds since the first packet) and visited of each.
+function Carrier:told_part(names, address, bus)
   local part = names.parts[address.seq]
   if not part then
     part = { id = address.id, seq = address.seq, source = key_of(bus, address.id), bus = bus, bus_name = names.bus }
     names.parts[address.seq] = part
     self.reader.tell:part(part)
   end
-  part.frame, part.time, part.visited = number, time, is_again
+  return part
 end
 
 --- The messages that the capture ends before.
@@ -269,29 +270,6 @@ function Carrier:read(message, record)
   return message
 end
 
---- "Motor Data  part 2 of 5": the texts are the same for every message of an ID and size, so they are kept: those of
--- a message in frames of classic CAN by the number of the part.
--- message, look, length  of the frame: captured bytes
-function Carrier.part_text(_, names, address, message, look, length)
-  local size, texts = message.size, names.texts
-  if texts.size ~= size then
-    texts = { ("%s  Start of %d bytes"):format(names.name, size), size = size }
-    names.texts = texts
-  end
-  if address.ctrl == START then return texts[1] end
-  local index = message.count
-  while index > 1 and message[index] ~= look do index = index - 1 end
-  if message[index] ~= look then return names.name .. "  part once more" end
-  -- How many parts there are is sure in the end; before that, it is what classic CAN needs.
-  local usual = 1 + (size + 7 - (size + 7) % 8) / 8
-  local parts = message.status == "good" and message.count or length == 8 and usual
-  if not parts or index > parts then return ("%s  part %d"):format(names.name, index) end
-  local key = parts == usual and index or parts * 0x1000 + index
-  local text = texts[key] or ("%s  part %d of %d"):format(names.name, index, parts)
-  if parts <= MAX_KEPT then texts[key] = text end
-  return text
-end
-
 -- A Start, a Middle, or an End that completes nothing.
 function Carrier:show_part(view)
   local fields, item, record = self.tree.fields, view.item, view.record
@@ -306,7 +284,7 @@ function Carrier:show_part(view)
     if leads_to then add_generated(item, fields["reassembled.in"], leads_to) end
     if record.has_fault then add_generated(item, fields["message.fault"], true) end
   end
-  local text = self:part_text(view.names, view.address, record.message, record.look, #view.facts.data)
+  local text = part_text(view.names, view.address, record.message, record.look, #view.facts.data)
   return leads_to and ("%s  [Reassembled in #%d]"):format(text, leads_to) or text
 end
 
