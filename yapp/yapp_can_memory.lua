@@ -212,8 +212,10 @@ local function fill(self, record, pass, look, is_now, message)
   return record
 end
 
---- The short way to take a new Middle of which nothing can be said but that it is a part of a message.
--- number, place, data, bus  as look has them of a new frame that is whole and, for sure, no remote frame
+--- The short way to take a new Middle of which nothing can be said but that it is a part of a message.  What look notes
+-- of buses and passes it noted at the message's Start.
+-- number, place, data, bus  as look has them of a new frame, its number above self.highest, that is whole and, for
+--                           sure, no remote frame
 -- returns                   its message; nil where it is not so: then nothing was done, and look takes it
 function Memory:middle(address, number, place, data, bus)
   local first = self.first

@@ -52,6 +52,10 @@ local function add_range(field, row, complain)
     return complain("%s needs min and max, min below max", field.type)
   end
   field.min, field.max = row.min + 0.0, row.max + 0.0 -- COMPAT 5.4: products of integers wrap around
+  if not check.is_finite((math.abs(field.min) + math.abs(field.max)) * field.top) then
+    return complain("%s: a range from %s to %s is too wide to calculate with", field.type, shown(row.min),
+      shown(row.max))
+  end
   -- A double holds the counts of six bytes; those of more are read with the reserved ones set apart.
   field.ordinary = field.size > 6 and field.top or field.top - 5
 end

@@ -47,12 +47,12 @@ function M.read(message, payload)
     kept_of[message] = kept
   end
   if kept.payload == payload then return kept.raws, kept.look end -- a statistic comes after the tree
-  kept.payload = payload
   if #payload >= message.size then
     kept.look = kept.read(payload, kept.raws)
   else
     read_short(kept, message, payload)
   end
+  kept.payload = payload
   return kept.raws, kept.look
 end
 

@@ -252,7 +252,7 @@ local function is_remote(self, pinfo)
 end
 
 --- What there is to know of a frame that is new, whole, and surely no remote frame, where nobody is to be asked for its
--- bus: most are.
+-- bus, or nobody can tell: most are.
 -- highest  as for can_frame
 -- returns  number, place, data, bus; nothing for a frame that can_frame has to look at
 function Facts:plain_frame(tvb, pinfo, highest)

@@ -128,8 +128,8 @@ end
 
 --- A packet of any kind has been dissected.
 -- number, rel  of the packet; rel = seconds since the first one.  The number may be left out where no message waits for
---              it: where self.number is nil.  With tshark -2 -R the number of a packet that the
---              first pass rejected is another packet's in the second, which has another time
+--              it: where self.number is nil.  With tshark -2 -R the number of a packet that the first pass rejected is
+--              another packet's in the second, which has another time
 function Feed:packet(number, rel)
   if self.waiting_count > 0 then flush(self) end
   self.last_rel = rel

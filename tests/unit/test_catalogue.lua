@@ -73,6 +73,8 @@ function T.test_what_is_wrong_with_a_field_is_said()
     { { [2] = "float8", min = 0, max = math.huge }, "field f: float8 needs min and max" },
     { { [2] = "float8", min = 0 / 0, max = 1 }, "field f: float8 needs min and max" },
     { { [2] = "float8", min = "0", max = 1 }, "field f: float8 needs min and max" },
+    { { [2] = "float8", min = -1e308, max = 1e308 }, "field f: float8: a range from -1e+308 to 1e+308 is too wide" },
+    { { [2] = "float8", min = 0, max = 1e307 }, "field f: float8: a range from 0 to 1e+307 is too wide" },
     { { [2] = "float8", min = 0, max = 1, values = {} }, 'field f: unknown option "values"; type float8 has count' },
     { { units = "V" }, 'field f: unknown option "units"; type uint8 has alarm, bits, count' },
     { { [4] = "V" }, "field f: unknown option 4" },

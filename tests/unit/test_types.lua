@@ -229,6 +229,21 @@ function T.test_columns_are_described()
       column("plain_text", "string", "Plain", { filter = "plain" }) }, ",") .. "]}}}")
 end
 
+-- A function has not room for any number of values.
+function T.test_info_of_many_fields()
+  for _, count in ipairs { 1, 100, 101, 150 } do
+    local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 3,
+      info = ("{a}"):rep(count) .. ("{b}"):rep(count), { "a", "uint8", "A" },
+      { "b", "float16", "B", min = 0, max = 65530 } } }
+    lu.assertEquals(problems, {})
+    local m = compiled.messages[1]
+    lu.assertEquals(decode_info.text(m, decode.read(m, "\7\3\0"), "\7\3\0"), "M  " .. ("7"):rep(count) ..
+      ("3"):rep(count))
+    lu.assertEquals(decode_info.text(m, decode.read(m, "\7\255\255"), "\7\255\255"), "M  " .. ("7"):rep(count) ..
+      ("NaN"):rep(count))
+  end
+end
+
 function T.test_info_of_every_kind()
   local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 31,
     info = "{a} {b:%.1f} {c} {d} {e} {f:%.2f} {g} {h}", { "a", "int8", "A" }, { "b", "int16", "B", scale = 0.1 },
