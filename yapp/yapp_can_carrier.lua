@@ -224,7 +224,7 @@ local function finished(self, view, payload, size)
   m.bus, m.bus_name, m.name = facts.bus, names.bus, names.name
   m.frame, m.time, m.visited, m.is_whole, m.is_unsure = facts.number, view.pinfo.rel_ts, facts.is_again, true, nil
   m.has_columns = view.wants.columns
-  m.is_brief = not (view.wanted or view.wants.taurus or self.reader.stat.wants_changes)
+  m.is_brief = not (view.wanted or view.wants.taurus)
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   return m
 end

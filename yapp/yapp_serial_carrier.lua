@@ -103,7 +103,7 @@ local function read(self, view, index, message)
   m.is_whole, m.source, m.bus, m.bus_name = true, source_of(fact.stream, message.id), view.bus_key, name
   m.has_columns = view.wants.columns
   m.name, m.frame, m.time = self.tree:name(message.id, name), fact.number, view.pinfo.rel_ts
-  m.visited, m.is_brief, m.is_unsure = fact.visited, not (view.wanted or self.reader.stat.wants_changes), nil
+  m.visited, m.is_brief, m.is_unsure = fact.visited, not view.wanted, nil
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   self.reader:read(m, self.memory, view.packet, index, fact)
   return m

@@ -17,10 +17,9 @@ Stat.__index = Stat
 --           unfinished = function() -> records of the messages that the capture ends before,
 --           opened = function(): records are wanted, with the names of their buses.  tshark handles -z when the file is
 --           open and init has run, before the first packet }
--- Stat.wanted says whether anyone wants messages: ask it before making a record for Stat:offer.  Stat.wants_changes:
--- whether also what changed with each.
+-- Stat.wanted says whether anyone wants messages: ask it before making a record for Stat:offer.
 function M.new(plugin)
-  return setmetatable({ plugin = plugin, wanted = false, wants_changes = false }, Stat)
+  return setmetatable({ plugin = plugin, wanted = false }, Stat)
 end
 
 --- A message of the packet that is dissected, or a lost part of one.
@@ -127,7 +126,6 @@ function Stat:begin(options, out)
     columns = plugin.columns, catalogue = plugin.catalogue, is_whole = plugin.is_whole, late = plugin.late,
     has_source = plugin.has_source, make_folder = make_folder })
   if not statistic then return nil, options.what .. ": " .. problem end
-  self.wants_changes = self.wants_changes or not statistic.only_values
   local entry = self.feed:add(statistic, options.filter ~= nil)
   if not options.filter then return {} end
   local ok, tap = pcall(tap_filter, self.feed, entry, options.filter)
@@ -165,7 +163,7 @@ function Stat:run(text)
   else
     out(problem .. "\n")
   end
-  self.feed, self.wanted, self.wants_changes = nil, false, false
+  self.feed, self.wanted = nil, false
   return table.concat(said)
 end
 

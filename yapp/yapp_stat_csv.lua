@@ -66,7 +66,7 @@ end
 -- returns  the statistic; nil and what is wrong
 function M.new(options, context)
   local self = setmetatable({ options = options, context = context, files = {}, counts = {}, prefixes = {},
-    paths = { [FIELDS] = FIELDS }, rows = {}, only_values = true }, Csv)
+    paths = { [FIELDS] = FIELDS }, rows = {} }, Csv)
   if options.folder == "-" then
     context.out(header(self, options.chosen))
     return self

@@ -30,8 +30,7 @@ function Feed:reset()
 end
 
 --- Adds a statistic: with message(record, is_counted) and finish(last); sees_all = whether it gets what does not count
--- too, tells_changes = whether what it says rests on what came before a message, only_values = whether it does not look
--- at what changed.
+-- too, tells_changes = whether what it says rests on what came before a message.
 -- returns  what matched is told by, where it has a filter
 function Feed:add(statistic, has_filter)
   local entry = { statistic = statistic, has_filter = has_filter, matched = {} }

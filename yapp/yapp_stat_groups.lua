@@ -8,7 +8,7 @@
 --                name = that the user gave it or nil, id =, message = compiled or nil }: one table for all its records
 --   seq, payload, fits = whether the message of the catalogue takes the payload
 --   good         whether it came whole: CRC good, or a single frame; is_bad = whether its CRC is bad
---   change       of yapp_history, or nil
+--   change       of yapp_history, or nil: its flags, missing, late, reboot and stale; the rest only with a tree
 --   lost         nil, "incomplete", "orphan", "overrun" or "unfinished"; is_end = whether an orphan is an End;
 --                fault = { void = whether it came out that nothing is lost after all }: sure at the end only }
 --
