@@ -18,15 +18,30 @@ local function header_id(tvb, is_little)
   return word % MASK
 end
 
--- Hands a frame on to SocketCAN.  What the capture cut, others throw past Lua, which never gets back what that takes of
--- its stack: so SocketCAN is not called for half a header, and of a frame that is not ours it sees the captured bytes
--- alone: that is shown as malformed, where without us it would be limited in size.  A frame that is malformed has its
--- item by the time pcall returns, and is no error of ours.
+-- What the capture cut, C dissectors throw past Lua, and what that takes of Lua's 200 nested calls never comes back: so
+-- SocketCAN is not called for half a header, and of a frame that is not ours it sees the captured bytes alone, which is
+-- shown as malformed where without us it would be limited in size.  An extended frame may be ours: its ID is taken for
+-- one of others when they have thrown once; and when so many IDs have, all are.
+local MOST_THROWN = 24
+local thrown, thrown_count = {}, 0 -- CAN ids: nothing that was lost comes back with the next file
+local cut_id -- of the cut frame that SocketCAN has, while it has it
+
+-- Whether of a frame that the capture cut the captured bytes alone are handed on.
+local function is_for_others(can_id)
+  return not can_id or thrown[can_id] or thrown_count >= MOST_THROWN
+end
+
+-- Hands a frame on to SocketCAN.  A malformed one has its item by the time pcall returns, and is no error of ours.
 local function hand_on(inner, can_id, tvb, pinfo, tree)
   local length = tvb:len()
   if length < HEADER then return 0 end
-  local seen = not can_id and length < tvb:reported_len() and tvb(0, length):tvb() or tvb
+  if cut_id then thrown[cut_id], thrown_count, cut_id = true, thrown_count + 1, nil end -- it never came back
+  local seen = tvb
+  if length < tvb:reported_len() then
+    if is_for_others(can_id) then seen = tvb(0, length):tvb() else cut_id = can_id end
+  end
   local ok, taken = pcall(inner.call, inner, seen, pinfo, tree)
+  cut_id = nil
   return ok and taken or length
 end
 

@@ -234,6 +234,23 @@ def test_malformed_frames_of_known_ids(arguments, layout, passes, folder):
     assert bool(rows[11][1]) and bool(rows[12][2])
 
 
+@levels.each_once
+@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
+@pytest.mark.parametrize("layout", ["plain", "sll"])
+@pytest.mark.parametrize("ids", [1, 200])
+def test_others_throw_at_frames_that_the_capture_cut(ids, layout, passes, folder):
+    """AUTOSAR NM is asked first and takes CAN ids below 0x100.  Each time that it throws past Lua costs 2 of Lua's 200 nested
+    calls."""
+    ours = Sent(0x210, 0, 0, MOTOR).frames()
+    cut = [Frame(number % ids, bytes(range(1, 9)), captured=6) for number in range(300)]
+    path = written(folder, [Frame(0x300 << 18, bytes(4)), *cut, *ours], layout)
+    found = shown(path, "yapp.crc.status", "frame.protocols", passes=(
+        *passes, "-d", "can.subdissector,yapp_all", "-o", "can.try_heuristic_first:TRUE",
+        "-o", "autosar-nm.can_id_mask:0xffffff00"))
+    assert [row[0] for row in found] == [""] * 305 + ["1"]
+    assert sum("autosar-nm" in row[1] for row in found) == 300
+
+
 def test_a_statistic_counts_nothing_that_a_read_filter_rejects(folder):
     """The next packet has its number."""
     path = written(folder, [Frame(0, COMMAND), Frame(0x123, bytes(8), kind="standard")])
