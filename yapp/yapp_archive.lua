@@ -1,14 +1,12 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What is kept of the frames of a capture, in little memory.  Pure Lua, 5.2 and 5.4.
 --
--- A look (a number that grows: of a frame, as a rule) has a code, and some have an extra:
---   0            nothing
---   1 .. 253     belongs to the look that is so many looks later
---   254 NUMBER   extra: a number below 2^32
---   255 TEXT     extra: a text of at most 65,535 bytes
--- Those of the newest looks lie in tables.  Behind them 256 looks at a time become one text, a block: their codes, and
--- then, of each look with an extra, in order, the extra and a note: a long capture takes half the memory, and Lua's
--- collector, which goes over all tables and texts again and again, has next to nothing to go over.
+-- A look (a number that grows: of a frame, as a rule) may have an extra: a number below 2^32, or a text of at most
+-- 65,535 bytes.  A text may say which looks before its own belong to it: its first byte is their number, each byte
+-- behind that how many looks they are away.
+-- The extras of the newest looks lie in tables.  Behind them those of 256 looks become one text, a block: of each, in
+-- order, its index in the block, the extra, and a note.  A long capture takes half the memory, and Lua's collector,
+-- which goes over all tables and texts again and again, has next to nothing to go over.
 -- A note is 6 bytes: twice the delta in nanoseconds plus 1, 0 for none; plus 1 where the message has a fault flag set.
 
 local collector = require("yapp_collector")
@@ -17,13 +15,11 @@ local M = {}
 
 local byte, char, sub, floor = string.byte, string.char, string.sub, math.floor
 local concat = table.concat
-local unpack = rawget(table, "unpack")
 
 local BLOCK = 256
-M.NUMBER, M.TEXT = 254, 255
-M.MAX_DISTANCE = 253 -- what a code has room for
+local NUMBER, TEXT = 0, 1 -- what an extra is, in a block
+M.MAX_DISTANCE = 255 -- of a look from the text that it belongs to
 M.MAX_TEXT = 0xFFFF -- bytes
-local NUMBER, TEXT = M.NUMBER, M.TEXT
 
 local NOTE = 6
 local MAX_DELTA = 2 ^ (8 * NOTE - 1)
@@ -33,10 +29,11 @@ local Archive = {}
 Archive.__index = Archive
 
 --- Nothing is known yet.
--- It has, by look, to write into: codes and extras; deltas (seconds since the source's previous message) and faulty
--- (whether a fault flag is set) of messages.  And due: a look from which on `pack` has something to do.
-function M.new()
-  return setmetatable({ codes = {}, extras = {}, deltas = {}, faulty = {}, blocks = {}, opened = {}, buffer = {},
+-- has_groups  whether its texts say which looks belong to them
+-- It has, by look, to write into: extras; deltas (seconds since the source's previous message) and faulty (whether a
+-- fault flag is set) of messages.  And due: a look from which on `pack` has something to do.
+function M.new(has_groups)
+  return setmetatable({ has_groups = has_groups, extras = {}, deltas = {}, faulty = {}, blocks = {}, opened = {},
     first = 0, due = BLOCK + M.MAX_DISTANCE }, Archive)
 end
 
@@ -72,37 +69,32 @@ local function note_of(self, look)
   return bytes_of(note)
 end
 
-local function pack_extra(self, look, code, rest)
-  local extra, count = self.extras[look], #rest
-  if code == TEXT then
+local function pack_extra(self, look, extra, rest)
+  local count, index = #rest, look % BLOCK
+  if type(extra) == "string" then
     local length = #extra
-    rest[count + 1], rest[count + 2] = char(length % 0x100, (length - length % 0x100) / 0x100), extra
+    rest[count + 1] = char(index, TEXT, length % 0x100, (length - length % 0x100) / 0x100)
+    rest[count + 2] = extra
   else
-    rest[count + 1], rest[count + 2] = sub(bytes_of(extra), 1, 4), ""
+    rest[count + 1], rest[count + 2] = char(index, NUMBER), sub(bytes_of(extra), 1, 4)
   end
   rest[count + 3] = note_of(self, look)
   self.extras[look] = nil
 end
 
 local function pack_block(self, number)
-  local codes, buffer, rest, is_empty = self.codes, self.buffer, {}, true
-  local before = number * BLOCK - 1
-  for i = 1, BLOCK do
-    local look = before + i
-    local code = codes[look]
-    if code then
-      codes[look], is_empty = nil, false
-      if code >= NUMBER then pack_extra(self, look, code, rest) end
-    end
-    buffer[i] = code or 0
+  local extras, rest = self.extras, {}
+  for look = number * BLOCK, number * BLOCK + BLOCK - 1 do
+    local extra = extras[look]
+    if extra then pack_extra(self, look, extra, rest) end
   end
-  if is_empty then return end
-  local block = char(unpack(buffer, 1, BLOCK)) .. concat(rest)
+  if not rest[1] then return end
+  local block = concat(rest)
   self.blocks[number] = block
   collector.packed(#block)
 end
 
---- Packs what is old: what lies further behind the newest look than a code reaches.  What is written for an older look
+--- Packs what is old: what lies further behind the newest look than a text reaches.  What is written for an older look
 -- stays in the tables.
 function Archive:pack(newest)
   while newest >= self.due do
@@ -122,49 +114,68 @@ end
 
 local number_at = M.number_at
 
--- The extras of a block: { [index] = { extra, note } }.  The last two blocks stay open: who goes through a capture asks
--- for some looks of one by turns with some of the next.
+-- The looks that belong to a text, into a table: [look] = the text's.
+local function note_group(lasts, text, last)
+  for i = 2, byte(text) + 1 do
+    local distance = byte(text, i)
+    if distance > 0 then lasts[last - distance] = last end
+  end
+end
+
+-- What is in a block: { number, [look] = { extra, note }, lasts = { [look] = that of its text } }.  The last two blocks
+-- stay open: who goes through a capture asks for some looks of one by turns with some of the next.
+-- returns  nil where there is none
 local function open(self, number)
-  local slot = number % 2
+  local slot, block = number % 2, self.blocks[number]
   local opened = self.opened[slot]
-  if opened and opened.number == number then return opened end
-  local block, at = self.blocks[number], BLOCK + 1
-  opened = { number = number }
-  for i = 1, BLOCK do
-    local code = byte(block, i)
-    if code == NUMBER then
-      opened[i] = { number_at(block, at, 4), number_at(block, at + 4, NOTE) }
-      at = at + 4 + NOTE
-    elseif code == TEXT then
-      local behind = at + 2 + number_at(block, at, 2)
-      opened[i] = { sub(block, at + 2, behind - 1), number_at(block, behind, NOTE) }
-      at = behind + NOTE
-    end
+  if opened and opened.number == number or not block then return block and opened end
+  local at = 1
+  opened = { number = number, lasts = {} }
+  while at <= #block do
+    local index, kind = byte(block, at, at + 1)
+    local look, from, behind = number * BLOCK + index, at + 2, at + 6
+    if kind == TEXT then from, behind = at + 4, at + 4 + number_at(block, at + 2, 2) end
+    local extra = kind == TEXT and sub(block, from, behind - 1) or number_at(block, from, 4)
+    opened[look] = { extra, number_at(block, behind, NOTE) }
+    if kind == TEXT and self.has_groups then note_group(opened.lasts, extra, look) end
+    at = behind + NOTE
   end
   self.opened[slot] = opened
   return opened
 end
 
--- Where a look is packed: its block, the block's number, its index there; nil where it is not.
-local function find(self, look)
+-- What is packed of a look, { extra, note }; nil for nothing.
+local function packed(self, look)
   if look >= self.first * BLOCK or look % 1 ~= 0 then return nil end
-  local number = floor(look / BLOCK)
-  return self.blocks[number], number, look - number * BLOCK + 1
+  local block = open(self, floor(look / BLOCK))
+  return block and block[look]
 end
 
---- The code of a look, nil for nothing, and its extra.
+--- The extra of a look, nil for none.
 function Archive:get(look)
-  local code = self.codes[look]
-  if code then return code, self.extras[look] end
-  local block, number, index = find(self, look)
-  code = block and byte(block, index) or 0
-  if code >= NUMBER then return code, open(self, number)[index][1] end
-  return code > 0 and code or nil
+  local extra = self.extras[look]
+  if extra then return extra end
+  local found = packed(self, look)
+  return found and found[1]
+end
+
+--- The look of the text that a look before it belongs to, nil for none.
+function Archive:last_of(look)
+  for number = floor(look / BLOCK), floor(look / BLOCK) + 1 do
+    local block = open(self, number)
+    if block and block.lasts[look] then return block.lasts[look] end
+  end
+  local lasts = {}
+  for last = look + 1, look + M.MAX_DISTANCE do
+    local text = self.extras[last]
+    if type(text) == "string" then note_group(lasts, text, last) end
+    if lasts[look] then return last end
+  end
 end
 
 local function packed_note(self, look)
-  local block, number, index = find(self, look)
-  return block and byte(block, index) >= NUMBER and open(self, number)[index][2] or 0
+  local found = packed(self, look)
+  return found and found[2] or 0
 end
 
 --- The delta of a look, to the nanosecond; nil for none.

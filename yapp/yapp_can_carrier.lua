@@ -14,7 +14,9 @@ local STATUS_TEXT = {
 }
 local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 
-local KINDS, START, MIDDLE, address_of -- of yapp_can_id; set in M.new
+local REASSEMBLED = "Reassembled YAPP" -- what Wireshark's bytes pane calls it
+
+local KINDS, START, address_of -- of yapp_can_id; set in M.new
 
 local Carrier = {}
 Carrier.__index = Carrier
@@ -27,9 +29,9 @@ Carrier.__index = Carrier
 -- claim    function(id): a frame of a message that is not in the catalogue was taken
 function M.new(parts, tree, reader, facts, claim)
   local can_id = parts.can_id
-  KINDS, START, MIDDLE, address_of = can_id.KINDS, can_id.START, can_id.MIDDLE, can_id.address
+  KINDS, START, address_of = can_id.KINDS, can_id.START, can_id.address
   return setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, claim = claim, view = {},
-    message = {}, record = {} }, Carrier)
+    record = {} }, Carrier)
 end
 
 --- Forgets the capture file: nothing survives into the next one.
@@ -46,37 +48,71 @@ end
 
 -- What the messages of an ID are called, and texts of their parts, for the first time: { bus = name of the bus or nil,
 -- name = in the Info column, source = in the column Source, texts, titles = of YAPP's item by CAN CTRL,
--- parts = what statistics were told, by Seq }.
+-- parts = what statistics were told, by Seq, message = see finished }.
 -- bus  number or nil
 local function new_names(self, id, bus)
   local of_bus, name = self.names[bus or false] or {}, self.facts:bus_name(bus)
   self.names[bus or false] = of_bus
   of_bus[id] = { bus = name, name = self.reader:label(id, name), source = self.reader:source_text(id, name),
-    texts = {}, titles = {}, parts = {} }
+    texts = {}, titles = {}, parts = {}, message = { id = id, name = self.reader:label(id, name), at = 0,
+      source = key_of(bus, id), blind_source = key_of(nil, id), bus = bus, bus_name = name, is_whole = true } }
   self.claim(id)
   return of_bus[id]
 end
 
--- The short way: a new Middle that is no more than the next part of a message, of which nobody wants a tree.
+-- A view is what most of the following look at: { tvb, pinfo, tree, wants, address, facts, record, names, item = YAPP's
+-- own item, or the tree where nobody wants one; wanted = whether anyone does }: one table for all frames.
+
+-- What a message is given to the reader and the tree as; see yapp_reader.  Of each source one table, used again for its
+-- next message: nobody keeps it, and a fresh one cost a tenth of the packet list.
+-- number, is_again  of its last frame
+local function finished(view, number, is_again, payload)
+  local m, address, wants = view.names.message, view.address, view.wants
+  m.tree, m.item, m.wanted, m.has_columns = view.tree, view.item, wants.yapp, wants.columns
+  m.is_brief = not (wants.yapp or wants.taurus)
+  m.seq, m.ctl, m.payload, m.size = address.seq, address.ctl, payload, #payload
+  m.frame, m.time, m.visited, m.is_whole, m.is_unsure = number, view.pinfo.rel_ts, is_again, true, nil
+  m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta, m.tvb = nil, nil, nil, nil, nil, nil, nil, nil
+  return m
+end
+
+-- A message that came the short way: its meaning and its history; returns what the Info column says of it.
+-- record  of its last frame
+local function plain_message(self, view, record)
+  local payload = record.message.payload
+  local m = finished(view, record.look, false, payload)
+  m.status, m.good = "good", true
+  if view.wants.taurus then m.tvb = ByteArray.new(payload, true):tvb(REASSEMBLED) end
+  return self.tree:payload(self:read(m, record))
+end
+
+-- The short way: a new frame of which nobody wants YAPP's own items, and nothing can be said but that it begins a
+-- message, is its next part, or all that it lacks.
 -- returns  the bytes that are ours; nil for any other frame
-local function take_middle(self, tvb, pinfo, tree, address)
+local function take_plain(self, tvb, pinfo, tree, address)
   local memory, wants = self.memory, self.tree:wants(tree, pinfo, false)
   if wants.yapp then return nil end
   local number, place, data, bus = self.facts:plain_frame(tvb, pinfo, memory.highest)
-  local message = number and memory:middle(address, number, place, data, bus)
+  if not number then return nil end
+  local message, record = memory:plain(address, number, place, data, bus)
   if not message then return nil end
-  local names, length = self.names[bus or false][address.id], #data
-  if self.reader.stat.wanted then
+  local of_bus, info = self.names[bus or false], nil
+  local names = of_bus and of_bus[address.id] or new_names(self, address.id, bus)
+  if wants.names then self.tree:bare(tree, wants, record) end
+  if record then
+    local view = self.view
+    view.pinfo, view.tree, view.item, view.wants, view.address, view.names = pinfo, tree, tree, wants, address, names
+    info = plain_message(self, view, record)
+  elseif self.reader.stat.wanted then
     local part = self:told_part(names, address, bus)
     part.frame, part.time, part.visited = number, pinfo.rel_ts, false
   end
-  if wants.names then self.tree:bare(tree, wants) end
   if wants.columns then
     local columns = pinfo.cols
     columns.protocol, columns.src = "YAPP", names.source
-    columns.info = newest_part(names, address, message, number, length)
+    columns.info = info or newest_part(names, address, message, number, #data)
   end
-  return length
+  return #data
 end
 
 --- Dissects one frame.
@@ -85,8 +121,8 @@ end
 -- returns  the number of bytes that are ours, 0 for a frame that is not
 function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local memory, builder, address = self.memory, self.tree, address_of(can_id)
-  if address.ctrl == MIDDLE and not memory.is_again then
-    local length = take_middle(self, tvb, pinfo, tree, address)
+  if not memory.is_again then
+    local length = take_plain(self, tvb, pinfo, tree, address)
     if length then return length end
   end
   local facts = self.facts:can_frame(tvb, pinfo, memory.highest)
@@ -103,21 +139,15 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local wants = builder:wants(tree, pinfo, facts.is_again)
   local columns = wants.columns and pinfo.cols
   if columns then columns.protocol, columns.src = "YAPP", names.source end
-  local length, is_told = #facts.data, self.reader.stat.wanted
-  if is_told and record.message and not record.is_last then
+  if self.reader.stat.wanted and record.message and not record.is_last then
     local part = self:told_part(names, address, facts.bus)
     part.frame, part.time, part.visited = facts.number, pinfo.rel_ts, facts.is_again
   end
-  if not (record.is_rare or wants.yapp) and length == facts.reported then -- most frames
-    if wants.names then builder:bare(tree, wants) end
-    if columns then columns.info = newest_part(names, address, record.message, record.look, length) end
-  else
-    local view = self.view
-    view.tvb, view.pinfo, view.tree, view.wants = tvb, pinfo, tree, wants
-    view.address, view.facts, view.record, view.names = address, facts, record, names
-    local info = self:show(view)
-    if columns then columns.info = info end
-  end
+  local view = self.view
+  view.tvb, view.pinfo, view.tree, view.wants = tvb, pinfo, tree, wants
+  view.address, view.facts, view.record, view.names = address, facts, record, names
+  local info = self:show(view)
+  if columns then columns.info = info end
   return facts.reported
 end
 
@@ -140,9 +170,6 @@ function Carrier:without_id(tvb, pinfo, tree)
   builder:expert(item, "can.id.missing")
   return tvb:reported_len()
 end
-
--- A view is what all of the following look at: { tvb, pinfo, tree, wants, address, facts, record, names, item = YAPP's
--- own item, or the tree where nobody wants one; wanted = whether anyone does }: one table for all frames.
 
 -- Shows a frame: tree and expert items; returns what the Info column says of it.
 function Carrier:show(view)
@@ -214,21 +241,6 @@ function Carrier:item(view)
   return item
 end
 
--- What a message is given to the reader and the tree as; see yapp_reader.  Used again for the next message: nobody
--- keeps it, and a fresh one cost a tenth of the packet list.
-local function finished(self, view, payload, size)
-  local m, facts, address, names = self.message, view.facts, view.address, view.names
-  m.tree, m.item, m.wanted, m.tvb, m.at = view.tree, view.item, view.wanted, nil, 0
-  m.id, m.seq, m.ctl, m.payload, m.size = address.id, address.seq, address.ctl, payload, size
-  m.source, m.blind_source = key_of(facts.bus, address.id), key_of(nil, address.id)
-  m.bus, m.bus_name, m.name = facts.bus, names.bus, names.name
-  m.frame, m.time, m.visited, m.is_whole, m.is_unsure = facts.number, view.pinfo.rel_ts, facts.is_again, true, nil
-  m.has_columns = view.wants.columns
-  m.is_brief = not (view.wanted or view.wants.taurus)
-  m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
-  return m
-end
-
 -- A frame that stands alone: a single-frame message, or what belongs to none.
 function Carrier:show_alone(view)
   local address, data = view.address, view.facts.data
@@ -253,9 +265,9 @@ function Carrier:show_single(view)
   local known = self.reader:size_of(id, view.names.bus)
   local padding = known and self.parts.can_id.padding(data, reported, known)
   local payload = padding and padding > 0 and data:sub(1, known) or data
-  local message = finished(self, view, payload, padding and known or reported)
+  local message = finished(view, facts.number, facts.is_again, payload)
   message.status, message.tvb = "single", (view.wanted or view.wants.taurus) and view.tvb
-  message.good = #data == reported
+  message.good, message.size = #data == reported, padding and known or reported
   local info = self.tree:payload(self:read(message, view.record))
   if view.wanted and (padding or 0) > 0 and #data > known then
     add(view.item, self.tree.fields.padding, view.tvb(known))
@@ -299,11 +311,10 @@ end
 -- The last frame of a message: what was put together.
 function Carrier:show_message(view)
   local builder, item, entry = self.tree, view.item, view.record.message
-  local message = finished(self, view, entry.payload, entry.size)
-  local status = entry.status
-  message.status, message.good = status, status == "good"
+  local message, status = finished(view, view.facts.number, view.facts.is_again, entry.payload), entry.status
+  message.status, message.good, message.size = status, status == "good", entry.size
   if #entry.payload > 0 and (view.wanted or view.wants.taurus) then
-    message.tvb = ByteArray.new(entry.payload, true):tvb("Reassembled YAPP")
+    message.tvb = ByteArray.new(entry.payload, true):tvb(REASSEMBLED)
   end
   if view.wanted then self:message_tree(view, message) end
   if status == "bad" then builder:bad_crc(item, entry) end

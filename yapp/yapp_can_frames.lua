@@ -13,7 +13,7 @@ local unpack = rawget(table, "unpack")
 local MAX_COUNT = 64 -- of frames, in the small form of a good message
 local PACKED = 9 -- bytes of it besides distances and payload: count, key, CRC
 local MAX_SIZE = archive.MAX_TEXT - MAX_COUNT - PACKED -- of a payload in it
-local ALONE, LAST, MAX_DISTANCE = archive.NUMBER, archive.TEXT, archive.MAX_DISTANCE -- codes there
+local MAX_DISTANCE = archive.MAX_DISTANCE
 
 local Frames = {}
 Frames.__index = Frames
@@ -24,7 +24,8 @@ Frames.__index = Frames
 -- faults, by look: a list of { expert =, text =, void = nil or true once it is taken back }.  And has_fractions:
 -- whether any look may have one.
 function M.new(can_id)
-  return setmetatable({ can_id = can_id, archive = archive.new(), entries = {}, faults = {}, distances = {} }, Frames)
+  return setmetatable({ can_id = can_id, archive = archive.new(true), entries = {}, faults = {}, distances = {} },
+    Frames)
 end
 
 --- Says that something is wrong at a frame; of a message that may still come out good, where it is given.
@@ -61,7 +62,7 @@ end
 -- can_id  its 29-bit id: CAN CTRL says what it is
 function Frames:alone(look, can_id)
   local kept = self.archive
-  kept.codes[look], kept.extras[look] = ALONE, can_id
+  kept.extras[look] = can_id
   if look >= kept.due then kept:pack(look) end
 end
 
@@ -79,7 +80,7 @@ function Frames:give(look, message)
   if self.faults[look] then
     take_back(self, look, function(fault) return OF_NO_MESSAGE[fault.expert] end)
   end
-  self.archive.codes[look], self.archive.extras[look] = nil, nil
+  self.archive.extras[look] = nil
   self.entries[look] = message
 end
 
@@ -119,14 +120,12 @@ function Frames:good(message)
   if message.reserved or message.padding or message.duplicates or count > MAX_COUNT or message.size > MAX_SIZE or
     last - message[1] > MAX_DISTANCE or self.has_fractions and has_fractions(message) then return false end
   local entries, distances, kept = self.entries, self.distances, self.archive
-  local codes = kept.codes
   for i = 1, count do
     local look = message[i]
-    local distance = last - look
-    distances[i], codes[look], entries[look] = distance, distance, nil
+    distances[i], entries[look] = last - look, nil
   end
   -- Count, distances, key, and the CRC as the Start has it.
-  codes[last], kept.extras[last] = LAST, char(count, unpack(distances, 1, count)) .. message.address.key_bytes ..
+  kept.extras[last] = char(count, unpack(distances, 1, count)) .. message.address.key_bytes ..
     sub(message.sent, 1, 4) .. message.payload
   if last >= kept.due then kept:pack(last) end
   return true
@@ -150,16 +149,18 @@ end
 function Frames:entry(look)
   local message = self.entries[look]
   if message then return message end
-  local code, extra = self.archive:get(look)
-  if code == ALONE then return nil, extra end
-  if not code then return nil end
-  if code < ALONE then return self:entry(look + code) end
+  local extra = self.archive:get(look)
+  if not extra then
+    local last = self.archive:last_of(look)
+    return last and self:entry(last)
+  end
+  if type(extra) == "number" then return nil, extra end
   return take_out(extra, look, self.can_id)
 end
 
 --- Whether anything is known of a look.
 function Frames:has(look)
-  return self.entries[look] ~= nil or self.archive:get(look) ~= nil
+  return self.entries[look] ~= nil or self.archive:get(look) ~= nil or self.archive:last_of(look) ~= nil
 end
 
 return M

@@ -100,6 +100,7 @@ function M.new(parts, options)
     is_mixed = options.has_buses or false, is_guessed = false, is_blind = false, is_again = false, reached = 0,
     highest = 0 }, Memory)
   self.first = new_pass(self)
+  self.plain_record = { pass = self.first, is_now = true, is_last = true }
   return self
 end
 
@@ -191,17 +192,12 @@ local function link(self, record, message)
   end
 end
 
--- Fills in a record.  Most frames are a part of a message that goes on: these get the four keys that all have.
+-- Fills in a record.
 -- is_now  whether the look was made now; message: of the frame, nil for one that belongs to none
 local function fill(self, record, pass, look, is_now, message)
-  if record.is_rare then
-    record.is_rare, record.is_last, record.alone, record.leads_to = false, nil, nil, nil
-    record.is_unfinished, record.has_fault, record.faults, record.is_late = nil, nil, nil, nil
-  end
+  record.is_last, record.alone, record.leads_to, record.is_late = nil, nil, nil, nil
+  record.is_unfinished, record.has_fault, record.faults = nil, nil, look and pass.faults[look]
   record.pass, record.look, record.message, record.is_now = pass, look, message, is_now
-  local faults = look and pass.faults[look]
-  if message and not faults and not message.last and not self.is_again then return record end
-  record.is_rare, record.faults = true, faults
   if not message then
     record.alone = look and select(2, pass.kept:entry(look))
   elseif message.last == look then
@@ -212,17 +208,23 @@ local function fill(self, record, pass, look, is_now, message)
   return record
 end
 
---- The short way to take a new Middle of which nothing can be said but that it is a part of a message.  What look notes
--- of buses and passes it noted at the message's Start.
+--- The short way to take a new frame of which nothing can be said but that it begins a message, is a part of one, or
+-- ends it well.  The first frame of a pass goes the long way, and of each bus until there are several: look notes there
+-- what it has to.
 -- number, place, data, bus  as look has them of a new frame, its number above self.highest, that is whole and, for
 --                           sure, no remote frame
--- returns                   its message; nil where it is not so: then nothing was done, and look takes it
-function Memory:middle(address, number, place, data, bus)
+-- returns                   its message, and for the last frame the record that `change` takes; nil where it is not so:
+--                           then nothing was done, and look takes it
+function Memory:plain(address, number, place, data, bus)
   local first = self.first
-  local message = place == first.usual and first.reassembly:middle(address, number, data, bus)
+  if place ~= first.usual or bus ~= self.first_bus and not self.is_mixed then return nil end
+  local message, is_last = first.reassembly:plain(address, number, data, bus)
   if not message then return nil end
   self.highest, first.highest, first.latest, first.place = number, number, number, place
-  return message
+  if not is_last then return message end
+  local record = self.plain_record
+  record.look, record.message = number, message
+  return message, record
 end
 
 --- What a frame is.
@@ -231,8 +233,7 @@ end
 --          bus, is_apart, informed = whether this pass can tell the bus, doubtful, wide: as for Reassembly:frame }
 -- record   a table to fill in, of an earlier look or empty; its message is good until the next look
 -- returns  nil for a frame that is not YAPP's, else the record:
---          { is_rare = whether there is more than that it is a part of a message which goes on;
---            message = its message, or alone = the CAN id of a frame without one; is_last = whether the message ends
+--          { message = its message, or alone = the CAN id of a frame without one; is_last = whether the message ends
 --            here; leads_to = number of the frame where it does; is_unfinished = whether it never does, and this is its
 --            last frame; has_fault = whether the message has a fault flag set, as far as that is known;
 --            faults = list of { expert, text } or nil; is_now = whether the frame was taken just now, in order;

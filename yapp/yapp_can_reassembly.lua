@@ -4,13 +4,12 @@
 
 local M = {}
 
-local concat, floor = table.concat, math.floor
+local open_of = require("yapp_can_open")
 
--- Bounds.  An open message costs memory until something ends it.
-local MAX_OPEN = 1024 -- open messages; the oldest make room
+local concat, floor, slot_of = table.concat, math.floor, open_of.slot
+
 local CREDIT_PER_FRAME, MAX_CREDIT = 32, 4096 -- steps of the searches among frames
 local MAX_REPEATED = 8 -- frames that a message may have too many, where they repeat others
-local BUS = 0x20000000 -- keys of frames have 29 bits
 
 local Reassembly = {}
 Reassembly.__index = Reassembly
@@ -25,9 +24,10 @@ Reassembly.__index = Reassembly
 -- (by a new Start), "unverified" (bytes not captured), payload, padding (nil when 0), calculated (a bad CRC), is_only
 -- (whether no other message was open that its bytes may belong to), and last (the look of its last frame).
 function M.new(parts, size_of)
+  local open = open_of.new()
   return setmetatable({
     can_id = parts.can_id, crc = parts.crc, parts = parts, size_of = size_of, kept = parts.can_frames.new(parts.can_id),
-    open = {}, open_count = 0, queue = {}, queue_length = 0, credit = MAX_CREDIT, seeds = {}, seed_count = 0,
+    open = open, slots = open.slots, credit = MAX_CREDIT, seeds = {}, seed_count = 0,
     claimed = {}, -- unknown IDs of which a Start without a Seq has come: then others may have one
   }, Reassembly)
 end
@@ -83,52 +83,7 @@ function Reassembly:spend(steps)
   return self.credit >= 0
 end
 
--- Open messages -----------------------------------------------------------------------------------------------------
-
--- A slot is the key of a message and its bus.  It holds a message or, where several of a key may be open, a pool of
--- them (yapp_can_interleave).
-local function close(self, slot)
-  self.open[slot] = nil
-  self.open_count = self.open_count - 1
-end
-
--- A message that did not come out whole and that nobody will look into again.
-local function give_up(open)
-  for _, message in ipairs(open.messages or { open }) do
-    message.status = message.status or "cut"
-    message.chunks = nil
-  end
-end
-
--- Makes room for more open messages: the queue has their slots, oldest first, and slots long closed.
-local function make_room(self)
-  local live, seen, queue = {}, {}, {}
-  for i = self.queue_length, 1, -1 do -- a slot is as old as its newest Start
-    local slot = self.queue[i]
-    if self.open[slot] and not seen[slot] then
-      seen[slot] = true
-      live[#live + 1] = slot
-    end
-  end
-  local keep = math.min(#live, MAX_OPEN / 2)
-  for i = #live, 1, -1 do
-    local slot = live[i]
-    if i <= keep then
-      queue[#queue + 1] = slot
-    else
-      give_up(self.open[slot])
-      close(self, slot)
-    end
-  end
-  self.queue, self.queue_length = queue, #queue
-end
-
-local function enter(self, slot, message)
-  if self.open_count >= MAX_OPEN or self.queue_length >= 4 * MAX_OPEN then make_room(self) end
-  self.open[slot], self.open_count = message, self.open_count + 1
-  self.queue_length = self.queue_length + 1
-  self.queue[self.queue_length] = slot
-end
+-- Starts ------------------------------------------------------------------------------------------------------------
 
 -- A Start arrived while something is open in its slot.  On a bus that is told from others that is cut off; else it may
 -- be another bus's, and what follows decides.
@@ -141,17 +96,15 @@ local function overtake(self, slot, open, frame)
       :format(floor(newest[1]), received, newest.size), newest)
   end
   if frame.bus and frame.is_apart or newest.status or newest.truncated then
-    give_up(open)
-    return close(self, slot)
+    open_of.give_up(open)
+    return self.open:close(slot)
   end
   if not open.messages then
     open = self.parts.can_interleave.new(self, open)
-    self.open[slot] = open
+    self.slots[slot] = open
   end
-  if not open:overtake() then close(self, slot) end
+  if not open:overtake() then self.open:close(slot) end
 end
-
--- Kinds of frames ---------------------------------------------------------------------------------------------------
 
 -- What is wrong with a Start, as far as it was captured.
 local function check_start(kept, frame, size, reserved, known)
@@ -173,25 +126,8 @@ local function check_start(kept, frame, size, reserved, known)
   end
 end
 
-local function start(self, slot, address, frame)
-  local look, known = frame.look, self.size_of(address.id, frame.bus)
-  local crc, size, reserved = self.can_id.start(frame.data)
-  if not frame.wide then -- a plausible one, or for a known ID one that the capture cut
-    if address.ctl ~= 0 or frame.reported ~= 8 or not (reserved or known) then return false end
-    if reserved and (reserved ~= 0 or size <= 8 or known and size ~= known) then return false end
-    if not known and address.seq ~= 0 and not self.claimed[address.id] then return false end
-  end
-  if not known then self.claimed[address.id] = true end
-  local open = self.open[slot]
-  if open then
-    overtake(self, slot, open, frame)
-    open = self.open[slot]
-  end
-  if size ~= known or reserved ~= 0 or frame.reported ~= 8 then check_start(self.kept, frame, size, reserved, known) end
-  if not reserved or size == 0 then
-    self.kept:alone(look, address.can_id)
-    return true
-  end
+-- The table of a message that begins at a look.
+local function new_message(self, look)
   local message = self.spare -- of an earlier message: a fifth of the garbage of a packet list
   if message then
     self.spare = nil
@@ -201,10 +137,33 @@ local function start(self, slot, address, frame)
       chunks = { nil, nil, nil, nil }, status = nil, payload = nil, last = nil, reserved = nil }
   end
   message.count, message.parts, message.received, message.repeats = 1, 0, 0, 0
+  return message
+end
+
+local function start(self, slot, address, frame)
+  local look, known = frame.look, self.size_of(address.id, frame.bus)
+  local crc, size, reserved = self.can_id.start(frame.data)
+  if not frame.wide then -- a plausible one, or for a known ID one that the capture cut
+    if address.ctl ~= 0 or frame.reported ~= 8 or not (reserved or known) then return false end
+    if reserved and (reserved ~= 0 or size <= 8 or known and size ~= known) then return false end
+    if not known and address.seq ~= 0 and not self.claimed[address.id] then return false end
+  end
+  if not known then self.claimed[address.id] = true end
+  local open = self.slots[slot]
+  if open then
+    overtake(self, slot, open, frame)
+    open = self.slots[slot]
+  end
+  if size ~= known or reserved ~= 0 or frame.reported ~= 8 then check_start(self.kept, frame, size, reserved, known) end
+  if not reserved or size == 0 then
+    self.kept:alone(look, address.can_id)
+    return true
+  end
+  local message = new_message(self, look)
   message.address, message.bus, message.size, message.crc, message.sent = address, frame.bus, size, crc, frame.data
   if reserved ~= 0 then message.reserved = reserved end
   self.kept.entries[look] = message
-  if open then open:add(message) else enter(self, slot, message) end
+  if open then open:add(message) else self.open:enter(slot, message) end
   return true, message
 end
 
@@ -223,25 +182,6 @@ local function complete(self, message, frame)
     message.padding, payload = padding, payload:sub(1, message.size)
   end
   return self:finish(message, payload, frame.look)
-end
-
-local function slot_of(address, bus)
-  return bus and address.key + (bus + 1) * BUS or address.key
-end
-
---- Takes a Middle of which nothing can be said but that it is the next part of a message: most frames are.
--- look, data, bus  as Reassembly:frame has them
--- returns          its message; nil where it is not so: then nothing was done, and Reassembly:frame takes the frame
-function Reassembly:middle(address, look, data, bus)
-  local message = self.open[slot_of(address, bus)]
-  local chunks = message and message.chunks
-  if not chunks or message.truncated or self.credit < MAX_CREDIT then return nil end
-  local received, parts, count = message.received + #data, message.parts, message.count + 1
-  if received >= message.size or data == chunks[parts] then return nil end
-  self.kept.entries[look] = message
-  message.count, message[count], message.received = count, look, received
-  message.parts, chunks[parts + 1] = parts + 1, data
-  return message
 end
 
 -- A Middle or End of the only message in its slot.
@@ -268,12 +208,12 @@ local function add_part(self, slot, message, frame, is_end)
       message.chunks = nil
     end
   end
-  if is_end then close(self, slot) end
+  if is_end then self.open:close(slot) end
   return true, message
 end
 
 local function continue(self, slot, address, frame)
-  local message = self.open[slot]
+  local message = self.slots[slot]
   if not message then
     if not frame.wide and not (address.ctl == 0 and self.size_of(address.id, frame.bus)) then return false end
     self.kept:orphan(frame.look, address)
@@ -281,11 +221,11 @@ local function continue(self, slot, address, frame)
   end
   if frame.doubtful and not message.messages and not message.status and not message.truncated then
     message = self.parts.can_interleave.new(self, message)
-    self.open[slot] = message
+    self.slots[slot] = message
   end
   if not message.messages then return add_part(self, slot, message, frame, address.ctrl == self.can_id.END) end
   message:frame(address, frame)
-  if #message.messages == 0 then close(self, slot) end
+  if #message.messages == 0 then self.open:close(slot) end
   return true, (self.kept:entry(frame.look))
 end
 
@@ -320,17 +260,67 @@ function Reassembly:frame(address, frame)
   return (TAKERS[address.ctrl] or other)(self, slot_of(address, frame.bus), address, frame)
 end
 
+-- The short way -----------------------------------------------------------------------------------------------------
+
+-- A Start of a known message, with nothing open in its slot.
+local function plain_start(self, address, look, data, bus)
+  local slot, known = slot_of(address, bus), self.size_of(address.id, bus)
+  if self.slots[slot] or #data ~= 8 or address.ctl ~= 0 then return nil end
+  local crc, size, reserved = self.can_id.start(data)
+  if size ~= known or size <= 8 or reserved ~= 0 then return nil end
+  local message = new_message(self, look)
+  message.address, message.bus, message.size, message.crc, message.sent = address, bus, size, crc, data
+  self.kept.entries[look] = message
+  self.open:enter(slot, message)
+  return message
+end
+
+local function plain_middle(self, address, look, data, bus)
+  local message = self.slots[slot_of(address, bus)]
+  local chunks = message and message.chunks
+  if not chunks or message.truncated then return nil end
+  local received, parts, count = message.received + #data, message.parts, message.count + 1
+  if received >= message.size or data == chunks[parts] then return nil end
+  self.kept.entries[look] = message
+  message.count, message[count], message.received = count, look, received
+  message.parts, chunks[parts + 1] = parts + 1, data
+  return message
+end
+
+-- An End that has all that is missing, as the CRC says.
+local function plain_end(self, address, look, data, bus)
+  local slot = slot_of(address, bus)
+  local message = self.slots[slot]
+  local chunks = message and message.chunks
+  if not chunks or message.truncated or message.received + #data ~= message.size then return nil end
+  local payload = concat(chunks, "", 1, message.parts) .. data
+  if self.crc.update(self:seed(message), payload) ~= message.crc then return nil end
+  local count = message.count + 1
+  message.count, message[count], message.received = count, look, message.size
+  message.payload, message.last, message.status, message.chunks = payload, look, "good", nil
+  self.kept.entries[look] = message
+  self.open:close(slot)
+  if self.kept:good(message) then self.spare, message.chunks = message, chunks end
+  return message, true
+end
+
+local PLAIN = { plain_start, plain_middle, plain_end } -- by CAN CTRL
+
+--- Takes a frame of which nothing can be said but that it begins a message, is its next part, or all that it lacks, as
+-- most frames are.
+-- look, data, bus  as Reassembly:frame has them
+-- returns          its message, and whether it ends here; nil where it is not so: then nothing was done, and
+--                  Reassembly:frame takes the frame
+function Reassembly:plain(address, look, data, bus)
+  local take = PLAIN[address.ctrl]
+  if not take or self.credit < MAX_CREDIT then return nil end
+  return take(self, address, look, data, bus)
+end
+
 --- The messages that began and have not ended: at the end of the capture these are unfinished.
 -- returns  list of messages
 function Reassembly:unfinished()
-  local list = {}
-  for _, open in pairs(self.open) do
-    for _, message in ipairs(open.messages or { open }) do
-      if not message.status and not message.overtaken then list[#list + 1] = message end
-    end
-  end
-  table.sort(list, function(a, b) return a[1] < b[1] end)
-  return list
+  return self.open:unfinished()
 end
 
 return M

@@ -251,16 +251,15 @@ local function is_remote(self, pinfo)
   return text:find("Remote", 1, true) ~= nil and tostring(pinfo.cols.protocol) ~= "CANFD"
 end
 
---- What there is to know of a frame that is new, whole, and surely no remote frame, where nobody is to be asked for its
--- bus, or nobody can tell: most are.
+--- What there is to know of a frame that is new, whole, and surely no remote frame: most are.
 -- highest  as for can_frame
 -- returns  number, place, data, bus; nothing for a frame that can_frame has to look at
 function Facts:plain_frame(tvb, pinfo, highest)
   local number, bus = pinfo.number, self.candump.current_bus
-  local asks_bus = not bus and self.asks_bus and self.says_bus[false] ~= false
-  if number <= highest or asks_bus or length_of(tvb) == 0 then return nil end
+  if number <= highest or length_of(tvb) == 0 then return nil end
   local data = raw_of(tvb)
   if #data ~= reported_of(tvb) or ZEROS[data] then return nil end
+  if not bus and self.asks_bus then bus = self:bus(pinfo) end
   return number, self.found.place or offset_of(tvb), data, bus
 end
 

@@ -20,21 +20,21 @@ end
 
 --- Whether anything is known of the newest packet.
 function Kept:has(number)
-  return self.archive.codes[number] ~= nil or self.pieces[number] ~= nil
+  return self.archive.extras[number] ~= nil or self.pieces[number] ~= nil
 end
 
 --- A packet that is one good frame.
 -- place  of its bytes
 function Kept:keep_place(number, place)
   local kept = self.archive
-  kept.codes[number], kept.extras[number] = archive.NUMBER, place
+  kept.extras[number] = place
   if number >= kept.due then kept:pack(number) end
 end
 
 -- Nothing is known any more of a piece: a packet that a read filter rejected had the same number.
 local function drop(self, number, place)
   local kept = self.archive
-  if kept.extras[number] == place then kept.codes[number], kept.extras[number], kept.deltas[number] = nil, nil, nil end
+  if kept.extras[number] == place then kept.extras[number], kept.deltas[number] = nil, nil end
   local before, piece = nil, self.pieces[number]
   while piece and piece.place ~= place do before, piece = piece, piece.other end
   if not piece then return end
@@ -48,7 +48,7 @@ function Kept:keep(piece, fact)
   local number, place, event = fact.number, fact.place, piece.events[1]
   drop(self, number, place)
   if event and event.good and event.from == piece.base and event.to - event.from == #fact.bytes and
-    not self.archive.codes[number] then
+    not self.archive.extras[number] then
     self:keep_place(number, place)
     return true
   end
@@ -71,7 +71,7 @@ function Kept:settle(settled, number)
       rest[#rest + 1] = piece
     elseif is_only and not kept:get(at) then
       local text = serial_piece.pack(piece)
-      if text then self.pieces[at], kept.codes[at], kept.extras[at] = nil, archive.TEXT, text end
+      if text then self.pieces[at], kept.extras[at] = nil, text end
     end
   end
   return rest
@@ -80,9 +80,9 @@ end
 --- What is known of a packet.
 -- returns  its piece, nil for none; or nil and true for one good frame
 function Kept:recall(number, place)
-  local code, extra = self.archive:get(number)
-  if code == archive.NUMBER and extra == place then return nil, true end
-  local piece = code == archive.TEXT and serial_piece.unpack(extra, number) or self.pieces[number]
+  local extra = self.archive:get(number)
+  if extra == place then return nil, true end
+  local piece = type(extra) == "string" and serial_piece.unpack(extra, number) or self.pieces[number]
   while piece and piece.place ~= place do piece = piece.other end
   return piece
 end

@@ -348,11 +348,11 @@ function T.test_a_flood_of_starts_keeps_no_more_than_some_open()
   for number = 1, levels.size(10000, 50000) do
     local id = (number - number % 256) / 256
     bus.frame(state, { bus.can_id(id, 1, 0, number % 256), look = number, data = data, bus = 1, wide = true })
-    lu.assertTrue(state.open_count <= 1024 and state.queue_length <= 4096)
+    lu.assertTrue(state.open.count <= 1024 and state.open.queue_length <= 4096)
   end
   local open = 0
-  for _ in pairs(state.open) do open = open + 1 end
-  lu.assertEquals(open, state.open_count)
+  for _ in pairs(state.slots) do open = open + 1 end
+  lu.assertEquals(open, state.open.count)
 end
 
 function T.test_the_newest_messages_survive_a_flood()
