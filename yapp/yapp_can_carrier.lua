@@ -65,54 +65,50 @@ end
 
 -- What a message is given to the reader and the tree as; see yapp_reader.  Of each source one table, used again for its
 -- next message: nobody keeps it, and a fresh one cost a tenth of the packet list.
--- number, is_again  of its last frame
-local function finished(view, number, is_again, payload)
-  local m, address, wants = view.names.message, view.address, view.wants
+local function finished(view, payload)
+  local m, address, wants, facts = view.names.message, view.address, view.wants, view.facts
   m.tree, m.item, m.wanted, m.has_columns = view.tree, view.item, wants.yapp, wants.columns
   m.is_brief = not (wants.yapp or wants.taurus)
   m.seq, m.ctl, m.payload, m.size = address.seq, address.ctl, payload, #payload
-  m.frame, m.time, m.visited, m.is_whole, m.is_unsure = number, view.pinfo.rel_ts, is_again, true, nil
+  m.frame, m.time, m.visited = facts.number, view.pinfo.rel_ts, facts.is_again
+  m.is_whole, m.is_unsure = true, nil
   m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta, m.tvb = nil, nil, nil, nil, nil, nil, nil, nil
   return m
 end
 
--- A message that came the short way: its meaning and its history; returns what the Info column says of it.
--- record  of its last frame
-local function plain_message(self, view, record)
-  local payload = record.message.payload
-  local m = finished(view, record.look, false, payload)
+-- A message that came the short way, of which nobody wants YAPP's own items; returns what the Info column says of it.
+local function plain_message(self, view)
+  local payload, wants = view.record.message.payload, view.wants
+  local m = finished(view, payload)
+  m.item = self.tree:bare(view.tree, wants, true)
   m.status, m.good = "good", true
-  if view.wants.taurus then m.tvb = ByteArray.new(payload, true):tvb(REASSEMBLED) end
-  return self.tree:payload(self:read(m, record))
+  if wants.taurus then m.tvb = ByteArray.new(payload, true):tvb(REASSEMBLED) end
+  return self.tree:payload(self:read(m, view.record))
 end
 
--- The short way: a new frame of which nobody wants YAPP's own items, and nothing can be said but that it begins a
--- message, is its next part, or all that it lacks.
--- returns  the bytes that are ours; nil for any other frame
-local function take_plain(self, tvb, pinfo, tree, address)
-  local memory, wants = self.memory, self.tree:wants(tree, pinfo, false)
-  if wants.yapp then return nil end
-  local number, place, data, bus = self.facts:plain_frame(tvb, pinfo, memory.highest)
-  if not number then return nil end
-  local message, record = memory:plain(address, number, place, data, bus)
-  if not message then return nil end
-  local of_bus, info = self.names[bus or false], nil
-  local names = of_bus and of_bus[address.id] or new_names(self, address.id, bus)
-  if wants.names then self.tree:bare(tree, wants, record) end
-  if record then
-    local view = self.view
-    view.pinfo, view.tree, view.item, view.wants, view.address, view.names = pinfo, tree, tree, wants, address, names
-    info = plain_message(self, view, record)
-  elseif self.reader.stat.wanted then
-    local part = self:told_part(names, address, bus)
-    part.frame, part.time, part.visited = number, pinfo.rel_ts, false
+local plain = { is_again = false } -- the facts of a frame that came the short way
+
+-- Has the memory take a frame; the short way, where it goes: a new one of which nothing can be said but that it begins
+-- a message, is its next part, or all that it lacks.
+-- returns  its record and facts; nil for a frame that is not YAPP's
+local function take(self, tvb, pinfo, address, is_wide)
+  local memory = self.memory
+  if not memory.is_again then
+    local number, place, data, bus = self.facts:plain_frame(tvb, pinfo, memory.highest)
+    local record = number and memory:plain(address, number, place, data, bus)
+    if record then
+      plain.number, plain.data, plain.reported, plain.bus = number, data, #data, bus
+      return record, plain
+    end
   end
-  if wants.columns then
-    local columns = pinfo.cols
-    columns.protocol, columns.src = "YAPP", names.source
-    columns.info = info or newest_part(names, address, message, number, #data)
+  local facts = self.facts:can_frame(tvb, pinfo, memory.highest)
+  if facts.reported == 0 then return nil end
+  if facts.is_odd and (facts.remote or facts.doubtful and facts.data == "") then
+    if facts.doubtful then memory:guess() else memory:pass_over(facts) end
+    return nil
   end
-  return #data
+  facts.wide = is_wide
+  return memory:look(address, facts, self.record), facts
 end
 
 --- Dissects one frame.
@@ -120,34 +116,31 @@ end
 -- is_wide  whether the user says that every extended frame is YAPP
 -- returns  the number of bytes that are ours, 0 for a frame that is not
 function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
-  local memory, builder, address = self.memory, self.tree, address_of(can_id)
-  if not memory.is_again then
-    local length = take_plain(self, tvb, pinfo, tree, address)
-    if length then return length end
-  end
-  local facts = self.facts:can_frame(tvb, pinfo, memory.highest)
-  if facts.reported == 0 then return 0 end
-  if facts.is_odd and (facts.remote or facts.doubtful and facts.data == "") then
-    if facts.doubtful then memory:guess() else memory:pass_over(facts) end
-    return 0
-  end
-  facts.wide = is_wide
-  local record = memory:look(address, facts, self.record)
+  local builder, address, info = self.tree, address_of(can_id), nil
+  local record, facts = take(self, tvb, pinfo, address, is_wide)
   if not record then return 0 end
-  local of_bus = self.names[facts.bus or false]
-  local names = of_bus and of_bus[address.id] or new_names(self, address.id, facts.bus)
-  local wants = builder:wants(tree, pinfo, facts.is_again)
-  local columns = wants.columns and pinfo.cols
-  if columns then columns.protocol, columns.src = "YAPP", names.source end
-  if self.reader.stat.wanted and record.message and not record.is_last then
-    local part = self:told_part(names, address, facts.bus)
-    part.frame, part.time, part.visited = facts.number, pinfo.rel_ts, facts.is_again
+  local bus, is_again = facts.bus, facts.is_again
+  local of_bus = self.names[bus or false]
+  local names = of_bus and of_bus[address.id] or new_names(self, address.id, bus)
+  local wants = not is_again and builder.wanted or builder:wants(tree, pinfo, is_again)
+  if self.reader.stat.wants_parts and record.message and not record.is_last then
+    local part = self:told_part(names, address, bus)
+    part.frame, part.time, part.visited = facts.number, pinfo.rel_ts, is_again
   end
-  local view = self.view
-  view.tvb, view.pinfo, view.tree, view.wants = tvb, pinfo, tree, wants
-  view.address, view.facts, view.record, view.names = address, facts, record, names
-  local info = self:show(view)
-  if columns then columns.info = info end
+  local is_bare = facts == plain and not wants.yapp
+  if not is_bare or record.is_last then
+    local view = self.view
+    view.tvb, view.pinfo, view.tree, view.wants = tvb, pinfo, tree, wants
+    view.address, view.facts, view.record, view.names = address, facts, record, names
+    info = (is_bare and plain_message or self.show)(self, view)
+  elseif wants.names then
+    builder:bare(tree, wants)
+  end
+  if wants.columns then
+    local columns = pinfo.cols
+    columns.protocol, columns.src = "YAPP", names.source
+    columns.info = info or newest_part(names, address, record.message, facts.number, facts.reported)
+  end
   return facts.reported
 end
 
@@ -265,7 +258,7 @@ function Carrier:show_single(view)
   local known = self.reader:size_of(id, view.names.bus)
   local padding = known and self.parts.can_id.padding(data, reported, known)
   local payload = padding and padding > 0 and data:sub(1, known) or data
-  local message = finished(view, facts.number, facts.is_again, payload)
+  local message = finished(view, payload)
   message.status, message.tvb = "single", (view.wanted or view.wants.taurus) and view.tvb
   message.good, message.size = #data == reported, padding and known or reported
   local info = self.tree:payload(self:read(message, view.record))
@@ -311,7 +304,7 @@ end
 -- The last frame of a message: what was put together.
 function Carrier:show_message(view)
   local builder, item, entry = self.tree, view.item, view.record.message
-  local message, status = finished(view, view.facts.number, view.facts.is_again, entry.payload), entry.status
+  local message, status = finished(view, entry.payload), entry.status
   message.status, message.good, message.size = status, status == "good", entry.size
   if #entry.payload > 0 and (view.wanted or view.wants.taurus) then
     message.tvb = ByteArray.new(entry.payload, true):tvb(REASSEMBLED)

@@ -8,7 +8,9 @@
 
 local M = {}
 
-local floor = math.floor
+local can_reassembly = require("yapp_can_reassembly")
+
+local floor, plain, MAX_CREDIT = math.floor, can_reassembly.plain, can_reassembly.MAX_CREDIT
 
 local LINKS, NOTHING = { "command_in", "previous_change", "next_change" }, {} -- in a change of yapp_history
 
@@ -20,7 +22,7 @@ local Pass = {}
 Pass.__index = Pass
 
 local function new_pass(memory)
-  local reassembly = memory.parts.can_reassembly.new(memory.parts, memory.size_of)
+  local reassembly = can_reassembly.new(memory.parts, memory.size_of)
   return setmetatable({
     reassembly = reassembly, kept = reassembly.kept, archive = reassembly.kept.archive,
     faults = reassembly.kept.faults, history = memory.new_history(),
@@ -89,7 +91,7 @@ local Memory = {}
 Memory.__index = Memory
 
 --- The memory of one capture file.
--- parts     the modules { can_id =, crc =, can_frames =, can_reassembly =, can_interleave =, can_repeated = }
+-- parts     the modules { can_id =, crc =, can_frames =, can_interleave =, can_repeated = }
 -- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown one;
 --             new_history = function() -> a yapp_history, one for each pass;
 --             has_buses = whether the file is known to have several buses }
@@ -100,7 +102,7 @@ function M.new(parts, options)
     is_mixed = options.has_buses or false, is_guessed = false, is_blind = false, is_again = false, reached = 0,
     highest = 0 }, Memory)
   self.first = new_pass(self)
-  self.plain_record = { pass = self.first, is_now = true, is_last = true }
+  self.plain_record = { pass = self.first, is_now = true }
   return self
 end
 
@@ -209,22 +211,20 @@ local function fill(self, record, pass, look, is_now, message)
 end
 
 --- The short way to take a new frame of which nothing can be said but that it begins a message, is a part of one, or
--- ends it well.  The first frame of a pass goes the long way, and of each bus until there are several: look notes there
--- what it has to.
+-- ends it well.  The first frame, and that of a second bus, goes the long way: look notes what it says of the capture.
 -- number, place, data, bus  as look has them of a new frame, its number above self.highest, that is whole and, for
 --                           sure, no remote frame
--- returns                   its message, and for the last frame the record that `change` takes; nil where it is not so:
---                           then nothing was done, and look takes it
+-- returns                   a record as look does; nil where it is not so: then nothing was done, and look takes it
 function Memory:plain(address, number, place, data, bus)
-  local first = self.first
-  if place ~= first.usual or bus ~= self.first_bus and not self.is_mixed then return nil end
-  local message, is_last = first.reassembly:plain(address, number, data, bus)
+  local first, taker = self.first, plain[address.ctrl]
+  if not taker or place ~= first.usual or bus ~= self.first_bus and not self.is_mixed or
+    first.reassembly.credit < MAX_CREDIT then return nil end
+  local message, is_last = taker(first.reassembly, address, number, data, bus)
   if not message then return nil end
   self.highest, first.highest, first.latest, first.place = number, number, number, place
-  if not is_last then return message end
   local record = self.plain_record
-  record.look, record.message = number, message
-  return message, record
+  record.look, record.message, record.is_last = number, message, is_last
+  return record
 end
 
 --- What a frame is.

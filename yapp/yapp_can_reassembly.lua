@@ -9,6 +9,7 @@ local open_of = require("yapp_can_open")
 local concat, floor, slot_of = table.concat, math.floor, open_of.slot
 
 local CREDIT_PER_FRAME, MAX_CREDIT = 32, 4096 -- steps of the searches among frames
+M.MAX_CREDIT = MAX_CREDIT
 local MAX_REPEATED = 8 -- frames that a message may have too many, where they repeat others
 
 local Reassembly = {}
@@ -304,18 +305,14 @@ local function plain_end(self, address, look, data, bus)
   return message, true
 end
 
-local PLAIN = { plain_start, plain_middle, plain_end } -- by CAN CTRL
-
---- Takes a frame of which nothing can be said but that it begins a message, is its next part, or all that it lacks, as
--- most frames are.
+--- The short way: takes a frame of which nothing can be said but that it begins a message, is its next part, or all
+-- that it lacks, as most frames are.
+-- address          of the frame: its CAN CTRL is the index
 -- look, data, bus  as Reassembly:frame has them
 -- returns          its message, and whether it ends here; nil where it is not so: then nothing was done, and
 --                  Reassembly:frame takes the frame
-function Reassembly:plain(address, look, data, bus)
-  local take = PLAIN[address.ctrl]
-  if not take or self.credit < MAX_CREDIT then return nil end
-  return take(self, address, look, data, bus)
-end
+-- Not to be called while its credit is below MAX_CREDIT: each frame that comes has to bring some.
+M.plain = { plain_start, plain_middle, plain_end }
 
 --- The messages that began and have not ended: at the end of the capture these are unfinished.
 -- returns  list of messages

@@ -17,9 +17,10 @@ Stat.__index = Stat
 --           unfinished = function() -> records of the messages that the capture ends before,
 --           opened = function(): records are wanted, with the names of their buses.  tshark handles -z when the file is
 --           open and init has run, before the first packet }
--- Stat.wanted says whether anyone wants messages: ask it before making a record for Stat:offer.
+-- Stat.wanted says whether anyone wants messages: ask it before making a record for Stat:offer.  Stat.wants_parts says
+-- whether anyone wants more than whole messages: when parts came, and the last packet.
 function M.new(plugin)
-  return setmetatable({ plugin = plugin, wanted = false }, Stat)
+  return setmetatable({ plugin = plugin, wanted = false, wants_parts = false }, Stat)
 end
 
 --- A message of the packet that is dissected, or a lost part of one.
@@ -96,7 +97,8 @@ local function tap_clock(feed)
 end
 
 -- The tap that sees every packet.
-local function tap_packets(feed)
+local function tap_packets(self)
+  local feed = self.feed
   local tap, clock = Listener.new("frame"), tap_clock(feed)
   local is_kept = gui_enabled() -- where all packets may come again
   function tap.packet(pinfo)
@@ -105,7 +107,8 @@ local function tap_packets(feed)
       clock.tap:remove()
       clock = nil
     end
-    feed:packet(feed.number and pinfo.number, pinfo.rel_ts)
+    local number = feed.number
+    feed:packet(number and pinfo.number, (number or self.wants_parts) and pinfo.rel_ts)
   end
   function tap.reset() feed:reset() end
   return tap
@@ -126,6 +129,7 @@ function Stat:begin(options, out)
     columns = plugin.columns, catalogue = plugin.catalogue, is_whole = plugin.is_whole, late = plugin.late,
     has_source = plugin.has_source, make_folder = make_folder })
   if not statistic then return nil, options.what .. ": " .. problem end
+  self.wants_parts = self.wants_parts or not statistic.is_of_whole_messages
   local entry = self.feed:add(statistic, options.filter ~= nil)
   if not options.filter then return {} end
   local ok, tap = pcall(tap_filter, self.feed, entry, options.filter)
@@ -155,7 +159,7 @@ function Stat:run(text)
   self:open()
   local taps, problem = self:begin(options, out)
   if taps then
-    taps[#taps + 1] = tap_packets(self.feed)
+    taps[#taps + 1] = tap_packets(self)
     retap_packets()
     local ok, code, texts = pcall(self.finish, self)
     for _, one in ipairs(ok and texts or { tostring(code) }) do out(one .. "\n") end
@@ -163,7 +167,7 @@ function Stat:run(text)
   else
     out(problem .. "\n")
   end
-  self.feed, self.wanted = nil, false
+  self.feed, self.wanted, self.wants_parts = nil, false, false
   return table.concat(said)
 end
 
@@ -190,7 +194,7 @@ function Stat:argument(text)
   if not self.feed then
     self:open()
     self.output = new_output()
-    local tap = tap_packets(self.feed)
+    local tap = tap_packets(self)
     function tap.draw() conclude(self, self.output) end
   end
   local taps, problem = self:begin(options, self.output.write)

@@ -16,7 +16,7 @@ local COMMON = {
 local CRC_GOOD = { name = "crc_good", type = "bool" }
 local FIELDS = "fields.json"
 
-local Csv = {}
+local Csv = { is_of_whole_messages = true }
 Csv.__index = Csv
 
 --- A cell: in quotes where it must be.

@@ -29,8 +29,9 @@ function Feed:reset()
   for _, entry in ipairs(self.statistics) do entry.matched = {} end
 end
 
---- Adds a statistic: with message(record, is_counted) and finish(last); sees_all = whether it gets what does not count
--- too, tells_changes = whether what it says rests on what came before a message.
+--- Adds a statistic: with message(record, is_counted) and finish(last), { rel = time } of the last packet where that is
+-- known; sees_all = whether it gets what does not count too, tells_changes = whether what it says rests on what came
+-- before a message.
 -- returns  what matched is told by, where it has a filter
 function Feed:add(statistic, has_filter)
   local entry = { statistic = statistic, has_filter = has_filter, matched = {} }
@@ -126,9 +127,10 @@ local function flush(self)
 end
 
 --- A packet of any kind has been dissected.
--- number, rel  of the packet; rel = seconds since the first one.  The number may be left out where no message waits for
---              it: where self.number is nil.  With tshark -2 -R the number of a packet that the first pass rejected is
---              another packet's in the second, which has another time
+-- number, rel  of the packet; rel = seconds since the first one.  Where no message waits for it, where self.number is
+--              nil, the number may be left out, and rel where no statistic wants the last packet.  With tshark -2 -R
+--              the number of a packet that the first pass rejected is another packet's in the second, which has
+--              another time
 function Feed:packet(number, rel)
   if self.waiting_count > 0 then flush(self) end
   self.last_rel = rel

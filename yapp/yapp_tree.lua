@@ -132,8 +132,8 @@ end
 -- returns   { yapp = whether YAPP's own items are visible, filtered or printed, taurus = whether those of messages are,
 --           names = whether, without them, the names of protocols are (see bare), columns = whether there are columns:
 --           tshark has them for a packet list, and not with -V, -q, most of -T or in a first pass of two }.  In tshark
---           this does not change within a first pass, so it is asked once; in Wireshark, and on later looks of sharkd,
---           it may.
+--           this does not change within a first pass, so it is asked once and kept in `wanted`; in Wireshark, and on
+--           later looks of sharkd, it may.
 function Tree:wants(tree, pinfo, is_again)
   local is_steady = IS_TSHARK and not is_again
   local wants = is_steady and self.wanted or ask(self, tree, pinfo, is_steady)
