@@ -160,30 +160,30 @@ end
 local NONE, WAYS = {}, { "raised", "cleared" }
 
 -- Adds a generated field where somebody wants it; nil for a value or a field that is not there.
-local function add_generated(item, pf, value)
-  if not pf or value == nil or not (item.visible or item:referenced(pf)) then return nil end
+-- all  whether the tree is shown; else it is asked who wants the field
+local function add_generated(item, all, pf, value)
+  if not pf or value == nil or not (all or item:referenced(pf)) then return nil end
   return items_of.add_generated(item, pf, value)
 end
 
--- The bits of one field that rose or fell.
-local function add_bits(self, item, field, way, bits)
-  if bits == 0 then return end
-  local added = item and add_generated(item, self.fields[field][way], bits)
-  if added then append_text(added, " (" .. decode.flag_names(field, bits) .. ")") end
-  return added
+-- The same for a time in seconds.
+local function add_time(item, all, pf, seconds)
+  if not pf or not seconds or not (all or item:referenced(pf)) then return nil end
+  return items_of.add_generated(item, pf, relative_time(seconds))
 end
 
 -- Adds what changed; returns the item of the clock's drift.
-local function add_values(self, item, message, change, now)
-  local own, alarm = self.messages[message], message.alarms[1]
+local function add_values(self, item, all, m)
+  local message, change = m.message, m.change
+  local own, alarm, since = self.messages[message], message.alarms[1], change.active_since
   if alarm then
-    local made, since = self.fields[alarm], change.active_since
-    add_generated(item, made.active_time, since and relative_time(now - since))
-    add_generated(item, made.previous, change.previous_change)
-    add_generated(item, made.next, change.next_change)
+    local made = self.fields[alarm]
+    add_time(item, all, made.active_time, since and m.time - since)
+    add_generated(item, all, made.previous, change.previous_change)
+    add_generated(item, all, made.next, change.next_change)
   end
-  add_generated(item, own.command_in, change.command_in)
-  return add_generated(item, own.drift, change.drift and relative_time(change.drift))
+  add_generated(item, all, own.command_in, change.command_in)
+  return add_time(item, all, own.drift, change.drift)
 end
 
 --- Adds what the history says of a message, all of it generated, with its expert items.
@@ -191,15 +191,17 @@ end
 -- m        a message of yapp_reader, with its change; the frames in that are frame numbers
 -- is_tree  whether it is the Taurus item; else there are expert items only
 function Taurus:add_change(item, m, is_tree)
-  local change = m.change
+  local change, all = m.change, is_tree and item.visible
   for _, one in ipairs(change.flags or NONE) do
+    local field = one.field
     for _, way in ipairs(WAYS) do
-      local bits = decode.band(one[way], one.field.watched)
-      local added = add_bits(self, is_tree and item, one.field, way, bits)
-      if bits ~= 0 and one.field.alarm then (added or item):add_proto_expert_info(self.experts["fault." .. way]) end
+      local bits = decode.band(one[way], field.watched)
+      local added = bits ~= 0 and is_tree and add_generated(item, all, self.fields[field][way], bits)
+      if added then append_text(added, " (" .. decode.flag_names(field, bits) .. ")") end
+      if bits ~= 0 and field.alarm then (added or item):add_proto_expert_info(self.experts["fault." .. way]) end
     end
   end
-  local drift = is_tree and add_values(self, item, m.message, change, m.time)
+  local drift = is_tree and add_values(self, item, all, m)
   if change.reboot then (drift or item):add_proto_expert_info(self.experts.reboot) end
   if change.stale then (drift or item):add_proto_expert_info(self.experts.stale) end
 end
