@@ -23,7 +23,7 @@ os.setlocale("C", "numeric")
 package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
 local parts = {}
 for _, name in ipairs {
-  "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly", "can_repeated",
+  "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_repeated",
   "can_wrapper", "catalogue", "catalogue_files", "collector", "copies", "crc", "decode", "decode_columns", "facts",
   "file_asc", "file_asc_reader", "file_candump", "file_candump_line", "file_candump_reader", "file_dump",
   "file_dump_reader", "file_head", "frame", "history", "preferences", "reader", "serial_carrier", "serial_memory",

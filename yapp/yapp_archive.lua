@@ -2,8 +2,8 @@
 -- What is kept of the frames of a capture, in little memory.  Pure Lua, 5.2 and 5.4.
 --
 -- A look (a number that grows: of a frame, as a rule) may have an extra: a number below 2^32, or a text of at most
--- 65,535 bytes.  A text may say which looks before its own belong to it: its first byte is their number, each byte
--- behind that how many looks they are away.
+-- 65,535 bytes.  In an archive with groups each text says which looks before its own belong to it: its first byte is
+-- their number, each byte behind that how many looks they are away.
 -- The extras of the newest looks lie in tables.  Behind them those of 256 looks become one text, a block: of each, in
 -- order, its index in the block, the extra, and a note.  A long capture takes half the memory, and Lua's collector,
 -- which goes over all tables and texts again and again, has next to nothing to go over.
@@ -13,7 +13,7 @@ local collector = require("yapp_collector")
 
 local M = {}
 
-local byte, char, sub, floor = string.byte, string.char, string.sub, math.floor
+local byte, char, sub, floor, max = string.byte, string.char, string.sub, math.floor, math.max
 local concat = table.concat
 
 local BLOCK = 256
@@ -94,8 +94,8 @@ local function pack_block(self, number)
   collector.packed(#block)
 end
 
---- Packs what is old: what lies further behind the newest look than a text reaches.  What is written for an older look
--- stays in the tables.
+--- Packs what is old: what lies further behind the newest look than a text reaches, so that no later text claims a look
+-- of a block.  What is written for an older look stays in the tables.
 function Archive:pack(newest)
   while newest >= self.due do
     pack_block(self, self.first)
@@ -165,8 +165,8 @@ function Archive:last_of(look)
     local block = open(self, number)
     if block and block.lasts[look] then return block.lasts[look] end
   end
-  local lasts = {}
-  for last = look + 1, look + M.MAX_DISTANCE do
+  local lasts, from = {}, look % 1 == 0 and max(look + 1, self.first * BLOCK) or look + 1 -- what is before is packed
+  for last = from, look + M.MAX_DISTANCE do
     local text = self.extras[last]
     if type(text) == "string" then note_group(lasts, text, last) end
     if lasts[look] then return last end

@@ -16,7 +16,7 @@ local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 
 local REASSEMBLED = "Reassembled YAPP" -- what Wireshark's bytes pane calls it
 
-local KINDS, START, address_of -- of yapp_can_id; set in M.new
+local KINDS, SINGLE, START, address_of -- of yapp_can_id; set in M.new
 
 local Carrier = {}
 Carrier.__index = Carrier
@@ -29,7 +29,7 @@ Carrier.__index = Carrier
 -- claim    function(id): a frame of a message that is not in the catalogue was taken
 function M.new(parts, tree, reader, facts, claim)
   local can_id = parts.can_id
-  KINDS, START, address_of = can_id.KINDS, can_id.START, can_id.address
+  KINDS, SINGLE, START, address_of = can_id.KINDS, can_id.SINGLE, can_id.START, can_id.address
   return setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, claim = claim, view = {},
     record = {} }, Carrier)
 end
@@ -51,11 +51,12 @@ end
 -- parts = what statistics were told, by Seq, message = see finished }.
 -- bus  number or nil
 local function new_names(self, id, bus)
-  local of_bus, name = self.names[bus or false] or {}, self.facts:bus_name(bus)
+  local of_bus, bus_name = self.names[bus or false] or {}, self.facts:bus_name(bus)
+  local name = self.reader:label(id, bus_name)
   self.names[bus or false] = of_bus
-  of_bus[id] = { bus = name, name = self.reader:label(id, name), source = self.reader:source_text(id, name),
-    texts = {}, titles = {}, parts = {}, message = { id = id, name = self.reader:label(id, name), at = 0,
-      source = key_of(bus, id), blind_source = key_of(nil, id), bus = bus, bus_name = name, is_whole = true } }
+  of_bus[id] = { bus = bus_name, name = name, source = self.reader:source_text(id, bus_name), texts = {}, titles = {},
+    parts = {}, message = { id = id, name = name, source = key_of(bus, id), blind_source = key_of(nil, id), bus = bus,
+      bus_name = bus_name, at = 0 } }
   self.claim(id)
   return of_bus[id]
 end
@@ -86,19 +87,20 @@ local function plain_message(self, view)
   return self.tree:payload(self:read(m, view.record))
 end
 
-local plain = { is_again = false } -- the facts of a frame that came the short way
+local plain_facts = { is_again = false } -- of a frame that came the short way, and of no other
 
 -- Has the memory take a frame; the short way, where it goes: a new one of which nothing can be said but that it begins
 -- a message, is its next part, or all that it lacks.
 -- returns  its record and facts; nil for a frame that is not YAPP's
 local function take(self, tvb, pinfo, address, is_wide)
   local memory = self.memory
-  if not memory.is_again then
+  if not memory.is_again and address.ctrl ~= SINGLE then
     local number, place, data, bus = self.facts:plain_frame(tvb, pinfo, memory.highest)
     local record = number and memory:plain(address, number, place, data, bus)
     if record then
-      plain.number, plain.data, plain.reported, plain.bus = number, data, #data, bus
-      return record, plain
+      local facts = plain_facts
+      facts.number, facts.data, facts.reported, facts.bus = number, data, #data, bus
+      return record, facts
     end
   end
   local facts = self.facts:can_frame(tvb, pinfo, memory.highest)
@@ -127,12 +129,12 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
     local part = self:told_part(names, address, bus)
     part.frame, part.time, part.visited = facts.number, pinfo.rel_ts, is_again
   end
-  local is_bare = facts == plain and not wants.yapp
+  local is_bare = facts == plain_facts and not wants.yapp -- most are: no tree, and nothing to say but the Info text
   if not is_bare or record.is_last then
     local view = self.view
     view.tvb, view.pinfo, view.tree, view.wants = tvb, pinfo, tree, wants
     view.address, view.facts, view.record, view.names = address, facts, record, names
-    info = (is_bare and plain_message or self.show)(self, view)
+    if is_bare then info = plain_message(self, view) else info = self:show(view) end
   elseif wants.names then
     builder:bare(tree, wants)
   end

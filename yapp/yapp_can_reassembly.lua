@@ -133,11 +133,11 @@ local function new_message(self, look)
   if message then
     self.spare = nil
     message[1], message.status, message.payload, message.last = look, nil, nil, nil
+    message.count, message.parts, message.received, message.repeats = 1, 0, 0, 0
   else -- with room for the usual message of five frames: saves Lua three steps of growth in each table
     message = { look, nil, nil, nil, nil, count = 1, parts = 0, received = 0, repeats = 0,
       chunks = { nil, nil, nil, nil }, status = nil, payload = nil, last = nil, reserved = nil }
   end
-  message.count, message.parts, message.received, message.repeats = 1, 0, 0, 0
   return message
 end
 
@@ -311,7 +311,7 @@ end
 -- look, data, bus  as Reassembly:frame has them
 -- returns          its message, and whether it ends here; nil where it is not so: then nothing was done, and
 --                  Reassembly:frame takes the frame
--- Not to be called while its credit is below MAX_CREDIT: each frame that comes has to bring some.
+-- Not to be called while the reassembly's credit is below MAX_CREDIT: each frame that comes has to bring some.
 M.plain = { plain_start, plain_middle, plain_end }
 
 --- The messages that began and have not ended: at the end of the capture these are unfinished.

@@ -16,7 +16,7 @@ local little_endian = require("stream_generator").little_endian
 local T = {}
 
 local parts = { can_id = can_id, crc = crc }
-for _, name in ipairs { "can_frames", "can_reassembly", "can_interleave", "can_repeated" } do
+for _, name in ipairs { "can_frames", "can_interleave", "can_repeated" } do
   parts[name] = require("yapp_" .. name)
 end
 
