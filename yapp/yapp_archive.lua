@@ -98,7 +98,7 @@ end
 -- of a block.  What is written for an older look stays in the tables.
 function Archive:pack(newest)
   while newest >= self.due do
-    pack_block(self, self.first)
+    if next(self.extras) then pack_block(self, self.first) else collector.packed(0) end
     self.first, self.due = self.first + 1, self.due + BLOCK
   end
 end

@@ -124,7 +124,7 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
   local bus, is_again = facts.bus, facts.is_again
   local of_bus = self.names[bus or false]
   local names = of_bus and of_bus[address.id] or new_names(self, address.id, bus)
-  local wants = not is_again and builder.wanted or builder:wants(tree, pinfo, is_again)
+  local wants = not is_again and builder.wanted or self:wants(tree, pinfo, is_again)
   if self.reader.stat.wants_parts and record.message and not record.is_last then
     local part = self:told_part(names, address, bus)
     part.frame, part.time, part.visited = facts.number, pinfo.rel_ts, is_again
@@ -144,6 +144,18 @@ function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
     columns.info = info or newest_part(names, address, record.message, facts.number, facts.reported)
   end
   return facts.reported
+end
+
+-- What anyone wants of a packet, see Tree:wants.
+function Carrier:wants(tree, pinfo, is_again)
+  local wants = self.tree:wants(tree, pinfo, is_again)
+  if wants.is_only_pass then self.memory:only_pass() end
+  return wants
+end
+
+--- tshark's taps see one of the first packets: see yapp_can_memory.
+function Carrier:tapped(number)
+  self.memory:tapped(number)
 end
 
 --- Says that a first pass may have been told wrong ids.

@@ -22,7 +22,7 @@ Frames.__index = Frames
 -- can_id   the module
 -- It has entries, by look: a message whose table is kept; all else is in its archive, which is asked second.  And
 -- faults, by look: a list of { expert =, text =, void = nil or true once it is taken back }.  And has_fractions:
--- whether any look may have one.
+-- whether any look may have one.  And is_only_pass, to be set: whether nobody will look at a frame again.
 function M.new(can_id)
   return setmetatable({ can_id = can_id, archive = archive.new(true), entries = {}, faults = {}, distances = {} },
     Frames)
@@ -110,16 +110,22 @@ end
 
 --- A message came out good.  What a later look at it needs is little: which frames it had, and their bytes; the usual
 -- message keeps both as one string.
--- returns  whether the table of the message is needed no more
-function Frames:good(message)
+-- is_settled  whether nothing that comes can change its frames: of the only pass it leaves nothing behind then
+-- returns     whether the table of the message is needed no more
+function Frames:good(message, is_settled)
   if message.blamed then -- rare: it stays as it is
     forgive(self, message)
     return false
   end
-  local count, last = message.count, message.last
+  local entries, count, last, kept = self.entries, message.count, message.last, self.archive
+  if is_settled and self.is_only_pass then
+    for i = 1, count do entries[message[i]] = nil end
+    if last >= kept.due then kept:pack(last) end
+    return true
+  end
   if message.reserved or message.padding or message.duplicates or count > MAX_COUNT or message.size > MAX_SIZE or
     last - message[1] > MAX_DISTANCE or self.has_fractions and has_fractions(message) then return false end
-  local entries, distances, kept = self.entries, self.distances, self.archive
+  local distances = self.distances
   for i = 1, count do
     local look = message[i]
     distances[i], entries[look] = last - look, nil

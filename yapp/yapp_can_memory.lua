@@ -27,6 +27,7 @@ local function new_pass(memory)
     reassembly = reassembly, kept = reassembly.kept, archive = reassembly.kept.archive,
     faults = reassembly.kept.faults, history = memory.new_history(),
     highest = 0, latest = 0, -- number, and look, of the newest frame
+    is_taken = false,        -- whether that is YAPP's
     repeats = {},            -- [number] = { [place] = look }, where a number came more than once
     odd = {},                -- [number] = place, where it is not the usual one
   }, Pass)
@@ -42,7 +43,7 @@ local function next_look(pass, number, place)
     pass.highest, pass.latest, pass.place = number, number, place
     return number
   end
-  if place == pass.place and not pass.kept:has(pass.latest) then return pass.latest end -- it was left to others
+  if place == pass.place and not pass.is_taken then return pass.latest end -- it was left to others
   local places = pass.repeats[number] or { [pass.place] = pass.latest }
   if place <= pass.place then -- another packet: a read filter rejected the one before
     pass.is_filtered, places = true, {}
@@ -111,12 +112,30 @@ function Memory:guess()
   self.is_guessed = true
 end
 
+--- Says that the first pass is the only one: what comes the short way leaves nothing behind.  (Were there a second one
+-- after all, it would find everything anew.)
+function Memory:only_pass()
+  self.first.kept.is_only_pass, self.is_guessed = true, true
+end
+
+--- tshark's taps see one of the first packets.  A first pass of two has none, and has had all packets before they do.
+function Memory:tapped(number)
+  if not self.is_again and self.highest <= number then self:only_pass() end
+end
+
+-- Whether nothing of a message is kept: there is nobody who would look at it again.
+local function leaves_nothing(self, record)
+  return record == self.plain_record and self.first.kept.is_only_pass
+end
+
 -- Takes a frame in the order of a pass; returns whether it is YAPP's, and its message.
 local function take(self, pass, address, facts, look)
   if facts.doubtful then self.is_guessed = true end
   if not facts.informed and pass == self.first then self.is_blind = true end
   facts.look = look
-  return pass.reassembly:frame(address, facts)
+  local is_ours, message = pass.reassembly:frame(address, facts)
+  pass.is_taken = is_ours
+  return is_ours, message
 end
 
 -- Whether a second pass goes on at this frame: it has seen all that the first knows in front of it.  Who asks for a
@@ -221,7 +240,7 @@ function Memory:plain(address, number, place, data, bus)
     first.reassembly.credit < MAX_CREDIT then return nil end
   local message, is_last = taker(first.reassembly, address, number, data, bus)
   if not message then return nil end
-  self.highest, first.highest, first.latest, first.place = number, number, number, place
+  self.highest, first.highest, first.latest, first.place, first.is_taken = number, number, number, place, true
   local record = self.plain_record
   record.look, record.message, record.is_last = number, message, is_last
   return record
@@ -322,7 +341,7 @@ function Memory:change(message, record)
   if record.is_now then
     local delta
     change, delta = history:note(message)
-    pass.archive.deltas[look] = delta
+    if not leaves_nothing(self, record) then pass.archive.deltas[look] = delta end
   else
     message.delta = pass.archive:delta(look)
     if pass == self.first and self.is_blind then
@@ -337,9 +356,9 @@ function Memory:change(message, record)
 end
 
 --- Notes that a message has a fault flag set, for later looks at its other frames.
-function Memory.note_fault(_, record)
+function Memory:note_fault(record)
   local look, archive = record.look, record.pass.archive
-  if look and not archive:is_faulty(look) then archive.faulty[look] = true end
+  if look and not leaves_nothing(self, record) and not archive:is_faulty(look) then archive.faulty[look] = true end
 end
 
 --- The messages of the pass that was made last that never ended.

@@ -301,7 +301,7 @@ local function plain_end(self, address, look, data, bus)
   message.payload, message.last, message.status, message.chunks = payload, look, "good", nil
   self.kept.entries[look] = message
   self.open:close(slot)
-  if self.kept:good(message) then self.spare, message.chunks = message, chunks end
+  if self.kept:good(message, true) then self.spare, message.chunks = message, chunks end
   return message, true
 end
 

@@ -16,7 +16,8 @@ Stat.__index = Stat
 --           has_source = function(name) -> whether the user gave some source this name,
 --           unfinished = function() -> records of the messages that the capture ends before,
 --           opened = function(): records are wanted, with the names of their buses.  tshark handles -z when the file is
---           open and init has run, before the first packet }
+--           open and init has run, before the first packet;
+--           tapped = function(number): tshark's taps see one of the first packets }
 -- Stat.wanted says whether anyone wants messages: ask it before making a record for Stat:offer.  Stat.wants_parts says
 -- whether anyone wants more than whole messages: when parts came, and the last packet.
 function M.new(plugin)
@@ -106,6 +107,7 @@ local function tap_packets(self)
     if clock and clock.is_exact and not is_kept then
       clock.tap:remove()
       clock = nil
+      self.plugin.tapped(pinfo.number)
     end
     local number = feed.number
     feed:packet(number and pinfo.number, (number or self.wants_parts) and pinfo.rel_ts)

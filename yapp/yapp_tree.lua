@@ -116,13 +116,15 @@ local IS_TSHARK = not gui_enabled()
 local NO_COLUMN = "(info)" -- what the API calls it where there are no columns at all
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
 local NOTHING, LIST = {}, { columns = true } -- where nobody wants a tree
+local ONLY_LIST = { columns = true, is_only_pass = true }
 
 -- What is wanted of a look at a packet.
 local function ask(self, tree, pinfo, is_steady)
   local has_columns = not is_steady or tostring(pinfo.cols.info) ~= NO_COLUMN
-  -- false where there is none; always true from 4.6 on
-  if not tree.hidden then return has_columns and LIST or NOTHING end
-  return { columns = has_columns, yapp = tree:referenced(self.yapp_handle or find_handles(self)),
+  if not tree.hidden then -- false where there is none; always true from 4.6 on
+    return not has_columns and NOTHING or is_steady and ONLY_LIST or LIST
+  end
+  return { columns = has_columns, is_only_pass = is_steady and (has_columns or tree.visible), yapp = tree:referenced(self.yapp_handle or find_handles(self)),
     taurus = tree:referenced(self.taurus_handle or find_handles(self)),
     names = not SAYS_PROTOCOLS and not self.reader.stat.wanted }
 end
@@ -131,9 +133,10 @@ end
 -- is_again  whether the packet was shown before
 -- returns   { yapp = whether YAPP's own items are visible, filtered or printed, taurus = whether those of messages are,
 --           names = whether, without them, the names of protocols are (see bare), columns = whether there are columns:
---           tshark has them for a packet list, and not with -V, -q, most of -T or in a first pass of two }.  In tshark
---           this does not change within a first pass, so it is asked once and kept in `wanted`; in Wireshark, and on
---           later looks of sharkd, it may.
+--           tshark has them for a packet list, and not with -V, -q, most of -T or in a first pass of two;
+--           is_only_pass = whether it is sure that no packet will be shown again: tshark shows nothing in a first pass
+--           of two }.  In tshark this does not change within a first pass, so it is asked once and kept in `wanted`; in
+--           Wireshark, and on later looks of sharkd, it may.
 function Tree:wants(tree, pinfo, is_again)
   local is_steady = IS_TSHARK and not is_again
   local wants = is_steady and self.wanted or ask(self, tree, pinfo, is_steady)
