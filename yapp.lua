@@ -88,6 +88,7 @@ local function claim_starts()
 end
 
 local frames = parts.can_carrier.new(parts, tree, reader, facts, claim_id)
+local dissect_can = frames.dissect -- as Lua finds it faster
 local streams = parts.serial_carrier.new(parts, tree, reader, facts)
 local tell = parts.stat_tell.new(stat, reader)
 reader:tell_to(tell)
@@ -136,7 +137,7 @@ function yapp.dissector(tvb, pinfo, root)
       return all.dissector(tvb, pinfo, root)
     end
   end
-  local length = frames:dissect(tvb, pinfo, root, can_id, is_wide)
+  local length = dissect_can(frames, tvb, pinfo, root, can_id, is_wide)
   if length == 0 then facts:note_refused(can_id) end -- for Decode As, which is asked next
   return length
 end

@@ -2,21 +2,21 @@
 -- YAPP on CAN: what is shown of a frame.  Wireshark's API; what a frame is, yapp_can_memory knows.
 
 local items = require("yapp_tree_items")
+local can_items = require("yapp_can_items")
 local parts_of = require("yapp_can_part")
 
 local M = {}
 
 local newest_part, part_text = parts_of.newest, parts_of.text
-local add, add_le, add_generated, append_text = items.add, items.add_le, items.add_generated, items.append_text
+local add, add_generated, append_text = items.add, items.add_generated, items.append_text
 
 local STATUS_TEXT = {
   bad = "  [BAD CRC]", short = "  [INCOMPLETE]", overrun = "  [OVERRUN]", unverified = "  [CUT SHORT]",
 }
-local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 
 local REASSEMBLED = "Reassembled YAPP" -- what Wireshark's bytes pane calls it
 
-local KINDS, SINGLE, START, address_of -- of yapp_can_id; set in M.new
+local KINDS, START, address_of, plain_frame -- of yapp_can_id and yapp_facts; set in M.new
 
 local Carrier = {}
 Carrier.__index = Carrier
@@ -29,9 +29,9 @@ Carrier.__index = Carrier
 -- claim    function(id): a frame of a message that is not in the catalogue was taken
 function M.new(parts, tree, reader, facts, claim)
   local can_id = parts.can_id
-  KINDS, SINGLE, START, address_of = can_id.KINDS, can_id.SINGLE, can_id.START, can_id.address
+  KINDS, START, address_of, plain_frame = can_id.KINDS, can_id.START, can_id.address, facts.plain_frame
   return setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, claim = claim, view = {},
-    record = {} }, Carrier)
+    record = {}, stat = reader.stat }, Carrier)
 end
 
 --- Forgets the capture file: nothing survives into the next one.
@@ -72,78 +72,102 @@ local function finished(view, payload)
   m.is_brief = not (wants.yapp or wants.taurus)
   m.seq, m.ctl, m.payload, m.size = address.seq, address.ctl, payload, #payload
   m.frame, m.time, m.visited = facts.number, view.pinfo.rel_ts, facts.is_again
-  m.is_whole, m.is_unsure = true, nil
-  m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta, m.tvb = nil, nil, nil, nil, nil, nil, nil, nil
+  m.is_whole, m.is_unsure, m.tvb = true, nil, nil
   return m
 end
 
--- A message that came the short way, of which nobody wants YAPP's own items; returns what the Info column says of it.
-local function plain_message(self, view)
-  local payload, wants = view.record.message.payload, view.wants
-  local m = finished(view, payload)
-  m.item = self.tree:bare(view.tree, wants, true)
-  m.status, m.good = "good", true
+-- The short way's own such table, while nobody wants YAPP's own items: next to nothing in it changes.
+local function plain_message(names)
+  local m = names.message
+  m = { id = m.id, name = m.name, source = m.source, blind_source = m.blind_source, bus = m.bus, bus_name = m.bus_name,
+    at = 0, wanted = false, ctl = 0, visited = false, is_whole = true, status = "good", good = true }
+  names.plain = m
+  return m
+end
+
+-- Shows such a message; returns what the Info column says of it.
+local function show_plain(self, m, wants, record)
+  local payload = record.message.payload
+  m.payload, m.size, m.frame, m.tvb = payload, #payload, record.look, nil
+  m.has_columns, m.is_brief = wants.columns, not wants.taurus
   if wants.taurus then m.tvb = ByteArray.new(payload, true):tvb(REASSEMBLED) end
-  return self.tree:payload(self:read(m, view.record))
+  return self.tree:payload(self:read(m, record))
 end
 
 local plain_facts = { is_again = false } -- of a frame that came the short way, and of no other
 
--- Has the memory take a frame; the short way, where it goes: a new one of which nothing can be said but that it begins
--- a message, is its next part, or all that it lacks.
--- returns  its record and facts; nil for a frame that is not YAPP's
-local function take(self, tvb, pinfo, address, is_wide)
-  local memory = self.memory
-  if not memory.is_again and address.ctrl ~= SINGLE then
-    local number, place, data, bus = self.facts:plain_frame(tvb, pinfo, memory.highest)
-    local record = number and memory:plain(address, number, place, data, bus)
-    if record then
-      local facts = plain_facts
-      facts.number, facts.data, facts.reported, facts.bus = number, data, #data, bus
-      return record, facts
-    end
+-- Shows a frame that the memory took; returns its length.
+-- view  { tvb, pinfo, tree, address }
+local function show_taken(self, view, facts, record)
+  local address, pinfo, bus, is_again = view.address, view.pinfo, facts.bus, facts.is_again
+  local of_bus = self.names[bus or false]
+  local names = of_bus and of_bus[address.id] or new_names(self, address.id, bus)
+  local wants = not is_again and self.tree.wanted or self:wants(view.tree, pinfo, is_again)
+  view.facts, view.record, view.names, view.wants = facts, record, names, wants
+  if self.stat.wants_parts and record.message and not record.is_last then
+    local part = self:told_part(names, address, bus)
+    part.frame, part.time, part.visited = facts.number, pinfo.rel_ts, is_again
   end
-  local facts = self.facts:can_frame(tvb, pinfo, memory.highest)
-  if facts.reported == 0 then return nil end
-  if facts.is_odd and (facts.remote or facts.doubtful and facts.data == "") then
-    if facts.doubtful then memory:guess() else memory:pass_over(facts) end
-    return nil
+  local info = self:show(view)
+  if wants.columns then
+    local columns = pinfo.cols
+    columns.protocol, columns.src, columns.info = "YAPP", names.source, info
   end
-  facts.wide = is_wide
-  return memory:look(address, facts, self.record), facts
+  return facts.reported
 end
 
---- Dissects one frame.
+-- The long way of a frame, which all can go; returns what Carrier:dissect does.
+local function dissect_any(self, tvb, pinfo, tree, address, is_wide)
+  local memory, view = self.memory, self.view
+  local facts = self.facts:can_frame(tvb, pinfo, memory.highest)
+  if facts.reported == 0 then return 0 end
+  if facts.is_odd and (facts.remote or facts.doubtful and facts.data == "") then
+    if facts.doubtful then memory:guess() else memory:pass_over(facts) end
+    return 0
+  end
+  facts.wide = is_wide
+  local record = memory:look(address, facts, self.record)
+  if not record then return 0 end
+  view.tvb, view.pinfo, view.tree, view.address = tvb, pinfo, tree, address
+  return show_taken(self, view, facts, record)
+end
+
+--- Dissects one frame: on the short way where that goes, a new frame of which nothing can be said but that it begins a
+-- message, is its next part, or all that it lacks.
 -- can_id   29-bit CAN id
 -- is_wide  whether the user says that every extended frame is YAPP
 -- returns  the number of bytes that are ours, 0 for a frame that is not
 function Carrier:dissect(tvb, pinfo, tree, can_id, is_wide)
-  local builder, address, info = self.tree, address_of(can_id), nil
-  local record, facts = take(self, tvb, pinfo, address, is_wide)
-  if not record then return 0 end
-  local bus, is_again = facts.bus, facts.is_again
-  local of_bus = self.names[bus or false]
-  local names = of_bus and of_bus[address.id] or new_names(self, address.id, bus)
-  local wants = not is_again and builder.wanted or self:wants(tree, pinfo, is_again)
-  if self.reader.stat.wants_parts and record.message and not record.is_last then
-    local part = self:told_part(names, address, bus)
-    part.frame, part.time, part.visited = facts.number, pinfo.rel_ts, is_again
+  local memory, address = self.memory, address_of(can_id)
+  local taker, number, data, bus, message, is_last = memory.short[address.ctrl], nil
+  if taker then
+    number, data, bus = plain_frame(self.facts, tvb, pinfo, memory.highest, memory.usual)
+    if number then message, is_last = memory:plain(taker, address, number, data, bus) end
   end
-  local is_bare = facts == plain_facts and not wants.yapp -- most are: no tree, and nothing to say but the Info text
-  if not is_bare or record.is_last then
-    local view = self.view
-    view.tvb, view.pinfo, view.tree, view.wants = tvb, pinfo, tree, wants
-    view.address, view.facts, view.record, view.names = address, facts, record, names
-    if is_bare then info = plain_message(self, view) else info = self:show(view) end
-  elseif wants.names then
-    builder:bare(tree, wants)
+  if not message then return dissect_any(self, tvb, pinfo, tree, address, is_wide) end
+  local wants, of_bus = self.tree.wanted or self:wants(tree, pinfo, false), self.names[bus or false]
+  local names, length, info = of_bus and of_bus[address.id], #data, nil
+  if not names or wants.yapp then
+    local view, facts = self.view, plain_facts
+    facts.number, facts.data, facts.reported, facts.bus = number, data, length, bus
+    view.tvb, view.pinfo, view.tree, view.address = tvb, pinfo, tree, address
+    return show_taken(self, view, facts, memory:plain_record(number, message, is_last))
+  end
+  if wants.names then self.tree:bare(tree, wants, is_last) end
+  if is_last then
+    local m = names.plain or plain_message(names)
+    m.tree, m.item, m.seq, m.time = tree, tree, address.seq, pinfo.rel_ts
+    info = show_plain(self, m, wants, memory:plain_record(number, message, true))
+  elseif self.stat.wants_parts then
+    local part = self:told_part(names, address, bus)
+    part.frame, part.time, part.visited = number, pinfo.rel_ts, false
   end
   if wants.columns then
     local columns = pinfo.cols
     columns.protocol, columns.src = "YAPP", names.source
-    columns.info = info or newest_part(names, address, record.message, facts.number, facts.reported)
+    columns.info = info or newest_part(names, address, message, number, length)
   end
-  return facts.reported
+  return length
 end
 
 -- What anyone wants of a packet, see Tree:wants.
@@ -183,7 +207,7 @@ function Carrier:show(view)
   local builder, record, facts, info = self.tree, view.record, view.facts
   view.wanted = view.wants.yapp
   local is_message = record.is_last or record.alone and view.address.ctrl == 0
-  view.item = view.wanted and self:item(view) or builder:bare(view.tree, view.wants, is_message)
+  view.item = view.wanted and can_items.frame(builder, view) or builder:bare(view.tree, view.wants, is_message)
   if record.alone then
     info = self:show_alone(view)
   elseif record.is_last then
@@ -204,7 +228,7 @@ end
 function Carrier:show_faults(view)
   local facts, address = view.facts, view.address
   for _, fault in ipairs(view.record.faults) do self.tree:expert(view.item, fault.expert, fault.text) end
-  if not self.reader.stat.wanted then return end
+  if not self.stat.wanted then return end
   self.reader.tell:faults({ id = address.id, seq = address.seq, source = key_of(facts.bus, address.id),
     bus = facts.bus, bus_name = view.names.bus, frame = facts.number, time = view.pinfo.rel_ts,
     visited = facts.is_again, is_end = address.ctrl == self.parts.can_id.END }, view.record.faults)
@@ -233,27 +257,12 @@ function Carrier:unfinished()
   return list
 end
 
--- YAPP's own tree item, with what the CAN id says.
-function Carrier:item(view)
-  local builder, address = self.tree, view.address
-  local titles, ctrl = view.names.titles, address.ctrl
-  local title = titles[ctrl]
-  if not title then
-    title = ("%s, %s, %s"):format(builder.yapp.description, view.names.name, KINDS[ctrl] or "undefined frame")
-    titles[ctrl] = title
-  end
-  view.range = view.tvb()
-  local item = add(view.tree, builder.yapp, view.range, title)
-  builder:add_address(item, address, view.names.bus)
-  return item
-end
-
 -- A frame that stands alone: a single-frame message, or what belongs to none.
 function Carrier:show_alone(view)
   local address, data = view.address, view.facts.data
   if address.ctrl == 0 then return self:show_single(view) end
   if view.wanted and address.ctrl == START then
-    self:start_tree(view)
+    can_items.start(self.tree, view)
   elseif view.wanted and #data > 0 then
     add(view.item, self.tree.fields["fragment.data"], view.range)
   end
@@ -295,7 +304,7 @@ function Carrier:show_part(view)
   local leads_to = record.leads_to
   if view.wanted then
     if view.address.ctrl == START then
-      self:start_tree(view)
+      can_items.start(self.tree, view)
       append_text(item, (" of %d bytes"):format(record.message.size))
     elseif #view.facts.data > 0 then
       add(item, fields["fragment.data"], view.range)
@@ -307,14 +316,6 @@ function Carrier:show_part(view)
   return leads_to and ("%s  [Reassembled in #%d]"):format(text, leads_to) or text
 end
 
--- What a Start says, as far as it was captured.
-function Carrier:start_tree(view)
-  local fields, item, length = self.tree.fields, view.item, #view.facts.data
-  if length >= 4 then add_le(item, fields.crc, view.tvb(0, 4)) end
-  if length >= 6 then append_text(add_le(item, fields.size, view.tvb(4, 2)), " bytes") end
-  if length >= 8 then add_le(item, fields.reserved, view.tvb(6, 2)) end
-end
-
 -- The last frame of a message: what was put together.
 function Carrier:show_message(view)
   local builder, item, entry = self.tree, view.item, view.record.message
@@ -323,7 +324,7 @@ function Carrier:show_message(view)
   if #entry.payload > 0 and (view.wanted or view.wants.taurus) then
     message.tvb = ByteArray.new(entry.payload, true):tvb(REASSEMBLED)
   end
-  if view.wanted then self:message_tree(view, message) end
+  if view.wanted then can_items.message(builder, view, message, self.memory:frames_of(view.record)) end
   if status == "bad" then builder:bad_crc(item, entry) end
   if status == "short" or status == "overrun" then
     message.is_whole = false
@@ -333,22 +334,6 @@ function Carrier:show_message(view)
     return ("%s  %d of %d bytes%s"):format(view.names.name, entry.received, entry.size, STATUS_TEXT[status])
   end
   return builder:payload(self:read(message, view.record)) .. (STATUS_TEXT[status] or "")
-end
-
--- What YAPP's own item says of a message in its last frame.
-function Carrier:message_tree(view, message)
-  local builder, item, entry, data = self.tree, view.item, view.record.message, view.facts.data
-  local fields = builder.fields
-  add_generated(item, fields["reassembled.in"], view.facts.number)
-  append_text(add_generated(item, fields.size, entry.size), " bytes")
-  add_generated(item, fields.reserved, entry.reserved or 0)
-  builder:add_crc(item, nil, entry)
-  local numbers = self.memory:frames_of(view.record)
-  builder:add_fragments(item, message.tvb or view.tvb, numbers, entry.count, #entry.payload)
-  if entry.padding and entry.padding <= #data then
-    add(item, fields.padding, view.tvb(#data - entry.padding))
-  end
-  append_text(item, CRC_TEXT[entry.status] or ", CRC unverified")
 end
 
 return M

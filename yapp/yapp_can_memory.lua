@@ -1,92 +1,19 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- All that is known of a file's CAN frames.  Pure Lua, 5.2 and 5.4: it is told facts and asked what a frame is.
 --
--- A pass is frames in order, and each pass numbers its own looks at them; passes meet only at (frame number, place in
--- the packet, id).  A look is the frame's number; where the same number comes again, because the packet has several CAN
--- frames or because a read filter rejected the frame that had it, a fraction tells them apart.
--- ("Frames 7 and 8 come, -R drops 7: then 8 is called 7 again.  The looks are 7 and 7 + STEP; the second stays 7's.")
+-- A pass is frames in order, and each pass numbers its own looks at them (yapp_can_pass); passes meet only at (frame
+-- number, place in the packet, id).
 
 local M = {}
 
+local can_pass = require("yapp_can_pass")
 local can_reassembly = require("yapp_can_reassembly")
 
 local floor, plain, MAX_CREDIT = math.floor, can_reassembly.plain, can_reassembly.MAX_CREDIT
+local new_pass, next_look, find_look = can_pass.new, can_pass.next_look, can_pass.find_look
+local place_of, number_of = can_pass.place_of, can_pass.number_of
 
 local LINKS, NOTHING = { "command_in", "previous_change", "next_change" }, {} -- in a change of yapp_history
-
-local STEP = 2 ^ -21 -- two million frames of one number, of two thousand million numbers
-
--- A pass ------------------------------------------------------------------------------------------------------------
-
-local Pass = {}
-Pass.__index = Pass
-
-local function new_pass(memory)
-  local reassembly = can_reassembly.new(memory.parts, memory.size_of)
-  return setmetatable({
-    reassembly = reassembly, kept = reassembly.kept, archive = reassembly.kept.archive,
-    faults = reassembly.kept.faults, history = memory.new_history(),
-    highest = 0, latest = 0, -- number, and look, of the newest frame
-    is_taken = false,        -- whether that is YAPP's
-    repeats = {},            -- [number] = { [place] = look }, where a number came more than once
-    odd = {},                -- [number] = place, where it is not the usual one
-  }, Pass)
-end
-
--- The look at a frame that comes in order.
-local function next_look(pass, number, place)
-  if number > pass.highest then
-    if place ~= pass.usual then
-      pass.usual = pass.usual or place
-      if place ~= pass.usual then pass.odd[number] = place end
-    end
-    pass.highest, pass.latest, pass.place = number, number, place
-    return number
-  end
-  if place == pass.place and not pass.is_taken then return pass.latest end -- it was left to others
-  local places = pass.repeats[number] or { [pass.place] = pass.latest }
-  if place <= pass.place then -- another packet: a read filter rejected the one before
-    pass.is_filtered, places = true, {}
-  end
-  pass.latest, pass.place, pass.kept.has_fractions = pass.latest + STEP, place, true
-  places[place] = pass.latest
-  pass.repeats[number] = places
-  return pass.latest
-end
-
--- The look that a pass had at a frame, nil if none: the key of its id tells it from one that a read filter rejected.
-local function find_look(pass, number, place, key)
-  local places, look = pass.repeats[number], number
-  if places then
-    look = places[place]
-    if not look then return nil end
-  elseif (pass.odd[number] or pass.usual) ~= place then
-    return nil
-  end
-  local message, alone = pass.kept:entry(look)
-  if message and message.address.key == key then return look, message end
-  if alone and pass.kept.can_id.address(alone).key == key then return look end
-end
-
-local function place_of(pass, look)
-  local number = floor(look)
-  for place, other in pairs(pass.repeats[number] or {}) do
-    if other == look then return place end
-  end
-  return pass.odd[number] or pass.usual
-end
-
--- The number of the frame of a look; nil for one that a read filter rejected.
-local function number_of(pass, look)
-  local number = floor(look)
-  local places = pass.repeats[number]
-  if not places then return number end
-  for _, other in pairs(places) do
-    if other == look then return number end
-  end
-end
-
--- The memory --------------------------------------------------------------------------------------------------------
 
 local Memory = {}
 Memory.__index = Memory
@@ -97,13 +24,14 @@ Memory.__index = Memory
 --             new_history = function() -> a yapp_history, one for each pass;
 --             has_buses = whether the file is known to have several buses }
 -- It has is_again: whether a second look has been seen.  And highest: the highest number so far, infinity from then on.
--- A frame above it cannot have been looked at before, which saves asking Wireshark.
+-- A frame above it cannot have been looked at before, which saves asking Wireshark.  And usual: where the first frame
+-- was in its packet, nil before it.  And short: by CAN CTRL, who takes a frame on the short way (see Memory:plain).
 function M.new(parts, options)
   local self = setmetatable({ parts = parts, size_of = options.size_of, new_history = options.new_history,
     is_mixed = options.has_buses or false, is_guessed = false, is_blind = false, is_again = false, reached = 0,
-    highest = 0 }, Memory)
+    highest = 0, short = NOTHING }, Memory)
   self.first = new_pass(self)
-  self.plain_record = { pass = self.first, is_now = true }
+  self.reassembly, self.of_plain = self.first.reassembly, { pass = self.first, is_now = true } -- of the short way
   return self
 end
 
@@ -125,7 +53,7 @@ end
 
 -- Whether nothing of a message is kept: there is nobody who would look at it again.
 local function leaves_nothing(self, record)
-  return record == self.plain_record and self.first.kept.is_only_pass
+  return record == self.of_plain and self.first.kept.is_only_pass
 end
 
 -- Takes a frame in the order of a pass; returns whether it is YAPP's, and its message.
@@ -231,19 +159,32 @@ end
 
 --- The short way to take a new frame of which nothing can be said but that it begins a message, is a part of one, or
 -- ends it well.  The first frame, and that of a second bus, goes the long way: look notes what it says of the capture.
--- number, place, data, bus  as look has them of a new frame, its number above self.highest, that is whole and, for
---                           sure, no remote frame
--- returns                   a record as look does; nil where it is not so: then nothing was done, and look takes it
-function Memory:plain(address, number, place, data, bus)
-  local first, taker = self.first, plain[address.ctrl]
-  if not taker or place ~= first.usual or bus ~= self.first_bus and not self.is_mixed or
-    first.reassembly.credit < MAX_CREDIT then return nil end
-  local message, is_last = taker(first.reassembly, address, number, data, bus)
-  if not message then return nil end
-  self.highest, first.highest, first.latest, first.place, first.is_taken = number, number, number, place, true
-  local record = self.plain_record
+-- taker              self.short[CAN CTRL], not nil
+-- number, data, bus  as look has them of a new frame, its number above self.highest, that is in the usual place, whole
+--                    and, for sure, no remote frame
+-- returns            its message, and whether that ends here; nil where it is not so: then nothing was done, and look
+--                    takes it
+function Memory:plain(taker, address, number, data, bus)
+  local reassembly = self.reassembly
+  if bus ~= self.first_bus and not self.is_mixed or reassembly.credit < MAX_CREDIT then return nil end
+  local message, is_last = taker(reassembly, address, number, data, bus)
+  if message then self.highest = number end
+  return message, is_last
+end
+
+--- The record of a frame that has just come the short way, as look has it: until the next one.
+function Memory:plain_record(number, message, is_last)
+  local record = self.of_plain
   record.look, record.message, record.is_last = number, message, is_last
   return record
+end
+
+-- What came the short way, the first pass has to know before anything else comes.
+local function catch_up(self)
+  local first, highest = self.first, self.highest
+  if highest > first.highest and not self.is_again then
+    first.highest, first.latest, first.place, first.is_taken = highest, highest, self.usual, true
+  end
 end
 
 --- What a frame is.
@@ -259,17 +200,18 @@ end
 --            is_late = whether no pass had its id in time }
 function Memory:look(address, facts, record)
   local first, bus = self.first, facts.bus
+  catch_up(self)
   if bus then
     self.first_bus = self.first_bus or bus
     if bus ~= self.first_bus then self.is_mixed = true end
   end
   if not facts.is_again then
     local look = next_look(first, facts.number, facts.place)
-    if not self.is_again then self.highest = facts.number end
+    if not self.is_again then self.highest, self.usual, self.short = facts.number, first.usual, plain end
     local is_ours, message = take(self, first, address, facts, look)
     return is_ours and fill(self, record, first, look, true, message) or nil
   end
-  self.is_again, self.highest = true, math.huge
+  self.is_again, self.highest, self.short = true, math.huge, NOTHING
   local look, is_now, message = second_look(self, address, facts)
   if look then
     fill(self, record, self.second, look, is_now, message)

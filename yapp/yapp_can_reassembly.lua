@@ -265,7 +265,7 @@ end
 
 -- A Start of a known message, with nothing open in its slot.
 local function plain_start(self, address, look, data, bus)
-  local slot, known = slot_of(address, bus), self.size_of(address.id, bus)
+  local slot, known = bus and slot_of(address, bus) or address.key, self.size_of(address.id, bus)
   if self.slots[slot] or #data ~= 8 or address.ctl ~= 0 then return nil end
   local crc, size, reserved = self.can_id.start(data)
   if size ~= known or size <= 8 or reserved ~= 0 then return nil end
@@ -277,7 +277,7 @@ local function plain_start(self, address, look, data, bus)
 end
 
 local function plain_middle(self, address, look, data, bus)
-  local message = self.slots[slot_of(address, bus)]
+  local message = self.slots[bus and slot_of(address, bus) or address.key]
   local chunks = message and message.chunks
   if not chunks or message.truncated then return nil end
   local received, parts, count = message.received + #data, message.parts, message.count + 1
@@ -290,7 +290,7 @@ end
 
 -- An End that has all that is missing, as the CRC says.
 local function plain_end(self, address, look, data, bus)
-  local slot = slot_of(address, bus)
+  local slot = bus and slot_of(address, bus) or address.key
   local message = self.slots[slot]
   local chunks = message and message.chunks
   if not chunks or message.truncated or message.received + #data ~= message.size then return nil end
@@ -312,7 +312,7 @@ end
 -- returns          its message, and whether it ends here; nil where it is not so: then nothing was done, and
 --                  Reassembly:frame takes the frame
 -- Not to be called while the reassembly's credit is below MAX_CREDIT: each frame that comes has to bring some.
-M.plain = { plain_start, plain_middle, plain_end }
+M.plain = { plain_start, plain_middle, plain_end } -- by CAN CTRL
 
 --- The messages that began and have not ended: at the end of the capture these are unfinished.
 -- returns  list of messages

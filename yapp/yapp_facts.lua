@@ -25,6 +25,8 @@ local IN_WIRESHARK = gui_enabled() -- tshark numbers frames anew (-R), and all o
 
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset -- see yapp_tree_items
 
+local told -- the reader of candump text: { current_bus, current_bus_name, plain_bus }; set in M.watch
+
 local DIRECTION = { 0, 1, 0, 1 } -- of RTAC events: data sent, data received, ...
 local MASK = 0x20000000 -- of the 29 bits of an id
 
@@ -33,9 +35,10 @@ Facts.__index = Facts
 
 --- Looks at files from now on.  Call it once.
 -- head     the module yapp_file_head
--- candump  the reader of candump text: { current_bus, current_bus_name, plain_bus }
+-- candump  what `told` says
 function M.watch(head, candump)
-  local self = setmetatable({ found = head.read(""), candump = candump, record = {} }, Facts)
+  told = candump
+  local self = setmetatable({ found = head.read(""), record = {} }, Facts)
   -- A reader that never reads: the only place where the API shows a file.  It names both arguments: what a reader does
   -- not hold may be collected while it reads, and Wireshark writes into both when it is back.
   local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the first bytes", "rms")
@@ -56,7 +59,7 @@ end
 
 --- A new file is about to be dissected.
 function Facts:init()
-  self.only_name = self.found.name or self.candump.plain_bus
+  self.only_name = self.found.name or told.plain_bus
   self.own_name = self.found.own_name or self.only_name
   if self.found.sources or self.is_wanted and self.found.later then
     self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS)
@@ -64,6 +67,7 @@ function Facts:init()
     remove(self.bus_tap)
     self.bus_tap = nil
   end
+  self.place = self.found.place
   self.asks_bus, self.is_apart = (self.bus_tap or self.found.later) and true or false, self.found.sources
   remove(self.can_tap)
   self.can_tap, self.asked_at = nil, nil
@@ -159,14 +163,14 @@ end
 --- Where the current packet was captured.
 -- returns  number, nil where nothing says; and whether this pass can know it
 function Facts:bus(pinfo)
-  local candump = self.candump
-  if candump.current_bus then
-    self.names[candump.current_bus] = self.names[candump.current_bus] or candump.current_bus_name
-    return candump.current_bus, true
+  local bus = told.current_bus
+  if bus then
+    self.names[bus] = self.names[bus] or told.current_bus_name
+    return bus, true
   end
   if not self.bus_tap and not self.found.later then return nil, true end
   local visited = pinfo.visited
-  local bus = visited and self.buses[pinfo.number]
+  bus = visited and self.buses[pinfo.number]
   if bus then return bus, true end
   if self.says_bus[visited] == false then return nil, false end
   local fields = by_name(true, pcall(all_field_infos))
@@ -251,16 +255,16 @@ local function is_remote(self, pinfo)
   return text:find("Remote", 1, true) ~= nil and tostring(pinfo.cols.protocol) ~= "CANFD"
 end
 
---- What there is to know of a frame that is new, whole, and surely no remote frame: most are.
--- highest  as for can_frame
--- returns  number, place, data, bus; nothing for a frame that can_frame has to look at
-function Facts:plain_frame(tvb, pinfo, highest)
-  local number, bus = pinfo.number, self.candump.current_bus
+--- What there is to know of a frame that is new, whole, where frames usually are, and surely no remote frame: most are.
+-- highest  as for can_frame; usual: where the first frame of the file was in its packet
+-- returns  number, data, bus; nothing for a frame that can_frame has to look at
+function Facts:plain_frame(tvb, pinfo, highest, usual)
+  local number, bus = pinfo.number, told.current_bus
   if number <= highest or length_of(tvb) == 0 then return nil end
   local data = raw_of(tvb)
-  if #data ~= reported_of(tvb) or ZEROS[data] then return nil end
+  if #data ~= reported_of(tvb) or ZEROS[data] or not self.place and offset_of(tvb) ~= usual then return nil end
   if not bus and self.asks_bus then bus = self:bus(pinfo) end
-  return number, self.found.place or offset_of(tvb), data, bus
+  return number, data, bus
 end
 
 --- What a look at a CAN frame needs to know, asked for once.
@@ -272,16 +276,16 @@ function Facts:can_frame(tvb, pinfo, highest)
   local record, number = self.record, pinfo.number
   -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
   local data = length_of(tvb) > 0 and raw_of(tvb) or ""
-  record.number, record.place = number, self.found.place or offset_of(tvb)
+  record.number, record.place = number, self.place or offset_of(tvb)
   record.is_again = number <= highest and pinfo.visited
   record.reported, record.data = reported_of(tvb), data
   if self.asked ~= record.is_again then -- at a pass's first frame: a later one may need them
     self.asked = record.is_again
     can_fields(self, number)
   end
-  if self.asks_bus or self.candump.current_bus then
+  if self.asks_bus or told.current_bus then
     record.bus, record.informed = self:bus(pinfo)
-    record.is_apart = self.is_apart or self.candump.current_bus ~= nil
+    record.is_apart = self.is_apart or told.current_bus ~= nil
   elseif record.bus or not record.informed then
     record.bus, record.is_apart, record.informed = nil, false, true
   end

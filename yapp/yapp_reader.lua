@@ -113,12 +113,9 @@ end
 --          too; has_fault = whether a fault flag is set; change = what is new since the source's previous one
 -- memory   whose change(memory, m, ...) tells that (yapp_can_memory, yapp_serial_memory); ...: what it takes besides
 function Reader:read(m, memory, ...)
-  local message = self:message_of(m.id, m.bus_name)
-  m.message = message
-  if message and m.size == message.size and m.is_whole then
-    m.raws, m.look = self.decode.read(message, m.payload)
-    m.has_fault = m.look and has_alarm(message, m.raws)
-  end
+  local message, raws, look = self:message_of(m.id, m.bus_name), nil, nil
+  if message and m.size == message.size and m.is_whole then raws, look = self.decode.read(message, m.payload) end
+  m.message, m.raws, m.look, m.has_fault = message, raws, look, look and has_alarm(message, raws)
   m.change = memory:change(m, ...)
   if self.stat.wanted then self.tell:message(m) end
 end

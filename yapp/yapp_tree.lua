@@ -124,7 +124,8 @@ local function ask(self, tree, pinfo, is_steady)
   if not tree.hidden then -- false where there is none; always true from 4.6 on
     return not has_columns and NOTHING or is_steady and ONLY_LIST or LIST
   end
-  return { columns = has_columns, is_only_pass = is_steady and (has_columns or tree.visible), yapp = tree:referenced(self.yapp_handle or find_handles(self)),
+  return { columns = has_columns, is_only_pass = is_steady and (has_columns or tree.visible),
+    yapp = tree:referenced(self.yapp_handle or find_handles(self)),
     taurus = tree:referenced(self.taurus_handle or find_handles(self)),
     names = not SAYS_PROTOCOLS and not self.reader.stat.wanted }
 end

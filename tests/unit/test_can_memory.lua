@@ -129,27 +129,86 @@ local function told(known, record, frame)
   return ("%s %s"):format(said(known, record), change and change.delta)
 end
 
+-- What is said of a frame on the short way, where that takes it; and whether it does.
+local function see_short(known, frame)
+  local taker, message, is_last = known.short[frame.address.ctrl], nil, nil
+  if taker and frame.is_plain and frame.number > known.highest and frame.place == known.usual then
+    message, is_last = known:plain(taker, frame.address, frame.number, frame.data, frame.bus)
+  end
+  local record = message and known:plain_record(frame.number, message, is_last) or known:look(frame.address, frame, {})
+  return told(known, record, frame), message ~= nil
+end
+
 -- Frames on the short way, where that takes them, are what they are on the long way, and messages have the same
--- history: at their own looks and at all later ones.
+-- history: at their own looks and at all later ones.  And at their own looks where there are no later ones.
 function T.test_the_short_way_says_the_same()
   math.randomseed(23)
   local taken = { 0, 0, 0 } -- by CAN CTRL
-  local function see_short(known, frame)
-    local record = frame.is_plain and frame.number > known.highest and
-      known:plain(frame.address, frame.number, frame.place, frame.data, frame.bus) or nil
-    if record then taken[frame.address.ctrl] = taken[frame.address.ctrl] + 1 end
-    return told(known, record or known:look(frame.address, frame, {}), frame)
-  end
   for _ = 1, 60 do
-    local long, short, frames = new(), new(), odd_frames(math.random)
+    local long, short, only, frames = new(), new(), new(), odd_frames(math.random)
+    only:only_pass()
     for pass = 1, 3 do
       for i, frame in ipairs(frames) do
         frame.is_again, frame.is_apart = pass > 1, frame.bus ~= nil
-        lu.assertEquals(see_short(short, frame), told(long, long:look(frame.address, frame, {}), frame), i)
+        local expected, text, is_short = told(long, long:look(frame.address, frame, {}), frame), see_short(short, frame)
+        lu.assertEquals(text, expected, i)
+        if is_short then taken[frame.address.ctrl] = taken[frame.address.ctrl] + 1 end
+        if pass == 1 then lu.assertEquals(see_short(only, frame), expected, i) end
       end
     end
   end
   for ctrl = 1, 3 do lu.assertTrue(taken[ctrl] > 500, taken[ctrl]) end
+end
+
+-- The frames of so many messages one behind the other, each with a fault, on the short way.
+local function see_messages(known, count)
+  for i = 1, count do
+    for part, what in ipairs { "S", "M1", "M2", "M3", "E" } do
+      local id, data = frame_of(what, {})
+      local text = see_short(known, { address = can_id.address(id), data = data, reported = 8, place = 8,
+        number = 5 * (i - 1) + part, informed = true, is_plain = true })
+      if part == 5 then lu.assertStrContains(text, "good:") end
+      if part == 5 and i > 1 then known:note_fault(known.of_plain) end
+    end
+  end
+end
+
+local function size_of(...)
+  local count = 0
+  for _, one in ipairs { ... } do
+    for _ in pairs(one) do count = count + 1 end
+  end
+  return count
+end
+
+function T.test_the_only_pass_keeps_nothing()
+  for _, is_only in ipairs { true, false } do
+    local known = new()
+    if is_only then known:only_pass() end
+    see_messages(known, 1000)
+    local kept = known.first.kept
+    local archive = kept.archive
+    lu.assertEquals(size_of(kept.entries, archive.extras, archive.deltas, archive.faulty, archive.blocks) < 10, is_only)
+  end
+end
+
+-- It cannot be, but if it were, nothing would be lost that can be told.
+function T.test_a_pass_behind_the_only_one()
+  local known = new()
+  known:only_pass()
+  see_messages(known, 3)
+  lu.assertEquals(looks(known, WHOLE, AGAIN), "part part part part good:1,2,3,4,5")
+end
+
+-- A tap that sees a packet ahead of which nothing was looked at is one of the only pass.
+function T.test_what_a_tap_tells()
+  local known, again = new(), new()
+  looks(known, { WHOLE[1] })
+  known:tapped(1)
+  lu.assertTrue(known.first.kept.is_only_pass)
+  looks(again, WHOLE)
+  again:tapped(1)
+  lu.assertNil(again.first.kept.is_only_pass)
 end
 
 -- More than an archive's text has room for; and frames behind it, so that it would be packed.
