@@ -118,13 +118,14 @@ function Frames:good(message, is_settled)
     return false
   end
   local entries, count, last, kept = self.entries, message.count, message.last, self.archive
+  local is_usual = not (message.reserved or message.padding or message.duplicates) and count <= MAX_COUNT
   if is_settled and self.is_only_pass then
     for i = 1, count do entries[message[i]] = nil end
     if last >= kept.due then kept:pack(last) end
-    return true
+    return is_usual
   end
-  if message.reserved or message.padding or message.duplicates or count > MAX_COUNT or message.size > MAX_SIZE or
-    last - message[1] > MAX_DISTANCE or self.has_fractions and has_fractions(message) then return false end
+  if not is_usual or message.size > MAX_SIZE or last - message[1] > MAX_DISTANCE or
+    self.has_fractions and has_fractions(message) then return false end
   local distances = self.distances
   for i = 1, count do
     local look = message[i]

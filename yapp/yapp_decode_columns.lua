@@ -108,15 +108,16 @@ function cells.string(field, raw) return M.quoted(decode.value(field, raw)) end
 cells.int, cells.bytes = cells.uint, cells.string
 function cells.bool(_, raw) return raw == 0 and "0" or "1" end
 
--- A function of the raw value that keeps what it made, as long as that is not too much.
-local function remembering(field)
-  local known, count, make = {}, 0, cells[field.kind]
+-- A function of the raw value that keeps what it made in a table, as long as that is not too much.
+local function remembering(field, known)
+  local count, make = 0, cells[field.kind]
   return function(raw)
-    local text = known[raw]
-    if text then return text end
-    if count >= MOST_CELLS then known, count = {}, 0 end
-    text, count = make(field, raw), count + 1
-    known[raw] = text
+    if count >= MOST_CELLS then
+      for key in pairs(known) do known[key] = nil end
+      count = 0
+    end
+    local text = make(field, raw)
+    known[raw], count = text, count + 1
     return text
   end
 end
@@ -128,19 +129,46 @@ end
 
 -- Rows --------------------------------------------------------------------------------------------------------------
 
--- One field's line of source.
-local function line_source(field, i)
-  if field.kind == "time" then return format("out[%d] = seconds(time(payload, %d))", i, field.offset) end
-  if field.kind ~= "float" or has_few(field) or field.size > 6 then
-    return format("out[%d] = CELLS[%d](raws[%d])", i, i, i)
+local MOST_CALLS = 50 -- of a row in one format: a function has up to 200 local variables, a call 250 arguments
+
+-- Whether a field is a compressed float that one format writes, if it has no special value.
+local function is_formatted(field)
+  return field.kind == "float" and not has_few(field) and field.size <= 6
+end
+
+-- What a field's cells are, as an expression.
+local function cell_source(field, i)
+  if field.kind == "time" then return format("seconds(time(payload, %d))", field.offset) end
+  if not has_few(field) then return format("CELLS[%d](raws[%d])", i, i) end
+  return format("KNOWN[%d][raws[%d]] or CELLS[%d](raws[%d])", i, i, i, i)
+end
+
+-- The usual row: one format.  A message with fields that are there in some cases only has none, nor one of many fields.
+local function usual_source(message)
+  local lines, formats, values = {}, {}, {}
+  for i, field in ipairs(message.fields) do
+    if field.when or i > MOST_CALLS then return "" end
+    if is_formatted(field) then
+      lines[#lines + 1] = format("local a%d = raws[%d]\nif a%d > %d then return nil end", i, i, i, field.ordinary)
+      formats[i], values[i] = decode.format_of(field) .. ",", decode.float_source(field, "a" .. i)
+    else
+      formats[i], values[i] = "%s", cell_source(field, i)
+    end
   end
+  return format('%s\nreturn format("%s", %s)', concat(lines, "\n"), concat(formats, ","), concat(values, ", "))
+end
+
+-- Any row: cell by cell.
+local function line_source(field, i)
+  if not is_formatted(field) then return format("out[%d] = %s", i, cell_source(field, i)) end
   return format('a = raws[%d]\nif a > %d then out[%d] = SPECIALS[%d - a] else out[%d] = format("%s,", %s) end', i,
     field.ordinary, i, field.top, i, decode.format_of(field), decode.float_source(field, "a"))
 end
 
 local function row_source(message)
-  local lines = { "local CELLS, SPECIALS, EMPTY, out, format, concat, time, seconds = ...",
-    "return function(payload, raws) local a" }
+  local lines = { "local KNOWN, CELLS, SPECIALS, EMPTY, out, format, concat, time, seconds = ...",
+    "local function usual(payload, raws)", usual_source(message), "end", "return function(payload, raws)",
+    "local a = usual(payload, raws) if a then return a end" }
   for i, field in ipairs(message.fields) do
     local line, when = line_source(field, i), field.when
     if when then
@@ -154,14 +182,15 @@ end
 
 -- The writer of a message: { row, version of the divisor }.
 local function make_writer(message)
-  local made, empty = {}, {}
+  local known, made, empty = {}, {}, {}
   for i, field in ipairs(message.fields) do
     local make = cells[field.kind]
-    made[i] = has_few(field) and remembering(field) or make and function(raw) return make(field, raw) end
+    known[i] = {}
+    made[i] = has_few(field) and remembering(field, known[i]) or make and function(raw) return make(field, raw) end
     empty[i] = (","):rep(#columns_of(field) - 1)
   end
   local chunk = assert(load(row_source(message), "=row of " .. message.name))
-  local row = chunk(made, SPECIALS, empty, {}, format, concat, decode.time, decode.seconds)
+  local row = chunk(known, made, SPECIALS, empty, {}, format, concat, decode.time, decode.seconds)
   return { row = row, version = select(2, decode.divisor()) }
 end
 

@@ -110,7 +110,11 @@ local function tap_packets(self)
       self.plugin.tapped(pinfo.number)
     end
     local number = feed.number
-    feed:packet(number and pinfo.number, (number or self.wants_parts) and pinfo.rel_ts)
+    if number or self.wants_parts then
+      feed:packet(number and pinfo.number, pinfo.rel_ts)
+    elseif feed.waiting_count > 0 then
+      feed:packet()
+    end
   end
   function tap.reset() feed:reset() end
   return tap

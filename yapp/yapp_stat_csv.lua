@@ -100,7 +100,7 @@ function Csv:message(record)
   if not record.fits or not (record.good or options.all and record.is_bad) then return end
   if options.chosen and message ~= options.chosen then return end
   local seconds, nanoseconds = self.context.clock(record.rel)
-  local row = ("%s,%d%s%d,%s%s\n"):format(json.time(seconds, nanoseconds).json, record.frame,
+  local row = ("%s,%d%s%d,%s%s\n"):format(json.time_text(seconds, nanoseconds), record.frame,
     self.prefixes[source.key] or prefix(self, source), record.seq,
     options.all and (record.good and "1," or "0,") or "", self.context.columns.row(message, record.payload))
   if options.chosen then return self.context.out(row) end

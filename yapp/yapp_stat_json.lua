@@ -51,13 +51,18 @@ function M.raw(json)
   return { json = json }
 end
 
---- A time of the capture as a number with nine digits.
+--- A time of the capture with nine digits, as text.
 -- seconds, nanoseconds  integers, nanoseconds 0 .. 999,999,999
-function M.time(seconds, nanoseconds)
+function M.time_text(seconds, nanoseconds)
   if seconds < 0 and nanoseconds > 0 then -- -1 s and 9e8 ns are -0.1 s
-    return { json = format("-%d.%09d", -seconds - 1, 1000000000 - nanoseconds) }
+    return format("-%d.%09d", -seconds - 1, 1000000000 - nanoseconds)
   end
-  return { json = format("%d.%09d", seconds, nanoseconds) }
+  return format("%d.%09d", seconds, nanoseconds)
+end
+
+--- The same as a number.
+function M.time(seconds, nanoseconds)
+  return { json = M.time_text(seconds, nanoseconds) }
 end
 
 --- A span in seconds with nine digits, nil for nil.

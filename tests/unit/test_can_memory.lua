@@ -38,8 +38,9 @@ local function frame_of(what, more)
   if what == "C" then return id_of(0, 0), "1234567" end
   if what == "?" then return id_of(0x123, 2), "12345678" end
   if what == "S" then
-    local header = can_id.header({ id = id, seq = more.seq or 0, ctl = 0 }, 32)
-    return id_of(id, 1, more.seq), little_endian(crc.of(header .. payload), 4) .. little_endian(32, 2) .. "\0\0"
+    local header = can_id.header({ id = id, seq = more.seq or 0, ctl = 0 }, 32, more.reserved)
+    return id_of(id, 1, more.seq),
+      little_endian(crc.of(header .. payload), 4) .. little_endian(32, 2) .. little_endian(more.reserved or 0, 2)
   end
   if what == "E" then return id_of(id, 3, more.seq), payload:sub(25) end
   local index = tonumber(what:sub(2))
@@ -94,13 +95,15 @@ function T.test_one_pass_and_later_looks()
 end
 
 -- 300 frames of which some get lost, come twice, are cut short or all zeros, interleave, share a packet, or lie in
--- another place of it than those before.
+-- another place of it than those before; where the user says that all are YAPP's, some have reserved bytes.
 local function odd_frames(random)
   local frames, number, place, buses, more, bus = {}, 0, 8, random(0, 2), nil, nil
+  local is_wide = random(2) == 1
   for i = 1, 300 do
     local what = ({ "S", "M1", "M2", "M3", "E" })[random(24) > 1 and (i - 1) % 5 + 1 or random(5)]
     if i % 5 == 1 or random(24) == 1 then
-      more = { id = 0x210 + random(0, 1) * random(0, 1), payload = random(2) }
+      more = { id = 0x210 + random(0, 1) * random(0, 1), payload = random(2),
+        reserved = is_wide and random(5) == 1 and 5 or nil }
       bus = buses > 0 and random(buses) or nil
     end
     local id, data = frame_of(what, more)
@@ -111,7 +114,7 @@ local function odd_frames(random)
     for _ = 1, random(25) == 1 and 2 or 1 do
       if not is_second then number = number + random(2) end
       frames[#frames + 1] = { address = can_id.address(id), data = data, reported = reported, number = number,
-        place = is_second and 40 or place, bus = bus, wide = false, informed = true,
+        place = is_second and 40 or place, bus = bus, wide = is_wide, informed = true,
         is_plain = #data == reported and not is_zeros, doubtful = is_zeros and buses == 0 and random(2) == 1 }
       is_second = false
     end
