@@ -67,7 +67,7 @@ end
 
 -- Builders ----------------------------------------------------------------------------------------------------------
 
--- How the tree of a message is built: { build, list (its ProtoFields by number), elements (indices), wanted }.
+-- How the tree of a message is built: { build, list (of yapp_tree_taurus_source), elements (indices), wanted }.
 local function make_builder(self, message)
   local others, elements = {}, {}
   for i, field in ipairs(message.fields) do
@@ -101,8 +101,15 @@ end
 -- cannot change the answers are kept.
 local function wanted(builder, tree, is_steady)
   if builder.wanted and is_steady then return builder.wanted end
-  local want = {}
-  for number, pf in ipairs(builder.list) do want[number] = tree:referenced(pf) or nil end
+  local list, want = builder.list, { flags = {} }
+  for number, pf in ipairs(list) do want[number] = tree:referenced(pf) or nil end
+  for i, numbers in pairs(list.flags) do
+    local few, is_any = {}, want[numbers.first] or want[numbers.last]
+    for number = numbers.first + 1, numbers.last - 1 do
+      if want[number] then few[#few + 1] = list[number] end
+    end
+    want.flags[i] = (is_any or few[1]) and few or nil
+  end
   builder.wanted = want
   return want
 end

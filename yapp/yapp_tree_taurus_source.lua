@@ -67,26 +67,26 @@ end
 
 lines_of.int, lines_of.bool = lines_of.uint, lines_of.uint
 
+-- The flags of a tree that is not shown are a list of those that somebody wants: want.flags[i].
 function lines_of.flags(field, i, made, list, parent)
-  local pf = number_of(list, made.pf)
-  local lines, numbers = {}, { format("want[%d]", pf) }
-  for j, flag in ipairs(made.flags) do
-    local number = number_of(list, flag)
-    numbers[j + 1] = format("want[%d]", number)
-    lines[j] = format("if all or want[%d] then add_le(item, P[%d], r) end", number, number)
-  end
+  local pf, rows = number_of(list, made.pf), {}
+  for j, flag in ipairs(made.flags) do rows[j] = format("add_le(item, P[%d], r)", number_of(list, flag)) end
   local undefined = number_of(list, made.undefined)
-  numbers[#numbers + 1] = format("want[%d]", undefined)
-  lines[#lines + 1] = format("a = band(a, %d) if a ~= 0 then add(item, P[%d], r, a) end", field.undefined, undefined)
-  local head = {
-    format("if all or %s then", concat(numbers, " or ")),
+  list.flags[i] = { first = pf, last = undefined }
+  return {
+    format("local few = want and want.flags[%d]", i),
+    "if all or few then",
     format("local r = %s", range_of(field)),
     format("local item = add_le(%s, P[%d], r)", parent, pf),
-    format("if all and a ~= 0 then local names = names(F[%d], a)", i),
+    "if all then",
+    format("if a ~= 0 then local names = names(F[%d], a)", i),
     'if names ~= "" then append(item, " (" .. names .. ")") end end',
-    format("items[%d] = item", i),
+    concat(rows, "\n"),
+    "else for j = 1, #few do add_le(item, few[j], r) end end",
+    format("items[%d], a = item, band(a, %d)", i, field.undefined),
+    format("if a ~= 0 then add(item, P[%d], r, a) end", undefined),
+    "end",
   }
-  return { concat(head, "\n"), concat(lines, "\n"), "end" }
 end
 
 -- A time has no raw value: whether it is there depends on the payload, and on its case.
@@ -110,9 +110,11 @@ local FIELDS_OF_A_PART = 50
 -- others    [index of field] = function(parent, range, raw, payload) that adds what is not written out here
 -- api       { add, add_le, append_text of TreeItem, range of Tvb }
 -- returns   function(top, tvb, at, raws, payload, items, want): items gets the items by index of field; want is nil
---           when all is shown, else { [number] = true } of the ProtoFields that are wanted; and those by number
+--           when all is shown, else { [number] = true, flags = { [index of a flags field] = list } } of the ProtoFields
+--           that are wanted, a list where the field or any flag is; and the ProtoFields by number, with flags =
+--           { [index] = { first =, last = } }, the numbers of a flags field, its flags, and its undefined bits
 function M.make(message, fields, others, api)
-  local list, lines = {}, { HEAD }
+  local list, lines = { flags = {} }, { HEAD }
   for i, field in ipairs(message.fields) do
     if i % FIELDS_OF_A_PART == 1 then lines[#lines + 1] = BEGIN end
     local inside = field.inside and message.index[field.inside]
