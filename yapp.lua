@@ -92,7 +92,10 @@ local dissect_can = frames.dissect -- as Lua finds it faster
 local streams = parts.serial_carrier.new(parts, tree, reader, facts)
 local tell = parts.stat_tell.new(stat, reader)
 reader:tell_to(tell)
-function stat.plugin.tapped(number) frames:tapped(number) end
+function stat.plugin.tapped(number)
+  frames:tapped(number)
+  streams:tapped(number)
+end
 function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
 function stat.plugin.has_source(name) return reader.sources:has_name(name) end
 function stat.plugin.unfinished()

@@ -103,6 +103,12 @@ function Archive:pack(newest)
   end
 end
 
+--- Throws away what is in the tables, instead of packing it: nobody will look at it again.
+function Archive:forget(newest)
+  self.extras, self.deltas, self.faulty, self.due = {}, {}, {}, newest + BLOCK
+  collector.packed(0)
+end
+
 -- Asking ------------------------------------------------------------------------------------------------------------
 
 --- The number in so many bytes of a text.

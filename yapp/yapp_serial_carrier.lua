@@ -104,7 +104,6 @@ local function read(self, view, index, message)
   m.has_columns = view.wants.columns
   m.name, m.frame, m.time = self.tree:name(message.id, name), fact.number, view.pinfo.rel_ts
   m.visited, m.is_brief, m.is_unsure = fact.visited, not view.wanted, nil
-  m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
   self.reader:read(m, self.memory, view.packet, index, fact)
   return m
 end
@@ -254,6 +253,11 @@ local function facts_of(self, tvb, pinfo, length)
   return fact, bus_of(pinfo, kind), self.facts:bus_name(source, kind == UDP or kind == TCP)
 end
 
+--- tshark's taps see one of the first packets: see yapp_serial_memory.
+function Carrier:tapped(number)
+  self.memory:tapped(number)
+end
+
 --- Dissects what a carrier hands over.
 -- returns the number of bytes that are ours
 function Carrier:dissect(tvb, pinfo, tree)
@@ -264,6 +268,7 @@ function Carrier:dissect(tvb, pinfo, tree)
   if not packet then return 0 end
   local events, transport, size = packet.events, fact.transport, #fact.bytes
   local wants = self.tree:wants(tree, pinfo, fact.visited)
+  if wants.is_only_pass then self.memory:only_pass() end
   if #events > 0 or transport ~= "segment" then
     local view = self.view
     view.tvb, view.pinfo, view.tree, view.packet, view.fact = tvb, pinfo, tree, packet, fact

@@ -13,7 +13,8 @@ local M = {}
 local Kept = {}
 Kept.__index = Kept
 
---- Nothing is known yet.  It has archive, whose deltas are those of packets that are one good frame.
+--- Nothing is known yet.  It has archive, whose deltas are those of packets that are one good frame.  And is_only_pass,
+-- to be set: whether nobody will look at a packet again.
 function M.new()
   return setmetatable({ archive = archive.new(), pieces = {} }, Kept)
 end
@@ -23,12 +24,18 @@ function Kept:has(number)
   return self.archive.extras[number] ~= nil or self.pieces[number] ~= nil
 end
 
+-- Makes room for a packet, before anything is written of it: what is old is packed, or in the only pass goes.
+local function make_room(self, number)
+  local kept = self.archive
+  if number < kept.due then return end
+  if self.is_only_pass then kept:forget(number) else kept:pack(number) end
+end
+
 --- A packet that is one good frame.
 -- place  of its bytes
 function Kept:keep_place(number, place)
-  local kept = self.archive
-  kept.extras[number] = place
-  if number >= kept.due then kept:pack(number) end
+  make_room(self, number)
+  self.archive.extras[number] = place
 end
 
 -- Nothing is known any more of a piece: a packet that a read filter rejected had the same number.
@@ -46,6 +53,7 @@ end
 -- returns  whether it is one good frame: then the piece is not needed
 function Kept:keep(piece, fact)
   local number, place, event = fact.number, fact.place, piece.events[1]
+  make_room(self, number)
   drop(self, number, place)
   if event and event.good and event.from == piece.base and event.to - event.from == #fact.bytes and
     not self.archive.extras[number] then
@@ -54,12 +62,11 @@ function Kept:keep(piece, fact)
   end
   piece.place, piece.number, piece.other = place, number, self.pieces[number]
   self.pieces[number] = piece
-  if number >= self.archive.due then self.archive:pack(number) end
   return false
 end
 
---- Pieces that nothing changes any more become texts.  One of the number that may come again (-R) waits; one that has
--- been dropped, or is not the only piece of its packet, is let be.
+--- Pieces that nothing changes any more become texts, or in the only pass go.  One of the number that may come again
+-- (-R) waits; one that has been dropped, or is not the only piece of its packet, is let be.
 -- settled  list of pieces
 -- returns  list of those that wait
 function Kept:settle(settled, number)
@@ -67,8 +74,10 @@ function Kept:settle(settled, number)
   for _, piece in ipairs(settled) do
     local at = piece.number
     local is_only = self.pieces[at] == piece and not piece.other
-    if is_only and at == number then
+    if at == number and (is_only or self.is_only_pass) then
       rest[#rest + 1] = piece
+    elseif self.is_only_pass then
+      self.pieces[at] = nil
     elseif is_only and not kept:get(at) then
       local text = serial_piece.pack(piece)
       if text then self.pieces[at], kept.extras[at] = nil, text end

@@ -42,6 +42,17 @@ function M.new(crc, options)
     Memory)
 end
 
+--- Says that the first pass is the only one: next to nothing is kept.  (Were there a second one after all, it would
+-- find everything anew.)
+function Memory:only_pass()
+  self.first.kept.is_only_pass = true
+end
+
+--- tshark's taps see one of the first packets.  A first pass of two has none, and has had all packets before they do.
+function Memory:tapped(number)
+  if self.first.highest <= number then self:only_pass() end
+end
+
 -- What is known of a stream: when which message came; and, as far as it needs them, its framer, its length, the packets
 -- with bytes that wait, and the pieces that will not change behind the packet at hand.
 local function stream_of(pass, key)
@@ -280,7 +291,7 @@ function Memory:look(fact)
     first.informed = first.informed or fact.informed
     return take_packet(self, first, fact)
   end
-  if fact.informed and not first.informed then
+  if fact.informed and not first.informed or first.kept.is_only_pass then
     local packet = fact.number <= second.highest and recall(self, second, fact)
     if packet then return packet end
     if fact.number >= second.highest then return take_packet(self, second, fact) end

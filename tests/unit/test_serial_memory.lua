@@ -358,6 +358,44 @@ function T.test_parts_of_frames_cost_little()
   end
 end
 
+-- Whole frames, parts of frames and noise, in packets of any size, some of them two of a number.
+local function odd_packets(random)
+  local frames, packets, at = {}, {}, 1
+  for i = 1, 2000 do frames[i] = random(4) > 1 and generator.frame(5, ("%032d"):format(i)) or ("n"):rep(i % 40) end
+  local stream = table.concat(frames)
+  while at <= #stream do
+    local size, before = random(3) == 1 and 48 or random(90), packets[#packets]
+    local is_second = before and random(10) == 1
+    packets[#packets + 1] = { before and before[1] + (is_second and 0 or 1) or 1, stream:sub(at, at + size - 1),
+      place = is_second and before.place + 1 or 0 }
+    at = at + size
+  end
+  return packets
+end
+
+-- In the only pass packets say what they say in any first one, and nothing is kept; were there a second pass after all,
+-- it would find the frames again.
+function T.test_the_only_pass_keeps_nothing()
+  math.randomseed(29)
+  local packets, usual, only = odd_packets(math.random), new(), new()
+  only:tapped(1)
+  for i, packet in ipairs(packets) do
+    local fact = facts(packet, {})
+    local expected, found = usual:look(fact), only:look(fact)
+    lu.assertEquals(in_words(found, deltas_of(only, found, fact)),
+      in_words(expected, deltas_of(usual, expected, fact)), i)
+  end
+  lu.assertTrue(next(usual.first.kept.archive.blocks) ~= nil)
+  lu.assertNil(next(only.first.kept.archive.blocks))
+  local pieces = 0
+  for _ in pairs(only.first.kept.pieces) do pieces = pieces + 1 end
+  lu.assertTrue(pieces < 10, pieces)
+  for i, packet in ipairs(packets) do
+    local fact = facts(packet, { visited = true })
+    lu.assertEquals(#only:look(fact).events, #usual:look(fact).events, i)
+  end
+end
+
 -- A read filter (-R) that rejects many packets gives all of them one number.
 function T.test_one_number_for_many_packets()
   local memory = new()
