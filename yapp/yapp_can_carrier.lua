@@ -81,7 +81,7 @@ end
 local function plain_message(names)
   local m = names.message
   m = { id = m.id, name = m.name, source = m.source, blind_source = m.blind_source, bus = m.bus, bus_name = m.bus_name,
-    at = 0, wanted = false, ctl = 0, visited = false, is_whole = true, status = "good", good = true }
+    at = 0, wanted = false, visited = false, is_whole = true, status = "good", good = true }
   names.plain = m
   return m
 end

@@ -25,7 +25,8 @@ Memory.__index = Memory
 --             has_buses = whether the file is known to have several buses }
 -- It has is_again: whether a second look has been seen.  And highest: the highest number so far, infinity from then on.
 -- A frame above it cannot have been looked at before, which saves asking Wireshark.  And usual: where the first frame
--- was in its packet, nil before it.  And short: by CAN CTRL, who takes a frame on the short way (see Memory:plain).
+-- was in its packet, nil before it.  And short: by CAN CTRL, who takes a frame on the short way (see Memory:plain);
+-- empty before the first frame, and once a second look has been seen.
 function M.new(parts, options)
   local self = setmetatable({ parts = parts, size_of = options.size_of, new_history = options.new_history,
     is_mixed = options.has_buses or false, is_guessed = false, is_blind = false, is_again = false, reached = 0,
@@ -40,8 +41,8 @@ function Memory:guess()
   self.is_guessed = true
 end
 
---- Says that the first pass is the only one: what comes the short way leaves nothing behind.  (Were there a second one
--- after all, it would find everything anew.)
+--- Says that the first pass is the only one: what comes the short way leaves nothing behind.  Were there a second one
+-- after all, it would find everything anew, as behind a first that had to guess.
 function Memory:only_pass()
   self.first.kept.is_only_pass, self.is_guessed = true, true
 end

@@ -143,9 +143,11 @@ local function cell_source(field, i)
   return format("KNOWN[%d][raws[%d]] or CELLS[%d](raws[%d])", i, i, i, i)
 end
 
--- The usual row: one format.  A message with fields that are there in some cases only has none, nor one of many fields.
+-- The usual row: one format.  A message with fields that are there in some cases only has none, nor one of many fields
+-- or of padding only.
 local function usual_source(message)
   local lines, formats, values = {}, {}, {}
+  if not message.fields[1] then return "" end
   for i, field in ipairs(message.fields) do
     if field.when or i > MOST_CALLS then return "" end
     if is_formatted(field) then

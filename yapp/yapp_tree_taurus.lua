@@ -104,11 +104,14 @@ local function wanted(builder, tree, is_steady)
   local list, want = builder.list, { flags = {} }
   for number, pf in ipairs(list) do want[number] = tree:referenced(pf) or nil end
   for i, numbers in pairs(list.flags) do
-    local few, is_any = {}, want[numbers.first] or want[numbers.last]
+    local few = (want[numbers.first] or want[numbers.last]) and {} or nil
     for number = numbers.first + 1, numbers.last - 1 do
-      if want[number] then few[#few + 1] = list[number] end
+      if want[number] then
+        few = few or {}
+        few[#few + 1] = list[number]
+      end
     end
-    want.flags[i] = (is_any or few[1]) and few or nil
+    want.flags[i] = few
   end
   builder.wanted = want
   return want

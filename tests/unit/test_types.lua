@@ -271,4 +271,8 @@ function T.test_many_fields_of_every_kind()
   lu.assertEquals(select(2, columns.row(m, ("\1"):rep(size)):gsub(",", "")), #columns.columns(m) - 1)
 end
 
+function T.test_a_message_of_padding_only()
+  lu.assertEquals(columns.row(message(9, { "p", "padding", length = 9 }), ("x"):rep(9)), "")
+end
+
 return T
