@@ -6,8 +6,7 @@
 -- asks, by the packet's number and the place of the bytes in it (a packet in a tunnel may have several pieces).
 -- A first pass may be uninformed: `tshark -2` and sharkd build no tree then, nothing tells captured interfaces and
 -- directions apart, and their bytes are one stream.  A second pass that can and comes in order takes the packets again,
--- each source a stream of its own.  Where a packet's last bytes lead it cannot know yet, and it does not ask the first
--- pass for that: frames of two sources may begin with the same bytes.
+-- each source a stream of its own.  Where last bytes lead it cannot ask the first: two sources' frames may begin alike.
 --
 -- Most packets are one good frame and no more.  Of such a one only the place is kept, and what was noted of it: the
 -- rest is in its bytes, which come again with each look.  Of another its piece is kept (yapp_serial_kept).
@@ -50,7 +49,7 @@ end
 
 --- tshark's taps see one of the first packets.  A first pass of two has none, and has had all packets before they do.
 function Memory:tapped(number)
-  if self.first.highest <= number then self:only_pass() end
+  if not self.is_again and self.first.highest <= number then self:only_pass() end
 end
 
 -- What is known of a stream: when which message came; and, as far as it needs them, its framer, its length, the packets
@@ -291,6 +290,7 @@ function Memory:look(fact)
     first.informed = first.informed or fact.informed
     return take_packet(self, first, fact)
   end
+  self.is_again = true
   if fact.informed and not first.informed or first.kept.is_only_pass then
     local packet = fact.number <= second.highest and recall(self, second, fact)
     if packet then return packet end

@@ -47,8 +47,8 @@ function Tell:message(m)
   local is_truncated = m.status == "unverified" or m.status == "single" and not m.good
   if not (m.good or is_truncated or m.status == "bad") then return end
   -- All eight names at once: Lua's table of eight is half of one that grows to nine.
-  local record = { frame = m.frame, rel = m.time, source = self.sources[m.source] or source_of(self, m), seq = m.seq,
-    payload = m.payload, good = m.good, fits = m.raws ~= nil, change = m.change }
+  local record = { frame = m.frame, rel = m.time, source = source_of(self, m), seq = m.seq, payload = m.payload,
+    good = m.good, fits = m.raws ~= nil, change = m.change }
   if is_truncated then record.lost = LOST.truncated end
   if m.status == "bad" then record.is_bad = true end
   if m.is_unsure then record.is_unsure = true end

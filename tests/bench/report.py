@@ -212,9 +212,9 @@ def where(results, pure, messages):
 REMAINS = """\
 Above the floor remain {above:.1f} µs a message. {pure:.1f} µs of them are the protocol: five frames are put together, 44 bytes
 go through a CRC that Lua does not have, and values, faults and history are worked out in the order of the capture, because
-the Info column, an expert item or a statistic may need any of them. {asked:.1f} µs are asked of Wireshark, which alone knows whether a frame is
-cut or lies behind another in its packet, and the column Source. The rest joins these: for each frame its bus, id, open message
-and texts are looked up.
+the Info column, an expert item or a statistic may need any of them. {asked:.1f} µs are asked of Wireshark, which alone knows
+whether a frame is cut or lies behind another in its packet, and the column Source. The rest joins these: for each frame its
+bus, id, open message and texts are looked up.
 """
 
 

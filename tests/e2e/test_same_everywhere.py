@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What a frame is depends on nothing that is asked for: not on fields, filters and passes, not on what other layers show."""
 import functools
+import pathlib
 import random
 import re
 import shutil
@@ -249,6 +250,17 @@ def test_others_throw_at_frames_that_the_capture_cut(ids, layout, passes, folder
         "-o", "autosar-nm.can_id_mask:0xffffff00"))
     assert [row[0] for row in found] == [""] * 305 + ["1"]
     assert [bool(row[1]) for row in found] == [False] + [True] * 300 + [False] * 5
+
+
+@pytest.mark.parametrize("options, is_only", [
+    ((), True), (("-V",), True), (("-Y", "yapp"), True), (("-q", "-z", "yapp,csv,-,motor"), True),
+    (("-2",), False), (("-2", "-V"), False), (("-2", "-R", "yapp"), False), (("-2", "-q", "-z", "yapp,csv,-,motor"), False)])
+@pytest.mark.parametrize("name, carrier", [("document_motor.pcap", "can"), ("document_uart.pcap", "serial")])
+def test_nothing_is_kept_where_nobody_looks_again(name, carrier, options, is_only):
+    script = pathlib.Path(__file__).with_name("only_pass.lua")
+    done = tshark.run("-X", f"lua_script:{script}", "-r", tshark.CAPTURES / name, *options)
+    told = re.search("^only pass:(.*)$", done.stderr, re.MULTILINE)[1].split()
+    assert (carrier in told) == is_only
 
 
 def test_a_statistic_counts_nothing_that_a_read_filter_rejects(folder):
