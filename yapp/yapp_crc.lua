@@ -79,6 +79,17 @@ local function with_library(library)
         T7[a], T6[b], T5[c], T4[d], T3[e], T2[f], T1[g], T0[h]) % 0x100000000
       at = at + 8
     end
+    if at + 3 <= to then -- as what a CRC checks mostly ends
+      local a, b, c, d = byte(data, at, at + 3)
+      register = bxor(register, ((a * 0x100 + b) * 0x100 + c) * 0x100 + d) % 0x100000000
+      local z = register % 0x100
+      register = (register - z) / 0x100
+      local y = register % 0x100
+      register = (register - y) / 0x100
+      local x = register % 0x100
+      register = bxor(T3[(register - x) / 0x100], T2[x], T1[y], T0[z])
+      at = at + 4
+    end
     for i = at, to do
       register = bxor(lshift(register, 8), TABLE[bxor(rshift(register, 24), byte(data, i))])
     end
