@@ -40,9 +40,9 @@ local function read_csv(options, parts, catalogue)
       complain(options, part, "the options of csv are replace, all, json, filter=EXPRESSION")
     end
   end
-  if options.folder == "-" and not options.chosen and #options.problems == 0 then
-    complain(options, "csv,-", "it is csv,-,MESSAGE")
-  end
+  if options.folder ~= "-" or options.problems[1] then return end
+  if not options.chosen then complain(options, "csv,-", "it is csv,-,MESSAGE") end
+  if options.json then complain(options, "json", "csv,- prints a table; json is for csv,FOLDER") end
 end
 
 local NO_RULE = "no rule follows: it is for those behind it"

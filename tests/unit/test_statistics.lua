@@ -470,6 +470,7 @@ function T.test_wrong_options_are_named()
     ["events,filter= "] = "filter=: the display filter is missing",
     ["csv"] = "csv: it is csv,FOLDER or csv,-,MESSAGE",
     ["csv,-"] = "csv,-: it is csv,-,MESSAGE",
+    ["csv,-,motor,json"] = "json: csv,- prints a table; json is for csv,FOLDER",
     ["csv,-,moter"] = "moter: there is no such message in the catalogue",
     ["csv,x,over"] = "over: the options of csv are replace, all, json, filter=EXPRESSION",
     ["check,crc=-1"] = 'crc=-1: "-1" is not a number of messages',
