@@ -221,7 +221,7 @@ end
 
 -- By which packets of one stream know each other.
 local function key_of(pinfo, kind, source)
-  return ("%s|%s|%s|%s|%s|%s"):format(source or "", kind, tostring(pinfo.src), pinfo.src_port, tostring(pinfo.dst),
+  return ("%s|%d|%s|%d|%s|%d"):format(source or "", kind, tostring(pinfo.src), pinfo.src_port, tostring(pinfo.dst),
     pinfo.dst_port)
 end
 

@@ -70,8 +70,8 @@ local function message_of(self, event, bytes, at)
   local id, size, reserved, seq, ctl = frame.parse(bytes, at + 1)
   local length, crc, calculated = event.to - event.from, nil, nil
   local status = event.kind == "cut" and "cut" or event.good and "good" or "bad"
-  if status ~= "cut" then crc = frame.crc(bytes, at + length) end
   if status == "bad" then
+    crc = frame.crc(bytes, at + length)
     calculated = self.crc.update(self.crc.INITIAL, bytes, at + 1, at + length - CRC_SIZE)
   end
   return { status = status, id = id, seq = seq, ctl = ctl, size = size, reserved = reserved,
@@ -279,8 +279,8 @@ end
 --            leads_to = number of the packet that shows them, as far as is known;
 --            is_unfinished = whether the capture ends before the frame that they begin: a later look knows }
 --          An event is a frame, finished, or a range of bytes that belong to none (status and place only):
---          { status = "good" | "bad" | "cut" | "skipped", id, seq, ctl, size, reserved, payload, crc,
---            calculated = where bad, missing = bytes of one that is cut, truncated = whether the capture cut it,
+--          { status = "good" | "bad" | "cut" | "skipped", id, seq, ctl, size, reserved, payload,
+--            crc, calculated = where bad, missing = bytes of one that is cut, truncated = whether the capture cut it,
 --            length = bytes, at = 0-based in the packet, or bytes = string where it began in an earlier one,
 --            parts = numbers of the packets it came in and shown_in = the last, where it began in an earlier one }
 --          Nothing in it changes later.

@@ -163,8 +163,8 @@ function Stream:find_candidate()
 end
 
 -- One register runs over the bytes, for all waiting candidates together (see crc.advance).  It runs when something asks
--- for it, and before its bytes are moved to the pieces: all at once costs less than the bytes of each packet by themselves.
--- It stays in front of the sent CRC of each that waits.
+-- for it, and before its bytes are moved to the pieces: to run over each packet's bytes alone costs more.  It stays in
+-- front of the sent CRC of each that waits.
 function Stream:run_register(to)
   local buffer = self.buffer
   local text_from = buffer.text_from

@@ -80,7 +80,7 @@ function T.test_what_is_said_of_a_frame()
   bytes = bytes .. generator.little_endian(crc.of(bytes), 4)
   local event = new():look(facts({ 1, bytes }, {})).events[1]
   lu.assertEquals(event, { status = "good", id = 0x210, seq = 9, ctl = 3, size = 5, reserved = 0, payload = payload,
-    crc = crc.of(bytes:sub(1, -5)), length = 21, at = 0 })
+    length = 21, at = 0 })
   event = new():look(facts({ 1, "xy" .. bytes:sub(1, -2) .. "?" }, {})).events[2]
   lu.assertEquals({ event.status, event.at, event.crc % 0x1000000 == event.calculated % 0x1000000, event.calculated },
     { "bad", 2, true, crc.of(bytes:sub(1, -5)) })
