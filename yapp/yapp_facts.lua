@@ -43,7 +43,7 @@ function M.watch(head, candump)
   -- not hold may be collected while it reads, and Wireshark writes into both when it is back.
   local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the first bytes", "rms")
   function handler.read_open(file, _)
-    self.found = head.read(file:read(head.LENGTH) or "")
+    self.found, told.plain_bus = head.read(file:read(head.LENGTH) or ""), nil
     return false
   end
   function handler.read() return false end
@@ -61,14 +61,16 @@ end
 function Facts:init()
   self.only_name = self.found.name or told.plain_bus
   self.own_name = self.found.own_name or self.only_name
-  if self.found.sources or self.is_wanted and self.found.later then
+  -- A log that Wireshark's own reader takes was looked at to its end: it has one bus.
+  self.later = self.found.later and not told.plain_bus
+  if self.found.sources or self.is_wanted and self.later then
     self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS)
   else
     remove(self.bus_tap)
     self.bus_tap = nil
   end
   self.place = self.found.place
-  self.asks_bus, self.is_apart = (self.bus_tap or self.found.later) and true or false, self.found.sources
+  self.asks_bus, self.is_apart = self.found.sources or self.later, self.found.sources
   remove(self.can_tap)
   self.can_tap, self.asked_at = nil, nil
   self.says_bus, self.numbers, self.names, self.count = {}, {}, {}, 0
@@ -80,7 +82,7 @@ end
 --- Sees to it that the names of buses are known, whatever the file's first bytes say.
 function Facts:want_buses()
   self.is_wanted = true
-  if self.found.later then self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS) end
+  if self.later then self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS) end
 end
 
 --- Whether the file tells several sources apart, by its first bytes.
@@ -168,7 +170,7 @@ function Facts:bus(pinfo)
     self.names[bus] = self.names[bus] or told.current_bus_name
     return bus, true
   end
-  if not self.bus_tap and not self.found.later then return nil, true end
+  if not self.asks_bus then return nil, true end
   local visited = pinfo.visited
   bus = visited and self.buses[pinfo.number]
   if bus then return bus, true end

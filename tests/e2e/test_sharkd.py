@@ -101,3 +101,13 @@ def test_details_and_packet_list_in_turns(folder, home):
         assert "YAPP" in row["c"] and "without a Start" not in row["c"][-1], row
     assert "yapp.reassembled.in == 5" in {text for node in first["tree"] for text in filters_of(node)}
     assert "yapp.crc.status == 1" in {text for node in fifth["tree"] for text in filters_of(node)}
+
+
+def test_another_file(home):
+    """A log names its bus; the pcap that is opened behind it names none, and a log behind that one its own."""
+    log, pcap = tshark.CAPTURES / "candump_log_plain.log", tshark.CAPTURES / "document_motor.pcap"
+    load_pcap, load_log = ("load", {"file": str(pcap)}), ("load", {"file": str(log)})
+    answers = answers_of(home, log, details(1), load_pcap, details(5), load_log, details(1))
+    found = [{text for node in answer["tree"] for text in filters_of(node)} for answer in answers if "tree" in answer]
+    assert ['yapp.bus == "can0"' in one for one in found] == [True, False, True]
+    assert not any("yapp.bus" in text for text in found[1]), found[1]
