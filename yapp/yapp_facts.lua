@@ -38,12 +38,12 @@ Facts.__index = Facts
 -- candump  what `told` says
 function M.watch(head, candump)
   told = candump
-  local self = setmetatable({ found = head.read(""), record = {} }, Facts)
+  local self = setmetatable({ seen = head.read(""), record = {} }, Facts)
   -- A reader that never reads: the only place where the API shows a file.  It names both arguments: what a reader does
   -- not hold may be collected while it reads, and Wireshark writes into both when it is back.
   local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the first bytes", "rms")
   function handler.read_open(file, _)
-    self.found, told.plain_bus = head.read(file:read(head.LENGTH) or ""), nil
+    self.seen, told.plain_bus = head.read(file:read(head.LENGTH) or ""), nil
     return false
   end
   function handler.read() return false end
@@ -57,8 +57,10 @@ local function remove(tap)
   if tap then tap:remove() end
 end
 
---- A new file is about to be dissected.
+--- A new file is about to be dissected.  Until now what was seen may be of one that does not open, or that somebody only
+-- looks at in a file dialog.
 function Facts:init()
+  self.found = self.seen
   self.only_name = self.found.name or told.plain_bus
   self.own_name = self.found.own_name or self.only_name
   -- A log that Wireshark's own reader takes was looked at to its end: it has one bus.

@@ -10,6 +10,7 @@ import pytest
 
 import can_generator
 import levels
+import stream_captures
 import tshark
 
 pytestmark = [levels.by_route, pytest.mark.skipif(not shutil.which("sharkd"), reason="sharkd is not installed")]
@@ -31,7 +32,7 @@ def filters_of(node):
 
 def answers_of(home, path, *calls):
     """What sharkd answers to calls, each { method, parameters }, after it has loaded a file."""
-    calls = [("load", {"file": str(path)}), *calls]
+    calls = [load(path), *calls]
     lines = [json.dumps({"jsonrpc": "2.0", "id": at, "method": method, "params": parameters})
              for at, (method, parameters) in enumerate(calls, 1)]
     done = subprocess.run(["sharkd", "-"], input="\n".join(lines) + "\n", capture_output=True, text=True, check=True,
@@ -39,7 +40,15 @@ def answers_of(home, path, *calls):
     assert "Lua:" not in done.stderr, done.stderr
     answers = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
     assert len(answers) == len(calls) and answers[0]["result"] == {"status": "OK"}, done.stdout
-    return [answer["result"] for answer in answers[1:]]
+    return [answer.get("result") for answer in answers[1:]]
+
+
+def load(path):
+    return "load", {"file": str(path)}
+
+
+def filters_in(answer):
+    return {text for node in answer["tree"] for text in filters_of(node)}
 
 
 def details(number):
@@ -48,8 +57,7 @@ def details(number):
 
 def ask(home, path, frames):
     """What sharkd says of frames in this order: for each the filter expressions of its fields."""
-    return [{text for node in result["tree"] for text in filters_of(node)}
-            for result in answers_of(home, path, *map(details, frames))]
+    return [filters_in(answer) for answer in answers_of(home, path, *map(details, frames))]
 
 
 @pytest.mark.parametrize("layout", ["interfaces", "sll2", "merged", "merged interface"])
@@ -99,15 +107,30 @@ def test_details_and_packet_list_in_turns(folder, home):
     assert len(rows) == len(again) == len(frames)
     for row in rows + again:
         assert "YAPP" in row["c"] and "without a Start" not in row["c"][-1], row
-    assert "yapp.reassembled.in == 5" in {text for node in first["tree"] for text in filters_of(node)}
-    assert "yapp.crc.status == 1" in {text for node in fifth["tree"] for text in filters_of(node)}
+    assert "yapp.reassembled.in == 5" in filters_in(first)
+    assert "yapp.crc.status == 1" in filters_in(fifth)
 
 
 def test_another_file(home):
     """A log names its bus; the pcap that is opened behind it names none, and a log behind that one its own."""
     log, pcap = tshark.CAPTURES / "candump_log_plain.log", tshark.CAPTURES / "document_motor.pcap"
-    load_pcap, load_log = ("load", {"file": str(pcap)}), ("load", {"file": str(log)})
-    answers = answers_of(home, log, details(1), load_pcap, details(5), load_log, details(1))
-    found = [{text for node in answer["tree"] for text in filters_of(node)} for answer in answers if "tree" in answer]
+    answers = answers_of(home, log, details(1), load(pcap), details(5), load(log), details(1))
+    found = [filters_in(answers[at]) for at in (0, 2, 4)]
     assert ['yapp.bus == "can0"' in one for one in found] == [True, False, True]
     assert not any("yapp.bus" in text for text in found[1]), found[1]
+
+
+def test_a_file_that_does_not_open(folder, home):
+    """What the capture is does not follow the first bytes of the other (as of one only looked at in a file dialog)."""
+    packets = []
+    for number, fault in enumerate((0, 0, 1, 1)):  # fault flags, bit 0; two serial lines in turns
+        payload = bytes(18) + bytes([fault]) + bytes(13)
+        place = stream_captures.Place(stream_captures.EXPORTED_PDU, number % 2, 0)
+        packets.append(stream_captures.Packet(stream_captures.frame(0x210, payload), place))
+        packets[-1].time = stream_captures.EPOCH + number * 1000
+    path, other = folder / "two.pcapng", folder / "other.txt"
+    stream_captures.Capture("", packets, None, []).write(path)
+    other.write_text("no capture")
+    before, refused, after = answers_of(home, path, details(3), load(other), details(3))
+    assert refused is None and filters_in(after) == filters_in(before)
+    assert "taurus.motor.fault.raised == 0x00000001" in filters_in(before)
