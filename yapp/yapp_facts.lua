@@ -57,8 +57,8 @@ local function remove(tap)
   if tap then tap:remove() end
 end
 
---- A new file is about to be dissected.  Until now what was seen may be of one that does not open, or that somebody only
--- looks at in a file dialog.
+--- A new file is about to be dissected.  What was seen since the last one may be of others, which did not open or were
+-- only looked at in a file dialog: nothing of it counts before.
 function Facts:init()
   self.found = self.seen
   self.only_name = self.found.name or told.plain_bus
