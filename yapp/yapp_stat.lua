@@ -97,7 +97,7 @@ local function tap_clock(feed)
   return clock
 end
 
--- The tap that sees every packet.
+-- The tap that sees every packet, and the clock that it has.
 local function tap_packets(self)
   local feed = self.feed
   local tap, clock = Listener.new("frame"), tap_clock(feed)
@@ -117,7 +117,7 @@ local function tap_packets(self)
     end
   end
   function tap.reset() feed:reset() end
-  return tap
+  return tap, clock
 end
 
 local function tap_filter(feed, entry, filter)
@@ -165,11 +165,12 @@ function Stat:run(text)
   self:open()
   local taps, problem = self:begin(options, out)
   if taps then
-    taps[#taps + 1] = tap_packets(self)
+    local tap, clock = tap_packets(self)
+    taps[#taps + 1], taps[#taps + 2] = tap, clock.tap -- one that stayed would build a tree of every packet for ever
     retap_packets()
     local ok, code, texts = pcall(self.finish, self)
     for _, one in ipairs(ok and texts or { tostring(code) }) do out(one .. "\n") end
-    for _, tap in ipairs(taps) do tap:remove() end
+    for _, one in ipairs(taps) do one:remove() end
   else
     out(problem .. "\n")
   end

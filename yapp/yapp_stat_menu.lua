@@ -62,8 +62,13 @@ local function open_window(title, make)
   refresh()
 end
 
+-- Wireshark closes a window when Lua collects it: this one has no button that holds it.
+local texts = {}
+
 local function open_text(title, content)
-  TextWindow.new("YAPP " .. title):set(content)
+  local window = TextWindow.new("YAPP " .. title)
+  window:set(content)
+  texts[#texts + 1] = window
 end
 
 -- The preferences that say what is in a capture, as they are now.
