@@ -63,7 +63,7 @@ preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local facts = parts.facts.watch(parts.file_head, candump)
 local stat = parts.stat.new { version = VERSION, catalogue = catalogue, is_whole = is_whole, decode = decode,
-  columns = parts.decode_columns, opened = function() facts:want_buses() end }
+  columns = parts.decode_columns, wants_records = function(is_wanted) facts:want_buses(is_wanted) end }
 local reader = parts.reader.new(decode, catalogue, stat)
 local tree = parts.tree.new { yapp = yapp, taurus = taurus, catalogue = catalogue, reader = reader }
 

@@ -57,6 +57,16 @@ local function remove(tap)
   if tap then tap:remove() end
 end
 
+-- The tap that asks for the fields which tell buses: there while they are needed, as it makes Wireshark build trees.
+local function tap_buses(self)
+  if self.found.sources or self.is_wanted and self.later then
+    self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS)
+  else
+    remove(self.bus_tap)
+    self.bus_tap = nil
+  end
+end
+
 --- A new file is about to be dissected.  What was seen since the last one may be of others, which did not open or were
 -- only looked at in a file dialog: nothing of it counts before.
 function Facts:init()
@@ -65,12 +75,7 @@ function Facts:init()
   self.own_name = self.found.own_name or self.only_name
   -- A log that Wireshark's own reader takes was looked at to its end: it has one bus.
   self.later = self.found.later and not told.plain_bus
-  if self.found.sources or self.is_wanted and self.later then
-    self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS)
-  else
-    remove(self.bus_tap)
-    self.bus_tap = nil
-  end
+  tap_buses(self)
   self.place = self.found.place
   self.asks_bus, self.is_apart = self.found.sources or self.later, self.found.sources
   remove(self.can_tap)
@@ -81,10 +86,10 @@ function Facts:init()
   self.header_number, self.header_id, self.refused, self.asked = 0, nil, {}, nil
 end
 
---- Sees to it that the names of buses are known, whatever the file's first bytes say.
-function Facts:want_buses()
-  self.is_wanted = true
-  if self.later then self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS) end
+--- Sees to it that the names of buses are known, whatever the file's first bytes say; or, no more.
+function Facts:want_buses(is_wanted)
+  self.is_wanted = is_wanted
+  tap_buses(self)
 end
 
 --- Whether the file tells several sources apart, by its first bytes.

@@ -15,8 +15,8 @@ Stat.__index = Stat
 --           late = function() -> how many periods of its message make a gap one,
 --           has_source = function(name) -> whether the user gave some source this name,
 --           unfinished = function() -> records of the messages that the capture ends before,
---           opened = function(): records are wanted, with the names of their buses.  tshark handles -z when the file is
---           open and init has run, before the first packet;
+--           wants_records = function(whether records are wanted, with the names of their buses).  tshark handles -z
+--           when the file is open and init has run, before the first packet; in Wireshark a statistic begins and ends;
 --           tapped = function(number): tshark's taps see one of the first packets }
 -- Stat.wanted says whether anyone wants messages: ask it before making a record for Stat:offer.  Stat.wants_parts says
 -- whether anyone wants more than whole messages: when parts came, and the last packet.
@@ -148,7 +148,7 @@ end
 
 function Stat:open()
   self.feed, self.wanted = require("yapp_stat_feed").new(), true
-  self.plugin.opened()
+  self.plugin.wants_records(true)
 end
 
 function Stat:finish()
@@ -175,6 +175,7 @@ function Stat:run(text)
     out(problem .. "\n")
   end
   self.feed, self.wanted, self.wants_parts = nil, false, false
+  self.plugin.wants_records(false)
   return table.concat(said)
 end
 
