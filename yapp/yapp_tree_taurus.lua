@@ -11,7 +11,7 @@ local M = {}
 
 M.make_experts = tree_fields.make_experts
 
-local format = string.format
+local format, min = string.format, math.min
 
 local add, append_text, set_generated = items_of.add, items_of.append_text, items_of.set_generated
 local relative_time = items_of.relative_time
@@ -23,7 +23,7 @@ Taurus.__index = Taurus
 -- taurus     Proto
 -- catalogue  compiled
 function M.new(taurus, catalogue)
-  local self = setmetatable({ taurus = taurus, builders = {} }, Taurus)
+  local self = setmetatable({ taurus = taurus, builders = {}, asked = {} }, Taurus)
   self.messages, self.fields, self.experts = tree_fields.make(taurus, catalogue, decode.SPECIALS)
   return self
 end
@@ -65,82 +65,111 @@ function adders.time(self, parent, range, field, payload)
   return add(parent, self.fields[field].pf, range, NSTime.new(decode.time(payload, field.offset)))
 end
 
+-- What is wanted ----------------------------------------------------------------------------------------------------
+
+--- To be called before each file: what is wanted of a tree may be other than before.
+function Taurus:reset()
+  self.asked = {}
+  for _, builder in pairs(self.builders) do builder.steady = nil end
+end
+
+-- Whether somebody wants a ProtoField.  Asking is two calls; while the answer cannot change it is kept.
+local function is_wanted(self, item, pf, is_steady)
+  if not is_steady then return item.visible or item:referenced(pf) end
+  local answer = self.asked[pf]
+  if answer == nil then
+    answer = item.visible or item:referenced(pf)
+    self.asked[pf] = answer
+  end
+  return answer
+end
+
 -- Builders ----------------------------------------------------------------------------------------------------------
 
--- How the tree of a message is built: { build, list (of yapp_tree_taurus_source), elements (indices), wanted }.
-local function make_builder(self, message)
-  local others, elements = {}, {}
+-- A tree is built by a way: { build = of yapp_tree_taurus_source, elements = indices of an array's, is_named = whether
+-- it has the message's own field, differences = list of { difference, ProtoField } }.  There is one for a tree that is
+-- shown and, of one that is not, one for all that is wanted of it together.
+local MAX_WAYS = 16 -- kept of a message
+
+-- want     { [number] = true } of the ProtoFields that are wanted; nil for a tree that is shown
+-- returns  the way, and all ProtoFields by number
+local function make_way(self, message, want)
+  local others, own = {}, self.messages[message]
+  local way = { elements = {}, is_named = true, differences = {} }
   for i, field in ipairs(message.fields) do
     local adder = adders[field.kind]
     others[i] = adder and function(parent, range, raw, payload)
       return adder(self, parent, range, field, field.kind == "time" and payload or raw)
     end
-    if field.element then elements[#elements + 1] = i end
+    if field.element and not want then way.elements[#way.elements + 1] = i end
   end
-  local build, list = source.make(message, self.fields, others, items_of)
-  return { build = build, list = list, elements = elements, wanted = nil }
+  local list
+  way.build, list = source.make(message, self.fields, others, items_of, want)
+  list[#list + 1] = own.pf
+  if want then way.is_named = want[#list] end
+  for i, difference in ipairs(message.differences) do
+    list[#list + 1] = own.differences[i]
+    if not want or want[#list] then way.differences[#way.differences + 1] = { difference, list[#list] } end
+  end
+  return way, list
 end
 
+-- How the tree of a message is built: { shown = way, list = of all its ProtoFields, ways = { [what is wanted] = way },
+-- count = of these, steady = the way that stays until the next reset, or nil }.
 local function builder_of(self, message)
   local _, version = decode.divisor()
   if version ~= self.version then self.builders, self.version = {}, version end
   local builder = self.builders[message]
   if not builder then
-    builder = make_builder(self, message)
+    builder = { ways = {}, count = 0 }
+    builder.shown, builder.list = make_way(self, message)
     self.builders[message] = builder
   end
   return builder
 end
 
---- To be called before each file: what is wanted of a tree may be other than before.
-function Taurus:reset()
-  for _, builder in pairs(self.builders) do builder.wanted = nil end
+-- The way for a tree that is not shown.
+local function hidden_way(self, builder, message, tree)
+  local want, key = {}, {}
+  for number, pf in ipairs(builder.list) do
+    if tree:referenced(pf) then want[number], key[#key + 1] = true, number end
+  end
+  key = table.concat(key, " ")
+  local way = builder.ways[key]
+  if not way then
+    if builder.count == MAX_WAYS then builder.ways, builder.count = {}, 0 end
+    way = make_way(self, message, want)
+    builder.ways[key], builder.count = way, builder.count + 1
+  end
+  return way
 end
 
--- Which of the ProtoFields somebody wants of a tree that is not shown.  Asking is a call for each; while what is wanted
--- cannot change the answers are kept.
-local function wanted(builder, tree, is_steady)
-  if builder.wanted and is_steady then return builder.wanted end
-  local list, want = builder.list, { flags = {} }
-  for number, pf in ipairs(list) do want[number] = tree:referenced(pf) or nil end
-  for i, numbers in pairs(list.flags) do
-    local few = (want[numbers.first] or want[numbers.last]) and {} or nil
-    for number = numbers.first + 1, numbers.last - 1 do
-      if want[number] then
-        few = few or {}
-        few[#few + 1] = list[number]
-      end
-    end
-    want.flags[i] = few
+local function way_of(self, message, tree, is_steady)
+  local builder = builder_of(self, message)
+  local way = is_steady and builder.steady
+  if not way then
+    way = tree.visible and builder.shown or hidden_way(self, builder, message, tree)
+    if is_steady then builder.steady = way end
   end
-  builder.wanted = want
-  return want
-end
-
-local function add_differences(self, top, message, raws)
-  local all, items = top.visible, self.messages[message].differences
-  for i, difference in ipairs(message.differences) do
-    if all or top:referenced(items[i]) then
-      local value = decode.difference(message, difference, raws)
-      if value then set_generated(with_unit(add(top, items[i], value), difference)) end
-    end
-  end
+  return way
 end
 
 -- The tree of a message; returns it, and the items by index of field, for the expert items.
 local function build(self, tree, what)
   local message, payload, raws, tvb, at = what.message, what.payload, what.raws, what.tvb, what.at
-  local range = tvb(at, math.min(message.size, #payload))
+  local way, items = way_of(self, message, tree, what.is_steady), {}
+  local range = tvb(at, min(message.size, #payload))
   local top = add(tree, self.taurus, range, "Taurus " .. message.title)
-  items_of.set_hidden(add(top, self.messages[message].pf, range))
-  local builder, items = builder_of(self, message), {}
-  local want = not tree.visible and wanted(builder, tree, what.is_steady) or nil
-  builder.build(top, tvb, at, raws, payload, items, want)
-  for _, i in ipairs(builder.elements) do
+  if way.is_named then items_of.set_hidden(add(top, self.messages[message].pf, range)) end
+  way.build(top, tvb, at, raws, payload, items)
+  for _, i in ipairs(way.elements) do
     local item, field = items[i], message.fields[i]
     if item then item.text = field.title .. (item.text or ""):sub(#field.array_title + 1) end
   end
-  if message.differences[1] then add_differences(self, top, message, raws) end
+  for _, one in ipairs(way.differences) do
+    local value = decode.difference(message, one[1], raws)
+    if value then set_generated(with_unit(add(top, one[2], value), one[1])) end
+  end
   return top, items
 end
 
@@ -170,30 +199,24 @@ end
 local NONE, WAYS = {}, { "raised", "cleared" }
 
 -- Adds a generated field where somebody wants it; nil for a value or a field that is not there.
--- all  whether the tree is shown; else it is asked who wants the field
-local function add_generated(item, all, pf, value)
-  if not pf or value == nil or not (all or item:referenced(pf)) then return nil end
-  return items_of.add_generated(item, pf, value)
-end
-
--- The same for a time in seconds.
-local function add_time(item, all, pf, seconds)
-  if not pf or not seconds or not (all or item:referenced(pf)) then return nil end
-  return items_of.add_generated(item, pf, relative_time(seconds))
+-- convert  makes what is added of the value; nil: the value
+local function add_generated(self, item, m, pf, value, convert)
+  if not pf or value == nil or not is_wanted(self, item, pf, m.is_steady) then return nil end
+  return items_of.add_generated(item, pf, convert and convert(value) or value)
 end
 
 -- Adds what changed; returns the item of the clock's drift.
-local function add_values(self, item, all, m)
+local function add_values(self, item, m)
   local message, change = m.message, m.change
   local own, alarm, since = self.messages[message], message.alarms[1], change.active_since
   if alarm then
     local made = self.fields[alarm]
-    add_time(item, all, made.active_time, since and m.time - since)
-    add_generated(item, all, made.previous, change.previous_change)
-    add_generated(item, all, made.next, change.next_change)
+    add_generated(self, item, m, made.active_time, since and m.time - since, relative_time)
+    add_generated(self, item, m, made.previous, change.previous_change)
+    add_generated(self, item, m, made.next, change.next_change)
   end
-  add_generated(item, all, own.command_in, change.command_in)
-  return add_time(item, all, own.drift, change.drift)
+  add_generated(self, item, m, own.command_in, change.command_in)
+  return add_generated(self, item, m, own.drift, change.drift, relative_time)
 end
 
 --- Adds what the history says of a message, all of it generated, with its expert items.
@@ -201,17 +224,17 @@ end
 -- m        a message of yapp_reader, with its change; the frames in that are frame numbers
 -- is_tree  whether it is the Taurus item; else there are expert items only
 function Taurus:add_change(item, m, is_tree)
-  local change, all = m.change, is_tree and item.visible
+  local change = m.change
   for _, one in ipairs(change.flags or NONE) do
     local field = one.field
     for _, way in ipairs(WAYS) do
       local bits = decode.band(one[way], field.watched)
-      local added = bits ~= 0 and is_tree and add_generated(item, all, self.fields[field][way], bits)
+      local added = bits ~= 0 and is_tree and add_generated(self, item, m, self.fields[field][way], bits)
       if added then append_text(added, " (" .. decode.flag_names(field, bits) .. ")") end
       if bits ~= 0 and field.alarm then (added or item):add_proto_expert_info(self.experts["fault." .. way]) end
     end
   end
-  local drift = is_tree and add_values(self, item, all, m)
+  local drift = is_tree and add_values(self, item, m)
   if change.reboot then (drift or item):add_proto_expert_info(self.experts.reboot) end
   if change.stale then (drift or item):add_proto_expert_info(self.experts.stale) end
 end

@@ -4,13 +4,15 @@
 -- It runs for every message that is shown, and what is known of a message when it loads (places, masks, scales, labels)
 -- stands in it as numbers and texts:
 --   a = raws[5]
---   if a and (all or want[9]) then
---     if a <= 65530 then
+--   if a then
+--     if a > 65530 then items[5] = others[5](top, range(tvb, at + 8, 2), a)
+--     else
 --       a = format("%.7g", (-8387840.0 + a * 256.0) / 65530.0)
---       items[5] = add(top, P[9], range(tvb, at + 8, 2), tonumber(a), all and "DC Voltage: " .. a .. " V")
---     else items[5] = others[5](top, range(tvb, at + 8, 2), a, payload) end
+--       items[5] = add(top, P[9], range(tvb, at + 8, 2), tonumber(a), "DC Voltage: " .. a .. " V")
+--     end
 --   end
--- P and want go by numbers that count the ProtoFields of the message.
+-- P goes by numbers that count the ProtoFields of the message. Where a tree is not shown, its function has of this what
+-- somebody wants, and no labels.
 
 local decode = require("yapp_decode")
 
@@ -18,74 +20,72 @@ local M = {}
 
 local format, concat = string.format, table.concat
 
--- Adds a ProtoField to the list; returns its number.
-local function number_of(list, pf)
+-- Adds a ProtoField to the plan's; returns its number, and whether it is wanted.
+local function take(plan, pf)
+  local list, want = plan.list, plan.want
   list[#list + 1] = pf
-  return #list
+  return #list, not want or want[#list]
 end
 
 local function range_of(field)
   return format("range(tvb, at + %d, %d)", field.offset, field.size)
 end
 
--- Lines for a field, by kind: (field, i, made = its ProtoFields, list = the numbered ones, parent = source).
+-- Lines for a field, by kind: (plan, field, i, made = its ProtoFields, parent = source); nil where nobody wants it.
+-- plan  { list = ProtoFields by number, want = { [number] = true }, or nil where all are wanted }
 local lines_of = {}
 
 -- A rare kind is not written out: a function of yapp_tree_taurus adds it.
-local function other_lines(field, i, made, list, parent)
-  local pf = number_of(list, made.pf)
-  local wanted = format("all or want[%d]", pf)
-  if made.special then wanted = format("%s or want[%d]", wanted, number_of(list, made.special)) end
-  return { format("if %s then items[%d] = others[%d](%s, %s, a, payload) end", wanted, i, i, parent, range_of(field)) }
+local function other_lines(plan, field, i, made, parent)
+  local _, is_wanted = take(plan, made.pf)
+  if made.special then is_wanted = select(2, take(plan, made.special)) or is_wanted end
+  return is_wanted and { format("items[%d] = others[%d](%s, %s, a, payload)", i, i, parent, range_of(field)) }
 end
 
-function lines_of.float(field, i, made, list, parent)
-  if field.size > 6 then return other_lines(field, i, made, list, parent) end
-  local pf, special = number_of(list, made.pf), number_of(list, made.special)
+function lines_of.float(plan, field, i, made, parent)
+  if field.size > 6 then return other_lines(plan, field, i, made, parent) end
+  local pf, is_wanted = take(plan, made.pf)
+  local _, wants_special = take(plan, made.special)
   local number = format("format(%q, %s)", decode.format_of(field), decode.float_source(field, "a"))
   local unit = field.unit and " " .. field.unit or ""
-  return {
+  local label = plan.want and "" or format(", %q .. a .. %q", field.title .. ": ", unit)
+  return (is_wanted or wants_special) and {
     format("if a > %d then", field.ordinary),
-    format("if all or want[%d] then items[%d] = others[%d](%s, %s, a) end", special, i, i, parent, range_of(field)),
-    format("elseif all then a = %s", number),
-    format("items[%d] = add(%s, P[%d], %s, tonumber(a), %q .. a .. %q)", i, parent, pf, range_of(field),
-      field.title .. ": ", unit),
-    format("elseif want[%d] then", pf),
-    format("items[%d] = add(%s, P[%d], %s, tonumber(%s)) end", i, parent, pf, range_of(field), number),
+    wants_special and format("items[%d] = others[%d](%s, %s, a)", i, i, parent, range_of(field)) or "",
+    is_wanted and format("else\na = %s", number) or "",
+    is_wanted and format("items[%d] = add(%s, P[%d], %s, tonumber(a)%s)", i, parent, pf, range_of(field), label) or "",
+    "end",
   }
 end
 
-function lines_of.uint(field, i, made, list, parent)
-  if field.scale then return other_lines(field, i, made, list, parent) end
-  local pf = number_of(list, made.pf)
-  local lines = { format("if all or want[%d] then local item = add_le(%s, P[%d], %s)", pf, parent, pf,
-    range_of(field)) }
-  if field.unit then lines[2] = format("if all then append(item, %q) end", " " .. field.unit) end
-  lines[#lines + 1] = format("items[%d] = item end", i)
-  return lines
+function lines_of.uint(plan, field, i, made, parent)
+  if field.scale then return other_lines(plan, field, i, made, parent) end
+  local pf, is_wanted = take(plan, made.pf)
+  return is_wanted and {
+    format("a = add_le(%s, P[%d], %s)", parent, pf, range_of(field)),
+    field.unit and not plan.want and format("append(a, %q)", " " .. field.unit) or "",
+    format("items[%d] = a", i),
+  }
 end
 
 lines_of.int, lines_of.bool = lines_of.uint, lines_of.uint
 
--- The flags of a tree that is not shown are a list of those that somebody wants: want.flags[i].
-function lines_of.flags(field, i, made, list, parent)
-  local pf, rows = number_of(list, made.pf), {}
-  for j, flag in ipairs(made.flags) do rows[j] = format("add_le(item, P[%d], r)", number_of(list, flag)) end
-  local undefined = number_of(list, made.undefined)
-  list.flags[i] = { first = pf, last = undefined }
-  return {
-    format("local few = want and want.flags[%d]", i),
-    "if all or few then",
-    format("local r = %s", range_of(field)),
-    format("local item = add_le(%s, P[%d], r)", parent, pf),
-    "if all then",
-    format("if a ~= 0 then local names = names(F[%d], a)", i),
-    'if names ~= "" then append(item, " (" .. names .. ")") end end',
+function lines_of.flags(plan, field, i, made, parent)
+  local pf, wants_field = take(plan, made.pf)
+  local rows = {}
+  for _, flag in ipairs(made.flags) do
+    local number, is_wanted = take(plan, flag)
+    if is_wanted then rows[#rows + 1] = format("add_le(item, P[%d], r)", number) end
+  end
+  local undefined, wants_undefined = take(plan, made.undefined)
+  return (wants_field or wants_undefined or rows[1]) and {
+    format("local r, item = %s, %s", range_of(field), parent),
+    wants_field and format("item = add_le(item, P[%d], r)", pf) or "",
+    plan.want and "" or format("if a ~= 0 then local names = names(F[%d], a)", i),
+    plan.want and "" or 'if names ~= "" then append(item, " (" .. names .. ")") end end',
     concat(rows, "\n"),
-    "else for j = 1, #few do add_le(item, few[j], r) end end",
     format("items[%d], a = item, band(a, %d)", i, field.undefined),
-    format("if a ~= 0 then add(item, P[%d], r, a) end", undefined),
-    "end",
+    wants_undefined and format("if a ~= 0 then add(item, P[%d], r, a) end", undefined) or "",
   }
 end
 
@@ -102,37 +102,33 @@ local parts = {}
 ]]
 
 -- A function may not be of any length: some fields each.
-local BEGIN = "parts[#parts + 1] = function(top, tvb, at, raws, payload, items, want)\nlocal all, a = not want"
+local BEGIN, END = "parts[#parts + 1] = function(top, tvb, at, raws, payload, items)\nlocal a", "end"
 local FIELDS_OF_A_PART = 50
 
 --- Makes the function that adds the fields of a message.
 -- message   compiled; fields: the ProtoFields by field
 -- others    [index of field] = function(parent, range, raw, payload) that adds what is not written out here
 -- api       { add, add_le, append_text of TreeItem, range of Tvb }
--- returns   function(top, tvb, at, raws, payload, items, want): items gets the items by index of field; want is nil
---           when all is shown, else { [number] = true, flags = { [index of a flags field] = list } } of the ProtoFields
---           that are wanted, a list where the field or any flag is; and the ProtoFields by number, with flags =
---           { [index] = { first =, last = } }, the numbers of a flags field, its flags, and its undefined bits
-function M.make(message, fields, others, api)
-  local list, lines = { flags = {} }, { HEAD }
+-- want      { [number] = true } of the ProtoFields that are wanted of a tree that is not shown; nil for one that is
+-- returns   function(top, tvb, at, raws, payload, items): items gets the items by index of field; and a list of the
+--           ProtoFields by number
+function M.make(message, fields, others, api, want)
+  local plan, lines = { list = {}, want = want }, { HEAD, BEGIN }
   for i, field in ipairs(message.fields) do
-    if i % FIELDS_OF_A_PART == 1 then lines[#lines + 1] = BEGIN end
     local inside = field.inside and message.index[field.inside]
     local parent = inside and format("(items[%d] or top)", inside) or "top"
-    lines[#lines + 1] = condition_of(field, i)
-    local source = (lines_of[field.kind] or other_lines)(field, i, fields[field], list, parent)
-    lines[#lines + 1] = concat(source, "\n")
-    lines[#lines + 1] = "end"
-    if i % FIELDS_OF_A_PART == 0 or i == #message.fields then lines[#lines + 1] = "end" end
+    local source = (lines_of[field.kind] or other_lines)(plan, field, i, fields[field], parent)
+    if source then lines[#lines + 1] = condition_of(field, i) .. "\n" .. concat(source, "\n") .. "\nend" end
+    if i % FIELDS_OF_A_PART == 0 then lines[#lines + 1] = END .. "\n" .. BEGIN end
   end
-  lines[#lines + 1] = "return parts"
+  lines[#lines + 1] = END .. "\nreturn parts"
   local chunk = assert(load(concat(lines, "\n"), "=tree of " .. message.name))
   local parts = chunk(api.add, api.add_le, api.append_text, api.range, decode.band, decode.flag_names, message.fields,
-    list, others)
-  if #parts == 1 then return parts[1], list end
+    plan.list, others)
+  if #parts == 1 then return parts[1], plan.list end
   return function(...)
     for _, part in ipairs(parts) do part(...) end
-  end, list
+  end, plan.list
 end
 
 return M

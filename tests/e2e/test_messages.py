@@ -127,6 +127,8 @@ FILTERS = [
     ("scaled", "taurus.scaled.air == -10.5", [1]), ("scaled", "taurus.scaled.latitude == 47.3979147", [1]),
     ("parts", "taurus.parts.gear == 7", [2]), ("parts", "taurus.parts.load == 127.5", [2]),
     ("parts", "taurus.fault.active", [2, 4]), ("parts", "taurus.parts.word.armed == 1", [2]),
+    ("parts", "taurus.parts.word.undefined", [4]), ("parts", "taurus.parts.word == 0x0012", [3]),
+    ("scaled", "taurus.scaled.gradient == -98", [1]), ("report", "taurus.report", [1, 2, 3, 4]),
     ("text", 'taurus.text.name == "ESC 1"', [1]), ("text", "taurus.text.on == 1", [2, 3]),
     ("text", "taurus.text.key == ff:fe:7f:80", [2]),
     ("cells", "any taurus.cells.cell > 60", [2]), ("cells", "taurus.cells.cell == 2", [1]),
@@ -139,6 +141,14 @@ FILTERS = [
 @pytest.mark.parametrize("name", sorted({row[0] for row in FILTERS}))
 def test_filters(name):
     tshark.assert_found(OWN / f"{name}.pcap", [row[1:] for row in FILTERS if row[0] == name])
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize("name, text, frames", FILTERS, ids=lambda value: value if isinstance(value, str) else "")
+def test_a_filter_alone(name, text, frames):
+    """Nothing else is wanted of the tree."""
+    found = tshark.run("-r", OWN / f"{name}.pcap", "-Y", text).stdout
+    assert [int(line.split()[0]) for line in found.splitlines()] == frames
 
 
 def test_every_type_is_in_the_captures_and_in_the_head_of_the_catalogue():

@@ -120,6 +120,18 @@ def test_another_file(home):
     assert not any("yapp.bus" in text for text in found[1]), found[1]
 
 
+def test_one_filter_after_another(home):
+    """What is wanted of a tree changes while the file is open: of these messages each has other flags."""
+    path = tshark.CAPTURES / "fault_flags.pcap"
+    asked = ["taurus.motor.fault.motor_overcurrent == 1", "taurus.motor.torque_iq_error", "taurus.motor.fault_flags == 0",
+             "taurus.motor.fault.raised", "taurus.motor.fault.motor_overcurrent == 1"]
+    answers = answers_of(home, path, *(("frames", {"filter": text}) for text in asked))
+    for text, answer in zip(asked, answers):
+        found = tshark.run("-r", path, "-Y", text).stdout
+        assert [one["num"] for one in answer] == [int(line.split()[0]) for line in found.splitlines()], text
+        assert answer, text
+
+
 def test_a_file_that_does_not_open(folder, home):
     """What the capture is does not follow the first bytes of the other (as of one only looked at in a file dialog)."""
     packets = []
