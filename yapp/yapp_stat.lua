@@ -97,6 +97,18 @@ local function tap_clock(feed)
   return clock
 end
 
+-- From tshark's first packet on all packets have their taps, in order: then messages that need not wait for them are
+-- taken as they come, and the tap goes.  Not here, in what it calls.
+local function take_at_once(self, tap)
+  local feed = self.feed
+  function self.offer(_, record)
+    feed:packet()
+    tap:remove()
+    function self.offer(_, other) feed:take(other) end
+    feed:take(record)
+  end
+end
+
 -- The tap that sees every packet, and the clock that it has.
 local function tap_packets(self)
   local feed = self.feed
@@ -108,6 +120,7 @@ local function tap_packets(self)
       clock.tap:remove()
       clock = nil
       self.plugin.tapped(pinfo.number)
+      if not (self.wants_parts or feed:has_filter()) then take_at_once(self, tap) end
     end
     local number = feed.number
     if number or self.wants_parts then
@@ -202,8 +215,9 @@ function Stat:argument(text)
   if not self.feed then
     self:open()
     self.output = new_output()
-    local tap = tap_packets(self)
-    function tap.draw() conclude(self, self.output) end
+    tap_packets(self)
+    self.last_tap = Listener.new("frame")
+    function self.last_tap.draw() conclude(self, self.output) end
   end
   local taps, problem = self:begin(options, self.output.write)
   if not taps then

@@ -111,19 +111,31 @@ local function hand_on(self, record)
   end
 end
 
+--- Takes a message at once: for who knows that its packet counts, and that no other waits.
+function Feed:take(record)
+  if not is_new(self, record) then return end
+  if record.fault then
+    self.doubtful[#self.doubtful + 1] = record -- what comes may still show that nothing was lost
+  else
+    hand_on(self, record)
+  end
+end
+
 local function flush(self)
   local waiting = self.waiting
   for i = 1, self.waiting_count do
-    local record = waiting[i]
-    local is_one = is_new(self, record)
-    if is_one and record.fault then
-      self.doubtful[#self.doubtful + 1] = record -- what comes may still show that nothing was lost
-    elseif is_one then
-      hand_on(self, record)
-    end
+    self:take(waiting[i])
     waiting[i] = nil
   end
   self.waiting_count = 0
+end
+
+--- Whether a message is taken, or not, for what is seen of its packet.
+function Feed:has_filter()
+  for _, entry in ipairs(self.statistics) do
+    if entry.has_filter then return true end
+  end
+  return false
 end
 
 --- A packet of any kind has been dissected.

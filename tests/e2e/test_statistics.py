@@ -183,6 +183,16 @@ def test_csv(results, seed, form, passes):
             check_row(row, *truth)
 
 
+@CHECKED
+def test_csv_alone(results, seed, form, passes):
+    """Where it is the only statistic, messages do not wait for their packets' taps."""
+    _, table, capture = results(seed, form, passes)
+    alone = table.with_name(f"{table.name}.alone")
+    statistics(flight_of(seed), form, capture, f"csv,{alone},json", passes=PASSES[passes])
+    for path in table.iterdir():
+        assert (alone / path.name).read_text() == path.read_text()
+
+
 # check ---------------------------------------------------------------------------------------------------------------
 
 def rules_of(summary, events):

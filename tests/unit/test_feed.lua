@@ -40,6 +40,21 @@ function T.test_messages_in_the_order_of_the_capture()
   lu.assertEquals({ one.got, one.last }, { { "a", "b", "c", "d" }, 9 })
 end
 
+function T.test_messages_that_do_not_wait()
+  local feed, one = feed_of.new(), notes()
+  feed:add(one, false)
+  lu.assertFalse(feed:has_filter())
+  local doubt = { void = true }
+  for i, row in ipairs { { "a" }, { "b", lost = "orphan" }, { "c", lost = "orphan" }, { "d", fault = {} },
+    { "e", fault = doubt }, { "f" } } do
+    feed:take { frame = i, rel = i, source = SOURCE, seq = 0, name = row[1], lost = row.lost, fault = row.fault }
+  end
+  lu.assertEquals({ feed:finish {} }, { 0, {} })
+  lu.assertEquals(one.got, { "a", "b", "f", "d" }) -- c is a part of b
+  feed:add(one, true)
+  lu.assertTrue(feed:has_filter())
+end
+
 function T.test_what_came_before_is_not_known()
   for tells, code in pairs { [true] = 21, [false] = 0 } do
     local feed, one = feed_of.new(), notes()
