@@ -272,7 +272,11 @@ function Facts:plain_frame(tvb, pinfo, highest, usual)
   if number <= highest or length_of(tvb) == 0 then return nil end
   local data = raw_of(tvb)
   if #data ~= reported_of(tvb) or ZEROS[data] or not self.place and offset_of(tvb) ~= usual then return nil end
-  if not bus and self.asks_bus then bus = self:bus(pinfo) end
+  if bus then
+    if not self.names[bus] then return nil end -- its first frame: the long way notes what it is called
+  elseif self.asks_bus then
+    bus = self:bus(pinfo)
+  end
   return number, data, bus
 end
 

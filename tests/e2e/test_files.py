@@ -99,3 +99,16 @@ def test_readers_hold_what_wireshark_hands_them():
              for name, arguments in re.findall(r"(?m)function handler\.(\w+)\((.*?)\)(?: --.*)?$", path.read_text())]
     assert len(found) >= 8
     assert [(file, name) for file, name, count in found if count != wanted[name]] == []
+
+
+@pytest.mark.parametrize("passes", [(), ("-2",), ("-V",)], ids=" ".join)
+def test_every_bus_of_a_log(folder, passes):
+    """Of the third and fourth the first frame begins a message."""
+    buses = ["can1", "can2", "can0", "vcan7"]
+    lines = [line.split(" ", 2)[2] for line in (tshark.CAPTURES / "candump_log_plain.log").read_text().splitlines()]
+    text = "".join(f"(1700000000.{at:06d}) {bus} {line}\n" for at, (bus, line) in
+                   enumerate((bus, line) for bus in buses for line in lines))
+    (folder / "four.log").write_text(text)
+    rows = tshark.fields(folder / "four.log", ["yapp.bus", "yapp.source"], *passes, "-o",
+                         "yapp.sources:" + ",".join(f"{bus}/0x210=motor:esc_{bus}" for bus in buses))
+    assert rows == [[bus, f"esc_{bus}"] for bus in buses for _ in lines]
