@@ -141,7 +141,7 @@ function yapp.dissector(tvb, pinfo, root)
     end
   end
   local length = dissect_can(frames, tvb, pinfo, root, can_id, is_wide)
-  if length == 0 then facts:note_refused(can_id) end -- for Decode As, which is asked next
+  if length == 0 then facts:note_refused(pinfo, can_id) end -- for Decode As, which is asked next
   return length
 end
 

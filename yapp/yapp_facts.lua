@@ -30,6 +30,8 @@ local told -- the reader of candump text: { current_bus, current_bus_name, plain
 local DIRECTION = { 0, 1, 0, 1 } -- of RTAC events: data sent, data received, ...
 local MASK = 0x20000000 -- of the 29 bits of an id
 
+local REFUSED = "yapp.refused" -- in the private table of a packet
+
 local Facts = {}
 Facts.__index = Facts
 
@@ -221,13 +223,15 @@ function Facts:note_header(number, can_id)
 end
 
 --- The table of ids had the current frame, whose facts are those of the last can_frame, and left it to Decode As.
-function Facts:note_refused(can_id)
+function Facts:note_refused(pinfo, can_id)
   local refused = self.refused
   refused.number, refused.place, refused.can_id = self.record.number, self.record.place, can_id
+  pinfo.private[REFUSED] = "" -- of this look at the packet only
 end
 
 local function is_refused(self, tvb, pinfo)
-  return self.refused.number == pinfo.number and self.refused.place == tvb:offset()
+  local refused = self.refused
+  return refused.number == pinfo.number and refused.place == tvb:offset() and pinfo.private[REFUSED] ~= nil
 end
 
 --- The id of the current frame, which came by Decode As.

@@ -115,8 +115,16 @@ end
 local IS_TSHARK = not gui_enabled()
 local NO_COLUMN = "(info)" -- what the API calls it where there are no columns at all
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
+-- COMPAT 4.0: no filter can name a column there.
+local FILTERS_COLUMNS = not get_version():find("^4%.[01]%.")
 local NOTHING, LIST = {}, { columns = true } -- where nobody wants a tree
 local ONLY_LIST = { columns = true, is_only_pass = true }
+
+-- Whether columns and tree are those of a pass behind which none comes.  A first pass of two shows no tree, and it has
+-- columns only for a filter that names one: then with a tree, as each filter needs it.
+local function is_last_pass(tree, has_columns)
+  return tree.visible or has_columns and not (FILTERS_COLUMNS and pcall(all_field_infos))
+end
 
 -- What is wanted of a look at a packet.
 local function ask(self, tree, pinfo, is_steady)
@@ -124,7 +132,7 @@ local function ask(self, tree, pinfo, is_steady)
   if not tree.hidden then -- false where there is none; always true from 4.6 on
     return not has_columns and NOTHING or is_steady and ONLY_LIST or LIST
   end
-  return { columns = has_columns, is_only_pass = is_steady and (has_columns or tree.visible),
+  return { columns = has_columns, is_only_pass = is_steady and is_last_pass(tree, has_columns),
     yapp = tree:referenced(self.yapp_handle or find_handles(self)),
     taurus = tree:referenced(self.taurus_handle or find_handles(self)),
     names = not SAYS_PROTOCOLS and not self.reader.stat.wanted }
@@ -135,9 +143,9 @@ end
 -- returns   { yapp = whether YAPP's own items are visible, filtered or printed, taurus = whether those of messages are,
 --           names = whether, without them, the names of protocols are (see bare), columns = whether there are columns:
 --           tshark has them for a packet list, and not with -V, -q, most of -T or in a first pass of two;
---           is_only_pass = whether it is sure that no packet will be shown again: tshark shows nothing in a first pass
---           of two }.  In tshark this does not change within a first pass, so it is asked once and kept in `wanted`; in
---           Wireshark, and on later looks of sharkd, it may.
+--           is_only_pass = whether it is sure that no packet will be shown again }.  In tshark this does not change
+--           within a first pass, so it is asked once and kept in `wanted`; in Wireshark, and on later looks of sharkd,
+--           it may.
 function Tree:wants(tree, pinfo, is_again)
   local is_steady = IS_TSHARK and not is_again
   local wants = is_steady and self.wanted or ask(self, tree, pinfo, is_steady)

@@ -253,7 +253,8 @@ def test_others_throw_at_frames_that_the_capture_cut(ids, layout, passes, folder
 
 
 @pytest.mark.parametrize("options, is_only", [
-    ((), True), (("-V",), True), (("-Y", "yapp"), True), (("-q", "-z", "yapp,csv,-,motor"), True),
+    ((), True), (("-V",), True), (("-Y", "yapp"), tshark.version() < (4, 2)), (("-q", "-z", "yapp,csv,-,motor"), True),
+    (("-Y", "yapp", "-V"), True),
     (("-2",), False), (("-2", "-V"), False), (("-2", "-R", "yapp"), False), (("-2", "-q", "-z", "yapp,csv,-,motor"), False)])
 @pytest.mark.parametrize("name, carrier", [("document_motor.pcap", "can"), ("document_uart.pcap", "serial")])
 def test_nothing_is_kept_where_nobody_looks_again(name, carrier, options, is_only):
@@ -261,6 +262,29 @@ def test_nothing_is_kept_where_nobody_looks_again(name, carrier, options, is_onl
     done = tshark.run("-X", f"lua_script:{script}", "-r", tshark.CAPTURES / name, *options)
     told = re.search("^only pass:(.*)$", done.stderr, re.MULTILINE)[1].split()
     assert (carrier in told) == is_only
+
+
+@pytest.mark.parametrize("passes", PASSES, ids=" ".join)
+def test_a_command_of_another_length_at_the_end(passes, folder):
+    """Its CAN id is 0, as that of a frame that comes by Decode As; a second pass meets the frame that the first left last."""
+    path = written(folder, [Frame(0, COMMAND), Frame(0, COMMAND[:6])])
+    rows = tshark.fields(path, ["yapp.id", "yapp.size.mismatch"], *passes)
+    assert rows == [["0x00000000", ""], ["", ""]]
+    done = tshark.run(*passes, "-q", "-r", path, "-z", "yapp,check,crc=0")
+    assert "all rules hold" in done.stdout, done.stdout
+
+
+@pytest.mark.skipif(tshark.version() < (4, 2), reason="no filter names a column")
+@pytest.mark.parametrize("name", ["document_motor.pcap", "document_uart_split.pcap"])
+def test_a_first_pass_that_has_columns(name):
+    """They are there for a filter that names one."""
+    def found(*options):
+        return tshark.fields(tshark.CAPTURES / name, ["frame.number", "taurus.motor.dc_voltage"], "-2", *options)
+
+    rejecting = found("-R", '_ws.col.info contains "Motor"')
+    assert [row[1] for row in rejecting if row[1]] == ["47.97314"]
+    assert found("-Y", 'yapp.crc.status && _ws.col.protocol == "YAPP"') == found("-Y", "yapp.crc.status") != []
+    assert found("-Y", 'yapp.reassembled.in && _ws.col.protocol == "YAPP"') == found("-Y", "yapp.reassembled.in")
 
 
 def test_a_statistic_counts_nothing_that_a_read_filter_rejects(folder):
