@@ -98,7 +98,7 @@ local function tap_clock(feed)
 end
 
 -- From tshark's first packet on all packets have their taps, in order: then messages that need not wait for them are
--- taken as they come, and the tap goes.  Not here, in what it calls.
+-- taken as they come, and the tap goes: at the next message, as none may go while it is called.
 local function take_at_once(self, tap)
   local feed = self.feed
   function self.offer(_, record)
@@ -216,8 +216,8 @@ function Stat:argument(text)
     self:open()
     self.output = new_output()
     tap_packets(self)
-    self.last_tap = Listener.new("frame")
-    function self.last_tap.draw() conclude(self, self.output) end
+    local tap = Listener.new("frame") -- for the end alone
+    function tap.draw() conclude(self, self.output) end
   end
   local taps, problem = self:begin(options, self.output.write)
   if not taps then

@@ -73,12 +73,13 @@ function Taurus:reset()
   for _, builder in pairs(self.builders) do builder.steady = nil end
 end
 
--- Whether somebody wants a ProtoField.  Asking is two calls; while the answer cannot change it is kept.
-local function is_wanted(self, item, pf, is_steady)
-  if not is_steady then return item.visible or item:referenced(pf) end
+-- Whether somebody wants a ProtoField.  While the answer cannot change it is kept.
+local function is_wanted(self, item, m, pf)
+  if m.is_shown then return true end
+  if not m.is_steady then return item:referenced(pf) end
   local answer = self.asked[pf]
   if answer == nil then
-    answer = item.visible or item:referenced(pf)
+    answer = item:referenced(pf)
     self.asked[pf] = answer
   end
   return answer
@@ -86,16 +87,17 @@ end
 
 -- Builders ----------------------------------------------------------------------------------------------------------
 
--- A tree is built by a way: { build = of yapp_tree_taurus_source, elements = indices of an array's, is_named = whether
--- it has the message's own field, differences = list of { difference, ProtoField } }.  There is one for a tree that is
--- shown and, of one that is not, one for all that is wanted of it together.
+-- A tree is built by a way: { is_shown = whether it is for one that is shown, build = of yapp_tree_taurus_source,
+-- elements = indices of an array's, is_named = whether it has the message's own field, differences = list of
+-- { difference, ProtoField } }.  There is one for a tree that is shown and, of one that is not, one for all that is
+-- wanted of it together.
 local MAX_WAYS = 16 -- kept of a message
 
 -- want     { [number] = true } of the ProtoFields that are wanted; nil for a tree that is shown
 -- returns  the way, and all ProtoFields by number
 local function make_way(self, message, want)
   local others, own = {}, self.messages[message]
-  local way = { elements = {}, is_named = true, differences = {} }
+  local way = { is_shown = not want, elements = {}, is_named = true, differences = {} }
   for i, field in ipairs(message.fields) do
     local adder = adders[field.kind]
     others[i] = adder and function(parent, range, raw, payload)
@@ -158,6 +160,7 @@ end
 local function build(self, tree, what)
   local message, payload, raws, tvb, at = what.message, what.payload, what.raws, what.tvb, what.at
   local way, items = way_of(self, message, tree, what.is_steady), {}
+  what.is_shown = way.is_shown
   local range = tvb(at, min(message.size, #payload))
   local top = add(tree, self.taurus, range, "Taurus " .. message.title)
   if way.is_named then items_of.set_hidden(add(top, self.messages[message].pf, range)) end
@@ -179,7 +182,7 @@ end
 --             tvb, at = where the payload lies; tvb nil when nobody wants a tree,
 --             label = what the message is called where its title does not tell it, for a fault's label, or nil,
 --             is_steady = whether what is wanted of a tree cannot change before the next reset: on the first pass of
---             tshark; in Wireshark, and on later looks of sharkd, it may }
+--             tshark; in Wireshark, and on later looks of sharkd, it may }: gets is_shown = whether its tree is
 -- returns     the Taurus item; nil without a tree
 function Taurus:show(tree, item, what)
   local top, items
@@ -199,10 +202,15 @@ end
 local NONE, WAYS = {}, { "raised", "cleared" }
 
 -- Adds a generated field where somebody wants it; nil for a value or a field that is not there.
--- convert  makes what is added of the value; nil: the value
-local function add_generated(self, item, m, pf, value, convert)
-  if not pf or value == nil or not is_wanted(self, item, pf, m.is_steady) then return nil end
-  return items_of.add_generated(item, pf, convert and convert(value) or value)
+local function add_generated(self, item, m, pf, value)
+  if not pf or value == nil or not is_wanted(self, item, m, pf) then return nil end
+  return items_of.add_generated(item, pf, value)
+end
+
+-- The same for a time in seconds.
+local function add_time(self, item, m, pf, seconds)
+  if not pf or not seconds or not is_wanted(self, item, m, pf) then return nil end
+  return items_of.add_generated(item, pf, relative_time(seconds))
 end
 
 -- Adds what changed; returns the item of the clock's drift.
@@ -211,12 +219,12 @@ local function add_values(self, item, m)
   local own, alarm, since = self.messages[message], message.alarms[1], change.active_since
   if alarm then
     local made = self.fields[alarm]
-    add_generated(self, item, m, made.active_time, since and m.time - since, relative_time)
+    add_time(self, item, m, made.active_time, since and m.time - since)
     add_generated(self, item, m, made.previous, change.previous_change)
     add_generated(self, item, m, made.next, change.next_change)
   end
   add_generated(self, item, m, own.command_in, change.command_in)
-  return add_generated(self, item, m, own.drift, change.drift, relative_time)
+  return add_time(self, item, m, own.drift, change.drift)
 end
 
 --- Adds what the history says of a message, all of it generated, with its expert items.
