@@ -69,7 +69,7 @@ end
 local function finished(view, payload)
   local m, address, wants, facts = view.names.message, view.address, view.wants, view.facts
   m.tree, m.item, m.wanted, m.has_columns = view.tree, view.item, wants.yapp, wants.columns
-  m.is_brief = not (wants.yapp or wants.taurus)
+  m.is_brief = not (wants.yapp or wants.standing)
   m.seq, m.ctl, m.payload, m.size = address.seq, address.ctl, payload, #payload
   m.frame, m.time, m.visited = facts.number, view.pinfo.rel_ts, facts.is_again
   m.is_whole, m.is_unsure, m.tvb = true, nil, nil
@@ -90,7 +90,7 @@ end
 local function show_plain(self, m, wants, record)
   local payload = record.message.payload
   m.payload, m.size, m.frame, m.tvb = payload, #payload, record.look, nil
-  m.has_columns, m.is_brief = wants.columns, not wants.taurus
+  m.has_columns, m.is_brief = wants.columns, not wants.standing
   if wants.taurus then m.tvb = ByteArray.new(payload, true):tvb(REASSEMBLED) end
   return self.tree:payload(self:read(m, record))
 end

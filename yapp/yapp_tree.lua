@@ -109,7 +109,6 @@ end
 -- The API asks what is wanted by dissector, and those exist only when loading has ended.
 local function find_handles(self)
   self.yapp_handle, self.taurus_handle = Dissector.get("yapp"), Dissector.get("taurus")
-  return self.yapp_handle
 end
 
 local IS_TSHARK = not gui_enabled()
@@ -132,15 +131,18 @@ local function ask(self, tree, pinfo, is_steady)
   if not tree.hidden then -- false where there is none; always true from 4.6 on
     return not has_columns and NOTHING or is_steady and ONLY_LIST or LIST
   end
+  if not self.yapp_handle then find_handles(self) end
+  local taurus = tree:referenced(self.taurus_handle)
   return { columns = has_columns, is_only_pass = is_steady and is_last_pass(tree, has_columns),
-    yapp = tree:referenced(self.yapp_handle or find_handles(self)),
-    taurus = tree:referenced(self.taurus_handle or find_handles(self)),
+    yapp = tree:referenced(self.yapp_handle),
+    taurus = taurus, standing = taurus and (not is_steady or self.messages:wants_standing(tree)),
     names = not SAYS_PROTOCOLS and not self.reader.stat.wanted }
 end
 
 --- What anyone wants of a packet.
 -- is_again  whether the packet was shown before
 -- returns   { yapp = whether YAPP's own items are visible, filtered or printed, taurus = whether those of messages are,
+--           standing = whether, of these, what also stands at messages that change nothing,
 --           names = whether, without them, the names of protocols are (see bare), columns = whether there are columns:
 --           tshark has them for a packet list, and not with -V, -q, most of -T or in a first pass of two;
 --           is_only_pass = whether it is sure that no packet will be shown again }.  In tshark this does not change

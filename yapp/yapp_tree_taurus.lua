@@ -24,7 +24,7 @@ Taurus.__index = Taurus
 -- catalogue  compiled
 function M.new(taurus, catalogue)
   local self = setmetatable({ taurus = taurus, builders = {}, asked = {} }, Taurus)
-  self.messages, self.fields, self.experts = tree_fields.make(taurus, catalogue, decode.SPECIALS)
+  self.messages, self.fields, self.experts, self.standing = tree_fields.make(taurus, catalogue, decode.SPECIALS)
   return self
 end
 
@@ -71,6 +71,14 @@ end
 function Taurus:reset()
   self.asked = {}
   for _, builder in pairs(self.builders) do builder.steady = nil end
+end
+
+--- Whether somebody wants of a tree what the history says of every message, not only of one that changes something.
+function Taurus:wants_standing(tree)
+  for _, pf in ipairs(self.standing) do
+    if tree:referenced(pf) then return true end
+  end
+  return false
 end
 
 -- Whether somebody wants a ProtoField.  While the answer cannot change it is kept.

@@ -30,6 +30,7 @@ function M.make_experts(proto, prefix, rows)
 end
 
 -- What a flags field has below it: flags (a list), undefined, and what its changes show.
+-- add  function(ProtoField, is_standing) -> the ProtoField; is_standing: see M.make
 local function make_flags(field, made, add)
   local bits, kind = field.size * 8, "uint" .. field.size * 8
   made.pf = add(ProtoField[kind](field.filter, field.title, base.HEX))
@@ -43,10 +44,10 @@ local function make_flags(field, made, add)
   made.cleared = add(ProtoField[kind](field.group .. ".cleared", field.title .. " cleared", base.HEX))
   if not field.alarm then return end
   made.active_time = add(ProtoField.relative_time(field.group .. ".active_time",
-    "Time since the oldest of them was raised"))
+    "Time since the oldest of them was raised"), true)
   for _, way in ipairs { "previous", "next" } do
     made[way] = add(ProtoField.framenum(("%s.%s_change"):format(field.group, way),
-      ("%s: %s change in"):format(field.title, way), base.NONE))
+      ("%s: %s change in"):format(field.title, way), base.NONE), true)
   end
 end
 
@@ -84,12 +85,12 @@ local function make_message(message, add)
     own.differences[i] = add(ProtoField.double(difference.filter, difference.title))
   end
   if message.time then
-    own.drift = add(ProtoField.relative_time(message.filter .. ".clock_drift", "Clock drift"))
+    own.drift = add(ProtoField.relative_time(message.filter .. ".clock_drift", "Clock drift"), true)
   end
   if message.answers then
     local title = message.answers:sub(1, 1):upper() .. message.answers:sub(2)
     own.command_in = add(ProtoField.framenum(("%s.%s_in"):format(message.filter, message.answers),
-      ("Latest %s in"):format(title:gsub("_", " ")), base.NONE, frametype.REQUEST))
+      ("Latest %s in"):format(title:gsub("_", " ")), base.NONE, frametype.REQUEST), true)
   end
   return own
 end
@@ -98,11 +99,13 @@ end
 -- taurus     Proto; catalogue: compiled; specials: { [0] = text } of the values that are no numbers
 -- returns    { [message] = { pf, differences (list), drift, command_in } },
 --            { [field] = { pf, special, flags (list), undefined, raised, cleared, active_time, previous, next } },
---            { [filter without "taurus."] = ProtoExpert }; the elements of an array share theirs
+--            where the elements of an array share theirs; { [filter without "taurus."] = ProtoExpert }; and a list of
+--            the ProtoFields that the history has also for a message that changes nothing
 function M.make(taurus, catalogue, specials)
-  local list, messages, fields, by_filter = {}, {}, {}, {}
-  local function add(pf)
+  local list, standing, messages, fields, by_filter = {}, {}, {}, {}, {}
+  local function add(pf, is_standing)
     list[#list + 1] = pf
+    if is_standing then standing[#standing + 1] = pf end
     return pf
   end
   local build = { add = add, specials = specials }
@@ -114,7 +117,7 @@ function M.make(taurus, catalogue, specials)
     end
   end
   taurus.fields = list
-  return messages, fields, M.make_experts(taurus, "taurus.", EXPERTS)
+  return messages, fields, M.make_experts(taurus, "taurus.", EXPERTS), standing
 end
 
 return M

@@ -183,3 +183,17 @@ def test_fields(folder, seed, passes):
     planted = {line["frame"] for line in flight.truth(form)["events"] if line["kind"] == "unfinished"}
     unfinished = frames_with(rows, "yapp.unfinished")
     assert unfinished == (planted if passes else set()) or not knows_all and unfinished <= planted
+
+
+@pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
+@pytest.mark.parametrize("name", EXPERTS[1:] + FLAGS[:2] + LINKS + TIMES)
+def test_a_filter_alone(folder, name, passes):
+    """Where nothing else is wanted of the tree, the history is asked for no more than that."""
+    flight = flights.make(2)
+    capture = flight.write(folder / "run.log", "candump")
+    found = tshark.run("-r", capture, *flight.arguments("candump"), *passes, "-Y", name).stdout
+    is_unknown = name.endswith("next_change") and not passes
+    wanted = [number for number, row in sorted(Truth(flight, "candump").frames.items())
+              if not is_unknown and row.get(name) is not None and (row[name] or name in TIMES)]
+    assert wanted or is_unknown
+    assert [int(line.split()[0]) for line in found.splitlines()] == wanted
