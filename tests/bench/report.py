@@ -5,8 +5,8 @@ import typing
 
 import works
 
-NAMES = {"none": "none", "isotp": "ISO-TP", "floor": "floor", "script": "script", "list": "CAN list", "before": "before",
-         "now": "now"}
+NAMES = {"none": "none", "isotp": "ISO-TP", "floor": "floor", "hand": "by hand", "script": "script", "list": "CAN list",
+         "before": "before", "now": "now"}
 STEPS = {"reassembly": "reassembly and CRC", "values": "values, faults", "history": "history", "info": "text of Info"}
 MEMORY = (works.LIST, works.FILTER, works.VERBOSE, works.VALUES, works.TABLES)
 MEGABYTE = 1e6
@@ -16,7 +16,9 @@ WHOLE = """\
 
 Written by `make bench`: medians of the CPU time of whole processes, user and system, and of their most memory; each row and
 its peers in turns. None: tshark without the plugin. ISO-TP: tshark's own reassembly in C. Floor: the least that a Lua
-dissector can do (`tests/bench/floor.lua`). Script: python-can and a decoder by hand (`tests/bench/peer.py`).
+dissector can do (`tests/bench/floor.lua`). By hand: a Lua dissector for this one message, that reassembles, checks the CRC and
+has the same items, without anything else (`tests/bench/by_hand.lua`). Script: python-can and a decoder by hand
+(`tests/bench/peer.py`).
 
 {about}
 ## Ratios

@@ -4,7 +4,7 @@
     none    tshark without the plugin          floor   tests/bench/floor.lua, the least that a Lua dissector does
     isotp   tshark's own reassembly, in C      script  tests/bench/peer.py, what one would write instead
     now     the plugin                         before  another version of it
-    list    the plugin's packet list
+    list    the plugin's packet list           hand    tests/bench/by_hand.lua, one message and nothing besides
 """
 import pathlib
 import typing
@@ -52,9 +52,16 @@ class Shark:
     def isotp(self, *arguments):
         return [*self.none("isotp.pcap", *arguments), "-d", "can.subdissector,iso15765"]
 
-    def floor(self, level, *arguments):
-        return ["tshark", "-X", f"lua_script:{HERE / 'floor.lua'}", "-X", f"lua_script1:{level}",
+    def script(self, name, level, *arguments):
+        return ["tshark", "-X", f"lua_script:{HERE / name}", "-X", f"lua_script1:{level}",
                 *self.none("yapp.pcap", *arguments)[1:]]
+
+    def floor(self, level, *arguments):
+        return self.script("floor.lua", level, *arguments)
+
+    def hand(self, *arguments):
+        """Its fields have the plugin's names, but for what they begin with."""
+        return self.script("by_hand.lua", "run", *(word.replace("taurus.motor.", "by_hand.") for word in arguments))
 
 
 def load(plugin):
@@ -65,20 +72,22 @@ def works(shark, python, messages):
     """The works on a folder with all of the traffic.
 
     shark   Shark;  python: the command of a Python that has python-can;  messages: how many the traffic has"""
-    floor, now, none, isotp = shark.floor, shark.now, shark.none, shark.isotp
+    floor, hand, now, none, isotp = shark.floor, shark.hand, shark.now, shark.none, shark.isotp
     of_script = [python, str(HERE / "peer.py"), str(shark.folder / "yapp.log"), str(shark.folder / "script.csv")]
     tables = ["-q", "-z", f"yapp,csv,{shark.folder / 'tables'},replace"]
     count = f"{messages * FRAMES:,}"
     return [
         Work(LIST, {"none": none("yapp.pcap"), "isotp": isotp(), "empty": floor("empty"), "floor": floor("columns"),
-                    "asked": floor("asked"), "now": now("yapp.pcap")}, Target("isotp", 2.0)),
+                    "asked": floor("asked"), "hand": hand(), "now": now("yapp.pcap")}, Target("isotp", 2.0)),
         Work(FILTER, {"none": none("yapp.pcap", "-Y", "frame.number % 5 == 0"),
                       "isotp": isotp("-Y", "iso15765.reassembled.length"),
-                      "floor": floor("gated", "-Y", "floor.f1"), "now": now("yapp.pcap", "-Y", FAULT)},
+                      "floor": floor("gated", "-Y", "floor.f1"), "hand": hand("-Y", FAULT),
+                      "now": now("yapp.pcap", "-Y", FAULT)},
              Target("isotp", 2.5)),
         Work(VERBOSE, {"none": none("yapp.pcap", "-V"), "isotp": isotp("-V"), "floor": floor("tree", "-V"),
-                       "now": now("yapp.pcap", "-V")}, Target("isotp", 3.0)),
-        Work(VALUES, {"script": of_script, "now": now("yapp.pcap", *VALUE_FIELDS)}, Target("script", 4.0)),
+                       "hand": hand("-V"), "now": now("yapp.pcap", "-V")}, Target("isotp", 3.0)),
+        Work(VALUES, {"script": of_script, "hand": hand(*VALUE_FIELDS), "now": now("yapp.pcap", *VALUE_FIELDS)},
+             Target("script", 4.0)),
         Work(TABLES, {"script": of_script, "list": now("yapp.pcap"), "now": now("yapp.pcap", *tables)}, Target("script", 1.2)),
         Work(f"{count} UDP packets", {"none": none("udp.pcap"), "now": now("udp.pcap")}, Target("none", 1.02)),
         Work(f"{count} foreign CAN frames", {"none": none("isotp.pcap"), "now": now("isotp.pcap")}, Target("none", 1.05)),

@@ -108,6 +108,14 @@ def test_the_pure_parts_find_every_message(lua, folder):
     assert names == ["file", *report.STEPS, "messages"] and done.stdout.endswith("messages\t60\n")
 
 
+def test_what_is_written_by_hand_has_the_same_values(folder):
+    shark = works.Shark(tshark.PLUGIN, traffic.make(folder / "few", 60))
+    flag = ["-e", works.FAULT, "-e", "taurus.motor.rpm_error"]
+    commands = shark.hand(*works.VALUE_FIELDS, *flag), shark.now("yapp.pcap", *works.VALUE_FIELDS, *flag)
+    rows = [tshark.run(*command[1:], plugin=False).stdout for command in commands]
+    assert rows[0] == rows[1] and len(set(rows[0].split())) > 500
+
+
 @levels.deep
 def test_every_command_shows_something(folder):
     pytest.importorskip("can")
