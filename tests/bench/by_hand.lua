@@ -131,9 +131,9 @@ local function finish(tree, item, message, number, seq)
   local values = read_values(payload)
   local a, b, c, d = byte(payload, fault_flags.offset + 1, fault_flags.offset + 4)
   message.fault = a + b * 0x100 + c * 0x10000 + d * 0x1000000
-  if item then
+  if item or tree:referenced(rows[1].pf) then -- from 4.4 on -T fields shows no tree
     local tvb = ByteArray.new(payload, true):tvb("Reassembled")
-    add_message(item, tvb, number, message)
+    if item then add_message(item, tvb, number, message) end
     add_values(tree, tvb, payload, values)
   elseif tree:referenced(overcurrent) then
     add(add(tree, taurus), overcurrent, message.fault)
