@@ -151,9 +151,9 @@ class Wireshark:
         time.sleep(1)
 
     def press(self, *keys, until):
-        """Presses keys until something has come of it: a busy Wireshark may pass over some."""
-        for _ in range(4):
-            self.keys(*keys)
+        """Presses keys until something has come of it: a busy Wireshark may pass over some, and leave a menu open."""
+        for attempt in range(4):
+            self.keys(*(["Escape"] * 3 if attempt else []), *keys)
             try:
                 return wait_for(until, 15)
             except AssertionError:
