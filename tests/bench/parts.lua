@@ -17,48 +17,62 @@ local catalogue = parts.catalogue.compile(dofile(top .. "taurus_fields.lua"))
 local NO_HISTORY = { change = function() end }
 local FILE_HEADER, RECORD, DATA = 24, 32, 24 -- bytes: of a pcap, of a CAN frame, before its data
 
--- Calls see(facts, 29-bit id) for each frame; the facts are those of yapp_can_memory.look, in one table.
+-- Calls see(number, data, 29-bit id) for each frame.
 local function each_frame(path, see)
   local file = assert(io.open(path, "rb"))
   file:read(FILE_HEADER)
-  local facts = { number = 0, place = 0, reported = 8, informed = true }
+  local number = 0
   for record in function() return file:read(RECORD) end do
     local a, b, c, d, length = record:byte(17, 21)
-    facts.number, facts.data = facts.number + 1, record:sub(DATA + 1, DATA + length)
-    see(facts, a % 0x20 * 0x1000000 + b * 0x10000 + c * 0x100 + d)
+    number = number + 1
+    see(number, record:sub(DATA + 1, DATA + length), a % 0x20 * 0x1000000 + b * 0x10000 + c * 0x100 + d)
   end
   file:close()
 end
 
+-- The memory of a packet list in tshark.
 local function new_memory()
-  return parts.can_memory.new(parts, {
+  local memory = parts.can_memory.new(parts, {
     size_of = function(id) return catalogue.by_id[id] and catalogue.by_id[id].size end,
     new_history = function() return parts.history.new { catalogue = catalogue } end,
   })
+  memory:only_pass()
+  return memory
+end
+
+-- What a frame is, the way that yapp_can_carrier goes: the short one wherever that goes.
+-- facts  of yapp_can_memory.look, in one table; its number, data and reported are filled in
+-- returns  its message, and the record of one that ends here
+local function take(memory, address, facts, number, data)
+  local taker, message, is_last = memory.short[address.ctrl], nil, nil
+  if taker then message, is_last = memory:plain(taker, address, number, data) end
+  if message then return message, is_last and memory:plain_record(number, message, true) end
+  facts.number, facts.data, facts.reported = number, data, #data
+  local record = memory:look(address, facts, {})
+  return record.message, record.is_last and record
 end
 
 -- What yapp_can_carrier gives to the reader: one table for all messages.
-local function finish(m, address, facts, entry)
-  m.id, m.seq, m.ctl, m.payload, m.size = address.id, address.seq, address.ctl, entry.payload, entry.size
-  m.source, m.frame, m.time, m.is_whole, m.is_brief = address.id, facts.number, facts.number / 5000, true, true
-  m.status, m.good = entry.status, entry.status == "good"
-  m.message, m.raws, m.look, m.has_fault, m.change, m.number, m.delta = nil, nil, nil, nil, nil, nil, nil
+local function finish(m, address, number, message)
+  m.seq, m.payload, m.size, m.frame, m.time = address.seq, message.payload, message.size, number, number / 5000
+  m.id, m.source = address.id, address.id
 end
 
 -- How many good messages a capture has, by the steps up to one.
 local function run(path, step)
   local memory, reader = new_memory(), parts.reader.new(parts.decode, catalogue, { wanted = false })
-  local record, m, count = {}, {}, 0
+  local facts, count = { place = 0, informed = true }, 0
+  local m = { ctl = 0, is_whole = true, is_brief = true, status = "good", good = true }
   local address_of = parts.can_id.address
-  each_frame(path, function(facts, can_id)
+  each_frame(path, function(number, data, can_id)
     if step == "file" then return end
     local address = address_of(can_id)
-    local found = memory:look(address, facts, record)
-    if not found.is_last then return end
-    if found.message.status == "good" then count = count + 1 end
+    local message, record = take(memory, address, facts, number, data)
+    if not record then return end
+    if message.status == "good" then count = count + 1 end
     if step == "reassembly" then return end
-    finish(m, address, facts, found.message)
-    reader:read(m, step == "values" and NO_HISTORY or memory, found)
+    finish(m, address, number, message)
+    reader:read(m, step == "values" and NO_HISTORY or memory, record)
     if step == "info" then parts.decode_info.text(m.message, m.raws, m.payload) end
   end)
   return count

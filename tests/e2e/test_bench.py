@@ -82,7 +82,7 @@ def test_the_parts_of_the_time_are_all_of_it():
     rows = dict(report.where(results, pure, 10_000))
     assert rows["all"] == pytest.approx(300)
     assert sum(rows.values()) == pytest.approx(2 * rows["all"])
-    assert rows["the rest: what joins these, and the garbage of that"] == pytest.approx(75)
+    assert rows["the rest: what joins these, and that Lua shares the caches"] == pytest.approx(75)
 
 
 def test_a_report_of_nothing_says_why():
