@@ -61,7 +61,7 @@ end
 
 -- The tap that asks for the fields which tell buses: there while they are needed, as it makes Wireshark build trees.
 local function tap_buses(self)
-  if self.found.sources or self.is_wanted and self.later then
+  if self.found.sources or self.found.begins or self.is_wanted and self.later then
     self.bus_tap = self.bus_tap or Listener.new("frame", BUS_FIELDS)
   else
     remove(self.bus_tap)

@@ -73,6 +73,7 @@ local function note_interface(found, head, at, length, little)
   found.count = id + 1
   found.linktypes[id] = linktype or -1
   if OURS[linktype] then found.ours, found.only = found.ours + 1, id end
+  found.may_be_ours = found.may_be_ours or OURS[linktype] or PROTOCOL[linktype] ~= nil
   found.sources = found.sources or linktype == LINKTYPE_RTAC or found.ours > 1
   if found.sections > 1 then return end -- the numbers begin again there
   found.interfaces[id] = linktype
@@ -107,6 +108,8 @@ local function read_pcapng(head)
     found.packets = found.packets or kind == ENHANCED or kind == SIMPLE or kind == OLD
     at = at + length
   end
+  -- A pipe's interfaces may come after tshark has opened what was captured of it.
+  found.begins = not found.packets and (found.count == 0 or found.may_be_ours)
   return found
 end
 
@@ -162,7 +165,8 @@ end
 --- Reads a file's first bytes.
 -- head     string
 -- returns  { sources = whether the packets have several buses, interfaces or directions that the file tells apart,
---            later = whether what follows these bytes may have such,
+--            later = whether what follows these bytes may have such; begins = whether a live capture of ours may have
+--              just begun: a pcapng file without a packet yet;
 --            place = where in each packet the data of its CAN frame begins, nil where that is not the same for all,
 --            frames = whether YAPP frames may be in it: not when it has packets and none of the first has one,
 --            interfaces = { [id] = link type }, of a pcapng file; names = { [id] = the name that the file gives it },
@@ -174,6 +178,7 @@ function M.read(head)
   local found = reader and reader(head) or {}
   return {
     sources = found.sources or false,
+    begins = found.begins or false,
     place = found.place,
     later = found.later ~= false and (#head == M.LENGTH or not found.packets),
     frames = not found.packets or has_header(head),

@@ -18,6 +18,7 @@ import threading
 import time
 import tty
 
+import flights
 import pytest
 import tshark
 
@@ -504,6 +505,33 @@ def test_tshark_keeps_every_byte(home, folder, port, second):
     assert capture.bytes_of(0) == sent and capture.bytes_of(1) == sent
     shown = tshark.fields(path, ["frame.interface_id", "yapp.crc.status"], "-c", "20")
     assert {row[0] for row in shown} == {"0", "1"} and all(set(row[1]) <= {"1", ","} for row in shown)
+
+
+def pour_blocks(data, blocks, pipe):
+    """Writes a pcapng file, with a pause behind its first blocks in which tshark opens what there is of it."""
+    at = 0
+    for _ in range(blocks):
+        at += int.from_bytes(data[at + 4:at + 8], "little")
+    with open(pipe, "wb") as file:
+        file.write(data[:at])
+        file.flush()
+        time.sleep(2)
+        file.write(data[at:])
+
+
+@pytest.mark.parametrize("form, blocks", [("pcapng", 1), ("pcapng", 2), ("sll2", 1), ("sll2", 2)])
+def test_buses_that_show_after_the_capture_was_opened(folder, form, blocks):
+    flight, path = flights.make(103), folder / "flight.pcapng"
+    assert len(flight.names) > 1
+    flight.write(path, form)
+    arguments = ["-n", "-t", "r", *flight.arguments(form)]
+    read_end, write_end = os.pipe()
+    writer = threading.Thread(target=pour_blocks, args=(path.read_bytes(), blocks, write_end))
+    writer.start()
+    with open(read_end, "rb") as pipe:
+        live = tshark.run("-i", "-", *arguments, stdin=pipe)
+    writer.join()
+    assert live.stdout == tshark.run("-r", path, *arguments).stdout
 
 
 def test_tshark_says_what_is_wrong(home):

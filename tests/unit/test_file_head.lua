@@ -122,6 +122,19 @@ function T.test_sources_that_show_later()
   end
 end
 
+-- Whether a live capture of ours may have just begun: its interfaces may come later.
+function T.test_captures_that_begin()
+  local rows = {
+    { pcapng({}, {}, le), true }, { pcapng({ 227 }, {}, le), true }, { pcapng({ 1, 252 }, {}, be), true },
+    { pcapng({ 227 }, { { 0, "x" } }, le), false },
+    { pcapng({ 276 }, {}, be), true }, { pcapng({ 113 }, {}, be), true }, -- tshark -i any
+    { pcapng({ 276 }, { { 0, IP_OVER_SLL2 } }, be), false },
+    { pcapng({ 1 }, {}, le), false }, -- no need for a tree
+    { pcap(227, {}, le), false }, { "", false },
+  }
+  for at, row in ipairs(rows) do lu.assertEquals(head.read(row[1]).begins, row[2], "row " .. at) end
+end
+
 local function option(kind, value, number)
   return number(kind, 2) .. number(#value, 2) .. value .. ("\0"):rep(-#value % 4)
 end
