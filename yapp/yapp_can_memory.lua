@@ -137,7 +137,7 @@ local function link(self, record, message)
   local last = message.last
   if last then
     record.leads_to, record.has_fault = number_of(pass, last), pass.archive:is_faulty(last)
-  elseif has_ended and not message.status then
+  elseif has_ended and not message.status and not message.overtaken then
     record.is_unfinished = floor(message[message.count]) == floor(record.look)
   end
 end

@@ -371,6 +371,11 @@ function T.test_unfinished()
   looks(known, rows, { uninformed = true })
   lu.assertEquals(looks(known, rows, AGAIN), "part part part part single")
   lu.assertEquals(looks(known, rows, AGAIN), "part part unfinished part part unfinished single")
+  known = new() -- a Start cut it off: that is said there, and the capture ends behind it
+  rows = { { 1, "S" }, { 2, "M1" }, { 3, "S" }, { 4, "M1" }, { 5, "M2" }, { 6, "M3" }, { 7, "E" } }
+  looks(known, rows)
+  lu.assertEquals(looks(known, rows, AGAIN), "part part part>7 part>7 part>7 part>7 good:3,4,5,6,7")
+  lu.assertEquals(#known:unfinished(), 0)
 end
 
 function T.test_a_fault_is_known_in_every_frame()
