@@ -65,7 +65,10 @@ local function make_folder(path)
     made = made .. part
     if part ~= "" and not Dir.exists(made) then
       local ok = Dir.make(made)
-      if not ok and not Dir.exists(made) then return nil, made .. ": no permission, or no place for it" end
+      if not ok and not Dir.exists(made) then
+        local is_file = require("yapp_stat_file").exists(made)
+        return nil, made .. (is_file and ": a file, not a folder" or ": no permission, or no place for it")
+      end
     end
     made = made .. separator
   end

@@ -148,6 +148,19 @@ def test_a_cut_capture_is_partial(flight, tmp_path):
     assert (tmp_path / "data/message=motor/cut.partial.parquet").exists()
 
 
+def test_what_the_plugin_complains_of_is_passed_on(flight, tmp_path, monkeypatch):
+    (tmp_path / "bad.lua").write_text('return {{name="m",title="M",id=5,size=3,{"x","uint8","X"}}}')
+    monkeypatch.setenv("YAPP_MESSAGES", str(tmp_path / "bad.lua"))
+    options = [*OPTIONS, "-o", "yapp.late:abc", "--plugin", PLUGIN]
+    for arguments in (["convert", flight[0], "--to", "csv", "--out", "data"], ["report", flight[0], "-o", "page.html"]):
+        done = run_tables(tmp_path, *arguments, *options)
+        assert done.returncode == 0
+        for text in ("bad.lua: message m: size is 3, but the fields add up to 1 byte", '"abc" periods: not a number'):
+            assert done.stderr.count(text) == 1
+    with pytest.warns(UserWarning, match="the fields add up to 1 byte"):
+        yt.read(flight[0], options=flights.OPTIONS, plugin=PLUGIN)
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

@@ -82,6 +82,7 @@ def _report(given: argparse.Namespace) -> int:
         raise SetupError(f"{page} cannot be written: no folder {page.parent}")
     write_report = need(f"{__package__}.report", "report").write_report
     flight = read_flight(given.capture, _tshark(given))
+    _say(flight.complaints)
     try:
         write_report(flight, page)
     except OSError as error:
@@ -89,6 +90,11 @@ def _report(given: argparse.Namespace) -> int:
     if flight.partial:
         print(f"yapp-tables: {given.capture}: read in part: {flight.partial}", file=sys.stderr)
     return FAILED if flight.partial else 0
+
+
+def _say(complaints: Iterable[str]) -> None:
+    for text in complaints:
+        print(f"yapp-tables: {text}", file=sys.stderr)
 
 
 def _positive(text: str) -> int:
@@ -123,7 +129,9 @@ def _convert(given: argparse.Namespace) -> int:
     captures = _captures(given.captures)
     writer(given.to)
     tshark = _tshark(given)
-    made = made_by(tshark, tshark.catalogue())
+    catalogue, complaints = tshark.catalogue()
+    _say(complaints)
+    made = made_by(tshark, catalogue)
     results = Results(given.out.resolve(), given.to)
     results.open(captures, made)
     try:

@@ -22,13 +22,15 @@ class Flight(Mapping[str, pa.Table]):
 
     name: the capture's file name; faults: flags raised and cleared; events: these and reboots, silences, CRC errors;
     summary: a row for each bus and ID; statistics: minimum, mean and maximum of each of their fields;
-    messages: what the catalogue says of them; plugin: its version; partial: why not all could be read, or None.
+    messages: what the catalogue says of them; plugin: its version; partial: why not all could be read, or None;
+    complaints: what the plugin says is wrong with its preferences or the user's messages.
     """
 
     def __init__(self, capture: Path, export: Export) -> None:
         """Load the tables of an export of this capture."""
         self.name = capture.name
         self.partial = export.partial
+        self.complaints = export.complaints
         self.plugin = plugin_version(export.fields)
         self.events = table(export.records["events"], EVENTS)
         self.faults = self.events.filter(pc.equal(self.events["kind"], "fault")).drop_columns(
@@ -79,15 +81,18 @@ def read(
 
     options: preferences for tshark, "yapp.motor_ids:0x210,0x211"; filter: a display filter that narrows what is taken;
     plugin: yapp.lua where it is not installed; tshark: the program where it is not in PATH.
-    Of a damaged capture what can be read is returned, with a warning.  Raises YappError.
+    Of a damaged capture what can be read is returned, with a warning; what the plugin complains of is one too.
+    Raises YappError.
     """
     flight = read_flight(Path(capture), Tshark(_text(tshark), _text(plugin), tuple(options), filter))
     if flight.partial:
         warnings.warn(f"{capture}: read in part: {flight.partial}", stacklevel=2)
+    for text in flight.complaints:
+        warnings.warn(text, stacklevel=2)
     return flight
 
 
 def read_flight(capture: Path, tshark: Tshark) -> Flight:
-    """`read` for who has a Tshark; says nothing where the capture could be read in part only."""
+    """`read` for who has a Tshark; without its warnings."""
     with tempfile.TemporaryDirectory(prefix="yapp-tables-") as folder:
         return Flight(capture, tshark.export(capture, Path(folder, "export"), ("events", "summary")))

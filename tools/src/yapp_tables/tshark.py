@@ -24,18 +24,24 @@ USUAL_PLACES = ("/Applications/Wireshark.app/Contents/MacOS/tshark", r"C:\Progra
 # An empty capture: a pcap header (SocketCAN, 64 KB packets) and no packet.
 EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000")
 LOOK_SECONDS = 1
+PLUGIN_SAYS = "yapp: "
 
 Record = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Export:
-    """What one run left behind: `<message>.csv` and `fields.json` in folder, and the lines of the other statistics."""
+    """What one run left behind: `<message>.csv` and `fields.json` in folder, and the lines of the other statistics.
+
+    partial: tshark's reason where the capture is damaged; complaints: what the plugin said is wrong with its
+    preferences or the user's messages, which it goes on without.
+    """
 
     folder: Path
     fields: Record
     records: dict[str, list[Record]] = field(default_factory=dict)
     partial: str | None = None
+    complaints: tuple[str, ...] = ()
 
     def csv(self, message: str) -> Path:
         """Where the rows of a message are, whether or not there are any."""
@@ -61,8 +67,7 @@ class Tshark:
         """Write a capture's messages to folder, which is made.
 
         statistics: what else to gather, "events" or "summary"; watch: who wants to know how far it is.
-        Returns an Export; its `partial` is tshark's reason where the capture is damaged.
-        Raises SetupError, CaptureError and, for what another try may mend, YappError.
+        Returns an Export.  Raises SetupError, CaptureError and, for what another try may mend, YappError.
         """
         if not capture.is_file():
             what = "no file: 'FOLDER/**/*.pcapng' takes those in it" if capture.is_dir() else "no such file"
@@ -78,18 +83,23 @@ class Tshark:
         fields: Record = json.loads((csv / "fields.json").read_text(encoding="utf-8"))
         if "plugin" not in fields:
             raise SetupError(f"the plugin is too old, its fields.json does not name its version: {INSTALL_PLUGIN}")
-        return Export(csv, fields, _records(done.stdout, statistics), partial)
+        complaints = () if partial else _complaints(done.stderr)
+        return Export(csv, fields, _records(done.stdout, statistics), partial, complaints)
 
-    def catalogue(self) -> Record:
-        """fields.json of this plugin with these options; asked with an empty capture, it proves tshark and plugin."""
+    def catalogue(self) -> tuple[Record, tuple[str, ...]]:
+        """fields.json of this plugin with these options, and complaints as in Export.
+
+        Asked with an empty capture, it proves tshark and plugin.
+        """
         with tempfile.TemporaryDirectory(prefix="yapp-tables-") as folder:
             empty = Path(folder, "empty.pcap")
             empty.write_bytes(EMPTY_PCAP)
             try:
-                return self.export(empty, Path(folder, "export")).fields
+                export = self.export(empty, Path(folder, "export"))
             except CaptureError as error:
                 # Nothing is wrong with this capture: it is the plugin that refuses, a filter for example.
                 raise SetupError(str(error).removeprefix(f"{empty}: ")) from error
+            return export.fields, export.complaints
 
     def _command(self, capture: Path, wanted: list[str]) -> list[str]:
         command = [self._program(), "-q", "-r", str(capture.resolve())]
@@ -176,6 +186,12 @@ def _complaint(stderr: str) -> str:
     """What tshark said, without what it says every time as root, on one line."""
     lines = [line.strip() for line in stderr.splitlines()]
     return " ".join(line.removeprefix("tshark: ") for line in lines if line and not line.startswith("Running as user"))
+
+
+def _complaints(stderr: str) -> tuple[str, ...]:
+    """The lines of the plugin: where all went well they are about its preferences and the user's messages."""
+    lines = [line.removeprefix(PLUGIN_SAYS) for line in stderr.splitlines() if line.startswith(PLUGIN_SAYS)]
+    return tuple(dict.fromkeys(lines))
 
 
 def _records(stdout: str, statistics: tuple[str, ...]) -> dict[str, list[Record]]:
