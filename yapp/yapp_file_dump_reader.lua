@@ -33,6 +33,7 @@ end
 -- A dump has no mark at its start, and files of others may hold YAPP frames: only what is named .yapp is taken, or
 -- what the user says is a dump.  No reader is told the name.  But a file with another name is shown to the readers for
 -- any name before it is shown to those for .yapp; so one of the former, which takes nothing, notes what it was shown.
+local NO_FRAME = "no YAPP frame with a good CRC, and the size that its ID has, in the whole file"
 local HEAD = 256 -- bytes by which a file is known again
 
 local function read_head(file)
@@ -78,8 +79,7 @@ function M.register(dump, new_framer, time_of)
     local opened = dump.open(file, new_framer, time_of, head)
     if not opened then
       note_refused(head)
-      io.stderr:write("yapp: not opened as a raw serial dump: ",
-        head == "" and "the file is empty" or "no YAPP frame with a good CRC in the whole file", "\n")
+      io.stderr:write("yapp: not opened as a raw serial dump: ", head == "" and "the file is empty" or NO_FRAME, "\n")
       return false
     end
     capture.encap = wtap_encaps.WIRESHARK_UPPER_PDU
