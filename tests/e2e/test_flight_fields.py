@@ -185,6 +185,7 @@ def test_fields(folder, seed, passes):
     assert unfinished == (planted if passes else set()) or not knows_all and unfinished <= planted
 
 
+@levels.each_once
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
 @pytest.mark.parametrize("name", EXPERTS[1:] + FLAGS[:2] + LINKS + TIMES)
 def test_a_filter_alone(folder, name, passes):

@@ -346,4 +346,6 @@ def test_a_collector_that_is_always_at_work(name):
     """Wireshark 4.4 writes to the arguments of a reader's function after it has returned: if one was collected meanwhile, into
     memory of others, and ends."""
     script = pathlib.Path(__file__).with_name("collect.lua")
-    assert tshark.run("-X", f"lua_script:{script}", "-r", tshark.CAPTURES / name, "-T", "fields", "-e", "yapp.id").stdout.strip()
+    shown = tshark.run("-X", f"lua_script:{script}", "-r", tshark.CAPTURES / name, "-T", "fields", "-e", "yapp.id",
+                       env={"YAPP_COLLECT": "1"})
+    assert shown.stdout.strip()

@@ -128,7 +128,7 @@ def test_a_copy_in_the_former_plugin_folder(home):
 
 def clone(folder):
     """With the tests: Wireshark runs all of its .lua files."""
-    shutil.copytree(tshark.ROOT, folder, ignore=shutil.ignore_patterns(".git", "docs", "dist", "fuzz_*"))
+    shutil.copytree(tshark.ROOT, folder, ignore=shutil.ignore_patterns(".*", "docs", "dist", "fuzz_*", "*.egg-info"))
 
 
 def test_a_clone_in_a_plugin_folder(home):
