@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
+import os
 import pathlib
 import shutil
 import sys
@@ -9,6 +10,10 @@ HERE = pathlib.Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1] / "test_captures")]
 import levels  # noqa: E402
 import tshark  # noqa: E402
+
+# A tshark asks for its memory in few large pieces: a seventh of its start, and most tests start one.
+os.environ.setdefault("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")
+os.environ.setdefault("MALLOC_TOP_PAD_", str(64 << 20))
 
 
 def pytest_configure(config):

@@ -315,6 +315,8 @@ SHOWN = {"document_motor": {"Protocol": "YAPP", "Source": "0x210", "Info": "Moto
          "document_uart": {"Protocol": "YAPP", "Info": "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"}}
 
 
+@levels.by_version
+@levels.each_once
 @pytest.mark.parametrize("arguments", [(), ("-2",), ("-P", "-V"), ("-2", "-P", "-q", "-z", "io,phs"), ("-T", "psml")],
                          ids=" ".join)
 @pytest.mark.parametrize("name", SHOWN)

@@ -7,6 +7,8 @@ import subprocess
 import sys
 
 import pytest
+
+import levels
 import tshark
 
 FOLDER = tshark.CAPTURES / "other"
@@ -32,7 +34,14 @@ def messages(path):
     return [line for line in done.stdout.splitlines() if line.strip()], done.stderr
 
 
-@pytest.mark.parametrize("name, says", table(), ids=lambda value: value)
+# One of each reader's; how files are packed is Wireshark's.
+USUAL = ["motor.asc", "motor.blf", "motor.crt", "motor.log", "motor_2_1.trc", "motor_fd.log", "motor_savvycan.csv",
+         "two_interfaces.pcapng.gz"]
+
+
+@levels.by_version
+@pytest.mark.parametrize("name, says", levels.few(table(), [row for row in table() if row[0] in USUAL], several=True),
+                         ids=lambda value: value)
 def test_table(name, says):
     whole = WHOLE[re.match(r"(motor_fd|motor|two_interfaces)", name)[0]]
     shown, errors = messages(FOLDER / name)

@@ -283,8 +283,7 @@ CATALOGUES = {
 UNREADABLE = ("an error", "no stack", "a million entries")
 
 
-@pytest.mark.parametrize("name", levels.few(CATALOGUES, ["a million fields in one", "texts of a megabyte", "an error in a field",
-                                                         "no stack"]))
+@pytest.mark.parametrize("name", levels.few(CATALOGUES, ["texts of a megabyte", "an error in a field", "no stack"]))
 def test_catalogue(folder, name):
     text, texts = CATALOGUES[name]
     options, load = given.with_catalogue(folder, text)

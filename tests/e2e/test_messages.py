@@ -13,6 +13,7 @@ import sys
 
 import pytest
 
+import levels
 import tshark
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captures"))
@@ -58,12 +59,13 @@ def test_the_text_makes_the_capture(name):
     assert (OWN / f"{name}.pcap").read_bytes() == pcap(name)
 
 
+@levels.by_version
+@levels.each_once
 @pytest.mark.usefixtures("own")
+@pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
 @pytest.mark.parametrize("name", NAMES)
-def test_tree_and_info(name):
-    text = (OWN / f"{name}.expected").read_text()
-    assert shown(name) == text
-    assert shown(name, "-2") == text
+def test_tree_and_info(name, passes):
+    assert shown(name, *passes) == (OWN / f"{name}.expected").read_text()
 
 
 # Field and its values by frame, typed by hand from the bytes; - where it is absent.
@@ -143,8 +145,10 @@ def test_filters(name):
     tshark.assert_found(OWN / f"{name}.pcap", [row[1:] for row in FILTERS if row[0] == name])
 
 
+@levels.by_version
 @pytest.mark.usefixtures("own")
-@pytest.mark.parametrize("name, text, frames", FILTERS, ids=lambda value: value if isinstance(value, str) else "")
+@pytest.mark.parametrize("name, text, frames", levels.few(FILTERS, list({row[0]: row for row in FILTERS}.values()), several=True),
+                         ids=lambda value: value if isinstance(value, str) else "")
 def test_a_filter_alone(name, text, frames):
     """Nothing else is wanted of the tree."""
     found = tshark.run("-r", OWN / f"{name}.pcap", "-Y", text).stdout

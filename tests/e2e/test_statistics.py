@@ -183,7 +183,8 @@ def test_csv(results, seed, form, passes):
             check_row(row, *truth)
 
 
-@CHECKED
+@levels.by_version
+@pytest.mark.parametrize("seed, form, passes", levels.few(CASES, CASES[::3], several=True))
 def test_csv_alone(results, seed, form, passes):
     """Where it is the only statistic, messages do not wait for their packets' taps."""
     _, table, capture = results(seed, form, passes)
