@@ -141,11 +141,27 @@ local function show_skipped(self, view, tvb, at, bytes)
   return ("Skipped %s%s"):format(builder.bytes(#bytes), text and " " .. text or "")
 end
 
+-- Shows the bytes at the packet's end that wait for more; returns what the Info column says of them.
+local function show_pending(self, view, packet)
+  local builder, pending, leads_to, item = self.tree, packet.pending, packet.leads_to, view.tree
+  if view.wants.yapp then
+    local range = view.tvb(packet.done, pending)
+    item = add(item, builder.yapp, range)
+    append_text(item, ", part of a frame")
+    add(item, builder.fields["fragment.data"], range)
+    if leads_to then add_generated(item, builder.fields["reassembled.in"], leads_to) end
+  end
+  if packet.is_unfinished then builder:expert(item, "unfinished") end
+  return leads_to and ("[Reassembled in #%d]"):format(leads_to) or
+    packet.missing and ("[%s of a frame, %d to come]"):format(builder.bytes(pending), packet.missing) or
+    ("[%s wait for more]"):format(builder.bytes(pending))
+end
+
 -- Shows what a packet holds; what lies in the packet has no bytes of its own.
 -- view  { tvb, pinfo, tree, wants, packet, fact, bus_key, bus_name }; gets wanted = whether anyone wants a tree
 local function show(self, view)
-  local tvb, events, raw, info = view.tvb, view.packet.events, view.fact.bytes, ""
-  local wants = view.wants
+  local tvb, packet, wants, raw, info = view.tvb, view.packet, view.wants, view.fact.bytes, ""
+  local events = packet.events
   view.wanted = wants.yapp or wants.taurus
   if not view.wanted then self.tree:bare(view.tree, wants, true) end
   for i, event in ipairs(events) do
@@ -160,25 +176,10 @@ local function show(self, view)
     if i <= 10 then info = i == 1 and text or info .. " | " .. text end
   end
   if #events > 10 then info = ("%s | and %d more"):format(info, #events - 10) end
+  if packet.pending > 0 then info = info .. (events[1] and " | " or "") .. show_pending(self, view, packet) end
   if not wants.columns then return end
   local columns = view.pinfo.cols
   columns.protocol, columns.info = "YAPP", info
-end
-
--- Shows the bytes at the packet's end that wait for more; returns what the Info column says of them.
-local function show_pending(self, tvb, tree, packet, wants)
-  local builder, pending, leads_to, item = self.tree, packet.pending, packet.leads_to, tree
-  if wants.yapp then
-    local range = tvb(packet.done, pending)
-    item = add(tree, builder.yapp, range)
-    append_text(item, ", part of a frame")
-    add(item, builder.fields["fragment.data"], range)
-    if leads_to then add_generated(item, builder.fields["reassembled.in"], leads_to) end
-  end
-  if packet.is_unfinished then builder:expert(item, "unfinished") end
-  return leads_to and ("[Reassembled in #%d]"):format(leads_to) or
-    packet.missing and ("[%s of a frame, %d to come]"):format(builder.bytes(pending), packet.missing) or
-    ("[%s wait for more]"):format(builder.bytes(pending))
 end
 
 -- Statistics are told of the frames that the capture ends before, and when their last bytes came.
@@ -278,9 +279,6 @@ function Carrier:dissect(tvb, pinfo, tree)
   if self.reader.stat.wanted and packet.done < size then
     note_latest(self, pinfo, fact, bus_key, bus_name)
   end
-  if packet.pending > 0 then
-    pinfo.cols.info:append((#events > 0 and " | " or "") .. show_pending(self, tvb, tree, packet, wants))
-  end
   if transport == "segment" then
     if packet.done < size then pinfo.desegment_offset, pinfo.desegment_len = packet.done, ONE_MORE_SEGMENT end
   elseif fact.truncated then
@@ -295,7 +293,8 @@ function Carrier:skipped(tvb, pinfo, tree)
   local size = tvb:len()
   if size > 0 then
     show(self, { tvb = tvb, pinfo = pinfo, tree = tree, wants = self.tree:wants(tree, pinfo, true),
-      fact = { bytes = tvb:raw() }, packet = { events = { { status = "skipped", at = 0, length = size } } } })
+      fact = { bytes = tvb:raw() },
+      packet = { events = { { status = "skipped", at = 0, length = size } }, pending = 0 } })
   end
   return size
 end

@@ -50,10 +50,11 @@ end
 
 --- Any packet.
 -- piece    of yapp_serial_memory; fact: of its packet
--- returns  whether it is one good frame: then the piece is not needed
+-- returns  whether it is kept as one good frame: then the piece is not needed
 function Kept:keep(piece, fact)
   local number, place, event = fact.number, fact.place, piece.events[1]
   make_room(self, number)
+  if self.is_only_pass then return false end
   drop(self, number, place)
   if event and event.good and event.from == piece.base and event.to - event.from == #fact.bytes and
     not self.archive.extras[number] then
@@ -65,25 +66,23 @@ function Kept:keep(piece, fact)
   return false
 end
 
---- Pieces that nothing changes any more become texts, or in the only pass go.  One of the number that may come again
--- (-R) waits; one that has been dropped, or is not the only piece of its packet, is let be.
--- settled  list of pieces
--- returns  list of those that wait
+--- Pieces that nothing changes any more become texts.  One of the number that may come again (-R) waits; one that has
+-- been dropped, or is not the only piece of its packet, is let be.
+-- settled  list of pieces: gets those that wait
 function Kept:settle(settled, number)
-  local rest, kept = {}, self.archive
-  for _, piece in ipairs(settled) do
-    local at = piece.number
-    local is_only = self.pieces[at] == piece and not piece.other
-    if at == number and (is_only or self.is_only_pass) then
-      rest[#rest + 1] = piece
-    elseif self.is_only_pass then
-      self.pieces[at] = nil
-    elseif is_only and not kept:get(at) then
+  local count, waiting, kept = #settled, 0, self.archive
+  for i = 1, count do
+    local piece = settled[i]
+    local at, is_only = piece.number, self.pieces[piece.number] == piece and not piece.other
+    settled[i] = nil
+    if at == number and is_only then
+      waiting = waiting + 1
+      settled[waiting] = piece
+    elseif is_only and not self.is_only_pass and not kept:get(at) then
       local text = serial_piece.pack(piece)
       if text then self.pieces[at], kept.extras[at] = nil, text end
     end
   end
-  return rest
 end
 
 --- What is known of a packet.

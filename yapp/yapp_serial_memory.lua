@@ -241,7 +241,7 @@ end
 local function take_packet(self, pass, fact)
   local stream = stream_of(pass, fact.stream)
   pass.highest = fact.number
-  if stream.settled[1] then stream.settled = pass.kept:settle(stream.settled, fact.number) end
+  if stream.settled[1] then pass.kept:settle(stream.settled, fact.number) end
   local plain = take_plain(self, pass, stream, fact)
   if plain then return plain end
   local piece = take[fact.transport](self, stream, fact)
