@@ -36,7 +36,7 @@ needs-tests: needs-tshark
 demo: needs-tshark
 	@tests/demo $(if $(CAPTURE),"$(CAPTURE)",$(DEMO:%=test_captures/%.pcap))
 
-## What a developer runs after every change: each behaviour once, in three minutes on two cores
+## What a developer runs after every change: each behaviour once, in three to four minutes on two cores
 test: lint unit e2e
 
 ## What CI runs: everything on this machine's Wireshark, the other ones of 4.0, 4.4 and 4.6, each by both loading routes,
