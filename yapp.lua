@@ -5,7 +5,7 @@
 local VERSION = "2.0.0"
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 
--- Installed in the plugin folder and given by -X, or given twice: the first one loads.  Installed twice: yapp_copies.
+-- Installed in the plugin folder and given by -X, or given twice: the first one loads.  Installed twice: host.copies.
 local loaded = package.loaded["yapp.plugin"]
 if loaded then
   io.stderr:write(("yapp: %syapp.lua (%s) is not loaded: %s (%s) is already there\n")
@@ -20,17 +20,43 @@ set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
 -- writes text that no program reads, Lua 5.2 reads no "2.5", and Lua that is made from numbers is none.
 os.setlocale("C", "numeric")
 
-package.path = here .. "?.lua;" .. here .. "yapp/?.lua;" .. package.path
-local parts = {}
-for _, name in ipairs {
-  "can_carrier", "can_frames", "can_id", "can_interleave", "can_memory", "can_repeated",
-  "can_wrapper", "catalogue", "catalogue_files", "collector", "copies", "crc", "decode", "decode_columns", "facts",
-  "file_asc", "file_asc_reader", "file_candump", "file_candump_line", "file_candump_reader", "file_dump",
-  "file_dump_reader", "file_head", "frame", "history", "preferences", "reader", "serial_carrier", "serial_memory",
-  "serial_stream", "sources", "stat", "stat_tell", "tree", "utf8",
-} do
-  parts[name] = require("yapp_" .. name)
-end
+package.path = here .. "?.lua;" .. package.path
+local parts = {
+  can_carrier = require "yapp.can.carrier",
+  can_frames = require "yapp.can.frames",
+  can_id = require "yapp.wire.can_id",
+  can_interleave = require "yapp.can.interleave",
+  can_memory = require "yapp.can.memory",
+  can_repeated = require "yapp.can.repeated",
+  can_wrapper = require "yapp.can.wrapper",
+  catalogue = require "yapp.message.catalogue",
+  catalogue_files = require "yapp.message.catalogue_files",
+  collector = require "yapp.base.collector",
+  crc = require "yapp.wire.crc",
+  decode = require "yapp.message.decode",
+  decode_columns = require "yapp.message.columns",
+  facts = require "yapp.host.facts",
+  file_asc = require "yapp.file.asc",
+  file_asc_reader = require "yapp.file.asc_reader",
+  file_candump = require "yapp.file.candump",
+  file_candump_line = require "yapp.file.candump_line",
+  file_candump_reader = require "yapp.file.candump_reader",
+  file_dump = require "yapp.file.dump",
+  file_dump_reader = require "yapp.file.dump_reader",
+  file_head = require "yapp.host.file_head",
+  frame = require "yapp.wire.frame",
+  history = require "yapp.message.history",
+  preferences = require "yapp.host.preferences",
+  reader = require "yapp.message.reader",
+  serial_carrier = require "yapp.serial.carrier",
+  serial_memory = require "yapp.serial.memory",
+  serial_stream = require "yapp.serial.stream",
+  sources = require "yapp.message.sources",
+  stat = require "yapp.stat.taps",
+  stat_tell = require "yapp.stat.tell",
+  tree = require "yapp.show.tree",
+  utf8 = require "yapp.base.utf8",
+}
 local decode, preferences, candump = parts.decode, parts.preferences, parts.file_candump_reader
 
 -- The user's own messages come behind ours: from Wireshark's personal configuration folder, and from where a preference
@@ -211,7 +237,6 @@ end
 yapp.prefs_changed = read_preferences
 
 function yapp.init()
-  parts.copies.tell(plugin)
   read_preferences()
   candump.current_bus = nil -- sharkd opens the next file without closing the first
   facts:init()

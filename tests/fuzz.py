@@ -115,8 +115,8 @@ def homes():
     plugins = folder / "installed/.local/lib/wireshark/plugins/yapp"
     (folder / "bare").mkdir()
     script = folder / "script"  # -X by a path that every user can reach
-    for target in (plugins, script):
-        trace(tshark.copy_plugin(target, PLUGIN) / "yapp.lua")
+    trace(tshark.copy_plugin(script, PLUGIN) / "yapp.lua")
+    tshark.install_plugin(plugins, script)
     for path in [folder, *folder.rglob("*")]:
         path.chmod(0o755 if path.is_dir() else 0o644)
     return folder

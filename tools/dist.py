@@ -6,21 +6,23 @@ import pathlib
 import re
 import zipfile
 
+import bundle
+
 TOP = pathlib.Path(__file__).resolve().parents[1]
-WHOLE = ("yapp.lua", "taurus_fields.lua", "yapp/*.lua", "extcap/*.py", "profiles/*/*", "README.md", "CHANGELOG.md",
+WHOLE = ("taurus_fields.lua", "extcap/*.py", "profiles/*/*", "README.md", "CHANGELOG.md",
          "CONTRIBUTING.md", "LICENSE", "docs/*", "tools/pyproject.toml", "tools/README.md", "tools/src/*/*.*")
 
 
 def pack(name, files):
-    """Writes a zip of { name in the zip: path }: the same bytes for the same files."""
+    """Writes a zip of { name in the zip: path, or its bytes }: the same bytes for the same files."""
     path = TOP / "dist" / name
     path.parent.mkdir(exist_ok=True)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for inside, file in sorted(files.items()):
             entry = zipfile.ZipInfo(inside)
             entry.compress_type, entry.create_system = zipfile.ZIP_DEFLATED, 3
-            entry.external_attr = (0o100755 if file.suffix == ".py" else 0o100644) << 16
-            archive.writestr(entry, file.read_bytes())
+            entry.external_attr = (0o100755 if inside.endswith(".py") else 0o100644) << 16
+            archive.writestr(entry, file if isinstance(file, bytes) else file.read_bytes())
     print(path.relative_to(TOP))
 
 
@@ -28,6 +30,7 @@ def main():
     version = re.search(r'^local VERSION = "(.*)"', (TOP / "yapp.lua").read_text(encoding="utf-8"), re.MULTILINE)[1]
     files = {f"yapp/{path.relative_to(TOP).as_posix()}": path for pattern in WHOLE for path in TOP.glob(pattern)}
     files["yapp/install.py"] = TOP / "tools/install.py"
+    files["yapp/yapp.lua"] = bundle.bundle(TOP).encode()
     pack(f"yapp-{version}.zip", files)
     profile = TOP / "profiles"
     pack(f"yapp-profile-{version}.zip",

@@ -103,7 +103,7 @@ def source_folder():
     """The folder that has the plugin: this program's own in the zip, the one above it in the repository."""
     here = pathlib.Path(__file__).resolve().parent
     for folder in (here, here.parent):
-        if (folder / "yapp.lua").is_file() and (folder / "yapp").is_dir():
+        if (folder / "yapp.lua").is_file() and (folder / "taurus_fields.lua").is_file():
             return folder
     raise Problem(f"{here} has no yapp.lua: unpack the whole zip, and run install.py where it lies")
 
@@ -112,7 +112,10 @@ def wanted_files(source, wireshark):
     """What belongs where: { path: content }."""
     target = wireshark.plugins / "yapp"
     files = {target / name: (source / name).read_bytes() for name in ("yapp.lua", "taurus_fields.lua")}
-    for folder, to, pattern in ((source / "yapp", target / "yapp", "*.lua"), (source / "extcap", wireshark.extcap, "*.py"),
+    if (source / "yapp").is_dir():  # the repository: the zip has them in one file already
+        import bundle
+        files[target / "yapp.lua"] = bundle.bundle(source).encode()
+    for folder, to, pattern in ((source / "extcap", wireshark.extcap, "*.py"),
                                 (source / "profiles/YAPP", wireshark.profile, "*")):
         for path in sorted(folder.glob(pattern)):
             files[to / path.name] = path.read_bytes()

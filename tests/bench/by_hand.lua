@@ -6,8 +6,8 @@
 if ... ~= "run" then return end -- run by Wireshark, in a plugin folder
 
 local top = debug.getinfo(1, "S").source:match("^@(.*)tests/bench/") or ""
-package.path = top .. "yapp/?.lua;" .. package.path
-local crc, can_id = require("yapp_crc"), require("yapp_can_id")
+package.path = top .. "?.lua;" .. package.path
+local crc, can_id = require("yapp.wire.crc"), require("yapp.wire.can_id")
 
 local yapp, taurus = Proto("by_hand", "YAPP by hand"), Proto("by_hand_taurus", "Taurus by hand")
 local add, add_le, append, generated = TreeItem.add, TreeItem.add_le, TreeItem.append_text, TreeItem.set_generated

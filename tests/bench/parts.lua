@@ -5,13 +5,15 @@
 if not arg then return end -- run by Wireshark, in a plugin folder
 
 local top = arg[0]:match("^(.*)tests[/\\]bench[/\\]") or "./"
-package.path = top .. "yapp/?.lua;" .. package.path
+package.path = top .. "?.lua;" .. package.path
 
-local parts = {}
-for _, name in ipairs { "can_frames", "can_id", "can_interleave", "can_memory", "can_reassembly",
-  "can_repeated", "catalogue", "crc", "decode", "decode_info", "history", "reader" } do
-  parts[name] = require("yapp_" .. name)
-end
+local parts = {
+  can_frames = require "yapp.can.frames", can_id = require "yapp.wire.can_id", can_interleave = require "yapp.can.interleave",
+  can_memory = require "yapp.can.memory", can_reassembly = require "yapp.can.reassembly",
+  can_repeated = require "yapp.can.repeated", catalogue = require "yapp.message.catalogue", crc = require "yapp.wire.crc",
+  decode = require "yapp.message.decode", decode_info = require "yapp.message.info",
+  history = require "yapp.message.history", reader = require "yapp.message.reader",
+}
 local catalogue = parts.catalogue.compile(dofile(top .. "taurus_fields.lua"))
 
 local NO_HISTORY = { change = function() end }

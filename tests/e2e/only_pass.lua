@@ -1,10 +1,10 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Loaded behind the plugin: at the end says on stderr whether the memories of CAN and of streams were told that the
 -- first pass is the only one.
-if not package.loaded.yapp_can_frames then return end -- not behind it
+if not package.loaded["yapp.can.frames"] then return end -- not behind it
 
 local told = {}
-for name, module in pairs { can = "yapp_can_frames", serial = "yapp_serial_kept" } do
+for name, module in pairs { can = "yapp.can.frames", serial = "yapp.serial.kept" } do
   local class = require(module)
   local new = class.new
   function class.new(...)

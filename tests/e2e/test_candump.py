@@ -19,9 +19,9 @@ CAPTURES = ROOT / "test_captures"
 TSHARK = os.environ.get("TSHARK", "tshark")
 
 REGISTER = """
-package.path = "%s/yapp/?.lua;" .. package.path
-local reader = require("yapp_file_candump_reader")
-reader.register(require("yapp_file_candump"))
+package.path = "%s/?.lua;" .. package.path
+local reader = require("yapp.file.candump_reader")
+reader.register(require("yapp.file.candump"))
 io.stderr:write("reader registered\\n")
 """
 

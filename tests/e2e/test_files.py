@@ -104,7 +104,7 @@ def test_readers_hold_what_wireshark_hands_them():
     """A reader that does not name an argument does not hold it: collected while the reader reads, it is freed, and
     Wireshark writes into it afterwards.  4.4.18 ended with "malloc(): mismatching next->prev_size"."""
     wanted = {"read_open": 2, "read": 3, "seek_read": 4}
-    found = [(path.name, name, arguments.count(",") + 1) for path in (tshark.PLUGIN / "yapp").glob("*.lua")
+    found = [(path.name, name, arguments.count(",") + 1) for path in (tshark.PLUGIN / "yapp").rglob("*.lua")
              for name, arguments in re.findall(r"(?m)function handler\.(\w+)\((.*?)\)(?: --.*)?$", path.read_text())]
     assert len(found) >= 8
     assert [(file, name) for file, name, count in found if count != wanted[name]] == []

@@ -57,7 +57,7 @@ def planted(folder, monkeypatch):
         shutil.rmtree(home, ignore_errors=True)
 
 
-DISSECTOR = ("yapp/yapp_serial_stream.lua", "function Stream:feed")
+DISSECTOR = ("yapp/serial/stream.lua", "function Stream:feed")
 INIT = ("yapp.lua", "function yapp.init")
 
 
@@ -82,11 +82,11 @@ def test_an_error_of_the_first_pass_alone_is_seen(planted, way):
 
 # What is planted, into which capture's decoding, and what the fuzzer is to say; limits are lower, to see them soon.
 PLANTED = {
-    "reader": ("yapp/yapp_file_candump_reader.lua", "local function fill", 'error("planted")', "candump_log2long.txt",
+    "reader": ("yapp/file/candump_reader.lua", "local function fill", 'error("planted")', "candump_log2long.txt",
                "FileHandler"),
-    "dump reader": ("yapp/yapp_file_dump_reader.lua", "local function fill", 'error("planted")',
+    "dump reader": ("yapp/file/dump_reader.lua", "local function fill", 'error("planted")',
                     "fuzz_dump_of_another_size.yapp", "FileHandler"),
-    "load": ("yapp/yapp_crc.lua", "local M", 'error("planted")', "document_udp.pcap", "Lua:"),
+    "load": ("yapp/wire/crc.lua", "local M", 'error("planted")', "document_udp.pcap", "Lua:"),
     "init": (*INIT, 'error("planted")', "document_udp.pcap", "planted"),
     "exit": (*INIT, "os.exit(7)", "document_udp.pcap", "exit code 7"),
     "crash": (*INIT, 'os.execute("kill -SEGV $PPID")', "document_udp.pcap", "crash: signal 11"),
@@ -112,7 +112,7 @@ def test_a_fault_ends_a_run_with_a_small_capture(folder):
     """The whole program: a finding is told, made small, kept; the exit code says so; kept, it is found again."""
     (folder / "plugin").mkdir()
     (folder / "kept").mkdir()
-    plant(folder / "plugin", "yapp/yapp_decode.lua", "function M.read", 'error("planted")')
+    plant(folder / "plugin", "yapp/message/decode.lua", "function M.read", 'error("planted")')
     command = [sys.executable, tshark.ROOT / "tests/fuzz.py", "--plugin", folder / "plugin"]
     done = subprocess.run([*command, "--frames", "100", "--jobs", "1", "--keep", folder / "kept"], capture_output=True,
                           text=True, check=False)

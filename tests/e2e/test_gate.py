@@ -78,7 +78,7 @@ CLEAN = flight()
 
 def installed(folder, change=None):
     """A home with the plugin in its plugin folder, and what a change makes of it."""
-    plugin = tshark.copy_plugin(folder / "home" / tshark.PERSONAL_FOLDER / "yapp")
+    plugin = tshark.install_plugin(folder / "home" / tshark.PERSONAL_FOLDER / "yapp")
     if change:
         change(plugin)
     for path in [folder, *folder.rglob("*")]:
@@ -117,7 +117,8 @@ def break_one_message(plugin):
 
 
 def lose_module(plugin):
-    (plugin / "yapp" / "yapp_crc.lua").unlink()
+    path = plugin / "yapp.lua"
+    path.write_text(path.read_text().replace('module("yapp.wire.crc"', 'module("yapp.wire.lost"'))
 
 
 CASES = {

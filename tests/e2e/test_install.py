@@ -17,7 +17,7 @@ PLUGINS = ".local/lib/wireshark/plugins"
 
 def install(folder, version=None):
     """A copy of the plugin, as a user or `make install` puts it there."""
-    tshark.copy_plugin(folder, tshark.ROOT)
+    tshark.install_plugin(folder, tshark.ROOT)
     if version:
         entry = folder / "yapp.lua"
         text = entry.read_text()
@@ -98,54 +98,6 @@ def test_the_same_script_twice(home):
     the_one_line(load(home, *arguments, *arguments))
 
 
-def old_version(folder):
-    """A copy that does not look for others, as 1.0.0 did not."""
-    install(folder, version="old")
-    (folder / "yapp/yapp_copies.lua").unlink()
-    entry = folder / "yapp.lua"
-    text = entry.read_text()
-    for part in ("parts.copies.tell(plugin)\n", '"copies", '):
-        assert part in text
-        text = text.replace(part, "")
-    entry.write_text(text)
-
-
-@pytest.mark.parametrize("first, second", [(install, install), (old_version, install), (install, old_version)])
-def test_two_copies_in_plugin_folders(home, first, second):
-    """Wireshark knows a plugin's file by its name and runs the first alone, without a word; the plugin has one."""
-    first(home / PLUGINS / "yapp-1")
-    second(home / PLUGINS / "yapp-2")
-    refused, loaded = the_one_line(load(home))
-    assert "yapp-2" in refused and "yapp-1" in loaded
-
-
-def test_a_copy_in_the_former_plugin_folder(home):
-    install(home / PLUGINS / "yapp")
-    install(home / ".config/wireshark/plugins/yapp")
-    refused, loaded = the_one_line(load(home))
-    assert ".config" in refused and PLUGINS in loaded
-
-
-def clone(folder):
-    """With the tests: Wireshark runs all of its .lua files."""
-    shutil.copytree(tshark.ROOT, folder, ignore=shutil.ignore_patterns(".*", "docs", "dist", "fuzz_*", "*.egg-info"))
-
-
-def test_a_clone_in_a_plugin_folder(home):
-    clone(home / PLUGINS / "clone")
-    errors = load(home, cwd=home)
-    assert len(errors) == 1 and "clone of the repository" in errors[0] and "make install" in errors[0]
-
-
-@pytest.mark.parametrize("name", ["a-clone", "z-clone"])
-def test_a_clone_beside_an_installation(home, name):
-    clone(home / PLUGINS / name)
-    install(home / PLUGINS / "yapp")
-    errors = load(home, cwd=home)
-    assert any(name in line and "make install" in line for line in errors), errors
-    assert sum("is not loaded" in line for line in errors) == 1
-
-
 def test_about_plugins(home):
     """Version and description of Help, About, Plugins."""
     install(home / PLUGINS / "yapp")
@@ -153,16 +105,6 @@ def test_about_plugins(home):
     done = tshark.run("-G", "plugins", plugin=False, env={"HOME": str(home)})
     line, = (line.split("\t") for line in done.stdout.splitlines() if line.startswith("yapp.lua"))
     assert line[1] == tshark.plugin_version()
-
-
-def test_file_names_cannot_clash():
-    """All plugins share one space of module names; a dot in one is an error from 4.4 on."""
-    files = [tshark.ROOT / "yapp.lua", tshark.ROOT / "taurus_fields.lua", *(tshark.ROOT / "yapp").rglob("*")]
-    names = [path.name for path in files if path.is_file()]
-    assert len(set(names)) == len(names)
-    for name in names:
-        assert name.endswith(".lua") and name.count(".") == 1
-        assert name.startswith("yapp") or name == "taurus_fields.lua"
 
 
 def test_plugin_folder_leaves_no_globals(home):
@@ -182,10 +124,10 @@ def test_script_leaves_no_globals(home):
 def test_a_leak_is_seen(home):
     """The comparison itself: a plugin that leaves a global behind and changes a function of the library."""
     plugin = install(home / "plugin")
-    with open(plugin / "yapp/yapp_crc.lua", "r+") as file:
-        text = file.read()
-        file.seek(0)
-        file.write("leaked = 1; local rep = string.rep; function string.rep(...) return rep(...) end\n" + text)
+    text, module = (plugin / "yapp.lua").read_text(), 'module("yapp.wire.crc", [=[\n'
+    assert module in text
+    leak = "leaked = 1; local rep = string.rep; function string.rep(...) return rep(...) end\n"
+    (plugin / "yapp.lua").write_text(text.replace(module, module + leak))
     before, after = (["-X", f"lua_script:{shutil.copy(GLOBALS, home / name)}"] for name in ("first.lua", "last.lua"))
     done = tshark.run(*before, *script(plugin), *after, "-r", CAPTURE, plugin=False, env={"HOME": str(home)})
     assert "globals: leaked" in done.stderr and "globals: string.rep" in done.stderr

@@ -2,6 +2,7 @@
 """tools/install.py, the zips and `make demo`: what is installed where, what a user changed is never lost, nothing is left
 behind, and what is wrong is said in a line."""
 import hashlib
+import json
 import os
 import pathlib
 import re
@@ -80,7 +81,7 @@ def test_everything_is_installed_and_removed(home, source):
     lines = run(home, source=source, path=REAL)
     assert any(line.startswith("checked") for line in lines) and not any(line.startswith("kept") for line in lines)
     there = all_of(home / YAPP)
-    assert {"yapp.lua", "taurus_fields.lua", "yapp/yapp_crc.lua", "installed.json"} <= there
+    assert {"yapp.lua", "taurus_fields.lua", "installed.json"} == there
     assert (home / PROFILE / "recently_new").read_text() == "one\n"
     extcap = EXTCAP if tshark.version() >= (4, 4) else EXTCAP_4_0
     for path in (source / "extcap").glob("*.py"):
@@ -159,13 +160,14 @@ def test_taking_the_new_catalogue_ends_it(home, source):
 
 def test_changed_code_makes_way_and_is_kept_beside(home, source):
     run(home, source=source)
-    mine = edit(home / YAPP / "yapp/yapp_crc.lua")
-    line_of(run(home, source=source), "replaced", "yapp_crc.lua.edited")
-    assert (home / YAPP / "yapp/yapp_crc.lua").read_bytes() == (source / "yapp/yapp_crc.lua").read_bytes()
-    edit(home / YAPP / "yapp/yapp_crc.lua", "-- mine again\n")
-    line_of(run(home, source=source), "replaced", "yapp_crc.lua.edited2")
-    assert (home / YAPP / "yapp/yapp_crc.lua.edited").read_bytes() == mine
-    line_of(run(home, "uninstall", source=source), "kept", "yapp_crc.lua.edited:")
+    installed = (home / YAPP / "yapp.lua").read_bytes()
+    mine = edit(home / YAPP / "yapp.lua")
+    line_of(run(home, source=source), "replaced", "yapp.lua.edited")
+    assert (home / YAPP / "yapp.lua").read_bytes() == installed
+    edit(home / YAPP / "yapp.lua", "-- mine again\n")
+    line_of(run(home, source=source), "replaced", "yapp.lua.edited2")
+    assert (home / YAPP / "yapp.lua.edited").read_bytes() == mine
+    line_of(run(home, "uninstall", source=source), "kept", "yapp.lua.edited:")
 
 
 def test_profile_files_that_the_user_changed(home, source):
@@ -182,17 +184,21 @@ def test_profile_files_that_the_user_changed(home, source):
 
 
 def test_files_that_a_later_version_does_not_have(home, source):
-    (source / "yapp/yapp_former.lua").write_text("return {}\n")
-    (source / "yapp/yapp_other.lua").write_text("return {}\n")
+    """Such as the folder of modules of 2.0: its files go, but for those that the user changed or put there."""
     run(home, source=source)
-    edit(home / YAPP / "yapp/yapp_other.lua")
-    (home / YAPP / "yapp/my_own.lua").write_text("return {}\n")
-    (source / "yapp/yapp_former.lua").unlink()
-    (source / "yapp/yapp_other.lua").unlink()
+    modules, names = home / YAPP / "yapp", ("yapp_former.lua", "yapp_other.lua")
+    modules.mkdir()
+    listed = json.loads((home / YAPP / "installed.json").read_text())
+    for name in names:
+        (modules / name).write_text("return {}\n")
+        listed["files"][str(modules / name)] = hashlib.sha256(b"return {}\n").hexdigest()
+    (home / YAPP / "installed.json").write_text(json.dumps(listed))
+    edit(modules / "yapp_other.lua")
+    (modules / "my_own.lua").write_text("return {}\n")
     line_of(run(home, source=source), "kept", "yapp_other.lua")
-    assert not (home / YAPP / "yapp/yapp_former.lua").exists()
+    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua"}
     run(home, "uninstall", source=source)
-    assert {path.name for path in (home / YAPP / "yapp").iterdir()} == {"my_own.lua", "yapp_other.lua"}
+    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua"}
 
 
 def git(*arguments):
@@ -219,14 +225,12 @@ def test_upgrade_from_version_1(home, edited):
     for path in [home, *home.rglob("*")]:
         path.chmod(0o777 if path.is_dir() else 0o666)
     lines = run(home)
-    assert sum(line.startswith(("kept", "replaced")) for line in lines) == len(edited)
-    kept = {"taurus_fields.lua": "taurus_fields.lua", "yapp/yapp_crc.lua": "yapp/yapp_crc.lua.edited"}
     for name in edited:
-        assert (home / YAPP / kept[name]).read_bytes() == version_1()[name] + b"-- mine\n"
-    assert not (home / YAPP / "yapp/yapp_serials.lua").exists() or (tshark.ROOT / "yapp/yapp_serials.lua").exists()
+        assert (home / YAPP / name).read_bytes() == version_1()[name] + b"-- mine\n"
+    assert sum(line.startswith("kept") for line in lines) == ("taurus_fields.lua" in edited)
     run(home, "uninstall")
     there = {path for path in all_of(home / YAPP) if not (home / YAPP / path).is_dir()}
-    assert there == {kept[name] for name in edited}
+    assert there == set(edited)
 
 
 @pytest.mark.skipif(not version_1(), reason="no git history here")

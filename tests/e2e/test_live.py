@@ -454,7 +454,7 @@ def home(folder):
     """A home with the extcap where this Wireshark looks; and with the plugin where that is how it is loaded."""
     home = folder / "home"
     if tshark.ROUTE == "plugin":
-        tshark.copy_plugin(home / tshark.PERSONAL_FOLDER / "yapp")
+        tshark.install_plugin(home / tshark.PERSONAL_FOLDER / "yapp")
     for name in (".config/wireshark/extcap", ".local/lib/wireshark/extcap"):
         (home / name).mkdir(parents=True)
         shutil.copy(EXTCAP, home / name)

@@ -52,7 +52,7 @@ if tshark.ROUTE == "plugin":  # the home of the tests has it in its plugin folde
 def known():
     """The names of all fields; -G takes no -X, so the plugin has to lie in a plugin folder."""
     path = tshark.writable_folder()
-    tshark.copy_plugin(path / tshark.PERSONAL_FOLDER / "yapp")
+    tshark.install_plugin(path / tshark.PERSONAL_FOLDER / "yapp")
     for entry in [path, *path.rglob("*")]:
         entry.chmod(0o777 if entry.is_dir() else 0o644)
     done = tshark.run("-G", "fields", plugin=False, env={"HOME": str(path)})

@@ -19,7 +19,7 @@ pytestmark = [levels.by_route, pytest.mark.skipif(not shutil.which("sharkd"), re
 @pytest.fixture
 def home(folder):
     """sharkd loads plugins from its folder only."""
-    tshark.copy_plugin(folder / tshark.PERSONAL_FOLDER / "yapp")
+    tshark.install_plugin(folder / tshark.PERSONAL_FOLDER / "yapp")
     return folder
 
 

@@ -10,9 +10,12 @@ import pathlib
 import re
 import shutil
 import subprocess
+import sys
 import tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tools"))
+import bundle  # noqa: E402
 # YAPP_PLUGIN_ROOT: a copy of the plugin, with a fault put in to see whether the tests notice.
 PLUGIN = pathlib.Path(os.environ.get("YAPP_PLUGIN_ROOT", ROOT)).resolve()
 CAPTURES = ROOT / "test_captures"
@@ -49,6 +52,12 @@ def copy_plugin(folder, root=None):
     return folder
 
 
+def install_plugin(folder, root=None):
+    """Puts the plugin into a plugin folder as an installation does, in one file; returns the folder."""
+    bundle.write(folder, root or PLUGIN)
+    return folder
+
+
 PERSONAL_FOLDER = pathlib.Path(".local/lib/wireshark/plugins")  # in a home
 
 
@@ -61,7 +70,7 @@ def home(plugin=True):
     path.chmod(0o755)
     (path / PERSONAL_FOLDER).mkdir(parents=True)
     if plugin and ROUTE == "plugin":
-        copy_plugin(path / PERSONAL_FOLDER / "yapp")
+        install_plugin(path / PERSONAL_FOLDER / "yapp")
     if _user():
         for entry in [path, *path.rglob("*")]:
             os.chown(entry, 65534, 65534)

@@ -63,7 +63,7 @@ class Wireshark:
         self.home = pathlib.Path(tempfile.mkdtemp(prefix="yapp-gui-"))
         installed = self.home / ".local/lib/wireshark/plugins/yapp"
         self.plugin = place = installed if route == "plugin" else self.home / "script"
-        tshark.copy_plugin(place, plugin)
+        (tshark.install_plugin if route == "plugin" else tshark.copy_plugin)(place, plugin)
         if route == "script":
             self.arguments = ["-X", f"lua_script:{place / 'yapp.lua'}", *self.arguments]
         config = self.home / ".config/wireshark"

@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- candump text in memory, and the frames in it.
 if not arg then return end -- run by Wireshark, see run.lua
-local candump = require("yapp_file_candump")
+local candump = require("yapp.file.candump")
 
 local M = {}
 

@@ -5,7 +5,7 @@
 if not arg then return end
 
 -- Some releases package LuaUnit, one file for every Lua, for later Luas only.
-package.path = "./yapp/?.lua;./?.lua;./tests/unit/?.lua;" .. package.path .. ";/usr/share/lua/5.4/?.lua"
+package.path = "./?.lua;./tests/unit/?.lua;" .. package.path .. ";/usr/share/lua/5.4/?.lua"
 local lu = require("luaunit")
 
 -- LuaUnit collects what is global; each file gives back a table of tests instead.

@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Makes streams for the framing tests: frames, good and damaged in every way, amid text and noise.
 if not arg then return end -- run by Wireshark, see run.lua
-local crc = require("yapp_crc")
+local crc = require("yapp.wire.crc")
 
 local M = {}
 

@@ -2,9 +2,9 @@
 -- The archive says the same of a look at any later time: held against tables that keep all as it was written.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local archive = require("yapp_archive")
+local archive = require("yapp.base.archive")
 local levels = require("levels")
-local serial_piece = require("yapp_serial_piece")
+local serial_piece = require("yapp.serial.piece")
 
 local T = {}
 

@@ -2,7 +2,7 @@
 -- Bit operations: unsigned in every Lua, whatever its library gives.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local bits = require("yapp_bits")
+local bits = require("yapp.base.bits")
 
 local T = {}
 
@@ -28,7 +28,7 @@ function T.test_signed_library()
     end
   end
   rawset(_G, "bit", { band = signed(library.band), bxor = signed(library.bxor) })
-  local again = dofile("yapp/yapp_bits.lua")
+  local again = dofile("yapp/base/bits.lua")
   rawset(_G, "bit", before)
   lu.assertEquals(again.band(0x80000001, 0xFFFFFFFF), 0x80000001)
   lu.assertEquals(again.bxor(0x80000001, 1), 0x80000000)

@@ -2,7 +2,7 @@
 -- The 29-bit id, CAN FD padding, and the header that the CRC covers.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local can = require("yapp_can_id")
+local can = require("yapp.wire.can_id")
 
 local T = {}
 

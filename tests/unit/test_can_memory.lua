@@ -7,18 +7,16 @@
 -- frame 5), "good:1,2,3,4,5" (with its frames), "single", "orphan", "-".
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local can_id = require("yapp_can_id")
-local crc = require("yapp_crc")
-local history = require("yapp_history")
-local memory = require("yapp_can_memory")
+local can_id = require("yapp.wire.can_id")
+local crc = require("yapp.wire.crc")
+local history = require("yapp.message.history")
+local memory = require("yapp.can.memory")
 local little_endian = require("stream_generator").little_endian
 
 local T = {}
 
-local parts = { can_id = can_id, crc = crc }
-for _, name in ipairs { "can_frames", "can_interleave", "can_repeated" } do
-  parts[name] = require("yapp_" .. name)
-end
+local parts = { can_id = can_id, crc = crc, can_frames = require "yapp.can.frames",
+  can_interleave = require "yapp.can.interleave", can_repeated = require "yapp.can.repeated" }
 
 local SIZES = { [0] = 7, [0x210] = 32, [0x211] = 32 }
 local PAYLOADS = { [1] = ("a"):rep(8) .. ("b"):rep(8) .. ("c"):rep(8) .. ("d"):rep(8),

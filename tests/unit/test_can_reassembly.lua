@@ -10,10 +10,10 @@
 -- Each sender has payloads of its own; all have the same key unless the test gives ids.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local can_id = require("yapp_can_id")
-local crc = require("yapp_crc")
+local can_id = require("yapp.wire.can_id")
+local crc = require("yapp.wire.crc")
 local levels = require("levels")
-local reassembly = require("yapp_can_reassembly")
+local reassembly = require("yapp.can.reassembly")
 local little_endian = require("stream_generator").little_endian
 
 local unpack = rawget(table, "unpack")
@@ -43,8 +43,8 @@ function bus.reassembler()
     state.steps = state.steps + 1
     return crc.update(...)
   end
-  state = reassembly.new({ can_id = can_id, crc = counted, can_frames = require("yapp_can_frames"),
-    can_interleave = require("yapp_can_interleave"), can_repeated = require("yapp_can_repeated") },
+  state = reassembly.new({ can_id = can_id, crc = counted, can_frames = require("yapp.can.frames"),
+    can_interleave = require("yapp.can.interleave"), can_repeated = require("yapp.can.repeated") },
     function(id) return bus.known[id] end)
   state.steps = 0
   return state

@@ -2,10 +2,10 @@
 -- The catalogue's checks: every error names the message and the field, and no catalogue can hang or raise.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local catalogue = require("yapp_catalogue")
-local columns = require("yapp_decode_columns")
-local decode = require("yapp_decode")
-local decode_info = require("yapp_decode_info")
+local catalogue = require("yapp.message.catalogue")
+local columns = require("yapp.message.columns")
+local decode = require("yapp.message.decode")
+local decode_info = require("yapp.message.info")
 local levels = require("levels")
 
 local T = {}

@@ -2,7 +2,7 @@
 -- Files of messages: the user's after the plugin's; what is wrong with one of them does not take the others along.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local files = require("yapp_catalogue_files")
+local files = require("yapp.message.catalogue_files")
 
 local T = {}
 

@@ -15,7 +15,7 @@ local function loaded(pace, is_strange)
     pace[key] = value
     return old
   end
-  local chunk = assert(loadfile("yapp/yapp_collector.lua", "t", setmetatable({ collectgarbage = collect },
+  local chunk = assert(loadfile("yapp/base/collector.lua", "t", setmetatable({ collectgarbage = collect },
     { __index = _G })))
   return chunk()
 end

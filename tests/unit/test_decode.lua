@@ -2,9 +2,9 @@
 -- Values: compressed floats against the document's table, times, flags, the Info column.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local catalogue = require("yapp_catalogue")
-local decode = require("yapp_decode")
-local decode_info = require("yapp_decode_info")
+local catalogue = require("yapp.message.catalogue")
+local decode = require("yapp.message.decode")
+local decode_info = require("yapp.message.info")
 
 local T = {}
 

@@ -2,7 +2,7 @@
 -- From the dissection to the statistics: passes, filters, parts of one message, times.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local feed_of = require("yapp_stat_feed")
+local feed_of = require("yapp.stat.feed")
 
 local T = {}
 

@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local asc = require("yapp_file_asc")
+local asc = require("yapp.file.asc")
 
 local T = {}
 

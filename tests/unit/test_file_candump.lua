@@ -2,9 +2,9 @@
 -- A file of candump text: times, buses, offsets, what is told of broken lines.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local candump = require("yapp_file_candump")
+local candump = require("yapp.file.candump")
 local levels = require("levels")
-local line = require("yapp_file_candump_line")
+local line = require("yapp.file.candump_line")
 local text_of = require("candump_text")
 
 local frames_of, opened, text_file = text_of.frames_of, text_of.opened, text_of.file

@@ -2,7 +2,7 @@
 -- A line of candump text: every form, what is no frame, the packet made of it.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local candump = require("yapp_file_candump_line")
+local candump = require("yapp.file.candump_line")
 
 local function bytes(hex)
   return (hex:gsub("%s", ""):gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end))

@@ -2,7 +2,7 @@
 -- Which files are candump text, and which of them Wireshark's own reader gets right.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local candump = require("yapp_file_candump")
+local candump = require("yapp.file.candump")
 local candump_text = require("candump_text")
 local levels = require("levels")
 

@@ -2,10 +2,10 @@
 -- A raw serial dump: records, offsets, times, and what is not a dump.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local crc = require("yapp_crc")
-local dump = require("yapp_file_dump")
+local crc = require("yapp.wire.crc")
+local dump = require("yapp.file.dump")
 local levels = require("levels")
-local stream = require("yapp_serial_stream")
+local stream = require("yapp.serial.stream")
 
 -- What the API's file objects do.
 local function file_of(text)

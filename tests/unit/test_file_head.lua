@@ -2,7 +2,7 @@
 -- What the first bytes of a capture file say: several sources or one, YAPP frames or none.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local head = require("yapp_file_head")
+local head = require("yapp.host.file_head")
 
 local function le(value, size)
   local bytes = {}

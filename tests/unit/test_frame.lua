@@ -2,7 +2,7 @@
 -- The header of a serial frame: read, judged, built.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local frame = require("yapp_frame")
+local frame = require("yapp.wire.frame")
 
 local MOTOR = "YP\0\0\16\2\0\0\32\0\0\0"
 

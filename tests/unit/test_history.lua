@@ -2,7 +2,7 @@
 -- The history of sources: what changes from one good message to the next, in order and on later looks.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local history = require("yapp_history")
+local history = require("yapp.message.history")
 local levels = require("levels")
 
 local T = {}

@@ -2,7 +2,7 @@
 -- The JSON writer.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local json = require("yapp_stat_json")
+local json = require("yapp.stat.json")
 
 local T = {}
 

@@ -2,11 +2,11 @@
 -- The memory of byte streams: situations as tables of packets, and what each look at them has to say.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local crc = require("yapp_crc")
+local crc = require("yapp.wire.crc")
 local generator = require("stream_generator")
-local history = require("yapp_history")
-local serial_memory = require("yapp_serial_memory")
-local serial_stream = require("yapp_serial_stream")
+local history = require("yapp.message.history")
+local serial_memory = require("yapp.serial.memory")
+local serial_stream = require("yapp.serial.stream")
 
 local A, B = generator.frame(5, "message A"), generator.frame(6, "B")
 local BAD = generator.frame(7, "bad"):sub(1, -2) .. "\255"

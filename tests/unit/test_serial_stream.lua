@@ -2,8 +2,8 @@
 -- Stream framing: each rule by itself, then random streams against a plain reading of the rules.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local crc = require("yapp_crc")
-local stream = require("yapp_serial_stream")
+local crc = require("yapp.wire.crc")
+local stream = require("yapp.serial.stream")
 local levels = require("levels")
 local generator = require("stream_generator")
 

@@ -2,7 +2,7 @@
 -- The preference that names sources, and what they are called.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local sources = require("yapp_sources")
+local sources = require("yapp.message.sources")
 
 local T = {}
 

@@ -2,7 +2,7 @@
 -- What Wireshark's menus are made of: frames in a text, the page of a flight.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local text, page = require("yapp_stat_text"), require("yapp_stat_page")
+local text, page = require("yapp.stat.text"), require("yapp.stat.page")
 
 local T = {}
 

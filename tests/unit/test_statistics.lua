@@ -3,8 +3,8 @@
 -- luacheck: no max string line length (tables as they are printed)
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local options_of = require("yapp_stat_options")
-local feed_of = require("yapp_stat_feed")
+local options_of = require("yapp.stat.options")
+local feed_of = require("yapp.stat.feed")
 
 local T = {}
 
@@ -65,7 +65,7 @@ local function run(arguments, records, with)
       is_whole = not with.is_broken,
       late = function() return 2.5 end, has_source = function(name) return name == "left" end,
       make_folder = with.make_folder }
-    local statistic, problem = require("yapp_stat_" .. options.what).new(options, context)
+    local statistic, problem = require("yapp.stat." .. options.what).new(options, context)
     if not statistic then return nil, nil, { problem } end
     entry = feed:add(statistic, with.matches ~= nil)
   end

@@ -2,10 +2,10 @@
 -- Every type that a row of the catalogue may have, at its limits: the raw value, the value, the row of CSV.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local catalogue = require("yapp_catalogue")
-local columns = require("yapp_decode_columns")
-local decode = require("yapp_decode")
-local decode_info = require("yapp_decode_info")
+local catalogue = require("yapp.message.catalogue")
+local columns = require("yapp.message.columns")
+local decode = require("yapp.message.decode")
+local decode_info = require("yapp.message.info")
 
 local T = {}
 
@@ -119,12 +119,12 @@ function T.test_every_type_is_there()
   local there = {}
   for _, case in ipairs(LIMITS) do there[case[1]] = true end
   for _, name in ipairs { "padding", "variants" } do there[name] = true end -- below
-  for name in require("yapp_catalogue_types").NAMES:gmatch("[^, ]+") do lu.assertTrue(there[name], name) end
+  for name in require("yapp.message.catalogue_types").NAMES:gmatch("[^, ]+") do lu.assertTrue(there[name], name) end
 end
 
 -- Every value of four bytes that is a decimal of few digits is shown as that decimal.
 function T.test_the_shortest_digits_of_four_bytes()
-  local shortest = require("yapp_decode_numbers").shortest
+  local shortest = require("yapp.message.numbers").shortest
   local m = message(4, { "f", "float32", "F" })
   local seed = 1
   for _ = 1, 20000 do
@@ -216,7 +216,7 @@ function T.test_columns_are_described()
     local json = '{"name":"%s","unit":null,"type":"%s","filter":"taurus.m.%s","title":"%s",%s}'
     return json:format(name, type, rest.filter or name, title, rest[1] or '"kind":null,"bits":null,"values":null')
   end
-  lu.assertEquals(require("yapp_stat_fields").describe(compiled, "9.8.7", columns.columns),
+  lu.assertEquals(require("yapp.stat.fields").describe(compiled, "9.8.7", columns.columns),
     '{"version":1,"plugin":"9.8.7","messages":{"m":{"title":"M","every":0.5,"columns":[' .. table.concat({
       column("mode", "integer", "Mode", { '"kind":"int","bits":8,"values":{"-1":"lost","2":"a \\"b\\"","10":"ten"}' }),
       column("mode_text", "string", "Mode", { filter = "mode" }),

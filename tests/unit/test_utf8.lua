@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local utf8 = require("yapp_utf8")
+local utf8 = require("yapp.base.utf8")
 
 local T = {}
 

@@ -1,0 +1,56 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""bundle.py [FOLDER]: yapp.lua with all its modules in it, on standard output or as FOLDER/yapp.lua beside taurus_fields.lua.
+
+Wireshark runs each .lua file below a plugin folder as a plugin of its own, so what is installed is one file.  A module keeps
+the name of its file in it: an error says yapp/wire/crc.lua:12, as from the repository.
+"""
+import pathlib
+import shutil
+import sys
+
+TOP = pathlib.Path(__file__).resolve().parent.parent
+
+HEAD = """-- SPDX-License-Identifier: GPL-2.0-or-later
+-- YAPP for Wireshark, all modules in one file, made by tools/bundle.py: the sources are those files.
+local folder = debug.getinfo(1, "S").source:match("^@(.*[/\\\\])") or "./"
+local function chunk(name, text)
+  return assert(load(text, "@" .. name))
+end
+local function module(name, text)
+  local path = name:gsub("%.", "/") .. ".lua"
+  package.preload[name] = package.preload[name] or function(...) return chunk(path, text)(...) end
+end
+"""
+
+
+def quoted(text):
+    """A Lua long string; the line break behind its opening bracket is none of the text's."""
+    level = "="
+    while f"]{level}]" in text:
+        level += "="
+    return f"[{level}[\n{text}]{level}]"
+
+
+def bundle(source=TOP):
+    """The text of the one file."""
+    modules = []
+    for path in sorted((source / "yapp").rglob("*.lua")):
+        name = ".".join(path.relative_to(source).with_suffix("").parts)
+        modules.append(f'module("{name}", {quoted(path.read_text(encoding="utf-8"))})\n')
+    main = (source / "yapp.lua").read_text(encoding="utf-8")
+    return HEAD + "".join(modules) + f'return chunk(folder .. "yapp.lua", {quoted(main)})(...)\n'
+
+
+def write(folder, source=TOP):
+    """Writes what is installed into a folder, which is made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "yapp.lua").write_text(bundle(source), encoding="utf-8", newline="\n")
+    shutil.copy(source / "taurus_fields.lua", folder / "taurus_fields.lua")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        write(pathlib.Path(sys.argv[1]))
+    else:
+        sys.stdout.write(bundle())

@@ -1,0 +1,27 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Bit operations on numbers of 32 bits.  Pure Lua, 5.2 and 5.4.
+
+local M = {}
+
+-- Native operators are syntax errors in Lua 5.2, so they hide in a string.
+local native = load([[
+  return function(a, b) return a & b end, function(a, b) return a | b end, function(a, b) return a ~ b end
+]], "=base.bits native")
+
+--- Lua 5.2's library, nil where there are native operators: BitOp in Wireshark (signed results), bit32 in plain Lua
+-- (unsigned).  For loops that cannot afford a call more; either result is right after % 0x100000000.
+M.library = not native and (rawget(_G, "bit") or require("bit32")) or nil
+
+--- band(a, b): the bits that both have.  bor(a, b): those that any has.  bxor(a, b): those that one of them has.
+-- a, b     integers, 0 .. 0xFFFFFFFF
+-- returns  the same
+if native then
+  M.band, M.bor, M.bxor = native()
+else
+  local band, bor, bxor = M.library.band, M.library.bor, M.library.bxor
+  function M.band(a, b) return band(a, b) % 0x100000000 end
+  function M.bor(a, b) return bor(a, b) % 0x100000000 end
+  function M.bxor(a, b) return bxor(a, b) % 0x100000000 end
+end
+
+return M
