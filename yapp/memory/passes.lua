@@ -1,0 +1,150 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The passes over a capture, which the memories of CAN and of streams share: which frame a look is at, what was kept of
+-- it, and what changed there.  Pure Lua.
+--
+-- A pass is frames in order.  A frame is known by its look: its number as a rule; where a number comes again, because a
+-- packet has several frames or because a read filter rejected the packet before, a fraction tells them apart.
+-- ("Frames 7 and 8 come, -R drops 7: then 8 is called 7 again.  Their looks are 7 and 7 + STEP; the number 7 is then the
+-- second's.")
+--
+-- There is a second pass only where the first could not know what tells buses apart or which id a frame has: it begins
+-- anew, in order, with nothing taken from the first.  Who asks for a frame here and there gets what the first knows.
+
+local M = {}
+
+local floor = math.floor
+
+local STEP = 2 ^ -21 -- two million looks of one number, of two thousand million numbers
+local LINKS = { "command_in", "previous_change", "next_change" } -- in a change of message.history
+
+local Pass = {}
+Pass.__index = Pass
+
+-- It has, to be read and written: entries, by look, what is kept of each frame of ours; history, of message.history; and,
+-- set to true by who makes a frame of it, is_partial: whether it was not told all that tells frames apart.
+local function new_pass(new_history)
+  return setmetatable({
+    entries = {}, history = new_history(), is_partial = false,
+    highest = 0, latest = 0, place = 0, -- of the newest frame: number, look, place in its packet
+    usual = nil,                        -- the place of the first frame, which most others have too
+    looks = {},                         -- [number] = { [place] = look }, where the look is not the number or the place not usual
+    is_filtered = false,                -- whether a read filter rejected a packet: numbers have shifted
+  }, Pass)
+end
+
+--- The look at a frame that comes in order.
+-- number  of the frame; place: of its bytes in the packet
+function Pass:next(number, place)
+  if number > self.highest then
+    self.highest, self.latest, self.place = number, number, place
+    self.usual = self.usual or place
+    if place ~= self.usual then self.looks[number] = { [place] = number } end
+    return number
+  end
+  -- It was left to others, and comes again by Decode As.
+  if place == self.place and self.entries[self.latest] == nil then return self.latest end
+  local places = self.looks[number] or { [self.place] = self.latest }
+  if place <= self.place then self.is_filtered, places = true, {} end
+  self.place = place
+  places[place] = self:another()
+  self.looks[number] = places
+  return self.latest
+end
+
+--- A further look at the newest frame: for each message of a packet its own.
+function Pass:another()
+  self.latest = self.latest + STEP
+  return self.latest
+end
+
+--- The look that the pass had at a frame, nil for none.
+function Pass:find(number, place)
+  local places = self.looks[number]
+  if places then return places[place] end
+  return place == self.usual and number <= self.highest and number or nil
+end
+
+--- The number of the frame of a look; nil for one that a read filter rejected.
+function Pass:number(look)
+  local number = floor(look)
+  local places = self.looks[number]
+  if not places or not self.is_filtered then return number end
+  for _, other in pairs(places) do
+    if floor((look - other) / STEP) >= 0 then return number end
+  end
+end
+
+-- A change with numbers of frames for looks.
+local function told(self, message, change)
+  if not change then return nil end
+  if change.is_alarm or change.active_since then
+    change.next_change = self.history:next_change(message.number, message.source)
+  end
+  for _, name in ipairs(LINKS) do change[name] = change[name] and self:number(change[name]) end
+  return change
+end
+
+--- Takes a message into the history, in order.
+-- look     of the frame that ends it
+-- message  as History:note takes it; gets number, its look
+-- returns  what changed, or nil, with numbers of frames; and the seconds since the source's previous good message, for
+--          Pass:change at a later look
+function Pass:note(look, message)
+  message.number = look
+  local change, delta = self.history:note(message)
+  return told(self, message, change), delta
+end
+
+--- What changed there, at a later look.
+-- message  as for Pass:note, and delta = what that returned
+function Pass:change(look, message)
+  message.number = look
+  return told(self, message, self.history:change(message))
+end
+
+local Passes = {}
+Passes.__index = Passes
+
+--- No pass has begun.
+-- new_history  function() -> a message.history
+-- It has first, a pass; second, another or nil; is_again: whether any frame was looked at a second time.
+function M.new(new_history)
+  return setmetatable({ new_history = new_history, first = new_pass(new_history), second = nil, is_again = false }, Passes)
+end
+
+-- Whether a second pass goes on at a frame: nothing of the first lies between.
+local function follows(self, number)
+  local entries = self.first.entries
+  for before = (self.second and self.second.highest or 0) + 1, number - 1 do
+    if entries[before] ~= nil or self.first.looks[before] then return false end
+  end
+  return true
+end
+
+--- Which pass a look at a frame belongs to.
+-- number, place  of the frame
+-- is_again       whether Wireshark has shown it before
+-- knows_all      whether this time all is known that tells frames apart
+-- returns        a pass, and the look; whether the look is made now, in order.  Nil where no pass had the frame.
+function Passes:look(number, place, is_again, knows_all)
+  local first, second = self.first, self.second
+  if not is_again then return first, first:next(number, place), true end
+  self.is_again = true
+  if first.is_partial and knows_all and not first.is_filtered then
+    local look = second and second:find(number, place)
+    if look then return second, look, false end
+    if number >= (second and second.highest or 0) and follows(self, number) then
+      self.second = second or new_pass(self.new_history)
+      return self.second, self.second:next(number, place), true
+    end
+  end
+  local look = first:find(number, place)
+  if look then return first, look, false end
+end
+
+--- The pass that was made last: what it has left open, the capture ends before.
+function Passes:last()
+  return self.second or self.first
+end
+
+return M
