@@ -36,13 +36,7 @@ local parts = {
   decode = require "yapp.message.decode",
   decode_columns = require "yapp.message.columns",
   facts = require "yapp.host.facts",
-  file_asc = require "yapp.file.asc",
-  file_asc_reader = require "yapp.file.asc_reader",
-  file_candump = require "yapp.file.candump",
-  file_candump_line = require "yapp.file.candump_line",
-  file_candump_reader = require "yapp.file.candump_reader",
-  file_dump = require "yapp.file.dump",
-  file_dump_reader = require "yapp.file.dump_reader",
+  file_readers = require "yapp.file.readers",
   file_head = require "yapp.host.file_head",
   frame = require "yapp.wire.frame",
   history = require "yapp.message.history",
@@ -57,7 +51,7 @@ local parts = {
   tree = require "yapp.show.tree",
   utf8 = require "yapp.base.utf8",
 }
-local decode, preferences, candump = parts.decode, parts.preferences, parts.file_candump_reader
+local decode, preferences, readers = parts.decode, parts.preferences, parts.file_readers
 
 -- The user's own messages come behind ours: from Wireshark's personal configuration folder, and from where a preference
 -- or the environment says.  Fields can be registered only while a plugin loads, when no preference is known: that of
@@ -87,7 +81,7 @@ local taurus = Proto("taurus", "Taurus motor controller")
 local socketcan = Proto("yapp_socketcan", "YAPP's look at CAN headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
-local facts = parts.facts.watch(parts.file_head, candump)
+local facts = parts.facts.watch(parts.file_head, readers.told)
 local stat = parts.stat.new { version = VERSION, catalogue = catalogue, is_whole = is_whole, decode = decode,
   columns = parts.decode_columns, wants_records = function(is_wanted) facts:want_buses(is_wanted) end }
 local reader = parts.reader.new(decode, catalogue, stat)
@@ -238,7 +232,7 @@ yapp.prefs_changed = read_preferences
 
 function yapp.init()
   read_preferences()
-  candump.current_bus = nil -- sharkd opens the next file without closing the first
+  readers.told.current_bus = nil -- sharkd opens the next file without closing the first
   facts:init()
   search_streams()
   local late, problems = preferences.late(yapp.prefs.late)
@@ -265,8 +259,6 @@ for _, name in ipairs { "tcp.port", "udp.port" } do
   for _, proto in ipairs { serial, yapp } do DissectorTable.get(name):add_for_decode_as(proto) end
 end
 DissectorTable.get("rtacser.data"):add_for_decode_as(serial)
-candump.register(parts.file_candump)
-parts.file_asc_reader.register { asc = parts.file_asc, packet = parts.file_candump_line.packet, told = candump }
-parts.file_dump_reader.register(parts.file_dump, function() return streams:framer() end, controller_time)
+readers.register { new_framer = function() return streams:framer() end, time_of = controller_time }
 
 package.loaded["yapp.plugin"] = plugin

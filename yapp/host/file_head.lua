@@ -2,7 +2,6 @@
 -- What the first bytes of a capture file say about the rest.  Pure Lua, 5.2 and 5.4.
 
 local frame = require("yapp.wire.frame")
-local utf16 = require("yapp.file.utf16")
 local utf8 = require("yapp.base.utf8")
 
 local M = {}
@@ -152,9 +151,9 @@ end
 
 -- Whether a text has several buses, as candump writes them.
 local function has_several_buses(head)
-  local text, first = utf16.text(head), nil
-  if text:find("\0", 1, true) then return false end
-  for line in text:gmatch("[^\r\n]+") do
+  local first
+  if head:find("\0", 1, true) then return false end
+  for line in head:gmatch("[^\r\n]+") do
     local bus = bus_in(line:sub(1, LONGEST_START))
     if bus and first and bus ~= first then return true end
     first = first or bus
