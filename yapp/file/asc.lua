@@ -74,7 +74,7 @@ end
 
 -- "d 8 FD 7F ...", "r 8": a length of 9 to 15 means 8
 local function read_classic(record, rest, base)
-  local kind, code, data = rest:match("^([dr])%s*(%x?)%s*(.*)$")
+  local kind, code, data = rest:match("^%s*([dr])%s*(%x?)%s*(.*)$")
   if not kind or kind == "d" and code == "" then return nil end
   record.length = math.min(tonumber(code, 16) or 0, 8)
   if kind == "d" then
@@ -85,11 +85,10 @@ local function read_classic(record, rest, base)
 end
 
 -- Behind the id: a name or none, BRS, ESI, DLC, length, data, duration, bits, flags
-local FLEXIBLE = "%s+([01])%s+([01])%s+%x%s+(%d+)(.*)$"
+local FLEXIBLE = "^%s*%S-%s*%f[%S]([01])%s+([01])%s+%x%s+(%d+)(.*)$"
 
 local function read_flexible(record, rest, base)
-  local brs, esi, length, data = (" " .. rest):match("^" .. FLEXIBLE)
-  if not brs then brs, esi, length, data = rest:match("^%S+" .. FLEXIBLE) end
+  local brs, esi, length, data = rest:match(FLEXIBLE)
   length = tonumber(length)
   if not length or length > 64 then return nil end
   local bytes, behind = read_data(data, length, base)
@@ -103,12 +102,6 @@ local function read_flexible(record, rest, base)
   if not record.fd and length > 8 then record.data = nil end
 end
 
--- "ErrorFrame", with a direction in front of it or none
-local function read_error(record, rest)
-  if not rest:find("^ErrorFrame") and not rest:find("^[RT]x%s+ErrorFrame") then return nil end
-  record.id, record.length, record.data = text.ERROR + BUS_ERROR, 8, ("\0"):rep(8)
-end
-
 --- Reads one line.
 -- @param line without its end
 -- @param base 10 or 16, of the file's ids and data
@@ -117,23 +110,24 @@ end
 function M.parse(line, base)
   local stamp, rest = read_stamp(line)
   if not stamp then return nil end
-  local read = read_classic
-  local channel, id, direction, behind = rest:match("^(%d+)%s+(%x+x?)%s+([RT]x)%s+(.*)$")
-  if not channel then
-    read = read_flexible
-    channel, direction, id, behind = rest:match("^CANFD%s+(%d+)%s+([RT]x)%s+(%x+x?)%s+(.*)$")
+  local record = { stamp = stamp, flags = 0, raw_dlc = 0 }
+  local channel = rest:match("^C?A?N?F?D?%s*(%d+)%s+[RTx]*%s*ErrorFrame")
+  if channel then
+    record.id = text.ERROR + BUS_ERROR
+    record.length = 8
+    record.data = ("\0"):rep(8)
+  else
+    local flexible, id, direction, behind
+    rest, flexible = rest:gsub("^CANFD%s+(%d+)%s+([RT]x)%s+(%x+x?)%s", "%1 %3 %2 ")
+    channel, id, direction, behind = rest:match("^(%d+)%s+(%x+x?)%s+([RT]x)(%s.*)$")
+    record.id = id and read_id(id, base)
+    if not record.id then return nil end
+    record.sent = direction == "Tx" or nil
+    local read = flexible == 1 and read_flexible or read_classic
+    read(record, behind, base)
   end
-  if not channel then
-    read, id = read_error, "0"
-    channel, behind = rest:gsub("^CANFD%s+", ""):match("^(%d+)%s+(.*)$")
-  end
-  local record = {
-    stamp = stamp, number = tonumber(channel), id = read_id(id, base), sent = direction == "Tx" or nil,
-    flags = 0, raw_dlc = 0,
-  }
-  if not record.id or not record.number or record.number > 0xFFFF then return nil end
-  read(record, behind, base)
-  return record.data and record
+  record.number = tonumber(channel)
+  return record.data and record.number <= 0xFFFF and record or nil
 end
 
 -- A file --------------------------------------------------------------------------------------------
@@ -151,22 +145,21 @@ function M.open(file)
   if not date or base ~= "hex" and base ~= "dec" then return nil end
   date = read_date(date)
   return setmetatable({
-    base = base == "hex" and 16 or 10, is_relative = stamps == "relative",
-    date = date, start = date, -- of the file, and of what stamps count from; nil if unknown
-    clock = 0, times = {}, -- the stamps so far, where they are relative; a time by each frame's offset
-    lines = text.lines(head), again = text.lines(""), buses = {},
+    base = base == "hex" and 16 or 10,
+    is_relative = stamps == "relative",
+    date = date, -- of the file; nil if unknown
+    start = date, -- what stamps count from
+    clock = 0, -- the stamp of a line, where they are relative the sum so far
+    times = {}, -- by a frame's offset
+    lines = text.lines(head),
+    again = text.lines(""), -- wherever a frame is wanted again
   }, Log)
 end
 
--- What read returns.
+-- What read returns; buses are called as Wireshark's reader of BLF calls them.
 function Log:packet(record, offset)
-  local number, time = record.number, self.times[offset]
-  local bus = self.buses[number]
-  if not bus then
-    bus = { number = number, name = ("CAN-%d"):format(number) } -- as Wireshark's reader of BLF has it
-    self.buses[number] = bus
-  end
-  local packet = text.packet(number, record)
+  local packet, time = text.packet(record.number, record), self.times[offset]
+  local bus = { number = record.number, name = "CAN-" .. record.number }
   if not time then return offset, packet, nil, nil, bus end
   local rest = time % SECOND
   return offset, packet, math.floor((time - rest) / SECOND), rest * 1000, bus

@@ -5,8 +5,8 @@ local text = require("yapp.file.text")
 local utf8 = require("yapp.base.utf8")
 
 local parse, usual = candump_line.parse, candump_line.usual
-local find, format, gmatch, gsub = string.find, string.format, string.gmatch, string.gsub
-local match, sub = string.match, string.sub
+local char, find, format = string.char, string.find, string.format
+local gmatch, gsub, match, sub = string.gmatch, string.gsub, string.match, string.sub
 
 local M = {}
 
@@ -21,11 +21,13 @@ local REPORTED = 3
 
 -- Which files are candump's -------------------------------------------------------------------------
 
--- The digits that Wireshark's own reader takes behind "#", by what comes first: data, remote, CAN FD.
-local PLAIN_DIGITS = { [""] = {}, R = { [0] = true, [1] = true }, ["#"] = {} }
-for count = 0, 8 do PLAIN_DIGITS[""][2 * count] = true end
-for _, count in ipairs { 0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64 } do
-  PLAIN_DIGITS["#"][1 + 2 * count] = true
+-- How many digits Wireshark's own reader takes behind "#", by what comes first: data, remote, CAN FD.
+local PLAIN_DIGITS = {}
+for kind, counts in pairs {
+  [""] = "0 2 4 6 8 10 12 14 16", R = "0 1", ["#"] = "1 3 5 7 9 11 13 15 17 25 33 41 49 65 97 129",
+} do
+  PLAIN_DIGITS[kind] = {}
+  for count in gmatch(counts, "%d+") do PLAIN_DIGITS[kind][tonumber(count)] = true end
 end
 
 -- A test for text of whole lines, all of them log lines of this bus that Wireshark's own reader gets
@@ -72,14 +74,19 @@ local function whole_lines(piece, at_end)
   return lines, sub(piece, #lines + 1)
 end
 
--- The end of a line whose start was cut off: log data, a length, data bytes, what stands behind them.
+-- The end of a line whose start was cut off: log data, a length, data bytes, what stands behind them, the
+-- end of a colour; and what candump says of lost frames.
 local RESTS = {
   "#[%x#R]*%s*[RT]?%s*$",
-  "[%]}]%s+%x%x%f[%X]",
+  "[%]}]%s+%x%x",
+  "[%]}]%s+remote request",
   "0[%]}]%s*$",
   "^[%x%s`]*[RT]?%s*$",
   "['`]%s*$",
-  " request%s*$",
+  "^[remot ]*r?e?q?u?e?s?t%s*$",
+  "^DROPCOUNT: ",
+  "\27%[0m%s*$",
+  "^%[?0?m%s*$",
 }
 
 -- Whether a file of candump text may start with these lines, which are no frames: the rest of one in a
@@ -95,8 +102,8 @@ local function may_begin(lines)
   return false
 end
 
--- What the first lines of a file tell: nil if they are not candump's, else whether its times are
--- deltas, how many decimals they have (6 or 9), and its first bus.
+-- What the first lines of a file tell: nil if they are not candump's, else { deltas = whether its times
+-- are those since the frame before, decimals = 6 or 9, bus = the first one's name }.
 local function recognise(lines)
   local found = { decimals = 6 }
   local frames, others, before, timed = 0, 0, {}, {}
@@ -107,7 +114,7 @@ local function recognise(lines)
       frames, found.bus = frames + 1, found.bus or record.bus
       if record.is_relative then timed[#timed + 1] = record end
       if record.seconds and record.nanoseconds % 1000 ~= 0 then found.decimals = 9 end
-    elseif why and not candump_line.NEUTRAL[why] then
+    elseif why and not candump_line.HARMLESS[why] then
       others = others + 1
       before[others] = frames == 0 and line or nil
     end
@@ -123,8 +130,8 @@ end
 local function text_that_needs_us(file, head, is_plain)
   local pieces, size = { head }, #head
   local lines, rest = whole_lines(head, false)
-  while is_plain(lines) and #rest <= text.LONGEST do
-    local more = file:read(math.min(size, PIECE)) or ""
+  while is_plain(lines) and #rest <= HEAD do
+    local more = file:read(PIECE) or ""
     size = size + #more
     if size < SURE then
       pieces[#pieces + 1] = more
@@ -147,31 +154,35 @@ Log.__index = Log
 -- @param file anything with read(bytes) and seek("set", offset), at its start, as io.open gives it
 -- @param options { all = true to take all candump text, false to leave to Wireshark's own reader what
 --   that gets right; by_value = whether that reader tells extended ids by their value, as 4.6 does;
---   report = function(text), called with a line for each message, or nil }
+--   report = function(text), called with a line for each message }
 -- @return a log with read and seek_read, and decimals (6 or 9) of the times.  Nil if the file is not
 --   taken; and then the name of its bus, if it is a log that Wireshark's own reader gets right
 function M.open(file, options)
   local head = file:read(HEAD) or ""
   if find(head, "\0", 1, true) then return nil end
-  local start = #match(head, "^\239?\187?\191?") -- a byte order mark
-  local lines = whole_lines(sub(head, start + 1), #head < HEAD)
+  local lines = whole_lines(head, #head < HEAD)
   local found = recognise(lines)
   if not found then return nil end
   local is_plain = plain_test(found.bus, options.by_value)
-  if start == 0 and not options.all and is_plain(lines) then
+  if not options.all and is_plain(lines) then
     head = text_that_needs_us(file, head, is_plain)
     if not head then return nil, utf8.printable(found.bus) end
   end
-  local log = setmetatable({
-    decimals = found.decimals, deltas = found.deltas,
-    report = options.report or function() end,
-    lines = text.lines(head), again = text.lines(""), -- in order; and wherever a frame is wanted again
-    clock = 0, clocks = {}, -- of deltas: nanoseconds so far, and at each frame's offset
-    buses = {}, taken = {}, lowest = 0, -- by their names; which numbers they have; one to try next
-    skipped = {}, pending = {}, comments = {}, -- counts by reason; for the next frame; by offset
+  return setmetatable({
+    decimals = found.decimals,
+    deltas = found.deltas,
+    report = options.report or print,
+    lines = text.lines(head),
+    again = text.lines(""), -- wherever a frame is wanted again
+    clock = 0, -- of deltas: nanoseconds so far
+    clocks = {}, -- and at each frame's offset
+    buses = {}, -- by name
+    taken = {}, -- by number: whether a bus has it
+    lowest = 0, -- no number below it is free
+    skipped = {}, -- number of lines, by reason
+    pending = {}, -- what the packet list is to say at the next frame
+    comments = {}, -- what it says, by the frame's offset
   }, Log)
-  log.lines.pos = start + 1
-  return log
 end
 
 -- A bus: { number = the one its name ends in (can1 is 1) unless another bus has it, else the first free
@@ -189,7 +200,7 @@ function Log:bus(name)
 end
 
 -- A line to tell of, for the most part one without a frame: at once, and in the packet list at the
--- next frame.
+-- next frame.  There may be many of a kind.
 function Log:skip(line, why)
   local count = (self.skipped[why] or 0) + 1
   self.skipped[why] = count
@@ -197,19 +208,9 @@ function Log:skip(line, why)
   local message = format("line %d: %s", self.lines.number, why)
   local shown = utf8.printable(match(sub(line, 1, 80), "^%s*(.-)%s*$"))
   if shown ~= "" then message = format('%s: "%s"', message, shown) end
+  if count == REPORTED then message = message .. "; no more of these are told" end
   self.report(message)
   if not candump_line.HARMLESS[why] then self.pending[#self.pending + 1] = message end
-end
-
--- Says how many lines there were of what was not told line by line.
-function Log:report_total()
-  local totals = {}
-  for why, count in pairs(self.skipped) do
-    if count > REPORTED then totals[#totals + 1] = format("%d times: %s", count, why) end
-  end
-  table.sort(totals)
-  for _, total in ipairs(totals) do self.report(total) end
-  self.skipped = {}
 end
 
 -- What read returns for a frame that parse found.
@@ -235,9 +236,11 @@ function Log:usual_frame(lines)
     head = text.head(bus.number, { id = id })
     bus.heads[digits] = head
   end
+  local bytes = head .. char(#data) .. "\0\0\0" .. data
   local offset = lines.base + lines.pos - 1
-  lines.pos, lines.number = stop, lines.number + 1
-  return offset, head .. text.LENGTHS[#data] .. data, seconds, nanoseconds, bus, self.comments[offset]
+  lines.pos = stop
+  lines.number = lines.number + 1
+  return offset, bytes, seconds, nanoseconds, bus, self.comments[offset]
 end
 
 --- Reads the next frame.
@@ -268,7 +271,6 @@ function Log:read(file)
     if why then self:skip(line, why) end
     line, offset = self.lines:next(file)
   end
-  self:report_total()
 end
 
 --- Reads a frame again.

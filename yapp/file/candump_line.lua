@@ -6,31 +6,41 @@
 --   screen   (000.000499)  can0  RX - -  08404000   [8]  BB BE 6F C7 20 00 00 00   '..o. ...'
 local text = require("yapp.file.text")
 
-local char, find, gsub, match, rep = string.char, string.find, string.gsub, string.match, string.rep
+local char, find, gsub = string.char, string.find, string.gsub
+local match, rep, sub = string.match, string.rep, string.sub
 
 local M = {}
 
+-- The longest line that candump prints has 64 bytes in binary digits, 700 characters in all.
+local LONGEST = 4096
+
 -- Why a line gives no frame.
-local EMPTY, COMMENT = "an empty line, skipped", "a comment, skipped"
+local EMPTY = "an empty line, skipped"
+local COMMENT = "a comment, skipped"
+local SAID = "a message of candump's, skipped"
+local DROPPED = "candump lost frames"
 local UNKNOWN = "not a candump line, skipped"
 local LONG = "longer than any candump line, skipped"
-local TIME, ID = "no such time, line skipped", "no such CAN id, line skipped"
-local DATA, XL = "the data bytes do not fit, line skipped", "CAN XL is not supported, line skipped"
-local DROPPED, SAID = "candump lost frames", "a message of candump's, skipped"
+local TIME = "no such time, line skipped"
+local ID = "no such CAN id, line skipped"
+local DATA = "the data bytes do not fit, line skipped"
+local XL = "CAN XL is not supported, line skipped"
 -- What there is to say about a line with a frame.
 local BEHIND = "text behind the frame, ignored"
 local REPAIRED = "letters that look like hex digits, read as such"
 
---- Of no interest in the packet list.
-M.HARMLESS = { [EMPTY] = true, [COMMENT] = true, [SAID] = true, [BEHIND] = true }
---- No reason to doubt that a file is candump's.
-M.NEUTRAL = { [EMPTY] = true, [COMMENT] = true, [SAID] = true, [DROPPED] = true, [XL] = true }
+--- Of no interest in the packet list, and no reason to doubt that a file is candump's.
+M.HARMLESS = { [EMPTY] = true, [COMMENT] = true, [SAID] = true }
 
 -- Lines without a frame; candump -e prints what an error frame means, below it and behind a tab.
 local OTHERS = {
-  { "^%s*$", EMPTY }, { "^%s*[#;]", COMMENT }, { "^%s*//", COMMENT }, { "^DROPCOUNT: ", DROPPED },
-  { "^Enabling Logfile '", SAID }, { "while logging[.!]?%s*$", SAID },
-  { "^\t%l+%-[%l-]+%f[{%s\0]", nil },
+  { "^%s*$", EMPTY },
+  { "^%s*[#;]", COMMENT },
+  { "^%s*//", COMMENT },
+  { "^DROPCOUNT: ", DROPPED },
+  { "^Enabling Logfile '", SAID },
+  { "while logging[.!]?%s*$", SAID },
+  { "^\t%l+%-[%l-]+%f[{%s\0]" },
 }
 
 -- Two hex digits, or the eight binary ones of candump -i, to a byte.
@@ -74,7 +84,7 @@ local function read_stamp(record, stamp)
     }
     fraction = part
   end
-  record.nanoseconds = text.nanoseconds(fraction)
+  record.nanoseconds = tonumber(sub(fraction .. "00000000", 1, 9))
 end
 
 local function make_remote(record, length)
@@ -177,7 +187,7 @@ end
 --   no time; note (what is to say about the line, or nil).  Otherwise nil and a reason, or nil alone
 --   for a line of -e below a frame.
 function M.parse(line)
-  if #line > text.LONGEST then return nil, LONG end
+  if #line > LONGEST then return nil, LONG end
   line = gsub(line, "\27%[[%d;]*m", "")
   local record, why = frame_of(line)
   if record then return record end

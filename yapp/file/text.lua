@@ -6,9 +6,6 @@ local M = {}
 
 local BLOCK = 65536 -- bytes read at once
 
---- Longer than any line of a log: candump prints 700 characters for 64 bytes in binary digits.
-M.LONGEST = 4096
-
 -- Lines ---------------------------------------------------------------------------------------------
 
 local Lines = {}
@@ -31,80 +28,69 @@ function Lines:go_to(file, offset)
   self.text, self.base, self.pos = "", offset, 1
 end
 
--- Reads a block behind what is left of the text.
+-- Reads on behind what is left of the text: more, the longer the line is.
 -- returns  false at the end of the file
 function Lines:read_on(file)
   local rest = sub(self.text, self.pos)
+  local more, why = file:read(math.max(BLOCK, #rest))
+  if why then error("cannot read on behind offset " .. self.base + self.pos .. ": " .. why, 0) end
   self.base = self.base + self.pos - 1
-  local more, why = file:read(BLOCK)
-  if why then error("cannot read on at offset " .. self.base + #rest .. ": " .. why, 0) end
-  self.text, self.pos = rest .. (more or ""), 1
+  self.text = rest .. (more or "")
+  self.pos = 1
   return #self.text > #rest
 end
 
 --- The next line.
--- @return the line without its "\n", of one beyond LONGEST its start only, and its offset; nil at the end
+-- @return the line without its "\n", and its offset; nil at the end
 function Lines:next(file)
-  local stop, start, offset = find(self.text, "\n", self.pos, true), nil, nil
-  while not stop do
-    if #self.text - self.pos > M.LONGEST then
-      start = start or sub(self.text, self.pos, self.pos + M.LONGEST)
-      offset = offset or self.base + self.pos - 1
-      self.pos = #self.text + 1
-    end
-    if not self:read_on(file) then break end
+  local stop = find(self.text, "\n", self.pos, true)
+  while not stop and self:read_on(file) do
     stop = find(self.text, "\n", 1, true)
   end
-  if not stop and not start and self.pos > #self.text then return nil end
-  stop = stop or #self.text + 1
-  start = start or sub(self.text, self.pos, stop - 1)
-  offset = offset or self.base + self.pos - 1
-  self.pos, self.number = stop + 1, self.number + 1
-  return start, offset
-end
-
---- Digits behind a decimal point, in nanoseconds.
-function M.nanoseconds(fraction)
-  return tonumber(sub(fraction .. "00000000", 1, 9))
+  if not stop and self.pos > #self.text then return nil end
+  local line = sub(self.text, self.pos, (stop or 0) - 1)
+  local offset = self.base + self.pos - 1
+  self.pos = (stop or #self.text) + 1
+  self.number = self.number + 1
+  return line, offset
 end
 
 -- Packets -------------------------------------------------------------------------------------------
 
 -- Flags in the upper bits of a SocketCAN id (linux/can.h).
-M.EXTENDED, M.REMOTE, M.ERROR = 0x80000000, 0x40000000, 0x20000000
-
--- Linux cooked capture v2, big endian: protocol, reserved, interface index, device type, packet type,
--- no address.
-local CAN, CAN_FD, ARPHRD_CAN, TO_US, OUTGOING = "\0\12", "\0\13", "\1\24", "\0", "\4"
-local RESERVED, NO_ADDRESS = "\0\0", ("\0"):rep(9)
+M.EXTENDED = 0x80000000
+M.REMOTE = 0x40000000
+M.ERROR = 0x20000000
 
 local function big_endian(number)
-  local d = number % 0x100
-  local c = (number - d) / 0x100 % 0x100
-  local b = (number - number % 0x10000) / 0x10000 % 0x100
-  return char((number - number % 0x1000000) / 0x1000000, b, c, d)
+  local bytes = ""
+  for _ = 1, 4 do
+    local low = number % 256
+    bytes = char(low) .. bytes
+    number = (number - low) / 256
+  end
+  return bytes
 end
 
 --- The bytes of a packet before the CAN frame's length: the same for all such frames on a bus.
+-- (Wireshark takes the id in the host's order here, and this is the usual one.)
 -- @param number of the bus
 -- @param record id (32 bits, flags as SocketCAN has them), fd, sent
 function M.head(number, record)
-  return (record.fd and CAN_FD or CAN) .. RESERVED .. big_endian(number) .. ARPHRD_CAN ..
-    (record.sent and OUTGOING or TO_US) .. NO_ADDRESS .. big_endian(record.id):reverse()
+  local protocol = record.fd and "\0\13" or "\0\12"
+  local sent = record.sent and "\4" or "\0"
+  -- Linux cooked capture v2: protocol, reserved, interface index, device type, packet type, no address
+  return protocol .. "\0\0" .. big_endian(number) .. "\1\24" .. sent .. ("\0"):rep(9) ..
+    big_endian(record.id):reverse()
 end
 
---- What stands behind the head for so many data bytes: length, flags, reserved, raw DLC.
-M.LENGTHS = {}
-for length = 0, 8 do M.LENGTHS[length] = char(length, 0, 0, 0) end
-
 --- A frame as a packet of link type LINUX_SLL2: the cooked header, the SocketCAN header, the data.
--- (Wireshark takes the id in the host's order here, and this is the usual one.)
 -- @param number of the bus
 -- @param record what head needs, and length, flags, raw_dlc (9 to 15, or 0), data
 -- @return the bytes, a string
 function M.packet(number, record)
-  return M.head(number, record) .. char(record.length, record.flags, 0, record.raw_dlc) ..
-    record.data
+  local lengths = char(record.length, record.flags, 0, record.raw_dlc)
+  return M.head(number, record) .. lengths .. record.data
 end
 
 return M
