@@ -74,32 +74,37 @@ local function whole_lines(piece, at_end)
   return lines, sub(piece, #lines + 1)
 end
 
--- The end of a line whose start was cut off: log data, a length, data bytes, what stands behind them, the
--- end of a colour; and what candump says of lost frames.
+-- What the rest of a line may be: cut in its id, in its length, in its data bytes, behind them; and a line
+-- of frames that candump lost.
 local RESTS = {
-  "#[%x#R]*%s*[RT]?%s*$",
-  "[%]}]%s+%x%x",
-  "[%]}]%s+remote request",
-  "0[%]}]%s*$",
-  "^[%x%s`]*[RT]?%s*$",
+  "^%x*#",
+  "^%x*%s*[%[{]?%x*[%]}]",
+  "^[%x%s`]+$",
   "['`]%s*$",
-  "^[remot ]*r?e?q?u?e?s?t%s*$",
+  " request%s*$",
   "^DROPCOUNT: ",
-  "\27%[0m%s*$",
-  "^%[?0?m%s*$",
 }
+
+-- Whether a line is the rest of one of candump's whose start was cut off: with the start of another one in
+-- front it is a frame again.  Where their ids or lengths differ it has to look like such a rest.
+local function is_rest(line, whole)
+  for size = 1, math.min(#whole, 200) do -- a frame's line has less in front of its data
+    local record = parse(sub(whole, 1, size) .. line)
+    if record and not record.note then return true end
+  end
+  for _, rest in ipairs(RESTS) do
+    if find(line, rest) then return true end
+  end
+  return false
+end
 
 -- Whether a file of candump text may start with these lines, which are no frames: the rest of one in a
 -- log cut at its start, or a shell's with the command.  Any other first line may be another format's mark.
-local function may_begin(lines)
+local function may_begin(lines, first_frame)
   for _, line in ipairs(lines) do
     if find(line, "candump ", 1, true) then return true end
   end
-  if #lines > 1 then return false end
-  for _, rest in ipairs(RESTS) do
-    if find(lines[1] or "#", rest) then return true end
-  end
-  return false
+  return #lines == 0 or #lines == 1 and is_rest(lines[1], first_frame)
 end
 
 -- What the first lines of a file tell: nil if they are not candump's, else { deltas = whether its times
@@ -110,7 +115,7 @@ local function recognise(lines)
   for line in gmatch(lines, "([^\n]*)\n") do
     local record, why = parse(line)
     if record then
-      if frames == 0 and not may_begin(before) then return nil end
+      if frames == 0 and not may_begin(before, line) then return nil end
       frames, found.bus = frames + 1, found.bus or record.bus
       if record.is_relative then timed[#timed + 1] = record end
       if record.seconds and record.nanoseconds % 1000 ~= 0 then found.decimals = 9 end
@@ -187,16 +192,16 @@ end
 
 -- A bus: { number = the one its name ends in (can1 is 1) unless another bus has it, else the first free
 -- one; name = fit to be printed; heads = of packets, by the id's digits }.
-function Log:bus(name)
+function Log:add_bus(name)
   local number = tonumber(match(name, "%f[%d]%d?%d?%d$"))
   if not number or self.taken[number] then
     while self.taken[self.lowest] do self.lowest = self.lowest + 1 end
     number = self.lowest
   end
-  local bus = { number = number, name = utf8.printable(name), heads = {} }
-  self.buses[name], self.taken[number] = bus, true
-  self.pending[#self.pending + 1] = format("Interface index %d is %s", number, bus.name)
-  return bus
+  local shown = utf8.printable(name)
+  self.taken[number] = true
+  self.buses[name] = { number = number, name = shown, heads = {} }
+  self.pending[#self.pending + 1] = format("Interface index %d is %s", number, shown)
 end
 
 -- A line to tell of, for the most part one without a frame: at once, and in the packet list at the
@@ -213,9 +218,24 @@ function Log:skip(line, why)
   if not candump_line.HARMLESS[why] then self.pending[#self.pending + 1] = message end
 end
 
+-- What is to be kept of a frame that is read for the first time.
+function Log:note(record, line, offset)
+  if not self.buses[record.bus] then self:add_bus(record.bus) end
+  if self.deltas and record.is_relative then
+    self.clock = self.clock + record.seconds * 1000000000 + record.nanoseconds
+    self.clocks[offset] = self.clock
+  end
+  if record.note then self:skip(line, record.note) end
+  if #self.pending > 0 then
+    self.comments[offset] = table.concat(self.pending, "\n")
+    self.pending = {}
+  end
+end
+
 -- What read returns for a frame that parse found.
-function Log:packet(record, offset, bus)
-  local seconds, nanoseconds, clock = record.seconds, record.nanoseconds, self.clocks[offset]
+function Log:packet(record, offset)
+  local bus, seconds, nanoseconds = self.buses[record.bus], record.seconds, record.nanoseconds
+  local clock = self.clocks[offset]
   if clock then
     nanoseconds = clock % 1000000000
     seconds = math.floor((clock - nanoseconds) / 1000000000)
@@ -223,54 +243,50 @@ function Log:packet(record, offset, bus)
   return offset, text.packet(bus.number, record), seconds, nanoseconds, bus, self.comments[offset]
 end
 
--- Lines of the usual form, on a bus that is known: nearly all of a large file are such, and this takes
--- half of the time.  Returns what read returns, or nil.
-function Log:usual_frame(lines)
-  local seconds, nanoseconds, name, digits, data, stop = usual(lines.text, lines.pos)
-  local bus = stop and self.buses[name]
+-- The head of a packet, and its bus; nil for a bus that is new, and where there is no such id.
+function Log:head(name, digits)
+  local bus = self.buses[name]
   if not bus then return nil end
   local head = bus.heads[digits]
   if not head then
     local id = candump_line.id(digits)
-    if not id then return nil end
-    head = text.head(bus.number, { id = id })
+    head = id and text.head(bus.number, { id = id })
     bus.heads[digits] = head
   end
-  local bytes = head .. char(#data) .. "\0\0\0" .. data
-  local offset = lines.base + lines.pos - 1
-  lines.pos = stop
-  lines.number = lines.number + 1
-  return offset, bytes, seconds, nanoseconds, bus, self.comments[offset]
+  return head, bus
+end
+
+-- The next frame.  Nearly all lines of a large file are of the usual form, which takes half of the time
+-- of another: no record is made of it.
+function Log:next(lines, file)
+  local seconds, nanoseconds, name, digits, data, stop = usual(lines.text, lines.pos)
+  if stop and #self.pending == 0 then
+    local head, bus = self:head(name, digits)
+    if head then
+      local offset = lines:skip_to(stop)
+      local bytes = head .. char(#data) .. "\0\0\0" .. data
+      return offset, bytes, seconds, nanoseconds, bus, self.comments[offset]
+    end
+  end
+  local line, offset = lines:next(file)
+  while line do
+    local record, why = parse(line)
+    if record then
+      if lines == self.lines then self:note(record, line, offset) end
+      return self:packet(record, offset)
+    end
+    if why then self:skip(line, why) end
+    line, offset = lines:next(file)
+  end
 end
 
 --- Reads the next frame.
 -- @param file the file it was opened with
 -- @return its offset, the packet's bytes (link type LINUX_SLL2), the seconds and nanoseconds since 1970 or
 --   since the first frame (nil without a time), the bus { number, name }, a comment or nil.  Nil at the
---   end.  (No record: one for each line of a large file is a fifth of the time.)
+--   end
 function Log:read(file)
-  if #self.pending == 0 then
-    local offset, bytes, seconds, nanoseconds, bus, comment = self:usual_frame(self.lines)
-    if offset then return offset, bytes, seconds, nanoseconds, bus, comment end
-  end
-  local line, offset = self.lines:next(file)
-  while line do
-    local record, why = parse(line)
-    if record then
-      local bus = self.buses[record.bus] or self:bus(record.bus)
-      if self.deltas and record.is_relative then
-        self.clock = self.clock + record.seconds * 1000000000 + record.nanoseconds
-        self.clocks[offset] = self.clock
-      end
-      if record.note then self:skip(line, record.note) end
-      if #self.pending > 0 then
-        self.comments[offset], self.pending = table.concat(self.pending, "\n"), {}
-      end
-      return self:packet(record, offset, bus)
-    end
-    if why then self:skip(line, why) end
-    line, offset = self.lines:next(file)
-  end
+  return self:next(self.lines, file)
 end
 
 --- Reads a frame again.
@@ -279,11 +295,7 @@ end
 -- @return the same as read gave, or nil
 function Log:seek_read(file, offset)
   self.again:go_to(file, offset)
-  local at, bytes, seconds, nanoseconds, bus, comment = self:usual_frame(self.again)
-  if at then return at, bytes, seconds, nanoseconds, bus, comment end
-  local record = parse(self.again:next(file) or "")
-  if not record then return nil end
-  return self:packet(record, offset, self.buses[record.bus])
+  return self:next(self.again, file)
 end
 
 return M

@@ -40,6 +40,16 @@ function Lines:read_on(file)
   return #self.text > #rest
 end
 
+--- Goes on behind a line that somebody else has read in the text.
+-- @param pos where the next one begins
+-- @return the offset of the line
+function Lines:skip_to(pos)
+  local offset = self.base + self.pos - 1
+  self.pos = pos
+  self.number = self.number + 1
+  return offset
+end
+
 --- The next line.
 -- @return the line without its "\n", and its offset; nil at the end
 function Lines:next(file)
@@ -49,10 +59,7 @@ function Lines:next(file)
   end
   if not stop and self.pos > #self.text then return nil end
   local line = sub(self.text, self.pos, (stop or 0) - 1)
-  local offset = self.base + self.pos - 1
-  self.pos = (stop or #self.text) + 1
-  self.number = self.number + 1
-  return line, offset
+  return line, self:skip_to((stop or #self.text) + 1)
 end
 
 -- Packets -------------------------------------------------------------------------------------------
