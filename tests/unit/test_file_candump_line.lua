@@ -103,6 +103,7 @@ end
 function T.test_letters_that_look_like_digits()
   local record = candump.parse("can0\t0840C000\t[8]\tD2\t\208\151C\t\206\149O\t4E\t$\\odot \\odot$\t00\t05\tFF\t")
   lu.assertEquals(record.data, bytes("D23CE04E000005FF"))
+  lu.assertEquals(candump.parse("can0\t123\t[2]\t\206\149\206\152\t4E\t").data, bytes("E04E"))
   lu.assertStrContains(record.note, "look like hex digits")
 end
 

@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Vector's ASC, the text log of CANoe and CANalyzer that python-can writes too, as packets.  Pure Lua.
+-- Vector's ASC, the text log of CANoe and CANalyzer that python-can writes too, as packets.  Pure
+-- Lua.
 --
 --   date Tue Nov 14 22:13:20.001 2023
 --   base hex  timestamps absolute
@@ -17,15 +18,17 @@ local SECOND = 1000000 -- times are in microseconds: that many are exact in ever
 
 local MONTHS = {}
 for number, names in ipairs {
-  "jan jän", "feb", "mar mär mrz", "apr", "may mai", "jun", "jul", "aug", "sep", "oct okt", "nov", "dec dez",
+  "jan jän", "feb", "mar mär mrz", "apr", "may mai", "jun",
+  "jul", "aug", "sep", "oct okt", "nov", "dec dez",
 } do
   for name in names:gmatch("%S+") do MONTHS[name] = number end
 end
 
--- Times ---------------------------------------------------------------------------------------------
+-- Times
+-- ---------------------------------------------------------------------------------------------
 
--- "Tue Nov 14 10:13:20.001 pm 2023", the recorder's local time, in microseconds since 1970; nil for no
--- date.  python-can writes 1 ms as ".1".
+-- "Tue Nov 14 10:13:20.001 pm 2023", the recorder's local time, in microseconds since 1970; nil for
+-- no date.  python-can writes 1 ms as ".1".
 local function read_date(date)
   local month, day, hour, min, sec, rest =
     date:match("^%s*%S+%s+(%S+)%s+(%d+)%s+(%d+):(%d+):(%d+)(.*)$")
@@ -34,15 +37,14 @@ local function read_date(date)
   if not month or not year then return nil end
   if half ~= "" then hour = hour % 12 end
   if half:lower() == "p" then hour = hour + 12 end
-  local seconds = os.time {
-    year = year, month = month, day = day, hour = hour, min = min, sec = sec,
-  }
+  local time = { year = year, month = month, day = day, hour = hour, min = min, sec = sec }
+  local seconds = os.time(time)
   return seconds and seconds * SECOND + (tonumber(fraction:sub(1, 3)) or 0) * 1000
 end
 
 -- The time in front of a line, "12.000123", in microseconds, and what is behind it; nil for a line
--- without.  (Of a pattern that goes on behind the digits, a thousand digits would be tried a thousand
--- times over.)
+-- without.  (Of a pattern that goes on behind the digits, a thousand digits would be tried a
+-- thousand times over.)
 local function read_stamp(line)
   local whole, fraction, at = line:match("^%s*(%d*)%.?(%d*)()")
   local rest = line:match("^%s+(.*)$", at)
@@ -50,7 +52,8 @@ local function read_stamp(line)
   return tonumber(whole) * SECOND + tonumber((fraction .. "000000"):sub(1, 6)), rest
 end
 
--- A line --------------------------------------------------------------------------------------------
+-- A line
+-- --------------------------------------------------------------------------------------------
 
 -- "8404000x": the number, with SocketCAN's flag of an extended one
 local function read_id(id, base)
@@ -105,8 +108,8 @@ end
 --- Reads one line.
 -- @param line without its end
 -- @param base 10 or 16, of the file's ids and data
--- @return a record { stamp = microseconds, number = channel, id = with SocketCAN's flags, fd, sent, length,
---   flags, raw_dlc = 0, data }, or nil for a line that is no frame
+-- @return a record { stamp = microseconds, number = channel, id = with SocketCAN's flags, fd, sent,
+--   length, flags, raw_dlc = 0, data }, or nil for a line that is no frame
 function M.parse(line, base)
   local stamp, rest = read_stamp(line)
   if not stamp then return nil end
@@ -130,7 +133,8 @@ function M.parse(line, base)
   return record.data and record.number <= 0xFFFF and record or nil
 end
 
--- A file --------------------------------------------------------------------------------------------
+-- A file
+-- --------------------------------------------------------------------------------------------
 
 local Log = {}
 Log.__index = Log
@@ -165,7 +169,8 @@ function Log:packet(record, offset)
   return offset, packet, math.floor((time - rest) / SECOND), rest * 1000, bus
 end
 
--- A block of a log says when it began: python-can counts from there, CANoe from the date of the file.
+-- A block of a log says when it began: python-can counts from there, CANoe from the date of the
+-- file.
 function Log:begin(began, stamp)
   local is_since_date = self.date and math.abs(self.date + stamp - began) < 2 * SECOND
   self.start = is_since_date and self.date or began
@@ -173,8 +178,8 @@ end
 
 --- Reads the next frame.
 -- @param file the file it was opened with
--- @return as candump's read; the bus is { number = the channel, name }, without a date in the file there
---   is no time
+-- @return as candump's read; the bus is { number = the channel, name }, without a date in the file
+--   there is no time
 function Log:read(file)
   local began
   local line, offset = self.lines:next(file)

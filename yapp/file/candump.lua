@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The text that candump prints and logs: whether a file is such, and its frames as packets.  Pure Lua.
+-- The text that candump prints and logs: whether a file is such, and its frames as packets.  Pure
+-- Lua.
 local candump_line = require("yapp.file.candump_line")
 local text = require("yapp.file.text")
 local utf8 = require("yapp.base.utf8")
@@ -10,8 +11,8 @@ local gmatch, gsub, match, sub = string.gmatch, string.gsub, string.match, strin
 
 local M = {}
 
--- Sizes, in bytes.  A pipe can be rewound inside Wireshark's own buffer only, which is never less than
--- HEAD and never as much as SURE (less than 256 KB on 4.0, than 8 MB on 4.4 and 4.6).
+-- Sizes, in bytes.  A pipe can be rewound inside Wireshark's own buffer only, which is never less
+-- than HEAD and never as much as SURE (less than 256 KB on 4.0, than 8 MB on 4.4 and 4.6).
 local HEAD = 4096
 local SURE = 16 * 1024 * 1024
 local PIECE = 1024 * 1024
@@ -19,9 +20,11 @@ local PIECE = 1024 * 1024
 -- So many lines are reported one by one for each reason.
 local REPORTED = 3
 
--- Which files are candump's -------------------------------------------------------------------------
+-- Which files are candump's
+-- -------------------------------------------------------------------------
 
--- How many digits Wireshark's own reader takes behind "#", by what comes first: data, remote, CAN FD.
+-- How many digits Wireshark's own reader takes behind "#", by what comes first: data, remote, CAN
+-- FD.
 local PLAIN_DIGITS = {}
 for kind, counts in pairs {
   [""] = "0 2 4 6 8 10 12 14 16", R = "0 1", ["#"] = "1 3 5 7 9 11 13 15 17 25 33 41 49 65 97 129",
@@ -30,11 +33,11 @@ for kind, counts in pairs {
   for count in gmatch(counts, "%d+") do PLAIN_DIGITS[kind][tonumber(count)] = true end
 end
 
--- A test for text of whole lines, all of them log lines of this bus that Wireshark's own reader gets
--- right in every version.  It takes one space, six decimals, a number of digits that fits, and nothing
--- more; it does not tell two buses apart before 4.6, and an empty line ends the file for it on 4.6.
--- From 4.6 on it goes by an id's value, not by its digits: 00000000 is a standard id to it, and an error
--- frame's an extended one (by_value).
+-- A test for text of whole lines, all of them log lines of this bus that Wireshark's own reader
+-- gets right in every version.  It takes one space, six decimals, a number of digits that fits, and
+-- nothing more; it does not tell two buses apart before 4.6, and an empty line ends the file for it
+-- on 4.6. From 4.6 on it goes by an id's value, not by its digits: 00000000 is a standard id to it,
+-- and an error frame's an extended one (by_value).
 local function plain_test(bus, by_value)
   local name = gsub(bus, "%W", "%%%0")
   local pattern = "%(%d+%.%d%d%d%d%d%d%) " .. name .. " ([0-7]%x+)#([#R]?)()%x*()\r?\n"
@@ -46,25 +49,34 @@ local function plain_test(bus, by_value)
   return function(lines) return gsub(lines, pattern, erase) == "" end
 end
 
--- candump -t d prints the time since the frame before, -t z since the first one.  On one bus the latter
--- climb, or stay where an adapter stamps several frames at once; the former go up and down, or repeat.
--- (Of several buses two frames may change places.)
+-- candump -t d prints the time since the frame before, -t z since the first one.  On one bus the
+-- latter climb, or stay where an adapter stamps several frames at once; the former go up and down,
+-- or repeat. (Of several buses two frames may change places.)
 local function are_deltas(records)
   local last, falls, repeats, rises = {}, 0, 0, 0
   for _, record in ipairs(records) do
-    local time = record.seconds * 1000000000 + record.nanoseconds
-    local before = last[record.bus]
-    if before and time < before then
-      falls = falls + 1
-    elseif before and time > before then
-      rises = rises + 1
-    elseif before and time > 0 then
-      repeats = repeats + 1
+    if record.is_relative then
+      local time = record.seconds * 1000000000 + record.nanoseconds
+      local before = last[record.bus] or time
+      if time < before then
+        falls = falls + 1
+      elseif time > before then
+        rises = rises + 1
+      elseif time > 0 and last[record.bus] then
+        repeats = repeats + 1
+      end
+      last[record.bus] = time
     end
-    last[record.bus] = time
   end
   if falls > 0 or rises <= 1 then falls = falls + repeats end
   return 10 * falls > #records
+end
+
+local function decimals_of(records)
+  for _, record in ipairs(records) do
+    if (record.nanoseconds or 0) % 1000 ~= 0 then return 9 end
+  end
+  return 6
 end
 
 -- Cuts text behind its last line end.  At the end of the file all of it is lines.
@@ -74,8 +86,8 @@ local function whole_lines(piece, at_end)
   return lines, sub(piece, #lines + 1)
 end
 
--- What the rest of a line may be: cut in its id, in its length, in its data bytes, behind them; and a line
--- of frames that candump lost.
+-- What the rest of a line may be: cut in its id, in its length, in its data bytes, behind them; and
+-- a line of frames that candump lost.
 local RESTS = {
   "^%x*#",
   "^%x*%s*[%[{]?%x*[%]}]",
@@ -85,8 +97,9 @@ local RESTS = {
   "^DROPCOUNT: ",
 }
 
--- Whether a line is the rest of one of candump's whose start was cut off: with the start of another one in
--- front it is a frame again.  Where their ids or lengths differ it has to look like such a rest.
+-- Whether a line is the rest of one of candump's whose start was cut off: with the start of another
+-- one in front it is a frame again.  Where their ids or lengths differ it has to look like such a
+-- rest.
 local function is_rest(line, whole)
   for size = 1, math.min(#whole, 200) do -- a frame's line has less in front of its data
     local record = parse(sub(whole, 1, size) .. line)
@@ -98,8 +111,9 @@ local function is_rest(line, whole)
   return false
 end
 
--- Whether a file of candump text may start with these lines, which are no frames: the rest of one in a
--- log cut at its start, or a shell's with the command.  Any other first line may be another format's mark.
+-- Whether a file of candump text may start with these lines, which are no frames: the rest of one
+-- in a log cut at its start, or a shell's with the command.  Any other first line may be another
+-- format's mark.
 local function may_begin(lines, first_frame)
   for _, line in ipairs(lines) do
     if find(line, "candump ", 1, true) then return true end
@@ -107,31 +121,31 @@ local function may_begin(lines, first_frame)
   return #lines == 0 or #lines == 1 and is_rest(lines[1], first_frame)
 end
 
--- What the first lines of a file tell: nil if they are not candump's, else { deltas = whether its times
--- are those since the frame before, decimals = 6 or 9, bus = the first one's name }.
+-- What the first lines of a file tell: nil if they are not candump's, else { deltas = whether its
+-- times are those since the frame before, decimals = 6 or 9, bus = the first one's name }.
 local function recognise(lines)
-  local found = { decimals = 6 }
-  local frames, others, before, timed = 0, 0, {}, {}
+  local records, others = {}, {}
   for line in gmatch(lines, "([^\n]*)\n") do
     local record, why = parse(line)
     if record then
-      if frames == 0 and not may_begin(before, line) then return nil end
-      frames, found.bus = frames + 1, found.bus or record.bus
-      if record.is_relative then timed[#timed + 1] = record end
-      if record.seconds and record.nanoseconds % 1000 ~= 0 then found.decimals = 9 end
+      if #records == 0 and not may_begin(others, line) then return nil end
+      records[#records + 1] = record
     elseif why and not candump_line.HARMLESS[why] then
-      others = others + 1
-      before[others] = frames == 0 and line or nil
+      others[#others + 1] = line
     end
   end
-  found.deltas = are_deltas(timed)
-  return frames > others and found or nil
+  if #records <= #others then return nil end
+  return {
+    deltas = are_deltas(records),
+    decimals = decimals_of(records),
+    bus = records[1].bus,
+  }
 end
 
--- Looks behind a plain start for a line that needs this reader.  Returns the text read from the start of
--- the file, with the file right behind it, or nil if the file is plain throughout.  A file that cannot be
--- rewound is a pipe: nobody else could read it any more, so it is taken.  All text is kept until that
--- is known.
+-- Looks behind a plain start for a line that needs this reader.  Returns the text read from the
+-- start of the file, with the file right behind it, or nil if the file is plain throughout.  A file
+-- that cannot be rewound is a pipe: nobody else could read it any more, so it is taken.  All text
+-- is kept until that is known.
 local function text_that_needs_us(file, head, is_plain)
   local pieces, size = { head }, #head
   local lines, rest = whole_lines(head, false)
@@ -150,18 +164,19 @@ local function text_that_needs_us(file, head, is_plain)
   return head
 end
 
--- A file --------------------------------------------------------------------------------------------
+-- A file
+-- --------------------------------------------------------------------------------------------
 
 local Log = {}
 Log.__index = Log
 
 --- Opens a file if it is candump text.
 -- @param file anything with read(bytes) and seek("set", offset), at its start, as io.open gives it
--- @param options { all = true to take all candump text, false to leave to Wireshark's own reader what
---   that gets right; by_value = whether that reader tells extended ids by their value, as 4.6 does;
---   report = function(text), called with a line for each message }
--- @return a log with read and seek_read, and decimals (6 or 9) of the times.  Nil if the file is not
---   taken; and then the name of its bus, if it is a log that Wireshark's own reader gets right
+-- @param options { all = true to take all candump text, false to leave to Wireshark's own reader
+--   what that gets right; by_value = whether that reader tells extended ids by their value, as 4.6
+--   does; report = function(text), called with a line for each message }
+-- @return a log with read and seek_read, and decimals (6 or 9) of the times.  Nil if the file is
+--   not taken; and then the name of its bus, if it is a log that Wireshark's own reader gets right
 function M.open(file, options)
   local head = file:read(HEAD) or ""
   if find(head, "\0", 1, true) then return nil end
@@ -190,8 +205,8 @@ function M.open(file, options)
   }, Log)
 end
 
--- A bus: { number = the one its name ends in (can1 is 1) unless another bus has it, else the first free
--- one; name = fit to be printed; heads = of packets, by the id's digits }.
+-- A bus: { number = the one its name ends in (can1 is 1) unless another bus has it, else the first
+-- free one; name = fit to be printed; heads = of packets, by the id's digits }.
 function Log:add_bus(name)
   local number = tonumber(match(name, "%f[%d]%d?%d?%d$"))
   if not number or self.taken[number] then
@@ -256,8 +271,8 @@ function Log:head(name, digits)
   return head, bus
 end
 
--- The next frame.  Nearly all lines of a large file are of the usual form, which takes half of the time
--- of another: no record is made of it.
+-- The next frame.  Nearly all lines of a large file are of the usual form, which takes half of the
+-- time of another: no record is made of it.
 function Log:next(lines, file)
   local seconds, nanoseconds, name, digits, data, stop = usual(lines.text, lines.pos)
   if stop and #self.pending == 0 then
@@ -282,9 +297,9 @@ end
 
 --- Reads the next frame.
 -- @param file the file it was opened with
--- @return its offset, the packet's bytes (link type LINUX_SLL2), the seconds and nanoseconds since 1970 or
---   since the first frame (nil without a time), the bus { number, name }, a comment or nil.  Nil at the
---   end
+-- @return its offset, the packet's bytes (link type LINUX_SLL2), the seconds and nanoseconds since
+--   1970 or since the first frame (nil without a time), the bus { number, name }, a comment or nil.
+--   Nil at the end
 function Log:read(file)
   return self:next(self.lines, file)
 end

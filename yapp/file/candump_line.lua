@@ -79,9 +79,8 @@ local function read_stamp(record, stamp)
     local year, month, day, hour, min, sec, part =
       match(stamp, "^(%d%d%d%d)%-(%d%d)%-(%d%d) (%d%d):(%d%d):(%d%d)%.(%d+)$")
     if not year or year < "1970" or month > "12" then return TIME end
-    record.seconds = os.time {
-      year = year, month = month, day = day, hour = hour, min = min, sec = sec,
-    }
+    local date = { year = year, month = month, day = day, hour = hour, min = min, sec = sec }
+    record.seconds = os.time(date)
     fraction = part
   end
   record.nanoseconds = tonumber(sub(fraction .. "00000000", 1, 9))
@@ -126,50 +125,73 @@ local function read_bytes(record, data)
   local _, ascii = match(behind, "^%s+(['`])(.*)%1%s*$")
   if ascii and #ascii == record.length then return nil end
   -- Without a time a line is candump's only if all of it is; too many bytes are never right.
-  if not record.seconds or find(behind, "^%S") or find(behind, "^%s+%x%x%f[%X]") then return DATA end
+  if not record.seconds or find(behind, "^%S") then return DATA end
+  if find(behind, "^%s+%x%x%f[%X]") then return DATA end
   record.note = BEHIND
 end
 
--- What stands behind the id on the screen: [8] classic, [08] CAN FD, {E} classic with the raw DLC (-8).
+-- What stands behind the id on the screen: [8] classic, [08] CAN FD, {E} classic with the raw DLC
+-- (-8).
 local function read_screen(record, open, length, data)
   record.fd = #length == 2
   length = tonumber(length, open == "{" and 16 or 10)
   if open == "{" and length and length > 8 then length, record.raw_dlc = 8, length end
-  if not length or length > (record.fd and 64 or 8) then return DATA end
+  if not length or length > 64 then return DATA end
   record.length = length
   if not find(data, "^%s+remote request%s*$") then return read_bytes(record, data) end
   if record.fd then return DATA end
   make_remote(record, length)
 end
 
--- The parts of a line behind the time: with -x the direction and the flags of CAN FD.
+-- A line's time, and what is behind it: in a log, on the screen, and there with -x the direction
+-- and the flags of CAN FD.
+local STAMP = "^%s*%(([^()]+)%)%s+(.*)$"
 local LOG = "^(%S+)%s+(%x+)#(%S*)%s*(.-)%s*$"
 local SCREEN = "^%s*(%S+)%s+(%x+)%s+([%[{])(%x%x?)[%]}](.*)$"
 local DIRECTION = "^(%s*%S+)%s+([RT])X ([B-]) ([E-])(%s.*)$"
+local FLAGS = { B = 1, E = 2 }
+
+-- Fills in what stands behind the id, or returns why it cannot.
+local function fill(record, stamp, read, ...)
+  if not record.id then return find((...), "^%x%x:") and XL or ID end
+  local why = stamp and read_stamp(record, stamp) or read(record, ...)
+  if not why and record.length > (record.fd and 64 or 8) then why = DATA end
+  return why
+end
 
 -- The frame in a line, or nil and why there is none.
 local function frame_of(line)
-  local stamp, rest = match(line, "^%s*%(([^()]+)%)%s+(.*)$")
-  local front, way, brs, esi, back = match(rest or line, DIRECTION)
+  local stamp, rest = match(line, STAMP)
+  rest = rest or line
+  local front, way, brs, esi, back = match(rest, DIRECTION)
   if front then rest = front .. back end
-  local read, bus, id, a, b, c = read_log, match(stamp and rest or "", LOG)
-  if not bus then read, bus, id, a, b, c = read_screen, match(rest or line, SCREEN) end
+  local read, bus, id, a, b, c = read_log, match(rest, LOG)
+  if not stamp or not bus then
+    read, bus, id, a, b, c = read_screen, match(rest, SCREEN)
+  end
   if not bus then return nil, UNKNOWN end
   local record = {
-    bus = bus, id = M.id(id), fd = false, sent = way == "T", raw_dlc = 0, is_relative = false,
-    flags = (brs == "B" and 1 or 0) + (esi == "E" and 2 or 0),
+    bus = bus,
+    id = M.id(id),
+    fd = false,
+    sent = way == "T",
+    flags = (FLAGS[brs] or 0) + (FLAGS[esi] or 0),
+    raw_dlc = 0,
+    is_relative = false,
   }
-  if not record.id then return nil, find(a, "^%x%x:") and XL or stamp and ID or UNKNOWN end
-  local why = stamp and read_stamp(record, stamp) or read(record, a, b, c)
+  local why = fill(record, stamp, read, a, b, c)
   if why then return nil, stamp and why or UNKNOWN end
-  if record.length > (record.fd and 64 or 8) then return nil, DATA end
   return record
 end
 
--- What stands for digits in the candump lines of the vendor's document: three Greek and two Cyrillic
--- letters, an O, and circles; and the space of a page that they were copied from.
+-- What stands for digits in the candump lines of the vendor's document: three Greek and two
+-- Cyrillic letters, an O, and circles; and the space of a page that they were copied from.
 local LOOK_ALIKES = {
-  ["\206\146"] = "B", ["\206\149"] = "E", ["\206\152"] = "0", ["\208\151"] = "3", ["\208\177"] = "6",
+  ["\206\146"] = "B",
+  ["\206\149"] = "E",
+  ["\206\152"] = "0",
+  ["\208\151"] = "3",
+  ["\208\177"] = "6",
   ["\194\160"] = " ",
 }
 
@@ -181,11 +203,11 @@ end
 
 --- Reads one line.
 -- @param line text without its line end; colours are dropped
--- @return the frame: bus (its name), id (32 bits, flags as SocketCAN has them), fd, flags (CAN FD: 1 BRS,
---   2 ESI), length (bytes, or the DLC of a remote frame), data (a string of that length, zero in a
---   remote frame), raw_dlc (9 to 15 or 0), sent; seconds, nanoseconds and is_relative unless there is
---   no time; note (what is to say about the line, or nil).  Otherwise nil and a reason, or nil alone
---   for a line of -e below a frame.
+-- @return the frame: bus (its name), id (32 bits, flags as SocketCAN has them), fd, flags (CAN FD:
+--   1 BRS, 2 ESI), length (bytes, or the DLC of a remote frame), data (a string of that length,
+--   zero in a remote frame), raw_dlc (9 to 15 or 0), sent; seconds, nanoseconds and is_relative
+--   unless there is no time; note (what is to say about the line, or nil).  Otherwise nil and a
+--   reason, or nil alone for a line of -e below a frame.
 function M.parse(line)
   if #line > LONGEST then return nil, LONG end
   line = gsub(line, "\27%[[%d;]*m", "")
@@ -207,8 +229,8 @@ end
 --   (1700000000.000001) can0 08404000#BBBE6FC720000000
 -- @param lines text with the line in it
 -- @param at where the line begins
--- @return seconds and nanoseconds, the bus, the id's digits, the data bytes, and where the next line
---   begins; nil for any other line
+-- @return seconds and nanoseconds, the bus, the id's digits, the data bytes, and where the next
+--   line begins; nil for any other line
 function M.usual(lines, at)
   local seconds, fraction, bus, digits, hex, stop =
     match(lines, "^%((%d+)%.(%d%d%d%d%d%d)%) (%S+) (%x+)#(%x*)\r?\n()", at)

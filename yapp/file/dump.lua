@@ -7,9 +7,9 @@ local CHUNK = 65536
 local AHEAD = 1048576 -- how far to look for a time stamp; what is read on the way is kept
 local LONGEST = 65536 -- bytes of no frame in one record: Wireshark takes four times as much
 
--- A record is an exported PDU: it names its dissector, and a UDP port type says that it is complete in
--- itself.  Bytes between frames may look like the start of one, which only what follows them has proved
--- wrong.
+-- A record is an exported PDU: it names its dissector, and a UDP port type says that it is complete
+-- in itself.  Bytes between frames may look like the start of one, which only what follows them has
+-- proved wrong.
 local DISSECTOR, UDP = "\0\12\0\12", "\0\24\0\4\0\0\0\3\0\0\0\0" -- tags, each with its length
 local FRAME = DISSECTOR .. "yapp_serial\0" .. UDP
 local SKIPPED = DISSECTOR .. "yapp_skipped" .. UDP
@@ -74,15 +74,22 @@ end
 
 --- Opens a dump.
 -- @param file at its first byte, or behind `head`; a pipe will do
--- @param options { new_framer = function() -> a serial.stream; time_of = function(frame bytes) -> seconds,
---   nanoseconds of the message's own time stamp, nil without one }
+-- @param options { new_framer = function() -> a serial.stream; time_of = function(frame bytes) ->
+--   seconds, nanoseconds of the message's own time stamp, nil without one }
 -- @param head the first bytes, where they have been read already
 -- @return a log with read and seek_read; nil for a file that holds no frame with a good CRC
 function M.open(file, options, head)
   local self = setmetatable({
-    framer = options.new_framer(), time_of = options.time_of, head = head ~= "" and head or nil,
-    decimals = 9, events = {}, next = 1, last = 0, ended = false, -- read, and not given as records yet
-    time = nil, records = {}, -- of the record before; what is known of each by its offset
+    framer = options.new_framer(),
+    time_of = options.time_of,
+    head = head ~= "" and head or nil,
+    decimals = 9,
+    events = {}, -- read, and not given as records yet: events[next] to events[last]
+    next = 1,
+    last = 0,
+    ended = false,
+    time = nil, -- of the record before; of the first one that has a time
+    records = {}, -- { length, time, is_skipped }, by offset
   }, Dump)
   local at, found = 1, false
   while not (found and (self.time or self.framer:offset() >= AHEAD)) and self:fill(file) do
@@ -101,9 +108,9 @@ local function packet(record, offset, bytes)
 end
 
 --- The next record: a frame or a range of bytes that belong to none.
--- @return its offset, the packet's bytes (an exported PDU), seconds and nanoseconds; nil at the end.  The
---   time is the controller's own where the message has a time stamp, else that of the record before; in
---   front of the first one, that of the first one if it comes soon, else nil
+-- @return its offset, the packet's bytes (an exported PDU), seconds and nanoseconds; nil at the
+--   end.  The time is the controller's own where the message has a time stamp, else that of the
+--   record before; in front of the first one, that of the first one if it comes soon, else nil
 function Dump:read(file)
   local event = self:take_record(file)
   if not event then return nil end

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Wireshark's file readers of candump text, Vector's ASC and raw serial dumps, and the bus of the record
--- that one of them read last: thin, the modules of the formats do the work.
+-- Wireshark's file readers of candump text, Vector's ASC and raw serial dumps, and the bus of the
+-- record that one of them read last: thin, the modules of the formats do the work.
 local asc = require("yapp.file.asc")
 local candump = require("yapp.file.candump")
 local dump = require("yapp.file.dump")
@@ -17,16 +17,16 @@ local current, plain = NO_BUS, nil
 --- The same, for who does not ask: current_bus, current_bus_name, plain_bus.
 M.told = {}
 
---- Where the record that was read last came from.  A dissector can ask on a first pass, where records are
--- read and dissected in turns and fields may not be there.
--- @return the number of its bus, and the bus's name, fit to be printed; nil where it was read by no reader
---   of ours, or is of a dump
+--- Where the record that was read last came from.  A dissector can ask on a first pass, where
+-- records are read and dissected in turns and fields may not be there.
+-- @return the number of its bus, and the bus's name, fit to be printed; nil where it was read by no
+--   reader of ours, or is of a dump
 function M.current()
   return current.number, current.name
 end
 
---- The name of the one bus of the log that was opened last, where Wireshark's own reader took it: of 4.0
--- and 4.4 that reader forgets the name.  Nil for any other file.
+--- The name of the one bus of the log that was opened last, where Wireshark's own reader took it:
+-- of 4.0 and 4.4 that reader forgets the name.  Nil for any other file.
 function M.plain_bus()
   return plain
 end
@@ -41,8 +41,8 @@ local function set_plain(name)
   M.told.plain_bus = name
 end
 
---- A file is looked at: nothing is known of it.  To be called before any reader sees it: sharkd opens another
--- file without closing the first.
+--- A file is looked at: nothing is known of it.  To be called before any reader sees it: sharkd
+-- opens another file without closing the first.
 function M.forget()
   set_current(NO_BUS)
   set_plain(nil)
@@ -60,8 +60,9 @@ local function fill(frame, offset, bytes, seconds, nanoseconds, bus, comment)
   return offset
 end
 
--- What all readers do alike; what is theirs is open(file), which returns a log or nil.  (No tail calls:
--- what a reader does not hold may be collected, and Wireshark writes into it when the reader is back.)
+-- What all readers do alike; what is theirs is open(file), which returns a log or nil.  (No tail
+-- calls: what a reader does not hold may be collected, and Wireshark writes into it when the reader
+-- is back.)
 local function register(title, name, kind, row)
   local handler = FileHandler.new(title, name, title, kind)
   handler.extensions = row.extension
@@ -100,9 +101,9 @@ local function goes_by_value()
   return (tonumber(major) or 0) * 100 + (tonumber(minor) or 0) >= 405
 end
 
--- Two readers of one kind.  The first is asked before Wireshark's own and takes what that gets wrong or
--- not at all.  The second is asked last, so it serves who names it: -X "read_format:yapp_candump" takes any
--- candump text.
+-- Two readers of one kind.  The first is asked before Wireshark's own and takes what that gets
+-- wrong or not at all.  The second is asked last, so it serves who names it: -X
+-- "read_format:yapp_candump" takes any candump text.
 local function register_candump(title, name, kind, takes_all)
   local options = { all = takes_all, report = report, by_value = goes_by_value() }
   local function open(file)
@@ -113,16 +114,16 @@ local function register_candump(title, name, kind, takes_all)
   register(title, name, kind, { open = open, encap = wtap_encaps.SLL2 })
 end
 
--- A dump has no mark at its start, and files of others may hold YAPP frames: only what is named .yapp is
--- taken, or what the user says is a dump.  No reader is told the name.  But a file with another name is
--- shown to the readers for any name before it is shown to those for .yapp; so one of the former, which takes
--- nothing, notes what it was shown.
+-- A dump has no mark at its start, and files of others may hold YAPP frames: only what is named
+-- .yapp is taken, or what the user says is a dump.  No reader is told the name.  But a file with
+-- another name is shown to the readers for any name before it is shown to those for .yapp; so one
+-- of the former, which takes nothing, notes what it was shown.
 local NO_FRAME = "no YAPP frame with a good CRC, and the size that its ID has, in the whole file"
 local HEAD = 256 -- bytes by which a file is known again
 
 local function register_dump(options)
-  -- The first bytes of what has another name; and of what was refused for what it holds, as that is shown
-  -- to the others next.
+  -- The first bytes of what has another name; and of what was refused for what it holds, as that is
+  -- shown to the others next.
   local shown, refused
 
   local function note_name(file)

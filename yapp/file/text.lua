@@ -1,17 +1,20 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What the readers of CAN logs in text share: the lines of a file, and a CAN frame as a packet.  Pure Lua.
+-- What the readers of CAN logs in text share: the lines of a file, and a CAN frame as a packet.
+-- Pure Lua.
 local char, find, sub = string.char, string.find, string.sub
 
 local M = {}
 
 local BLOCK = 65536 -- bytes read at once
 
--- Lines ---------------------------------------------------------------------------------------------
+-- Lines
+-- ---------------------------------------------------------------------------------------------
 
 local Lines = {}
 Lines.__index = Lines
 
---- The lines of a file: `text` is the part of it from offset `base` on, the next line begins at `pos`.
+--- The lines of a file: `text` is the part of it from offset `base` on, the next line begins at
+-- `pos`.
 -- @param text the first bytes of the file, which is right behind them
 function M.lines(text)
   return setmetatable({ text = text, base = 0, pos = 1, number = 0 }, Lines)
@@ -62,7 +65,8 @@ function Lines:next(file)
   return line, self:skip_to((stop or #self.text) + 1)
 end
 
--- Packets -------------------------------------------------------------------------------------------
+-- Packets
+-- -------------------------------------------------------------------------------------------
 
 -- Flags in the upper bits of a SocketCAN id (linux/can.h).
 M.EXTENDED = 0x80000000
@@ -86,7 +90,8 @@ end
 function M.head(number, record)
   local protocol = record.fd and "\0\13" or "\0\12"
   local sent = record.sent and "\4" or "\0"
-  -- Linux cooked capture v2: protocol, reserved, interface index, device type, packet type, no address
+  -- Linux cooked capture v2: protocol, reserved, interface index, device type, packet type, no
+  -- address
   return protocol .. "\0\0" .. big_endian(number) .. "\1\24" .. sent .. ("\0"):rep(9) ..
     big_endian(record.id):reverse()
 end
