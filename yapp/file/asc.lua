@@ -1,6 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Vector's ASC, the text log of CANoe and CANalyzer that python-can writes too, as packets.  Pure
--- Lua.
+-- Vector's ASC, the text log of CANoe, CANalyzer and python-can, as packets.  Pure Lua.
 --
 --   date Tue Nov 14 22:13:20.001 2023
 --   base hex  timestamps absolute

@@ -1,6 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The text that candump prints and logs: whether a file is such, and its frames as packets.  Pure
--- Lua.
+-- What candump prints and logs: whether a file is such, and its frames as packets.  Pure Lua.
 local candump_line = require("yapp.file.candump_line")
 local text = require("yapp.file.text")
 local utf8 = require("yapp.base.utf8")

@@ -1,6 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What the readers of CAN logs in text share: the lines of a file, and a CAN frame as a packet.
--- Pure Lua.
+-- What readers of CAN logs share: a file's lines, a CAN frame as a packet.  Pure Lua.
 local char, find, sub = string.char, string.find, string.sub
 
 local M = {}
