@@ -21,19 +21,13 @@ os.setlocale("C", "numeric")
 
 package.path = here .. "?.lua;" .. package.path
 
-local asc = require "yapp.file.asc"
-local asc_reader = require "yapp.file.asc_reader"
 local bus_finder = require "yapp.host.buses"
 local can_carrier = require "yapp.can.carrier"
-local candump = require "yapp.file.candump"
-local candump_line = require "yapp.file.candump_line"
-local candump_reader = require "yapp.file.candump_reader"
 local catalogue_files = require "yapp.message.catalogue_files"
 local columns = require "yapp.message.columns"
 local compiler = require "yapp.message.catalogue"
 local decode = require "yapp.message.decode"
-local dump = require "yapp.file.dump"
-local dump_reader = require "yapp.file.dump_reader"
+local file_readers = require "yapp.file.readers"
 local frame = require "yapp.wire.frame"
 local history = require "yapp.message.history"
 local message_reader = require "yapp.message.reader"
@@ -240,8 +234,6 @@ for _, name in ipairs { "tcp.port", "udp.port" } do
   for _, proto in ipairs { serial, yapp } do DissectorTable.get(name):add_for_decode_as(proto) end
 end
 DissectorTable.get("rtacser.data"):add_for_decode_as(serial)
-candump_reader.register(candump)
-asc_reader.register { asc = asc, packet = candump_line.packet, told = candump_reader }
-dump_reader.register(dump, function() return streams:framer() end, controller_time)
+file_readers.register { new_framer = function() return streams:framer() end, time_of = controller_time }
 
 package.loaded["yapp.plugin"] = { version = VERSION, path = here .. "yapp.lua" }

@@ -5,7 +5,7 @@
 -- what else is not read here the fields say it, where there is a tree; a tap asks for them.
 
 local capture = require "yapp.host.capture"
-local readers = require "yapp.file.candump_reader"
+local readers = require "yapp.file.readers"
 
 local M = {}
 
@@ -44,7 +44,7 @@ function M.watch()
     local may_go_on = is_long and is_file(#head)
     self.seen = capture.read(head, function(count) return may_go_on and file:read(count) or nil end)
     self.seen_blf, self.seen_whole = head:sub(1, 4) == BLF, may_go_on or not is_long
-    readers.plain_bus = nil
+    readers.forget()
     return false
   end
   function handler.read() return false end
@@ -59,7 +59,7 @@ end
 function Buses:init()
   local found = self.seen
   self.found, self.is_blf, self.is_shifted = found, self.seen_blf, false
-  readers.current_bus = nil -- sharkd opens the next file without closing the first
+  self.plain_bus = readers.plain_bus()
   self.kept = {} -- [number of a packet] = its bus, where a field said it: a later look may have no tree
   self.asks = found.has_several or found.begins or found.may_be_ours or not found.is_told
   local needs_fields = found.begins or self.is_blf or found.has_several and not self.seen_whole
@@ -73,7 +73,7 @@ end
 
 --- Whether the capture tells several sources apart, as far as is known.
 function Buses:are_several()
-  return self.found.source_count > 1 or self.is_blf or readers.plain_bus == nil and readers.current_bus ~= nil
+  return self.found.source_count > 1 or self.is_blf or readers.current() ~= nil
 end
 
 --- Whether the file may have YAPP frames in TCP or UDP, by its first bytes.
@@ -112,9 +112,9 @@ end
 --- Where the current packet was captured.
 -- returns  its bus, a number; nil where the capture has one, or nothing says; and whether this is known
 function Buses:of(pinfo)
-  local bus = readers.current_bus
+  local bus, name = readers.current()
   if bus then
-    self.found.names[bus] = readers.current_bus_name
+    self.found.names[bus] = name
     return bus, true
   end
   if not self.asks then return nil, true end
@@ -137,8 +137,8 @@ end
 -- returns  text, or nil where the capture names none
 function Buses:name(bus, is_ip)
   if bus then return self.found.names[bus] end
-  if is_ip then return self.found.only_name or readers.plain_bus end
-  return self.found.own_name or self.found.only_name or readers.plain_bus
+  if is_ip then return self.found.only_name or self.plain_bus end
+  return self.found.own_name or self.found.only_name or self.plain_bus
 end
 
 return M
