@@ -34,7 +34,6 @@ local parts = {
   collector = require "yapp.base.collector",
   crc = require "yapp.wire.crc",
   decode = require "yapp.message.decode",
-  decode_columns = require "yapp.message.columns",
   facts = require "yapp.host.facts",
   file_asc = require "yapp.file.asc",
   file_asc_reader = require "yapp.file.asc_reader",
@@ -88,8 +87,8 @@ local socketcan = Proto("yapp_socketcan", "YAPP's look at CAN headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local facts = parts.facts.watch(parts.file_head, candump)
-local stat = parts.stat.new { version = VERSION, catalogue = catalogue, is_whole = is_whole, decode = decode,
-  columns = parts.decode_columns, wants_records = function(is_wanted) facts:want_buses(is_wanted) end }
+local stat = parts.stat.new { version = VERSION, catalogue = catalogue,
+  wants_records = function(is_wanted) facts:want_buses(is_wanted) end }
 local reader = parts.reader.new(decode, catalogue, stat)
 local tree = parts.tree.new { yapp = yapp, taurus = taurus, catalogue = catalogue, reader = reader }
 
@@ -118,12 +117,16 @@ local dissect_can = frames.dissect -- as Lua finds it faster
 local streams = parts.serial_carrier.new(parts, tree, reader, facts)
 local tell = parts.stat_tell.new(stat, reader)
 reader:tell_to(tell)
-function stat.plugin.tapped(number)
-  frames:tapped(number)
-  streams:tapped(number)
-end
 function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
-function stat.plugin.has_source(name) return reader.sources:has_name(name) end
+function stat.plugin.named() return reader.sources:list() end
+function stat.plugin.problems()
+  local problems, file = {}, yapp.prefs.messages
+  if not is_whole then problems[1] = "the catalogue did not load whole" end
+  if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
+    problems[#problems + 1] = file .. ", the file with your own messages, was not read"
+  end
+  return problems
+end
 function stat.plugin.unfinished()
   local messages = frames:unfinished()
   for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end

@@ -136,6 +136,11 @@ local function show_skipped(self, view, tvb, at, bytes)
     local skipped = item:add(builder.fields.skipped, tvb(at, #bytes))
     if text then skipped:append_text(" " .. text) end
   end
+  local fact, stat = view.fact, self.reader.stat
+  if stat.wanted and fact.stream then
+    self.reader.tell:skipped { frame = fact.number, time = view.pinfo.rel_ts, visited = fact.visited,
+      bus = view.bus_key, bus_name = view.bus_name, source = fact.stream, length = #bytes }
+  end
   builder:expert(item, "stream.skipped", ("%s that belong to no frame%s"):format(
     builder.bytes(#bytes), text and ": " .. text or ""))
   return ("Skipped %s%s"):format(builder.bytes(#bytes), text and " " .. text or "")
