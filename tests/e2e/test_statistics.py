@@ -92,7 +92,8 @@ def test_events(results, seed, form, passes):
     found = results(seed, form, passes)[0]["events"]
     expected = with_times(flight_of(seed).truth(form)["events"])
     assert [line["time"] for line in found] == sorted(line["time"] for line in found)
-    assert "absent" not in {line["kind"] for line in found[:-2]}
+    kinds = [line["kind"] for line in found]
+    assert "absent" not in kinds[:len(kinds) - kinds.count("absent")]
     assert sorted(found, key=sort_key) == sorted(expected, key=sort_key)
 
 
@@ -230,6 +231,7 @@ def test_check_alone(results, seed):
     loose, tight = rules_of(flight_of(seed).truth(form)["summary"], flight_of(seed).truth(form)["events"])
     failed = {line["rule"].split("=")[0] for line in found["check"] if line["ok"] is False}
     assert returned == 20 and failed == {rule.split("=")[0] for rule in tight} - {"command.count", "motor.count", "health.count"}
+    form = "pcapng" if form == "sll2" else form  # where no bus has a name, a source on a named one never came
     clean = flights.make(seed, True)
     for passes in PASSES["one pass"], PASSES["two passes"]:
         done = tshark.run(*passes, *clean.arguments(form), "-q", "-r",

@@ -502,7 +502,7 @@ function T.test_what_the_catalogue_does_not_define()
     invalid = { { 2, "flags.undefined" }, { 4, "value.invalid" } } }) }
   lu.assertEquals(found("events,json", "invalid", records), { '{"kind":"invalid",,"field":"mode","value":7}',
     '{"kind":"invalid",,"field":"fault_flags","value":32}', '{"kind":"invalid",,"field":"mode","value":7}' })
-  lu.assertStrContains(run({ "events" }, records), "mode has 7, which is not defined")
+  lu.assertStrContains(run({ "events" }, records), "invalid  mode has 7, which is not defined, in 2 messages\n")
   lu.assertStrContains(run({ "summary,json" }, records), '"invalid":2,"skipped":0}') -- messages
   lu.assertEquals(verdicts("invalid=1,invalid=2", records),
     { "invalid=1 left false 2 2", "invalid=2 left true 2 2", "unknown=0 null true 0 null" })

@@ -95,33 +95,49 @@ local function row_of_reboot(rows, event)
   local source = event.source
   local message = source.message
   for _, row in ipairs(rows) do
-    local other = row.reboot and row.reboot.source
-    local period = math.max(other and other.message.every or 0, message.every or 0)
-    if other and other.bus_key == source.bus_key and not row.messages[message] and
-      event.rel - row.reboot.rel <= period and (source.name and source.name == other.name or
+    local other = row.event.source
+    local period = math.max(other.message.every or 0, message.every or 0)
+    if other.bus_key == source.bus_key and not row.messages[message] and
+      event.rel - row.event.rel <= period and (source.name and source.name == other.name or
       source.id - message.id == other.id - other.message.id) then return row end
   end
 end
 
--- The rows of a table; a reboot that several messages of a controller tell is one.
+local function row_of(event, clock)
+  local row = { event.rel and output.date(clock(event.rel)), output.span(event.rel), event.frame,
+    output.source_cells(event.source) }
+  local detail = DETAILS[event.kind]
+  row[8], row[9] = event.kind, type(detail) == "string" and detail or detail(event)
+  return row
+end
+
+-- The rows of a table.  A reboot that several messages of a controller tell is one, and so are
+-- messages with the same undefined value.
 local function event_rows(list, clock)
-  local rows, reboots = {}, {}
+  local rows, reboots, undefined = {}, {}, {}
   for _, event in ipairs(list) do
-    local same = event.kind == "reboot" and row_of_reboot(reboots, event)
-    local bus, id, name, title = output.source_cells(event.source)
-    if same then
-      same.messages[event.source.message] = true
-      same[5], same[7] = same[5] .. ", " .. id, same[7] .. ", " .. title
-    else
-      local detail = DETAILS[event.kind]
-      local row = { event.rel and output.date(clock(event.rel)), output.span(event.rel),
-        event.frame, bus, id, name, title, event.kind,
-        type(detail) == "string" and detail or detail(event) }
-      rows[#rows + 1] = row
-      if event.kind == "reboot" then
-        row.reboot, row.messages = event, { [event.source.message] = true }
+    local source, row = event.source, nil
+    if event.kind == "reboot" then
+      row = row_of_reboot(reboots, event)
+    elseif event.kind == "invalid" then
+      row = undefined[source.key .. event.field .. event.value]
+    end
+    if not row then
+      row = row_of(event, clock)
+      row.event, row.messages, row.times, rows[#rows + 1] = event, {}, 0, row
+    end
+    if event.kind == "reboot" then
+      local _, id, _, title = output.source_cells(source)
+      if row.event == event then
         reboots[#reboots + 1] = row
+      else
+        row[5], row[7] = row[5] .. ", " .. id, row[7] .. ", " .. title
       end
+      row.messages[source.message] = true
+    elseif event.kind == "invalid" then
+      undefined[source.key .. event.field .. event.value], row.times = row, row.times + 1
+      row[9] = DETAILS.invalid(event)
+      if row.times > 1 then row[9] = ("%s, in %d messages"):format(row[9], row.times) end
     end
   end
   return rows

@@ -19,15 +19,18 @@ local HELP = [[
 YAPP, the packet protocol of Taurus motor controllers, on CAN, CAN FD, UART, TCP
 and UDP.
 
-To see                                            display filter
-every message with a fault                        taurus.fault.active
-where a fault begins, where one ends              taurus.fault.raised || taurus.fault.cleared
-all frames of the messages with a fault           yapp.message.fault
-a gap; a controller that started anew             yapp.late || taurus.reboot
-bad CRCs                                          yapp.crc.status == 0
-messages that are not whole                       yapp.fragment.incomplete || yapp.fragment.orphan || yapp.unfinished
-sensors that are not connected or out of range    taurus.value.special
-one controller                                    yapp.source == "left_fore", or yapp.id == 0x210
+To see                              display filter
+every message with a fault          taurus.fault.active
+where a fault begins, where it ends taurus.fault.raised || taurus.fault.cleared
+all frames of messages with a fault yapp.message.fault
+a gap; a controller that rebooted   yapp.late || taurus.reboot
+bad CRCs                            yapp.crc.status == 0
+bytes are missing                   yapp.fragment.incomplete
+the Start is missing                yapp.fragment.orphan
+messages that the capture ends in   yapp.unfinished
+commands that are ignored           taurus.command.key.invalid
+sensors not connected, out of range taurus.value.special
+one controller                      yapp.source == "left", or yapp.id == 0x210
 
 Tools > YAPP
 Summary        of each controller: rate, gaps, losses, ranges of its values
@@ -133,7 +136,7 @@ function M.register(stat)
 
   function actions.check()
     ask(TITLES.check, "Rules (none: all is well)", "", function(rules)
-      menu.show(rules and rules ~= "" and "yapp,check," .. rules or "yapp,check")
+      if rules then menu.show(rules == "" and "yapp,check" or "yapp,check," .. rules) end
     end)
   end
 
