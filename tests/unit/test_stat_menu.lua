@@ -23,8 +23,11 @@ end
 
 function T.test_a_table_of_a_width()
   local rows = { { "can0", 7, "left", "what it says at length" }, { "can1", 12, "ö", "" } }
-  local function table_of(width) return text.table({ "bus", ">frame", "source", "what" }, rows, width, { "bus", "source" }) end
-  lu.assertEquals(table_of(nil), "bus   frame  source  what\ncan0      7  left    what it says at length\ncan1     12  ö\n")
+  local function table_of(width)
+    return text.table({ "bus", ">frame", "source", "what" }, rows, width, { "bus", "source" })
+  end
+  lu.assertEquals(table_of(nil),
+    "bus   frame  source  what\ncan0      7  left    what it says at length\ncan1     12  ö\n")
   lu.assertEquals(table_of(43), table_of(nil))
   lu.assertEquals(table_of(37), "frame  source  what\n    7  left    what it says at length\n   12  ö\n")
   lu.assertEquals(table_of(36), "frame  what\n    7  what it says at length\n   12\n")

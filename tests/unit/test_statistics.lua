@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Statistics from tables of records: what is counted, what is printed, how a gate ends.
--- luacheck: no max string line length (tables as they are printed)
+-- luacheck: no max line length (tables and JSON as they are printed)
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue_of = require("yapp.message.catalogue")
@@ -15,7 +15,7 @@ local T = {}
 local CATALOGUE, PROBLEMS = catalogue_of.compile {
   { name = "motor", title = "Motor Data", id = 0x210, size = 11, every = 0.1,
     { "volts", "float8", "Volts", min = 0, max = 250, unit = "V" },
-    { "fault_flags", "uint8", "Faults", group = "fault", alarm = "FAULT", 
+    { "fault_flags", "uint8", "Faults", group = "fault", alarm = "FAULT",
       bits = { { "level", 0xC0, "Level", values = { [0] = "a", "b", "c", "d" } } },
       flags = { { "hot", 0x1, "Hot" }, { "stall", 0x6, "Stall" } } },
     { "mode", "uint8", "Mode", values = { [0] = "off", [3] = "on" } },

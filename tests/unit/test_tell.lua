@@ -55,15 +55,17 @@ function T.test_a_message()
   lu.assertEquals({ record.frame, record.rel, record.seq, record.payload, record.fits, record.is_unsure, offered[1][2] },
     { 1, 0.5, 0, "\0\0\0", true, true, true })
   lu.assertIs(record.change, change)
-  lu.assertEquals({ record.source.key, record.source.bus_key, record.source.bus, record.source.name, record.source.id },
-    { "a", 1, "can0", "name 1", 1 })
+  local source = record.source
+  lu.assertEquals({ source.key, source.bus_key, source.bus, source.name, source.id }, { "a", 1, "can0", "name 1", 1 })
   lu.assertIs(record.source.message, MESSAGE)
   lu.assertEquals({ offered[2][1].source.name, offered[2][1].source.message }, {})
 end
 
 function T.test_what_the_catalogue_does_not_define()
   local tell, offered = new_tell()
-  for _, payload in ipairs { "\0\1\0", "\5\1\0", "\0\3\0", "\9\255\255" } do tell:message(message { payload = payload }) end
+  for _, payload in ipairs { "\0\1\0", "\5\1\0", "\0\3\0", "\9\255\255" } do
+    tell:message(message { payload = payload })
+  end
   local fields = {}
   for i, one in ipairs(offered) do
     fields[i] = {}
@@ -83,7 +85,8 @@ function T.test_losses_carry_their_message()
   local tell, offered = new_tell()
   local lost = {}
   for frame = 1, 3 do
-    tell:faults(part { frame = frame }, { { expert = "fragment.overrun", message = lost }, { expert = "size.mismatch" } })
+    tell:faults(part { frame = frame },
+      { { expert = "fragment.overrun", message = lost }, { expert = "size.mismatch" } })
   end
   tell:faults(part { frame = 4 }, { { expert = "fragment.incomplete", message = {} }, { expert = "truncated" } })
   local whats = {}

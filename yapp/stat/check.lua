@@ -11,6 +11,8 @@ local span = require("yapp.stat.tell").span
 local M = {}
 
 local FAILED, UNJUDGED = 20, 21
+local VERDICTS = { [0] = "all rules hold", [FAILED] = "FAILED",
+  [UNJUDGED] = "not all of it could be judged" }
 local KEYS = { "rule", "source", "ok", "seen", "limit", "frame", "bus", "id", "message", "worst" }
 -- Of nothing that they are about there is none where there are messages.
 local HOLDS_OF_NONE = { unknown = true, skipped = true }
@@ -26,7 +28,7 @@ Check.__index = Check
 --          named = function() -> list of the sources that the user named, see message.sources }
 function M.new(options, context)
   local self = setmetatable({ options = options, context = context, ranges = {}, spreads = {},
-    absent = {}, seen = 0 }, Check)
+    absent = {} }, Check)
   self.groups = groups.new(function() return {} end)
   for _, rule in ipairs(options.rules) do
     if rule.kind == "range" then self.ranges[rule] = {} end -- by group
@@ -71,7 +73,6 @@ end
 
 function Check:message(record)
   local group = self.groups:message(record)
-  if record.kind == "message" or record.kind == "crc" then self.seen = self.seen + 1 end
   if not record.fits or record.kind ~= "message" then return end
   for rule, of_group in pairs(self.ranges) do
     if rule.message == group.message then
@@ -130,22 +131,21 @@ local function is_about(rule, group)
   local kind, message = rule.kind, group.message
   if rule.source and group.source.name ~= rule.source then return false end
   if HOLDS_OF_NONE[kind] then return groups.seen(group, kind) > 0 end
-  if not group.source.id then return false end
-  if kind == "crc" or kind == "incomplete" then return true end
-  if kind == "fault" then return message ~= nil and #message.alarms > 0 end
-  if kind == "reboot" or kind == "stale" then return message ~= nil and message.time ~= nil end
-  if kind == "silence" then return message ~= nil and message.every ~= nil end
-  if kind == "invalid" then return message ~= nil end
-  return message == rule.message
+  if kind == "crc" or kind == "incomplete" then return group.source.id ~= nil end
+  if not message then return false end
+  if kind == "fault" then return message.alarms[1] ~= nil end
+  if kind == "reboot" or kind == "stale" then return message.time ~= nil end
+  if kind == "silence" then return message.every ~= nil end
+  return kind == "invalid" or message == rule.message
 end
 
 -- Whether a rule that is about nothing that came holds all the same; nil where it is not judged.
 local function holds_of_none(self, rule)
   if not (HOLDS_OF_NONE[rule.kind] or rule.is_default) then return nil end
-  if not rule.is_default and not rule.source then return self.seen > 0 or nil end
   for _, group in ipairs(self.groups.list) do
     local is_its = not rule.source or group.source.name == rule.source
-    if is_its and (not rule.is_default or group.message and group.count > 0) then return true end
+    local is_read = group.count > 0 or group.counts.crc and not rule.is_default
+    if is_its and is_read and (group.message or not rule.is_default) then return true end
   end
 end
 
@@ -195,21 +195,19 @@ local NOTHING = {}
 
 local function line(result)
   local rule, source = result.rule, result.group and result.group.source or NOTHING
-  return output.object(KEYS, {
-    rule = rule.text, source = source.name or rule.source, ok = result.ok, seen = result.seen,
-    limit = rule.limit or rule.text:match("=(.*)$"), frame = result.frame, bus = source.bus,
-    id = source.id, message = source.message and source.message.name, worst = result.worst,
-  }) .. "\n"
+  return output.line(KEYS, source, { rule = rule.text, source = rule.source,
+    limit = rule.limit or rule.text:match("=(.*)$") }, result)
+end
+
+local function unjudged_text(rule, group)
+  if rule.kind == "spread" then return "no two sources at a time" end
+  if not group then return "no message that it is about" end
+  return group.is_unsure and "what came before is not known" or "nothing to judge"
 end
 
 local function seen_text(result)
-  local kind, group, seen = result.rule.kind, result.group, result.seen
-  if result.ok == nil then
-    if kind == "spread" then return "no two sources at a time" end
-    if not group then return "no message that it is about" end
-    return group.is_unsure and group.count > 0 and "what came before is not known" or
-      "nothing to judge"
-  end
+  local kind, seen = result.rule.kind, result.seen
+  if result.ok == nil then return unjudged_text(result.rule, result.group) end
   if kind == "rate" then return ("%.3f Hz"):format(seen) end
   if kind == "gap" then return ("%.6f s"):format(seen) end
   if kind == "spread" then return output.number(seen) end
@@ -246,35 +244,35 @@ end
 
 local function case_of(name, kind, text)
   local start = ('  <testcase classname="yapp.check" name="%s"'):format(escape(name))
-  if not kind then return start .. "/>" end
+  if kind == "ok" then return start .. "/>" end
   return ('%s><%s message="%s"/></testcase>'):format(start, kind, escape(text))
 end
 
-local function report(results, problems)
-  local lines, counts = {}, { failure = 0, error = 0 }
-  for i, result in ipairs(results) do
+local CASE_KINDS = { [true] = "ok", [false] = "failure" }
+
+-- Writes it; returns what went wrong, nil for nothing.
+local function report(path, results, problems)
+  local lines, counts = {}, { ok = 0, failure = 0, error = 0 }
+  local function add(name, kind, text)
+    counts[kind], lines[#lines + 1] = counts[kind] + 1, case_of(name, kind, text)
+  end
+  for _, result in ipairs(results) do
     local name, text = result.rule.text, seen_text(result)
     if result.group then
       local bus, id, source = output.source_cells(result.group.source)
-      name = table.concat({ name, bus or id, bus and id or source, bus and source }, " ")
+      for _, part in ipairs { bus or "", id, source or "" } do
+        if part ~= "" then name = name .. " " .. part end
+      end
     end
     if result.frame then text = ("%s, frame %d"):format(text, result.frame) end
-    local kind = result.ok == false and "failure" or result.ok == nil and "error" or nil
-    if kind then counts[kind] = counts[kind] + 1 end
-    lines[i] = case_of(name, kind, text)
+    add(name, CASE_KINDS[result.ok] or "error", text)
   end
-  for _, problem in ipairs(problems) do
-    lines[#lines + 1], counts.error = case_of(problem, "error", problem), counts.error + 1
-  end
-  return ('<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="yapp.check" tests="%d" ' ..
-    'failures="%d" errors="%d">\n%s\n</testsuite>\n'):format(#lines, counts.failure, counts.error,
-    table.concat(lines, "\n"))
-end
-
-local function write_report(path, text)
+  for _, problem in ipairs(problems) do add(problem, "error", problem) end
   local file, problem = output.create(path)
   if not file then return problem end
-  file:write(text)
+  file:write(('<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="yapp.check" tests="%d" ' ..
+    'failures="%d" errors="%d">\n%s\n</testsuite>\n'):format(#lines, counts.failure, counts.error,
+    table.concat(lines, "\n")))
   return output.finish { file }
 end
 
@@ -297,28 +295,22 @@ end
 -- returns  the exit code: nil for 0, 20 or 21, and a text that says why where the table does not
 function Check:finish(last)
   local options, context, results = self.options, self.context, {}
-  local problems, list, code = problems_of(self), self.groups:sorted(), nil
-  if options.problems[1] or problems[1] then code = UNJUDGED end
+  local problems, list, is_failed, is_unjudged = problems_of(self), self.groups:sorted(), false, false
   for _, rule in ipairs(options.rules) do
     for _, result in ipairs(judge_rule(self, rule, list, last)) do
       results[#results + 1] = result
-      if result.ok == false then code = FAILED elseif result.ok == nil then code = code or UNJUDGED end
+      is_failed, is_unjudged = is_failed or result.ok == false, is_unjudged or result.ok == nil
     end
   end
-  if options.junit then
-    local problem = write_report(options.junit, report(results, options.problems))
-    if problem then
-      code, problems[#problems + 1] = code or UNJUDGED, "the report is not written: " .. problem
-    end
+  local problem = options.junit and report(options.junit, results, options.problems)
+  if problem then problems[#problems + 1] = "the report is not written: " .. problem end
+  is_unjudged = is_unjudged or options.problems[1] or problems[1]
+  local code = is_failed and FAILED or is_unjudged and UNJUDGED or nil
+  for _, result in ipairs(options.json and results or {}) do context.out(line(result)) end
+  if not options.json then
+    context.out(("%s\nYAPP check: %s\n"):format(table_of(results, context.width), VERDICTS[code or 0]))
   end
-  if options.json then
-    for _, result in ipairs(results) do context.out(line(result)) end
-  else
-    local verdict = not code and "all rules hold" or code == FAILED and "FAILED" or
-      "not all of it could be judged"
-    context.out(("%s\nYAPP check: %s\n"):format(table_of(results, context.width), verdict))
-  end
-  for i, problem in ipairs(problems) do problems[i] = "check: " .. problem end
+  for i, text in ipairs(problems) do problems[i] = "check: " .. text end
   return code, problems[1] and table.concat(problems, "\n") or nil
 end
 

@@ -162,8 +162,7 @@ function Csv:finish()
   for _, message in ipairs(self.context.catalogue.messages) do
     files[#files + 1] = file_of(self, message) or nil -- one that never came has its header
   end
-  local problem = output.finish(files, self.problem ~= nil)
-  problem = self.problem or problem
+  local problem = output.finish(files, self.problem)
   if problem then return UNTOLD, "csv: " .. problem end
   for i, message in ipairs(self.context.catalogue.messages) do
     local path, count = path_of(self, message.name .. ".csv"), self.counts[message]

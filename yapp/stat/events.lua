@@ -48,16 +48,20 @@ local function earlier(a, b)
   return a.order < b.order
 end
 
+local TITLES = {
+  "time (UTC)", ">since start/s", ">frame", "bus", "ID", "source", "message", "event", "what",
+}
+local FAULT_TITLES = {
+  "time (UTC)", ">since start/s", ">frame", "bus", "ID", "source", "message", "flag", "event",
+  ">active/s", "help",
+}
+local SPARE = { "time (UTC)", "help", "bus", "message", "ID" }
+
 local function line(event, keys, clock)
-  local source, length = event.source, event.length
-  if event.kind == "silence" then length = output.seconds(length) end
-  return output.object(keys, {
-    kind = event.kind, time = event.rel and output.raw(output.time_text(clock(event.rel))),
-    frame = event.frame, bus = source.bus, id = source.id, source = source.name,
-    message = source.message and source.message.name, field = event.field, flag = event.flag,
-    event = event.event, active = output.seconds(event.active), help = event.help,
-    length = length, what = event.what, value = event.value,
-  }) .. "\n"
+  local values = { active = output.seconds(event.active),
+    time = event.rel and output.raw(output.time_text(clock(event.rel))) }
+  if event.kind == "silence" then values.length = output.seconds(event.length) end
+  return output.line(keys, event.source, values, event)
 end
 
 local WHAT = {
@@ -104,11 +108,10 @@ local function row_of_reboot(rows, event)
 end
 
 local function row_of(event, clock)
-  local row = { event.rel and output.date(clock(event.rel)), output.span(event.rel), event.frame,
-    output.source_cells(event.source) }
   local detail = DETAILS[event.kind]
-  row[8], row[9] = event.kind, type(detail) == "string" and detail or detail(event)
-  return row
+  if type(detail) == "function" then detail = detail(event) end
+  return { event.rel and output.date(clock(event.rel)), output.span(event.rel), event.frame,
+    output.source_cells(event.source, event.kind, detail) }
 end
 
 -- The rows of a table.  A reboot that several messages of a controller tell is one, and so are
@@ -146,11 +149,9 @@ end
 local function fault_rows(list, clock)
   local rows = {}
   for i, event in ipairs(list) do
-    local row = { output.date(clock(event.rel)), output.span(event.rel), event.frame,
-      output.source_cells(event.source) }
-    row[8], row[9], row[10] = event.flag, event.event, output.span(event.active)
-    row[11] = event.help
-    rows[i] = row
+    rows[i] = { output.date(clock(event.rel)), output.span(event.rel), event.frame,
+      output.source_cells(event.source, event.flag, event.event, output.span(event.active),
+        event.help) }
   end
   return rows
 end
@@ -158,23 +159,19 @@ end
 --- returns  nothing: it always ends well
 function Events:finish()
   local what, list, context = self.options.what, self.list, self.context
-  local out, clock = context.out, context.clock
-  local is_faults = what == "faults"
+  local is_faults, out, clock = what == "faults", context.out, context.clock
   if not is_faults then table.sort(list, earlier) end
   if self.options.json then
-    for _, event in ipairs(list) do
-      out(line(event, is_faults and FAULT_KEYS or KEYS[event.kind], clock))
-    end
-    return
+    for _, event in ipairs(list) do out(line(event, is_faults and FAULT_KEYS or KEYS[event.kind], clock)) end
+  elseif not list[1] then
+    out(("YAPP %s: none\n"):format(what))
+  elseif is_faults then
+    out(("YAPP faults: %s\n\n"):format(output.count(#list, "change")) ..
+      output.table(FAULT_TITLES, fault_rows(list, clock), context.width, SPARE))
+  else
+    out(("YAPP events: %d\n\n"):format(#list) ..
+      output.table(TITLES, event_rows(list, clock), context.width, SPARE))
   end
-  if not list[1] then return out(("YAPP %s: none\n"):format(what)) end
-  local titles = { "time (UTC)", ">since start/s", ">frame", "bus", "ID", "source", "message" }
-  local rows = (is_faults and fault_rows or event_rows)(list, clock)
-  local count = is_faults and output.count(#rows, "change") or #rows
-  local more = is_faults and { "flag", "event", ">active/s", "help" } or { "event", "what" }
-  for _, title in ipairs(more) do titles[#titles + 1] = title end
-  out(("YAPP %s: %s\n\n"):format(what, count) .. output.table(titles, rows, context.width,
-    { "time (UTC)", "help", "bus", "message", "ID" }))
 end
 
 return M

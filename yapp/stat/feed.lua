@@ -34,7 +34,8 @@ end
 --- Forgets what was offered and seen: all packets will come again.
 function Feed:reset()
   self.queue, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
-  self.waiting, self.last, self.epoch = {}, nil, nil
+  self.waiting, self.last = {}, nil
+  self.epoch = { seconds = 0, nanoseconds = 0 } -- of packets without a time
   self.doubtful, self.is_unsure = {}, false
   for _, entry in ipairs(self.statistics) do entry.matched = {} end
 end
@@ -60,19 +61,10 @@ function Feed:offer(record, visited)
   self.queue[#self.queue + 1] = record
 end
 
---- The filter of a statistic lets a packet count.  Kept for all packets, 32 in a number: that a
--- message is not finished shows at the end.
+--- The filter of a statistic lets a packet count.  Kept for all packets: that a message is not
+-- finished shows at the end.
 function Feed.matched(_, entry, number)
-  local bit = number % 32
-  local place = (number - bit) / 32
-  local word = entry.matched[place] or 0
-  if word % 2 ^ (bit + 1) < 2 ^ bit then entry.matched[place] = word + 2 ^ bit end
-end
-
-local function counts(entry, number)
-  if not entry.has_filter then return true end
-  local bit = number % 32
-  return (entry.matched[(number - bit) / 32] or 0) % 2 ^ (bit + 1) >= 2 ^ bit
+  entry.matched[number] = true
 end
 
 local integer = rawget(math, "tointeger") or function(n) return n end
@@ -103,7 +95,8 @@ end
 
 local function hand_on(self, record)
   for _, entry in ipairs(self.statistics) do
-    local statistic, is_counted = entry.statistic, counts(entry, record.frame)
+    local statistic, is_counted = entry.statistic, not entry.has_filter
+    is_counted = is_counted or entry.matched[record.frame] or false
     if is_counted and record.is_unsure and statistic.tells_changes then self.is_unsure = true end
     if entry.kinds then entry.kinds:record(record, is_counted) end
     if is_counted and statistic.message then statistic:message(record) end

@@ -126,16 +126,17 @@ function M.seen(group, kind)
   return 0
 end
 
+local function note_gap(group, gap, frame)
+  if gap > (group.gap_max or -1) then group.gap_max, group.gap_max_frame = gap, frame end
+  if gap < (group.gap_min or math.huge) then group.gap_min = gap end
+end
+
 --- Takes a record; returns the group, and for a good message that fits the raw values, where any
 -- are gathered.
 function Groups:message(record)
   local group = self:of(record.source)
   if record.kind ~= "message" then return group end
-  local gap = group.last and span(group.last, record.rel)
-  if gap and gap > (group.gap_max or -1) then
-    group.gap_max, group.gap_max_frame = gap, record.frame
-  end
-  if gap and gap < (group.gap_min or math.huge) then group.gap_min = gap end
+  if group.last then note_gap(group, span(group.last, record.rel), record.frame) end
   group.first, group.last = group.first or record.rel, record.rel
   group.last_frame, group.count = record.frame, group.count + 1
   group.is_unsure = group.is_unsure or record.is_unsure

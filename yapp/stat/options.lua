@@ -54,26 +54,32 @@ local function limited(rule, what, limit, value)
   return nil, ("%q is not a %s"):format(value, what)
 end
 
+-- A..B, A.. or ..B
+local function range_rule(rule, value)
+  local low, high = value:match("^(.-)%.%.(.*)$")
+  if not low or value == ".." then return nil, RANGE end
+  rule.kind, rule.low, rule.high = "range", number(low), number(high)
+  if low ~= "" and not rule.low or high ~= "" and not rule.high then return nil, RANGE end
+  if rule.low and rule.high and rule.low > rule.high then return nil, "nothing lies in this range" end
+  return rule
+end
+
 -- MESSAGE.FIELD=A..B and MESSAGE.FIELD.spread=X
 local function field_rule(rule, name, value)
-  local message = rule.message
-  local plain = name:match("^(.*)%.spread$")
-  local field, low, high = message.by_name[plain or name], value:match("^(.-)%.%.(.*)$")
+  local message, spread_of = rule.message, name:match("^(.*)%.spread$")
+  local field = message.by_name[spread_of or name]
   if not field then
     local fields = names_of(message.fields)
-    return nil, ("%s has no field %q, but %s"):format(message.name, plain or name, fields)
+    return nil, ("%s has no field %q, but %s"):format(message.name, spread_of or name, fields)
   end
   if field.kind == "string" or field.kind == "bytes" then
     return nil, ("%s.%s is a text, which has no range"):format(message.name, field.name)
   end
-  rule.kind, rule.field = plain and "spread" or "range", field
-  if plain and rule.source then return nil, "a spread is of all sources, not of one" end
-  if plain then return limited(rule, "spread", number(value), value) end
-  if not low or low == "" and high == "" then return nil, RANGE end
-  rule.low, rule.high = number(low), number(high)
-  if low ~= "" and not rule.low or high ~= "" and not rule.high then return nil, RANGE end
-  if rule.low and rule.high and rule.low > rule.high then return nil, "nothing lies in this range" end
-  return rule
+  rule.field = field
+  if not spread_of then return range_rule(rule, value) end
+  rule.kind = "spread"
+  if rule.source then return nil, "a spread is of all sources, not of one" end
+  return limited(rule, "spread", number(value), value)
 end
 
 -- "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55": { text, source, kind = one of COUNTED, of
@@ -104,20 +110,22 @@ local function complain(options, part, why)
 end
 
 local read = {}
+local OF_CSV = { replace = true, all = true, json = true }
 
 function read.csv(options, parts, catalogue)
-  options.folder = parts[1]
-  if not options.folder or options.folder == "" then
+  options.folder = table.remove(parts, 1) or ""
+  if options.folder == "" then
     return complain(options, "csv", "it is csv,FOLDER or csv,-,MESSAGE")
   end
   local is_printed = options.folder == "-"
-  for i = 2, #parts do
-    local part = parts[i]
-    if part == "replace" or part == "all" or part == "json" then
+  for _, part in ipairs(parts) do
+    if OF_CSV[part] then
       options[part] = true
     elseif is_printed and not options.chosen then
       options.chosen = find(catalogue.messages, part)
-      if not options.chosen then complain(options, part, "there is no such message in the catalogue") end
+      if not options.chosen then
+        complain(options, part, "there is no such message in the catalogue")
+      end
     else
       complain(options, part, "the options of csv are replace, all, json, filter=EXPRESSION")
     end
@@ -139,8 +147,12 @@ local function all_rules(source)
   return rules
 end
 
+local function complain_of_unused(options, part)
+  if part then complain(options, part, "no rule follows: it is for those behind it") end
+end
+
 function read.check(options, parts, catalogue)
-  options.rules = {}
+  local rules = {}
   local source, unused, is_unknown -- unused: "source=NAME", before a rule comes
   for _, part in ipairs(parts) do
     local name, value = part:match("^(%w+)=(.*)$")
@@ -150,24 +162,24 @@ function read.check(options, parts, catalogue)
       options.junit = value
       if value == "" then complain(options, part, "the file is missing") end
     elseif name == "source" then
-      if unused then complain(options, unused, "no rule follows: it is for those behind it") end
+      complain_of_unused(options, unused)
       source, unused = value, part
       if value == "" then complain(options, part, "the name is missing") end
     else
       local rule, problem = read_rule(part, catalogue, source)
       unused, is_unknown = nil, is_unknown or name == "unknown"
-      options.rules[#options.rules + 1] = rule
-      if not rule then complain(options, part, problem) end
+      rules[#rules + 1] = rule
+      if problem then complain(options, part, problem) end
     end
   end
-  if not options.rules[1] and not options.problems[1] then
-    options.rules = all_rules(source)
+  if not rules[1] and not options.problems[1] then
+    rules = all_rules(source)
   else
-    if unused then complain(options, unused, "no rule follows: it is for those behind it") end
-    if is_unknown then return end
+    complain_of_unused(options, unused)
     -- What was not decoded was not checked.
-    options.rules[#options.rules + 1] = read_rule("unknown=0", catalogue)
+    if not is_unknown then rules[#rules + 1] = read_rule("unknown=0", catalogue) end
   end
+  options.rules = rules
 end
 
 local function read_plain(options, parts)

@@ -53,6 +53,18 @@ function M.object(keys, values)
   return "{" .. table.concat(parts, ",") .. "}"
 end
 
+--- A line with an object of these keys: of what says which source, of `values`, and of `more`.
+function M.line(keys, source, values, more)
+  local all = {}
+  for _, key in ipairs(keys) do
+    all[key] = values[key]
+    if all[key] == nil then all[key] = more[key] end
+  end
+  all.bus, all.id, all.source = source.bus, source.id, source.name or values.source
+  all.message = source.message and source.message.name
+  return M.object(keys, all) .. "\n"
+end
+
 --- A list of values.
 function M.list(values)
   local parts = {}
@@ -156,10 +168,10 @@ function M.count(number, thing)
   return format("%d %s%s", number, thing, number == 1 and "" or "s")
 end
 
---- The cells that say which source: bus, ID, name, message.
-function M.source_cells(source)
+--- The cells that say which source, bus, ID, name, message, and those that follow them.
+function M.source_cells(source, ...)
   local title = source.message and source.message.title or source.id and "unknown"
-  return source.bus, source.id and format("0x%x", source.id), source.name, title
+  return source.bus, source.id and format("0x%x", source.id), source.name, title, ...
 end
 
 --- The frames that tables name, in a text of several tables, parted by empty lines: numbers in the
@@ -218,26 +230,25 @@ local function discard(file)
   if file.aside ~= file.path then os.remove(file.is_published and file.path or file.aside) end
 end
 
+-- Notes the first thing that goes wrong with a file.
+local function note(file, ok, problem)
+  if not ok then file.problem = file.problem or problem end
+end
+
 --- Ends files and gives them their names, all or, where one fails, none.
--- is_lost  whether to leave nothing of them, as something else failed
+-- problem  what went wrong before, nil for nothing
 -- returns  what went wrong, nil for nothing
-function M.finish(list, is_lost)
-  local problem
+function M.finish(list, problem)
   for _, file in ipairs(list) do
-    local flushed, flush_problem = file.handle:flush()
-    local closed, close_problem = file.handle:close()
-    local why = file.problem or not flushed and flush_problem or not closed and close_problem
-    if why then problem = problem or file.path .. ": " .. why end
+    note(file, file.handle:flush())
+    note(file, file.handle:close())
+    if file.problem then problem = problem or file.path .. ": " .. file.problem end
   end
   for _, file in ipairs(list) do
-    if not (problem or is_lost) then
-      local ok, why = publish(file)
-      if not ok then problem = file.path .. ": " .. why end
-    end
+    if not problem then note(file, publish(file)) end
+    if file.problem then problem = problem or file.path .. ": " .. file.problem end
   end
-  if problem or is_lost then
-    for _, file in ipairs(list) do discard(file) end
-  end
+  for _, file in ipairs(problem and list or {}) do discard(file) end
   return problem
 end
 

@@ -54,16 +54,13 @@ local function ranges_json(group)
 end
 
 local function line(group)
-  local source = group.source
   local values = {
-    bus = source.bus, id = source.id, source = source.name,
-    message = group.message and group.message.name, count = group.count,
     rate = groups.rate(group), gap_min = output.seconds(group.gap_min),
     gap_mean = output.seconds(gap_mean(group)), gap_max = output.seconds(group.gap_max),
-    gap_max_frame = group.gap_max_frame, values = ranges_json(group),
+    values = ranges_json(group),
   }
   for _, count in ipairs(COUNTS) do values[count[1]] = groups.seen(group, count[2]) end
-  return output.object(KEYS, values) .. "\n"
+  return output.line(KEYS, group.source, values, group)
 end
 
 local function milliseconds(seconds)
@@ -74,10 +71,9 @@ local function source_table(list, width)
   local rows = {}
   for i, group in ipairs(list) do
     local rate = groups.rate(group)
-    local row = { output.source_cells(group.source) }
-    row[5], row[6] = group.count, rate and ("%.3f"):format(rate)
-    row[7], row[8] = milliseconds(group.gap_min), milliseconds(gap_mean(group))
-    row[9], row[10] = milliseconds(group.gap_max), group.gap_max_frame
+    local row = { output.source_cells(group.source, group.count, rate and ("%.3f"):format(rate),
+      milliseconds(group.gap_min), milliseconds(gap_mean(group)), milliseconds(group.gap_max),
+      group.gap_max_frame) }
     for j, count in ipairs(COUNTS) do row[10 + j] = groups.seen(group, count[2]) end
     rows[i] = row
   end
@@ -89,10 +85,9 @@ local function value_table(list, width)
   for _, group in ipairs(list) do
     for _, value in ipairs(group.values) do
       if value.count > 0 then
-        local row = { output.source_cells(group.source) }
-        row[5], row[6], row[7] = value.field.name, value.field.unit, output.number(value.min)
-        row[8], row[9], row[10] = output.number(value.mean), output.number(value.max), value.count
-        rows[#rows + 1] = row
+        rows[#rows + 1] = { output.source_cells(group.source, value.field.name, value.field.unit,
+          output.number(value.min), output.number(value.mean), output.number(value.max),
+          value.count) }
       end
     end
   end
@@ -144,9 +139,7 @@ end
 local function compared_line(message, spread, list, place, clock)
   local sources = {}
   for i, group in ipairs(list) do
-    local source, row = group.source, group.values[place]
-    sources[i] = output.raw(output.object(OF_SOURCE, { bus = source.bus, id = source.id,
-      source = source.name, count = row.count, min = row.min, mean = row.mean, max = row.max }))
+    sources[i] = output.raw(output.line(OF_SOURCE, group.source, {}, group.values[place]):sub(1, -2))
   end
   local time = spread.rel and output.raw(output.time_text(clock(spread.rel)))
   return output.object(COMPARED, { message = message.name, field = spread.field.name,
@@ -174,30 +167,34 @@ local function compared_table(spreads, list, width)
     ">since start/s", ">frame" }, rows, width, { "since start/s", "unit" })
 end
 
-function Compare:finish()
-  local out, lists, messages = self.context.out, {}, {}
+-- The messages with several sources: a list of { message, list of groups }.
+local function compared(self)
+  local lists, found = {}, {}
   for _, group in ipairs(self.groups:sorted()) do
     local message = group.message
     if self.spreads[message] then
-      if not lists[message] then messages[#messages + 1], lists[message] = message, {} end
+      lists[message] = lists[message] or {}
       table.insert(lists[message], group)
+      if #lists[message] == 2 then found[#found + 1] = { message, lists[message] } end
     end
   end
-  local is_found = false
-  for _, message in ipairs(messages) do
-    local list, spreads = lists[message], self.spreads[message]
-    if list[2] and self.options.json then
-      for i, spread in ipairs(spreads) do
-        out(compared_line(message, spread, list, i, self.context.clock))
-      end
-    elseif list[2] then
-      out(("%sYAPP compare: %d sources of %s\n\n"):format(is_found and "\n" or "", #list,
-        message.title) .. compared_table(spreads, list, self.context.width))
+  return found
+end
+
+function Compare:finish()
+  local context, found, texts = self.context, compared(self), {}
+  for i, row in ipairs(found) do
+    local message, list = row[1], row[2]
+    local spreads = self.spreads[message]
+    for j, spread in ipairs(self.options.json and spreads or {}) do
+      context.out(compared_line(message, spread, list, j, context.clock))
     end
-    is_found = is_found or list[2] ~= nil
+    texts[i] = ("YAPP compare: %d sources of %s\n\n"):format(#list, message.title) ..
+      compared_table(spreads, list, context.width)
   end
-  if is_found or self.options.json then return end
-  out("YAPP compare: no message has several sources\n")
+  if self.options.json then return end
+  context.out(found[1] and table.concat(texts, "\n") or
+    "YAPP compare: no message has several sources\n")
 end
 
 return M

@@ -67,16 +67,8 @@ end
 
 -- Taps ------------------------------------------------------------------------------------------
 
--- When the first packet was captured, to the microsecond: pinfo.abs_ts is a double with steps of
--- 0.24 microseconds.
-local function begin_roughly(feed, pinfo)
-  local microseconds = math.floor(pinfo.abs_ts * 1e6 + 0.5)
-  local rest = microseconds % 1000000
-  feed:begins((microseconds - rest) / 1000000, rest * 1000, pinfo.rel_ts)
-end
-
--- The tap that asks for the field which has it to the nanosecond; asking builds trees, so in tshark
--- it goes when it knows.
+-- The tap that asks for the field which has the time to the nanosecond (pinfo.abs_ts has steps of
+-- 0.24 microseconds); asking builds trees, so in tshark it goes when it knows.
 local function tap_clock(feed)
   local clock = { tap = Listener.new("frame", "frame.time_epoch"), is_exact = false }
   function clock.tap.packet(pinfo)
@@ -97,7 +89,6 @@ local function tap_packets(feed)
   local tap, clock = Listener.new("frame"), tap_clock(feed)
   local is_waiting = not gui_enabled() -- there all packets may come again
   function tap.packet(pinfo)
-    if not feed.epoch then begin_roughly(feed, pinfo) end
     if is_waiting and clock.is_exact then
       clock.tap:remove()
       is_waiting = false
@@ -192,8 +183,7 @@ function Stat:argument(text)
   if options.problems[1] and not options.rules then leave(FAILED) end
   if not self.feed then
     self:open()
-    tap_packets(self.feed)
-    local tap = Listener.new("frame") -- for the end alone
+    local tap = tap_packets(self.feed)
     function tap.draw() self:conclude() end
   end
   local ok, problem = self:begin(options, function(part) self:write(part) end)

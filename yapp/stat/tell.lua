@@ -225,6 +225,18 @@ local function note_faults(self, state, record, change, counts)
   end
 end
 
+-- What a good message that counts tells besides faults.
+local function note_events(self, record, change)
+  if change.reboot then self.add(event_of("reboot", record)) end
+  if change.stale then self.add(event_of("stale", record)) end
+  if not record.fits then self.add(event_of("unknown", record)) end
+  for _, remark in ipairs(record.invalid or NOTHING) do
+    local message, index = record.source.message, remark[1]
+    self.add(event_of("invalid", record, { field = message.fields[index].name,
+      value = decode.read(message, record.payload)[index] }))
+  end
+end
+
 local function note_good(self, record, counts)
   local key, change = record.source.key, record.change or NOTHING
   local state = self.states[key]
@@ -235,16 +247,7 @@ local function note_good(self, record, counts)
   if change.late and state.counts then
     self.add(event_of("silence", state.last, { length = change.late }))
   end
-  if counts then
-    if change.reboot then self.add(event_of("reboot", record)) end
-    if change.stale then self.add(event_of("stale", record)) end
-    if not record.fits then self.add(event_of("unknown", record)) end
-    for _, remark in ipairs(record.invalid or NOTHING) do
-      local message, index = record.source.message, remark[1]
-      self.add(event_of("invalid", record, { field = message.fields[index].name,
-        value = decode.read(message, record.payload)[index] }))
-    end
-  end
+  if counts then note_events(self, record, change) end
   for _, one in ipairs(change.flags or NOTHING) do note_faults(self, state, record, one, counts) end
   state.last, state.counts = record, counts
   if counts then state.told, state.told_by = state.set, record end
