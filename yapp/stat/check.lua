@@ -174,7 +174,8 @@ local function judge_rule(self, rule, list, last)
   local spread = self.spreads[rule]
   if spread then
     local worst = spread.worst
-    return { { rule = rule, seen = worst, frame = spread.frame, ok = worst and worst <= rule.limit } }
+    local ok = worst and worst <= rule.limit
+    return { { rule = rule, seen = worst, frame = spread.frame, ok = ok } }
   end
   local results = {}
   for _, group in ipairs(list) do
@@ -223,11 +224,10 @@ local WORDS = { [true] = "ok", [false] = "FAILED" }
 local function table_of(results, width)
   local rows = {}
   for i, result in ipairs(results) do
-    local row = { WORDS[result.ok] or "NOT JUDGED", result.rule.text, false, false,
-      result.rule.source }
-    if result.group then row[3], row[4], row[5], row[6] = output.source_cells(result.group.source) end
-    row[7], row[8] = result.frame, seen_text(result)
-    rows[i] = row
+    local source = result.group and result.group.source or { name = result.rule.source }
+    local bus, id, name, title = output.source_cells(source)
+    rows[i] = { WORDS[result.ok] or "NOT JUDGED", result.rule.text, bus, id, name, title,
+      result.frame, seen_text(result) }
   end
   return output.table({ "check", "rule", "bus", "ID", "source", "message", ">frame", "seen" }, rows,
     width, { "message", "bus" })
@@ -295,7 +295,8 @@ end
 -- returns  the exit code: nil for 0, 20 or 21, and a text that says why where the table does not
 function Check:finish(last)
   local options, context, results = self.options, self.context, {}
-  local problems, list, is_failed, is_unjudged = problems_of(self), self.groups:sorted(), false, false
+  local problems, list = problems_of(self), self.groups:sorted()
+  local is_failed, is_unjudged = false, false
   for _, rule in ipairs(options.rules) do
     for _, result in ipairs(judge_rule(self, rule, list, last)) do
       results[#results + 1] = result
@@ -308,7 +309,8 @@ function Check:finish(last)
   local code = is_failed and FAILED or is_unjudged and UNJUDGED or nil
   for _, result in ipairs(options.json and results or {}) do context.out(line(result)) end
   if not options.json then
-    context.out(("%s\nYAPP check: %s\n"):format(table_of(results, context.width), VERDICTS[code or 0]))
+    context.out(table_of(results, context.width))
+    context.out(("\nYAPP check: %s\n"):format(VERDICTS[code or 0]))
   end
   for i, text in ipairs(problems) do problems[i] = "check: " .. text end
   return code, problems[1] and table.concat(problems, "\n") or nil

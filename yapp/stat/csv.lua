@@ -41,7 +41,8 @@ local function header(self, message)
   return table.concat(names, ",") .. "\n"
 end
 
--- Whether the folder takes the files: made where it is not there, no file in it overwritten unasked.
+-- Whether the folder takes the files: it is made where it is not there, and no file in it is
+-- overwritten unasked.
 local function prepare(self)
   local options, context = self.options, self.context
   local ok, problem = context.make_folder(options.folder)
@@ -154,7 +155,7 @@ local function describe(self)
     plugin = self.context.version, messages = output.raw(output.object(names, messages)) }) .. "\n"
 end
 
---- returns  the exit code: nil for 0, 21 where a file could not be written; and a text that says why
+--- returns  the exit code, nil for 0, 21 where a file could not be written; and why
 function Csv:finish()
   if self.options.chosen then return end
   local files, rows, out = { self.fields }, {}, self.context.out

@@ -162,7 +162,9 @@ function Events:finish()
   local is_faults, out, clock = what == "faults", context.out, context.clock
   if not is_faults then table.sort(list, earlier) end
   if self.options.json then
-    for _, event in ipairs(list) do out(line(event, is_faults and FAULT_KEYS or KEYS[event.kind], clock)) end
+    for _, event in ipairs(list) do
+      out(line(event, is_faults and FAULT_KEYS or KEYS[event.kind], clock))
+    end
   elseif not list[1] then
     out(("YAPP %s: none\n"):format(what))
   elseif is_faults then

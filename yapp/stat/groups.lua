@@ -9,8 +9,8 @@ local M = {}
 
 local COUNTED_AS = { unfinished = "incomplete" } -- kinds of events
 
---- The number that a value is: in its unit, a time in seconds, flags and codes as they are sent; nil
--- for a reserved count, and for what a payload that was cut has no more.
+--- The number that a value is: in its unit, a time in seconds, flags and codes as they are sent.
+-- Nil for a reserved count, and for what a payload that was cut has no more.
 -- raws  of message.decode
 function M.number(field, raws, index, payload)
   if field.kind == "time" then
@@ -82,7 +82,7 @@ function M.new(fields_of)
 end
 
 --- What is gathered of a source: {
---   source, message = the source's, counts = { [kind of event] = { seen, frame = the first one's } },
+--   source, message = the source's, counts = { [kind of event] = { seen, frame = of the first } },
 --   count = of good messages; first, last = their times, last_frame; gap_min, gap_max = seconds,
 --   gap_max_frame; is_unsure = whether it is not known what came before one of them;
 --   values = list of { field, index, count, sum, min, max } }

@@ -60,8 +60,8 @@ local function range_rule(rule, value)
   if not low or value == ".." then return nil, RANGE end
   rule.kind, rule.low, rule.high = "range", number(low), number(high)
   if low ~= "" and not rule.low or high ~= "" and not rule.high then return nil, RANGE end
-  if rule.low and rule.high and rule.low > rule.high then return nil, "nothing lies in this range" end
-  return rule
+  if not (rule.low and rule.high and rule.low > rule.high) then return rule end
+  return nil, "nothing lies in this range"
 end
 
 -- MESSAGE.FIELD=A..B and MESSAGE.FIELD.spread=X
@@ -83,7 +83,7 @@ local function field_rule(rule, name, value)
 end
 
 -- "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55": { text, source, kind = one of COUNTED, of
--- MEASURES, "range" or "spread", limit = number, message, field, low, high }; nil and what is wrong.
+-- MEASURES, "range" or "spread", limit = number, message, field, low, high }; nil and what is wrong
 local function read_rule(text, catalogue, source)
   local rule = { text = text, source = source }
   local name, value = text:match("^([^=]*)=(.*)$")
@@ -183,12 +183,9 @@ function read.check(options, parts, catalogue)
 end
 
 local function read_plain(options, parts)
+  local known = ("the options of %s are json, filter=EXPRESSION"):format(options.what)
   for _, part in ipairs(parts) do
-    if part == "json" then
-      options.json = true
-    else
-      complain(options, part, ("the options of %s are json, filter=EXPRESSION"):format(options.what))
-    end
+    if part == "json" then options.json = true else complain(options, part, known) end
   end
 end
 

@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What statistics print and write: JSON lines, tables for people, files that are whole or not there.
+-- What statistics print and write: JSON lines, tables for people, files, whole or not there.
 -- Pure Lua, 5.2 to 5.5.
 
 local utf8 = require("yapp.base.utf8")
@@ -101,7 +101,9 @@ end
 local function new_column(title, index, rows)
   local column = { title = title:gsub("^>", ""), is_right = title:sub(1, 1) == ">", width = 0 }
   function column.cell(row) return tostring(row[index] or "") end
-  for _, row in ipairs(rows) do column.width = math.max(column.width, width_of(column.cell(row))) end
+  for _, row in ipairs(rows) do
+    column.width = math.max(column.width, width_of(column.cell(row)))
+  end
   if column.width == 0 then return nil end
   column.width = math.max(column.width, width_of(column.title))
   return column

@@ -139,7 +139,8 @@ end
 local function compared_line(message, spread, list, place, clock)
   local sources = {}
   for i, group in ipairs(list) do
-    sources[i] = output.raw(output.line(OF_SOURCE, group.source, {}, group.values[place]):sub(1, -2))
+    local line_of = output.line(OF_SOURCE, group.source, {}, group.values[place])
+    sources[i] = output.raw(line_of:sub(1, -2))
   end
   local time = spread.rel and output.raw(output.time_text(clock(spread.rel)))
   return output.object(COMPARED, { message = message.name, field = spread.field.name,

@@ -58,7 +58,8 @@ local function make_folder(path)
     if part ~= "" and not Dir.exists(made) and not Dir.make(made) and not Dir.exists(made) then
       local file = io.open(made, "rb")
       if file then file:close() end
-      return nil, made .. (file and ": a file, not a folder" or ": no permission, or no place for it")
+      local why = file and "a file, not a folder" or "no permission, or no place for it"
+      return nil, made .. ": " .. why
     end
     made = made .. separator
   end
@@ -206,7 +207,7 @@ function Stat:register()
     end
   end
   for _, what in ipairs(options_of.WHATS) do register_stat_cmd_arg("yapp," .. what, run) end
-  register_stat_cmd_arg("yapp", run) -- the longest name that fits is called: this for what there is not
+  register_stat_cmd_arg("yapp", run) -- the longest name that fits is called: else this one
 end
 
 return M

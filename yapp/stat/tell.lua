@@ -279,7 +279,9 @@ end
 local function note_active(self)
   local told = {}
   for i, state in ipairs(self.states) do
-    if state.told[1] then told[#told + 1] = { state = state, frame = state.told_by.frame, i = i } end
+    if state.told[1] then
+      told[#told + 1] = { state = state, frame = state.told_by.frame, i = i }
+    end
   end
   table.sort(told, function(a, b)
     if a.frame ~= b.frame then return a.frame < b.frame end
