@@ -44,6 +44,27 @@ function T.test_messages_in_the_order_of_the_capture()
   lu.assertEquals({ one.got, one.last }, { { "a", "b", "c", "d" }, 9 })
 end
 
+-- Where nothing has a filter or rests on what comes when, messages need not wait.
+function T.test_messages_that_do_not_wait()
+  local feed, one = new_feed(), notes()
+  feed:add(one, false)
+  offer(feed, 1, "a")
+  lu.assertTrue(feed:go_direct())
+  feed:packet(1, 1)
+  offer(feed, 2, "b")
+  offer(feed, 2, "c", { fault = {} })
+  offer(feed, 3, "d", { fault = { void = true } })
+  offer(feed, 3, "e")
+  lu.assertEquals(one.got, { "a", "b", "e" })
+  lu.assertEquals({ feed:finish {} }, { 0, {} })
+  lu.assertEquals(one.got, { "a", "b", "e", "c" })
+  feed:add(notes(), true)
+  lu.assertFalse(feed:go_direct())
+  feed = new_feed()
+  feed:add({ event = function() end }, false)
+  lu.assertFalse(feed:go_direct())
+end
+
 -- What is lost is sure at the end only; a lost message counts once, at the first frame that shows it.
 function T.test_losses()
   local feed, one = new_feed(), notes()

@@ -36,7 +36,7 @@ function Feed:reset()
   self.queue, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
   self.waiting, self.last = {}, nil
   self.epoch = { seconds = 0, nanoseconds = 0 } -- of packets without a time
-  self.doubtful, self.is_unsure = {}, false
+  self.doubtful, self.is_unsure, self.is_direct = {}, false, false
   for _, entry in ipairs(self.statistics) do entry.matched = {} end
 end
 
@@ -52,9 +52,35 @@ function Feed:add(statistic, has_filter)
   return entry
 end
 
+local function hand_on(self, record)
+  for _, entry in ipairs(self.statistics) do
+    local statistic, is_counted = entry.statistic, not entry.has_filter
+    is_counted = is_counted or entry.matched[record.frame] or false
+    if is_counted and record.is_unsure and statistic.tells_changes then self.is_unsure = true end
+    if entry.kinds then entry.kinds:record(record, is_counted) end
+    if is_counted and statistic.message then statistic:message(record) end
+  end
+end
+
+local function take(self, record)
+  if record.fault then
+    self.doubtful[#self.doubtful + 1] = record -- what comes may still show that nothing was lost
+  else
+    hand_on(self, record)
+  end
+end
+
+local function flush(self)
+  for _, record in ipairs(self.waiting) do take(self, record) end
+end
+
 --- A record of the packet that is dissected.
 -- visited  of the packet: tshark -2 dissects all packets before the first tap runs
 function Feed:offer(record, visited)
+  if self.is_direct then
+    if self.waiting[1] then self:packet(nil, nil) end
+    return take(self, record)
+  end
   if record.frame ~= self.number or visited ~= self.visited then
     self.number, self.visited, self.queue = record.frame, visited, {}
   end
@@ -93,26 +119,15 @@ function Feed:time(rel)
   return integer(epoch.seconds + whole + (nanoseconds - rest) / 1000000000), integer(rest)
 end
 
-local function hand_on(self, record)
+--- Records no longer wait for their packets' taps, where none is needed: a tenth of the time of csv.
+-- To be called from a tap, once all packets that come have their taps, in order.
+-- returns  whether it is so
+function Feed:go_direct()
   for _, entry in ipairs(self.statistics) do
-    local statistic, is_counted = entry.statistic, not entry.has_filter
-    is_counted = is_counted or entry.matched[record.frame] or false
-    if is_counted and record.is_unsure and statistic.tells_changes then self.is_unsure = true end
-    if entry.kinds then entry.kinds:record(record, is_counted) end
-    if is_counted and statistic.message then statistic:message(record) end
+    if entry.has_filter or entry.kinds then return false end
   end
-end
-
-local function flush(self)
-  local waiting = self.waiting
-  for i = 1, #waiting do
-    local record = waiting[i]
-    if record.fault then
-      self.doubtful[#self.doubtful + 1] = record -- what comes may still show that nothing was lost
-    else
-      hand_on(self, record)
-    end
-  end
+  self.is_direct = true
+  return true
 end
 
 --- A packet of any kind has been dissected.
@@ -124,7 +139,7 @@ function Feed:packet(number, rel)
     self.waiting = {}
   end
   self.last = rel
-  if number == self.number and self.queue[#self.queue].rel == rel then
+  if number and number == self.number and self.queue[#self.queue].rel == rel then
     self.waiting, self.number = self.queue, nil
   end
 end

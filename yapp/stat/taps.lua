@@ -34,6 +34,10 @@ end
 --- A record of stat.tell, of the packet that is dissected.
 -- visited  pinfo.visited
 function Stat:offer(record, visited)
+  if self.idle then
+    self.idle:remove()
+    self.idle = nil
+  end
   self.feed:offer(record, visited)
 end
 
@@ -86,13 +90,15 @@ local function tap_clock(feed)
 end
 
 -- The tap that sees every packet, and the clock's.
-local function tap_packets(feed)
+local function tap_packets(self)
+  local feed = self.feed
   local tap, clock = Listener.new("frame"), tap_clock(feed)
   local is_waiting = not gui_enabled() -- there all packets may come again
   function tap.packet(pinfo)
     if is_waiting and clock.is_exact then
       clock.tap:remove()
       is_waiting = false
+      if feed:go_direct() then self.idle = tap end -- a tap cannot go while it is called
     end
     feed:packet(pinfo.number, pinfo.rel_ts)
   end
@@ -143,7 +149,7 @@ function Stat:run(text, width)
   if filter == nil then
     out(problem .. "\n")
   else
-    local taps = { tap_packets(self.feed) }
+    local taps = { tap_packets(self) }
     retap_packets()
     local ok, code, texts = pcall(self.feed.finish, self.feed, self.plugin.unfinished())
     for _, one in ipairs(ok and texts or { tostring(code) }) do out(one .. "\n") end
@@ -184,7 +190,8 @@ function Stat:argument(text)
   if options.problems[1] and not options.rules then leave(FAILED) end
   if not self.feed then
     self:open()
-    local tap = tap_packets(self.feed)
+    tap_packets(self)
+    local tap = Listener.new("frame") -- for the end alone: the other may go
     function tap.draw() self:conclude() end
   end
   local ok, problem = self:begin(options, function(part) self:write(part) end)
