@@ -456,6 +456,9 @@ function T.test_a_report_for_ci()
     local _, unwritable, texts = run({ "check,crc=0,junit=" .. folder .. "/none/x.xml" }, { record(1, 0) })
     lu.assertEquals(unwritable, 21)
     lu.assertStrContains(texts[1], "the report is not written")
+    run({ "check,crc=0,x=1,junit=" .. path }, { record(1, 0) }, { problem = "own.lua was not read" })
+    lu.assertStrContains(read(path), 'tests="4" failures="0" errors="2"')
+    lu.assertStrContains(read(path), '<error message="own.lua was not read"/>')
   end)
 end
 

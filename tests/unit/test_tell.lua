@@ -52,7 +52,8 @@ function T.test_a_message()
   tell:message(message { visited = true, change = change, is_unsure = true })
   tell:message(message { source = "b", id = 7, bus_name = "can1", frame = 2 })
   local record = offered[1][1]
-  lu.assertEquals({ record.frame, record.rel, record.seq, record.payload, record.fits, record.is_unsure, offered[1][2] },
+  lu.assertEquals(
+    { record.frame, record.rel, record.seq, record.payload, record.fits, record.is_unsure, offered[1][2] },
     { 1, 0.5, 0, "\0\0\0", true, true, true })
   lu.assertIs(record.change, change)
   local source = record.source
@@ -120,7 +121,8 @@ end
 
 function T.test_bytes_of_no_frame()
   local tell, offered = new_tell()
-  tell:skipped { frame = 3, time = 2, visited = false, bus = "serial", bus_name = "ttyA", source = "stream", length = 9 }
+  tell:skipped { frame = 3, time = 2, visited = false, bus = "serial", bus_name = "ttyA", source = "stream",
+    length = 9 }
   local record = offered[1][1]
   lu.assertEquals({ record.kind, record.length, record.frame, record.rel, record.source.key, record.source.bus },
     { "skipped", 9, 3, 2, "stream", "ttyA" })

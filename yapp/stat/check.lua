@@ -251,7 +251,7 @@ end
 local CASE_KINDS = { [true] = "ok", [false] = "failure" }
 
 -- Writes it; returns what went wrong, nil for nothing.
-local function report(path, results, problems)
+local function report(path, results, ...)
   local lines, counts = {}, { ok = 0, failure = 0, error = 0 }
   local function add(name, kind, text)
     counts[kind], lines[#lines + 1] = counts[kind] + 1, case_of(name, kind, text)
@@ -267,7 +267,9 @@ local function report(path, results, problems)
     if result.frame then text = ("%s, frame %d"):format(text, result.frame) end
     add(name, CASE_KINDS[result.ok] or "error", text)
   end
-  for _, problem in ipairs(problems) do add(problem, "error", problem) end
+  for _, problems in ipairs { ... } do
+    for _, problem in ipairs(problems) do add(problem, "error", problem) end
+  end
   local file, problem = output.create(path)
   if not file then return problem end
   file:write(('<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="yapp.check" tests="%d" ' ..
@@ -303,7 +305,7 @@ function Check:finish(last)
       is_failed, is_unjudged = is_failed or result.ok == false, is_unjudged or result.ok == nil
     end
   end
-  local problem = options.junit and report(options.junit, results, options.problems)
+  local problem = options.junit and report(options.junit, results, options.problems, problems)
   if problem then problems[#problems + 1] = "the report is not written: " .. problem end
   is_unjudged = is_unjudged or options.problems[1] or problems[1]
   local code = is_failed and FAILED or is_unjudged and UNJUDGED or nil

@@ -241,8 +241,9 @@ local function note_good(self, record, counts)
   local key, change = record.source.key, record.change or NOTHING
   local state = self.states[key]
   if not state then
-    state = { last = nil, counts = false, set = {}, told = {}, told_by = nil }
-    self.states[key], self.states[#self.states + 1] = state, state
+    state = { last = nil, counts = false, set = {}, told = {}, told_by = NOTHING,
+      order = #self.states + 1 }
+    self.states[key], self.states[state.order] = state, state
   end
   if change.late and state.counts then
     self.add(event_of("silence", state.last, { length = change.late }))
@@ -277,19 +278,14 @@ end
 
 -- The faults that are still set at the last message of their source that counts.
 local function note_active(self)
-  local told = {}
-  for i, state in ipairs(self.states) do
-    if state.told[1] then
-      told[#told + 1] = { state = state, frame = state.told_by.frame, i = i }
-    end
-  end
-  table.sort(told, function(a, b)
-    if a.frame ~= b.frame then return a.frame < b.frame end
-    return a.i < b.i
+  table.sort(self.states, function(a, b)
+    local first, second = a.told_by.frame or 0, b.told_by.frame or 0
+    if first ~= second then return first < second end
+    return a.order < b.order
   end)
-  for _, one in ipairs(told) do
-    local record = one.state.told_by
-    for _, set in ipairs(one.state.told) do
+  for _, state in ipairs(self.states) do
+    local record = state.told_by
+    for _, set in ipairs(state.told) do
       self.add(event_of("fault", record, { field = set.field.name, flag = set.flag.name,
         help = set.flag.help, event = "active", active = M.span(set.since, record.rel) }))
     end
