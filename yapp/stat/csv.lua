@@ -28,7 +28,7 @@ local function path_of(self, name)
   return folder:find("[/\\]$") and folder .. name or folder .. "/" .. name
 end
 
-local function columns_of(self, message)
+local function all_columns(self, message)
   local list = { unpack(COMMON) }
   if self.options.all then list[#list + 1] = CRC_GOOD end
   for _, column in ipairs(columns.columns(message)) do list[#list + 1] = column end
@@ -37,7 +37,7 @@ end
 
 local function header(self, message)
   local names = {}
-  for i, column in ipairs(columns_of(self, message)) do names[i] = columns.quoted(column.name) end
+  for i, column in ipairs(all_columns(self, message)) do names[i] = columns.quoted(column.name) end
   return table.concat(names, ",") .. "\n"
 end
 
@@ -132,13 +132,16 @@ local MESSAGE_KEYS = { "title", "every", "columns" }
 -- The last three are an integer's: what it fits in and what its numbers mean.
 local COLUMN_KEYS = { "name", "unit", "type", "filter", "title", "kind", "bits", "values" }
 
--- What the columns of all messages are, as a line of JSON: { version = 1, plugin =, messages =
--- { NAME = { title =, every = in seconds or null, columns = list of { those of COLUMN_KEYS } } } }.
-local function describe(self)
+--- What the columns of all messages are.
+-- catalogue   compiled; version: the plugin's own, a text
+-- columns_of  function(message) -> its columns: message.columns' and what comes before them
+-- returns     JSON: { version = 1, plugin =, messages = { NAME = { title =, every = in seconds or
+--             null, columns = list of { those of COLUMN_KEYS } } } }
+function M.describe(catalogue, version, columns_of)
   local names, messages = {}, {}
-  for i, message in ipairs(self.context.catalogue.messages) do
+  for i, message in ipairs(catalogue.messages) do
     local list = {}
-    for j, column in ipairs(columns_of(self, message)) do
+    for j, column in ipairs(columns_of(message)) do
       local about, field = column.flag or column.field or {}, column.field
       local values = { name = column.name, unit = column.unit, type = column.type,
         filter = about.filter, title = about.title }
@@ -151,15 +154,18 @@ local function describe(self)
     messages[message.name] = output.raw(output.object(MESSAGE_KEYS, { title = message.title,
       every = message.every, columns = output.raw(output.list(list)) }))
   end
-  return output.object({ "version", "plugin", "messages" }, { version = 1,
-    plugin = self.context.version, messages = output.raw(output.object(names, messages)) }) .. "\n"
+  return output.object({ "version", "plugin", "messages" }, { version = 1, plugin = version,
+    messages = output.raw(output.object(names, messages)) })
 end
 
 --- returns  the exit code, nil for 0, 21 where a file could not be written; and why
 function Csv:finish()
   if self.options.chosen then return end
   local files, rows, out = { self.fields }, {}, self.context.out
-  self.fields:write(describe(self))
+  local described = M.describe(self.context.catalogue, self.context.version, function(message)
+    return all_columns(self, message)
+  end)
+  self.fields:write(described .. "\n")
   for _, message in ipairs(self.context.catalogue.messages) do
     files[#files + 1] = file_of(self, message) or nil -- one that never came has its header
   end
