@@ -293,18 +293,23 @@ local function problems_of(self)
   return problems
 end
 
---- last     { rel =, ... } of the last packet of any kind; nil where there was none
--- returns  the exit code: nil for 0, 20 or 21, and a text that says why where the table does not
-function Check:finish(last)
-  local options, context, results = self.options, self.context, {}
-  local problems, list = problems_of(self), self.groups:sorted()
-  local is_failed, is_unjudged = false, false
-  for _, rule in ipairs(options.rules) do
+-- The results of all rules; whether one failed, whether one was not judged.
+local function judge_all(self, last)
+  local results, list, is_failed, is_unjudged = {}, self.groups:sorted(), false, false
+  for _, rule in ipairs(self.options.rules) do
     for _, result in ipairs(judge_rule(self, rule, list, last)) do
       results[#results + 1] = result
       is_failed, is_unjudged = is_failed or result.ok == false, is_unjudged or result.ok == nil
     end
   end
+  return results, is_failed, is_unjudged
+end
+
+--- last     { rel =, ... } of the last packet of any kind; nil where there was none
+-- returns  the exit code: nil for 0, 20 or 21, and a text that says why where the table does not
+function Check:finish(last)
+  local options, context, problems = self.options, self.context, problems_of(self)
+  local results, is_failed, is_unjudged = judge_all(self, last)
   local problem = options.junit and report(options.junit, results, options.problems, problems)
   if problem then problems[#problems + 1] = "the report is not written: " .. problem end
   is_unjudged = is_unjudged or options.problems[1] or problems[1]
