@@ -233,6 +233,16 @@ local function table_of(results, width)
     width, { "message", "bus" })
 end
 
+local function print_results(self, results, code)
+  local out = self.context.out
+  if self.options.json then
+    for _, result in ipairs(results) do out(line(result)) end
+  else
+    out(table_of(results, self.context.width))
+    out(("\nYAPP check: %s\n"):format(VERDICTS[code or 0]))
+  end
+end
+
 -- A report in JUnit's XML ------------------------------------------------------------------------
 
 local ENTITIES = { ["<"] = "&lt;", [">"] = "&gt;", ["&"] = "&amp;", ['"'] = "&quot;" }
@@ -308,17 +318,13 @@ end
 --- last     { rel =, ... } of the last packet of any kind; nil where there was none
 -- returns  the exit code: nil for 0, 20 or 21, and a text that says why where the table does not
 function Check:finish(last)
-  local options, context, problems = self.options, self.context, problems_of(self)
+  local options, problems = self.options, problems_of(self)
   local results, is_failed, is_unjudged = judge_all(self, last)
   local problem = options.junit and report(options.junit, results, options.problems, problems)
   if problem then problems[#problems + 1] = "the report is not written: " .. problem end
   is_unjudged = is_unjudged or options.problems[1] or problems[1]
   local code = is_failed and FAILED or is_unjudged and UNJUDGED or nil
-  for _, result in ipairs(options.json and results or {}) do context.out(line(result)) end
-  if not options.json then
-    context.out(table_of(results, context.width))
-    context.out(("\nYAPP check: %s\n"):format(VERDICTS[code or 0]))
-  end
+  print_results(self, results, code)
   for i, text in ipairs(problems) do problems[i] = "check: " .. text end
   return code, problems[1] and table.concat(problems, "\n") or nil
 end

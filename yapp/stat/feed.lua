@@ -119,7 +119,7 @@ function Feed:time(rel)
   return integer(epoch.seconds + whole + (nanoseconds - rest) / 1000000000), integer(rest)
 end
 
---- Records no longer wait for their packets' taps, where none is needed: a tenth of the time of csv.
+--- Records no longer wait for their packets' taps where none is needed: a tenth of csv's time.
 -- To be called from a tap, once all packets that come have their taps, in order.
 -- returns  whether it is so
 function Feed:go_direct()
