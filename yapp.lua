@@ -24,7 +24,6 @@ package.path = here .. "?.lua;" .. package.path
 local bus_finder = require "yapp.host.buses"
 local can_carrier = require "yapp.can.carrier"
 local catalogue_files = require "yapp.message.catalogue_files"
-local columns = require "yapp.message.columns"
 local compiler = require "yapp.message.catalogue"
 local decode = require "yapp.message.decode"
 local file_readers = require "yapp.file.readers"
@@ -68,8 +67,7 @@ local header = Proto("yapp_socketcan", "YAPP's look at CAN headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local buses = bus_finder.watch()
-local stat = stat_taps.new { version = VERSION, catalogue = catalogue, is_whole = is_whole, decode = decode,
-  columns = columns }
+local stat = stat_taps.new { version = VERSION, catalogue = catalogue }
 local reader = message_reader.new(decode, catalogue, stat)
 local tree = tree_builder.new { yapp = yapp, taurus = taurus, catalogue = catalogue, reader = reader }
 
@@ -98,7 +96,15 @@ local streams = serial_carrier.new(tree, reader, buses)
 local tell = stat_tell.new(stat, reader)
 reader:tell_to(tell)
 function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
-function stat.plugin.has_source(name) return reader.sources:has_name(name) end
+function stat.plugin.named() return reader.sources:list() end
+function stat.plugin.problems()
+  local problems, file = {}, yapp.prefs.messages
+  if not is_whole then problems[1] = "the catalogue did not load whole" end
+  if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
+    problems[#problems + 1] = file .. ", the file with your own messages, was not read"
+  end
+  return problems
+end
 function stat.plugin.unfinished()
   local messages = frames:unfinished()
   for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end

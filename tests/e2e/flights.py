@@ -4,6 +4,7 @@
     flight = flights.make(seed)
     flight.write(path, form)      "pcapng" (a named interface each bus), "sll2" (an index each bus), "candump" (a log)
     flight.arguments(form)        the preferences that go with it
+    flights.make(seed, True)      one in which nothing went wrong
     flight.truth(form)            {"events": [...], "faults": [...], "summary": [...]}, as docs name the JSON lines
     flight.rows(form)             the good messages of known IDs: what CSV has
 
@@ -13,9 +14,11 @@ read from a capture.  What could be read in two ways is not planted: between two
 import collections
 import dataclasses
 import random
+import re
 import struct
 
 import model
+import tshark
 from can_generator import END, LONG_BLOCK, MIDDLE, SINGLE, START, Frame, Sent, message_crc
 
 SECOND = 1_000_000_000
@@ -24,6 +27,8 @@ LATE = 2.5
 FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
 KIND = {name: ident for ident, (name, _, _) in model.MESSAGES.items()}
 FORMS = ["pcapng", "sll2", "candump"]
+# Whether the catalogue says that the state Faulted is a fault.
+FAULTED = 0x20 if re.search('"faulted", 0x20.*alarm = true', (tshark.PLUGIN / "taurus_fields.lua").read_text()) else 0
 LATE_PCAPNG = "late pcapng"  # the interfaces but the first one behind what the plugin looks at when it opens a file
 
 
@@ -34,7 +39,7 @@ class Message:
     at: int  # ns since 1970
     seq: int
     payload: bytes
-    fate: str = "good"      # or crc; lost Start, Middle, End: the frame that is not in the capture
+    fate: str = "good"      # or crc; Start, Middle, End: the frame that is not in the capture; overrun: some too many
     frames: list = dataclasses.field(default_factory=list)  # those that are in the capture, in order
     cut: bool = False       # the capture ended before the message did
 
@@ -52,80 +57,89 @@ class Placed(Frame):
 class Sender:
     """One ID on one bus."""
 
-    def __init__(self, rng, bus, ident, kind):
-        self.rng, self.bus, self.ident, self.kind = rng, bus, ident, kind
+    def __init__(self, rng, bus, ident, kind, is_clean):
+        self.rng, self.bus, self.ident, self.kind, self.is_clean = rng, bus, ident, kind, is_clean
         self.numbered = kind != "unknown" and rng.random() < 0.3
         self.seq = rng.randrange(256) if self.numbered else 0
         self.clock = rng.randrange(10**12)
         self.faults, self.status, self.state = 0, 0x40010000, 1
         self.messages = []
 
+    def chance(self, probability):
+        """Whether something happens that goes wrong."""
+        return self.rng.random() < probability and not self.is_clean
+
     def payload(self):
         rng = self.rng
         if self.kind == "motor":
             counts = [rng.choice([65535, 65534, 65533, 65532, 65531]) if rng.random() < 0.01 else rng.randrange(30000, 36000)
                       for _ in range(6)]
-            return struct.pack("<6HBBIIqBB", *counts, rng.randrange(60, 100), 1, self.status, self.faults, self.clock,
+            return struct.pack("<6HBBIIqBB", *counts, rng.randrange(60, 100), 2 if self.chance(0.01) else 1, self.status, self.faults, self.clock,
                                self.state, 255 if rng.random() < 0.02 else rng.randrange(60, 110))
         if self.kind == "health":
             return struct.pack("<q", self.clock) + bytes(rng.randrange(20, 120) for _ in range(7)) + bytes([1, 4])
         if self.kind == "command":
-            return struct.pack("<BBBHH", 1, 0xA5, 1, rng.randrange(65000), rng.randrange(65000))
+            key = rng.choice([0, 0x55, 0xFF]) if self.chance(0.04) else rng.choice([0xA5, 0x5A])
+            return struct.pack("<BBBHH", 1, key, 1, rng.randrange(65000), rng.randrange(65000))
         return rng.randbytes(20)
 
     def step_clock(self, elapsed, stands_still):
         """The controller's clock goes on, begins anew, or stands still."""
-        if self.rng.random() < 0.01:
+        if self.chance(0.01):
             self.clock = min(self.clock - 1, self.rng.randrange(10**8))
         elif not stands_still:
             self.clock += elapsed + self.rng.randrange(-1000, 1000)
 
     def change_flags(self):
         rng = self.rng
-        if rng.random() < 0.05:
+        if self.chance(0.05):
             self.faults ^= rng.choice([*model.FAULT, 0x80000, 0x8000000])  # the last two stand in no table
         if rng.random() < 0.03:
             self.faults = 0
         if rng.random() < 0.05:
             self.status ^= rng.choice(list(model.STATUS))
+        if self.chance(0.03):
+            self.state ^= 0x20  # faulted, whatever the fault flags say
 
     def fly(self, begin, end):
         """All its messages from one time to another."""
         rng = self.rng
         period = int(EVERY.get(self.kind, 0.3) * SECOND) // (3 if self.kind == "command" else 1)
         time, before, clean, still = begin + rng.randrange(period), None, 3, 0
-        stops = rng.randrange(begin, end) if rng.random() < 0.15 else end
+        stops = rng.randrange(begin, end) if self.chance(0.15) else end
         while time < min(end, stops):
             if before is not None:
-                still = still - 1 if still else rng.randrange(1, 4) if rng.random() < 0.02 else 0
+                still = still - 1 if still else rng.randrange(1, 4) if self.chance(0.02) else 0
                 self.step_clock(time - before, still > 0)
             self.change_flags()
             message = Message(self, time, self.seq, self.payload())
-            self.plan(message, clean)
+            self.plan(message, clean, time < end - SECOND)
             clean = clean + 1 if message.fate == "good" else 0
             self.messages.append(message)
             if self.numbered:
                 self.seq = (self.seq + 1) % 256
             before = time
             time += period + rng.randrange(-period // 40, period // 40)
-            if rng.random() < 0.02:
+            if self.chance(0.02):
                 time += period * rng.choice([1, 2, 4, 8])  # messages that were never sent
         return self
 
-    def plan(self, message, clean):
-        """What happens to a message on its way."""
+    def plan(self, message, clean, goes_on):
+        """What happens to a message on its way.  goes_on: whether the capture does, for sure."""
         rng = self.rng
         sent = Sent(self.ident, 0, message.seq, message.payload)
         if self.kind == "command":
             frames = [sent.frame(SINGLE, message.payload)]
         else:
             frames = sent.frames()
-        if clean >= 2 and self.kind in ("motor", "health") and rng.random() < 0.04:
+        if clean >= 2 and self.kind in ("motor", "health") and self.chance(0.05):
             # Where messages are numbered, nothing tells that one whose End is lost will not go on.
-            message.fate = rng.choice(["crc", "Start", "Middle"] + ([] if self.numbered else ["End"]))
+            message.fate = rng.choice(["crc", "Start", "Middle"] + ["overrun"] * goes_on + ([] if self.numbered else ["End"]))
             if message.fate == "crc":
                 wrong = message_crc(self.ident, 0, message.seq, message.payload) ^ 1 << rng.randrange(32)
                 frames[0] = sent.start(crc=wrong)
+            elif message.fate == "overrun":
+                frames[-1:-1] = [sent.frame(MIDDLE, rng.randbytes(7) + bytes([255 - place])) for place in range(3)]
             else:
                 lost = {"Start": START, "Middle": MIDDLE, "End": END}[message.fate]
                 frames.remove(rng.choice([frame for frame in frames if frame.can_id >> 14 & 15 == lost]))
@@ -146,8 +160,9 @@ class Truth:
         for sender in flight.senders:
             if any(message.frames for message in sender.messages):
                 self.source(sender)
+        self.absent()
         self.faults.sort(key=lambda line: (line["event"] == "active", line["frame"]))
-        self.events.sort(key=lambda line: (line["time"], line["frame"]))
+        self.events.sort(key=lambda line: (line["time"], line["frame"] or 1 << 40))
 
     def who(self, sender):
         kind = sender.kind if sender.kind != "unknown" else None
@@ -158,16 +173,25 @@ class Truth:
         self.events.append({"kind": kind, "time": frame.at, "frame": frame.number, **self.who(sender), **more})
 
     def fault(self, sender, frame, flag, event, active):
-        line = {"time": frame.at, "frame": frame.number, **self.who(sender), "field": "fault_flags", "flag": flag,
+        line = {"time": frame.at, "frame": frame.number, **self.who(sender), "field": flag[0], "flag": flag[1],
                 "event": event, "active": active}
-        self.faults.append(line)
+        self.faults.append({**line, "help": None})
         self.events.append({"kind": "fault", **line})
+
+    def absent(self):
+        """Sources that were named with a message and have no frame in the capture."""
+        for bus, ident, kind, name in self.flight.named():
+            if kind and not any(sender.ident == ident and self.flight.name(sender, self.form) == name and
+                                bus in (None, self.flight.bus_name(sender.bus, self.form)) and
+                                any(message.frames for message in sender.messages) for sender in self.flight.senders):
+                self.events.append({"kind": "absent", "time": self.flight.frames[-1].at, "frame": None, "bus": bus,
+                                    "id": ident, "source": name, "message": kind[:-1]})
 
     def source(self, sender):
         """One source: its messages in order, each with the good one before it."""
         lost = crc = 0
         good = []
-        state = {"set": {}, "clock": None, "faults": 0}
+        state = {"set": {}, "clock": None, "flags": []}
         counts = collections.Counter()
         for index, message in enumerate(sender.messages):
             if not message.frames:
@@ -182,19 +206,24 @@ class Truth:
                 lost += 1
                 self.lost(sender, message, sender.messages[index + 1:])
         if good:
-            for bit, since in sorted(state["set"].items(), key=lambda item: (item[1], item[0])):
+            for flag, since in state["set"].items():
                 last = good[-1].frames[-1]
-                self.fault(sender, last, flag_name(bit), "active", last.at - since)
+                self.fault(sender, last, flag, "active", last.at - since)
             self.silence(sender, good[-1], self.flight.frames[-1].at)
         counts["reboots"] += 0
         self.summary.append({**self.who(sender), "crc_bad": crc, "incomplete": lost, "late": counts["late"],
-                             "reboots": counts["reboots"], **rates(good), "values": ranges(sender, good)})
+                             "reboots": counts["reboots"], **rates(good), "values": ranges(sender, good),
+                             "invalid": counts["invalid"], "skipped": 0})
         self.counted = counts
 
     def good(self, sender, message, before, state, counts):
         last = message.frames[-1]
         if before and self.silence(sender, before, last.at):
             counts["late"] += 1
+        invalid = list(undefined(sender, message.payload))
+        counts["invalid"] += bool(invalid)
+        for field, value in invalid:
+            self.event("invalid", sender, last, field=field, value=value)
         if sender.kind not in ("motor", "health"):
             return
         clock = clock_of(sender, message.payload)
@@ -207,14 +236,13 @@ class Truth:
             self.flags(sender, message, state)
 
     def flags(self, sender, message, state):
-        now, last = struct.unpack_from("<I", message.payload, 18)[0], message.frames[-1]
-        for bit in order(now | state["faults"]):
-            if now & bit and not state["faults"] & bit:
-                state["set"][bit] = last.at
-                self.fault(sender, last, flag_name(bit), "raised", None)
-            elif state["faults"] & bit and not now & bit:
-                self.fault(sender, last, flag_name(bit), "cleared", last.at - state["set"].pop(bit))
-        state["faults"] = now
+        now, last = alarms(message.payload), message.frames[-1]
+        for flag in every_alarm():
+            if flag in now and flag not in state["set"]:
+                state["set"][flag] = last.at
+                self.fault(sender, last, flag, "raised", None)
+            elif flag in state["set"] and flag not in now:
+                self.fault(sender, last, flag, "cleared", last.at - state["set"].pop(flag))
 
     def silence(self, sender, before, until):
         """Whether a gap is one; it is told at the message before it."""
@@ -230,6 +258,12 @@ class Truth:
         frames = message.frames
         started = frames[0].can_id >> 14 & 15 == START
         ended = frames[-1].can_id >> 14 & 15 == END
+        if message.fate == "overrun":
+            size, received = len(message.payload), 0
+            for frame in frames:
+                received += len(frame.data) if frame.can_id >> 14 & 15 != START else 0
+                if received > size:
+                    return self.event("incomplete", sender, frame, what="overrun")
         if not started:
             self.event("incomplete", sender, frames[0], what="orphan")
         elif ended:
@@ -242,14 +276,30 @@ class Truth:
                 self.event("unfinished", sender, frames[-1])
 
 
-def order(bits):
-    """The bits in the order of the table, those that it has not behind them."""
-    known = [bit for bit in model.FAULT if bits & bit]
-    return known + [bit for bit in (1 << place for place in range(32)) if bits & bit and bit not in model.FAULT]
+def every_alarm():
+    """The flags that are faults, in the order of the table, those that it has not behind them: (field, flag)."""
+    undefined_bits = [1 << place for place in range(32) if 1 << place not in model.FAULT]
+    return [("fault_flags", name) for name in model.FAULT.values()] + \
+        [("fault_flags", f"undefined_{bit:#x}") for bit in undefined_bits] + \
+        ([("motor_state", "faulted")] if FAULTED else [])
 
 
-def flag_name(bit):
-    return model.FAULT.get(bit, f"undefined_{bit:#x}")
+def alarms(payload):
+    """The faults that are set in a payload of Motor Data."""
+    faults = struct.unpack_from("<I", payload, 18)[0]
+    found = {("fault_flags", model.FAULT.get(1 << place, f"undefined_{1 << place:#x}"))
+             for place in range(32) if faults >> place & 1}
+    return found | ({("motor_state", "faulted")} if payload[30] & FAULTED else set())
+
+
+def undefined(sender, payload):
+    """What the document does not define in a payload: (field, value)."""
+    at = 0
+    for field, size, kind in model.MESSAGES[KIND[sender.kind]][2] if sender.kind in KIND else ():
+        count = int.from_bytes(payload[at:at + size], "little")
+        at += size
+        if isinstance(kind, set) and count not in kind or model.is_flags(kind) and count & ~sum(kind[1]):
+            yield field, count
 
 
 def clock_of(sender, payload):
@@ -297,7 +347,8 @@ def ranges(sender, good):
 # The flight --------------------------------------------------------------------------------------------------------
 
 class Flight:
-    def __init__(self, seed):
+    def __init__(self, seed, is_clean=False):
+        self.is_clean = is_clean
         rng = self.rng = random.Random(f"flight {seed}")
         self.begin = 1_700_000_000 * SECOND + rng.randrange(10**12)
         self.end = self.begin + rng.randrange(4, 12) * SECOND
@@ -310,13 +361,13 @@ class Flight:
 
     def add_bus(self, bus):
         rng = self.rng
-        self.senders.append(Sender(rng, bus, FIRST_ID["command"], "command"))
+        self.senders.append(Sender(rng, bus, FIRST_ID["command"], "command", self.is_clean))
         for place in rng.sample(range(4), rng.choice([1, 2, 3])):
-            self.senders.append(Sender(rng, bus, FIRST_ID["motor"] + place, "motor"))
+            self.senders.append(Sender(rng, bus, FIRST_ID["motor"] + place, "motor", self.is_clean))
             if rng.random() < 0.7:
-                self.senders.append(Sender(rng, bus, FIRST_ID["health"] + place, "health"))
-        if rng.random() < 0.3:
-            self.senders.append(Sender(rng, bus, 0x320, "unknown"))
+                self.senders.append(Sender(rng, bus, FIRST_ID["health"] + place, "health", self.is_clean))
+        if rng.random() < 0.3 and not self.is_clean:
+            self.senders.append(Sender(rng, bus, 0x320, "unknown", False))
 
     def choose_names(self):
         """The preference: some names for every bus, some for one."""
@@ -327,6 +378,14 @@ class Flight:
                 self.anywhere.setdefault(sender.ident, (kind, f"esc {sender.ident:x}"))
             elif rng.random() < 0.3:
                 self.by_bus[sender.bus, sender.ident] = (kind, f"{sender.kind}_{sender.bus}_{sender.ident:x}")
+        if rng.random() < 0.5 and not self.is_clean:  # some that never come
+            self.anywhere[0x217] = ("motor:", "nowhere")
+            self.by_bus[0, 0x207] = ("health:", "not here")
+
+    def named(self):
+        """What the user said: (bus or None, ID, "motor:" or so, name)."""
+        return [(None, ident, *row) for ident, row in self.anywhere.items()] + \
+            [(self.names[bus], ident, *row) for (bus, ident), row in self.by_bus.items()]
 
     def collect(self):
         """All frames in the order of time, others' among them; cut at the end in the middle of a message, maybe."""
@@ -337,9 +396,9 @@ class Flight:
                 frames += message.frames
         for _ in range(len(frames) // 10):
             frames.append(Placed(0x18FEF100 | rng.randrange(256), rng.randbytes(8), bus=rng.randrange(len(self.names)),
-                                 at=rng.randrange(self.begin, self.end + SECOND)))
+                                 at=rng.randrange(self.begin, self.end + (0 if self.is_clean else SECOND))))
         frames.sort(key=lambda frame: frame.at)
-        if rng.random() < 0.5:
+        if rng.random() < 0.5 and not self.is_clean:
             starts = [place for place, frame in enumerate(frames) if frame.origin and frame.can_id >> 14 & 15 == START]
             frames = frames[:rng.choice(starts[-8:]) + rng.randrange(1, 3)]
         self.frames, kept = frames, set(map(id, frames))
@@ -423,5 +482,5 @@ def option(code, value):
     return struct.pack("<HH", code, len(value)) + pad(value)
 
 
-def make(seed):
-    return Flight(seed)
+def make(seed, is_clean=False):
+    return Flight(seed, is_clean)

@@ -12,7 +12,7 @@ import make
 import stream_captures
 import tshark
 from can_generator import END, LONG_BLOCK, START, Frame, Sent, message_crc
-from flights import block, option, pad, struct
+from flights import FAULTED, block, option, pad, struct
 
 RECIPE = next(line.strip() for line in (tshark.ROOT / "docs/statistics.md").read_text().splitlines()
               if line.startswith("    tshark -q -r run.pcapng"))
@@ -20,8 +20,8 @@ MOTOR, OTHER = 0x210, 0x310
 BEGIN = 1_700_000_000_000_000_000
 
 
-def motor_payload(index, faults=0):
-    return struct.pack("<6HBBIIqBB", *[32765] * 6, 70, 1, 0x40010000, faults, index * 100_000_000, 1, 80)
+def motor_payload(index, faults=0, mode=1, state=1):
+    return struct.pack("<6HBBIIqBB", *[32765] * 6, 70, mode, 0x40010000, faults, index * 100_000_000, state, 80)
 
 
 def flight(ident=MOTOR, seq=0, count=30, spoil=None):
@@ -45,6 +45,21 @@ def without(ctrl):
 
 def with_fault(sent):
     return Sent(sent.msg, 0, sent.seq, motor_payload(9, faults=0x10000)).frames()
+
+
+def with_payload(*arguments, **more):
+    return lambda sent: Sent(sent.msg, 0, sent.seq, motor_payload(*arguments, **more)).frames()
+
+
+def with_too_many(sent):
+    """Three frames with bytes beyond the message's size: each of them shows it."""
+    frames = sent.frames()
+    more = [Frame(frames[1].can_id, bytes([place] * 8)) for place in (1, 2, 3)]
+    return [*frames[:-1], *more, frames[-1]]
+
+
+def command(key, at):
+    return BEGIN + at, Frame(0, bytes([1, key, 1, 0xFD, 0x7F, 0xFD, 0x7F]))
 
 
 def with_bad_crc(sent):
@@ -133,13 +148,22 @@ CASES = {
     "a Command that the capture cut": (pcapng([*CLEAN, (CLEAN[-1][0], Frame(0, bytes(7), captured=3))]), 20),
     "one frame of the last message": (pcapng(CLEAN[:-4]), 20),
     "other IDs": (pcapng(flight(OTHER)), 20),
+    "a reboot": (pcapng(flight(spoil=only_at(9, with_payload(2)))), 20),
+    "a clock that stands still": (pcapng(flight(spoil=only_at(9, with_payload(8)))), 20),
+    "an undefined mode": (pcapng(flight(spoil=only_at(9, with_payload(9, mode=7)))), 20),
+    "an ignored command": (pcapng([*CLEAN, command(0x33, 2_910_000_000)]), 20),
+    "a command": (pcapng([*CLEAN, command(0xA5, 2_910_000_000)]), 0),
+    "a silence": (pcapng(CLEAN[:50] + CLEAN[75:]), 20),
+    "a silence to the end": (pcapng([*CLEAN, (BEGIN + 4_000_000_000, Frame(0x18FEF100, bytes(8)))]), 20),
+    "too many bytes": (pcapng(flight(spoil=only_at(9, with_too_many))), 20),
     "empty capture": (pcapng([]), 21),
     "nothing of ours": (pcapng([(BEGIN, Frame(0x18FEF100, bytes(8)))]), 21),
 }
 
 
 @pytest.mark.parametrize("name", levels.few(CASES, ["clean", "fault", "bad CRC", "lost Start", "cut at the end",
-                                                   "a Middle that the capture cut", "other IDs", "empty capture"]))
+                                                   "a Middle that the capture cut", "other IDs", "empty capture", "a reboot",
+                                                   "an ignored command", "a command", "a silence to the end"]))
 def test_recipe(folder, name):
     data, code = CASES[name]
     returned, output, errors = gate(folder, data)
@@ -150,6 +174,64 @@ def test_recipe(folder, name):
 def test_other_ids_that_are_numbered(folder):
     """Where nothing claims the frames, there is nothing to judge."""
     assert gate(folder, pcapng(flight(OTHER, seq=1)))[0] in (20, 21)
+
+
+@pytest.mark.skipif(not FAULTED, reason="the catalogue has no such fault")
+def test_a_state_is_faulted_though_no_fault_flag_is_set(folder):
+    returned, output, _ = gate(folder, pcapng(flight(spoil=only_at(9, with_payload(9, state=0x20)))))
+    assert returned == 20 and "FAILED  fault=0" in output
+
+
+def test_a_named_source_that_never_came(folder):
+    for named, code in (("can0/0x210=motor:left", 0), ("can1/0x210=motor:right", 20), ("0x211=motor:right", 20),
+                        ("0x212=tail", 0)):
+        returned, output, _ = gate(folder / code_folder(folder), pcapng(CLEAN), f'{RECIPE} -o "yapp.sources:{named}"')
+        assert (returned, "1: right" in output) == (code, code == 20), output
+
+
+def code_folder(folder):
+    """A new folder in a folder."""
+    name = f"run{len(list(folder.iterdir()))}"
+    (folder / name).mkdir()
+    (folder / name).chmod(0o777)
+    return name
+
+
+def test_messages_that_were_not_read(folder):
+    """Fields are made at the start, when -o is not known: what is in the file is not seen."""
+    own = 'return { { name = "own", title = "Own", id = 1, size = 1, { "a", "uint8", "A" } } }'
+    for argument, code in ((f'-o "yapp.messages:{folder}/own.lua"', 21), ("", 0)):
+        place = folder / code_folder(folder)
+        (folder / "own.lua").write_text(own)
+        returned, output, errors = gate(place, pcapng(CLEAN), f"{RECIPE} {argument}")
+        assert (returned, "own.lua, the file with your own messages, was not read" in errors) == (code, code == 21), output
+        known = f"YAPP_MESSAGES={folder}/own.lua {RECIPE} {argument}"
+        assert shell(place, known, place / "home")[0] == 0
+
+
+def test_a_message_is_lost_once(folder, home):
+    """Each of the frames that are too many is wrong; what is lost is one message."""
+    data = CASES["too many bytes"][0]
+    for passes in "", " -2":
+        _, output, _ = z(folder, "events,json", "check,incomplete=1", data=data, command="tshark -q -r run.pcapng" + passes)
+        assert [json.loads(line)["what"] for line in output.splitlines() if line.startswith("{")] == ["overrun"]
+        assert "all rules hold" in output
+
+
+def test_bytes_of_no_frame(folder, home):
+    """They are not in the rule set of `check` alone: a shell may write there."""
+    data = make.pcap(make.Source("""link pdu
+        let motor = 00*18 e80300000000000000 00*5
+        > 6f 6b 0a
+        > [210 $motor]
+        > 6f 6b 0a [210 $motor]
+        """.replace("        ", "").replace("00*18 e80300000000000000 00*5", "00*32")))
+    _, output, _ = z(folder, "summary,json", "events,json", data=data)
+    lines = [json.loads(line) for line in output.splitlines() if line.startswith("{")]
+    assert [line["skipped"] for line in lines if "skipped" in line] == [2, 0]
+    assert [line["length"] for line in lines if line.get("kind") == "skipped"] == [3, 3]
+    assert z(folder, "check,skipped=1", data=data)[0] == 20
+    assert z(folder, "check,skipped=2", data=data)[0] == 0
 
 
 def test_broken_catalogue(folder):
@@ -256,7 +338,8 @@ def test_a_stream_that_ends_within_a_frame(folder, home, link, kind, frame):
                                 command="tshark -q -r run.pcapng" + passes)
         events = [json.loads(line) for line in output.splitlines() if line.startswith("{")]
         found = [(one["kind"], one["frame"], one["id"], one["message"]) for one in events]
-        assert found == [(kind, frame, 0x210, "motor")]
+        rest = [("skipped", 3, None, None)] if link == "udp" else []  # a datagram of what is no frame
+        assert found == [(kind, frame, 0x210, "motor"), *rest]
         assert returned == 20 and z(folder, "check,incomplete=1", data=data)[0] == 0
 
 
@@ -320,7 +403,7 @@ def test_what_z_says(folder, home):
 
 WRONG = [
     ("nonsense", "it is yapp,summary or yapp,faults"), ("summary,jsn", "jsn: the options of summary"),
-    ("check", "it needs a rule"), ("check,motr.rate=1", "there is no message"),
+    ("check,fault", "a rule is one of fault=N"), ("check,motr.rate=1", "there is no message"),
     ("summary,filter=taurus.motor.nonsense == 1", "the filter taurus.motor.nonsense == 1 is not one"),
     ("summary,filter=(", "the filter ( is not one"), ("csv,/proc/none/x", "cannot be made"), ("csv,-,moter", "moter"),
 ]

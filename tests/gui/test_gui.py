@@ -203,7 +203,7 @@ def test_a_statistic_in_a_window(captures):
 
 
 # Under Tools, the last entry is YAPP; its entries by the alphabet.
-MENU = ["Check", "Events", "Export tables", "Faults", "Help", "Open the flight page", "Summary"]
+MENU = ["Check", "Compare", "Events", "Export tables", "Faults", "Help", "Summary"]
 
 
 def choose(wireshark, entry, title=None):
@@ -255,6 +255,10 @@ def test_check_tables_and_help_in_the_menu(captures):
         choose(wireshark, "Check")
         answer(wireshark, "YAPP Check", "fault=0,motor.count=60")
         assert "FAILED  fault=0" in text_of(wireshark, "YAPP Check")
+        for entry in "Compare", "Events", "Summary":  # each row is one line of a window as it opens
+            wireshark.wait_for_window("first.pcapng")
+            choose(wireshark, entry)
+            assert max(map(len, text_of(wireshark, f"YAPP {entry}").splitlines())) <= 80
         wireshark.wait_for_window("first.pcapng")
         choose(wireshark, "Export tables")
         answer(wireshark, "YAPP Export tables", str(captures / "tables"))
@@ -305,42 +309,4 @@ def test_what_stays_and_what_goes(captures, buses, taps):
         assert "Motor Data" in text_of(wireshark, "YAPP Summary")
         assert alive.read_text() == taps
         wireshark.wait_for_window("YAPP Help")
-        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
-
-
-def program(folder, name, text):
-    path = folder / "bin" / name
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(f"#!/bin/sh\n{text}\n")
-    path.chmod(0o755)
-    return path
-
-
-def test_the_flight_page(captures, monkeypatch):
-    """Of the capture that is open, by yapp-tables, in the browser."""
-    captures.chmod(0o777)
-    program(captures, "yapp-tables", f'echo "$@" >{captures}/said; echo page >"$4"')
-    program(captures, "xdg-open", f'echo "$@" >{captures}/opened')
-    monkeypatch.setenv("PATH", f"{captures}/bin:/usr/bin:/bin")
-    with gui.Wireshark("-r", captures / "first.pcapng", "-o", "yapp.sources:0x210=motor:it's mine") as wireshark:
-        wireshark.wait_for_window("first.pcapng")
-        choose(wireshark, "Open the flight page")
-        wireshark.wait_for_window("YAPP Open the flight page")
-        wireshark.keys("Return")
-        gui.wait_for((captures / "opened").exists, 20)
-        said, capture, page = (captures / "said").read_text(), captures / "first.pcapng", captures / "first.html"
-        assert said.startswith(f"report {capture} -o {page} -o yapp.sources:0x210=motor:it's mine -o yapp.late:2.5")
-        assert page.read_text() == "page\n"
-        gui.wait_for(lambda: (captures / "opened").read_text() == f"file://{page}\n", 20)
-        assert len(wireshark.windows()) == 1
-
-
-def test_no_flight_page(captures, monkeypatch):
-    """Without yapp-tables the window says where it comes from."""
-    monkeypatch.setenv("PATH", "/usr/bin:/bin")
-    with gui.Wireshark("-r", captures / "first.pcapng") as wireshark:
-        wireshark.wait_for_window("first.pcapng")
-        choose(wireshark, "Open the flight page")
-        answer(wireshark, "YAPP Open the flight page", str(captures / "first.pcapng"))
-        assert "pip install" in text_of(wireshark, "YAPP Flight page")
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()

@@ -6,12 +6,16 @@ local feed_of = require("yapp.stat.feed")
 
 local T = {}
 
-local SOURCE, OTHER = { key = 1, id = 1 }, { key = 2, id = 2 }
+local SOURCE = { key = 1, id = 1 }
+
+local function new_feed()
+  return feed_of.new(function() return 2.5 end, function() return {} end)
+end
 
 -- A statistic that notes what it gets.
 local function notes(code, text)
   local self = { got = {} }
-  function self.message(_, record, counts) self.got[#self.got + 1] = record.name .. (counts and "" or "-") end
+  function self.message(_, record) self.got[#self.got + 1] = record.name end
   function self.finish(_, last)
     self.last = last and last.rel
     return code, text
@@ -20,13 +24,13 @@ local function notes(code, text)
 end
 
 local function offer(feed, frame, name, with, visited)
-  local record = { frame = frame, rel = frame, source = SOURCE, seq = 0, name = name, good = true }
+  local record = { frame = frame, rel = frame, source = SOURCE, seq = 0, name = name, kind = "message", fits = true }
   for key, value in pairs(with or {}) do record[key] = value end
   feed:offer(record, visited or false)
 end
 
 function T.test_messages_in_the_order_of_the_capture()
-  local feed, one = feed_of.new(), notes()
+  local feed, one = new_feed(), notes()
   feed:add(one, false)
   feed:packet(1, 1)
   offer(feed, 2, "a")
@@ -35,29 +39,50 @@ function T.test_messages_in_the_order_of_the_capture()
   offer(feed, 3, "c")
   feed:packet(3, 3)
   feed:packet(4, 8)
-  feed:packet(nil, 9) -- no message waits for its number
-  lu.assertEquals({ feed:finish { { frame = 3, source = SOURCE, name = "d", lost = "unfinished" } } }, { 0, {} })
+  feed:packet(5, 9)
+  lu.assertEquals({ feed:finish { { frame = 3, source = SOURCE, name = "d", kind = "unfinished" } } }, { 0, {} })
   lu.assertEquals({ one.got, one.last }, { { "a", "b", "c", "d" }, 9 })
 end
 
+-- Where nothing has a filter or rests on what comes when, messages need not wait.
 function T.test_messages_that_do_not_wait()
-  local feed, one = feed_of.new(), notes()
+  local feed, one = new_feed(), notes()
   feed:add(one, false)
-  lu.assertFalse(feed:has_filter())
-  local doubt = { void = true }
-  for i, row in ipairs { { "a" }, { "b", lost = "orphan" }, { "c", lost = "orphan" }, { "d", fault = {} },
-    { "e", fault = doubt }, { "f" } } do
-    feed:take { frame = i, rel = i, source = SOURCE, seq = 0, name = row[1], lost = row.lost, fault = row.fault }
+  offer(feed, 1, "a")
+  lu.assertTrue(feed:go_direct())
+  feed:packet(1, 1)
+  offer(feed, 2, "b")
+  offer(feed, 2, "c", { fault = {} })
+  offer(feed, 3, "d", { fault = { void = true } })
+  offer(feed, 3, "e")
+  lu.assertEquals(one.got, { "a", "b", "e" })
+  lu.assertEquals({ feed:finish {} }, { 0, {} })
+  lu.assertEquals(one.got, { "a", "b", "e", "c" })
+  feed:add(notes(), true)
+  lu.assertFalse(feed:go_direct())
+  feed = new_feed()
+  feed:add({ event = function() end }, false)
+  lu.assertFalse(feed:go_direct())
+end
+
+-- What is lost is sure at the end only; a lost message counts once, at the first frame that shows it.
+function T.test_losses()
+  local feed, one = new_feed(), notes()
+  feed:add(one, false)
+  local message, other = {}, {}
+  local rows = { { "a" }, { "b", { void = true }, message }, { "c", {}, message }, { "d" }, { "e", {}, message },
+    { "f", {}, other }, { "g", {} }, { "h", {} } }
+  for frame, row in ipairs(rows) do
+    offer(feed, frame, row[1], { kind = row[2] and "incomplete", fault = row[2], lost = row[3] })
+    feed:packet(frame, frame)
   end
   lu.assertEquals({ feed:finish {} }, { 0, {} })
-  lu.assertEquals(one.got, { "a", "b", "f", "d" }) -- c is a part of b
-  feed:add(one, true)
-  lu.assertTrue(feed:has_filter())
+  lu.assertEquals(one.got, { "a", "d", "c", "f", "g", "h" })
 end
 
 function T.test_what_came_before_is_not_known()
   for tells, code in pairs { [true] = 21, [false] = 0 } do
-    local feed, one = feed_of.new(), notes()
+    local feed, one = new_feed(), notes()
     one.tells_changes = tells
     feed:add(one, false)
     offer(feed, 1, "a", { is_unsure = true })
@@ -68,7 +93,7 @@ function T.test_what_came_before_is_not_known()
 end
 
 function T.test_nothing()
-  local feed, one = feed_of.new(), notes()
+  local feed, one = new_feed(), notes()
   feed:add(one, false)
   lu.assertEquals({ feed:finish {} }, { 0, {} })
   lu.assertEquals({ one.got, one.last }, { {} })
@@ -77,7 +102,7 @@ end
 -- tshark -2 dissects all packets before the first tap runs; a capture may have a single one.
 function T.test_the_first_of_two_passes_does_not_count()
   for count = 1, 3 do
-    local feed, one, expected = feed_of.new(), notes(), {}
+    local feed, one, expected = new_feed(), notes(), {}
     feed:add(one, false)
     for frame = 1, count do offer(feed, frame, "first", {}, false) end
     for frame = 1, count do
@@ -92,7 +117,7 @@ end
 
 -- A message that a read filter rejects, or that is looked at between two passes over the file.
 function T.test_packets_that_no_tap_sees()
-  local feed, one = feed_of.new(), notes()
+  local feed, one = new_feed(), notes()
   feed:add(one, false)
   offer(feed, 5, "rejected")
   offer(feed, 6, "a")
@@ -105,7 +130,7 @@ end
 
 -- tshark -2 -R: the number of a rejected packet is another's in the second pass.
 function T.test_the_number_of_a_rejected_packet()
-  local feed, one = feed_of.new(), notes()
+  local feed, one = new_feed(), notes()
   feed:add(one, false)
   offer(feed, 1, "rejected")
   feed:packet(1, 1.5)
@@ -114,7 +139,7 @@ function T.test_the_number_of_a_rejected_packet()
 end
 
 function T.test_all_packets_come_again()
-  local feed, one = feed_of.new(), notes()
+  local feed, one = new_feed(), notes()
   feed:add(one, false)
   offer(feed, 1, "clicked on", {}, true)
   feed:reset()
@@ -126,8 +151,7 @@ end
 
 -- The taps of a packet run in any order.
 function T.test_filters()
-  local feed, all, some, both = feed_of.new(), notes(), notes(), notes()
-  both.sees_all = true
+  local feed, all, some, both = new_feed(), notes(), notes(), notes()
   feed:add(all, false)
   local entry, another = feed:add(some, true), feed:add(both, true)
   for frame = 30, 70 do
@@ -148,43 +172,11 @@ function T.test_filters()
   expected[#expected + 1] = "33 too"
   lu.assertEquals(some.got, expected)
   lu.assertEquals(#all.got, 43)
-  lu.assertEquals({ both.got[34], both.got[35], both.got[36] }, { "63-", "64", "65-" })
-end
-
--- A message without its Start is orphaned once, however many frames it has.
-function T.test_orphans_of_one_message()
-  local feed, one = feed_of.new(), notes()
-  feed:add(one, false)
-  local frame = 0
-  local function orphan(name, with)
-    frame = frame + 1
-    local more = { lost = "orphan", good = false }
-    for key, value in pairs(with or {}) do more[key] = value end
-    offer(feed, frame, name, more)
-    feed:packet(frame, frame)
-  end
-  local function message(name)
-    frame = frame + 1
-    offer(feed, frame, name)
-    feed:packet(frame, frame)
-  end
-  orphan("a1")
-  orphan("a2")
-  orphan("other's", { source = OTHER })
-  orphan("a3", { is_end = true })
-  orphan("b1")
-  message("c")
-  orphan("d1", { is_end = true })
-  orphan("e1", { is_end = true })
-  orphan("f1", { seq = 7 })
-  orphan("g1", { seq = 8 })
-  orphan("g2", { seq = 8, is_end = true })
-  feed:finish {}
-  lu.assertEquals(table.concat(one.got, " "), "a1 other's b1 c d1 e1 f1 g1")
+  lu.assertEquals(both.got, { "64" })
 end
 
 function T.test_exact_times()
-  local feed = feed_of.new()
+  local feed = new_feed()
   local function time(rel) return { feed:time(rel) } end
   feed:begins(1700000000, 999999999, 0)
   lu.assertEquals(time(0), { 1700000000, 999999999 })
@@ -199,7 +191,7 @@ end
 
 function T.test_what_did_not_hold_comes_before_what_could_not_be_told()
   local function finish(...)
-    local feed = feed_of.new()
+    local feed = new_feed()
     for _, code in ipairs { ... } do feed:add(notes(code ~= 0 and code or nil, "text " .. code), false) end
     return { feed:finish {} }
   end

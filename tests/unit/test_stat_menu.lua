@@ -1,8 +1,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What Wireshark's menus are made of: frames in a text, the page of a flight.
+-- What Wireshark's windows are made of: tables of a width, frames in a text.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local text, page = require("yapp.stat.text"), require("yapp.stat.page")
+local text = require("yapp.stat.output")
 
 local T = {}
 
@@ -21,9 +21,17 @@ function T.test_frames_of_several_tables()
   lu.assertEquals(text.frames(""), {})
 end
 
-function T.test_address_of_a_file()
-  lu.assertEquals(page.address("/home/a b/100%/flug-ü.html"), "file:///home/a%20b/100%25/flug-%C3%BC.html")
-  lu.assertEquals(page.address([[C:\Users\me\flight.html]]), "file:///C:/Users/me/flight.html")
+function T.test_a_table_of_a_width()
+  local rows = { { "can0", 7, "left", "what it says at length" }, { "can1", 12, "ö", "" } }
+  local function table_of(width)
+    return text.table({ "bus", ">frame", "source", "what" }, rows, width, { "bus", "source" })
+  end
+  lu.assertEquals(table_of(nil),
+    "bus   frame  source  what\ncan0      7  left    what it says at length\ncan1     12  ö\n")
+  lu.assertEquals(table_of(43), table_of(nil))
+  lu.assertEquals(table_of(37), "frame  source  what\n    7  left    what it says at length\n   12  ö\n")
+  lu.assertEquals(table_of(36), "frame  what\n    7  what it says at length\n   12\n")
+  lu.assertEquals(table_of(20), "frame  what\n    7  what it says~\n   12\n")
 end
 
 return T

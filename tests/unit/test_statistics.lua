@@ -1,39 +1,36 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Statistics from tables of records: what is counted, what is printed, how a gate ends.
--- luacheck: no max string line length (tables as they are printed)
+-- luacheck: no max line length (tables and JSON as they are printed)
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local catalogue_of = require("yapp.message.catalogue")
+local check, csv = require("yapp.stat.check"), require("yapp.stat.csv")
+local events, summary = require("yapp.stat.events"), require("yapp.stat.summary")
 local options_of = require("yapp.stat.options")
 local feed_of = require("yapp.stat.feed")
 
 local T = {}
 
--- A catalogue of two messages as it is compiled: only what statistics read.
-local FAULT = { name = "fault_flags", kind = "flags", alarm = "FAULT", undefined = 0xF0,
-  flags = { { name = "hot", mask = 0x1 }, { name = "stall", mask = 0x6 } } }
-local VOLTS = { name = "volts", kind = "float", unit = "V", ordinary = 250 }
-local MODE = { name = "mode", kind = "uint", values = { [0] = "off" } }
-local CLOCK = { name = "clock", kind = "time", offset = 1, size = 1 }
-local MOTOR = { name = "motor", title = "Motor Data", id = 0x210, every = 0.1, fields = { VOLTS, FAULT, MODE, CLOCK },
-  alarms = { FAULT }, time = CLOCK }
-local TEXT = { name = "text", kind = "string" }
-local NOTE = { name = "note", title = "Note", id = 1, fields = { TEXT }, alarms = {}, by_name = { text = TEXT },
-  index = { [TEXT] = 1 } }
-MOTOR.by_name, MOTOR.index = {}, {}
-for i, field in ipairs(MOTOR.fields) do MOTOR.by_name[field.name], MOTOR.index[field] = field, i end
-local CATALOGUE = { messages = { MOTOR, NOTE }, by_id = { [0x210] = MOTOR, [1] = NOTE } }
+-- A catalogue of three messages: a volt is a count, 255 is a reserved count.
+local CATALOGUE, PROBLEMS = catalogue_of.compile {
+  { name = "motor", title = "Motor Data", id = 0x210, size = 11, every = 0.1,
+    { "volts", "float8", "Volts", min = 0, max = 250, unit = "V" },
+    { "fault_flags", "uint8", "Faults", group = "fault", alarm = "FAULT",
+      bits = { { "level", 0xC0, "Level", values = { [0] = "a", "b", "c", "d" } } },
+      flags = { { "hot", 0x1, "Hot" }, { "stall", 0x6, "Stall" } } },
+    { "mode", "uint8", "Mode", values = { [0] = "off", [3] = "on" } },
+    { "clock", "int64_ns", "Clock" } },
+  { name = "note", title = "Note", id = 1, size = 1, { "text", "string", "Text", length = 1 } },
+  { name = "health", title = "Health", id = 0x200, size = 8, every = 0.5, { "clock", "int64_ns", "Clock" } },
+}
+lu.assertEquals(PROBLEMS, {})
+local MOTOR, NOTE, HEALTH = CATALOGUE.messages[1], CATALOGUE.messages[2], CATALOGUE.messages[3]
+local FAULT = MOTOR.by_name.fault_flags
 
--- A payload is its first byte: volts; 255 is a reserved count.
-local DECODE = {
-  read = function(_, payload) return { payload:byte(), 0, 3 } end,
-  value = function(_, raw) if raw == 255 then return nil, 0 end return raw end,
-  rounded = function(_, value) return tonumber(("%.7g"):format(value)) end,
-  time = function(payload) return payload:byte(2), 500000000 end,
-}
-local COLUMNS = {
-  columns = function() return { { name = "volts", unit = "V", type = "float", field = VOLTS } } end,
-  row = function(_, payload) return tostring(payload:byte()) end,
-}
+-- A payload of Motor Data; its clock is 4.5 s.
+local function payload(volts, flags, mode)
+  return string.char(volts, flags or 0, mode or 3) .. "\0\x8d\x38\x0c\1\0\0\0"
+end
 
 local LEFT = { key = "a", bus_key = 1, bus = "can0", name = "left", id = 0x210, message = MOTOR }
 local RIGHT = { key = "b", bus_key = 2, bus = 'can"1', id = 0x210, message = MOTOR }
@@ -41,9 +38,19 @@ local ODD = { key = "c", bus_key = 1, bus = "can0", id = 0x300 }
 
 -- A good message of 10 V; with: what is otherwise.
 local function record(frame, rel, with)
-  local one = { frame = frame, rel = rel, source = LEFT, seq = 0, payload = "\10\4", fits = true, good = true }
+  local one = { kind = "message", frame = frame, rel = rel, source = LEFT, seq = 0, payload = payload(10),
+    fits = true }
   for key, value in pairs(with or {}) do one[key] = value end
-  if one.lost or one.is_bad then one.good = false end
+  return one
+end
+
+local function lost(frame, rel, what, source)
+  return record(frame, rel, { kind = "incomplete", what = what, fits = false, source = source })
+end
+
+local function bad(frame, rel, with)
+  local one = record(frame, rel, with)
+  one.kind = "crc"
   return one
 end
 
@@ -51,21 +58,25 @@ local function raised(value, bits, cleared)
   return { flags = { { field = FAULT, value = value, raised = bits, cleared = cleared or 0 } } }
 end
 
+local NEW = { summary = summary.new, compare = summary.compare, faults = events.new, events = events.new,
+  csv = csv.new, check = check.new }
+
 -- Runs statistics over records; last: when the last packet came; matches: { [frame] = true } of a filter; epoch: of the
--- first packet.  Returns what was printed, the code, and the texts.
+-- first packet; named: sources.  Returns what was printed, the code, and the texts.
 local function run(arguments, records, with)
   with = with or {}
-  local printed, feed, entry = {}, feed_of.new()
+  local named = with.named or { { id = 0x210, name = "left" } }
+  local function late() return 2.5 end
+  local printed, feed, entry = {}, feed_of.new(late, function() return named end), nil
   for _, argument in ipairs(arguments) do
     local catalogue = with.catalogue or CATALOGUE
     local options = options_of.read("yapp," .. argument, catalogue)
-    if argument:find("^check") == nil then lu.assertEquals(options.problems, {}) end
-    local context = { out = function(text) printed[#printed + 1] = text end, decode = with.decode or DECODE,
-      columns = COLUMNS, version = "9.8.7", clock = function(rel) return feed:time(rel) end, catalogue = catalogue,
-      is_whole = not with.is_broken,
-      late = function() return 2.5 end, has_source = function(name) return name == "left" end,
+    if not argument:find("^check") then lu.assertEquals(options.problems, {}) end
+    local context = { out = function(text) printed[#printed + 1] = text end, version = "9.8.7",
+      clock = function(rel) return feed:time(rel) end, catalogue = catalogue, width = with.width,
+      problems = function() return { with.problem } end, late = late, named = function() return named end,
       make_folder = with.make_folder }
-    local statistic, problem = require("yapp.stat." .. options.what).new(options, context)
+    local statistic, problem = NEW[options.what](options, context)
     if not statistic then return nil, nil, { problem } end
     entry = feed:add(statistic, with.matches ~= nil)
   end
@@ -90,17 +101,18 @@ end
 
 function T.test_summary()
   local printed = run({ "summary,json" }, { record(1, 0),
-    record(2, 0.5, { payload = "\20\4", change = { late = 0.5 } }),
-    record(3, 0.6, { is_bad = true, payload = "\200\4" }),
-    record(4, 0.7, { payload = "\255\4", change = { reboot = true } }), record(5, 0.8, { lost = "orphan" }),
+    record(2, 0.5, { payload = payload(20), change = { late = 0.5 } }),
+    bad(3, 0.6, { payload = payload(200) }),
+    record(4, 0.7, { payload = payload(255), change = { reboot = true } }), lost(5, 0.8, "orphan"),
     record(6, 0.9, { source = ODD, fits = false }) })
   lu.assertEquals(lines(printed), {
     '{"bus":"can0","id":528,"source":"left","message":"motor","count":3,"rate":2.8571428571428572,' ..
       '"gap_min":0.200000000,"gap_mean":0.350000000,"gap_max":0.500000000,"gap_max_frame":2,' ..
-      '"crc_bad":1,"incomplete":1,"late":1,"reboots":1,"values":{"volts":{"min":10,"mean":15,"max":20}}}',
+      '"crc_bad":1,"incomplete":1,"late":1,"reboots":1,"values":{"volts":{"min":10,"mean":15,"max":20}},' ..
+      '"invalid":0,"skipped":0}',
     '{"bus":"can0","id":768,"source":null,"message":null,"count":1,"rate":null,"gap_min":null,' ..
       '"gap_mean":null,"gap_max":null,"gap_max_frame":null,"crc_bad":0,"incomplete":0,' ..
-      '"late":0,"reboots":0,"values":{}}' })
+      '"late":0,"reboots":0,"values":{},"invalid":0,"skipped":0}' })
 end
 
 function T.test_summary_in_words()
@@ -109,9 +121,9 @@ function T.test_summary_in_words()
   lu.assertEquals(printed, [[
 YAPP summary: 2 sources in 2.000 s
 
-bus    ID     source  message     count  rate/Hz  gap/ms min     mean      max  in frame  bad CRC  incomplete  late  reboots
-can0   0x210  left    Motor Data      2    4.000     250.000  250.000  250.000         3        0           0     0        0
-can"1  0x210          Motor Data      1                                                         0           0     0        0
+bus    ID     source  message     count  rate/Hz  gap/ms min     mean      max  in frame  bad CRC  incomplete  late  reboots  invalid  skipped
+can0   0x210  left    Motor Data      2    4.000     250.000  250.000  250.000         3        0           0     0        0        0        0
+can"1  0x210          Motor Data      1                                                         0           0     0        0        0        0
 
 bus    ID     source  message     field  unit  min  mean  max  values
 can0   0x210  left    Motor Data  volts  V      10    10   10       2
@@ -131,7 +143,7 @@ function T.test_faults_with_bits_of_one_flag_and_bits_of_none()
   local found = {}
   for i, line in ipairs(lines((run({ "faults,json" }, FAULTY)))) do
     found[i] = line:match('"frame":(%d+)') .. " " .. line:match('"flag":"([^"]*)"') .. " " ..
-      line:match('"event":"([^"]*)"') .. " " .. line:match('"active":([^}]*)')
+      line:match('"event":"([^"]*)"') .. " " .. line:match('"active":([^,]*)')
   end
   lu.assertEquals(found, { "1 hot raised null", "2 stall raised null", "2 undefined_0x20 raised null",
     "3 hot cleared 2.000000000", "4 stall active 2.500000000", "4 undefined_0x20 active 2.500000000" })
@@ -188,17 +200,17 @@ end
 
 function T.test_events_are_in_the_order_of_time()
   local printed = run({ "events,json" }, { record(1, 0), record(2, 1, { source = RIGHT }),
-    record(3, 2, { change = { late = 2, reboot = true } }), record(4, 2.1, { is_bad = true }),
-    record(5, 2.2, { lost = "orphan" }), record(6, 2.25, { change = { stale = true } }),
-    record(7, 2.3, { lost = "incomplete", source = RIGHT }) },
-    { last = 2.4, unfinished = { record(7, 2.35, { lost = "unfinished" }) } })
+    record(3, 2, { change = { late = 2, reboot = true } }), bad(4, 2.1),
+    lost(5, 2.2, "orphan"), record(6, 2.25, { change = { stale = true } }),
+    lost(7, 2.3, "incomplete", RIGHT) },
+    { last = 2.4, unfinished = { record(7, 2.35, { kind = "unfinished" }) } })
   lu.assertEquals(kinds(printed), { "silence 00.000000005 1 2.000000000", "silence 01.000000005 2 1.400000000",
     "reboot 02.000000005 3 ", "crc 02.100000005 4 ", "incomplete 02.200000005 5 orphan", "stale 02.250000005 6 ",
     "incomplete 02.300000005 7 incomplete", "unfinished 02.350000005 7 " })
 end
 
 function T.test_events_in_words()
-  local records = { record(1, 0), record(2, 0.1, { lost = "overrun", source = ODD }) }
+  local records = { record(1, 0), lost(2, 0.1, "overrun", ODD) }
   lu.assertEquals(run({ "events" }, records, { last = 5 }), [[
 YAPP events: 2
 
@@ -210,7 +222,9 @@ end
 
 -- csv -----------------------------------------------------------------------------------------------------------
 
-local ROWS = { record(1, 0.25), record(2, 0.5, { is_bad = true }), record(3, 1, { source = RIGHT, seq = 7 }),
+local COLUMNS = "volts,volts_special,fault_flags,fault_hot,fault_stall,level,level_text,mode,mode_text,clock"
+local CELLS = "10,,0,0,0,0,a,3,on,4.500000000"
+local ROWS = { record(1, 0.25), bad(2, 0.5), record(3, 1, { source = RIGHT, seq = 7 }),
   record(4, 2, { fits = false }), record(5, 3, { source = ODD, fits = false }) }
 
 local function read(path)
@@ -231,16 +245,16 @@ local function with_folder(test)
 end
 
 function T.test_csv_is_printed()
-  lu.assertEquals(run({ "csv,-,motor" }, ROWS), "time,frame,bus,source,id,seq,volts\n" ..
-    "1700000000.250000005,1,can0,left,528,0,10\n" .. '1700000001.000000005,3,"can""1",,528,7,10\n')
-  lu.assertEquals(run({ "csv,-,motor,all" }, { ROWS[2] }), "time,frame,bus,source,id,seq,crc_good,volts\n" ..
-    "1700000000.500000005,2,can0,left,528,0,0,10\n")
+  lu.assertEquals(run({ "csv,-,motor" }, ROWS), "time,frame,bus,source,id,seq," .. COLUMNS .. "\n" ..
+    "1700000000.250000005,1,can0,left,528,0," .. CELLS .. "\n" .. '1700000001.000000005,3,"can""1",,528,7,' .. CELLS .. "\n")
+  lu.assertEquals(run({ "csv,-,motor,all" }, { ROWS[2] }), "time,frame,bus,source,id,seq,crc_good," .. COLUMNS .. "\n" ..
+    "1700000000.500000005,2,can0,left,528,0,0," .. CELLS .. "\n")
 end
 
 function T.test_csv_before_1970()
   lu.assertEquals(lines(run({ "csv,-,motor" }, { record(1, 0), record(2, 0.75), record(3, 2) }, { epoch = -2 })), {
-    "time,frame,bus,source,id,seq,volts", "-1.999999995,1,can0,left,528,0,10", "-1.249999995,2,can0,left,528,0,10",
-    "0.000000005,3,can0,left,528,0,10" })
+    "time,frame,bus,source,id,seq," .. COLUMNS, "-1.999999995,1,can0,left,528,0," .. CELLS, "-1.249999995,2,can0,left,528,0," .. CELLS,
+    "0.000000005,3,can0,left,528,0," .. CELLS })
 end
 
 -- A folder in the place of a file: nothing of the table is left, and the folder stays.
@@ -261,9 +275,9 @@ function T.test_csv_in_a_folder()
   with_folder(function(folder, with)
     local printed, code = run({ "csv," .. folder }, ROWS, with)
     lu.assertEquals(code, 0)
-    lu.assertStrContains(printed, "motor.csv  2 messages")
+    lu.assertStrContains(printed, "motor.csv   2 messages")
     lu.assertEquals(#lines(read(folder .. "/motor.csv")), 3)
-    lu.assertEquals(read(folder .. "/note.csv"), "time,frame,bus,source,id,seq,volts\n")
+    lu.assertEquals(read(folder .. "/note.csv"), "time,frame,bus,source,id,seq,text\n")
     lu.assertStrContains(read(folder .. "/fields.json"), '{"version":1,"plugin":"9.8.7","messages":{"motor":' ..
       '{"title":"Motor Data","every":0.1,"columns":[{"name":"time",')
     lu.assertNil(io.open(folder .. "/motor.csv.part"))
@@ -298,7 +312,7 @@ end
 
 -- The verdicts of rules over records: "rule source ok seen frame", each a line.
 local function verdicts(rules, records, with)
-  local printed, code, texts = run({ "check,json," .. rules }, records, with)
+  local printed, code, texts = run({ "check,json" .. (rules == "" and "" or "," .. rules) }, records, with)
   local found = {}
   for i, line in ipairs(lines(printed)) do
     found[i] = ("%s %s %s %s %s"):format(line:match('"rule":"([^"]*)"'), line:match('"source":"?([^",]*)'),
@@ -309,8 +323,8 @@ end
 
 function T.test_check_counts_by_source()
   local records = { record(1, 0, { change = raised(1, 1) }), record(2, 1, { source = RIGHT }),
-    record(3, 2, { is_bad = true }), record(4, 3, { change = { reboot = true, stale = true } }),
-    record(5, 4, { lost = "orphan" }),
+    bad(3, 2), record(4, 3, { change = { reboot = true, stale = true } }),
+    lost(5, 4, "orphan"),
     record(6, 5, { change = raised(0, 0, 1) }) }
   local found, code = verdicts("fault=0,crc=0,incomplete=1,reboot=0,stale=1", records)
   lu.assertEquals(found, { "fault=0 left false 1 1", "fault=0 null true 0 null", "crc=0 left false 1 3",
@@ -342,12 +356,12 @@ function T.test_check_rates_and_gaps()
 end
 
 function T.test_check_ranges()
-  local records = { record(1, 0), record(2, 1, { payload = "\40\4" }), record(3, 2, { payload = "\60\4" }) }
+  local records = { record(1, 0), record(2, 1, { payload = payload(40) }), record(3, 2, { payload = payload(60) }) }
   for range, expected in pairs { ["10..60"] = "true 0 null", ["10.."] = "true 0 null", ["..60"] = "true 0 null",
     ["11..59"] = "false 2 1", ["..39.5"] = "false 2 3", ["-1e3..1E+2"] = "true 0 null" } do
     lu.assertEquals(verdicts("motor.volts=" .. range, records)[1], ("motor.volts=%s left %s"):format(range, expected))
   end
-  records[4] = record(4, 3, { payload = "\255\4" }) -- a reserved count is outside
+  records[4] = record(4, 3, { payload = payload(255) }) -- a reserved count is outside
   lu.assertEquals(verdicts("motor.volts=0..", records)[1], "motor.volts=0.. left false 1 4")
   lu.assertEquals(verdicts("motor.mode=3..3,motor.fault_flags=..0,motor.clock=4.5..4.5", records), {
     "motor.mode=3..3 left true 0 null", "motor.fault_flags=..0 left true 0 null",
@@ -356,22 +370,18 @@ end
 
 -- Numbers of 64 bits that a double has not exactly are texts until they are counted.
 function T.test_numbers_of_64_bits()
-  local wide = { name = "wide", kind = "uint", size = 8 }
-  local message = { name = "big", title = "Big", id = 2, fields = { wide }, alarms = {}, by_name = { wide = wide },
-    index = { [wide] = 1 } }
-  local source = { key = "w", id = 2, message = message }
-  local decode = { read = function(_, payload) return { tonumber(payload) < 10 and tonumber(payload) or payload } end,
-    value = function(_, raw) return raw end }
-  local records = { record(1, 0, { source = source, payload = "3" }),
-    record(2, 1, { source = source, payload = "18446744073709551615" }) }
-  local with = { decode = decode, catalogue = { messages = { message }, by_id = {} } }
+  local catalogue = catalogue_of.compile { { name = "big", title = "Big", id = 2, size = 8,
+    { "wide", "uint64", "Wide" } } }
+  local source = { key = "w", id = 2, message = catalogue.messages[1] }
+  local records = { record(1, 0, { source = source, payload = "\3\0\0\0\0\0\0\0" }),
+    record(2, 1, { source = source, payload = ("\255"):rep(8) }) }
+  local with = { catalogue = catalogue }
   lu.assertEquals(verdicts("big.wide=0..2e19", records, with)[1], "big.wide=0..2e19 null true 0 null")
   lu.assertEquals(verdicts("big.wide=0..2e18", records, with)[1], "big.wide=0..2e18 null false 1 2")
   lu.assertStrContains(run({ "summary,json" }, records, with),
     '"min":3,"mean":9.2233720368547758e+18,"max":1.8446744073709552e+19')
   local since_1970 = {} -- in µs: their sum has more than 64 bits
-  for i = 1, 6000 do since_1970[i] = record(i, i, { source = source, payload = "1700000000000000" }) end
-  with.decode.read = function(_, payload) return { tonumber(payload) } end
+  for i = 1, 6000 do since_1970[i] = record(i, i, { source = source, payload = "\0\64\30\24\36\10\6\0" }) end
   lu.assertStrContains(run({ "summary,json" }, since_1970, with), '"mean":1700000000000000,')
 end
 
@@ -392,11 +402,11 @@ function T.test_what_cannot_be_judged()
   lu.assertEquals(code_of("unknown=0", {}), 21)
   lu.assertEquals(code_of("note.count=1", good), 21)
   lu.assertEquals(code_of("source=nobody,motor.count=1", good), 21)
-  lu.assertEquals(code_of("fault=0", { record(1, 0, { is_bad = true }) }), 21)
+  lu.assertEquals(code_of("fault=0", { bad(1, 0) }), 21)
   lu.assertEquals(code_of("motor.rate=1", { record(1, 0), record(2, 0) }), 21)
-  lu.assertEquals(code_of("crc=0", good, { is_broken = true }), 21)
+  lu.assertEquals(code_of("crc=0", good, { problem = "the catalogue did not load whole" }), 21)
   lu.assertEquals(code_of("crc=0,nonsense=1", good), 21)
-  lu.assertEquals(code_of("unknown=0", { record(1, 0, { lost = "incomplete", source = ODD }) }), 21)
+  lu.assertEquals(code_of("unknown=0", { lost(1, 0, "incomplete", ODD) }), 21)
   local unsure = record(2, 1, { is_unsure = true }) -- what came before it is not known
   lu.assertEquals(code_of("fault=0", { good[1], unsure }), 21)
   lu.assertEquals(code_of("crc=0", { good[1], unsure }), 0)
@@ -406,7 +416,7 @@ function T.test_what_cannot_be_judged()
 end
 
 function T.test_rules_about_one_source()
-  local records = { record(1, 0), record(2, 1, { source = RIGHT, is_bad = true }) }
+  local records = { record(1, 0), bad(2, 1, { source = RIGHT }) }
   local found, code = verdicts("source=left,crc=0,motor.count=1", records)
   lu.assertEquals(found, { "crc=0 left true 0 null", "motor.count=1 left true 1 1", "unknown=0 null true 0 null" })
   lu.assertEquals(code, 0)
@@ -419,11 +429,11 @@ end
 
 function T.test_check_in_words()
   lu.assertEquals(run({ "check,motor.volts=20..30,motor.gap=1,note.count=1" }, { record(1, 0), record(2, 0.5) }), [[
-check       rule                bus   ID     source  message     seen                         frame
-FAILED      motor.volts=20..30  can0  0x210  left    Motor Data  2 of 2 outside, worst 10         1
-ok          motor.gap=1         can0  0x210  left    Motor Data  0.500000 s                       2
-NOT JUDGED  note.count=1                                         no message that it is about
-ok          unknown=0                                            0
+check       rule                bus   ID     source  message     frame  seen
+FAILED      motor.volts=20..30  can0  0x210  left    Motor Data      1  2 of 2 outside, worst 10
+ok          motor.gap=1         can0  0x210  left    Motor Data      2  0.500000 s
+NOT JUDGED  note.count=1                                                no message that it is about
+ok          unknown=0                                                   0
 
 YAPP check: FAILED
 ]])
@@ -446,7 +456,192 @@ function T.test_a_report_for_ci()
     local _, unwritable, texts = run({ "check,crc=0,junit=" .. folder .. "/none/x.xml" }, { record(1, 0) })
     lu.assertEquals(unwritable, 21)
     lu.assertStrContains(texts[1], "the report is not written")
+    run({ "check,crc=0,x=1,junit=" .. path }, { record(1, 0) }, { problem = "own.lua was not read" })
+    lu.assertStrContains(read(path), 'tests="4" failures="0" errors="2"')
+    lu.assertStrContains(read(path), '<error message="own.lua was not read"/>')
   end)
+end
+
+-- New kinds of event ------------------------------------------------------------------------------------------------
+
+local UNDEFINED = { invalid = { { 4, "value.invalid" } }, payload = payload(10, 0, 7) } -- a mode that stands in no table
+local STREAM = { key = "s", bus_key = 3, bus = "ttyA" }
+
+local function skipped(frame, rel) return record(frame, rel, { kind = "skipped", source = STREAM, length = 5 }) end
+
+-- The lines of a statistic that have a text, without time and who.
+local function found(what, text, records, with)
+  local list = {}
+  for _, line in ipairs(lines((run({ what }, records, with)))) do
+    if line:find(text, 1, true) then list[#list + 1] = line:gsub('"time":.-"message":[^,}]*', "") end
+  end
+  return list
+end
+
+-- A change of bits that are a part, in a field that has faults, is none.
+function T.test_a_part_is_no_fault()
+  local records = { record(1, 0), record(2, 0.1, { change = raised(0x40, 0x40) }) }
+  lu.assertEquals(run({ "faults" }, records), "YAPP faults: none\n")
+  lu.assertEquals(verdicts("fault=0", records)[1], "fault=0 left true 0 null")
+end
+
+-- A compiled field says which of its bits are faults.
+function T.test_faults_by_alarm_bits()
+  local field = { name = "state", undefined = 0, alarm_bits = 0x20, flags = { { name = "ready", mask = 1 },
+    { name = "faulted", mask = 0x20, help = "look at the fault flags" } } }
+  local function change(value, up, down)
+    return { change = { flags = { { field = field, value = value, raised = up, cleared = down } } } }
+  end
+  local records = { record(1, 0, change(0x21, 0x21, 0)), record(2, 1, change(0x20, 0, 1)), record(3, 2, change(0, 0, 0x20)) }
+  lu.assertEquals(found("faults,json", "", records), {
+    '{,"field":"state","flag":"faulted","event":"raised","active":null,"help":"look at the fault flags"}',
+    '{,"field":"state","flag":"faulted","event":"cleared","active":2.000000000,"help":"look at the fault flags"}' })
+  lu.assertStrContains(run({ "faults" }, records), "raised             look at the fault flags")
+  lu.assertEquals(verdicts("fault=0", records)[1], "fault=0 left false 1 1")
+end
+
+function T.test_what_the_catalogue_does_not_define()
+  local records = { record(1, 0), record(2, 0.1, UNDEFINED), record(3, 0.2, { payload = payload(10, 0x20, 7),
+    invalid = { { 2, "flags.undefined" }, { 4, "value.invalid" } } }) }
+  lu.assertEquals(found("events,json", "invalid", records), { '{"kind":"invalid",,"field":"mode","value":7}',
+    '{"kind":"invalid",,"field":"fault_flags","value":32}', '{"kind":"invalid",,"field":"mode","value":7}' })
+  lu.assertStrContains(run({ "events" }, records), "invalid  mode has 7, which is not defined, in 2 messages\n")
+  lu.assertStrContains(run({ "summary,json" }, records), '"invalid":2,"skipped":0}') -- messages
+  lu.assertEquals(verdicts("invalid=1,invalid=2", records),
+    { "invalid=1 left false 2 2", "invalid=2 left true 2 2", "unknown=0 null true 0 null" })
+end
+
+function T.test_silences()
+  local records = { record(1, 0), record(2, 1, { change = { late = 1 } }), record(3, 1.1) }
+  lu.assertEquals(verdicts("silence=1", records, { last = 1.2 })[1], "silence=1 left true 1 1")
+  lu.assertEquals(verdicts("silence=1", records, { last = 2 })[1], "silence=1 left false 2 1") -- to the end
+  lu.assertStrContains(run({ "summary,json" }, records, { last = 2 }), '"late":1,')
+end
+
+function T.test_bytes_of_no_frame()
+  local records = { record(1, 0), skipped(2, 0.1), skipped(3, 0.2) }
+  lu.assertEquals(found("events,json", "skipped", records), { '{"kind":"skipped",,"length":5}', '{"kind":"skipped",,"length":5}' })
+  lu.assertStrContains(run({ "events" }, records), "5 bytes of no frame")
+  lu.assertStrContains(run({ "summary,json" }, records), '{"bus":"ttyA","id":null,"source":null,"message":null,"count":0,')
+  lu.assertStrContains(run({ "summary,json" }, records), '"invalid":0,"skipped":2}')
+  lu.assertEquals(verdicts("skipped=1,incomplete=0", records),
+    { "skipped=1 null false 2 2", "incomplete=0 left true 0 null", "unknown=0 null true 0 null" })
+  lu.assertEquals({ verdicts("skipped=0", { record(1, 0) }) }, { { "skipped=0 null true 0 null",
+    "unknown=0 null true 0 null" }, 0, {} })
+  lu.assertEquals(select(2, verdicts("skipped=0", {})), 21)
+end
+
+local NAMED = { { id = 0x210, name = "left", message = MOTOR }, { id = 0x210, bus = "can9", name = "right", message = MOTOR },
+  { id = 0x211, message = MOTOR }, { id = 0x212, name = "tail" } }
+
+function T.test_sources_that_never_came()
+  local records, with = { record(1, 0) }, { named = NAMED, last = 0.1 }
+  lu.assertEquals(lines((run({ "events,json" }, records, with))), {
+    '{"kind":"absent","time":1700000000.100000005,"frame":null,"bus":"can9","id":528,"source":"right","message":"motor"}',
+    '{"kind":"absent","time":1700000000.100000005,"frame":null,"bus":null,"id":529,"source":null,"message":"motor"}' })
+  lu.assertStrContains(run({ "events" }, records, with), "no message of it came")
+  lu.assertEquals(verdicts("absent=1,absent=2", records, with), { "absent=1 null false 2 null", "absent=2 null true 2 null",
+    "unknown=0 null true 0 null" })
+  lu.assertStrContains(run({ "check,absent=1" }, records, with), "2: right, 0x211")
+  lu.assertEquals(verdicts("source=right,absent=0", records, with)[1], "absent=0 right false 1 null")
+  lu.assertEquals(verdicts("source=left,absent=0", records, with)[1], "absent=0 left true 0 null")
+  lu.assertEquals(select(2, verdicts("absent=0", records)), 21) -- nobody is named with a message
+end
+
+function T.test_spread()
+  local records = { record(1, 0, { payload = payload(10) }), record(2, 0.1, { source = RIGHT, payload = payload(12) }),
+    record(3, 0.2, { payload = payload(11) }), -- 1 apart
+    record(4, 0.3, { payload = payload(255) }), record(5, 0.4, { payload = payload(200) }), -- RIGHT's is too old by now
+    record(6, 0.5, { source = RIGHT, payload = payload(199) }) }
+  local printed = { verdicts("motor.volts.spread=2,motor.volts.spread=1", records) }
+  lu.assertEquals(printed, { { "motor.volts.spread=2 null true 2 2", "motor.volts.spread=1 null false 2 2",
+    "unknown=0 null true 0 null" }, 20, {} })
+  records[5].rel = 0.35 -- just as old as a value may be
+  lu.assertEquals(verdicts("motor.volts.spread=2", records)[1], "motor.volts.spread=2 null false 188 5")
+  lu.assertEquals(select(2, verdicts("motor.volts.spread=2", { record(1, 0), record(2, 1) })), 21)
+  lu.assertEquals(lines((run({ "compare,json" }, records)))[1], '{"message":"motor","field":"volts","unit":"V",' ..
+    '"spread":188,"time":1700000000.350000005,"frame":5,"sources":[{"bus":"can0","id":528,"source":"left","count":3,' ..
+    '"min":10,"mean":73.666666666666671,"max":200},{"bus":"can\\"1","id":528,"source":null,"count":2,"min":12,' ..
+    '"mean":105.5,"max":199}]}')
+  lu.assertEquals(run({ "compare" }, records), [[
+YAPP compare: 2 sources of Motor Data
+
+field  unit  source       min     mean  max  spread  since start/s  frame
+volts  V     left          10  73.6667  200     188       0.350000      5
+             can"1 0x210   12    105.5  199
+]])
+  lu.assertEquals(run({ "compare" }, { record(1, 0) }), "YAPP compare: no message has several sources\n")
+end
+
+-- One reboot of a controller, which two of its messages tell.
+function T.test_a_reboot_is_one_line()
+  local function source(id, message, name)
+    return { key = id, bus_key = 1, bus = "can0", id = id, message = message, name = name }
+  end
+  local function reboots(...)
+    local records = {}
+    for i, one in ipairs { ... } do records[i] = record(i, i / 10, { source = one, change = { reboot = true } }) end
+    lu.assertEquals(#found("events,json", "reboot", records), #records)
+    local rows = lines((run({ "events" }, records)))
+    return #rows - 2, rows[3]
+  end
+  local count, row = reboots(source(0x211, MOTOR), source(0x201, HEALTH))
+  lu.assertEquals(count, 1)
+  lu.assertStrContains(row, "0x211, 0x201  Motor Data, Health  reboot")
+  lu.assertEquals(reboots(source(0x210, MOTOR), source(0x201, HEALTH)), 2)
+  lu.assertEquals(reboots(source(0x210, MOTOR, "left"), source(0x207, HEALTH, "left")), 1)
+  lu.assertEquals(reboots(source(0x210, MOTOR), RIGHT), 2)
+  local one = source(0x210, MOTOR)
+  lu.assertEquals(reboots(one, one), 2)
+end
+
+-- `check` alone -----------------------------------------------------------------------------------------------------
+
+function T.test_all_is_well()
+  local names, records = {}, { record(1, 0), record(2, 0.1) }
+  local found_, code = verdicts("", records, { named = { NAMED[1] } })
+  for i, line in ipairs(found_) do names[i] = line:match("^[^ ]+ [^ ]+ [^ ]+") end
+  lu.assertEquals(names, { "fault=0 left true", "crc=0 left true", "incomplete=0 left true", "reboot=0 left true",
+    "stale=0 left true", "silence=0 left true", "invalid=0 left true", "absent=0 null true", "unknown=0 null true" })
+  lu.assertEquals(code, 0)
+  local note = { key = "n", id = 1, message = NOTE } -- no faults, no clock, no period
+  lu.assertEquals(select(2, verdicts("", { record(1, 0, { source = note }) })), 0)
+  lu.assertEquals(select(2, verdicts("source=left", records)), 0)
+end
+
+function T.test_what_is_not_well()
+  local good = record(1, 0)
+  local function code_of(second, with, rules) return (select(2, verdicts(rules or "", { good, second }, with))) end
+  lu.assertEquals(code_of(record(2, 0.1, { change = raised(1, 1) })), 20)
+  lu.assertEquals(code_of(bad(2, 0.1)), 20)
+  lu.assertEquals(code_of(lost(2, 0.1, "orphan")), 20)
+  lu.assertEquals(code_of(nil, { unfinished = { record(2, 0.1, { kind = "unfinished" }) } }), 20)
+  lu.assertEquals(code_of(record(2, 0.1, { change = { reboot = true } })), 20)
+  lu.assertEquals(code_of(record(2, 0.1, { change = { stale = true } })), 20)
+  lu.assertEquals(code_of(record(2, 0.3, { change = { late = 0.3 } })), 20)
+  lu.assertEquals(code_of(nil, { last = 0.3 }), 20)
+  lu.assertEquals(code_of(record(2, 0.1, UNDEFINED)), 20)
+  lu.assertEquals(code_of(nil, { named = NAMED }), 20)
+  lu.assertEquals(code_of(nil, { named = NAMED }, "source=right"), 20)
+  lu.assertEquals(code_of(record(2, 0.1, { source = ODD, fits = false })), 20)
+  lu.assertEquals(code_of(skipped(2, 0.1)), 0) -- a shell may write there
+  lu.assertEquals(code_of(nil, { problem = "x.lua was not read" }), 21)
+  lu.assertEquals(select(2, verdicts("", {})), 21) -- nothing came
+  lu.assertEquals(select(2, verdicts("", { skipped(1, 0) })), 21)
+  lu.assertEquals(code_of(nil, nil, "source=nobody"), 21)
+end
+
+-- A window of Wireshark has room for 80 characters: each row is one line of it.
+function T.test_tables_fit_a_window()
+  local flag = { name = ("long"):rep(12), mask = 1 }
+  local change = { flags = { { field = { name = "f", alarm_bits = 1, flags = { flag } }, value = 1, raised = 1, cleared = 0 } },
+    reboot = true, late = 0.9 }
+  local records = { record(1, 0), record(99999, 1, { change = change }), record(100000, 1.1, { source = RIGHT }) }
+  for _, what in ipairs { "summary", "faults", "events", "compare", "check" } do
+    local printed = run({ what }, records, { width = 80, last = 9, named = NAMED })
+    for _, line in ipairs(lines(printed)) do lu.assertTrue(#line <= 80, line) end
+    lu.assertStrContains(printed, "left")
+  end
 end
 
 -- Options -------------------------------------------------------------------------------------------------------
@@ -464,7 +659,8 @@ end
 
 function T.test_wrong_options_are_named()
   local expected = {
-    ["nonsense"] = "yapp,nonsense: it is yapp,summary or yapp,faults or yapp,events or yapp,csv or yapp,check",
+    ["nonsense"] = "yapp,nonsense: it is yapp,summary or yapp,faults or yapp,events or yapp,compare or " ..
+      "yapp,csv or yapp,check",
     ["summary,jsn"] = "jsn: the options of summary are json, filter=EXPRESSION",
     ["faults,"] = "an empty option: the options of faults are json, filter=EXPRESSION",
     ["events,filter= "] = "filter=: the display filter is missing",
@@ -478,8 +674,8 @@ function T.test_wrong_options_are_named()
     ["check,motor.rate=fast"] = 'motor.rate=fast: "fast" is not a rate',
     ["check,motor.rate=nan"] = 'motor.rate=nan: "nan" is not a rate',
     ["check,motor.gap=-1"] = 'motor.gap=-1: "-1" is not a gap',
-    ["check,motr.rate=1"] = 'motr.rate=1: there is no message "motr", but motor, note',
-    ["check,motor.volt=1..2"] = 'motor.volt=1..2: motor has no field "volt", but volts, fault_flags, mode, clock',
+    ["check,motr.rate=1"] = 'motr.rate=1: there is no message "motr", but motor, note, health',
+    ["check,motor.volt=1..2"] = 'motor.volt=1..2: motor has no field "volt", but volts, fault_flags, level, mode, clock',
     ["check,motor.volts=3"] = "motor.volts=3: a range is A..B, A.. or ..B",
     ["check,note.text=0..1"] = "note.text=0..1: note.text is a text, which has no range",
     ["check,motor.volts=.."] = "motor.volts=..: a range is A..B, A.. or ..B",
@@ -487,13 +683,15 @@ function T.test_wrong_options_are_named()
     ["check,motor.volts=0x5..9"] = "motor.volts=0x5..9: a range is A..B, A.. or ..B",
     ["check,fault=0,source=x"] = "source=x: no rule follows: it is for those behind it",
     ["check,source=x,source=y,fault=0"] = "source=x: no rule follows: it is for those behind it",
+    ["check,source=x,motor.volts.spread=1"] = "motor.volts.spread=1: a spread is of all sources, not of one",
+    ["check,motor.volts.spread=-1"] = 'motor.volts.spread=-1: "-1" is not a spread',
+    ["check,motor.volt.spread=1"] = 'motor.volt.spread=1: motor has no field "volt", but volts, fault_flags, level, mode, clock',
     ["check,source="] = "source=: the name is missing",
     ["check,junit="] = "junit=: the file is missing",
   }
   for text, problem in pairs(expected) do
     lu.assertEquals(options_of.read("yapp," .. text, CATALOGUE).problems[1], problem)
   end
-  lu.assertStrContains(options_of.read("yapp,check", CATALOGUE).problems[1], "it needs a rule")
   lu.assertStrContains(options_of.read("yapp,check,fault", CATALOGUE).problems[1], "a rule is one of fault=N")
 end
 

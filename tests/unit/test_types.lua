@@ -216,7 +216,7 @@ function T.test_columns_are_described()
     local json = '{"name":"%s","unit":null,"type":"%s","filter":"taurus.m.%s","title":"%s",%s}'
     return json:format(name, type, rest.filter or name, title, rest[1] or '"kind":null,"bits":null,"values":null')
   end
-  lu.assertEquals(require("yapp.stat.fields").describe(compiled, "9.8.7", columns.columns),
+  lu.assertEquals(require("yapp.stat.csv").describe(compiled, "9.8.7", columns.columns),
     '{"version":1,"plugin":"9.8.7","messages":{"m":{"title":"M","every":0.5,"columns":[' .. table.concat({
       column("mode", "integer", "Mode", { '"kind":"int","bits":8,"values":{"-1":"lost","2":"a \\"b\\"","10":"ten"}' }),
       column("mode_text", "string", "Mode", { filter = "mode" }),

@@ -138,6 +138,11 @@ local function show_skipped(self, view, tvb, at, bytes)
     local skipped = item:add(builder.fields.skipped, tvb(at, #bytes))
     if text then skipped:append_text(" " .. text) end
   end
+  local fact, stat = view.fact, self.reader.stat
+  if stat.wanted then
+    self.reader.tell:skipped { frame = fact.number, time = view.pinfo.rel_ts, visited = fact.visited,
+      bus = view.bus_key, bus_name = view.bus_name, source = fact.stream, length = #bytes }
+  end
   builder:expert(item, "stream.skipped", ("%s that belong to no frame%s"):format(
     builder.bytes(#bytes), text and ": " .. text or ""))
   return ("Skipped %s%s"):format(builder.bytes(#bytes), text and " " .. text or "")
@@ -295,7 +300,8 @@ function Carrier:skipped(tvb, pinfo, tree)
   local size = tvb:len()
   if size > 0 then
     show(self, { tvb = tvb, pinfo = pinfo, tree = tree, wants = self.tree:wants(tree, pinfo, true),
-      fact = { bytes = tvb:raw() },
+      fact = { bytes = tvb:raw(), number = pinfo.number, visited = pinfo.visited,
+        stream = key_of(pinfo, pinfo.port_type) },
       packet = { events = { { status = "skipped", at = 0, length = size } }, pending = 0 } })
   end
   return size

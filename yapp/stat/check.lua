@@ -1,312 +1,332 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- -z yapp,check: rules that a capture must keep, and the exit code of a gate.  Pure Lua, 5.2 and 5.4.
+-- -z yapp,check: rules that a capture must keep, the exit code of a gate, a test report for CI.
+-- Pure Lua, 5.2 to 5.5.
 --
 -- 0 every rule was judged and held, 20 one did not hold, 21 one could not be judged; both: 20.
 
-local json, text = require("yapp.stat.json"), require("yapp.stat.text")
-local groups, rules, junit = require("yapp.stat.groups"), require("yapp.stat.rules"), require("yapp.stat.junit")
+local groups, output = require("yapp.stat.groups"), require("yapp.stat.output")
+local decode = require("yapp.message.decode")
+local span = require("yapp.stat.tell").span
 
 local M = {}
 
-M.FAILED, M.UNJUDGED = 20, 21
+local FAILED, UNJUDGED = 20, 21
+local VERDICTS = { [0] = "all rules hold", [FAILED] = "FAILED",
+  [UNJUDGED] = "not all of it could be judged" }
 local KEYS = { "rule", "source", "ok", "seen", "limit", "frame", "bus", "id", "message", "worst" }
+-- Of nothing that they are about there is none where there are messages.
+local HOLDS_OF_NONE = { unknown = true, skipped = true }
+-- What is seen in good messages only, where it is known what came before.
+local NEEDS_GOOD = { fault = true, reboot = true, stale = true, silence = true }
 
 local Check = {}
 Check.__index = Check
 
---- options  { rules = of stat.rules, problems = texts, json = boolean, junit = path or nil }
--- context  { out = function(text), complain = function(text), decode = module, is_whole = whether the catalogue loaded
---          whole, has_source = function(name) -> boolean }
+--- options  { rules, problems = texts, json = boolean, junit = path or nil } of stat.options
+-- context  { out = function(text), late = function() -> periods, width = of a line or nil,
+--          problems = function() -> texts: why what comes of it cannot be trusted,
+--          named = function() -> list of the sources that the user named, see message.sources }
 function M.new(options, context)
-  local self = setmetatable({ options = options, context = context, ranges = {}, results = {}, seen = 0 }, Check)
-  self.rules = {}
-  local has_unknown = false
-  for i, rule in ipairs(options.rules) do
-    self.rules[i] = rule
-    has_unknown = has_unknown or rule.kind == "unknown"
-    if rule.kind == "range" then self.ranges[#self.ranges + 1] = rule end
+  local self = setmetatable({ options = options, context = context, ranges = {}, spreads = {},
+    absent = {} }, Check)
+  self.groups = groups.new(function() return {} end)
+  for _, rule in ipairs(options.rules) do
+    if rule.kind == "range" then self.ranges[rule] = {} end -- by group
+    if rule.kind == "spread" then
+      self.spreads[rule] = groups.spread(rule.message, rule.field, context.late)
+    end
   end
-  -- What was not decoded was not checked.
-  if not has_unknown then self.rules[#self.rules + 1] = rules.read("unknown=0") end
-  self.groups = groups.new(function(source) return self:new_group(source) end)
   return self
 end
 
--- Counts of a source: { seen =, frame = the first one's } of each kind, and the ranges that are about its message.
-function Check:new_group(source)
-  local group = { count = 0, ranges = {}, counts = {} }
-  for kind in pairs(rules.COUNTED) do group.counts[kind] = { seen = 0 } end
-  for _, rule in ipairs(self.ranges) do
-    local message = source.message
-    if message == rule.message then
-      group.ranges[#group.ranges + 1] = { rule = rule, index = message.index[rule.field], inside = 0, outside = 0 }
-    end
+function Check:event(event)
+  if event.kind == "absent" then
+    self.absent[#self.absent + 1] = event.source
+  else
+    self.groups:event(event)
   end
-  return group
-end
-
-local function add(count, frame)
-  count.seen, count.frame = count.seen + 1, count.frame or frame
-end
-
-local function raises(change)
-  for _, one in ipairs(change.flags or {}) do
-    if one.field.alarm and one.raised ~= 0 then return true end
-  end
-  return false
-end
-
--- The number that a range is about: a value in its unit, a time in seconds, flags and codes as they are sent; nil for
--- a reserved count.
-local function number_of(decode, field, raw, payload)
-  if field.kind == "time" then
-    local seconds, nanoseconds = decode.time(payload, field.offset)
-    return seconds + nanoseconds / 1e9
-  end
-  if field.values or field.flags then return tonumber(raw) end
-  local value = decode.value(field, raw)
-  if type(value) == "string" then value = tonumber(value) end -- of 64 bits, where a double is not exact
-  return type(value) == "number" and value == value and value or nil
 end
 
 local function outside(rule, value)
+  if not value then return math.huge end -- a reserved count beats all
   return rule.low and value < rule.low and rule.low - value or
     rule.high and value > rule.high and value - rule.high or nil
 end
 
--- The value that lies farthest outside is the one that is shown; a reserved count beats all.
-local function note_value(range, value, frame, decode)
-  local rule = range.rule
-  local by = not value and math.huge or outside(rule, value)
-  if by and value and (rule.field.kind == "float" or rule.field.scale) then -- with the digits that people see
-    value = decode.rounded(rule.field, value)
+-- The value that lies farthest outside is the one that is shown.
+local function note_range(rule, range, record, raws)
+  local field, index = rule.field, rule.message.index[rule.field]
+  if field.kind ~= "time" and raws[index] == nil then return end
+  local value = groups.number(field, raws, index, record.payload)
+  local by = outside(rule, value)
+  if by and value then
+    value = groups.rounded(field, value)
     by = outside(rule, value)
   end
-  if not by then
-    range.inside = range.inside + 1
-  else
-    range.outside = range.outside + 1
-    if not range.by or by > range.by then range.by, range.worst, range.frame = by, value, frame end
+  range.values = range.values + 1
+  if not by then return end
+  range.seen = range.seen + 1
+  if not range.by or by > range.by then
+    range.by, range.worst, range.frame = by, value, record.frame
   end
 end
 
-function Check:note_ranges(group, record)
-  local decode, payload = self.context.decode, record.payload
-  local raws = decode.read(group.message, payload)
-  for _, range in ipairs(group.ranges) do
-    local field, raw = range.rule.field, raws[range.index]
-    if raw or field.kind == "time" and field.offset + field.size <= #payload then
-      note_value(range, number_of(decode, field, raw, payload), record.frame, decode)
+function Check:message(record)
+  local group = self.groups:message(record)
+  if not record.fits or record.kind ~= "message" then return end
+  for rule, of_group in pairs(self.ranges) do
+    if rule.message == group.message then
+      local range = of_group[group] or { values = 0, seen = 0 }
+      of_group[group] = range
+      note_range(rule, range, record, decode.read(group.message, record.payload))
+    end
+  end
+  for rule, spread in pairs(self.spreads) do
+    if rule.message == group.message then
+      spread:note(record, decode.read(group.message, record.payload))
     end
   end
 end
 
--- A good message.
-function Check:good(group, record)
-  local gap = group.last and groups.span(group.last, record.rel)
-  if gap and gap > (group.gap or -1) then group.gap, group.gap_frame = gap, record.frame end
-  group.first, group.last, group.last_frame = group.first or record.rel, record.rel, record.frame
-  group.count, group.is_unsure = group.count + 1, group.is_unsure or record.is_unsure
-  local change, counts = record.change, group.counts
-  if not record.fits then add(counts.unknown, record.frame) end
-  if change then
-    if change.reboot then add(counts.reboot, record.frame) end
-    if change.stale then add(counts.stale, record.frame) end
-    if change.flags and raises(change) then add(counts.fault, record.frame) end
-  end
-  if record.fits and group.ranges[1] then self:note_ranges(group, record) end
-end
+-- Judging ---------------------------------------------------------------------------------------
 
-function Check:message(record)
-  if not record.lost then self.seen = self.seen + 1 end
-  local group = self.groups:of(record)
-  if record.lost then
-    add(group.counts.incomplete, record.frame)
-  elseif record.is_bad then
-    add(group.counts.crc, record.frame)
-  elseif record.good then
-    self:good(group, record)
-  end
-end
+-- Of a source: what is seen and in which frame; ok, or nil where it cannot be judged.
+local measure = {}
 
--- Judging -------------------------------------------------------------------------------------------------------
-
--- Of each kind: what is seen of a source and in which frame; ok, or nil where it cannot be judged.
-local judge = {}
-
-local function judge_count(rule, group)
-  local count = group.counts[rule.kind]
-  return { seen = count.seen, frame = count.frame, ok = count.seen <= rule.limit }
-end
-
-judge.crc, judge.incomplete, judge.unknown = judge_count, judge_count, judge_count
-
--- These are seen in good messages only, where it is known what came before.
-local function judge_good(rule, group)
-  local result = judge_count(rule, group)
-  if group.count == 0 or result.ok and group.is_unsure then result.ok = nil end
-  return result
-end
-
-judge.fault, judge.reboot, judge.stale = judge_good, judge_good, judge_good
-
-function judge.count(rule, group)
+function measure.count(rule, group)
   return { seen = group.count, frame = group.last_frame, ok = group.count >= rule.limit }
 end
 
-function judge.rate(rule, group)
-  local span = group.count > 1 and groups.span(group.first, group.last)
-  local rate = span and span > 0 and (group.count - 1) / span or group.count == 1 and 0 or nil
+function measure.rate(rule, group)
+  local rate = groups.rate(group) or group.count == 1 and 0 or nil
   return { seen = rate, frame = group.last_frame, ok = rate and rate >= rule.limit }
 end
 
-function judge.gap(rule, group, last)
+function measure.gap(rule, group, last)
   if group.count == 0 then return {} end
-  local gap, frame = group.gap or 0, group.gap_frame or group.last_frame
-  local to_end = last and groups.span(group.last, last.rel) or 0
+  local gap, frame = group.gap_max or 0, group.gap_max_frame or group.last_frame
+  local to_end = last and span(group.last, last.rel) or 0
   if to_end > gap then gap, frame = to_end, group.last_frame end
   return { seen = gap, frame = frame, ok = gap <= rule.limit }
 end
 
-function judge.range(rule, group)
-  for _, range in ipairs(group.ranges) do
-    if range.rule == rule then
-      if range.inside + range.outside == 0 then return {} end
-      return { seen = range.outside, frame = range.frame, ok = range.outside == 0, worst = range.worst,
-        values = range.inside + range.outside }
-    end
+local function judge(self, rule, group, last)
+  if measure[rule.kind] then return measure[rule.kind](rule, group, last) end
+  if rule.kind == "range" then
+    local range = self.ranges[rule][group]
+    if not range then return {} end
+    return { seen = range.seen, frame = range.frame, ok = range.seen == 0, worst = range.worst,
+      values = range.values }
   end
-  return {}
+  local seen, frame = groups.seen(group, rule.kind)
+  local result = { seen = seen, frame = frame, ok = seen <= rule.limit }
+  if NEEDS_GOOD[rule.kind] and (group.count == 0 or result.ok and group.is_unsure) then
+    result.ok = nil
+  end
+  return result
 end
 
 -- Which sources a rule is about.
 local function is_about(rule, group)
-  if rule.source and group.source.name ~= rule.source then return false end
   local kind, message = rule.kind, group.message
-  if kind == "crc" or kind == "incomplete" then return true end
-  if kind == "unknown" then return group.counts.unknown.seen > 0 end
-  if kind == "fault" then return message ~= nil and #message.alarms > 0 end
-  if kind == "reboot" or kind == "stale" then return message ~= nil and message.time ~= nil end
-  return message == rule.message
+  if rule.source and group.source.name ~= rule.source then return false end
+  if HOLDS_OF_NONE[kind] then return groups.seen(group, kind) > 0 end
+  if kind == "crc" or kind == "incomplete" then return group.source.id ~= nil end
+  if not message then return false end
+  if kind == "fault" then return message.alarms[1] ~= nil end
+  if kind == "reboot" or kind == "stale" then return message.time ~= nil end
+  if kind == "silence" then return message.every ~= nil end
+  return kind == "invalid" or message == rule.message
 end
 
-local function limit_of(rule)
-  if rule.kind ~= "range" then return rule.limit end
-  return rule.text:match("=(.*)$")
+-- Whether a rule that is about nothing that came holds all the same; nil where it is not judged.
+local function holds_of_none(self, rule)
+  if not (HOLDS_OF_NONE[rule.kind] or rule.is_default) then return nil end
+  for _, group in ipairs(self.groups.list) do
+    local is_its = not rule.source or group.source.name == rule.source
+    local is_read = group.count > 0 or group.counts.crc and not rule.is_default
+    if is_its and is_read and (group.message or not rule.is_default) then return true end
+  end
 end
 
-function Check:judge_rule(rule, list, last)
-  local results, found = self.results, false
+-- Of the sources that the user named with a message those that never came.
+local function judge_absent(self, rule)
+  local result, names, is_any = { rule = rule, seen = 0 }, {}, false
+  for _, row in ipairs(self.context.named()) do
+    if row.message and (not rule.source or row.name == rule.source) then is_any = true end
+  end
+  for _, row in ipairs(self.absent) do
+    if not rule.source or row.name == rule.source then
+      local bus, id, name = output.source_cells(row)
+      names[#names + 1] = name or bus and bus .. " " .. id or id
+    end
+  end
+  if not is_any then
+    result.ok = holds_of_none(self, rule)
+  else
+    result.seen, result.ok, result.names = #names, #names <= rule.limit, table.concat(names, ", ")
+  end
+  return result
+end
+
+local function judge_rule(self, rule, list, last)
+  if rule.kind == "absent" then return { judge_absent(self, rule) } end
+  local spread = self.spreads[rule]
+  if spread then
+    local worst = spread.worst
+    local ok = worst and worst <= rule.limit
+    return { { rule = rule, seen = worst, frame = spread.frame, ok = ok } }
+  end
+  local results = {}
   for _, group in ipairs(list) do
     if is_about(rule, group) then
-      local result = judge[rule.kind](rule, group, last)
-      result.rule, result.group, found = rule, group, true
+      local result = judge(self, rule, group, last)
+      result.rule, result.group = rule, group
       results[#results + 1] = result
     end
   end
-  if found then return end
-  -- No unknown message is what the rule asks for, where there are messages.
-  local ok = rule.kind == "unknown" and self.seen > 0 and (not rule.source or self:has_messages(rule.source)) or nil
-  results[#results + 1] = { rule = rule, seen = ok and 0 or nil, ok = ok }
+  if results[1] then return results end
+  local ok = holds_of_none(self, rule)
+  return { { rule = rule, seen = ok and 0, ok = ok } }
 end
 
-function Check:has_messages(source)
-  for _, group in ipairs(self.groups.list) do
-    if group.source.name == source then return true end
-  end
-  return false
-end
+-- What is printed -------------------------------------------------------------------------------
 
--- What is printed -----------------------------------------------------------------------------------------------
+local NOTHING = {}
 
 local function line(result)
-  local rule, source = result.rule, result.group and result.group.source or {}
-  return json.object(KEYS, { rule = rule.text, source = source.name or rule.source, ok = result.ok,
-    seen = result.seen, limit = limit_of(rule), frame = result.frame, bus = source.bus, id = source.id,
-    message = source.message and source.message.name, worst = result.worst }) .. "\n"
+  local rule, source = result.rule, result.group and result.group.source or NOTHING
+  return output.line(KEYS, source, { rule = rule.text, source = rule.source,
+    limit = rule.limit or rule.text:match("=(.*)$") }, result)
+end
+
+local function unjudged_text(rule, group)
+  if rule.kind == "spread" then return "no two sources at a time" end
+  if not group then return "no message that it is about" end
+  return group.is_unsure and "what came before is not known" or "nothing to judge"
+end
+
+local function seen_text(result)
+  local kind, seen = result.rule.kind, result.seen
+  if result.ok == nil then return unjudged_text(result.rule, result.group) end
+  if kind == "rate" then return ("%.3f Hz"):format(seen) end
+  if kind == "gap" then return ("%.6f s"):format(seen) end
+  if kind == "spread" then return output.number(seen) end
+  if kind == "absent" and seen > 0 then return ("%d: %s"):format(seen, result.names) end
+  if kind ~= "range" then return tostring(seen) end
+  if seen == 0 then return ("%d inside"):format(result.values) end
+  local worst = output.number(result.worst) or "reserved"
+  return ("%d of %d outside, worst %s"):format(seen, result.values, worst)
 end
 
 local WORDS = { [true] = "ok", [false] = "FAILED" }
 
-local function seen_text(result)
-  local kind = result.rule.kind
-  if result.ok == nil then
-    local group = result.group
-    return not group and "no message that it is about" or
-      group.is_unsure and group.count > 0 and "what came before is not known" or "nothing to judge"
-  end
-  if kind == "rate" then return ("%.3f Hz"):format(result.seen) end
-  if kind == "gap" then return ("%.6f s"):format(result.seen) end
-  if kind ~= "range" then return tostring(result.seen) end
-  if result.seen == 0 then return ("%d inside"):format(result.values) end
-  return ("%d of %d outside, worst %s"):format(result.seen, result.values, text.number(result.worst) or "reserved")
-end
-
-local function name_of(source)
-  return (source.bus and source.bus .. " " or "") .. text.id(source.id) .. (source.name and " " .. source.name or "")
-end
-
-local function print_table(self)
+local function table_of(results, width)
   local rows = {}
-  for i, result in ipairs(self.results) do
-    local source = result.group and result.group.source
-    rows[i] = { WORDS[result.ok] or "NOT JUDGED", result.rule.text, source and source.bus,
-      source and text.id(source.id), source and source.name or result.rule.source,
-      source and (source.message and source.message.title or "unknown"),
-      seen_text(result), result.frame }
+  for i, result in ipairs(results) do
+    local source = result.group and result.group.source or { name = result.rule.source }
+    local bus, id, name, title = output.source_cells(source)
+    rows[i] = { WORDS[result.ok] or "NOT JUDGED", result.rule.text, bus, id, name, title,
+      result.frame, seen_text(result) }
   end
-  self.context.out(text.table({ "check", "rule", "bus", "ID", "source", "message", "seen", ">frame" }, rows))
+  return output.table({ "check", "rule", "bus", "ID", "source", "message", ">frame", "seen" }, rows,
+    width, { "message", "bus" })
 end
 
--- The cases of a test report: { name =, status = "ok", "failed" or "error", text = }.
-local function cases(self)
-  local list = {}
-  for i, result in ipairs(self.results) do
-    local where = result.group and " " .. name_of(result.group.source) or ""
-    list[i] = { name = result.rule.text .. where,
-      status = result.ok and "ok" or result.ok == false and "failed" or "error",
-      text = seen_text(result) .. (result.frame and (", frame %d"):format(result.frame) or "") }
-  end
-  for _, problem in ipairs(self.options.problems) do
-    list[#list + 1] = { name = problem, status = "error", text = problem }
-  end
-  return list
-end
-
-local function print_results(self, code)
+local function print_results(self, results, code)
+  local out = self.context.out
   if self.options.json then
-    for _, result in ipairs(self.results) do self.context.out(line(result)) end
-    return
+    for _, result in ipairs(results) do out(line(result)) end
+  else
+    out(table_of(results, self.context.width))
+    out(("\nYAPP check: %s\n"):format(VERDICTS[code or 0]))
   end
-  print_table(self)
-  self.context.out(code == 0 and "\nYAPP check: all rules hold\n" or
-    code == M.FAILED and "\nYAPP check: FAILED\n" or "\nYAPP check: not all of it could be judged\n")
+end
+
+-- A report in JUnit's XML ------------------------------------------------------------------------
+
+local ENTITIES = { ["<"] = "&lt;", [">"] = "&gt;", ["&"] = "&amp;", ['"'] = "&quot;" }
+
+-- XML has no control characters, not even as entities.
+local function escape(text)
+  return (output.readable(text):gsub("%c", " "):gsub('[<>&"]', ENTITIES))
+end
+
+local function case_of(name, kind, text)
+  local start = ('  <testcase classname="yapp.check" name="%s"'):format(escape(name))
+  if kind == "ok" then return start .. "/>" end
+  return ('%s><%s message="%s"/></testcase>'):format(start, kind, escape(text))
+end
+
+local CASE_KINDS = { [true] = "ok", [false] = "failure" }
+
+-- Writes it; returns what went wrong, nil for nothing.
+local function report(path, results, ...)
+  local lines, counts = {}, { ok = 0, failure = 0, error = 0 }
+  local function add(name, kind, text)
+    counts[kind], lines[#lines + 1] = counts[kind] + 1, case_of(name, kind, text)
+  end
+  for _, result in ipairs(results) do
+    local name, text = result.rule.text, seen_text(result)
+    if result.group then
+      local bus, id, source = output.source_cells(result.group.source)
+      for _, part in ipairs { bus or "", id, source or "" } do
+        if part ~= "" then name = name .. " " .. part end
+      end
+    end
+    if result.frame then text = ("%s, frame %d"):format(text, result.frame) end
+    add(name, CASE_KINDS[result.ok] or "error", text)
+  end
+  for _, problems in ipairs { ... } do
+    for _, problem in ipairs(problems) do add(problem, "error", problem) end
+  end
+  local file, problem = output.create(path)
+  if not file then return problem end
+  file:write(('<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="yapp.check" tests="%d" ' ..
+    'failures="%d" errors="%d">\n%s\n</testsuite>\n'):format(#lines, counts.failure, counts.error,
+    table.concat(lines, "\n")))
+  return output.finish { file }
+end
+
+-- The end ---------------------------------------------------------------------------------------
+
+-- What is wrong besides the rules.
+local function problems_of(self)
+  local problems, names = self.context.problems(), {}
+  for _, row in ipairs(self.context.named()) do names[row.name or false] = true end
+  for _, rule in ipairs(self.options.rules) do
+    if rule.source and not names[rule.source] then
+      problems[#problems + 1] = ("no source is called %s in the preference"):format(rule.source)
+      names[rule.source] = true
+    end
+  end
+  return problems
+end
+
+-- The results of all rules; whether one failed, whether one was not judged.
+local function judge_all(self, last)
+  local results, list, is_failed, is_unjudged = {}, self.groups:sorted(), false, false
+  for _, rule in ipairs(self.options.rules) do
+    for _, result in ipairs(judge_rule(self, rule, list, last)) do
+      results[#results + 1] = result
+      is_failed, is_unjudged = is_failed or result.ok == false, is_unjudged or result.ok == nil
+    end
+  end
+  return results, is_failed, is_unjudged
 end
 
 --- last     { rel =, ... } of the last packet of any kind; nil where there was none
--- returns  the exit code: nil for 0, M.FAILED or M.UNJUDGED, and a text that says why where the table does not
+-- returns  the exit code: nil for 0, 20 or 21, and a text that says why where the table does not
 function Check:finish(last)
-  local options, problems = self.options, {}
-  local list = self.groups:sorted()
-  for _, rule in ipairs(self.rules) do self:judge_rule(rule, list, last) end
-  local failed, unjudged = false, #options.problems > 0
-  for _, result in ipairs(self.results) do
-    failed, unjudged = failed or result.ok == false, unjudged or result.ok == nil
-    local source = result.rule.source
-    if source and not self.context.has_source(source) then
-      problems[#problems + 1] = ("check: no source is called %s in the preference"):format(source)
-    end
-  end
-  if not self.context.is_whole then
-    unjudged, problems[#problems + 1] = true, "check: the catalogue did not load whole"
-  end
-  if options.junit then
-    local ok, problem = junit.write(options.junit, cases(self))
-    if not ok then unjudged, problems[#problems + 1] = true, "check: the report is not written: " .. problem end
-  end
-  local code = failed and M.FAILED or unjudged and M.UNJUDGED or 0
-  print_results(self, code)
-  return code > 0 and code or nil, problems[1] and table.concat(problems, "\n") or nil
+  local options, problems = self.options, problems_of(self)
+  local results, is_failed, is_unjudged = judge_all(self, last)
+  local problem = options.junit and report(options.junit, results, options.problems, problems)
+  if problem then problems[#problems + 1] = "the report is not written: " .. problem end
+  is_unjudged = is_unjudged or options.problems[1] or problems[1]
+  local code = is_failed and FAILED or is_unjudged and UNJUDGED or nil
+  print_results(self, results, code)
+  for i, text in ipairs(problems) do problems[i] = "check: " .. text end
+  return code, problems[1] and table.concat(problems, "\n") or nil
 end
 
 return M

@@ -1,22 +1,73 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, the page of a flight, help.
+-- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, and help.
 -- Wireshark's API.
 
-local page, text = require("yapp.stat.page"), require("yapp.stat.text")
+local output = require("yapp.stat.output")
 
 local M = {}
 
-local TITLES = { summary = "Summary", faults = "Faults", events = "Events", check = "Check", csv = "Export tables" }
-local ORDER = { "summary", "faults", "events", "check", "csv" }
-local RULES = "fault=0,crc=0,incomplete=0"
-local PAGE, HELP = "Open the flight page", "Help"
+local MENU = {
+  { "summary", "Summary" }, { "faults", "Faults" }, { "events", "Events" },
+  { "compare", "Compare" }, { "check", "Check" }, { "csv", "Export tables" },
+}
+local TITLES = {}
+for _, row in ipairs(MENU) do TITLES[row[1]] = row[2] end
+local WIDTH = 80 -- characters in a window as it opens, 620 pixels wide; Lua cannot make it wider
 local MOST = 1000 -- frames in a display filter: more make Wireshark slow
+
+local HELP = [[
+YAPP, the packet protocol of Taurus motor controllers, on CAN, CAN FD, UART, TCP
+and UDP.
+
+To see                              display filter
+every message with a fault          taurus.fault.active
+where a fault begins, where it ends taurus.fault.raised || taurus.fault.cleared
+all frames of messages with a fault yapp.message.fault
+a gap; a controller that rebooted   yapp.late || taurus.reboot
+bad CRCs                            yapp.crc.status == 0
+bytes are missing                   yapp.fragment.incomplete
+the Start is missing                yapp.fragment.orphan
+messages that the capture ends in   yapp.unfinished
+commands that are ignored           taurus.command.key.invalid
+sensors not connected, out of range taurus.value.special
+one controller                      yapp.source == "left", or yapp.id == 0x210
+
+Tools > YAPP
+Summary        of each controller: rate, gaps, losses, ranges of its values
+Faults         when each fault rose and fell
+Events         these, reboots, silences, bad CRCs and losses, in the order of
+               time
+Compare        the values of all controllers beside each other
+Check          whether all is well, or rules hold:
+               fault=0,motor.rate=9,motor.dc_voltage=40..55
+Export tables  a CSV for each message, in a new folder
+
+In a window, Show frames makes a display filter of the frames that stand in it:
+a click on one in the packet list leads to it.  On the command line, without a
+limit to the width, the same is
+
+    tshark -q -r flight.pcapng -z yapp,faults
+
+All of a flight on one time axis, in the browser, makes the program yapp-tables,
+a Python package in the folder tools of this plugin's files:
+
+    pip install "./tools[report]"
+    yapp-tables report flight.pcapng -o flight.html
+
+Other IDs than the default, several controllers, names for them:
+Edit > Preferences > Protocols > YAPP.
+Columns, colours, filter buttons and graphs: the profile YAPP, at the right of
+the status bar.  README.md and the folder docs of this plugin's files have more.
+]]
 
 -- Asks for one line.
 local function ask(title, label, default, answered)
-  new_dialog("YAPP " .. title, function(answer)
-    if answer and answer ~= "" then answered(answer) end
-  end, { name = label, value = default })
+  new_dialog("YAPP " .. title, answered, { name = label, value = default })
+end
+
+-- Where a file of the user's goes: Lua is not told where the capture is.
+local function default_path(name)
+  return (os.getenv("HOME") or os.getenv("USERPROFILE") or ".") .. "/yapp-" .. name
 end
 
 -- Writes a text into a new file.
@@ -26,21 +77,19 @@ local function save(path, content)
     there:close()
     return report_failure(("YAPP: %s is there already: another name"):format(path))
   end
-  local file, problem = io.open(path, "w")
-  local ok = file and file:write(content) and file:close()
-  if not ok then report_failure(("YAPP: %s cannot be written: %s"):format(path, problem or "no place for it")) end
-end
-
--- Beside the capture, where it is known.
-local function default_path(name)
-  local capture = page.capture()
-  return capture ~= "" and capture:gsub("%.[^./\\]*$", "") .. "-" .. name or name
+  local file, problem = output.create(path)
+  if file then
+    file:write(content)
+    problem = output.finish { file }
+  end
+  if problem then report_failure("YAPP: not written: " .. problem) end
 end
 
 local function show_frames(content)
-  local frames = text.frames(content)
-  if #frames == 0 then return report_failure("YAPP: no frame stands in this window") end
-  set_filter(("frame.number in {%s}"):format(table.concat(frames, ", ", 1, math.min(#frames, MOST))))
+  local frames = output.frames(content)
+  if not frames[1] then return report_failure("YAPP: no frame stands in this window") end
+  local most = math.min(#frames, MOST)
+  set_filter(("frame.number in {%s}"):format(table.concat(frames, ", ", 1, most)))
   apply_filter()
 end
 
@@ -56,69 +105,54 @@ local function open_window(title, make)
   window:add_button("Copy", function() copy_to_clipboard(content) end)
   window:add_button("Save", function()
     local path = default_path(title:lower():gsub(" ", "-") .. ".txt")
-    ask("Save", "New file", path, function(answer) save(answer, content) end)
+    ask("Save", "New file", path, function(answer)
+      if answer and answer ~= "" then save(answer, content) end
+    end)
   end)
   window:add_button("Show frames", function() show_frames(content) end)
   refresh()
 end
 
 -- Wireshark closes a window when Lua collects it: this one has no button that holds it.
-local texts = {}
+local help
 
-local function open_text(title, content)
-  local window = TextWindow.new("YAPP " .. title)
-  window:set(content)
-  texts[#texts + 1] = window
-end
-
--- The preferences that say what is in a capture, as they are now.
-local function preferences(catalogue)
-  local names, list = { "sources", "late", "user_dlt" }, {}
-  for _, message in ipairs(catalogue.messages) do names[#names + 1] = message.name .. "_ids" end
-  for _, name in ipairs(names) do
-    local value = get_preference("yapp." .. name)
-    if value and value ~= "" then list[#list + 1] = ("yapp.%s:%s"):format(name, value) end
-  end
-  return list
-end
-
--- Wireshark waits while the page is made.
-local function open_page(catalogue)
-  ask(PAGE, "Capture", page.capture(), function(capture)
-    local path, said = page.make(capture, preferences(catalogue))
-    if not path then return open_text("Flight page", said) end
-    if said ~= "" then open_text("Flight page", said) end
-    browser_open_url(page.address(path))
-  end)
+local function open_help()
+  help = TextWindow.new("YAPP Help")
+  help:set(HELP)
 end
 
 --- Makes the menus.
 -- stat     of stat.taps
 -- returns  { show = function(text), which opens the window of an argument of -z }
 function M.register(stat)
-  local menu = {}
+  local menu, actions = {}, {}
 
-  -- The statistic runs when its window opens, and anew by its button: packets that have come since count too.
+  -- The statistic runs when its window opens, and anew by its button: packets that have come since
+  -- count too.
   function menu.show(argument)
     local what = argument:match("^yapp,(%w+)") or ""
-    open_window(TITLES[what] or what, function() return stat:run(argument) end)
+    open_window(TITLES[what] or what, function() return stat:run(argument, WIDTH) end)
   end
 
-  local actions = {
-    check = function()
-      ask(TITLES.check, "Rules", RULES, function(rules) menu.show("yapp,check," .. rules) end)
-    end,
-    csv = function()
-      ask(TITLES.csv, "New folder", default_path("tables"), function(folder) menu.show("yapp,csv," .. folder) end)
-    end,
-  }
-  for _, what in ipairs(ORDER) do
-    local action = actions[what] or function() menu.show("yapp," .. what) end
-    register_menu("YAPP/" .. TITLES[what], action, MENU_TOOLS_UNSORTED)
-    register_menu("YAPP " .. TITLES[what], action, MENU_STAT_UNSORTED) -- 4.0 shows a slash there as it is
+  function actions.check()
+    ask(TITLES.check, "Rules (none: all is well)", "", function(rules)
+      if rules then menu.show(rules == "" and "yapp,check" or "yapp,check," .. rules) end
+    end)
   end
-  register_menu("YAPP/" .. PAGE, function() open_page(stat.plugin.catalogue) end, MENU_TOOLS_UNSORTED)
-  register_menu("YAPP/" .. HELP, function() open_text(HELP, require("yapp.stat.help")) end, MENU_TOOLS_UNSORTED)
+
+  function actions.csv()
+    ask(TITLES.csv, "New folder", default_path("tables"), function(folder)
+      if folder and folder ~= "" then menu.show("yapp,csv," .. folder) end
+    end)
+  end
+
+  for _, row in ipairs(MENU) do
+    local what, title = row[1], row[2]
+    local action = actions[what] or function() menu.show("yapp," .. what) end
+    register_menu("YAPP/" .. title, action, MENU_TOOLS_UNSORTED)
+    register_menu("YAPP " .. title, action, MENU_STAT_UNSORTED) -- 4.0 shows a slash there as it is
+  end
+  register_menu("YAPP/Help", open_help, MENU_TOOLS_UNSORTED)
   return menu
 end
 

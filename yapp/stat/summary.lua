@@ -1,160 +1,201 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- -z yapp,summary: each source with its rate, gaps, losses, and the range of its values.  Pure Lua, 5.2 and 5.4.
+-- -z yapp,summary: each source with its rate, gaps, losses, and the range of its values; and
+-- -z yapp,compare: the values of all sources of a message beside each other.  Pure Lua, 5.2 to 5.5.
 --
--- Good messages are counted and make rates, gaps and values; beside them stand those with a bad CRC and those that are
--- incomplete.
+-- Good messages are counted and make rates, gaps and values; beside them stand those with a bad CRC
+-- and those that are incomplete.
 
-local json, text = require("yapp.stat.json"), require("yapp.stat.text")
-local groups = require("yapp.stat.groups")
+local groups, output = require("yapp.stat.groups"), require("yapp.stat.output")
+local span = require("yapp.stat.tell").span
 
 local M = {}
 
-local KEYS = { "bus", "id", "source", "message", "count", "rate", "gap_min", "gap_mean", "gap_max", "gap_max_frame",
-  "crc_bad", "incomplete", "late", "reboots", "values" }
 local RANGE = { "min", "mean", "max" }
+-- The kinds of events that are counted: JSON key, kind, title.
+local COUNTS = {
+  { "crc_bad", "crc", ">bad CRC" }, { "incomplete", "incomplete", ">incomplete" },
+  { "late", "late", ">late" }, { "reboots", "reboot", ">reboots" },
+  { "invalid", "invalid", ">invalid" }, { "skipped", "skipped", ">skipped" },
+}
+local KEYS = {
+  "bus", "id", "source", "message", "count", "rate", "gap_min", "gap_mean", "gap_max",
+  "gap_max_frame", "crc_bad", "incomplete", "late", "reboots", "values", "invalid", "skipped",
+}
+local TITLES = {
+  "bus", "ID", "source", "message", ">count", ">rate/Hz", ">gap/ms min", ">mean", ">max",
+  ">in frame",
+}
+for _, row in ipairs(COUNTS) do TITLES[#TITLES + 1] = row[3] end
+local SPARE = { "gap/ms min", "mean", "reboots", "late", "skipped", "bus", "message", "invalid" }
 
-local Summary = {}
+local Summary = { tells_changes = true }
 Summary.__index = Summary
 
--- The kinds of fields whose values can be averaged, where they are no codes.
-local NUMERIC = { uint = true, int = true, float = true, ieee = true }
-local LARGEST = 1.7976931348623157e308 -- what is above it, or is not a number, is no value
-
--- A value grows evenly with the raw number that was sent: so these are gathered, within low and high, and the values
--- made at the end.
-local function numeric(message)
-  local fields = {}
-  for i, field in ipairs(message and message.fields or {}) do
-    if NUMERIC[field.kind] and not field.values then
-      local is_float = field.kind == "float" -- compressed: its reserved counts are above the ordinary ones, or below 0
-      fields[#fields + 1] = { index = i, field = field, count = 0, sum = 0.0, low = is_float and 0 or -LARGEST,
-        high = is_float and field.ordinary or LARGEST }
-    end
-  end
-  return fields
-end
-
 --- options  { json = boolean }
--- context  { out = function(text), decode = module }
+-- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds,
+--          late = function() -> periods, width = of a line or nil }
 function M.new(options, context)
-  return setmetatable({ options = options, context = context, tells_changes = true, groups = groups.new(function(source)
-    return { count = 0, crc_bad = 0, incomplete = 0, late = 0, reboots = 0, fields = numeric(source.message) }
-  end) }, Summary)
+  local self = { options = options, context = context, groups = groups.new(groups.numeric) }
+  function self.event(_, event) self.groups:event(event) end
+  function self.message(_, record) self.groups:message(record) end
+  return setmetatable(self, Summary)
 end
 
-local function note_gap(group, record)
-  local gap = group.last and groups.span(group.last, record.rel)
-  if not gap then return end
-  if not group.gap_max or gap > group.gap_max then group.gap_max, group.gap_max_frame = gap, record.frame end
-  if not group.gap_min or gap < group.gap_min then group.gap_min = gap end
+local function gap_mean(group)
+  return group.count > 1 and span(group.first, group.last) / (group.count - 1) or nil
 end
 
-function Summary:note_values(group, record)
-  local decode = self.context.decode
-  local raws, fields = decode.read(group.message, record.payload), group.fields
-  for i = 1, #fields do
-    local row = fields[i]
-    local raw = raws[row.index]
-    if type(raw) == "string" then raw = tonumber(raw) + 0.0 end -- of 64 bits: a text where a double is not exact
-    if type(raw) == "number" and raw >= row.low and raw <= row.high then
-      if row.count == 0 then
-        row.min, row.max = raw, raw
-      elseif raw < row.min then
-        row.min = raw
-      elseif raw > row.max then
-        row.max = raw
-      end
-      row.count, row.sum = row.count + 1, row.sum + raw
-    end
+local function ranges_json(group)
+  local names, values = {}, {}
+  for i, row in ipairs(group.values) do
+    names[i], values[row.field.name] = row.field.name, output.raw(output.object(RANGE, row))
   end
-end
-
-function Summary:message(record)
-  local group = self.groups:of(record)
-  if record.lost then
-    group.incomplete = group.incomplete + 1
-  elseif record.is_bad then
-    group.crc_bad = group.crc_bad + 1
-  elseif record.good then
-    local change = record.change
-    note_gap(group, record)
-    group.first, group.last, group.count = group.first or record.rel, record.rel, group.count + 1
-    if change and change.late then group.late = group.late + 1 end
-    if change and change.reboot then group.reboots = group.reboots + 1 end
-    if record.fits then self:note_values(group, record) end
-  end
-end
-
--- What is worked out when all has been seen; the ends of a range have the digits of a single value.
-local function conclude(group, decode)
-  local span = group.count > 1 and groups.span(group.first, group.last)
-  group.rate = span and span > 0 and (group.count - 1) / span or nil
-  group.gap_mean = span and span / (group.count - 1) or nil
-  for _, row in ipairs(group.fields) do
-    if row.count > 0 then
-      local field = row.field
-      local min, max = decode.value(field, row.min), decode.value(field, row.max)
-      if field.kind == "float" or field.scale then min, max = decode.rounded(field, min), decode.rounded(field, max) end
-      row.mean, row.min, row.max = decode.value(field, row.sum / row.count), math.min(min, max), math.max(min, max)
-    end
-  end
+  return output.raw(output.object(names, values))
 end
 
 local function line(group)
-  local names, values = {}, {}
-  for i, row in ipairs(group.fields) do
-    local name = row.field.name
-    names[i], values[name] = name, json.raw(json.object(RANGE, row))
-  end
-  return json.object(KEYS, { bus = group.source.bus, id = group.source.id, source = group.source.name,
-    message = group.message and group.message.name, count = group.count, rate = group.rate,
-    gap_min = json.seconds(group.gap_min), gap_mean = json.seconds(group.gap_mean),
-    gap_max = json.seconds(group.gap_max), gap_max_frame = group.gap_max_frame, crc_bad = group.crc_bad,
-    incomplete = group.incomplete, late = group.late, reboots = group.reboots,
-    values = json.raw(json.object(names, values)) }) .. "\n"
+  local values = {
+    rate = groups.rate(group), gap_min = output.seconds(group.gap_min),
+    gap_mean = output.seconds(gap_mean(group)), gap_max = output.seconds(group.gap_max),
+    values = ranges_json(group),
+  }
+  for _, count in ipairs(COUNTS) do values[count[1]] = groups.seen(group, count[2]) end
+  return output.line(KEYS, group.source, values, group)
 end
 
 local function milliseconds(seconds)
   return seconds and ("%.3f"):format(seconds * 1000) or false
 end
 
-local function source_table(list)
+local function source_table(list, width)
   local rows = {}
   for i, group in ipairs(list) do
-    rows[i] = { group.source.bus, text.id(group.source.id), group.source.name,
-      group.message and group.message.title or "unknown",
-      group.count, group.rate and ("%.3f"):format(group.rate), milliseconds(group.gap_min),
-      milliseconds(group.gap_mean), milliseconds(group.gap_max), group.gap_max_frame, group.crc_bad,
-      group.incomplete, group.late, group.reboots }
+    local rate = groups.rate(group)
+    local row = { output.source_cells(group.source, group.count, rate and ("%.3f"):format(rate),
+      milliseconds(group.gap_min), milliseconds(gap_mean(group)), milliseconds(group.gap_max),
+      group.gap_max_frame) }
+    for j, count in ipairs(COUNTS) do row[10 + j] = groups.seen(group, count[2]) end
+    rows[i] = row
   end
-  return text.table({ "bus", "ID", "source", "message", ">count", ">rate/Hz", ">gap/ms min", ">mean", ">max",
-    ">in frame", ">bad CRC", ">incomplete", ">late", ">reboots" }, rows)
+  return output.table(TITLES, rows, width, SPARE)
 end
 
-local function value_table(list)
+local function value_table(list, width)
   local rows = {}
   for _, group in ipairs(list) do
-    for _, row in ipairs(group.fields) do
-      if row.count > 0 then
-        rows[#rows + 1] = { group.source.bus, text.id(group.source.id), group.source.name, group.message.title,
-          row.field.name, row.field.unit, text.number(row.min), text.number(row.mean), text.number(row.max), row.count }
+    for _, value in ipairs(group.values) do
+      if value.count > 0 then
+        rows[#rows + 1] = { output.source_cells(group.source, value.field.name, value.field.unit,
+          output.number(value.min), output.number(value.mean), output.number(value.max),
+          value.count) }
       end
     end
   end
-  return rows[1] and "\n" .. text.table({ "bus", "ID", "source", "message", "field", "unit", ">min", ">mean", ">max",
-    ">values" }, rows) or ""
+  return rows[1] and "\n" .. output.table({ "bus", "ID", "source", "message", "field", "unit",
+    ">min", ">mean", ">max", ">values" }, rows, width, { "values", "bus", "message" }) or ""
 end
 
 --- last  { rel = } of the last packet of any kind; nil where there was none
 function Summary:finish(last)
   local list, out = self.groups:sorted(), self.context.out
-  for _, group in ipairs(list) do conclude(group, self.context.decode) end
   if self.options.json then
     for _, group in ipairs(list) do out(line(group)) end
     return
   end
-  out(("YAPP summary: %s in %.3f s\n"):format(text.count(#list, "source"), last and last.rel or 0))
-  if #list > 0 then out("\n" .. source_table(list) .. value_table(list)) end
+  local count = output.count(#list, "source")
+  out(("YAPP summary: %s in %.3f s\n"):format(count, last and last.rel or 0))
+  if not list[1] then return end
+  out("\n" .. source_table(list, self.context.width) .. value_table(list, self.context.width))
+end
+
+-- compare -----------------------------------------------------------------------------------------
+
+local COMPARED = { "message", "field", "unit", "spread", "time", "frame", "sources" }
+local OF_SOURCE = { "bus", "id", "source", "count", "min", "mean", "max" }
+
+local Compare = {}
+Compare.__index = Compare
+
+--- options, context  as for M.new
+function M.compare(options, context)
+  return setmetatable({ options = options, context = context, spreads = {},
+    groups = groups.new(groups.numeric) }, Compare)
+end
+
+function Compare:message(record)
+  local group, raws = self.groups:message(record)
+  if not raws then return end
+  local spreads = self.spreads[group.message]
+  if not spreads then
+    spreads = {}
+    for i, row in ipairs(group.values) do
+      spreads[i] = groups.spread(group.message, row.field, self.context.late)
+    end
+    self.spreads[group.message] = spreads
+  end
+  for _, spread in ipairs(spreads) do spread:note(record, raws) end
+end
+
+local function compared_line(message, spread, list, place, clock)
+  local sources = {}
+  for i, group in ipairs(list) do
+    local line_of = output.line(OF_SOURCE, group.source, {}, group.values[place])
+    sources[i] = output.raw(line_of:sub(1, -2))
+  end
+  local time = spread.rel and output.raw(output.time_text(clock(spread.rel)))
+  return output.object(COMPARED, { message = message.name, field = spread.field.name,
+    unit = spread.field.unit, spread = spread.worst, time = time, frame = spread.frame,
+    sources = output.raw(output.list(sources)) }) .. "\n"
+end
+
+-- A row for each field and source; how far they lie apart stands in a field's first row.
+local function compared_table(spreads, list, width)
+  local rows = {}
+  for i, spread in ipairs(spreads) do
+    for j, group in ipairs(list) do
+      local value, bus, id, name = group.values[i], output.source_cells(group.source)
+      local row = { false, false, name or bus and bus .. " " .. id or id }
+      row[4], row[5], row[6] = output.number(value.min), output.number(value.mean),
+        output.number(value.max)
+      if j == 1 then
+        row[1], row[2], row[7] = spread.field.name, spread.field.unit, output.number(spread.worst)
+        row[8], row[9] = output.span(spread.rel), spread.frame
+      end
+      rows[#rows + 1] = row
+    end
+  end
+  return output.table({ "field", "unit", "source", ">min", ">mean", ">max", ">spread",
+    ">since start/s", ">frame" }, rows, width, { "since start/s", "unit" })
+end
+
+-- The messages with several sources: a list of { message, list of groups }.
+local function compared(self)
+  local lists, found = {}, {}
+  for _, group in ipairs(self.groups:sorted()) do
+    local message = group.message
+    if self.spreads[message] then
+      lists[message] = lists[message] or {}
+      table.insert(lists[message], group)
+      if #lists[message] == 2 then found[#found + 1] = { message, lists[message] } end
+    end
+  end
+  return found
+end
+
+function Compare:finish()
+  local context, found, texts = self.context, compared(self), {}
+  for i, row in ipairs(found) do
+    local message, list = row[1], row[2]
+    local spreads = self.spreads[message]
+    for j, spread in ipairs(self.options.json and spreads or {}) do
+      context.out(compared_line(message, spread, list, j, context.clock))
+    end
+    texts[i] = ("YAPP compare: %d sources of %s\n\n"):format(#list, message.title) ..
+      compared_table(spreads, list, context.width)
+  end
+  if self.options.json then return end
+  context.out(found[1] and table.concat(texts, "\n") or
+    "YAPP compare: no message has several sources\n")
 end
 
 return M

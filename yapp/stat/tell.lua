@@ -1,13 +1,36 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What carriers tell the statistics: finished messages, and parts of messages that are lost, as records (see
--- stat.groups).  Pure Lua, 5.2 and 5.4.
+-- What carriers tell the statistics, and what kind of thing each of it is.  Pure Lua, 5.2 to 5.5.
+--
+-- A record is what is told of a message or of a loss: {
+--   kind     "message" (good: its CRC is, or it is a single frame), "crc", "incomplete",
+--            "unfinished", "skipped"
+--   frame    number of the frame that shows it: a message's last; of a loss where it is noticed
+--   rel      its time: seconds since the first packet
+--   source   { key = of bus or stream and ID, bus_key, bus = its name or nil, name = that the user
+--            gave it or nil, id =, message = compiled or nil }: one table for all its records
+--   seq, payload, fits = whether the message of the catalogue takes the payload
+--   change   of message.history, or nil; is_unsure = whether it is not known what came before
+--   invalid  list of { index of field, expert } of what the catalogue does not define, or nil
+--   what     of "incomplete": "incomplete", "orphan" or "overrun"; lost = the message, a table that
+--            all its losses have, or nil; fault = { void = whether nothing is lost after all }
+--   length   of "skipped": bytes }
+--
+-- An event is what a statistic lists or counts, made of records by Kinds: { kind = "crc",
+-- "incomplete", "unfinished", "skipped", "unknown", "invalid", "reboot", "stale", "silence",
+-- "fault" or "absent", rel, frame, source, record, ... }.
+
+local band = require("yapp.base.bits").band
+local decode = require("yapp.message.decode")
 
 local M = {}
 
 local LOST = {
-  ["fragment.incomplete"] = "incomplete", ["fragment.orphan"] = "orphan", ["fragment.overrun"] = "overrun",
+  ["fragment.incomplete"] = "incomplete", ["fragment.orphan"] = "orphan",
+  ["fragment.overrun"] = "overrun",
   truncated = "incomplete", -- by the capture: what was not decoded was not checked
 }
+local DEFINED = { ["value.special"] = true, ["fault.active"] = true } -- remarks on what is defined
+local NOTHING = {}
 
 local Tell = {}
 Tell.__index = Tell
@@ -25,55 +48,92 @@ function Tell:reset()
   self.sources = {}
 end
 
--- The source of a message: one table for all its records.
 local function source_of(self, m)
   local source = self.sources[m.source]
   if not source then
-    source = { key = m.source, bus_key = m.bus, bus = m.bus_name, name = self.reader:name_of(m.id, m.bus_name),
-      id = m.id, message = self.reader:message_of(m.id, m.bus_name) }
+    source = {
+      key = m.source, bus_key = m.bus, bus = m.bus_name, id = m.id,
+      name = m.id and self.reader:name_of(m.id, m.bus_name),
+      message = m.id and self.reader:message_of(m.id, m.bus_name),
+      parts = {}, orphan = nil, -- by Seq: see Tell:part; the Seq of a message without a Start
+    }
     self.sources[m.source] = source
   end
   return source
 end
 
-local function record_of(source, m)
-  return { frame = m.frame, rel = m.time, source = source, seq = m.seq, payload = m.payload or "", good = false,
-    fits = false, change = false }
+-- All eight names at once: Lua's table of eight is half of one that grows to nine.
+local function record_of(kind, source, m)
+  return { kind = kind, frame = m.frame, rel = m.time, source = source, seq = m.seq,
+    payload = m.payload, fits = m.raws ~= nil, change = m.change }
+end
+
+local function invalid_of(m)
+  local list
+  for _, remark in ipairs(decode.remarks(m.message, m.raws) or {}) do
+    if not DEFINED[remark[2]] then
+      list = list or {}
+      list[#list + 1] = remark
+    end
+  end
+  return list
 end
 
 --- A finished message, read.
 -- m  of message.reader, as read
 function Tell:message(m)
-  local is_truncated = m.status == "unverified" or m.status == "single" and not m.good
-  if not (m.good or is_truncated or m.status == "bad") then return end
-  -- All eight names at once: Lua's table of eight is half of one that grows to nine.
-  local record = { frame = m.frame, rel = m.time, source = source_of(self, m), seq = m.seq, payload = m.payload,
-    good = m.good, fits = m.raws ~= nil, change = m.change }
-  if is_truncated then record.lost = LOST.truncated end
-  if m.status == "bad" then record.is_bad = true end
+  local kind = m.good and "message" or m.status == "bad" and "crc"
+  if not kind and (m.status == "unverified" or m.status == "single") then kind = "incomplete" end
+  if not kind then return end
+  local source = source_of(self, m)
+  local record = record_of(kind, source, m)
+  source.orphan = nil
+  if kind == "incomplete" then record.what = LOST.truncated end
+  if m.look and m.good then record.invalid = invalid_of(m) end
   if m.is_unsure then record.is_unsure = true end
   self.stat:offer(record, m.visited)
 end
 
+-- What the orphaned frames of one message have in common: those in a row of one Seq, to its End.
+local function orphaned(source, m)
+  local orphan = source.orphan
+  if not orphan or orphan.seq ~= m.seq then orphan = { seq = m.seq } end
+  source.orphan = not m.is_end and orphan or nil
+  return orphan
+end
+
 --- Faults of a frame: those that say that a message, or a part of one, is lost.
--- m       { id, seq, source, bus, bus_name, frame, time, visited, is_end = whether the frame is an End }
--- faults  list of { expert, void = whether it has been taken back since }
+-- m       { id, seq, source, bus, bus_name, frame, time, visited, is_end = whether it is an End }
+-- faults  list of { expert, message = the one that is lost, void = whether it has been taken back }
 function Tell:faults(m, faults)
   for _, fault in ipairs(faults) do
-    if LOST[fault.expert] then
-      local record = record_of(source_of(self, m), m)
-      record.lost, record.is_end, record.fault = LOST[fault.expert], m.is_end, fault
+    local what = LOST[fault.expert]
+    if what then
+      local source = source_of(self, m)
+      local record = record_of("incomplete", source, m)
+      if what == "orphan" then
+        record.lost = orphaned(source, m)
+      else
+        record.lost, source.orphan = fault.message, nil
+      end
+      record.what, record.fault, record.change = what, fault, nil
       self.stat:offer(record, m.visited)
     end
   end
 end
 
---- A frame of a message that has not ended: when it came, should the capture end before the message does.  Its frame,
--- time and visited may change later: they are those of the latest.
+--- Bytes of a stream that belong to no frame.
+-- m  { id = nil, frame, time, visited, bus, bus_name, source = key of the stream, length = bytes }
+function Tell:skipped(m)
+  local record = record_of("skipped", source_of(self, m), m)
+  record.length = m.length
+  self.stat:offer(record, m.visited)
+end
+
+--- A frame of a message that has not ended: when it came, should the capture end before the message
+-- does.  Its frame, time and visited may change later: they are those of the latest.
 function Tell:part(m)
-  local source = source_of(self, m)
-  source.last = source.last or {}
-  source.last[m.seq] = m
+  source_of(self, m).parts[m.seq] = m
 end
 
 --- The messages that the capture ends before.
@@ -83,14 +143,173 @@ function Tell:unfinished(messages)
   local records = {}
   for _, message in ipairs(messages) do
     local source = self.sources[message.source]
-    local part = source and source.last and source.last[message.seq]
+    local part = source and source.parts[message.seq]
     if part and part.frame == message.frame then
-      local record = record_of(source, part)
-      record.lost, records[#records + 1] = "unfinished", record
+      records[#records + 1] = record_of("unfinished", source, part)
     end
   end
   table.sort(records, function(a, b) return a.frame < b.frame end)
   return records
+end
+
+--- The seconds between two times, which are those of a capture: to the nanosecond, so that 0.1 s is
+-- no more than 0.1.
+function M.span(from, to)
+  return math.floor((to - from) * 1e9 + 0.5) / 1e9
+end
+
+-- Kinds -----------------------------------------------------------------------------------------
+
+local Kinds = {}
+Kinds.__index = Kinds
+
+--- What makes events of records, for one statistic.
+-- late   function() -> how many periods of its message make a gap a silence
+-- named  function() -> list of the sources that the user named, see message.sources
+-- add    function(event)
+function M.kinds(late, named, add)
+  return setmetatable({ late = late, named = named, add = add, states = {}, came = {}, flags = {} },
+    Kinds)
+end
+
+local function event_of(kind, record, more)
+  local event = more or {}
+  event.kind, event.rel, event.frame = kind, record.rel, record.frame
+  event.source, event.record = record.source, record
+  return event
+end
+
+-- The flags of a field that are faults, those that no table defines too.
+local function alarms_of(self, field)
+  if self.flags[field] then return self.flags[field] end
+  -- The second half is what compiled catalogues without alarm_bits have.
+  local bits = field.alarm_bits or field.alarm and field.watched or 0
+  local list, bit = {}, 1
+  for _, flag in ipairs(field.flags) do
+    if band(flag.mask, bits) ~= 0 then list[#list + 1] = flag end
+  end
+  local undefined = band(field.undefined or 0, bits)
+  while bit <= undefined do
+    if band(undefined, bit) ~= 0 then
+      list[#list + 1] = { name = ("undefined_0x%x"):format(bit), mask = bit }
+    end
+    bit = bit * 2
+  end
+  self.flags[field] = list
+  return list
+end
+
+-- The faults of a source that begin and end with a change of a field's flags.  state.set, a list of
+-- { field, flag, since } in the order in which they rose, is replaced, never written: state.told
+-- may be the same one.
+local function note_faults(self, state, record, change, counts)
+  local field, now = change.field, change.value
+  local before = now - change.raised + change.cleared
+  for _, flag in ipairs(alarms_of(self, field)) do
+    local was, is = band(before, flag.mask) ~= 0, band(now, flag.mask) ~= 0
+    if was ~= is then
+      local event = { field = field.name, flag = flag.name, help = flag.help }
+      local set = {}
+      event.event = is and "raised" or "cleared"
+      for _, one in ipairs(state.set) do
+        if one.flag ~= flag then
+          set[#set + 1] = one
+        else
+          event.active = M.span(one.since, record.rel)
+        end
+      end
+      if is then set[#set + 1] = { field = field, flag = flag, since = record.rel } end
+      state.set = set
+      if counts then self.add(event_of("fault", record, event)) end
+    end
+  end
+end
+
+-- What a good message that counts tells besides faults.
+local function note_events(self, record, change)
+  if change.reboot then self.add(event_of("reboot", record)) end
+  if change.stale then self.add(event_of("stale", record)) end
+  if not record.fits then self.add(event_of("unknown", record)) end
+  for _, remark in ipairs(record.invalid or NOTHING) do
+    local message, index = record.source.message, remark[1]
+    self.add(event_of("invalid", record, { field = message.fields[index].name,
+      value = decode.read(message, record.payload)[index] }))
+  end
+end
+
+local function note_good(self, record, counts)
+  local key, change = record.source.key, record.change or NOTHING
+  local state = self.states[key]
+  if not state then
+    state = { last = nil, counts = false, set = {}, told = {}, told_by = NOTHING,
+      order = #self.states + 1 }
+    self.states[key], self.states[state.order] = state, state
+  end
+  if change.late and state.counts then
+    self.add(event_of("silence", state.last, { length = change.late }))
+  end
+  if counts then note_events(self, record, change) end
+  for _, one in ipairs(change.flags or NOTHING) do note_faults(self, state, record, one, counts) end
+  state.last, state.counts = record, counts
+  if counts then state.told, state.told_by = state.set, record end
+end
+
+--- Takes a record, in the order of the capture.
+-- counts  whether the user's filter lets it count: of others it is kept what they change, so that
+--         what comes behind them is right
+function Kinds:record(record, counts)
+  if counts then self.came[record.source] = true end
+  if record.kind == "message" then return note_good(self, record, counts) end
+  if not counts then return end
+  self.add(event_of(record.kind, record, { what = record.what, length = record.length }))
+end
+
+-- Silences that last to the end of the capture.
+local function note_silence(self, last)
+  for _, state in ipairs(self.states) do
+    local record = state.last
+    local every = record.source.message and record.source.message.every
+    local length = M.span(record.rel, last.rel)
+    if every and state.counts and length > self.late() * every then
+      self.add(event_of("silence", record, { length = length, is_last = true }))
+    end
+  end
+end
+
+-- The faults that are still set at the last message of their source that counts.
+local function note_active(self)
+  table.sort(self.states, function(a, b)
+    local first, second = a.told_by.frame or 0, b.told_by.frame or 0
+    if first ~= second then return first < second end
+    return a.order < b.order
+  end)
+  for _, state in ipairs(self.states) do
+    local record = state.told_by
+    for _, set in ipairs(state.told) do
+      self.add(event_of("fault", record, { field = set.field.name, flag = set.flag.name,
+        help = set.flag.help, event = "active", active = M.span(set.since, record.rel) }))
+    end
+  end
+end
+
+local function has_come(self, row)
+  for source in pairs(self.came) do
+    local is_there = not row.bus or row.bus == source.bus
+    if is_there and source.id == row.id and source.name == row.name then return true end
+  end
+  return false
+end
+
+--- All records have come.
+-- last  { rel = } of the last packet of any kind; nil where there was none
+function Kinds:finish(last)
+  if last then note_silence(self, last) end
+  note_active(self)
+  for _, row in ipairs(self.named()) do
+    if row.message and not has_come(self, row) then
+      self.add { kind = "absent", rel = last and last.rel, source = row }
+    end
+  end
 end
 
 return M
