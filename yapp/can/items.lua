@@ -42,7 +42,8 @@ function M.message(builder, view, message, numbers)
   append_text(add_generated(item, fields.size, entry.size), " bytes")
   add_generated(item, fields.reserved, entry.reserved or 0)
   builder:add_crc(item, nil, entry)
-  builder:add_fragments(item, message.tvb or view.tvb, numbers, entry.count, #entry.payload)
+  local tvb = message.tvb
+  builder:add_fragments(item, tvb or view.tvb, numbers, entry.count, #entry.payload, tvb and tvb())
   if entry.padding and entry.padding <= #data then
     add(item, fields.padding, view.tvb(#data - entry.padding))
   end

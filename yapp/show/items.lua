@@ -10,6 +10,7 @@ local add, set_generated = TreeItem.add, TreeItem.set_generated
 -- As in Wireshark's API: the item first, or the Tvb.
 M.add, M.add_le, M.append_text, M.set_generated = add, TreeItem.add_le, TreeItem.append_text, set_generated
 M.set_hidden, M.set_text, M.range = TreeItem.set_hidden, TreeItem.set_text, Tvb.range
+M.referenced = TreeItem.referenced
 
 --- Adds what no bytes of the packet say.
 -- pf       ProtoField, or a text
