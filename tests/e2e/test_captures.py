@@ -296,10 +296,11 @@ INFO = [
     ("overrun", 6, "Motor Data  40 of 32 bytes  [OVERRUN]"),
     ("end_without_start", 1, "Motor Data  End without a Start"),
     ("unknown_id", 1, "ID 0x123  3 bytes"),
-    ("wrong_size", 1, "Command  6 bytes, not 7"),
+    ("wrong_size", 1, "Command, 6 bytes, the catalogue says 7"),
     ("reserved_counts_motor", 21, "Motor Data  0.0/0.0 RPM  NaN V  0.00 A  STALE"),
     ("events", 6, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  FAULT hall_timeout  STALE"),
-    ("events", 7, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  REBOOT"),
+    ("events", 5, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  FAULT hall_timeout  cleared motor_overcurrent"),
+    ("events", 7, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  cleared hall_timeout  REBOOT"),
     ("uart_shell", 1, 'Skipped 7 bytes "login: " | Motor Data  0.0/0.0 RPM  47.97 V  0.00 A | Skipped 6 bytes '
      '"\\r\\nOK\\r\\n" | Health  control 50 %, Taurus 20 %  CPU 50 °C, FET 40 °C | Skipped 3 bytes "bye"'),
 ]

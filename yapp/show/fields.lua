@@ -134,7 +134,7 @@ local function make_field(message, field, add)
     made.special = add(field.filter .. ".special", "UINT8", title,
       "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS)
   end
-  made.pf = add(field.filter, ftype, title, about, shape, field.values, field.mask)
+  made.pf = add(field.filter, ftype, title, about, shape, field.values, not field.scale and field.mask or nil)
   return made
 end
 

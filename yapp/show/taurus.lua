@@ -47,16 +47,21 @@ end
 
 adders.int, adders.bool, adders.bytes = adders.uint, adders.uint, adders.uint
 
+local function add_special(step, parent, range, raw, special)
+  local field, text = step.field, decode.SPECIALS[special]
+  if field.kind == "float" and raw > 0 then text = format("%s (0x%0" .. field.size * 2 .. "x)", text, raw) end
+  return items_of.set_text(add(parent, step.made.special, range, special), step.label .. text)
+end
+
 -- A number with a fraction, or the special that is there instead.
 function adders.float(step, parent, range, raw)
-  local field, made = step.field, step.made
-  local value, special = decode.value(field, raw)
-  if value then return with_unit(add(parent, made.pf, range, decode.rounded(field, value)), step) end
-  local text = ("%s: %s"):format(field.title, decode.SPECIALS[special])
-  if field.kind == "float" and raw > 0 then
-    text = format("%s (0x%0" .. field.size * 2 .. "x)", text, raw)
-  end
-  return items_of.set_text(add(parent, made.special, range, special), text)
+  local field, pf = step.field, step.made.pf
+  local value, special = step.value(field, raw)
+  if special then return add_special(step, parent, range, raw, special) end
+  if not step.digits then return with_unit(add(parent, pf, range, decode.rounded(field, value)), step) end
+  local digits = format(step.digits, value)
+  if not step.is_shown then return add(parent, pf, range, tonumber(digits)) end
+  return add(parent, pf, range, tonumber(digits), step.label .. digits .. (step.unit or ""))
 end
 
 adders.ieee = adders.float
@@ -69,15 +74,19 @@ function adders.time(step, parent, range, raw)
   return add(parent, step.made.pf, range, raw)
 end
 
-function adders.flags(step, parent, range, raw)
-  local field, flags, item = step.field, step.flags, parent
-  local names = raw ~= 0 and (step.is_shown or step.names) and flag_names(field, raw) or ""
-  if step.pf then item = add_le(parent, step.pf, range) end
-  if step.is_shown and names ~= "" then append_text(item, " (" .. names .. ")") end
+local function add_names(step, item, range, raw)
+  local undefined, names = decode.undefined(step.field, raw), flag_names(step.field, raw)
+  if undefined ~= 0 and step.undefined then add(item, step.undefined, range, undefined) end
+  if names == "" then return end
+  if step.is_shown then append_text(item, " (" .. names .. ")") end
   if step.names then set_hidden(add_generated(item, step.names, names)) end
+end
+
+function adders.flags(step, parent, range, raw)
+  local flags, item = step.flags, parent
+  if step.pf then item = add_le(parent, step.pf, range) end
   for i = 1, #flags do add_le(item, flags[i], range) end
-  local undefined = step.undefined and decode.undefined(field, raw) or 0
-  if undefined ~= 0 then add(item, step.undefined, range, undefined) end
+  if raw ~= 0 then add_names(step, item, range, raw) end
   return item
 end
 
@@ -104,6 +113,8 @@ local function step_of(self, message, index, tree, is_shown)
     inside = field.inside and message.index[field.inside],
     add = field.scale and adders.float or adders[field.kind],
     unit = is_shown and field.unit and " " .. field.unit,
+    label = (field.array_title or field.title) .. ": ", digits = decode.format_of(field),
+    value = field.kind == "float" and decode.float or decode.value,
     title = is_shown and field.element and field.title }
   if not is_flags then return step end
   step.flags, step.names, step.undefined = {}, wanted(made.names), wanted(made.undefined)
