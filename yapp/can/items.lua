@@ -6,7 +6,7 @@ local KINDS = require("yapp.wire.can_id").KINDS
 
 local M = {}
 
-local add, add_le, add_generated, append_text = items.add, items.add_le, items.add_generated, items.append_text
+local add, add_le, append_text = items.add, items.add_le, items.append_text
 
 local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 
@@ -36,16 +36,14 @@ end
 --- What YAPP's own item says of a message in its last frame.
 -- numbers  of its frames
 function M.message(builder, view, message, numbers)
-  local item, entry, data = view.item, view.record.message, view.facts.data
-  local fields = builder.fields
-  add_generated(item, fields["reassembled.in"], view.facts.number)
-  append_text(add_generated(item, fields.size, entry.size), " bytes")
-  add_generated(item, fields.reserved, entry.reserved or 0)
+  local item, entry, data, tvb = view.item, view.record.message, view.facts.data, message.tvb
+  builder:generated(item, "reassembled.in", view.facts.number)
+  append_text(builder:generated(item, "size", entry.size), " bytes")
+  builder:generated(item, "reserved", entry.reserved or 0)
   builder:add_crc(item, nil, entry)
-  local tvb = message.tvb
   builder:add_fragments(item, tvb or view.tvb, numbers, entry.count, #entry.payload, tvb and tvb())
   if entry.padding and entry.padding <= #data then
-    add(item, fields.padding, view.tvb(#data - entry.padding))
+    add(item, builder.fields.padding, view.tvb(#data - entry.padding))
   end
   append_text(item, CRC_TEXT[entry.status] or ", CRC unverified")
 end

@@ -14,6 +14,7 @@ local append_text, set_text = items.append_text, items.set_text
 
 local STATUS_CODE = { bad = 0, good = 1 } -- any other is unverified
 local UNVERIFIED = 2
+local CRC_TEXT = { good = " [correct]", bad = " [incorrect, should be 0x%08x]" }
 
 local Tree = {}
 Tree.__index = Tree
@@ -94,81 +95,75 @@ function Tree:expert(item, name, text)
   item:add_proto_expert_info(self.yapp_experts[name])
 end
 
+--- Adds a field of YAPP's that no bytes of the packet say, where it has a value.
+-- name     its filter without "yapp."
+-- returns  the item
+function Tree:generated(item, name, value)
+  return value ~= nil and add_generated(item, self.fields[name], value) or nil
+end
+
 --- Adds what the CAN id says, all of it generated.
 -- address  wire.can_id's
 function Tree:add_address(item, address, bus_name)
-  local fields = self.fields
   self:add_id(item, nil, address.id, bus_name)
-  add_generated(item, fields.ctl, address.ctl)
-  add_generated(item, fields.seq, address.seq)
-  add_generated(item, fields["can.ctrl"], address.ctrl)
+  self:generated(item, "ctl", address.ctl)
+  self:generated(item, "seq", address.seq)
+  self:generated(item, "can.ctrl", address.ctrl)
   self:add_source(item, address.id, bus_name)
 end
 
 --- Adds the id, with the name that the user's mapping gives it.
 -- range  TvbRange, nil where the CAN id has it
 function Tree:add_id(item, range, id, bus_name)
-  local added = range and add(item, self.fields.id, range, id) or add_generated(item, self.fields.id, id)
+  local added = range and add(item, self.fields.id, range, id) or self:generated(item, "id", id)
   local message = self.reader:message_of(id, bus_name)
   local title = message and message.title
-  if title ~= self.default_names[id] then
-    set_text(added, string.format("Message ID: %s (0x%08x)", title or "Unknown", id))
-  end
+  if title == self.default_names[id] then return end
+  set_text(added, ("Message ID: %s (0x%08x)"):format(title or "Unknown", id))
 end
 
 --- Adds the bus, where there is one, and the source.
 function Tree:add_source(item, id, bus_name)
-  if bus_name then add_generated(item, self.fields.bus, bus_name) end
-  add_generated(item, self.fields.source, self.reader:source_text(id, bus_name))
+  self:generated(item, "bus", bus_name)
+  self:generated(item, "source", self.reader:source_text(id, bus_name))
 end
 
 --- Adds the frames that a message was put together from.
 -- tvb      of the whole; numbers: of its frames; count: of them, with any that a read filter rejected; length: in bytes
 -- payload  TvbRange of the message's payload, nil where it has none
 function Tree:add_fragments(item, tvb, numbers, count, length, payload)
-  local fields = self.fields
-  local list = add_generated(item, fields.fragments, tvb())
+  local list = self:generated(item, "fragments", tvb())
   set_text(list, ("%d fragments (%d bytes)"):format(count, length))
-  for i = 1, #numbers do add_generated(list, fields.fragment, numbers[i]) end
-  add_generated(list, fields["fragment.count"], count)
-  add_generated(list, fields["reassembled.length"], length)
-  if payload then add_generated(list, fields["reassembled.data"], payload) end
+  for i = 1, #numbers do self:generated(list, "fragment", numbers[i]) end
+  self:generated(list, "fragment.count", count)
+  self:generated(list, "reassembled.length", length)
+  self:generated(list, "reassembled.data", payload)
 end
 
---- Adds a CRC with its status, and the expert item when it is bad.
+--- Adds a CRC with its status.
 -- range   TvbRange of the CRC or nil where it was sent in another frame
 -- message { crc, status, calculated }
 function Tree:add_crc(item, range, message)
-  local fields, status = self.fields, message.status
-  local crc = range and add_le(item, fields.crc, range) or add_generated(item, fields.crc, message.crc)
-  local code = STATUS_CODE[status] or UNVERIFIED
-  if status == "good" then
-    append_text(crc, " [correct]")
-  elseif status == "bad" then
-    append_text(crc, string.format(" [incorrect, should be 0x%08x]", message.calculated))
-  else
-    append_text(crc, " [unverified]")
-  end
-  add_generated(item, fields["crc.status"], code)
-  if status == "bad" then
-    add_generated(item, fields["crc.calculated"], message.calculated)
-  end
+  local status, calculated = message.status, message.calculated
+  local crc = range and add_le(item, self.fields.crc, range) or self:generated(item, "crc", message.crc)
+  append_text(crc, (CRC_TEXT[status] or " [unverified]"):format(calculated))
+  self:generated(item, "crc.status", STATUS_CODE[status] or UNVERIFIED)
+  if status == "bad" then self:generated(item, "crc.calculated", calculated) end
   return crc
 end
 
 --- Says that a CRC is bad, with what was received and expected.
 function Tree:bad_crc(item, message)
-  self:expert(item, "crc.bad", string.format("Received 0x%08x, expected 0x%08x",
-    message.crc, message.calculated))
+  self:expert(item, "crc.bad", ("Received 0x%08x, expected 0x%08x"):format(message.crc, message.calculated))
 end
 
 --- Adds what YAPP's own item says of a message's history: the time since the previous one, messages that are missing.
 -- message  of message.reader
 function Tree:add_delta(item, message)
-  local change, fields = message.change or {}, self.fields
-  if change.delta then add_generated(item, fields.time_delta, items.relative_time(change.delta)) end
-  if change.missing then add_generated(item, fields["seq.missing"], change.missing) end
-  if message.has_fault then add_generated(item, fields["message.fault"], true) end
+  local change = message.change or {}
+  self:generated(item, "time_delta", change.delta and items.relative_time(change.delta))
+  self:generated(item, "seq.missing", change.missing)
+  self:generated(item, "message.fault", message.has_fault or nil)
 end
 
 --- A number of bytes in words: "1 byte", "2 bytes".
