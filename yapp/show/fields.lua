@@ -99,18 +99,17 @@ function M.of_yapp(yapp, names)
   return fields, make_experts(yapp, "yapp.", YAPP_EXPERTS)
 end
 
--- What a flags field has below it, behind itself in the list.
+-- What a flags field has below it.
 local function make_flags(field, made, kind, about, add)
-  local title, group, list = field.title, field.group, made
-  for _, flag in ipairs(field.flags) do
+  local title, group = field.title, field.group
+  made.undefined = add(group .. ".undefined", "UINT32", "Undefined bits", "Bits that nothing defines: " .. about, HEX)
+  made.flags = {}
+  for i, flag in ipairs(field.flags) do
     local help = flag.help or flag.title .. ": " .. about
-    list[#list + 1] = { "flag", add(flag.filter, "BOOLEAN", flag.title, help, field.size * 8, nil, flag.mask) }
+    made.flags[i] = add(flag.filter, "BOOLEAN", flag.title, help, field.size * 8, nil, flag.mask)
   end
-  list[#list + 1] = { "undefined",
-    add(group .. ".undefined", "UINT32", "Undefined bits", "Bits that nothing defines: " .. about, HEX) }
   if #field.flags == 0 then return end
-  list[#list + 1] = { "names",
-    add(field.filter .. ".names", "STRING", title, "Names of the bits that are set: " .. about) }
+  made.names = add(field.filter .. ".names", "STRING", title, "Names of the bits that are set: " .. about)
   made.raised = add(group .. ".raised", kind, title .. " raised",
     "Bits that rose since the source's previous good message: " .. about, HEX)
   made.cleared = add(group .. ".cleared", kind, title .. " cleared",
@@ -122,21 +121,20 @@ local TYPES = { time = "RELATIVE_TIME", bool = "BOOLEAN", float = "DOUBLE", ieee
 
 -- The ProtoFields of a field; message: that it belongs to.
 local function make_field(message, field, add)
-  local title, kind, values = field.array_title or field.title, field.kind, field.values
-  local unit = field.unit and " in " .. field.unit or ""
+  local title, kind, shape, made = field.array_title or field.title, field.kind, nil, {}
+  local unit = field.unit and (" in %s"):format(field.unit) or ""
   local about = field.description or ("%s%s, of %s"):format(title, unit, message.title)
   local ftype = field.scale and "DOUBLE" or TYPES[kind] or kind:upper()
-  if kind == "flags" or ftype == "UINT" or ftype == "INT" then
-    ftype = (kind == "flags" and "UINT" or ftype) .. field.size * 8
+  if kind == "flags" then
+    ftype, shape = "UINT" .. field.size * 8, HEX
+    make_flags(field, made, ftype, about, add)
+  elseif ftype == "UINT" or ftype == "INT" then
+    ftype, shape = ftype .. field.size * 8, ftype == "UINT" and field.values and HEX
+  elseif kind == "float" or kind == "ieee" then
+    made.special = add(field.filter .. ".special", "UINT8", title,
+      "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS)
   end
-  local shape = (kind == "flags" or kind == "uint" and values) and HEX
-  local pf = add(field.filter, ftype, title, about, shape, values, not field.scale and field.mask or nil)
-  local made = { { field.scale and "float" or kind, pf } }
-  if kind == "flags" then make_flags(field, made, ftype, about, add) end
-  if kind == "float" or kind == "ieee" then
-    made[2] = { "special", add(field.filter .. ".special", "UINT8", title,
-      "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS) }
-  end
+  made.pf = add(field.filter, ftype, title, about, shape, field.values, not field.scale and field.mask or nil)
   return made
 end
 
@@ -172,9 +170,9 @@ end
 --- Makes the fields and expert items of the messages and hands them to the protocol.
 -- taurus   Proto; catalogue: compiled
 -- returns  { [message] = { pf, differences (list), drift, command_in, active_time, previous, next } },
---          { [field] = list of { kind of show.taurus, ProtoField }, itself first, with raised and cleared }, where the
---          elements of an array share theirs; { [filter without "taurus."] = ProtoExpert }; and a list of the
---          ProtoFields that the history has also for a message that changes nothing
+--          { [field] = { pf, special, flags (list), names, undefined, raised, cleared } }, where the elements of an
+--          array share theirs; { [filter without "taurus."] = ProtoExpert }; and a list of the ProtoFields that the
+--          history has also for a message that changes nothing
 function M.of_taurus(taurus, catalogue)
   local list, standing, messages, fields, by_filter = {}, {}, {}, {}, {}
   local function add(...)

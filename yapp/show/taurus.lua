@@ -9,7 +9,7 @@ local items_of = require("yapp.show.items")
 local M = {}
 
 local add, add_le, add_generated = items_of.add, items_of.add_le, items_of.add_generated
-local append_text, set_hidden = items_of.append_text, items_of.set_hidden
+local append_text, set_hidden, set_generated = items_of.append_text, items_of.set_hidden, items_of.set_generated
 local relative_time, referenced, range_of = items_of.relative_time, items_of.referenced, items_of.range
 local format, band, flag_names = string.format, decode.band, decode.flag_names
 
@@ -22,7 +22,7 @@ Taurus.__index = Taurus
 -- taurus     Proto
 -- catalogue  compiled
 function M.new(taurus, catalogue)
-  local self = setmetatable({ taurus = taurus, rows = {}, steady = {} }, Taurus)
+  local self = setmetatable({ taurus = taurus, shown = {}, steady = {} }, Taurus)
   self.messages, self.fields, self.experts, self.standing = fields.of_taurus(taurus, catalogue)
   return self
 end
@@ -32,76 +32,62 @@ function Taurus:reset()
   self.steady = {}
 end
 
--- What is added for a ProtoField, by kind: (row, parent, range, raw, m) -> item or nil; row: see rows_of.
+-- Adding a field, by kind: (step, parent, range, raw) -> item; see step_of.
 local adders = {}
 
-local function with_unit(item, field, m)
-  if field.unit and m.is_shown then append_text(item, " " .. field.unit) end
+local function with_unit(item, step)
+  if step.unit then append_text(item, step.unit) end
   return item
 end
 
 -- What Wireshark reads itself.
-function adders.uint(row, parent, range, _, m)
-  return with_unit(add_le(parent, row.pf, range), row.field, m)
+function adders.uint(step, parent, range)
+  return with_unit(add_le(parent, step.made.pf, range), step)
 end
 
 adders.int, adders.bool, adders.bytes = adders.uint, adders.uint, adders.uint
 
-function adders.flag(row, parent, range)
-  add_le(parent, row.pf, range)
+local function add_special(step, parent, range, raw, special)
+  local field, text = step.field, decode.SPECIALS[special]
+  if field.kind == "float" and raw > 0 then text = format("%s (0x%0" .. field.size * 2 .. "x)", text, raw) end
+  return items_of.set_text(add(parent, step.made.special, range, special), step.label .. text)
 end
 
--- A number with a fraction; nil where a special is there instead.
-function adders.float(row, parent, range, raw, m)
-  local field, value = row.field, row.value(row.field, raw)
-  if not value then return nil end
-  if not row.digits then return with_unit(add(parent, row.pf, range, decode.rounded(field, value)), field, m) end
-  local digits = format(row.digits, value)
-  if not m.is_shown then return add(parent, row.pf, range, tonumber(digits)) end
-  return add(parent, row.pf, range, tonumber(digits), row.label .. digits .. row.unit)
+-- A number with a fraction, or the special that is there instead.
+function adders.float(step, parent, range, raw)
+  local field, pf = step.field, step.made.pf
+  local value, special = step.value(field, raw)
+  if special then return add_special(step, parent, range, raw, special) end
+  if not step.digits then return with_unit(add(parent, pf, range, decode.rounded(field, value)), step) end
+  local digits = format(step.digits, value)
+  if not step.is_shown then return add(parent, pf, range, tonumber(digits)) end
+  return add(parent, pf, range, tonumber(digits), step.label .. digits .. (step.unit or ""))
 end
 
 adders.ieee = adders.float
 
-function adders.special(row, parent, range, raw)
-  local field, _, special = row.field, row.value(row.field, raw)
-  if not special then return nil end
-  local text = row.label .. decode.SPECIALS[special]
-  if field.kind == "float" and raw > 0 then text = format("%s (0x%0" .. field.size * 2 .. "x)", text, raw) end
-  return items_of.set_text(add(parent, row.pf, range, special), text)
+function adders.string(step, parent, range, raw)
+  return add(parent, step.made.pf, range, decode.text(raw))
 end
 
-function adders.string(row, parent, range, raw)
-  return add(parent, row.pf, range, decode.text(raw))
+function adders.time(step, parent, range, raw)
+  return add(parent, step.made.pf, range, raw)
 end
 
--- A time has no raw value: whether it is there depends on the payload, and on its case.
-function adders.time(row, parent, range, _, m)
-  local field, when, payload = row.field, row.field.when, m.payload
-  if when and m.raws[when.index] ~= when.value then return nil end
-  return add(parent, row.pf, range, NSTime.new(decode.time(payload, field.offset)))
+local function add_names(step, item, range, raw)
+  local undefined, names = decode.undefined(step.field, raw), flag_names(step.field, raw)
+  if undefined ~= 0 and step.undefined then add(item, step.undefined, range, undefined) end
+  if names == "" then return end
+  if step.is_shown then append_text(item, " (" .. names .. ")") end
+  if step.names then set_hidden(add_generated(item, step.names, names)) end
 end
 
-function adders.flags(row, parent, range, raw, m)
-  local item = add_le(parent, row.pf, range)
-  local names = m.is_shown and raw ~= 0 and flag_names(row.field, raw) or ""
-  if names ~= "" then append_text(item, " (" .. names .. ")") end
+function adders.flags(step, parent, range, raw)
+  local flags, item = step.flags, parent
+  if step.pf then item = add_le(parent, step.pf, range) end
+  for i = 1, #flags do add_le(item, flags[i], range) end
+  if raw ~= 0 then add_names(step, item, range, raw) end
   return item
-end
-
-function adders.undefined(row, parent, range, raw)
-  local bits = raw ~= 0 and decode.undefined(row.field, raw) or 0
-  if bits ~= 0 then add(parent, row.pf, range, bits) end
-end
-
--- For columns, which show no labels.
-function adders.names(row, parent, _, raw)
-  if raw ~= 0 then set_hidden(add_generated(parent, row.pf, flag_names(row.field, raw))) end
-end
-
-function adders.difference(row, parent, _, _, m)
-  local value = decode.difference(m.message, row.field, m.raws)
-  if value then with_unit(add_generated(parent, row.pf, value), row.field, m) end
 end
 
 -- What is wanted ----------------------------------------------------------------------------------------------------
@@ -114,66 +100,87 @@ function Taurus:wants_standing(tree)
   return false
 end
 
--- All that a message's tree may have, in its order: a list of { pf, field, index = of the field, inside = index of that
--- whose item it stands below, add = of adders, ... }.
-local function rows_of(self, message)
-  local rows, index = {}, message.index
-  for i, field in ipairs(message.fields) do
-    for place, made in ipairs(self.fields[field]) do
-      local is_below = field.kind == "flags" and place > 1
-      rows[#rows + 1] = { pf = made[2], add = adders[made[1]], field = field, index = i,
-        inside = is_below and i or index[field.inside or false], is_time = field.kind == "time",
-        label = (field.array_title or field.title) .. ": ", unit = field.unit and " " .. field.unit or "",
-        digits = decode.format_of(field), value = field.kind == "float" and decode.float or decode.value }
-    end
-  end
-  for i, difference in ipairs(message.differences) do
-    rows[#rows + 1] = { pf = self.messages[message].differences[i], add = adders.difference, field = difference,
-      index = difference.a }
-  end
-  return rows
+-- How a field is added to a tree, nil where nobody wants it: { field, made = its ProtoFields, index,
+-- inside = index of the field that it is a part of, add = of adders, and of a tree that is shown is_shown, its unit and
+-- the title of an array's element }; of flags those that are wanted of pf, flags, names and undefined.
+local function step_of(self, message, index, tree, is_shown)
+  local field = message.fields[index]
+  local made, is_flags = self.fields[field], field.kind == "flags"
+  local function wanted(pf) return pf and referenced(tree, pf) and pf end
+  local pf = wanted(made.pf)
+  if not (is_flags or pf or wanted(made.special)) then return nil end
+  local step = { field = field, made = made, index = index, is_shown = is_shown, pf = pf,
+    inside = field.inside and message.index[field.inside],
+    add = field.scale and adders.float or adders[field.kind],
+    unit = is_shown and field.unit and " " .. field.unit,
+    label = (field.array_title or field.title) .. ": ", digits = decode.format_of(field),
+    value = field.kind == "float" and decode.float or decode.value,
+    title = is_shown and field.element and field.title }
+  if not is_flags then return step end
+  step.flags, step.names, step.undefined = {}, wanted(made.names), wanted(made.undefined)
+  for _, flag in ipairs(made.flags) do step.flags[#step.flags + 1] = wanted(flag) or nil end
+  return (pf or step.names or step.undefined or step.flags[1]) and step
 end
 
--- Those of a message's rows that are wanted of a tree.  Of one that is shown that is all; of another it is asked once
--- where the answer cannot change, on the first pass of tshark, else each time: without it a filter for one fault takes
--- 1.9 times as long.
-local function wanted_rows(self, m, tree)
-  local message = m.message
-  local rows = self.rows[message] or rows_of(self, message)
-  self.rows[message] = rows
-  if m.is_shown then return rows end
-  local wanted = m.is_steady and self.steady[message]
-  if wanted then return wanted end
-  wanted = {}
-  for i = 1, #rows do
-    if referenced(tree, rows[i].pf) then wanted[#wanted + 1] = rows[i] end
+-- How the tree of a message is built: a list of steps, and own = the message's own ProtoField, where it is wanted,
+-- differences = a list of { difference, pf, unit }.
+local function make_plan(self, message, tree, is_shown)
+  local own = self.messages[message]
+  local plan = { title = "Taurus " .. message.title, own = referenced(tree, own.pf) and own.pf, differences = {} }
+  for i = 1, #message.fields do
+    plan[#plan + 1] = step_of(self, message, i, tree, is_shown) or nil
   end
-  if m.is_steady then self.steady[message] = wanted end
-  return wanted
+  for i, difference in ipairs(message.differences) do
+    local pf, unit = own.differences[i], is_shown and difference.unit
+    local one = { difference = difference, pf = pf, unit = unit and " " .. unit }
+    if referenced(tree, pf) then plan.differences[#plan.differences + 1] = one end
+  end
+  return plan
+end
+
+-- The plan for a tree.  Of one that is shown everything is wanted; of another it is asked once where the answer cannot
+-- change, on the first pass of tshark, else each time: without it a filter for one fault takes 1.9 times as long.
+local function plan_of(self, m, tree)
+  local message = m.message
+  local plan = m.is_steady and self.steady[message]
+  if plan then return plan end
+  local is_shown = tree.visible
+  plan = is_shown and self.shown[message] or make_plan(self, message, tree, is_shown)
+  if is_shown then self.shown[message] = plan end
+  if m.is_steady then self.steady[message] = plan end
+  return plan
 end
 
 -- The tree of a message ---------------------------------------------------------------------------------------------
 
+-- A time has no raw value: whether it is there depends on the payload, and on its case.
+local function time_of(field, m)
+  local when, payload = field.when, m.payload
+  if #payload < field.offset + 8 or when and m.raws[when.index] ~= when.value then return nil end
+  return NSTime.new(decode.time(payload, field.offset))
+end
+
 -- Builds it; returns it, and the items by index of field, for the expert items.
 local function build(self, tree, m)
-  local message, raws, tvb, at, items, range, latest = m.message, m.raws, m.tvb, m.at, {}, nil, nil
-  m.is_shown = tree.visible
-  local whole = range_of(tvb, at, math.min(message.size, #m.payload))
-  local top = add(tree, self.taurus, whole, "Taurus " .. message.title)
-  set_hidden(add(top, self.messages[message].pf, whole))
-  local rows = wanted_rows(self, m, tree)
-  for i = 1, #rows do
-    local row = rows[i]
-    local field, index = row.field, row.index
+  local plan, raws, tvb, at, items = plan_of(self, m, tree), m.raws, m.tvb, m.at, {}
+  local whole = range_of(tvb, at, math.min(m.message.size, #m.payload))
+  local top = add(tree, self.taurus, whole, plan.title)
+  if plan.own then set_hidden(add(top, plan.own, whole)) end
+  for i = 1, #plan do
+    local step = plan[i]
+    local field, index = step.field, step.index
     local raw = raws[index]
-    if raw or row.is_time and #m.payload >= field.offset + field.size then
-      if index ~= latest and field.offset then range, latest = range_of(tvb, at + field.offset, field.size), index end
-      local item = row.add(row, items[row.inside] or top, range, raw, m)
-      if item and field.element and m.is_shown then
-        item.text = field.title .. (item.text or ""):sub(#field.array_title + 1)
-      end
-      items[index] = items[index] or item
+    if field.kind == "time" then raw = time_of(field, m) end
+    if raw then
+      local range = range_of(tvb, at + field.offset, field.size)
+      local item = step.add(step, items[step.inside] or top, range, raw)
+      if step.title then item.text = step.title .. (item.text or ""):sub(#field.array_title + 1) end
+      items[index] = item
     end
+  end
+  for _, one in ipairs(plan.differences) do
+    local value = decode.difference(m.message, one.difference, raws)
+    if value then set_generated(with_unit(add(top, one.pf, value), one)) end
   end
   return top, items
 end

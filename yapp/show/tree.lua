@@ -134,7 +134,7 @@ end
 function Tree:add_fragments(item, tvb, numbers, count, length, payload)
   local list = self:generated(item, "fragments", tvb())
   set_text(list, ("%d fragments (%d bytes)"):format(count, length))
-  for i = 1, #numbers do self:generated(list, "fragment", numbers[i]) end
+  for i = 1, #numbers do add_generated(list, self.fields.fragment, numbers[i]) end
   self:generated(list, "fragment.count", count)
   self:generated(list, "reassembled.length", length)
   self:generated(list, "reassembled.data", payload)
