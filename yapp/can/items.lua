@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- YAPP's own tree item of a frame on CAN.  Wireshark's API.  A builder is a show.tree, a view can.carrier's.
+-- YAPP's own tree item of a frame on CAN.  Wireshark's API.  A builder is a show.tree, a view
+-- can.carrier's.
 
 local items = require("yapp.show.items")
 local KINDS = require("yapp.wire.can_id").KINDS
@@ -16,7 +17,8 @@ function M.frame(builder, view)
   local titles, ctrl = view.names.titles, address.ctrl
   local title = titles[ctrl]
   if not title then
-    title = ("%s, %s, %s"):format(builder.yapp.description, view.names.name, KINDS[ctrl] or "undefined frame")
+    local kind = KINDS[ctrl] or "undefined frame"
+    title = ("%s, %s, %s"):format(builder.yapp.description, view.names.name, kind)
     titles[ctrl] = title
   end
   view.range = view.tvb()

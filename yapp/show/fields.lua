@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The fields and expert items, YAPP's own from rows and those of the messages from the compiled catalogue.
+-- The fields and expert items, YAPP's own from rows and those of the messages from the compiled
+-- catalogue.
 -- Wireshark's API.
 
 local decode = require("yapp.message.decode")
@@ -18,7 +19,7 @@ local YAPP = {
   { "size", "UINT16", "Payload size", "Payload of the message in bytes" },
   { "reserved", "UINT16", "Reserved", "Reserved bytes of the header, 0", HEX },
   { "sync", "UINT16", "Sync", "The bytes YP, with which a frame in a stream begins", HEX },
-  { "can.ctrl", "UINT8", "CAN frame", "Which part of a message a CAN frame is (CTRL)", nil, FRAME_KINDS },
+  { "can.ctrl", "UINT8", "CAN frame", "Which part of a message a CAN frame is", nil, FRAME_KINDS },
   { "crc", "UINT32", "CRC", "CRC-32K of header and payload, as it was sent", HEX },
   { "crc.status", "UINT8", "CRC status", "Whether the CRC is that of the bytes", nil, CRC_STATUS },
   { "crc.calculated", "UINT32", "Calculated CRC", "What the CRC should be, where it is bad", HEX },
@@ -30,14 +31,14 @@ local YAPP = {
   { "fragment.count", "UINT32", "Fragment count", "How many frames the message came in" },
   { "reassembled.in", "FRAMENUM", "Reassembled in", "The frame in which the message ends" },
   { "reassembled.length", "UINT32", "Reassembled length", "Bytes that were put together" },
-  { "reassembled.data", "BYTES", "Reassembled data", "Payload of a message that came in several frames" },
+  { "reassembled.data", "BYTES", "Reassembled data", "Payload that came in several frames" },
   { "skipped", "BYTES", "Skipped bytes", "Bytes of a stream that belong to no frame" },
   { "time_delta", "RELATIVE_TIME", "Time since the previous message with this ID",
     "Since the previous message with this ID on this bus or stream" },
   { "bus", "STRING", "Bus", "Name of the bus, where the capture has one" },
-  { "source", "STRING", "Source", "Name that the user gave to this bus and ID, else both as they are" },
-  { "message.fault", "BOOLEAN", "Message has a fault flag set", "In every frame of a message with a fault" },
-  { "seq.missing", "UINT8", "Messages missing before this one", "By the sequence numbers of its source" },
+  { "source", "STRING", "Source", "Name of this bus and ID, else both as they are" },
+  { "message.fault", "BOOLEAN", "Message has a fault flag set", "In every frame of it" },
+  { "seq.missing", "UINT8", "Messages missing before this one", "By its sequence number" },
 }
 
 -- filter, what it says by itself, group, severity
@@ -69,7 +70,8 @@ local TAURUS_EXPERTS = {
   { "value.invalid", "Value that is not defined", "PROTOCOL", "WARN" },
 }
 
--- One constructor for every type; base: of a number, the width of a boolean's field; values: or a frametype.
+-- One constructor for every type; base: of a number, the width of a boolean's field; values: or a
+-- frametype.
 local function make(filter, kind, title, about, shape, values, mask)
   shape = shape or (kind:find("INT") and base.DEC or NONE)
   return ProtoField.new(title, filter, ftypes[kind], values, shape, mask, about)
@@ -79,7 +81,8 @@ local function make_experts(proto, prefix, rows)
   local experts = {}
   for _, row in ipairs(rows) do
     local name, text, group, severity = row[1], row[2], row[3], row[4]
-    experts[name] = ProtoExpert.new(prefix .. name, text, expert.group[group], expert.severity[severity])
+    experts[name] =
+      ProtoExpert.new(prefix .. name, text, expert.group[group], expert.severity[severity])
   end
   proto.experts = experts
   return experts
@@ -102,14 +105,16 @@ end
 -- What a flags field has below it.
 local function make_flags(field, made, kind, about, add)
   local title, group = field.title, field.group
-  made.undefined = add(group .. ".undefined", "UINT32", "Undefined bits", "Bits that nothing defines: " .. about, HEX)
+  made.undefined = add(group .. ".undefined", "UINT32", "Undefined bits",
+    "Bits that nothing defines: " .. about, HEX)
   made.flags = {}
   for i, flag in ipairs(field.flags) do
     local help = flag.help or flag.title .. ": " .. about
     made.flags[i] = add(flag.filter, "BOOLEAN", flag.title, help, field.size * 8, nil, flag.mask)
   end
   if #field.flags == 0 then return end
-  made.names = add(field.filter .. ".names", "STRING", title, "Names of the bits that are set: " .. about)
+  made.names = add(field.filter .. ".names", "STRING", title,
+    "Names of the bits that are set: " .. about)
   made.raised = add(group .. ".raised", kind, title .. " raised",
     "Bits that rose since the source's previous good message: " .. about, HEX)
   made.cleared = add(group .. ".cleared", kind, title .. " cleared",
@@ -134,11 +139,13 @@ local function make_field(message, field, add)
     made.special = add(field.filter .. ".special", "UINT8", title,
       "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS)
   end
-  made.pf = add(field.filter, ftype, title, about, shape, field.values, not field.scale and field.mask or nil)
+  local mask = not field.scale and field.mask or nil
+  made.pf = add(field.filter, ftype, title, about, shape, field.values, mask)
   return made
 end
 
--- What belongs to a message as a whole; add_standing: adds what messages have that change nothing, too.
+-- What belongs to a message as a whole; add_standing: adds what messages have that change nothing,
+-- too.
 local function make_message(message, add, add_standing)
   local filter, title, alarm = message.filter, message.title, message.alarms[1]
   local own = { pf = add(filter, "NONE", title, "A whole message: " .. title), differences = {} }
@@ -153,15 +160,18 @@ local function make_message(message, add, add_standing)
   local answers = message.answers
   if answers then
     local command = (answers:sub(1, 1):upper() .. answers:sub(2)):gsub("_", " ")
-    own.command_in = add_standing(("%s.%s_in"):format(filter, answers), "FRAMENUM", ("Latest %s in"):format(command),
+    own.command_in = add_standing(("%s.%s_in"):format(filter, answers), "FRAMENUM",
+      ("Latest %s in"):format(command),
       ("The latest %s on this bus before the message"):format(command), nil, frametype.REQUEST)
   end
   if alarm then
     own.active_time = add_standing(alarm.group .. ".active_time", "RELATIVE_TIME",
-      "Time since the oldest of them was raised", "Since the oldest fault that is still set was raised")
+      "Time since the oldest of them was raised",
+      "Since the oldest fault that is still set was raised")
     for _, way in ipairs { "previous", "next" } do
       own[way] = add_standing(("%s.%s_change"):format(alarm.group, way), "FRAMENUM",
-        ("%s: %s change in"):format(alarm.title, way), ("The source's %s message that changes a fault"):format(way))
+        ("%s: %s change in"):format(alarm.title, way),
+        ("The source's %s message that changes a fault"):format(way))
     end
   end
   return own
@@ -169,9 +179,12 @@ end
 
 --- Makes the fields and expert items of the messages and hands them to the protocol.
 -- taurus   Proto; catalogue: compiled
--- returns  { [message] = { pf, differences (list), drift, command_in, active_time, previous, next } },
---          { [field] = { pf, special, flags (list), names, undefined, raised, cleared } }, where the elements of an
---          array share theirs; { [filter without "taurus."] = ProtoExpert }; and a list of the ProtoFields that the
+-- returns  { [message] = { pf, differences (list), drift, command_in, active_time, previous, next
+--          } },
+--          { [field] = { pf, special, flags (list), names, undefined, raised, cleared } }, where
+-- the elements of an
+--          array share theirs; { [filter without "taurus."] = ProtoExpert }; and a list of the
+-- ProtoFields that the
 --          history has also for a message that changes nothing
 function M.of_taurus(taurus, catalogue)
   local list, standing, messages, fields, by_filter = {}, {}, {}, {}, {}

@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the values come from
+-- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the
+-- values come from
 -- message.decode, what changed from the history.
 
 local decode = require("yapp.message.decode")
@@ -9,8 +10,10 @@ local items_of = require("yapp.show.items")
 local M = {}
 
 local add, add_le, add_generated = items_of.add, items_of.add_le, items_of.add_generated
-local append_text, set_hidden, set_generated = items_of.append_text, items_of.set_hidden, items_of.set_generated
-local relative_time, referenced, range_of = items_of.relative_time, items_of.referenced, items_of.range
+local append_text, set_text = items_of.append_text, items_of.set_text
+local set_hidden, set_generated = items_of.set_hidden, items_of.set_generated
+local relative_time, referenced = items_of.relative_time, items_of.referenced
+local range_of = items_of.range
 local format, band, flag_names = string.format, decode.band, decode.flag_names
 
 local NONE = {}
@@ -49,8 +52,10 @@ adders.int, adders.bool, adders.bytes = adders.uint, adders.uint, adders.uint
 
 local function add_special(step, parent, range, raw, special)
   local field, text = step.field, decode.SPECIALS[special]
-  if field.kind == "float" and raw > 0 then text = format("%s (0x%0" .. field.size * 2 .. "x)", text, raw) end
-  return items_of.set_text(add(parent, step.made.special, range, special), step.label .. text)
+  if field.kind == "float" and raw > 0 then
+    text = format("%s (0x%0" .. field.size * 2 .. "x)", text, raw)
+  end
+  return set_text(add(parent, step.made.special, range, special), step.label .. text)
 end
 
 -- A number with a fraction, or the special that is there instead.
@@ -58,7 +63,9 @@ function adders.float(step, parent, range, raw)
   local field, pf = step.field, step.made.pf
   local value, special = step.value(field, raw)
   if special then return add_special(step, parent, range, raw, special) end
-  if not step.digits then return with_unit(add(parent, pf, range, decode.rounded(field, value)), step) end
+  if not step.digits then
+    return with_unit(add(parent, pf, range, decode.rounded(field, value)), step)
+  end
   local digits = format(step.digits, value)
   if not step.is_shown then return add(parent, pf, range, tonumber(digits)) end
   return add(parent, pf, range, tonumber(digits), step.label .. digits .. (step.unit or ""))
@@ -90,9 +97,10 @@ function adders.flags(step, parent, range, raw)
   return item
 end
 
--- What is wanted ----------------------------------------------------------------------------------------------------
+-- What is wanted ----------------------------------------------------------------------------------
 
---- Whether somebody wants of a tree what the history says of every message, not only of one that changes something.
+--- Whether somebody wants of a tree what the history says of every message, not only of one that
+--  changes something.
 function Taurus:wants_standing(tree)
   for _, pf in ipairs(self.standing) do
     if referenced(tree, pf) then return true end
@@ -100,33 +108,47 @@ function Taurus:wants_standing(tree)
   return false
 end
 
--- How a field is added to a tree, nil where nobody wants it: { field, made = its ProtoFields, index,
--- inside = index of the field that it is a part of, add = of adders, and of a tree that is shown is_shown, its unit and
--- the title of an array's element }; of flags those that are wanted of pf, flags, names and undefined.
-local function step_of(self, message, index, tree, is_shown)
+-- How a field is added to a tree: { field, made = its ProtoFields, index, inside = index of the
+-- field that it is a part
+-- of, add = of adders, ... }.
+local function new_step(message, index, made, is_shown)
   local field = message.fields[index]
-  local made, is_flags = self.fields[field], field.kind == "flags"
-  local function wanted(pf) return pf and referenced(tree, pf) and pf end
-  local pf = wanted(made.pf)
-  if not (is_flags or pf or wanted(made.special)) then return nil end
-  local step = { field = field, made = made, index = index, is_shown = is_shown, pf = pf,
+  return {
+    field = field, made = made, index = index, is_shown = is_shown,
     inside = field.inside and message.index[field.inside],
     add = field.scale and adders.float or adders[field.kind],
     unit = is_shown and field.unit and " " .. field.unit,
-    label = (field.array_title or field.title) .. ": ", digits = decode.format_of(field),
+    title = is_shown and field.element and field.title,
+    label = (field.array_title or field.title) .. ": ",
+    digits = decode.format_of(field),
     value = field.kind == "float" and decode.float or decode.value,
-    title = is_shown and field.element and field.title }
-  if not is_flags then return step end
-  step.flags, step.names, step.undefined = {}, wanted(made.names), wanted(made.undefined)
-  for _, flag in ipairs(made.flags) do step.flags[#step.flags + 1] = wanted(flag) or nil end
-  return (pf or step.names or step.undefined or step.flags[1]) and step
+  }
 end
 
--- How the tree of a message is built: a list of steps, and own = the message's own ProtoField, where it is wanted,
+-- The same, nil where nobody wants the field; for flags with those that are wanted of pf, flags,
+-- names and undefined.
+local function step_of(self, message, index, tree, is_shown)
+  local made = self.fields[message.fields[index]]
+  local function wanted(pf) return pf and referenced(tree, pf) and pf or nil end
+  local pf = wanted(made.pf)
+  if not made.flags then
+    return (pf or wanted(made.special)) and new_step(message, index, made, is_shown)
+  end
+  local flags, names, undefined = {}, wanted(made.names), wanted(made.undefined)
+  for _, flag in ipairs(made.flags) do flags[#flags + 1] = wanted(flag) end
+  if not (pf or names or undefined or flags[1]) then return nil end
+  local step = new_step(message, index, made, is_shown)
+  step.pf, step.flags, step.names, step.undefined = pf, flags, names, undefined
+  return step
+end
+
+-- How the tree of a message is built: a list of steps, and own = the message's own ProtoField,
+-- where it is wanted,
 -- differences = a list of { difference, pf, unit }.
 local function make_plan(self, message, tree, is_shown)
   local own = self.messages[message]
-  local plan = { title = "Taurus " .. message.title, own = referenced(tree, own.pf) and own.pf, differences = {} }
+  local plan = { title = "Taurus " .. message.title, differences = {} }
+  plan.own = referenced(tree, own.pf) and own.pf
   for i = 1, #message.fields do
     plan[#plan + 1] = step_of(self, message, i, tree, is_shown) or nil
   end
@@ -138,8 +160,10 @@ local function make_plan(self, message, tree, is_shown)
   return plan
 end
 
--- The plan for a tree.  Of one that is shown everything is wanted; of another it is asked once where the answer cannot
--- change, on the first pass of tshark, else each time: without it a filter for one fault takes 1.9 times as long.
+-- The plan for a tree.  Of one that is shown everything is wanted; of another it is asked once
+-- where the answer cannot
+-- change, on the first pass of tshark, else each time: without it a filter for one fault takes 1.9
+-- times as long.
 local function plan_of(self, m, tree)
   local message = m.message
   local plan = m.is_steady and self.steady[message]
@@ -151,7 +175,7 @@ local function plan_of(self, m, tree)
   return plan
 end
 
--- The tree of a message ---------------------------------------------------------------------------------------------
+-- The tree of a message ---------------------------------------------------------------------------
 
 -- A time has no raw value: whether it is there depends on the payload, and on its case.
 local function time_of(field, m)
@@ -188,13 +212,17 @@ end
 -- What the catalogue says of the flags that are set.
 local function append_help(item, field, bits)
   for _, flag in ipairs(field.flags) do
-    if flag.help and band(bits, flag.mask) ~= 0 then append_text(item, ("; %s: %s"):format(flag.name, flag.help)) end
+    if flag.help and band(bits, flag.mask) ~= 0 then
+      append_text(item, ("; %s: %s"):format(flag.name, flag.help))
+    end
   end
 end
 
 --- Shows a message, and its expert items.
--- m        of message.reader, as Tree:payload takes it, and label = what the message is called where its title does not
---          tell it, or nil; is_steady = whether what is wanted of a tree cannot change before the next reset
+-- m        of message.reader, as Tree:payload takes it, and label = what the message is called
+--          where its title does not
+--          tell it, or nil; is_steady = whether what is wanted of a tree cannot change before the
+-- next reset
 -- returns  the Taurus item; nil without a tree
 function Taurus:show(m)
   local top, items
@@ -211,7 +239,7 @@ function Taurus:show(m)
   return top
 end
 
--- Changes -----------------------------------------------------------------------------------------------------------
+-- Changes -----------------------------------------------------------------------------------------
 
 -- The bits of a change that rose or fell, and those of them that are faults.
 local function bits_of(one, way)
@@ -238,7 +266,8 @@ local function add_values(self, item, m)
   return add_wanted(item, own.drift, change.drift, relative_time)
 end
 
--- Adds the bits of a flags field that rose or fell; returns the names of the faults among them, nil for none.
+-- Adds the bits of a flags field that rose or fell; returns the names of the faults among them,
+-- nil for none.
 local function add_bits(self, item, one, way, is_tree)
   local field, bits, alarms = one.field, bits_of(one, way)
   if bits == 0 then return nil end

@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a user sees of YAPP: the tree, the expert items, the Info column.  The messages: show.taurus.
+-- What a user sees of YAPP: the tree, the expert items, the Info column.  The messages:
+-- show.taurus.
 -- Wireshark's API; what is shown comes in finished, from the reassembly or the framing.
 
 local info_of = require("yapp.message.info")
@@ -37,7 +38,7 @@ function Tree:reset()
   self.messages:reset()
 end
 
--- What is wanted -----------------------------------------------------------------------------------------------------
+-- What is wanted ----------------------------------------------------------------------------------
 
 local IS_TSHARK = not gui_enabled()
 local NO_COLUMN = "(info)" -- what the API calls it where there are no columns at all
@@ -47,7 +48,8 @@ local NOTHING, LIST = {}, { columns = true } -- where nobody wants a tree
 -- What is wanted of a look at a packet.
 local function ask(self, tree, pinfo, is_first)
   local has_columns = not is_first or tostring(pinfo.cols.info) ~= NO_COLUMN
-  if not tree.hidden then return has_columns and LIST or NOTHING end -- none; from 4.6 on there is always one
+  -- From 4.6 on there is always a tree.
+  if not tree.hidden then return has_columns and LIST or NOTHING end
   -- The API asks by dissector, and those exist only when loading has ended.
   local taurus = tree:referenced(Dissector.get("taurus"))
   return { columns = has_columns, yapp = tree:referenced(Dissector.get("yapp")), taurus = taurus,
@@ -57,11 +59,15 @@ end
 
 --- What anyone wants of a packet.
 -- is_again  whether the packet was shown before
--- returns   { yapp = whether YAPP's own items are visible, filtered or printed, taurus = whether those of messages are,
+-- returns   { yapp = whether YAPP's own items are visible, filtered or printed, taurus = whether
+--           those of messages are,
 --           standing = whether, of these, what also stands at messages that change nothing,
---           names = whether, without them, the names of protocols are (see bare), columns = whether there are columns:
---           tshark has them for a packet list, and not with -V, -q, most of -T or in a first pass of two }.  In tshark
---           this does not change within a first pass, so it is asked once and kept in `wanted`; in Wireshark, and on
+--           names = whether, without them, the names of protocols are (see bare), columns =
+-- whether there are columns:
+--           tshark has them for a packet list, and not with -V, -q, most of -T or in a first pass
+-- of two }.  In tshark
+--           this does not change within a first pass, so it is asked once and kept in `wanted`; in
+-- Wireshark, and on
 --           later looks of sharkd, it may.
 function Tree:wants(tree, pinfo, is_again)
   if not IS_TSHARK or is_again then return ask(self, tree, pinfo, false) end
@@ -69,7 +75,8 @@ function Tree:wants(tree, pinfo, is_again)
   return self.wanted
 end
 
---- Where nobody wants YAPP's own items, but there is a tree: its name, for who asks for protocols (-z io,phs).
+--- Where nobody wants YAPP's own items, but there is a tree: its name, for who asks for protocols
+--  (-z io,phs).
 -- wants       of the tree; is_message: whether there is a message's name too
 -- returns     the tree, for the expert items
 -- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
@@ -81,14 +88,16 @@ function Tree:bare(tree, wants, is_message)
   return tree
 end
 
---- What an ID is called: "Motor Data", "Motor Data 0x212 (can1)", "Motor Data left_fore", "ID 0x123".
+--- What an ID is called: "Motor Data", "Motor Data 0x212 (can1)", "Motor Data left_fore", "ID
+--  0x123".
 -- bus_name  text, or nil where the capture names none
 function Tree:name(id, bus_name)
   return self.reader:label(id, bus_name)
 end
 
 --- Adds an expert item of YAPP's.
--- text  what there is to say of this packet: its own item, so that the expert's text is the same each time and
+-- text  what there is to say of this packet: its own item, so that the expert's text is the same
+--       each time and
 --       `-z expert` can count it; nil where the expert's says all
 function Tree:expert(item, name, text)
   if text and item.visible then item = add_generated(item, text) end
@@ -129,7 +138,8 @@ function Tree:add_source(item, id, bus_name)
 end
 
 --- Adds the frames that a message was put together from.
--- tvb      of the whole; numbers: of its frames; count: of them, with any that a read filter rejected; length: in bytes
+-- tvb      of the whole; numbers: of its frames; count: of them, with any that a read filter
+--          rejected; length: in bytes
 -- payload  TvbRange of the message's payload, nil where it has none
 function Tree:add_fragments(item, tvb, numbers, count, length, payload)
   local list = self:generated(item, "fragments", tvb())
@@ -145,7 +155,8 @@ end
 -- message { crc, status, calculated }
 function Tree:add_crc(item, range, message)
   local status, calculated = message.status, message.calculated
-  local crc = range and add_le(item, self.fields.crc, range) or self:generated(item, "crc", message.crc)
+  local crc = range and add_le(item, self.fields.crc, range)
+  crc = crc or self:generated(item, "crc", message.crc)
   append_text(crc, (CRC_TEXT[status] or " [unverified]"):format(calculated))
   self:generated(item, "crc.status", STATUS_CODE[status] or UNVERIFIED)
   if status == "bad" then self:generated(item, "crc.calculated", calculated) end
@@ -154,10 +165,12 @@ end
 
 --- Says that a CRC is bad, with what was received and expected.
 function Tree:bad_crc(item, message)
-  self:expert(item, "crc.bad", ("Received 0x%08x, expected 0x%08x"):format(message.crc, message.calculated))
+  local text = ("Received 0x%08x, expected 0x%08x"):format(message.crc, message.calculated)
+  self:expert(item, "crc.bad", text)
 end
 
---- Adds what YAPP's own item says of a message's history: the time since the previous one, messages that are missing.
+--- Adds what YAPP's own item says of a message's history: the time since the previous one,
+--  messages that are missing.
 -- message  of message.reader
 function Tree:add_delta(item, message)
   local change = message.change or {}
@@ -174,9 +187,12 @@ end
 -- A message that is not in the catalogue, or not as it is there: bytes.
 local function show_bytes(self, m)
   local name, size, message = m.name, Tree.bytes(m.size), m.message
-  if m.wanted and m.tvb and #m.payload > 0 then add(m.item, self.fields.payload, m.tvb(m.at, #m.payload)) end
+  if m.wanted and m.tvb and #m.payload > 0 then
+    add(m.item, self.fields.payload, m.tvb(m.at, #m.payload))
+  end
   if message then
-    self:expert(m.item, "size.mismatch", ("%s has %s, the catalogue says %d"):format(name, size, message.size))
+    self:expert(m.item, "size.mismatch",
+      ("%s has %s, the catalogue says %d"):format(name, size, message.size))
     return ("%s, %s, the catalogue says %d"):format(name, size, message.size)
   end
   local text, info = self.reader:hint(m)
@@ -193,8 +209,10 @@ local function show_change(self, m, top)
 end
 
 --- Shows a finished message: the message of the catalogue, or bytes.
--- m        of message.reader, with { tree = where the Taurus tree goes, item = YAPP's own item or the tree, wanted =
---          whether there is one, tvb and at = where the payload lies, tvb nil where nobody wants a tree,
+-- m        of message.reader, with { tree = where the Taurus tree goes, item = YAPP's own item or
+--          the tree, wanted =
+--          whether there is one, tvb and at = where the payload lies, tvb nil where nobody wants a
+-- tree,
 --          has_columns = whether anyone sees the Info column }
 -- returns  what the Info column says of it, or a part of that where nobody sees it
 function Tree:payload(m)
