@@ -124,17 +124,25 @@ end
 -- What a kind of field is to Wireshark, where the kind does not say it.
 local TYPES = { time = "RELATIVE_TIME", bool = "BOOLEAN", float = "DOUBLE", ieee = "DOUBLE" }
 
+-- The type and the base of a field's own ProtoField.
+local function type_of(field)
+  local kind, bits = field.kind, field.size * 8
+  if field.scale then return "DOUBLE" end
+  if kind == "flags" then return "UINT" .. bits, HEX end
+  if TYPES[kind] then return TYPES[kind] end
+  if kind == "int" then return "INT" .. bits end
+  if kind == "uint" then return "UINT" .. bits, field.values and HEX end
+  return kind:upper()
+end
+
 -- The ProtoFields of a field; message: that it belongs to.
 local function make_field(message, field, add)
-  local title, kind, shape, made = field.array_title or field.title, field.kind, nil, {}
-  local unit = field.unit and (" in %s"):format(field.unit) or ""
+  local title, kind, made = field.array_title or field.title, field.kind, {}
+  local unit = field.unit and " in " .. field.unit or ""
   local about = field.description or ("%s%s, of %s"):format(title, unit, message.title)
-  local ftype = field.scale and "DOUBLE" or TYPES[kind] or kind:upper()
+  local ftype, shape = type_of(field)
   if kind == "flags" then
-    ftype, shape = "UINT" .. field.size * 8, HEX
     make_flags(field, made, ftype, about, add)
-  elseif ftype == "UINT" or ftype == "INT" then
-    ftype, shape = ftype .. field.size * 8, ftype == "UINT" and field.values and HEX
   elseif kind == "float" or kind == "ieee" then
     made.special = add(field.filter .. ".special", "UINT8", title,
       "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS)
