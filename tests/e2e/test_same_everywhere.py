@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What a frame is depends on nothing that is asked for: not on fields, filters and passes, not on what other layers show."""
 import functools
-import pathlib
 import random
 import re
 import shutil
@@ -250,20 +249,6 @@ def test_others_throw_at_frames_that_the_capture_cut(ids, layout, passes, folder
         "-o", "autosar-nm.can_id_mask:0xffffff00"))
     assert [row[0] for row in found] == [""] * 305 + ["1"]
     assert [bool(row[1]) for row in found] == [False] + [True] * 300 + [False] * 5
-
-
-@levels.by_version
-@levels.each_once
-@pytest.mark.parametrize("options", [
-    (), ("-V",), ("-Y", "yapp"), ("-q", "-z", "yapp,csv,-,motor"), ("-Y", "yapp", "-V"),
-    ("-2",), ("-2", "-V"), ("-2", "-R", "yapp"), ("-2", "-q", "-z", "yapp,csv,-,motor")])
-@pytest.mark.parametrize("name, carrier", [("document_motor.pcap", "can"), ("document_uart.pcap", "serial")])
-def test_nothing_is_kept_where_nobody_looks_again(name, carrier, options):
-    script = pathlib.Path(__file__).with_name("only_pass.lua")
-    done = tshark.run("-X", f"lua_script:{script}", "-r", tshark.CAPTURES / name, *options)
-    told = re.search("^only pass:(.*)$", done.stderr, re.MULTILINE)[1].split()
-    is_known = "-2" not in options and (options != ("-Y", "yapp") or tshark.version() < (4, 2))
-    assert (carrier in told) == is_known
 
 
 @pytest.mark.parametrize("passes", PASSES, ids=" ".join)
