@@ -17,14 +17,16 @@ YAPP_EXPERTS = ["crc.bad", "fragment.orphan", "fragment.incomplete", "fragment.o
 TAURUS_EXPERTS = ["fault.active", "command.key.invalid", "value.special", "flags.undefined", "value.invalid"]
 # Worked out from more than one message: what test_events.py is about.
 EVENT_EXPERTS = ["yapp.late", "yapp.unfinished", "taurus.fault.raised", "taurus.fault.cleared", "taurus.reboot", "taurus.stale"]
-CHANGES = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8"}
+CHANGES = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8",
+           "yapp.reassembled.data": "BYTES"}
 CHANGES |= {f"taurus.motor.{group}.{way}": "UINT8" if group == "state" else "UINT32"
             for group in ("fault", "status", "state") for way in ("raised", "cleared")}
 CHANGES |= {f"taurus.{name}": kind for name, kind in {
     "health.status.raised": "UINT8", "health.status.cleared": "UINT8", "motor.fault.active_time": "RELATIVE_TIME",
     "motor.fault.previous_change": "FRAMENUM", "motor.fault.next_change": "FRAMENUM", "motor.rpm_error": "DOUBLE",
     "motor.torque_iq_error": "DOUBLE", "motor.command_in": "FRAMENUM", "motor.clock_drift": "RELATIVE_TIME",
-    "health.clock_drift": "RELATIVE_TIME"}.items()}
+    "health.clock_drift": "RELATIVE_TIME", "motor.status_flags.names": "STRING", "motor.fault_flags.names": "STRING",
+    "motor.motor_state.names": "STRING", "health.taurus_status.names": "STRING"}.items()}
 EXPERTS = [f"yapp.{name}" for name in YAPP_EXPERTS] + [f"taurus.{name}" for name in TAURUS_EXPERTS]
 
 FAULT = {

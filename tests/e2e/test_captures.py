@@ -171,6 +171,18 @@ def test_public_names_and_types():
     assert {name: types.get(name) for name in wanted} == {name: f"FT_{kind}" for name, kind in wanted.items()}
 
 
+def test_every_field_says_what_it_is():
+    """Title, unit and message; .special that it is there instead of a number."""
+    load = tshark.load(tshark.PLUGIN / "yapp.lua")
+    rows = [line.split("\t") for line in tshark.run("-G", "fields", *load, plugin=False).stdout.splitlines()]
+    about = {row[2]: row[7] for row in rows if row[0] == "F" and row[2].startswith(("yapp.", "taurus."))}
+    experts = {*model.EXPERTS, *model.EVENT_EXPERTS, "yapp.can.id.missing"}
+    assert len(about) > 150 and [name for name, text in about.items() if not text and name not in experts] == []
+    assert about["taurus.motor.dc_voltage"] == "DC Voltage in V, of Motor Data"
+    assert "DC Voltage in V, of Motor Data" in about["taurus.motor.dc_voltage.special"]
+    assert about["taurus.motor.dc_voltage.special"].startswith("Why there is no number")
+
+
 # The document's examples -----------------------------------------------------------------------------------------
 
 # Capture and the frame in which Motor Data ends.
@@ -243,6 +255,25 @@ def test_no_links_elsewhere():
     assert {name for name in NAMES if any("yapp.reassembled.in" in one for one in shown(name))} == set(MESSAGES)
 
 
+@pytest.mark.parametrize("name, number", [("document_motor", 5), ("document_uart_split", 4), ("document_uart", None)])
+def test_payload_of_what_was_put_together(name, number):
+    """Not where a message came in one piece."""
+    rows = tshark.fields(make.capture(name)[0], ["frame.number", "yapp.reassembled.data"], *make.read(name).options)
+    wanted = [[str(number), MOTOR.hex()]] if number else []
+    assert [[frame, data.replace(":", "")] for frame, data in rows if data] == wanted
+
+
+def test_names_of_flags():
+    wanted = [("document_motor", "taurus.motor.motor_state.names", "ready, stopped"),
+              ("document_motor", "taurus.motor.status_flags.names", "stopped, mpos_update"),
+              ("document_motor", "taurus.motor.fault_flags.names", ""),
+              ("info_column", "taurus.motor.fault_flags.names", "motor_overcurrent, hall_timeout")]
+    for name, field, text in wanted:
+        assert tshark.fields(make.capture(name)[0], [field], separator="|")[-1] == [text]
+    found = tshark.run("-r", make.capture("info_column")[0], "-Y", 'taurus.motor.fault_flags.names contains "hall"').stdout
+    assert [line.split()[0] for line in found.splitlines()] == ["5"]
+
+
 def test_length_of_what_was_put_together():
     assert frame("document_motor", 5)["yapp.reassembled.length"] == ["32"]
     assert frame("health", 4)["yapp.reassembled.length"] == ["17"]
@@ -298,10 +329,11 @@ INFO = [
     ("overrun", 6, "Motor Data  40 of 32 bytes  [OVERRUN]"),
     ("end_without_start", 1, "Motor Data  End without a Start"),
     ("unknown_id", 1, "ID 0x123  3 bytes"),
-    ("wrong_size", 1, "Command  6 bytes, not 7"),
+    ("wrong_size", 1, "Command, 6 bytes, the catalogue says 7"),
     ("reserved_counts_motor", 21, "Motor Data  0.0/0.0 RPM  NaN V  0.00 A  STALE"),
     ("events", 6, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  FAULT hall_timeout  STALE"),
-    ("events", 7, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  REBOOT"),
+    ("events", 5, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  FAULT hall_timeout  cleared motor_overcurrent"),
+    ("events", 7, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  cleared hall_timeout  REBOOT"),
     ("uart_shell", 1, 'Skipped 7 bytes "login: " | Motor Data  0.0/0.0 RPM  47.97 V  0.00 A | Skipped 6 bytes '
      '"\\r\\nOK\\r\\n" | Health  control 50 %, Taurus 20 %  CPU 50 °C, FET 40 °C | Skipped 3 bytes "bye"'),
 ]
@@ -343,6 +375,7 @@ TREE = [
     ("document_motor", 5, "yapp.id", "Message ID: Motor Data (0x00000210)"),
     ("document_motor", 5, "yapp.can.ctrl", "CAN frame: End (3)"),
     ("document_motor", 5, "yapp.size", "Payload size: 32 bytes"),
+    ("document_motor", 5, "yapp.source", "Source: 0x210"),
     ("document_motor", 5, "yapp.fragments", "5 fragments (32 bytes)"),
     ("document_command", 1, "taurus.command.torque_iq", "Torque IQ: 0.5005341 A"),
     ("document_command", 1, "taurus.command.rpm", "RPM: 750.8012 RPM"),

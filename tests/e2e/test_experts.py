@@ -207,3 +207,26 @@ def test_each_flag_is_found_in_its_frame_and_in_no_other(name, path, bits, last)
     everywhere = " && ".join(f"{path}.{flag} == 1" for flag in frames)
     tshark.assert_found(make.capture(name)[0], [(" || ".join(there), sorted(frames.values())),
                                                 (" || ".join(elsewhere), []), (everywhere, [last])])
+
+
+HELP = """return { { name = "motor", title = "Motor Data", id = 0x210, size = 32,
+  { "before", "bytes", "Before", length = 18 },
+  { "fault_flags", "uint32", "Fault Flags", group = "fault", alarm = "FAULT", flags = {
+    { "motor_overcurrent", 0x10000, "Motor overcurrent", help = "look at the phases" },
+    { "hall_timeout", 0x10000000, "Hall timeout" } } },
+  { "behind", "bytes", "Behind", length = 10 } } }"""
+
+
+def test_help_of_a_flag(folder):
+    """Where the flag is set, and where it rose; not where it is not."""
+    (folder / "messages.lua").write_text(HELP)
+    plugin = tshark.copy_plugin(folder / "plugin")
+    (plugin / "taurus_fields.lua").write_text(HELP)
+    done = tshark.run(*tshark.load(plugin / "yapp.lua"), "-r", make.capture("events")[0], "-O", "taurus", plugin=False)
+    if 'unknown option "help"' in done.stderr:
+        pytest.skip("flags have no help yet")
+    trees = [tree for tree in re.split(r"(?m)^Frame \d+:", done.stdout)[1:] if "Taurus Motor Data" in tree]
+    texts = [re.findall(r"(?m)^ +\[?(Fault Flags.*?)\]?$", tree) for tree in trees]
+    assert texts[1] == ["Fault Flags: 0x00010000 (motor_overcurrent); motor_overcurrent: look at the phases",
+                        "Fault Flags raised: 0x00010000 (motor_overcurrent); motor_overcurrent: look at the phases"]
+    assert "look at" not in "".join(texts[0] + texts[3])

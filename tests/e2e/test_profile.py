@@ -84,6 +84,60 @@ def test_columns(home):
     assert titles == ["No.", "Time", "Source", "RPM", "Voltage", "Current", "State", "Faults", "Protocol", "Info"]
     values = dict(zip(titles, re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[1])))
     assert (values["Voltage"], values["RPM"], values["Protocol"]) == ("47.97314", "0", "YAPP")
+    assert values["Source"].endswith("0x210") and (values["State"], values["Faults"]) == ("ready, stopped", "")
+
+
+def columns(home, *arguments):
+    """The columns Source, State and Faults of each packet that has a state."""
+    done = run(home, *arguments, "-T", "psml")
+    rows = [re.findall(r"<section>(.*?)</section>", row) for row in done.stdout.split("<packet>")[1:]]
+    return [(row[2], row[6], row[7]) for row in rows if row[6]]
+
+
+@pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
+def test_names_of_state_and_faults(home, passes):
+    rows = columns(home, *passes, "-r", tshark.CAPTURES / "events.pcap")
+    assert [faults for _, _, faults in rows[:6]] == [
+        "", "motor_overcurrent", "motor_overcurrent, hall_timeout", "hall_timeout", "hall_timeout", ""]
+    assert all(source.endswith("0x210") for source, _, _ in rows)
+
+
+def test_a_column_for_each_controller(home):
+    """By the options that docs/profile.md shows."""
+    page = (tshark.ROOT / "docs/profile.md").read_text()
+    sources = re.search(r'-o "(yapp\.sources:[^"]*)"', page)[1]
+    rows = columns(home, "-o", sources, "-r", tshark.ROOT / "docs/flight.pcapng")
+    assert {row[0] for row in rows} == {"left", "right"}
+    for name in re.findall(r'`yapp.source == "(\w+)"`', page):
+        found = run(home, "-o", sources, "-r", tshark.ROOT / "docs/flight.pcapng", "-Y", f'yapp.source == "{name}" && taurus.motor')
+        assert found.stdout
+
+
+def test_names_that_are_set_in_the_profile(home):
+    """Are there with -C YAPP, and nowhere else."""
+    path = home / ".config/wireshark/profiles/YAPP/preferences"
+    before = path.read_text()
+    try:
+        path.write_text(before + "\nyapp.sources: 0x210=motor:nose\n")
+        for profile, name in (["-C", "YAPP"], "nose"), ([], "0x210"):
+            done = tshark.run(*profile, *tshark.load(), "-r", tshark.CAPTURES / "document_uart.pcap", "-T", "fields", "-e",
+                              "yapp.source", plugin=False, env={"HOME": str(home)})
+            assert done.stdout.strip().endswith(name)
+    finally:
+        path.write_text(before)
+
+
+def test_every_column_has_a_width():
+    text = (PROFILE / "preferences").read_text()
+    formats = [name.removesuffix(":0:R") for name in re.findall(r'"(%[^"]+)"', text)]
+    widths = re.search(r"(?m)^column.width: (.*)", (PROFILE / "recent").read_text())[1].split(", ")
+    assert widths[::2] == formats and all(int(width) >= 50 for width in widths[1::2])
+
+
+def test_several_controllers_are_no_average_and_no_zigzag():
+    for row in uat("io_graphs"):
+        assert row[4] in ("Dot", "Impulse") and not row[5].startswith("AVG"), row
+    assert {row[5] for row in uat("plots")} == {"Dot"}
 
 
 @pytest.mark.parametrize("capture, rule", [

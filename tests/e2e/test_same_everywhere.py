@@ -230,7 +230,7 @@ def test_malformed_frames_of_known_ids(arguments, layout, passes, folder):
               Frame(0x08000000, bytes(3)), Frame(0x08404000, b"abc"), *Sent(0x210, 0, 0, MOTOR).frames()]
     rows = shown(written(folder, frames, layout), INFO, "yapp.size.mismatch", "yapp.fragment.incomplete",
                  passes=(*passes, *arguments), named=["frame.interface_id", "sll.ifindex", "can.id"])
-    assert [row[0] for row in rows[11:13]] == ["Health  3 bytes, not 17", "Motor Data  Start"]
+    assert [row[0] for row in rows[11:13]] == ["Health, 3 bytes, the catalogue says 17", "Motor Data  Start"]
     assert bool(rows[11][1]) and bool(rows[12][2])
 
 

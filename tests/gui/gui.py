@@ -73,7 +73,8 @@ class Wireshark:
         (config / "recent_common").write_text(RECENT)
         if profile:
             shutil.copytree(profile, config / "profiles" / profile.name)
-            (config / "profiles" / profile.name / "recent").write_text("gui.toolbar_main_show: FALSE\n" + recent)
+            with open(config / "profiles" / profile.name / "recent", "a", encoding="utf-8") as file:
+                file.write("gui.toolbar_main_show: FALSE\n" + recent)
         self.stderr_path = self.home / "stderr"
         self.user = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}
         if self.user:

@@ -10,9 +10,6 @@ import gui
 
 NAMES = "can0/0x210=motor:left, can1/0x210=motor:right"
 RAISED, LATER = "719", "756"  # frames
-WIDTHS = {"%m": 55, "%t": 75, "%Cus:yapp.source": 55, "%Cus:taurus.motor.rpm_measured": 75, "%Cus:taurus.motor.dc_voltage": 75,
-          "%Cus:taurus.motor.dc_current": 75, "%Cus:taurus.motor.motor_state": 45, "%Cus:taurus.motor.fault_flags": 95, "%p": 55,
-          "%i": 620}
 LAYOUT = ["gui.layout_type:1", "gui.layout_content_2:PDETAILS", "gui.layout_content_3:NONE"]
 
 
@@ -103,10 +100,10 @@ def graph(wireshark, folder):
 
 
 def main(folder):
-    recent = "gui.geometry_main_upper_pane: 210\ncolumn.width: " + ", ".join(f"{name}, {width}" for name, width in WIDTHS.items())
+    recent = "gui.geometry_main_upper_pane: 210\n"
     options = [word for option in [*LAYOUT, f"yapp.sources:{NAMES}"] for word in ("-o", option)]
     with tempfile.TemporaryDirectory() as name, gui.Wireshark(
-            "-C", "YAPP", *options, "-r", gui.FLIGHT, profile=profile(pathlib.Path(name)), recent=recent + "\n") as wireshark:
+            "-C", "YAPP", *options, "-r", gui.FLIGHT, profile=profile(pathlib.Path(name)), recent=recent) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
         time.sleep(2)
         for picture in (whole_window, buttons, transition, events, graph):

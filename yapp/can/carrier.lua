@@ -54,11 +54,11 @@ local function key_of(bus, id)
 end
 
 -- What the messages of a source are called: { bus = name or nil, name = in the Info column, source = in
--- the column Source; texts, titles = of its parts and YAPP's item, see can.part and can.items }.
+-- the column Source; texts = of its parts, see can.part }.
 local function new_names(self, bus, id)
   local bus_name = self.buses:name(bus)
   local names = { bus = bus_name, name = self.reader:label(id, bus_name),
-    source = self.reader:source_text(id, bus_name), texts = {}, titles = {} }
+    source = self.reader:source_text(id, bus_name), texts = {} }
   self.names[key_of(bus, id)] = names
   self.claim(id)
   return names

@@ -1,26 +1,22 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- YAPP's own tree item of a frame on CAN.  Wireshark's API.  A builder is a show.tree, a frame can.carrier's.
+-- YAPP's own tree item of a frame on CAN.  Wireshark's API.  A builder is a show.tree, a frame
+-- can.carrier's.
 
 local items = require "yapp.show.items"
 local KINDS = require "yapp.wire.can_id".KINDS
 
 local M = {}
 
-local add, add_le, add_generated, append_text = items.add, items.add_le, items.add_generated, items.append_text
+local add, add_le, append_text = items.add, items.add_le, items.append_text
 
 local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 
 --- YAPP's own tree item, with what the CAN id says.
 function M.frame(builder, frame, names)
-  local address = frame.address
-  local titles, ctrl = names.titles, address.ctrl
-  local title = titles[ctrl]
-  if not title then
-    title = ("%s, %s, %s"):format(builder.yapp.description, names.name, KINDS[ctrl] or "undefined frame")
-    titles[ctrl] = title
-  end
+  local kind = KINDS[frame.address.ctrl] or "undefined frame"
+  local title = ("%s, %s, %s"):format(builder.yapp.description, names.name, kind)
   local item = add(frame.tree, builder.yapp, frame.tvb(), title)
-  builder:add_address(item, address, names.bus)
+  builder:add_address(item, frame.address, names.bus)
   return item
 end
 
@@ -35,14 +31,14 @@ end
 --- What YAPP's own item says of a message in its last frame.
 -- numbers  of its frames
 function M.message(builder, frame, item, message, numbers)
-  local entry, data, fields = frame.entry, frame.data, builder.fields
-  add_generated(item, fields["reassembled.in"], frame.number)
-  append_text(add_generated(item, fields.size, entry.size), " bytes")
-  add_generated(item, fields.reserved, entry.reserved or 0)
+  local entry, data, tvb = frame.entry, frame.data, message.tvb
+  builder:generated(item, "reassembled.in", frame.number)
+  append_text(builder:generated(item, "size", entry.size), " bytes")
+  builder:generated(item, "reserved", entry.reserved or 0)
   builder:add_crc(item, nil, entry)
-  builder:add_fragments(item, message.tvb or frame.tvb, numbers, #entry, #entry.payload)
+  builder:add_fragments(item, tvb or frame.tvb, numbers, #entry, #entry.payload, tvb and tvb())
   if entry.padding and entry.padding <= #data then
-    add(item, fields.padding, frame.tvb(#data - entry.padding))
+    add(item, builder.fields.padding, frame.tvb(#data - entry.padding))
   end
   append_text(item, CRC_TEXT[entry.status] or ", CRC unverified")
 end

@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What the Info column says of the parts of a message on CAN: "Motor Data  part 2 of 5".  Pure Lua, 5.2 and 5.4.
+-- What the Info column says of the parts of a message on CAN: "Motor Data  part 2 of 5".  Pure
+-- Lua, 5.2 and 5.4.
 
 local START = require("yapp.wire.can_id").START
 
@@ -7,7 +8,8 @@ local M = {}
 
 local MAX_KEPT = 64 -- texts of a long message
 
---- The text of a part.  They are the same for every message of an ID and size, so they are kept: those of a message in
+--- The text of a part.  They are the same for every message of an ID and size, so they are kept:
+--  those of a message in
 -- frames of classic CAN by the number of the part.
 -- names    { name = what the message is called, texts = {}, which is this function's }
 -- address  wire.can_id.address of its frame

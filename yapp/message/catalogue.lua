@@ -30,7 +30,7 @@ local function filters_of(field)
   local names = { field.filter }
   if field.kind == "float" or field.kind == "ieee" then names[2] = field.filter .. ".special" end
   if field.kind ~= "flags" then return names end
-  names[#names + 1] = field.group .. ".undefined"
+  names[#names + 1], names[#names + 2] = field.group .. ".undefined", field.filter .. ".names"
   if #field.flags == 0 then return names end
   names[#names + 1], names[#names + 2] = field.group .. ".raised", field.group .. ".cleared"
   for _, flag in ipairs(field.flags) do names[#names + 1] = flag.filter end

@@ -85,7 +85,8 @@ local function add_frame(self, view, tvb, at, message)
   builder:add_source(item, message.id, view.bus_name)
   if message.parts then
     add_generated(item, fields["reassembled.in"], message.shown_in)
-    builder:add_fragments(item, tvb, message.parts, #message.parts, message.length)
+    local payload = #message.payload > 0 and tvb(at + HEADER, #message.payload) or nil
+    builder:add_fragments(item, tvb, message.parts, #message.parts, message.length, payload)
   end
   if status ~= "cut" then builder:add_crc(item, tvb(at + HEADER + message.size, CRC_SIZE), message) end
   append_text(item, status == "good" and ", CRC good" or status == "bad" and ", CRC BAD" or ", not whole")

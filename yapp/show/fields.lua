@@ -1,10 +1,64 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The ProtoFields and expert items of the Taurus messages, made from the compiled catalogue.  Wireshark's API.
+-- The fields and expert items, YAPP's own from rows and those of the messages from the compiled
+-- catalogue.
+-- Wireshark's API.
+
+local decode = require("yapp.message.decode")
 
 local M = {}
 
+local HEX, NONE = base.HEX, base.NONE
+local FRAME_KINDS = { [0] = "Single", "Start", "Middle", "End" }
+local CRC_STATUS = { [0] = "Bad", "Good", "Unverified" }
+
+-- filter, type, title, description, base, values
+local YAPP = {
+  { "id", "UINT32", "Message ID", "Which message it is, and of which controller", HEX },
+  { "ctl", "UINT8", "Control (CTL)", "YAPP's control byte" },
+  { "seq", "UINT8", "Sequence number", "Numbers the messages of a source, from 0 to 255" },
+  { "size", "UINT16", "Payload size", "Payload of the message in bytes" },
+  { "reserved", "UINT16", "Reserved", "Reserved bytes of the header, 0", HEX },
+  { "sync", "UINT16", "Sync", "The bytes YP, with which a frame in a stream begins", HEX },
+  { "can.ctrl", "UINT8", "CAN frame", "Which part of a message a CAN frame is", nil, FRAME_KINDS },
+  { "crc", "UINT32", "CRC", "CRC-32K of header and payload, as it was sent", HEX },
+  { "crc.status", "UINT8", "CRC status", "Whether the CRC is that of the bytes", nil, CRC_STATUS },
+  { "crc.calculated", "UINT32", "Calculated CRC", "What the CRC should be, where it is bad", HEX },
+  { "payload", "BYTES", "Payload", "Payload that the catalogue does not explain" },
+  { "padding", "BYTES", "CAN FD padding", "Bytes that fill a CAN FD frame" },
+  { "fragments", "NONE", "Fragments", "The frames that a message was put together from" },
+  { "fragment", "FRAMENUM", "Fragment", "A frame of the message" },
+  { "fragment.data", "BYTES", "Fragment data", "What a frame has of the message's payload" },
+  { "fragment.count", "UINT32", "Fragment count", "How many frames the message came in" },
+  { "reassembled.in", "FRAMENUM", "Reassembled in", "The frame in which the message ends" },
+  { "reassembled.length", "UINT32", "Reassembled length", "Bytes that were put together" },
+  { "reassembled.data", "BYTES", "Reassembled data", "Payload that came in several frames" },
+  { "skipped", "BYTES", "Skipped bytes", "Bytes of a stream that belong to no frame" },
+  { "time_delta", "RELATIVE_TIME", "Time since the previous message with this ID",
+    "Since the previous message with this ID on this bus or stream" },
+  { "bus", "STRING", "Bus", "Name of the bus, where the capture has one" },
+  { "source", "STRING", "Source", "Name of this bus and ID, else both as they are" },
+  { "message.fault", "BOOLEAN", "Message has a fault flag set", "In every frame of it" },
+  { "seq.missing", "UINT8", "Messages missing before this one", "By its sequence number" },
+}
+
 -- filter, what it says by itself, group, severity
-local EXPERTS = {
+local YAPP_EXPERTS = {
+  { "crc.bad", "Bad CRC", "CHECKSUM", "ERROR" },
+  { "fragment.orphan", "Middle or End without a Start", "SEQUENCE", "WARN" },
+  { "fragment.incomplete", "Message with bytes missing", "REASSEMBLE", "WARN" },
+  { "fragment.overrun", "More bytes than the message's size", "REASSEMBLE", "WARN" },
+  { "fragment.duplicate", "Frame delivered twice", "SEQUENCE", "NOTE" },
+  { "unfinished", "The capture ends before the message does", "REASSEMBLE", "WARN" },
+  { "late", "A long gap before this message", "SEQUENCE", "WARN" },
+  { "size.mismatch", "Payload length is not the catalogue's", "PROTOCOL", "WARN" },
+  { "id.unknown", "Message ID is not in the catalogue", "UNDECODED", "NOTE" },
+  { "reserved.nonzero", "Reserved bytes are not 0", "PROTOCOL", "WARN" },
+  { "can.ctrl.invalid", "CAN CTRL is not defined", "PROTOCOL", "WARN" },
+  { "can.id.missing", "The CAN id of this frame is not known", "UNDECODED", "WARN" },
+  { "stream.skipped", "Bytes that belong to no frame", "SEQUENCE", "NOTE" },
+  { "truncated", "The capture cut the packet short", "MALFORMED", "WARN" },
+}
+local TAURUS_EXPERTS = {
   { "fault.active", "Fault flags are set", "RESPONSE_CODE", "ERROR" },
   { "fault.raised", "A fault was raised", "RESPONSE_CODE", "ERROR" },
   { "fault.cleared", "A fault was cleared", "RESPONSE_CODE", "NOTE" },
@@ -16,108 +70,149 @@ local EXPERTS = {
   { "value.invalid", "Value that is not defined", "PROTOCOL", "WARN" },
 }
 
---- Makes the expert items of a protocol.
--- proto   Proto; prefix: of their filters, with the dot
--- rows    { filter, text, name in expert.group, name in expert.severity }
--- returns { [filter without prefix] = ProtoExpert }
-function M.make_experts(proto, prefix, rows)
+-- One constructor for every type; base: of a number, the width of a boolean's field; values: or a
+-- frametype.
+local function make(filter, kind, title, about, shape, values, mask)
+  shape = shape or (kind:find("INT") and base.DEC or NONE)
+  return ProtoField.new(title, filter, ftypes[kind], values, shape, mask, about)
+end
+
+local function make_experts(proto, prefix, rows)
   local experts = {}
   for _, row in ipairs(rows) do
-    experts[row[1]] = ProtoExpert.new(prefix .. row[1], row[2], expert.group[row[3]], expert.severity[row[4]])
+    local name, text, group, severity = row[1], row[2], row[3], row[4]
+    experts[name] =
+      ProtoExpert.new(prefix .. name, text, expert.group[group], expert.severity[severity])
   end
   proto.experts = experts
   return experts
 end
 
--- What a flags field has below it: flags (a list), undefined, and what its changes show.
--- add  function(ProtoField, is_standing) -> the ProtoField; is_standing: see M.make
-local function make_flags(field, made, add)
-  local bits, kind = field.size * 8, "uint" .. field.size * 8
-  made.pf = add(ProtoField[kind](field.filter, field.title, base.HEX))
-  made.undefined = add(ProtoField.uint32(field.group .. ".undefined", "Undefined bits", base.HEX))
+--- Makes YAPP's own fields and expert items and hands them to the protocol.
+-- yapp     Proto; names: { [id] = title } of the messages that are known
+-- returns  { [filter without "yapp."] = ProtoField }, { [the same] = ProtoExpert }
+function M.of_yapp(yapp, names)
+  local fields, list = {}, {}
+  for i, row in ipairs(YAPP) do
+    local name, kind, title, about, shape, values = row[1], row[2], row[3], row[4], row[5], row[6]
+    list[i] = make("yapp." .. name, kind, title, about, shape, name == "id" and names or values)
+    fields[name] = list[i]
+  end
+  yapp.fields = list
+  return fields, make_experts(yapp, "yapp.", YAPP_EXPERTS)
+end
+
+-- What a flags field has below it.
+local function make_flags(field, made, kind, about, add)
+  local title, group = field.title, field.group
+  made.undefined = add(group .. ".undefined", "UINT32", "Undefined bits",
+    "Bits that nothing defines: " .. about, HEX)
   made.flags = {}
   for i, flag in ipairs(field.flags) do
-    made.flags[i] = add(ProtoField.bool(flag.filter, flag.title, bits, nil, flag.mask))
+    local help = flag.help or flag.title .. ": " .. about
+    made.flags[i] = add(flag.filter, "BOOLEAN", flag.title, help, field.size * 8, nil, flag.mask)
   end
   if #field.flags == 0 then return end
-  made.raised = add(ProtoField[kind](field.group .. ".raised", field.title .. " raised", base.HEX))
-  made.cleared = add(ProtoField[kind](field.group .. ".cleared", field.title .. " cleared", base.HEX))
-  if not field.alarm then return end
-  made.active_time = add(ProtoField.relative_time(field.group .. ".active_time",
-    "Time since the oldest of them was raised"), true)
-  for _, way in ipairs { "previous", "next" } do
-    made[way] = add(ProtoField.framenum(("%s.%s_change"):format(field.group, way),
-      ("%s: %s change in"):format(field.title, way), base.NONE), true)
-  end
+  made.names = add(field.filter .. ".names", "STRING", title,
+    "Names of the bits that are set: " .. about)
+  made.raised = add(group .. ".raised", kind, title .. " raised",
+    "Bits that rose since the source's previous good message: " .. about, HEX)
+  made.cleared = add(group .. ".cleared", kind, title .. " cleared",
+    "Bits that fell since the source's previous good message: " .. about, HEX)
 end
 
-local function make_number(field, made, title, build)
-  local add = build.add
-  if field.kind == "float" or field.kind == "ieee" or field.scale then
-    made.pf = add(ProtoField.double(field.filter, title))
-    if field.scale then return end
-    made.special = add(ProtoField.uint8(field.filter .. ".special", title, base.DEC, build.specials))
-  else
-    local kind = field.kind .. field.size * 8
-    made.pf = add(ProtoField[kind](field.filter, title, field.values and field.kind == "uint" and base.HEX or base.DEC,
-      field.values, field.mask))
-  end
+-- What a kind of field is to Wireshark, where the kind does not say it.
+local TYPES = { time = "RELATIVE_TIME", bool = "BOOLEAN", float = "DOUBLE", ieee = "DOUBLE" }
+
+-- The type and the base of a field's own ProtoField.
+local function type_of(field)
+  local kind, bits = field.kind, field.size * 8
+  if field.scale then return "DOUBLE" end
+  if kind == "flags" then return "UINT" .. bits, HEX end
+  if TYPES[kind] then return TYPES[kind] end
+  if kind == "int" then return "INT" .. bits end
+  if kind == "uint" then return "UINT" .. bits, field.values and HEX end
+  return kind:upper()
 end
 
-local function make_field(field, build)
-  local add, made, title = build.add, {}, field.array_title or field.title
-  if field.kind == "time" then
-    made.pf = add(ProtoField.relative_time(field.filter, title))
-  elseif field.kind == "flags" then
-    make_flags(field, made, add)
-  elseif field.kind == "bool" or field.kind == "string" or field.kind == "bytes" then
-    made.pf = add(ProtoField[field.kind](field.filter, title))
-  else
-    make_number(field, made, title, build)
+-- The ProtoFields of a field; message: that it belongs to.
+local function make_field(message, field, add)
+  local title, kind, made = field.array_title or field.title, field.kind, {}
+  local unit = field.unit and " in " .. field.unit or ""
+  local about = field.description or ("%s%s, of %s"):format(title, unit, message.title)
+  local ftype, shape = type_of(field)
+  if kind == "flags" then
+    make_flags(field, made, ftype, about, add)
+  elseif kind == "float" or kind == "ieee" then
+    made.special = add(field.filter .. ".special", "UINT8", title,
+      "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS)
   end
+  local mask = not field.scale and field.mask or nil
+  made.pf = add(field.filter, ftype, title, about, shape, field.values, mask)
   return made
 end
 
--- What belongs to a message as a whole.
-local function make_message(message, add)
-  local own = { pf = add(ProtoField.none(message.filter, message.title)), differences = {} }
+-- What belongs to a message as a whole; add_standing: adds what messages have that change nothing,
+-- too.
+local function make_message(message, add, add_standing)
+  local filter, title, alarm = message.filter, message.title, message.alarms[1]
+  local own = { pf = add(filter, "NONE", title, "A whole message: " .. title), differences = {} }
   for i, difference in ipairs(message.differences) do
-    own.differences[i] = add(ProtoField.double(difference.filter, difference.title))
+    local about = ("%s, of %s"):format(difference.title, title)
+    own.differences[i] = add(difference.filter, "DOUBLE", difference.title, about)
   end
   if message.time then
-    own.drift = add(ProtoField.relative_time(message.filter .. ".clock_drift", "Clock drift"), true)
+    own.drift = add_standing(filter .. ".clock_drift", "RELATIVE_TIME", "Clock drift",
+      "Controller's clock less the capture's since the source's first message or reboot")
   end
-  if message.answers then
-    local title = message.answers:sub(1, 1):upper() .. message.answers:sub(2)
-    own.command_in = add(ProtoField.framenum(("%s.%s_in"):format(message.filter, message.answers),
-      ("Latest %s in"):format(title:gsub("_", " ")), base.NONE, frametype.REQUEST), true)
+  local answers = message.answers
+  if answers then
+    local command = (answers:sub(1, 1):upper() .. answers:sub(2)):gsub("_", " ")
+    own.command_in = add_standing(("%s.%s_in"):format(filter, answers), "FRAMENUM",
+      ("Latest %s in"):format(command),
+      ("The latest %s on this bus before the message"):format(command), nil, frametype.REQUEST)
+  end
+  if alarm then
+    own.active_time = add_standing(alarm.group .. ".active_time", "RELATIVE_TIME",
+      "Time since the oldest of them was raised",
+      "Since the oldest fault that is still set was raised")
+    for _, way in ipairs { "previous", "next" } do
+      own[way] = add_standing(("%s.%s_change"):format(alarm.group, way), "FRAMENUM",
+        ("%s: %s change in"):format(alarm.title, way),
+        ("The source's %s message that changes a fault"):format(way))
+    end
   end
   return own
 end
 
 --- Makes the fields and expert items of the messages and hands them to the protocol.
--- taurus     Proto; catalogue: compiled; specials: { [0] = text } of the values that are no numbers
--- returns    { [message] = { pf, differences (list), drift, command_in } },
---            { [field] = { pf, special, flags (list), undefined, raised, cleared, active_time, previous, next } },
---            where the elements of an array share theirs; { [filter without "taurus."] = ProtoExpert }; and a list of
---            the ProtoFields that the history has also for a message that changes nothing
-function M.make(taurus, catalogue, specials)
+-- taurus   Proto; catalogue: compiled
+-- returns  { [message] = { pf, differences (list), drift, command_in, active_time, previous, next
+--          } },
+--          { [field] = { pf, special, flags (list), names, undefined, raised, cleared } }, where
+-- the elements of an
+--          array share theirs; { [filter without "taurus."] = ProtoExpert }; and a list of the
+-- ProtoFields that the
+--          history has also for a message that changes nothing
+function M.of_taurus(taurus, catalogue)
   local list, standing, messages, fields, by_filter = {}, {}, {}, {}, {}
-  local function add(pf, is_standing)
-    list[#list + 1] = pf
-    if is_standing then standing[#standing + 1] = pf end
-    return pf
+  local function add(...)
+    list[#list + 1] = make(...)
+    return list[#list]
   end
-  local build = { add = add, specials = specials }
+  local function add_standing(...)
+    standing[#standing + 1] = add(...)
+    return standing[#standing]
+  end
   for _, message in ipairs(catalogue.messages) do
-    messages[message] = make_message(message, add)
+    messages[message] = make_message(message, add, add_standing)
     for _, field in ipairs(message.fields) do
-      by_filter[field.filter] = by_filter[field.filter] or make_field(field, build)
+      by_filter[field.filter] = by_filter[field.filter] or make_field(message, field, add)
       fields[field] = by_filter[field.filter]
     end
   end
   taurus.fields = list
-  return messages, fields, M.make_experts(taurus, "taurus.", EXPERTS), standing
+  return messages, fields, make_experts(taurus, "taurus.", TAURUS_EXPERTS), standing
 end
 
 return M

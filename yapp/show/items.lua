@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Adding items to a tree, as functions: a method that Lua has to look up in an item costs a third of what adding a
+-- Adding items to a tree, as functions: a method that Lua has to look up in an item costs a third
+-- of what adding a
 -- field does.  Wireshark's API.
 
 local M = {}
@@ -8,8 +9,10 @@ local abs, floor = math.abs, math.floor
 local add, set_generated = TreeItem.add, TreeItem.set_generated
 
 -- As in Wireshark's API: the item first, or the Tvb.
-M.add, M.add_le, M.append_text, M.set_generated = add, TreeItem.add_le, TreeItem.append_text, set_generated
+M.add, M.add_le, M.set_generated = add, TreeItem.add_le, set_generated
+M.append_text = TreeItem.append_text
 M.set_hidden, M.set_text, M.range = TreeItem.set_hidden, TreeItem.set_text, Tvb.range
+M.referenced = TreeItem.referenced
 
 --- Adds what no bytes of the packet say.
 -- pf       ProtoField, or a text
