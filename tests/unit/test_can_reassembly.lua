@@ -31,7 +31,7 @@ function bus.start(id, ctl, seq, payload, options)
   options = options or {}
   local header = can_id.header({ id = id, ctl = ctl, seq = seq }, #payload, options.reserved)
   local sum = crc.of(header .. payload)
-  if options.wrong then sum = crc.xor(sum, 1) end
+  if options.wrong then sum = require("yapp.base.bits").bxor(sum, 1) end
   return little_endian(sum, 4) .. little_endian(options.size or #payload, 2) .. little_endian(options.reserved or 0, 2)
 end
 

@@ -1,19 +1,22 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The frame of a serial stream and of Ethernet: its header and the CRC behind the payload.  Pure Lua, 5.2 and 5.4.
+-- The frame of a serial stream and of Ethernet: its header and the CRC behind the payload.  Pure Lua.
 --
 --   "YP", seq (1), ctl (1), id (4), size (2), reserved (2), payload (size), CRC (4), little endian
 --   (vendor document, "UART Stream Framing").
 
 local M = {}
 
-local byte, char, find = string.byte, string.char, string.find
+local byte, find = string.byte, string.find
 
 --- What a frame begins with; the bytes before and behind the payload; the length of the largest frame.
 M.SYNC = "YP"
 M.HEADER, M.CRC_SIZE = 12, 4
 M.LARGEST = M.HEADER + 65535 + M.CRC_SIZE
 
-local HIGHEST_ID_BYTE = 7 -- the second one of an id: they go from 0 to 2047
+--- The highest id that a message of the document has.
+M.MAX_ID = 2047
+
+local HIGHEST_ID_BYTE = 7 -- the second one of such an id
 
 --- The fields of a header.
 -- bytes    string; at: 1-based, where its "YP" is, which is not looked at
@@ -49,20 +52,6 @@ end
 --- Where the next "YP" is, from a 1-based place on; nil without one.
 function M.find(bytes, from)
   return find(bytes, "YP", from, true)
-end
-
-local function split(value)
-  local low = value % 0x100
-  return low, (value - low) / 0x100
-end
-
---- The 12 bytes of a header.
--- header   { id = 0 .. 2047, size =, seq =, ctl =, reserved = }: without the last three, 0
-function M.build(header)
-  local id0, id1 = split(header.id)
-  local size0, size1 = split(header.size)
-  local reserved0, reserved1 = split(header.reserved or 0)
-  return char(0x59, 0x50, header.seq or 0, header.ctl or 0, id0, id1, 0, 0, size0, size1, reserved0, reserved1)
 end
 
 return M
