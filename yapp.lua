@@ -49,8 +49,6 @@ local parts = {
   preferences = require "yapp.host.preferences",
   reader = require "yapp.message.reader",
   serial_carrier = require "yapp.serial.carrier",
-  serial_memory = require "yapp.serial.memory",
-  serial_stream = require "yapp.serial.stream",
   sources = require "yapp.message.sources",
   stat = require "yapp.stat.taps",
   stat_tell = require "yapp.stat.tell",
@@ -115,12 +113,11 @@ end
 
 local frames = parts.can_carrier.new(parts, tree, reader, facts, claim_id)
 local dissect_can = frames.dissect -- as Lua finds it faster
-local streams = parts.serial_carrier.new(parts, tree, reader, facts)
+local streams = parts.serial_carrier.new(tree, reader, facts)
 local tell = parts.stat_tell.new(stat, reader)
 reader:tell_to(tell)
 function stat.plugin.tapped(number)
   frames:tapped(number)
-  streams:tapped(number)
 end
 function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
 function stat.plugin.has_source(name) return reader.sources:has_name(name) end
@@ -206,8 +203,9 @@ end
 -- The controller's own time of a frame in a raw dump, "Nanoseconds since boot".
 local function controller_time(frame)
   local header = parts.frame.HEADER
-  local message = reader:message_of(parts.frame.parse(frame, 1))
-  if not message or not message.time or #frame < header + message.size then return nil end
+  local id, size = parts.frame.parse(frame, 1)
+  local message = reader:message_of(id)
+  if not message or not message.time or message.size ~= size or #frame < header + size then return nil end
   local seconds, nanoseconds = decode.time(frame, header + message.time.offset)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
