@@ -28,7 +28,8 @@ PER_FILE = levels.size(5, 15)
 FILES = -(-STREAMS // PER_FILE)
 
 INFO = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
-EXPERTS = ["crc.bad", "id.unknown", "stream.skipped", "fragment.incomplete", "truncated", "size.mismatch"]
+EXPERTS = ["crc.bad", "id.unknown", "stream.skipped", "fragment.incomplete", "truncated", "size.mismatch",
+           "reserved.nonzero"]
 TAURUS = [name for name, kind in model.filters().items() if kind in ("uint", "flags", "time")]
 FIELDS = ["frame.number", INFO, "_ws.lua.error", "yapp", *(f"yapp.{name}" for name in [
     "id", "seq", "ctl", "size", "sync", "crc", "crc.status", "payload", "skipped", "fragment.data", "fragment",
@@ -71,12 +72,17 @@ def counted(data):
     return "1 byte" if len(data) == 1 else f"{len(data)} bytes"
 
 
+def fits(event):
+    """Whether the header says the size that the catalogue has for its ID."""
+    return stream_captures.KNOWN.get(event.ident) == int.from_bytes(event.data[8:10], "little")
+
+
 def info(event):
     if event.kind == "skipped":
         return f"Skipped {counted(event.data)}{quoted(event.data)}"
     known = model.MESSAGES.get(event.ident)
     if known:
-        return known[1]
+        return known[1] if fits(event) else f"{known[1]}  {counted(event.payload)}, not"
     return f"ID 0x{event.ident:x}  {counted(event.payload)}{ENDS[event.kind]}"
 
 
@@ -103,15 +109,20 @@ def expected(packet):
             add(**{"truncated" if packet.captured < len(packet.data) else "fragment__incomplete": ""})
         else:
             add(crc=f"0x{event.sent_crc:08x}", crc__status=str(int(event.kind == "good")))
-            if event.ident in model.MESSAGES:
+            if event.ident in model.MESSAGES and fits(event):
                 for name, value in model.decode(event.ident, payload)[0].items():
                     fields[name].extend([value] if name in TAURUS else [])
         if event.kind == "bad":
             add(crc__bad="")
+        if any(event.data[10:12]):
+            add(reserved__nonzero="")
         if event.ident not in model.MESSAGES:
             add(id__unknown="")
-            if payload:
-                add(payload=payload.hex())
+        elif not fits(event):
+            add(size__mismatch="")
+        is_lost = event.kind == "cut" and packet.captured == len(packet.data)
+        if payload and (event.ident not in model.MESSAGES or not fits(event) or is_lost):
+            add(payload=payload.hex())
         if event.delta is not None:
             add(time_delta=model.time_text(event.delta))
     if 0 < packet.captured < len(packet.data) and not any(event.kind == "cut" for event in packet.events):

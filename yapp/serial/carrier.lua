@@ -15,6 +15,7 @@ local add, add_le, add_generated, append_text = items.add, items.add_le, items.a
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 
 local TCP, UDP = 2, 3 -- pinfo.port_type
+local NO_ADDRESS = { [""] = true, NONE = true } -- as the API has it
 local ONE_MORE_SEGMENT = 0x0fffffff -- DESEGMENT_ONE_MORE_SEGMENT
 local MOST_IN_INFO = 10 -- frames of a packet
 
@@ -76,7 +77,7 @@ local function facts_of(self, tvb, pinfo)
   elseif kind == TCP and pinfo.can_desegment > 0 then
     fact.transport = "segment"
   end
-  fact.has_address = address ~= ""
+  fact.has_address = not NO_ADDRESS[address]
   if fact.has_address then
     fact.line = ("%s:%d"):format(address, pinfo.src_port)
   elseif fact.bus then

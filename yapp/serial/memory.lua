@@ -149,7 +149,8 @@ end
 
 -- Takes a packet into its stream.
 local function take_packet(self, pass, look, fact)
-  local stream = stream_of(self, pass, fact.stream)
+  -- TCP joins no segments that the capture cut: those are a stream of their own.
+  local stream = stream_of(self, pass, fact.transport .. fact.stream)
   local piece = take[fact.transport](self, stream, fact, look)
   stream.fact, stream.piece = fact, piece
   for i, event in ipairs(piece.events) do
