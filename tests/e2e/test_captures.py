@@ -117,6 +117,9 @@ def wanted_of_messages(name):
     return by_frame
 
 
+LOST = {"uart_broken_off"}  # a message without its end, in front of others
+
+
 @pytest.mark.parametrize("name", [name for name in NAMES if make.read(name).messages])
 def test_messages_show_what_the_document_says(name):
     wanted = wanted_of_messages(name)
@@ -128,6 +131,8 @@ def test_messages_show_what_the_document_says(name):
                 values.setdefault(field, []).append(value)
         assert taurus(one) == values, f"frame {number}"
         headers = [message for message, _, _ in messages]
+        if name in LOST:
+            one = {field: texts[-len(headers):] for field, texts in one.items()}
         assert one["yapp.id"] == [f"0x{message['id']:08x}" for message in headers]
         assert one["yapp.seq"] == [str(message["seq"]) for message in headers]
         assert one["yapp.ctl"] == [str(message["ctl"]) for message in headers]
@@ -238,7 +243,7 @@ def test_links_between_the_frames_of_a_message(name, passes):
 
 
 def test_no_links_elsewhere():
-    assert {name for name in NAMES if any("yapp.reassembled.in" in one for one in shown(name))} == set(MESSAGES)
+    assert {name for name in NAMES if any("yapp.reassembled.in" in one for one in shown(name))} == {*MESSAGES, *LOST}
 
 
 def test_length_of_what_was_put_together():
