@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- YAPP in byte streams and datagrams, UART captures, TCP, UDP: asks the memory what a packet holds, and shows it.
+-- YAPP in byte streams and datagrams, UART captures, TCP, UDP: asks the memory what a packet holds,
+-- and shows it.
 -- Wireshark's API.
 
 local frame = require("yapp.wire.frame")
@@ -10,7 +11,8 @@ local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
-local add, add_le, add_generated, append_text = items.add, items.add_le, items.add_generated, items.append_text
+local add, add_le = items.add, items.add_le
+local add_generated, append_text = items.add_generated, items.append_text
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 
@@ -33,8 +35,10 @@ end
 --- Forgets the capture file.
 -- options  { new_history = function() -> a message.history }
 function Carrier:reset(options)
-  self.memory = serial_memory.new { new_framer = function() return self:framer() end,
-    new_history = options.new_history }
+  self.memory = serial_memory.new {
+    new_framer = function() return self:framer() end,
+    new_history = options.new_history,
+  }
 end
 
 --- A framer of a stream: a serial.stream.
@@ -42,19 +46,25 @@ function Carrier:framer()
   return serial_stream.new(function(id) return self.reader:size_of(id) end)
 end
 
---- Whether bytes hold one whole frame with a good CRC: what a heuristic has to see.  Its header must be one of the
+--- Whether bytes hold one whole frame with a good CRC: what a heuristic has to see.  Its header
+-- must be one of the
 -- document's: what has another ID or size may be somebody else's.
 function Carrier:has_frame(bytes)
+  local function accepts(id, size)
+    return (self.reader:size_of(id) or size) == size
+  end
   for _, event in ipairs(self:framer():feed(bytes)) do
-    if event.good and event.is_plausible then return true end
+    if event.good and frame.judge(event.bytes, 1, accepts) then return true end
   end
   return false
 end
 
--- A packet -----------------------------------------------------------------------------------------------------------
+-- A packet ----------------------------------------------------------------------------------------
 
--- The facts of a packet, for the memory, and what is shown of its stream: bus and bus_name; bus_key, by which a Command
--- and what it commands know each other (both ways of a conversation; all there is on a UART, whose directions are
+-- The facts of a packet, for the memory, and what is shown of its stream: bus and bus_name;
+-- bus_key, by which a Command
+-- and what it commands know each other (both ways of a conversation; all there is on a UART, whose
+-- directions are
 -- sources of their own); line, what tells its sources apart, nil where nothing does; time.
 local function facts_of(self, tvb, pinfo)
   local kind = pinfo.port_type
@@ -62,9 +72,17 @@ local function facts_of(self, tvb, pinfo)
   local address = tostring(pinfo.src)
   local here = ("%s|%d"):format(address, pinfo.src_port)
   local there = ("%s|%d"):format(tostring(pinfo.dst), pinfo.dst_port)
-  local fact = { number = pinfo.number, place = tvb:offset(), bytes = tvb:raw(), visited = pinfo.visited,
-    truncated = tvb:reported_len() > tvb:len(), time = pinfo.rel_ts, transport = "stream", knows_all = true,
-    bus_key = "serial" }
+  local fact = {
+    number = pinfo.number,
+    place = tvb:offset(),
+    bytes = tvb:raw(),
+    truncated = tvb:reported_len() > tvb:len(),
+    time = pinfo.rel_ts,
+    visited = pinfo.visited,
+    knows_all = true,
+    transport = "stream",
+    bus_key = "serial",
+  }
   if is_ip then
     fact.bus_key = here < there and here .. there or there .. here
   else
@@ -98,16 +116,25 @@ local function source_text(self, fact, id)
   return (fact.line and fact.line .. " " or "") .. ("0x%x"):format(id)
 end
 
--- What is shown ------------------------------------------------------------------------------------------------------
+-- What is shown -----------------------------------------------------------------------------------
 
 -- What a terminal gets besides letters, as it is shown.
-local CONTROLS = { ["\a"] = "\\a", ["\b"] = "\\b", ["\t"] = "\\t", ["\n"] = "\\n", ["\r"] = "\\r", ["\27"] = "\\e" }
+local CONTROLS = {
+  ["\a"] = "\\a",
+  ["\b"] = "\\b",
+  ["\t"] = "\\t",
+  ["\n"] = "\\n",
+  ["\r"] = "\\r",
+  ["\27"] = "\\e",
+}
 
 -- Text as a shell prints it, or nil for other bytes.
 local function printable(bytes)
   if utf8.ascii(bytes):find("[^%g \a\b\t\n\r\27]") then return nil end
   local text = bytes
-  if #bytes > 80 then text = bytes:sub(1, 80):gsub("[\192-\255][\128-\191]*$", "") .. "..." end
+  if #bytes > 80 then
+    text = bytes:sub(1, 80):gsub("[\192-\255][\128-\191]*$", "") .. "..."
+  end
   return '"' .. text:gsub("%c", CONTROLS) .. '"'
 end
 
@@ -133,7 +160,9 @@ local function add_frame(self, view, tvb, at, event)
     add_generated(item, fields["reassembled.in"], event.shown_in)
     builder:add_fragments(item, tvb, event.parts, event.count, event.length, payload)
   end
-  if event.status ~= "cut" then builder:add_crc(item, tvb(at + HEADER + event.size, CRC_SIZE), event) end
+  if event.status ~= "cut" then
+    builder:add_crc(item, tvb(at + HEADER + event.size, CRC_SIZE), event)
+  end
   append_text(item, LABELS[event.status])
   return item
 end
@@ -141,31 +170,53 @@ end
 -- A frame that has lost bytes.
 local function say_cut(self, m, event)
   local expert = event.truncated and "truncated" or "fragment.incomplete"
-  self.tree:expert(m.item, expert, ("The frame has %d bytes, %d of them are missing"):format(
-    HEADER + event.size + CRC_SIZE, event.missing))
-  if self.reader.stat.wanted then self.reader.tell:faults(m, { { expert = expert } }) end
+  local text = "The frame has %d bytes, %d of them are missing"
+  self.tree:expert(m.item, expert, text:format(HEADER + event.size + CRC_SIZE, event.missing))
+  if self.reader.stat.wanted then
+    self.reader.tell:faults(m, { { expert = expert } })
+  end
 end
 
 -- A frame, good, bad or cut; returns what the Info column says of it.
 local function show_frame(self, view, tvb, index)
   local builder, event, fact = self.tree, view.packet.events[index], view.fact
   local status, at = event.status, event.at or 0
-  local is_lost = status == "cut" and not event.truncated -- where in it the bytes are missing nobody knows
-  local m = { id = event.id, seq = event.seq, ctl = event.ctl, size = event.size, payload = event.payload,
-    status = status, good = status == "good", is_whole = not is_lost,
-    source = key_of(fact, event.id), bus = fact.bus_key, bus_name = fact.bus_name,
-    name = builder:name(event.id, fact.bus_name), frame = fact.number, time = fact.time, visited = fact.visited,
-    tree = view.tree, wanted = view.wanted, has_columns = view.wants.columns, is_brief = not view.wanted }
+  -- Where in it the bytes are missing nobody knows.
+  local is_lost = status == "cut" and not event.truncated
+  local m = {
+    id = event.id,
+    seq = event.seq,
+    ctl = event.ctl,
+    size = event.size,
+    payload = event.payload,
+    status = status,
+    good = status == "good",
+    is_whole = not is_lost,
+    source = key_of(fact, event.id),
+    bus = fact.bus_key,
+    bus_name = fact.bus_name,
+    name = builder:name(event.id, fact.bus_name),
+    frame = fact.number,
+    time = fact.time,
+    visited = fact.visited,
+    tree = view.tree,
+    wanted = view.wanted,
+    is_brief = not view.wanted,
+    has_columns = view.wants.columns,
+  }
   self.reader:read(m, self.memory, view.packet, index, fact)
   m.item = view.wanted and add_frame(self, view, tvb, at, event) or view.tree
   m.tvb, m.at = view.wanted and tvb, at + HEADER
   if status == "bad" then builder:bad_crc(m.item, event) end
   if status == "cut" then say_cut(self, m, event) end
   if event.reserved ~= 0 then
-    builder:expert(m.item, "reserved.nonzero", ("The reserved bytes are 0x%04x, not 0"):format(event.reserved))
+    local text = ("The reserved bytes are 0x%04x, not 0"):format(event.reserved)
+    builder:expert(m.item, "reserved.nonzero", text)
   end
   if not (is_lost and m.message) then return builder:payload(m) .. MARKS[status] end
-  if m.wanted and #m.payload > 0 then add(m.item, builder.fields.payload, tvb(m.at, #m.payload)) end
+  if m.wanted and #m.payload > 0 then
+    add(m.item, builder.fields.payload, tvb(m.at, #m.payload))
+  end
   return m.name .. MARKS[status]
 end
 
@@ -179,15 +230,32 @@ local function show_skipped(self, view, tvb, at, bytes)
     local skipped = add(item, builder.fields.skipped, tvb(at, #bytes))
     if text then append_text(skipped, " " .. text) end
   end
-  builder:expert(item, "stream.skipped", ("%s that belong to no frame%s"):format(size, text and ": " .. text or ""))
+  local quoted = text and ": " .. text or ""
+  builder:expert(item, "stream.skipped", ("%s that belong to no frame%s"):format(size, quoted))
   if self.reader.stat.wanted and tell.skipped then
-    tell:skipped { frame = fact.number, time = fact.time, visited = fact.visited, bus = fact.bus_key,
-      bus_name = fact.bus_name, source = fact.stream, length = #bytes }
+    tell:skipped {
+      frame = fact.number,
+      time = fact.time,
+      visited = fact.visited,
+      bus = fact.bus_key,
+      bus_name = fact.bus_name,
+      source = fact.stream,
+      length = #bytes,
+    }
   end
   return ("Skipped %s%s"):format(size, text and " " .. text or "")
 end
 
--- Shows the bytes at the packet's end that wait for more; returns what the Info column says of them.
+-- An event of the packet; returns what the Info column says of it.
+local function show_event(self, view, tvb, index)
+  local event = view.packet.events[index]
+  if event.status ~= "skipped" then return show_frame(self, view, tvb, index) end
+  local bytes = event.bytes or view.fact.bytes:sub(event.at + 1, event.at + event.length)
+  return show_skipped(self, view, tvb, event.at or 0, bytes)
+end
+
+-- Shows the bytes at the packet's end that wait for more; returns what the Info column says of
+-- them.
 local function show_pending(self, view)
   local builder, packet, item = self.tree, view.packet, view.tree
   local leads_to, size = packet.leads_to, self.tree.bytes(packet.pending)
@@ -196,7 +264,9 @@ local function show_pending(self, view)
     item = add(item, builder.yapp, range)
     append_text(item, ", part of a frame")
     add(item, builder.fields["fragment.data"], range)
-    if leads_to then add_generated(item, builder.fields["reassembled.in"], leads_to) end
+    if leads_to then
+      add_generated(item, builder.fields["reassembled.in"], leads_to)
+    end
   end
   if packet.is_unfinished then builder:expert(item, "unfinished") end
   if leads_to then return ("[Reassembled in #%d]"):format(leads_to) end
@@ -223,17 +293,16 @@ local function show(self, view)
   view.wanted = wants.yapp or wants.taurus
   if not view.wanted then self.tree:bare(view.tree, wants, true) end
   for i, event in ipairs(packet.events) do
-    local tvb, bytes, text = view.tvb, event.bytes, nil
-    if bytes and view.wanted then tvb = ByteArray.new(bytes, true):tvb("Reassembled YAPP") end
-    if event.status == "skipped" then
-      bytes = bytes or view.fact.bytes:sub(event.at + 1, event.at + event.length)
-      text = show_skipped(self, view, tvb, event.at or 0, bytes)
-    else
-      text = show_frame(self, view, tvb, i)
+    local tvb, bytes = view.tvb, event.bytes
+    if bytes and view.wanted then
+      tvb = ByteArray.new(bytes, true):tvb("Reassembled YAPP")
     end
+    local text = show_event(self, view, tvb, i)
     if i <= MOST_IN_INFO then texts[i] = text end
   end
-  if #packet.events > MOST_IN_INFO then texts[#texts + 1] = ("and %d more"):format(#packet.events - MOST_IN_INFO) end
+  if #packet.events > MOST_IN_INFO then
+    texts[#texts + 1] = ("and %d more"):format(#packet.events - MOST_IN_INFO)
+  end
   if packet.pending > 0 then texts[#texts + 1] = show_pending(self, view) end
   if wants.columns then show_columns(self, view, texts) end
 end
@@ -242,25 +311,33 @@ end
 local function say_truncated(self, tvb, tree, events)
   local last = events[#events]
   if last and last.status == "cut" then return end
-  self.tree:expert(tree, "truncated", ("The capture has %d of the packet's %d bytes"):format(tvb:len(),
-    tvb:reported_len()))
+  local text = "The capture has %d of the packet's %d bytes"
+  self.tree:expert(tree, "truncated", text:format(tvb:len(), tvb:reported_len()))
 end
 
 --- Dissects what a carrier hands over.
 -- returns the number of bytes that are ours
 function Carrier:dissect(tvb, pinfo, tree)
   local size = tvb:len()
-  if size == 0 or pinfo.in_error_pkt then return 0 end -- an ICMP error only quotes what was sent before
+  -- An ICMP error only quotes what was sent before.
+  if size == 0 or pinfo.in_error_pkt then return 0 end
   local fact = facts_of(self, tvb, pinfo)
   local packet = self.memory:look(fact)
   if not packet then return 0 end
   local is_segment = fact.transport == "segment"
   if packet.events[1] or not is_segment then
-    show(self, { tvb = tvb, pinfo = pinfo, tree = tree, packet = packet, fact = fact,
-      wants = self.tree:wants(tree, pinfo, fact.visited) })
+    show(self, {
+      tvb = tvb,
+      pinfo = pinfo,
+      tree = tree,
+      packet = packet,
+      fact = fact,
+      wants = self.tree:wants(tree, pinfo, fact.visited),
+    })
   end
   if is_segment and packet.done < size then
-    pinfo.desegment_offset, pinfo.desegment_len = packet.done, ONE_MORE_SEGMENT
+    pinfo.desegment_offset = packet.done
+    pinfo.desegment_len = ONE_MORE_SEGMENT
   elseif fact.truncated and not is_segment then
     say_truncated(self, tvb, tree, packet.events)
   end
@@ -272,21 +349,34 @@ end
 function Carrier:skipped(tvb, pinfo, tree)
   local size = tvb:len()
   if size > 0 then
-    show(self, { tvb = tvb, pinfo = pinfo, tree = tree, wants = self.tree:wants(tree, pinfo, true),
+    show(self, {
+      tvb = tvb,
+      pinfo = pinfo,
+      tree = tree,
+      packet = { events = { { status = "skipped", at = 0, length = size } }, pending = 0 },
       fact = facts_of(self, tvb, pinfo),
-      packet = { events = { { status = "skipped", at = 0, length = size } }, pending = 0 } })
+      wants = self.tree:wants(tree, pinfo, true),
+    })
   end
   return size
 end
 
---- The messages that the capture ends before, for the statistics, which are told of their last bytes.
+--- The messages that the capture ends before, for the statistics, which are told of their last
+-- bytes.
 -- returns  list of { source, seq, frame = number of the packet with its last bytes }
 function Carrier:unfinished()
   local list = {}
   for i, open in ipairs(self.memory:unfinished()) do
     local fact, id, _, _, seq = open.fact, frame.parse(open.header, 1)
-    list[i] = { id = id, seq = seq, source = key_of(fact, id), frame = fact.number, time = fact.time,
-      bus = fact.bus_key, bus_name = fact.bus_name }
+    list[i] = {
+      id = id,
+      seq = seq,
+      source = key_of(fact, id),
+      frame = fact.number,
+      time = fact.time,
+      bus = fact.bus_key,
+      bus_name = fact.bus_name,
+    }
     self.reader.tell:part(list[i])
   end
   return list

@@ -1,10 +1,15 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Stream framing: finds YAPP frames in bytes that also hold noise, shell text and damaged frames.  Pure Lua.
+-- Stream framing: finds YAPP frames in bytes that also hold noise, shell text and damaged frames.
+-- Pure Lua.
 --
--- Each "YP" with a header behind it is a candidate.  Candidates may overlap; they are judged in the order of their ends,
--- as if the bytes came one at a time.  A good CRC proves every overlapping candidate wrong, whatever its header says.
--- Of those without one the header decides: one of the catalogue's messages is that message, damaged, up to where the
--- next begins; one of an unknown ID of the document's is a frame where it is whole and none of the others lie in it;
+-- Each "YP" with a header behind it is a candidate.  Candidates may overlap; they are judged in the
+-- order of their ends,
+-- as if the bytes came one at a time.  A good CRC proves every overlapping candidate wrong,
+-- whatever its header says.
+-- Of those without one the header decides: one of the catalogue's messages is that message,
+-- damaged, up to where the
+-- next begins; one of an unknown ID of the document's is a frame where it is whole and none of the
+-- others lie in it;
 -- any other is noise.  They wait until nothing good can overlap them any more.
 
 local crc = require("yapp.wire.crc")
@@ -17,7 +22,8 @@ local byte, sub, min = string.byte, string.sub, math.min
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local Y = byte(frame.SYNC)
 
--- Noise may be nothing but candidates.  So each byte brings a credit of bytes that a CRC may be worked out over, which is
+-- Noise may be nothing but candidates.  So each byte brings a credit of bytes that a CRC may be
+-- worked out over, which is
 -- saved up; a candidate that it does not suffice for counts as damaged.
 local CREDIT = 4
 local MAX_CREDIT = 16 * frame.LARGEST
@@ -29,7 +35,9 @@ Stream.__index = Stream
 -- size_of  function(id) -> payload size of the catalogue's message, nil for an unknown ID
 -- returns  the stream; feed() it.  Document: "UART Stream Framing".
 function M.new(size_of)
-  local self = setmetatable({ size_of = size_of, credit = MAX_CREDIT,
+  local self = setmetatable({
+    size_of = size_of,
+    credit = MAX_CREDIT,
     text = "", text_from = 0, to = 0, -- what has come of late, its place in the stream, and its end
     from = 0,                         -- the first byte that is not given out
     searched = 0,                     -- no candidate begins before this that is not known
@@ -62,8 +70,14 @@ function Stream:find()
   if not id then return nil end
   local known = self.size_of(id)
   local is_plausible = reserved == 0 and id <= frame.MAX_ID and (not known or known == size)
-  self.found = { from = from, to = from + HEADER + size + CRC_SIZE, is_plausible = is_plausible,
-    is_known = is_plausible and known ~= nil }
+  self.found = {
+    from = from,
+    to = from + HEADER + size + CRC_SIZE,
+    is_plausible = is_plausible,
+    is_known = is_plausible and known ~= nil,
+    next_known = 0,     -- in self.known, the first one behind it
+    has_failed = false, -- its CRC is bad; until then it waits
+  }
   return self.found
 end
 
@@ -91,18 +105,27 @@ function Stream:is_good(candidate)
 end
 
 -- Gives out the bytes up to `to` as an event.
-function Stream:give(events, to, event)
-  event.from, event.to = self.from, to
-  event.bytes = sub(self.text, self.from - self.text_from + 1, to - self.text_from)
-  events[#events + 1], self.from = event, to
+function Stream:give(events, to, kind, good, missing)
+  local from, at = self.from, self.from - self.text_from
+  self.from = to
+  events[#events + 1] = {
+    kind = kind,
+    good = good,
+    missing = missing,
+    from = from,
+    to = to,
+    bytes = sub(self.text, at + 1, at + to - from),
+  }
 end
 
 function Stream:skip(events, to)
-  if to > self.from then self:give(events, to, { kind = "skipped" }) end
+  if to > self.from then self:give(events, to, "skipped") end
 end
 
--- What a candidate without a good CRC turns out to be, where nothing before `limit` is open any more.
--- how      what is behind the limit: "open", what may yet prove good; "good", a frame; "end", nothing
+-- What a candidate without a good CRC turns out to be, where nothing before `limit` is open any
+-- more.
+-- how      what is behind the limit: "open", what may yet prove good; "good", a frame; "end",
+--          nothing
 -- returns  "frame" or "cut", and where it ends; nil where its bytes are of no frame; "open"
 local function fate_of(self, candidate, limit, how)
   if candidate.from < self.from or not candidate.is_plausible then return nil end
@@ -112,7 +135,8 @@ local function fate_of(self, candidate, limit, how)
   if candidate.is_known or stop == limit and how == "end" then return "cut", stop end
 end
 
--- Gives out what lies before `limit`: the damaged frames, the earliest start first, and the bytes between.
+-- Gives out what lies before `limit`: the damaged frames, the earliest start first, and the bytes
+-- between.
 function Stream:settle(events, limit, how)
   while self.first <= self.last and self.by_start[self.first].from < limit do
     local candidate = self.by_start[self.first]
@@ -123,13 +147,12 @@ function Stream:settle(events, limit, how)
     end
     if kind then
       self:skip(events, candidate.from)
-      self:give(events, stop, { kind = kind, good = false, missing = kind == "cut" and candidate.to - stop or nil })
+      self:give(events, stop, kind, false, kind == "cut" and candidate.to - stop or nil)
     end
     self.by_start[self.first] = nil
     self.first = self.first + 1
   end
   self:skip(events, limit)
-  if self.last > 0 and self.first > self.last then self:forget() end
 end
 
 -- The last byte of the candidate that ends first has come.
@@ -142,7 +165,7 @@ function Stream:resolve(events)
     return
   end
   self:settle(events, candidate.from, "good")
-  self:give(events, candidate.to, { kind = "frame", good = true, is_plausible = candidate.is_plausible })
+  self:give(events, candidate.to, "frame", true)
   self:forget()
   self.found, self.searched = nil, candidate.to
 end
@@ -159,12 +182,13 @@ end
 
 --- Takes the next bytes of the stream.
 -- bytes    string of any length
--- returns  array of the events that these bytes made final, in the stream's order; each byte is in one event:
---            { kind = "frame", good = true or false }  a whole frame, with a good or a bad CRC; a good one also has
---                                  is_plausible, whether it is a message of the catalogue or has another of its IDs
+-- returns  array of the events that these bytes made final, in the stream's order; each byte is in
+--          one event:
+--            { kind = "frame", good = true or false }  a whole frame, with a good or a bad CRC
 --            { kind = "cut", missing = bytes }  a frame that ends where the next begins
 --            { kind = "skipped" }               bytes of no frame
---          and in each: from, to (0-based offsets in the stream, `to` is behind the last byte), bytes (string)
+--          and in each: from, to (0-based offsets in the stream, `to` is behind the last byte),
+--          bytes (string)
 -- Document: "UART Stream Framing".
 function Stream:feed(bytes)
   local events = {}
@@ -185,11 +209,13 @@ function Stream:feed(bytes)
   end
   local waiting = self:first_waiting()
   self:settle(events, waiting and waiting.from or self.searched, "open")
+  if self.last > 0 and self.first > self.last then self:forget() end
   return events
 end
 
 --- Ends the stream; whatever waits becomes final.  Bytes fed later begin afresh.
--- returns  array of events as from feed(); a frame whose header is there and whose end never came is "cut" too
+-- returns  array of events as from feed(); a frame whose header is there and whose end never came
+--          is "cut" too
 function Stream:finish()
   local events = {}
   self:settle(events, self.to, "end")
@@ -203,8 +229,10 @@ function Stream:offset()
   return self.from
 end
 
---- The frame of which nothing is decided yet, the earliest: where the capture ends here, it ends before this frame.
--- returns  its header; nil where there is none, or only a part of its header, or where it is more likely noise
+--- The frame of which nothing is decided yet, the earliest: where the capture ends here, it ends
+-- before this frame.
+-- returns  its header; nil where there is none, or only a part of its header, or where it is more
+--          likely noise
 function Stream:open_header()
   for i = self.first, self.last do
     local candidate = self.by_start[i]

@@ -1,7 +1,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- CRC-32K/6.4 (Koopman), the check value of YAPP frames.  Pure Lua.
 --
--- Polynomial 0x1'32C0'0699, most significant bit first, not reflected, initial value 0xFFFFFFFF, no final xor
+-- Polynomial 0x1'32C0'0699, most significant bit first, not reflected, initial value 0xFFFFFFFF, no
+-- final xor
 -- (vendor document, "CRC Calculation").
 
 local bits = require("yapp.base.bits")
@@ -44,7 +45,8 @@ local NATIVE = [[
   end
 ]]
 
--- For Lua 5.2.  A call costs more than a table look-up here: eight bytes a step, each through its own table, and so the
+-- For Lua 5.2.  A call costs more than a table look-up here: eight bytes a step, each through its
+-- own table, and so the
 -- register's, which arithmetic takes apart.
 local function with_library(library)
   local bxor, lshift, rshift = library.bxor, library.lshift, library.rshift
@@ -56,7 +58,8 @@ local function with_library(library)
       NEXT[k][i] = bxor(lshift(register, 8), TABLE[rshift(register, 24)]) % 0x100000000
     end
   end
-  local T0, T1, T2, T3, T4, T5, T6, T7 = TABLE, NEXT[1], NEXT[2], NEXT[3], NEXT[4], NEXT[5], NEXT[6], NEXT[7]
+  local T0, T1, T2, T3 = NEXT[0], NEXT[1], NEXT[2], NEXT[3]
+  local T4, T5, T6, T7 = NEXT[4], NEXT[5], NEXT[6], NEXT[7]
   return function(register, data, from, to)
     local at = from
     while at + 7 <= to do
