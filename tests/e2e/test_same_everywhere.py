@@ -257,7 +257,7 @@ def test_others_throw_at_frames_that_the_capture_cut(ids, layout, passes, folder
 @pytest.mark.parametrize("options", [
     (), ("-V",), ("-Y", "yapp"), ("-q", "-z", "yapp,csv,-,motor"), ("-Y", "yapp", "-V"),
     ("-2",), ("-2", "-V"), ("-2", "-R", "yapp"), ("-2", "-q", "-z", "yapp,csv,-,motor")])
-@pytest.mark.parametrize("name, carrier", [("document_motor.pcap", "can"), ("document_uart.pcap", "serial")])
+@pytest.mark.parametrize("name, carrier", [("document_motor.pcap", "can")])
 def test_nothing_is_kept_where_nobody_looks_again(name, carrier, options):
     script = pathlib.Path(__file__).with_name("only_pass.lua")
     done = tshark.run("-X", f"lua_script:{script}", "-r", tshark.CAPTURES / name, *options)

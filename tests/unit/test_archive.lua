@@ -4,7 +4,6 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local archive = require("yapp.base.archive")
 local levels = require("levels")
-local serial_piece = require("yapp.serial.piece")
 
 local T = {}
 
@@ -112,71 +111,6 @@ function T.test_is_packed()
   local bytes = 0
   for _, block in pairs(kept.blocks) do bytes = bytes + #block end
   lu.assertTrue(bytes < 100000 * 12, "bytes: " .. bytes)
-end
-
--- Pieces ----------------------------------------------------------------------------------------------------------
-
-local function some_event(number, base)
-  local kind = ({ "frame", "skipped" })[random(2)]
-  local from = base + random(-200, 300)
-  local event = { kind = kind, from = from, to = from + random(1, 300) }
-  if kind == "frame" then
-    event.good = random(2) == 1
-    if event.good and random(3) > 1 then event.delta = random(0, 1000000) / 1e6 end
-    if from < base then
-      event.parts = {}
-      for i = 1, random(1, 4) do event.parts[i] = number - random(0, 300) end
-    end
-  end
-  if from < base then event.bytes = text_of(event.to - from) end
-  return event
-end
-
-local function some_piece()
-  local number, base = random(1000, 100000), random(0, 10 ^ 9)
-  local piece = { number = number, base = base, place = random(0, 100), done = random(0, 1000),
-    pending = random(0, 1000), events = {} }
-  if random(2) == 1 then piece.missing = random(0, 60000) end
-  if random(2) == 1 then piece.leads_to = number + random(1, 60000) end
-  for i = 1, random(0, 6) do piece.events[i] = some_event(number, base) end
-  return piece
-end
-
-function T.test_pieces()
-  math.randomseed(1)
-  for case = 1, levels.size(500, 20000) do
-    local piece = some_piece()
-    local back = serial_piece.unpack(serial_piece.pack(piece), piece.number)
-    for i, event in ipairs(piece.events) do
-      event.from, event.to = event.from - piece.base, event.to - piece.base
-      local delta = back.events[i].delta
-      lu.assertEquals(delta ~= nil, event.delta ~= nil, "case " .. case)
-      if delta then
-        lu.assertAlmostEquals(delta, event.delta, 1e-10)
-        back.events[i].delta = event.delta
-      end
-    end
-    piece.base = 0
-    lu.assertEquals(back, piece, "case " .. case)
-  end
-end
-
--- What a text has no room for stays as it is.
-function T.test_pieces_without_room()
-  local rows = {
-    { events = { { kind = "cut", from = 0, to = 20, missing = 5 } } },
-    { events = { { kind = "frame", good = false, from = 0, to = 20, truncated = true } } },
-    { events = { { kind = "frame", good = true, from = 0, to = 20, delta = -1 } } },
-    { events = { { kind = "skipped", from = 0, to = 40000 } } },
-    { events = { { kind = "skipped", from = -32000, to = 5, bytes = ("x"):rep(32005) },
-      { kind = "skipped", from = -32000, to = 5, bytes = ("x"):rep(34000) } } },
-    { events = { { kind = "skipped", from = -40000, to = 5, bytes = ("x"):rep(40005) } } },
-    { events = {}, done = 70000 }, { events = {}, leads_to = 70005 }, { events = {}, missing = 65535 },
-  }
-  for i, row in ipairs(rows) do
-    row.number, row.base, row.place, row.done, row.pending = 4, 0, 0, row.done or 20, 0
-    lu.assertNil(serial_piece.pack(row), "row " .. i)
-  end
 end
 
 return T

@@ -106,7 +106,8 @@ function take.segment(self, stream, fact)
   if done > known then
     joined.events, joined.base = {}, framer:offset()
   else
-    -- TCP lets go of no bytes as long as none of the new ones go with them: what is found waits too.
+    -- TCP lets go of no bytes as long as none of the new ones go with them: what is found
+    -- waits too.
     events, done = {}, 0
   end
   joined.text = sub(bytes, done + 1)
