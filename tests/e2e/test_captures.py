@@ -132,7 +132,7 @@ def test_messages_show_what_the_document_says(name):
         assert taurus(one) == values, f"frame {number}"
         headers = [message for message, _, _ in messages]
         if name in LOST:
-            one = {field: texts[-len(headers):] for field, texts in one.items()}
+            one = {field: one[field][-len(headers):] for field in one if field.startswith("yapp")}
         assert one["yapp.id"] == [f"0x{message['id']:08x}" for message in headers]
         assert one["yapp.seq"] == [str(message["seq"]) for message in headers]
         assert one["yapp.ctl"] == [str(message["ctl"]) for message in headers]

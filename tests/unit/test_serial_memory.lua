@@ -279,7 +279,7 @@ function T.test_a_second_pass_that_knows_better()
   end
 end
 
--- Who asks for packets here and there gets what the first pass knows; what changed there is not known, as it took several
+-- Who asks here and there gets what the first pass knows; what changed there is not known, as it took several
 -- sources for one.
 function T.test_looks_here_and_there_at_what_was_mixed()
   local memory = new()
@@ -367,8 +367,8 @@ local function odd_packets(random)
   return packets
 end
 
--- What each packet has to say, read plainly from what the framing says of its stream: its events in words, and where the
--- bytes that wait at its end lead.
+-- What each packet has to say, read plainly from what the framing says of its stream: its events in words, and where
+-- the bytes that wait at its end lead.
 local function expected_of(packets)
   local framer, at, said = serial_stream.new(unknown), 0, {}
   local ranges = {}

@@ -47,8 +47,7 @@ function Carrier:framer()
 end
 
 --- Whether bytes hold one whole frame with a good CRC: what a heuristic has to see.  Its header
--- must be one of the
--- document's: what has another ID or size may be somebody else's.
+-- must be one of the document's: what has another ID or size may be somebody else's.
 function Carrier:has_frame(bytes)
   local function accepts(id, size)
     return (self.reader:size_of(id) or size) == size
@@ -62,10 +61,9 @@ end
 -- A packet ----------------------------------------------------------------------------------------
 
 -- The facts of a packet, for the memory, and what is shown of its stream: bus and bus_name;
--- bus_key, by which a Command
--- and what it commands know each other (both ways of a conversation; all there is on a UART, whose
--- directions are
--- sources of their own); line, what tells its sources apart, nil where nothing does; time.
+-- bus_key, by which a Command and what it commands know each other (both ways of a conversation;
+-- all there is on a UART, whose directions are sources of their own); line, what tells its sources
+-- apart, nil where nothing does; time.
 local function facts_of(self, tvb, pinfo)
   local kind = pinfo.port_type
   local is_ip = kind == UDP or kind == TCP

@@ -3,9 +3,8 @@
 -- and when.  Pure Lua.
 --
 -- It is told the facts of a packet and says what the packet holds.  Packets are taken in order, and
--- asked for again in
--- any order, by number and by the place of the bytes in them: a packet in a tunnel may have several
--- pieces.
+-- asked for again in any order, by number and by the place of the bytes in them: a packet in a
+-- tunnel may have several pieces.
 
 local crc = require("yapp.wire.crc")
 local frame = require("yapp.wire.frame")
@@ -55,9 +54,8 @@ end
 --   missing = bytes to come of the frame that waits, leads_to = look at the packet that shows it,
 --   stream }
 -- An event is the framer's, with truncated = whether the capture cut it; without bytes where they
--- are in the packet;
--- with parts = looks at its packets, look = of the message where the packet has one before it,
--- delta = of its source.
+-- are in the packet; with parts = looks at its packets, look = of the message where the packet has
+-- one before it, delta = of its source.
 
 -- Appends what a framer found; skipped bytes that follow skipped bytes are one event.
 local function append(events, found)
@@ -106,8 +104,8 @@ function take.segment(self, stream, fact)
   if done > known then
     joined.events, joined.base = {}, framer:offset()
   else
-    -- TCP lets go of no bytes as long as none of the new ones go with them: what is found
-    -- waits too.
+    -- TCP lets go of no bytes as long as none of the new ones go with them: what is found waits
+    -- too.
     events, done = {}, 0
   end
   joined.text = sub(bytes, done + 1)
@@ -124,8 +122,7 @@ local function forget(stream, offset)
 end
 
 -- Which packets the bytes of a frame came in; they lead to the one that shows it.  This may be a
--- later one where a
--- frame is bad and one that overlaps it was still open.
+-- later one where a frame is bad and one that overlaps it was still open.
 local function link(stream, event, base, look)
   local waiting, parts = stream.waiting, {}
   for i = stream.first, stream.last do
@@ -166,8 +163,7 @@ function take.stream(_, stream, fact, look)
 end
 
 -- Whether a packet is one good frame and no more.  Most are, and of those nothing is kept but the
--- delta: the rest is in
--- their bytes, which come again with each look.
+-- delta: the rest is in their bytes, which come again with each look.
 local function is_one_frame(piece, fact)
   local event = piece.events[1]
   if piece.done < #fact.bytes or not event or not event.good then return false end
@@ -258,19 +254,16 @@ end
 --          { events = array, done = bytes that are settled, pending = bytes at the end that wait
 --          for more,
 --            missing = bytes to come of the frame that waits, nil where no header is whole,
---            leads_to = number of the packet that shows them, as far as is known;
---            is_unfinished = whether the capture ends before the frame that they begin: a later
---            look knows }
+--            leads_to = number of the packet that shows them, as far as is known; is_unfinished =
+--            whether the capture ends before the frame that they begin: a later look knows }
 --          An event is a frame, finished, or a range of bytes that belong to none (status and place
 --          only):
 --          { status = "good" | "bad" | "cut" | "skipped", id, seq, ctl, size, reserved, payload,
 --            crc, calculated = where bad, missing = bytes of one that is cut, truncated = whether
---            the capture cut it,
---            length = bytes, at = 0-based in the packet, or bytes = string where it began in an
---            earlier one,
---            parts = numbers of the packets it came in, count = of them, with any that a read
---            filter rejected, and
---            shown_in = the last: where it began in an earlier one }
+--            the capture cut it, length = bytes, at = 0-based in the packet, or bytes = string
+--            where it began in an earlier one, parts = numbers of the packets it came in, count =
+--            of them, with any that a read filter rejected, and shown_in = the last: where it began
+--            in an earlier one }
 --          Nothing in it changes later.
 function Memory:look(fact)
   local pass, look, is_now = self.passes:look(fact.number, fact.place, fact.visited, fact.knows_all)
@@ -302,9 +295,8 @@ end
 -- index    of the frame among its events
 -- fact     as given to look
 -- returns  a change, or nil, as for a frame that is not good, and where it is_unsure: the first
---          pass took several
---          sources for one; its numbers are those of packets
-function Memory:change(message, packet, index, fact)
+--          pass took several sources for one; its numbers are those of packets
+function Memory.change(_, message, packet, index, fact)
   if not message.good then return nil end
   local pass, event = packet.pass, packet.piece.events[index]
   message.is_unsure = pass.is_partial and fact.knows_all

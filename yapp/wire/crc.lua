@@ -2,8 +2,7 @@
 -- CRC-32K/6.4 (Koopman), the check value of YAPP frames.  Pure Lua.
 --
 -- Polynomial 0x1'32C0'0699, most significant bit first, not reflected, initial value 0xFFFFFFFF, no
--- final xor
--- (vendor document, "CRC Calculation").
+-- final xor (vendor document, "CRC Calculation").
 
 local bits = require("yapp.base.bits")
 
@@ -46,8 +45,7 @@ local NATIVE = [[
 ]]
 
 -- For Lua 5.2.  A call costs more than a table look-up here: eight bytes a step, each through its
--- own table, and so the
--- register's, which arithmetic takes apart.
+-- own table, and so the register's, which arithmetic takes apart.
 local function with_library(library)
   local bxor, lshift, rshift = library.bxor, library.lshift, library.rshift
   local NEXT = { [0] = TABLE }
