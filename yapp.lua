@@ -186,8 +186,10 @@ end
 
 -- The controller's own time of a frame in a raw dump, "Nanoseconds since boot".
 local function controller_time(bytes)
-  local message = reader:message_of(frame.parse(bytes, 1))
-  if not message or not message.time or #bytes < frame.HEADER + message.size then return nil end
+  local id, size = frame.parse(bytes, 1)
+  local message = reader:message_of(id)
+  if not message or not message.time or message.size ~= size then return nil end
+  if #bytes < frame.HEADER + size then return nil end
   local seconds, nanoseconds = decode.time(bytes, frame.HEADER + message.time.offset)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end

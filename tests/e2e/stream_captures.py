@@ -60,6 +60,19 @@ def dropped_byte(rng):
     return data[:at] + data[at + 1:]
 
 
+def grown(rng):
+    """A newer firmware's message: more bytes than the catalogue says."""
+    ident = rng.choice([*KNOWN])
+    return frame(ident, rng.randbytes(KNOWN[ident] + rng.randrange(1, 9)), rng.randrange(256))
+
+
+def odd(rng):
+    """A good CRC, and an ID or reserved bytes that no message of the document has."""
+    data = rng.randbytes(rng.randrange(40))
+    ident, reserved = rng.choice([(rng.randrange(0x800, 1 << 32), 0), (0x210, 1), (0x300, rng.randrange(1, 0x10000))])
+    return sealed(header(ident, len(data))[:10] + struct.pack("<H", reserved) + data)
+
+
 def damaged_size(rng):
     data = good(rng)
     return data[:8] + struct.pack("<H", rng.choice([rng.randrange(60), rng.randrange(600), 65535])) + data[10:]
@@ -106,7 +119,7 @@ def yp(rng):
     return b"YP" * rng.randrange(1, 40) + rng.choice([b"", b"Y"])
 
 
-PIECES = [good] * 8 + [text, text, noise, flipped_bit, dropped_byte, damaged_size, cut, beheaded, false_sync, ruled_out,
+PIECES = [good] * 8 + [text, text, noise, flipped_bit, dropped_byte, dropped_byte, grown, odd, damaged_size, cut, beheaded, false_sync, ruled_out,
                        many_claims, inside_a_good_one, two_that_overlap, yp]
 
 
@@ -149,14 +162,13 @@ class Event:
         return struct.unpack("<I", self.data[-CRC:])[0]
 
 
-def plausible(start):
-    """Whether bytes may be the start of a header, by the fields that are whole in them."""
-    if not b"YP".startswith(start[:2]) or any(start[6:8]) or any(start[10:12]) or start[5:6] > b"\7":
-        return False
-    if len(start) < 10:
-        return True
-    ident, size = struct.unpack("<IH", start[4:10])
-    return KNOWN.get(ident, size) == size
+def believed(data, at):
+    """What a header says: "known", a message of the catalogue with its size; "unknown", an ID of the document's that is none
+    of them; "", anything else: then only a good CRC counts."""
+    ident, size, reserved = struct.unpack("<IHH", data[at + 4:at + HEADER])
+    if reserved or ident > 0x7FF or KNOWN.get(ident, size) != size:
+        return ""
+    return "known" if ident in KNOWN else "unknown"
 
 
 class Oracle:
@@ -164,10 +176,12 @@ class Oracle:
 
     def __init__(self, data):
         self.data = data
-        self.starts = [at for at in range(len(data)) if plausible(data[at:at + HEADER])]
+        self.starts = [at for at in range(len(data)) if b"YP".startswith(data[at:at + 2])]
         self.whole, self.open = [], []  # the candidates: (start, end, good), and those whose end never comes
+        self.belief = {}  # of each, by start
         for at in self.starts:
             if at + HEADER <= len(data):
+                self.belief[at] = believed(data, at)
                 end = at + HEADER + struct.unpack("<H", data[at + 8:at + 10])[0] + CRC
                 if end > len(data):
                     self.open.append((at, end))
@@ -187,37 +201,33 @@ class Oracle:
         """Where the first candidate begins that may still prove good, or what may be a header."""
         whole = [start for start, end, _ in self.whole if start >= after and start + HEADER <= came < end]
         unfinished = [start for start, _ in self.open if start >= after and start + HEADER <= came]
-        headers = [at for at in range(max(after, came - HEADER + 1), came) if plausible(self.data[at:came])]
+        headers = [at for at in range(max(after, came - HEADER + 1), came) if b"YP".startswith(self.data[at:min(at + 2, came)])]
         return min(whole + unfinished + headers, default=came)
 
-    def failed(self, candidates, start, limit):
-        """What lies between good frames, the candidates that start first going first; None behind what is open."""
+    def damaged(self, came, start, limit, behind):
+        """What lies between good frames, and how far that is decided.  A message of the catalogue goes up to where the next
+        begins; behind the limit is a "good" frame, the "end", or what is "open"."""
         events, at = [], start
-        for kind, first, end in sorted(candidates, key=lambda one: one[1]):
-            if at <= first < limit and end <= limit:
-                events += [("skipped", at, first), (kind, first, end)]
-                at = end
-        return events + [("skipped", at, limit)]
+        for first, end in sorted((one[0], one[1]) for one in [*self.whole, *self.open] if one[0] + HEADER <= came):
+            if not self.belief[first] or not at <= first < limit:
+                continue
+            stop = min([one for one, belief in self.belief.items() if belief == "known" and first < one < limit], default=limit)
+            if end > stop and stop == limit and behind == "open":
+                limit = first
+                break
+            if end <= stop or self.belief[first] == "known" or stop == limit and behind == "end":
+                events += [("skipped", at, first), ("bad" if end <= stop else "cut", first, min(end, stop))]
+                at = min(end, stop)
+        return events + [("skipped", at, limit)], limit
 
     def tiles(self, came, ended):
         """The events of a prefix, and where what waits begins."""
         events, at = [], 0
-        bad = [("bad", start, end) for start, end, _ in self.whole if end <= came]
         for start, end in self.good(came):
-            events += self.failed([one for one in bad if one[1] >= at], at, start) + [("good", start, end)]
+            events += self.damaged(came, at, start, "good")[0] + [("good", start, end)]
             at = end
-        if ended:
-            cut_off = [("cut", start, came) for start, end, *_ in [*self.whole, *self.open] if start + HEADER <= came < end]
-            return events + self.failed(bad + cut_off, at, came), came
-        limit = self.waiting(came, at)
-        while True:  # a failed candidate that reaches into what waits, waits with it
-            rest = self.failed(bad, at, limit)
-            shown = [one for one in rest if one[0] == "bad"]
-            reaching = [first for _, first, end in bad if at <= first < limit < end and
-                        not any(start < first < stop for _, start, stop in shown)]
-            if not reaching:
-                return events + rest, limit
-            limit = min(reaching)
+        last, done = self.damaged(came, at, came, "end") if ended else self.damaged(came, at, self.waiting(came, at), "open")
+        return events + last, done
 
     def events(self, came, known=0, ended=False):
         """The events that are certain when `came` bytes have come, from the offset `known` on; and how far they go."""

@@ -119,6 +119,9 @@ def wanted_of_messages(name):
     return by_frame
 
 
+LOST = {"uart_broken_off"}  # a message without its end, in front of others
+
+
 @pytest.mark.parametrize("name", [name for name in NAMES if make.read(name).messages])
 def test_messages_show_what_the_document_says(name):
     wanted = wanted_of_messages(name)
@@ -130,6 +133,8 @@ def test_messages_show_what_the_document_says(name):
                 values.setdefault(field, []).append(value)
         assert taurus(one) == values, f"frame {number}"
         headers = [message for message, _, _ in messages]
+        if name in LOST:
+            one = {field: one[field][-len(headers):] for field in one if field.startswith("yapp")}
         assert one["yapp.id"] == [f"0x{message['id']:08x}" for message in headers]
         assert one["yapp.seq"] == [str(message["seq"]) for message in headers]
         assert one["yapp.ctl"] == [str(message["ctl"]) for message in headers]
@@ -252,7 +257,7 @@ def test_links_between_the_frames_of_a_message(name, passes):
 
 
 def test_no_links_elsewhere():
-    assert {name for name in NAMES if any("yapp.reassembled.in" in one for one in shown(name))} == set(MESSAGES)
+    assert {name for name in NAMES if any("yapp.reassembled.in" in one for one in shown(name))} == {*MESSAGES, *LOST}
 
 
 @pytest.mark.parametrize("name, number", [("document_motor", 5), ("document_uart_split", 4), ("document_uart", None)])

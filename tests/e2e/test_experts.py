@@ -41,19 +41,19 @@ YAPP = {
     "repeated_start": {"fragment.incomplete": [2]},
     "repeated_start_sll2": {"fragment.incomplete": [2]},
     "reserved_nonzero": {"reserved.nonzero": [1]},
-    "reserved_nonzero_uart": {"stream.skipped": [1]},  # in a stream these rule a frame out
+    "reserved_nonzero_uart": {"reserved.nonzero": [1]},
     "start_12_bytes": {"size.mismatch": [1]},
     "start_3_bytes": {"fragment.incomplete": [1], "fragment.orphan": [2, 3, 4, 5]},
     "start_size_0": {"size.mismatch": [1], "fragment.orphan": [2, 3]},
     "start_size_65535": {"size.mismatch": [1], "fragment.incomplete": [5]},
-    "uart_broken_off": {"stream.skipped": [2]},
+    "uart_broken_off": {"fragment.incomplete": [2]},
     "uart_several": {"stream.skipped": [2]},
     "uart_shell": {"stream.skipped": [1]},
     "unknown_id": {"id.unknown": [1, 5]},
     "unknown_id_size_65535": {"fragment.incomplete": [3]},
     "unknown_id_uart": {"id.unknown": [1]},
     "wrong_size": {"size.mismatch": [1, 2, 3, 7, 8]},
-    "wrong_size_uart": {"stream.skipped": [1]},
+    "wrong_size_uart": {"size.mismatch": [1]},
 }
 
 

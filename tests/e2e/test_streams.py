@@ -28,7 +28,8 @@ PER_FILE = levels.size(5, 15)
 FILES = -(-STREAMS // PER_FILE)
 
 INFO = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
-EXPERTS = ["crc.bad", "id.unknown", "stream.skipped", "fragment.incomplete", "truncated", "size.mismatch"]
+EXPERTS = ["crc.bad", "id.unknown", "stream.skipped", "fragment.incomplete", "truncated", "size.mismatch",
+           "reserved.nonzero"]
 TAURUS = [name for name, kind in model.filters().items() if kind in ("uint", "flags", "time")]
 FIELDS = ["frame.number", INFO, "_ws.lua.error", "yapp", *(f"yapp.{name}" for name in [
     "id", "seq", "ctl", "size", "sync", "crc", "crc.status", "payload", "skipped", "fragment.data", "fragment",
@@ -71,12 +72,17 @@ def counted(data):
     return "1 byte" if len(data) == 1 else f"{len(data)} bytes"
 
 
+def fits(event):
+    """Whether the header says the size that the catalogue has for its ID."""
+    return stream_captures.KNOWN.get(event.ident) == int.from_bytes(event.data[8:10], "little")
+
+
 def info(event):
     if event.kind == "skipped":
         return f"Skipped {counted(event.data)}{quoted(event.data)}"
     known = model.MESSAGES.get(event.ident)
     if known:
-        return known[1]
+        return known[1] if fits(event) else f"{known[1]}  {counted(event.payload)}, not"
     return f"ID 0x{event.ident:x}  {counted(event.payload)}{ENDS[event.kind]}"
 
 
@@ -103,15 +109,20 @@ def expected(packet):
             add(**{"truncated" if packet.captured < len(packet.data) else "fragment__incomplete": ""})
         else:
             add(crc=f"0x{event.sent_crc:08x}", crc__status=str(int(event.kind == "good")))
-            if event.ident in model.MESSAGES:
+            if event.ident in model.MESSAGES and fits(event):
                 for name, value in model.decode(event.ident, payload)[0].items():
                     fields[name].extend([value] if name in TAURUS else [])
         if event.kind == "bad":
             add(crc__bad="")
+        if any(event.data[10:12]):
+            add(reserved__nonzero="")
         if event.ident not in model.MESSAGES:
             add(id__unknown="")
-            if payload:
-                add(payload=payload.hex())
+        elif not fits(event):
+            add(size__mismatch="")
+        is_lost = event.kind == "cut" and packet.captured == len(packet.data)
+        if payload and (event.ident not in model.MESSAGES or not fits(event) or is_lost):
+            add(payload=payload.hex())
         if event.delta is not None:
             add(time_delta=model.time_text(event.delta))
     if 0 < packet.captured < len(packet.data) and not any(event.kind == "cut" for event in packet.events):
@@ -234,6 +245,10 @@ def test_total():
 ONE, TWO, THREE = (frame(0x301 + number, bytes([number]) * 30, seq=number) for number in range(3))
 BAD = ONE[:-1] + bytes([ONE[-1] ^ 1])
 CLAIM = header(0x333, 65535)
+MOTOR = frame(0x210, bytes(range(32)))
+LOST_BYTE, DAMAGED = MOTOR[:30] + MOTOR[31:], MOTOR[:30] + b"?" + MOTOR[31:]
+GROWN, ODD = frame(0x210, bytes(range(34))), frame(0x12345678, b"somebody's")
+RESERVED = stream_captures.sealed(header(0x210, 32)[:10] + b"\1\0" + bytes(range(32)))
 UDP_PORT, TCP_PORT = (["-d", f"{kind}.port==20001,yapp_serial"] for kind in ("udp", "tcp"))
 SERIAL, UDP, TCP = (EXPORTED_PDU, stream_captures.exported_pdu, []), (ETHERNET, stream_captures.udp, UDP_PORT), \
     (ETHERNET, stream_captures.tcp, TCP_PORT)
@@ -272,8 +287,7 @@ SITUATIONS = {
         (b"text YP text", []), (ONE[:30], []), (ONE[30:], []), (TWO + THREE[:5], [("good", TWO)]), (THREE[5:], [("good", THREE)])]),
     "empty datagrams": (UDP, [(b"", []), (ONE, [("good", ONE)]), (b"", [])]),
     "a segment is missing, and what follows begins like what waits": (TCP, [
-        (ONE + b"YP", [("good", ONE)]), 5, (b"YPYPYP", [("skipped", b"YP")]),
-        (TWO, [("skipped", b"YPYP"), ("good", TWO)])]),
+        (ONE + b"YP", [("good", ONE)]), 5, (b"YPYPYP", []), (TWO, [("skipped", b"YPYPYP"), ("good", TWO)])]),
     "the snap length cuts a frame": (SERIAL, [
         (ONE + TWO[:10], [("good", ONE)], TWO[:10]), ((TWO[10:], 15), [("cut", TWO[:25])]), (THREE, [("good", THREE)])]),
     "the snap length cuts text": (SERIAL, [((b"text and more", 4), [("skipped", b"text")]), (ONE, [("good", ONE)])]),
@@ -281,6 +295,18 @@ SITUATIONS = {
         (b"> pw\b \bwd\a\r\n41 \xc2\xb0C" + ONE, [("skipped", b"> pw\b \bwd\a\r\n41 \xc2\xb0C"), ("good", ONE)]),
         (b"\xc2\xb0" * 50 + ONE, [("skipped", b"\xc2\xb0" * 50), ("good", ONE)]),
         (b"\xc2\x80" + ONE, [("skipped", b"\xc2\x80"), ("good", ONE)]), (b"\xb0" + ONE, [("skipped", b"\xb0"), ("good", ONE)])]),
+    "messages that lost bytes": (SERIAL, [
+        (LOST_BYTE + MOTOR, [("cut", LOST_BYTE), ("good", MOTOR)]), (LOST_BYTE, [], LOST_BYTE),
+        (LOST_BYTE + ONE, [("cut", LOST_BYTE), ("cut", LOST_BYTE), ("good", ONE)]),
+        (DAMAGED + MOTOR, [("bad", DAMAGED), ("good", MOTOR)])]),
+    "messages that lost bytes, UDP": (UDP, [
+        (LOST_BYTE + MOTOR, [("cut", LOST_BYTE), ("good", MOTOR)]), (LOST_BYTE, [("cut", LOST_BYTE)])]),
+    "a firmware that grew, IDs and reserved bytes of nobody": (SERIAL, [
+        (GROWN, [("good", GROWN)]), (GROWN[:20], [], GROWN[:20]), (GROWN[20:] + ODD, [("good", GROWN), ("good", ODD)]),
+        (RESERVED, [("good", RESERVED)])]),
+    "text with YP in it is no message": (SERIAL, [
+        (b"SYP and more\r\n", [("skipped", b"S")], b"YP and more\r\n"),
+        (MOTOR, [("skipped", b"YP and more\r\n"), ("good", MOTOR)])]),
     "the snap length leaves nothing": (SERIAL, [((ONE, 0), []), (TWO, [("good", TWO)])]),
     "the snap length cuts a datagram": (UDP, [((ONE, 20), [("cut", ONE[:20])]), ((ONE, 3), [("skipped", ONE[:3])]),
                                               ((ONE, 0), []), (TWO, [("good", TWO)])]),

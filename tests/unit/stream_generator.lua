@@ -1,6 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Makes streams for the framing tests: frames, good and damaged in every way, amid text and noise.
 if not arg then return end -- run by Wireshark, see run.lua
+local bits = require("yapp.base.bits")
 local crc = require("yapp.wire.crc")
 
 local M = {}
@@ -51,7 +52,7 @@ local frame = M.frame
 function M.two_good_with_one_end(id, inner)
   local outer = header(id, #inner)
   local initial_in_four_bytes = 0xD9FD2E22
-  return outer .. little_endian(crc.xor(crc.of(outer), initial_in_four_bytes), 4):reverse() .. inner
+  return outer .. little_endian(bits.bxor(crc.of(outer), initial_in_four_bytes), 4):reverse() .. inner
 end
 
 --- A good frame and how it goes on so that another one is good, whose header is its last six bytes and six more.
@@ -113,6 +114,27 @@ local PIECES = {
   damaged_size = function(random)
     local bytes, size = good(random), pick(random, { random(60), random(300), 65535 })
     return bytes:sub(1, 8) .. little_endian(size, 2) .. bytes:sub(11)
+  end,
+
+  lost_bytes = function(random)
+    local list = {}
+    for i = 1, random(4) do
+      local bytes = good(random)
+      local at = random(#bytes)
+      list[i] = bytes:sub(1, at - 1) .. bytes:sub(at + random(3))
+    end
+    return table.concat(list)
+  end,
+
+  grown = function(random)
+    return frame(pick(random, { 0x000, 0x200, 0x210 }), random_bytes(random, random(60)))
+  end,
+
+  odd_but_good = function(random)
+    local size = random(20)
+    local start = pick(random, { header(2047 + random(9), size), header(0x1000000 * random(255), size),
+      header(0x210, size):sub(1, 10) .. "\1\2" })
+    return sealed(start .. random_bytes(random, size))
   end,
 
   cut = function(random)

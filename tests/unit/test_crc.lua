@@ -57,28 +57,4 @@ function T.test_in_pieces()
   end
 end
 
-function T.test_xor()
-  lu.assertEquals(crc.xor(0xFFFFFFFF, 0x12345678), 0xEDCBA987)
-  lu.assertEquals(crc.xor(0x80000000, 1), 0x80000001)
-  lu.assertEquals(crc.xor(0xC76FBEBB, 0xC76FBEBB), 0)
-end
-
-function T.test_advance_is_zero_bytes()
-  for _, register in ipairs({ 0, 1, 0x80000000, 0xFFFFFFFF, 0xC76FBEBB }) do
-    for _, count in ipairs({ 0, 1, 2, 3, 4, 7, 255, 256, 1000, 65535, 65551, 131071 }) do
-      local zeros = ("\0"):rep(count)
-      lu.assertEquals(crc.advance(register, count), crc.update(register, zeros), "count " .. count)
-    end
-  end
-end
-
-function T.test_a_part_from_the_registers_at_its_ends()
-  local s = bytes("59500000100200002000000001020304")
-  for cut = 0, #s do
-    local before, behind = crc.of(s:sub(1, cut)), crc.of(s)
-    local other = crc.advance(crc.xor(before, crc.INITIAL), #s - cut)
-    lu.assertEquals(crc.xor(behind, other), crc.of(s:sub(cut + 1)), "from " .. cut)
-  end
-end
-
 return T

@@ -35,7 +35,7 @@ local function frame(id, payload)
   return text .. le(crc.of(text), 4)
 end
 
-local function new_framer() return stream.new(crc, function() return true end) end
+local function new_framer() return stream.new(function() return nil end) end
 
 -- ID 1 has a time stamp: its first byte, in seconds.
 local function time_of(bytes)

@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The header of a serial frame: read, judged, built.
+-- The header of a serial frame: read, judged.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local frame = require("yapp.wire.frame")
@@ -33,12 +33,6 @@ function T.test_judge()
   for i, row in ipairs(rows) do lu.assertEquals(frame.judge("x" .. row[1], 2, row[2]), row[3], "row " .. i) end
   for length = 2, 11 do lu.assertFalse(frame.judge(MOTOR:sub(1, length), 1, is_motor)) end
   lu.assertNil(frame.judge("YP\0\0\16\2\0\0\33\0", 1, is_motor)) -- before its end has come
-end
-
-function T.test_build()
-  lu.assertEquals(frame.build { id = 0x210, size = 32 }, MOTOR)
-  local header = { id = 0x7FF, size = 0xABCD, seq = 0xEE, ctl = 0x3F, reserved = 0x1234 }
-  lu.assertEquals({ frame.parse(frame.build(header), 1) }, { 0x7FF, 0xABCD, 0x1234, 0xEE, 0x3F })
 end
 
 return T

@@ -43,7 +43,7 @@ function Pass:next(number, place)
   end
   -- It was left to others, and comes again by Decode As.
   if place == self.place and self.entries[self.latest] == nil then return self.latest end
-  local places = self.looks[number] or { [self.place] = self.latest }
+  local places = self.looks[number] or { [self.place] = number }
   if place <= self.place then self.is_filtered, places = true, {} end
   self.place = place
   places[place] = self:another()

@@ -1,125 +1,65 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- All that is known of a file's byte streams and datagrams: the frames of a packet, where their bytes came, and when.
--- Pure Lua, 5.2 and 5.4.
+-- What the packets of byte streams and datagrams hold: their frames, where the bytes of these came,
+-- and when.  Pure Lua.
 --
--- It is told the facts of a packet and says what the packet holds.  A first pass takes packets in order; any later look
--- asks, by the packet's number and the place of the bytes in it (a packet in a tunnel may have several pieces).
--- A first pass may be uninformed: `tshark -2` and sharkd build no tree then, nothing tells captured interfaces and
--- directions apart, and their bytes are one stream.  A second pass that can and comes in order takes the packets again,
--- each source a stream of its own.  Where last bytes lead it cannot ask the first: two sources' frames may begin alike.
---
--- Most packets are one good frame and no more.  Of such a one only the place is kept, and what was noted of it: the
--- rest is in its bytes, which come again with each look.  Of another its piece is kept (serial.kept).
+-- It is told the facts of a packet and says what the packet holds.  Packets are taken in order, and
+-- asked for again in any order, by number and by the place of the bytes in them: a packet in a
+-- tunnel may have several pieces.
 
+local crc = require("yapp.wire.crc")
 local frame = require("yapp.wire.frame")
-local serial_kept = require("yapp.serial.kept")
+local passes = require("yapp.memory.passes")
 
 local M = {}
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
-local min, max, floor, sub = math.min, math.max, math.floor, string.sub
+local min, max, sub = math.min, math.max, string.sub
 
 local Memory = {}
 Memory.__index = Memory
 
-local function new_pass(new_history)
-  return {
-    history = new_history(),
-    streams = {},            -- [key]: see stream_of
-    kept = serial_kept.new(), -- of each packet
-    highest = 0,             -- the number of the last packet taken
-    informed = false,        -- whether the pass told sources apart
-  }
-end
-
 --- The memory of a file that is about to be read.
--- crc         the module wire.crc
--- options     { new_framer = function() -> a serial.stream, new_history = function() -> a message.history }
-function M.new(crc, options)
-  return setmetatable({ crc = crc, new_framer = options.new_framer, datagrams = options.new_framer(),
-    first = new_pass(options.new_history), second = new_pass(options.new_history), plain = { good = true, from = 0 } },
-    Memory)
+-- options  { new_framer = function() -> a serial.stream, new_history = function() -> a
+--          message.history }
+function M.new(options)
+  return setmetatable({
+    new_framer = options.new_framer,
+    datagrams = options.new_framer(), -- each is complete in itself, so one framer does for all
+    passes = passes.new(options.new_history),
+    streams = {},                     -- [pass] = { [key] = a stream }
+  }, Memory)
 end
 
---- Says that the first pass is the only one: next to nothing is kept.  (Were there a second one after all, it would
--- find everything anew.)
-function Memory:only_pass()
-  self.first.kept.is_only_pass = true
-end
-
---- tshark's taps see one of the first packets.  A first pass of two has none, and has had all packets before they do.
-function Memory:tapped(number)
-  if not self.is_again and self.first.highest <= number then self:only_pass() end
-end
-
--- What is known of a stream: when which message came; and, as far as it needs them, its framer, its length, the packets
--- with bytes that wait, and the pieces that will not change behind the packet at hand.
-local function stream_of(pass, key)
-  local stream = pass.streams[key]
+-- What is known of a stream in a pass.
+local function stream_of(self, pass, key)
+  local streams = self.streams[pass] or {}
+  self.streams[pass] = streams
+  local stream = streams[key]
   if not stream then
-    stream = { length = 0, waiting = {}, first = 1, last = 0, settled = {} }
-    pass.streams[key] = stream
+    stream = {
+      framer = self.new_framer(), length = 0, -- and the bytes that it was given
+      waiting = {}, first = 1, last = 0,      -- the packets with bytes that it has not given out
+      joined = nil,                           -- where TCP joins segments: see take.segment
+      fact = nil, piece = nil,                -- of the latest packet
+    }
+    streams[key] = stream
   end
   return stream
 end
 
--- What a packet holds --------------------------------------------------------------------------------------------
+-- Taking a packet: each returns a piece -----------------------------------------------------------
+--
+-- { events, base = offset of the packet in its stream, done = bytes that are settled, pending =
+-- bytes that wait,
+--   missing = bytes to come of the frame that waits, leads_to = look at the packet that shows it,
+--   stream }
+-- An event is the framer's, with truncated = whether the capture cut it; without bytes where they
+-- are in the packet; with parts = looks at its packets, look = of the message where the packet has
+-- one before it, delta = of its source.
 
--- A frame, whole or cut.  bytes, at: where it is, 0-based.
-local function message_of(self, event, bytes, at)
-  local id, size, reserved, seq, ctl = frame.parse(bytes, at + 1)
-  local length, crc, calculated = event.to - event.from, nil, nil
-  local status = event.kind == "cut" and "cut" or event.good and "good" or "bad"
-  if status == "bad" then
-    crc = frame.crc(bytes, at + length)
-    calculated = self.crc.update(self.crc.INITIAL, bytes, at + 1, at + length - CRC_SIZE)
-  end
-  return { status = status, id = id, seq = seq, ctl = ctl, size = size, reserved = reserved,
-    payload = sub(bytes, at + HEADER + 1, at + min(HEADER + size, length)), crc = crc, calculated = calculated,
-    missing = event.missing, truncated = event.truncated, length = length,
-    at = not event.bytes and at or nil, bytes = event.bytes }
-end
-
-local function shown(self, event, piece, fact)
-  local at, bytes = event.from - piece.base, event.bytes
-  if event.kind == "skipped" then
-    return { status = "skipped", length = event.to - event.from, at = not bytes and at or nil, bytes = bytes }
-  end
-  local message = message_of(self, event, bytes or fact.bytes, bytes and 0 or at)
-  if event.parts then message.parts, message.shown_in = event.parts, fact.number end
-  return message
-end
-
--- The header of the frame that is open at the end of a stream; nil for none.
-local function open_header(stream)
-  local framer = stream.joined and stream.joined.framer or stream.framer
-  return framer and framer:open_header()
-end
-
--- Whether the capture ends before the frame of a packet's last bytes: a pass that has come to its end knows.
-local function is_unfinished(self, pass, piece, fact)
-  local stream = fact.visited and pass.highest >= self.first.highest and pass.streams[fact.stream]
-  return stream and stream.newest == piece and open_header(stream) ~= nil
-end
-
-local function packet_of(self, pass, piece, fact)
-  local events = {}
-  for i, event in ipairs(piece.events) do events[i] = shown(self, event, piece, fact) end
-  return { pass = pass, piece = piece, events = events, done = piece.done, pending = piece.pending,
-    missing = piece.missing, leads_to = piece.leads_to, is_unfinished = is_unfinished(self, pass, piece, fact) }
-end
-
-local function plain_packet(self, pass, fact)
-  local size, plain = #fact.bytes, self.plain
-  plain.to = size
-  return { pass = pass, events = { message_of(self, plain, fact.bytes, 0) }, done = size, pending = 0 }
-end
-
--- Datagrams ------------------------------------------------------------------------------------------------------
-
--- Appends events; skipped bytes that follow skipped bytes are one event.
-local function append(events, more)
-  for _, event in ipairs(more) do
+-- Appends what a framer found; skipped bytes that follow skipped bytes are one event.
+local function append(events, found)
+  for _, event in ipairs(found) do
     local last = events[#events]
     if last and last.kind == "skipped" and event.kind == "skipped" then
       last.to, last.bytes = event.to, last.bytes .. event.bytes
@@ -130,31 +70,30 @@ local function append(events, more)
 end
 
 -- Whatever waits in the framer is cut off.
-local function finish(framer, events, truncated)
+local function finish(framer, events, is_truncated)
   local rest = framer:finish()
-  for _, event in ipairs(rest) do event.truncated = truncated or nil end
+  for _, event in ipairs(rest) do event.truncated = is_truncated or nil end
   append(events, rest)
 end
 
-local take = {} -- by transport; each returns a piece: { events, base, done, pending, missing }
+local take = {} -- by transport
 
--- Complete in itself, so one framer does for all.
 function take.datagram(self, _, fact)
   local framer = self.datagrams
   local base = framer:offset()
   local events = framer:feed(fact.bytes)
-  if framer:offset() < base + #fact.bytes then finish(framer, events, fact.truncated) end
+  finish(framer, events, fact.truncated)
   return { events = events, base = base, done = #fact.bytes, pending = 0 }
 end
 
--- TCP ------------------------------------------------------------------------------------------------------------
-
--- TCP hands over again what waits, with what follows, in a piece of its own: only what follows is new to the framer.
+-- TCP hands over again what waits, with what follows, in a piece of its own: only what follows is
+-- new to the framer.
 function take.segment(self, stream, fact)
-  local joined, bytes = stream.joined, fact.bytes
-  local known = joined and #joined.waiting or 0
-  if not joined or known > 0 and (fact.place > 0 or sub(bytes, 1, known) ~= joined.waiting) then
-    joined, known = { framer = self.new_framer(), events = {}, base = 0 }, 0
+  local bytes, joined = fact.bytes, stream.joined
+  local known = joined and #joined.text or 0
+  local is_lost = known > 0 and (fact.place > 0 or sub(bytes, 1, known) ~= joined.text)
+  if not joined or is_lost then
+    joined, known = { framer = self.new_framer(), text = "", events = {}, base = 0 }, 0
     stream.joined = joined
   end
   local framer, events, base = joined.framer, joined.events, joined.base
@@ -164,187 +103,224 @@ function take.segment(self, stream, fact)
   local done = framer:offset() - base
   if done > known then
     joined.events, joined.base = {}, framer:offset()
-  else -- TCP lets go of no bytes as long as none of the new ones go with them: what is found waits too
+  else
+    -- TCP lets go of no bytes as long as none of the new ones go with them: what is found waits
+    -- too.
     events, done = {}, 0
   end
-  joined.waiting = sub(bytes, done + 1)
+  joined.text = sub(bytes, done + 1)
   return { events = events, base = base, done = done, pending = 0 }
-end
-
--- Streams that nobody joins for us -------------------------------------------------------------------------------
-
--- Which packets the bytes of a frame came in; they lead to the one that shows it.  This may be a later one where a
--- frame is bad and one that overlaps it was still open.
-local function link(stream, event, base, number)
-  local waiting, parts = stream.waiting, {}
-  for i = stream.first, stream.last do
-    if waiting[i].from >= event.to then break end
-    parts[#parts + 1] = waiting[i].number
-    if waiting[i].number ~= number then waiting[i].piece.leads_to = number end
-  end
-  if base < event.to then parts[#parts + 1] = number end
-  event.parts = parts
 end
 
 -- The packets whose bytes are all before this offset wait no longer.
 local function forget(stream, offset)
   local waiting = stream.waiting
   while stream.first <= stream.last and waiting[stream.first].to <= offset do
-    stream.settled[#stream.settled + 1] = waiting[stream.first].piece
     waiting[stream.first] = nil
     stream.first = stream.first + 1
   end
 end
 
-function take.stream(self, stream, fact)
-  local framer = stream.framer or self.new_framer()
+-- Which packets the bytes of a frame came in; they lead to the one that shows it.  This may be a
+-- later one where a frame is bad and one that overlaps it was still open.
+local function link(stream, event, base, look)
+  local waiting, parts = stream.waiting, {}
+  for i = stream.first, stream.last do
+    if waiting[i].from >= event.to then break end
+    parts[#parts + 1] = waiting[i].look
+    waiting[i].piece.leads_to = look
+  end
+  if base < event.to then parts[#parts + 1] = look end
+  event.parts = parts
+end
+
+-- Streams that nobody joins for us.
+function take.stream(_, stream, fact, look)
+  local framer = stream.framer
   local base, to = stream.length, stream.length + #fact.bytes
-  stream.framer, stream.length = framer, to
+  stream.length = to
   local events = framer:feed(fact.bytes)
   if fact.truncated then finish(framer, events, true) end
   for _, event in ipairs(events) do
     forget(stream, event.from)
-    if event.from < base and event.kind ~= "skipped" then link(stream, event, base, fact.number) end
+    if event.from < base and event.kind ~= "skipped" then link(stream, event, base, look) end
   end
-  local done = framer:offset()
-  forget(stream, done)
-  local pending = to - max(done, base)
-  local piece = { events = events, base = base, done = to - base - pending, pending = pending,
-    missing = framer:waiting() }
-  if pending > 0 then
+  forget(stream, framer:offset())
+  local done = max(framer:offset(), base)
+  local piece = {
+    events = events,
+    base = base,
+    done = done - base,
+    pending = to - done,
+    missing = framer:waiting(),
+  }
+  if piece.pending > 0 then
     stream.last = stream.last + 1
-    stream.waiting[stream.last] = { piece = piece, number = fact.number, from = base, to = to }
+    stream.waiting[stream.last] = { piece = piece, look = look, from = base, to = to }
+    piece.stream = stream
   end
   return piece
 end
 
--- The passes -----------------------------------------------------------------------------------------------------
-
--- Takes a packet that is one good frame, without what others need: this saves a tenth of the time of a packet.
--- returns  the packet; nil for any other, of which nothing is taken
-local function take_plain(self, pass, stream, fact)
-  local number, place, bytes = fact.number, fact.place, fact.bytes
-  if fact.truncated or fact.transport == "segment" or pass.kept:has(number) then return nil end
-  if fact.transport == "datagram" then
-    if not self.datagrams:pass(bytes) then return nil end
-  else
-    if not stream.framer or not stream.framer:pass(bytes) then return nil end
-    stream.length = stream.length + #bytes
-  end
-  pass.kept:keep_place(number, place)
-  local packet = plain_packet(self, pass, fact)
-  packet.is_now = true
-  return packet
+-- Whether a packet is one good frame and no more.  Most are, and of those nothing is kept but the
+-- delta: the rest is in their bytes, which come again with each look.
+local function is_one_frame(piece, fact)
+  local event = piece.events[1]
+  if piece.done < #fact.bytes or not event or not event.good then return false end
+  return event.from == piece.base and event.to - event.from == piece.done
 end
 
 -- Takes a packet into its stream.
-local function take_packet(self, pass, fact)
-  local stream = stream_of(pass, fact.stream)
-  pass.highest = fact.number
-  if stream.settled[1] then pass.kept:settle(stream.settled, fact.number) end
-  local plain = take_plain(self, pass, stream, fact)
-  if plain then return plain end
-  local piece = take[fact.transport](self, stream, fact)
-  stream.newest, stream.number = piece, fact.number
-  for _, event in ipairs(piece.events) do
+local function take_packet(self, pass, look, fact)
+  local stream = stream_of(self, pass, fact.stream)
+  local piece = take[fact.transport](self, stream, fact, look)
+  stream.fact, stream.piece = fact, piece
+  for i, event in ipairs(piece.events) do
     if event.from >= piece.base then event.bytes = nil end -- they are in the packet anyway
+    if i > 1 and event.kind ~= "skipped" then
+      event.look = pass:another()
+      pass.entries[event.look] = false
+    end
   end
-  local packet = packet_of(self, pass, piece, fact)
-  packet.is_now = true
-  if pass.kept:keep(piece, fact) then
-    packet.piece = nil
-  elseif piece.pending == 0 then
-    stream.settled[#stream.settled + 1] = piece
-  end
-  return packet
+  pass.entries[look] = not is_one_frame(piece, fact) and piece
+  return piece
 end
 
--- What the pass knows of a packet, or nil.
-local function recall(self, pass, fact)
-  local piece, is_plain = pass.kept:recall(fact.number, fact.place)
-  if is_plain then return plain_packet(self, pass, fact) end
-  return piece and packet_of(self, pass, piece, fact)
+-- What the pass knows of a packet; nil for nothing.
+local function recall(pass, look, fact)
+  local kept, size = pass.entries[look], #fact.bytes
+  if type(kept) == "table" or kept == nil then return kept end
+  local event = { kind = "frame", good = true, from = 0, to = size, delta = kept or nil }
+  return { events = { event }, base = 0, done = size, pending = 0 }
+end
+
+-- What a packet holds -----------------------------------------------------------------------------
+
+-- The numbers of the packets of some looks, but for those that a read filter rejected.
+local function numbers_of(pass, looks)
+  local numbers = {}
+  for _, look in ipairs(looks) do numbers[#numbers + 1] = pass:number(look) end
+  return numbers
+end
+
+-- An event as it is told.
+local function shown(pass, event, piece, fact)
+  local at, bytes, length = event.from - piece.base, fact.bytes, event.to - event.from
+  local status = event.kind
+  if status == "frame" then status = event.good and "good" or "bad" end
+  local told = { status = status, length = length, bytes = event.bytes }
+  if not event.bytes then told.at = at end
+  if status == "skipped" then return told end
+  if event.bytes then at, bytes = 0, event.bytes end
+  told.id, told.size, told.reserved, told.seq, told.ctl = frame.parse(bytes, at + 1)
+  told.payload = sub(bytes, at + HEADER + 1, at + min(HEADER + told.size, length))
+  told.missing, told.truncated = event.missing, event.truncated
+  if status == "bad" then
+    told.crc = frame.crc(bytes, at + length)
+    told.calculated = crc.update(crc.INITIAL, bytes, at + 1, at + length - CRC_SIZE)
+  end
+  if event.parts then
+    told.parts = numbers_of(pass, event.parts)
+    told.count = #event.parts
+    told.shown_in = fact.number
+  end
+  return told
+end
+
+-- The header of the frame that is open at the end of a stream; nil for none.
+local function open_header(stream)
+  return (stream.joined or stream).framer:open_header()
+end
+
+-- Whether the capture ends before the frame of a packet's last bytes: a pass that has come to its
+-- end knows.
+local function is_unfinished(self, pass, piece)
+  local stream = piece.stream
+  return stream and stream.piece == piece and pass.highest >= self.passes.first.highest and
+    open_header(stream) ~= nil
 end
 
 --- What a packet holds.
--- fact     what is known of it; the memory keeps nothing of this table:
---            number, place        of the packet; of its bytes in it, in bytes: the same with each look
+-- fact     what is known of it, a table that may be kept:
+--            number, place        of the packet; of its bytes in it, in bytes: the same with each
+--                                 look
 --            bytes, truncated     string; whether the capture has fewer than the packet had
---            transport            "datagram"; "segment", of TCP, which hands over again what is not `done`; "stream"
---            stream               key of the stream, on a first pass and where `informed`
---            visited, informed    whether it is a later look; whether the key tells captured sources apart
--- returns  nil where the first pass was not asked about these bytes, else
---          { events = array, done = bytes that are settled, pending = bytes at the end that wait for more,
+--            transport            "datagram"; "segment", of TCP, which hands over again what is not
+--                                 `done`; "stream"
+--            stream               key of the stream
+--            visited, knows_all   whether it is a later look; whether the key tells captured
+--                                 sources apart
+-- returns  nil where no pass was asked about these bytes, else
+--          { events = array, done = bytes that are settled, pending = bytes at the end that wait
+--          for more,
 --            missing = bytes to come of the frame that waits, nil where no header is whole,
---            leads_to = number of the packet that shows them, as far as is known;
---            is_unfinished = whether the capture ends before the frame that they begin: a later look knows }
---          An event is a frame, finished, or a range of bytes that belong to none (status and place only):
+--            leads_to = number of the packet that shows them, as far as is known; is_unfinished =
+--            whether the capture ends before the frame that they begin: a later look knows }
+--          An event is a frame, finished, or a range of bytes that belong to none (status and place
+--          only):
 --          { status = "good" | "bad" | "cut" | "skipped", id, seq, ctl, size, reserved, payload,
---            crc, calculated = where bad, missing = bytes of one that is cut, truncated = whether the capture cut it,
---            length = bytes, at = 0-based in the packet, or bytes = string where it began in an earlier one,
---            parts = numbers of the packets it came in and shown_in = the last, where it began in an earlier one }
+--            crc, calculated = where bad, missing = bytes of one that is cut, truncated = whether
+--            the capture cut it, length = bytes, at = 0-based in the packet, or bytes = string
+--            where it began in an earlier one, parts = numbers of the packets it came in, count =
+--            of them, with any that a read filter rejected, and shown_in = the last: where it began
+--            in an earlier one }
 --          Nothing in it changes later.
 function Memory:look(fact)
-  local first, second = self.first, self.second
-  if not fact.visited then
-    first.informed = first.informed or fact.informed
-    return take_packet(self, first, fact)
-  end
-  self.is_again = true
-  if fact.informed and not first.informed or first.kept.is_only_pass then
-    local packet = fact.number <= second.highest and recall(self, second, fact)
-    if packet then return packet end
-    if fact.number >= second.highest then return take_packet(self, second, fact) end
-  end
-  return recall(self, first, fact)
+  local pass, look, is_now = self.passes:look(fact.number, fact.place, fact.visited, fact.knows_all)
+  if not pass then return nil end
+  if is_now and not fact.knows_all then pass.is_partial = true end
+  local piece = is_now and take_packet(self, pass, look, fact) or recall(pass, look, fact)
+  if not piece then return nil end
+  local events = {}
+  for i, event in ipairs(piece.events) do events[i] = shown(pass, event, piece, fact) end
+  local leads_to = piece.leads_to and pass:number(piece.leads_to)
+  if leads_to == fact.number then leads_to = nil end
+  return {
+    pass = pass,
+    look = look,
+    is_now = is_now,
+    piece = piece,
+    events = events,
+    done = piece.done,
+    pending = piece.pending,
+    missing = piece.missing,
+    leads_to = leads_to,
+    is_unfinished = fact.visited and is_unfinished(self, pass, piece),
+  }
 end
-
---- Whether the first pass told sources apart.
-function Memory:is_informed()
-  return self.first.informed
-end
-
---- The frames that the capture ends before, as far as the pass that was made last has come.
--- returns  list of { stream = its key, header = string, number = of the last packet with bytes of it }
-function Memory:unfinished()
-  local list = {}
-  for key, stream in pairs((self.second.highest > 0 and self.second or self.first).streams) do
-    local header = open_header(stream)
-    if header then list[#list + 1] = { stream = key, header = header, number = stream.number } end
-  end
-  return list
-end
-
-local PLACE = 2 ^ -21 -- of a byte in its packet
-local LINKS = { "command_in", "previous_change", "next_change" } -- in a change of message.history
 
 --- What changed with a frame since its source's previous good one (see message.history).
 -- message  as History:note takes it; number, delta and is_unsure are filled in
 -- packet   from look, for this fact
 -- index    of the frame among its events
 -- fact     as given to look
--- returns  a change, or nil, as for a frame that is not good, and where it is_unsure: the first pass took several
---          sources for one; its numbers are those of packets
-function Memory:change(message, packet, index, fact)
+-- returns  a change, or nil, as for a frame that is not good, and where it is_unsure: the first
+--          pass took several sources for one; its numbers are those of packets
+function Memory.change(_, message, packet, index, fact)
   if not message.good then return nil end
-  message.is_unsure = packet.pass == self.first and fact.informed and not self.first.informed
+  local pass, event = packet.pass, packet.piece.events[index]
+  message.is_unsure = pass.is_partial and fact.knows_all
   if message.is_unsure then return nil end
-  local pass, piece, number, change = packet.pass, packet.piece, fact.number
-  message.number = number + (fact.place + (packet.events[index].at or 0)) * PLACE
-  if packet.is_now then
-    local delta
-    change, delta = pass.history:note(message)
-    if piece then piece.events[index].delta = delta else pass.kept.archive.deltas[number] = delta end
-  else
-    if piece then message.delta = piece.events[index].delta else message.delta = pass.kept.archive:delta(number) end
-    change = pass.history:change(message)
+  local look = event.look or packet.look
+  if not packet.is_now then
+    message.delta = event.delta
+    return pass:change(look, message)
   end
-  if not change then return nil end
-  if change.is_alarm or change.active_since then
-    change.next_change = pass.history:next_change(message.number, message.source)
-  end
-  for _, name in ipairs(LINKS) do change[name] = change[name] and floor(change[name]) end
+  local change, delta = pass:note(look, message)
+  event.delta = delta
+  if not pass.entries[look] then pass.entries[look] = delta or false end
   return change
+end
+
+--- The frames that the capture ends before, as far as the pass that was made last has come.
+-- returns  list of { header = string, fact = of the last packet with bytes of it }
+function Memory:unfinished()
+  local list = {}
+  for _, stream in pairs(self.streams[self.passes:last()] or {}) do
+    local header = open_header(stream)
+    if header then list[#list + 1] = { header = header, fact = stream.fact } end
+  end
+  return list
 end
 
 return M
