@@ -11,6 +11,7 @@
 --   every   its period in seconds, 0.1 for 10 Hz: a gap of several periods gets the expert item yapp.late
 --   answers the name of the message that commands it: the field taurus.<message>.<name>_in has its latest frame
 --   differences  a list of { filter name, field, field, title }: the first less the second, where both have a value
+--   section the part of a document that defines it, for descriptions; a row may have its own
 -- and rows, one a field, in the order of the payload: { filter name, type, title, options }.  Types, little endian:
 --   uint8 uint16 uint24 uint32 uint64, int8 .. int64     integers, signed ones in two's complement
 --   float8 float16 float24 .. float64 with min and max   compressed floats, "floatN <min; max>"
@@ -30,9 +31,10 @@
 --   bits    of an unsigned integer: a list of { filter name, mask, title, options } of parts of several bits side by
 --           side; options are unit, scale, offset, values, invalid
 --   flags   a list of { filter name, mask, title }; `group` names it: taurus.<message>.<group>.<flag>.  Bits that rise
---           or fall are in <group>.raised and <group>.cleared.
---           `alarm` makes them faults: its word and the names of the set flags are in the Info column, any of them
---           raises taurus.fault.active, and each that rises or falls is an event, taurus.fault.raised or .cleared
+--           or fall are in <group>.raised and <group>.cleared.  A flag may have help = "what it means, what to look at".
+--           `alarm` makes all of them faults: its word and the names of the set flags are in the Info column, any of
+--           them raises taurus.fault.active, and each that rises or falls is an event, taurus.fault.raised or .cleared;
+--           alarm = true in a flag does so for this one, with the word FAULT
 --
 -- Sections in quotes are those of the vendor's document, 600-0055-000 Rev A.
 
@@ -100,7 +102,7 @@ local STATE = {
   { "stopped", 0x4, "Stopped" },
   { "overmodulated", 0x8, "Overmodulated" },
   { "saturated", 0x10, "Saturated" },
-  { "faulted", 0x20, "Faulted" },
+  { "faulted", 0x20, "Faulted", alarm = true },
 }
 
 -- "Taurus Health": Taurus Status
@@ -111,8 +113,8 @@ local HEALTH = {
 }
 
 return {
-  { -- "Taurus Command", faster than 5 Hz
-    name = "command", title = "Command", id = 0x000, size = 7, every = 0.2,
+  { -- faster than 5 Hz
+    name = "command", title = "Command", section = "Taurus Command", id = 0x000, size = 7, every = 0.2,
     info = "{enabled}, {key}  {motor_mode}  {rpm:%.1f} RPM  {torque_iq:%.2f} A",
     { "enabled", "uint8", "Enabled", values = { [0] = "Disabled", [1] = "Enabled" } },
     { "key", "uint8", "Key", values = { [0xA5] = "Full Operation", [0x5A] = "No Regeneration Allowed" },
@@ -121,8 +123,9 @@ return {
     { "torque_iq", "float16", "Torque IQ", min = -200, max = 200, unit = "A" },
     { "rpm", "float16", "RPM", min = -100000, max = 100000, unit = "RPM" },
   },
-  { -- "Taurus Motor Data", 10 Hz
-    name = "motor", title = "Motor Data", id = 0x210, size = 32, every = 0.1, answers = "command",
+  { -- 10 Hz
+    name = "motor", title = "Motor Data", section = "Taurus Motor Data", id = 0x210, size = 32, every = 0.1,
+    answers = "command",
     info = "{rpm_commanded:%.1f}/{rpm_measured:%.1f} RPM  {dc_voltage:%.2f} V  {dc_current:%.2f} A",
     differences = {
       { "torque_iq_error", "torque_iq_measured", "torque_iq_commanded", "Torque IQ Error" },
@@ -142,8 +145,8 @@ return {
     { "motor_state", "uint8", "Motor State", flags = STATE, group = "state" },
     { "esc_temperature", "float8", "ESC Temperature", min = -40, max = 210, unit = "°C" },
   },
-  { -- "Taurus Health", 2 Hz
-    name = "health", title = "Health", id = 0x200, size = 17, every = 0.5,
+  { -- 2 Hz
+    name = "health", title = "Health", section = "Taurus Health", id = 0x200, size = 17, every = 0.5,
     info = "control {control_thread_cpu:%.0f} %, Taurus {taurus_thread_cpu:%.0f} %  " ..
       "CPU {cpu_temperature:%.0f} °C, FET {fet_temperature:%.0f} °C",
     { "timestamp", "int64_ns", "Timestamp" },

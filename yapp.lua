@@ -90,7 +90,7 @@ preferences.define(yapp, catalogue, decode, MAX_ID)
 local facts = parts.facts.watch(parts.file_head, candump)
 local stat = parts.stat.new { version = VERSION, catalogue = catalogue, is_whole = is_whole, decode = decode,
   columns = parts.decode_columns, wants_records = function(is_wanted) facts:want_buses(is_wanted) end }
-local reader = parts.reader.new(decode, catalogue, stat)
+local reader = parts.reader.new(catalogue, stat)
 local tree = parts.tree.new { yapp = yapp, taurus = taurus, catalogue = catalogue, reader = reader }
 
 -- SocketCAN's table of ids finds the frames of a message: no other frame costs anything.
@@ -240,6 +240,7 @@ function yapp.init()
   read_preferences()
   candump.current_bus = nil -- sharkd opens the next file without closing the first
   facts:init()
+  reader:use_buses(facts:are_several())
   search_streams()
   local late, problems = preferences.late(yapp.prefs.late)
   preferences.complain_once(problems)

@@ -62,9 +62,9 @@ end
 
 -- How many good messages a capture has, by the steps up to one.
 local function run(path, step)
-  local memory, reader = new_memory(), parts.reader.new(parts.decode, catalogue, { wanted = false })
+  local memory, reader = new_memory(), parts.reader.new(catalogue, { wanted = false })
   local facts, count = { place = 0, informed = true }, 0
-  local m = { ctl = 0, is_whole = true, is_brief = true, status = "good", good = true }
+  local m = { ctl = 0, is_whole = true, status = "good", good = true }
   local address_of = parts.can_id.address
   each_frame(path, function(number, data, can_id)
     if step == "file" then return end

@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Numbers as they lie in a payload, little endian ("YAPP Data Types", "Time").  Pure Lua, 5.2 and 5.4.
+-- Numbers as they lie in a payload, little endian ("YAPP Data Types", "YAPP Float Compression", "Time").  Pure Lua.
 
 local M = {}
 
@@ -9,8 +9,9 @@ local HUGE = math.huge
 --- COMPAT 5.4: a quotient is a float there, and NSTime takes integers only.
 local whole = rawget(math, "tointeger") or function(n) return n end
 
---- An IEEE 754 number of four bytes.
-function M.float32(a, b, c, d)
+--- An IEEE 754 number of four bytes, 1-based at.
+function M.float32(payload, at)
+  local a, b, c, d = byte(payload, at, at + 3)
   local sign, exponent = d >= 0x80 and -1 or 1, d % 0x80 * 2 + (c >= 0x80 and 1 or 0)
   local mantissa = c % 0x80 * 0x10000 + b * 0x100 + a
   if exponent == 0xFF then return mantissa == 0 and sign * HUGE or 0 / 0 end
@@ -89,6 +90,32 @@ function M.count(payload, at, size)
     count, reserved = count * 0x100 + b, reserved and b >= (i > 0 and 0xFF or 0xFB)
   end
   return reserved and byte(payload, at) - 0x100 or count
+end
+
+-- Compressed floats: floatN <min; max> has counts 0 .. top, top = 2^N - 1.  The five highest are reserved; the others
+-- map linearly:  value = min + count * (max - min) / (top - 5).  The document's worked examples divide by top - 4;
+-- its mapping table and the 0 A of the captured example prove top - 5.
+M.MAPPING = 5
+M.WORKED_EXAMPLES = 4
+
+local divisor = M.MAPPING
+
+--- Makes every compressed float divide by top - divisor.
+-- new  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
+function M.use_divisor(new)
+  divisor = new
+end
+
+--- What compressed floats divide by, as top - divisor.
+function M.divisor() return divisor end
+
+--- The value of a compressed float, unrounded; nil and which special (0 .. 4) for a reserved count.
+function M.float(field, raw)
+  if raw > field.ordinary then return nil, field.top - raw end
+  if raw < 0 then return nil, -1 - raw end -- of M.count
+  -- One division at the end, so that the middle of a symmetric range is 0 and not nearly 0.
+  local steps = field.top - divisor
+  return (field.min * steps + raw * (field.max - field.min)) / steps
 end
 
 -- Half of the distance to the next number that four bytes can hold.

@@ -46,7 +46,7 @@ function lines_of.float(plan, field, i, made, parent)
   if field.size > 6 then return other_lines(plan, field, i, made, parent) end
   local pf, is_wanted = take(plan, made.pf)
   local _, wants_special = take(plan, made.special)
-  local number = format("format(%q, %s)", decode.format_of(field), decode.float_source(field, "a"))
+  local number = format("format(%q, %s)", decode.format_of(field), require("yapp.message.straight").float_source(field, "a"))
   local unit = field.unit and " " .. field.unit or ""
   local label = plan.want and "" or format(", %q .. a .. %q", field.title .. ": ", unit)
   return (is_wanted or wants_special) and {

@@ -127,7 +127,7 @@ end
 -- How the tree of a message is built: { shown = way, list = of all its ProtoFields, ways = { [what is wanted] = way },
 -- count = of these, steady = the way that stays until the next reset, or nil }.
 local function builder_of(self, message)
-  local _, version = decode.divisor()
+  local version = decode.divisor()
   if version ~= self.version then self.builders, self.version = {}, version end
   local builder = self.builders[message]
   if not builder then
@@ -244,10 +244,10 @@ function Taurus:add_change(item, m, is_tree)
   for _, one in ipairs(change.flags or NONE) do
     local field = one.field
     for _, way in ipairs(WAYS) do
-      local bits = decode.band(one[way], field.watched)
+      local bits = one[way]
       local added = bits ~= 0 and is_tree and add_generated(self, item, m, self.fields[field][way], bits)
       if added then append_text(added, " (" .. decode.flag_names(field, bits) .. ")") end
-      if bits ~= 0 and field.alarm then (added or item):add_proto_expert_info(self.experts["fault." .. way]) end
+      if one["alarm_" .. way] ~= 0 then (added or item):add_proto_expert_info(self.experts["fault." .. way]) end
     end
   end
   local drift = is_tree and add_values(self, item, m)

@@ -51,7 +51,7 @@ end
 
 local function raises(change)
   for _, one in ipairs(change.flags or {}) do
-    if one.field.alarm and one.raised ~= 0 then return true end
+    if one.alarm_raised ~= 0 then return true end
   end
   return false
 end

@@ -1,6 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- -z yapp,faults: when each fault flag rose and fell, on which source, for how long.  Pure Lua, 5.2 and 5.4.
 
+local band = require("yapp.base.bits").band
 local json, text = require("yapp.stat.json"), require("yapp.stat.text")
 
 local M = {}
@@ -39,8 +40,11 @@ function Tracker:flags(field)
   local flags = self.flags_of[field]
   if not flags then
     flags = {}
-    for i, flag in ipairs(field.flags) do flags[i] = { name = flag.name, bits = bits_of(flag.mask) } end
-    for _, bit in ipairs(bits_of(field.undefined or 0)) do
+    for _, flag in ipairs(field.flags) do
+      local alarms = band(flag.mask, field.alarm_bits)
+      if alarms ~= 0 then flags[#flags + 1] = { name = flag.name, bits = bits_of(alarms) } end
+    end
+    for _, bit in ipairs(bits_of(band(field.undefined, field.alarm_bits))) do
       flags[#flags + 1] = { name = ("undefined_0x%x"):format(bit), bits = { bit } }
     end
     self.flags_of[field] = flags
@@ -93,7 +97,7 @@ function Tracker:message(record, add)
   local source = self.sources[record.source.key]
   if source and add then count(source, record) end
   for _, change in ipairs(record.change and record.change.flags or {}) do
-    if change.field.alarm then
+    if change.field.alarm_bits ~= 0 then
       if not source then
         source = { set = {}, gone = {}, risen = {}, raised = 0, last = add and record, order = #self.list + 1 }
         self.sources[record.source.key], self.list[source.order] = source, source
