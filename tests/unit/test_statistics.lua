@@ -9,7 +9,7 @@ local feed_of = require("yapp.stat.feed")
 local T = {}
 
 -- A catalogue of two messages as it is compiled: only what statistics read.
-local FAULT = { name = "fault_flags", kind = "flags", alarm = "FAULT", undefined = 0xF0,
+local FAULT = { name = "fault_flags", kind = "flags", alarm = "FAULT", alarm_bits = 0xFFFFFFFF, undefined = 0xF0,
   flags = { { name = "hot", mask = 0x1 }, { name = "stall", mask = 0x6 } } }
 local VOLTS = { name = "volts", kind = "float", unit = "V", ordinary = 250 }
 local MODE = { name = "mode", kind = "uint", values = { [0] = "off" } }
@@ -48,7 +48,8 @@ local function record(frame, rel, with)
 end
 
 local function raised(value, bits, cleared)
-  return { flags = { { field = FAULT, value = value, raised = bits, cleared = cleared or 0 } } }
+  return { flags = { { field = FAULT, value = value, raised = bits, cleared = cleared or 0,
+    alarm_raised = bits, alarm_cleared = cleared or 0 } } }
 end
 
 -- Runs statistics over records; last: when the last packet came; matches: { [frame] = true } of a filter; epoch: of the
