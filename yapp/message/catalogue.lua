@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The catalogue compiler: checks the lists of messages once, at load, and works out what decoding needs.  Pure Lua.
+-- The catalogue compiler: checks the lists of messages once, at load, and works out what decoding
+-- needs.  Pure Lua.
 
 local check = require("yapp.message.check")
 local fields = require("yapp.message.catalogue_fields")
@@ -7,7 +8,7 @@ local info = require("yapp.message.info")
 local straight = require("yapp.message.straight")
 
 local demand, shown = check.demand, check.shown
-local is_integer, is_name, is_text = check.is_integer, check.is_name, check.is_text
+local is_name, is_text = check.is_name, check.is_text
 
 local M = {}
 
@@ -39,7 +40,7 @@ local EXPERTS = {
   "taurus.stale",
 }
 
--- Filter names ------------------------------------------------------------------------------------
+-- Filter names -----------------------------------------------------------------------------------
 
 -- The names under a field that follow from it.
 local function filters_of(field)
@@ -80,7 +81,7 @@ local function claim_filters(message, place)
   end
 end
 
--- A message ---------------------------------------------------------------------------------------
+-- A message --------------------------------------------------------------------------------------
 
 -- The place of a field of numbers among those of its message.
 local function number_of(message, row, name)
@@ -107,8 +108,9 @@ local function compile_difference(message, row)
   }
 end
 
-local function is_within(v, low, high)
-  return is_integer(v) and v >= low and v <= high
+local function check_number(what, v, low, high)
+  local is_within = check.is_integer(v) and v >= low and v <= high
+  demand(is_within, "%s %s is not one of %d .. %d", what, shown(v), low, high)
 end
 
 local function check_head(entry)
@@ -116,11 +118,12 @@ local function check_head(entry)
   check.check_options(entry, "a message", OPTIONS, math.huge)
   demand(is_text(entry.title), "the title is missing")
   demand(entry.section == nil or is_text(entry.section), "section must be a text")
-  demand(is_within(entry.id, 0, M.MAX_ID), "id %s is not one of 0 .. %d", shown(entry.id), M.MAX_ID)
-  demand(is_within(entry.size, 1, MAX_SIZE), "size %s is not one of 1 .. %d", shown(entry.size), MAX_SIZE)
-  demand(every == nil or check.is_finite(every) and every > 0 and every <= MAX_PERIOD,
-    "every %s is not a period in seconds", shown(every))
-  demand(answers == nil or is_name(answers), "answers %s is not the name of a message", shown(answers))
+  check_number("id", entry.id, 0, M.MAX_ID)
+  check_number("size", entry.size, 1, MAX_SIZE)
+  local is_period = every == nil or check.is_finite(every) and every > 0 and every <= MAX_PERIOD
+  demand(is_period, "every %s is not a period in seconds", shown(every))
+  local is_message = answers == nil or is_name(answers)
+  demand(is_message, "answers %s is not the name of a message", shown(answers))
   demand(type(entry.differences or {}) == "table", "differences must be a list")
   demand(#entry > 0, "it has no fields")
 end
@@ -154,7 +157,7 @@ local function compile_message(entry, place)
   return message
 end
 
--- All messages ------------------------------------------------------------------------------------
+-- All messages -----------------------------------------------------------------------------------
 
 local function add_message(catalogue, entry, place)
   demand(type(entry) == "table", "a message is a table, not %s", shown(entry))
@@ -174,24 +177,28 @@ end
 -- entries  what taurus_fields.lua returns: a list of messages, described there
 -- files    optional list: the file that each entry is from; a text about it begins with that
 -- numbers  optional list: the number of each entry in its file
--- returns  { messages = list, by_id = { [id] = message } } of the messages without a fault, and a list of texts,
---          each saying which message and field is wrong and why, one for a message; empty when all is well
+-- returns  { messages = list, by_id = { [id] = message } } of the messages without a fault, and a
+--          list of texts, each saying which message and field is wrong and why, one for a message;
+--          empty when all is well
 -- A compiled message has
---   name, title, id, size, filter ("taurus.motor"), section of a document, every (period in seconds) and answers (a
---   message's name), or nil
---   fields, by_name, index ([field] = its place in fields), time (its first field of kind time, or nil)
---   alarms (its fields with alarm bits), differences { name, title, filter, unit, a, b (places) }
+--   name, title, id, size, filter ("taurus.motor"), section of a document, every (period in
+--   seconds) and answers (a message's name), or nil
+--   fields, by_name, index ([field] = its place in fields), alarms (its fields with alarm bits),
+--   time (its first field of kind time, or nil)
+--   differences { name, title, filter, unit, a, b (places) }
 --   read (message.straight), info and usual (message.info)
--- A field has name, title, filter, offset, size in bytes, type, unit and section or nil, description (what a person reads
--- of it beyond its title), and kind, with what its kind needs:
---   uint, int  bottom, top; values, invalid, cases (a set); scale and zero: value = count * scale + zero;
---              mask, low, inside: a part of the bits of another field
---   flags      flags { name, mask, title, filter, help or nil, description }, group, undefined and watched (masks: bits
---              that nobody defines; bits of no part, which rise and fall),
---              alarm_bits (mask: bits that are faults), alarm (the word before their names, nil where none is one)
+-- A field has name, title, filter, offset, size in bytes, type, unit and section or nil,
+-- description (what a person reads of it beyond its title), and kind, with what its kind needs:
+--   uint, int  bottom, top; values, invalid, cases (a set); scale and zero: value = count * scale +
+--              zero; mask, low, inside: a part of the bits of another field
+--   flags      flags { name, mask, title, filter, help or nil, description }, group, undefined and
+--              watched (masks: bits that nobody defines; bits of no part, which rise and fall),
+--              alarm_bits (mask: bits that are faults), alarm (the word before their names, nil
+--              where none is one)
 --   float      compressed: min, max, top, ordinary (the highest count that is no reserved one)
 --   ieee, bool, string, bytes, time
--- and, where it is one of an array, element (1 ..) and array_title; in a case of variants, when = { index, value }.
+-- and, where it is one of an array, element (1 ..) and array_title; in a case of variants, when = {
+-- index, value }.
 function M.compile(entries, files, numbers)
   local catalogue, problems = { messages = {}, by_id = {}, names = {} }, {}
   for i = 1, #entries do
@@ -200,7 +207,8 @@ function M.compile(entries, files, numbers)
     if not ok then
       local file = files and files[i] .. ": " or ""
       local field = place.field and ", field " .. place.field or ""
-      problems[#problems + 1] = ("%smessage %s%s: %s"):format(file, place.message, field, tostring(problem))
+      problem = tostring(problem)
+      problems[#problems + 1] = ("%smessage %s%s: %s"):format(file, place.message, field, problem)
     end
   end
   return catalogue, problems
@@ -209,7 +217,8 @@ end
 --- Which message each ID carries.
 -- catalogue  compiled
 -- ids        { [message name] = list of IDs }, the user's choice
--- returns    { [id] = message }, and a list of texts for IDs that two messages claim: the first keeps it
+-- returns    { [id] = message }, and a list of texts for IDs that two messages claim: the first
+--            keeps it
 function M.assign(catalogue, ids)
   local by_id, problems = {}, {}
   for _, message in ipairs(catalogue.messages) do

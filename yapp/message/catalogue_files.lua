@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The files of the catalogue: the plugin's own messages, and those of the user, which come after and may replace
+-- The files of the catalogue: the plugin's own messages, and those of the user, which come after
+-- and may replace
 -- them.  Pure Lua.
 
 local catalogue = require("yapp.message.catalogue")
@@ -18,7 +19,8 @@ end
 local function read(path)
   local file, problem, code = io.open(path)
   if not file then
-    -- The system's own words have the path in front, and are the user's language; "not found" is ours.
+    -- The system's own words have the path in front, and are the user's language; "not found" is
+    -- ours.
     return nil, code == DENIED and "cannot be read: " .. problem or "not found"
   end
   file:close()
@@ -39,8 +41,8 @@ local function name_of(entry)
   return type(entry) == "table" and entry.name or nil
 end
 
--- Appends the entries of a file, each with its number there; one with the name of an entry of an earlier file takes
--- its place.
+-- Appends the entries of a file, each with its number there; one with the name of an entry of an
+-- earlier file takes its place.
 local function merge(all, entries, path)
   local places = {}
   for i, entry in ipairs(all.entries) do
@@ -56,10 +58,10 @@ local function merge(all, entries, path)
 end
 
 --- Reads the files of the catalogue and compiles them as one.
--- files    list of { path =, optional = whether it is no error that it is not there }, in order: a message of a later
---          file with the name of one of an earlier takes its place
--- returns  the compiled catalogue and a list of texts, each with the file, the message and the field that is wrong,
---          see message.catalogue.compile
+-- files    list of { path =, optional = whether it is no error that it is not there }, in order: a
+--          message of a later file with the name of one of an earlier takes its place
+-- returns  the compiled catalogue and a list of texts, each with the file, the message and the
+--          field that is wrong, see message.catalogue.compile
 function M.load(files)
   local all, problems = { entries = {}, files = {}, numbers = {} }, {}
   for _, file in ipairs(files) do
@@ -67,7 +69,8 @@ function M.load(files)
     if entries then
       merge(all, entries, file.path)
     elseif not (file.optional and problem == "not found") then
-      problems[#problems + 1] = ("%s: %s; its messages are shown as bytes"):format(file.path, problem)
+      problem = problem .. "; its messages are shown as bytes"
+      problems[#problems + 1] = file.path .. ": " .. problem
     end
   end
   local compiled, found = catalogue.compile(all.entries, all.files, all.numbers)

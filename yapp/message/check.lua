@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What the parts of a catalogue, and of a preference, have to be, and how it is said that one is not.  Pure Lua.
+-- What the parts of a catalogue, and of a preference, have to be, and how it is said that one is
+-- not.  Pure Lua.
 
 local utf8 = require("yapp.base.utf8")
 
@@ -7,6 +8,7 @@ local M = {}
 
 local MOST_PROBLEMS = 20 -- of a list that somebody reads
 local MOST_BYTES = 200 -- of a text
+local MOST_OF_NAME = 64 -- bytes
 
 --- Raises a text like string.format's where a condition does not hold; returns the condition.
 function M.demand(condition, format, ...)
@@ -17,13 +19,15 @@ end
 function M.is_integer(v) return type(v) == "number" and v % 1 == 0 end
 
 --- Whether it is a filter name, or a part of one.
-function M.is_name(v) return type(v) == "string" and #v <= 64 and v:find("^[a-z][a-z0-9_]*$") ~= nil end
+function M.is_name(v)
+  return type(v) == "string" and #v <= MOST_OF_NAME and v:find("^[a-z][a-z0-9_]*$") ~= nil
+end
 
 --- Whether it is a number that is neither NaN nor infinite.
 function M.is_finite(v) return type(v) == "number" and v - v == 0 end
 
---- Whether it is a text of at most so many bytes, UTF-8 without control characters: over some other texts Wireshark
--- ends at once.
+--- Whether it is a text of at most so many bytes, UTF-8 without control characters: over some other
+-- texts Wireshark ends at once.
 function M.is_text(v, most)
   return type(v) == "string" and #v > 0 and #v <= (most or MOST_BYTES) and utf8.is_printable(v)
 end
@@ -43,8 +47,8 @@ function M.check_options(t, what, options, positional)
       local names = {}
       for name in pairs(options) do names[#names + 1] = name end
       table.sort(names)
-      M.demand(false, "unknown option %s; %s has %s", M.shown(key), what,
-        #names > 0 and table.concat(names, ", ") or "none")
+      local known = #names > 0 and table.concat(names, ", ") or "none"
+      M.demand(false, "unknown option %s; %s has %s", M.shown(key), what, known)
     end
   end
 end

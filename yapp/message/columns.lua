@@ -1,8 +1,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- A message as a row of CSV: its columns, and the cells of a payload.  Pure Lua.
 --
--- An enum is its number and, in NAME_text, its meaning; flags are the integer and, in GROUP_FLAG, 0 or 1; a float that
--- is no ordinary number is an empty cell and what it is in NAME_special.
+-- An enum is its number and, in NAME_text, its meaning; flags are the integer and, in GROUP_FLAG, 0
+-- or 1; a float that is no ordinary number is an empty cell and what it is in NAME_special.
 
 local bits = require("yapp.base.bits")
 local decode = require("yapp.message.decode")
@@ -15,7 +15,8 @@ local format, concat = string.format, table.concat
 
 -- What the rows of every message begin with, and a name that a reader may add.
 local TAKEN = { "time", "frame", "bus", "source", "id", "seq", "crc_good" }
-local SPECIALS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" } -- an empty cell, and the one beside it
+-- An empty cell, and the one beside it.
+local SPECIALS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
 
 --- A text as a cell of CSV: in quotes where it must be.
 function M.quoted(text)
@@ -23,14 +24,16 @@ function M.quoted(text)
   return text
 end
 
--- Columns -----------------------------------------------------------------------------------------
+-- Columns ----------------------------------------------------------------------------------------
 
 local INTEGERS = { uint = true, int = true, flags = true }
 
 -- The columns of a field: { name, type, the flag that it is } each.
 local function columns_of(field)
   local kind, name = field.kind, field.name
-  if kind == "float" or kind == "ieee" then return { { name, "float" }, { name .. "_special", "string" } } end
+  if kind == "float" or kind == "ieee" then
+    return { { name, "float" }, { name .. "_special", "string" } }
+  end
   if kind == "time" or kind == "bool" then return { { name, kind } } end
   if not INTEGERS[kind] then return { { name, "string" } } end
   if field.values then return { { name, "integer" }, { name .. "_text", "string" } } end
@@ -43,8 +46,9 @@ local function columns_of(field)
 end
 
 --- The columns of a message, in order.
--- returns  a list of { name =, unit = or nil, type = "float", "integer", "bool", "string" or "time" (seconds),
---          field =, flag = of one of flags }; a name that another column has already ("time", "id") gets "_2" behind it
+-- returns  a list of { name =, unit = or nil, type = "float", "integer", "bool", "string" or "time"
+--          (seconds), field =, flag = of one of flags }; a name that another column has already
+--          ("time", "id") gets "_2" behind it
 function M.columns(message)
   local columns, taken = {}, {}
   for _, name in ipairs(TAKEN) do taken[name] = true end
@@ -57,13 +61,19 @@ function M.columns(message)
       end
       taken[name] = true
       local unit = i == 1 and (field.kind == "time" and "s" or field.unit) or nil
-      columns[#columns + 1] = { name = name, unit = unit, type = column[2], field = field, flag = column[3] }
+      columns[#columns + 1] = {
+        name = name,
+        unit = unit,
+        type = column[2],
+        field = field,
+        flag = column[3],
+      }
     end
   end
   return columns
 end
 
--- Cells -------------------------------------------------------------------------------------------
+-- Cells ------------------------------------------------------------------------------------------
 
 -- The cells of a field as a text, from its raw value and the payload, by kind.
 local cells = {}
@@ -113,18 +123,22 @@ local function new_write(field)
   end
 end
 
--- Rows --------------------------------------------------------------------------------------------
+-- Rows -------------------------------------------------------------------------------------------
 
--- How the row of a message is written: { parts = list of { field, index, write, empty = cells of nothing },
--- usual = function(raws, payload) -> the row, nil for one with special values }.
+-- How the row of a message is written: { parts = list of { field, index, write, empty = cells of
+-- nothing }, usual = function(raws, payload) -> the row, nil for one with special values }.
 local function new_row(message)
   local parts, plain, shapes = {}, {}, {}
-  local is_usual = #message.fields > 0 and #message.fields <= straight.MOST_PARTS
+  local is_usual = #message.fields > 0
   for i, field in ipairs(message.fields) do
-    local part = { field = field, index = i, write = new_write(field), empty = (","):rep(#columns_of(field) - 1) }
     local is_plain = straight.is_plain(field)
-    parts[i] = part
-    plain[i] = is_plain and { field = field, index = i } or part
+    parts[i] = {
+      field = field,
+      index = i,
+      write = new_write(field),
+      empty = (","):rep(#columns_of(field) - 1),
+    }
+    plain[i] = is_plain and { field = field, index = i } or parts[i]
     shapes[i] = is_plain and decode.format_of(field) .. "," or "%s"
     is_usual = is_usual and not field.when
   end
@@ -134,7 +148,8 @@ end
 
 local rows = setmetatable({}, { __mode = "k" }) -- by message
 
---- The cells of a message, joined by commas, in the order of its columns; quoted where they must be.
+--- The cells of a message, joined by commas, in the order of its columns; quoted where they must
+-- be.
 -- payload  string; nil is returned where it is shorter than the message
 function M.row(message, payload)
   if #payload < message.size then return nil end

@@ -7,10 +7,14 @@ local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
---- What the reserved counts of compressed floats are, from the top down ("YAPP Float Compression"): the index is what
--- <field>.special says.
+--- What the reserved counts of compressed floats are, from the top down ("YAPP Float Compression"):
+-- the index is what <field>.special says.
 M.SPECIALS = {
-  [0] = "Not a Number", "Positive Infinity", "Negative Infinity", "Out of Range High", "Out of Range Low",
+  [0] = "Not a Number",
+  "Positive Infinity",
+  "Negative Infinity",
+  "Out of Range High",
+  "Out of Range Low",
 }
 
 local format, concat, band = string.format, table.concat, bits.band
@@ -22,28 +26,33 @@ M.float, M.time = numbers.float, numbers.time
 --- The bits that two numbers of 32 bits have in common.
 M.band = band
 
-local latest = {} -- what was read last: a table of statistics reads what the packet list has just read
+-- What was read last: a table of statistics reads what the packet list has just read.
+local latest = {}
 
 --- The raw values of a payload.
 -- message  compiled
--- payload  string; may be shorter than the message where a capture cut it: only fields that are whole are read
--- returns  { [index of field] = raw }, without times (see M.time), missing fields and cases that are not chosen; and
---          whether M.remarks has something to say
--- A raw is the integer or the count as sent, but for ieee the number, for a 64 bit integer beyond 2^53 its decimal
--- digits, for strings and bytes the bytes; of a compressed float of seven or eight bytes -1 - n is the reserved count
--- n.
+-- payload  string; may be shorter than the message where a capture cut it: only fields that are
+--          whole are read
+-- returns  { [index of field] = raw }, without times (see M.time), missing fields and cases that
+--          are not chosen; and whether M.remarks has something to say
+-- A raw is the integer or the count as sent, but for ieee the number, for a 64 bit integer beyond
+-- 2^53 its decimal digits, for strings and bytes the bytes; of a compressed float of seven or eight
+-- bytes -1 - n is the reserved count n.
 function M.read(message, payload)
-  if message == latest.message and payload == latest.payload then return latest.raws, latest.look end
+  if message == latest.message and payload == latest.payload then
+    return latest.raws, latest.look
+  end
   local missing = message.size - #payload
   local raws, look = message.read(missing > 0 and payload .. ("\0"):rep(missing) or payload)
   for i, field in ipairs(missing > 0 and message.fields or {}) do
     if field.offset + field.size > #payload then raws[i] = nil end
   end
-  latest.message, latest.payload, latest.raws, latest.look = message, payload, raws, look
+  latest.message, latest.payload = message, payload
+  latest.raws, latest.look = raws, look
   return raws, look
 end
 
--- Values ------------------------------------------------------------------------------------------
+-- Values -----------------------------------------------------------------------------------------
 
 --- A time in seconds with nine digits behind the point.
 function M.seconds(seconds, nanoseconds)
@@ -53,8 +62,8 @@ end
 
 local function escape(char) return format("\\x%02x", char:byte()) end
 
---- The text of a string field: up to its first NUL; where that is no UTF-8, or has control characters, what is not
--- printable ASCII is written \xNN.
+--- The text of a string field: up to its first NUL; where that is no UTF-8, or has control
+-- characters, what is not printable ASCII is written \xNN.
 function M.text(raw)
   local text = raw:match("^%Z*")
   if utf8.is_printable(text) then return text end
@@ -67,8 +76,11 @@ function M.hex(raw)
 end
 
 -- The value of a raw by kind, and where there is none which special.
-local values = { float = numbers.float, string = function(_, raw) return M.text(raw) end,
-  bytes = function(_, raw) return M.hex(raw) end }
+local values = {
+  float = numbers.float,
+  string = function(_, raw) return M.text(raw) end,
+  bytes = function(_, raw) return M.hex(raw) end,
+}
 
 function values.ieee(_, raw)
   if raw ~= raw then return nil, 0 end
@@ -78,8 +90,9 @@ end
 
 --- The value of a field in its unit, unrounded.
 -- raw      from M.read
--- returns  a number; a string for strings, bytes (hexadecimal) and integers beyond 2^53; nil where there is none, and
---          then which special (0 .. 4, as <field>.special has it) for a float that is no number
+-- returns  a number; a string for strings, bytes (hexadecimal) and integers beyond 2^53; nil where
+--          there is none, and then which special (0 .. 4, as <field>.special has it) for a float
+--          that is no number
 function M.value(field, raw)
   if not raw then return nil end
   local value_of = values[field.kind]
@@ -90,7 +103,8 @@ end
 -- The digits that a compressed float of so many bytes can carry.
 local DIGITS = { 7, 7, 10, 10, 15, 15, 15, 15 }
 
---- The format of a value with as many digits as its count can carry: "%.7g"; nil for ieee and what is no fraction.
+--- The format of a value with as many digits as its count can carry: "%.7g"; nil for ieee and what
+-- is no fraction.
 function M.format_of(field)
   if field.kind == "float" then return "%." .. DIGITS[field.size] .. "g" end
   return field.scale and "%.15g" or nil
@@ -102,21 +116,23 @@ function M.rounded(field, value)
   return shape and tonumber(format(shape, value)) or numbers.shortest(value, field.size)
 end
 
---- The value of a difference of a message, at seven digits; nil where one of its two fields has none.
+--- The value of a difference of a message, at seven digits; nil where one of its two fields has
+-- none.
 function M.difference(message, difference, raws)
   local fields, a, b = message.fields, difference.a, difference.b
   local first, second = M.value(fields[a], raws[a]), M.value(fields[b], raws[b])
   return first and second and tonumber(format("%.7g", first - second)) or nil
 end
 
--- Flags -------------------------------------------------------------------------------------------
+-- Flags ------------------------------------------------------------------------------------------
 
 --- The bits that are set and that no flag of the field defines, as a number.
 function M.undefined(field, raw)
   return band(raw, field.undefined)
 end
 
---- The filter names of the flags that are set, undefined bits as one number: "motor_overcurrent, hall_timeout".
+--- The filter names of the flags that are set, undefined bits as one number: "motor_overcurrent,
+-- hall_timeout".
 function M.flag_names(field, raw)
   local names = {}
   for _, flag in ipairs(field.flags) do
@@ -141,7 +157,7 @@ function M.has_alarm(message, raws)
   return false
 end
 
--- Remarks -----------------------------------------------------------------------------------------
+-- Remarks ----------------------------------------------------------------------------------------
 
 -- What is remarkable in a value, by kind: one or two experts.
 local remarks_of = {}

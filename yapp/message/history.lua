@@ -1,9 +1,10 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The history of each source: what changed between a good message and the good one before it.  Pure Lua.
+-- The history of each source: what changed between a good message and the good one before it.  Pure
+-- Lua.
 --
--- A source is a bus or stream, and an ID.  What changed is worked out once, in the order of the capture, and kept as
--- events, so that a later look at any message gets the same: memory grows with events, Commands and reboots, not with
--- messages.
+-- A source is a bus or stream, and an ID.  What changed is worked out once, in the order of the
+-- capture, and kept as events, so that a later look at any message gets the same: memory grows with
+-- events, Commands and reboots, not with messages.
 
 local band = require("yapp.base.bits").band
 
@@ -11,7 +12,8 @@ local M = {}
 
 local byte, floor = string.byte, math.floor
 
-local NANOSECOND = 1e-9 -- what a capture's times have; a difference of two of them has a little more or less
+-- What a capture's times have; a difference of two of them has a little more or less.
+local NANOSECOND = 1e-9
 local NOTHING = {} -- how things stand before a source's first event
 
 local History = {}
@@ -19,12 +21,13 @@ History.__index = History
 
 --- The history of one pass over one capture.
 -- options  { late = how many periods of its message a gap must exceed to be one (2.5),
---            catalogue = compiled: which messages others answer (without it, the one that is called command) }
+--            catalogue = compiled: which messages others answer (without it, the one that is called
+--            command) }
 function M.new(options)
   options = options or {}
   local self = setmetatable({ late = options.late or 2.5, by_key = {} }, History)
   self.answered = { command = not options.catalogue or nil } -- [message name] = true
-  self.commands = {} -- [bus or false][message name] = the numbers of the messages that others answer
+  self.commands = {} -- [bus or false][message name] = numbers of messages that others answer
   self.flags = {} -- [message] = the places of its fields of flags
   for _, message in ipairs(options.catalogue and options.catalogue.messages or {}) do
     if message.answers then self.answered[message.answers] = true end
@@ -60,8 +63,8 @@ local function last_until(numbers, most)
   return low
 end
 
--- The controller's clock in nanoseconds: an int64, little endian; exact up to 104 days (2^53 ns).  Nil where the message
--- has none.
+-- The controller's clock in nanoseconds: an int64, little endian; exact up to 104 days (2^53 ns).
+-- Nil where the message has none.
 local function clock_of(look)
   local field = look.raws and look.message and look.message.time
   if not field then return nil end
@@ -73,7 +76,7 @@ local function clock_of(look)
     (e + f * 0x100 + g * 0x10000 + h * 0x1000000) * 0x100000000
 end
 
--- Flags -------------------------------------------------------------------------------------------
+-- Flags ------------------------------------------------------------------------------------------
 
 -- Keeps when the bits of a mask were raised, nil for those that fell.
 local function mark(times, mask, time)
@@ -95,7 +98,8 @@ local function oldest(raised_at)
   return since
 end
 
--- What changed in one field of flags; nil for nothing.  Of a source's first message the alarms count as raised.
+-- What changed in one field of flags; nil for nothing.  Of a source's first message the alarms
+-- count as raised.
 local function flag_change(field, before, now)
   before = before or now - band(now, field.alarm_bits)
   local both = band(before, now)
@@ -145,10 +149,10 @@ local function flag_changes(self, source, look)
   return changes, is_alarm
 end
 
--- Following ---------------------------------------------------------------------------------------
+-- Following --------------------------------------------------------------------------------------
 
--- How many messages are missing before one by their Seq.  A Seq that stands still numbers nothing; a controller that
--- reboots begins anew.
+-- How many messages are missing before one by their Seq.  A Seq that stands still numbers nothing;
+-- a controller that reboots begins anew.
 local function missing_before(seq, previous, is_reboot)
   if not seq or not previous or seq == previous or is_reboot then return nil end
   local missing = (seq - previous - 1) % 256
@@ -166,7 +170,11 @@ local function follow(self, source, look)
   local is_new_clock = clock and (reboot or not before)
   source.clock, source.seq, source.last_time = clock or before, look.seq, look.time
   if not (flags or missing or is_new_clock or stale ~= state.stale) then return end
-  if is_alarm then source.changes[#source.changes + 1] = look.number end
+  local active_since = state.active_since
+  if is_alarm then
+    active_since = oldest(source.raised_at)
+    source.changes[#source.changes + 1] = look.number
+  end
   source.numbers[#source.numbers + 1] = look.number
   source.events[#source.events + 1] = {
     flags = flags,
@@ -176,7 +184,7 @@ local function follow(self, source, look)
     stale = stale,
     clock = is_new_clock and clock or state.clock, -- where drift is 0
     time = is_new_clock and look.time or state.time, -- of that message
-    active_since = is_alarm and oldest(source.raised_at) or not is_alarm and state.active_since or nil,
+    active_since = active_since,
   }
 end
 
@@ -188,14 +196,15 @@ local function commands_of(self, bus, name)
   return by_name[name]
 end
 
--- Telling -----------------------------------------------------------------------------------------
+-- Telling ----------------------------------------------------------------------------------------
 
 -- What is kept of a good message as its change.
 local function tell(self, source, look, delta)
   local place, message = last_until(source.numbers, look.number), look.message
   local state = source.events[place] or NOTHING
   local event = source.numbers[place] == look.number and state or NOTHING
-  -- A table of four: most changes are no more, and one with room for all keys costs 640 bytes of garbage.
+  -- A table of four: most changes are no more, and one with room for all keys costs 640 bytes of
+  -- garbage.
   local change = { delta = delta, drift = nil, command_in = nil, active_since = state.active_since }
   if state.clock then
     local clock = clock_of(look)
@@ -224,8 +233,8 @@ local function only_delta(delta)
 end
 
 --- Takes the next message, in the order of the capture.
--- look     { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled or nil,
---          raws = by index of field, nil where the payload does not fit, payload =, seq =,
+-- look     { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled
+--          or nil, raws = by index of field, nil where the payload does not fit, payload =, seq =,
 --          number = of the message: it grows, and no other has it; time = seconds of the capture,
 --          good = whether the CRC, or the lack of one, says that it is whole }; it is not kept
 -- returns  what changed, nil where nothing is known, and delta by itself: {
@@ -233,14 +242,17 @@ end
 --   missing       messages missing before it by their Seq
 --   late          seconds, where delta is more than a lost message or two
 --   reboot, stale true where the controller's clock went back, stood still
---   drift         seconds: controller's clock less the capture's, since the source's first message or reboot
---   command_in    number of the latest good message on the bus before it of those that it answers: a Command
---   flags         list of { field, value, raised, cleared, alarm_raised, alarm_cleared } of the fields whose flags
---                 changed: masks, alarm_* of the faults alone; in a source's first message all faults that are set are
---                 raised, other flags are not told
+--   drift         seconds: controller's clock less the capture's, since the source's first message
+--                 or reboot
+--   command_in    number of the latest good message on the bus before it of those that it answers:
+--                 a Command
+--   flags         list of { field, value, raised, cleared, alarm_raised, alarm_cleared } of the
+--                 fields whose flags changed: masks, alarm_* of the faults alone; in a source's
+--                 first message all faults that are set are raised, other flags are not told
 --   is_alarm      true where a fault rose or fell
 --   active_since  time at which the oldest fault that is still set was raised
---   previous_change  number of the message before it that changed an alarm, where one is set or changed }
+--   previous_change  number of the message before it that changed an alarm, where one is set or
+--                    changed }
 -- A message that is not good changes nothing and has its delta only.
 function History:note(look)
   local source = self.by_key[look.source]

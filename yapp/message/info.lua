@@ -27,14 +27,18 @@ local function usual(field, raw)
   return format("%.0f", value) -- tostring has 14 digits in Lua 5.2
 end
 
--- Compiling ---------------------------------------------------------------------------------------
+-- Compiling --------------------------------------------------------------------------------------
 
 local function compile_part(message, name, shape)
   local field = message.by_name[name]
   check.demand(field, "info names a field %s that is not there", check.shown(name))
   check.demand(shape == "" or is_real(field) and shape:find("^%%%.?%d?[fg]$"),
     "info: the format %s is not one for %s", check.shown(shape), name)
-  local part = { field = field, index = message.index[field], format = shape ~= "" and shape or "%.4g" }
+  local part = {
+    field = field,
+    index = message.index[field],
+    format = shape ~= "" and shape or "%.4g",
+  }
   if not straight.is_plain(field) then
     function part.write(raw) return usual(field, raw) end
   end
@@ -46,7 +50,8 @@ end
 --   usual     function(raws) -> the same as one text, nil where a value is special
 -- Raises what is wrong.
 function M.compile(message, text)
-  check.demand(text == "" or check.is_text(text, MOST_BYTES), "info must be a text, not %s", check.shown(text))
+  local is_text = text == "" or check.is_text(text, MOST_BYTES)
+  check.demand(is_text, "info must be a text, not %s", check.shown(text))
   local parts, fields, shape, at = {}, {}, "", 1
   while at do
     local from, to, name, part_shape = text:find("{([%w_]+):?([^}]*)}", at)
@@ -62,10 +67,10 @@ function M.compile(message, text)
     at = to and to + 1
   end
   message.info = parts
-  message.usual = #fields <= straight.MOST_PARTS and straight.writer(fields, shape) or function() end
+  message.usual = straight.writer(fields, shape)
 end
 
--- The text ----------------------------------------------------------------------------------------
+-- The text ---------------------------------------------------------------------------------------
 
 local function shown(part, raw, payload)
   local field = part.field
@@ -93,8 +98,8 @@ end
 -- raws     from decode.read; payload: the string that they are from, for times
 -- name     what the message is called; its title when left out
 function M.text(message, raws, payload, name)
-  local text = (name or message.title) .. "  " .. (message.usual(raws) or in_parts(message, raws, payload))
-  local word
+  local text, word = message.usual(raws) or in_parts(message, raws, payload), nil
+  text = (name or message.title) .. "  " .. text
   for _, field in ipairs(message.alarms) do
     local alarms = decode.alarms(message, raws, message.index[field])
     if alarms ~= 0 then

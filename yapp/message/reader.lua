@@ -1,6 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a finished message means: which message of the catalogue it is, its values, its source and what changed there.
--- Pure Lua.  Carriers bring messages; the tree and the statistics get them from here.
+-- What a finished message means: which message of the catalogue it is, its values, its source and
+-- what changed there. Pure Lua.  Carriers bring messages; the tree and the statistics get them from
+-- here.
 
 local decode = require("yapp.message.decode")
 
@@ -16,7 +17,7 @@ function M.new(catalogue, stat)
     messages = catalogue.messages,
     stat = stat,
     tell = nil, -- see Reader:tell_to
-    by_id = catalogue.by_id, -- the user's choice, see Reader:use; until then readers of files ask already
+    by_id = catalogue.by_id, -- the user's choice, see Reader:use; before, readers of files ask
     sources = nil, -- a message.sources
     is_by_id = true, -- whether no bus has messages of its own
     has_several = false, -- whether the capture has several buses
@@ -89,20 +90,22 @@ function Reader:name_of(id, bus)
   return self.sources:name(bus, id)
 end
 
---- What a message is called where rows stand for themselves: its title; and where that does not tell its source, the
--- source's name, or ID and bus: "Motor Data left", "Motor Data 0x212 (can1)", "Motor Data", "ID 0x123".
+--- What a message is called where rows stand for themselves: its title; and where that does not
+-- tell its source, the source's name, or ID and bus: "Motor Data left", "Motor Data 0x212 (can1)",
+-- "Motor Data", "ID 0x123".
 function Reader:label(id, bus)
   local message, name = self:message_of(id, bus), self:name_of(id, bus)
   local title = message and message.title
   if name then return ("%s %s"):format(title or ("ID 0x%x"):format(id), name) end
   local is_told_bus = self.has_several and bus
-  if title and id == message.id and not self.several_ids[message] and not is_told_bus then return title end
+  local is_usual = title and id == message.id and not self.several_ids[message]
+  if is_usual and not is_told_bus then return title end
   local label = ("%s 0x%x"):format(title or "ID", id)
   return bus and (title or is_told_bus) and ("%s (%s)"):format(label, bus) or label
 end
 
---- What a source is called, the column Source: the name that the user gave, or the ID, in a capture of several buses
--- with its bus.
+--- What a source is called, the column Source: the name that the user gave, or the ID, in a capture
+-- of several buses with its bus.
 function Reader:source_text(id, bus)
   local name = self:name_of(id, bus)
   if name then return name end
@@ -110,7 +113,8 @@ function Reader:source_text(id, bus)
   return self.has_several and bus and bus .. " " .. text or text
 end
 
---- What there is to say of a message that is not in the catalogue: its size may be that of one that is.
+--- What there is to say of a message that is not in the catalogue: its size may be that of one that
+-- is.
 -- m        a message, as for Reader:read
 -- returns  a text for the packet, and what the Info column adds or nil
 function Reader:hint(m)
@@ -127,16 +131,23 @@ function Reader:hint(m)
   return text, ", " .. size .. advice
 end
 
---- Reads a finished message.  The record is what message.history, show.tree and stat.tell take it as.
--- m        { id, seq, ctl, size, payload, status, good = whether it is proved whole, is_whole = whether the payload has
---          all its bytes; source = key of bus or stream and ID, bus = key of the bus or stream, or nil, bus_name = or
---          nil, frame = number, time = seconds since the first packet, ... }: gets
---          message = of the catalogue, where the ID is known; raws and look = from decode.read, where the size fits
---          too; has_fault = whether a fault flag is set; change = what is new since the source's previous one
--- memory   whose change(memory, m, ...) tells that (can.memory, serial.memory); ...: what it takes besides
+--- Reads a finished message.  The record is what message.history, show.tree and stat.tell take it
+-- as.
+-- m        { id, seq, ctl, size, payload, status, good = whether it is proved whole, is_whole =
+--          whether the payload has all its bytes; source = key of bus or stream and ID, bus = key
+--          of the bus or stream, or nil, bus_name = or nil, frame = number, time = seconds since
+--          the first packet, ... }: gets
+--          message = of the catalogue, where the ID is known
+--          raws and look = from decode.read, where the size fits too
+--          has_fault = whether a fault flag is set
+--          change = what is new since the source's previous one
+-- memory   whose change(memory, m, ...) tells that (can.memory, serial.memory); ...: what it takes
+--          besides
 function Reader:read(m, memory, ...)
   local message, raws, look = self:message_of(m.id, m.bus_name), nil, nil
-  if message and m.size == message.size and m.is_whole then raws, look = decode.read(message, m.payload) end
+  if message and m.size == message.size and m.is_whole then
+    raws, look = decode.read(message, m.payload)
+  end
   m.message, m.raws, m.look = message, raws, look
   m.has_fault = look and decode.has_alarm(message, raws)
   m.change = memory:change(m, ...)

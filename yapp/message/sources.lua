@@ -1,13 +1,15 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The names that the user gave to sources: the preference.  Pure Lua.
 --
---   0x210=motor:left_fore, can1/0x210=motor:right_fore, can0/0x210+0x200+0x000=left, can2=tail, 0x213=motor:
+--   0x210=motor:left_fore, can1/0x210=motor:right_fore, can0/0x210+0x200+0x000=left, can2=tail
+--   0x213=motor:
 --
--- A part is [BUS/]ID[+ID...]=[MESSAGE:]NAME, or BUS=NAME for every ID of a bus.  BUS is the name that the capture gives
--- a bus, ID is decimal or 0x and hexadecimal, MESSAGE the catalogue's short name of what the ID carries.  Without BUS it
--- is for every bus that has no part of its own.  Spaces around each do not count.  A bus with a comma, "=" or a quote in
--- its name stands in quotes, its own quotes doubled: "USB, left"/0x210=motor:a; so does one that begins with a digit and
--- has no ID.  The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
+-- A part is [BUS/]ID[+ID...]=[MESSAGE:]NAME, or BUS=NAME for every ID of a bus.  BUS is the name
+-- that the capture gives a bus, ID is decimal or 0x and hexadecimal, MESSAGE the catalogue's short
+-- name of what the ID carries.  Without BUS it is for every bus that has no part of its own.
+-- Spaces around each do not count.  A bus with a comma, "=" or a quote in its name stands in
+-- quotes, its own quotes doubled: "USB, left"/0x210=motor:a; so does one that begins with a digit
+-- and has no ID.  The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
 
 local check = require("yapp.message.check")
 
@@ -108,7 +110,12 @@ local function read_part(part, catalogue)
   demand(name == "" or check.is_text(name), "the name is not a text")
   local rows = {}
   for i = 1, ids and #ids or 1 do
-    rows[i] = { bus = bus, id = ids and ids[i], message = message, name = name ~= "" and name or nil }
+    rows[i] = {
+      bus = bus,
+      id = ids and ids[i],
+      message = message,
+      name = name ~= "" and name or nil,
+    }
   end
   return rows
 end
@@ -133,8 +140,8 @@ end
 --- Reads the preference.
 -- text       of the user
 -- catalogue  compiled
--- returns    the sources; and a list of texts of what is wrong, each with the part that it is about: such a part is
---            left out, the others hold
+-- returns    the sources; and a list of texts of what is wrong, each with the part that it is
+--            about: such a part is left out, the others hold
 function M.parse(text, catalogue)
   local self = setmetatable({ by_bus = { [false] = {} }, rows = {} }, Sources)
   local problems = {}
@@ -146,7 +153,8 @@ function M.parse(text, catalogue)
   return self, check.few(problems)
 end
 
---- The name of a source, nil where the user gave none: that of its ID on its bus, of its bus, or of its ID anywhere.
+--- The name of a source, nil where the user gave none: that of its ID on its bus, of its bus, or of
+-- its ID anywhere.
 -- bus  the name that the capture gives it, or nil; id: message ID
 function Sources:name(bus, id)
   local of_bus, anywhere = bus and self.by_bus[bus] or {}, self.by_bus[false][id]
@@ -156,15 +164,16 @@ function Sources:name(bus, id)
   return not own and anywhere and anywhere.name or nil
 end
 
---- The compiled message that the user said an ID carries on a bus; nil where this preference says nothing of it.
+--- The compiled message that the user said an ID carries on a bus; nil where this preference says
+-- nothing of it.
 function Sources:message(bus, id)
   local own = bus and self.by_bus[bus] and self.by_bus[bus][id]
   local row = own or self.by_bus[false][id]
   return row and row.message
 end
 
---- All that was read: a list of { bus = name or nil, id = nil for all of a bus, message = compiled or nil, name = or
--- nil }.
+--- All that was read: a list of { bus = name or nil, id = nil for all of a bus, message = compiled
+-- or nil, name = or nil }.
 function Sources:list()
   return self.rows
 end
