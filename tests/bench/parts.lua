@@ -10,7 +10,8 @@ package.path = top .. "?.lua;" .. package.path
 local parts = {
   can_frames = require "yapp.can.frames", can_id = require "yapp.wire.can_id", can_interleave = require "yapp.can.interleave",
   can_memory = require "yapp.can.memory", can_reassembly = require "yapp.can.reassembly",
-  can_repeated = require "yapp.can.repeated", catalogue = require "yapp.message.catalogue", crc = require "yapp.wire.crc",
+  can_repeated = require "yapp.can.repeated",
+  catalogue = require "yapp.message.catalogue", crc = require "yapp.wire.crc",
   decode = require "yapp.message.decode", decode_info = require "yapp.message.info",
   history = require "yapp.message.history", reader = require "yapp.message.reader",
 }

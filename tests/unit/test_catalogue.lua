@@ -107,7 +107,7 @@ function T.test_what_is_wrong_with_a_field_is_said()
     { { flags = { { "a", 1, "A" }, { "a", 2, "A" } }, group = "g" }, "field f: the filter name taurus.m.g.a is taken" },
     { { flags = { { "a", 1, "A", alarm = "X" } }, group = "g" }, "field f: flag a: alarm is true" },
     { { flags = { { "a", 1, "A", help = 5 } }, group = "g" }, "field f: flag a: help must be a text" },
-    { { flags = { { "a", 1, "A", units = 5 } }, group = "g" }, 'field f: unknown option "units"; flag a has alarm, help' },
+    { { flags = { { "a", 1, "A", unit = 5 } }, group = "g" }, 'unknown option "unit"; flag a has alarm, help' },
     { { section = 5 }, "field f: section must be a text" },
     { { flags = { { "undefined", 1, "A" } }, group = "g" }, "field f: the filter name taurus.m.g.undefined is taken" },
     { { flags = { { "a", 3, "A" }, { "b", 2, "B" } }, group = "g" }, "field f: flag b: bit 0x2 is already another" },

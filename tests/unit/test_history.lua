@@ -190,19 +190,19 @@ function T.test_the_latest_command_on_the_bus()
 end
 
 function T.test_the_catalogue_says_which_messages_others_answer()
-  local catalogue = { messages = { { name = "a", answers = "b" }, { name = "b" }, { name = "command" } } }
-  local h = history.new { catalogue = catalogue }
+  local answering = { messages = { { name = "a", answers = "b" }, { name = "b" }, { name = "command" } } }
+  local h = history.new { catalogue = answering }
   local function note(number, message)
-    local change = h:note { source = message.name, message = message, id = 1, seq = 0, number = number, time = number,
+    local told = h:note { source = message.name, message = message, id = 1, seq = 0, number = number, time = number,
       good = true, raws = {}, payload = "" }
-    return change and change.command_in
+    return told and told.command_in
   end
-  for i, message in ipairs(catalogue.messages) do
+  for i, message in ipairs(answering.messages) do
     message.fields = {}
     lu.assertNil(note(i, message))
   end
-  lu.assertEquals(note(4, catalogue.messages[1]), 2)
-  lu.assertNil(note(5, catalogue.messages[3]))
+  lu.assertEquals(note(4, answering.messages[1]), 2)
+  lu.assertNil(note(5, answering.messages[3]))
 end
 
 -- Motor State's Faulted is a fault by itself; its other flags are none.
