@@ -159,33 +159,40 @@ local function missing_before(seq, previous, is_reboot)
   return missing > 0 and missing or nil
 end
 
--- A good message: keeps what it changes, and how things stand after it.
+-- How a clock stands to the one before: whether it went back, and whether it stood still; true or nil.
+local function clock_change(before, clock)
+  if not before or not clock then return nil, nil end
+  return clock < before or nil, clock == before or nil
+end
+
+-- Keeps what happened at a message, and how things stand after it.
+local function keep(source, look, event, is_new_clock)
+  local state = source.events[#source.events] or NOTHING
+  event.active_since = state.active_since
+  if event.is_alarm then
+    event.active_since = oldest(source.raised_at)
+    source.changes[#source.changes + 1] = look.number
+  end
+  event.clock, event.time = state.clock, state.time -- of the message where drift is 0
+  if is_new_clock then event.clock, event.time = source.clock, look.time end
+  source.numbers[#source.numbers + 1] = look.number
+  source.events[#source.events + 1] = event
+end
+
+-- A good message: keeps what it changes.
 local function follow(self, source, look)
   local state = source.events[#source.events] or NOTHING
   local before, clock = source.clock, clock_of(look)
   local flags, is_alarm = flag_changes(self, source, look)
-  local reboot = before and clock and clock < before or nil
-  local stale = before and clock == before or nil
+  local reboot, stale = clock_change(before, clock)
   local missing = missing_before(look.seq, source.seq, reboot)
   local is_new_clock = clock and (reboot or not before)
   source.clock, source.seq, source.last_time = clock or before, look.seq, look.time
-  if not (flags or missing or is_new_clock or stale ~= state.stale) then return end
-  local active_since = state.active_since
-  if is_alarm then
-    active_since = oldest(source.raised_at)
-    source.changes[#source.changes + 1] = look.number
+  if flags or missing or is_new_clock or stale ~= state.stale then
+    local event = { flags = flags, is_alarm = is_alarm, missing = missing }
+    event.reboot, event.stale = reboot, stale
+    keep(source, look, event, is_new_clock)
   end
-  source.numbers[#source.numbers + 1] = look.number
-  source.events[#source.events + 1] = {
-    flags = flags,
-    is_alarm = is_alarm,
-    missing = missing,
-    reboot = reboot,
-    stale = stale,
-    clock = is_new_clock and clock or state.clock, -- where drift is 0
-    time = is_new_clock and look.time or state.time, -- of that message
-    active_since = active_since,
-  }
 end
 
 -- The numbers of a bus's messages of one name that others answer.
@@ -198,25 +205,38 @@ end
 
 -- Telling ----------------------------------------------------------------------------------------
 
+local function drift_of(look, state)
+  local clock = state.clock and clock_of(look)
+  return clock and (clock - state.clock) / 1e9 - (look.time - state.time) or nil
+end
+
+-- The latest good message before one on its bus of those that it answers.
+local function command_of(self, look)
+  local name = look.message and look.message.answers
+  if not name then return nil end
+  local numbers = commands_of(self, look.bus, name)
+  return numbers[last_until(numbers, look.number - 1)]
+end
+
+local function is_late(self, look, delta)
+  local every = look.message and look.message.every
+  return every and delta and delta > self.late * every + NANOSECOND / 2
+end
+
 -- What is kept of a good message as its change.
 local function tell(self, source, look, delta)
-  local place, message = last_until(source.numbers, look.number), look.message
+  local place = last_until(source.numbers, look.number)
   local state = source.events[place] or NOTHING
   local event = source.numbers[place] == look.number and state or NOTHING
   -- A table of four: most changes are no more, and one with room for all keys costs 640 bytes of
   -- garbage.
-  local change = { delta = delta, drift = nil, command_in = nil, active_since = state.active_since }
-  if state.clock then
-    local clock = clock_of(look)
-    change.drift = clock and (clock - state.clock) / 1e9 - (look.time - state.time)
-  end
-  if message and message.answers then
-    local numbers = commands_of(self, look.bus, message.answers)
-    change.command_in = numbers[last_until(numbers, look.number - 1)]
-  end
-  if message and message.every and delta and delta > self.late * message.every + NANOSECOND / 2 then
-    change.late = delta
-  end
+  local change = {
+    delta = delta,
+    drift = drift_of(look, state),
+    command_in = command_of(self, look),
+    active_since = state.active_since,
+  }
+  if is_late(self, look, delta) then change.late = delta end
   if state.stale then change.stale = true end
   if state.active_since or event.is_alarm then
     change.previous_change = source.changes[last_until(source.changes, look.number - 1)]

@@ -95,13 +95,17 @@ end
 -- "Motor Data", "ID 0x123".
 function Reader:label(id, bus)
   local message, name = self:message_of(id, bus), self:name_of(id, bus)
-  local title = message and message.title
-  if name then return ("%s %s"):format(title or ("ID 0x%x"):format(id), name) end
-  local is_told_bus = self.has_several and bus
-  local is_usual = title and id == message.id and not self.several_ids[message]
-  if is_usual and not is_told_bus then return title end
-  local label = ("%s 0x%x"):format(title or "ID", id)
-  return bus and (title or is_told_bus) and ("%s (%s)"):format(label, bus) or label
+  local number, is_told_bus = ("0x%x"):format(id), self.has_several and bus
+  if not message then
+    local label = "ID " .. number
+    if name then return label .. " " .. name end
+    return is_told_bus and ("%s (%s)"):format(label, bus) or label
+  end
+  if name then return message.title .. " " .. name end
+  local is_usual = id == message.id and not self.several_ids[message]
+  if is_usual and not is_told_bus then return message.title end
+  local label = message.title .. " " .. number
+  return bus and ("%s (%s)"):format(label, bus) or label
 end
 
 --- What a source is called, the column Source: the name that the user gave, or the ID, in a capture

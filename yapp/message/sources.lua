@@ -103,8 +103,11 @@ local function read_part(part, catalogue)
   local message_name, name = value:match("^(.-):(.*)$")
   name = trim(name or value)
   demand(message_name or name ~= "", "the name is missing")
-  demand(ids or not message_name, "a message is for an ID, not for a bus")
-  local message = message_name and find_message(catalogue, trim(message_name)) or nil
+  local message
+  if message_name then
+    demand(ids, "a message is for an ID, not for a bus")
+    message = find_message(catalogue, trim(message_name))
+  end
   demand(not name:find(";.*="), "sources are parted by commas")
   demand(#name <= MAX_NAME, "the name has more than %d bytes", MAX_NAME)
   demand(name == "" or check.is_text(name), "the name is not a text")
