@@ -159,7 +159,7 @@ local function missing_before(seq, previous, is_reboot)
   return missing > 0 and missing or nil
 end
 
--- How a clock stands to the one before: whether it went back, and whether it stood still; true or nil.
+-- Whether a clock went back, and whether it stood still, since the one before; each true or nil.
 local function clock_change(before, clock)
   if not before or not clock then return nil, nil end
   return clock < before or nil, clock == before or nil
