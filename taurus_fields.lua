@@ -1,45 +1,59 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The catalogue of Taurus messages: data only, the file to edit when a firmware adds or changes a message.
+-- The catalogue of Taurus messages: data only, the file to edit when a firmware adds or changes a
+-- message.
 --
--- Your own messages, and your own versions of these, belong in a file of the same form, yapp_messages.lua in
--- Wireshark's personal configuration folder: docs/messages.md shows it, and no new version of the plugin touches it.
+-- Your own messages, and your own versions of these, belong in a file of the same form,
+-- yapp_messages.lua in Wireshark's personal configuration folder: docs/messages.md shows it, and no
+-- new version of the plugin touches it.
 --
 -- A message is one entry of the list at the end; adding an entry is all it takes.  An entry has
---   name    its filter name: taurus.<name>            title   what the packet list and the tree call it
---   id      its default message ID, 0 .. 2047         size    its payload in bytes, checked against the rows
---   info    what the Info column says: {field} or {field:format}, format as in string.format
---   every   its period in seconds, 0.1 for 10 Hz: a gap of several periods gets the expert item yapp.late
---   answers the name of the message that commands it: the field taurus.<message>.<name>_in has its latest frame
---   differences  a list of { filter name, field, field, title }: the first less the second, where both have a value
--- and rows, one a field, in the order of the payload: { filter name, type, title, options }.  Types, little endian:
+--   name     its filter name: taurus.<name>
+--   title    what the packet list and the tree call it
+--   section  the part of a document that defines it, for descriptions; a row may have its own
+--   id       its default message ID, 0 .. 2047
+--   size     its payload in bytes, checked against the rows
+--   info     what the Info column says: {field} or {field:format}, format as in string.format
+--   every    its period in seconds, 0.1 for 10 Hz: a gap of several periods gets the expert item
+--            yapp.late
+--   answers  the name of the message that commands it: the field taurus.<message>.<name>_in has its
+--            latest frame
+--   differences  a list of { filter name, field, field, title }: the first less the second, where
+--            both have a value
+-- and rows, one a field, in the order of the payload: { filter name, type, title, options }.
+-- Types, little endian:
 --   uint8 uint16 uint24 uint32 uint64, int8 .. int64     integers, signed ones in two's complement
 --   float8 float16 float24 .. float64 with min and max   compressed floats, "floatN <min; max>"
---   float32 float64 without min and max                  IEEE 754; NaN and infinity are in <field>.special
+--   float32 float64 without min and max                  IEEE 754; NaN is in <field>.special
 --   bool                                                 a byte that is 0 or 1
 --   int64_ns                                             a time in nanoseconds
---   string, bytes with length                            so many bytes; a string ends at its first NUL
---   padding with length                                  so many bytes that say nothing; no title
---   variants with by and cases                           what lies there depends on the earlier field `by`:
---                                                        cases = { [its value] = { rows }, ... }, the largest counts
+--   string, bytes with length                            a string ends at its first NUL
+--   padding with length                                  bytes that say nothing; no title
+--   variants with by and cases                           what lies there depends on the earlier
+--            field `by`: cases = { [its value] = { rows }, ... }, the largest counts
 -- and options:
---   unit    appended to the value
---   scale, offset   of an integer: value = count * scale + offset, { "t", "int16", "Air", scale = 0.1, unit = "°C" }
---   values  { [0] = "meaning", ... }: any other value gets the expert item taurus.value.invalid,
---           or the one that `invalid` names
---   count   an array of so many: one filter name, in CSV <field>_1, <field>_2, ...
---   bits    of an unsigned integer: a list of { filter name, mask, title, options } of parts of several bits side by
---           side; options are unit, scale, offset, values, invalid
---   flags   a list of { filter name, mask, title }; `group` names it: taurus.<message>.<group>.<flag>.  Bits that rise
---           or fall are in <group>.raised and <group>.cleared.
---           `alarm` makes them faults: its word and the names of the set flags are in the Info column, any of them
---           raises taurus.fault.active, and each that rises or falls is an event, taurus.fault.raised or .cleared
+--   unit     appended to the value
+--   scale, offset   of an integer: value = count * scale + offset,
+--            { "t", "int16", "Air", scale = 0.1, unit = "°C" }
+--   values   { [0] = "meaning", ... }: any other value gets the expert item taurus.value.invalid,
+--            or the one that `invalid` names
+--   count    an array of so many: one filter name, in CSV <field>_1, <field>_2, ...
+--   bits     of an unsigned integer: a list of { filter name, mask, title, options } of parts of
+--            several bits side by side; options are unit, scale, offset, values, invalid
+--   flags    a list of { filter name, mask, title }; `group` names it:
+--            taurus.<message>.<group>.<flag>.  Bits that rise or fall are in <group>.raised and
+--            <group>.cleared.  A flag may have help = "what it means, what to look at".
+--            `alarm` makes all of them faults: its word and the names of the set flags are in the
+--            Info column, any of them raises taurus.fault.active, and each that rises or falls is
+--            an event, taurus.fault.raised or .cleared; alarm = true in a flag makes this one a
+--            fault, with the word FAULT
 --
 -- Sections in quotes are those of the vendor's document, 600-0055-000 Rev A.
 
 -- "Taurus Command", "Taurus Motor Data": Motor Mode
 local MOTOR_MODE = { [0] = "Torque Mode", [1] = "Speed Mode" }
 
--- "Taurus Motor Data": Status Flags.  Damaged entries as settled by the order of the table and the example.
+-- "Taurus Motor Data": Status Flags.  Damaged entries as settled by the order of the table and the
+-- example.
 local STATUS = {
   { "foc_align", 0x2, "FOC in align" },
   { "start_in_motion_no_bemf", 0x1000, "Start in Motion, Back EMF signal not detected" },
@@ -100,7 +114,7 @@ local STATE = {
   { "stopped", 0x4, "Stopped" },
   { "overmodulated", 0x8, "Overmodulated" },
   { "saturated", 0x10, "Saturated" },
-  { "faulted", 0x20, "Faulted" },
+  { "faulted", 0x20, "Faulted", alarm = true },
 }
 
 -- "Taurus Health": Taurus Status
@@ -111,18 +125,29 @@ local HEALTH = {
 }
 
 return {
-  { -- "Taurus Command", faster than 5 Hz
-    name = "command", title = "Command", id = 0x000, size = 7, every = 0.2,
+  { -- faster than 5 Hz
+    name = "command",
+    title = "Command",
+    section = "Taurus Command",
+    id = 0x000,
+    size = 7,
+    every = 0.2,
     info = "{enabled}, {key}  {motor_mode}  {rpm:%.1f} RPM  {torque_iq:%.2f} A",
     { "enabled", "uint8", "Enabled", values = { [0] = "Disabled", [1] = "Enabled" } },
-    { "key", "uint8", "Key", values = { [0xA5] = "Full Operation", [0x5A] = "No Regeneration Allowed" },
-      invalid = "command.key.invalid" },
+    { "key", "uint8", "Key", invalid = "command.key.invalid",
+      values = { [0xA5] = "Full Operation", [0x5A] = "No Regeneration Allowed" } },
     { "motor_mode", "uint8", "Motor Mode", values = MOTOR_MODE },
     { "torque_iq", "float16", "Torque IQ", min = -200, max = 200, unit = "A" },
     { "rpm", "float16", "RPM", min = -100000, max = 100000, unit = "RPM" },
   },
-  { -- "Taurus Motor Data", 10 Hz
-    name = "motor", title = "Motor Data", id = 0x210, size = 32, every = 0.1, answers = "command",
+  { -- 10 Hz
+    name = "motor",
+    title = "Motor Data",
+    section = "Taurus Motor Data",
+    id = 0x210,
+    size = 32,
+    every = 0.1,
+    answers = "command",
     info = "{rpm_commanded:%.1f}/{rpm_measured:%.1f} RPM  {dc_voltage:%.2f} V  {dc_current:%.2f} A",
     differences = {
       { "torque_iq_error", "torque_iq_measured", "torque_iq_commanded", "Torque IQ Error" },
@@ -142,15 +167,21 @@ return {
     { "motor_state", "uint8", "Motor State", flags = STATE, group = "state" },
     { "esc_temperature", "float8", "ESC Temperature", min = -40, max = 210, unit = "°C" },
   },
-  { -- "Taurus Health", 2 Hz
-    name = "health", title = "Health", id = 0x200, size = 17, every = 0.5,
+  { -- 2 Hz
+    name = "health",
+    title = "Health",
+    section = "Taurus Health",
+    id = 0x200,
+    size = 17,
+    every = 0.5,
     info = "control {control_thread_cpu:%.0f} %, Taurus {taurus_thread_cpu:%.0f} %  " ..
       "CPU {cpu_temperature:%.0f} °C, FET {fet_temperature:%.0f} °C",
     { "timestamp", "int64_ns", "Timestamp" },
     { "control_thread_cpu", "float8", "Control Thread CPU Usage", min = 0, max = 100, unit = "%" },
     { "taurus_thread_cpu", "float8", "Taurus Thread CPU Usage", min = 0, max = 100, unit = "%" },
     { "cpu_temperature", "float8", "CPU Temperature", min = -40, max = 210, unit = "°C" },
-    { "capacitor_temperature", "float8", "Capacitor Temperature", min = -40, max = 210, unit = "°C" },
+    { "capacitor_temperature", "float8", "Capacitor Temperature",
+      min = -40, max = 210, unit = "°C" },
     { "fet_temperature", "float8", "FET Temperature", min = -40, max = 210, unit = "°C" },
     { "vin_rms_ripple", "float8", "Vin RMS Ripple", min = 0, max = 12.5, unit = "V" },
     { "vin_pp_ripple", "float8", "Vin Peak to Peak Ripple", min = 0, max = 12.5, unit = "V" },

@@ -68,7 +68,7 @@ preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local buses = bus_finder.watch()
 local stat = stat_taps.new { version = VERSION, catalogue = catalogue }
-local reader = message_reader.new(decode, catalogue, stat)
+local reader = message_reader.new(catalogue, stat)
 local tree = tree_builder.new { yapp = yapp, taurus = taurus, catalogue = catalogue, reader = reader }
 
 -- SocketCAN's table of ids finds the frames of a message: no other frame costs anything.
@@ -221,6 +221,7 @@ yapp.prefs_changed = read_preferences
 function yapp.init()
   read_preferences()
   buses:init()
+  reader:use_buses(buses:are_several())
   socketcan.init()
   search_streams()
   local late, problems = preferences.late(yapp.prefs.late)

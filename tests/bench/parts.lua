@@ -10,7 +10,8 @@ package.path = top .. "?.lua;" .. package.path
 local parts = {
   can_frames = require "yapp.can.frames", can_id = require "yapp.wire.can_id", can_interleave = require "yapp.can.interleave",
   can_memory = require "yapp.can.memory", can_reassembly = require "yapp.can.reassembly",
-  can_repeated = require "yapp.can.repeated", catalogue = require "yapp.message.catalogue", crc = require "yapp.wire.crc",
+  can_repeated = require "yapp.can.repeated",
+  catalogue = require "yapp.message.catalogue", crc = require "yapp.wire.crc",
   decode = require "yapp.message.decode", decode_info = require "yapp.message.info",
   history = require "yapp.message.history", reader = require "yapp.message.reader",
 }
@@ -62,9 +63,9 @@ end
 
 -- How many good messages a capture has, by the steps up to one.
 local function run(path, step)
-  local memory, reader = new_memory(), parts.reader.new(parts.decode, catalogue, { wanted = false })
+  local memory, reader = new_memory(), parts.reader.new(catalogue, { wanted = false })
   local facts, count = { place = 0, informed = true }, 0
-  local m = { ctl = 0, is_whole = true, is_brief = true, status = "good", good = true }
+  local m = { ctl = 0, is_whole = true, status = "good", good = true }
   local address_of = parts.can_id.address
   each_frame(path, function(number, data, can_id)
     if step == "file" then return end

@@ -136,7 +136,7 @@ def decode(ident, payload, divisor=MAPPING):
             shown[path] = f"0x{count:0{2 * size}x}"
             for bit, flag in bits.items():
                 shown[f"taurus.{name}.{group}.{flag}"] = "1" if count & bit else "0"
-            if group == "fault" and count:
+            if group == "fault" and count or bits.get(0x20) == "faulted" and count & 0x20:
                 experts.append("taurus.fault.active")
             if count & ~sum(bits):
                 experts.append("taurus.flags.undefined")

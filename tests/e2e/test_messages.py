@@ -156,7 +156,7 @@ def test_a_filter_alone(name, text, frames):
 
 
 def test_every_type_is_in_the_captures_and_in_the_head_of_the_catalogue():
-    done = subprocess.run(["lua5.4", "-e", "package.path = './?.lua' print(require('yapp.message.catalogue_types').NAMES)"],
+    done = subprocess.run(["lua5.4", "-e", "package.path = './?.lua' print(require('yapp.message.catalogue_fields').TYPE_NAMES)"],
                           capture_output=True, text=True, check=True, cwd=tshark.ROOT)
     used, head = CATALOGUE.read_text(), (tshark.ROOT / "taurus_fields.lua").read_text().split("\nlocal ")[0]
     types = done.stdout.strip().split(", ")

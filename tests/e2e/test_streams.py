@@ -198,10 +198,8 @@ class Comparison:
 
 
 def later_known(capture, passes):
-    """Whether links to later packets are.  Where only fields tell the sources apart they are not: tshark's first pass
-    has no fields, and on the second one what is later is still to come."""
-    sources = len(capture.linktypes) > 1 or capture.linktypes[0] == stream_captures.RTAC
-    return passes != "one pass" and not sources
+    """Whether links to later packets are: the file tells the sources apart in every pass."""
+    return passes != "one pass"
 
 
 def compare(capture, path, passes):

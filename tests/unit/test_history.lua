@@ -2,17 +2,15 @@
 -- The history of sources: what changes from one good message to the next, in order and on later looks.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local catalogue = require("yapp.message.catalogue")
 local history = require("yapp.message.history")
 local levels = require("levels")
 
 local T = {}
 
--- Two messages as the catalogue compiles them: only what a history reads.
-local STATUS = { name = "status_flags", kind = "flags" }
-local FAULT = { name = "fault_flags", kind = "flags", alarm = "FAULT" }
-local MOTOR = { name = "motor", every = 0.1, answers = "command", fields = { { kind = "float" }, STATUS, FAULT },
-  time = { offset = 2 } }
-local COMMAND = { name = "command", every = 0.2, fields = {} }
+local TAURUS = catalogue.compile(dofile("taurus_fields.lua"))
+local MOTOR, COMMAND = TAURUS.by_id[0x210], TAURUS.by_id[0]
+local STATUS, FAULT, STATE = MOTOR.by_name.status_flags, MOTOR.by_name.fault_flags, MOTOR.by_name.motor_state
 
 -- Eight bytes, little endian, of a number of nanoseconds.
 local function int64(n)
@@ -24,13 +22,19 @@ local function int64(n)
   return table.concat(bytes)
 end
 
+-- A payload of Motor Data of which only the clock counts.
+local function around(clock)
+  return ("a"):rep(MOTOR.time.offset) .. clock .. ("b"):rep(MOTOR.size - MOTOR.time.offset - 8)
+end
+
 -- A Motor Data message at a time; clock in seconds.
 local function motor(number, time, with)
   with = with or {}
   local clock = with.clock or time
   return { source = with.source or 0x210, bus = with.bus, message = MOTOR, id = 0x210, seq = with.seq or 0,
-    number = number, time = time, good = with.good ~= false, raws = { 7, with.status or 0, with.fault or 0 },
-    payload = "ab" .. int64(clock * 1e9) }
+    number = number, time = time, good = with.good ~= false, payload = around(int64(clock * 1e9)),
+    raws = { [MOTOR.index[STATUS]] = with.status or 0, [MOTOR.index[FAULT]] = with.fault or 0,
+      [MOTOR.index[STATE]] = with.state or 0 } }
 end
 
 local function command(number, time, bus)
@@ -55,11 +59,14 @@ function T.test_the_first_message_has_nothing_but_its_clock()
   lu.assertNil(h:note { source = 6, id = 6, seq = 0, number = 3, time = 1, good = false, payload = "" })
 end
 
--- Changes that come again are kept once: a message that changes two fields writes into neither's.
-function T.test_a_change_that_comes_again_has_its_own_field_only()
-  local function change(field, value, raised, cleared)
-    return { field = field, value = value, raised = raised, cleared = cleared }
-  end
+-- What changed in a field; of the fault flags each bit is an alarm.
+local function change(field, value, raised, cleared, alarm_raised, alarm_cleared)
+  return { field = field, value = value, raised = raised, cleared = cleared,
+    alarm_raised = alarm_raised or field == FAULT and raised or 0,
+    alarm_cleared = alarm_cleared or field == FAULT and cleared or 0 }
+end
+
+function T.test_changes_of_several_fields()
   local looks = { motor(1, 0), motor(2, 1, { status = 1 }), motor(3, 2), motor(4, 3, { status = 1, fault = 4 }),
     motor(5, 4), motor(6, 5, { status = 1 }), motor(7, 6, { status = 1, fault = 4 }) }
   local rose, fell = change(STATUS, 1, 1, 0), change(STATUS, 0, 0, 1)
@@ -119,24 +126,23 @@ function T.test_clocks_at_the_ends_of_their_range()
     motor(4, 4, { clock = -0.5 }) }, "reboot"), { "-", "-", "-", true })
   lu.assertEquals(run({ motor(1, 1, { clock = -2e-9 }), motor(2, 2, { clock = -1e-9 }), motor(3, 3, { clock = 0 }) },
     "stale"), { "-", "-", "-" })
-  local change = run({ motor(1, 1, { clock = 9007199 }), motor(2, 2, { clock = 9007199.000000001 }) })[2]
-  lu.assertEquals({ change.stale, change.reboot }, {})
+  local last = run({ motor(1, 1, { clock = 9007199 }), motor(2, 2, { clock = 9007199.000000001 }) })[2]
+  lu.assertEquals({ last.stale, last.reboot }, {})
 end
 
 function T.test_flags_that_rise_and_fall()
   local changes = run { motor(1, 1, { status = 3 }), motor(2, 2, { status = 6, fault = 0x80000001 }),
     motor(3, 3, { status = 6, fault = 0x80000001 }), motor(4, 4, { status = 6, fault = 0x10 }) }
   lu.assertNil(changes[1].flags)
-  lu.assertEquals(changes[2].flags, { { field = STATUS, value = 6, raised = 4, cleared = 1 },
-    { field = FAULT, value = 0x80000001, raised = 0x80000001, cleared = 0 } })
+  lu.assertEquals(changes[2].flags, { change(STATUS, 6, 4, 1), change(FAULT, 0x80000001, 0x80000001, 0) })
   lu.assertNil(changes[3].flags)
-  lu.assertEquals(changes[4].flags, { { field = FAULT, value = 0x10, raised = 0x10, cleared = 0x80000001 } })
+  lu.assertEquals(changes[4].flags, { change(FAULT, 0x10, 0x10, 0x80000001) })
 end
 
 function T.test_alarms_of_the_first_message_are_raised()
-  local change = run({ motor(1, 1, { fault = 6, status = 1 }) })[1]
-  lu.assertEquals(change.flags, { { field = FAULT, value = 6, raised = 6, cleared = 0 } })
-  lu.assertEquals(change.active_since, 1)
+  local first = run({ motor(1, 1, { fault = 6, status = 1, state = 0x21 }) })[1]
+  lu.assertEquals(first.flags, { change(FAULT, 6, 6, 0), change(STATE, 0x21, 0x20, 0, 0x20, 0) })
+  lu.assertEquals(first.active_since, 1)
 end
 
 function T.test_since_when_the_oldest_alarm_is_set()
@@ -168,9 +174,7 @@ function T.test_links_to_the_changes_before_and_after()
     motor(40, 4, { fault = 3 }), motor(50, 5), motor(60, 6), motor(70, 7, { fault = 1 }) }
   local previous, h = run(looks, "previous_change")
   lu.assertEquals(previous, { "-", "-", 20, 20, 40, "-", 50 })
-  lu.assertEquals({ h:next_change(20), h:next_change(40), h:next_change(50) }, { 40, 50, 70 })
-  lu.assertNil(h:next_change(70))
-  lu.assertNil(h:next_change(30)) -- none itself
+  lu.assertNil(h:next_change(70, 0x210))
   lu.assertEquals({ h:next_change(30, 0x210), h:next_change(1, 0x210), h:next_change(60, 0x210) }, { 40, 20, 70 })
   lu.assertNil(h:next_change(20, "nobody"))
 end
@@ -186,26 +190,46 @@ function T.test_the_latest_command_on_the_bus()
 end
 
 function T.test_the_catalogue_says_which_messages_others_answer()
-  local catalogue = { messages = { { name = "a", answers = "b" }, { name = "b" }, { name = "command" } } }
-  local h = history.new { catalogue = catalogue }
+  local answering = { messages = { { name = "a", answers = "b" }, { name = "b" }, { name = "command" } } }
+  local h = history.new { catalogue = answering }
   local function note(number, message)
-    local change = h:note { source = message.name, message = message, id = 1, seq = 0, number = number, time = number,
+    local told = h:note { source = message.name, message = message, id = 1, seq = 0, number = number, time = number,
       good = true, raws = {}, payload = "" }
-    return change and change.command_in
+    return told and told.command_in
   end
-  for i, message in ipairs(catalogue.messages) do
+  for i, message in ipairs(answering.messages) do
     message.fields = {}
     lu.assertNil(note(i, message))
   end
-  lu.assertEquals(note(4, catalogue.messages[1]), 2)
-  lu.assertNil(note(5, catalogue.messages[3]))
+  lu.assertEquals(note(4, answering.messages[1]), 2)
+  lu.assertNil(note(5, answering.messages[3]))
 end
 
-function T.test_sources_in_the_order_in_which_they_showed()
-  local _, h = run { motor(1, 1, { source = "b" }), command(2, 2, 1), motor(3, 3, { source = "b" }) }
-  local keys = {}
-  for i, source in ipairs(h:sources()) do keys[i] = source.key end
-  lu.assertEquals(keys, { "b", "command1" })
+-- Motor State's Faulted is a fault by itself; its other flags are none.
+function T.test_a_flag_that_is_an_alarm_beside_others()
+  local looks = { motor(1, 1, { state = 2 }), motor(2, 2, { state = 0x22 }), motor(3, 3, { state = 0x21 }),
+    motor(4, 4, { state = 1 }) }
+  local changes, h = run(looks)
+  lu.assertEquals(changes[2].flags, { change(STATE, 0x22, 0x20, 0, 0x20, 0) })
+  lu.assertEquals(changes[3].flags, { change(STATE, 0x21, 1, 2, 0, 0) })
+  lu.assertEquals(changes[4].flags, { change(STATE, 1, 0, 0x20, 0, 0x20) })
+  local alarms, since = {}, {}
+  for i, one in ipairs(changes) do alarms[i], since[i] = one.is_alarm or "-", one.active_since or "-" end
+  lu.assertEquals({ alarms, since }, { { "-", true, "-", true }, { "-", 2, 2, "-" } })
+  lu.assertEquals({ changes[4].previous_change, h:next_change(2, 0x210) }, { 2, 4 })
+end
+
+-- A number in some bits of a field with faults is no flag: it neither rises nor falls.
+function T.test_a_part_of_bits_beside_alarms()
+  local own = catalogue.compile { { name = "own", title = "Own", id = 1, size = 1, { "f", "uint8", "F", group = "g",
+    alarm = "ALARM", flags = { { "hot", 0x80, "Hot" } }, bits = { { "gear", 0x7, "Gear" } } } } }
+  local message, h, found = own.by_id[1], history.new(), {}
+  for i, raw in ipairs { 0x01, 0x02, 0x82, 0x83, 0x03 } do
+    found[i] = h:note { source = 1, message = message, number = i, time = i, good = true, raws = { raw }, payload = "" }
+  end
+  for _, i in ipairs { 1, 2, 4 } do lu.assertNil(found[i] and (found[i].flags or found[i].is_alarm)) end
+  lu.assertEquals(found[3].flags, { change(message.fields[1], 0x82, 0x80, 0, 0x80, 0) })
+  lu.assertEquals(found[5].flags, { change(message.fields[1], 0x03, 0, 0x80, 0, 0x80) })
 end
 
 -- A random capture: the same seed gives the same looks.
@@ -256,7 +280,7 @@ function T.test_nothing_is_kept_of_messages_that_change_nothing()
   local look = motor(1, 0)
   local function note(first, last)
     for i = first, last do
-      look.number, look.time, look.seq, look.payload = i, i * 0.1, i % 256, "ab" .. int64(i * 1e8)
+      look.number, look.time, look.seq, look.payload = i, i * 0.1, i % 256, around(int64(i * 1e8))
       h:note(look)
     end
   end

@@ -2,13 +2,18 @@
 -- The preference that names sources, and what they are called.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
+local catalogue = require("yapp.message.catalogue")
 local sources = require("yapp.message.sources")
 
 local T = {}
 
-local MOTOR = { name = "motor", title = "Motor Data", id = 0x210 }
-local HEALTH = { name = "health", title = "Health", id = 0x200 }
-local CATALOGUE = { messages = { MOTOR, HEALTH }, by_id = { [0x210] = MOTOR, [0x200] = HEALTH } }
+-- The name of the message that a source was said to carry.
+local function message_name(s, bus, id)
+  local message = s:message(bus, id)
+  return message and message.name
+end
+
+local CATALOGUE = catalogue.compile(dofile("taurus_fields.lua"))
 
 local function parse(text)
   return sources.parse(text, CATALOGUE)
@@ -19,7 +24,7 @@ function T.test_nothing()
     local s, problems = parse(text)
     lu.assertEquals({ problems, s:list() }, { {}, {} })
     lu.assertNil(s:name("can0", 0x210))
-    lu.assertNil(s:message_name(nil, 0x210))
+    lu.assertNil(message_name(s, nil, 0x210))
   end
 end
 
@@ -30,8 +35,8 @@ function T.test_the_example()
   lu.assertEquals({ s:name("can0", 0x210), s:name(nil, 0x210), s:name("can1", 0x210) },
     { "left_fore", "left_fore", "right_fore" })
   lu.assertEquals({ s:name("can1", 0x211), s:name("can1", 0x212) }, { "left_aft", "left_tail" })
-  lu.assertEquals({ s:message_name("can1", 0x210), s:message_name("can9", 0x211) }, { "motor", "motor" })
-  lu.assertNil(s:message_name(nil, 0x212))
+  lu.assertEquals({ message_name(s, "can1", 0x210), message_name(s, "can9", 0x211) }, { "motor", "motor" })
+  lu.assertNil(message_name(s, nil, 0x212))
   lu.assertTrue(s:has_name("left_tail"))
   lu.assertFalse(s:has_name("tail"))
   lu.assertEquals(#s:list(), 4)
@@ -41,7 +46,7 @@ function T.test_a_message_without_a_name_and_names_with_signs()
   local s, problems = parse("0x300=motor:, 0x301=health:left:aft=2, 0x302=ÄÖ rotor 3")
   lu.assertEquals(problems, {})
   lu.assertNil(s:name(nil, 0x300))
-  lu.assertEquals({ s:message_name(nil, 0x300), s:name(nil, 0x301), s:name(nil, 0x302) },
+  lu.assertEquals({ message_name(s, nil, 0x300), s:name(nil, 0x301), s:name(nil, 0x302) },
     { "motor", "left:aft=2", "ÄÖ rotor 3" })
 end
 
@@ -59,17 +64,17 @@ function T.test_buses_with_odd_names()
 end
 
 function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()
-  local s, problems = parse('0x210, 0x800=a, left=b, 0x210=moter:c, 0x211=, "x"0x1=d, 0x212=' .. ("n"):rep(65) ..
+  local s, problems = parse('0x210, 0x800=a, left/x=b, 0x210=moter:c, 0x211=, "x"0x1=d, 0x212=' .. ("n"):rep(65) ..
     ', 0x213=\1, 0x214=\255, -1=q, 1.5=r, 0x215=good, "open/1=e')
   lu.assertEquals(s:name(nil, 0x215), "good")
   lu.assertEquals(#s:list(), 1)
   lu.assertEquals(problems, {
-    "sources: 0x210: a source is [BUS/]ID=[MESSAGE:]NAME",
+    "sources: 0x210: a source is [BUS/]ID=[MESSAGE:]NAME or BUS=NAME",
     'sources: 0x800=a: the ID "0x800" is not one of 0 .. 0x7FF',
-    'sources: left=b: the ID "left" is not one of 0 .. 0x7FF',
-    'sources: 0x210=moter:c: there is no message "moter", but motor, health',
+    'sources: left/x=b: the ID "x" is not one of 0 .. 0x7FF',
+    'sources: 0x210=moter:c: there is no message "moter", but command, motor, health',
     "sources: 0x211=: the name is missing",
-    'sources: "x"0x1=d: a bus in quotes is followed by /',
+    'sources: "x"0x1=d: a bus in quotes is followed by / or =',
     "sources: 0x212=" .. ("n"):rep(65) .. ": the name has more than 64 bytes",
     "sources: 0x213=\1: the name is not a text",
     "sources: 0x214=\255: the name is not a text",
@@ -81,24 +86,42 @@ function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()
   lu.assertEquals(#many, 20)
 end
 
-function T.test_labels()
-  local s = parse("0x210=motor:left, can1/0x211=motor:, 0x300=tail")
-  s:use_ids(CATALOGUE.by_id)
-  lu.assertEquals(s:label("can0", 0x210, MOTOR), "Motor Data left")
-  lu.assertEquals(s:label("can1", 0x211, MOTOR), "Motor Data 0x211 (can1)")
-  lu.assertEquals(s:label(nil, 0x211, MOTOR), "Motor Data 0x211")
-  lu.assertEquals(s:label("can0", 0x200, HEALTH), "Health")
-  lu.assertEquals(s:label("can0", 0x300, nil), "ID 0x300 tail")
-  lu.assertEquals(s:label("can0", 0x301, nil), "ID 0x301")
+function T.test_several_ids_have_one_name()
+  local s, problems = parse("can0/0x210+0x200 + 0=left, 0x210+0x211=motor:right")
+  lu.assertEquals(problems, {})
+  lu.assertEquals({ s:name("can0", 0x210), s:name("can0", 0x200), s:name("can0", 0), s:name("can1", 0x211) },
+    { "left", "left", "left", "right" })
+  lu.assertEquals({ message_name(s, "can1", 0x210), message_name(s, nil, 0x211) }, { "motor", "motor" })
+  lu.assertNil(s:name("can1", 0x200))
+  local rows = {}
+  for i, row in ipairs(s:list()) do rows[i] = ("%s %X %s"):format(row.bus or "-", row.id, row.name) end
+  lu.assertEquals(rows, { "can0 210 left", "can0 200 left", "can0 0 left", "- 210 right", "- 211 right" })
 end
 
-function T.test_the_id_is_shown_where_several_carry_a_message_or_it_is_not_the_default()
-  local s = parse("")
-  s:use_ids { [0x210] = MOTOR, [0x211] = MOTOR, [0x205] = HEALTH }
-  lu.assertEquals(s:label("can0", 0x210, MOTOR), "Motor Data 0x210 (can0)")
-  lu.assertEquals(s:label(nil, 0x205, HEALTH), "Health 0x205")
-  s:use_ids(CATALOGUE.by_id)
-  lu.assertEquals(s:label("can0", 0x210, MOTOR), "Motor Data")
+function T.test_a_bus_alone_names_every_id()
+  local s, problems = parse('can0=left, "2"=right, "a, b" = c, can0/0x200=other, 0x210=motor:x, 0x300=health:')
+  lu.assertEquals(problems, {})
+  lu.assertEquals({ s:name("can0", 0x7FF), s:name("2", 1), s:name("a, b", 1), s:name("can0", 0x200),
+    s:name("can0", 0x210), s:name("can1", 0x210) }, { "left", "right", "c", "other", "left", "x" })
+  lu.assertEquals({ message_name(s, "can0", 0x210), message_name(s, "can0", 0x300) }, { "motor", "health" })
+  lu.assertNil(s:name("can1", 0x7FF))
+  lu.assertNil(s:name(nil, 0x7FF))
+  local row = s:list()[1]
+  lu.assertEquals({ row.bus, row.id or "none", row.name }, { "can0", "none", "left" })
+  lu.assertEquals({ s:has_name("left"), s:has_name("can0") }, { true, false })
+end
+
+function T.test_several_ids_of_which_one_is_known_or_wrong()
+  local s, problems = parse("0x210=a, 0x210+0x211=b, 0x212+0x999=c, 0x213+=d, can0=motor:e, can1=f, can1=g")
+  lu.assertEquals(problems, {
+    "sources: 0x210+0x211=b: this bus and ID stand there before: the first one holds",
+    'sources: 0x212+0x999=c: the ID "0x999" is not one of 0 .. 0x7FF',
+    'sources: 0x213+=d: the ID "" is not one of 0 .. 0x7FF',
+    "sources: can0=motor:e: a message is for an ID, not for a bus",
+    "sources: can1=g: this bus and ID stand there before: the first one holds",
+  })
+  lu.assertEquals({ s:name(nil, 0x210), s:name(nil, 0x211), s:name("can1", 5) }, { "a", "b", "f" })
+  lu.assertNil(s:name(nil, 0x212))
 end
 
 return T

@@ -5,14 +5,19 @@ local M = {}
 
 -- Native operators are syntax errors in Lua 5.2, so they hide in a string.
 local native = load([[
-  return function(a, b) return a & b end, function(a, b) return a | b end, function(a, b) return a ~ b end
+  return function(a, b) return a & b end,
+    function(a, b) return a | b end,
+    function(a, b) return a ~ b end
 ]], "=base.bits native")
 
---- Lua 5.2's library, nil where there are native operators: BitOp in Wireshark (signed results), bit32 in plain Lua
--- (unsigned).  For loops that cannot afford a call more; either result is right after % 0x100000000.
+--- Lua 5.2's library, nil where there are native operators: BitOp in Wireshark (signed results),
+-- bit32 in plain Lua
+-- (unsigned).  For loops that cannot afford a call more; either result is right after %
+-- 0x100000000.
 M.library = not native and (rawget(_G, "bit") or require("bit32")) or nil
 
---- band(a, b): the bits that both have.  bor(a, b): those that any has.  bxor(a, b): those that one of them has.
+--- band(a, b): the bits that both have.  bor(a, b): those that any has.  bxor(a, b): those that one
+-- of them has.
 -- a, b     integers, 0 .. 0xFFFFFFFF
 -- returns  the same
 if native then

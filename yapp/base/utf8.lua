@@ -3,14 +3,17 @@
 
 local M = {}
 
--- Characters beyond ASCII (Unicode, "Well-Formed UTF-8 Byte Sequences"; C: a byte that goes on), no control characters
+-- Characters beyond ASCII (Unicode, "Well-Formed UTF-8 Byte Sequences"; C: a byte that goes on), no
+-- control characters
 local CHARACTERS = {
-  "\194[\160-\191]", "[\195-\223]C", "\224[\160-\191]C", "[\225-\236\238\239]CC", "\237[\128-\159]C",
+  "\194[\160-\191]", "[\195-\223]C",
+  "\224[\160-\191]C", "[\225-\236\238\239]CC", "\237[\128-\159]C",
   "\240[\144-\191]CC", "[\241-\243]CCC", "\244[\128-\143]CC",
 }
 for i, character in ipairs(CHARACTERS) do CHARACTERS[i] = character:gsub("C", "[\128-\191]") end
 
---- The text with a "?" for each character beyond ASCII; bytes that are no UTF-8, or a control character's, stay.
+--- The text with a "?" for each character beyond ASCII; bytes that are no UTF-8, or a control
+-- character's, stay.
 function M.ascii(text)
   if not text:find("[\128-\255]") then return text end
   for _, character in ipairs(CHARACTERS) do text = text:gsub(character, "?") end
@@ -32,7 +35,8 @@ local function printable_at(text, at)
   end
 end
 
---- The text fit to be printed: "\xNN" for each byte of a control character, and each that is no UTF-8.
+--- The text fit to be printed: "\xNN" for each byte of a control character, and each that is no
+-- UTF-8.
 function M.printable(text)
   if M.is_printable(text) then return text end
   local parts, at = {}, 1

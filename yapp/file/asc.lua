@@ -147,7 +147,13 @@ function M.open(file)
   local base, stamps = head:match("\n%s*base%s+(%a+)%s+timestamps%s+(%a+)")
   if not date or base ~= "hex" and base ~= "dec" then return nil end
   date = read_date(date)
+  local channel, has_several = nil, false
+  for other in head:gmatch("\n%s*[%d.]+%s+(%d+)%s+%x+x%s") do
+    channel = channel or other
+    has_several = has_several or other ~= channel
+  end
   return setmetatable({
+    has_several = has_several, -- channels in the first lines
     base = base == "hex" and 16 or 10,
     is_relative = stamps == "relative",
     date = date, -- of the file; nil if unknown

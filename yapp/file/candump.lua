@@ -121,14 +121,16 @@ local function may_begin(lines, first_frame)
 end
 
 -- What the first lines of a file tell: nil if they are not candump's, else { deltas = whether its
--- times are those since the frame before, decimals = 6 or 9, bus = the first one's name }.
+-- times are those since the frame before, decimals = 6 or 9, bus = the first one's name,
+-- has_several = whether they have others too }.
 local function recognise(lines)
-  local records, others = {}, {}
+  local records, others, has_several = {}, {}, false
   for line in gmatch(lines, "([^\n]*)\n") do
     local record, why = parse(line)
     if record then
       if #records == 0 and not may_begin(others, line) then return nil end
       records[#records + 1] = record
+      has_several = has_several or record.bus ~= records[1].bus
     elseif why and not candump_line.HARMLESS[why] then
       others[#others + 1] = line
     end
@@ -138,6 +140,7 @@ local function recognise(lines)
     deltas = are_deltas(records),
     decimals = decimals_of(records),
     bus = records[1].bus,
+    has_several = has_several,
   }
 end
 
@@ -174,7 +177,8 @@ Log.__index = Log
 -- @param options { all = true to take all candump text, false to leave to Wireshark's own reader
 --   what that gets right; by_value = whether that reader tells extended ids by their value, as 4.6
 --   does; report = function(text), called with a line for each message }
--- @return a log with read and seek_read, and decimals (6 or 9) of the times.  Nil if the file is
+-- @return a log with read and seek_read, decimals (6 or 9) of the times, and has_several: whether its
+--   first lines have several buses.  Nil if the file is
 --   not taken; and then the name of its bus, if it is a log that Wireshark's own reader gets right
 function M.open(file, options)
   local head = file:read(HEAD) or ""
@@ -189,6 +193,7 @@ function M.open(file, options)
   end
   return setmetatable({
     decimals = found.decimals,
+    has_several = found.has_several,
     deltas = found.deltas,
     report = options.report or print,
     lines = text.lines(head),

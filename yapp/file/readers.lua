@@ -12,7 +12,7 @@ local M = {}
 
 -- Of the record read last; and of a log that Wireshark's own reader takes.
 local NO_BUS = {}
-local current, plain = NO_BUS, nil
+local current, plain, several = NO_BUS, nil, false
 
 --- Where the record that was read last came from.  A dissector can ask on a first pass, where
 -- records are read and dissected in turns and fields may not be there.
@@ -28,10 +28,15 @@ function M.plain_bus()
   return plain
 end
 
+--- Whether the log that was opened last has several buses, by its first lines.
+function M.are_several()
+  return several
+end
+
 --- A file is looked at: nothing is known of it.  To be called before any reader sees it: sharkd
 -- opens another file without closing the first.
 function M.forget()
-  current, plain = NO_BUS, nil
+  current, plain, several = NO_BUS, nil, false
 end
 
 -- Fills a record with what a log's read or seek_read returned.
@@ -57,6 +62,7 @@ local function register(title, name, kind, row)
     current = NO_BUS
     local log = row.open(file)
     if not log then return false end
+    several = log.has_several or false
     capture.encap = row.encap
     capture.time_precision = log.decimals == 9 and wtap_tsprecs.NSEC or wtap_tsprecs.USEC
     capture.private_table = log

@@ -73,7 +73,7 @@ end
 
 --- Whether the capture tells several sources apart, as far as is known.
 function Buses:are_several()
-  return self.found.source_count > 1 or self.is_blf or readers.current() ~= nil
+  return self.found.has_several or self.is_blf or readers.are_several()
 end
 
 --- Whether the file may have YAPP frames in TCP or UDP, by its first bytes.

@@ -1,13 +1,13 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- A message as a row of CSV: its columns, and the cells of a payload.  Pure Lua, 5.2 and 5.4.
+-- A message as a row of CSV: its columns, and the cells of a payload.  Pure Lua.
 --
--- An enum is its number and, in NAME_text, its meaning; flags are the integer and, in GROUP_FLAG, 0 or 1; a float that
--- is no ordinary number is an empty cell and what it is in NAME_special.  The row of a message is made by a function
--- that is generated for it: out[1] = format("%.7g,", (-8387840 + raws[1] * 256) / 65530) and so on.
+-- An enum is its number and, in NAME_text, its meaning; flags are the integer and, in GROUP_FLAG, 0
+-- or 1; a float that is no ordinary number is an empty cell and what it is in NAME_special.
 
 local bits = require("yapp.base.bits")
 local decode = require("yapp.message.decode")
 local numbers = require("yapp.message.numbers")
+local straight = require("yapp.message.straight")
 
 local M = {}
 
@@ -15,8 +15,8 @@ local format, concat = string.format, table.concat
 
 -- What the rows of every message begin with, and a name that a reader may add.
 local TAKEN = { "time", "frame", "bus", "source", "id", "seq", "crc_good" }
-local SPECIALS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" } -- an empty cell, and the one beside it
-local MOST_CELLS = 1024
+-- An empty cell, and the one beside it.
+local SPECIALS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
 
 --- A text as a cell of CSV: in quotes where it must be.
 function M.quoted(text)
@@ -24,26 +24,32 @@ function M.quoted(text)
   return text
 end
 
--- Columns -----------------------------------------------------------------------------------------------------------
+-- Columns ----------------------------------------------------------------------------------------
 
 local INTEGERS = { uint = true, int = true, flags = true }
 
 -- The columns of a field: { name, type, the flag that it is } each.
 local function columns_of(field)
   local kind, name = field.kind, field.name
-  if kind == "float" or kind == "ieee" then return { { name, "float" }, { name .. "_special", "string" } } end
+  if kind == "float" or kind == "ieee" then
+    return { { name, "float" }, { name .. "_special", "string" } }
+  end
   if kind == "time" or kind == "bool" then return { { name, kind } } end
   if not INTEGERS[kind] then return { { name, "string" } } end
   if field.values then return { { name, "integer" }, { name .. "_text", "string" } } end
   local columns = { { name, field.scale and "float" or "integer" } }
   local group = field.group and field.group:match("[^.]+$")
-  for _, flag in ipairs(field.flags or {}) do columns[#columns + 1] = { group .. "_" .. flag.name, "bool", flag } end
+  for _, flag in ipairs(field.flags or {}) do
+    columns[#columns + 1] = { group .. "_" .. flag.name, "bool", flag }
+  end
   return columns
 end
 
-local columns_by_message = setmetatable({}, { __mode = "k" })
-
-local function make_columns(message)
+--- The columns of a message, in order.
+-- returns  a list of { name =, unit = or nil, type = "float", "integer", "bool", "string" or "time"
+--          (seconds), field =, flag = of one of flags }; a name that another column has already
+--          ("time", "id") gets "_2" behind it
+function M.columns(message)
   local columns, taken = {}, {}
   for _, name in ipairs(TAKEN) do taken[name] = true end
   for _, field in ipairs(message.fields) do
@@ -55,31 +61,25 @@ local function make_columns(message)
       end
       taken[name] = true
       local unit = i == 1 and (field.kind == "time" and "s" or field.unit) or nil
-      columns[#columns + 1] = { name = name, unit = unit, type = column[2], field = field, flag = column[3] }
+      columns[#columns + 1] = {
+        name = name,
+        unit = unit,
+        type = column[2],
+        field = field,
+        flag = column[3],
+      }
     end
   end
   return columns
 end
 
---- The columns of a message, in order.
--- returns  a list of { name =, unit = or nil, type = "float", "integer", "bool", "string" or "time" (seconds),
---          field =, flag = of one of flags }; a name that another column has already ("time", "id") gets "_2" behind it
-function M.columns(message)
-  local columns = columns_by_message[message]
-  if not columns then
-    columns = make_columns(message)
-    columns_by_message[message] = columns
-  end
-  return columns
-end
+-- Cells ------------------------------------------------------------------------------------------
 
--- Cells -------------------------------------------------------------------------------------------------------------
-
--- The cells of a field as a text, from its raw value, by kind; of few values each is made once.
+-- The cells of a field as a text, from its raw value and the payload, by kind.
 local cells = {}
 
 function cells.float(field, raw)
-  local value, special = decode.float(field, raw)
+  local value, special = decode.value(field, raw)
   return special and SPECIALS[special] or format(decode.format_of(field) .. ",", value)
 end
 
@@ -99,116 +99,75 @@ end
 
 function cells.flags(field, raw)
   local texts = { format("%.0f", raw) }
-  for i, flag in ipairs(field.flags) do texts[i + 1] = bits.band(raw, flag.mask) ~= 0 and "1" or "0" end
+  for i, flag in ipairs(field.flags) do
+    texts[i + 1] = bits.band(raw, flag.mask) ~= 0 and "1" or "0"
+  end
   return concat(texts, ",")
 end
 
 function cells.string(field, raw) return M.quoted(decode.value(field, raw)) end
 
-cells.int, cells.bytes = cells.uint, cells.string
 function cells.bool(_, raw) return raw == 0 and "0" or "1" end
 
--- A function of the raw value that keeps what it made in a table, as long as that is not too much.
-local function remembering(field, known)
-  local count, make = 0, cells[field.kind]
+cells.int, cells.bytes = cells.uint, cells.string
+
+-- A function that writes the cells of a field; the latest ones are kept: flags seldom change.
+local function new_write(field)
+  local make, last, text = cells[field.kind], nil, nil
+  if field.kind == "time" then
+    return function(_, payload) return decode.seconds(decode.time(payload, field.offset)) end
+  end
   return function(raw)
-    if count >= MOST_CELLS then
-      for key in pairs(known) do known[key] = nil end
-      count = 0
-    end
-    local text = make(field, raw)
-    known[raw], count = text, count + 1
+    if raw ~= last then last, text = raw, make(field, raw) end
     return text
   end
 end
 
--- Which kinds have few values: they repeat from message to message.
-local function has_few(field)
-  return field.size == 1 or field.kind == "flags" or field.values ~= nil
-end
+-- Rows -------------------------------------------------------------------------------------------
 
--- Rows --------------------------------------------------------------------------------------------------------------
-
-local MOST_CALLS = 50 -- of a row in one format: a function has up to 200 local variables, a call 250 arguments
-
--- Whether a field is a compressed float that one format writes, if it has no special value.
-local function is_formatted(field)
-  return field.kind == "float" and not has_few(field) and field.size <= 6
-end
-
--- What a field's cells are, as an expression.
-local function cell_source(field, i)
-  if field.kind == "time" then return format("seconds(time(payload, %d))", field.offset) end
-  if not has_few(field) then return format("CELLS[%d](raws[%d])", i, i) end
-  return format("KNOWN[%d][raws[%d]] or CELLS[%d](raws[%d])", i, i, i, i)
-end
-
--- The usual row: one format.  A message with fields that are there in some cases only has none, nor one of many fields
--- or of padding only.
-local function usual_source(message)
-  local lines, formats, values = {}, {}, {}
-  if not message.fields[1] then return "" end
+-- How the row of a message is written: { parts = list of { field, index, write, empty = cells of
+-- nothing }, usual = function(raws, payload) -> the row, nil for one with special values }.
+local function new_row(message)
+  local parts, plain, shapes = {}, {}, {}
+  local is_usual = #message.fields > 0
   for i, field in ipairs(message.fields) do
-    if field.when or i > MOST_CALLS then return "" end
-    if is_formatted(field) then
-      lines[#lines + 1] = format("local a%d = raws[%d]\nif a%d > %d then return nil end", i, i, i, field.ordinary)
-      formats[i], values[i] = decode.format_of(field) .. ",", decode.float_source(field, "a" .. i)
-    else
-      formats[i], values[i] = "%s", cell_source(field, i)
-    end
+    local is_plain = straight.is_plain(field)
+    parts[i] = {
+      field = field,
+      index = i,
+      write = new_write(field),
+      empty = (","):rep(#columns_of(field) - 1),
+    }
+    plain[i] = is_plain and { field = field, index = i } or parts[i]
+    shapes[i] = is_plain and decode.format_of(field) .. "," or "%s"
+    is_usual = is_usual and not field.when
   end
-  return format('%s\nreturn format("%s", %s)', concat(lines, "\n"), concat(formats, ","), concat(values, ", "))
+  local usual = is_usual and straight.writer(plain, concat(shapes, ",")) or function() end
+  return { parts = parts, usual = usual }
 end
 
--- Any row: cell by cell.
-local function line_source(field, i)
-  if not is_formatted(field) then return format("out[%d] = %s", i, cell_source(field, i)) end
-  return format('a = raws[%d]\nif a > %d then out[%d] = SPECIALS[%d - a] else out[%d] = format("%s,", %s) end', i,
-    field.ordinary, i, field.top, i, decode.format_of(field), decode.float_source(field, "a"))
-end
+local rows = setmetatable({}, { __mode = "k" }) -- by message
 
-local function row_source(message)
-  local lines = { "local KNOWN, CELLS, SPECIALS, EMPTY, out, format, concat, time, seconds = ...",
-    "local function usual(payload, raws)", usual_source(message), "end", "return function(payload, raws)",
-    "local a = usual(payload, raws) if a then return a end" }
-  for i, field in ipairs(message.fields) do
-    local line, when = line_source(field, i), field.when
-    if when then
-      line = format("if raws[%d] == %d then %s else out[%d] = EMPTY[%d] end", when.index, when.value, line, i, i)
-    end
-    lines[#lines + 1] = line
-  end
-  lines[#lines + 1] = format('return concat(out, ",", 1, %d) end', #message.fields)
-  return concat(lines, "\n")
-end
-
--- The writer of a message: { row, version of the divisor }.
-local function make_writer(message)
-  local known, made, empty = {}, {}, {}
-  for i, field in ipairs(message.fields) do
-    local make = cells[field.kind]
-    known[i] = {}
-    made[i] = has_few(field) and remembering(field, known[i]) or make and function(raw) return make(field, raw) end
-    empty[i] = (","):rep(#columns_of(field) - 1)
-  end
-  local chunk = assert(load(row_source(message), "=row of " .. message.name))
-  local row = chunk(known, made, SPECIALS, empty, {}, format, concat, decode.time, decode.seconds)
-  return { row = row, version = select(2, decode.divisor()) }
-end
-
-local writers = setmetatable({}, { __mode = "k" })
-
---- The cells of a message, joined by commas, in the order of its columns; quoted where they must be.
+--- The cells of a message, joined by commas, in the order of its columns; quoted where they must
+-- be.
 -- payload  string; nil is returned where it is shorter than the message
 function M.row(message, payload)
   if #payload < message.size then return nil end
-  local writer = writers[message]
-  local _, version = decode.divisor()
-  if not writer or writer.version ~= version then
-    writer = make_writer(message)
-    writers[message] = writer
+  local row = rows[message]
+  if not row then
+    row = new_row(message)
+    rows[message] = row
   end
-  return writer.row(payload, (decode.read(message, payload)))
+  local raws = decode.read(message, payload)
+  local usual = row.usual(raws, payload)
+  if usual then return usual end
+  local texts = {}
+  for i, part in ipairs(row.parts) do
+    local when = part.field.when
+    local is_there = not when or raws[when.index] == when.value
+    texts[i] = is_there and part.write(raws[i], payload) or part.empty
+  end
+  return concat(texts, ",")
 end
 
 return M

@@ -1,16 +1,19 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The history of each source: what changed between a good message and the good one before it.  Pure Lua, 5.2 and 5.4.
+-- The history of each source: what changed between a good message and the good one before it.  Pure
+-- Lua.
 --
--- A source is a bus or stream, and an ID.  What changed is worked out once, in the order of the capture, and kept as
--- events, so that a later look at any message gets the same: memory grows with events, Commands and reboots, not with
--- messages.
+-- A source is a bus or stream, and an ID.  What changed is worked out once, in the order of the
+-- capture, and kept as events, so that a later look at any message gets the same: memory grows with
+-- events, Commands and reboots, not with messages.
+
+local band = require("yapp.base.bits").band
 
 local M = {}
 
-local byte = string.byte
-local unpack = rawget(table, "unpack")
+local byte, floor = string.byte, math.floor
 
-local NANOSECOND = 1e-9 -- what a capture's times have; a difference of two of them has a little more or less
+-- What a capture's times have; a difference of two of them has a little more or less.
+local NANOSECOND = 1e-9
 local NOTHING = {} -- how things stand before a source's first event
 
 local History = {}
@@ -18,15 +21,31 @@ History.__index = History
 
 --- The history of one pass over one capture.
 -- options  { late = how many periods of its message a gap must exceed to be one (2.5),
---            catalogue = compiled: which messages others answer (without it, the one that is called command) }
+--            catalogue = compiled: which messages others answer (without it, the one that is called
+--            command) }
 function M.new(options)
   options = options or {}
-  local answered = { command = not options.catalogue or nil }
+  local self = setmetatable({ late = options.late or 2.5, by_key = {} }, History)
+  self.answered = { command = not options.catalogue or nil } -- [message name] = true
+  self.commands = {} -- [bus or false][message name] = numbers of messages that others answer
+  self.flags = {} -- [message] = the places of its fields of flags
   for _, message in ipairs(options.catalogue and options.catalogue.messages or {}) do
-    if message.answers then answered[message.answers] = true end
+    if message.answers then self.answered[message.answers] = true end
   end
-  return setmetatable({ late = options.late or 2.5, answered = answered, by_key = {}, list = {}, commands = {},
-    kinds = {} }, History)
+  return self
+end
+
+local function new_source()
+  return {
+    values = {}, -- of the flags of the previous good message, by index of field
+    raised_at = {}, -- [index of a field with alarms] = { [bit] = when it was raised }
+    clock = nil, -- the controller's, in the previous good message
+    seq = nil,
+    last_time = nil,
+    numbers = {}, -- of the messages at which something happened, ascending
+    events = {}, -- what happened: events[i] at numbers[i], see keep
+    changes = {}, -- numbers of the messages that changed an alarm
+  }
 end
 
 -- The place of the last of these ascending numbers that is not above `most`, 0 where none is.
@@ -34,50 +53,38 @@ local function last_until(numbers, most)
   local low, high = 0, #numbers
   if high == 0 or numbers[high] <= most then return high end
   while low < high do
-    local middle = (low + high + 1 - (low + high + 1) % 2) / 2
-    if numbers[middle] <= most then low = middle else high = middle - 1 end
+    local middle = floor((low + high + 1) / 2)
+    if numbers[middle] <= most then
+      low = middle
+    else
+      high = middle - 1
+    end
   end
   return low
 end
 
--- Which fields of a message are flags: worked out once a message.
-local function kind_of(self, message)
-  local kind = { flags = {}, known = {}, clock_at = message.time and message.time.offset + 1 }
-  for i, field in ipairs(message.fields) do
-    if field.kind == "flags" then kind.flags[#kind.flags + 1] = i end
-  end
-  self.kinds[message] = kind
-  return kind
-end
-
 -- The controller's clock in nanoseconds: an int64, little endian; exact up to 104 days (2^53 ns).
-local function clock_of(payload, at)
-  local a, b, c, d, e, f, g, h = byte(payload, at, at + 7)
+-- Nil where the message has none.
+local function clock_of(look)
+  local field = look.raws and look.message and look.message.time
+  if not field then return nil end
+  local at = field.offset + 1
+  local a, b, c, d, e, f, g, h = byte(look.payload, at, at + 7)
   if not h then return nil end
   if h >= 0x80 then h = h - 0x100 end
   return a + b * 0x100 + c * 0x10000 + d * 0x1000000 +
     (e + f * 0x100 + g * 0x10000 + h * 0x1000000) * 0x100000000
 end
 
--- The bits that rose and that fell between two values.
-local function difference(before, now)
-  local raised, cleared, bit = 0, 0, 1
-  while before > 0 or now > 0 do
-    local b, n = before % 2, now % 2
-    if n > b then raised = raised + bit elseif b > n then cleared = cleared + bit end
-    before, now, bit = (before - b) / 2, (now - n) / 2, bit * 2
-  end
-  return raised, cleared
-end
+-- Flags ------------------------------------------------------------------------------------------
 
-local function new_source(look)
-  return { key = look.source, id = look.id, bus = look.bus, message = look.message,
-    values = {},     -- of the flags of the previous good message, by index of field
-    raised_at = {},  -- [index of an alarm field] = { [bit] = when it was raised }
-    state = NOTHING, -- after the latest event: { active_since, clock, time (where drift is 0), stale }
-    numbers = {}, events = {}, -- what happened: events[i] at the message numbers[i]
-    changes = {},    -- numbers of the messages that changed an alarm
-  }
+-- Keeps when the bits of a mask were raised, nil for those that fell.
+local function mark(times, mask, time)
+  local bit = 1
+  while bit <= mask do
+    if mask % (2 * bit) >= bit then times[bit] = time end
+    bit = bit * 2
+  end
 end
 
 -- Since when the oldest alarm bit that is still set has been set.
@@ -91,162 +98,153 @@ local function oldest(raised_at)
   return since
 end
 
--- Keeps when each bit was raised.
-local function note_bits(times, value, time)
-  local bit, rest = 1, value
-  while rest > 0 do
-    local is_set = rest % 2 == 1
-    if is_set and not times[bit] then times[bit] = time end
-    rest, bit = (rest - rest % 2) / 2, bit * 2
-  end
-  for raised in pairs(times) do
-    if value % (2 * raised) < raised then times[raised] = nil end
-  end
+-- What changed in one field of flags; nil for nothing.  Of a source's first message the alarms
+-- count as raised.
+local function flag_change(field, before, now)
+  before = before or now - band(now, field.alarm_bits)
+  local both = band(before, now)
+  local raised, cleared = band(now - both, field.watched), band(before - both, field.watched)
+  if raised == 0 and cleared == 0 then return nil end
+  return {
+    field = field,
+    value = now,
+    raised = raised,
+    cleared = cleared,
+    alarm_raised = band(raised, field.alarm_bits),
+    alarm_cleared = band(cleared, field.alarm_bits),
+  }
 end
 
--- A change of a flags field, as a list of its own.  Flags go to and fro between a few values: the same change is kept
--- once, not once an event; nobody writes into it.
-local function change_of(kind, field, before, now)
-  local known = kind.known[field] or {}
-  kind.known[field] = known
-  local by_value = known[before] or {}
-  known[before] = by_value
-  local list = by_value[now]
-  if not list then
-    local raised, cleared = difference(before, now)
-    list = { { field = field, value = now, raised = raised, cleared = cleared } }
-    by_value[now] = list
+-- The places of the fields of flags of a message.
+local function flags_of(self, message)
+  local places = self.flags[message]
+  if places then return places end
+  places = {}
+  for i, field in ipairs(message.fields) do
+    if field.kind == "flags" then places[#places + 1] = i end
   end
-  return list
+  self.flags[message] = places
+  return places
 end
 
--- What changed in one flags field, as a list; nil for nothing.  Of a source's first message the alarms count as raised.
-local function flag_change(source, kind, index, look)
-  local field, now = look.message.fields[index], look.raws[index]
-  local before = source.values[index] or field.alarm and 0
-  source.values[index] = now
-  if not before or before == now then return nil end
-  if field.alarm then
-    local times = source.raised_at[index] or {}
-    source.raised_at[index] = times
-    note_bits(times, now, look.time)
-  end
-  return change_of(kind, field, before, now)
-end
-
--- A new list: either may be one that is kept.
-local function both(list, change)
-  list = { unpack(list) }
-  list[#list + 1] = change[1]
-  return list
-end
-
--- What changed in the flags of a good message; nil for nothing.
-local function flag_changes(source, kind, look)
-  local changes
-  local raws, values = look.raws, source.values
-  for i = 1, #kind.flags do
-    local index = kind.flags[i]
-    local raw = raws[index]
-    if raw and raw ~= values[index] then
-      local change = flag_change(source, kind, index, look)
-      changes = changes and change and both(changes, change) or changes or change
+-- What changed in the flags of a good message, nil for nothing; and whether an alarm did.
+local function flag_changes(self, source, look)
+  local changes, is_alarm
+  for _, index in ipairs(look.raws and flags_of(self, look.message) or NOTHING) do
+    local now, before = look.raws[index], source.values[index]
+    local change = now and now ~= before and flag_change(look.message.fields[index], before, now)
+    source.values[index] = now or before
+    if change then
+      changes = changes or {}
+      changes[#changes + 1] = change
+    end
+    if change and change.alarm_raised + change.alarm_cleared > 0 then
+      is_alarm = true
+      local times = source.raised_at[index] or {}
+      source.raised_at[index] = times
+      mark(times, change.alarm_raised, look.time)
+      mark(times, change.alarm_cleared, nil)
     end
   end
-  return changes
+  return changes, is_alarm
 end
 
-local function has_alarm(changes)
-  for i = 1, changes and #changes or 0 do
-    if changes[i].field.alarm then return true end
-  end
-  return false
+-- Following --------------------------------------------------------------------------------------
+
+-- How many messages are missing before one by their Seq.  A Seq that stands still numbers nothing;
+-- a controller that reboots begins anew.
+local function missing_before(seq, previous, is_reboot)
+  if not seq or not previous or seq == previous or is_reboot then return nil end
+  local missing = (seq - previous - 1) % 256
+  return missing > 0 and missing or nil
+end
+
+-- Whether a clock went back, and whether it stood still, since the one before; each true or nil.
+local function clock_change(before, clock)
+  if not before or not clock then return nil, nil end
+  return clock < before or nil, clock == before or nil
 end
 
 -- Keeps what happened at a message, and how things stand after it.
-local function keep(source, look, event)
-  if event.is_alarm then source.changes[#source.changes + 1] = look.number end
-  local count = #source.numbers + 1
-  source.numbers[count], source.events[count], source.state = look.number, event, event
+local function keep(source, look, event, is_new_clock)
+  local state = source.events[#source.events] or NOTHING
+  event.active_since = state.active_since
+  if event.is_alarm then
+    event.active_since = oldest(source.raised_at)
+    source.changes[#source.changes + 1] = look.number
+  end
+  event.clock, event.time = state.clock, state.time -- of the message where drift is 0
+  if is_new_clock then event.clock, event.time = source.clock, look.time end
+  source.numbers[#source.numbers + 1] = look.number
+  source.events[#source.events + 1] = event
 end
 
--- A good message: keeps what it changes; returns the controller's clock, and whether there is anything new.
+-- A good message: keeps what it changes.
 local function follow(self, source, look)
-  local message, state = look.message, source.state
-  local flags, clock, is_new_clock, reboot, stale
-  if message and look.raws then
-    local kind = self.kinds[message] or kind_of(self, message)
-    flags = flag_changes(source, kind, look)
-    clock = kind.clock_at and clock_of(look.payload, kind.clock_at)
-    if clock then
-      local before = source.clock
-      reboot, stale = before and clock < before or nil, before == clock or nil
-      is_new_clock, source.clock = reboot or not before, clock
-    end
+  local state = source.events[#source.events] or NOTHING
+  local before, clock = source.clock, clock_of(look)
+  local flags, is_alarm = flag_changes(self, source, look)
+  local reboot, stale = clock_change(before, clock)
+  local missing = missing_before(look.seq, source.seq, reboot)
+  local is_new_clock = clock and (reboot or not before)
+  source.clock, source.seq, source.last_time = clock or before, look.seq, look.time
+  if flags or missing or is_new_clock or stale ~= state.stale then
+    local event = { flags = flags, is_alarm = is_alarm, missing = missing }
+    event.reboot, event.stale = reboot, stale
+    keep(source, look, event, is_new_clock)
   end
-  local seq, previous, missing = look.seq, source.seq, nil
-  source.seq, source.last_time = seq, look.time
-  -- A Seq that stands still numbers nothing; a controller that reboots begins anew.
-  if seq and previous and seq ~= previous and not reboot then
-    missing = (seq - previous - 1) % 256
-    if missing == 0 then missing = nil end
-  end
-  local is_new = flags or missing or is_new_clock or stale ~= state.stale
-  if is_new then
-    keep(source, look, { flags = flags, missing = missing, reboot = reboot, stale = stale,
-      clock = is_new_clock and clock or state.clock, time = is_new_clock and look.time or state.time,
-      active_since = oldest(source.raised_at), is_alarm = has_alarm(flags) or nil })
-  end
-  return clock, is_new or stale
 end
 
--- The numbers of a bus's messages of one kind that others answer.
+-- The numbers of a bus's messages of one name that others answer.
 local function commands_of(self, bus, name)
-  local by_name = self.commands[bus or false]
-  if not by_name then
-    by_name = {}
-    self.commands[bus or false] = by_name
-  end
-  local numbers = by_name[name]
-  if not numbers then
-    numbers = {}
-    by_name[name] = numbers
-  end
-  return numbers
+  local by_name = self.commands[bus or false] or {}
+  self.commands[bus or false] = by_name
+  by_name[name] = by_name[name] or {}
+  return by_name[name]
 end
 
-local function is_late(self, message, delta)
-  local every = message and message.every
+-- Telling ----------------------------------------------------------------------------------------
+
+local function drift_of(look, state)
+  local clock = state.clock and clock_of(look)
+  return clock and (clock - state.clock) / 1e9 - (look.time - state.time) or nil
+end
+
+-- The latest good message before one on its bus of those that it answers.
+local function command_of(self, look)
+  local name = look.message and look.message.answers
+  if not name then return nil end
+  local numbers = commands_of(self, look.bus, name)
+  return numbers[last_until(numbers, look.number - 1)]
+end
+
+local function is_late(self, look, delta)
+  local every = look.message and look.message.every
   return every and delta and delta > self.late * every + NANOSECOND / 2
 end
 
--- The change of a good message from what is kept.
-local function tell(self, source, look, delta, clock)
+-- What is kept of a good message as its change.
+local function tell(self, source, look, delta)
   local place = last_until(source.numbers, look.number)
   local state = source.events[place] or NOTHING
   local event = source.numbers[place] == look.number and state or NOTHING
-  local message, active_since, late, drift, command_in, previous = look.message, state.active_since, nil, nil, nil, nil
-  if message then
-    if is_late(self, message, delta) then late = delta end
-    if state.clock and look.raws then
-      clock = clock or clock_of(look.payload, message.time.offset + 1)
-      drift = clock and (clock - state.clock) / 1e9 - (look.time - state.time)
-    end
-    if message.answers then
-      local numbers = commands_of(self, look.bus, message.answers)
-      command_in = numbers[last_until(numbers, look.number - 1)]
-    end
-    if active_since or event.is_alarm then
-      previous = source.changes[last_until(source.changes, look.number - 1)]
-    end
-  end
-  -- A table of four: most changes are no more, and one with room for all keys costs 640 bytes of garbage.
-  local change = { delta = delta, drift = drift, command_in = command_in, active_since = active_since }
-  if late then change.late = late end
+  -- A table of four: most changes are no more, and one with room for all keys costs 640 bytes of
+  -- garbage.
+  local change = {
+    delta = delta,
+    drift = drift_of(look, state),
+    command_in = command_of(self, look),
+    active_since = state.active_since,
+  }
+  if is_late(self, look, delta) then change.late = delta end
   if state.stale then change.stale = true end
-  if previous then change.previous_change = previous end
-  if event ~= NOTHING then change.missing, change.reboot, change.flags = event.missing, event.reboot, event.flags end
-  if event.is_alarm then change.is_alarm = true end
+  if state.active_since or event.is_alarm then
+    change.previous_change = source.changes[last_until(source.changes, look.number - 1)]
+  end
+  if event ~= NOTHING then
+    change.missing, change.reboot = event.missing, event.reboot
+    change.flags, change.is_alarm = event.flags, event.is_alarm
+  end
   return next(change) and change
 end
 
@@ -255,41 +253,42 @@ local function only_delta(delta)
 end
 
 --- Takes the next message, in the order of the capture.
--- look     { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled or nil,
---          raws = by index of field, nil where the payload does not fit, payload =, id =, seq =,
+-- look     { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled
+--          or nil, raws = by index of field, nil where the payload does not fit, payload =, seq =,
 --          number = of the message: it grows, and no other has it; time = seconds of the capture,
---          good = whether the CRC, or the lack of one, says that it is whole,
---          is_brief = whether nobody asks for more than what is new: then there is no change where nothing is };
---          it is not kept: one table may serve all
+--          good = whether the CRC, or the lack of one, says that it is whole }; it is not kept
 -- returns  what changed, nil where nothing is known, and delta by itself: {
 --   delta         seconds since the source's previous good message
 --   missing       messages missing before it by their Seq
 --   late          seconds, where delta is more than a lost message or two
 --   reboot, stale true where the controller's clock went back, stood still
---   drift         seconds: controller's clock less the capture's, since the source's first message or reboot
---   command_in    number of the latest good message on the bus before it of those that it answers: a Command
---   flags         { { field =, value =, raised = bits, cleared = bits } ... } of every flags field that changed; in a
---                 source's first message all alarms that are set are raised, other flags are not told
---   is_alarm      true where an alarm is among these
---   active_since  time at which the oldest alarm bit that is still set was raised
---   previous_change  number of the message before it that changed an alarm, where one is set or changed }
+--   drift         seconds: controller's clock less the capture's, since the source's first message
+--                 or reboot
+--   command_in    number of the latest good message on the bus before it of those that it answers:
+--                 a Command
+--   flags         list of { field, value, raised, cleared, alarm_raised, alarm_cleared } of the
+--                 fields whose flags changed: masks, alarm_* of the faults alone; in a source's
+--                 first message all faults that are set are raised, other flags are not told
+--   is_alarm      true where a fault rose or fell
+--   active_since  time at which the oldest fault that is still set was raised
+--   previous_change  number of the message before it that changed an alarm, where one is set or
+--                    changed }
 -- A message that is not good changes nothing and has its delta only.
 function History:note(look)
   local source = self.by_key[look.source]
   if not source then
-    source = new_source(look)
-    self.by_key[look.source], self.list[#self.list + 1] = source, source
+    source = new_source()
+    self.by_key[look.source] = source
   end
   local delta = source.last_time and look.time - source.last_time
   if not look.good then return only_delta(delta), delta end
-  local clock, is_new = follow(self, source, look)
-  local message = look.message
-  if message and self.answered[message.name] then
-    local numbers = commands_of(self, look.bus, message.name)
+  follow(self, source, look)
+  local name = look.message and look.message.name
+  if name and self.answered[name] then
+    local numbers = commands_of(self, look.bus, name)
     numbers[#numbers + 1] = look.number
   end
-  if look.is_brief and not is_new and not is_late(self, message, delta) then return nil, delta end
-  return tell(self, source, look, delta, clock), delta
+  return tell(self, source, look, delta), delta
 end
 
 --- What History:note said of a message, at any later time and in any order.
@@ -301,19 +300,10 @@ function History:change(look)
 end
 
 --- The number of the next message of a source that changes an alarm, nil where none does.
--- number   of a message
--- source   its key; without it the number must be that of a message that changes an alarm
+-- number   of a message; source: its key
 function History:next_change(number, source)
-  for _, one in ipairs(source and { self.by_key[source] } or self.list) do
-    local changes = one.changes
-    local place = last_until(changes, number)
-    if source or changes[place] == number then return changes[place + 1] end
-  end
-end
-
---- The sources in the order in which they showed: a list of { key =, id =, bus =, message = }.
-function History:sources()
-  return self.list
+  local changes = self.by_key[source] and self.by_key[source].changes or NOTHING
+  return changes[last_until(changes, number) + 1]
 end
 
 return M

@@ -1,67 +1,76 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What the Info column says of a message.  Pure Lua, 5.2 and 5.4.
---
--- A list has it for every message: the text of one with nothing special to show is made by a function that is generated
--- for each message of the catalogue:
---   local a1 = raws[3]
---   if not a1 or a1 > 65530 then return end
---   ...
---   return format("%.1f RPM  %.2f V", (-3931800000.0 + a1 * 120000.0) / 65530.0, ...)
+-- What the Info column says of a message, as the catalogue writes it: "{name:%.1f} V".  Pure Lua.
 
+local check = require("yapp.message.check")
 local decode = require("yapp.message.decode")
-local info = require("yapp.message.catalogue_info")
+local straight = require("yapp.message.straight")
 
 local M = {}
 
-local format, concat, band = string.format, table.concat, decode.band
+local format, concat = string.format, table.concat
 
 local SPECIALS = { [0] = "NaN", "+inf", "-inf", "above range", "below range" }
-local MOST_FIELDS = 100 -- of one text: a function has up to 200 local variables
+local MOST_BYTES = 1000 -- of a text of the catalogue
+
+-- Whether the value of a field is a number with a fraction.
+local function is_real(field)
+  return field.kind == "float" or field.kind == "ieee" or field.scale ~= nil
+end
 
 -- What a field shows when there is nothing special about it, nil where there is.
 local function usual(field, raw)
   if not raw then return nil end
-  if info.is_real(field) then return (decode.value(field, raw)) end
   if field.values then return field.values[raw] end
   if field.kind == "bool" then return raw == 0 and "false" or raw == 1 and "true" or nil end
-  if field.kind == "string" or field.kind == "bytes" then return decode.value(field, raw) end
-  return type(raw) == "number" and format("%.0f", raw) or raw -- tostring has 14 digits in Lua 5.2
+  local value = decode.value(field, raw)
+  if is_real(field) or type(value) == "string" then return value end
+  return format("%.0f", value) -- tostring has 14 digits in Lua 5.2
 end
 
-local function usual_source(message)
-  local lines, values, parts = {}, { "FORMAT" }, message.info_fields
-  if #parts > MOST_FIELDS then return "return nil" end
-  for i, part in ipairs(parts) do
-    local field = part.field
-    if field.kind == "float" and field.size <= 6 then
-      lines[i] = format("local a%d = raws[%d] if not a%d or a%d > %d then return nil end", i, part.index, i, i,
-        field.ordinary)
-      values[i + 1] = decode.float_source(field, "a" .. i)
-    else
-      lines[i] = format("local a%d = usual(PARTS[%d].field, raws[%d]) if not a%d then return nil end", i, i, part.index,
-        i)
-      values[i + 1] = "a" .. i
+-- Compiling --------------------------------------------------------------------------------------
+
+local function compile_part(message, name, shape)
+  local field = message.by_name[name]
+  check.demand(field, "info names a field %s that is not there", check.shown(name))
+  check.demand(shape == "" or is_real(field) and shape:find("^%%%.?%d?[fg]$"),
+    "info: the format %s is not one for %s", check.shown(shape), name)
+  local part = {
+    field = field,
+    index = message.index[field],
+    format = shape ~= "" and shape or "%.4g",
+  }
+  if not straight.is_plain(field) then
+    function part.write(raw) return usual(field, raw) end
+  end
+  return part
+end
+
+--- Compiles the text of a message: sets its
+--   info      parts { { field = f, index = i, format = "%.1f" }, " V" }
+--   usual     function(raws) -> the same as one text, nil where a value is special
+-- Raises what is wrong.
+function M.compile(message, text)
+  local is_text = text == "" or check.is_text(text, MOST_BYTES)
+  check.demand(is_text, "info must be a text, not %s", check.shown(text))
+  local parts, fields, shape, at = {}, {}, "", 1
+  while at do
+    local from, to, name, part_shape = text:find("{([%w_]+):?([^}]*)}", at)
+    local literal = text:sub(at, (from or 0) - 1)
+    if literal ~= "" then parts[#parts + 1] = literal end
+    shape = shape .. literal:gsub("%%", "%%%%")
+    if from then
+      local part = compile_part(message, name, part_shape)
+      parts[#parts + 1] = part
+      fields[#fields + 1] = part
+      shape = shape .. (is_real(part.field) and part.format or "%s")
     end
+    at = to and to + 1
   end
-  return concat(lines, "\n") .. "\nreturn format(" .. concat(values, ", ") .. ")"
+  message.info = parts
+  message.usual = straight.writer(fields, shape)
 end
 
-local HEAD = "local format, usual, FORMAT, PARTS = ... return function(raws)\n"
-
-local made, version = setmetatable({}, { __mode = "k" }), nil -- by message; of which divisor
-
--- The function of a message: from raws to the text, nil where there is something special to show.
-local function usual_of(message)
-  local _, now = decode.divisor()
-  if now ~= version then made, version = setmetatable({}, { __mode = "k" }), now end
-  local text_of = made[message]
-  if not text_of then
-    local chunk = assert(load(HEAD .. usual_source(message) .. "\nend", "=info of " .. message.name))
-    text_of = chunk(format, usual, message.info_format, message.info_fields)
-    made[message] = text_of
-  end
-  return text_of
-end
+-- The text ---------------------------------------------------------------------------------------
 
 local function shown(part, raw, payload)
   local field = part.field
@@ -69,7 +78,7 @@ local function shown(part, raw, payload)
     return decode.seconds(decode.time(payload, field.offset)) .. " s"
   end
   if not raw then return "?" end
-  if info.is_real(field) then
+  if is_real(field) then
     local value, special = decode.value(field, raw)
     return special and SPECIALS[special] or format(part.format, value)
   end
@@ -89,13 +98,14 @@ end
 -- raws     from decode.read; payload: the string that they are from, for times
 -- name     what the message is called; its title when left out
 function M.text(message, raws, payload, name)
-  local text = (name or message.title) .. "  " .. (usual_of(message)(raws) or in_parts(message, raws, payload))
-  local alarms = message.alarms
-  for i = 1, #alarms do
-    local field = alarms[i]
-    local raw = raws[message.index[field]]
-    if raw and raw ~= 0 and band(raw, field.watched) ~= 0 then
-      text = text .. "  " .. field.alarm .. " " .. decode.flag_names(field, raw)
+  local text, word = message.usual(raws) or in_parts(message, raws, payload), nil
+  text = (name or message.title) .. "  " .. text
+  for _, field in ipairs(message.alarms) do
+    local alarms = decode.alarms(message, raws, message.index[field])
+    if alarms ~= 0 then
+      local before = field.alarm == word and ", " or "  " .. field.alarm .. " "
+      text = text .. before .. decode.flag_names(field, alarms)
+      word = field.alarm
     end
   end
   return text

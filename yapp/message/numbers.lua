@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Numbers as they lie in a payload, little endian ("YAPP Data Types", "Time").  Pure Lua, 5.2 and 5.4.
+-- Numbers as they lie in a payload, little endian ("YAPP Data Types", "YAPP Float Compression",
+-- "Time").  Pure Lua.
 
 local M = {}
 
@@ -9,8 +10,9 @@ local HUGE = math.huge
 --- COMPAT 5.4: a quotient is a float there, and NSTime takes integers only.
 local whole = rawget(math, "tointeger") or function(n) return n end
 
---- An IEEE 754 number of four bytes.
-function M.float32(a, b, c, d)
+--- An IEEE 754 number of four bytes, 1-based at.
+function M.float32(payload, at)
+  local a, b, c, d = byte(payload, at, at + 3)
   local sign, exponent = d >= 0x80 and -1 or 1, d % 0x80 * 2 + (c >= 0x80 and 1 or 0)
   local mantissa = c % 0x80 * 0x10000 + b * 0x100 + a
   if exponent == 0xFF then return mantissa == 0 and sign * HUGE or 0 / 0 end
@@ -22,7 +24,8 @@ end
 function M.float64(payload, at)
   local a, b, c, d, e, f, g, h = byte(payload, at, at + 7)
   local sign, exponent = h >= 0x80 and -1 or 1, h % 0x80 * 16 + (g - g % 16) / 16
-  local mantissa = (a + b * 0x100 + c * 0x10000 + d * 0x1000000) + (e + f * 0x100 + g % 16 * 0x10000) * 2 ^ 32
+  local low, high = a + b * 0x100 + c * 0x10000 + d * 0x1000000, e + f * 0x100 + g % 16 * 0x10000
+  local mantissa = low + high * 2 ^ 32
   if exponent == 0x7FF then return mantissa == 0 and sign * HUGE or 0 / 0 end
   if exponent == 0 then return sign * (mantissa * 2 ^ -1074) end
   return sign * (mantissa + 2 ^ 52) * 2 ^ (exponent - 1075)
@@ -31,7 +34,8 @@ end
 -- Eight bytes as two halves of 32 bits, of the magnitude, and whether the number is negative.
 local function halves(payload, at, signed)
   local a, b, c, d, e, f, g, h = byte(payload, at, at + 7)
-  local low, high = a + b * 0x100 + c * 0x10000 + d * 0x1000000, e + f * 0x100 + g * 0x10000 + h * 0x1000000
+  local low = a + b * 0x100 + c * 0x10000 + d * 0x1000000
+  local high = e + f * 0x100 + g * 0x10000 + h * 0x1000000
   if not signed or h < 0x80 then return high, low, false end
   if low == 0 then return 0x100000000 - high, 0, true end -- two's complement: invert, add one
   return 0xFFFFFFFF - high, 0x100000000 - low, true
@@ -80,8 +84,8 @@ function M.time(payload, offset)
   return seconds, rest
 end
 
---- The count of a compressed float of seven or eight bytes, as near as a double comes; -1 - n for the reserved count
--- that is n below the highest.
+--- The count of a compressed float of seven or eight bytes, as near as a double comes; -1 - n for
+-- the reserved count that is n below the highest.
 function M.count(payload, at, size)
   local count, reserved = 0.0, true
   for i = size - 1, 0, -1 do
@@ -91,16 +95,45 @@ function M.count(payload, at, size)
   return reserved and byte(payload, at) - 0x100 or count
 end
 
+-- Compressed floats: floatN <min; max> has counts 0 .. top, top = 2^N - 1.  The five highest are
+-- reserved; the others map linearly:  value = min + count * (max - min) / (top - 5).  The
+-- document's worked examples divide by top - 4; its mapping table and the 0 A of the captured
+-- example prove top - 5.
+M.MAPPING = 5
+M.WORKED_EXAMPLES = 4
+
+local divisor = M.MAPPING
+
+--- Makes every compressed float divide by top - divisor.
+-- new  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
+function M.use_divisor(new)
+  divisor = new
+end
+
+--- What compressed floats divide by, as top - divisor.
+function M.divisor() return divisor end
+
+--- The value of a compressed float, unrounded; nil and which special (0 .. 4) for a reserved count.
+function M.float(field, raw)
+  if raw > field.ordinary then return nil, field.top - raw end
+  if raw < 0 then return nil, -1 - raw end -- of M.count
+  -- One division at the end, so that the middle of a symmetric range is 0 and not nearly 0.
+  local steps = field.top - divisor
+  return (field.min * steps + raw * (field.max - field.min)) / steps
+end
+
 -- Half of the distance to the next number that four bytes can hold.
 local function half_step(value)
   local size = value < 0 and -value or value
   local exponent = math.floor(math.log(size, 2))
-  if 2 ^ exponent > size then exponent = exponent - 1 elseif 2 ^ (exponent + 1) <= size then exponent = exponent + 1 end
+  while 2 ^ exponent > size do exponent = exponent - 1 end -- a logarithm is not exact
+  while 2 ^ (exponent + 1) <= size do exponent = exponent + 1 end
   if exponent < -126 then return 2 ^ -150 end
   return 2 ^ (exponent - (2 ^ exponent == size and 25 or 24))
 end
 
---- The number with the fewest digits that is the same in so many bytes: 0.1 for the four bytes nearest to it.
+--- The number with the fewest digits that is the same in so many bytes: 0.1 for the four bytes
+-- nearest to it.
 -- value  finite; size: 4 or 8
 function M.shortest(value, size)
   if value == 0 then return value end

@@ -1,19 +1,25 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The names that the user gave to sources, and what a source is called.  Pure Lua, 5.2 and 5.4.
+-- The names that the user gave to sources: the preference.  Pure Lua.
 --
---   0x210=motor:left_fore, 0x211=motor:left_aft, can1/0x210=motor:right_fore, 0x212=left_tail, 0x213=motor:
+--   0x210=motor:left_fore, can1/0x210=motor:right_fore, can0/0x210+0x200+0x000=left, can2=tail
+--   0x213=motor:
 --
--- A part is [BUS/]ID=[MESSAGE:]NAME.  BUS is the name that the capture gives a bus, ID is decimal or 0x and
--- hexadecimal, MESSAGE the catalogue's short name of what the ID carries.  Without BUS it is for every bus that has no
--- part of its own.  Spaces around each do not count.  A bus with a comma, "=" or a quote in its name stands in quotes,
--- its own quotes doubled: "USB, left"/0x210=motor:a.  The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
+-- A part is [BUS/]ID[+ID...]=[MESSAGE:]NAME, or BUS=NAME for every ID of a bus.  BUS is the name
+-- that the capture gives a bus, ID is decimal or 0x and hexadecimal, MESSAGE the catalogue's short
+-- name of what the ID carries.  Without BUS it is for every bus that has no part of its own.
+-- Spaces around each do not count.  A bus with a comma, "=" or a quote in its name stands in
+-- quotes, its own quotes doubled: "USB, left"/0x210=motor:a; so does one that begins with a digit
+-- and has no ID.  The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
+
+local check = require("yapp.message.check")
 
 local M = {}
 
 local MAX_ID = 2047
 local MAX_NAME = 64 -- bytes
-local MAX_PROBLEMS = 20
-local SHAPE = "a source is [BUS/]ID=[MESSAGE:]NAME"
+local SHAPE = "a source is [BUS/]ID=[MESSAGE:]NAME or BUS=NAME"
+
+local demand = check.demand
 
 local Sources = {}
 Sources.__index = Sources
@@ -35,137 +41,142 @@ local function split(text)
   end
 end
 
--- The bus, or nil, and the rest of a part; nil and why where its quotes do not fit.
-local function take_bus(part)
-  if part:sub(1, 1) == '"' then
-    local at = 2
-    while true do
-      local quote = part:find('"', at, true)
-      if not quote then return nil, nil, "the quote is not closed" end
-      if part:sub(quote + 1, quote + 1) ~= '"' then
-        local rest = part:match("^%s*/(.*)$", quote + 1)
-        if not rest then return nil, nil, "a bus in quotes is followed by /" end
-        return (part:sub(2, quote - 1):gsub('""', '"')), rest
-      end
-      at = quote + 2
+-- Parts from here on raise what is wrong with them.
+
+-- A bus in quotes, and what comes behind it.
+local function take_quoted(part)
+  local at = 2
+  while true do
+    local quote = demand(part:find('"', at, true), "the quote is not closed")
+    if part:sub(quote + 1, quote + 1) ~= '"' then
+      local sign, rest = part:match("^%s*([/=])(.*)$", quote + 1)
+      demand(sign, "a bus in quotes is followed by / or =")
+      local bus = part:sub(2, quote - 1):gsub('""', '"')
+      return bus, sign, rest
     end
-  end
-  local address = part:match("^[^=]*")
-  local bus, id = address:match("^(.*)/([^/]*)$")
-  if not bus then return nil, part end
-  return trim(bus), id .. part:sub(#address + 1)
-end
-
--- What is wrong with a name, nil for nothing.
-local function check_name(name)
-  if name:find(";.*=") then return "sources are parted by commas" end
-  if #name > MAX_NAME then return ("the name has more than %d bytes"):format(MAX_NAME) end
-  if name:find("%c") or require("yapp.base.utf8").ascii(name):find("[\128-\255]") then
-    return "the name is not a text"
+    at = quote + 2
   end
 end
 
-local function message_names(catalogue)
+-- The bus, the text of the IDs, and what is behind the "="; either of the first two may be nil.
+local function take_address(part)
+  if part:sub(1, 1) == '"' then
+    local bus, sign, rest = take_quoted(part)
+    if sign == "=" then return bus, nil, rest end
+    local ids, value = rest:match("^(.-)=(.*)$")
+    return bus, demand(ids, SHAPE), value
+  end
+  local address, value = part:match("^%s*(.-)%s*=(.*)$")
+  demand(address, SHAPE)
+  local bus, ids = address:match("^(.*)/([^/]*)$")
+  if bus then return trim(bus), ids, value end
+  if address:find("^[%d+-]") then return nil, address, value end
+  return address, nil, value
+end
+
+local function read_ids(text)
+  local ids = {}
+  for one in (text .. "+"):gmatch("([^+]*)%+") do
+    one = trim(one)
+    local is_number = one:find("^%d+$") or one:find("^0[xX]%x+$")
+    local id = is_number and tonumber(one)
+    demand(id and id <= MAX_ID, "the ID %q is not one of 0 .. 0x%X", one, MAX_ID)
+    ids[#ids + 1] = id
+  end
+  return ids
+end
+
+-- The message of the catalogue that has a name.
+local function find_message(catalogue, name)
   local names = {}
-  for i, message in ipairs(catalogue.messages) do names[i] = message.name end
-  return table.concat(names, ", ")
+  for i, message in ipairs(catalogue.messages) do
+    if message.name == name then return message end
+    names[i] = message.name
+  end
+  demand(false, "there is no message %q, but %s", name, table.concat(names, ", "))
 end
 
--- Takes one part apart: { bus =, id =, message =, name = }; or nil and what is wrong.
+-- The rows of one part: { bus =, id =, message =, name = } each.
 local function read_part(part, catalogue)
-  local bus, rest, problem = take_bus(part)
-  if not rest then return nil, problem end
-  local id_text, value = rest:match("^(.-)=(.*)$")
-  if not id_text then return nil, SHAPE end
-  local id = trim(id_text):match("^%d+$") and tonumber(id_text, 10) or
-    trim(id_text):match("^0[xX]%x+$") and tonumber(trim(id_text))
-  if not id or id > MAX_ID then return nil, ("the ID %q is not one of 0 .. 0x%X"):format(trim(id_text), MAX_ID) end
+  local bus, id_text, value = take_address(part)
+  local ids = id_text and read_ids(id_text)
   local message_name, name = value:match("^(.-):(.*)$")
   name = trim(name or value)
-  if not message_name and name == "" then return nil, "the name is missing" end
+  demand(message_name or name ~= "", "the name is missing")
   local message
-  for _, one in ipairs(catalogue.messages) do
-    if message_name and one.name == trim(message_name) then message = one end
+  if message_name then
+    demand(ids, "a message is for an ID, not for a bus")
+    message = find_message(catalogue, trim(message_name))
   end
-  if message_name and not message then
-    return nil, ("there is no message %q, but %s"):format(trim(message_name), message_names(catalogue))
+  demand(not name:find(";.*="), "sources are parted by commas")
+  demand(#name <= MAX_NAME, "the name has more than %d bytes", MAX_NAME)
+  demand(name == "" or check.is_text(name), "the name is not a text")
+  local rows = {}
+  for i = 1, ids and #ids or 1 do
+    rows[i] = {
+      bus = bus,
+      id = ids and ids[i],
+      message = message,
+      name = name ~= "" and name or nil,
+    }
   end
-  problem = check_name(name)
-  if problem then return nil, problem end
-  return { bus = bus, id = id, message = message, name = name ~= "" and name or nil }
+  return rows
+end
+
+-- Adds the rows of a part, those of IDs that are new.
+local function add_part(self, part, catalogue)
+  local is_known = false
+  for _, row in ipairs(read_part(part, catalogue)) do
+    local of_bus = self.by_bus[row.bus or false] or {}
+    self.by_bus[row.bus or false] = of_bus
+    local key = row.id or "all"
+    if of_bus[key] then
+      is_known = true
+    else
+      of_bus[key] = row
+      self.rows[#self.rows + 1] = row
+    end
+  end
+  demand(not is_known, "this bus and ID stand there before: the first one holds")
 end
 
 --- Reads the preference.
 -- text       of the user
 -- catalogue  compiled
--- returns    the sources; and a list of texts of what is wrong, each with the part that it is about: such a part is
---            left out, the others hold
+-- returns    the sources; and a list of texts of what is wrong, each with the part that it is
+--            about: such a part is left out, the others hold
 function M.parse(text, catalogue)
-  local self = setmetatable({ anywhere = {}, by_bus = {}, rows = {}, several = {}, labels = {} }, Sources)
+  local self = setmetatable({ by_bus = { [false] = {} }, rows = {} }, Sources)
   local problems = {}
   for _, part in ipairs(split(text)) do
-    local row, problem
-    if part ~= "" then row, problem = read_part(part, catalogue) end
-    if row then
-      local rows = self.anywhere
-      if row.bus then
-        rows = self.by_bus[row.bus] or {}
-        self.by_bus[row.bus] = rows
-      end
-      if rows[row.id] then
-        problem = "this bus and ID stand there before: the first one holds"
-      else
-        rows[row.id], self.rows[#self.rows + 1] = row, row
-      end
-    end
-    if problem and #problems < MAX_PROBLEMS then problems[#problems + 1] = ("sources: %s: %s"):format(part, problem) end
+    local ok, problem = true, nil
+    if part ~= "" then ok, problem = pcall(add_part, self, part, catalogue) end
+    if not ok then problems[#problems + 1] = ("sources: %s: %s"):format(part, problem) end
   end
-  self:use_ids {}
-  return self, problems
+  return self, check.few(problems)
 end
 
---- Tells which message each ID carries elsewhere (the preferences of message IDs): { [id] = compiled message }.
-function Sources:use_ids(by_id)
-  local ids = {} -- [message] = { [id] = true }
-  local function note(message, id)
-    ids[message] = ids[message] or {}
-    ids[message][id] = true
-  end
-  for id, message in pairs(by_id) do note(message, id) end
-  for _, row in ipairs(self.rows) do
-    if row.message then note(row.message, row.id) end
-  end
-  self.several, self.labels = {}, {}
-  for message, list in pairs(ids) do
-    self.several[message] = next(list, (next(list))) ~= nil
-  end
-end
-
-local function find(self, bus, id)
-  local rows = bus and self.by_bus[bus]
-  return rows and rows[id] or self.anywhere[id]
-end
-
---- The name of a source, nil where the user gave none.
+--- The name of a source, nil where the user gave none: that of its ID on its bus, of its bus, or of
+-- its ID anywhere.
 -- bus  the name that the capture gives it, or nil; id: message ID
 function Sources:name(bus, id)
-  local row = find(self, bus, id)
-  return row and row.name
+  local of_bus, anywhere = bus and self.by_bus[bus] or {}, self.by_bus[false][id]
+  local own, all = of_bus[id], of_bus.all
+  if own and own.name then return own.name end
+  if all then return all.name end
+  return not own and anywhere and anywhere.name or nil
 end
 
---- The compiled message that the user said an ID carries on a bus; nil where this preference says nothing of it.
+--- The compiled message that the user said an ID carries on a bus; nil where this preference says
+-- nothing of it.
 function Sources:message(bus, id)
-  local row = find(self, bus, id)
+  local own = bus and self.by_bus[bus] and self.by_bus[bus][id]
+  local row = own or self.by_bus[false][id]
   return row and row.message
 end
 
---- The name of that message in the catalogue.
-function Sources:message_name(bus, id)
-  local message = self:message(bus, id)
-  return message and message.name
-end
-
---- All that was read: a list of { bus = name or nil, id =, message = compiled or nil, name = or nil }.
+--- All that was read: a list of { bus = name or nil, id = nil for all of a bus, message = compiled
+-- or nil, name = or nil }.
 function Sources:list()
   return self.rows
 end
@@ -176,31 +187,6 @@ function Sources:has_name(name)
     if row.name == name then return true end
   end
   return false
-end
-
--- "Motor Data left_fore", "Motor Data 0x212 (can1)", "Motor Data", "ID 0x123 left_tail"
-local function make_label(self, bus, id, message)
-  local title, name = message and message.title or ("ID 0x%x"):format(id), self:name(bus, id)
-  if name then return title .. " " .. name end
-  if not message or id == message.id and not self.several[message] then return title end
-  return ("%s 0x%x%s"):format(title, id, bus and " (" .. bus .. ")" or "")
-end
-
---- What a message is called where rows stand for themselves: its title; and where more than one ID carries it, or its
--- ID is not the default, the source's name, or ID and bus.
--- message  compiled, nil for an unknown ID
-function Sources:label(bus, id, message)
-  local of_bus = self.labels[bus or false]
-  if not of_bus then
-    of_bus = {}
-    self.labels[bus or false] = of_bus
-  end
-  local label = of_bus[id]
-  if not label then
-    label = make_label(self, bus, id, message)
-    of_bus[id] = label
-  end
-  return label
 end
 
 return M

@@ -241,14 +241,6 @@ end
 
 -- Changes -----------------------------------------------------------------------------------------
 
--- The bits of a change that rose or fell, and those of them that are faults.
-local function bits_of(one, way)
-  local alarms = one["alarm_" .. way]
-  if alarms then return one[way], alarms end
-  local bits = band(one[way], one.field.watched) -- of a history that tells no alarms
-  return bits, one.field.alarm and bits or 0
-end
-
 -- Adds a generated field where somebody wants it; nil for a value or a field that is not there.
 local function add_wanted(item, pf, value, convert)
   if not pf or value == nil or not referenced(item, pf) then return nil end
@@ -269,7 +261,7 @@ end
 -- Adds the bits of a flags field that rose or fell; returns the names of the faults among them,
 -- nil for none.
 local function add_bits(self, item, one, way, is_tree)
-  local field, bits, alarms = one.field, bits_of(one, way)
+  local field, bits, alarms = one.field, one[way], one["alarm_" .. way]
   if bits == 0 then return nil end
   local added = is_tree and add_wanted(item, self.fields[field][way], bits)
   if added then append_text(added, " (" .. flag_names(field, bits) .. ")") end

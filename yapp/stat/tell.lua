@@ -182,8 +182,7 @@ end
 -- The flags of a field that are faults, those that no table defines too.
 local function alarms_of(self, field)
   if self.flags[field] then return self.flags[field] end
-  -- The second half is what compiled catalogues without alarm_bits have.
-  local bits = field.alarm_bits or field.alarm and field.watched or 0
+  local bits = field.alarm_bits
   local list, bit = {}, 1
   for _, flag in ipairs(field.flags) do
     if band(flag.mask, bits) ~= 0 then list[#list + 1] = flag end

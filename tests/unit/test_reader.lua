@@ -1,0 +1,145 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The reader: which message an ID carries, what its source is called, what a finished message gets.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local catalogue = require("yapp.message.catalogue")
+local reader = require("yapp.message.reader")
+local sources = require("yapp.message.sources")
+
+local T = {}
+
+local TAURUS = catalogue.compile(dofile("taurus_fields.lua"))
+local COMMAND, MOTOR, HEALTH = TAURUS.by_id[0], TAURUS.by_id[0x210], TAURUS.by_id[0x200]
+
+-- A reader with these sources, IDs of messages and, or not, several buses.
+local function new(text, ids, has_several)
+  local parsed, problems = sources.parse(text or "", TAURUS)
+  lu.assertEquals(problems, {})
+  local r = reader.new(TAURUS, { wanted = false })
+  r:use_buses(has_several or false)
+  r:use(catalogue.assign(TAURUS, ids or {}), parsed)
+  return r
+end
+
+local function name(message) return message and message.name or "none" end
+
+function T.test_before_the_preferences_are_known()
+  local r = reader.new(TAURUS, { wanted = false })
+  lu.assertEquals({ name(r:message_of(0x210)), r:size_of(0x210), name(r:message_of(0x211)) }, { "motor", 32, "none" })
+end
+
+function T.test_which_message_an_id_carries()
+  local r = new("0x300=motor:, can1/0x301=health:, can1/0x210=health:, can0/0x200=left", { motor = { 0x210, 0x211 } })
+  local found = {}
+  for i, one in ipairs { { 0x210 }, { 0x211, "can1" }, { 0x300, "can0" }, { 0x301, "can0" }, { 0x301, "can1" },
+    { 0x210, "can1" }, { 0x200, "can0" }, { 0 } } do
+    found[i] = name(r:message_of(one[1], one[2]))
+  end
+  lu.assertEquals(found, { "motor", "motor", "motor", "none", "health", "health", "health", "command" })
+end
+
+function T.test_which_sizes_fit()
+  local r = new("can1/0x210=health:")
+  lu.assertEquals({ r:fits(0x210, 32), r:fits(0x210, 34), r:fits(0x210, 32, "can1"), r:fits(0x210, 17, "can1"),
+    r:fits(0x123, 5) or "unknown" }, { true, false, false, true, "unknown" })
+  lu.assertNil(r:size_of(0x123))
+end
+
+function T.test_what_a_source_is_called()
+  for _, row in ipairs { -- sources, several buses, ID, bus, source, label
+    { "", false, 0x210, nil, "0x210", "Motor Data" }, { "", false, 0x210, "can0", "0x210", "Motor Data" },
+    { "", true, 0x210, "can0", "can0 0x210", "Motor Data 0x210 (can0)" },
+    { "", true, 0x210, nil, "0x210", "Motor Data" }, { "", false, 0x123, "can0", "0x123", "ID 0x123" },
+    { "", true, 0x123, "can0", "can0 0x123", "ID 0x123 (can0)" }, { "", true, 0x123, nil, "0x123", "ID 0x123" },
+    { "0x210=left", true, 0x210, "can0", "left", "Motor Data left" },
+    { "can0=left", true, 0x210, "can0", "left", "Motor Data left" },
+    { "can0=left", true, 0x210, "can1", "can1 0x210", "Motor Data 0x210 (can1)" },
+    { "can0/0x210+0x200=left", true, 0x200, "can0", "left", "Health left" },
+    { "0x300=tail", false, 0x300, "can0", "tail", "ID 0x300 tail" },
+    { "can1/0x211=motor:", false, 0x211, "can1", "0x211", "Motor Data 0x211 (can1)" },
+    { "can1/0x211=motor:", false, 0x210, "can0", "0x210", "Motor Data 0x210 (can0)" }, -- two IDs carry it
+    { "can1/0x211=motor:", false, 0x210, nil, "0x210", "Motor Data 0x210" },
+    { "0x211=motor:", false, 0x200, "can0", "0x200", "Health" },
+  } do
+    local r = new(row[1], nil, row[2])
+    lu.assertEquals({ r:source_text(row[3], row[4]), r:label(row[3], row[4]) }, { row[5], row[6] },
+      ("%s, 0x%x on %s"):format(row[1], row[3], tostring(row[4])))
+  end
+end
+
+function T.test_the_id_is_told_where_it_is_not_the_default()
+  local r = new("", { health = { 0x205 }, motor = { 0x210, 0x211 } })
+  lu.assertEquals({ r:label(0x205), r:label(0x205, "can0"), r:label(0x210), r:label(0) },
+    { "Health 0x205", "Health 0x205 (can0)", "Motor Data 0x210", "Command" })
+end
+
+function T.test_the_name_that_the_user_gave()
+  local r = new("can0=left")
+  lu.assertEquals(r:name_of(5, "can0"), "left")
+  lu.assertNil(r:name_of(5, "can1"))
+end
+
+function T.test_the_hint_of_an_unknown_id()
+  local r = new()
+  local advice = ': see the preference "Motor Data message IDs"'
+  local m = { id = 0x123, size = 32, status = "good", frame = 7 }
+  local text = "Message ID 0x123 is not in the catalogue; 32 bytes, the size of Motor Data" .. advice
+  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice })
+  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice }) -- a later look
+  m.frame = 8
+  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" })
+  r:reset()
+  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice })
+  local unknown = { "Message ID 0x124 is not in the catalogue" }
+  lu.assertEquals({ r:hint { id = 0x124, size = 5, status = "good", frame = 1 } }, unknown)
+  lu.assertEquals({ r:hint { id = 0x124, size = 32, status = "bad", frame = 1 } }, unknown)
+end
+
+-- A message that is read, of a payload of zeros with some bytes changed.
+local function read(r, message, bytes, with)
+  local payload = ("\0"):rep(message.size)
+  for offset, byte in pairs(bytes) do
+    payload = payload:sub(1, offset) .. string.char(byte) .. payload:sub(offset + 2)
+  end
+  local m = { id = message.id, size = message.size, payload = payload, is_whole = true, good = true }
+  for key, value in pairs(with or {}) do m[key] = value end
+  local memory = { change = function(_, _, what) return what end }
+  r:read(m, memory, "what changed")
+  return m
+end
+
+local function at(message, field) return message.by_name[field].offset end
+
+function T.test_what_a_message_gets()
+  local r = new()
+  local m = read(r, HEALTH, { [at(HEALTH, "board_revision")] = 9 })
+  lu.assertEquals({ m.message, m.raws[HEALTH.index[HEALTH.by_name.board_revision]], m.look, m.has_fault, m.change },
+    { HEALTH, 9, false, false, "what changed" })
+  for _, with in ipairs { { id = 0x123 }, { size = 16 }, { is_whole = false } } do
+    m = read(r, HEALTH, {}, with)
+    lu.assertEquals({ m.raws or "none", m.look or "none", m.has_fault or "none" }, { "none", "none", "none" })
+  end
+end
+
+function T.test_what_is_a_fault()
+  local r = new()
+  local fault, status, state = at(MOTOR, "fault_flags"), at(MOTOR, "status_flags"), at(MOTOR, "motor_state")
+  for _, row in ipairs { { {}, false }, { { [fault] = 1 }, true }, { { [fault + 2] = 0x08 }, true }, -- undefined
+    { { [status] = 2 }, false }, { { [state] = 0x1F }, false }, { { [state] = 0x20 }, true } } do
+    lu.assertEquals(read(r, MOTOR, row[1]).has_fault, row[2])
+  end
+  lu.assertFalse(read(r, COMMAND, {}).has_fault) -- a key that is none
+end
+
+function T.test_statistics_are_told_while_they_want_it()
+  local told, stat = {}, { wanted = false }
+  local r = reader.new(TAURUS, stat)
+  r:use(catalogue.assign(TAURUS, {}), (sources.parse("", TAURUS)))
+  r:tell_to { message = function(_, m) told[#told + 1] = m.id end }
+  read(r, MOTOR, {})
+  stat.wanted = true
+  read(r, HEALTH, {})
+  lu.assertEquals(told, { 0x200 })
+end
+
+return T
