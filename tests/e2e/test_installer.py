@@ -193,12 +193,13 @@ def test_files_that_a_later_version_does_not_have(home, source):
         (modules / name).write_text("return {}\n")
         listed["files"][str(modules / name)] = hashlib.sha256(b"return {}\n").hexdigest()
     (home / YAPP / "installed.json").write_text(json.dumps(listed))
-    edit(modules / "yapp_other.lua")
+    mine = edit(modules / "yapp_other.lua")
     (modules / "my_own.lua").write_text("return {}\n")
-    line_of(run(home, source=source), "kept", "yapp_other.lua")
-    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua"}
+    line_of(run(home, source=source), "kept", "yapp_other.lua.edited")
+    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua.edited"}
+    assert (modules / "yapp_other.lua.edited").read_bytes() == mine
     run(home, "uninstall", source=source)
-    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua"}
+    assert {path.name for path in modules.iterdir()} == {"my_own.lua", "yapp_other.lua.edited"}
 
 
 def git(*arguments):
@@ -225,17 +226,19 @@ def test_upgrade_from_version_1(home, edited):
     for path in [home, *home.rglob("*")]:
         path.chmod(0o777 if path.is_dir() else 0o666)
     lines = run(home)
-    for name in edited:
-        assert (home / YAPP / name).read_bytes() == version_1()[name] + b"-- mine\n"
-    assert sum(line.startswith("kept") for line in lines) == ("taurus_fields.lua" in edited)
+    kept = {name: name + ".edited" if name.startswith("yapp/") else name for name in edited}
+    for name, place in kept.items():
+        assert (home / YAPP / place).read_bytes() == version_1()[name] + b"-- mine\n"
+        line_of(lines, "kept", place)
+    assert sum(line.startswith("kept") for line in lines) == len(edited)
     run(home, "uninstall")
     there = {path for path in all_of(home / YAPP) if not (home / YAPP / path).is_dir()}
-    assert there == set(edited)
+    assert there == set(kept.values())
 
 
 @pytest.mark.skipif(not version_1(), reason="no git history here")
 def test_the_list_of_version_1_is_whole():
-    known = (tshark.ROOT / "tools/install.py").read_text()
+    known = (tshark.ROOT / "tools/src/yapp_tables/install.py").read_text()
     for name, content in version_1().items():
         assert hashlib.sha256(content).hexdigest()[:8] in known, name
 
