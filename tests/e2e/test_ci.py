@@ -49,10 +49,11 @@ def break_catalogue(project):
 
 
 def break_message(project):
+    """One more message than there was, which is wrong."""
     path = project / "taurus_fields.lua"
-    text = path.read_text()
-    assert 'id = 0x200, size = 17' in text
-    path.write_text(text.replace("id = 0x200, size = 17", "id = 0x200, size = 18"))
+    text, first = path.read_text(), '  { -- "Taurus Health"'
+    assert first in text
+    path.write_text(text.replace(first, '  { name = "broken", id = 0x333, size = 1 },\n' + first))
 
 
 CASES = {"clean": ("clean.pcapng", None, 0), "fault": ("fault.pcapng", None, 20),

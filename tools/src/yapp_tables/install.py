@@ -513,6 +513,8 @@ def live_python(wireshark: Wireshark) -> str | None:
 def live_ports(wireshark: Wireshark) -> None:
     """Say what runs the live ports, and what it has."""
     if not (wireshark.extcap / "yapp_extcap.py").is_file():
+        if wireshark.target.is_dir():
+            say("note", f"no live ports in {wireshark.extcap}: install it again")
         return
     python = live_python(wireshark)
     if not python:
