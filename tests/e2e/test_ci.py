@@ -219,6 +219,31 @@ def test_the_job(folder, project, flights, capture, change, code):
     assert (folder / "yapp.xml").exists()
 
 
+# What docs/ci.md says ---------------------------------------------------------------------------------------------------
+
+PAGE = (tshark.ROOT / "docs/ci.md").read_text()
+
+
+@pytest.mark.parametrize("capture, code", [("clean.pcapng", 0), ("fault.pcapng", 20)])
+def test_the_step_of_the_page(folder, project, flights, capture, code):
+    shutil.copy(flights / capture, folder / "run.pcapng")
+    lines = block(re.search(r"```yaml\n(.*?)```", PAGE, re.DOTALL)[1], "with")
+    assert action(project, variables(lines), folder) == (code, f"code={code}\n")
+    assert (folder / "report.xml").exists()
+
+
+@pytest.mark.parametrize("capture, code", [("clean.pcapng", 0), ("fault.pcapng", 20)])
+def test_the_command_of_the_page(folder, project, flights, capture, code):
+    project.rename(folder / "yapp")
+    shutil.copy(flights / capture, folder / "run.pcapng")
+    command = re.search(r"```sh\n(yapp/.*?)\n```", PAGE)[1]
+    assert run(["bash", "-c", command], folder).returncode == code
+
+
+def test_the_page_names_every_input():
+    assert re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)[:5] == ["capture", "rules", "sources", "messages", "junit"]
+
+
 @pytest.fixture(scope="module", params=["bookworm", "trixie"])
 def bare(request):
     """A Debian with nothing but its base, of a release: 12 and 13."""

@@ -701,7 +701,8 @@ def test_one_version():
     """In all places."""
     version = tshark.plugin_version()
     places = {"tools/pyproject.toml": r'^version = "(.*)"', "extcap/yapp_extcap.py": r'^VERSION = "(.*)"',
-              "CHANGELOG.md": r"^## \[(.*?)\]", "action.yml": r"@v(.*)$", "ci/gitlab-yapp.yml": r"YAPP_VERSION: v(.*)$"}
+              "CHANGELOG.md": r"^## \[(.*?)\]", "action.yml": r"@v(.*)$", "ci/gitlab-yapp.yml": r"YAPP_VERSION: v(.*)$",
+              "docs/ci.md": r"@v(.*)$", "docs/tables.md": r"yapp_tables-([\d.]+)-", "tools/README.md": r"yapp_tables-([\d.]+)-"}
     for name, pattern in places.items():
         assert re.search(pattern, (tshark.ROOT / name).read_text(), re.MULTILINE)[1] == version, name
 
