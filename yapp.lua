@@ -15,8 +15,9 @@ end
 local plugin = { version = VERSION, path = here .. "yapp.lua" }
 -- Installed, all modules are in this file.
 if not package.preload["yapp.wire.crc"] and here:find(Dir.personal_plugins_path(), 1, true) then
-  io.stderr:write(("yapp: %s is a clone in a plugin folder, where Wireshark runs every file: move it elsewhere, and run " ..
-    "make install or tools/install.py there\n"):format(here))
+  local text = "yapp: %s is a clone in a plugin folder, where Wireshark runs every file: " ..
+    "move it elsewhere, and run make install or tools/install.py there\n"
+  io.stderr:write(text:format(here))
 end
 set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
   description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }

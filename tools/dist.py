@@ -8,8 +8,8 @@
     yapp-samples-VERSION.zip                captures to try it on
     SHA256SUMS
 
-The same commit gives the same bytes on every machine: times are the commit's (SOURCE_DATE_EPOCH), nothing is compressed,
-since each zlib packs in its own way, and what git does not know is left out.
+The same commit gives the same bytes on every machine: times are the commit's (SOURCE_DATE_EPOCH), and nothing is compressed,
+since each zlib packs in its own way.  Of docs and tools what git does not know is left out.
 """
 import hashlib
 import os
@@ -64,7 +64,8 @@ def main(folder):
     version = backend.project()["version"]
     os.environ.setdefault("SOURCE_DATE_EPOCH", git("log", "-1", "--format=%ct").strip() or backend.OLDEST)
     folder.mkdir(parents=True, exist_ok=True)
-    profile = {name[len("profiles/"):]: content for name, content in bundle.installed(TOP).items() if name.startswith("profiles/")}
+    installed = bundle.installed(TOP)
+    profile = {name[len("profiles/"):]: content for name, content in installed.items() if name.startswith("profiles/")}
     zips = {f"yapp-{version}.zip": whole(), f"yapp-profile-{version}.zip": profile, f"yapp-samples-{version}.zip": samples()}
     for name, files in zips.items():
         backend.write_zip(folder / name, files)

@@ -282,16 +282,17 @@ def test_purge_behind_an_uninstall(home, source):
     run(home, source=source)
     edit(home / YAPP / "taurus_fields.lua")
     edit(home / PROFILE / "recently_new")
+    edit(home / EXTCAP / "yapp_extcap.py", "# mine\n")
     line_of(run(home, "uninstall", source=source), "note", "uninstall --purge")
     run(home, "uninstall", "--purge", source=source)
-    assert not (home / YAPP).exists() and not (home / PROFILE).exists()
+    assert not (home / YAPP).exists() and not (home / PROFILE).exists() and not list((home / EXTCAP).iterdir())
 
 
 def by_command(home, what, command="/opt/venv/bin/yapp-tables"):
     """As yapp-tables does it, which says where it is."""
-    code = f"import sys; sys.path.insert(0, 'tools/src/yapp_tables'); import install; sys.exit(install.run({what!r}, False, {command!r}))"
-    subprocess.run([PYTHON, "-B", "-c", code], cwd=tshark.ROOT, env={**os.environ, "HOME": str(home), "PATH": "/none"}, check=True,
-                   capture_output=True, **tshark._user())
+    code = f"import sys, install; sys.exit(install.run({what!r}, False, {command!r}))"
+    environment = {**os.environ, "HOME": str(home), "PATH": "/none", "PYTHONPATH": str(tshark.ROOT / "tools/src/yapp_tables")}
+    subprocess.run([PYTHON, "-B", "-c", code], env=environment, check=True, capture_output=True, **tshark._user())
 
 
 def test_where_yapp_tables_is(home):
@@ -368,8 +369,8 @@ def test_upgrade_from_version_2(home, folder, edited):
     """Its modules lay in a folder yapp; somebody looked at its graphs."""
     old = folder / "old"
     old.mkdir()
-    subprocess.run(["tar", "-x", "-C", old], input=git("archive", VERSION_2, "--", "yapp.lua", "taurus_fields.lua", "yapp", "tools",
-                                                       "extcap", "profiles"), check=True)
+    packed = git("archive", VERSION_2, "--", *tshark.PLUGIN_FILES, "tools", "extcap", "profiles")
+    subprocess.run(["tar", "-x", "-C", old], input=packed, check=True)
     run(home, source=old)
     assert len(list((home / YAPP / "yapp").iterdir())) > 70
     look_at_graphs(home / PROFILE)
@@ -379,11 +380,12 @@ def test_upgrade_from_version_2(home, folder, edited):
     assert sum(line.startswith("kept") for line in lines) == bool(edited)
     if edited:
         line_of(lines, "kept", f"{edited}.edited")
-    assert all_of(home / YAPP) == {"yapp.lua", "taurus_fields.lua", "installed.json", *(["yapp", edited + ".edited"] if edited else [])}
+    aside = {"yapp", edited + ".edited"} if edited else set()
+    assert all_of(home / YAPP) == {"yapp.lua", "taurus_fields.lua", "installed.json"} | aside
     for path in (tshark.ROOT / "profiles/YAPP").iterdir():
         assert (home / PROFILE / path.name).read_bytes() == path.read_bytes()
     run(home, "uninstall")
-    assert all_of(home / YAPP) == ({"yapp", edited + ".edited"} if edited else set())
+    assert all_of(home / YAPP) == aside
 
 
 @pytest.mark.skipif(not version_1(), reason="no git history here")
@@ -682,11 +684,12 @@ def test_what_is_in_the_wheel_installs(home, folder, zips):
     assert (folder / "site/yapp_tables/install.py").read_bytes() == zipfile.ZipFile(zips[0]).read("yapp/install.py")
     lines = run(home, source=folder / "site/yapp_tables", path=REAL)
     assert any(line.startswith("checked") for line in lines)
-    from_wheel = {path: (home / path).read_bytes() for path in all_of(home) if (home / path).is_file() and "installed" not in path}
+    files = [home / path for path in all_of(home) if (home / path).is_file()]
+    from_wheel = {path: path.read_bytes() for path in files if path.name != "installed.json"}
     run(home, "uninstall", source=folder / "site/yapp_tables")
     assert all_of(home) == set()
     run(home, path=REAL)
-    assert {path: (home / path).read_bytes() for path in from_wheel} == from_wheel
+    assert {path: path.read_bytes() for path in from_wheel} == from_wheel
 
 
 @pytest.mark.skipif(not shutil.which("pip3"), reason="no pip here")

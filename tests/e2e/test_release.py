@@ -18,6 +18,11 @@ def run(top, *arguments, **env):
                           env={"PATH": SYSTEM, "HOME": str(top), "LC_ALL": "C.UTF-8", **env}, stdin=subprocess.DEVNULL)
 
 
+def git(top, *commands):
+    for words in commands:
+        subprocess.run(["git", "-C", top, "-c", "user.name=t", "-c", "user.email=t@t", *words], check=True, capture_output=True)
+
+
 @pytest.fixture
 def repository(folder):
     """A clone of the repository as it lies here, with a tag."""
@@ -32,8 +37,7 @@ def repository(folder):
         if (tshark.ROOT / name).is_file() and not name.startswith("tests/"):
             (top / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(tshark.ROOT / name, top / name)
-    for words in (["init", "-q"], ["add", "-A"], ["commit", "-qm", "x"], ["tag", TAG]):
-        subprocess.run(["git", "-C", top, "-c", "user.name=t", "-c", "user.email=t@t", *words], check=True)
+    git(top, ["init", "-q"], ["add", "-A"], ["commit", "-qm", "x"], ["tag", TAG])
     return top
 
 
@@ -54,7 +58,8 @@ def test_a_release(folder, repository):
     assert run(repository / "dist", "bash", "-c", check).returncode == 0
     (repository / "SHA256SUMS").write_bytes(built["SHA256SUMS"])
     assert run(repository, "bash", "-c", again).returncode == 0
-    (folder / "sums").write_bytes(built["SHA256SUMS"].replace(hashlib.sha256(built[f"yapp-{TAG[1:]}.zip"]).hexdigest().encode(), b"0" * 64))
+    one = hashlib.sha256(built[f"yapp-{TAG[1:]}.zip"]).hexdigest()
+    (folder / "sums").write_text(done.stdout.replace(one, "0" * 64))
     done = run(repository, "tools/release.sh", TAG, folder / "sums")
     assert done.returncode == 1 and "another machine differs" in done.stderr
 
@@ -62,7 +67,7 @@ def test_a_release(folder, repository):
 def test_a_tag_of_another_version(repository):
     done = run(repository, "tools/release.sh", "v0.1")
     assert done.returncode == 1 and f"the tag is v0.1, the version {TAG}" in done.stderr
-    subprocess.run(["git", "-C", repository, "tag", "-d", TAG], check=True, capture_output=True)
+    git(repository, ["tag", "-d", TAG])
     done = run(repository, "tools/release.sh", TAG)
     assert done.returncode == 1 and f"there is no tag {TAG}" in done.stderr
 
@@ -71,8 +76,7 @@ def test_builds_that_differ(repository):
     """The comparison itself: a build that writes the time of day."""
     with open(repository / "tools/backend.py", "a") as file:
         file.write("\n\nrequirements = lambda about: [str(time.time_ns())]  # noqa: E731\n")
-    for words in (["commit", "-qam", "x"], ["tag", "-f", TAG]):
-        subprocess.run(["git", "-C", repository, "-c", "user.name=t", "-c", "user.email=t@t", *words], check=True, capture_output=True)
+    git(repository, ["commit", "-qam", "x"], ["tag", "-f", TAG])
     done = run(repository, "tools/release.sh", TAG)
     assert done.returncode == 1 and "two builds differ" in done.stderr
 

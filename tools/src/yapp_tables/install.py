@@ -367,13 +367,18 @@ class Installation:
             if path not in own and path not in self.said:
                 self.say("kept", path, "it is not as it was installed")
 
+    def outside(self) -> list[Path]:
+        """What lies in folders that are not ours."""
+        own = (self.target, self.wireshark.profile)
+        listed = [path for path in self.hashes if not any(folder in path.parents for folder in own)]
+        found = [*self.wireshark.extcap.glob("yapp_extcap.*"), *self.wireshark.config.glob("yapp_tables.path*")]
+        return sorted({*listed, *found})
+
     def purge(self) -> None:
         """Remove all of it, whoever wrote it."""
-        extcaps = [path for path in self.hashes if path.parent == self.wireshark.extcap]
-        for path in (*extcaps, self.wireshark.note):
-            for each in (path, *path.parent.glob(path.name + ".*")):
-                if os.path.lexists(str(each)):
-                    each.unlink()
+        for path in self.outside():
+            if os.path.lexists(str(path)):
+                path.unlink()
         for folder in (self.wireshark.profile, self.target):
             if folder.is_symlink():
                 folder.unlink()
@@ -552,11 +557,10 @@ def contents(path: Path) -> list[Path]:
 def uninstall(wireshark: Wireshark, purge: bool) -> None:
     """Uninstall, and say what is gone."""
     installation = Installation(wireshark)
-    if not installation.target.exists() and not (purge and wireshark.profile.exists()):
+    if not (installation.target.exists() or purge):
         print(f"Nothing is installed in {installation.target}")
         return
-    files = [path for path in installation.hashes if path.parent in (wireshark.extcap, wireshark.config)]
-    there = {path: contents(path) for path in (*sorted(files), wireshark.profile, installation.target)}
+    there = {path: contents(path) for path in (*installation.outside(), wireshark.profile, installation.target)}
     if purge:
         installation.purge()
     else:
