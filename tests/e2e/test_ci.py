@@ -60,6 +60,9 @@ CASES = {"clean": ("clean.pcapng", None, 0), "fault": ("fault.pcapng", None, 20)
          "broken catalogue": ("clean.pcapng", break_message, 21)}
 
 
+ONE = levels.few(list(CASES.values()), [CASES["fault"]], several=True)  # for what only calls the script
+
+
 def arguments(capture, rules=RULES):
     return ["--rules", rules, "--sources", "", "--messages", "", "--junit", "report.xml", capture]
 
@@ -74,7 +77,7 @@ def test_the_script(folder, project, flights, capture, change, code):
     assert not list(folder.glob("tmp.*"))  # its own folder is gone
 
 
-@pytest.mark.parametrize("capture", ["nothing.pcapng", "text.pcapng", ".", ""])
+@pytest.mark.parametrize("capture", levels.few(["nothing.pcapng", "text.pcapng", ".", ""], ["nothing.pcapng", "text.pcapng"]))
 def test_no_capture(folder, project, flights, capture):
     done = run([project / "ci/yapp-gate.sh", *arguments(capture and flights / capture)], folder)
     assert done.returncode not in (0, 20, 21) and done.stderr
@@ -177,7 +180,7 @@ def action(project, given, folder):
     return done.returncode, (folder / "output").read_text()
 
 
-@pytest.mark.parametrize("capture, change, code", CASES.values(), ids=CASES)
+@pytest.mark.parametrize("capture, change, code", ONE, ids=CASES)
 def test_the_action(folder, project, flights, capture, change, code):
     if change:
         change(project)
@@ -206,7 +209,7 @@ def repository(project):
 
 
 @pytest.mark.skipif(not shutil.which("git"), reason="no git here")
-@pytest.mark.parametrize("capture, change, code", CASES.values(), ids=CASES)
+@pytest.mark.parametrize("capture, change, code", ONE, ids=CASES)
 def test_the_job(folder, project, flights, capture, change, code):
     if change:
         change(project)
@@ -224,7 +227,7 @@ def test_the_job(folder, project, flights, capture, change, code):
 PAGE = (tshark.ROOT / "docs/ci.md").read_text()
 
 
-@pytest.mark.parametrize("capture, code", [("clean.pcapng", 0), ("fault.pcapng", 20)])
+@pytest.mark.parametrize("capture, code", [("clean.pcapng", 0), pytest.param("fault.pcapng", 20, marks=levels.deep)])
 def test_the_step_of_the_page(folder, project, flights, capture, code):
     shutil.copy(flights / capture, folder / "run.pcapng")
     lines = block(re.search(r"```yaml\n(.*?)```", PAGE, re.DOTALL)[1], "with")
@@ -232,7 +235,7 @@ def test_the_step_of_the_page(folder, project, flights, capture, code):
     assert (folder / "report.xml").exists()
 
 
-@pytest.mark.parametrize("capture, code", [("clean.pcapng", 0), ("fault.pcapng", 20)])
+@pytest.mark.parametrize("capture, code", [pytest.param("clean.pcapng", 0, marks=levels.deep), ("fault.pcapng", 20)])
 def test_the_command_of_the_page(folder, project, flights, capture, code):
     project.rename(folder / "yapp")
     shutil.copy(flights / capture, folder / "run.pcapng")

@@ -586,6 +586,7 @@ def run(what: str, purge: bool = False, program: str | None = None) -> int:
             found = list(problems(source, wireshark))
     except (Problem, OSError, subprocess.SubprocessError) as problem:
         found = [str(problem)]
+    sys.stdout.flush()  # what is wrong comes last, in a log too
     for text in found:
         print(f"problem   {text}", file=sys.stderr)
     return 1 if found else 0
