@@ -594,6 +594,11 @@ class Capture:
         key = self.frames[members[0] - 1].can_id & ~(15 << 14)
         return [number for number in self.numbers_of[key] if members[0] < number < members[-1]]
 
+    def without_remote_frames(self):
+        """The same capture where nothing tells remote frames from data: a first pass of two knows neither fields nor
+        columns."""
+        return Capture([frame for frame in self.frames if frame.kind != "remote"], self.layout, self.wide)
+
     @property
     def preferences(self):
         return PREFERENCES + (EVERY_EXTENDED if self.wide else [])

@@ -240,6 +240,8 @@ def test_random_captures(number, folder):
     capture, path = make_one(seed, layout, wide), folder / "random.pcap"
     capture.write(path)
     compare(seed, layout, wide, capture, path)
+    capture = capture.without_remote_frames()
+    capture.write(path)
     compare(seed, layout, wide, capture, path, "-2")
     TOTAL["captures"] += PER_FILE
     TOTAL["files"] += 1
@@ -258,12 +260,16 @@ def test_filters(layout, folder):
     capture, path = make_one(seed, layout, wide), folder / "random.pcap"
     capture.write(path)
     compare(seed, layout, wide, capture, path, "-Y", "yapp")
+    capture = capture.without_remote_frames()
+    capture.write(path)
     compare(seed, layout, wide, capture, path, "-2", "-Y", "yapp")
     # A read filter renumbers the frames; the messages stay the same.  (Not so of merged buses in a long capture: what
     # the search among their messages may cost grows with the frames that come.)
     if layout in can_generator.MERGED:
         can_generator.write(path, capture.frames[:1500], layout)
-    assert good_messages(capture, path, "-2", "-R", "yapp") == good_messages(capture, path, "-2", "-Y", "yapp")
+    left, all_of_them = (good_messages(capture, path, "-2", option, "yapp") for option in ("-R", "-Y"))
+    # The numbers of the frames that are left are no longer the file's, which is what tells the buses.
+    assert left <= all_of_them if layout in can_generator.SEVERAL_BUSES else left == all_of_them
 
 
 @pytest.mark.parametrize("layout", levels.few(can_generator.LAYOUTS, ["merged interface"]))

@@ -20,8 +20,8 @@ TSHARK = os.environ.get("TSHARK", "tshark")
 
 REGISTER = """
 package.path = "%s/?.lua;" .. package.path
-local reader = require("yapp.file.candump_reader")
-reader.register(require("yapp.file.candump"))
+local reader = require("yapp.file.readers")
+reader.register {}
 io.stderr:write("reader registered\\n")
 """
 
@@ -31,7 +31,7 @@ local proto = Proto("candumptest", "Bus of the record")
 proto.fields.bus = ProtoField.int32("candumptest.bus", "Bus")
 local buses = {}
 function proto.dissector(_, pinfo, tree)
-  if not pinfo.visited then buses[pinfo.number] = reader.current_bus or -1 end
+  if not pinfo.visited then buses[pinfo.number] = reader.current() or -1 end
   tree:add(proto.fields.bus, buses[pinfo.number])
 end
 register_postdissector(proto)
@@ -245,23 +245,6 @@ def test_names_of_buses_are_text(tmp_path):
         r"Interface index 0 is can\xFF", r"Interface index 1 is v\x01ün", "", ""]
 
 
-@levels.by_version
-@pytest.mark.parametrize("encoding", levels.few(["utf-16", "utf-16-be", "utf-16-le"], ["utf-16"]))
-def test_utf16(tmp_path, encoding):
-    """What PowerShell's > makes of candump's output."""
-    path = tmp_path / "powershell.log"
-    text = (CAPTURES / "candump_log_two_buses.log").read_text().replace("\n", "\r\n")
-    path.write_bytes(("\ufeff" * (encoding == "utf-16-be") + text).encode(encoding))
-    for extra in ([], ["-2"], ["-2", "-R", "sll.ifindex == 1"]):
-        shown = rows(tmp_path, [*extra, "-r", path])
-        times = stamps(ABSOLUTE, len(TWO_BUSES))
-        first, step = (1, 2) if "-R" in extra else (0, 1)
-        assert_frames(shown, TWO_BUSES[first::step], times[first::step])
-    plain = tmp_path / "plain.log"
-    plain.write_bytes((CAPTURES / "candump_log_plain.log").read_text().encode(encoding))
-    assert_frames(rows(tmp_path, ["-r", plain]), MESSAGE, stamps(ABSOLUTE, 5))
-
-
 def test_lost_frames_are_shown(tmp_path):
     comments = run(tmp_path, ["-r", CAPTURES / "candump_screen_drops.txt", "-T", "fields", "-e", "frame.comment"])[1]
     assert "dropped 3 CAN frames on 'can0'" in comments.splitlines()[4]
@@ -345,7 +328,8 @@ def test_files_of_others_are_not_taken(tmp_path, name):
         if subprocess.run(["which", "log2asc"], check=False, stdout=subprocess.DEVNULL).returncode:
             pytest.skip("log2asc of can-utils is not installed")
         subprocess.run(log2asc, check=True)
-    assert run(tmp_path, ["-r", path])[:2] == run(tmp_path, ["-r", path], lua="")[:2]
+    alone = run(tmp_path, ["-X", "read_format:yapp_asc", "-r", path]) if name == "asc" else run(tmp_path, ["-r", path], lua="")
+    assert run(tmp_path, ["-r", path])[:2] == alone[:2]
 
 
 def test_the_reader_of_another_plugin_keeps_its_files(tmp_path):

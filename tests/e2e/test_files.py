@@ -106,7 +106,7 @@ def test_readers_hold_what_wireshark_hands_them():
     wanted = {"read_open": 2, "read": 3, "seek_read": 4}
     found = [(path.name, name, arguments.count(",") + 1) for path in (tshark.PLUGIN / "yapp").rglob("*.lua")
              for name, arguments in re.findall(r"(?m)function handler\.(\w+)\((.*?)\)(?: --.*)?$", path.read_text())]
-    assert len(found) >= 8
+    assert len(found) >= 4
     assert [(file, name) for file, name, count in found if count != wanted[name]] == []
 
 

@@ -82,9 +82,9 @@ def test_an_error_of_the_first_pass_alone_is_seen(planted, way):
 
 # What is planted, into which capture's decoding, and what the fuzzer is to say; limits are lower, to see them soon.
 PLANTED = {
-    "reader": ("yapp/file/candump_reader.lua", "local function fill", 'error("planted")', "candump_log2long.txt",
+    "reader": ("yapp/file/readers.lua", "local function fill", 'error("planted")', "candump_log2long.txt",
                "FileHandler"),
-    "dump reader": ("yapp/file/dump_reader.lua", "local function fill", 'error("planted")',
+    "dump reader": ("yapp/file/readers.lua", "local function fill", 'error("planted")',
                     "fuzz_dump_of_another_size.yapp", "FileHandler"),
     "load": ("yapp/wire/crc.lua", "local M", 'error("planted")', "document_udp.pcap", "Lua:"),
     "init": (*INIT, 'error("planted")', "document_udp.pcap", "planted"),

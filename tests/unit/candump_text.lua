@@ -31,7 +31,7 @@ function M.opened(text, all, by_value)
 end
 
 -- What read and seek_read return, as a record.
-function M.frame(offset, bytes, bus, seconds, nanoseconds, comment)
+function M.frame(offset, bytes, seconds, nanoseconds, bus, comment)
   return offset and { offset = offset, bytes = bytes, bus = bus.number, bus_name = bus.name, seconds = seconds,
     nanoseconds = nanoseconds, comment = comment }
 end
@@ -41,10 +41,10 @@ function M.frames_of(text, all)
   local log, file, told = M.opened(text, all)
   local frames = {}
   if not log then return nil, told end
-  local frame = M.frame(candump.read(log, file))
+  local frame = M.frame(log:read(file))
   while frame do
     frames[#frames + 1] = frame
-    frame = M.frame(candump.read(log, file))
+    frame = M.frame(log:read(file))
   end
   return frames, told, log
 end

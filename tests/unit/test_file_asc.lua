@@ -11,7 +11,7 @@ local function shown(line, base)
   local r = asc.parse(line, base or 16)
   if not r then return nil end
   local kind = (r.fd and "fd " or "") .. (r.sent and "tx " or "")
-  return ("%d %d %08X %s%d %d %s"):format(r.stamp / 1000, r.number, r.id, kind, r.length, r.flags,
+  return ("%d %d %08X %s%d %d %s"):format(r.stamp, r.number, r.id, kind, r.length, r.flags,
     r.data:gsub(".", function(byte) return ("%02X"):format(byte:byte()) end))
 end
 
@@ -70,9 +70,11 @@ local function frames(text)
   local file, again, found = file_of(text), file_of(text), {}
   local log = asc.open(file)
   if not log then return nil end
-  for record, offset in function() return asc.read(log, file) end do
-    lu.assertEquals(asc.seek_read(log, again, offset), record)
-    found[#found + 1] = record
+  while true do
+    local record = { log:read(file) }
+    if not record[1] then break end
+    lu.assertEquals({ log:seek_read(again, record[1]) }, record)
+    found[#found + 1] = { bytes = record[2], seconds = record[3], nanoseconds = record[4], bus = record[5] }
   end
   return found
 end

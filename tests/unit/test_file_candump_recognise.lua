@@ -60,7 +60,7 @@ function T.test_a_pipe_that_cannot_be_rewound_is_taken()
   for _, lines in ipairs { 3000, 20000 } do
     local file = text_file(HEAD:rep(lines), true, 65536)
     local log, count = candump.open(file, {}), 0
-    while candump.read(log, file) do count = count + 1 end
+    while log:read(file) do count = count + 1 end
     lu.assertEquals(count, lines)
   end
   lu.assertNil(candump.open(text_file(HEAD:rep(1000), true, 65536), {}))
@@ -68,6 +68,7 @@ end
 
 -- Texts of other programs, none of which may be taken.
 local FOREIGN = {
+  "\255\254" .. HEAD:rep(3):gsub(".", "%0\0"),
   "", "\n\n\n", "hello\n", "\0\1\2\3", HEAD .. "\0", ("\255"):rep(5000), ("x"):rep(100000),
   "time,id,dlc,data\n0.1,123,8,11 22 33 44 55 66 77 88\n",
   "timestamp,arbitration_id,extended,remote,error,dlc,data\n1.2,0x123,0,0,0,2,ESI=\n",

@@ -1,8 +1,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- YAPP's own tree item of a frame on CAN.  Wireshark's API.  A builder is a show.tree, a view can.carrier's.
+-- YAPP's own tree item of a frame on CAN.  Wireshark's API.  A builder is a show.tree, a frame can.carrier's.
 
-local items = require("yapp.show.items")
-local KINDS = require("yapp.wire.can_id").KINDS
+local items = require "yapp.show.items"
+local KINDS = require "yapp.wire.can_id".KINDS
 
 local M = {}
 
@@ -11,40 +11,38 @@ local add, add_le, add_generated, append_text = items.add, items.add_le, items.a
 local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 
 --- YAPP's own tree item, with what the CAN id says.
-function M.frame(builder, view)
-  local address = view.address
-  local titles, ctrl = view.names.titles, address.ctrl
+function M.frame(builder, frame, names)
+  local address = frame.address
+  local titles, ctrl = names.titles, address.ctrl
   local title = titles[ctrl]
   if not title then
-    title = ("%s, %s, %s"):format(builder.yapp.description, view.names.name, KINDS[ctrl] or "undefined frame")
+    title = ("%s, %s, %s"):format(builder.yapp.description, names.name, KINDS[ctrl] or "undefined frame")
     titles[ctrl] = title
   end
-  view.range = view.tvb()
-  local item = add(view.tree, builder.yapp, view.range, title)
-  builder:add_address(item, address, view.names.bus)
+  local item = add(frame.tree, builder.yapp, frame.tvb(), title)
+  builder:add_address(item, address, names.bus)
   return item
 end
 
 --- What a Start says, as far as it was captured.
-function M.start(builder, view)
-  local fields, item, length = builder.fields, view.item, #view.facts.data
-  if length >= 4 then add_le(item, fields.crc, view.tvb(0, 4)) end
-  if length >= 6 then append_text(add_le(item, fields.size, view.tvb(4, 2)), " bytes") end
-  if length >= 8 then add_le(item, fields.reserved, view.tvb(6, 2)) end
+function M.start(builder, frame, item)
+  local fields, length = builder.fields, #frame.data
+  if length >= 4 then add_le(item, fields.crc, frame.tvb(0, 4)) end
+  if length >= 6 then append_text(add_le(item, fields.size, frame.tvb(4, 2)), " bytes") end
+  if length >= 8 then add_le(item, fields.reserved, frame.tvb(6, 2)) end
 end
 
 --- What YAPP's own item says of a message in its last frame.
 -- numbers  of its frames
-function M.message(builder, view, message, numbers)
-  local item, entry, data = view.item, view.record.message, view.facts.data
-  local fields = builder.fields
-  add_generated(item, fields["reassembled.in"], view.facts.number)
+function M.message(builder, frame, item, message, numbers)
+  local entry, data, fields = frame.entry, frame.data, builder.fields
+  add_generated(item, fields["reassembled.in"], frame.number)
   append_text(add_generated(item, fields.size, entry.size), " bytes")
   add_generated(item, fields.reserved, entry.reserved or 0)
   builder:add_crc(item, nil, entry)
-  builder:add_fragments(item, message.tvb or view.tvb, numbers, entry.count, #entry.payload)
+  builder:add_fragments(item, message.tvb or frame.tvb, numbers, #entry, #entry.payload)
   if entry.padding and entry.padding <= #data then
-    add(item, fields.padding, view.tvb(#data - entry.padding))
+    add(item, fields.padding, frame.tvb(#data - entry.padding))
   end
   append_text(item, CRC_TEXT[entry.status] or ", CRC unverified")
 end

@@ -1,312 +1,471 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- All that is known of a file's CAN frames.  Pure Lua, 5.2 and 5.4: it is told facts and asked what a frame is.
+-- All that is known of a file's CAN frames: reassembly of Start, Middle, End ("Multi-Frame CAN
+-- YAPP"), and what was said of each frame, for later looks.  Pure Lua.
 --
--- A pass is frames in order, and each pass numbers its own looks at them (can.pass); passes meet only at (frame
--- number, place in the packet, id).
+-- It is told facts of frames, in the order of the capture, and asked what they are.  Of each frame
+-- its entry is kept: the message that it is a part of, which all parts share, or { address } of a
+-- frame that stands alone.  A message has
+--   1 .. n      the looks of its frames (memory.passes)
+--   address, size, crc, reserved (nil when 0)   of its Start; bus
+--   status      nil while it is open; "good", "bad" (CRC), "short", "overrun", "unverified" (bytes
+--               not captured), "cut" (a new Start came)
+--   chunks, received, repeated, is_cut   while it is open: what came, how many bytes, those of frames
+--               that are as the one before, whether bytes were not captured
+--   payload, padding (nil when 0), calculated (of a bad CRC)   once it has ended
+--   last        the look of the frame that ended it: what is shown of the message stands there
+--   blamed      the looks at which something was said to be wrong with it, or nil
+--   delta, has_fault, is_unsure   of the history and the reader, for later looks; a frame alone has
+--               these too
+
+local can_id = require "yapp.wire.can_id"
+local crc = require "yapp.wire.crc"
+local passes = require "yapp.memory.passes"
+local pool = require "yapp.can.pool"
 
 local M = {}
 
-local can_pass = require("yapp.can.pass")
-local can_reassembly = require("yapp.can.reassembly")
+local concat, floor, min = table.concat, math.floor, math.min
+local END = can_id.END
 
-local floor, plain, MAX_CREDIT = math.floor, can_reassembly.plain, can_reassembly.MAX_CREDIT
-local new_pass, next_look, find_look = can_pass.new, can_pass.next_look, can_pass.find_look
-local place_of, number_of = can_pass.place_of, can_pass.number_of
+local MAX_OPEN = 1024 -- an open message costs memory until something ends it: the oldest make room
+local MAX_RUNS = 8 -- of frames alike, in which one that came twice is looked for
+local MAX_SPAN = 1000 -- frames from the first to the last of a message that is kept small
+local BUS = 0x20000000 -- keys of messages have 29 bits
 
-local LINKS, NOTHING = { "command_in", "previous_change", "next_change" }, {} -- in a change of message.history
+-- Reassembly of one pass -------------------------------------------------------------------------
+
+local Reassembly = {}
+Reassembly.__index = Reassembly
+
+-- entries  the table that gets the entry of each frame, by look
+-- size_of  function(id, bus) -> payload size of a known message, nil for an unknown one
+-- It has faults, by look: a list of { expert =, text =, message = or nil, void = true once it is
+-- taken back }.  And open, by slot (a message's key and bus): the message that is open there, or a
+-- pool of several (can.pool).
+local function new_reassembly(entries, size_of)
+  return setmetatable({ entries = entries, size_of = size_of, faults = {}, open = {}, open_count = 0,
+    claimed = {} }, -- unknown IDs of which a Start without a Seq has come: then others may have one
+    Reassembly)
+end
+
+--- Says that something is wrong at a frame; of a message, where it is given.
+function Reassembly:fault(look, expert, text, message)
+  local list = self.faults[look] or {}
+  self.faults[look] = list
+  list[#list + 1] = { expert = expert, text = text, message = message }
+  if message then
+    message.blamed = message.blamed or {}
+    message.blamed[#message.blamed + 1] = look
+  end
+end
+
+--- Takes back what was said at a frame of a message that came out good, or of a frame that has found
+-- its message.
+-- is_void  function(fault) -> boolean
+function Reassembly:take_back(look, is_void)
+  local list = self.faults[look] or {}
+  for i = #list, 1, -1 do
+    if is_void(list[i]) then table.remove(list, i).void = true end
+  end
+  if #list == 0 then self.faults[look] = nil end
+end
+
+--- A Middle or End whose message is not known.
+function Reassembly:orphan(address, look)
+  self.entries[look] = { address = address }
+  self:fault(look, "fragment.orphan", ("%s of a message whose Start is not here")
+    :format(address.ctrl == END and "End" or "Middle"))
+end
+
+--- A message has more or fewer bytes than its size.
+-- returns  its status
+function Reassembly:misfit(message, received, look)
+  message.received = received
+  local start = floor(message[1])
+  if received < message.size then
+    self:fault(look, "fragment.incomplete", ("The message that started in frame %d ends with %d of %d bytes")
+      :format(start, received, message.size), message)
+    return "short"
+  end
+  self:fault(look, "fragment.overrun", ("%d bytes for the %d of the message that started in frame %d")
+    :format(received, message.size, start), message)
+  return "overrun"
+end
+
+--- Ends a message: with a status when it is known, else the CRC decides.
+function Reassembly.finish(_, message, payload, look, status)
+  message.payload, message.last, message.status, message.chunks = payload, look, status, nil
+  if status then return end
+  local header = can_id.header(message.address, message.size, message.reserved)
+  local calculated = crc.update(crc.of(header), payload)
+  if calculated == message.crc then
+    message.status = "good"
+  else
+    message.status, message.calculated = "bad", calculated
+  end
+end
+
+-- Starts -----------------------------------------------------------------------------------------
+
+-- What is wrong with a Start, as far as it was captured.
+local function check_start(self, frame, look, size, reserved, known)
+  if frame.reported > 8 then
+    self:fault(look, "size.mismatch", ("A Start has 8 bytes, this one has %d"):format(frame.reported))
+  elseif frame.reported < 8 then
+    self:fault(look, "fragment.incomplete",
+      ("A Start has 8 bytes, this one has %d: its message cannot be put together"):format(frame.reported))
+  end
+  if not reserved then return end
+  if size == 0 then
+    self:fault(look, "size.mismatch", "The size of the message is 0")
+  elseif known and size ~= known then
+    self:fault(look, "size.mismatch", ("The size is %d bytes, the catalogue says %d"):format(size, known))
+  end
+  if reserved ~= 0 then
+    self:fault(look, "reserved.nonzero", ("The reserved bytes are 0x%04x, not 0"):format(reserved))
+  end
+end
+
+-- Whether a Start is surely YAPP's: a plausible one, and of an unknown ID one that does not number
+-- itself, or follows such; or for a known ID one that the capture cut.
+local function is_plausible(self, address, frame, size, reserved, is_known)
+  if address.ctl ~= 0 or frame.reported ~= 8 then return false end
+  if not reserved then return is_known end
+  if reserved ~= 0 or size <= 8 then return false end
+  return is_known or address.seq == 0 or self.claimed[address.id] == true
+end
+
+-- Empties a slot.
+-- status  what becomes of a message there that is open; nil where it has ended
+local function close(self, slot, status)
+  local open = self.open[slot]
+  self.open[slot], self.open_count = nil, self.open_count - 1
+  for _, message in ipairs(status and (open.messages or { open }) or {}) do
+    message.status, message.chunks = message.status or status, nil
+  end
+end
+
+-- The slots with the oldest Starts make room.
+local function make_room(self)
+  local slots = {}
+  for slot in pairs(self.open) do slots[#slots + 1] = slot end
+  local function started(slot)
+    local open = self.open[slot]
+    return (open.messages and open:newest() or open)[1]
+  end
+  table.sort(slots, function(a, b) return started(a) < started(b) end)
+  for i = 1, #slots - MAX_OPEN / 2 do close(self, slots[i], "cut") end
+end
+
+-- A Start came while something is open in its slot.  On a bus that is told from others it cuts that
+-- off; else it may be another bus's, and what follows decides.
+-- returns  a pool where what was open stays open; nil where not
+local function overtake(self, slot, frame, look)
+  local open = self.open[slot]
+  local message = open.messages and open:newest() or open
+  if not message.status and not message.overtaken then
+    self:fault(look, "fragment.incomplete",
+      ("A new Start cuts off the message that started in frame %d: %d of %d bytes")
+      :format(floor(message[1]), open.messages and open:received() or open.received, message.size), message)
+  end
+  if frame.bus or message.status or message.is_cut then return close(self, slot, "cut") end
+  if not open.messages then open = pool.new(self, open) end
+  self.open[slot] = open
+  if open:overtake() then return open end
+  close(self, slot)
+end
+
+local function start(self, slot, address, frame, look)
+  local sum, size, reserved = can_id.start(frame.data)
+  local known = self.size_of(address.id, frame.bus)
+  if not frame.is_wide and not is_plausible(self, address, frame, size, reserved, known ~= nil) then
+    return false
+  end
+  self.claimed[address.id] = true
+  local others = self.open[slot] and overtake(self, slot, frame, look)
+  if size ~= known or reserved ~= 0 or frame.reported ~= 8 then
+    check_start(self, frame, look, size, reserved, known)
+  end
+  if not reserved or size == 0 then
+    self.entries[look] = { address = address }
+    return true
+  end
+  -- With room for the usual message of five frames, and for the names that it will have.
+  local message = { look, nil, nil, nil, nil, address = address, bus = frame.bus, size = size,
+    crc = sum, reserved = reserved ~= 0 and reserved or nil, chunks = { nil, nil, nil, nil },
+    received = 0, repeated = 0, is_cut = false, status = nil, payload = nil, last = nil }
+  self.entries[look] = message
+  if others then
+    others:add(message)
+    return true
+  end
+  if self.open_count >= MAX_OPEN then make_room(self) end
+  self.open[slot], self.open_count = message, self.open_count + 1
+  return true
+end
+
+-- Middles and Ends -------------------------------------------------------------------------------
+
+-- CAN may deliver a frame twice (its sender did not see the acknowledgement): where a message is too
+-- long by frames of one run of frames alike, and its CRC is good without them, they are left out.
+-- excess   bytes too many; look: of the last frame
+-- returns  whether it is so: then the message is ended
+local function leave_out(self, message, excess, look)
+  local chunks, at, runs = message.chunks, 1, 0
+  while at < #chunks and runs < MAX_RUNS do
+    local first = at
+    while at + 1 < #chunks and chunks[at + 1] == chunks[first] do at = at + 1 end -- an End is sent once
+    local count = excess / #chunks[first]
+    if count % 1 == 0 and count <= at - first then
+      runs = runs + 1
+      self:finish(message, concat(chunks, "", 1, at - count) .. concat(chunks, "", at + 1), look)
+      if message.status == "good" then
+        for _ = 1, count do
+          self:fault(table.remove(message, at - count + 2), "fragment.duplicate",
+            "The frame before it once more: the CRC says that the message has one of them")
+        end
+        return true
+      end
+    end
+    at = at + 1
+  end
+  return false
+end
+
+-- The End of a message that has not as many bytes as its size says.
+local function finish_unusual(self, message, frame, look)
+  local chunks, excess = message.chunks, message.received - message.size
+  local needed = frame.reported - excess
+  local padding = can_id.padding(frame.data, frame.reported, needed)
+  if padding then
+    message.padding = padding
+    chunks[#chunks] = frame.data:sub(1, needed)
+    return self:finish(message, concat(chunks), look, message.is_cut and "unverified" or nil)
+  end
+  local is_repeated = excess > 0 and message.repeated >= excess and not message.is_cut
+  if is_repeated and leave_out(self, message, excess, look) then return end
+  self:finish(message, concat(chunks), look, self:misfit(message, message.received, look))
+  message.calculated = nil
+end
+
+-- A Middle or End of a message that has ended by too many bytes.
+local function go_beyond(self, message, look, is_end)
+  message.status = self:misfit(message, message.received, look)
+  message.chunks = nil
+  if is_end then self:finish(message, "", look, message.status) end
+end
+
+local function continue(self, slot, address, frame, look)
+  local message, is_end = self.open[slot], address.ctrl == END
+  if not message then
+    if not frame.is_wide and not (address.ctl == 0 and self.size_of(address.id, frame.bus)) then
+      return false
+    end
+    self:orphan(address, look)
+    return true
+  end
+  if message.messages then
+    message:frame(address, frame, look)
+    if #message.messages == 0 then close(self, slot) end
+    return true
+  end
+  local data, chunks, count = frame.data, message.chunks, #message + 1
+  local received = message.received + frame.reported
+  self.entries[look], message[count], message.received = message, look, received
+  if is_end then close(self, slot) end
+  if message.status then
+    go_beyond(self, message, look, is_end)
+    return true
+  end
+  if not message.is_cut then -- behind bytes that were not captured nothing is known to be in its place
+    if data == chunks[count - 2] then message.repeated = message.repeated + frame.reported end
+    chunks[count - 1] = data
+    if #data < frame.reported then message.is_cut = true end
+  end
+  if not is_end then
+    local too_many = received - message.size
+    if too_many > 0 and too_many > min(message.repeated, MAX_RUNS * frame.reported) then
+      go_beyond(self, message, look)
+    end
+  elseif received == message.size then
+    self:finish(message, concat(chunks), look, message.is_cut and "unverified" or nil)
+  else
+    finish_unusual(self, message, frame, look)
+  end
+  return true
+end
+
+-- Other frames -----------------------------------------------------------------------------------
+
+local function single(self, _, address, frame, look)
+  if not frame.is_wide then
+    local size = self.size_of(address.id, frame.bus)
+    if not size or address.ctl ~= 0 then return false end
+    if not can_id.padding(frame.data, frame.reported, size) then return false end
+  end
+  self.entries[look] = { address = address, delta = nil }
+  return true
+end
+
+local function undefined(self, _, address, frame, look)
+  if not frame.is_wide then return false end
+  self.entries[look] = { address = address }
+  self:fault(look, "can.ctrl.invalid", ("CAN CTRL is %d; 0 to 3 are defined"):format(address.ctrl))
+  return true
+end
+
+local TAKERS = { [0] = single, start, continue, continue } -- by CAN CTRL
+
+-- What is kept -----------------------------------------------------------------------------------
+
+-- A good message is kept small: at its last frame { payload, address, delta, has_fault }, at the
+-- others the look of the last one, negative at its Start.  (Frames 7, 8 and 10 make a message: of 7
+-- -10 is kept, of 8 10, of 10 the table.)
+
+local function can_be_small(message)
+  local last = message.last
+  if message.status ~= "good" or message.blamed or message.padding or message.reserved then return false end
+  if last - message[1] > MAX_SPAN then return false end
+  for i = 1, #message do
+    if message[i] % 1 ~= 0 then return false end
+  end
+  return true
+end
+
+local function make_small(entries, message)
+  local last = message.last
+  for i = 2, #message - 1 do entries[message[i]] = last end
+  entries[message[1]] = -last
+  entries[last] = { message.payload, message.address, message.delta, message.has_fault }
+end
+
+-- The message of a frame from what is kept.
+local function recall(entries, look)
+  local entry = entries[look]
+  local last = type(entry) == "number" and math.abs(entry) or look
+  local kept = entries[last]
+  if not kept or not kept[2] or type(kept[1]) ~= "string" then return entry end
+  local payload, address = kept[1], kept[2]
+  local message, at = { last }, last
+  repeat
+    at = at - 1
+    if entries[at] == last or entries[at] == -last then table.insert(message, 1, at) end
+  until entries[at] == -last
+  message.address, message.size, message.payload, message.status = address, #payload, payload, "good"
+  message.crc = crc.update(crc.of(can_id.header(address, #payload)), payload)
+  message.last, message.delta, message.has_fault = last, kept[3], kept[4]
+  return message
+end
+
+-- The memory -------------------------------------------------------------------------------------
 
 local Memory = {}
 Memory.__index = Memory
 
 --- The memory of one capture file.
--- parts     the modules { can_id =, crc =, can_frames =, can_interleave =, can_repeated = }
 -- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown one;
---             new_history = function() -> a message.history, one for each pass;
---             has_buses = whether the file is known to have several buses }
--- It has is_again: whether a second look has been seen.  And highest: the highest number so far, infinity from then on.
--- A frame above it cannot have been looked at before, which saves asking Wireshark.  And usual: where the first frame
--- was in its packet, nil before it.  And short: by CAN CTRL, who takes a frame on the short way (see Memory:plain);
--- empty before the first frame, and once a second look has been seen.
-function M.new(parts, options)
-  local self = setmetatable({ parts = parts, size_of = options.size_of, new_history = options.new_history,
-    is_mixed = options.has_buses or false, is_guessed = false, is_blind = false, is_again = false, reached = 0,
-    highest = 0, short = NOTHING }, Memory)
-  self.first = new_pass(self)
-  self.reassembly, self.of_plain = self.first.reassembly, { pass = self.first, is_now = true } -- of the short way
-  return self
-end
-
---- Says that the first pass cannot know all of the facts.
-function Memory:guess()
-  self.is_guessed = true
-end
-
---- Says that the first pass is the only one: what comes the short way leaves nothing behind.  Were there a second one
--- after all, it would find everything anew, as behind a first that had to guess.
-function Memory:only_pass()
-  self.first.kept.is_only_pass, self.is_guessed = true, true
-end
-
---- tshark's taps see one of the first packets.  A first pass of two has none, and has had all packets before they do.
-function Memory:tapped(number)
-  if not self.is_again and self.highest <= number then self:only_pass() end
-end
-
--- Whether nothing of a message is kept: there is nobody who would look at it again.
-local function leaves_nothing(self, record)
-  return record == self.of_plain and self.first.kept.is_only_pass
-end
-
--- Takes a frame in the order of a pass; returns whether it is YAPP's, and its message.
-local function take(self, pass, address, facts, look)
-  if facts.doubtful then self.is_guessed = true end
-  if not facts.informed and pass == self.first then self.is_blind = true end
-  facts.look = look
-  local is_ours, message = pass.reassembly:frame(address, facts)
-  pass.is_taken = is_ours
-  return is_ours, message
-end
-
--- Whether a second pass goes on at this frame: it has seen all that the first knows in front of it.  Who asks for a
--- frame here and there, as sharkd does, gets what the first pass knows.
-local function follows(self, number)
-  local first = self.first
-  for before = self.reached + 1, number - 1 do
-    if first.repeats[before] or first.kept:has(before) then return false end
-    self.reached = before
-  end
-  return true
-end
-
--- Whether this look belongs to a second pass that refines a first one that had to guess.  A read filter leaves gaps:
--- then there is none.  In Wireshark a look for the packet list may not have the bus that a look for the details has:
--- the second pass is made of looks of one kind.
-local function refines(self, facts)
-  if not (self.is_guessed or self.is_blind) or self.first.is_filtered then return false end
-  local second, number = self.second, facts.number
-  if second and second.is_informed and not facts.informed then return false end
-  if second and number < second.highest then return false end
-  return number <= self.reached or follows(self, number)
-end
-
--- What the first pass knows of a message that the second has not seen to its end.
--- returns  the message there; and whether it is surely the same: if the first mixed buses, it is where it has this from
---          the CRC or nothing of its kind came behind it; and likely where no other message was open when it ended
-local function foreseen(self, message)
-  local second, start = self.second, message[1]
-  local look, same = find_look(self.first, floor(start), place_of(second, start), message.address.key)
-  if not same or same[1] ~= look then return nil end
-  local is_alone = not (same.status or same.from)
-  if not self.is_mixed or same.status == "good" or is_alone then return same, true end
-  if same.is_only then return same, false end
-end
-
--- The second pass's look at a frame, and whether it is made now; nil where that pass has not come so far, or not by
--- here, and nil and false where it left the frame to others.
-local function second_look(self, address, facts)
-  local second = self.second
-  if second then
-    local look, message = find_look(second, facts.number, facts.place, address.key)
-    if look then return look, false, message end
-  end
-  if not refines(self, facts) then return nil end
-  if not second then
-    second = new_pass(self)
-    second.is_informed = facts.informed
-    self.second = second
-  end
-  self.reached = math.max(self.reached, facts.number)
-  local look = next_look(second, facts.number, facts.place)
-  local is_ours, message = take(self, second, address, facts, look)
-  if not is_ours then return nil, false end
-  return look, true, message
-end
-
--- The record of a frame that belongs to a message which has not ended here: where it leads to.
-local function link(self, record, message)
-  local pass, has_ended = record.pass, self.is_again
-  if not message.last and pass == self.second then
-    local same, is_sure = foreseen(self, message)
-    if is_sure then
-      message, pass = same, self.first
-    else
-      record.has_fault = same and self.first.archive:is_faulty(same.last) -- kept rather than lost
-      has_ended = not record.is_now and pass.highest >= self.first.highest
-    end
-  end
-  local last = message.last
-  if last then
-    record.leads_to, record.has_fault = number_of(pass, last), pass.archive:is_faulty(last)
-  elseif has_ended and not message.status and not message.overtaken then
-    record.is_unfinished = floor(message[message.count]) == floor(record.look)
-  end
-end
-
--- Fills in a record.
--- is_now  whether the look was made now; message: of the frame, nil for one that belongs to none
-local function fill(self, record, pass, look, is_now, message)
-  record.is_last, record.alone, record.leads_to, record.is_late = nil, nil, nil, nil
-  record.is_unfinished, record.has_fault, record.faults = nil, nil, look and pass.faults[look]
-  record.pass, record.look, record.message, record.is_now = pass, look, message, is_now
-  if not message then
-    record.alone = look and select(2, pass.kept:entry(look))
-  elseif message.last == look then
-    record.is_last = true
-  elseif self.is_again or message.last then
-    link(self, record, message)
-  end
-  return record
-end
-
---- The short way to take a new frame of which nothing can be said but that it begins a message, is a part of one, or
--- ends it well.  The first frame, and that of a second bus, goes the long way: look notes what it says of the capture.
--- taker              self.short[CAN CTRL], not nil
--- number, data, bus  as look has them of a new frame, its number above self.highest, that is in the usual place, whole
---                    and, for sure, no remote frame
--- returns            its message, and whether that ends here; nil where it is not so: then nothing was done, and look
---                    takes it
-function Memory:plain(taker, address, number, data, bus)
-  local reassembly = self.reassembly
-  if bus ~= self.first_bus and not self.is_mixed or reassembly.credit < MAX_CREDIT then return nil end
-  local message, is_last = taker(reassembly, address, number, data, bus)
-  if message then self.highest = number end
-  return message, is_last
-end
-
---- The record of a frame that has just come the short way, as look has it: until the next one.
-function Memory:plain_record(number, message, is_last)
-  local record = self.of_plain
-  record.look, record.message, record.is_last = number, message, is_last
-  return record
-end
-
--- What came the short way, the first pass has to know before anything else comes.
-local function catch_up(self)
-  local first, highest = self.first, self.highest
-  if highest > first.highest and not self.is_again then
-    first.highest, first.latest, first.place, first.is_taken = highest, highest, self.usual, true
-  end
+--             new_history = function() -> a message.history, one for each pass }
+function M.new(options)
+  return setmetatable({ size_of = options.size_of, passes = passes.new(options.new_history),
+    by_pass = {} }, Memory)
 end
 
 --- What a frame is.
--- address  wire.can_id.address of its 29-bit id
--- facts    { number, place = where in its packet, is_again = whether Wireshark has shown it before, data, reported,
---          bus, is_apart, informed = whether this pass can tell the bus, doubtful, wide: as for Reassembly:frame }
--- record   a table to fill in, of an earlier look or empty; its message is good until the next look
--- returns  nil for a frame that is not YAPP's, else the record:
---          { message = its message, or alone = the CAN id of a frame without one; is_last = whether the message ends
---            here; leads_to = number of the frame where it does; is_unfinished = whether it never does, and this is its
---            last frame; has_fault = whether the message has a fault flag set, as far as that is known;
---            faults = list of { expert, text } or nil; is_now = whether the frame was taken just now, in order;
---            is_late = whether no pass had its id in time }
-function Memory:look(address, facts, record)
-  local first, bus = self.first, facts.bus
-  catch_up(self)
-  if bus then
-    self.first_bus = self.first_bus or bus
-    if bus ~= self.first_bus then self.is_mixed = true end
+-- frame    { address = wire.can_id.address of its 29-bit id, number, place = where in its packet,
+--          is_again = whether Wireshark has shown it before, data = captured bytes, reported = its
+--          length on the bus, bus = number, nil where there is one or nothing says; knows_bus =
+--          whether this is known; is_wide = whether the user says that every extended frame is YAPP,
+--          else only what is surely YAPP is claimed }: gets entry, look, pass = which has it, is_now
+--          = whether that took it just now, faults = what is wrong with it: nil or a list of
+--          { expert =, text =, message = or nil, void = whether it has been taken back since }
+-- returns  its entry; nil for a frame that is not YAPP's
+function Memory:look(frame)
+  local address = frame.address
+  local pass, look, is_now = self.passes:look(frame.number, frame.place, frame.is_again, frame.knows_bus)
+  if not pass then return nil end
+  local reassembly = self.by_pass[pass]
+  if not reassembly then
+    reassembly = new_reassembly(pass.entries, self.size_of)
+    self.by_pass[pass] = reassembly
   end
-  if not facts.is_again then
-    local look = next_look(first, facts.number, facts.place)
-    if not self.is_again then self.highest, self.usual, self.short = facts.number, first.usual, plain end
-    local is_ours, message = take(self, first, address, facts, look)
-    return is_ours and fill(self, record, first, look, true, message) or nil
+  local entry
+  if is_now then
+    if not frame.knows_bus then pass.is_partial = true end
+    local slot = frame.bus and address.key + frame.bus * BUS or address.key
+    if not (TAKERS[address.ctrl] or undefined)(reassembly, slot, address, frame, look) then return nil end
+    entry = pass.entries[look]
+  else
+    entry = recall(pass.entries, look)
+    -- Of another id: a read filter rejected that frame.
+    if not entry or entry.address.key ~= address.key then return nil end
   end
-  self.is_again, self.highest, self.short = true, math.huge, NOTHING
-  local look, is_now, message = second_look(self, address, facts)
-  if look then
-    fill(self, record, self.second, look, is_now, message)
-    local is_message = record.is_last or record.alone and address.ctrl == 0
-    if is_message or self.is_guessed or self.is_mixed or facts.is_apart then return record end
-    -- Else the second pass knows no more than the first, which knows what comes behind a frame.
-  elseif is_now == false then
-    return nil
-  end
-  local before, its = find_look(first, facts.number, facts.place, address.key)
-  if before then return fill(self, record, first, before, false, its) end
-  if look then return record end
-  if not facts.wide then return nil end
-  fill(self, record, first)
-  record.alone, record.is_late = address.can_id, true
-  return record
+  frame.entry, frame.look, frame.pass, frame.is_now = entry, look, pass, is_now
+  frame.faults = reassembly.faults[look]
+  return entry
 end
 
---- A frame that is not ours after all: a remote frame that an earlier pass could not tell.
--- facts  as for look
-function Memory:pass_over(facts)
-  if facts.is_again and refines(self, facts) then self.reached = math.max(self.reached, facts.number) end
+--- Says that a frame of ours came, of which the id was not known: a second pass may know it.
+function Memory:is_unknown()
+  self.passes.first.is_partial = true
 end
 
---- The numbers of the frames of a message that has ended, in order; without those that a read filter rejected.
-function Memory.frames_of(_, record)
-  local numbers, message = {}, record.message
-  for i = 1, message.count do numbers[#numbers + 1] = number_of(record.pass, message[i]) end
+--- Where a part of a message leads to.
+-- returns  the number of the frame that shows the message, nil where that is not known; and whether
+--          the capture ends before the message does, said at its last frame
+function Memory:outcome(frame)
+  local message = frame.entry
+  if message.last then return frame.pass:number(message.last) end
+  local is_open = self.passes.is_again and not message.status and not message.overtaken
+  return nil, is_open and message[#message] == frame.look
+end
+
+--- The numbers of the frames of a message, in order; without those that a read filter rejected.
+function Memory.frames_of(_, frame)
+  local numbers = {}
+  for _, look in ipairs(frame.entry) do numbers[#numbers + 1] = frame.pass:number(look) end
   return numbers
 end
 
--- A change with numbers of frames for looks.
-local function numbered(pass, change)
-  for _, name in ipairs(change and LINKS or NOTHING) do
-    change[name] = change[name] and number_of(pass, change[name])
-  end
-  return change
-end
-
--- What the first pass, which told no buses, noted of a message: its source has none there.
-local function blind_change(self, message)
-  message.is_unsure = self.is_mixed -- several sources were one
-  if message.is_unsure then return nil end
-  local source, bus = message.source, message.bus
-  message.source, message.bus = message.blind_source, nil
-  local change = self.first.history:change(message)
-  message.source, message.bus = source, bus
-  return change
-end
-
--- The next change of a message's alarms.  What is still to come the second pass has from the first, if that did not mix
--- buses.
-local function next_change(self, message, record)
-  local pass = record.is_now and record.pass == self.second and not self.is_mixed and self.first or record.pass
-  local is_blind = pass == self.first and self.is_blind
-  return pass.history:next_change(record.look, is_blind and message.blind_source or message.source)
-end
-
 --- What changed with a message since its source's previous good one (see message.history).
--- message  as History:note takes it, and blind_source = key of its source where no buses are told; number and delta are
---          filled in, and is_unsure = whether this is not known
--- record   of its last, or only, frame
--- returns  a change, or nil; its frames are numbers of frames
-function Memory:change(message, record)
-  local pass, look = record.pass, record.look
-  if not look then return nil end -- is_late: no history has it
-  local history, change = pass.history
-  message.number = look
-  if record.is_now then
-    local delta
-    change, delta = history:note(message)
-    if not leaves_nothing(self, record) then pass.archive.deltas[look] = delta end
-  else
-    message.delta = pass.archive:delta(look)
-    if pass == self.first and self.is_blind then
-      change = blind_change(self, message)
-    else
-      change = history:change(message)
+-- m       as History:note takes it; gets is_unsure: whether that is not known, as nothing tells the
+--         buses
+-- frame   its last, or only, one, as look filled it in
+function Memory.change(_, m, frame)
+  local entry = frame.entry
+  if frame.is_now and not frame.knows_bus then entry.is_unsure = true end
+  m.is_unsure = entry.is_unsure
+  if m.is_unsure then return nil end
+  if not frame.is_now then
+    m.delta = entry.delta
+    return frame.pass:change(frame.look, m)
+  end
+  local change
+  change, entry.delta = frame.pass:note(frame.look, m)
+  return change
+end
+
+--- A message has been read, in its last, or only, frame.
+-- has_fault  whether it has a fault flag set
+function Memory.is_read(_, frame, has_fault)
+  local entry = frame.entry
+  if not frame.is_now then return end
+  if has_fault then entry.has_fault = true end
+  if not entry.is_unsure and entry.size and can_be_small(entry) then
+    make_small(frame.pass.entries, entry)
+  end
+end
+
+--- The messages of the pass that was made last that never ended, in the order of their Starts.
+function Memory:unfinished()
+  local list = {}
+  local reassembly = self.by_pass[self.passes:last()]
+  for _, open in pairs(reassembly and reassembly.open or {}) do
+    for _, message in ipairs(open.messages or { open }) do
+      if not message.status and not message.overtaken then list[#list + 1] = message end
     end
   end
-  if not change then return nil end
-  if change.is_alarm or change.active_since then change.next_change = next_change(self, message, record) end
-  return numbered(pass, change)
-end
-
---- Notes that a message has a fault flag set, for later looks at its other frames.
-function Memory:note_fault(record)
-  local look, archive = record.look, record.pass.archive
-  if look and not leaves_nothing(self, record) and not archive:is_faulty(look) then archive.faulty[look] = true end
-end
-
---- The messages of the pass that was made last that never ended.
-function Memory:unfinished()
-  return (self.second or self.first).reassembly:unfinished()
+  table.sort(list, function(a, b) return a[1] < b[1] end)
+  return list
 end
 
 return M

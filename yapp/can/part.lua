@@ -19,24 +19,17 @@ function M.text(names, address, message, look, length)
     names.texts = texts
   end
   if address.ctrl == START then return texts[1] end
-  local index = message.count
+  local index = #message
   while index > 1 and message[index] ~= look do index = index - 1 end
   if message[index] ~= look then return names.name .. "  part once more" end
   -- How many parts there are is sure in the end; before that, it is what classic CAN needs.
   local usual = 1 + (size + 7 - (size + 7) % 8) / 8
-  local parts = message.status == "good" and message.count or length == 8 and usual
+  local parts = message.status == "good" and #message or length == 8 and usual
   if not parts or index > parts then return ("%s  part %d"):format(names.name, index) end
   local key = parts == usual and index or parts * 0x1000 + index
   local text = texts[key] or ("%s  part %d of %d"):format(names.name, index, parts)
   if parts <= MAX_KEPT then texts[key] = text end
   return text
-end
-
---- The same for the newest part of a message that goes on.
-function M.newest(names, address, message, look, length)
-  local texts = names.texts
-  return texts.size == message.size and length == 8 and texts[message.count] or
-    M.text(names, address, message, look, length)
 end
 
 return M

@@ -1,237 +1,213 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Vector's ASC, the text log of CANoe and CANalyzer that python-can writes too: lines into CAN frames.  Pure Lua.
+-- Vector's ASC, the text log of CANoe, CANalyzer and python-can, as packets.  Pure Lua.
 --
 --   date Tue Nov 14 22:13:20.001 2023
 --   base hex  timestamps absolute
 --   Begin Triggerblock Tue Nov 14 22:13:20.001 2023
 --    0.001000 1  8408000x        Rx   d 8 FD 7F FD 7F FD 7F FD 7F
 --    0.002000 CANFD   1 Rx   840C000x                          1 0 d 32 FD 7F ...
+local text = require("yapp.file.text")
+
 local M = {}
 
-local HEAD, BLOCK, LONGEST = 4096, 65536, 1024 -- bytes; 64 bytes of data in decimal, and all that may stand around
-local EXTENDED, REMOTE, ERROR, BUS_ERROR = 0x80000000, 0x40000000, 0x20000000, 0x80
+local HEAD = 4096 -- bytes
+local BUS_ERROR = 0x80
 local FDF, BRS, ESI = 4, 1, 2 -- of a SocketCAN frame
-local MOST_STARTS = 1000 -- times at which a log began anew
-local NANO = 1000000000
+local SECOND = 1000000 -- times are in microseconds: that many are exact in every Lua
 
 local MONTHS = {}
-for number, names in ipairs { "jan jän", "feb", "mar mär mrz", "apr", "may mai", "jun", "jul", "aug", "sep", "oct okt",
-  "nov", "dec dez" } do
+for number, names in ipairs {
+  "jan jän", "feb", "mar mär mrz", "apr", "may mai", "jun",
+  "jul", "aug", "sep", "oct okt", "nov", "dec dez",
+} do
   for name in names:gmatch("%S+") do MONTHS[name] = number end
 end
 
--- Dates ---------------------------------------------------------------------------------------------------------------
+-- Times
+-- ---------------------------------------------------------------------------------------------
 
--- "Tue Nov 14 10:13:20.001 pm 2023", the recorder's local time: { seconds = since 1970, nanoseconds }; nil for no date.
--- python-can writes 1 ms as ".1".
-local function read_date(text)
-  local month, day, hour, minute, second, rest = text:match("^%s*%S+%s+(%S+)%s+(%d+)%s+(%d+):(%d+):(%d+)(.*)$")
+-- "Tue Nov 14 10:13:20.001 pm 2023", the recorder's local time, in microseconds since 1970; nil for
+-- no date.  python-can writes 1 ms as ".1".
+local function read_date(date)
+  local month, day, hour, min, sec, rest =
+    date:match("^%s*%S+%s+(%S+)%s+(%d+)%s+(%d+):(%d+):(%d+)(.*)$")
   month = month and MONTHS[month:lower()]
   local fraction, half, year = (rest or ""):match("^%.?(%d*)%s*([aApP]?)[mM]?%s+(%d%d%d%d)")
   if not month or not year then return nil end
-  hour = tonumber(hour)
-  if half ~= "" then hour = hour % 12 + (half:lower() == "p" and 12 or 0) end
-  local seconds = os.time { year = tonumber(year), month = month, day = tonumber(day), hour = hour,
-    min = tonumber(minute), sec = tonumber(second) }
-  return seconds and { seconds = seconds, nanoseconds = (tonumber(fraction:sub(1, 3)) or 0) * 1000000 }
+  if half ~= "" then hour = hour % 12 end
+  if half:lower() == "p" then hour = hour + 12 end
+  local time = { year = year, month = month, day = day, hour = hour, min = min, sec = sec }
+  local seconds = os.time(time)
+  return seconds and seconds * SECOND + (tonumber(fraction:sub(1, 3)) or 0) * 1000
 end
 
-local function later(start, nanoseconds)
-  local all = start.nanoseconds + nanoseconds
-  return start.seconds + math.floor((all - all % NANO) / NANO), all % NANO
+-- The time in front of a line, "12.000123", in microseconds, and what is behind it; nil for a line
+-- without.  (Of a pattern that goes on behind the digits, a thousand digits would be tried a
+-- thousand times over.)
+local function read_stamp(line)
+  local whole, fraction, at = line:match("^%s*(%d*)%.?(%d*)()")
+  local rest = line:match("^%s+(.*)$", at)
+  if not rest or whole == "" or #whole > 7 then return nil end -- 115 days
+  return tonumber(whole) * SECOND + tonumber((fraction .. "000000"):sub(1, 6)), rest
 end
 
--- "12.000123" in nanoseconds
-local function read_stamp(text)
-  local whole, fraction = text:match("^(%d+)%.?(%d*)$")
-  if not whole or #whole > 7 then return nil end -- 115 days
-  return tonumber(whole) * NANO + tonumber((fraction .. "000000000"):sub(1, 9))
-end
-
--- The time in front of a line, and what is behind it; nil for a line without.  (Of a pattern that goes on behind the
--- digits, a thousand digits would be tried a thousand times over.)
-local function stamp_of(line)
-  local text, rest = line:match("^%s*(%d*%.?%d*)()")
-  local stamp = line:find("^%s", rest) and read_stamp(text)
-  if stamp then return stamp, line:match("^%s*(.*)$", rest) end
-end
-
--- A line --------------------------------------------------------------------------------------------------------------
+-- A line
+-- --------------------------------------------------------------------------------------------
 
 -- "8404000x": the number, with SocketCAN's flag of an extended one
-local function read_id(text, base)
-  local digits, extended = text:match("^(%x+)(x?)$")
-  local id = digits and #digits <= 10 and tonumber(digits, base)
-  if not id or id >= (extended == "x" and 0x20000000 or 0x800) then return nil end
-  return extended == "x" and id + EXTENDED or id
+local function read_id(id, base)
+  local digits, extended = id:match("^(%x+)(x?)$")
+  local value = digits and #digits <= 10 and tonumber(digits, base)
+  if not value or value >= (extended == "x" and 0x20000000 or 0x800) then return nil end
+  return extended == "x" and value + text.EXTENDED or value
 end
 
 -- So many data bytes, and what is behind them; nil where there are fewer
-local function read_data(text, count, base)
+local function read_data(data, count, base)
   local bytes, at = {}, 1
   for i = 1, count do
-    local from, to, digits = text:find("^%s*(%x+)", at)
-    local value = from and #digits <= 3 and tonumber(digits, base)
+    local digits, stop = data:match("^%s*(%x+)()", at)
+    local value = digits and #digits <= 3 and tonumber(digits, base)
     if not value or value > 255 then return nil end
-    bytes[i], at = string.char(value), to + 1
+    bytes[i], at = string.char(value), stop
   end
-  return table.concat(bytes), text:sub(at)
+  return table.concat(bytes), data:sub(at)
 end
 
--- Length of an 8 byte frame as it is counted: 9 to 15 mean 8
-local function classic(record, text, base)
-  local kind, code, rest = text:match("^([dr])%s*(%x?)%s*(.*)$")
+-- "d 8 FD 7F ...", "r 8": a length of 9 to 15 means 8
+local function read_classic(record, rest, base)
+  local kind, code, data = rest:match("^%s*([dr])%s*(%x?)%s*(.*)$")
   if not kind or kind == "d" and code == "" then return nil end
-  local length = math.min(tonumber(code, 16) or 0, 8)
-  record.length, record.data, record.flags = length, "", 0
-  if kind == "r" then
-    record.id = record.id + REMOTE
+  record.length = math.min(tonumber(code, 16) or 0, 8)
+  if kind == "d" then
+    record.data = read_data(data, record.length, base)
   else
-    record.data = read_data(rest, length, base)
+    record.id, record.data = record.id + text.REMOTE, ""
   end
-  return record.data and record
 end
 
 -- Behind the id: a name or none, BRS, ESI, DLC, length, data, duration, bits, flags
-local function flexible(record, text, base)
-  local brs, esi, code, length, rest = text:match("^%s*([01])%s+([01])%s+(%x)%s+(%d+)(.*)$")
-  if not brs then brs, esi, code, length, rest = text:match("^%s*%S+%s+([01])%s+([01])%s+(%x)%s+(%d+)(.*)$") end
-  length = tonumber(length or 65)
-  if not code or length > 64 then return nil end
-  local data, behind = read_data(rest, length, base)
-  if not data then return nil end
-  local flags = tonumber(behind:match("^%s*%d+%s+%d+%s+(%x+)") or "1000", 16)
-  record.length, record.data, record.flags = length, data, 0
+local FLEXIBLE = "^%s*%S-%s*%f[%S]([01])%s+([01])%s+%x%s+(%d+)(.*)$"
+
+local function read_flexible(record, rest, base)
+  local brs, esi, length, data = rest:match(FLEXIBLE)
+  length = tonumber(length)
+  if not length or length > 64 then return nil end
+  local bytes, behind = read_data(data, length, base)
+  local flags = tonumber((behind or ""):match("^%s*%d+%s+%d+%s+(%x+)") or "1000", 16)
+  record.length, record.data = length, bytes
   if flags % 0x20 >= 0x10 then
-    record.id, record.data = record.id + REMOTE, ""
+    record.id, record.data = record.id + text.REMOTE, bytes and ""
   elseif flags % 0x2000 >= 0x1000 then
-    record.fd, record.flags = true, FDF + (brs == "1" and BRS or 0) + (esi == "1" and ESI or 0)
+    record.fd, record.flags = true, FDF + BRS * brs + ESI * esi
   end
-  if not record.fd and length > 8 then return nil end
-  return record
+  if not record.fd and length > 8 then record.data = nil end
 end
 
 --- Reads one line.
--- @param line  without its end
--- @param base  10 or 16, of the file's ids and data
--- @return a record { stamp = ns, number = channel, id = with SocketCAN's flags, fd, sent, length, flags, raw_dlc = 0,
---   data }, or nil for a line that is no frame
+-- @param line without its end
+-- @param base 10 or 16, of the file's ids and data
+-- @return a record { stamp = microseconds, number = channel, id = with SocketCAN's flags, fd, sent,
+--   length, flags, raw_dlc = 0, data }, or nil for a line that is no frame
 function M.parse(line, base)
-  local stamp, rest = stamp_of(line)
+  local stamp, rest = read_stamp(line)
   if not stamp then return nil end
-  local record = { stamp = stamp, raw_dlc = 0 }
-  local channel, id, direction, behind = rest:match("^(%d+)%s+(%x+x?)%s+([RT]x)%s+(.*)$")
-  local read = classic
-  if not channel then
-    channel, direction, id, behind = rest:match("^CANFD%s+(%d+)%s+([RT]x)%s+(%x+x?)%s+(.*)$")
-    read = flexible
-  end
+  local record = { stamp = stamp, flags = 0, raw_dlc = 0 }
+  local channel = rest:match("^C?A?N?F?D?%s*(%d+)%s+[RTx]*%s*ErrorFrame")
   if channel then
-    record.id = read_id(id, base)
-    record.number, record.sent = tonumber(channel), direction == "Tx" or nil
-    return record.id and record.number <= 0xFFFF and read(record, behind, base) or nil
+    record.id = text.ERROR + BUS_ERROR
+    record.length = 8
+    record.data = ("\0"):rep(8)
+  else
+    local flexible, id, direction, behind
+    rest, flexible = rest:gsub("^CANFD%s+(%d+)%s+([RT]x)%s+(%x+x?)%s", "%1 %3 %2 ")
+    channel, id, direction, behind = rest:match("^(%d+)%s+(%x+x?)%s+([RT]x)(%s.*)$")
+    record.id = id and read_id(id, base)
+    if not record.id then return nil end
+    record.sent = direction == "Tx" or nil
+    local read = flexible == 1 and read_flexible or read_classic
+    read(record, behind, base)
   end
-  channel, behind = rest:gsub("^CANFD%s+", ""):match("^(%d+)%s+(.*)$")
-  record.number = channel and (behind:find("^ErrorFrame") or behind:find("^[RT]x%s+ErrorFrame")) and tonumber(channel)
-  if not record.number or record.number > 0xFFFF then return nil end
-  record.id, record.length, record.flags, record.data = ERROR + BUS_ERROR, 8, 0, ("\0"):rep(8)
-  return record
+  record.number = tonumber(channel)
+  return record.data and record.number <= 0xFFFF and record or nil
 end
 
--- A file --------------------------------------------------------------------------------------------------------------
+-- A file
+-- --------------------------------------------------------------------------------------------
+
+local Log = {}
+Log.__index = Log
 
 --- Opens a file if it is ASC.
--- @param file  with read and seek, at its begin
--- @return a log, for read and seek_read; nil for another file
+-- @param file with read and seek, at its begin
+-- @return a log with read and seek_read; nil for another file
 function M.open(file)
   local head = file:read(HEAD) or ""
   local date = head:match("^%s*date%s+([^\r\n]*)")
-  local base, times = head:match("\n%s*base%s+(%a+)%s+timestamps%s+(%a+)")
-  if not date or not ({ hex = true, dec = true })[base] then return nil end
-  return { base = base == "hex" and 16 or 10, is_relative = times == "relative", date = read_date(date), clock = 0,
-    text = head, from = 0, at = 1, starts = {}, clocks = {} }
+  local base, stamps = head:match("\n%s*base%s+(%a+)%s+timestamps%s+(%a+)")
+  if not date or base ~= "hex" and base ~= "dec" then return nil end
+  date = read_date(date)
+  return setmetatable({
+    base = base == "hex" and 16 or 10,
+    is_relative = stamps == "relative",
+    date = date, -- of the file; nil if unknown
+    start = date, -- what stamps count from
+    clock = 0, -- the stamp of a line, where they are relative the sum so far
+    times = {}, -- by a frame's offset
+    lines = text.lines(head),
+    again = text.lines(""), -- wherever a frame is wanted again
+  }, Log)
 end
 
--- Goes on behind a line that is longer than any frame's.
-local function skip_line(log, file)
-  local stop
-  repeat
-    log.from, log.text, log.at = log.from + #log.text, file:read(BLOCK) or "", 1
-    stop = log.text:find("\n", 1, true)
-  until stop or log.text == ""
-  log.at = (stop or 0) + 1
+-- What read returns; buses are called as Wireshark's reader of BLF calls them.
+function Log:packet(record, offset)
+  local packet, time = text.packet(record.number, record), self.times[offset]
+  local bus = { number = record.number, name = "CAN-" .. record.number }
+  if not time then return offset, packet, nil, nil, bus end
+  local rest = time % SECOND
+  return offset, packet, math.floor((time - rest) / SECOND), rest * 1000, bus
 end
 
--- The next line and its offset in the file; nil at the end, "" for one that is too long.
-local function next_line(log, file)
-  local stop = log.text:find("\n", log.at, true)
-  while not stop and #log.text - log.at < LONGEST do
-    local more = file:read(BLOCK)
-    if not more or more == "" then break end
-    log.from, log.text, log.at = log.from + log.at - 1, log.text:sub(log.at) .. more, 1
-    stop = log.text:find("\n", 1, true)
-  end
-  if log.at > #log.text then return nil end
-  local offset = log.from + log.at - 1
-  if (stop or #log.text) - log.at > LONGEST then
-    if stop then log.at = stop + 1 else skip_line(log, file) end
-    return "", offset
-  end
-  local line = log.text:sub(log.at, stop or #log.text)
-  log.at = (stop or #log.text) + 1
-  return line, offset
-end
-
--- A block of a log says when it began: python-can counts from there, CANoe from the date of the file.
-local function begin(log, offset, stamp)
-  local start = log.trigger
-  if log.date and math.abs(later(log.date, stamp) - start.seconds) < 2 then start = log.date end
-  log.trigger = nil
-  if #log.starts < MOST_STARTS then log.starts[#log.starts + 1] = { offset = offset, start = start } end
-end
-
-local function start_at(log, offset)
-  for i = #log.starts, 1, -1 do
-    if log.starts[i].offset <= offset then return log.starts[i].start end
-  end
-  return log.date
-end
-
--- Gives a record its time; without a date in the file it has none.
-local function set_time(log, record, offset)
-  local start = start_at(log, offset)
-  if start then
-    record.seconds, record.nanoseconds = later(start, log.is_relative and (log.clocks[offset] or 0) or record.stamp)
-  end
-  return record
+-- A block of a log says when it began: python-can counts from there, CANoe from the date of the
+-- file.
+function Log:begin(began, stamp)
+  local is_since_date = self.date and math.abs(self.date + stamp - began) < 2 * SECOND
+  self.start = is_since_date and self.date or began
 end
 
 --- Reads the next frame.
--- @return a record as parse gives, with seconds and nanoseconds, and its offset for seek_read; nil at the end
-function M.read(log, file)
-  while true do
-    local line, offset = next_line(log, file)
-    if not line then return nil end
-    local stamp = stamp_of(line)
-    if stamp and log.trigger then begin(log, offset, stamp) end
-    if stamp and log.is_relative then log.clock = log.clock + stamp end
-    local record = M.parse(line, log.base)
-    if record then
-      if log.is_relative then log.clocks[offset] = log.clock end
-      return set_time(log, record, offset), offset
+-- @param file the file it was opened with
+-- @return as candump's read; the bus is { number = the channel, name }, without a date in the file
+--   there is no time
+function Log:read(file)
+  local began
+  local line, offset = self.lines:next(file)
+  while line do
+    local stamp = read_stamp(line)
+    if stamp and began then
+      self:begin(began, stamp)
+      began = nil
     end
-    local date = not stamp and line:match("^%s*[Bb]egin%s+[Tt]riggerblock%s+(.*)")
-    if date then log.trigger = read_date(date) end
+    if stamp then self.clock = self.is_relative and self.clock + stamp or stamp end
+    local record = M.parse(line, self.base)
+    if record then
+      self.times[offset] = self.start and self.start + self.clock
+      return self:packet(record, offset)
+    end
+    local block = not stamp and line:match("^%s*[Bb]egin%s+[Tt]riggerblock%s+(.*)")
+    if block then began = read_date(block) end
+    line, offset = self.lines:next(file)
   end
 end
 
 --- Reads a frame again.
--- @param offset  that read gave
--- @return the record; nil where there is none
-function M.seek_read(log, file, offset)
-  file:seek("set", offset)
-  local record = M.parse((file:read(LONGEST) or ""):match("^[^\n]*"), log.base)
-  return record and set_time(log, record, offset)
+-- @param offset that read gave
+-- @return the same as read gave; nil where there is no frame
+function Log:seek_read(file, offset)
+  self.again:go_to(file, offset)
+  local record = M.parse(self.again:next(file) or "", self.base)
+  if not record then return nil end
+  return self:packet(record, offset)
 end
 
 return M

@@ -1,277 +1,315 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The text candump prints and logs: a whole file into a series of packets. Pure Lua.
+-- What candump prints and logs: whether a file is such, and its frames as packets.  Pure Lua.
 local candump_line = require("yapp.file.candump_line")
-local recognise = require("yapp.file.candump_recognise")
+local text = require("yapp.file.text")
 local utf8 = require("yapp.base.utf8")
 
-local parse, usual, packet = candump_line.parse, candump_line.usual, candump_line.packet
-local LONGEST, LENGTHS = candump_line.LONGEST, candump_line.LENGTHS
-local find, match, gsub, sub, format = string.find, string.match, string.gsub, string.sub, string.format
+local parse, usual = candump_line.parse, candump_line.usual
+local char, find, format = string.char, string.find, string.format
+local gmatch, gsub, match, sub = string.gmatch, string.gsub, string.match, string.sub
 
 local M = {}
 
-local BLOCK = 65536 -- bytes read at once
+-- Sizes, in bytes.  A pipe can be rewound inside Wireshark's own buffer only, which is never less
+-- than HEAD and never as much as SURE (less than 256 KB on 4.0, than 8 MB on 4.4 and 4.6).
+local HEAD = 4096
+local SURE = 16 * 1024 * 1024
+local PIECE = 1024 * 1024
 
 -- So many lines are reported one by one for each reason.
 local REPORTED = 3
--- Buses with a number of their own, and those named in the packet list: no file has so many, except a hostile one.
-local MOST_BUSES, COMMENTED_BUSES = 4096, 100
--- Heads of packets that are kept, one for each bus and id.
-local MOST_HEADS = 4096
 
-----------------------------------------------------------------------------------------------------------
--- Lines of a file
-----------------------------------------------------------------------------------------------------------
+-- Which files are candump's
+-- -------------------------------------------------------------------------
 
--- Lines are cut from `text`, the part of the file from offset `base` on; `pos` is where the next one starts.
-local function new_lines(text)
-  return { text = text, base = 0, pos = 1, number = 0 }
+-- How many digits Wireshark's own reader takes behind "#", by what comes first: data, remote, CAN
+-- FD.
+local PLAIN_DIGITS = {}
+for kind, counts in pairs {
+  [""] = "0 2 4 6 8 10 12 14 16", R = "0 1", ["#"] = "1 3 5 7 9 11 13 15 17 25 33 41 49 65 97 129",
+} do
+  PLAIN_DIGITS[kind] = {}
+  for count in gmatch(counts, "%d+") do PLAIN_DIGITS[kind][tonumber(count)] = true end
 end
 
--- Reads on in the file; false at its end. Of a line without end only what tells that it is too long is kept.
-local function read_on(lines, file)
-  local rest = sub(lines.text, lines.pos)
-  lines.base = lines.base + lines.pos - 1
-  if #rest > LONGEST then
-    lines.cut = lines.cut or { text = sub(rest, 1, LONGEST + 1), offset = lines.base }
-    lines.base, rest = lines.base + #rest, ""
+-- A test for text of whole lines, all of them log lines of this bus that Wireshark's own reader
+-- gets right in every version.  It takes one space, six decimals, a number of digits that fits, and
+-- nothing more; it does not tell two buses apart before 4.6, and an empty line ends the file for it
+-- on 4.6. From 4.6 on it goes by an id's value, not by its digits: 00000000 is a standard id to it,
+-- and an error frame's an extended one (by_value).
+local function plain_test(bus, by_value)
+  local name = gsub(bus, "%W", "%%%0")
+  local pattern = "%(%d+%.%d%d%d%d%d%d%) " .. name .. " ([0-7]%x+)#([#R]?)()%x*()\r?\n"
+  local function erase(id, kind, from, to)
+    local is_misread = by_value and (id < "00000800" or id >= "20000000")
+    local is_id = #id == 3 or #id == 8 and not is_misread
+    return is_id and PLAIN_DIGITS[kind][to - from] and "" or nil
   end
-  local more, why = file:read(BLOCK)
-  if why then error("cannot read on at offset " .. lines.base + #rest .. ": " .. why, 0) end
-  more = more or ""
-  lines.text, lines.pos = rest .. more, 1
-  return more ~= ""
+  return function(lines) return gsub(lines, pattern, erase) == "" end
 end
 
--- The next line without its "\n", and its offset; nil at the end.
-local function next_line(lines, file)
-  local stop = find(lines.text, "\n", lines.pos, true)
-  while not stop and read_on(lines, file) do stop = find(lines.text, "\n", lines.pos, true) end
-  stop = stop or #lines.text + 1
-  local start, cut = lines.pos, lines.cut
-  if start > #lines.text and not cut then return nil end
-  lines.pos, lines.cut, lines.number = stop + 1, nil, lines.number + 1
-  if cut then return cut.text, cut.offset end
-  return sub(lines.text, start, stop - 1), lines.base + start - 1
-end
-
--- Goes to an offset, inside the text at hand when possible.
-local function go_to(lines, file, offset)
-  local pos = offset - lines.base + 1
-  lines.cut = nil
-  if pos >= 1 and pos <= #lines.text then
-    lines.pos = pos
-  else
-    file:seek("set", offset)
-    lines.text, lines.base, lines.pos = "", offset, 1
+-- candump -t d prints the time since the frame before, -t z since the first one.  On one bus the
+-- latter climb, or stay where an adapter stamps several frames at once; the former go up and down,
+-- or repeat. (Of several buses two frames may change places.)
+local function are_deltas(records)
+  local last, falls, repeats, rises = {}, 0, 0, 0
+  for _, record in ipairs(records) do
+    if record.is_relative then
+      local time = record.seconds * 1000000000 + record.nanoseconds
+      local before = last[record.bus] or time
+      if time < before then
+        falls = falls + 1
+      elseif time > before then
+        rises = rises + 1
+      elseif time > 0 and last[record.bus] then
+        repeats = repeats + 1
+      end
+      last[record.bus] = time
+    end
   end
+  if falls > 0 or rises <= 1 then falls = falls + repeats end
+  return 10 * falls > #records
 end
 
-----------------------------------------------------------------------------------------------------------
+local function decimals_of(records)
+  for _, record in ipairs(records) do
+    if (record.nanoseconds or 0) % 1000 ~= 0 then return 9 end
+  end
+  return 6
+end
+
+-- Cuts text behind its last line end.  At the end of the file all of it is lines.
+local function whole_lines(piece, at_end)
+  if at_end then return (gsub(piece, "([^\n])$", "%1\n")), "" end
+  local lines = match(piece, "^.*\n") or ""
+  return lines, sub(piece, #lines + 1)
+end
+
+-- What the rest of a line may be: cut in its id, in its length, in its data bytes, behind them; and
+-- a line of frames that candump lost.
+local RESTS = {
+  "^%x*#",
+  "^%x*%s*[%[{]?%x*[%]}]",
+  "^[%x%s`]+$",
+  "['`]%s*$",
+  " request%s*$",
+  "^DROPCOUNT: ",
+}
+
+-- Whether a line is the rest of one of candump's whose start was cut off: with the start of another
+-- one in front it is a frame again.  Where their ids or lengths differ it has to look like such a
+-- rest.
+local function is_rest(line, whole)
+  for size = 1, math.min(#whole, 200) do -- a frame's line has less in front of its data
+    local record = parse(sub(whole, 1, size) .. line)
+    if record and not record.note then return true end
+  end
+  for _, rest in ipairs(RESTS) do
+    if find(line, rest) then return true end
+  end
+  return false
+end
+
+-- Whether a file of candump text may start with these lines, which are no frames: the rest of one
+-- in a log cut at its start, or a shell's with the command.  Any other first line may be another
+-- format's mark.
+local function may_begin(lines, first_frame)
+  for _, line in ipairs(lines) do
+    if find(line, "candump ", 1, true) then return true end
+  end
+  return #lines == 0 or #lines == 1 and is_rest(lines[1], first_frame)
+end
+
+-- What the first lines of a file tell: nil if they are not candump's, else { deltas = whether its
+-- times are those since the frame before, decimals = 6 or 9, bus = the first one's name }.
+local function recognise(lines)
+  local records, others = {}, {}
+  for line in gmatch(lines, "([^\n]*)\n") do
+    local record, why = parse(line)
+    if record then
+      if #records == 0 and not may_begin(others, line) then return nil end
+      records[#records + 1] = record
+    elseif why and not candump_line.HARMLESS[why] then
+      others[#others + 1] = line
+    end
+  end
+  if #records <= #others then return nil end
+  return {
+    deltas = are_deltas(records),
+    decimals = decimals_of(records),
+    bus = records[1].bus,
+  }
+end
+
+-- Looks behind a plain start for a line that needs this reader.  Returns the text read from the
+-- start of the file, with the file right behind it, or nil if the file is plain throughout.  A file
+-- that cannot be rewound is a pipe: nobody else could read it any more, so it is taken.  All text
+-- is kept until that is known.
+local function text_that_needs_us(file, head, is_plain)
+  local pieces, size = { head }, #head
+  local lines, rest = whole_lines(head, false)
+  while is_plain(lines) and #rest <= HEAD do
+    local more = file:read(PIECE) or ""
+    size = size + #more
+    if size < SURE then
+      pieces[#pieces + 1] = more
+      if not file:seek("set", 0) then return table.concat(pieces) end
+      file:seek("set", size)
+    end
+    lines, rest = whole_lines(rest .. more, more == "")
+    if more == "" and is_plain(lines) then return nil end
+  end
+  file:seek("set", #head)
+  return head
+end
+
 -- A file
-----------------------------------------------------------------------------------------------------------
+-- --------------------------------------------------------------------------------------------
+
+local Log = {}
+Log.__index = Log
 
 --- Opens a file if it is candump text.
 -- @param file anything with read(bytes) and seek("set", offset), at its start, as io.open gives it
--- @param options { all = true to take all candump text, false to leave to Wireshark's own reader what that gets right;
---   by_value = whether that reader tells extended ids by their value, as 4.6 does; big_endian = whether this host is;
---   report = function(text), called with a line for each message, or nil }
--- @return what read and seek_read need, with decimals (6 or 9) of the times. Nil if the file is not taken; and then the
---   name of its bus, if it is a log that Wireshark's own reader gets right
+-- @param options { all = true to take all candump text, false to leave to Wireshark's own reader
+--   what that gets right; by_value = whether that reader tells extended ids by their value, as 4.6
+--   does; report = function(text), called with a line for each message }
+-- @return a log with read and seek_read, and decimals (6 or 9) of the times.  Nil if the file is
+--   not taken; and then the name of its bus, if it is a log that Wireshark's own reader gets right
 function M.open(file, options)
-  local found, plain_bus = recognise.look(file, options)
-  if not found then return nil, plain_bus and utf8.printable(plain_bus) end
-  local log = {
-    decimals = found.decimals, deltas = found.deltas, encoding = found.encoding,
-    report = options.report or function() end, big_endian = options.big_endian,
-    lines = new_lines(found.text), random = new_lines(""), -- in order; and wherever a frame is wanted again
-    seconds = 0, nanoseconds = 0, marks = {}, count = 0, -- of deltas
-    buses = {}, taken = {}, bus_count = 0, head_count = 0, comments = {}, pending = {}, skipped = {},
-  }
-  log.lines.pos = found.start
-  return log
+  local head = file:read(HEAD) or ""
+  if find(head, "\0", 1, true) then return nil end
+  local lines = whole_lines(head, #head < HEAD)
+  local found = recognise(lines)
+  if not found then return nil end
+  local is_plain = plain_test(found.bus, options.by_value)
+  if not options.all and is_plain(lines) then
+    head = text_that_needs_us(file, head, is_plain)
+    if not head then return nil, utf8.printable(found.bus) end
+  end
+  return setmetatable({
+    decimals = found.decimals,
+    deltas = found.deltas,
+    report = options.report or print,
+    lines = text.lines(head),
+    again = text.lines(""), -- wherever a frame is wanted again
+    clock = 0, -- of deltas: nanoseconds so far
+    clocks = {}, -- and at each frame's offset
+    buses = {}, -- by name
+    taken = {}, -- by number: whether a bus has it
+    lowest = 0, -- no number below it is free
+    skipped = {}, -- number of lines, by reason
+    pending = {}, -- what the packet list is to say at the next frame
+    comments = {}, -- what it says, by the frame's offset
+  }, Log)
 end
 
--- A bus: { number = the one its name ends in (can1 is 1) unless another bus has it, else the first free one; name =
--- fit to be printed; heads = of packets, by the id's digits }. Second result: true if it is new.
-local function bus_of(log, name)
-  local bus = log.buses[name]
-  if bus then return bus, false end
-  if log.bus_count == MOST_BUSES then return { number = MOST_BUSES, name = utf8.printable(name), heads = {} }, false end
+-- A bus: { number = the one its name ends in (can1 is 1) unless another bus has it, else the first
+-- free one; name = fit to be printed; heads = of packets, by the id's digits }.
+function Log:add_bus(name)
   local number = tonumber(match(name, "%f[%d]%d?%d?%d$"))
-  if not number or log.taken[number] then
-    number = log.lowest or 0
-    while log.taken[number] do number = number + 1 end
-    log.lowest = number + 1
+  if not number or self.taken[number] then
+    while self.taken[self.lowest] do self.lowest = self.lowest + 1 end
+    number = self.lowest
   end
-  bus = { number = number, name = utf8.printable(name), heads = {} }
-  log.buses[name], log.taken[number], log.bus_count = bus, true, log.bus_count + 1
-  return bus, true
+  local shown = utf8.printable(name)
+  self.taken[number] = true
+  self.buses[name] = { number = number, name = shown, heads = {} }
+  self.pending[#self.pending + 1] = format("Interface index %d is %s", number, shown)
 end
 
--- A line to tell of, for the most part one without a frame: at once, and in the packet list at the next frame.
-local function skip(log, line, why)
-  local count = (log.skipped[why] or 0) + 1
-  log.skipped[why] = count
+-- A line to tell of, for the most part one without a frame: at once, and in the packet list at the
+-- next frame.  There may be many of a kind.
+function Log:skip(line, why)
+  local count = (self.skipped[why] or 0) + 1
+  self.skipped[why] = count
   if count > REPORTED then return end
-  local message = format("line %d: %s", log.lines.number, why)
-  local shown = match(gsub(gsub(sub(line, 1, 80), "%c", " "), "[\128-\255]", "?"), "%S.*%f[%s\0]")
-  if shown then message = format('%s: "%s"', message, shown) end
-  log.report(message)
-  if not candump_line.HARMLESS[why] then log.pending[#log.pending + 1] = message end
+  local message = format("line %d: %s", self.lines.number, why)
+  local shown = utf8.printable(match(sub(line, 1, 80), "^%s*(.-)%s*$"))
+  if shown ~= "" then message = format('%s: "%s"', message, shown) end
+  if count == REPORTED then message = message .. "; no more of these are told" end
+  self.report(message)
+  if not candump_line.HARMLESS[why] then self.pending[#self.pending + 1] = message end
 end
 
--- Says how many lines there were of what was not told line by line.
-local function report_total(log)
-  local parts = {}
-  for why, count in pairs(log.skipped) do
-    if count > REPORTED then parts[#parts + 1] = format("%d times: %s", count, why) end
+-- What is to be kept of a frame that is read for the first time.
+function Log:note(record, line, offset)
+  if not self.buses[record.bus] then self:add_bus(record.bus) end
+  if self.deltas and record.is_relative then
+    self.clock = self.clock + record.seconds * 1000000000 + record.nanoseconds
+    self.clocks[offset] = self.clock
   end
-  table.sort(parts)
-  for _, part in ipairs(parts) do log.report(part) end
-  log.skipped = {}
-end
-
--- Every so many deltas the time so far is kept: offset of the frame, time before it.
-local MARK_EVERY = 64
-
-local function mark(log, offset)
-  if log.count % MARK_EVERY == 0 then
-    log.marks[#log.marks + 1] = { offset = offset, seconds = log.seconds, nanoseconds = log.nanoseconds }
+  if record.note then self:skip(line, record.note) end
+  if #self.pending > 0 then
+    self.comments[offset] = table.concat(self.pending, "\n")
+    self.pending = {}
   end
-  log.count = log.count + 1
 end
 
--- Adds a relative time to the time in `clock`, and puts the sum in the record.
-local function add_delta(clock, record)
-  if not record.relative then return end
-  local seconds, ns = clock.seconds + record.seconds, clock.nanoseconds + record.nanoseconds
-  if ns >= 1000000000 then seconds, ns = seconds + 1, ns - 1000000000 end
-  clock.seconds, clock.nanoseconds = seconds, ns
-  record.seconds, record.nanoseconds = seconds, ns
-end
-
--- The last mark at or before an offset.
-local function mark_before(marks, offset)
-  local low, high = 1, #marks
-  while low < high do
-    local middle = math.floor((low + high + 1) / 2)
-    if marks[middle].offset <= offset then low = middle else high = middle - 1 end
+-- What read returns for a frame that parse found.
+function Log:packet(record, offset)
+  local bus, seconds, nanoseconds = self.buses[record.bus], record.seconds, record.nanoseconds
+  local clock = self.clocks[offset]
+  if clock then
+    nanoseconds = clock % 1000000000
+    seconds = math.floor((clock - nanoseconds) / 1000000000)
   end
-  return marks[low]
+  return offset, text.packet(bus.number, record), seconds, nanoseconds, bus, self.comments[offset]
 end
 
--- What the packet list shall say with the frame at this offset: its bus if it is the first of it, lines skipped.
-local function comment_on(log, bus, offset, is_new)
-  if is_new and log.bus_count <= COMMENTED_BUSES then
-    log.pending[#log.pending + 1] = format("Interface index %d is %s", bus.number, bus.name)
+-- The head of a packet, and its bus; nil for a bus that is new, and where there is no such id.
+function Log:head(name, digits)
+  local bus = self.buses[name]
+  if not bus then return nil end
+  local head = bus.heads[digits]
+  if not head then
+    local id = candump_line.id(digits)
+    head = id and text.head(bus.number, { id = id })
+    bus.heads[digits] = head
   end
-  if #log.pending > 0 then log.comments[offset], log.pending = table.concat(log.pending, "\n"), {} end
+  return head, bus
 end
 
--- Lines of the usual form, with an id that has been on their bus before, are read in one step: nearly all of a large
--- file are such, and this takes half of the time. Returns what read returns, or nothing.
-local function usual_frame(log, lines)
+-- The next frame.  Nearly all lines of a large file are of the usual form, which takes half of the
+-- time of another: no record is made of it.
+function Log:next(lines, file)
   local seconds, nanoseconds, name, digits, data, stop = usual(lines.text, lines.pos)
-  local bus = stop and log.buses[name]
-  local head = bus and bus.heads[digits]
-  if not head then return nil end
-  local offset = lines.base + lines.pos - 1
-  lines.pos, lines.number = stop, lines.number + 1
-  return offset, head .. LENGTHS[#data] .. data, bus, seconds, nanoseconds, log.comments[offset]
-end
-
--- The next line of the usual form with this bus and id can be read so.
-local function keep_head(log, line, bus, bytes)
-  local _, _, _, digits = usual(line .. "\n", 1)
-  if not digits or bus.heads[digits] then return end
-  if log.head_count == MOST_HEADS then
-    for _, other in pairs(log.buses) do other.heads = {} end
-    log.head_count = 0
+  if stop and #self.pending == 0 then
+    local head, bus = self:head(name, digits)
+    if head then
+      local offset = lines:skip_to(stop)
+      local bytes = head .. char(#data) .. "\0\0\0" .. data
+      return offset, bytes, seconds, nanoseconds, bus, self.comments[offset]
+    end
   end
-  bus.heads[digits], log.head_count = sub(bytes, 1, candump_line.HEAD), log.head_count + 1
-end
-
--- The file, or what reads it as if it were ASCII.
-local function decoded(log, file)
-  local encoding = log.encoding
-  if not encoding then return file end
-  encoding.file = file
-  return encoding
-end
-
--- Reads on to a frame in a line that need not be of the usual form.
-local function next_frame(log, file)
-  local lines = log.lines
-  local line, offset = next_line(lines, file)
+  local line, offset = lines:next(file)
   while line do
     local record, why = parse(line)
     if record then
-      local bus, is_new = bus_of(log, record.bus)
-      if log.deltas then
-        mark(log, offset)
-        add_delta(log, record)
-      end
-      if record.note then skip(log, line, record.note) end
-      if is_new or #log.pending > 0 then comment_on(log, bus, offset, is_new) end
-      local bytes = packet(record, bus.number, log.big_endian)
-      keep_head(log, line, bus, bytes)
-      return offset, bytes, bus, record.seconds, record.nanoseconds, log.comments[offset]
+      if lines == self.lines then self:note(record, line, offset) end
+      return self:packet(record, offset)
     end
-    if why then skip(log, line, why) end
-    line, offset = next_line(lines, file)
+    if why then self:skip(line, why) end
+    line, offset = lines:next(file)
   end
-  report_total(log)
 end
 
---- Reads the next frame. (No record: one for each line of a large file is a fifth of the time, most of it the
--- collector's.)
--- @param log from open
+--- Reads the next frame.
 -- @param file the file it was opened with
--- @return its offset, the packet's bytes (see file.candump_line), the bus { number, name }, the seconds and
---   nanoseconds since 1970 or since the first frame (nil without a time), a comment or nil. Nothing at the end
-function M.read(log, file)
-  if #log.pending == 0 and not log.deltas then
-    local offset, bytes, bus, seconds, nanoseconds, comment = usual_frame(log, log.lines)
-    if offset then return offset, bytes, bus, seconds, nanoseconds, comment end
-  end
-  return next_frame(log, decoded(log, file))
-end
-
--- Puts the random lines where reading must start for the time at `offset` to be known: as near as possible.
-local function go_before(log, file, offset)
-  local lines = log.random
-  if not log.deltas then return go_to(lines, file, offset) end
-  local nearest = mark_before(log.marks, offset)
-  local here = lines.base + lines.pos - 1
-  if lines.seconds and here <= offset and here > nearest.offset then return end
-  go_to(lines, file, nearest.offset)
-  lines.seconds, lines.nanoseconds = nearest.seconds, nearest.nanoseconds
+-- @return its offset, the packet's bytes (link type LINUX_SLL2), the seconds and nanoseconds since
+--   1970 or since the first frame (nil without a time), the bus { number, name }, a comment or nil.
+--   Nil at the end
+function Log:read(file)
+  return self:next(self.lines, file)
 end
 
 --- Reads a frame again.
--- @param log from open
 -- @param file a second handle on the same file, used for nothing else
 -- @param offset of the frame, as read gave it
 -- @return the same as read gave, or nil
-function M.seek_read(log, file, offset)
-  file = decoded(log, file)
-  go_before(log, file, offset)
-  local lines = log.random
-  if not log.deltas then
-    local at, bytes, bus, seconds, nanoseconds, comment = usual_frame(log, lines)
-    if at then return at, bytes, bus, seconds, nanoseconds, comment end
-  end
-  repeat
-    local line, at = next_line(lines, file)
-    local record = line and parse(line)
-    if record and log.deltas then add_delta(lines, record) end
-    if record and at == offset then
-      local bus = bus_of(log, record.bus)
-      return at, packet(record, bus.number, log.big_endian), bus, record.seconds, record.nanoseconds,
-        log.comments[offset]
-    end
-  until not line or at >= offset
+function Log:seek_read(file, offset)
+  self.again:go_to(file, offset)
+  return self:next(self.again, file)
 end
 
 return M

@@ -1,12 +1,18 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- A raw serial dump as records: what `cat /dev/ttyUSB0 > run.yapp` saved.  Pure Lua, 5.2 and 5.4; the file is
--- anything with read and seek.
+-- A raw serial dump as packets: what `cat /dev/ttyUSB0 > run.yapp` saved.  Pure Lua.
 
 local M = {}
 
 local CHUNK = 65536
 local AHEAD = 1048576 -- how far to look for a time stamp; what is read on the way is kept
 local LONGEST = 65536 -- bytes of no frame in one record: Wireshark takes four times as much
+
+-- A record is an exported PDU: it names its dissector, and a UDP port type says that it is complete
+-- in itself.  Bytes between frames may look like the start of one, which only what follows them has
+-- proved wrong.
+local DISSECTOR, UDP = "\0\12\0\12", "\0\24\0\4\0\0\0\3\0\0\0\0" -- tags, each with its length
+local FRAME = DISSECTOR .. "yapp_serial\0" .. UDP
+local SKIPPED = DISSECTOR .. "yapp_skipped" .. UDP
 
 local UNKNOWN = {} -- a time
 
@@ -16,15 +22,9 @@ Dump.__index = Dump
 -- Reads on; whether there was anything more.
 function Dump:fill(file)
   if self.ended then return false end
-  local bytes = self.head or file:read(CHUNK)
-  self.head = nil
-  local events
-  if bytes and #bytes > 0 then
-    events = self.framer:feed(bytes)
-  else
-    events, self.ended = self.framer:finish(), true
-  end
-  if self.next > self.last then self.events, self.next, self.last = {}, 1, 0 end
+  local bytes = self.head or file:read(CHUNK) or ""
+  self.head, self.ended = nil, bytes == ""
+  local events = self.ended and self.framer:finish() or self.framer:feed(bytes)
   for _, event in ipairs(events) do
     self.last = self.last + 1
     self.events[self.last] = event
@@ -32,135 +32,105 @@ function Dump:fill(file)
   return true
 end
 
--- The next event, reading on as far as it takes; it stays the next one.
-function Dump:peek(file)
+-- Takes the next event, or nil at the end.
+function Dump:take(file)
   while self.next > self.last do
     if not self:fill(file) then return nil end
   end
-  return self.events[self.next]
-end
-
-function Dump:drop()
+  local event = self.events[self.next]
   self.events[self.next] = nil
   self.next = self.next + 1
+  return event
 end
 
--- Takes the next event; the bytes of no frame between two frames are one, however they were read.
-function Dump:take(file)
-  local event = self:peek(file)
-  if not event then return nil end
-  self:drop()
-  if event.kind ~= "skipped" then return event end
-  local from, bytes = event.from, event.bytes
+function Dump:put_back(event)
+  self.next = self.next - 1
+  self.events[self.next] = event
+end
+
+-- Takes the next frame, or all bytes of no frame in front of it, however they were read.
+function Dump:take_record(file)
+  local event = self:take(file)
+  if not event or event.kind ~= "skipped" then return event end
+  local bytes, from = event.bytes, event.from
   while #bytes < LONGEST do
-    local following = self:peek(file)
+    local following = self:take(file)
+    if following and following.kind ~= "skipped" then self:put_back(following) end
     if not following or following.kind ~= "skipped" then break end
-    self:drop()
     bytes = bytes .. following.bytes
   end
   if #bytes > LONGEST then
-    self.next = self.next - 1
-    self.events[self.next] = { kind = "skipped", from = from + LONGEST, bytes = bytes:sub(LONGEST + 1) }
-    bytes = bytes:sub(1, LONGEST)
+    self:put_back { kind = "skipped", from = from + LONGEST, bytes = bytes:sub(LONGEST + 1) }
   end
-  return { kind = "skipped", from = from, bytes = bytes }
-end
-
-local function new_dump(new_framer, time_of, head)
-  return setmetatable({ framer = new_framer(), time_of = time_of, head = head, events = {}, next = 1, last = 0,
-    offsets = {}, times = {}, skipped = {} }, Dump)
+  return { kind = "skipped", from = from, bytes = bytes:sub(1, LONGEST) }
 end
 
 -- The controller's own time of a frame, nil without one.
-local function stamp(time_of, event)
-  local seconds, nanoseconds = time_of(event.bytes)
+function Dump:stamp(event)
+  if not event.good then return nil end
+  local seconds, nanoseconds = self.time_of(event.bytes)
   return seconds and { seconds, nanoseconds }
 end
 
--- Reads on until a message has a time stamp, at most so far.
--- returns  whether there was a frame with a good CRC
-function Dump:look_ahead(file)
-  local found, at = false, 1
-  while self.framer:offset() < AHEAD and self:fill(file) do
-    for i = at, self.last do
-      if self.events[i].good then
-        found, self.time = true, stamp(self.time_of, self.events[i])
-        if self.time then return true end
-      end
+--- Opens a dump.
+-- @param file at its first byte, or behind `head`; a pipe will do
+-- @param options { new_framer = function() -> a serial.stream; time_of = function(frame bytes) ->
+--   seconds, nanoseconds of the message's own time stamp, nil without one }
+-- @param head the first bytes, where they have been read already
+-- @return a log with read and seek_read; nil for a file that holds no frame with a good CRC
+function M.open(file, options, head)
+  local self = setmetatable({
+    framer = options.new_framer(),
+    time_of = options.time_of,
+    head = head ~= "" and head or nil,
+    decimals = 9,
+    events = {}, -- read, and not given as records yet: events[next] to events[last]
+    next = 1,
+    last = 0,
+    ended = false,
+    time = nil, -- of the record before; of the first one that has a time
+    records = {}, -- { length, time, is_skipped }, by offset
+  }, Dump)
+  local at, found = 1, false
+  while not (found and (self.time or self.framer:offset() >= AHEAD)) and self:fill(file) do
+    while at <= self.last and not self.time do
+      found = found or self.events[at].good
+      self.time = self:stamp(self.events[at])
+      at = at + 1
     end
-    at = self.last + 1
   end
-  return found
+  return found and self or nil
 end
 
--- Drops what comes before the next frame with a good CRC; returns that frame, or nil.
-function Dump:find_frame(file)
-  while self:peek(file) do
-    if self.events[self.next].good then return self.events[self.next] end
-    self:drop()
-  end
+local function packet(record, offset, bytes)
+  local time = record.time
+  return offset, (record.is_skipped and SKIPPED or FRAME) .. bytes, time[1], time[2]
 end
 
---- A dump about to be read.
--- file        at its first byte, or behind `head`
--- new_framer  function() -> a serial.stream
--- time_of     function(frame bytes) -> seconds, nanoseconds of the message's own time stamp, nil without one
--- head        the first bytes, where they have been read already
--- returns     nil for a file that holds no frame with a good CRC.  Only where the first of them comes late is the file
---             read from its beginning again, so a pipe will do.
-function M.open(file, new_framer, time_of, head)
-  local dump = new_dump(new_framer, time_of, head ~= "" and head or nil)
-  if dump:look_ahead(file) then return dump end
-  local late = dump:find_frame(file)
-  if not late or not file:seek("set", 0) then return nil end
-  dump = new_dump(new_framer, time_of)
-  dump.time = stamp(time_of, late)
-  return dump
-end
-
---- The next record.
--- returns  { offset =, bytes =, seconds =, nanoseconds =, skipped = true or nil }, nil at the end.  A record is a frame
---          or a range of bytes that belong to none (skipped).  Its time is the controller's own where the message has a
---          time stamp, else that of the record before; in front of the first one, that of the first one if it comes
---          soon, else nil.
+--- The next record: a frame or a range of bytes that belong to none.
+-- @return its offset, the packet's bytes (an exported PDU), seconds and nanoseconds; nil at the
+--   end.  The time is the controller's own where the message has a time stamp, else that of the
+--   record before; in front of the first one, that of the first one if it comes soon, else nil
 function Dump:read(file)
-  local event = self:take(file)
+  local event = self:take_record(file)
   if not event then return nil end
-  local time = event.good and stamp(self.time_of, event)
-  if time then
-    self.time = time
-  else -- a second look cannot work these out
-    time = self.time or UNKNOWN
-    self.times[event.from] = time
-  end
-  self.offsets[#self.offsets + 1] = event.from -- in order: the next one says where this one ends
-  self.stop = event.from + #event.bytes
-  local skipped = event.kind == "skipped" or nil
-  if skipped then self.skipped[event.from] = true end
-  return { offset = event.from, bytes = event.bytes, seconds = time[1], nanoseconds = time[2], skipped = skipped }
-end
-
--- Where a record ends: where the next begins; nil for the last.
-local function next_offset(offsets, offset)
-  local low, high = 1, #offsets
-  while low <= high do
-    local middle = (low + high - (low + high) % 2) / 2
-    if offsets[middle] <= offset then low = middle + 1 else high = middle - 1 end
-  end
-  return offsets[low]
+  self.time = self:stamp(event) or self.time
+  local record = {
+    length = #event.bytes, time = self.time or UNKNOWN, is_skipped = event.kind == "skipped",
+  }
+  self.records[event.from] = record
+  return packet(record, event.from, event.bytes)
 end
 
 --- A record again.
--- offset   of a record that was read before
--- returns  as from read
-function Dump:read_again(file, offset)
-  local stop = next_offset(self.offsets, offset) or self.stop
-  if not file:seek("set", offset) then return nil end
-  local bytes = file:read(stop - offset)
+-- @param offset of a record that was read before
+-- @return as from read
+function Dump:seek_read(file, offset)
+  local record = self.records[offset]
+  if not record or not file:seek("set", offset) then return nil end
+  local bytes = file:read(record.length)
   if not bytes then return nil end
-  local time = self.times[offset] or { self.time_of(bytes) }
-  return { offset = offset, bytes = bytes, seconds = time[1], nanoseconds = time[2],
-    skipped = self.skipped[offset] }
+  return packet(record, offset, bytes)
 end
 
 return M

@@ -70,7 +70,7 @@ function Pass:number(look)
   local places = self.looks[number]
   if not places or not self.is_filtered then return number end
   for _, other in pairs(places) do
-    if floor((look - other) / STEP) >= 0 then return number end
+    if look >= other then return number end
   end
 end
 

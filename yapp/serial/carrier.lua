@@ -23,7 +23,9 @@ Carrier.__index = Carrier
 -- tree     a tree builder (show.tree)
 -- reader   a message.reader: what a finished message means
 -- facts    a host.facts
-function M.new(parts, tree, reader, facts)
+function M.new(tree, reader, facts)
+  local parts = { crc = require "yapp.wire.crc", serial_memory = require "yapp.serial.memory",
+    serial_stream = require "yapp.serial.stream", utf8 = require "yapp.base.utf8" }
   local self = setmetatable({ parts = parts, tree = tree, reader = reader, facts = facts, fact = {}, view = {},
     message = {} }, Carrier)
   function self.accepts(id, size)
@@ -239,7 +241,7 @@ end
 -- that is told no more then finds the same.  Others that show later have theirs where the first pass was told of them.
 local function source_of_packet(self, pinfo, kind)
   if kind == UDP or kind == TCP then return nil end
-  local bus = self.facts:bus(pinfo)
+  local bus = self.facts:of(pinfo)
   if self.facts:are_several() then return bus end
   return bus and bus > 1 and (not pinfo.visited or self.memory:is_informed()) and bus or nil
 end
@@ -251,7 +253,7 @@ local function facts_of(self, tvb, pinfo, length)
   fact.number, fact.place, fact.bytes, fact.transport = pinfo.number, offset_of(tvb), raw_of(tvb), transport
   fact.visited, fact.informed, fact.truncated = pinfo.visited, source ~= nil, reported_of(tvb) > length
   fact.stream = key_of(pinfo, kind, source)
-  return fact, bus_of(pinfo, kind), self.facts:bus_name(source, kind == UDP or kind == TCP)
+  return fact, bus_of(pinfo, kind), self.facts:name(source, kind == UDP or kind == TCP)
 end
 
 --- tshark's taps see one of the first packets: see serial.memory.

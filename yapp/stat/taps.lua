@@ -122,7 +122,6 @@ local function tap_packets(self)
     if clock and clock.is_exact and not is_kept then
       clock.tap:remove()
       clock = nil
-      self.plugin.tapped(pinfo.number)
       if not (self.wants_parts or feed:has_filter()) then take_at_once(self, tap) end
     end
     local number = feed.number
@@ -164,7 +163,6 @@ end
 
 function Stat:open()
   self.feed, self.wanted = require("yapp.stat.feed").new(), true
-  self.plugin.wants_records(true)
 end
 
 function Stat:finish()
@@ -191,7 +189,6 @@ function Stat:run(text)
     out(problem .. "\n")
   end
   self.feed, self.wanted, self.wants_parts = nil, false, false
-  self.plugin.wants_records(false)
   return table.concat(said)
 end
 

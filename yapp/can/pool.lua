@@ -1,0 +1,224 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Messages of one key that interleave, where a capture does not tell its buses apart.  Pure Lua.
+--
+-- A Start that comes while a message with the same key is open may cut it off, or come from another bus.  From then on the
+-- frames of that key are pooled, and an End looks for the frames that, with it, make up one of the open messages: its size
+-- and its CRC decide.  Every frame that comes brings some credit, which bounds the search.
+--
+-- A frame in the pool has look, data, length (on the bus), is_end, and is_taken once a good message has it.
+
+local can_id = require "yapp.wire.can_id"
+local crc = require "yapp.wire.crc"
+
+local M = {}
+
+local concat = table.concat
+
+local MAX_OVERTAKEN = 3 -- a message that more Starts than this overtook is given up
+local MAX_WASTE = 4096  -- bytes in the pool beyond what its messages can use
+local CREDIT_PER_FRAME, MAX_CREDIT = 32, 4096 -- steps of the search
+
+local Pool = {}
+Pool.__index = Pool
+
+--- A pool for one key.
+-- reassembly  of can.memory, which is told what becomes of frames
+-- message     the one that is open
+-- It has messages: those that are open, oldest first, each with from: the place of its first frame.
+function M.new(reassembly, message)
+  local self = setmetatable({ reassembly = reassembly, messages = { message }, frames = {}, bytes = 0,
+    credit = MAX_CREDIT }, Pool)
+  for i, data in ipairs(message.chunks) do
+    self.frames[i] = { look = message[i + 1], data = data, length = #data }
+  end
+  message.from, message.chunks = 1, nil
+  return self
+end
+
+--- The message with the newest Start.
+function Pool:newest()
+  return self.messages[#self.messages]
+end
+
+-- The places of the frames since a message's Start that nobody else took, as they came; and their
+-- bytes.
+local function leftovers(self, message)
+  local places, length = {}, 0
+  for i = message.from, #self.frames do
+    local frame = self.frames[i]
+    if not frame.is_taken then
+      places[#places + 1] = i
+      length = length + frame.length
+    end
+  end
+  return places, length
+end
+
+--- How many bytes have come since the newest Start.
+function Pool:received()
+  local _, length = leftovers(self, self:newest())
+  return length
+end
+
+--- A Start came: the open messages are overtaken, and too old ones given up.
+-- returns  whether any is left; without one the key is an ordinary one again
+function Pool:overtake()
+  local rest = {}
+  for _, message in ipairs(self.messages) do
+    message.overtaken = (message.overtaken or 0) + 1
+    if message.overtaken > MAX_OVERTAKEN then
+      message.status = "cut"
+    else
+      rest[#rest + 1] = message
+    end
+  end
+  self.messages = rest
+  if not rest[1] then return false end
+  -- What lies before the oldest message is nobody's any more.
+  local before, frames = rest[1].from - 1, {}
+  for i = before + 1, #self.frames do frames[i - before] = self.frames[i] end
+  self.frames = frames
+  for _, message in ipairs(rest) do message.from = message.from - before end
+  return true
+end
+
+--- The message that a Start opens.
+function Pool:add(message)
+  message.from, message.chunks = #self.frames + 1, nil
+  self.messages[#self.messages + 1] = message
+end
+
+-- Depth first over the frames from `at` on; the newest frame has to be the last taken.
+-- goal     { crc = as sent, places = of the frames that are taken so far, padding = found }
+-- returns  whether these are a whole message
+local function search(self, goal, at, register, needed)
+  local frames, places = self.frames, goal.places
+  local last = #frames
+  while at <= last do
+    local frame = frames[at]
+    self.credit = self.credit - 1
+    if self.credit < 0 then return false end
+    if at == last then
+      goal.padding = #frame.data == frame.length and can_id.padding(frame.data, frame.length, needed)
+      places[#places + 1] = at
+      return goal.padding and crc.update(register, frame.data, 1, needed) == goal.crc
+    end
+    -- What the capture cut proves nothing.
+    if frame.length < needed and not frame.is_end and not frame.is_taken and #frame.data == frame.length then
+      local count = #places
+      places[count + 1] = at
+      if search(self, goal, at + 1, crc.update(register, frame.data), needed - frame.length) then return true end
+      for i = #places, count + 1, -1 do places[i] = nil end
+    end
+    at = at + 1
+  end
+  return false
+end
+
+-- Whether all that came since the newest Start makes up its message; where bytes were not captured,
+-- by their number.
+local function all_since_start(self, message, seed)
+  local frames = self.frames
+  local places, length = leftovers(self, message)
+  local last = frames[#frames]
+  local padding = can_id.padding(last.data, last.length, message.size - length + last.length)
+  if not padding then return nil end
+  local register = seed
+  for _, at in ipairs(places) do
+    local frame = frames[at]
+    if frame.is_end and frame ~= last then return nil end
+    if #frame.data < frame.length then return places, padding end
+    local count = frame == last and #frame.data - padding or #frame.data
+    register = crc.update(register, frame.data, 1, count)
+  end
+  if register == message.crc then return places, padding end
+end
+
+local function seed_of(message)
+  return crc.of(can_id.header(message.address, message.size, message.reserved))
+end
+
+-- Which message an End completes, and with which frames: the newest with all that came since its
+-- Start, else, oldest first, whatever fits.
+-- returns  its place among the open ones, places of frames, bytes of padding; nothing when it
+--          completes none
+local function find_whole(self)
+  local messages, newest = self.messages, self:newest()
+  local places, padding = all_since_start(self, newest, seed_of(newest))
+  if places then return #messages, places, padding end
+  for i, message in ipairs(messages) do
+    local goal = { crc = message.crc, places = {} }
+    if search(self, goal, message.from, seed_of(message), message.size) then
+      return i, goal.places, goal.padding
+    end
+  end
+end
+
+-- Gives frames to a message and ends it: with a status when it is known, else the CRC decides.
+local function award(self, message, places, padding, status)
+  local reassembly, frames, chunks, is_cut = self.reassembly, self.frames, {}, false
+  for i = #message, 2, -1 do message[i] = nil end
+  for i, at in ipairs(places) do
+    local frame = frames[at]
+    message[i + 1] = frame.look
+    if not is_cut then chunks[i] = frame.data end
+    is_cut = is_cut or #frame.data < frame.length
+    reassembly.entries[frame.look] = message
+    reassembly:take_back(frame.look, function(fault) return fault.expert == "fragment.orphan" end)
+  end
+  local payload = concat(chunks)
+  if not status then payload = payload:sub(1, message.size) end
+  message.padding = padding and padding > 0 and padding or nil
+  reassembly:finish(message, payload, frames[#frames].look, status or is_cut and "unverified" or nil)
+  if message.status ~= "good" then return end -- else its frames may still be another's
+  for _, at in ipairs(places) do frames[at].is_taken = true end
+  for _, look in ipairs(message.blamed or {}) do
+    reassembly:take_back(look, function(fault) return fault.message == message end)
+  end
+  message.blamed = nil
+end
+
+-- An End that completes nothing ends the newest message, as far as anyone can see.  But it may be
+-- another bus's, so where others are open that message stays for what may come.
+local function end_newest(self, look)
+  local message = self:newest()
+  local places, length = leftovers(self, message)
+  local last, ended = self.frames[#self.frames], message
+  if #self.messages == 1 then
+    self.messages = {}
+  else
+    ended = {}
+    for key, value in pairs(message) do ended[key] = value end
+    message.overtaken = message.overtaken or 0
+  end
+  local padding = can_id.padding(last.data, last.length, message.size - length + last.length)
+  local status = not padding and self.reassembly:misfit(ended, length, look) or nil
+  award(self, ended, places, padding, status)
+end
+
+--- Takes a Middle or End; the reassembly's entries say what it is.
+function Pool:frame(address, frame, look)
+  local newest, reassembly = self:newest(), self.reassembly
+  local is_end = address.ctrl == can_id.END
+  self.credit = math.min(math.max(self.credit, 0) + CREDIT_PER_FRAME, MAX_CREDIT)
+  self.frames[#self.frames + 1] = { look = look, data = frame.data, length = frame.reported,
+    is_end = is_end }
+  self.bytes = self.bytes + frame.reported
+  if is_end then
+    local place, places, padding = find_whole(self)
+    if place then return award(self, table.remove(self.messages, place), places, padding) end
+  end
+  if newest.overtaken then return reassembly:orphan(address, look) end
+  reassembly.entries[look] = newest
+  newest[#newest + 1] = look -- as far as anyone can see
+  if is_end then return end_newest(self, look) end
+  -- More bytes than all open messages can use: none of them will come out good.
+  local limit = MAX_WASTE
+  for _, message in ipairs(self.messages) do limit = limit + message.size end
+  if self.bytes <= limit then return end
+  reassembly:misfit(newest, self.bytes, look)
+  for _, message in ipairs(self.messages) do message.status = message.status or "overrun" end
+  self.messages = {}
+end
+
+return M

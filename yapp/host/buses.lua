@@ -1,0 +1,144 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- On which bus a packet was captured: may this capture have several, which one is it, what is it called.  Wireshark's API.
+--
+-- The file says it (host.capture), or the reader of ours that it came through.  Of a live capture, of Vector BLF and of
+-- what else is not read here the fields say it, where there is a tree; a tap asks for them.
+
+local capture = require "yapp.host.capture"
+local readers = require "yapp.file.readers"
+
+local M = {}
+
+local FIELDS = "frame.interface_id || frame.interface_name || sll.ifindex || rtacser.eventtype"
+local NAMES = {}
+for name in FIELDS:gmatch("[%w_.]+") do NAMES[name] = true end
+local DIRECTION = { 0, 1, 0, 1 } -- of RTAC's events: data sent, data received, ...
+local BLF = "LOGG"
+local IN_TSHARK = not gui_enabled() -- where a read filter may shift the numbers of packets
+
+local Buses = {}
+Buses.__index = Buses
+
+-- Whether a file is none that is read forward once, as far as that is known: Wireshark cannot rewind a pipe behind what is
+-- read here of it.  Linux says how far a file that is open has been read; elsewhere there is nobody to ask.
+local function is_file(bytes)
+  if not io.open("/proc/self/fdinfo/0") then return true end
+  for number = 3, 63 do
+    local file = io.open("/proc/self/fdinfo/" .. number)
+    local position = file and tonumber((file:read("*l") or ""):match("%d+"))
+    if file then file:close() end
+    if position and position >= bytes then return true end
+  end
+  return false
+end
+
+--- Looks at files from now on.  Call it once.
+function M.watch()
+  local self = setmetatable({ seen = capture.read("", function() end) }, Buses)
+  -- A reader that never reads: the only place where the API shows a file.  It names both arguments: what a reader does
+  -- not hold may be collected while it reads, and Wireshark writes into both when it is back.
+  local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the headers", "rms")
+  function handler.read_open(file, _)
+    local head = file:read(capture.OF_A_PIPE) or ""
+    local is_long = #head == capture.OF_A_PIPE
+    local may_go_on = is_long and is_file(#head)
+    self.seen = capture.read(head, function(count) return may_go_on and file:read(count) or nil end)
+    self.seen_blf, self.seen_whole = head:sub(1, 4) == BLF, may_go_on or not is_long
+    readers.forget()
+    return false
+  end
+  function handler.read() return false end
+  function handler.seek_read() return false end
+  register_filehandler(handler)
+  self:init()
+  return self
+end
+
+--- A new file is about to be dissected.  What was seen since the last one may be of others, which did not open or were
+-- only looked at in a file dialog: nothing of it counts before.
+function Buses:init()
+  local found = self.seen
+  self.found, self.is_blf, self.is_shifted = found, self.seen_blf, false
+  self.plain_bus = readers.plain_bus()
+  self.kept = {} -- [number of a packet] = its bus, where a field said it: a later look may have no tree
+  self.asks = found.has_several or found.begins or found.may_be_ours or not found.is_told
+  local needs_fields = found.begins or self.is_blf or found.has_several and not self.seen_whole
+  if needs_fields then
+    self.tap = self.tap or Listener.new("frame", FIELDS)
+  elseif self.tap then
+    self.tap:remove()
+    self.tap = nil
+  end
+end
+
+--- Whether the capture tells several sources apart, as far as is known.
+function Buses:are_several()
+  return self.found.source_count > 1 or self.is_blf or readers.current() ~= nil
+end
+
+--- Whether the file may have YAPP frames in TCP or UDP, by its first bytes.
+function Buses:may_have_frames()
+  return self.found.may_have_frames
+end
+
+-- The fields that are there; none on a pass that builds no tree.  On 4.0 the value of an item without bytes, such as a
+-- packet comment, throws past Lua: only what is wanted is asked for its value.
+local function fields_by_name(ok, ...)
+  local found = {}
+  for _, info in ipairs(ok and { ... } or {}) do
+    if NAMES[info.name] then found[info.name] = info.value end
+  end
+  return found
+end
+
+-- The bus by the fields of the current packet, and whether it is known.  Where the file had one source when it was
+-- opened, that goes on without a number.
+local function by_fields(self, pinfo)
+  local fields = fields_by_name(pcall(all_field_infos))
+  local interface, index = fields["frame.interface_id"], fields["sll.ifindex"]
+  local event = fields["rtacser.eventtype"]
+  if not (interface or index or event) then return nil, not (self.is_blf or self.found.has_several) end
+  local bus = self.found:source(interface or 0, index or 0, DIRECTION[event] or 0)
+  local name = fields["frame.interface_name"]
+  if name and name ~= "unknown" then self.found.names[bus] = self.found.names[bus] or name end
+  if bus == 1 and not (self.is_blf or self.found.has_several) then
+    self.found.own_name = self.found.own_name or self.found.names[bus]
+    return nil, true
+  end
+  self.kept[pinfo.number] = bus
+  return bus, true
+end
+
+--- Where the current packet was captured.
+-- returns  its bus, a number; nil where the capture has one, or nothing says; and whether this is known
+function Buses:of(pinfo)
+  local bus, name = readers.current()
+  if bus then
+    self.found.names[bus] = name
+    return bus, true
+  end
+  if not self.asks then return nil, true end
+  local number, found = pinfo.number, self.found
+  if number > found.count then
+    bus = self.kept[number]
+    if bus then return bus, true end
+    return by_fields(self, pinfo)
+  end
+  if not found.has_several then return nil, true end
+  bus = not self.is_shifted and found:bus(number, IN_TSHARK and pinfo.abs_ts or nil)
+  if bus and bus > 0 then return bus, true end
+  self.is_shifted = true
+  return nil, false
+end
+
+--- What a bus is called.
+-- bus      its number; nil where the capture has one or tells none apart
+-- is_ip    whether it came in UDP or TCP, so by any interface
+-- returns  text, or nil where the capture names none
+function Buses:name(bus, is_ip)
+  if bus then return self.found.names[bus] end
+  if is_ip then return self.found.only_name or self.plain_bus end
+  return self.found.own_name or self.found.only_name or self.plain_bus
+end
+
+return M
