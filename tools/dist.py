@@ -53,7 +53,7 @@ def whole():
 
 
 def samples():
-    text = (TOP / "test_captures/SAMPLES.md").read_text(encoding="utf-8")
+    text = (TOP / "docs/samples.md").read_text(encoding="utf-8")
     names = re.findall(r"^\| `(.+?)` \|", text, re.MULTILINE)
     paths = [next(TOP / folder / name for folder in ("test_captures", "docs") if (TOP / folder / name).exists())
              for name in names]
