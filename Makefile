@@ -8,7 +8,7 @@ DEMO := document_motor document_command document_uart
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
-.PHONY: demo test test-all unit unit-5.2 unit-5.4 e2e lint install uninstall dist soak matrix fuzz bench screenshots \
+.PHONY: demo test test-all unit unit-5.2 unit-5.4 e2e lint install uninstall dist release soak matrix fuzz bench screenshots \
   needs-tshark needs-python needs-tests needs-bench
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
@@ -16,6 +16,11 @@ define install-missing
 	@missing=; for command in $(1); do command -v $$command >/dev/null || missing=1; done; \
 	$(or $(3),true) || missing=1; \
 	if [ -n "$$missing" ]; then \
+	  if ! command -v apt-get >/dev/null || ! command -v $(or $(SUDO),true) >/dev/null; then \
+	    echo "Something is missing of: $(2)"; \
+	    echo "Install it as root, on Debian and Ubuntu by: apt-get install --no-install-recommends $(2)"; \
+	    exit 1; \
+	  fi; \
 	  echo "Installing: $(2)"; \
 	  $(SUDO) apt-get update -qq && $(SUDO) env DEBIAN_FRONTEND=noninteractive \
 	    apt-get install -y -qq --no-install-recommends $(2) >/dev/null; \
@@ -89,9 +94,14 @@ screenshots:
 install uninstall: needs-tshark needs-python
 	@/usr/bin/env python3 tools/install.py $@
 
-## One zip for every desktop, with install.py at its top; one with the profile for Wireshark's Import
+## What a release has: the zip for every desktop, the profile's, the samples', the wheel of yapp-tables, their sums
 dist: needs-python
 	@/usr/bin/env python3 tools/dist.py
+
+## A release from its tag, TAG=v2.1.0, built twice: what the workflow does
+release: needs-python
+	tools/release.sh "$(TAG)"
+
 # The Python package has its own environment, so that nothing is installed into the system's Python.
 TOOLS_VENV := $(HOME)/.cache/yapp-tools
 TOOLS := $(TOOLS_VENV)/bin

@@ -2,7 +2,7 @@
 -- YAPP for Wireshark: the packet protocol of Taurus motor controllers on CAN, UART, TCP and UDP.
 -- The way in: protocols, preferences, dissectors, registration.  README.md says how to use it.
 
-local VERSION = "2.0.0"
+local VERSION = "2.1.0"
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 
 -- Installed in the plugin folder and given by -X, or given twice: the first one loads.
@@ -11,6 +11,12 @@ if loaded then
   io.stderr:write(("yapp: %syapp.lua (%s) is not loaded: %s (%s) is already there\n")
     :format(here, VERSION, loaded.path, loaded.version))
   return loaded
+end
+-- Installed, all modules are in this file.
+if not package.preload["yapp.wire.crc"] and here:find(Dir.personal_plugins_path(), 1, true) then
+  local text = "yapp: %s is a clone in a plugin folder, where Wireshark runs every file: " ..
+    "move it elsewhere, and run make install or tools/install.py there\n"
+  io.stderr:write(text:format(here))
 end
 set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
   description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }

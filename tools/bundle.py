@@ -33,13 +33,22 @@ def quoted(text):
 
 
 def bundle(source=TOP):
-    """The text of the one file."""
+    """The text of the one file; where it is in one file already, that."""
+    if not (source / "yapp").is_dir():
+        return (source / "yapp.lua").read_text(encoding="utf-8")
     modules = []
     for path in sorted((source / "yapp").rglob("*.lua")):
         name = ".".join(path.relative_to(source).with_suffix("").parts)
         modules.append(f'module("{name}", {quoted(path.read_text(encoding="utf-8"))})\n')
     main = (source / "yapp.lua").read_text(encoding="utf-8")
     return HEAD + "".join(modules) + f'return chunk(folder .. "yapp.lua", {quoted(main)})(...)\n'
+
+
+def installed(source=TOP):
+    """What an installation needs: { its place beside install.py: its bytes }."""
+    files = {path.relative_to(source).as_posix(): path.read_bytes()
+             for pattern in ("taurus_fields.lua", "extcap/*.py", "profiles/YAPP/*") for path in source.glob(pattern)}
+    return {"yapp.lua": bundle(source).encode(), **files}
 
 
 def write(folder, source=TOP):

@@ -1,41 +1,80 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Makes dist/yapp-VERSION.zip, for Windows, macOS and Linux: install.py at its top, or to unpack in the plugin folder; and
-dist/yapp-profile-VERSION.zip, for Wireshark's Configuration Profiles, Import, from zip file."""
+"""Makes what a release has, in dist/, or in the folder that is named: dist.py [FOLDER]
+
+    yapp-VERSION.zip                        for Windows, macOS and Linux: install.py at its top, plugin, live ports, profile, docs
+    yapp-profile-VERSION.zip                for Wireshark's Configuration Profiles, Import, from zip file
+    yapp_tables-VERSION-py3-none-any.whl    the command yapp-tables, which installs the plugin too
+    yapp-samples-VERSION.zip                captures to try it on
+    SHA256SUMS
+
+The same commit gives the same bytes on every machine: times are the commit's (SOURCE_DATE_EPOCH), and nothing is compressed,
+since each zlib packs in its own way.  Of docs and tools what git does not know is left out.
+"""
+import hashlib
+import os
 import pathlib
 import re
-import zipfile
+import subprocess
+import sys
 
-import bundle
+sys.dont_write_bytecode = True
+if sys.version_info < (3, 11):
+    sys.exit("dist.py needs Python 3.11 or later")
+import backend  # noqa: E402
+import bundle  # noqa: E402
 
 TOP = pathlib.Path(__file__).resolve().parents[1]
-WHOLE = ("taurus_fields.lua", "extcap/*.py", "profiles/*/*", "README.md", "CHANGELOG.md",
-         "CONTRIBUTING.md", "LICENSE", "docs/*", "tools/pyproject.toml", "tools/README.md", "tools/src/*/*.*")
+DOCUMENTS = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "docs/*", "ci/*", "action.yml",
+             "tools/*.py", "tools/pyproject.toml", "tools/README.md", "tools/src/*/*")
 
 
-def pack(name, files):
-    """Writes a zip of { name in the zip: path, or its bytes }: the same bytes for the same files."""
-    path = TOP / "dist" / name
-    path.parent.mkdir(exist_ok=True)
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for inside, file in sorted(files.items()):
-            entry = zipfile.ZipInfo(inside)
-            entry.compress_type, entry.create_system = zipfile.ZIP_DEFLATED, 3
-            entry.external_attr = (0o100755 if inside.endswith(".py") else 0o100644) << 16
-            archive.writestr(entry, file if isinstance(file, bytes) else file.read_bytes())
-    print(path.relative_to(TOP))
+def git(*arguments):
+    """What git says of the repository; nothing where there is none."""
+    try:
+        done = subprocess.run(["git", "-c", "safe.directory=*", "-C", TOP, *arguments], capture_output=True, check=False)
+    except FileNotFoundError:
+        return ""
+    return done.stdout.decode()
 
 
-def main():
-    version = re.search(r'^local VERSION = "(.*)"', (TOP / "yapp.lua").read_text(encoding="utf-8"), re.MULTILINE)[1]
-    files = {f"yapp/{path.relative_to(TOP).as_posix()}": path for pattern in WHOLE for path in TOP.glob(pattern)}
-    files["yapp/install.py"] = TOP / "tools/install.py"
-    files["yapp/yapp.lua"] = bundle.bundle(TOP).encode()
-    pack(f"yapp-{version}.zip", files)
-    profile = TOP / "profiles"
-    pack(f"yapp-profile-{version}.zip",
-         {path.relative_to(profile).as_posix(): path for path in profile.glob("*/*")})
+def documents():
+    """{ place beside install.py: bytes } of what is not installed."""
+    known = set(git("ls-files", "-z").split("\0")[:-1])
+    found = {path.relative_to(TOP).as_posix(): path for pattern in DOCUMENTS for path in TOP.glob(pattern)}
+    return {name: path.read_bytes() for name, path in found.items() if path.is_file() and (not known or name in known)}
+
+
+def whole():
+    files = {**documents(), **bundle.installed(TOP)}
+    files["install.py"] = files["tools/src/yapp_tables/install.py"]
+    del files["tools/install.py"]  # for the repository
+    return {f"yapp/{name}": content for name, content in files.items()}
+
+
+def samples():
+    text = (TOP / "docs/samples.md").read_text(encoding="utf-8")
+    names = re.findall(r"^\| `(.+?)` \|", text, re.MULTILINE)
+    paths = [next(TOP / folder / name for folder in ("test_captures", "docs") if (TOP / folder / name).exists())
+             for name in names]
+    return {"yapp-samples/README.md": text.encode(), **{f"yapp-samples/{path.name}": path.read_bytes() for path in paths}}
+
+
+def main(folder):
+    version = backend.project()["version"]
+    os.environ.setdefault("SOURCE_DATE_EPOCH", git("log", "-1", "--format=%ct").strip() or backend.OLDEST)
+    folder.mkdir(parents=True, exist_ok=True)
+    installed = bundle.installed(TOP)
+    profile = {name[len("profiles/"):]: content for name, content in installed.items() if name.startswith("profiles/")}
+    zips = {f"yapp-{version}.zip": whole(), f"yapp-profile-{version}.zip": profile, f"yapp-samples-{version}.zip": samples()}
+    for name, files in zips.items():
+        backend.write_zip(folder / name, files)
+    names = sorted([*zips, backend.build_wheel(folder)])
+    sums = "".join(f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in names)
+    (folder / "SHA256SUMS").write_bytes(sums.encode())
+    for name in [*names, "SHA256SUMS"]:
+        print(folder / name)
 
 
 if __name__ == "__main__":
-    main()
+    main(pathlib.Path(sys.argv[1]) if len(sys.argv) > 1 else TOP / "dist")

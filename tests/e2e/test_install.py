@@ -2,6 +2,7 @@
 """Loading: by both routes, twice, from any folder; beside other plugins nothing of theirs is touched."""
 import os
 import pathlib
+import re
 import shutil
 import uuid
 
@@ -131,6 +132,16 @@ def test_a_leak_is_seen(home):
     before, after = (["-X", f"lua_script:{shutil.copy(GLOBALS, home / name)}"] for name in ("first.lua", "last.lua"))
     done = tshark.run(*before, *script(plugin), *after, "-r", CAPTURE, plugin=False, env={"HOME": str(home)})
     assert "globals: leaked" in done.stderr and "globals: string.rep" in done.stderr
+
+
+def test_a_clone_in_a_plugin_folder(home):
+    """Wireshark runs all of its modules, which complain; the last line says what is wrong."""
+    tshark.copy_plugin(home / PLUGINS / "clone")
+    for path in [home, *home.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    done = tshark.run("-r", CAPTURE, plugin=False, env={"HOME": str(home)}, cwd="/", lua_errors=True)
+    assert "Lua" in done.stderr and "Motor Data" in done.stdout
+    assert re.search(f"^yapp: {home / PLUGINS / 'clone'}/ is a clone in a plugin folder, .* make install", done.stderr.splitlines()[-1])
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")

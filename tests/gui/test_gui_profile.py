@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The profile YAPP in Wireshark's windows: column names, colours, the group of filter buttons and the lines of the graphs
 are read off the screen."""
+import os
 import pathlib
 import re
 import shlex
 import shutil
+import subprocess
 import sys
 import time
 
@@ -83,3 +85,27 @@ def test_plots(capture):
         wireshark.wait_for_window("Plots")
         wait_for_words(wireshark, ["RPM measured", "RPM commanded", "Voltage", "Current"], scale=200)
         assert wireshark.pixels("#0072b2") > 100
+
+
+def installer(home):
+    """Runs install.py for the home of a Wireshark; returns the lines that say what is kept."""
+    done = subprocess.run(["/usr/bin/python3", gui.ROOT / "tools/install.py"], env={**os.environ, "HOME": str(home)},
+                          capture_output=True, text=True, check=False, **gui.tshark._user())
+    return [line for line in done.stdout.splitlines() if line.startswith("kept")]
+
+
+def test_what_wireshark_writes_is_no_change(capture):
+    """Its files after the graphs were looked at are known as ours."""
+    with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
+        profile = wireshark.home / ".config/wireshark/profiles/YAPP"
+        installer(wireshark.home)
+        wireshark.wait_for_window("flight.pcapng")
+        wireshark.press("alt+s", "i", until=lambda: any("I/O Graphs" in title for title in wireshark.windows().values()))
+        wireshark.wait_for_window("I/O Graphs")
+        wireshark.keys("Escape")
+        wireshark.wait_for_window("flight.pcapng")
+        wireshark.keys("ctrl+q")
+        wireshark.wireshark.wait(30)
+        assert (profile / "preferences").read_bytes() != (PROFILE / "preferences").read_bytes()
+        assert installer(wireshark.home) == []
+        assert (profile / "preferences").read_bytes() == (PROFILE / "preferences").read_bytes()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The command: yapp-tables convert, yapp-tables report."""
+"""The command: yapp-tables convert, report; install, check, uninstall."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from . import fleet
+from . import fleet, install
 from .convert import KINDS, Job, made_by, writer
 from .errors import SetupError, YappError, need
 from .fleet import Failure, Progress
@@ -69,7 +69,20 @@ def _parser() -> argparse.ArgumentParser:
     )
     report.add_argument("capture", type=Path, metavar="CAPTURE")
     report.set_defaults(run=_report)
+
+    for what, text in (
+        ("install", "the plugin, live ports and profile into Wireshark"),
+        ("check", "what is installed in Wireshark, and what is wrong with it"),
+        ("uninstall", "what was installed out of Wireshark"),
+    ):
+        command = commands.add_parser(what, help=text)
+        command.set_defaults(run=_install, what=what, purge=False)
+    command.add_argument("--purge", action="store_true", help="what you changed, too")
     return parser
+
+
+def _install(given: argparse.Namespace) -> int:
+    return install.run(given.what, given.purge, install.own_program())
 
 
 def _report(given: argparse.Namespace) -> int:

@@ -18,7 +18,7 @@ from .errors import CaptureError, SetupError, YappError
 from .watch import Watch
 
 INSTALL_TSHARK = "install Wireshark (Debian, Ubuntu: apt-get install tshark) or name the program with --tshark PATH"
-INSTALL_PLUGIN = "install it (make install, in the plugin's folder) or name it with --plugin PATH/yapp.lua"
+INSTALL_PLUGIN = "install it (yapp-tables install) or name it with --plugin PATH/yapp.lua"
 # Where Wireshark's own installers put tshark without naming it in PATH.
 USUAL_PLACES = ("/Applications/Wireshark.app/Contents/MacOS/tshark", r"C:\Program Files\Wireshark\tshark.exe")
 # An empty capture: a pcap header (SocketCAN, 64 KB packets) and no packet.

@@ -1,0 +1,78 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: GPL-2.0-or-later
+# Judges a capture in a CI job: yapp-gate.sh [--rules R] [--sources S] [--messages FILE] [--junit FILE] CAPTURE
+#
+#   --rules     as after -z yapp,check, such as fault=0,motor.rate=9; without them the whole set
+#   --sources   the preference yapp.sources: "can0/0x210=motor:left,can1/0x210=motor:right"
+#   --messages  a file of your own messages
+#   --junit     where a test report is to be written
+#
+# It ends with tshark's exit code: 0 all rules hold, 20 one does not, 21 one could not be judged, others: no capture, or a
+# damaged one, no tshark, no plugin.  An empty value is none.  tshark is installed where there is none (Debian, Ubuntu);
+# nothing else is, and no setting of the user's has a say.  The plugin is the one beside this script's folder.
+set -euo pipefail
+
+TOP=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+
+refuse() {
+  echo "yapp-gate: $1" >&2
+  exit 2
+}
+
+install_tshark() {
+  local root=()
+  [ "$(id -u)" = 0 ] || root=(sudo)
+  command -v apt-get >/dev/null || refuse "no tshark: install Wireshark 4.0 or later"
+  [ ${#root[@]} = 0 ] || command -v sudo >/dev/null || refuse "no tshark, and no sudo: as root, apt-get install tshark"
+  { "${root[@]}" apt-get update -qq && "${root[@]}" env DEBIAN_FRONTEND=noninteractive \
+    apt-get install -y -qq --no-install-recommends tshark; } >/dev/null || refuse "tshark could not be installed"
+}
+
+rules='' sources='' messages='' junit='' capture=''
+while [ $# -gt 0 ]; do
+  case $1 in
+    --rules) rules=$2; shift ;;
+    --sources) sources=$2; shift ;;
+    --messages) messages=$2; shift ;;
+    --junit) junit=$2; shift ;;
+    -*) refuse "$1 is no option" ;;
+    *) [ -z "$capture" ] || refuse "one capture at a time: $capture, $1"; capture=$1 ;;
+  esac
+  shift
+done
+[ -n "$capture" ] || refuse "no capture is named"
+for file in "$capture" ${messages:+"$messages"}; do
+  [ -f "$file" ] && [ -r "$file" ] || refuse "$file is no file that can be read"
+done
+command -v tshark >/dev/null || install_tshark
+
+# A folder that an ordinary user can read: as root, Wireshark 4.4 and later run no plugin.
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+mkdir "$work/home" "$work/plugin" "$work/capture"
+cp -r "$TOP/yapp.lua" "$TOP/taurus_fields.lua" "$work/plugin/"
+[ ! -d "$TOP/yapp" ] || cp -r "$TOP/yapp" "$work/plugin/"
+cp "$capture" "$work/capture/"
+[ -z "$messages" ] || cp "$messages" "$work/messages.lua"
+user=()
+if [ "$(id -u)" = 0 ]; then
+  chown -R 65534:65534 "$work"
+  user=(setpriv --reuid=65534 --regid=65534 --clear-groups)
+fi
+
+statistic=yapp,check${rules:+,$rules}${junit:+,junit=report.xml}
+command=(tshark -q -X "lua_script:$work/plugin/yapp.lua" -r "$work/capture/$(basename "$capture")" -z "$statistic")
+[ -z "$sources" ] || command+=(-o "yapp.sources:$sources")
+code=0
+(
+  cd "$work"
+  unset XDG_CONFIG_HOME YAPP_MESSAGES
+  export HOME=$work/home
+  [ -z "$messages" ] || export YAPP_MESSAGES=$work/messages.lua
+  "${user[@]}" "${command[@]}"
+) || code=$?
+if [ -f "$work/report.xml" ]; then
+  mkdir -p "$(dirname "$junit")"
+  cat "$work/report.xml" >"$junit"
+fi
+exit "$code"

@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""The jobs for other people's CI: ci/yapp-gate.sh, the action for GitHub and the job for GitLab, run as they would be."""
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+
+import levels
+import pytest
+import tshark
+
+RULES = "fault=0,crc=0,incomplete=0"
+SYSTEM = "/usr/bin:/bin:/usr/sbin:/sbin"
+PROJECT = ["ci", "action.yml", *tshark.PLUGIN_FILES]
+
+
+def run(command, folder, **variables):
+    """Runs it with nothing of this machine's settings; returns the completed process."""
+    environment = {"PATH": SYSTEM, "HOME": str(folder), "LC_ALL": "C.UTF-8", "TMPDIR": str(folder), **variables}
+    return subprocess.run(list(map(str, command)), cwd=folder, env=environment, capture_output=True, text=True, check=False,
+                          timeout=tshark.TIMEOUT, stdin=subprocess.DEVNULL)
+
+
+@pytest.fixture
+def project(folder):
+    """The project as somebody else's job has it: a copy, which may be changed."""
+    top = folder / "project"
+    top.mkdir()
+    for name in PROJECT:
+        source = tshark.ROOT / name
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, top / name)
+    return top
+
+
+@pytest.fixture(scope="module")
+def flights():
+    """A folder with a flight without faults, the flight with one, and what is no capture."""
+    folder = tshark.writable_folder()
+    shutil.copy(tshark.ROOT / "docs/flight.pcapng", folder / "fault.pcapng")
+    (folder / "text.pcapng").write_text("no capture\n")
+    tshark.run("-r", tshark.ROOT / "docs/flight.pcapng", "-Y", "frame.time_relative < 5.05", "-w", folder / "clean.pcapng")
+    yield folder
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def break_catalogue(project):
+    (project / "taurus_fields.lua").write_text("return {")
+
+
+def break_message(project):
+    """One more message than there was, which is wrong."""
+    path = project / "taurus_fields.lua"
+    text, first = path.read_text(), '  { -- "Taurus Health"'
+    assert first in text
+    path.write_text(text.replace(first, '  { name = "broken", id = 0x333, size = 1 },\n' + first))
+
+
+CASES = {"clean": ("clean.pcapng", None, 0), "fault": ("fault.pcapng", None, 20),
+         "broken catalogue": ("clean.pcapng", break_message, 21)}
+
+
+ONE = levels.few(list(CASES.values()), [CASES["fault"]], several=True)  # for what only calls the script
+
+
+def arguments(capture, rules=RULES):
+    return ["--rules", rules, "--sources", "", "--messages", "", "--junit", "report.xml", capture]
+
+
+@pytest.mark.parametrize("capture, change, code", CASES.values(), ids=CASES)
+def test_the_script(folder, project, flights, capture, change, code):
+    if change:
+        change(project)
+    done = run([project / "ci/yapp-gate.sh", *arguments(flights / capture)], folder)
+    assert done.returncode == code, done.stdout + done.stderr
+    assert (folder / "report.xml").read_text().startswith("<?xml")
+    assert not list(folder.glob("tmp.*"))  # its own folder is gone
+
+
+@pytest.mark.parametrize("capture", levels.few(["nothing.pcapng", "text.pcapng", ".", ""], ["nothing.pcapng", "text.pcapng"]))
+def test_no_capture(folder, project, flights, capture):
+    done = run([project / "ci/yapp-gate.sh", *arguments(capture and flights / capture)], folder)
+    assert done.returncode not in (0, 20, 21) and done.stderr
+
+
+def test_no_catalogue(folder, project, flights):
+    """Then no message is known."""
+    break_catalogue(project)
+    assert run([project / "ci/yapp-gate.sh", *arguments(flights / "clean.pcapng")], folder).returncode in (20, 21)
+
+
+def test_the_whole_set(folder, project, flights):
+    """Without rules."""
+    clean = run([project / "ci/yapp-gate.sh", flights / "clean.pcapng"], folder)
+    if "it needs a rule" in clean.stderr:
+        pytest.skip("this version has no whole set")
+    assert clean.returncode == 0, clean.stdout + clean.stderr
+    assert run([project / "ci/yapp-gate.sh", flights / "fault.pcapng"], folder).returncode == 20
+
+
+def test_sources_and_messages(folder, project, flights):
+    """They reach the plugin, and nobody else's settings do."""
+    (folder / ".config/wireshark").mkdir(parents=True)
+    (folder / ".config/wireshark/preferences").write_text("yapp.sources: 0x210=motor:mine\n")
+    done = run([project / "ci/yapp-gate.sh", "--sources", "can0/0x210=motor:left", "--rules", RULES, flights / "clean.pcapng"],
+               folder)
+    assert done.returncode == 0 and " left " in done.stdout and "mine" not in done.stdout
+    (folder / "my messages.lua").write_text("return {")
+    done = run([project / "ci/yapp-gate.sh", "--messages", "my messages.lua", "--rules", RULES, flights / "clean.pcapng"], folder)
+    assert done.returncode == 21 and "messages.lua" in done.stderr
+
+
+# What it installs ------------------------------------------------------------------------------------------------------
+
+def programs(folder, *names):
+    """A folder with these programs of the machine's, and no others."""
+    place = folder / "bin"
+    place.mkdir()
+    for name in ("bash", "basename", "cat", "chown", "cp", "dirname", "env", "id", "mkdir", "mktemp", "rm", "setpriv", *names):
+        (place / name).symlink_to(shutil.which(name, path=SYSTEM))
+    return place
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="root installs")
+def test_tshark_is_installed_where_there_is_none(folder, project, flights):
+    place = programs(folder)
+    (place / "apt-get").write_text(f'#!/bin/bash\necho "$@" >>{folder}/asked\n'
+                                   f'[ "$1" = update ] || /bin/ln -s {shutil.which("tshark")} {place}/tshark\n')
+    (place / "apt-get").chmod(0o755)
+    for _ in range(2):  # the second time it is there
+        done = run([place / "bash", project / "ci/yapp-gate.sh", *arguments(flights / "clean.pcapng")], folder, PATH=str(place))
+        assert done.returncode == 0, done.stderr
+    assert [line.split()[0] for line in (folder / "asked").read_text().splitlines()] == ["update", "install"]
+
+
+def test_no_tshark_and_no_way_to_get_it(folder, project, flights):
+    place = programs(folder)
+    command = [place / "bash", project / "ci/yapp-gate.sh", *arguments(flights / "clean.pcapng")]
+    done = run(command, folder, PATH=str(place))
+    assert done.returncode == 2 and "no tshark: install Wireshark" in done.stderr
+    (place / "apt-get").symlink_to("/bin/false")
+    (place / "id").unlink()
+    (place / "id").write_text("#!/bin/bash\necho 1000\n")
+    (place / "id").chmod(0o755)
+    done = run(command, folder, PATH=str(place))
+    assert done.returncode == 2 and "no sudo: as root, apt-get install tshark" in done.stderr
+
+
+# The jobs --------------------------------------------------------------------------------------------------------------
+
+def block(text, key):
+    """The lines of a block of YAML, without their indentation."""
+    lines = text.splitlines()
+    first = next(number for number, line in enumerate(lines) if line.strip() in (f"{key}:", f"{key}: |"))
+    depth = len(lines[first]) - len(lines[first].lstrip())
+    found = []
+    for line in lines[first + 1:]:
+        if line.strip() and len(line) - len(line.lstrip()) <= depth:
+            break
+        found.append(line)
+    margin = min(len(line) - len(line.lstrip()) for line in found if line.strip())
+    return [line[margin:] for line in found]
+
+
+def variables(lines):
+    return {name: value.strip('"') for name, value in (line.split(": ", 1) for line in lines)}
+
+
+def action(project, given, folder):
+    """A step of the action, as GitHub's runner does it; returns the exit code and its outputs."""
+    text = (project / "action.yml").read_text()
+    inputs = re.findall(r"^  (\w+):$", text.split("\noutputs:")[0], re.MULTILINE)
+    assert sorted(inputs) == ["capture", "junit", "messages", "rules", "sources"]
+    values = {name: re.sub(r"\$\{\{ inputs\.(\w+) \}\}", lambda found: given.get(found[1], ""), value)
+              for name, value in variables(block(text, "env")).items()}
+    (folder / "step.sh").write_text("\n".join(block(text, "run")))
+    (folder / "output").write_text("")
+    done = run(["bash", "--noprofile", "--norc", "-eo", "pipefail", folder / "step.sh"], folder,
+               GITHUB_ACTION_PATH=str(project), GITHUB_OUTPUT=str(folder / "output"), **values)
+    return done.returncode, (folder / "output").read_text()
+
+
+@pytest.mark.parametrize("capture, change, code", ONE, ids=CASES)
+def test_the_action(folder, project, flights, capture, change, code):
+    if change:
+        change(project)
+    given = {"capture": str(flights / capture), "rules": RULES, "junit": "report/yapp.xml"}
+    assert action(project, given, folder) == (code, f"code={code}\n")
+    assert (folder / "report/yapp.xml").exists()
+
+
+def test_the_action_without_a_capture(folder, project):
+    assert action(project, {"capture": "nothing.pcapng", "rules": RULES}, folder) == (2, "code=2\n")
+
+
+def gitlab(project, capture, repository):
+    """The job's lines, and its variables."""
+    text = (project / "ci/gitlab-yapp.yml").read_text()
+    given = {**variables(block(text, "variables")), "YAPP_REPOSITORY": str(repository), "CAPTURE": str(capture), "RULES": RULES}
+    return [line[2:] for line in block(text, "script")], given
+
+
+def repository(project):
+    """The project as a repository with a tag for its version."""
+    git = ["git", "-C", project, "-c", "user.name=t", "-c", "user.email=t@t", "-c", "safe.directory=*"]
+    for words in (["init", "-q"], ["add", "-A"], ["commit", "-qm", "x"], ["tag", f"v{tshark.plugin_version()}"]):
+        subprocess.run([*git, *words], check=True)
+    return f"file://{project}"
+
+
+@pytest.mark.skipif(not shutil.which("git"), reason="no git here")
+@pytest.mark.parametrize("capture, change, code", ONE, ids=CASES)
+def test_the_job(folder, project, flights, capture, change, code):
+    if change:
+        change(project)
+    lines, given = gitlab(project, flights / capture, repository(project))
+    assert lines[0].startswith("apt-get update")
+    script = "\n".join(lines[1:]).replace("/tmp/yapp", str(folder / "clone"))
+    given.update(GIT_CONFIG_COUNT="1", GIT_CONFIG_KEY_0="safe.directory", GIT_CONFIG_VALUE_0="*")
+    done = run(["bash", "-eo", "pipefail", "-c", script], folder, **given)
+    assert done.returncode == code, done.stdout + done.stderr
+    assert (folder / "yapp.xml").exists()
+
+
+# What docs/ci.md says ---------------------------------------------------------------------------------------------------
+
+PAGE = (tshark.ROOT / "docs/ci.md").read_text()
+
+
+@pytest.mark.parametrize("capture, code", [("clean.pcapng", 0), pytest.param("fault.pcapng", 20, marks=levels.deep)])
+def test_the_step_of_the_page(folder, project, flights, capture, code):
+    shutil.copy(flights / capture, folder / "run.pcapng")
+    lines = block(re.search(r"```yaml\n(.*?)```", PAGE, re.DOTALL)[1], "with")
+    assert action(project, variables(lines), folder) == (code, f"code={code}\n")
+    assert (folder / "report.xml").exists()
+
+
+@pytest.mark.parametrize("capture, code", [pytest.param("clean.pcapng", 0, marks=levels.deep), ("fault.pcapng", 20)])
+def test_the_command_of_the_page(folder, project, flights, capture, code):
+    project.rename(folder / "yapp")
+    shutil.copy(flights / capture, folder / "run.pcapng")
+    command = re.search(r"```sh\n(yapp/.*?)\n```", PAGE)[1]
+    assert run(["bash", "-c", command], folder).returncode == code
+
+
+def test_the_page_names_every_input():
+    assert re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)[:5] == ["capture", "rules", "sources", "messages", "junit"]
+
+
+@pytest.fixture(scope="module", params=["bookworm", "trixie"])
+def bare(request):
+    """A Debian with nothing but its base, of a release: 12 and 13."""
+    if os.geteuid() != 0 or not shutil.which("debootstrap"):
+        pytest.skip("a chroot needs root and debootstrap")
+    top = pathlib.Path(tshark.writable_folder())
+    made = subprocess.run(["debootstrap", "--variant=minbase", request.param, top / "root"], capture_output=True, text=True,
+                          check=False)
+    if made.returncode != 0:
+        shutil.rmtree(top, ignore_errors=True)
+        pytest.skip(f"no chroot of {request.param}: {made.stdout[-300:]}")
+    shutil.copy("/etc/resolv.conf", top / "root/etc/resolv.conf")
+    (top / "root/etc/apt/apt.conf.d/99clock").write_text('Acquire::Check-Date "false";\n')
+    yield top / "root"
+    shutil.rmtree(top, ignore_errors=True)
+
+
+@levels.deep
+def test_the_jobs_on_a_bare_debian(bare, folder, project, flights):
+    """The job for GitLab first, which has to get git and tshark; then the action's script, in another folder."""
+    shutil.copytree(flights, bare / "builds")
+    repository(project)
+    shutil.copytree(project, bare / "srv/yapp")
+    for number, (capture, change, code) in enumerate(CASES.values()):
+        if change:
+            change(bare / "srv/yapp")
+            subprocess.run(["git", "-C", bare / "srv/yapp", "-c", "user.name=t", "-c", "user.email=t@t", "-c", "safe.directory=*",
+                            "commit", "-qam", "x"], check=True)
+            subprocess.run(["git", "-C", bare / "srv/yapp", "-c", "safe.directory=*", "tag", "-f",
+                            f"v{tshark.plugin_version()}"], check=True)
+        lines, given = gitlab(project, f"/builds/{capture}", "file:///srv/yapp")
+        given.update(GIT_CONFIG_COUNT="1", GIT_CONFIG_KEY_0="safe.directory", GIT_CONFIG_VALUE_0="*", TMPDIR="/tmp")
+        script = "\n".join(["cd /builds", *lines]).replace("/tmp/yapp", f"/tmp/yapp{number}")
+        done = run(["chroot", bare, "bash", "-eo", "pipefail", "-c", script], folder, **given)
+        assert done.returncode == code, done.stdout + done.stderr
+    for capture, code in (("clean.pcapng", 0), ("fault.pcapng", 20), ("nothing.pcapng", 2)):
+        done = run(["chroot", bare, "/tmp/yapp0/ci/yapp-gate.sh", "--rules", RULES, f"/builds/{capture}"], folder, TMPDIR="/tmp")
+        assert done.returncode == code, done.stdout + done.stderr

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""tools/release.sh, which the workflow of a release calls, and make where a program is missing."""
+import hashlib
+import re
+import shutil
+import subprocess
+
+import pytest
+import tshark
+
+SYSTEM = "/usr/bin:/bin:/usr/sbin:/sbin"
+TAG = f"v{tshark.plugin_version()}"
+PYTHON = "/usr/bin/python3"
+
+
+def run(top, *arguments, **env):
+    return subprocess.run(list(map(str, arguments)), cwd=top, capture_output=True, text=True, check=False, timeout=300,
+                          env={"PATH": SYSTEM, "HOME": str(top), "LC_ALL": "C.UTF-8", **env}, stdin=subprocess.DEVNULL)
+
+
+def git(top, *commands):
+    for words in commands:
+        subprocess.run(["git", "-C", top, "-c", "user.name=t", "-c", "user.email=t@t", *words], check=True, capture_output=True)
+
+
+@pytest.fixture
+def repository(folder):
+    """A clone of the repository as it lies here, with a tag."""
+    if not shutil.which("git"):
+        pytest.skip("no git here")
+    top = folder / "top"
+    listed = subprocess.run(["git", "-c", "safe.directory=*", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+                            cwd=tshark.ROOT, capture_output=True, text=True, check=False).stdout.split("\0")[:-1]
+    if not listed:
+        pytest.skip("no repository here")
+    for name in listed:
+        if (tshark.ROOT / name).is_file() and not name.startswith("tests/"):
+            (top / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(tshark.ROOT / name, top / name)
+    git(top, ["init", "-q"], ["add", "-A"], ["commit", "-qm", "x"], ["tag", TAG])
+    return top
+
+
+def test_a_release(folder, repository):
+    """What is not in the commit is not in it; the same sums come again, and others are refused."""
+    (repository / "docs/mine.md").write_text("mine")
+    (repository / "extcap/mine.py").write_text("mine")
+    done = run(repository, "tools/release.sh", TAG)
+    assert done.returncode == 0, done.stderr
+    built = {path.name: path.read_bytes() for path in (repository / "dist").iterdir()}
+    assert len(built) == 6 and b"mine.md" not in built[f"yapp-{TAG[1:]}.zip"] and b"mine.py" not in built[f"yapp-{TAG[1:]}.zip"]
+    assert done.stdout == built["SHA256SUMS"].decode()
+    assert built["notes.md"].decode().strip() in (tshark.ROOT / "CHANGELOG.md").read_text()
+    assert "## [" not in built["notes.md"].decode() and len(built["notes.md"]) > 200
+
+    check, again = re.findall(r"```sh\n(sha256sum .*)\n(tools/.*)\n```", (tshark.ROOT / "docs/ci.md").read_text())[0]
+    (repository / "dist" / f"yapp-profile-{TAG[1:]}.zip").unlink()  # not everything was downloaded
+    assert run(repository / "dist", "bash", "-c", check).returncode == 0
+    (repository / "SHA256SUMS").write_bytes(built["SHA256SUMS"])
+    assert run(repository, "bash", "-c", again).returncode == 0
+    one = hashlib.sha256(built[f"yapp-{TAG[1:]}.zip"]).hexdigest()
+    (folder / "sums").write_text(done.stdout.replace(one, "0" * 64))
+    done = run(repository, "tools/release.sh", TAG, folder / "sums")
+    assert done.returncode == 1 and "another machine differs" in done.stderr
+
+
+def test_a_tag_of_another_version(repository):
+    done = run(repository, "tools/release.sh", "v0.1")
+    assert done.returncode == 1 and f"the tag is v0.1, the version {TAG}" in done.stderr
+    git(repository, ["tag", "-d", TAG])
+    done = run(repository, "tools/release.sh", TAG)
+    assert done.returncode == 1 and f"there is no tag {TAG}" in done.stderr
+
+
+def test_builds_that_differ(repository):
+    """The comparison itself: a build that writes the time of day."""
+    with open(repository / "tools/backend.py", "a") as file:
+        file.write("\n\nrequirements = lambda about: [str(time.time_ns())]  # noqa: E731\n")
+    git(repository, ["commit", "-qam", "x"], ["tag", "-f", TAG])
+    done = run(repository, "tools/release.sh", TAG)
+    assert done.returncode == 1 and "two builds differ" in done.stderr
+
+
+def test_the_workflow_calls_it():
+    text = (tshark.ROOT / ".github/workflows/release.yml").read_text()
+    assert text.count('run: tools/release.sh "$GITHUB_REF_NAME"') == 2 and " test\n" in text and 'tags: ["v*"]' in text
+
+
+# make ------------------------------------------------------------------------------------------------------------------
+
+def machine(folder, *names):
+    """A PATH with these programs and no others."""
+    place = folder / "bin"
+    place.mkdir()
+    for name in ("bash", "env", "make", *names):
+        (place / name).symlink_to(shutil.which(name, path=SYSTEM))
+    (place / "id").write_text("#!/bin/bash\necho 1000\n")
+    (place / "id").chmod(0o755)
+    return str(place)
+
+
+@pytest.mark.parametrize("names", [(), ("apt-get",)])
+def test_make_without_sudo(folder, names):
+    """A bare Debian has none: what to run is said."""
+    done = run(tshark.ROOT, "make", "install", PATH=machine(folder, *names))
+    assert done.returncode == 2
+    assert "Install it as root, on Debian and Ubuntu by: apt-get install --no-install-recommends tshark" in done.stdout
+    assert "not found" not in done.stdout + done.stderr
+
+
+def test_make_with_sudo(folder):
+    path = machine(folder, "apt-get")
+    (folder / "bin/sudo").write_text(f'#!/bin/bash\necho "$@" >>{folder}/asked\n')
+    (folder / "bin/sudo").chmod(0o755)
+    run(tshark.ROOT, "make", "needs-tshark", PATH=path)
+    assert [line.split()[0] for line in (folder / "asked").read_text().splitlines()] == ["apt-get", "env"]
