@@ -356,7 +356,7 @@
         line: { ...trace.line, color: trace.source === undefined ? ink : colour(trace.source) } };
     });
     // The axis at the top is drawn where something is on it.
-    return [...drawn, ...others.map(coloured), { type: "scatter", x: [0], y: [null], xaxis: "x2", hoverinfo: "skip" }];
+    return [...drawn, ...others.map(coloured), { type: "scatter", name: "", mode: "markers", x: [0], y: [null], xaxis: "x2", hoverinfo: "skip" }];
   }
 
   const range = () => plot.layout?.xaxis?.range?.map(Number) ?? whole;
