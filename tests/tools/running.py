@@ -17,7 +17,7 @@ def motor_row(number, **cells):
         "source": "", "id": "528", "seq": str(number % 256),
         "rpm_measured": f"{1000 + number}.5", "rpm_measured_special": "",
         "motor_mode": "1", "motor_mode_text": "Speed Mode", "fault_flags": "0", "fault_motor_overcurrent": "0",
-        "timestamp": f"{number // 10}.{number % 10}00000000", "serial": "18446744073709551615",
+        "timestamp": f"{number // 10}.{number % 10}00000000", "serial": "18446744073709551615", "revision": "3",
     }  # fmt: skip
     return row | cells
 

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """yapp-tables report: the page of a flight with known truth, in a real headless Chromium."""
 
+import base64
 import json
 import re
 import time
+import zlib
 from decimal import Decimal
 from pathlib import Path
 
@@ -208,6 +210,24 @@ def test_a_fault_is_a_bar_with_the_name_of_its_source(browser, page):
     first = page[1].begin
     assert (low, high) == pytest.approx(((begin - first) / 1e9, (end - first) / 1e9), abs=1e-6)
     assert (text, shown) == (source, source)
+
+
+def pixel(browser, x, y):
+    """The colour that is seen at a place of the page."""
+    clip = {"x": x, "y": y, "width": 1, "height": 1, "scale": 1}
+    shot = browser.execute_cdp_cmd("Page.captureScreenshot", {"clip": clip, "captureBeyondViewport": True})
+    png = base64.b64decode(shot["data"])
+    at = png.index(b"IDAT")
+    size = int.from_bytes(png[at - 4 : at], "big")
+    return tuple(zlib.decompress(png[at + 4 : at + 4 + size])[1:4])
+
+
+def test_nothing_lies_over_the_first_picture(example_browser):
+    x, y = example_browser.execute_script(
+        """const {right, y, height} = document.querySelector("#plot .barlayer path").getBoundingClientRect();
+        return [right + scrollX - 4, y + scrollY + height / 2]"""
+    )
+    assert pixel(example_browser, round(x), round(y)) == (0xE8, 0x59, 0x0C)
 
 
 def test_states_are_bars_with_texts_where_there_is_room(example_browser):

@@ -275,9 +275,10 @@
           hovertemplate: "%{customdata[0]}<br>%{base:.9~f} to %{customdata[1]:.9~f} s<extra>%{fullData.name}</extra>" });
       }
       if (moments.length) {
+        const late = moments.at(-1) > 0.75 * data.length;
         others.push({ ...about, type: "scatter", mode: "markers+text", x: moments, y: moments.map(() => row),
-          text: moments.map((_, i) => i === moments.length - 1 ? data.sources[source] : ""),
-          textposition: moments.at(-1) > 0.8 * data.length ? "middle left" : "middle right", textfont: { size: 11 }, hovertemplate: `${HOVER_TIME}<extra>%{fullData.name}</extra>`,
+          text: moments.map((_, i) => i === moments.length - 1 && (i === 0 || !late) ? data.sources[source] : ""),
+          textposition: late ? "middle left" : "middle right", textfont: { size: 11 }, hovertemplate: `${HOVER_TIME}<extra>%{fullData.name}</extra>`,
           marker: { symbol: "diamond", size: 11, line: { width: 1 } } });
       }
     });
@@ -321,7 +322,7 @@
     const x = { range: whole, gridcolor: grid, zeroline: false, ticksuffix: NARROW ? "" : " s" };
     const made = { height: bottom + AXIS, width: screen ? PAPER : undefined, autosize: !screen, showlegend: false, barmode: "overlay",
       hovermode: "closest", dragmode: NARROW ? false : "zoom", uirevision: "kept",
-      paper_bgcolor: paper, plot_bgcolor: paper, font: { color: ink, family: style.fontFamily, size: 12 },
+      paper_bgcolor: paper, plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink, family: style.fontFamily, size: 12 },
       margin: { l: 36, r: 14, t: TOP, b: AXIS }, modebar: { remove: ["select2d", "lasso2d", "autoScale2d"] },
       xaxis: { ...x, anchor: stack.length > 1 ? `y${stack.length}` : "y", title: { text: NARROW ? "seconds since the beginning" : `seconds since ${data.start}` } },
       xaxis2: { ...x, anchor: "free", position: 1, side: "top", matches: "x", showgrid: false },
