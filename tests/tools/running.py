@@ -6,7 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-PLUGIN = os.environ.get("YAPP_PLUGIN", Path(__file__).parents[2] / "yapp.lua")
+sys.path.append(str(Path(__file__).parents[2] / "tools"))
+import bundle
+
+TOP = Path(__file__).parents[2]
+PLUGIN = os.environ.get("YAPP_PLUGIN", TOP / "yapp.lua")
 FAKE = Path(__file__).with_name("fake_tshark.py")
 
 
@@ -20,6 +24,11 @@ def motor_row(number, **cells):
         "timestamp": f"{number // 10}.{number % 10}00000000", "serial": "18446744073709551615", "revision": "3",
     }  # fmt: skip
     return row | cells
+
+
+def install_plugin(home):
+    """Put the plugin where tshark looks for it in this home, in one file as an installation has it."""
+    bundle.write(home / ".local/lib/wireshark/plugins/yapp", Path(PLUGIN).parent)
 
 
 def run_tables(folder, *arguments, **options):

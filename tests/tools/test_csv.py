@@ -104,4 +104,4 @@ def test_an_unsigned_integer_of_64_bits(tmp_path, monkeypatch):
     largest = 2**64 - 1
     (tmp_path / "tables/motor.csv").write_text(f"time,uint,int,flags\n1.000000000,{largest},{-(2**63)},{largest}\n")
     for motor in read(tmp_path, monkeypatch):
-        assert [int(list(motor[name])[0]) for name in ("uint", "int", "flags")] == [largest, -(2**63), largest]
+        assert [int(next(iter(motor[name]))) for name in ("uint", "int", "flags")] == [largest, -(2**63), largest]

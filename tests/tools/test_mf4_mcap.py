@@ -86,6 +86,8 @@ def test_mcap(converted):
     }  # fmt: skip
     assert "rpm_measured" not in motor[1][2]
     assert motor[1][2]["rpm_measured_special"] == "inf"
+    assert "rpm_measured" not in motor[2][2]
+    assert motor[2][2]["rpm_measured_special"] == "above"
     assert motor[5][2]["source"] == 'left, "aft"'
     encoding, schema = schemas["motor"]
     assert encoding == "jsonschema"
