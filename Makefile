@@ -107,7 +107,7 @@ TOOLS_VENV := $(HOME)/.cache/yapp-tools
 TOOLS := $(TOOLS_VENV)/bin
 
 needs-tools: needs-tshark
-	$(call install-missing,python3 chromium chromedriver,python3 python3-venv chromium chromium-driver,\
+	$(call install-missing,python3 chromium chromedriver termshark,python3 python3-venv chromium chromium-driver termshark,\
 	  python3 -c 'import ensurepip' 2>/dev/null)
 	@[ -x $(TOOLS)/python ] || python3 -m venv $(TOOLS_VENV)
 	@$(TOOLS)/pip install -q -e './tools[test]'

@@ -26,6 +26,7 @@ COLUMNS = {
         {"name": "fault_motor_overcurrent", "type": "bool", "title": "Motor overcurrent"},
         {"name": "timestamp", "type": "time", "unit": "s"},
         {"name": "serial", "type": "integer", "kind": "uint", "bits": 64},
+        {"name": "revision", "type": "integer", "kind": "uint", "bits": 8},
     ],
     "note": [{"name": "text", "type": "string"}],
 }  # fmt: skip

@@ -36,9 +36,11 @@ def value(raw, low, high, top):
 
 @dataclass
 class Truth:
-    """motor: (time, bus, id, raw speed, raw ESC temperature, faults); faults: (begin, end or None, bus, id, flag);
-    reboots, incomplete: (time, bus, id); silences: (time, bus, id, length).  Times in nanoseconds."""
+    """begin: the first packet; motor: (time, bus, id, raw speed, raw ESC temperature, faults);
+    faults: (begin, end or None, bus, id, flag); reboots, incomplete: (time, bus, id);
+    silences: (time, bus, id, length).  Times in nanoseconds."""
 
+    begin: int = 0
     motor: list = field(default_factory=list)
     health: int = 0
     command: int = 0
@@ -50,6 +52,7 @@ class Truth:
 
 class Pcapng:
     def __init__(self, path):
+        self.begin = None
         self.file = open(path, "wb")  # noqa: SIM115
         self.block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))
         for bus in BUSES:
@@ -64,6 +67,7 @@ class Pcapng:
         self.file.write(struct.pack("<II", kind, size) + body + struct.pack("<I", size))
 
     def frame(self, time, bus, can_id, data):
+        self.begin = self.begin or time
         packet = struct.pack(">IB3x", can_id | 0x8000_0000, len(data)) + data
         head = struct.pack("<IIIII", bus, time >> 32, time & 0xFFFF_FFFF, len(packet), len(packet))
         self.block(6, head + packet + bytes(-len(packet) % 4))
@@ -137,6 +141,7 @@ def write(path, seed, seconds, plans=(("fault",), ("reboot",), ("silence",), ("l
     for n, known in enumerate(state):
         if known["faults"]:
             truth.faults.append((known["since"], None, BUSES[n // 2], 0x210 + n % 2, FLAGS[known["faults"]]))
+    truth.begin = pcap.begin
     truth.faults.sort(key=lambda row: row[0])
     pcap.file.close()
     return truth

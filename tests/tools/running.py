@@ -6,7 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-PLUGIN = os.environ.get("YAPP_PLUGIN", Path(__file__).parents[2] / "yapp.lua")
+sys.path.append(str(Path(__file__).parents[2] / "tools"))
+import bundle
+
+TOP = Path(__file__).parents[2]
+PLUGIN = os.environ.get("YAPP_PLUGIN", TOP / "yapp.lua")
 FAKE = Path(__file__).with_name("fake_tshark.py")
 
 
@@ -17,9 +21,14 @@ def motor_row(number, **cells):
         "source": "", "id": "528", "seq": str(number % 256),
         "rpm_measured": f"{1000 + number}.5", "rpm_measured_special": "",
         "motor_mode": "1", "motor_mode_text": "Speed Mode", "fault_flags": "0", "fault_motor_overcurrent": "0",
-        "timestamp": f"{number // 10}.{number % 10}00000000", "serial": "18446744073709551615",
+        "timestamp": f"{number // 10}.{number % 10}00000000", "serial": "18446744073709551615", "revision": "3",
     }  # fmt: skip
     return row | cells
+
+
+def install_plugin(home):
+    """Put the plugin where tshark looks for it in this home, in one file as an installation has it."""
+    bundle.write(home / ".local/lib/wireshark/plugins/yapp", Path(PLUGIN).parent)
 
 
 def run_tables(folder, *arguments, **options):

@@ -2,6 +2,7 @@
 """Tables of -z yapp,csv in pandas and polars, read as docs/statistics.md says: right types, every value the truth's."""
 
 import importlib.util
+import json
 import re
 import subprocess
 import sys
@@ -93,3 +94,14 @@ def test_types(flight, monkeypatch):
     for name, (of_polars, of_pandas) in kinds.items():
         assert by_polars[name].dtype == of_polars, name
         assert by_pandas[name].dtype == of_pandas, name
+
+
+def test_an_unsigned_integer_of_64_bits(tmp_path, monkeypatch):
+    columns = [{"name": "time", "type": "time", "kind": None, "bits": None}]
+    columns += [{"name": name, "type": "integer", "kind": name, "bits": 64} for name in ("uint", "int", "flags")]
+    (tmp_path / "tables").mkdir()
+    (tmp_path / "tables/fields.json").write_text(json.dumps({"messages": {"motor": {"columns": columns}}}))
+    largest = 2**64 - 1
+    (tmp_path / "tables/motor.csv").write_text(f"time,uint,int,flags\n1.000000000,{largest},{-(2**63)},{largest}\n")
+    for motor in read(tmp_path, monkeypatch):
+        assert [int(next(iter(motor[name]))) for name in ("uint", "int", "flags")] == [largest, -(2**63), largest]

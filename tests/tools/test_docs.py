@@ -3,18 +3,15 @@
 
 import os
 import re
-import shutil
 import subprocess
 import sys
-from pathlib import Path
+import tomllib
 
 import flights
 import pytest
-from running import PLUGIN
+from running import TOP, install_plugin
 
-BLOCKS = re.findall(
-    r"^```(sh|python)\n(.*?)^```", (Path(__file__).parents[2] / "docs/tables.md").read_text(), re.M | re.S
-)
+BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```", (TOP / "docs/tables.md").read_text(), re.M | re.S)
 
 
 @pytest.fixture(scope="module")
@@ -25,12 +22,7 @@ def folder(tmp_path_factory):
         path = folder / f"flights/ac{seed:02}/flight{seed}.pcapng"
         path.parent.mkdir(parents=True)
         flights.write(path, seed, 20)
-    plugin = Path(PLUGIN).parent
-    installed = folder / "home/.local/lib/wireshark/plugins/yapp"
-    installed.mkdir(parents=True)
-    for name in ("yapp.lua", "taurus_fields.lua"):
-        shutil.copy(plugin / name, installed)
-    shutil.copytree(plugin / "yapp", installed / "yapp")
+    install_plugin(folder / "home")
     return folder
 
 
@@ -48,7 +40,19 @@ def test_recipe(folder, number):
 
 
 def test_the_package_has_the_plugins_version():
-    top = Path(__file__).parents[2]
-    plugin = re.search(r'^local VERSION = "(.*)"', (top / "yapp.lua").read_text(), re.M)
-    package = re.search(r'^version = "(.*)"', (top / "tools/pyproject.toml").read_text(), re.M)
+    plugin = re.search(r'^local VERSION = "(.*)"', (TOP / "yapp.lua").read_text(), re.M)
+    package = re.search(r'^version = "(.*)"', (TOP / "tools/pyproject.toml").read_text(), re.M)
     assert package[1] == plugin[1]
+
+
+def test_all_brings_what_the_recipes_use():
+    extras = tomllib.loads((TOP / "tools/pyproject.toml").read_text())["project"]["optional-dependencies"]
+    wanted, brought = ["all"], set()
+    for extra in wanted:
+        for requirement in extras[extra]:
+            name, more = re.match(r"([\w-]+)(?:\[(.*)\])?", requirement).groups()
+            wanted += more.split(",") if name == "yapp-tables" else []
+            brought.add(name)
+    used = set(re.findall(r"^(?:import|from) (\w+)", "\n".join(text for _, text in BLOCKS), re.M))
+    assert used - {"yapp_tables"} <= brought
+    assert "pytz" in brought  # duckdb makes times with it, and does not bring it

@@ -17,6 +17,7 @@ ROWS = [
     motor_row(3, motor_mode="", motor_mode_text=""),
     motor_row(4, bus="can1", id="529", fault_flags="65536", fault_motor_overcurrent="1"),
     motor_row(5, bus="", id="529", source="\"left, \"\"aft\"\"\""),
+    motor_row(6, bus="", id="529", source="right <&> below"),
 ]  # fmt: skip
 NOTES = [motor_row(0, text="short"), motor_row(1, text=""), motor_row(2, text="µ longer than the first")]
 
@@ -37,7 +38,9 @@ def test_mf4(converted):
         assert mdf.version == "4.10"
         assert mdf.header.start_time == datetime(2023, 11, 14, 22, 13, 20, tzinfo=UTC)
         names = [group.channel_group.acq_name for group in mdf.groups]
-        assert names == ["motor can0 0x210", "motor can1 0x211", 'motor left, "aft"', "note can0 0x210"]
+        assert names == [
+            "motor can0 0x210", "motor can1 0x211", 'motor left, "aft"', "motor right <&> below", "note can0 0x210",
+        ]  # fmt: skip
         speed = mdf.get("rpm_measured", group=0, ignore_invalidation_bits=True)
         assert speed.unit == "RPM"
         assert speed.timestamps.tolist() == pytest.approx([1e-9, 0.100000001, 0.200000001, 0.300000001], abs=1e-12)
@@ -48,7 +51,16 @@ def test_mf4(converted):
         assert mdf.get("rpm_measured_special", group=0).samples.tolist() == [b"inf", b"above"]
         assert mdf.get("fault_motor_overcurrent", group=1).samples.tolist() == [1]
         assert mdf.get("serial", group=2).samples.tolist() == [2**64 - 1]
-        assert [text.decode() for text in mdf.get("text", group=3).samples] == ["short", "µ longer than the first"]
+        assert mdf.get("revision", group=0).samples.dtype == np.uint8
+        assert [text.decode() for text in mdf.get("text", group=4).samples] == ["short", "µ longer than the first"]
+
+
+@pytest.mark.parametrize("name", ["can0 0x210", 'left, "aft"', "right <&> below"])
+def test_mf4_channels_of_several_sources_are_found_by_name(converted, name):
+    with MDF(converted("mf4")) as mdf:
+        for found in (f"{name}.rpm_measured", f"motor {name}.rpm_measured"):
+            assert mdf.get(found, ignore_invalidation_bits=True).unit == "RPM"
+        assert len(mdf.get("note can0 0x210.frame")) == len(NOTES)
 
 
 def test_mcap(converted):
@@ -63,15 +75,19 @@ def test_mcap(converted):
         }
         assert all(channel.schema_id for channel in reader.get_summary().channels.values())
     motor = [row for row in found if row[0].startswith("/motor")]
-    assert [row[0] for row in motor] == ["/motor/can0/0x210"] * 4 + ["/motor/can1/0x211", '/motor/left, "aft"']
+    assert [row[0] for row in motor] == ["/motor/can0/0x210"] * 4 + [
+        "/motor/can1/0x211", '/motor/left, "aft"', "/motor/right <&> below",
+    ]  # fmt: skip
     assert motor[0][1] == 1_700_000_000_000_000_001
     assert motor[0][2] == {
         "bus": "can0", "frame": 5, "id": 528, "seq": 0, "rpm_measured": 1000.5, "motor_mode": 1,
         "motor_mode_text": "Speed Mode",
-               "fault_flags": 0, "fault_motor_overcurrent": False, "timestamp": 0.0, "serial": 2**64 - 1,
+               "fault_flags": 0, "fault_motor_overcurrent": False, "timestamp": 0.0, "serial": 2**64 - 1, "revision": 3,
     }  # fmt: skip
     assert "rpm_measured" not in motor[1][2]
     assert motor[1][2]["rpm_measured_special"] == "inf"
+    assert "rpm_measured" not in motor[2][2]
+    assert motor[2][2]["rpm_measured_special"] == "above"
     assert motor[5][2]["source"] == 'left, "aft"'
     encoding, schema = schemas["motor"]
     assert encoding == "jsonschema"

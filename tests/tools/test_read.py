@@ -17,7 +17,7 @@ def test_a_message_is_a_table_with_the_promised_types(make_capture):
     motor = read(make_capture("flight.pcapng", motor=[motor_row(0), motor_row(1)]))["motor"]
     assert motor.schema.names == [
         "time", "source_file", "bus", "frame", "source", "id", "seq", "rpm_measured", "rpm_measured_special",
-        "motor_mode", "motor_mode_text", "fault_flags", "fault_motor_overcurrent", "timestamp", "serial",
+        "motor_mode", "motor_mode_text", "fault_flags", "fault_motor_overcurrent", "timestamp", "serial", "revision",
     ]  # fmt: skip
     assert motor.schema.field("time").type == pa.timestamp("ns", tz="UTC")
     assert motor.schema.field("rpm_measured").type == pa.float64()
@@ -28,6 +28,7 @@ def test_a_message_is_a_table_with_the_promised_types(make_capture):
     assert motor["source"].null_count == 2
     assert motor["motor_mode_text"].to_pylist() == ["Speed Mode"] * 2
     assert motor["serial"].to_pylist() == [2**64 - 1] * 2
+    assert motor.schema.field("revision").type == pa.uint8()
     assert motor.schema.field("rpm_measured").metadata == {
         b"title": b"Measured speed", b"unit": b"RPM", b"filter": b"taurus.motor.rpm",
     }  # fmt: skip

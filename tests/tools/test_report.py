@@ -1,17 +1,23 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """yapp-tables report: the page of a flight with known truth, in a real headless Chromium."""
 
+import base64
 import json
+import re
 import time
+import zlib
+from decimal import Decimal
+from pathlib import Path
 
 import flights
 import pytest
-from running import PLUGIN, run_tables
+from running import PLUGIN, motor_row, run_tables
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 
 SECONDS = 120
+EXAMPLE = Path(__file__).parents[2] / "docs/flight.pcapng"
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +30,7 @@ def page(tmp_path_factory):
     return folder / "flight.html", truth
 
 
-def open_browser(path, phone=False, way="svg"):
+def open_browser(path, width=None, way="svg"):
     options = webdriver.ChromeOptions()
     for argument in (
         "--headless=new",
@@ -36,8 +42,8 @@ def open_browser(path, phone=False, way="svg"):
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     browser = webdriver.Chrome(options=options, service=Service("/usr/bin/chromedriver"))
-    if phone:
-        metrics = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+    if width:
+        metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 700}
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
     browser.get(f"{path.as_uri()}#{way}")
     for _ in range(600):
@@ -54,9 +60,26 @@ def browser(page, request):
     browser.quit()
 
 
-def in_seconds(text):
-    minutes, seconds = text.split(":")
-    return int(minutes) * 60 + float(seconds)
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """The page of docs/flight.pcapng, as README shows it."""
+    folder = tmp_path_factory.mktemp("example")
+    names = "yapp.sources:can0/0x210=motor:left, can1/0x210=motor:right"
+    done = run_tables(folder, "report", EXAMPLE, "-o", "flight.html", "-o", names, "--plugin", PLUGIN)
+    assert done.returncode == 0, done.stderr
+    return folder / "flight.html"
+
+
+@pytest.fixture(scope="module", params=[390, 1200, 1920])
+def example_browser(example, request):
+    browser = open_browser(example, width=request.param)
+    yield browser
+    browser.quit()
+
+
+def data_of(path):
+    """What the page is made of."""
+    return json.loads(re.search(r'id="data">(.*?)</script>', path.read_text(), re.S)[1])
 
 
 def rows_of(browser, table):
@@ -98,18 +121,23 @@ def test_it_opens_without_an_error_and_asks_the_network_for_nothing(browser, pag
     assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {page[0].as_uri()}
 
 
+def faults_of(browser):
+    """The rows of fault flags; the state Faulted, which may stand beside them, follows from these."""
+    return [row for row in rows_of(browser, "faults") if row["what"] != "Faulted"]
+
+
 def test_the_fault_table_has_the_truths_rows(browser, page):
     truth = page[1]
-    first = min(row[0] for row in truth.motor) - 1_400_000
-    rows = rows_of(browser, "faults")
+    first = truth.begin
+    rows = faults_of(browser)
     assert len(rows) == len(truth.faults) == 2
     for row, (begin, end, bus, number, flag) in zip(rows, truth.faults, strict=True):
-        assert in_seconds(row["begin"]) == pytest.approx((begin - first) / 1e9, abs=0.01)
+        assert Decimal(row["begin/s"]) == Decimal(begin - first).scaleb(-9)
         if end is None:
-            assert row["end"] == "still active"
+            assert row["end/s"] == "still active"
         else:
-            assert in_seconds(row["end"]) == pytest.approx((end - first) / 1e9, abs=0.01)
-            assert float(row["duration/s"]) == pytest.approx((end - begin) / 1e9, abs=0.002)
+            assert Decimal(row["end/s"]) == Decimal(end - first).scaleb(-9)
+            assert Decimal(row["duration/s"]) == Decimal(end - begin).scaleb(-9)
         assert row["source"] == f"{bus} 0x{number:03x}"
         assert row["what"].lower().replace(" ", "_").startswith(flag)
 
@@ -119,13 +147,13 @@ def test_the_other_events_are_the_truths(browser, page):
     motor = [row for row in rows_of(browser, "others") if row["message"] == "Motor Data"]
     assert sum(row["what"] == "reboot" for row in motor) == len(truth.reboots)
     assert sum(row["what"] == "silence" for row in motor) == len(truth.silences)
-    assert sum(int(row["count"]) for row in motor if row["what"] == "lost frames") == len(truth.incomplete)
+    assert sum(int(row["times"] or 1) for row in motor if row["what"] == "lost frames") == len(truth.incomplete)
 
 
 def test_a_click_on_a_fault_zooms_to_it_on_all_axes(browser):
     row = browser.find_elements(By.CSS_SELECTOR, "#faults tbody tr")[0]
     first = rows_of(browser, "faults")[0]
-    begin, end = (in_seconds(first[key]) if ":" in first[key] else SECONDS for key in ("begin", "end"))
+    begin, end = (float(first[key]) if "active" not in first[key] else SECONDS for key in ("begin/s", "end/s"))
     row.click()
     time.sleep(1.5)
     low, high = x_range(browser)
@@ -141,7 +169,7 @@ def test_gaps_are_gaps_and_reserved_counts_are_marks(browser, page):
     show(browser, 0, SECONDS)
     (line,) = traces(browser, "RPM Measured, can1 0x210")
     (silence,) = [row for row in truth.silences if row[3] > 1e9]
-    begin = (silence[0] - flights.START) / 1e9
+    begin = (silence[0] - truth.begin) / 1e9
     inside = [
         y for x, y in zip(line["x"], line["y"], strict=True) if begin + 0.05 < x < begin + silence[3] / 1e9 - 0.05
     ]
@@ -170,17 +198,170 @@ def test_light_and_dark(browser):
     assert browser.execute_script("return document.getElementById('plot').layout.paper_bgcolor") != before
 
 
-def test_states_and_flags_are_bars(browser, page):
-    script = """const all = document.getElementById("plot").data;
-      return all.filter(trace => trace.type === "bar" && trace.name === arguments[0])
-        .map(({base, x, text}) => base.map((begin, i) => [begin, begin + x[i], text[i] ?? null]))"""
-    (mode,) = browser.execute_script(script, "Motor Mode, can0 0x210")
-    assert {text for _, _, text in mode} == {"Speed Mode"}
+def bars(browser, name):
+    """Begin, end, meaning and shown text of the bars of this name."""
+    script = """return document.getElementById("plot").data
+      .filter(({type, name}) => type === "bar" && name === arguments[0]).map(({base, x, customdata, text}) =>
+        base.map((begin, i) => [begin, begin + x[i], customdata[i][0], text[i]]))"""
+    (found,) = browser.execute_script(script, name)
+    return found
+
+
+def test_a_fault_is_a_bar_with_the_name_of_its_source(browser, page):
+    show(browser, 0, SECONDS)
     ((begin, end, bus, number, _),) = [row for row in page[1].faults if row[4] == "motor_overcurrent"]
-    (((low, high, text),),) = browser.execute_script(script, f"Motor overcurrent, {bus} 0x{number:03x}")
-    first = min(row[0] for row in page[1].motor) - 1_400_000
-    assert (low, high) == pytest.approx(((begin - first) / 1e9, (end - first) / 1e9), abs=0.01)
-    assert text is None
+    source = f"{bus} 0x{number:03x}"
+    ((low, high, text, shown),) = bars(browser, f"Motor overcurrent, {source}")
+    first = page[1].begin
+    assert (low, high) == pytest.approx(((begin - first) / 1e9, (end - first) / 1e9), abs=1e-6)
+    assert (text, shown) == (source, source)
+
+
+def pixel(browser, x, y):
+    """The colour that is seen at a place of the page."""
+    clip = {"x": x, "y": y, "width": 1, "height": 1, "scale": 1}
+    shot = browser.execute_cdp_cmd("Page.captureScreenshot", {"clip": clip})
+    png = base64.b64decode(shot["data"])
+    packed, at = b"", 8
+    while at < len(png):
+        size = int.from_bytes(png[at : at + 4], "big")
+        packed += png[at + 8 : at + 8 + size] if png[at + 4 : at + 8] == b"IDAT" else b""
+        at += size + 12
+    return tuple(zlib.decompress(packed)[1:4])  # behind the byte that names the first line's filter
+
+
+def test_nothing_lies_over_the_first_picture(example_browser):
+    example_browser.execute_script("scrollTo(0, 0)")
+    x, y = example_browser.execute_script(
+        """const {x, y, width, height} = document.querySelector("#plot .barlayer path").getBoundingClientRect();
+        return [x + width / 2, y + height - 4]"""
+    )
+    assert pixel(example_browser, round(x), round(y)) == (0xE8, 0x59, 0x0C)
+
+
+def test_states_are_bars_with_texts_where_there_is_room(example_browser):
+    enabled = bars(example_browser, "Enabled, can1 0x000")
+    assert [(text, shown) for _, _, text, shown in enabled] == [
+        ("Enabled", "Enabled"), ("Disabled", "Disabled"), ("Enabled", "Enabled"),
+    ]  # fmt: skip
+    key = bars(example_browser, "Key, can1 0x000")
+    assert [text for _, _, text, _ in key] == ["Full Operation", "0x0, not defined", "Full Operation"]
+    wide = example_browser.execute_script("return innerWidth > 1000")
+    assert [bool(shown) for *_, shown in key] == ([True] * 3 if wide else [True, False, False])
+
+
+def test_times_are_not_cut_and_count_from_the_captures_begin(example_browser):
+    """As tshark's frame.time_relative."""
+    (fault,) = faults_of(example_browser)
+    assert (fault["begin/s"], fault["end/s"], fault["duration/s"]) == ("5.6138", "7.1138", "1.5")
+    said = example_browser.execute_script("return document.getElementById('verdict').textContent")
+    assert re.match(
+        r"Motor overcurrent on right at 5\.6138 s, for 1\.5 s\. \d faults?, \d+ other events in all\.", said
+    )
+    (silence,) = [row for row in rows_of(example_browser, "others") if row["what"] == "silence"]
+    assert (silence["source"], silence["begin/s"], silence["end/s"]) == ("right", "7.3138", "7.9138")
+
+
+def test_the_first_screen_says_what_went_wrong(example_browser):
+    script = (
+        "return ['verdict', 'faults', 'others'].map(id => document.getElementById(id).getBoundingClientRect().bottom)"
+    )
+    assert max(example_browser.execute_script(script)) < 844
+
+
+def test_no_margin_is_empty_and_nothing_sticks_out(example_browser):
+    width, scroll = example_browser.execute_script(
+        "return [document.documentElement.clientWidth, document.documentElement.scrollWidth]"
+    )
+    assert scroll <= width
+    left, right, plot = example_browser.execute_script(
+        """const {l, r} = document.getElementById("plot")._fullLayout._size;
+        return [l, r, document.getElementById("plot").clientWidth]"""
+    )
+    assert left < 60
+    assert right < 20
+    assert width - plot <= 32
+    heads = "return [...document.querySelectorAll('.head > *')].map(text => text.getBoundingClientRect().right)"
+    assert max(example_browser.execute_script(heads)) <= width
+
+
+def test_a_colour_is_a_source_and_a_dash_is_a_field_each_named_once(example_browser):
+    script = (
+        """const [query] = arguments; return [...document.querySelectorAll(query)].map(one => one.textContent.trim())"""
+    )
+    sources = example_browser.execute_script(script, "#sources label")
+    assert sorted(sources) == ["can0 0x000", "can0 0x200", "can1 0x000", "can1 0x200", "left", "right"]
+    colours = example_browser.execute_script(
+        "return [...document.querySelectorAll('#sources i')].map(patch => patch.style.background)"
+    )
+    assert len(set(colours)) == len(colours)
+    fields = example_browser.execute_script(script, ".head span:has(svg)")
+    assert fields.count("Torque IQ Measured") == fields.count("RPM Measured") == fields.count("DC Voltage") == 1
+
+
+def test_what_did_not_change_has_no_panel(example_browser):
+    titles = "return [...document.querySelectorAll('.head')].map(head => head.textContent)"
+    assert not [
+        text for text in example_browser.execute_script(titles) if "Board Revision" in text or "CPU Usage" in text
+    ]
+    constants = {row["field"]: (row["value"], row["unit"]) for row in rows_of(example_browser, "constants")}
+    assert constants["Board Revision"] == ("3", "")
+    assert constants["Taurus Thread CPU Usage"] == ("12", "%")
+    assert constants["Flag MPOS: Update motor position values"] == ("set", "")
+
+
+def test_several_sources_are_compared(example_browser, example):
+    (motor,) = [table for table in data_of(example)["values"] if table["message"] == "Motor Data"]
+    assert motor["sources"] == ["left", "right"]
+    (current,) = [row for row in motor["rows"] if row["field"] == "DC Current"]
+    # Of left and right the largest of all: the last message before the controller of right switched off.
+    assert current["spread"] == pytest.approx(35.199, abs=0.001)
+    assert (current["at"], current["high"], current["low"]) == (pytest.approx(5.5138), "right", "left")
+    assert current["ranges"][1][2] == pytest.approx(52.981, abs=0.001)
+    (line,) = traces(example_browser, "DC Current, spread")
+    assert max(value for value in line["y"] if value is not None) == pytest.approx(35.199, abs=0.001)
+
+
+def test_every_table_has_units(example_browser):
+    heads = "return [...document.querySelectorAll(arguments[0])].map(cell => cell.textContent)"
+    values = example_browser.execute_script(heads, "#values table tr:nth-child(2) th")
+    assert {"unit", "at/s"} <= set(values)
+    assert "A" in example_browser.execute_script(heads, "#values tbody td:nth-child(2)")
+    summary = set(example_browser.execute_script(heads, "#summary th"))
+    assert {"rate/Hz", "gap min/s", "gap mean/s", "gap max/s"} <= summary
+
+
+EVENT = {"time": 1700000000.300000001, "frame": 8, "bus": "can0", "id": 528, "source": None, "message": "motor"}
+HELP = "Look at the phase wires."
+
+
+def test_what_nobody_saw_before_stands_in_the_page(make_capture, yapp_tables, tmp_path):
+    """Undefined values, bytes of no frame, a source that never came, and what a flag means."""
+    fault = {"kind": "fault", "field": "fault_flags", "flag": "motor_overcurrent", "event": "raised", "active": None}
+    events = [
+        EVENT | fault | {"help": HELP},
+        *[EVENT | {"kind": "invalid", "field": "motor_mode", "value": value} for value in (17, 17, 18)],
+        EVENT | {"kind": "skipped", "bus": None, "id": None, "source": "ttyUSB0", "message": None, "length": 5},
+        EVENT | {"kind": "skipped", "bus": None, "id": None, "source": "ttyUSB0", "message": None, "length": 7},
+        EVENT | {"kind": "absent", "frame": None, "time": None, "source": "aft"},
+    ]
+    summary = [EVENT | {"count": 2, "rate": 10.0, "invalid": 3, "skipped": None}]
+    make_capture("flight.pcapng", motor=[motor_row(0), motor_row(5)], events=events, summary=summary)
+    done = yapp_tables("report", "flight.pcapng", "-o", "page.html")
+    assert done.returncode == 0, done.stderr
+    browser = open_browser(tmp_path / "page.html", width=1200)
+    try:
+        assert [(row["what"], row["help"]) for row in rows_of(browser, "faults")] == [("Motor overcurrent", HELP)]
+        others = {row["what"]: row for row in rows_of(browser, "others")}
+        assert others["undefined value: Motor mode 0x11"]["times"] == "2"
+        assert others["undefined value: Motor mode 0x12"]["times"] == ""
+        assert (others["bytes of no frame"]["bytes"], others["bytes of no frame"]["source"]) == ("12", "ttyUSB0")
+        assert others["never came"]["source"] == "aft"
+        (row,) = rows_of(browser, "summary")
+        assert row["invalid"] == "3"
+        assert "skipped" not in row
+    finally:
+        browser.quit()
 
 
 def test_printed_it_fits_the_paper_and_is_light(browser):
@@ -194,18 +375,6 @@ def test_printed_it_fits_the_paper_and_is_light(browser):
     width, *colours = browser.execute_script(script)
     assert width > 1000
     assert colours == ["rgb(20, 23, 26)"] * 2
-
-
-def test_it_fits_a_phone(page):
-    phone = open_browser(page[0], phone=True)
-    try:
-        texts = "return [...document.querySelectorAll('.annotation')].map(text => text.getBoundingClientRect().right)"
-        assert max(phone.execute_script(texts)) <= 390
-        wide, window = phone.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
-        assert wide <= window == 390
-        assert phone.execute_script("return document.getElementById('plot')._fullLayout.width") <= window
-    finally:
-        phone.quit()
 
 
 def test_without_plotly_the_error_names_the_command(tmp_path):

@@ -94,10 +94,11 @@ def _report(given: argparse.Namespace) -> int:
     if not page.parent.is_dir():
         raise SetupError(f"{page} cannot be written: no folder {page.parent}")
     write_report = need(f"{__package__}.report", "report").write_report
-    flight = read_flight(given.capture, _tshark(given))
+    tshark = _tshark(given)
+    flight = read_flight(given.capture, tshark)
     _say(flight.complaints)
     try:
-        write_report(flight, page)
+        write_report(flight, page, tshark.begin(given.capture))
     except OSError as error:
         raise SetupError(f"{page} cannot be written: {error.strerror}") from error
     if flight.partial:

@@ -34,7 +34,7 @@ class Flight(Mapping[str, pa.Table]):
         self.plugin = plugin_version(export.fields)
         self.events = table(export.records["events"], EVENTS)
         self.faults = self.events.filter(pc.equal(self.events["kind"], "fault")).drop_columns(
-            ["kind", "length", "what"]
+            ["kind", "length", "what", "value"]
         )
         self.summary = table(export.records["summary"], SUMMARY)
         self.statistics = statistics(export.records["summary"])

@@ -6,6 +6,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 import pyarrow as pa
@@ -57,8 +58,9 @@ class _Groups:
                     self.groups[source], [(times, None), *((array, absent) for _, array, absent in samples)]
                 )
             else:
-                signals = [self._signal(column, array, absent, times) for column, array, absent in samples]
                 name = " ".join((self.rows.message.name, *source))
+                groups = name, " ".join(source)
+                signals = [self._signal(column, array, absent, times, groups) for column, array, absent in samples]
                 self.groups[source] = self.mdf.append(
                     signals, acq_name=name, comment=self.rows.message.title, common_timebase=True
                 )
@@ -69,7 +71,8 @@ class _Groups:
         """An enum's text: the number's conversion says the same."""
         return column.name.endswith("_text") and column.name.removesuffix("_text") in self.rows.message.columns
 
-    def _signal(self, column: Column, samples: Any, absent: Any, times: Any) -> Any:
+    def _signal(self, column: Column, samples: Any, absent: Any, times: Any, groups: tuple[str, ...]) -> Any:
+        """A channel.  Its name is that of others too: it is found as `left.rpm_measured`, `motor left.rpm_measured`."""
         values = dict(enumerate(SPECIAL)) if _is_special(column) else column.values
         conversion: dict[str, Any] = {}
         for number, (value, text) in enumerate(values.items()):
@@ -82,6 +85,7 @@ class _Groups:
             comment=column.title,
             conversion=conversion or None,
             invalidation_bits=absent,
+            display_names={escape(f"{group}.{column.name}"): "display" for group in groups},
             encoding="utf-8" if samples.dtype.kind == "S" else None,
         )
 

@@ -3,38 +3,42 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from plotly.offline import get_plotlyjs
 
 from .flight import Flight
-from .series import Array, Source, numbers, sources, spans, thin
+from .pictures import MARKS, Pictures, Record
 from .tables import Column
 from .whole import write_whole
 
-# What the page keeps of a signal of one source; the page itself thins that to what its window has room for.
-SAMPLES = 100_000
-MARKS = SPANS = 2_000
-Record = dict[str, Any]
 # What an event other than a fault means; those of the first kind are told one by one, the others counted for a source.
-SINGLE = {"reboot": "reboot", "silence": "silence", "stale": "the controller's time stood still"}
-COUNTED = {"crc": "bad CRC", "incomplete": "lost frames", "unfinished": "cut off by the end of the capture"}
+SINGLE = {"reboot": "reboot", "silence": "silence", "absent": "never came"}
+COUNTED = {
+    "stale": "the controller's time stood still",
+    "crc": "bad CRC",
+    "incomplete": "lost frames",
+    "unfinished": "cut off by the end of the capture",
+    "skipped": "bytes of no frame",
+    "invalid": "undefined value",
+}
 
 
-def write_report(flight: Flight, path: Path) -> None:
-    """Write the page of a flight to path. Raises OSError."""
+def write_report(flight: Flight, path: Path, begin: int | None = None) -> None:
+    """Write the page of a flight to path.
+
+    begin: the time of the capture's first packet, from which seconds count as in Wireshark; None for that of the first
+    message. Raises OSError.
+    """
     package = files(__package__)
     page = package.joinpath("report.html").read_text(encoding="utf-8")
-    data = json.dumps(_Page(flight).data(), ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
+    data = json.dumps(_Page(flight, begin).data(), ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
     parts = {"/*PLOTLY*/": get_plotlyjs(), "/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8")}
     head, _, tail = page.partition("/*DATA*/")
     for name, text in parts.items():
@@ -45,39 +49,40 @@ def write_report(flight: Flight, path: Path) -> None:
 class _Page:
     """What the page shows of a flight, as JSON that report.js reads."""
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: Flight, begin: int | None) -> None:
         self.flight = flight
         times = [flight[name]["time"] for name in flight]
-        self.start = min(pc.min(column).value for column in times)
-        self.length = (max(pc.max(column).value for column in times) - self.start) / 1e9
-        self.sources: list[str] = []
-        self.times: list[str] = []
-        self.panels: dict[str, Record] = {}
-        self.bars: list[Record] = []
+        self.start: int = min(pc.min(column).value for column in times) if begin is None else begin
+        self.end = self._since(max(pc.max(column).value for column in times))
+        self.pictures = Pictures(self.start)
+        self.events = self._events()
 
     def data(self) -> Record:
-        flight = self.flight
-        for name, message in flight.messages.items():
-            for source in sources(flight[name], message.every, self.start):
-                if source.name not in self.sources:
-                    self.sources.append(source.name)
-                self._lines(name, source)
-                self._bars(name, source)
-        begin = datetime.fromtimestamp(self.start / 1e9, UTC)
+        flight, pictures = self.flight, self.pictures
+        faults, others = self._faults(), self._others()
+        # First the message that says most.
+        for message in sorted(flight.messages.values(), key=lambda message: -len(message.columns)):
+            alarms = {column.name for event in self.events if (column := self._flag(event, message.name))}
+            pictures.add(message, flight[message.name], alarms)
+        marks = self._marks(others)
+        begin = datetime.fromtimestamp(self.start // 10**9, UTC)
         return {
             "name": flight.name,
-            "start": f"{begin:%Y-%m-%d %H:%M:%S} UTC",
-            "length": self.length,
+            "start": f"{begin:%Y-%m-%d %H:%M:%S}{f'.{self.start % 10**9:09}'.rstrip('0').rstrip('.')} UTC",
+            "length": self.end,
             "partial": flight.partial,
+            "complaints": flight.complaints,
             "versions": f"YAPP plugin {flight.plugin}, yapp-tables {version('yapp-tables')}",
-            "faults": self._faults(),
-            "others": self._others(),
-            "sources": self.sources,
-            "times": self.times,
-            "panels": list(self.panels.values()),
-            "bars": sorted(self.bars, key=lambda bar: (bar["kind"], bar["title"], bar["source"])),
-            "summary": _rows(flight.summary),
-            "statistics": _rows(flight.statistics),
+            "faults": faults,
+            "others": others,
+            "sources": pictures.sources,
+            "legend": pictures.legend(),
+            "times": pictures.times,
+            "panels": pictures.panels,
+            "bars": marks + sorted(pictures.bars, key=lambda bars: ("fault", "enum", "flag").index(bars["kind"])),
+            "summary": self._summary(),
+            "values": pictures.values,
+            "constants": pictures.constants,
         }
 
     def _since(self, time: int) -> float:
@@ -89,7 +94,12 @@ class _Page:
             0, "at", self.flight.events["time"].cast(pa.int64())
         ).to_pylist()
         return [
-            event | {"at": self._since(event["at"]), "source": _source(event), "title": self._title(event["message"])}
+            event
+            | {
+                "at": 0.0 if event["at"] is None else self._since(event["at"]),
+                "source": _source(event),
+                "title": self._title(event["message"]),
+            }
             for event in events
         ]
 
@@ -101,116 +111,83 @@ class _Page:
         """Each fault from raised to cleared, or to the end of the capture where `end` is None."""
         rows: list[Record] = []
         open_rows: dict[tuple[str, str, str], Record] = {}
-        for event in self._events():
+        for event in self.events:
             if event["kind"] != "fault":
                 continue
             key = event["source"], event["message"], event["flag"]
             if event["event"] == "raised":
-                row = {
-                    "begin": event["at"],
-                    "end": None,
-                    "length": self.length - event["at"],
-                    "source": event["source"],
-                }
-                open_rows[key] = row | {"message": event["title"], "what": self._flag(event), "flag": event["flag"]}
-                rows.append(open_rows[key])
+                flag = self._flag(event, event["message"])
+                row = {"begin": event["at"], "end": None, "length": self.end - event["at"], "source": event["source"]}
+                row |= {"message": event["title"], "what": flag.title if flag else event["flag"], "help": event["help"]}
+                open_rows[key] = row
+                rows.append(row)
             elif key in open_rows:
                 row = open_rows.pop(key)
                 row["end"] = event["at"] if event["event"] == "cleared" else None
                 row["length"] = event["active"]
         return rows
 
-    def _flag(self, event: Record) -> str:
-        message = self.flight.messages.get(event["message"])
-        for column in message.columns.values() if message else ():
-            if column.role == "flag" and column.name.endswith(f"_{event['flag']}"):
-                return column.title
-        return str(event["flag"])
+    def _flag(self, event: Record, message: str) -> Column | None:
+        """The column of the flag that an event is about, where it is one of this message."""
+        known = self.flight.messages.get(message)
+        if known is None or event["kind"] != "fault" or event["message"] != message:
+            return None
+        flags = (column for column in known.columns.values() if column.role == "flag")
+        return next((column for column in flags if column.name.endswith(f"_{event['flag']}")), None)
 
     def _others(self) -> list[Record]:
-        """Reboots and silences one by one; bad CRCs and lost frames as one row for each source."""
-        rows: list[Record] = []
-        counted: dict[tuple[str, str], Record] = {}
-        for event in self._events():
-            at, kind = event["at"], event["kind"]
-            row = {"begin": at, "end": at + (event["length"] or 0.0), "length": event["length"], "count": 1}
-            row |= {"source": event["source"], "message": event["title"], "kind": kind}
-            if kind in SINGLE:
-                rows.append(row | {"what": SINGLE[kind]})
-            elif kind in COUNTED:
-                known = counted.setdefault((kind, event["source"]), row | {"what": COUNTED[kind], "count": 0})
-                known["end"], known["count"] = at, known["count"] + 1
-        return sorted([*rows, *counted.values()], key=lambda row: row["begin"])
-
-    def _lines(self, message: str, source: Source) -> None:
-        """The values of a source: a panel for each unit, its times once, marks where there was a reserved count."""
-        known = self.flight.messages[message].columns
-        columns = [known[name] for name in source.rows.schema.names if name in known and known[name].role == "value"]
-        if not columns:
-            return
-        times, lines = thin(source, [numbers(source.rows[column.name]) for column in columns], SAMPLES)
-        self.times.append(_packed(times, "<f8"))
-        for column, values in zip(columns, lines, strict=True):
-            panel = self.panels.setdefault(
-                column.unit or message, {"unit": column.unit, "fields": [], "traces": [], "marks": []}
-            )
-            field = {"name": column.name, "title": column.title, "message": message}
-            if field not in panel["fields"]:
-                panel["fields"].append(field)
-            trace = {"source": self.sources.index(source.name), "field": panel["fields"].index(field)}
-            panel["traces"].append(trace | {"x": len(self.times) - 1, "y": _packed(values, "<f4")})
-            if marks := _marks(source, column):
-                panel["marks"].append(trace | marks)
-
-    def _bars(self, message: str, source: Source) -> None:
-        """What a source's enums said when, and when its flags were set."""
-        for column in self.flight.messages[message].columns.values():
-            if column.role not in ("enum", "flag") or column.name not in source.rows.schema.names:
+        """Reboots and silences one by one; what may come often as one row for each source, with its times in `at`."""
+        rows: dict[tuple[str, ...], Record] = {}
+        for number, event in enumerate(self.events):
+            kind, length = event["kind"], event["length"] or 0.0
+            if kind not in SINGLE and kind not in COUNTED:
                 continue
-            values = numbers(source.rows[column.name].cast(pa.int64()))
-            found = [
-                span
-                for span in spans(source, values, SPANS)
-                if span[2] == span[2] and (column.role == "enum" or span[2])
-            ]
-            if found:
-                texts = (
-                    [column.values.get(int(value), str(int(value))) for _, _, value in found] if column.values else []
-                )
-                bar = {
-                    "source": self.sources.index(source.name),
-                    "title": column.title,
-                    "kind": column.role,
-                    "texts": texts,
-                }
-                self.bars.append(bar | {"begins": [span[0] for span in found], "ends": [span[1] for span in found]})
+            what = SINGLE.get(kind) or COUNTED[kind]
+            if kind == "invalid":
+                what = f"{what}: {self._value(event)}"
+            key = (kind, event["source"], what) if kind in COUNTED else (str(number),)
+            row = {"what": what, "source": event["source"], "begin": event["at"], "end": event["at"], "count": 0}
+            row |= {"length": None, "bytes": None, "message": event["title"], "at": []}
+            row = rows.setdefault(key, row)
+            row["count"] += 1
+            row["at"].append(event["at"])
+            row["end"] = event["at"]
+            if kind == "silence":
+                row["end"], row["length"] = event["at"] + length, length
+            if kind == "skipped":
+                row["bytes"] = (row["bytes"] or 0) + int(length)
+        return sorted(rows.values(), key=lambda row: row["begin"])
 
+    def _value(self, event: Record) -> str:
+        """What a field had that the catalogue does not define: "Key 0x11"."""
+        message = self.flight.messages.get(event["message"])
+        column = message.columns.get(event["field"]) if message else None
+        value = event["value"] or ""
+        return f"{column.title if column else event['field']} {int(value):#x}" if value.isdigit() else value
 
-def _marks(source: Source, column: Column) -> Record | None:
-    """When a reserved count stood in the place of a value, and which."""
-    name = f"{column.name}_special"
-    if name not in source.rows.schema.names:
-        return None
-    special = source.rows[name]
-    at = np.flatnonzero(special.is_valid().to_numpy())
-    at = at[:: -(-len(at) // MARKS) or 1]
-    if not len(at):
-        return None
-    return {"x": source.times[at].tolist(), "what": special.take(pa.array(at)).to_pylist()}
+    def _marks(self, others: list[Record]) -> list[Record]:
+        """The events on the time axis: a line for each kind and source; one that does not last is a mark."""
+        bars: dict[str, Record] = {}
+        for row in others:
+            bar = bars.setdefault(row["what"], {"title": row["what"], "message": "", "kind": "event", "rows": {}})
+            source = self.pictures.source(row["source"], row["message"])
+            marks = bar["rows"].setdefault(source, {"source": source, "texts": [], "begins": [], "ends": []})
+            at = row["at"][:: -(-len(row["at"]) // MARKS)]
+            marks["begins"] += at
+            marks["ends"] += [row["end"]] if row["length"] else at
+        return [bar | {"rows": list(bar["rows"].values())} for bar in bars.values()]
 
-
-def _packed(values: Array, kind: str) -> str:
-    return base64.b64encode(values.astype(kind).tobytes()).decode()
+    def _summary(self) -> list[Record]:
+        """A row for each source; what the plugin does not count is left out."""
+        rows: list[Record] = self.flight.summary.to_pylist()
+        names = [name for name in self.flight.summary.schema.names if any(row[name] is not None for row in rows)]
+        about = ({name: row[name] for name in names if name not in ("bus", "id")} for row in rows)
+        return [
+            row | {"source": _source(given), "message": self._title(given["message"])}
+            for row, given in zip(about, rows, strict=True)
+        ]
 
 
 def _source(row: Record) -> str:
-    return row["source"] or " ".join(part for part in (row["bus"], f"0x{row['id']:03x}") if part)
-
-
-def _rows(table: pa.Table) -> list[Record]:
-    """A table's rows with the source's name in the place of bus and id; no number that JSON does not have."""
-    kept = ("bus", "id")
-    return [
-        {name: value for name, value in (row | {"source": _source(row)}).items() if name not in kept}
-        for row in table.to_pylist()
-    ]
+    number = None if row["id"] is None else f"0x{row['id']:03x}"
+    return row["source"] or " ".join(part for part in (row["bus"], number) if part) or "stream"

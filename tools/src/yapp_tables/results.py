@@ -19,7 +19,7 @@ from .watch import Position, position
 from .whole import write_whole
 
 # Raised when files get other names, columns or types: a folder holds results of one layout.
-LAYOUT = 1
+LAYOUT = 2
 # Folders left by a run that was killed are removed by the next run, after a day: another run may still be at work.
 LEFTOVER_SECONDS = 86400
 SUFFIXES = (".gz", ".zst", ".lz4", ".pcapng", ".pcap", ".cap", ".log", ".txt", ".yapp", ".candump")

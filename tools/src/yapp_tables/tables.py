@@ -112,8 +112,7 @@ def _column(entry: Record) -> Column:
         return Column(name, _integer(entry), "enum", values=values, **about)
     if entry["kind"] == "flags":
         return Column(name, _integer(entry), "flags", **about)
-    # A float64 has every integer of up to 53 bits.
-    return Column(name, _integer(entry) if entry["bits"] > 53 else pa.float64(), "value", **about)
+    return Column(name, _integer(entry), "value", **about)
 
 
 def _integer(entry: Record) -> pa.DataType:
@@ -229,6 +228,8 @@ EVENTS = pa.schema(
         "active": pa.float64(),
         "length": pa.float64(),
         "what": pa.string(),
+        "value": pa.string(),
+        "help": pa.string(),
     }
 )
 SUMMARY = pa.schema(
@@ -247,6 +248,8 @@ SUMMARY = pa.schema(
         "incomplete": pa.int64(),
         "late": pa.int64(),
         "reboots": pa.int64(),
+        "invalid": pa.int64(),
+        "skipped": pa.int64(),
     }
 )
 STATISTICS = pa.schema(
@@ -273,6 +276,8 @@ def table(records: list[Record], schema: pa.Schema) -> pa.Table:
 def _cell(key: str, value: Any) -> Any:
     if isinstance(value, Decimal):
         return int(value.scaleb(9)) if key == "time" else float(value)
+    if key == "value" and value is not None:
+        return str(value)
     return value * 10**9 if key == "time" and isinstance(value, int) else value
 
 

@@ -101,12 +101,22 @@ class Tshark:
                 raise SetupError(str(error).removeprefix(f"{empty}: ")) from error
             return export.fields, export.complaints
 
-    def _command(self, capture: Path, wanted: list[str]) -> list[str]:
-        command = [self._program(), "-q", "-r", str(capture.resolve())]
+    def begin(self, capture: Path) -> int | None:
+        """The time of a capture's first packet, whatever it is, in nanoseconds since 1970; None where none is told."""
+        first = [*self._reading(capture), "-c", "1", "-T", "fields", "-e", "frame.time_epoch"]
+        text = subprocess.run(first, capture_output=True, text=True, check=False).stdout.strip()
+        return int(Decimal(text).scaleb(9)) if re.fullmatch(r"\d+\.\d+", text) else None
+
+    def _reading(self, capture: Path) -> list[str]:
+        command = [self._program(), "-r", str(capture.resolve())]
         if self.plugin is not None:
             command += ["-X", f"lua_script:{self._plugin()}"]
         for option in self.options:
             command += ["-o", option]
+        return command
+
+    def _command(self, capture: Path, wanted: list[str]) -> list[str]:
+        command = [*self._reading(capture), "-q"]
         narrowed = f",filter={self.filter}" if self.filter else ""
         for what in wanted:
             command += ["-z", f"yapp,{what}{narrowed}"]
