@@ -191,6 +191,7 @@ local function show_frame(self, view, tvb, index)
     good = status == "good",
     is_whole = not is_lost,
     source = key_of(fact, event.id),
+    stream = fact.stream,
     bus = fact.bus_key,
     bus_name = fact.bus_name,
     name = builder:name(event.id, fact.bus_name),
