@@ -49,11 +49,11 @@ def break_catalogue(project):
 
 
 def break_message(project):
-    """One more message than there was, which is wrong."""
+    """One message whose fields do not add up to its size."""
     path = project / "taurus_fields.lua"
-    text, first = path.read_text(), '  { -- "Taurus Health"'
-    assert first in text
-    path.write_text(text.replace(first, '  { name = "broken", id = 0x333, size = 1 },\n' + first))
+    text, size = path.read_text(), "size = 17,"
+    assert text.count(size) == 1
+    path.write_text(text.replace(size, 'size = 18,'))
 
 
 CASES = {"clean": ("clean.pcapng", None, 0), "fault": ("fault.pcapng", None, 20),
