@@ -49,11 +49,11 @@ def break_catalogue(project):
 
 
 def break_message(project):
-    """One message whose fields do not add up to its size."""
+    """One more message than there was, which is wrong."""
     path = project / "taurus_fields.lua"
-    text, size = path.read_text(), "size = 17,"
-    assert text.count(size) == 1
-    path.write_text(text.replace(size, 'size = 18,'))
+    text, first = path.read_text(), "return {\n"
+    assert text.count(first) == 1
+    path.write_text(text.replace(first, first + '  { name = "broken", id = 0x333, size = 1 },\n'))
 
 
 CASES = {"clean": ("clean.pcapng", None, 0), "fault": ("fault.pcapng", None, 20),
