@@ -44,8 +44,7 @@ local EXPERTS = {
 
 -- The names under a field that follow from it.
 local function filters_of(field)
-  local names = { field.filter }
-  if field.kind == "float" or field.kind == "ieee" then names[2] = field.filter .. ".special" end
+  local names = { field.filter, field.special }
   if field.kind ~= "flags" then return names end
   local function add(name) names[#names + 1] = field.group .. "." .. name end
   add("undefined")
@@ -87,7 +86,7 @@ end
 -- The place of a field of numbers among those of its message.
 local function number_of(message, row, name)
   local field = message.by_name[name or false]
-  local is_number = field and (field.kind == "float" or field.kind == "ieee" or
+  local is_number = field and (field.special or
     (field.kind == "uint" or field.kind == "int") and not field.values)
   demand(is_number, "difference %s: %s is no field of numbers", row[1], shown(name))
   return message.index[field]

@@ -129,6 +129,7 @@ end
 -- min and max make a compressed float of the bytes; without them float32 and float64 are IEEE
 -- 754's.
 local function add_range(field, row)
+  field.special = field.filter .. ".special"
   if row.min == nil and row.max == nil and (field.size == 4 or field.size == 8) then
     field.kind = "ieee"
     return
