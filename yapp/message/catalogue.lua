@@ -14,30 +14,19 @@ local M = {}
 
 M.MAX_ID = 2047
 local MAX_SIZE = 65535
-local MAX_PERIOD = 1e6
-local OPTIONS = {
-  name = true,
-  title = true,
-  section = true,
-  id = true,
-  size = true,
-  info = true,
-  every = true,
-  answers = true,
-  differences = true,
-}
+local OPTIONS = check.set("name title section id size info every answers differences")
 
 -- The filter names of expert items.
 local EXPERTS = {
-  "taurus.fault.active",
-  "taurus.fault.raised",
-  "taurus.fault.cleared",
-  "taurus.command.key.invalid",
-  "taurus.value.special",
-  "taurus.value.invalid",
-  "taurus.flags.undefined",
-  "taurus.reboot",
-  "taurus.stale",
+  "fault.active",
+  "fault.raised",
+  "fault.cleared",
+  "command.key.invalid",
+  "value.special",
+  "value.invalid",
+  "flags.undefined",
+  "reboot",
+  "stale",
 }
 
 -- Filter names -----------------------------------------------------------------------------------
@@ -68,7 +57,7 @@ end
 -- Raises which filter name of a message is there twice, or an expert item's.
 local function claim_filters(message, place)
   local taken = {}
-  for _, name in ipairs(EXPERTS) do taken[name] = true end
+  for _, name in ipairs(EXPERTS) do taken["taurus." .. name] = true end
   claim(taken, message.filter)
   if message.time then claim(taken, message.filter .. ".clock_drift") end
   if message.answers then claim(taken, ("%s.%s_in"):format(message.filter, message.answers)) end
@@ -108,19 +97,14 @@ local function compile_difference(message, row)
   }
 end
 
-local function check_number(what, v, low, high)
-  local is_within = check.is_integer(v) and v >= low and v <= high
-  demand(is_within, "%s %s is not one of %d .. %d", what, shown(v), low, high)
-end
-
 local function check_head(entry)
   local every, answers = entry.every, entry.answers
   check.check_options(entry, "a message", OPTIONS, math.huge)
   demand(is_text(entry.title), "the title is missing")
-  demand(entry.section == nil or is_text(entry.section), "section must be a text")
-  check_number("id", entry.id, 0, M.MAX_ID)
-  check_number("size", entry.size, 1, MAX_SIZE)
-  local is_period = every == nil or check.is_finite(every) and every > 0 and every <= MAX_PERIOD
+  check.text(entry, "section")
+  check.within("id", entry.id, 0, M.MAX_ID)
+  check.within("size", entry.size, 1, MAX_SIZE)
+  local is_period = every == nil or check.is_finite(every) and every > 0
   demand(is_period, "every %s is not a period in seconds", shown(every))
   local is_message = answers == nil or is_name(answers)
   demand(is_message, "answers %s is not the name of a message", shown(answers))

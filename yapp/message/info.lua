@@ -10,7 +10,6 @@ local M = {}
 local format, concat = string.format, table.concat
 
 local SPECIALS = { [0] = "NaN", "+inf", "-inf", "above range", "below range" }
-local MOST_BYTES = 1000 -- of a text of the catalogue
 
 -- Whether the value of a field is a number with a fraction.
 local function is_real(field)
@@ -50,7 +49,7 @@ end
 --   usual     function(raws) -> the same as one text, nil where a value is special
 -- Raises what is wrong.
 function M.compile(message, text)
-  local is_text = text == "" or check.is_text(text, MOST_BYTES)
+  local is_text = text == "" or check.is_text(text)
   check.demand(is_text, "info must be a text, not %s", check.shown(text))
   local parts, fields, shape, at = {}, {}, "", 1
   while at do
