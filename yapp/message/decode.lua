@@ -151,6 +151,7 @@ end
 --- The number with the fewest digits that is the same in four bytes: 0.1 for those nearest to it.
 -- value  finite
 function M.shortest(value)
+  if value == 0 then return value end -- COMPAT 5.4: the text "-0" is an integer there
   for digits = 6, 8 do
     local short = tonumber(format("%." .. digits .. "g", value))
     if to_float32(short) == value then return short end
