@@ -171,9 +171,9 @@ Log.__index = Log
 -- @param options { all = true to take all candump text, false to leave to Wireshark's own reader
 --   what that gets right; by_value = whether that reader tells extended ids by their value, as 4.6
 --   does; report = function(text), called with a line for each message }
--- @return a log with read and seek_read, decimals (6 or 9) of the times, and has_several: whether its
---   first lines have several buses.  Nil if the file is
---   not taken; and then the name of its bus, if it is a log that Wireshark's own reader gets right
+-- @return a log with read and seek_read, decimals (6 or 9) of the times, and has_several: whether
+--   its first lines have several buses.  Nil if the file is not taken; and then the name of its
+--   bus, if it is a log that Wireshark's own reader gets right
 function M.open(file, options)
   local head = file:read(HEAD) or ""
   if find(head, "\0", 1, true) then return nil end

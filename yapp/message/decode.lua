@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- From the payload of a message to its values, by the compiled catalogue: numbers as they lie there,
--- little endian ("YAPP Data Types", "YAPP Float Compression", "Time"), what they mean, and what is
--- remarkable in them.  Pure Lua.
+-- From the payload of a message to its values, by the compiled catalogue: numbers as they lie
+-- there, little endian ("YAPP Data Types", "YAPP Float Compression", "Time"), what they mean, and
+-- what is remarkable in them.  Pure Lua.
 
 local band = require("yapp.base.bits").band
 local utf8 = require("yapp.base.utf8")

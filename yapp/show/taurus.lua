@@ -7,12 +7,18 @@ local fields = require("yapp.show.fields")
 
 local M = {}
 
-local add, add_le, add_generated = fields.add, fields.add_le, fields.add_generated
-local append_text, relative_time = fields.append_text, fields.relative_time
-local set_hidden, set_text = TreeItem.set_hidden, TreeItem.set_text
+local add = fields.add
+local add_le = fields.add_le
+local add_generated = fields.add_generated
+local append_text = fields.append_text
+local relative_time = fields.relative_time
+local set_hidden = TreeItem.set_hidden
+local set_text = TreeItem.set_text
 local referenced = TreeItem.referenced
 local range_of = Tvb.range
-local format, band, flag_names = string.format, decode.band, decode.flag_names
+local format = string.format
+local band = decode.band
+local flag_names = decode.flag_names
 
 local NONE = {}
 
@@ -62,7 +68,8 @@ end
 
 -- A number with a fraction, or the special that is there instead.
 function adders.float(field, made, unit, is_shown)
-  local pf, value_of, digits = made.pf, field.kind == "float" and decode.float or decode.value, decode.format_of(field)
+  local pf, digits = made.pf, decode.format_of(field)
+  local value_of = field.kind == "float" and decode.float or decode.value
   local label = (field.array_title or field.title) .. ": "
   return function(parent, range, raw)
     local value, special = value_of(field, raw)

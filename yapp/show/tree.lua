@@ -9,8 +9,10 @@ local messages_of = require("yapp.show.taurus")
 
 local M = {}
 
-local add, add_le = fields_of.add, fields_of.add_le
-local add_generated, append_text = fields_of.add_generated, fields_of.append_text
+local add = fields_of.add
+local add_le = fields_of.add_le
+local add_generated = fields_of.add_generated
+local append_text = fields_of.append_text
 
 local STATUS_CODE = { bad = 0, good = 1 } -- any other is unverified
 local UNVERIFIED = 2
@@ -159,7 +161,8 @@ end
 -- range   TvbRange of the CRC or nil where it was sent in another frame
 -- message { crc, status, calculated }
 function Tree:add_crc(item, range, message)
-  local status, calculated = message.status, message.calculated
+  local status = message.status
+  local calculated = message.calculated
   local crc = range and add_le(item, self.fields.crc, range)
     or self:generated(item, "crc", message.crc)
   append_text(crc, (CRC_TEXT[status] or " [unverified]"):format(calculated))
@@ -205,6 +208,15 @@ local function show_bytes(self, m)
   return ("%s, %s, %s"):format(m.name, size, wanted)
 end
 
+-- What the Info column says of what changed, and the tree and the expert items of that.
+local function show_change(self, m, top)
+  local change = m.change
+  local cleared, info = self.messages:add_change(top or m.item, m, top ~= nil), ""
+  if cleared[1] then info = "  cleared " .. table.concat(cleared, ", ") end
+  if change.reboot then return info .. "  REBOOT" end
+  return change.stale and info .. "  STALE" or info
+end
+
 --- Shows a finished message: the message of the catalogue, or bytes.
 -- m        of message.reader, with { tree = where the Taurus tree goes, item = YAPP's own item or
 --          the tree, wanted = whether there is one, tvb and at = where the payload lies, tvb nil
@@ -222,11 +234,7 @@ function Tree:payload(m)
   m.is_steady = IS_TSHARK and not m.visited
   local top = self.messages:show(m)
   local info = m.has_columns and info_of.text(m.message, m.raws, m.payload, m.name) or ""
-  if not change then return info end
-  local cleared = self.messages:add_change(top or m.item, m, top ~= nil)
-  if cleared[1] then info = info .. "  cleared " .. table.concat(cleared, ", ") end
-  if change.reboot then return info .. "  REBOOT" end
-  return change.stale and info .. "  STALE" or info
+  return change and info .. show_change(self, m, top) or info
 end
 
 return M
