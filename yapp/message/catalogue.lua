@@ -31,21 +31,23 @@ local EXPERTS = {
 
 -- Filter names -----------------------------------------------------------------------------------
 
+-- What a flags field has below its group.
+local BELOW = {
+  "undefined",
+  "raised",
+  "cleared",
+  "active_time",
+  "previous_change",
+  "next_change",
+}
+
 -- The names under a field that follow from it.
 local function filters_of(field)
   local names = { field.filter, field.special }
-  if field.kind ~= "flags" then return names end
-  local function add(name) names[#names + 1] = field.group .. "." .. name end
-  add("undefined")
-  names[#names + 1] = field.filter .. ".names"
-  if #field.flags == 0 then return names end
-  add("raised")
-  add("cleared")
-  for _, flag in ipairs(field.flags) do add(flag.name) end
-  if not field.alarm then return names end
-  add("active_time")
-  add("previous_change")
-  add("next_change")
+  if not field.flags then return names end
+  names[2] = field.filter .. ".names"
+  for _, name in ipairs(BELOW) do names[#names + 1] = field.group .. "." .. name end
+  for _, flag in ipairs(field.flags) do names[#names + 1] = flag.filter end
   return names
 end
 

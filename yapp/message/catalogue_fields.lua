@@ -74,16 +74,16 @@ for size = 1, 8 do
   end
 end
 
-local order = {}
-for name in pairs(TYPES) do order[#order + 1] = name end
 -- By the letters, then the number: int8 before int16.
-local function key(name)
-  return ("%s%03d%s"):format(name:match("^%a+"), name:match("%d+") or 0, name)
+local names, numbered = {}, {}
+for name in pairs(TYPES) do
+  names[#names + 1] = name
+  numbered[name] = name:gsub("%d+", function(digits) return ("%03d"):format(digits) end)
 end
-table.sort(order, function(a, b) return key(a) < key(b) end)
+table.sort(names, function(a, b) return numbered[a] < numbered[b] end)
 
 --- The names of all types, for a message.
-M.TYPE_NAMES = table.concat(order, ", ")
+M.TYPE_NAMES = table.concat(names, ", ")
 
 -- Options ----------------------------------------------------------------------------------------
 

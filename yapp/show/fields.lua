@@ -249,9 +249,11 @@ end
 --- Seconds, a double, as a time to the nanosecond.
 function M.relative_time(seconds)
   local sign = seconds < 0 and -1 or 1
-  local count = math.floor(sign * seconds * 1e9 + 0.5)
-  local rest = count % 1e9
-  return NSTime.new(sign * (count - rest) / 1e9, sign * rest)
+  local size = sign * seconds
+  local whole = math.floor(size)
+  local rest = math.floor((size - whole) * 1e9 + 0.5)
+  if rest == 1e9 then whole, rest = whole + 1, 0 end
+  return NSTime.new(sign * whole, sign * rest)
 end
 
 return M
