@@ -6,9 +6,12 @@
 local band = require("yapp.base.bits").band
 local check = require("yapp.message.check")
 
-local demand, shown = check.demand, check.shown
-local is_integer, is_finite = check.is_integer, check.is_finite
-local is_name, is_text = check.is_name, check.is_text
+local demand = check.demand
+local shown = check.shown
+local is_integer = check.is_integer
+local is_finite = check.is_finite
+local is_name = check.is_name
+local is_text = check.is_text
 local set = check.set
 
 local M = {}

@@ -29,9 +29,7 @@ local INTEGERS = { uint = true, int = true, flags = true }
 -- The columns of a field: { name, type, the flag that it is } each.
 local function columns_of(field)
   local kind, name = field.kind, field.name
-  if field.special then
-    return { { name, "float" }, { name .. "_special", "string" } }
-  end
+  if field.special then return { { name, "float" }, { name .. "_special", "string" } } end
   if kind == "time" or kind == "bool" then return { { name, kind } } end
   if not INTEGERS[kind] then return { { name, "string" } } end
   if field.values then return { { name, "integer" }, { name .. "_text", "string" } } end
@@ -84,9 +82,10 @@ end
 function cells.ieee(field, raw)
   local value, special = decode.value(field, raw)
   if special then return SPECIALS[special] end
-  if field.size == 4 then return format("%.9g,", decode.shortest(value)) end
-  local text = format("%.15g,", value)
-  return tonumber(text:sub(1, -2)) == value and text or format("%.17g,", value)
+  value = decode.rounded(field, value)
+  local text = format("%.15g", value)
+  if tonumber(text) ~= value then text = format("%.17g", value) end
+  return text .. ","
 end
 
 function cells.uint(field, raw)

@@ -236,8 +236,11 @@ end
 
 -- As functions, the item first: a method that Lua has to look up in an item costs a third of what
 -- adding a field does.
-local add, set_generated = TreeItem.add, TreeItem.set_generated
-M.add, M.add_le, M.append_text = add, TreeItem.add_le, TreeItem.append_text
+local add = TreeItem.add
+local set_generated = TreeItem.set_generated
+M.add = add
+M.add_le = TreeItem.add_le
+M.append_text = TreeItem.append_text
 
 --- Adds what no bytes of the packet say.
 -- pf       ProtoField, or a text
