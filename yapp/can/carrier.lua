@@ -3,7 +3,7 @@
 
 local can_id = require "yapp.wire.can_id"
 local can_items = require "yapp.can.items"
-local items = require "yapp.show.items"
+local items = require "yapp.show.fields"
 local memory = require "yapp.can.memory"
 local part_text = require "yapp.can.part".text
 local socketcan = require "yapp.host.socketcan"

@@ -2,7 +2,7 @@
 -- YAPP's own tree item of a frame on CAN.  Wireshark's API.  A builder is a show.tree, a frame
 -- can.carrier's.
 
-local items = require "yapp.show.items"
+local items = require "yapp.show.fields"
 local KINDS = require "yapp.wire.can_id".KINDS
 
 local M = {}

@@ -6,7 +6,7 @@
 -- more.
 
 local band = require("yapp.base.bits").band
-local numbers = require("yapp.message.numbers")
+local numbers = require("yapp.message.decode")
 
 local M = {}
 

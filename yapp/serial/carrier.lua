@@ -4,7 +4,7 @@
 -- Wireshark's API.
 
 local frame = require("yapp.wire.frame")
-local items = require("yapp.show.items")
+local items = require("yapp.show.fields")
 local serial_memory = require("yapp.serial.memory")
 local serial_stream = require("yapp.serial.stream")
 local utf8 = require("yapp.base.utf8")
