@@ -180,8 +180,8 @@ end
 -- columns "frame" and "in frame", each once, in order.
 function M.frames(text)
   local frames, is_known, stop, is_head = {}, {}, nil, true
-  for line in text:gmatch("([^\n]*)\n") do
-    line = line:gsub("[\194-\244][\128-\191]*", "?") -- a place a character
+  for bytes in text:gmatch("([^\n]*)\n") do
+    local line = bytes:gsub("[\194-\244][\128-\191]*", "?") -- a place a character
     if is_head then stop = select(2, line:find("%f[%w]frame%f[^%w]")) end
     local frame = not is_head and stop and tonumber(line:sub(1, stop):match("(%d+)$"))
     if frame and not is_known[frame] then
