@@ -8,7 +8,7 @@ DEMO := document_motor document_command document_uart
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
-.PHONY: demo test test-all unit unit-5.2 unit-5.4 e2e lint install uninstall dist release soak matrix fuzz bench screenshots \
+.PHONY: demo test test-all unit unit-5.2 unit-5.4 unit-5.5 map hostile e2e lint install uninstall dist release soak matrix fuzz bench screenshots \
   needs-tshark needs-python needs-tests needs-bench
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
@@ -55,11 +55,20 @@ test-all:
 lint: needs-tests
 	luacheck -q .
 
+# Wireshark has Lua 5.2 or 5.4; 5.5, which will come, is tried where it is.
 unit: needs-tests
-	@$(MAKE) --no-print-directory -j 2 --output-sync=target unit-5.2 unit-5.4
+	@$(MAKE) --no-print-directory -j 2 --output-sync=target unit-5.2 unit-5.4 unit-5.5
 
 unit-5.2 unit-5.4: unit-%:
 	lua$* tests/unit/run.lua tests/unit/test_*.lua
+
+unit-5.5:
+	@if command -v lua5.5 >/dev/null; then lua5.5 tests/unit/run.lua tests/unit/test_*.lua; \
+	else echo "Lua 5.5: left out, there is no lua5.5"; fi
+
+## Which folder of modules requires which: the picture of CONTRIBUTING.md
+map: needs-python
+	@/usr/bin/env python3 tools/module_map.py
 
 # YAPP_LEVEL=all: everything, see tests/e2e/levels.py.  One more than there are cores: some tests wait for a port.
 e2e: needs-tests

@@ -457,11 +457,13 @@ end
 
 --- The messages of the pass that was made last that never ended, in the order of their Starts.
 function Memory:unfinished()
-  local list = {}
-  local reassembly = self.by_pass[self.passes:last()]
+  local list, pass = {}, self.passes:last()
+  local reassembly = self.by_pass[pass]
   for _, open in pairs(reassembly and reassembly.open or {}) do
     for _, message in ipairs(open.messages or { open }) do
-      if not message.status and not message.overtaken then list[#list + 1] = message end
+      -- It may have gone on behind a frame from which on the buses were not known.
+      local is_unsure = message.bus and pass.is_partial
+      if not message.status and not message.overtaken and not is_unsure then list[#list + 1] = message end
     end
   end
   table.sort(list, function(a, b) return a[1] < b[1] end)

@@ -19,15 +19,24 @@ local IN_TSHARK = not gui_enabled() -- where a read filter may shift the numbers
 local Buses = {}
 Buses.__index = Buses
 
--- Whether a file is none that is read forward once, as far as that is known: Wireshark cannot rewind a pipe behind what is
--- read here of it.  Linux says how far a file that is open has been read; elsewhere there is nobody to ask.
+local PACKED = { ["\31\139"] = true, ["\40\181"] = true, ["\4\34"] = true } -- gzip, Zstandard, LZ4
+
+-- The first line, or so many bytes, of a file; "" where it cannot be read.
+local function first(path, what)
+  local file = io.open(path, "rb")
+  local text = file and file:read(what)
+  if file then file:close() end
+  return text or ""
+end
+
+-- Whether a file is none that is read forward once, as far as that is known: Wireshark cannot rewind a
+-- pipe behind what is read here of it.  Linux says how far a file that is open has been read, a packed
+-- one not as far as its bytes are long, a pipe 0; elsewhere there is nobody to ask.
 local function is_file(bytes)
-  if not io.open("/proc/self/fdinfo/0") then return true end
+  if first("/proc/self/fdinfo/0", "*l") == "" then return true end
   for number = 3, 63 do
-    local file = io.open("/proc/self/fdinfo/" .. number)
-    local position = file and tonumber((file:read("*l") or ""):match("%d+"))
-    if file then file:close() end
-    if position and position >= bytes then return true end
+    local position = tonumber(first("/proc/self/fdinfo/" .. number, "*l"):match("%d+")) or 0
+    if position >= bytes or position > 0 and PACKED[first("/proc/self/fd/" .. number, 2)] then return true end
   end
   return false
 end

@@ -76,8 +76,8 @@ end
 
 local function read_ids(text)
   local ids = {}
-  for one in (text .. "+"):gmatch("([^+]*)%+") do
-    one = trim(one)
+  for part in (text .. "+"):gmatch("([^+]*)%+") do
+    local one = trim(part)
     local is_number = one:find("^%d+$") or one:find("^0[xX]%x+$")
     local id = is_number and tonumber(one)
     demand(id and id <= MAX_ID, "the ID %q is not one of 0 .. 0x%X", one, MAX_ID)

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Which module may know of which, by the require lines; CONTRIBUTING.md's picture of it; one file of all, in every Lua."""
+import functools
+import re
+import shutil
+import subprocess
+
+import pytest
+
+import tshark
+
+bundle = tshark.bundle
+import module_map  # noqa: E402 in tools/, where bundle is
+
+FILES = module_map.files(tshark.ROOT)
+NAMES = [path.relative_to(tshark.ROOT).as_posix() for path in FILES]
+each_file = pytest.mark.parametrize("path", FILES, ids=NAMES)
+LUAS = [lua for lua in ("lua5.2", "lua5.4", "lua5.5") if shutil.which(lua)]
+ASSIGNED = re.compile(r"^\s*(?:function\s+([\w.:]+)\s*\(|([\w.\[\]\"', ]+?)\s*=[^=])")
+
+
+@functools.lru_cache(None)
+def lines_of(path):
+    """The code of a file, without remarks."""
+    return [line.split("--")[0].rstrip() for line in path.read_text(encoding="utf-8").split("\n")]
+
+
+def rank(folder):
+    found = [at for at, row in enumerate(module_map.ORDER) if folder in row]
+    assert found, f"{folder} has no place in module_map.ORDER"
+    return found[0]
+
+
+@each_file
+def test_arrows_lead_down(path):
+    here = module_map.folder(path, tshark.ROOT)
+    for name, line in module_map.required(path).items():
+        there = name.split(".")[1]
+        assert there == here or rank(there) > rank(here), f"{path}:{line}: {here} may not know of {name}"
+        assert name.replace(".", "/") + ".lua" in NAMES, f"{path}:{line}: there is no {name}"
+
+
+@each_file
+def test_modules_are_required_at_the_head(path):
+    """Each as a local name, once, ahead of all functions: whoever reads the head knows what the file rests on."""
+    is_head, seen = True, set()
+    for number, line in enumerate(lines_of(path), 1):
+        is_head = is_head and not re.search(r"\bfunction\b", line)
+        for name in module_map.REQUIRE.findall(line):
+            if name.startswith("yapp."):
+                assert is_head and re.match(r"local [\w, ]+ = require", line), f"{path}:{number}: not at the head: {line}"
+                assert name not in seen, f"{path}:{number}: {name} once more"
+                seen.add(name)
+        assert len(re.findall(r"\brequire\b", line)) == len(module_map.REQUIRE.findall(line)), f"{path}:{number}: which? {line}"
+
+
+@each_file
+def test_nobody_writes_into_a_module(path):
+    required = {name for line in lines_of(path) if '"yapp.' in line and "require" in line
+                for name in re.match(r"local ([\w, ]+) =", line)[1].split(", ")}
+    for number, line in enumerate(lines_of(path), 1):
+        found = ASSIGNED.match(line)
+        for target in (found[1] or found[2]).split(",") if found else ():
+            name = re.match(r"\s*(\w+)[.:\[]", target)
+            assert not name or name[1] not in required, f"{path}:{number}: {line}"
+
+
+def test_what_these_tests_find(folder):
+    """Each of them fails where it has to."""
+    for name, text, test in [
+        ("can/memory.lua", 'local stream = require "yapp.serial.stream"\n', test_arrows_lead_down),
+        ("wire/crc.lua", 'local tree = require "yapp.message.reader"\n', test_arrows_lead_down),
+        ("wire/crc.lua", 'local bits = require("yapp.base.bites")\n', test_arrows_lead_down),
+        ("can/memory.lua", 'local function f()\nend\nlocal bits = require("yapp.base.bits")\n', test_modules_are_required_at_the_head),
+        ("can/memory.lua", 'local function f() return require("yapp.base.bits") end\n', test_modules_are_required_at_the_head),
+        ("can/memory.lua", "local bits = require(name)\n", test_modules_are_required_at_the_head),
+        ("can/memory.lua", 'local bits = require "yapp.base.bits"\n  bits.x = 1\n', test_nobody_writes_into_a_module),
+        ("can/memory.lua", 'local bits = require "yapp.base.bits"\na, bits["x"] = 1, 2\n', test_nobody_writes_into_a_module),
+        ("can/memory.lua", 'local bits = require "yapp.base.bits"\nfunction bits.f() end\n', test_nobody_writes_into_a_module),
+    ]:
+        path = folder / "yapp" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        lines_of.cache_clear()
+        with pytest.MonkeyPatch.context() as patched, pytest.raises(AssertionError):
+            patched.setattr(tshark, "ROOT", folder)
+            test(path)
+
+
+def test_the_picture():
+    """make map prints it."""
+    assert module_map.text(tshark.ROOT) in (tshark.ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), \
+        "CONTRIBUTING.md has not what `make map` prints"
+
+
+@pytest.mark.parametrize("lua", LUAS)
+def test_what_is_installed_compiles(lua, folder):
+    bundle.write(folder, tshark.ROOT)
+    modules = '''
+      local count, chunks = 0, {}
+      local function compile(text, name)
+        count = count + 1
+        chunks[name] = assert(load(text, name))
+        return function() end
+      end
+      assert(load(assert(io.open("yapp.lua", "rb")):read("a*"), "@yapp.lua", "t", setmetatable({ load = compile }, { __index = _G })))()
+      for _, run in pairs(package.preload) do run() end
+      assert(loadfile("taurus_fields.lua"))
+      print(count)'''
+    done = subprocess.run([lua, "-"], input=modules.replace("a*", "*a"), cwd=folder, capture_output=True, text=True, check=False)
+    assert (done.stderr, done.stdout) == ("", f"{len(FILES)}\n")

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Which bus a frame was on, every client is told alike: tshark's one and two passes, and sharkd, which asks in any order.
+
+None of them names a field of the bus in a filter: what they know, the file says.
+"""
+import collections
+import functools
+import gzip
+import json
+import random
+import re
+import struct
+import subprocess
+
+import pytest
+
+import can_generator
+import levels
+import tshark
+from stream_captures import AS_SERIAL, RTAC, frame as serial_frame
+from test_sharkd import answers_of, details, filters_in, shutil
+
+pytestmark = levels.by_version
+FLIGHT = tshark.ROOT / "docs/flight.pcapng"
+COLUMNS = ["-o", 'gui.column.format:"Source","%s","Info","%i"', "-T", "tabs"]
+NAMES = ["yapp.source", "yapp.reassembled.in", "yapp.message.fault", "yapp.fragment", "yapp.time_delta"]
+SECOND_LOOKS = [("-2",), ("-2", "-Y", "yapp")]
+BEGIN = 1_700_000_000_000_000
+
+Placed = collections.namedtuple("Placed", "time bus can_id data")  # microseconds, 0 or 1
+
+
+# Captures --------------------------------------------------------------------------------------------------------
+
+def flight():
+    """The frames of docs/flight.pcapng."""
+    data, at, frames = FLIGHT.read_bytes(), 0, []
+    while at < len(data):
+        kind, length = struct.unpack_from("<II", data, at)
+        if kind == 6:
+            bus, high, low = struct.unpack_from("<III", data, at + 8)
+            can_id, size = struct.unpack_from(">IB", data, at + 28)
+            frames.append(Placed(high << 32 | low, bus, can_id & 0x1FFFFFFF, data[at + 36:at + 36 + size]))
+        at += length
+    return frames
+
+
+def motor(clock, fault):
+    return struct.pack("<6HBBIIqBB", *[0x7FFD] * 6, 80, 1, 0x40120000, fault, clock * 100_000_000, 3, 80)
+
+
+def rounds():
+    """Two controllers with the same ID: of (round, bus) the payload.  The one on bus 0 has a fault in rounds 3 to 5, the
+    other one boots before round 5."""
+    return {(at, bus): motor(1000 + at if bus == 0 else (500 + at if at < 5 else at - 5),
+                             0x10000 if bus == 0 and 3 <= at < 6 else 0) for at in range(9) for bus in (0, 1)}
+
+
+def turns():
+    """Their frames in turns; of bus 1 a part of round 2 is lost."""
+    frames, payloads = [], rounds()
+    for at in range(9):
+        sent = [can_generator.Sent(0x210, 0, 0, payloads[at, bus]).frames() for bus in (0, 1)]
+        for part in range(5):
+            for bus in (0, 1):
+                if (at, bus, part) != (2, 1, 2):
+                    frames.append(Placed(BEGIN + at * 100_000 + part * 1000 + bus * 100, bus, sent[bus][part].can_id,
+                                         sent[bus][part].data))
+    return frames
+
+
+TRUTH = [("incomplete", "1", 29, None), ("fault", "0", 38, "raised"), ("reboot", "1", 59, None), ("fault", "0", 68, "cleared")]
+
+
+def record(one, little=False):
+    return can_generator.Frame(one.can_id, one.data).record(little)
+
+
+def interfaces(names, options=b"", linktype=227):
+    """The head of a pcapng file, one interface for each name."""
+    parts = [can_generator.pcapng_head([])]
+    for name in names:
+        option = struct.pack("<HH", 2, len(name)) + name.encode() + bytes(-len(name) % 4)
+        parts.append(can_generator._block(1, struct.pack("<HHI", linktype, 0, 0) + option + options))
+    return b"".join(parts)
+
+
+def packet(time, interface, data):
+    return can_generator._block(6, struct.pack("<IIIII", interface, time >> 32, time & 0xFFFFFFFF, len(data), len(data)) + data)
+
+
+def sll2(one):
+    return struct.pack(">HHIHBB8x", 0x0C, 0, one.bus + 3, 280, 0, 0) + record(one, little=True)
+
+
+def pcap(linktype, packets):
+    return can_generator.pcap_head(linktype) + b"".join(
+        struct.pack("<IIII", time // 10**6, time % 10**6, len(data), len(data)) + data for time, data in packets)
+
+
+def log(frames):
+    return "".join(f"({one.time // 10**6}.{one.time % 10**6:06d}) can{one.bus} {one.can_id:08X}#{one.data.hex().upper()}\n"
+                   for one in frames).encode()
+
+
+FORMS = {
+    "pcapng": lambda frames: interfaces(["can0", "can1"]) + b"".join(packet(one.time, one.bus, record(one)) for one in frames),
+    "sll2.pcap": lambda frames: pcap(276, [(one.time, sll2(one)) for one in frames]),
+    "sll2.pcapng": lambda frames: interfaces(["any"], linktype=276) +
+                   b"".join(packet(one.time, 0, sll2(one)) for one in frames),
+    "log": log,
+}
+FORMS["pcapng.gz"] = lambda frames: gzip.compress(FORMS["pcapng"](frames))
+
+
+def written(folder, frames, form):
+    path = folder / f"buses.{form}"
+    path.write_bytes(FORMS[form](frames))
+    return path
+
+
+# Clients ---------------------------------------------------------------------------------------------------------
+
+def listed(path, *options, **more):
+    """Source and Info of each frame; those of a first look have no "Reassembled in"."""
+    rows = tshark.run("-r", path, *options, *COLUMNS, **more).stdout.splitlines()
+    return [tuple(cell.strip() for cell in row.split("\t")) for row in rows]
+
+
+def without_links(rows):
+    return [(source, re.sub(r"  \[Reassembled in #\d+\]", "", info)) for source, info in rows]
+
+
+def events(path, *options, **more):
+    """The lines of -z yapp,events,json."""
+    found = tshark.run("-q", "-r", path, *options, "-z", "yapp,events,json", **more).stdout
+    return [json.loads(line) for line in found.splitlines()]
+
+
+def through_a_pipe(ask, path):
+    with subprocess.Popen(["cat", path], stdout=subprocess.PIPE) as cat:
+        return ask("-", stdin=cat.stdout)
+
+
+def values(path, *options):
+    """Of each frame { field: its values }."""
+    return [{name: [tshark.truth(value) if name == "yapp.message.fault" else value for value in cell.split(",")]
+             for name, cell in zip(NAMES, row) if cell} for row in tshark.fields(path, NAMES, *options)]
+
+
+def values_of(texts):
+    """The same of sharkd's filter expressions of a frame."""
+    found = {}
+    for text in texts:
+        name, _, value = text.partition(" == ")
+        if name in NAMES:
+            value = value.strip('"')
+            found.setdefault(name, []).append(tshark.truth(value) if name == "yapp.message.fault" else value)
+    return {name: sorted(some) for name, some in found.items()}
+
+
+def comparable(rows):
+    """Source, links and faults; as fragments, that the last is the frame itself is told by neither in order."""
+    return [{name: sorted(some) for name, some in row.items() if name != "yapp.time_delta"} for row in rows]
+
+
+@pytest.fixture
+def home(folder):
+    tshark.install_plugin(folder / tshark.PERSONAL_FOLDER / "yapp")
+    return folder
+
+
+def assert_sharkd_says(home, path, rows, known, seed):
+    """rows: of the packet list; known: values of each frame.  The details are asked for in any order, some twice."""
+    if not shutil.which("sharkd"):
+        return
+    order = list(range(1, len(rows) + 1)) if len(rows) < 200 else sorted(random.Random(seed).sample(range(1, len(rows)), 120))
+    random.Random(seed).shuffle(order)
+    order += order[:20]
+    found = answers_of(home, path, *map(details, order[:3]), ("frames", {}), *map(details, order))
+    assert [(row["c"][2], row["c"][6]) for row in found[3]] == rows
+    for number, answer in zip([*order[:3], *order], [*found[:3], *found[4:]]):
+        assert comparable([values_of(filters_in(answer))]) == comparable([known[number - 1]]), number
+
+
+def asked(frames, known):
+    """What has to be the same in all forms, whatever buses are called."""
+    return [{name: some for name, some in row.items() if name != "yapp.source"} for row in known]
+
+
+@functools.lru_cache(None)
+def reference(make):
+    folder = tshark.writable_folder()
+    path = written(folder, make(), "pcapng")
+    found = values(path, "-2"), [{**event, "bus": None} for event in events(path)]
+    shutil.rmtree(folder)
+    return found
+
+
+# Tests -----------------------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("make", [turns, flight], ids=lambda make: make.__name__)
+def test_every_client(make, form, folder, home):
+    frames = make()
+    path = written(folder, frames, form)
+    rows, told = listed(path, "-2"), events(path)
+    assert len(rows) == len(frames)
+    assert len({source for source, _ in rows}) > (1 if "sll2" not in form else 0)
+    assert listed(path) == without_links(rows) and without_links(listed(path, "-Y", "yapp")) == without_links(rows)
+    assert listed(path, "-2", "-Y", "yapp") == rows
+    for options in SECOND_LOOKS:
+        assert events(path, *options) == told, options
+    known = values(path, "-2")
+    assert values(path, "-2", "-Y", "yapp") == known
+    assert_sharkd_says(home, path, rows, known, form)
+    expected, same = reference(make)
+    assert asked(frames, known) == asked(frames, expected)
+    assert [{**event, "bus": None} for event in told] == same
+    assert without_links(through_a_pipe(listed, path)) == without_links(rows)
+    assert through_a_pipe(events, path) == told
+
+
+def test_the_truth(folder):
+    told = events(written(folder, turns(), "pcapng"))
+    assert [(one["kind"], one["bus"][-1], one["frame"], one.get("event")) for one in told] == TRUTH
+
+
+def test_a_serial_line_and_its_directions(folder, home):
+    """RTAC: what one side and the other sent are two streams of the same IDs."""
+    payloads = rounds()
+    packets = [(BEGIN + at * 100_000 + bus * 100, struct.pack(">IIBBH", 0, 0, 1 + bus, 0, 0) + serial_frame(0x210, payload))
+               for (at, bus), payload in payloads.items()]
+    path = folder / "buses.pcap"
+    path.write_bytes(pcap(RTAC, packets))
+    told = [(one["kind"], one["frame"], one.get("event")) for one in events(path, *AS_SERIAL)]
+    assert told == [("fault", 7, "raised"), ("reboot", 12, None), ("fault", 13, "cleared")]
+    rows = listed(path, *AS_SERIAL)
+    for options in [("-Y", "yapp"), *SECOND_LOOKS]:
+        assert listed(path, *AS_SERIAL, *options) == rows
+        assert events(path, *AS_SERIAL, *options) == events(path, *AS_SERIAL)
+    assert values(path, *AS_SERIAL) == values(path, *AS_SERIAL, "-2") == values(path, *AS_SERIAL, "-2", "-Y", "yapp")
+
+
+def essence(event):
+    return {name: event.get(name) for name in ("kind", "time", "id", "field", "flag", "event", "message")}
+
+
+READ_FILTERS = levels.few(["yapp", "frame.number > 3", "frame.number != 12", "frame.number < 60", "can.id != 0x8408000"],
+                          ["frame.number > 3", "can.id != 0x8408000"])
+
+
+@pytest.mark.parametrize("read_filter", READ_FILTERS)
+@pytest.mark.parametrize("form", levels.few(list(FORMS), ["pcapng", "sll2.pcap"]))
+def test_a_read_filter_makes_nobody_invent(form, read_filter, folder):
+    """Numbers shift, and it may know less: but what it tells is so, or is of what the filter took away."""
+    path = written(folder, turns(), form)
+    kept = [one for number, one in enumerate(turns(), 1) if not (
+        read_filter == "frame.number > 3" and number <= 3 or read_filter == "frame.number != 12" and number == 12 or
+        read_filter == "frame.number < 60" and number >= 60 or read_filter.startswith("can") and one.can_id == 0x8408000)]
+    (folder / "left").mkdir()
+    left = [essence(one) for one in events(written(folder / "left", kept, form))]
+    full = [essence(one) for one in events(path)]
+    found = [essence(one) for one in events(path, "-2", "-R", read_filter, check=False)]
+    assert [one for one in found if one not in full and one not in left] == []
+
+
+@pytest.fixture
+def blf(folder):
+    can = pytest.importorskip("can")
+    path = folder / "buses.blf"
+    with can.BLFWriter(str(path)) as writer:
+        for one in turns():
+            writer.on_message_received(can.Message(timestamp=one.time / 1e6, channel=one.bus, arbitration_id=one.can_id,
+                                                   is_extended_id=True, data=one.data))
+    return path
+
+
+def test_blf_may_know_less(blf, folder):
+    """Its interfaces are fields, which a first pass of two has not: statistics say so there."""
+    full = [{**essence(one), "time": None} for one in events(written(folder, turns(), "pcapng"))]
+    assert [{**essence(one), "time": None} for one in events(blf)] == full
+    for options in [*SECOND_LOOKS, ("-2", "-R", "yapp")]:
+        found = [{**essence(one), "time": None} for one in events(blf, *options)]
+        assert [one for one in found if one not in full] == [], options
+        status = tshark.run("-q", "-r", blf, *options, "-z", "yapp,check,reboot=9,fault=9,incomplete=9", check=False).returncode
+        assert status == (0 if found == full else 21), options
+    shown = "".join(info for _, info in listed(blf, "-2"))
+    assert "reboot" not in shown.lower() or found == full

@@ -1,0 +1,166 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Messages of one key that interleave where nothing tells the buses: in the words of can_words, and mixed at random.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local levels = require("levels")
+local stream_generator = require("stream_generator")
+local words = require("can_words")
+
+local T = {}
+
+local function check(rows, options)
+  for _, row in ipairs(rows) do lu.assertEquals((words.send(row[1], row[3] or options)), row[2], row[1]) end
+end
+
+function T.test_two_buses_in_every_order()
+  check {
+    { "aS32 bS32 aM8 bM8 aM8 bM8 aM8 bM8 aE8 bE8", "part part part part part part part part good good" },
+    { "aS32 aM8 bS32 bM8 bM8 bM8 bE8 aM8 aM8 aE8", "part part part part part part good part part good" },
+    { "aS32 aM8 bS32 bM8 aM8 aM8 aE8 bM8 bM8 bE8", "part part part part part part good part part good" },
+    { "aS17 bS32 bM8 aM8 aM8 bM8 bM8 aE1 bE8", "part part part part part part part good good" },
+    { "aS9 bS9 cS9 dS9 aM8 bM8 cM8 dM8 dE1 cE1 bE1 aE1",
+      "part part part part part part part part good good good good" },
+    { "aS41 bS41 aM16 bM16 aM16 bM16 aE9p12 bE9p12", "part part part part part part good good" },
+  }
+end
+
+-- As on one bus: what a new Start cut off stays cut off.
+function T.test_one_bus_that_loses_frames()
+  check {
+    { "S32 M8 S32 M8 M8 M8 E8", "part part part+fragment.incomplete part part part good" },
+    { "S32 M8 S32 M8 M8 M8 E8 E8", "part part part+fragment.incomplete part part part good orphan+fragment.orphan" },
+    { "S32 S32! M8 M8 M8 E8", "part part+fragment.incomplete part part part bad" },
+    { "S32 S32 M8 M8 E8", "part part+fragment.incomplete part part short+fragment.incomplete" },
+    { "S32 M8 S32 M8 M8 M8 M8 E8",
+      "part part part+fragment.incomplete part part part part overrun+fragment.overrun" },
+    { "S32 S32 M8~3 M8 M8 E8", "part part+fragment.incomplete part part part unverified" },
+    { "S32 S32 M8 M8 M8 E8~0", "part part+fragment.incomplete part part part unverified" },
+    { "S17 S17! E17p20", "part part+fragment.incomplete bad" },
+  }
+end
+
+-- A message that more than three Starts overtook is given up; after that every frame counts again.
+function T.test_four_open_messages()
+  local before = "aS9 bS9 bM8 bE1 cS9 cM8 cE1 dS9 dM8 dE1 "
+  local shown = "part part+fragment.incomplete part good part part good part part good "
+  check {
+    { before .. "aM8 aE1", "part part part good part part good part part good part good" },
+    { before .. "eS9 eM8 eE1 aM8 aE1", shown .. "part part good - -" },
+    { before .. "eS32 eM8 eM8? eM8 eM8 eE8", shown .. "part part part part part overrun+fragment.overrun" },
+    { before .. "eS32 eM8 eM8 eE8? eM8 eE8", shown .. "part part part short+fragment.incomplete - -" },
+  }
+end
+
+-- A message has one End, and a frame one message; an End of a broken message on the other bus says nothing of this one.
+function T.test_who_gets_a_frame()
+  for _, text in ipairs { "S32 M8 M8 E8 E8", "S32 S32 M8 M8 E8 E8", "aS32 bS32 bM8 bM8 bE8 bE8" } do
+    lu.assertNotStrContains(words.send(text), "good", text)
+  end
+  for _, text in ipairs { "aS32 bS32 bM8 aM8 bE8? aM8 aM8 aE8", "bS32 aS32 aM8 bE8? aM8 aM8 aE8",
+    "bS17! aS32 bM8 bM8 bE1 aM8 aM8 aM8 aE8" } do
+    lu.assertStrMatches(words.send(text), ".* good", nil, nil, text)
+  end
+  local frames = words.frames("S9 M8 E1", {})
+  for order, expected in pairs { ["112233"] = "good good", ["11233"] = "good orphan+fragment.orphan" } do
+    local mirrored = {} -- one message on both buses
+    for at in order:gmatch(".") do
+      local frame = frames[tonumber(at)]
+      mirrored[#mirrored + 1] = { can_id = frame.can_id, data = frame.data, number = #mirrored + 1 }
+    end
+    lu.assertStrMatches(words.looks(words.new(), mirrored), ".* " .. expected:gsub("%p", "%%%0"), nil, nil, order)
+  end
+end
+
+-- What is said of a frame at its own look is taken back where its message turns up; a later look has it, with all parts.
+function T.test_later_looks()
+  local text, known, frames = words.send("aS32 aM8 bS32 aM8 aM8 aE8 bM8 bM8 bM8 bE8")
+  lu.assertEquals(text, "part part part part part good part part part good")
+  local members = { [6] = { 1, 2, 4, 5, 6 }, [10] = { 3, 7, 8, 9, 10 } }
+  for last, numbers in pairs(members) do
+    for _, number in ipairs(numbers) do
+      local _, record = words.look(known, frames[number], true)
+      lu.assertEquals({ known:outcome(record), known:frames_of(record) }, { last, numbers })
+    end
+  end
+end
+
+-- Buses with messages of the same key: two with three at most and nothing lost, so that none is overtaken more than three
+-- times; or three with more, and frames that are lost, twice, or damaged.
+local function mixed(random)
+  local streams, truth, is_whole = {}, {}, random(3) == 1
+  for bus = 1, is_whole and 2 or 1 + random(2) do
+    local stream = {}
+    for _ = 1, random(is_whole and 3 or 5) do
+      local size, bytes = 8 + random(32), {}
+      for i = 1, size do bytes[i] = string.char(random(256) - 1) end
+      local payload = table.concat(bytes)
+      truth[payload] = true
+      stream[#stream + 1] = { 1, words.start(0x210, payload) }
+      for at = 1, size, 8 do stream[#stream + 1] = { at + 8 > size and 3 or 2, payload:sub(at, at + 7) } end
+    end
+    streams[bus] = stream
+  end
+  local frames = {}
+  while #streams > 0 do
+    local at = random(#streams)
+    local frame, fate = table.remove(streams[at], 1), is_whole and 99 or random(20)
+    if fate == 2 then frame[2] = frame[2]:sub(1, -2) .. "?" end
+    for _ = 1, fate == 1 and 0 or fate == 3 and 2 or 1 do
+      frames[#frames + 1] = { can_id = words.can_id(0x210, frame[1]), data = frame[2], number = #frames + 1 }
+    end
+    if #streams[at] == 0 then table.remove(streams, at) end
+  end
+  return frames, truth, is_whole
+end
+
+-- Whatever is lost: a good message was sent like that, and no frame is in two of them.  Where nothing is lost, all come out.
+function T.test_mixed_at_random()
+  local random, good, sent = stream_generator.random(5), 0, 0
+  for _ = 1, levels.size(400, 4000) do
+    local frames, truth, is_whole = mixed(random)
+    local known, taken = words.new(), {}
+    words.looks(known, frames)
+    for _, frame in ipairs(frames) do
+      local text, record = words.look(known, frame, true)
+      if text == "good" then
+        lu.assertTrue(truth[record.entry.payload])
+        local data = {}
+        for i, number in ipairs(known:frames_of(record)) do
+          lu.assertNil(taken[number])
+          taken[number], data[i] = true, frames[number].data
+        end
+        lu.assertEquals(table.concat(data, "", 2), record.entry.payload)
+        if is_whole then good = good + 1 end
+      end
+    end
+    if is_whole then
+      for _ in pairs(truth) do sent = sent + 1 end
+    end
+  end
+  lu.assertEquals(good, sent)
+end
+
+-- Two messages of many small frames, mixed, that fit nothing: the worst that the search can meet.
+function T.test_the_effort_is_bounded()
+  local crc = require("yapp.wire.crc")
+  local update, steps = crc.update, 0
+  function crc.update(...)
+    steps = steps + 1
+    return update(...)
+  end
+  local known, number, start = words.new(), 0, words.start(0x123, "", { size = 40 })
+  local function send(ctrl, data)
+    number = number + 1
+    words.look(known, { can_id = words.can_id(0x123, ctrl), data = data, number = number, is_wide = true })
+  end
+  for _ = 1, 80 do
+    send(1, start)
+    send(1, start)
+    for i = 1, 60 do send(i % 2 == 0 and 3 or 2, string.char(i)) end
+  end
+  crc.update = update
+  -- 32 steps a frame, what was saved up at first, and the checks of whole messages
+  lu.assertTrue(steps < 40 * number + 4096, ("%d steps for %d frames"):format(steps, number))
+end
+
+return T
