@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Tests the tests: puts one fault at a time into a module that needs no Wireshark, and sees whether a unit test fails.
 
-    tests/mutate.py --each 30 --seed 1           30 faults in each module
-    tests/mutate.py --each 5 yapp/wire/crc.lua   in one
+    mutate.py --each 30 --seed 1           30 faults in each module
+    mutate.py --each 5 yapp/wire/crc.lua   in one
 
 A fault is another operator, another constant, a condition the other way round or a line left out; what does not compile is
 none.  Those unit tests run that name the module, and the quick ones of the others that load it, in Lua 5.4 and 5.2, in a copy

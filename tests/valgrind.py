@@ -44,7 +44,7 @@ def errors(folder, capture, *arguments):
     for error in xml.etree.ElementTree.parse(report).iter("error"):
         frames = [f"{one.findtext('fn') or '?'} ({os.path.basename(one.findtext('obj') or '?')})"
                   for one in error.find("stack").iter("frame")]
-        # What Wireshark allocates once as it loads a script, and leaves to the end of the program.
+        # A leak: what Wireshark allocates once as it loads a script, and leaves to the end of the program.
         if error.findtext("kind").startswith("Leak_") and any(one.startswith("epan_init ") for one in frames):
             continue
         found.append((error.findtext("what") or error.findtext("xwhat/text"), " < ".join(frames)))
