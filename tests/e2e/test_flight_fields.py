@@ -17,6 +17,7 @@ import model
 import tshark
 
 SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", levels.size(3, 4))) + 1)
+FAULTED = 0x20  # of Motor State
 EXPERTS = ["yapp.late", "taurus.reboot", "taurus.stale", "taurus.fault.raised", "taurus.fault.cleared"]
 FLAGS = [f"taurus.motor.{group}.{way}" for group in ("fault", "status", "state") for way in ("raised", "cleared")]
 LINKS = ["taurus.motor.command_in", "taurus.motor.fault.previous_change", "taurus.motor.fault.next_change"]
@@ -67,8 +68,12 @@ class Truth:
                     self.frames[number]["taurus.motor.fault.next_change"] = changes[at]
 
     @staticmethod
-    def has_fault(message):
-        return message.sender.kind == "motor" and struct.unpack_from("<I", message.payload, 18)[0] != 0
+    def alarms(payload):
+        """All bits that are faults: the fault flags, and behind them the state Faulted."""
+        return struct.unpack_from("<I", payload, 18)[0] | (payload[30] & FAULTED) << 32
+
+    def has_fault(self, message):
+        return message.sender.kind == "motor" and self.alarms(message.payload) != 0
 
     def faulty(self, message, frames):
         if self.has_fault(message):
@@ -106,10 +111,10 @@ class Truth:
         last = message.frames[-1]
         for group, offset, shape in ("status", 14, "I"), ("fault", 18, "I"), ("state", 30, "B"):
             now = struct.unpack_from("<" + shape, message.payload, offset)[0]
-            old = struct.unpack_from("<" + shape, before.payload, offset)[0] if before else 0 if group == "fault" else now
+            unknown = {"fault": 0, "status": now, "state": now & ~FAULTED}[group]  # in a first message faults are raised
+            old = struct.unpack_from("<" + shape, before.payload, offset)[0] if before else unknown
             shown[f"taurus.motor.{group}.raised"], shown[f"taurus.motor.{group}.cleared"] = now & ~old, old & ~now
-            if group == "fault":
-                self.faults(last, now, old, state, shown)
+        self.faults(last, self.alarms(message.payload), self.alarms(before.payload) if before else 0, state, shown)
         at = bisect.bisect_left(self.commands[last.bus], last.number)
         shown["taurus.motor.command_in"] = self.commands[last.bus][at - 1] if at else None
         counts = struct.unpack_from("<6H", message.payload)
@@ -119,7 +124,7 @@ class Truth:
 
     @staticmethod
     def faults(last, now, old, state, shown):
-        for bit in (1 << place for place in range(32)):
+        for bit in (1 << place for place in range(38)):
             if now & bit:
                 state["faults"].setdefault(bit, last.at)
             else:

@@ -127,8 +127,8 @@ def break_catalogue(plugin):
 
 def break_one_message(plugin):
     path = plugin / "taurus_fields.lua"
-    path.write_text(path.read_text().replace('name = "health", title = "Health", id = 0x200, size = 17',
-                                             'name = "health", title = "Health", id = 0x200, size = 18'))
+    path.write_text(path.read_text().replace('size = 17,',
+                                             'size = 18,'))
 
 
 def lose_module(plugin):

@@ -226,6 +226,7 @@ def test_what_wireshark_rewrote_is_no_change(home, source):
     look_at_graphs(home / PROFILE)
     assert sum((home / PROFILE / name).read_bytes() != content for name, content in before.items()) >= 4
     assert not any(line.startswith("kept") for line in run(home, source=source))
+    before.pop("recent")  # where Wireshark's windows were
     assert {name: (home / PROFILE / name).read_bytes() for name in before} == before
     look_at_graphs(home / PROFILE)
     with open(source / "profiles/YAPP/io_graphs", "a") as file:
@@ -387,7 +388,8 @@ def test_upgrade_from_version_2(home, folder, edited):
     aside = {"yapp", edited + ".edited"} if edited else set()
     assert all_of(home / YAPP) == {"yapp.lua", "taurus_fields.lua", "installed.json"} | aside
     for path in (tshark.ROOT / "profiles/YAPP").iterdir():
-        assert (home / PROFILE / path.name).read_bytes() == path.read_bytes()
+        if path.name != "recent":  # Wireshark's, once it is there
+            assert (home / PROFILE / path.name).read_bytes() == path.read_bytes()
     run(home, "uninstall")
     assert all_of(home / YAPP) == aside
 

@@ -96,6 +96,8 @@ def test_a_question_is_answered(flight, command):
         assert len(re.findall(r"  silence  ", done.stdout)) == counted(truth["events"], "silence") > 0
     elif what == "summary":
         assert done.stdout.startswith(f"YAPP summary: {len(truth['summary'])} sources")
+    elif what == "compare":
+        assert done.stdout.startswith("YAPP compare: ") and "spread" in done.stdout
     elif what == "csv":
         for name, messages in rows.items():
             assert (flight / f"tables/{name}.csv").read_text().count("\n") == len(messages) + 1

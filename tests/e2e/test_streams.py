@@ -82,7 +82,7 @@ def info(event):
         return f"Skipped {counted(event.data)}{quoted(event.data)}"
     known = model.MESSAGES.get(event.ident)
     if known:
-        return known[1] if fits(event) else f"{known[1]}  {counted(event.payload)}, not"
+        return known[1] if fits(event) else f"{known[1]}, {counted(event.payload)}, the catalogue says"
     return f"ID 0x{event.ident:x}  {counted(event.payload)}{ENDS[event.kind]}"
 
 

@@ -230,7 +230,7 @@ function Log:skip(line, why)
   self.skipped[why] = count
   if count > REPORTED then return end
   local message = format("line %d: %s", self.lines.number, why)
-  local shown = utf8.printable(match(sub(line, 1, 80), "^%s*(.-)%s*$"))
+  local shown = utf8.printable(match(sub(line, 1, 50), "^%s*(.-)%s*$"))
   if shown ~= "" then message = format('%s: "%s"', message, shown) end
   if count == REPORTED then message = message .. "; no more of these are told" end
   self.report(message)

@@ -335,7 +335,7 @@ class Installation:
             path.unlink()
         elif os.path.lexists(str(path)) and self.is_module(path):
             self.say("kept", self.set_aside(path), f"you changed it; Wireshark would run it as {path.name}")
-        elif path in self.hashes and os.path.lexists(str(path)):
+        elif path in self.hashes and os.path.lexists(str(path)) and not is_wiresharks(path):
             self.say("kept", path, "you changed it")
         self.hashes.pop(path, None)
 
@@ -345,7 +345,9 @@ class Installation:
             if path.suffix != ".new" or path.with_suffix("") not in files:
                 self.remove(path)  # of an earlier version, or of another Wireshark's folder
         for path, content in files.items():
-            self.put(path, content)
+            # Where windows and columns were last Wireshark writes at every exit: ours is for the first time only.
+            if not (path.parent == self.wireshark.profile and is_wiresharks(path)):
+                self.put(path, content)
         self.remove_folders([self.target / "yapp", *self.folders])
         made = [str(folder) for folder in self.folders if folder.is_dir()]
         listed = {"files": {str(path): value for path, value in self.hashes.items()}, "folders": made}
