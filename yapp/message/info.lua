@@ -85,9 +85,11 @@ end
 --- What the Info column says of a message.
 -- raws     from decode.read; payload: the string that they are from, for times
 -- name     what the message is called; its title when left out
-function M.text(message, raws, payload, name)
+-- look     false where nothing in the values is remarkable
+function M.text(message, raws, payload, name, look)
   local text, word = message.usual(raws, payload) or in_parts(message, raws, payload), nil
   text = (name or message.title) .. "  " .. text
+  if look == false then return text end
   for _, field in ipairs(message.alarms) do
     local alarms = decode.alarms(field, raws[message.index[field]])
     if alarms ~= 0 then

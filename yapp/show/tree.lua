@@ -233,8 +233,9 @@ function Tree:payload(m)
   m.label = m.name ~= m.message.title and m.name or nil
   m.is_steady = IS_TSHARK and not m.visited
   local top = self.messages:show(m)
-  local info = m.has_columns and info_of.text(m.message, m.raws, m.payload, m.name) or ""
-  return change and info .. show_change(self, m, top) or info
+  local info = m.has_columns and info_of.text(m.message, m.raws, m.payload, m.name, m.look) or ""
+  local has_more = change and (top or change.flags or change.reboot or change.stale)
+  return has_more and info .. show_change(self, m, top) or info
 end
 
 return M
