@@ -8,7 +8,8 @@ DEMO := document_motor document_command document_uart
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
-.PHONY: demo test test-all unit unit-5.2 unit-5.4 unit-5.5 map hostile e2e lint install uninstall dist release soak matrix fuzz bench screenshots \
+.PHONY: demo test test-all unit unit-5.2 unit-5.4 unit-5.5 map hostile e2e lint install uninstall dist release soak matrix \
+  fuzz mutate valgrind bench screenshots \
   needs-tshark needs-python needs-tests needs-bench
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
@@ -44,10 +45,11 @@ demo: needs-tshark
 ## What a developer runs after every change: each behaviour once, in three to four minutes on two cores
 test: lint unit e2e
 
-## What CI runs: everything on this machine's Wireshark, the other ones of 4.0, 4.4 and 4.6, each by both loading routes,
-## and some fuzzing: in twenty minutes.  What takes a night has targets of its own: soak, fuzz, YAPP_LEVEL=all tests/matrix
+## What CI runs: everything on this machine's Wireshark with its memory checked (docs/reliability.md), the other ones of 4.0,
+## 4.4 and 4.6, each by both loading routes, and some fuzzing: in twenty minutes.  What takes a night has targets of its own:
+## soak, fuzz, mutate, valgrind, YAPP_LEVEL=all tests/matrix
 test-all:
-	YAPP_LEVEL=all $(MAKE) test
+	YAPP_STRICT=1 YAPP_LEVEL=all $(MAKE) test
 	YAPP_LEVEL=route YAPP_ROUTE=plugin $(MAKE) e2e
 	tests/matrix --rest
 	$(MAKE) fuzz FRAMES=$(or $(FRAMES),20000)
@@ -86,6 +88,15 @@ matrix:
 ## Mutated captures: FRAMES=100000 SEED=1
 fuzz: needs-tests
 	/usr/bin/env python3 tests/fuzz.py --frames $(or $(FRAMES),100000) --seed $(or $(SEED),1)
+
+## Faults put into the modules that need no Wireshark, EACH=30 in each, SEED=1: do the unit tests see them
+mutate: needs-tests
+	/usr/bin/env python3 tests/mutate.py --each $(or $(EACH),30) --seed $(or $(SEED),1)
+
+## Ten captures under valgrind: no error in memory that comes of Lua
+valgrind: needs-tests
+	$(call install-missing,valgrind,valgrind)
+	/usr/bin/env python3 tests/valgrind.py
 
 ## Beside its peers, into BENCH.md: RUNS=5; LONG=1 long captures too, so often; BASE=folder another version.  Never fails
 bench:

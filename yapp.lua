@@ -25,6 +25,10 @@ set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
 -- writes text that no program reads, Lua 5.2 reads no "2.5", and Lua that is made from numbers is none.
 os.setlocale("C", "numeric")
 
+-- What the frames of a long capture leave behind is let go of without dawdling: it takes less time
+-- and memory.  (COMPAT 5.5: not called so there.)
+pcall(collectgarbage, "setstepmul", 1000)
+
 package.path = here .. "?.lua;" .. package.path
 
 local bus_finder = require "yapp.host.buses"

@@ -124,7 +124,7 @@ def homes():
 
 def environment(installed):
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("XDG_", "WIRESHARK_"))}
-    return {**kept, "HOME": str(homes() / ("installed" if installed else "bare")), "LC_ALL": "C.UTF-8", "TZ": "UTC"}
+    return {**kept, **tshark.STRICT, "HOME": str(homes() / ("installed" if installed else "bare")), "LC_ALL": "C.UTF-8", "TZ": "UTC"}
 
 
 # Ways to look at a file; a placeholder stands for a file to write.

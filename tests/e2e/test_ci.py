@@ -51,9 +51,9 @@ def break_catalogue(project):
 def break_message(project):
     """One more message than there was, which is wrong."""
     path = project / "taurus_fields.lua"
-    text, first = path.read_text(), '  { -- "Taurus Health"'
-    assert first in text
-    path.write_text(text.replace(first, '  { name = "broken", id = 0x333, size = 1 },\n' + first))
+    text, first = path.read_text(), "return {\n"
+    assert text.count(first) == 1
+    path.write_text(text.replace(first, first + '  { name = "broken", id = 0x333, size = 1 },\n'))
 
 
 CASES = {"clean": ("clean.pcapng", None, 0), "fault": ("fault.pcapng", None, 20),

@@ -57,8 +57,12 @@ def planted(folder, monkeypatch):
         shutil.rmtree(home, ignore_errors=True)
 
 
+LOADED = ("yapp.lua", "local VERSION")
 DISSECTOR = ("yapp/serial/stream.lua", "function Stream:feed")
 INIT = ("yapp.lua", "function yapp.init")
+# A protocol of its own, in the packets of which Wireshark finds a fault that is not said to be ours.
+OTHER = """local other = Proto("other", "Other") other.fields = { ProtoField.uint8("other.one", "One") }
+function other.dissector(buffer, _, tree) %s end register_postdissector(other)""".replace("\n", " ")
 
 
 @levels.deep
@@ -91,6 +95,8 @@ PLANTED = {
     "exit": (*INIT, "os.exit(7)", "document_udp.pcap", "exit code 7"),
     "crash": (*INIT, 'os.execute("kill -SEGV $PPID")', "document_udp.pcap", "crash: signal 11"),
     "abort": (*INIT, 'os.execute("kill -ABRT $PPID")', "document_udp.pcap", "crash: signal 6"),
+    "too many items": (*LOADED, OTHER % "for _ = 1, 1.1e6 do tree:add(other.fields[1], buffer(0, 1)) end", "document_udp.pcap",
+                       "crash: signal 6"),
     "memory": (*INIT, 'planted = ("x"):rep(2^29)', "document_udp.pcap", "memory"),
     "busy": (*DISSECTOR, "while true do end", "document_udp.pcap", "hang"),
     "asleep": (*INIT, 'os.execute("sleep 20")', "document_udp.pcap", "hang"),
@@ -123,3 +129,20 @@ def test_a_fault_ends_a_run_with_a_small_capture(folder):
     assert done.returncode == 1 and "planted" in done.stdout, done.stdout + done.stderr
     done = subprocess.run([*command[:2], "--replay", kept[0]], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+# Checked memory ----------------------------------------------------------------------------------------------------
+
+# What a process of the fuzzer's is to have: Wireshark reads the variables itself, glibc's library has to be there.
+CHECKED = """local file = io.open("/proc/self/maps") local maps = file:read("*a") file:close()
+if not maps:find("malloc_debug") or os.getenv("MALLOC_CHECK_") ~= "3" or
+os.getenv("WIRESHARK_DEBUG_WMEM_OVERRIDE") ~= "strict" then error("not checked") end""".replace("\n", " ")
+
+
+@pytest.mark.parametrize("setting", ["strict", "block"])
+@pytest.mark.parametrize("way", [fuzz.TREE, ("sharkd",)], ids=short)
+def test_memory_is_checked(planted, way, setting):
+    if way[0] == "sharkd" and not shutil.which("sharkd"):
+        pytest.skip("sharkd is not installed")
+    problem = planted(*INIT, CHECKED.replace("strict", setting), "document_udp.pcap", way)
+    assert problem is None if setting == "strict" else "not checked" in problem

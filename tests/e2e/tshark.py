@@ -22,6 +22,12 @@ CAPTURES = ROOT / "test_captures"
 PLUGIN_FILES = ["yapp.lua", "taurus_fields.lua", "yapp"]
 ROUTE = os.environ.get("YAPP_ROUTE", "script")
 TIMEOUT = 300
+# What Wireshark, GLib and the C library check of their memory, and that Wireshark aborts where it would only report.
+STRICT = {"WIRESHARK_DEBUG_WMEM_OVERRIDE": "strict", "WIRESHARK_ABORT_ON_TOO_MANY_ITEMS": "1",
+          "WIRESHARK_ABORT_ON_DISSECTOR_BUG": "1", "G_SLICE": "debug-blocks",
+          "MALLOC_CHECK_": "3", "GLIBC_TUNABLES": "glibc.malloc.check=3", "LD_PRELOAD": "libc_malloc_debug.so.0"}
+if os.environ.get("YAPP_STRICT"):
+    os.environ.update(STRICT)  # also for what the tests start by themselves
 LUA_ERROR = "_ws.lua.error"  # the field of a packet in which a dissector failed in Lua
 
 

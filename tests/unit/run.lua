@@ -18,5 +18,7 @@ end
 while arg[1] do table.remove(arg) end -- LuaUnit 3.5 would take the paths for names of tests
 local runner = lu.LuaUnit.new()
 runner:setOutputType("text")
+local is_one_enough = os.getenv("YAPP_FIRST_FAILURE") ~= nil -- tests/mutate.py
+runner.quitOnError, runner.quitOnFailure = is_one_enough, is_one_enough
 runner:runSuiteByInstances(suites)
 os.exit(runner.result.notSuccessCount)

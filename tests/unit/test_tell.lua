@@ -70,7 +70,7 @@ function T.test_what_the_catalogue_does_not_define()
   local fields = {}
   for i, one in ipairs(offered) do
     fields[i] = {}
-    for j, remark in ipairs(one[1].invalid or {}) do fields[i][j] = MESSAGE.fields[remark[1]].name end
+    for j, remark in ipairs(one[1].invalid or {}) do fields[i][j] = remark.field end
   end
   lu.assertEquals(fields, { {}, { "mode" }, { "bits" }, { "mode", "bits" } }) -- a reserved count is defined
 end
@@ -127,6 +127,26 @@ function T.test_bytes_of_no_frame()
   lu.assertEquals({ record.kind, record.length, record.frame, record.rel, record.source.key, record.source.bus },
     { "skipped", 9, 3, 2, "stream", "ttyA" })
   lu.assertNil(record.source.id)
+end
+
+-- Text over several packets of one stream is one stretch, until a frame comes; a new run begins anew.
+function T.test_bytes_of_several_packets()
+  local tell, offered = new_tell()
+  local function skipped(stream, frame)
+    tell:skipped { frame = frame, time = frame, visited = true, bus = "serial", source = stream, length = 9 }
+  end
+  for run = 1, 2 do
+    skipped("stream", 3)
+    skipped("other", 4)
+    skipped("stream", 5)
+    tell:message(message { stream = "other", source = "other|1", frame = 6 })
+    skipped("stream", 7)
+    tell:faults(part { stream = "stream", source = "stream|1", frame = 8 }, { { expert = "fragment.incomplete" } })
+    skipped("stream", 9)
+    lu.assertEquals(#offered, run * 5)
+  end
+  lu.assertEquals({ offered[1][1].frame, offered[1][1].length, offered[5][1].frame, offered[5][1].length },
+    { 3, 27, 9, 9 })
 end
 
 function T.test_messages_that_the_capture_ends_before()

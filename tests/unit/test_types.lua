@@ -51,7 +51,7 @@ local LIMITS = {
   { "float32", {}, "cdcc8c3f", "1.1," }, { "float32", {}, "6666863f", "1.05," },
   { "float32", {}, "0000804b", "16777216," },
   { "float32", {}, "ffff7f7f", "3.4028235e+38," }, { "float32", {}, "01000000", "1.4013e-45," },
-  { "float32", {}, "00008000", "1.17549435e-38," }, { "float32", {}, "00000000", "0," },
+  { "float32", {}, "00008000", "1.1754944e-38," }, { "float32", {}, "00000000", "0," },
   { "float32", {}, "00000080", "-0," },
   { "float32", {}, "0000807f", ",inf", "f value.special" }, { "float32", {}, "000080ff", ",-inf", "f value.special" },
   { "float32", {}, "0100807f", ",nan", "f value.special" }, { "float32", {}, "ffffffff", ",nan", "f value.special" },
@@ -125,7 +125,7 @@ end
 
 -- Every value of four bytes that is a decimal of few digits is shown as that decimal.
 function T.test_the_shortest_digits_of_four_bytes()
-  local shortest = require("yapp.message.numbers").shortest
+  local shortest = decode.shortest
   local m = message(4, { "f", "float32", "F" })
   local seed = 1
   for _ = 1, 20000 do

@@ -9,8 +9,9 @@
 --   address, size, crc, reserved (nil when 0)   of its Start; bus
 --   status      nil while it is open; "good", "bad" (CRC), "short", "overrun", "unverified" (bytes
 --               not captured), "cut" (a new Start came)
---   chunks, received, repeated, is_cut   while it is open: what came, how many bytes, those of frames
---               that are as the one before, whether bytes were not captured
+--   chunks, received   while it is open: what came, how many bytes
+--   repeated, is_cut   bytes of frames that are as the one before, whether bytes were not captured;
+--               nil where there was nothing of the kind
 --   payload, padding (nil when 0), calculated (of a bad CRC)   once it has ended
 --   last        the look of the frame that ended it: what is shown of the message stands there
 --   blamed      the looks at which something was said to be wrong with it, or nil
@@ -24,7 +25,8 @@ local pool = require "yapp.can.pool"
 
 local M = {}
 
-local concat, floor, min = table.concat, math.floor, math.min
+local abs, concat, floor, min = math.abs, table.concat, math.floor, math.min
+local update = crc.update
 local END = can_id.END
 
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it: the oldest make room
@@ -37,15 +39,21 @@ local BUS = 0x20000000 -- keys of messages have 29 bits
 local Reassembly = {}
 Reassembly.__index = Reassembly
 
--- entries  the table that gets the entry of each frame, by look
+-- pass     of memory.passes, whose entries get that of each frame, by look
 -- size_of  function(id, bus) -> payload size of a known message, nil for an unknown one
 -- It has faults, by look: a list of { expert =, text =, message = or nil, void = true once it is
 -- taken back }.  And open, by slot (a message's key and bus): the message that is open there, or a
 -- pool of several (can.pool).
-local function new_reassembly(entries, size_of)
-  return setmetatable({ entries = entries, size_of = size_of, faults = {}, open = {}, open_count = 0,
-    claimed = {} }, -- unknown IDs of which a Start without a Seq has come: then others may have one
-    Reassembly)
+local function new_reassembly(pass, size_of)
+  return setmetatable({
+    pass = pass,
+    entries = pass.entries,
+    size_of = size_of,
+    faults = {},
+    open = {},
+    open_count = 0,
+    claimed = {}, -- unknown IDs of which a Start without a Seq has come: then others may have one
+  }, Reassembly)
 end
 
 --- Says that something is wrong at a frame; of a message, where it is given.
@@ -71,10 +79,13 @@ function Reassembly:take_back(look, is_void)
 end
 
 --- A Middle or End whose message is not known.
+-- returns  its entry
 function Reassembly:orphan(address, look)
-  self.entries[look] = { address = address }
-  self:fault(look, "fragment.orphan", ("%s of a message whose Start is not here")
-    :format(address.ctrl == END and "End" or "Middle"))
+  local kind = address.ctrl == END and "End" or "Middle"
+  self:fault(look, "fragment.orphan", kind .. " of a message whose Start is not here")
+  local entry = { address = address }
+  self.entries[look] = entry
+  return entry
 end
 
 --- A message has more or fewer bytes than its size.
@@ -96,8 +107,8 @@ end
 function Reassembly.finish(_, message, payload, look, status)
   message.payload, message.last, message.status, message.chunks = payload, look, status, nil
   if status then return end
-  local header = can_id.header(message.address, message.size, message.reserved)
-  local calculated = crc.update(crc.of(header), payload)
+  local seed = can_id.seed(message.address, message.size, message.reserved)
+  local calculated = update(seed, payload, 1, #payload)
   if calculated == message.crc then
     message.status = "good"
   else
@@ -136,12 +147,16 @@ local function is_plausible(self, address, frame, size, reserved, is_known)
 end
 
 -- Empties a slot.
--- status  what becomes of a message there that is open; nil where it has ended
-local function close(self, slot, status)
-  local open = self.open[slot]
+local function close(self, slot)
   self.open[slot], self.open_count = nil, self.open_count - 1
-  for _, message in ipairs(status and (open.messages or { open }) or {}) do
-    message.status, message.chunks = message.status or status, nil
+end
+
+-- Empties a slot of messages that have not ended.
+local function cut(self, slot)
+  local open = self.open[slot]
+  close(self, slot)
+  for _, message in ipairs(open.messages or { open }) do
+    message.status, message.chunks = message.status or "cut", nil
   end
 end
 
@@ -154,7 +169,7 @@ local function make_room(self)
     return (open.messages and open:newest() or open)[1]
   end
   table.sort(slots, function(a, b) return started(a) < started(b) end)
-  for i = 1, #slots - MAX_OPEN / 2 do close(self, slots[i], "cut") end
+  for i = 1, #slots - MAX_OPEN / 2 do cut(self, slots[i]) end
 end
 
 -- A Start came while something is open in its slot.  On a bus that is told from others it cuts that
@@ -168,7 +183,7 @@ local function overtake(self, slot, frame, look)
       ("A new Start cuts off the message that started in frame %d: %d of %d bytes")
       :format(floor(message[1]), open.messages and open:received() or open.received, message.size), message)
   end
-  if frame.bus or message.status or message.is_cut then return close(self, slot, "cut") end
+  if frame.bus or message.status or message.is_cut then return cut(self, slot) end
   if not open.messages then open = pool.new(self, open) end
   self.open[slot] = open
   if open:overtake() then return open end
@@ -178,30 +193,38 @@ end
 local function start(self, slot, address, frame, look)
   local sum, size, reserved = can_id.start(frame.data)
   local known = self.size_of(address.id, frame.bus)
-  if not frame.is_wide and not is_plausible(self, address, frame, size, reserved, known ~= nil) then
-    return false
+  if not frame.is_wide and
+    not is_plausible(self, address, frame, size, reserved, known ~= nil) then
+    return nil
   end
   self.claimed[address.id] = true
   local others = self.open[slot] and overtake(self, slot, frame, look)
   if size ~= known or reserved ~= 0 or frame.reported ~= 8 then
     check_start(self, frame, look, size, reserved, known)
-  end
-  if not reserved or size == 0 then
-    self.entries[look] = { address = address }
-    return true
+    if not reserved or size == 0 then return { address = address } end
   end
   -- With room for the usual message of five frames, and for the names that it will have.
-  local message = { look, nil, nil, nil, nil, address = address, bus = frame.bus, size = size,
-    crc = sum, reserved = reserved ~= 0 and reserved or nil, chunks = { nil, nil, nil, nil },
-    received = 0, repeated = 0, is_cut = false, status = nil, payload = nil, last = nil }
-  self.entries[look] = message
+  local message = {
+    look, nil, nil, nil, nil,
+    address = address,
+    bus = frame.bus,
+    size = size,
+    crc = sum,
+    chunks = { nil, nil, nil, nil },
+    received = 0,
+    status = nil,
+    payload = nil,
+    last = nil,
+    delta = nil,
+  }
+  if reserved ~= 0 then message.reserved = reserved end
   if others then
     others:add(message)
-    return true
+    return message
   end
   if self.open_count >= MAX_OPEN then make_room(self) end
   self.open[slot], self.open_count = message, self.open_count + 1
-  return true
+  return message
 end
 
 -- Middles and Ends -------------------------------------------------------------------------------
@@ -242,118 +265,136 @@ local function finish_unusual(self, message, frame, look)
     chunks[#chunks] = frame.data:sub(1, needed)
     return self:finish(message, concat(chunks), look, message.is_cut and "unverified" or nil)
   end
-  local is_repeated = excess > 0 and message.repeated >= excess and not message.is_cut
+  local is_repeated = excess > 0 and (message.repeated or 0) >= excess and not message.is_cut
   if is_repeated and leave_out(self, message, excess, look) then return end
   self:finish(message, concat(chunks), look, self:misfit(message, message.received, look))
   message.calculated = nil
 end
 
--- A Middle or End of a message that has ended by too many bytes.
-local function go_beyond(self, message, look, is_end)
-  message.status = self:misfit(message, message.received, look)
-  message.chunks = nil
-  if is_end then self:finish(message, "", look, message.status) end
+-- A message has got more bytes than it can have.
+local function go_beyond(self, message, look)
+  message.status, message.chunks = self:misfit(message, message.received, look), nil
 end
 
-local function continue(self, slot, address, frame, look)
-  local message, is_end = self.open[slot], address.ctrl == END
+-- Bytes that are as the ones before, or were not all captured.  Behind such nothing is known to be
+-- in its place.
+local function take_odd(message, at, data, reported)
+  local chunks = message.chunks
+  if message.is_cut then return end
+  if data == chunks[at - 1] then message.repeated = (message.repeated or 0) + reported end
+  message.is_cut = #data < reported
+  chunks[at] = data
+end
+
+-- A Middle or End where no message waits for it that came so far as it should.
+local function continue_other(self, slot, address, frame, look)
+  local message = self.open[slot]
   if not message then
-    if not frame.is_wide and not (address.ctl == 0 and self.size_of(address.id, frame.bus)) then
-      return false
-    end
-    self:orphan(address, look)
-    return true
+    local is_known = address.ctl == 0 and self.size_of(address.id, frame.bus)
+    if not frame.is_wide and not is_known then return nil end
+    return self:orphan(address, look)
   end
   if message.messages then
     message:frame(address, frame, look)
     if #message.messages == 0 then close(self, slot) end
-    return true
+    return self.entries[look]
   end
-  local data, chunks, count = frame.data, message.chunks, #message + 1
-  local received = message.received + frame.reported
-  self.entries[look], message[count], message.received = message, look, received
-  if is_end then close(self, slot) end
-  if message.status then
-    go_beyond(self, message, look, is_end)
-    return true
+  message[#message + 1], message.received = look, message.received + frame.reported
+  go_beyond(self, message, look)
+  if address.ctrl == END then
+    close(self, slot)
+    self:finish(message, "", look, message.status)
   end
-  if not message.is_cut then -- behind bytes that were not captured nothing is known to be in its place
-    if data == chunks[count - 2] then message.repeated = message.repeated + frame.reported end
-    chunks[count - 1] = data
-    if #data < frame.reported then message.is_cut = true end
+  return message
+end
+
+local function continue(self, slot, address, frame, look)
+  local message = self.open[slot]
+  local chunks = message and message.chunks
+  if not chunks then return continue_other(self, slot, address, frame, look) end
+  local data, reported, at = frame.data, frame.reported, #message
+  local received = message.received + reported
+  message[at + 1] = look
+  message.received = received
+  if message.is_cut or data == chunks[at - 1] or #data < reported then
+    take_odd(message, at, data, reported)
+  else
+    chunks[at] = data
   end
-  if not is_end then
+  if address.ctrl ~= END then
     local too_many = received - message.size
-    if too_many > 0 and too_many > min(message.repeated, MAX_RUNS * frame.reported) then
+    if too_many > 0 and too_many > min(message.repeated or 0, MAX_RUNS * reported) then
       go_beyond(self, message, look)
     end
-  elseif received == message.size then
+    return message
+  end
+  close(self, slot)
+  if received == message.size then
     self:finish(message, concat(chunks), look, message.is_cut and "unverified" or nil)
   else
     finish_unusual(self, message, frame, look)
   end
-  return true
+  return message
 end
 
 -- Other frames -----------------------------------------------------------------------------------
 
-local function single(self, _, address, frame, look)
+local function single(self, _, address, frame)
   if not frame.is_wide then
     local size = self.size_of(address.id, frame.bus)
-    if not size or address.ctl ~= 0 then return false end
-    if not can_id.padding(frame.data, frame.reported, size) then return false end
+    if not size or address.ctl ~= 0 then return nil end
+    if not can_id.padding(frame.data, frame.reported, size) then return nil end
   end
-  self.entries[look] = { address = address, delta = nil }
-  return true
+  return { address = address, delta = nil }
 end
 
 local function undefined(self, _, address, frame, look)
-  if not frame.is_wide then return false end
-  self.entries[look] = { address = address }
+  if not frame.is_wide then return nil end
   self:fault(look, "can.ctrl.invalid", ("CAN CTRL is %d; 0 to 3 are defined"):format(address.ctrl))
-  return true
+  return { address = address }
 end
 
-local TAKERS = { [0] = single, start, continue, continue } -- by CAN CTRL
+-- By CAN CTRL: (reassembly, slot, address, frame, look) -> the frame's entry, nil where it is not
+-- YAPP's.
+local TAKERS = { [0] = single, start, continue, continue }
 
 -- What is kept -----------------------------------------------------------------------------------
 
--- A good message is kept small: at its last frame { payload, address, delta, has_fault }, at the
--- others the look of the last one, negative at its Start.  (Frames 7, 8 and 10 make a message: of 7
--- -10 is kept, of 8 10, of 10 the table.)
-
-local function can_be_small(message)
-  local last = message.last
-  if message.status ~= "good" or message.blamed or message.padding or message.reserved then return false end
-  if last - message[1] > MAX_SPAN then return false end
-  for i = 1, #message do
-    if message[i] % 1 ~= 0 then return false end
-  end
-  return true
-end
+-- A good message is kept small: at its last frame the seconds since the source's previous one, "!"
+-- where a fault is set, else "|", its key and payload, at the others the look of the last one,
+-- negative at its Start.  (Frames 7, 8 and 10 make a message: of 7 -10 is kept, of 8 10, of 10 the
+-- text.)
 
 local function make_small(entries, message)
-  local last = message.last
+  local first, last = message[1], message.last
+  if message.blamed or message.padding or message.reserved or last - first > MAX_SPAN then return end
+  for i = 1, #message do
+    if message[i] % 1 ~= 0 then return end
+  end
   for i = 2, #message - 1 do entries[message[i]] = last end
-  entries[message[1]] = -last
-  entries[last] = { message.payload, message.address, message.delta, message.has_fault }
+  local mark = message.has_fault and "!" or "|"
+  entries[first] = -last
+  entries[last] = (message.delta or "") .. mark .. message.address.key_bytes .. message.payload
 end
 
--- The message of a frame from what is kept.
-local function recall(entries, look)
+-- The entry of a frame from what is kept; nil where that is of another id: a read filter rejected
+-- that frame.
+local function recall(entries, look, address)
   local entry = entries[look]
-  local last = type(entry) == "number" and math.abs(entry) or look
-  local kept = entries[last]
-  if not kept or not kept[2] or type(kept[1]) ~= "string" then return entry end
-  local payload, address = kept[1], kept[2]
+  local last = type(entry) == "number" and abs(entry) or look
+  if type(entries[last]) ~= "string" then
+    return entry and entry.address.key == address.key and entry or nil
+  end
+  local delta, mark, key, payload = entries[last]:match("^([^|!]*)([|!])(....)(.*)$")
+  if key ~= address.key_bytes then return nil end
   local message, at = { last }, last
   repeat
     at = at - 1
     if entries[at] == last or entries[at] == -last then table.insert(message, 1, at) end
   until entries[at] == -last
   message.address, message.size, message.payload, message.status = address, #payload, payload, "good"
-  message.crc = crc.update(crc.of(can_id.header(address, #payload)), payload)
-  message.last, message.delta, message.has_fault = last, kept[3], kept[4]
+  message.crc = crc.update(can_id.seed(address, #payload), payload)
+  message.last, message.delta, message.has_fault = last, tonumber(delta), mark == "!"
   return message
 end
 
@@ -366,8 +407,39 @@ Memory.__index = Memory
 -- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown one;
 --             new_history = function() -> a message.history, one for each pass }
 function M.new(options)
-  return setmetatable({ size_of = options.size_of, passes = passes.new(options.new_history),
-    by_pass = {} }, Memory)
+  local all = passes.new(options.new_history)
+  local first = new_reassembly(all.first, options.size_of)
+  return setmetatable({ passes = all, first = first, second = nil }, Memory)
+end
+
+-- The reassembly of a pass.
+local function reassembly_of(self, pass)
+  if pass == self.first.pass then return self.first end
+  self.second = self.second or new_reassembly(pass, self.first.size_of)
+  return self.second
+end
+
+-- Takes a frame, in order: returns its entry.
+local function take(reassembly, frame, address, look)
+  local bus = frame.bus
+  local slot = bus and address.key + bus * BUS or address.key
+  local taker = TAKERS[address.ctrl] or undefined
+  local entry = taker(reassembly, slot, address, frame, look)
+  if entry then reassembly.entries[look] = entry end
+  return entry
+end
+
+-- A frame that is looked at again.
+local function look_again(self, frame, address)
+  local number, place, knows_bus = frame.number, frame.place, frame.knows_bus
+  local pass, look, is_now = self.passes:look(number, place, true, knows_bus)
+  if not pass then return nil end
+  local reassembly = reassembly_of(self, pass)
+  if not is_now then
+    return recall(reassembly.entries, look, address), look, reassembly, false
+  end
+  if not knows_bus then pass.is_partial = true end
+  return take(reassembly, frame, address, look), look, reassembly, true
 end
 
 --- What a frame is.
@@ -380,26 +452,20 @@ end
 --          { expert =, text =, message = or nil, void = whether it has been taken back since }
 -- returns  its entry; nil for a frame that is not YAPP's
 function Memory:look(frame)
-  local address = frame.address
-  local pass, look, is_now = self.passes:look(frame.number, frame.place, frame.is_again, frame.knows_bus)
-  if not pass then return nil end
-  local reassembly = self.by_pass[pass]
-  if not reassembly then
-    reassembly = new_reassembly(pass.entries, self.size_of)
-    self.by_pass[pass] = reassembly
-  end
-  local entry
-  if is_now then
-    if not frame.knows_bus then pass.is_partial = true end
-    local slot = frame.bus and address.key + frame.bus * BUS or address.key
-    if not (TAKERS[address.ctrl] or undefined)(reassembly, slot, address, frame, look) then return nil end
-    entry = pass.entries[look]
+  local address, reassembly, is_now = frame.address, self.first, true
+  local entry, look
+  if frame.is_again then
+    entry, look, reassembly, is_now = look_again(self, frame, address)
   else
-    entry = recall(pass.entries, look)
-    -- Of another id: a read filter rejected that frame.
-    if not entry or entry.address.key ~= address.key then return nil end
+    look = reassembly.pass:next(frame.number, frame.place)
+    if not frame.knows_bus then reassembly.pass.is_partial = true end
+    entry = take(reassembly, frame, address, look)
   end
-  frame.entry, frame.look, frame.pass, frame.is_now = entry, look, pass, is_now
+  if not entry then return nil end
+  frame.entry = entry
+  frame.look = look
+  frame.pass = reassembly.pass
+  frame.is_now = is_now
   frame.faults = reassembly.faults[look]
   return entry
 end
@@ -447,19 +513,16 @@ end
 --- A message has been read, in its last, or only, frame.
 -- has_fault  whether it has a fault flag set
 function Memory.is_read(_, frame, has_fault)
-  local entry = frame.entry
   if not frame.is_now then return end
+  local entry = frame.entry
   if has_fault then entry.has_fault = true end
-  if not entry.is_unsure and entry.size and can_be_small(entry) then
-    make_small(frame.pass.entries, entry)
-  end
+  if entry.status == "good" and not entry.is_unsure then make_small(frame.pass.entries, entry) end
 end
 
 --- The messages of the pass that was made last that never ended, in the order of their Starts.
 function Memory:unfinished()
   local list, pass = {}, self.passes:last()
-  local reassembly = self.by_pass[pass]
-  for _, open in pairs(reassembly and reassembly.open or {}) do
+  for _, open in pairs((self.second or self.first).open) do
     for _, message in ipairs(open.messages or { open }) do
       -- It may have gone on behind a frame from which on the buses were not known.
       local is_unsure = message.bus and pass.is_partial

@@ -29,13 +29,12 @@ end
 -- "Tue Nov 14 10:13:20.001 pm 2023", the recorder's local time, in microseconds since 1970; nil for
 -- no date.  python-can writes 1 ms as ".1".
 local function read_date(date)
-  local month, day, hour, min, sec, rest =
-    date:match("^%s*%S+%s+(%S+)%s+(%d+)%s+(%d+):(%d+):(%d+)(.*)$")
-  month = month and MONTHS[month:lower()]
-  local fraction, half, year = (rest or ""):match("^%.?(%d*)%s*([aApP]?)[mM]?%s+(%d%d%d%d)")
-  if not month or not year then return nil end
+  local name, day, hour, min, sec, fraction, half, year =
+    date:lower():match("(%S+)%s+(%d+)%s+(%d+):(%d+):(%d+)%.?(%d*)%s*([ap]?)m?%s+(%d%d%d%d)")
+  local month = name and MONTHS[name]
+  if not month then return nil end
   if half ~= "" then hour = hour % 12 end
-  if half:lower() == "p" then hour = hour + 12 end
+  if half == "p" then hour = hour + 12 end
   local time = { year = year, month = month, day = day, hour = hour, min = min, sec = sec }
   local seconds = os.time(time)
   return seconds and seconds * SECOND + (tonumber(fraction:sub(1, 3)) or 0) * 1000
@@ -149,8 +148,8 @@ function M.open(file)
   date = read_date(date)
   local channel, has_several = nil, false
   for other in head:gmatch("\n%s*[%d.]+%s+(%d+)%s+%x+x%s") do
-    channel = channel or other
-    has_several = has_several or other ~= channel
+    has_several = has_several or other ~= (channel or other)
+    channel = other
   end
   return setmetatable({
     has_several = has_several, -- channels in the first lines

@@ -6,7 +6,8 @@ local utf8 = require("yapp.base.utf8")
 
 local parse, usual = candump_line.parse, candump_line.usual
 local char, find, format = string.char, string.find, string.format
-local gmatch, gsub, match, sub = string.gmatch, string.gsub, string.match, string.sub
+local gmatch, gsub = string.gmatch, string.gsub
+local match, sub = string.match, string.sub
 
 local M = {}
 
@@ -71,13 +72,6 @@ local function are_deltas(records)
   return 10 * falls > #records
 end
 
-local function decimals_of(records)
-  for _, record in ipairs(records) do
-    if (record.nanoseconds or 0) % 1000 ~= 0 then return 9 end
-  end
-  return 6
-end
-
 -- Cuts text behind its last line end.  At the end of the file all of it is lines.
 local function whole_lines(piece, at_end)
   if at_end then return (gsub(piece, "([^\n])$", "%1\n")), "" end
@@ -85,25 +79,24 @@ local function whole_lines(piece, at_end)
   return lines, sub(piece, #lines + 1)
 end
 
--- What the rest of a line may be: cut in its id, in its length, in its data bytes, behind them; and
--- a line of frames that candump lost.
+-- What the rest of a line may be whose start was cut off: cut in front of its id, in it, in its
+-- length, in its data bytes, behind them; and a line of frames that candump lost.
 local RESTS = {
+  "%s%x+#",
+  "%s%x+%s+[%[{]%x+[%]}]",
   "^%x*#",
   "^%x*%s*[%[{]?%x*[%]}]",
-  "^[%x%s`]+$",
+  "^[%x%s`]*[RT]?%s*$",
   "['`]%s*$",
-  " request%s*$",
   "^DROPCOUNT: ",
 }
 
--- Whether a line is the rest of one of candump's whose start was cut off: with the start of another
--- one in front it is a frame again.  Where their ids or lengths differ it has to look like such a
--- rest.
-local function is_rest(line, whole)
-  for size = 1, math.min(#whole, 200) do -- a frame's line has less in front of its data
-    local record = parse(sub(whole, 1, size) .. line)
-    if record and not record.note then return true end
-  end
+-- The words behind the data.
+local ENDS = "remote request\nERRORFRAME\n"
+
+local function is_rest(line)
+  line = gsub(gsub(line, "\27?%[[%d;]*m", ""), "^[%d;]*m", "") -- colours
+  if find(ENDS, match(line, "^%s*(.-)%s*$") .. "\n", 1, true) then return true end
   for _, rest in ipairs(RESTS) do
     if find(line, rest) then return true end
   end
@@ -113,24 +106,25 @@ end
 -- Whether a file of candump text may start with these lines, which are no frames: the rest of one
 -- in a log cut at its start, or a shell's with the command.  Any other first line may be another
 -- format's mark.
-local function may_begin(lines, first_frame)
+local function may_begin(lines)
   for _, line in ipairs(lines) do
     if find(line, "candump ", 1, true) then return true end
   end
-  return #lines == 0 or #lines == 1 and is_rest(lines[1], first_frame)
+  return #lines == 0 or #lines == 1 and is_rest(lines[1])
 end
 
 -- What the first lines of a file tell: nil if they are not candump's, else { deltas = whether its
 -- times are those since the frame before, decimals = 6 or 9, bus = the first one's name,
 -- has_several = whether they have others too }.
 local function recognise(lines)
-  local records, others, has_several = {}, {}, false
+  local records, others, has_several, decimals = {}, {}, false, 6
   for line in gmatch(lines, "([^\n]*)\n") do
     local record, why = parse(line)
     if record then
-      if #records == 0 and not may_begin(others, line) then return nil end
+      if #records == 0 and not may_begin(others) then return nil end
       records[#records + 1] = record
       has_several = has_several or record.bus ~= records[1].bus
+      if (record.nanoseconds or 0) % 1000 ~= 0 then decimals = 9 end
     elseif why and not candump_line.HARMLESS[why] then
       others[#others + 1] = line
     end
@@ -138,7 +132,7 @@ local function recognise(lines)
   if #records <= #others then return nil end
   return {
     deltas = are_deltas(records),
-    decimals = decimals_of(records),
+    decimals = decimals,
     bus = records[1].bus,
     has_several = has_several,
   }
@@ -177,9 +171,9 @@ Log.__index = Log
 -- @param options { all = true to take all candump text, false to leave to Wireshark's own reader
 --   what that gets right; by_value = whether that reader tells extended ids by their value, as 4.6
 --   does; report = function(text), called with a line for each message }
--- @return a log with read and seek_read, decimals (6 or 9) of the times, and has_several: whether its
---   first lines have several buses.  Nil if the file is
---   not taken; and then the name of its bus, if it is a log that Wireshark's own reader gets right
+-- @return a log with read and seek_read, decimals (6 or 9) of the times, and has_several: whether
+--   its first lines have several buses.  Nil if the file is not taken; and then the name of its
+--   bus, if it is a log that Wireshark's own reader gets right
 function M.open(file, options)
   local head = file:read(HEAD) or ""
   if find(head, "\0", 1, true) then return nil end

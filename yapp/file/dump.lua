@@ -54,14 +54,16 @@ function Dump:take_record(file)
   if not event or event.kind ~= "skipped" then return event end
   local bytes, from = event.bytes, event.from
   while #bytes < LONGEST do
-    local following = self:take(file)
-    if following and following.kind ~= "skipped" then self:put_back(following) end
-    if not following or following.kind ~= "skipped" then break end
-    bytes = bytes .. following.bytes
+    event = self:take(file)
+    if not event then break end
+    if event.kind ~= "skipped" then
+      self:put_back(event)
+      break
+    end
+    bytes = bytes .. event.bytes
   end
-  if #bytes > LONGEST then
-    self:put_back { kind = "skipped", from = from + LONGEST, bytes = bytes:sub(LONGEST + 1) }
-  end
+  local rest = bytes:sub(LONGEST + 1)
+  if rest ~= "" then self:put_back { kind = "skipped", from = from + LONGEST, bytes = rest } end
   return { kind = "skipped", from = from, bytes = bytes:sub(1, LONGEST) }
 end
 

@@ -131,47 +131,92 @@ end
 
 local function read_interface(self, window, at, length)
   if length < 20 or not window:has(at, length) then return end
-  local interface = { number = #self.interfaces, linktype = window:uint16(at + 8) }
-  local name
-  name, interface.per_second = read_options(window, at + 16, at + length - 4)
-  if name and name ~= "" and utf8.is_printable(name) then self.interface_names[interface.number] = name end
-  self.interfaces[#self.interfaces + 1] = interface
-  local is_ours = OURS[interface.linktype]
-  self.may_be_ours = self.may_be_ours or is_ours or PROTOCOL_AT[interface.linktype] ~= nil
-  if is_ours and interface.linktype ~= RTAC then self:source(interface.number, 0, 0) end
+  local number, linktype = #self.interfaces, window:uint16(at + 8)
+  local name, per_second = read_options(window, at + 16, at + length - 4)
+  if name and name ~= "" and utf8.is_printable(name) then self.interface_names[number] = name end
+  local is_ours, is_cooked = OURS[linktype], PROTOCOL_AT[linktype] ~= nil
+  local interface = {
+    number = number,
+    linktype = linktype,
+    per_microsecond = per_second / 1e6,
+    source = 0, -- of its packets; nil where each says it
+  }
+  self.interfaces[number + 1] = interface
+  if linktype == RTAC or is_cooked then
+    interface.source = nil
+  elseif is_ours then
+    interface.source = self:source(number, 0, 0)
+  end
+  if not is_ours and not is_cooked then return end
+  -- What its packets say is read where there may be several sources.
+  local is_several = self.may_be_ours or linktype == RTAC or linktype == COOKED_2
+  self.may_be_ours = true
+  if not is_several or self.is_detailed then return end
+  self.is_detailed, self.early = true, self.count
+  for _, other in ipairs(self.interfaces) do
+    if self.early > 0 and not other.source then self:source(other.number, 0, 0) end
+  end
 end
 
+-- A packet of a file that may have several sources.
 local function read_enhanced(self, window, at, first)
-  local interface = self.interfaces[first + window:uint32(at + 8) + 1]
-  if not interface then return note_packet(self, 0, 0) end
-  local per_microsecond = interface.per_second / 1e6
-  local stamp = (window:uint32(at + 12) * 2 ^ 32 + window:uint32(at + 16)) / per_microsecond
-  note_packet(self, source_of(self, window, interface.number, interface.linktype, at + 28, window:uint32(at + 20)), stamp)
+  if not window:has(at, 28) then return end
+  local from = at - window.from
+  local a, b, c, d, e, f, g, h, i, j, k, l = byte(window.text, from + 9, from + 20)
+  if not window.is_little then
+    a, b, c, d, e, f, g, h, i, j, k, l = d, c, b, a, h, g, f, e, l, k, j, i
+  end
+  local interface = self.interfaces[first + a + b * 0x100 + c * 0x10000 + d * 0x1000000 + 1]
+  local source, stamp = 0, 0
+  if interface then
+    local high = e + f * 0x100 + g * 0x10000 + h * 0x1000000
+    local low = i + j * 0x100 + k * 0x10000 + l * 0x1000000
+    stamp = floor((high * 2 ^ 32 + low) / interface.per_microsecond)
+    source = interface.source
+    if not source then
+      local length = window:uint32(at + 20)
+      source = source_of(self, window, interface.number, interface.linktype, at + 28, length)
+    end
+  end
+  self.told[self.count] = source * STAMPS + stamp % STAMPS
 end
 
 local function counts_as_packet(kind)
   return kind == SIMPLE or kind == OLD or kind == JOURNAL or kind >= SYSDIG and kind <= SYSDIG_END
 end
 
+-- Any other block; returns its length, which a section's byte order tells.
+local function read_block(self, window, at, length)
+  local kind = window:uint32(at)
+  if kind == SECTION then
+    window.is_little = window:bytes(at + 8, 4) == "\77\60\43\26"
+    self.first = #self.interfaces
+    return window:uint32(at + 4)
+  end
+  if kind == INTERFACE then read_interface(self, window, at, length) end
+  if counts_as_packet(kind) then
+    self.count, self.has_packets = self.count + 1, true
+    self.told[self.count] = 0
+  end
+  return length
+end
+
+-- Most blocks are packets: of each as little is read as goes.
 local function read_pcapng(self, window)
-  local at, first = 0, 0 -- first: the number of interfaces in the sections before
-  while window:has(at, 12) do
-    local kind = window:uint32(at)
-    if kind == SECTION then
-      window.is_little, first = window:bytes(at + 8, 4) == "\77\60\43\26", #self.interfaces
-    end
-    local length = window:uint32(at + 4)
-    if length < 12 then break end
-    if kind == INTERFACE then
-      read_interface(self, window, at, length)
-    elseif kind == ENHANCED and window:has(at, 28) then
-      self.has_packets = true
+  local at, length = 0, 0
+  while window.from + #window.text >= at + 12 or window:has(at, 12) do
+    local from = at - window.from
+    local a, b, c, d, e, f, g, h = byte(window.text, from + 1, from + 8)
+    if not window.is_little then a, b, c, d, e, f, g, h = d, c, b, a, h, g, f, e end
+    length = e + f * 0x100 + g * 0x10000 + h * 0x1000000
+    if a == ENHANCED and b + c + d == 0 then
+      self.count, self.has_packets = self.count + 1, true
       if not self.may_be_ours then break end -- somebody else's file
-      read_enhanced(self, window, at, first)
-    elseif counts_as_packet(kind) then
-      self.has_packets = true
-      note_packet(self, 0, 0)
+      if self.is_detailed then read_enhanced(self, window, at, self.first) end
+    else
+      length = read_block(self, window, at, length)
     end
+    if length < 12 then break end
     at = at + length
   end
 end
@@ -212,6 +257,13 @@ local function has_header(bytes)
   return false
 end
 
+-- The name of the only interface that may be ours, where its packets were not read: a cooked one.
+local function cooked_name(self)
+  for _, interface in ipairs(self.is_detailed and {} or self.interfaces) do
+    if not interface.source then return self.interface_names[interface.number] end
+  end
+end
+
 --- Reads a file.
 -- head     its first bytes, up to M.OF_A_PIPE
 -- more     function(count) -> the next bytes, at most so many; nil or "" at the end, or where a pipe must be left alone
@@ -220,13 +272,28 @@ end
 --   begins        whether it is a pcapng file without a packet yet, as a live capture
 --   is_told       whether the packets' buses are read here; of another format, and behind `count`, fields say them
 --   count, told   how many packets it told of, and of each source * STAMPS + when it was captured
+--   early         how many of them came before there was a second source: all that may be YAPP's
+--                 among them are of the first
 --   names         [number of a source] = the name of its interface, fit to be printed
 --   only_name     of the only interface, own_name of the only one that may carry YAPP; nil where there are several
 --   place         where in each packet a CAN frame's data begins, nil where that is not the same for all
 --   may_have_frames  whether YAPP frames may be in TCP or UDP: not where it has packets and none of the first has one }
 function M.read(head, more)
-  local self = setmetatable({ count = 0, told = {}, names = {}, interface_names = {}, interfaces = {}, sources = {},
-    source_count = 0, place = nil, has_packets = false, may_be_ours = false }, Capture)
+  local self = setmetatable({
+    count = 0,
+    early = 0,
+    told = {},
+    names = {},
+    interface_names = {},
+    interfaces = {},
+    first = 0, -- interfaces in the sections before
+    sources = {},
+    source_count = 0,
+    place = nil,
+    has_packets = false,
+    may_be_ours = false,
+    is_detailed = false, -- whether the packets of a pcapng file are told of one by one
+  }, Capture)
   local reader = READERS[sub(head, 1, 4)]
   if reader then reader(self, setmetatable({ text = head, from = 0, more = more, is_little = true }, Window)) end
   self.has_several = self.source_count > 1
@@ -234,6 +301,7 @@ function M.read(head, more)
   self.begins = reader == read_pcapng and not self.has_packets and (self.may_be_ours or #self.interfaces == 0)
   self.only_name = #self.interfaces == 1 and self.interface_names[0] or nil
   self.own_name = self.source_count == 1 and self.names[1] or nil
+  if self.source_count == 0 and reader == read_pcapng then self.own_name = cooked_name(self) end
   self.may_have_frames = not self.has_packets or has_header(head)
   if not self.has_several then self.told = {} end
   return self
@@ -246,6 +314,7 @@ end
 --           filter has shifted the numbers
 function Capture:bus(number, captured)
   local entry = self.told[number]
+  if number <= self.early then return 1 end
   if not entry then return nil end
   local stamp = entry % STAMPS
   local difference = captured and (floor(captured * 1e6 + 0.5) - stamp) % STAMPS or 0

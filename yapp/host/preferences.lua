@@ -44,7 +44,8 @@ function M.define(proto, catalogue, decode, max_id)
     "setting: a change takes effect at the next start. For one run alone set the environment variable YAPP_MESSAGES.")
   prefs.sources = Pref.string("Names of sources", "",
     "What to call an ID, everywhere or on one bus, and which message it carries: 0x210=motor:left_fore, " ..
-    "0x211=motor:left_aft, can1/0x210=motor:right_fore, 0x212=left_tail.")
+    "can1/0x210=motor:right_fore, 0x212=left_tail. Several IDs have one name with a plus between them, " ..
+    "can0/0x000+0x200+0x210=left; a bus alone names all of its IDs: can2=tail.")
   prefs.late = Pref.string("A gap is late above", "2.5",
     "So many times the message's period (Command 0.2 s, Motor Data 0.1 s, Health 0.5 s) make a gap worth a warning, " ..
     "yapp.late: at 2.5 one lost message is none.")

@@ -15,7 +15,6 @@ local M = {}
 local floor = math.floor
 
 local STEP = 2 ^ -21 -- two million looks of one number, of two thousand million numbers
-local LINKS = { "command_in", "previous_change", "next_change" } -- in a change of message.history
 
 local Pass = {}
 Pass.__index = Pass
@@ -37,6 +36,7 @@ end
 function Pass:next(number, place)
   if number > self.highest then
     self.highest, self.latest, self.place = number, number, place
+    if place == self.usual then return number end
     self.usual = self.usual or place
     if place ~= self.usual then self.looks[number] = { [place] = number } end
     return number
@@ -78,9 +78,11 @@ end
 local function told(self, message, change)
   if not change then return nil end
   if change.is_alarm or change.active_since then
-    change.next_change = self.history:next_change(message.number, message.source)
+    local next_change = self.history:next_change(message.number, message.source)
+    change.next_change = next_change and self:number(next_change)
   end
-  for _, name in ipairs(LINKS) do change[name] = change[name] and self:number(change[name]) end
+  if change.command_in then change.command_in = self:number(change.command_in) end
+  if change.previous_change then change.previous_change = self:number(change.previous_change) end
   return change
 end
 

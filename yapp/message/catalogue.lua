@@ -14,50 +14,40 @@ local M = {}
 
 M.MAX_ID = 2047
 local MAX_SIZE = 65535
-local MAX_PERIOD = 1e6
-local OPTIONS = {
-  name = true,
-  title = true,
-  section = true,
-  id = true,
-  size = true,
-  info = true,
-  every = true,
-  answers = true,
-  differences = true,
-}
+local OPTIONS = check.set("name title section id size info every answers differences")
 
 -- The filter names of expert items.
 local EXPERTS = {
-  "taurus.fault.active",
-  "taurus.fault.raised",
-  "taurus.fault.cleared",
-  "taurus.command.key.invalid",
-  "taurus.value.special",
-  "taurus.value.invalid",
-  "taurus.flags.undefined",
-  "taurus.reboot",
-  "taurus.stale",
+  "fault.active",
+  "fault.raised",
+  "fault.cleared",
+  "command.key.invalid",
+  "value.special",
+  "value.invalid",
+  "flags.undefined",
+  "reboot",
+  "stale",
 }
 
 -- Filter names -----------------------------------------------------------------------------------
 
+-- What a flags field has below its group.
+local BELOW = {
+  "undefined",
+  "raised",
+  "cleared",
+  "active_time",
+  "previous_change",
+  "next_change",
+}
+
 -- The names under a field that follow from it.
 local function filters_of(field)
-  local names = { field.filter }
-  if field.kind == "float" or field.kind == "ieee" then names[2] = field.filter .. ".special" end
-  if field.kind ~= "flags" then return names end
-  local function add(name) names[#names + 1] = field.group .. "." .. name end
-  add("undefined")
-  names[#names + 1] = field.filter .. ".names"
-  if #field.flags == 0 then return names end
-  add("raised")
-  add("cleared")
-  for _, flag in ipairs(field.flags) do add(flag.name) end
-  if not field.alarm then return names end
-  add("active_time")
-  add("previous_change")
-  add("next_change")
+  local names = { field.filter, field.special }
+  if not field.flags then return names end
+  names[2] = field.filter .. ".names"
+  for _, name in ipairs(BELOW) do names[#names + 1] = field.group .. "." .. name end
+  for _, flag in ipairs(field.flags) do names[#names + 1] = flag.filter end
   return names
 end
 
@@ -69,7 +59,7 @@ end
 -- Raises which filter name of a message is there twice, or an expert item's.
 local function claim_filters(message, place)
   local taken = {}
-  for _, name in ipairs(EXPERTS) do taken[name] = true end
+  for _, name in ipairs(EXPERTS) do taken["taurus." .. name] = true end
   claim(taken, message.filter)
   if message.time then claim(taken, message.filter .. ".clock_drift") end
   if message.answers then claim(taken, ("%s.%s_in"):format(message.filter, message.answers)) end
@@ -87,7 +77,7 @@ end
 -- The place of a field of numbers among those of its message.
 local function number_of(message, row, name)
   local field = message.by_name[name or false]
-  local is_number = field and (field.kind == "float" or field.kind == "ieee" or
+  local is_number = field and (field.special or
     (field.kind == "uint" or field.kind == "int") and not field.values)
   demand(is_number, "difference %s: %s is no field of numbers", row[1], shown(name))
   return message.index[field]
@@ -109,19 +99,14 @@ local function compile_difference(message, row)
   }
 end
 
-local function check_number(what, v, low, high)
-  local is_within = check.is_integer(v) and v >= low and v <= high
-  demand(is_within, "%s %s is not one of %d .. %d", what, shown(v), low, high)
-end
-
 local function check_head(entry)
   local every, answers = entry.every, entry.answers
   check.check_options(entry, "a message", OPTIONS, math.huge)
   demand(is_text(entry.title), "the title is missing")
-  demand(entry.section == nil or is_text(entry.section), "section must be a text")
-  check_number("id", entry.id, 0, M.MAX_ID)
-  check_number("size", entry.size, 1, MAX_SIZE)
-  local is_period = every == nil or check.is_finite(every) and every > 0 and every <= MAX_PERIOD
+  check.text(entry, "section")
+  check.within("id", entry.id, 0, M.MAX_ID)
+  check.within("size", entry.size, 1, MAX_SIZE)
+  local is_period = every == nil or check.is_finite(every) and every > 0
   demand(is_period, "every %s is not a period in seconds", shown(every))
   local is_message = answers == nil or is_name(answers)
   demand(is_message, "answers %s is not the name of a message", shown(answers))

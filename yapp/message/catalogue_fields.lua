@@ -6,33 +6,25 @@
 local band = require("yapp.base.bits").band
 local check = require("yapp.message.check")
 
-local demand, shown = check.demand, check.shown
-local is_integer, is_finite = check.is_integer, check.is_finite
-local is_name, is_text = check.is_name, check.is_text
+local demand = check.demand
+local shown = check.shown
+local is_integer = check.is_integer
+local is_finite = check.is_finite
+local is_name = check.is_name
+local is_text = check.is_text
+local set = check.set
 
 local M = {}
 
 local MAX_SIZE = 65535
-local MAX_FLAGS = 32
-local HELP_BYTES = 500
-
 -- The expert items for values.
-local INVALID = {
-  ["value.invalid"] = true,
-  ["command.key.invalid"] = true,
-}
+local INVALID = set("value.invalid command.key.invalid")
 
 -- COMPAT 5.4: powers and quotients are floats there, and "%d" wants integers.
 local tointeger = rawget(math, "tointeger") or function() end
 local function whole(n) return tointeger(n) or n end
 
 -- Types ------------------------------------------------------------------------------------------
-
-local function set(text)
-  local names = {}
-  for name in text:gmatch("%S+") do names[name] = true end
-  return names
-end
 
 local SCALED = "section unit scale offset count "
 local OPTIONS = {
@@ -85,16 +77,16 @@ for size = 1, 8 do
   end
 end
 
-local order = {}
-for name in pairs(TYPES) do order[#order + 1] = name end
 -- By the letters, then the number: int8 before int16.
-local function key(name)
-  return ("%s%03d%s"):format(name:match("^%a+"), name:match("%d+") or 0, name)
+local names, numbered = {}, {}
+for name in pairs(TYPES) do
+  names[#names + 1] = name
+  numbered[name] = name:gsub("%d+", function(digits) return ("%03d"):format(digits) end)
 end
-table.sort(order, function(a, b) return key(a) < key(b) end)
+table.sort(names, function(a, b) return numbered[a] < numbered[b] end)
 
 --- The names of all types, for a message.
-M.TYPE_NAMES = table.concat(order, ", ")
+M.TYPE_NAMES = table.concat(names, ", ")
 
 -- Options ----------------------------------------------------------------------------------------
 
@@ -129,6 +121,7 @@ end
 -- min and max make a compressed float of the bytes; without them float32 and float64 are IEEE
 -- 754's.
 local function add_range(field, row)
+  field.special = field.filter .. ".special"
   if row.min == nil and row.max == nil and (field.size == 4 or field.size == 8) then
     field.kind = "ieee"
     return
@@ -150,9 +143,8 @@ end
 
 -- The options that fields and parts of bits share.
 local function add_options(field, row, message)
-  demand(row.unit == nil or is_text(row.unit), "unit must be a text")
-  demand(row.section == nil or is_text(row.section), "section must be a text")
-  field.unit, field.section = row.unit, row.section or message.section
+  field.unit = check.text(row, "unit")
+  field.section = check.text(row, "section") or message.section
   add_values(field, row)
   local is_right = row.invalid == nil or INVALID[row.invalid] and row.values
   demand(is_right, "invalid is value.invalid or command.key.invalid, for a field with values")
@@ -180,26 +172,20 @@ local function take_bits(field, row, what, i)
   return what
 end
 
-local function check_list(list, what)
-  local is_list = type(list) == "table" and #list <= MAX_FLAGS
-  demand(is_list, "%s must be a list of at most %d rows, not %s", what, MAX_FLAGS, shown(list))
-end
-
 local function add_flag(field, row, i, message)
   local what = take_bits(field, row, "flag", i)
   check.check_options(row, what, FLAG_OPTIONS, 3)
   demand(row.alarm == nil or row.alarm == true, "%s: alarm is true, or is not there", what)
-  demand(row.help == nil or is_text(row.help, HELP_BYTES), "%s: help must be a text", what)
   if row.alarm then field.alarm_bits = field.alarm_bits + row[2] end
+  local help = check.text(row, "help", what .. ": ")
   local description = describe(row[3] .. ", one of " .. field.title, nil, message, field.section)
-  if row.help then description = description .. ". " .. row.help end
-  field.flags[#field.flags + 1] = {
+  field.flags[i] = {
     name = row[1],
     mask = row[2],
     title = row[3],
-    help = row.help,
+    help = help,
     filter = field.group .. "." .. row[1],
-    description = description,
+    description = help and description .. ". " .. help or description,
   }
 end
 
@@ -236,8 +222,8 @@ local function add_bits(field, row, message)
   demand(row.group == nil or is_name(row.group), "group %s is not a filter name", shown(row.group))
   demand(row.count == nil, "flags and bits are not for an array")
   local flags, rows, parts = row.flags or {}, row.bits or {}, {}
-  check_list(flags, "flags")
-  check_list(rows, "bits")
+  demand(type(flags) == "table", "flags must be a list, not %s", shown(flags))
+  demand(type(rows) == "table", "bits must be a list, not %s", shown(rows))
   field.kind, field.flags, field.alarm_bits = "flags", {}, 0
   field.group = message.filter .. "." .. (row.group or field.name)
   field.undefined, field.watched = field.top, field.top
@@ -251,9 +237,7 @@ end
 -- Rows -------------------------------------------------------------------------------------------
 
 local function length_of(row)
-  local length = row.length
-  local is_length = is_integer(length) and length >= 1 and length <= MAX_SIZE
-  return demand(is_length and length, "%s needs a length in bytes", row[2])
+  return check.within(row[2] .. " needs a length, and", row.length, 1, MAX_SIZE)
 end
 
 -- One field of a row, without its place; and the parts in its bits.
@@ -291,9 +275,7 @@ end
 
 -- An array is its elements: fields of their own with one filter name.
 local function add_elements(build, field, count)
-  local is_count = is_integer(count) and count >= 1 and count <= MAX_SIZE
-  demand(is_count, "count %s is not one of 1 .. %d", shown(count), MAX_SIZE)
-  for i = 1, count do
+  for i = 1, check.within("count", count, 1, MAX_SIZE) do
     local element = {}
     for name, value in pairs(field) do element[name] = value end
     element.name = ("%s_%d"):format(field.name, i)

@@ -7,7 +7,7 @@ local utf8 = require("yapp.base.utf8")
 local M = {}
 
 local MOST_PROBLEMS = 20 -- of a list that somebody reads
-local MOST_BYTES = 200 -- of a text
+local MOST_BYTES = 1000 -- of a text
 local MOST_OF_NAME = 64 -- bytes
 
 --- Raises a text like string.format's where a condition does not hold; returns the condition.
@@ -26,10 +26,30 @@ end
 --- Whether it is a number that is neither NaN nor infinite.
 function M.is_finite(v) return type(v) == "number" and v - v == 0 end
 
---- Whether it is a text of at most so many bytes, UTF-8 without control characters: over some other
--- texts Wireshark ends at once.
-function M.is_text(v, most)
-  return type(v) == "string" and #v > 0 and #v <= (most or MOST_BYTES) and utf8.is_printable(v)
+--- Whether it is a text, UTF-8 without control characters: over some others Wireshark ends at once.
+function M.is_text(v)
+  return type(v) == "string" and #v > 0 and #v <= MOST_BYTES and utf8.is_printable(v)
+end
+
+--- Raises that an option is there and no text; returns it.
+-- what  whose option it is, "flag hot: ", where that is not known
+function M.text(t, option, what)
+  local text = t[option]
+  M.demand(text == nil or M.is_text(text), "%s%s must be a text", what or "", option)
+  return text
+end
+
+--- Raises that a number is not an integer from low to high; returns it.
+function M.within(what, v, low, high)
+  local is_within = M.is_integer(v) and v >= low and v <= high
+  return M.demand(is_within and v, "%s %s is not one of %d .. %d", what, M.shown(v), low, high)
+end
+
+--- The names in a text as a set: { [name] = true }.
+function M.set(text)
+  local names = {}
+  for name in text:gmatch("%S+") do names[name] = true end
+  return names
 end
 
 --- A value in an error: a text in quotes and not too long.
@@ -42,14 +62,13 @@ end
 -- options     { [name] = true }
 -- positional  how many values without a name it has
 function M.check_options(t, what, options, positional)
+  local names = {}
+  for name in pairs(options) do names[#names + 1] = name end
+  table.sort(names)
   for key in pairs(t) do
-    if not options[key] and not (M.is_integer(key) and key >= 1 and key <= positional) then
-      local names = {}
-      for name in pairs(options) do names[#names + 1] = name end
-      table.sort(names)
-      local known = #names > 0 and table.concat(names, ", ") or "none"
-      M.demand(false, "unknown option %s; %s has %s", M.shown(key), what, known)
-    end
+    local is_positional = M.is_integer(key) and key >= 1 and key <= positional
+    M.demand(options[key] or is_positional, "unknown option %s; %s has %s",
+      M.shown(key), what, table.concat(names, ", "))
   end
 end
 

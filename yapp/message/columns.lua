@@ -4,9 +4,7 @@
 -- An enum is its number and, in NAME_text, its meaning; flags are the integer and, in GROUP_FLAG, 0
 -- or 1; a float that is no ordinary number is an empty cell and what it is in NAME_special.
 
-local bits = require("yapp.base.bits")
 local decode = require("yapp.message.decode")
-local numbers = require("yapp.message.numbers")
 local straight = require("yapp.message.straight")
 
 local M = {}
@@ -31,9 +29,7 @@ local INTEGERS = { uint = true, int = true, flags = true }
 -- The columns of a field: { name, type, the flag that it is } each.
 local function columns_of(field)
   local kind, name = field.kind, field.name
-  if kind == "float" or kind == "ieee" then
-    return { { name, "float" }, { name .. "_special", "string" } }
-  end
+  if field.special then return { { name, "float" }, { name .. "_special", "string" } } end
   if kind == "time" or kind == "bool" then return { { name, kind } } end
   if not INTEGERS[kind] then return { { name, "string" } } end
   if field.values then return { { name, "integer" }, { name .. "_text", "string" } } end
@@ -86,21 +82,22 @@ end
 function cells.ieee(field, raw)
   local value, special = decode.value(field, raw)
   if special then return SPECIALS[special] end
-  if field.size == 4 then return format("%.9g,", numbers.shortest(value, 4)) end
-  local text = format("%.15g,", value)
-  return tonumber(text:sub(1, -2)) == value and text or format("%.17g,", value)
+  value = decode.rounded(field, value)
+  local text = format("%.15g", value)
+  if tonumber(text) ~= value then text = format("%.17g", value) end
+  return text .. ","
 end
 
 function cells.uint(field, raw)
   if field.scale then return format("%.15g", decode.value(field, raw)) end
-  local text = type(raw) == "number" and format("%.0f", raw) or raw
+  local text = decode.digits(raw)
   return field.values and text .. "," .. M.quoted(field.values[raw] or "") or text
 end
 
 function cells.flags(field, raw)
-  local texts = { format("%.0f", raw) }
+  local texts = { decode.digits(raw) }
   for i, flag in ipairs(field.flags) do
-    texts[i + 1] = bits.band(raw, flag.mask) ~= 0 and "1" or "0"
+    texts[i + 1] = decode.band(raw, flag.mask) ~= 0 and "1" or "0"
   end
   return concat(texts, ",")
 end

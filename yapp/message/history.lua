@@ -115,11 +115,19 @@ local function flag_change(field, before, now)
   }
 end
 
+-- Keeps when alarms were raised; returns whether any was, or fell.
+local function mark_alarms(source, index, change, time)
+  if change.alarm_raised + change.alarm_cleared == 0 then return false end
+  local times = source.raised_at[index] or {}
+  source.raised_at[index] = times
+  mark(times, change.alarm_raised, time)
+  mark(times, change.alarm_cleared, nil)
+  return true
+end
+
 -- The places of the fields of flags of a message.
 local function flags_of(self, message)
-  local places = self.flags[message]
-  if places then return places end
-  places = {}
+  local places = {}
   for i, field in ipairs(message.fields) do
     if field.kind == "flags" then places[#places + 1] = i end
   end
@@ -129,21 +137,18 @@ end
 
 -- What changed in the flags of a good message, nil for nothing; and whether an alarm did.
 local function flag_changes(self, source, look)
-  local changes, is_alarm
-  for _, index in ipairs(look.raws and flags_of(self, look.message) or NOTHING) do
-    local now, before = look.raws[index], source.values[index]
-    local change = now and now ~= before and flag_change(look.message.fields[index], before, now)
-    source.values[index] = now or before
-    if change then
-      changes = changes or {}
-      changes[#changes + 1] = change
-    end
-    if change and change.alarm_raised + change.alarm_cleared > 0 then
-      is_alarm = true
-      local times = source.raised_at[index] or {}
-      source.raised_at[index] = times
-      mark(times, change.alarm_raised, look.time)
-      mark(times, change.alarm_cleared, nil)
+  local raws, values, changes, is_alarm = look.raws, source.values, nil, nil
+  if not raws then return nil end
+  local places = self.flags[look.message] or flags_of(self, look.message)
+  for i = 1, #places do
+    local index = places[i]
+    local now, before = raws[index], values[index]
+    if now and now ~= before then
+      values[index] = now
+      local change = flag_change(look.message.fields[index], before, now)
+      changes = changes or change and {}
+      if change then changes[#changes + 1] = change end
+      if change and mark_alarms(source, index, change, look.time) then is_alarm = true end
     end
   end
   return changes, is_alarm
@@ -151,18 +156,12 @@ end
 
 -- Following --------------------------------------------------------------------------------------
 
--- How many messages are missing before one by their Seq.  A Seq that stands still numbers nothing;
--- a controller that reboots begins anew.
+-- How many messages are missing before one by their Seq, which numbers nothing where it stands
+-- still; a controller that reboots begins anew.
 local function missing_before(seq, previous, is_reboot)
-  if not seq or not previous or seq == previous or is_reboot then return nil end
+  if not seq or not previous or is_reboot then return nil end
   local missing = (seq - previous - 1) % 256
   return missing > 0 and missing or nil
-end
-
--- Whether a clock went back, and whether it stood still, since the one before; each true or nil.
-local function clock_change(before, clock)
-  if not before or not clock then return nil, nil end
-  return clock < before or nil, clock == before or nil
 end
 
 -- Keeps what happened at a message, and how things stand after it.
@@ -180,14 +179,20 @@ local function keep(source, look, event, is_new_clock)
 end
 
 -- A good message: keeps what it changes.
-local function follow(self, source, look)
-  local state = source.events[#source.events] or NOTHING
-  local before, clock = source.clock, clock_of(look)
+-- clock  of the controller
+local function follow(self, source, look, clock)
+  local state, before = source.events[#source.events] or NOTHING, source.clock
   local flags, is_alarm = flag_changes(self, source, look)
-  local reboot, stale = clock_change(before, clock)
-  local missing = missing_before(look.seq, source.seq, reboot)
+  local reboot, stale -- true or nil
+  if clock and before then
+    reboot, stale = clock < before or nil, clock == before or nil
+  end
+  local missing
+  if look.seq ~= source.seq then missing = missing_before(look.seq, source.seq, reboot) end
   local is_new_clock = clock and (reboot or not before)
-  source.clock, source.seq, source.last_time = clock or before, look.seq, look.time
+  source.clock = clock or before
+  source.seq = look.seq
+  source.last_time = look.time
   if flags or missing or is_new_clock or stale ~= state.stale then
     local event = { flags = flags, is_alarm = is_alarm, missing = missing }
     event.reboot, event.stale = reboot, stale
@@ -205,9 +210,9 @@ end
 
 -- Telling ----------------------------------------------------------------------------------------
 
-local function drift_of(look, state)
-  local clock = state.clock and clock_of(look)
-  return clock and (clock - state.clock) / 1e9 - (look.time - state.time) or nil
+local function drift_of(look, state, clock)
+  if not clock or not state.clock then return nil end
+  return (clock - state.clock) / 1e9 - (look.time - state.time)
 end
 
 -- The latest good message before one on its bus of those that it answers.
@@ -224,7 +229,7 @@ local function is_late(self, look, delta)
 end
 
 -- What is kept of a good message as its change.
-local function tell(self, source, look, delta)
+local function tell(self, source, look, delta, clock)
   local place = last_until(source.numbers, look.number)
   local state = source.events[place] or NOTHING
   local event = source.numbers[place] == look.number and state or NOTHING
@@ -232,7 +237,7 @@ local function tell(self, source, look, delta)
   -- garbage.
   local change = {
     delta = delta,
-    drift = drift_of(look, state),
+    drift = drift_of(look, state, clock),
     command_in = command_of(self, look),
     active_since = state.active_since,
   }
@@ -282,13 +287,14 @@ function History:note(look)
   end
   local delta = source.last_time and look.time - source.last_time
   if not look.good then return only_delta(delta), delta end
-  follow(self, source, look)
+  local clock = clock_of(look)
+  follow(self, source, look, clock)
   local name = look.message and look.message.name
   if name and self.answered[name] then
     local numbers = commands_of(self, look.bus, name)
     numbers[#numbers + 1] = look.number
   end
-  return tell(self, source, look, delta), delta
+  return tell(self, source, look, delta, clock), delta
 end
 
 --- What History:note said of a message, at any later time and in any order.
@@ -296,7 +302,7 @@ end
 function History:change(look)
   local source = self.by_key[look.source]
   if not source or not look.good then return only_delta(look.delta) end
-  return tell(self, source, look, look.delta)
+  return tell(self, source, look, look.delta, clock_of(look))
 end
 
 --- The number of the next message of a source that changes an alarm, nil where none does.

@@ -10,21 +10,26 @@ local M = {}
 local format, concat = string.format, table.concat
 
 local SPECIALS = { [0] = "NaN", "+inf", "-inf", "above range", "below range" }
-local MOST_BYTES = 1000 -- of a text of the catalogue
+local BOOLS = { [0] = "false", "true" }
 
 -- Whether the value of a field is a number with a fraction.
 local function is_real(field)
-  return field.kind == "float" or field.kind == "ieee" or field.scale ~= nil
+  return field.special or field.scale
 end
 
--- What a field shows when there is nothing special about it, nil where there is.
-local function usual(field, raw)
-  if not raw then return nil end
-  if field.values then return field.values[raw] end
-  if field.kind == "bool" then return raw == 0 and "false" or raw == 1 and "true" or nil end
-  local value = decode.value(field, raw)
-  if is_real(field) or type(value) == "string" then return value end
-  return format("%.0f", value) -- tostring has 14 digits in Lua 5.2
+-- What a field shows.
+-- shape    of a number with a fraction; payload: for times
+local function shown(field, shape, raw, payload)
+  if field.kind == "time" and payload and #payload >= field.offset + 8 then
+    return decode.seconds(decode.time(payload, field.offset)) .. " s"
+  end
+  if not raw then return "?" end
+  local value, special = decode.value(field, raw)
+  if special then return SPECIALS[special] end
+  if is_real(field) then return format(shape, value) end
+  local values = field.values or field.kind == "bool" and BOOLS
+  if not values then return decode.digits(value) end
+  return values[raw] or format(field.kind == "int" and "invalid %d" or "invalid 0x%x", raw)
 end
 
 -- Compiling --------------------------------------------------------------------------------------
@@ -34,23 +39,19 @@ local function compile_part(message, name, shape)
   check.demand(field, "info names a field %s that is not there", check.shown(name))
   check.demand(shape == "" or is_real(field) and shape:find("^%%%.?%d?[fg]$"),
     "info: the format %s is not one for %s", check.shown(shape), name)
-  local part = {
-    field = field,
-    index = message.index[field],
-    format = shape ~= "" and shape or "%.4g",
-  }
-  if not straight.is_plain(field) then
-    function part.write(raw) return usual(field, raw) end
-  end
-  return part
+  if shape == "" then shape = "%.4g" end
+  local part = { field = field, index = message.index[field], shape = shape }
+  if straight.is_plain(field) then return part, shape end
+  function part.write(raw, payload) return shown(field, shape, raw, payload) end
+  return part, "%s"
 end
 
 --- Compiles the text of a message: sets its
---   info      parts { { field = f, index = i, format = "%.1f" }, " V" }
---   usual     function(raws) -> the same as one text, nil where a value is special
+--   info      parts { { field = f, index = i, shape = "%.1f" }, " V" }
+--   usual     function(raws, payload) -> the same as one text, nil where a value is special
 -- Raises what is wrong.
 function M.compile(message, text)
-  local is_text = text == "" or check.is_text(text, MOST_BYTES)
+  local is_text = text == "" or check.is_text(text)
   check.demand(is_text, "info must be a text, not %s", check.shown(text))
   local parts, fields, shape, at = {}, {}, "", 1
   while at do
@@ -59,10 +60,10 @@ function M.compile(message, text)
     if literal ~= "" then parts[#parts + 1] = literal end
     shape = shape .. literal:gsub("%%", "%%%%")
     if from then
-      local part = compile_part(message, name, part_shape)
+      local part, of_part = compile_part(message, name, part_shape)
       parts[#parts + 1] = part
       fields[#fields + 1] = part
-      shape = shape .. (is_real(part.field) and part.format or "%s")
+      shape = shape .. of_part
     end
     at = to and to + 1
   end
@@ -72,24 +73,11 @@ end
 
 -- The text ---------------------------------------------------------------------------------------
 
-local function shown(part, raw, payload)
-  local field = part.field
-  if field.kind == "time" and payload and #payload >= field.offset + 8 then
-    return decode.seconds(decode.time(payload, field.offset)) .. " s"
-  end
-  if not raw then return "?" end
-  if is_real(field) then
-    local value, special = decode.value(field, raw)
-    return special and SPECIALS[special] or format(part.format, value)
-  end
-  return usual(field, raw) or format(field.kind == "int" and "invalid %d" or "invalid 0x%x", raw)
-end
-
 -- The parts of the text one by one, for values that the usual format cannot show.
 local function in_parts(message, raws, payload)
   local texts = {}
   for i, part in ipairs(message.info) do
-    texts[i] = part.field and shown(part, raws[part.index], payload) or part
+    texts[i] = part.field and shown(part.field, part.shape, raws[part.index], payload) or part
   end
   return concat(texts)
 end
@@ -97,11 +85,13 @@ end
 --- What the Info column says of a message.
 -- raws     from decode.read; payload: the string that they are from, for times
 -- name     what the message is called; its title when left out
-function M.text(message, raws, payload, name)
-  local text, word = message.usual(raws) or in_parts(message, raws, payload), nil
+-- look     false where nothing in the values is remarkable
+function M.text(message, raws, payload, name, look)
+  local text, word = message.usual(raws, payload) or in_parts(message, raws, payload), nil
   text = (name or message.title) .. "  " .. text
+  if look == false then return text end
   for _, field in ipairs(message.alarms) do
-    local alarms = decode.alarms(message, raws, message.index[field])
+    local alarms = decode.alarms(field, raws[message.index[field]])
     if alarms ~= 0 then
       local before = field.alarm == word and ", " or "  " .. field.alarm .. " "
       text = text .. before .. decode.flag_names(field, alarms)

@@ -6,7 +6,7 @@
 -- more.
 
 local band = require("yapp.base.bits").band
-local numbers = require("yapp.message.numbers")
+local numbers = require("yapp.message.decode")
 
 local M = {}
 
@@ -14,6 +14,7 @@ local format, concat = string.format, table.concat
 local unpack = rawget(table, "unpack")
 
 local DIVIDE = load("return 1 // 1") and "//" or "/" -- COMPAT 5.2: "//" is a syntax error there
+local MOST_KEPT = 100 -- bytes in local variables: a function has up to 200
 local MOST_BYTES = 6 -- whose count a double holds with room to calculate
 local MOST_PARTS = 100 -- of a text: a function has up to 200 local variables
 
@@ -22,16 +23,18 @@ local MOST_PARTS = 100 -- of a text: a function has up to 200 local variables
 -- Lines that set a to the raw value of a field, by kind; a time has none.
 local sources = {}
 
--- A little endian count.
+-- A little endian count.  The first bytes of the payload are in b1, b2, ...: a call takes longer
+-- than a field.
 local function count_source(field)
-  local names, sum = {}, {}
-  for i = 1, field.size do
-    names[i] = "b" .. i
-    sum[i] = format("b%d * %.0f", i, 0x100 ^ (i - 1))
-  end
   local first, last = field.offset + 1, field.offset + field.size
-  return format("%s = byte(payload, %d, %d) a = %s", concat(names, ", "), first, last,
-    concat(sum, " + "))
+  local names, sum, is_kept = {}, {}, last <= MOST_KEPT
+  for i = 1, field.size do
+    names[i] = is_kept and "b" .. field.offset + i or "c" .. i
+    sum[i] = i == 1 and names[i] or format("%s * %.0f", names[i], 0x100 ^ (i - 1))
+  end
+  local count = "a = " .. concat(sum, " + ")
+  if is_kept then return count end
+  return format("%s = byte(payload, %d, %d) %s", concat(names, ", "), first, last, count)
 end
 
 function sources.uint(field, message)
@@ -82,6 +85,7 @@ local function look_source(field, i)
   if kind == "flags" then
     -- The alarms' bits and those that nobody defines, each once.
     local both = field.alarm_bits + field.undefined - band(field.alarm_bits, field.undefined)
+    if both == field.top then return "a ~= 0" end
     return both ~= 0 and format("band(a, %d) ~= 0", both) or nil
   end
   if field.values then return format("not FIELDS[%d].values[a]", i) end
@@ -104,7 +108,8 @@ local FIELDS, byte, sub, band, numbers = ...
 local float32, float64 = numbers.float32, numbers.float64
 local integer64, count = numbers.integer64, numbers.count
 return function(payload)
-local raws, look, a, b1, b2, b3, b4, b5, b6 = { %s }, false
+local raws, look, a, c1, c2, c3, c4, c5, c6 = { %s }, false
+local %s = byte(payload, 1, %d)
 %s
 return raws, look
 end]]
@@ -118,7 +123,10 @@ function M.reader(message)
     room[i] = "nil" -- a table that grows by itself takes longer
     if sources[field.kind] then lines[#lines + 1] = field_source(message, field, i) end
   end
-  local source = format(READER, concat(room, ", "), concat(lines, "\n"))
+  local kept = math.max(math.min(message.size, MOST_KEPT), 1)
+  local bytes = {}
+  for i = 1, kept do bytes[i] = "b" .. i end
+  local source = format(READER, concat(room, ", "), concat(bytes, ", "), kept, concat(lines, "\n"))
   local chunk = assert(load(source, "=reader of " .. message.name))
   return chunk(message.fields, string.byte, string.sub, band, numbers)
 end

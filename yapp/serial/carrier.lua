@@ -4,7 +4,7 @@
 -- Wireshark's API.
 
 local frame = require("yapp.wire.frame")
-local items = require("yapp.show.items")
+local items = require("yapp.show.fields")
 local serial_memory = require("yapp.serial.memory")
 local serial_stream = require("yapp.serial.stream")
 local utf8 = require("yapp.base.utf8")
@@ -191,6 +191,7 @@ local function show_frame(self, view, tvb, index)
     good = status == "good",
     is_whole = not is_lost,
     source = key_of(fact, event.id),
+    stream = fact.stream,
     bus = fact.bus_key,
     bus_name = fact.bus_name,
     name = builder:name(event.id, fact.bus_name),

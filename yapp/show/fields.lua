@@ -1,44 +1,68 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The fields and expert items, YAPP's own from rows and those of the messages from the compiled
--- catalogue.
--- Wireshark's API.
+-- catalogue; and how they are added to a tree.  Wireshark's API.
 
 local decode = require("yapp.message.decode")
 
 local M = {}
 
+local unpack = rawget(table, "unpack")
 local HEX, NONE = base.HEX, base.NONE
 local FRAME_KINDS = { [0] = "Single", "Start", "Middle", "End" }
 local CRC_STATUS = { [0] = "Bad", "Good", "Unverified" }
 
 -- filter, type, title, description, base, values
 local YAPP = {
-  { "id", "UINT32", "Message ID", "Which message it is, and of which controller", HEX },
-  { "ctl", "UINT8", "Control (CTL)", "YAPP's control byte" },
-  { "seq", "UINT8", "Sequence number", "Numbers the messages of a source, from 0 to 255" },
-  { "size", "UINT16", "Payload size", "Payload of the message in bytes" },
-  { "reserved", "UINT16", "Reserved", "Reserved bytes of the header, 0", HEX },
-  { "sync", "UINT16", "Sync", "The bytes YP, with which a frame in a stream begins", HEX },
-  { "can.ctrl", "UINT8", "CAN frame", "Which part of a message a CAN frame is", nil, FRAME_KINDS },
-  { "crc", "UINT32", "CRC", "CRC-32K of header and payload, as it was sent", HEX },
-  { "crc.status", "UINT8", "CRC status", "Whether the CRC is that of the bytes", nil, CRC_STATUS },
-  { "crc.calculated", "UINT32", "Calculated CRC", "What the CRC should be, where it is bad", HEX },
-  { "payload", "BYTES", "Payload", "Payload that the catalogue does not explain" },
-  { "padding", "BYTES", "CAN FD padding", "Bytes that fill a CAN FD frame" },
-  { "fragments", "NONE", "Fragments", "The frames that a message was put together from" },
-  { "fragment", "FRAMENUM", "Fragment", "A frame of the message" },
-  { "fragment.data", "BYTES", "Fragment data", "What a frame has of the message's payload" },
-  { "fragment.count", "UINT32", "Fragment count", "How many frames the message came in" },
-  { "reassembled.in", "FRAMENUM", "Reassembled in", "The frame in which the message ends" },
-  { "reassembled.length", "UINT32", "Reassembled length", "Bytes that were put together" },
-  { "reassembled.data", "BYTES", "Reassembled data", "Payload that came in several frames" },
-  { "skipped", "BYTES", "Skipped bytes", "Bytes of a stream that belong to no frame" },
+  { "id", "UINT32", "Message ID",
+    "Which message it is, and of which controller", HEX },
+  { "ctl", "UINT8", "Control (CTL)",
+    "YAPP's control byte" },
+  { "seq", "UINT8", "Sequence number",
+    "Numbers the messages of a source, from 0 to 255" },
+  { "size", "UINT16", "Payload size",
+    "Payload of the message in bytes" },
+  { "reserved", "UINT16", "Reserved",
+    "Reserved bytes of the header, 0", HEX },
+  { "sync", "UINT16", "Sync",
+    "The bytes YP, with which a frame in a stream begins", HEX },
+  { "can.ctrl", "UINT8", "CAN frame",
+    "Which part of a message a CAN frame is", nil, FRAME_KINDS },
+  { "crc", "UINT32", "CRC",
+    "CRC-32K of header and payload, as it was sent", HEX },
+  { "crc.status", "UINT8", "CRC status",
+    "Whether the CRC is that of the bytes", nil, CRC_STATUS },
+  { "crc.calculated", "UINT32", "Calculated CRC",
+    "What the CRC should be, where it is bad", HEX },
+  { "payload", "BYTES", "Payload",
+    "Payload that the catalogue does not explain" },
+  { "padding", "BYTES", "CAN FD padding",
+    "Bytes that fill a CAN FD frame" },
+  { "fragments", "NONE", "Fragments",
+    "The frames that a message was put together from" },
+  { "fragment", "FRAMENUM", "Fragment",
+    "A frame of the message" },
+  { "fragment.data", "BYTES", "Fragment data",
+    "What a frame has of the message's payload" },
+  { "fragment.count", "UINT32", "Fragment count",
+    "How many frames the message came in" },
+  { "reassembled.in", "FRAMENUM", "Reassembled in",
+    "The frame in which the message ends" },
+  { "reassembled.length", "UINT32", "Reassembled length",
+    "Bytes that were put together" },
+  { "reassembled.data", "BYTES", "Reassembled data",
+    "Payload that came in several frames" },
+  { "skipped", "BYTES", "Skipped bytes",
+    "Bytes of a stream that belong to no frame" },
   { "time_delta", "RELATIVE_TIME", "Time since the previous message with this ID",
     "Since the previous message with this ID on this bus or stream" },
-  { "bus", "STRING", "Bus", "Name of the bus, where the capture has one" },
-  { "source", "STRING", "Source", "Name of this bus and ID, else both as they are" },
-  { "message.fault", "BOOLEAN", "Message has a fault flag set", "In every frame of it" },
-  { "seq.missing", "UINT8", "Messages missing before this one", "By its sequence number" },
+  { "bus", "STRING", "Bus",
+    "Name of the bus, where the capture has one" },
+  { "source", "STRING", "Source",
+    "Name of this bus and ID, else both as they are" },
+  { "message.fault", "BOOLEAN", "Message has a fault flag set",
+    "In every frame of it" },
+  { "seq.missing", "UINT8", "Messages missing before this one",
+    "By its sequence number" },
 }
 
 -- filter, what it says by itself, group, severity
@@ -80,7 +104,7 @@ end
 local function make_experts(proto, prefix, rows)
   local experts = {}
   for _, row in ipairs(rows) do
-    local name, text, group, severity = row[1], row[2], row[3], row[4]
+    local name, text, group, severity = unpack(row)
     experts[name] =
       ProtoExpert.new(prefix .. name, text, expert.group[group], expert.severity[severity])
   end
@@ -94,7 +118,7 @@ end
 function M.of_yapp(yapp, names)
   local fields, list = {}, {}
   for i, row in ipairs(YAPP) do
-    local name, kind, title, about, shape, values = row[1], row[2], row[3], row[4], row[5], row[6]
+    local name, kind, title, about, shape, values = unpack(row, 1, 6)
     list[i] = make("yapp." .. name, kind, title, about, shape, name == "id" and names or values)
     fields[name] = list[i]
   end
@@ -109,8 +133,8 @@ local function make_flags(field, made, kind, about, add)
     "Bits that nothing defines: " .. about, HEX)
   made.flags = {}
   for i, flag in ipairs(field.flags) do
-    local help = flag.help or flag.title .. ": " .. about
-    made.flags[i] = add(flag.filter, "BOOLEAN", flag.title, help, field.size * 8, nil, flag.mask)
+    made.flags[i] = add(flag.filter, "BOOLEAN", flag.title, flag.description, field.size * 8, nil,
+      flag.mask)
   end
   if #field.flags == 0 then return end
   made.names = add(field.filter .. ".names", "STRING", title,
@@ -121,7 +145,7 @@ local function make_flags(field, made, kind, about, add)
     "Bits that fell since the source's previous good message: " .. about, HEX)
 end
 
--- What a kind of field is to Wireshark, where the kind does not say it.
+-- What a kind of field is to Wireshark, where its name does not say it.
 local TYPES = { time = "RELATIVE_TIME", bool = "BOOLEAN", float = "DOUBLE", ieee = "DOUBLE" }
 
 -- The type and the base of a field's own ProtoField.
@@ -129,26 +153,23 @@ local function type_of(field)
   local kind, bits = field.kind, field.size * 8
   if field.scale then return "DOUBLE" end
   if kind == "flags" then return "UINT" .. bits, HEX end
-  if TYPES[kind] then return TYPES[kind] end
-  if kind == "int" then return "INT" .. bits end
   if kind == "uint" then return "UINT" .. bits, field.values and HEX end
-  return kind:upper()
+  if kind == "int" then return "INT" .. bits end
+  return TYPES[kind] or kind:upper()
 end
 
--- The ProtoFields of a field; message: that it belongs to.
-local function make_field(message, field, add)
-  local title, kind, made = field.array_title or field.title, field.kind, {}
-  local unit = field.unit and " in " .. field.unit or ""
-  local about = field.description or ("%s%s, of %s"):format(title, unit, message.title)
-  local ftype, shape = type_of(field)
-  if kind == "flags" then
-    make_flags(field, made, ftype, about, add)
-  elseif kind == "float" or kind == "ieee" then
-    made.special = add(field.filter .. ".special", "UINT8", title,
+-- The ProtoFields of a field.
+local function make_field(field, add)
+  local title, about, made = field.array_title or field.title, field.description, {}
+  local kind, shape = type_of(field)
+  if field.kind == "flags" then
+    make_flags(field, made, kind, about, add)
+  elseif field.special then
+    made.special = add(field.special, "UINT8", title,
       "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS)
   end
   local mask = not field.scale and field.mask or nil
-  made.pf = add(field.filter, ftype, title, about, shape, field.values, mask)
+  made.pf = add(field.filter, kind, title, about, shape, field.values, mask)
   return made
 end
 
@@ -165,22 +186,20 @@ local function make_message(message, add, add_standing)
     own.drift = add_standing(filter .. ".clock_drift", "RELATIVE_TIME", "Clock drift",
       "Controller's clock less the capture's since the source's first message or reboot")
   end
-  local answers = message.answers
-  if answers then
-    local command = (answers:sub(1, 1):upper() .. answers:sub(2)):gsub("_", " ")
-    own.command_in = add_standing(("%s.%s_in"):format(filter, answers), "FRAMENUM",
+  if message.answers then
+    local command = message.answers:gsub("^%l", string.upper):gsub("_", " ")
+    own.command_in = add_standing(("%s.%s_in"):format(filter, message.answers), "FRAMENUM",
       ("Latest %s in"):format(command),
       ("The latest %s on this bus before the message"):format(command), nil, frametype.REQUEST)
   end
-  if alarm then
-    own.active_time = add_standing(alarm.group .. ".active_time", "RELATIVE_TIME",
-      "Time since the oldest of them was raised",
-      "Since the oldest fault that is still set was raised")
-    for _, way in ipairs { "previous", "next" } do
-      own[way] = add_standing(("%s.%s_change"):format(alarm.group, way), "FRAMENUM",
-        ("%s: %s change in"):format(alarm.title, way),
-        ("The source's %s message that changes a fault"):format(way))
-    end
+  if not alarm then return own end
+  own.active_time = add_standing(alarm.group .. ".active_time", "RELATIVE_TIME",
+    "Time since the oldest of them was raised",
+    "Since the oldest fault that is still set was raised")
+  for _, way in ipairs { "previous", "next" } do
+    own[way] = add_standing(("%s.%s_change"):format(alarm.group, way), "FRAMENUM",
+      ("%s: %s change in"):format(alarm.title, way),
+      ("The source's %s message that changes a fault"):format(way))
   end
   return own
 end
@@ -188,12 +207,10 @@ end
 --- Makes the fields and expert items of the messages and hands them to the protocol.
 -- taurus   Proto; catalogue: compiled
 -- returns  { [message] = { pf, differences (list), drift, command_in, active_time, previous, next
---          } },
---          { [field] = { pf, special, flags (list), names, undefined, raised, cleared } }, where
--- the elements of an
---          array share theirs; { [filter without "taurus."] = ProtoExpert }; and a list of the
--- ProtoFields that the
---          history has also for a message that changes nothing
+--          } }, { [field] = { pf, special, flags (list), names, undefined, raised, cleared } },
+--          where the elements of an array share theirs; { [filter without "taurus."] = ProtoExpert
+--          }; and a list of the ProtoFields that the history has also for a message that changes
+--          nothing
 function M.of_taurus(taurus, catalogue)
   local list, standing, messages, fields, by_filter = {}, {}, {}, {}, {}
   local function add(...)
@@ -207,12 +224,39 @@ function M.of_taurus(taurus, catalogue)
   for _, message in ipairs(catalogue.messages) do
     messages[message] = make_message(message, add, add_standing)
     for _, field in ipairs(message.fields) do
-      by_filter[field.filter] = by_filter[field.filter] or make_field(message, field, add)
+      by_filter[field.filter] = by_filter[field.filter] or make_field(field, add)
       fields[field] = by_filter[field.filter]
     end
   end
   taurus.fields = list
   return messages, fields, make_experts(taurus, "taurus.", TAURUS_EXPERTS), standing
+end
+
+-- Adding items ------------------------------------------------------------------------------------
+
+-- As functions, the item first: a method that Lua has to look up in an item costs a third of what
+-- adding a field does.
+local add = TreeItem.add
+local set_generated = TreeItem.set_generated
+M.add = add
+M.add_le = TreeItem.add_le
+M.append_text = TreeItem.append_text
+
+--- Adds what no bytes of the packet say.
+-- pf       ProtoField, or a text
+-- returns  the item
+function M.add_generated(item, pf, value)
+  return set_generated(add(item, pf, value))
+end
+
+--- Seconds, a double, as a time to the nanosecond.
+function M.relative_time(seconds)
+  local sign = seconds < 0 and -1 or 1
+  local size = sign * seconds
+  local whole = math.floor(size)
+  local rest = math.floor((size - whole) * 1e9 + 0.5)
+  if rest == 1e9 then whole, rest = whole + 1, 0 end
+  return NSTime.new(sign * whole, sign * rest)
 end
 
 return M

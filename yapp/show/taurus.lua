@@ -1,20 +1,24 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the
--- values come from
--- message.decode, what changed from the history.
+-- values come from message.decode, what changed from the history.
 
 local decode = require("yapp.message.decode")
 local fields = require("yapp.show.fields")
-local items_of = require("yapp.show.items")
 
 local M = {}
 
-local add, add_le, add_generated = items_of.add, items_of.add_le, items_of.add_generated
-local append_text, set_text = items_of.append_text, items_of.set_text
-local set_hidden, set_generated = items_of.set_hidden, items_of.set_generated
-local relative_time, referenced = items_of.relative_time, items_of.referenced
-local range_of = items_of.range
-local format, band, flag_names = string.format, decode.band, decode.flag_names
+local add = fields.add
+local add_le = fields.add_le
+local add_generated = fields.add_generated
+local append_text = fields.append_text
+local relative_time = fields.relative_time
+local set_hidden = TreeItem.set_hidden
+local set_text = TreeItem.set_text
+local referenced = TreeItem.referenced
+local range_of = Tvb.range
+local format = string.format
+local band = decode.band
+local flag_names = decode.flag_names
 
 local NONE = {}
 
@@ -35,66 +39,84 @@ function Taurus:reset()
   self.steady = {}
 end
 
--- Adding a field, by kind: (step, parent, range, raw) -> item; see step_of.
+-- Adding a field ----------------------------------------------------------------------------------
+
+-- How a field is added to a tree, by kind: a function(parent, range, raw) -> item.
+-- made      its ProtoFields
+-- unit      what stands behind the value, "" for nothing
+-- is_shown  whether somebody reads the tree
 local adders = {}
 
-local function with_unit(item, step)
-  if step.unit then append_text(item, step.unit) end
-  return item
-end
-
 -- What Wireshark reads itself.
-function adders.uint(step, parent, range)
-  return with_unit(add_le(parent, step.made.pf, range), step)
+function adders.uint(_, made, unit)
+  local pf = made.pf
+  return function(parent, range)
+    local item = add_le(parent, pf, range)
+    if unit ~= "" then append_text(item, unit) end
+    return item
+  end
 end
 
 adders.int, adders.bool, adders.bytes = adders.uint, adders.uint, adders.uint
 
-local function add_special(step, parent, range, raw, special)
-  local field, text = step.field, decode.SPECIALS[special]
-  if field.kind == "float" and raw > 0 then
-    text = format("%s (0x%0" .. field.size * 2 .. "x)", text, raw)
-  end
-  return set_text(add(parent, step.made.special, range, special), step.label .. text)
+-- What a special is called; a reserved count with its bytes.
+local function special_text(field, raw, special)
+  local text = decode.SPECIALS[special]
+  if field.kind == "ieee" or raw < 0 then return text end
+  return format("%s (0x%0" .. field.size * 2 .. "x)", text, raw)
 end
 
 -- A number with a fraction, or the special that is there instead.
-function adders.float(step, parent, range, raw)
-  local field, pf = step.field, step.made.pf
-  local value, special = step.value(field, raw)
-  if special then return add_special(step, parent, range, raw, special) end
-  if not step.digits then
-    return with_unit(add(parent, pf, range, decode.rounded(field, value)), step)
+function adders.float(field, made, unit, is_shown)
+  local pf, digits = made.pf, decode.format_of(field)
+  local value_of = field.kind == "float" and decode.float or decode.value
+  local label = (field.array_title or field.title) .. ": "
+  return function(parent, range, raw)
+    local value, special = value_of(field, raw)
+    if special then
+      local item = add(parent, made.special, range, special)
+      return set_text(item, label .. special_text(field, raw, special))
+    end
+    if not digits then
+      return append_text(add(parent, pf, range, decode.rounded(field, value)), unit)
+    end
+    local text = format(digits, value)
+    if not is_shown then return add(parent, pf, range, tonumber(text)) end
+    return add(parent, pf, range, tonumber(text), label .. text .. unit)
   end
-  local digits = format(step.digits, value)
-  if not step.is_shown then return add(parent, pf, range, tonumber(digits)) end
-  return add(parent, pf, range, tonumber(digits), step.label .. digits .. (step.unit or ""))
 end
 
 adders.ieee = adders.float
 
-function adders.string(step, parent, range, raw)
-  return add(parent, step.made.pf, range, decode.text(raw))
+function adders.string(_, made)
+  return function(parent, range, raw)
+    return add(parent, made.pf, range, decode.text(raw))
+  end
 end
 
-function adders.time(step, parent, range, raw)
-  return add(parent, step.made.pf, range, raw)
+function adders.time(_, made)
+  return function(parent, range, raw)
+    return add(parent, made.pf, range, raw)
+  end
 end
 
-local function add_names(step, item, range, raw)
-  local undefined, names = decode.undefined(step.field, raw), flag_names(step.field, raw)
-  if undefined ~= 0 and step.undefined then add(item, step.undefined, range, undefined) end
-  if names == "" then return end
-  if step.is_shown then append_text(item, " (" .. names .. ")") end
-  if step.names then set_hidden(add_generated(item, step.names, names)) end
-end
-
-function adders.flags(step, parent, range, raw)
-  local flags, item = step.flags, parent
-  if step.pf then item = add_le(parent, step.pf, range) end
-  for i = 1, #flags do add_le(item, flags[i], range) end
-  if raw ~= 0 then add_names(step, item, range, raw) end
-  return item
+-- Flags with what is wanted of them: wanted(pf) -> the ProtoField, or nil.
+local function add_flags(field, made, is_shown, wanted)
+  local pf, names_pf, undefined_pf = wanted(made.pf), wanted(made.names), wanted(made.undefined)
+  local flags = {}
+  for _, flag in ipairs(made.flags) do flags[#flags + 1] = wanted(flag) end
+  if not (pf or names_pf or undefined_pf or flags[1]) then return nil end
+  return function(parent, range, raw)
+    local item = pf and add_le(parent, pf, range) or parent
+    for i = 1, #flags do add_le(item, flags[i], range) end
+    if raw == 0 then return item end
+    local undefined, names = decode.undefined(field, raw), flag_names(field, raw)
+    if undefined ~= 0 and undefined_pf then add(item, undefined_pf, range, undefined) end
+    if names == "" then return item end
+    if is_shown then append_text(item, " (" .. names .. ")") end
+    if names_pf then set_hidden(add_generated(item, names_pf, names)) end
+    return item
+  end
 end
 
 -- What is wanted ----------------------------------------------------------------------------------
@@ -108,70 +130,51 @@ function Taurus:wants_standing(tree)
   return false
 end
 
--- How a field is added to a tree: { field, made = its ProtoFields, index, inside = index of the
--- field that it is a part
--- of, add = of adders, ... }.
-local function new_step(message, index, made, is_shown)
-  local field = message.fields[index]
-  return {
-    field = field, made = made, index = index, is_shown = is_shown,
-    inside = field.inside and message.index[field.inside],
-    add = field.scale and adders.float or adders[field.kind],
-    unit = is_shown and field.unit and " " .. field.unit,
-    title = is_shown and field.element and field.title,
-    label = (field.array_title or field.title) .. ": ",
-    digits = decode.format_of(field),
-    value = field.kind == "float" and decode.float or decode.value,
-  }
-end
-
--- The same, nil where nobody wants the field; for flags with those that are wanted of pf, flags,
--- names and undefined.
-local function step_of(self, message, index, tree, is_shown)
-  local made = self.fields[message.fields[index]]
+-- How a field is added, nil where nobody wants it.
+local function adder_of(self, field, tree, is_shown)
+  local made = self.fields[field]
   local function wanted(pf) return pf and referenced(tree, pf) and pf or nil end
-  local pf = wanted(made.pf)
-  if not made.flags then
-    return (pf or wanted(made.special)) and new_step(message, index, made, is_shown)
-  end
-  local flags, names, undefined = {}, wanted(made.names), wanted(made.undefined)
-  for _, flag in ipairs(made.flags) do flags[#flags + 1] = wanted(flag) end
-  if not (pf or names or undefined or flags[1]) then return nil end
-  local step = new_step(message, index, made, is_shown)
-  step.pf, step.flags, step.names, step.undefined = pf, flags, names, undefined
-  return step
+  if made.flags then return add_flags(field, made, is_shown, wanted) end
+  if not (wanted(made.pf) or wanted(made.special)) then return nil end
+  local make = field.scale and adders.float or adders[field.kind]
+  return make(field, made, is_shown and field.unit and " " .. field.unit or "", is_shown)
 end
 
--- How the tree of a message is built: a list of steps, and own = the message's own ProtoField,
--- where it is wanted,
--- differences = a list of { difference, pf, unit }.
+-- How the tree of a message is built: a list of { field, index, inside = index of the field that it
+-- is a part of, add, title = of an array's element }, and own = the message's own ProtoField, where
+-- it is wanted, differences = a list of { difference, pf, unit }.
 local function make_plan(self, message, tree, is_shown)
-  local own = self.messages[message]
-  local plan = { title = "Taurus " .. message.title, differences = {} }
+  local own, plan = self.messages[message], { title = "Taurus " .. message.title }
   plan.own = referenced(tree, own.pf) and own.pf
-  for i = 1, #message.fields do
-    plan[#plan + 1] = step_of(self, message, i, tree, is_shown) or nil
+  for index, field in ipairs(message.fields) do
+    local adder = adder_of(self, field, tree, is_shown)
+    plan[#plan + 1] = adder and {
+      field = field,
+      index = index,
+      inside = message.index[field.inside or false],
+      add = adder,
+      title = is_shown and field.element and field.title,
+    }
   end
+  plan.differences = {}
   for i, difference in ipairs(message.differences) do
-    local pf, unit = own.differences[i], is_shown and difference.unit
-    local one = { difference = difference, pf = pf, unit = unit and " " .. unit }
-    if referenced(tree, pf) then plan.differences[#plan.differences + 1] = one end
+    local pf = own.differences[i]
+    local unit = is_shown and difference.unit and " " .. difference.unit or ""
+    if referenced(tree, pf) then
+      plan.differences[#plan.differences + 1] = { difference = difference, pf = pf, unit = unit }
+    end
   end
   return plan
 end
 
 -- The plan for a tree.  Of one that is shown everything is wanted; of another it is asked once
--- where the answer cannot
--- change, on the first pass of tshark, else each time: without it a filter for one fault takes 1.9
--- times as long.
+-- where the answer cannot change, on the first pass of tshark, else each time: without it a filter
+-- for one fault takes 1.9 times as long.
 local function plan_of(self, m, tree)
-  local message = m.message
-  local plan = m.is_steady and self.steady[message]
-  if plan then return plan end
   local is_shown = tree.visible
-  plan = is_shown and self.shown[message] or make_plan(self, message, tree, is_shown)
-  if is_shown then self.shown[message] = plan end
-  if m.is_steady then self.steady[message] = plan end
+  local plans = is_shown and self.shown or m.is_steady and self.steady or {}
+  local plan = plans[m.message] or make_plan(self, m.message, tree, is_shown)
+  plans[m.message] = plan
   return plan
 end
 
@@ -185,10 +188,10 @@ local function time_of(field, m)
 end
 
 -- Builds it; returns it, and the items by index of field, for the expert items.
-local function build(self, tree, m)
-  local plan, raws, tvb, at, items = plan_of(self, m, tree), m.raws, m.tvb, m.at, {}
+local function build(self, m)
+  local plan, raws, tvb, at, items = plan_of(self, m, m.tree), m.raws, m.tvb, m.at, {}
   local whole = range_of(tvb, at, math.min(m.message.size, #m.payload))
-  local top = add(tree, self.taurus, whole, plan.title)
+  local top = add(m.tree, self.taurus, whole, plan.title)
   if plan.own then set_hidden(add(top, plan.own, whole)) end
   for i = 1, #plan do
     local step = plan[i]
@@ -197,14 +200,14 @@ local function build(self, tree, m)
     if field.kind == "time" then raw = time_of(field, m) end
     if raw then
       local range = range_of(tvb, at + field.offset, field.size)
-      local item = step.add(step, items[step.inside] or top, range, raw)
+      local item = step.add(items[step.inside] or top, range, raw)
       if step.title then item.text = step.title .. (item.text or ""):sub(#field.array_title + 1) end
       items[index] = item
     end
   end
   for _, one in ipairs(plan.differences) do
     local value = decode.difference(m.message, one.difference, raws)
-    if value then set_generated(with_unit(add(top, one.pf, value), one)) end
+    if value then append_text(add_generated(top, one.pf, value), one.unit) end
   end
   return top, items
 end
@@ -220,16 +223,15 @@ end
 
 --- Shows a message, and its expert items.
 -- m        of message.reader, as Tree:payload takes it, and label = what the message is called
---          where its title does not
---          tell it, or nil; is_steady = whether what is wanted of a tree cannot change before the
--- next reset
+--          where its title does not tell it, or nil; is_steady = whether what is wanted of a tree
+--          cannot change before the next reset
 -- returns  the Taurus item; nil without a tree
 function Taurus:show(m)
-  local top, items
-  if m.tvb then top, items = build(self, m.tree, m) end
+  local top, items = nil, NONE
+  if m.tvb then top, items = build(self, m) end
   for _, remark in ipairs(m.look and decode.remarks(m.message, m.raws) or NONE) do
     local index, name = remark[1], remark[2]
-    local place = items and items[index]
+    local place = items[index]
     if place and name == "fault.active" then
       if m.label then append_text(place, " of " .. m.label) end
       append_help(place, m.message.fields[index], m.raws[index])
@@ -242,20 +244,20 @@ end
 -- Changes -----------------------------------------------------------------------------------------
 
 -- Adds a generated field where somebody wants it; nil for a value or a field that is not there.
-local function add_wanted(item, pf, value, convert)
-  if not pf or value == nil or not referenced(item, pf) then return nil end
-  return add_generated(item, pf, convert and convert(value) or value)
+local function add_wanted(item, pf, value)
+  if not pf or not value or not referenced(item, pf) then return nil end
+  return add_generated(item, pf, value)
 end
 
 -- Adds what changed; returns the item of the clock's drift.
 local function add_values(self, item, m)
   local own, change = self.messages[m.message], m.change
-  local since = change.active_since
-  add_wanted(item, own.active_time, since and m.time - since, relative_time)
+  local since, drift = change.active_since, change.drift
+  add_wanted(item, own.active_time, since and relative_time(m.time - since))
   add_wanted(item, own.previous, change.previous_change)
   add_wanted(item, own.next, change.next_change)
   add_wanted(item, own.command_in, change.command_in)
-  return add_wanted(item, own.drift, change.drift, relative_time)
+  return add_wanted(item, own.drift, drift and relative_time(drift))
 end
 
 -- Adds the bits of a flags field that rose or fell; returns the names of the faults among them,

@@ -1,17 +1,18 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What a user sees of YAPP: the tree, the expert items, the Info column.  The messages:
--- show.taurus.
--- Wireshark's API; what is shown comes in finished, from the reassembly or the framing.
+-- show.taurus.  Wireshark's API; what is shown comes in finished, from the reassembly or the
+-- framing.
 
-local info_of = require("yapp.message.info")
 local fields_of = require("yapp.show.fields")
-local items = require("yapp.show.items")
+local info_of = require("yapp.message.info")
 local messages_of = require("yapp.show.taurus")
 
 local M = {}
 
-local add, add_le, add_generated = items.add, items.add_le, items.add_generated
-local append_text, set_text = items.append_text, items.set_text
+local add = fields_of.add
+local add_le = fields_of.add_le
+local add_generated = fields_of.add_generated
+local append_text = fields_of.append_text
 
 local STATUS_CODE = { bad = 0, good = 1 } -- any other is unverified
 local UNVERIFIED = 2
@@ -23,12 +24,16 @@ Tree.__index = Tree
 --- Makes fields and expert items and hands them to the two protocols.
 -- options  { yapp =, taurus = Proto, catalogue = compiled, reader = a message.reader }
 function M.new(options)
-  local catalogue, titles = options.catalogue, {}
-  for id, message in pairs(catalogue.by_id) do titles[id] = message.title end
-  local self = setmetatable({ yapp = options.yapp, taurus = options.taurus, reader = options.reader,
-    default_names = titles }, Tree)
-  self.fields, self.yapp_experts = fields_of.of_yapp(self.yapp, titles)
-  self.messages = messages_of.new(self.taurus, catalogue)
+  local self = setmetatable({
+    yapp = options.yapp,
+    taurus = options.taurus,
+    reader = options.reader,
+    messages = messages_of.new(options.taurus, options.catalogue),
+    default_names = {}, -- titles by ID
+    wanted = nil, -- see Tree:wants
+  }, Tree)
+  for id, message in pairs(options.catalogue.by_id) do self.default_names[id] = message.title end
+  self.fields, self.yapp_experts = fields_of.of_yapp(self.yapp, self.default_names)
   return self
 end
 
@@ -52,23 +57,24 @@ local function ask(self, tree, pinfo, is_first)
   if not tree.hidden then return has_columns and LIST or NOTHING end
   -- The API asks by dissector, and those exist only when loading has ended.
   local taurus = tree:referenced(Dissector.get("taurus"))
-  return { columns = has_columns, yapp = tree:referenced(Dissector.get("yapp")), taurus = taurus,
+  return {
+    columns = has_columns,
+    yapp = tree:referenced(Dissector.get("yapp")),
+    taurus = taurus,
     standing = taurus and (not is_first or self.messages:wants_standing(tree)),
-    names = not SAYS_PROTOCOLS and not self.reader.stat.wanted }
+    names = not SAYS_PROTOCOLS and not self.reader.stat.wanted,
+  }
 end
 
 --- What anyone wants of a packet.
 -- is_again  whether the packet was shown before
 -- returns   { yapp = whether YAPP's own items are visible, filtered or printed, taurus = whether
---           those of messages are,
---           standing = whether, of these, what also stands at messages that change nothing,
---           names = whether, without them, the names of protocols are (see bare), columns =
--- whether there are columns:
---           tshark has them for a packet list, and not with -V, -q, most of -T or in a first pass
--- of two }.  In tshark
---           this does not change within a first pass, so it is asked once and kept in `wanted`; in
--- Wireshark, and on
---           later looks of sharkd, it may.
+--           those of messages are, standing = whether, of these, what also stands at messages that
+--           change nothing, names = whether, without them, the names of protocols are (see bare),
+--           columns = whether there are columns: tshark has them for a packet list, and not with
+--           -V, -q, most of -T or in a first pass of two }.  In tshark this does not change within
+--           a first pass, so it is asked once and kept in `wanted`; in Wireshark, and on later
+--           looks of sharkd, it may.
 function Tree:wants(tree, pinfo, is_again)
   if not IS_TSHARK or is_again then return ask(self, tree, pinfo, false) end
   self.wanted = self.wanted or ask(self, tree, pinfo, true)
@@ -108,7 +114,8 @@ end
 -- name     its filter without "yapp."
 -- returns  the item
 function Tree:generated(item, name, value)
-  return value ~= nil and add_generated(item, self.fields[name], value) or nil
+  if value == nil then return nil end
+  return add_generated(item, self.fields[name], value)
 end
 
 --- Adds what the CAN id says, all of it generated.
@@ -128,7 +135,7 @@ function Tree:add_id(item, range, id, bus_name)
   local message = self.reader:message_of(id, bus_name)
   local title = message and message.title
   if title == self.default_names[id] then return end
-  set_text(added, ("Message ID: %s (0x%08x)"):format(title or "Unknown", id))
+  added:set_text(("Message ID: %s (0x%08x)"):format(title or "Unknown", id))
 end
 
 --- Adds the bus, where there is one, and the source.
@@ -143,8 +150,8 @@ end
 -- payload  TvbRange of the message's payload, nil where it has none
 function Tree:add_fragments(item, tvb, numbers, count, length, payload)
   local list = self:generated(item, "fragments", tvb())
-  set_text(list, ("%d fragments (%d bytes)"):format(count, length))
-  for i = 1, #numbers do add_generated(list, self.fields.fragment, numbers[i]) end
+  list:set_text(("%d fragments (%d bytes)"):format(count, length))
+  for _, number in ipairs(numbers) do self:generated(list, "fragment", number) end
   self:generated(list, "fragment.count", count)
   self:generated(list, "reassembled.length", length)
   self:generated(list, "reassembled.data", payload)
@@ -154,13 +161,13 @@ end
 -- range   TvbRange of the CRC or nil where it was sent in another frame
 -- message { crc, status, calculated }
 function Tree:add_crc(item, range, message)
-  local status, calculated = message.status, message.calculated
+  local status = message.status
+  local calculated = message.calculated
   local crc = range and add_le(item, self.fields.crc, range)
-  crc = crc or self:generated(item, "crc", message.crc)
+    or self:generated(item, "crc", message.crc)
   append_text(crc, (CRC_TEXT[status] or " [unverified]"):format(calculated))
   self:generated(item, "crc.status", STATUS_CODE[status] or UNVERIFIED)
   if status == "bad" then self:generated(item, "crc.calculated", calculated) end
-  return crc
 end
 
 --- Says that a CRC is bad, with what was received and expected.
@@ -174,7 +181,8 @@ end
 -- message  of message.reader
 function Tree:add_delta(item, message)
   local change = message.change or {}
-  self:generated(item, "time_delta", change.delta and items.relative_time(change.delta))
+  local delta = change.delta
+  self:generated(item, "time_delta", delta and fields_of.relative_time(delta))
   self:generated(item, "seq.missing", change.missing)
   self:generated(item, "message.fault", message.has_fault or nil)
 end
@@ -186,48 +194,48 @@ end
 
 -- A message that is not in the catalogue, or not as it is there: bytes.
 local function show_bytes(self, m)
-  local name, size, message = m.name, Tree.bytes(m.size), m.message
+  local message = m.message
   if m.wanted and m.tvb and #m.payload > 0 then
     add(m.item, self.fields.payload, m.tvb(m.at, #m.payload))
   end
-  if message then
-    self:expert(m.item, "size.mismatch",
-      ("%s has %s, the catalogue says %d"):format(name, size, message.size))
-    return ("%s, %s, the catalogue says %d"):format(name, size, message.size)
+  if not message then
+    local text, info = self.reader:hint(m)
+    self:expert(m.item, "id.unknown", text)
+    return ("%s  %s%s"):format(m.name, Tree.bytes(#m.payload), info or "")
   end
-  local text, info = self.reader:hint(m)
-  self:expert(m.item, "id.unknown", text)
-  return ("%s  %s%s"):format(name, Tree.bytes(#m.payload), info or "")
+  local size, wanted = Tree.bytes(m.size), ("the catalogue says %d"):format(message.size)
+  self:expert(m.item, "size.mismatch", ("%s has %s, %s"):format(m.name, size, wanted))
+  return ("%s, %s, %s"):format(m.name, size, wanted)
 end
 
--- What the Info column says of what changed, and the expert items of that.
+-- What the Info column says of what changed, and the tree and the expert items of that.
 local function show_change(self, m, top)
   local change = m.change
-  local cleared, marks = self.messages:add_change(top or m.item, m, top ~= nil), ""
-  if cleared[1] then marks = "  cleared " .. table.concat(cleared, ", ") end
-  return marks .. (change.reboot and "  REBOOT" or change.stale and "  STALE" or "")
+  local cleared, info = self.messages:add_change(top or m.item, m, top ~= nil), ""
+  if cleared[1] then info = "  cleared " .. table.concat(cleared, ", ") end
+  if change.reboot then return info .. "  REBOOT" end
+  return change.stale and info .. "  STALE" or info
 end
 
 --- Shows a finished message: the message of the catalogue, or bytes.
 -- m        of message.reader, with { tree = where the Taurus tree goes, item = YAPP's own item or
---          the tree, wanted =
---          whether there is one, tvb and at = where the payload lies, tvb nil where nobody wants a
--- tree,
---          has_columns = whether anyone sees the Info column }
+--          the tree, wanted = whether there is one, tvb and at = where the payload lies, tvb nil
+--          where nobody wants a tree, has_columns = whether anyone sees the Info column }
 -- returns  what the Info column says of it, or a part of that where nobody sees it
 function Tree:payload(m)
-  local change, name = m.change, m.name
+  local change = m.change
   if m.wanted then self:add_delta(m.item, m) end
   if change and change.late then
     self:expert(m.item, "late", ("%.3f s since the previous one"):format(change.late))
   end
   if not m.raws then return show_bytes(self, m) end
   if #m.payload == 0 then m.tvb = nil end
-  m.label = name ~= m.message.title and name or nil
+  m.label = m.name ~= m.message.title and m.name or nil
   m.is_steady = IS_TSHARK and not m.visited
   local top = self.messages:show(m)
-  local info = m.has_columns and info_of.text(m.message, m.raws, m.payload, name) or ""
-  return change and info .. show_change(self, m, top) or info
+  local info = m.has_columns and info_of.text(m.message, m.raws, m.payload, m.name, m.look) or ""
+  local has_more = change and (top or change.flags or change.reboot or change.stale)
+  return has_more and info .. show_change(self, m, top) or info
 end
 
 return M

@@ -5,242 +5,170 @@
 -- 0 every rule was judged and held, 20 one did not hold, 21 one could not be judged; both: 20.
 
 local groups, output = require("yapp.stat.groups"), require("yapp.stat.output")
-local decode = require("yapp.message.decode")
-local span = require("yapp.stat.tell").span
+local tell = require("yapp.stat.tell")
 
 local M = {}
 
 local FAILED, UNJUDGED = 20, 21
 local VERDICTS = { [0] = "all rules hold", [FAILED] = "FAILED",
   [UNJUDGED] = "not all of it could be judged" }
-local KEYS = { "rule", "source", "ok", "seen", "limit", "frame", "bus", "id", "message", "worst" }
--- Of nothing that they are about there is none where there are messages.
-local HOLDS_OF_NONE = { unknown = true, skipped = true }
--- What is seen in good messages only, where it is known what came before.
-local NEEDS_GOOD = { fault = true, reboot = true, stale = true, silence = true }
+local KEYS = {
+  "ok", "rule", "bus", "id", "source", "message", "frame", "seen", "limit", "worst", "note",
+}
 
 local Check = {}
 Check.__index = Check
 
---- options  { rules, problems = texts, json = boolean, junit = path or nil } of stat.options
--- context  { out = function(text), late = function() -> periods, width = of a line or nil,
---          problems = function() -> texts: why what comes of it cannot be trusted,
---          named = function() -> list of the sources that the user named, see message.sources }
+--- options  { rules, problems = texts, junit = path or nil } of stat.options
+-- context  { late = function() -> periods, problems = function() -> texts: why what comes of it
+--          cannot be trusted, named = function() -> list of the sources that the user named, see
+--          message.sources, and what output.print takes }
 function M.new(options, context)
-  local self = setmetatable({ options = options, context = context, ranges = {}, spreads = {},
-    absent = {} }, Check)
-  self.groups = groups.new(function() return {} end)
+  local self = setmetatable({ options = options, context = context, absent = {},
+    ranges = {}, -- by message: list of rules
+    spreads = {} }, Check) -- by rule
+  self.groups = groups.new(function(message)
+    local list = {}
+    for i, rule in ipairs(self.ranges[message] or {}) do
+      list[i] = groups.values(message, rule.field, rule)
+    end
+    return list
+  end)
   for _, rule in ipairs(options.rules) do
-    if rule.kind == "range" then self.ranges[rule] = {} end -- by group
-    if rule.kind == "spread" then
-      self.spreads[rule] = groups.spread(rule.message, rule.field, context.late)
+    local message = rule.message
+    if rule.kind == "range" then
+      self.ranges[message] = self.ranges[message] or {}
+      table.insert(self.ranges[message], rule)
+    elseif rule.kind == "spread" then
+      self.spreads[rule] = groups.spread(message, rule.field, context.late)
     end
   end
   return self
 end
 
 function Check:event(event)
-  if event.kind == "absent" then
-    self.absent[#self.absent + 1] = event.source
-  else
-    self.groups:event(event)
-  end
-end
-
-local function outside(rule, value)
-  if not value then return math.huge end -- a reserved count beats all
-  return rule.low and value < rule.low and rule.low - value or
-    rule.high and value > rule.high and value - rule.high or nil
-end
-
--- The value that lies farthest outside is the one that is shown.
-local function note_range(rule, range, record, raws)
-  local field, index = rule.field, rule.message.index[rule.field]
-  if field.kind ~= "time" and raws[index] == nil then return end
-  local value = groups.number(field, raws, index, record.payload)
-  local by = outside(rule, value)
-  if by and value then
-    value = groups.rounded(field, value)
-    by = outside(rule, value)
-  end
-  range.values = range.values + 1
-  if not by then return end
-  range.seen = range.seen + 1
-  if not range.by or by > range.by then
-    range.by, range.worst, range.frame = by, value, record.frame
-  end
+  if event.kind == "absent" then self.absent[#self.absent + 1] = event.source end
+  self.groups:event(event)
 end
 
 function Check:message(record)
-  local group = self.groups:message(record)
-  if not record.fits or record.kind ~= "message" then return end
-  for rule, of_group in pairs(self.ranges) do
-    if rule.message == group.message then
-      local range = of_group[group] or { values = 0, seen = 0 }
-      of_group[group] = range
-      note_range(rule, range, record, decode.read(group.message, record.payload))
-    end
-  end
-  for rule, spread in pairs(self.spreads) do
-    if rule.message == group.message then
-      spread:note(record, decode.read(group.message, record.payload))
-    end
+  local message, raws = self.groups:message(record)
+  for rule, spread in pairs(message and self.spreads or {}) do
+    if rule.message == message then spread:note(record, raws) end
   end
 end
 
 -- Judging ---------------------------------------------------------------------------------------
 
--- Of a source: what is seen and in which frame; ok, or nil where it cannot be judged.
+-- Of a source: what is seen, in which frame, whether that is well, nil where it cannot be judged;
+-- of a range the worst value and a note.
 local measure = {}
 
 function measure.count(rule, group)
-  return { seen = group.count, frame = group.last_frame, ok = group.count >= rule.limit }
+  return group.count, group.last_frame, group.count >= rule.limit
 end
 
 function measure.rate(rule, group)
   local rate = groups.rate(group) or group.count == 1 and 0 or nil
-  return { seen = rate, frame = group.last_frame, ok = rate and rate >= rule.limit }
+  return rate, group.last_frame, rate and rate >= rule.limit
 end
 
 function measure.gap(rule, group, last)
-  if group.count == 0 then return {} end
-  local gap, frame = group.gap_max or 0, group.gap_max_frame or group.last_frame
-  local to_end = last and span(group.last, last.rel) or 0
-  if to_end > gap then gap, frame = to_end, group.last_frame end
-  return { seen = gap, frame = frame, ok = gap <= rule.limit }
+  if group.count == 0 then return end
+  local gap, frame = group.gap_max or 0, group.gap_max_frame
+  local to_end = last and tell.span(group.last, last.rel) or 0
+  if to_end > gap then gap, frame = to_end, nil end
+  return gap, frame or group.last_frame, gap <= rule.limit
 end
 
-local function judge(self, rule, group, last)
-  if measure[rule.kind] then return measure[rule.kind](rule, group, last) end
-  if rule.kind == "range" then
-    local range = self.ranges[rule][group]
-    if not range then return {} end
-    return { seen = range.seen, frame = range.frame, ok = range.seen == 0, worst = range.worst,
-      values = range.values }
+function measure.range(rule, group)
+  for _, values in ipairs(group.values) do
+    if values.limits == rule and values.seen > 0 then
+      return values.outside, values.frame, values.outside == 0, values.worst,
+        ("of %d values"):format(values.seen)
+    end
   end
+end
+
+-- How many events of a kind there are.
+local function count_events(rule, group)
   local seen, frame = groups.seen(group, rule.kind)
-  local result = { seen = seen, frame = frame, ok = seen <= rule.limit }
-  if NEEDS_GOOD[rule.kind] and (group.count == 0 or result.ok and group.is_unsure) then
-    result.ok = nil
+  local is_well, is_open = seen <= rule.limit, false
+  if tell.KINDS[rule.kind].needs_past then
+    is_open = group.count == 0 or is_well and group.is_unsure
   end
-  return result
+  if is_open then return seen, frame end
+  return seen, frame, is_well
 end
 
--- Which sources a rule is about.
+-- Whether a rule is about a source.
 local function is_about(rule, group)
-  local kind, message = rule.kind, group.message
+  local kind, message = tell.KINDS[rule.kind], group.message
   if rule.source and group.source.name ~= rule.source then return false end
-  if HOLDS_OF_NONE[kind] then return groups.seen(group, kind) > 0 end
-  if kind == "crc" or kind == "incomplete" then return group.source.id ~= nil end
-  if not message then return false end
-  if kind == "fault" then return message.alarms[1] ~= nil end
-  if kind == "reboot" or kind == "stale" then return message.time ~= nil end
-  if kind == "silence" then return message.every ~= nil end
-  return kind == "invalid" or message == rule.message
+  if not kind then return message == rule.message end
+  if kind.is_rare then return groups.seen(group, rule.kind) > 0 end
+  if not kind.about then return group.source.id ~= nil end
+  return message and kind.about(message)
 end
 
--- Whether a rule that is about nothing that came holds all the same; nil where it is not judged.
+-- Whether a rule that is about nothing that came holds all the same: a message of its source came.
+-- Nil where it does not.
 local function holds_of_none(self, rule)
-  if not (HOLDS_OF_NONE[rule.kind] or rule.is_default) then return nil end
+  local kind = tell.KINDS[rule.kind]
+  if not (kind and kind.is_rare or rule.is_default) then return nil end
   for _, group in ipairs(self.groups.list) do
     local is_its = not rule.source or group.source.name == rule.source
-    local is_read = group.count > 0 or group.counts.crc and not rule.is_default
-    if is_its and is_read and (group.message or not rule.is_default) then return true end
+    if is_its and (group.count > 0 or group.counts.crc) then return true end
   end
 end
 
 -- Of the sources that the user named with a message those that never came.
-local function judge_absent(self, rule)
-  local result, names, is_any = { rule = rule, seen = 0 }, {}, false
+local function count_absent(self, rule)
+  local names, is_any = {}, false
   for _, row in ipairs(self.context.named()) do
-    if row.message and (not rule.source or row.name == rule.source) then is_any = true end
+    local is_its = not rule.source or row.name == rule.source
+    is_any = is_any or row.message and is_its
   end
   for _, row in ipairs(self.absent) do
-    if not rule.source or row.name == rule.source then
-      local bus, id, name = output.source_cells(row)
-      names[#names + 1] = name or bus and bus .. " " .. id or id
-    end
+    if not rule.source or row.name == rule.source then names[#names + 1] = output.who(row) end
   end
-  if not is_any then
-    result.ok = holds_of_none(self, rule)
-  else
-    result.seen, result.ok, result.names = #names, #names <= rule.limit, table.concat(names, ", ")
-  end
-  return result
+  local ok = is_any and #names <= rule.limit
+  if not is_any then ok = holds_of_none(self, rule) end
+  return #names, ok, table.concat(names, ", ")
 end
 
-local function judge_rule(self, rule, list, last)
-  if rule.kind == "absent" then return { judge_absent(self, rule) } end
-  local spread = self.spreads[rule]
+local NOTES = { [true] = "what came before is not known", [false] = "nothing to judge it by" }
+
+local function row_of(rule, group, seen, frame, ok, worst, note)
+  local row = output.row(group and group.source or { name = rule.source }, { rule = rule.text,
+    seen = output.number(seen), frame = frame, worst = output.number(worst), note = note })
+  row.limit = output.raw(output.value(rule.limit or rule.text:match("=(.*)$")))
+  row.ok = { json = tostring(ok), text = ok and "ok" or "FAILED", is_failed = ok == false }
+  if ok == nil then
+    row.ok = { json = "null", text = "NOT JUDGED", is_open = true }
+    row.note = NOTES[group and group.is_unsure or false]
+  end
+  return row
+end
+
+local function judge(self, rule, last)
+  local spread, rows = self.spreads[rule], {}
+  if rule.kind == "absent" then
+    local seen, ok, names = count_absent(self, rule)
+    return { row_of(rule, nil, seen, nil, ok, nil, names) }
+  end
   if spread then
     local worst = spread.worst
-    local ok = worst and worst <= rule.limit
-    return { { rule = rule, seen = worst, frame = spread.frame, ok = ok } }
+    return { row_of(rule, nil, worst, spread.frame, worst and worst <= rule.limit) }
   end
-  local results = {}
-  for _, group in ipairs(list) do
+  for _, group in ipairs(self.groups:sorted()) do
     if is_about(rule, group) then
-      local result = judge(self, rule, group, last)
-      result.rule, result.group = rule, group
-      results[#results + 1] = result
+      rows[#rows + 1] = row_of(rule, group, (measure[rule.kind] or count_events)(rule, group, last))
     end
   end
-  if results[1] then return results end
+  if rows[1] then return rows end
   local ok = holds_of_none(self, rule)
-  return { { rule = rule, seen = ok and 0, ok = ok } }
-end
-
--- What is printed -------------------------------------------------------------------------------
-
-local NOTHING = {}
-
-local function line(result)
-  local rule, source = result.rule, result.group and result.group.source or NOTHING
-  return output.line(KEYS, source, { rule = rule.text, source = rule.source,
-    limit = rule.limit or rule.text:match("=(.*)$") }, result)
-end
-
-local function unjudged_text(rule, group)
-  if rule.kind == "spread" then return "no two sources at a time" end
-  if not group then return "no message that it is about" end
-  return group.is_unsure and "what came before is not known" or "nothing to judge"
-end
-
-local function seen_text(result)
-  local kind, seen = result.rule.kind, result.seen
-  if result.ok == nil then return unjudged_text(result.rule, result.group) end
-  if kind == "rate" then return ("%.3f Hz"):format(seen) end
-  if kind == "gap" then return ("%.6f s"):format(seen) end
-  if kind == "spread" then return output.number(seen) end
-  if kind == "absent" and seen > 0 then return ("%d: %s"):format(seen, result.names) end
-  if kind ~= "range" then return tostring(seen) end
-  if seen == 0 then return ("%d inside"):format(result.values) end
-  local worst = output.number(result.worst) or "reserved"
-  return ("%d of %d outside, worst %s"):format(seen, result.values, worst)
-end
-
-local WORDS = { [true] = "ok", [false] = "FAILED" }
-
-local function table_of(results, width)
-  local rows = {}
-  for i, result in ipairs(results) do
-    local source = result.group and result.group.source or { name = result.rule.source }
-    local bus, id, name, title = output.source_cells(source)
-    rows[i] = { WORDS[result.ok] or "NOT JUDGED", result.rule.text, bus, id, name, title,
-      result.frame, seen_text(result) }
-  end
-  return output.table({ "check", "rule", "bus", "ID", "source", "message", ">frame", "seen" }, rows,
-    width, { "message", "bus" })
-end
-
-local function print_results(self, results, code)
-  local out = self.context.out
-  if self.options.json then
-    for _, result in ipairs(results) do out(line(result)) end
-  else
-    out(table_of(results, self.context.width))
-    out(("\nYAPP check: %s\n"):format(VERDICTS[code or 0]))
-  end
+  return { row_of(rule, nil, ok and 0, nil, ok) }
 end
 
 -- A report in JUnit's XML ------------------------------------------------------------------------
@@ -252,79 +180,60 @@ local function escape(text)
   return (output.readable(text):gsub("%c", " "):gsub('[<>&"]', ENTITIES))
 end
 
-local function case_of(name, kind, text)
-  local start = ('  <testcase classname="yapp.check" name="%s"'):format(escape(name))
-  if kind == "ok" then return start .. "/>" end
-  return ('%s><%s message="%s"/></testcase>'):format(start, kind, escape(text))
-end
+local CASE = '  <testcase classname="yapp.check" name="%s"%s>\n'
+local REPORT = '<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="yapp.check" tests="%d" ' ..
+  'failures="%d" errors="%d">\n%s</testsuite>\n'
 
-local CASE_KINDS = { [true] = "ok", [false] = "failure" }
-
--- Writes it; returns what went wrong, nil for nothing.
-local function report(path, results, ...)
-  local lines, counts = {}, { ok = 0, failure = 0, error = 0 }
+-- Writes it; problems: lists of texts; returns what went wrong, nil for nothing.
+local function report(path, rows, ...)
+  local lines, counts = {}, { failure = 0, error = 0 }
   local function add(name, kind, text)
-    counts[kind], lines[#lines + 1] = counts[kind] + 1, case_of(name, kind, text)
-  end
-  for _, result in ipairs(results) do
-    local name, text = result.rule.text, seen_text(result)
-    if result.group then
-      local bus, id, source = output.source_cells(result.group.source)
-      for _, part in ipairs { bus or "", id, source or "" } do
-        if part ~= "" then name = name .. " " .. part end
-      end
+    local inner = "/"
+    if kind then
+      counts[kind] = counts[kind] + 1
+      inner = ('><%s message="%s"/></testcase'):format(kind, escape(text))
     end
-    if result.frame then text = ("%s, frame %d"):format(text, result.frame) end
-    add(name, CASE_KINDS[result.ok] or "error", text)
+    lines[#lines + 1] = CASE:format(escape(name), inner)
+  end
+  for _, row in ipairs(rows) do
+    local parts, seen = { row.rule }, {}
+    for _, key in ipairs { "bus", "id", "source" } do
+      local text = row.id and output.text(row[key]) or ""
+      if text ~= "" then parts[#parts + 1] = text end
+    end
+    for _, key in ipairs { "seen", "worst", "note", "frame" } do
+      local text = output.text(row[key])
+      if key ~= "note" then text = key .. " " .. text end
+      if row[key] then seen[#seen + 1] = text end
+    end
+    local kind = row.ok.is_failed and "failure" or row.ok.is_open and "error"
+    add(table.concat(parts, " "), kind, table.concat(seen, ", "))
   end
   for _, problems in ipairs { ... } do
     for _, problem in ipairs(problems) do add(problem, "error", problem) end
   end
   local file, problem = output.create(path)
   if not file then return problem end
-  file:write(('<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="yapp.check" tests="%d" ' ..
-    'failures="%d" errors="%d">\n%s\n</testsuite>\n'):format(#lines, counts.failure, counts.error,
-    table.concat(lines, "\n")))
+  file:write(REPORT:format(#lines, counts.failure, counts.error, table.concat(lines)))
   return output.finish { file }
 end
 
--- The end ---------------------------------------------------------------------------------------
-
--- What is wrong besides the rules.
-local function problems_of(self)
-  local problems, names = self.context.problems(), {}
-  for _, row in ipairs(self.context.named()) do names[row.name or false] = true end
-  for _, rule in ipairs(self.options.rules) do
-    if rule.source and not names[rule.source] then
-      problems[#problems + 1] = ("no source is called %s in the preference"):format(rule.source)
-      names[rule.source] = true
-    end
-  end
-  return problems
-end
-
--- The results of all rules; whether one failed, whether one was not judged.
-local function judge_all(self, last)
-  local results, list, is_failed, is_unjudged = {}, self.groups:sorted(), false, false
-  for _, rule in ipairs(self.options.rules) do
-    for _, result in ipairs(judge_rule(self, rule, list, last)) do
-      results[#results + 1] = result
-      is_failed, is_unjudged = is_failed or result.ok == false, is_unjudged or result.ok == nil
-    end
-  end
-  return results, is_failed, is_unjudged
-end
-
 --- last     { rel =, ... } of the last packet of any kind; nil where there was none
--- returns  the exit code: nil for 0, 20 or 21, and a text that says why where the table does not
+-- returns  the exit code, and a text that says why where the table does not, nil for nothing
 function Check:finish(last)
-  local options, problems = self.options, problems_of(self)
-  local results, is_failed, is_unjudged = judge_all(self, last)
-  local problem = options.junit and report(options.junit, results, options.problems, problems)
+  local options, problems = self.options, self.context.problems()
+  local rows, is_failed, is_open = {}, false, false
+  for _, rule in ipairs(options.rules) do
+    for _, row in ipairs(judge(self, rule, last)) do
+      rows[#rows + 1] = row
+      is_failed, is_open = is_failed or row.ok.is_failed, is_open or row.ok.is_open
+    end
+  end
+  local problem = options.junit and report(options.junit, rows, options.problems, problems)
   if problem then problems[#problems + 1] = "the report is not written: " .. problem end
-  is_unjudged = is_unjudged or options.problems[1] or problems[1]
-  local code = is_failed and FAILED or is_unjudged and UNJUDGED or nil
-  print_results(self, results, code)
+  is_open = is_open or options.problems[1] or problems[1]
+  local code = is_failed and FAILED or is_open and UNJUDGED or 0
+  output.print(self.context, "YAPP check: " .. VERDICTS[code], KEYS, rows)
   for i, text in ipairs(problems) do problems[i] = "check: " .. text end
   return code, problems[1] and table.concat(problems, "\n") or nil
 end

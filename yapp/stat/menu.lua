@@ -85,8 +85,7 @@ local function save(path, content)
   if problem then report_failure("YAPP: not written: " .. problem) end
 end
 
-local function show_frames(content)
-  local frames = output.frames(content)
+local function show_frames(frames)
   if not frames[1] then return report_failure("YAPP: no frame stands in this window") end
   local most = math.min(#frames, MOST)
   set_filter(("frame.number in {%s}"):format(table.concat(frames, ", ", 1, most)))
@@ -94,11 +93,11 @@ local function show_frames(content)
 end
 
 -- A window with a text that can be made anew, copied and saved, and whose frames can be shown.
--- make  function() -> the text
+-- make  function() -> the text, the frames
 local function open_window(title, make)
-  local window, content = TextWindow.new("YAPP " .. title), nil
+  local window, content, frames = TextWindow.new("YAPP " .. title), nil, nil
   local function refresh()
-    content = make()
+    content, frames = make()
     window:set(content)
   end
   window:add_button("Refresh", refresh)
@@ -109,7 +108,7 @@ local function open_window(title, make)
       if answer and answer ~= "" then save(answer, content) end
     end)
   end)
-  window:add_button("Show frames", function() show_frames(content) end)
+  window:add_button("Show frames", function() show_frames(frames) end)
   refresh()
 end
 

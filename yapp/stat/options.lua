@@ -1,16 +1,17 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What stands behind -z yapp,...: from the text to options and rules.  Pure Lua, 5.2 to 5.5.
 
+local KINDS = require("yapp.stat.tell").KINDS
+
 local M = {}
 
 M.WHATS = { "summary", "faults", "events", "compare", "csv", "check" }
 
--- Rules of what may happen N times, in the order in which `check` alone judges them.
-local COUNTED = {
-  "fault", "crc", "incomplete", "reboot", "stale", "silence", "invalid", "absent", "unknown",
-  "skipped",
-}
-local IN_A_SHELL = { skipped = true } -- not in the set of `check` alone: a shell may write there
+-- Rules of what may happen N times.
+local COUNTED = {}
+for _, kind in ipairs(KINDS) do
+  if not kind.counts_as then COUNTED[#COUNTED + 1] = kind.name end
+end
 local MEASURES = { count = true, rate = true, gap = true }
 local RULES = table.concat(COUNTED, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=HZ, " ..
   "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X, source=NAME, junit=FILE, json, " ..
@@ -139,7 +140,7 @@ end
 local function all_rules(source)
   local rules = {}
   for _, kind in ipairs(COUNTED) do
-    if not IN_A_SHELL[kind] then
+    if not KINDS[kind].by_wish then
       rules[#rules + 1] =
         { text = kind .. "=0", kind = kind, limit = 0, source = source, is_default = true }
     end

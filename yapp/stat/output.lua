@@ -36,7 +36,7 @@ local function number_value(value)
   return tonumber(shown) == value and shown or format("%.17g", value)
 end
 
---- A value: string, number, boolean, nil (null), or { json = text } for what is JSON already.
+--- A value: string, number, boolean, nil (null), or { json = what is JSON already }.
 function M.value(value)
   local kind = type(value)
   if kind == "number" then return number_value(value) end
@@ -53,30 +53,6 @@ function M.object(keys, values)
   return "{" .. table.concat(parts, ",") .. "}"
 end
 
---- A line with an object of these keys: of what says which source, of `values`, and of `more`.
-function M.line(keys, source, values, more)
-  local all = {}
-  for _, key in ipairs(keys) do
-    all[key] = values[key]
-    if all[key] == nil then all[key] = more[key] end
-  end
-  all.bus, all.id, all.source = source.bus, source.id, source.name or values.source
-  all.message = source.message and source.message.name
-  return M.object(keys, all) .. "\n"
-end
-
---- A list of values.
-function M.list(values)
-  local parts = {}
-  for i, value in ipairs(values) do parts[i] = M.value(value) end
-  return "[" .. table.concat(parts, ",") .. "]"
-end
-
---- What is JSON already, as a value.
-function M.raw(json)
-  return { json = json }
-end
-
 --- A time of the capture with nine digits, as text.
 -- seconds, nanoseconds  integers, nanoseconds 0 .. 999,999,999
 function M.time_text(seconds, nanoseconds)
@@ -86,111 +62,153 @@ function M.time_text(seconds, nanoseconds)
   return format("%d.%09d", seconds, nanoseconds)
 end
 
---- A span in seconds with nine digits as a value, nil for nil.
-function M.seconds(value)
-  return value and M.raw((format("%.9f", value):gsub("^%-(0%.0+)$", "%1")))
+-- Values ----------------------------------------------------------------------------------------
+--
+-- A value of a row: a text, an integer, nil, or { json, text } where people read something else.
+
+--- For JSON only.
+function M.raw(json)
+  return { json = json, text = "" }
 end
 
--- Tables --------------------------------------------------------------------------------------
-
--- How many places a text takes: characters, not bytes.
-local function width_of(text)
-  return select(2, text:gsub("[^\128-\191]", ""))
-end
-
-local function new_column(title, index, rows)
-  local column = { title = title:gsub("^>", ""), is_right = title:sub(1, 1) == ">", width = 0 }
-  function column.cell(row) return tostring(row[index] or "") end
-  for _, row in ipairs(rows) do
-    column.width = math.max(column.width, width_of(column.cell(row)))
-  end
-  if column.width == 0 then return nil end
-  column.width = math.max(column.width, width_of(column.title))
-  return column
-end
-
--- The columns that have something, without those of `spare` that a line has no room for.
-local function kept_columns(titles, rows, width, spare)
-  local kept, total = {}, 0
-  for i, title in ipairs(titles) do
-    local column = new_column(title, i, rows)
-    kept[#kept + 1] = column
-    if column then total = total + column.width + 2 end
-  end
-  for _, title in ipairs(width and spare or {}) do
-    for i = #kept, 1, -1 do
-      if total - 2 > width and kept[i].title == title then
-        total = total - table.remove(kept, i).width - 2
-      end
-    end
-  end
-  return kept
-end
-
-local function table_line(columns, cell, width)
-  local cells = {}
-  for i, column in ipairs(columns) do
-    local text = cell(column)
-    local blanks = (" "):rep(column.width - width_of(text))
-    cells[i] = column.is_right and blanks .. text or text .. blanks
-  end
-  local line = table.concat(cells, "  "):gsub("%s+$", "")
-  if not width or width_of(line) <= width then return line end
-  return line:match("^" .. ("[^\128-\191][\128-\191]*"):rep(width - 1)) .. "~"
-end
-
---- A table with aligned columns, a line a row; a column in which no row has anything is left out.
--- titles  a list; ">" in front of one aligns its column to the right
--- rows    lists of texts or numbers, false for an empty cell
--- width   characters that a line has room for, nil for any number: then columns of `spare`, a list
---         of titles, go until it fits, and what is still beyond is cut
-function M.table(titles, rows, width, spare)
-  local columns = kept_columns(titles, rows, width, spare)
-  local lines = { table_line(columns, function(column) return column.title end, width) }
-  for i, row in ipairs(rows) do
-    lines[i + 1] = table_line(columns, function(column) return column.cell(row) end, width)
-  end
-  return table.concat(lines, "\n") .. "\n"
-end
-
---- Date and time in UTC, to the microsecond.
+--- A time of the capture; people read it in UTC, to the microsecond.
 -- seconds, nanoseconds  since 1970
-function M.date(seconds, nanoseconds)
+function M.time(seconds, nanoseconds)
   local ok, date = pcall(os.date, "!%Y-%m-%d %H:%M:%S", seconds)
   if not ok then date = format("%d", seconds) end
-  return format("%s.%06d", date, (nanoseconds - nanoseconds % 1000) / 1000)
+  return { json = M.time_text(seconds, nanoseconds),
+    text = format("%s.%06d", date, (nanoseconds - nanoseconds % 1000) / 1000) }
 end
 
---- A span in seconds: "12.345678"; a number at six digits; false for nil.
-function M.span(seconds) return seconds and format("%.6f", seconds) or false end
-function M.number(value) return value and format("%.6g", value) or false end
+--- A span in seconds; nil for nil.
+function M.seconds(value)
+  if not value then return nil end
+  local json = format("%.9f", value):gsub("^%-(0%.0+)$", "%1")
+  return { json = json, text = format("%.6f", value) }
+end
+
+--- A number, which people read with six digits; nil for nil.
+function M.number(value)
+  return value and { json = number_value(value), text = format("%.6g", value) }
+end
+
+--- What people read of a value.
+function M.text(value)
+  if value == nil then return "" end
+  return type(value) == "table" and value.text or tostring(value)
+end
 
 --- A count of things: "1 message", "2 messages".
 function M.count(number, thing)
   return format("%d %s%s", number, thing, number == 1 and "" or "s")
 end
 
---- The cells that say which source, bus, ID, name, message, and those that follow them.
-function M.source_cells(source, ...)
-  local title = source.message and source.message.title or source.id and "unknown"
-  return source.bus, source.id and format("0x%x", source.id), source.name, title, ...
+--- What a source is called where a column has room for one text: its name, or its bus and ID.
+function M.who(source)
+  if source.name or not source.id then return source.name or source.bus end
+  return (source.bus and source.bus .. " " or "") .. format("0x%x", source.id)
 end
 
---- The frames that tables name, in a text of several tables, parted by empty lines: numbers in the
--- columns "frame" and "in frame", each once, in order.
-function M.frames(text)
-  local frames, is_known, stop, is_head = {}, {}, nil, true
-  for bytes in text:gmatch("([^\n]*)\n") do
-    local line = bytes:gsub("[\194-\244][\128-\191]*", "?") -- a place a character
-    if is_head then stop = select(2, line:find("%f[%w]frame%f[^%w]")) end
-    local frame = not is_head and stop and tonumber(line:sub(1, stop):match("(%d+)$"))
-    if frame and not is_known[frame] then
-      frames[#frames + 1], is_known[frame] = frame, true
-    end
-    is_head = line == ""
+--- A row of what says which source, which goes into a table of its other values.
+function M.row(source, row)
+  row.bus, row.source = source.bus, source.name
+  if not source.id then return row end
+  row.id = { json = format("%d", source.id), text = format("0x%x", source.id) }
+  row.message = { json = "null", text = "unknown" }
+  if source.message then
+    row.message = { json = text_value(source.message.name), text = source.message.title }
   end
-  table.sort(frames)
-  return frames
+  return row
+end
+
+-- Rows ------------------------------------------------------------------------------------------
+
+local TITLES = {
+  time = "time (UTC)", rel = "since start/s", id = "ID", active = "active/s", rate = "rate/Hz",
+  gap_min = "gap/s min", gap_mean = "mean", gap_max = "max", gap_max_frame = "in frame",
+  crc_bad = "bad CRC", ok = "check", kind = "event",
+}
+local FOR_PEOPLE = { rel = true, details = true, times = true, note = true } -- in no JSON
+-- The columns that a line has no room for, in the order in which they go.
+local SPARE = {
+  "time", "help", "gap_min", "gap_mean", "reboots", "late", "skipped", "values", "bus", "message",
+  "invalid", "id", "field", "unit", "rel",
+}
+
+-- How many places a text takes: characters, not bytes.
+local function width_of(text)
+  return select(2, text:gsub("[^\128-\191]", ""))
+end
+
+-- nil where no row has anything.
+local function new_column(key, rows)
+  local width, is_number = 0, true
+  for _, row in ipairs(rows) do
+    local text = M.text(row[key])
+    width = math.max(width, width_of(text))
+    is_number = is_number and not text:find("[^%d.e+-]")
+  end
+  if width == 0 then return nil end
+  local title = TITLES[key] or key
+  return { key = key, title = title, width = math.max(width, #title), is_number = is_number }
+end
+
+-- Takes columns away until a line has room for them.
+local function fit(columns, width)
+  local total = -2
+  for _, column in ipairs(columns) do total = total + column.width + 2 end
+  for _, key in ipairs(SPARE) do
+    for i = #columns, 1, -1 do
+      if total > width and columns[i].key == key then
+        total = total - table.remove(columns, i).width - 2
+      end
+    end
+  end
+end
+
+local function table_line(columns, row, width)
+  local cells = {}
+  for i, column in ipairs(columns) do
+    local text = row and M.text(row[column.key]) or column.title
+    local blanks = (" "):rep(column.width - width_of(text))
+    cells[i] = column.is_number and blanks .. text or text .. blanks
+  end
+  local line = table.concat(cells, "  "):gsub("%s+$", "")
+  if not width or width_of(line) <= width then return line .. "\n" end
+  return line:match("^" .. ("[^\128-\191][\128-\191]*"):rep(width - 1)) .. "~\n"
+end
+
+--- A table with aligned columns, numbers to the right, a line a row; a column in which no row has
+-- anything is left out.
+-- keys   a column each
+-- rows   tables by key
+-- width  characters that a line has room for, nil for any number: then columns that one can spare
+--        go until it fits, and what is still beyond is cut
+function M.table(keys, rows, width)
+  local columns, lines = {}, {}
+  for _, key in ipairs(keys) do columns[#columns + 1] = new_column(key, rows) end
+  if width then fit(columns, width) end
+  for i, row in ipairs(rows) do lines[i] = table_line(columns, row, width) end
+  return table_line(columns, nil, width) .. table.concat(lines)
+end
+
+--- Prints rows: for people under a title, or as a JSON object a line.
+-- context  { out = function(text), json = whether so, width = see M.table, frames = a list that
+--          gets the frames which stand in the table, or nil }
+function M.print(context, title, keys, rows)
+  if not context.json then
+    context.out(title .. "\n")
+    if rows[1] then context.out("\n" .. M.table(keys, rows, context.width)) end
+  end
+  local in_json = {}
+  for _, key in ipairs(keys) do
+    if not FOR_PEOPLE[key] then in_json[#in_json + 1] = key end
+  end
+  for _, row in ipairs(rows) do
+    if context.json then context.out(M.object(row.keys or in_json, row) .. "\n") end
+    local frames, frame = context.frames, row.frame or row.gap_max_frame
+    if frames then frames[#frames + 1] = frame end
+  end
 end
 
 -- Files ---------------------------------------------------------------------------------------

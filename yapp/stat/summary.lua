@@ -10,192 +10,158 @@ local span = require("yapp.stat.tell").span
 
 local M = {}
 
-local RANGE = { "min", "mean", "max" }
--- The kinds of events that are counted: JSON key, kind, title.
-local COUNTS = {
-  { "crc_bad", "crc", ">bad CRC" }, { "incomplete", "incomplete", ">incomplete" },
-  { "late", "late", ">late" }, { "reboots", "reboot", ">reboots" },
-  { "invalid", "invalid", ">invalid" }, { "skipped", "skipped", ">skipped" },
-}
 local KEYS = {
   "bus", "id", "source", "message", "count", "rate", "gap_min", "gap_mean", "gap_max",
   "gap_max_frame", "crc_bad", "incomplete", "late", "reboots", "values", "invalid", "skipped",
 }
-local TITLES = {
-  "bus", "ID", "source", "message", ">count", ">rate/Hz", ">gap/ms min", ">mean", ">max",
-  ">in frame",
+-- The kinds of events that are counted, by key.
+local COUNTS = {
+  crc_bad = "crc", incomplete = "incomplete", late = "late", reboots = "reboot",
+  invalid = "invalid", skipped = "skipped",
 }
-for _, row in ipairs(COUNTS) do TITLES[#TITLES + 1] = row[3] end
-local SPARE = { "gap/ms min", "mean", "reboots", "late", "skipped", "bus", "message", "invalid" }
+local RANGE = { "min", "mean", "max" }
+local VALUES = {
+  "bus", "id", "source", "message", "field", "unit", "min", "mean", "max", "count",
+}
 
 local Summary = { tells_changes = true }
 Summary.__index = Summary
 
---- options  { json = boolean }
--- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds,
---          late = function() -> periods, width = of a line or nil }
-function M.new(options, context)
-  local self = { options = options, context = context, groups = groups.new(groups.numeric) }
-  function self.event(_, event) self.groups:event(event) end
-  function self.message(_, record) self.groups:message(record) end
-  return setmetatable(self, Summary)
+--- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds,
+--          late = function() -> periods, json, width, frames = see output.print }
+function M.new(_, context)
+  return setmetatable({ context = context, groups = groups.new(groups.numeric) }, Summary)
 end
 
-local function gap_mean(group)
-  return group.count > 1 and span(group.first, group.last) / (group.count - 1) or nil
-end
+function Summary:event(event) self.groups:event(event) end
 
-local function ranges_json(group)
-  local names, values = {}, {}
-  for i, row in ipairs(group.values) do
-    names[i], values[row.field.name] = row.field.name, output.raw(output.object(RANGE, row))
+function Summary:message(record) self.groups:message(record) end
+
+-- Rows of a source's values; and the same as JSON.
+local function ranges_of(group)
+  local rows, names, ranges = {}, {}, {}
+  for i, values in ipairs(group.values) do
+    local field = values.field
+    local row = values:put(output.row(group.source, { field = field.name, unit = field.unit }))
+    names[i], ranges[field.name] = field.name, output.raw(output.object(RANGE, row))
+    if values.count > 0 then rows[#rows + 1] = row end
   end
-  return output.raw(output.object(names, values))
+  return rows, output.raw(output.object(names, ranges))
 end
 
-local function line(group)
-  local values = {
-    rate = groups.rate(group), gap_min = output.seconds(group.gap_min),
-    gap_mean = output.seconds(gap_mean(group)), gap_max = output.seconds(group.gap_max),
-    values = ranges_json(group),
-  }
-  for _, count in ipairs(COUNTS) do values[count[1]] = groups.seen(group, count[2]) end
-  return output.line(KEYS, group.source, values, group)
-end
-
-local function milliseconds(seconds)
-  return seconds and ("%.3f"):format(seconds * 1000) or false
-end
-
-local function source_table(list, width)
-  local rows = {}
-  for i, group in ipairs(list) do
-    local rate = groups.rate(group)
-    local row = { output.source_cells(group.source, group.count, rate and ("%.3f"):format(rate),
-      milliseconds(group.gap_min), milliseconds(gap_mean(group)), milliseconds(group.gap_max),
-      group.gap_max_frame) }
-    for j, count in ipairs(COUNTS) do row[10 + j] = groups.seen(group, count[2]) end
-    rows[i] = row
-  end
-  return output.table(TITLES, rows, width, SPARE)
-end
-
-local function value_table(list, width)
-  local rows = {}
-  for _, group in ipairs(list) do
-    for _, value in ipairs(group.values) do
-      if value.count > 0 then
-        rows[#rows + 1] = { output.source_cells(group.source, value.field.name, value.field.unit,
-          output.number(value.min), output.number(value.mean), output.number(value.max),
-          value.count) }
-      end
-    end
-  end
-  return rows[1] and "\n" .. output.table({ "bus", "ID", "source", "message", "field", "unit",
-    ">min", ">mean", ">max", ">values" }, rows, width, { "values", "bus", "message" }) or ""
+local function row_of(group)
+  local is_gap = group.count > 1
+  local row = output.row(group.source, {
+    count = group.count,
+    rate = output.number(groups.rate(group)),
+    gap_min = output.seconds(group.gap_min),
+    gap_mean = output.seconds(is_gap and span(group.first, group.last) / (group.count - 1)),
+    gap_max = output.seconds(group.gap_max),
+    gap_max_frame = group.gap_max_frame,
+  })
+  for key, kind in pairs(COUNTS) do row[key] = groups.seen(group, kind) end
+  return row
 end
 
 --- last  { rel = } of the last packet of any kind; nil where there was none
 function Summary:finish(last)
-  local list, out = self.groups:sorted(), self.context.out
-  if self.options.json then
-    for _, group in ipairs(list) do out(line(group)) end
-    return
+  local rows, values, context = {}, {}, self.context
+  for i, group in ipairs(self.groups:sorted()) do
+    local ranges
+    rows[i] = row_of(group)
+    ranges, rows[i].values = ranges_of(group)
+    for _, row in ipairs(ranges) do values[#values + 1] = row end
   end
-  local count = output.count(#list, "source")
-  out(("YAPP summary: %s in %.3f s\n"):format(count, last and last.rel or 0))
-  if not list[1] then return end
-  out("\n" .. source_table(list, self.context.width) .. value_table(list, self.context.width))
+  local title = ("YAPP summary: %s in %.3f s"):format(output.count(#rows, "source"),
+    last and last.rel or 0)
+  output.print(context, title, KEYS, rows)
+  if values[1] and not context.json then
+    context.out("\n" .. output.table(VALUES, values, context.width))
+  end
 end
 
 -- compare -----------------------------------------------------------------------------------------
 
 local COMPARED = { "message", "field", "unit", "spread", "time", "frame", "sources" }
 local OF_SOURCE = { "bus", "id", "source", "count", "min", "mean", "max" }
+-- For people: a line for each field and source.
+local SHOWN = { "field", "unit", "source", "min", "mean", "max", "spread", "rel", "frame" }
 
 local Compare = {}
 Compare.__index = Compare
 
---- options, context  as for M.new
-function M.compare(options, context)
-  return setmetatable({ options = options, context = context, spreads = {},
-    groups = groups.new(groups.numeric) }, Compare)
+--- context  as for M.new
+function M.compare(_, context)
+  return setmetatable({ context = context, groups = groups.new(groups.numeric),
+    spreads = {} }, Compare) -- by message: a list, as its values are
 end
 
 function Compare:message(record)
-  local group, raws = self.groups:message(record)
-  if not raws then return end
-  local spreads = self.spreads[group.message]
+  local message, raws = self.groups:message(record)
+  if not message then return end
+  local spreads = self.spreads[message]
   if not spreads then
     spreads = {}
-    for i, row in ipairs(group.values) do
-      spreads[i] = groups.spread(group.message, row.field, self.context.late)
+    for i, values in ipairs(groups.numeric(message)) do
+      spreads[i] = groups.spread(message, values.field, self.context.late)
     end
-    self.spreads[group.message] = spreads
+    self.spreads[message] = spreads
   end
   for _, spread in ipairs(spreads) do spread:note(record, raws) end
 end
 
-local function compared_line(message, spread, list, place, clock)
-  local sources = {}
+-- The row of a field, and those of its sources for people.
+local function compared_rows(self, message, list, place)
+  local spread, sources, shown = self.spreads[message][place], {}, {}
+  local row = { message = message.name, field = spread.field.name, unit = spread.field.unit,
+    spread = output.number(spread.worst), frame = spread.frame, rel = output.seconds(spread.rel),
+    time = spread.rel and output.time(self.context.clock(spread.rel)) }
   for i, group in ipairs(list) do
-    local line_of = output.line(OF_SOURCE, group.source, {}, group.values[place])
-    sources[i] = output.raw(line_of:sub(1, -2))
+    local of_source = group.values[place]:put(output.row(group.source, {}))
+    sources[i] = output.object(OF_SOURCE, of_source)
+    of_source.source = output.who(group.source)
+    shown[i] = of_source
   end
-  local time = spread.rel and output.raw(output.time_text(clock(spread.rel)))
-  return output.object(COMPARED, { message = message.name, field = spread.field.name,
-    unit = spread.field.unit, spread = spread.worst, time = time, frame = spread.frame,
-    sources = output.raw(output.list(sources)) }) .. "\n"
+  row.sources = output.raw("[" .. table.concat(sources, ",") .. "]")
+  for _, key in ipairs { "field", "unit", "spread", "rel", "frame" } do
+    shown[1][key] = row[key] -- once
+  end
+  return row, shown
 end
 
--- A row for each field and source; how far they lie apart stands in a field's first row.
-local function compared_table(spreads, list, width)
-  local rows = {}
-  for i, spread in ipairs(spreads) do
-    for j, group in ipairs(list) do
-      local value, bus, id, name = group.values[i], output.source_cells(group.source)
-      local row = { false, false, name or bus and bus .. " " .. id or id }
-      row[4], row[5], row[6] = output.number(value.min), output.number(value.mean),
-        output.number(value.max)
-      if j == 1 then
-        row[1], row[2], row[7] = spread.field.name, spread.field.unit, output.number(spread.worst)
-        row[8], row[9] = output.span(spread.rel), spread.frame
-      end
-      rows[#rows + 1] = row
-    end
-  end
-  return output.table({ "field", "unit", "source", ">min", ">mean", ">max", ">spread",
-    ">since start/s", ">frame" }, rows, width, { "since start/s", "unit" })
-end
-
--- The messages with several sources: a list of { message, list of groups }.
+-- The sources of each message that has several: { message = list of groups }, and those messages.
 local function compared(self)
-  local lists, found = {}, {}
+  local lists, messages = {}, {}
   for _, group in ipairs(self.groups:sorted()) do
     local message = group.message
     if self.spreads[message] then
       lists[message] = lists[message] or {}
       table.insert(lists[message], group)
-      if #lists[message] == 2 then found[#found + 1] = { message, lists[message] } end
+      if #lists[message] == 2 then messages[#messages + 1] = message end
     end
   end
-  return found
+  return lists, messages
 end
 
 function Compare:finish()
-  local context, found, texts = self.context, compared(self), {}
-  for i, row in ipairs(found) do
-    local message, list = row[1], row[2]
-    local spreads = self.spreads[message]
-    for j, spread in ipairs(self.options.json and spreads or {}) do
-      context.out(compared_line(message, spread, list, j, context.clock))
+  local context, lists, messages = self.context, compared(self)
+  for _, message in ipairs(messages) do
+    local list, rows, all_shown = lists[message], {}, {}
+    for place in ipairs(self.spreads[message]) do
+      local shown
+      rows[place], shown = compared_rows(self, message, list, place)
+      for _, one in ipairs(shown) do all_shown[#all_shown + 1] = one end
     end
-    texts[i] = ("YAPP compare: %d sources of %s\n\n"):format(#list, message.title) ..
-      compared_table(spreads, list, context.width)
+    local title = ("YAPP compare: %d sources of %s"):format(#list, message.title)
+    if context.json then
+      output.print(context, title, COMPARED, rows)
+    else
+      output.print(context, title, SHOWN, all_shown)
+    end
   end
-  if self.options.json then return end
-  context.out(found[1] and table.concat(texts, "\n") or
-    "YAPP compare: no message has several sources\n")
+  if not (messages[1] or context.json) then
+    context.out("YAPP compare: no message has several sources\n")
+  end
 end
 
 return M

@@ -103,29 +103,33 @@ local function tap_packets(self)
   return tap, clock.tap
 end
 
-local function tap_filter(feed, entry, filter)
-  local tap = Listener.new("frame", filter)
-  function tap.packet(pinfo) feed:matched(entry, pinfo.number) end
-  return tap
+-- The tap of a filter; nil and what is wrong with it.
+local function tap_filter(filter)
+  local ok, tap = pcall(Listener.new, "frame", filter)
+  if ok then return tap end
+  local why = tostring(tap):match("is invalid %- (.*)$") or tap -- before that a place in this file
+  return nil, ("the filter %s is not one: %s"):format(filter, why)
 end
 
 -- Begins a statistic.
--- width    of a line, nil for any
+-- context  { out, width, frames } of output.print
 -- returns  the tap of its filter, false where it has none; nil and what is wrong
-function Stat:begin(options, out, width)
-  local plugin, feed = self.plugin, self.feed
-  local statistic, problem = NEW[options.what](options, { out = out, width = width,
-    clock = function(rel) return feed:time(rel) end, version = plugin.version,
-    catalogue = plugin.catalogue, late = plugin.late, named = plugin.named,
-    problems = plugin.problems, make_folder = make_folder })
+function Stat:begin(options, context)
+  local plugin, feed, filter, problem = self.plugin, self.feed, false, nil
+  if options.filter then filter, problem = tap_filter(options.filter) end
+  if problem then return nil, problem end
+  function context.clock(rel) return feed:time(rel) end
+  for key, value in pairs(plugin) do context[key] = value end
+  context.json, context.make_folder = options.json, make_folder
+  local statistic
+  statistic, problem = NEW[options.what](options, context)
   if not statistic then return nil, options.what .. ": " .. problem end
   self.wants_parts = self.wants_parts or statistic.event ~= nil
   local entry = feed:add(statistic, options.filter ~= nil)
-  if not options.filter then return false end
-  local ok, tap = pcall(tap_filter, feed, entry, options.filter)
-  if ok then return tap end
-  local why = tostring(tap):match("is invalid %- (.*)$") or tap -- before that a place in this file
-  return nil, ("the filter %s is not one: %s"):format(options.filter, why)
+  if filter then
+    function filter.packet(pinfo) feed:matched(entry, pinfo.number) end
+  end
+  return filter
 end
 
 function Stat:open()
@@ -134,26 +138,28 @@ end
 
 --- Runs a statistic over all packets, in Wireshark.
 -- text     as behind -z; width: of a line
--- returns  what it says, and what is wrong, as one text
+-- returns  what it says, and what is wrong, as one text; a list of the frames that stand in it
 function Stat:run(text, width)
-  local options, said = options_of.read(text, self.plugin.catalogue), {}
+  local options, said, frames = options_of.read(text, self.plugin.catalogue), {}, {}
   local function out(part) said[#said + 1] = part end
-  for _, problem in ipairs(options.problems) do out(problem .. "\n") end
-  if options.problems[1] then return table.concat(said) end
-  self:open()
-  local filter, problem = self:begin(options, out, width)
-  if filter == nil then
-    out(problem .. "\n")
-  else
-    local taps = { tap_packets(self) }
-    retap_packets()
-    local ok, code, texts = pcall(self.feed.finish, self.feed, self.plugin.unfinished())
-    for _, one in ipairs(ok and texts or { tostring(code) }) do out(one .. "\n") end
-    taps[#taps + 1] = filter or nil
-    for _, tap in ipairs(taps) do tap:remove() end -- one that stayed would build trees for ever
+  local problems = options.problems
+  if not problems[1] then
+    self:open()
+    local filter, problem = self:begin(options, { out = out, width = width, frames = frames })
+    if problem then
+      problems = { problem }
+    else
+      local taps = { tap_packets(self) }
+      taps[#taps + 1] = filter or nil
+      retap_packets()
+      local ok, code, texts = pcall(self.feed.finish, self.feed, self.plugin.unfinished())
+      problems = ok and texts or { tostring(code) }
+      for _, tap in ipairs(taps) do tap:remove() end -- one that stayed would build trees for ever
+    end
+    self.feed, self.wanted, self.wants_parts = nil, false, false
   end
-  self.feed, self.wanted, self.wants_parts = nil, false, false
-  return table.concat(said)
+  for _, problem in ipairs(problems) do out(problem .. "\n") end
+  return table.concat(said), frames
 end
 
 -- tshark ----------------------------------------------------------------------------------------
@@ -189,7 +195,7 @@ function Stat:argument(text)
     local tap = Listener.new("frame") -- for the end alone: the other may go
     function tap.draw() self:conclude() end
   end
-  local ok, problem = self:begin(options, function(part) self:write(part) end)
+  local ok, problem = self:begin(options, { out = function(part) self:write(part) end })
   if ok == nil then
     say(problem)
     leave(FAILED)

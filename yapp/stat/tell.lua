@@ -10,17 +10,17 @@
 --            gave it or nil, id =, message = compiled or nil }: one table for all its records
 --   seq, payload, fits = whether the message of the catalogue takes the payload
 --   change   of message.history, or nil; is_unsure = whether it is not known what came before
---   invalid  list of { index of field, expert } of what the catalogue does not define, or nil
+--   invalid  list of { field = name, value = raw } of what the catalogue does not define, or nil
 --   what     of "incomplete": "incomplete", "orphan" or "overrun"; lost = the message, a table that
 --            all its losses have, or nil; fault = { void = whether nothing is lost after all }
---   length   of "skipped": bytes }
+--   length   of "skipped": bytes, which grow while packets of the stream have nothing else }
 --
--- An event is what a statistic lists or counts, made of records by Kinds: { kind = "crc",
--- "incomplete", "unfinished", "skipped", "unknown", "invalid", "reboot", "stale", "silence",
--- "fault" or "absent", rel, frame, source, record, ... }.
+-- An event is what a statistic lists or counts, made of records by Kinds: { kind = one of KINDS,
+-- rel, frame, source, record, and its keys }.  A record of a loss is its own event.
 
 local band = require("yapp.base.bits").band
 local decode = require("yapp.message.decode")
+local output = require("yapp.stat.output")
 
 local M = {}
 
@@ -31,6 +31,43 @@ local LOST = {
 }
 local DEFINED = { ["value.special"] = true, ["fault.active"] = true } -- remarks on what is defined
 local NOTHING = {}
+
+local function has_faults(message) return message.alarms[1] ~= nil end
+local function has_clock(message) return message.time ~= nil end
+local function has_period(message) return message.every ~= nil end
+
+--- The kinds of events, in the order in which `check` judges them: {
+--   name
+--   keys        of JSON, besides those that all events have; nil where it is no event of a list
+--   text        what people read, with {key} for the value of a key
+--   counts_as   the kind that it is for rules, where it has none of its own
+--   about       function(message) -> whether a rule is about a source of this message; nil for
+--               every source that has an ID
+--   needs_past  whether it shows in good messages only, where it is known what came before
+--   is_rare     whether a rule is about the sources that have it, and holds where none has
+--   by_wish     whether `check` alone leaves it out
+-- }
+M.KINDS = {
+  { name = "fault", keys = { "field", "flag", "event", "active" }, text = "{flag} {event}",
+    about = has_faults, needs_past = true },
+  { name = "crc", keys = {}, text = "bad CRC" },
+  { name = "incomplete", keys = { "what" }, text = "{what}" },
+  { name = "unfinished", keys = {}, text = "the capture ends before it", counts_as = "incomplete" },
+  { name = "reboot", keys = {}, text = "the controller's time went back", about = has_clock,
+    needs_past = true },
+  { name = "stale", keys = {}, text = "the controller's time stood still", about = has_clock,
+    needs_past = true },
+  { name = "silence", keys = { "length" }, text = "nothing for {length} s", about = has_period,
+    needs_past = true },
+  { name = "invalid", keys = { "field", "value" },
+    text = "{field} has {value}, which is not defined", about = function() return true end },
+  { name = "absent", keys = {}, text = "no message of it came" },
+  { name = "unknown", is_rare = true },
+  -- A shell may write between the frames.
+  { name = "skipped", keys = { "length" }, text = "{length} bytes of no frame", is_rare = true,
+    by_wish = true },
+}
+for _, kind in ipairs(M.KINDS) do M.KINDS[kind.name] = kind end
 
 local Tell = {}
 Tell.__index = Tell
@@ -46,6 +83,7 @@ end
 --- Forgets the capture file.
 function Tell:reset()
   self.sources = {}
+  self.stretches = {} -- by stream: { record, frame = latest }, while nothing else comes
 end
 
 local function source_of(self, m)
@@ -55,7 +93,8 @@ local function source_of(self, m)
       key = m.source, bus_key = m.bus, bus = m.bus_name, id = m.id,
       name = m.id and self.reader:name_of(m.id, m.bus_name),
       message = m.id and self.reader:message_of(m.id, m.bus_name),
-      parts = {}, orphan = nil, -- by Seq: see Tell:part; the Seq of a message without a Start
+      parts = {}, -- by Seq: see Tell:part
+      orphan = nil, -- what is lost with the frames without a Start of late: { seq }
     }
     self.sources[m.source] = source
   end
@@ -68,19 +107,25 @@ local function record_of(kind, source, m)
     payload = m.payload, fits = m.raws ~= nil, change = m.change }
 end
 
+local function offer(self, record, m)
+  self.stretches[m.stream or false] = nil
+  self.stat:offer(record, m.visited)
+end
+
 local function invalid_of(m)
   local list
-  for _, remark in ipairs(decode.remarks(m.message, m.raws) or {}) do
-    if not DEFINED[remark[2]] then
+  for _, remark in ipairs(decode.remarks(m.message, m.raws) or NOTHING) do
+    local index, expert = remark[1], remark[2]
+    if not DEFINED[expert] then
       list = list or {}
-      list[#list + 1] = remark
+      list[#list + 1] = { field = m.message.fields[index].name, value = m.raws[index] }
     end
   end
   return list
 end
 
 --- A finished message, read.
--- m  of message.reader, as read
+-- m  of message.reader, as read; stream = key of its stream, nil on CAN
 function Tell:message(m)
   local kind = m.good and "message" or m.status == "bad" and "crc"
   if not kind and (m.status == "unverified" or m.status == "single") then kind = "incomplete" end
@@ -91,7 +136,7 @@ function Tell:message(m)
   if kind == "incomplete" then record.what = LOST.truncated end
   if m.look and m.good then record.invalid = invalid_of(m) end
   if m.is_unsure then record.is_unsure = true end
-  self.stat:offer(record, m.visited)
+  offer(self, record, m)
 end
 
 -- What the orphaned frames of one message have in common: those in a row of one Seq, to its End.
@@ -103,7 +148,8 @@ local function orphaned(source, m)
 end
 
 --- Faults of a frame: those that say that a message, or a part of one, is lost.
--- m       { id, seq, source, bus, bus_name, frame, time, visited, is_end = whether it is an End }
+-- m       { id, seq, source, bus, bus_name, stream, frame, time, visited, is_end = whether it is
+--         an End }
 -- faults  list of { expert, message = the one that is lost, void = whether it has been taken back }
 function Tell:faults(m, faults)
   for _, fault in ipairs(faults) do
@@ -117,16 +163,22 @@ function Tell:faults(m, faults)
         record.lost, source.orphan = fault.message, nil
       end
       record.what, record.fault, record.change = what, fault, nil
-      self.stat:offer(record, m.visited)
+      offer(self, record, m)
     end
   end
 end
 
---- Bytes of a stream that belong to no frame.
+--- Bytes of a stream that belong to no frame: over several packets in a row they are one stretch.
 -- m  { id = nil, frame, time, visited, bus, bus_name, source = key of the stream, length = bytes }
 function Tell:skipped(m)
+  local stretch = self.stretches[m.source]
+  if stretch and m.frame > stretch.frame then -- else the capture is read anew
+    stretch.frame, stretch.record.length = m.frame, stretch.record.length + m.length
+    return
+  end
   local record = record_of("skipped", source_of(self, m), m)
   record.length = m.length
+  self.stretches[m.source] = { record = record, frame = m.frame }
   self.stat:offer(record, m.visited)
 end
 
@@ -168,84 +220,92 @@ Kinds.__index = Kinds
 -- named  function() -> list of the sources that the user named, see message.sources
 -- add    function(event)
 function M.kinds(late, named, add)
-  return setmetatable({ late = late, named = named, add = add, states = {}, came = {}, flags = {} },
-    Kinds)
+  return setmetatable({ late = late, named = named, add = add,
+    states = {}, -- a list and, by their keys, those of sources with good messages
+    came = {} }, Kinds)
 end
 
-local function event_of(kind, record, more)
-  local event = more or {}
-  event.kind, event.rel, event.frame = kind, record.rel, record.frame
-  event.source, event.record = record.source, record
-  return event
+-- keys  of the kind, with their values
+local function tell_of(self, kind, record, keys)
+  local event = { kind = kind, rel = record.rel, frame = record.frame, source = record.source,
+    record = record }
+  for key, value in pairs(keys or NOTHING) do event[key] = value end
+  self.add(event)
 end
 
 -- The flags of a field that are faults, those that no table defines too.
-local function alarms_of(self, field)
-  if self.flags[field] then return self.flags[field] end
-  local bits = field.alarm_bits
+local function alarms_of(field)
   local list, bit = {}, 1
   for _, flag in ipairs(field.flags) do
-    if band(flag.mask, bits) ~= 0 then list[#list + 1] = flag end
+    if band(flag.mask, field.alarm_bits) ~= 0 then list[#list + 1] = flag end
   end
-  local undefined = band(field.undefined or 0, bits)
+  local undefined = band(field.undefined or 0, field.alarm_bits)
   while bit <= undefined do
     if band(undefined, bit) ~= 0 then
       list[#list + 1] = { name = ("undefined_0x%x"):format(bit), mask = bit }
     end
     bit = bit * 2
   end
-  self.flags[field] = list
   return list
 end
 
--- The faults of a source that begin and end with a change of a field's flags.  state.set, a list of
--- { field, flag, since } in the order in which they rose, is replaced, never written: state.told
--- may be the same one.
+local function note_fault(self, state, record, fault, counts)
+  local set, active = {}, nil
+  for _, one in ipairs(state.set) do
+    if one.field == fault.field and one.flag == fault.flag then
+      active = output.seconds(M.span(one.since, record.rel))
+    else
+      set[#set + 1] = one
+    end
+  end
+  if fault.event == "raised" then
+    set[#set + 1] = { field = fault.field, flag = fault.flag, help = fault.help,
+      since = record.rel }
+  end
+  state.set, fault.active = set, active
+  if counts then tell_of(self, "fault", record, fault) end
+end
+
+-- The faults of a source that begin and end with a change of a field's flags.
 local function note_faults(self, state, record, change, counts)
-  local field, now = change.field, change.value
+  local now = change.value
   local before = now - change.raised + change.cleared
-  for _, flag in ipairs(alarms_of(self, field)) do
+  for _, flag in ipairs(alarms_of(change.field)) do
     local was, is = band(before, flag.mask) ~= 0, band(now, flag.mask) ~= 0
     if was ~= is then
-      local event = { field = field.name, flag = flag.name, help = flag.help }
-      local set = {}
-      event.event = is and "raised" or "cleared"
-      for _, one in ipairs(state.set) do
-        if one.flag ~= flag then
-          set[#set + 1] = one
-        else
-          event.active = M.span(one.since, record.rel)
-        end
-      end
-      if is then set[#set + 1] = { field = field, flag = flag, since = record.rel } end
-      state.set = set
-      if counts then self.add(event_of("fault", record, event)) end
+      local event = is and "raised" or "cleared"
+      local fault = { field = change.field.name, flag = flag.name, help = flag.help,
+        event = event }
+      note_fault(self, state, record, fault, counts)
     end
   end
 end
 
 -- What a good message that counts tells besides faults.
 local function note_events(self, record, change)
-  if change.reboot then self.add(event_of("reboot", record)) end
-  if change.stale then self.add(event_of("stale", record)) end
-  if not record.fits then self.add(event_of("unknown", record)) end
-  for _, remark in ipairs(record.invalid or NOTHING) do
-    local message, index = record.source.message, remark[1]
-    self.add(event_of("invalid", record, { field = message.fields[index].name,
-      value = decode.read(message, record.payload)[index] }))
-  end
+  if change.reboot then tell_of(self, "reboot", record) end
+  if change.stale then tell_of(self, "stale", record) end
+  if not record.fits then tell_of(self, "unknown", record) end
+  for _, one in ipairs(record.invalid or NOTHING) do tell_of(self, "invalid", record, one) end
 end
 
-local function note_good(self, record, counts)
-  local key, change = record.source.key, record.change or NOTHING
+-- state: last = the record before, counts = whether it does; set = the faults that are set, in the
+-- order in which they rose: replaced, never written, as told may be the same list; told = those
+-- that were set at told_by, the latest record that counts.
+local function state_of(self, key)
   local state = self.states[key]
   if not state then
     state = { last = nil, counts = false, set = {}, told = {}, told_by = NOTHING,
       order = #self.states + 1 }
     self.states[key], self.states[state.order] = state, state
   end
+  return state
+end
+
+local function note_good(self, record, counts)
+  local state, change = state_of(self, record.source.key), record.change or NOTHING
   if change.late and state.counts then
-    self.add(event_of("silence", state.last, { length = change.late }))
+    tell_of(self, "silence", state.last, { length = output.seconds(change.late) })
   end
   if counts then note_events(self, record, change) end
   for _, one in ipairs(change.flags or NOTHING) do note_faults(self, state, record, one, counts) end
@@ -258,9 +318,11 @@ end
 --         what comes behind them is right
 function Kinds:record(record, counts)
   if counts then self.came[record.source] = true end
-  if record.kind == "message" then return note_good(self, record, counts) end
-  if not counts then return end
-  self.add(event_of(record.kind, record, { what = record.what, length = record.length }))
+  if record.kind == "message" then
+    note_good(self, record, counts)
+  elseif counts then
+    self.add(record)
+  end
 end
 
 -- Silences that last to the end of the capture.
@@ -270,7 +332,7 @@ local function note_silence(self, last)
     local every = record.source.message and record.source.message.every
     local length = M.span(record.rel, last.rel)
     if every and state.counts and length > self.late() * every then
-      self.add(event_of("silence", record, { length = length, is_last = true }))
+      tell_of(self, "silence", record, { length = output.seconds(length), is_last = true })
     end
   end
 end
@@ -284,9 +346,9 @@ local function note_active(self)
   end)
   for _, state in ipairs(self.states) do
     local record = state.told_by
-    for _, set in ipairs(state.told) do
-      self.add(event_of("fault", record, { field = set.field.name, flag = set.flag.name,
-        help = set.flag.help, event = "active", active = M.span(set.since, record.rel) }))
+    for _, one in ipairs(state.told) do
+      tell_of(self, "fault", record, { field = one.field, flag = one.flag, help = one.help,
+        event = "active", active = output.seconds(M.span(one.since, record.rel)) })
     end
   end
 end

@@ -2,6 +2,8 @@
 -- YAPP's use of a CAN frame: the 29-bit id, CAN FD padding, the header that the CRC covers ("CAN Framing").
 -- Pure Lua, 5.2 and 5.4.
 
+local crc = require "yapp.wire.crc"
+
 local M = {}
 
 local char = string.char
@@ -63,6 +65,14 @@ function M.header(address, size, reserved)
   reserved = reserved or 0
   return char(0x59, 0x50, address.seq, address.ctl, id % 0x100, (id - id % 0x100) / 0x100, 0, 0,
     size % 0x100, (size - size % 0x100) / 0x100, reserved % 0x100, (reserved - reserved % 0x100) / 0x100)
+end
+
+--- The register of the CRC behind that header; kept for the next message of the same id and size.
+function M.seed(address, size, reserved)
+  if address.seed_size == size and not reserved then return address.seed end
+  local seed = crc.of(M.header(address, size, reserved))
+  if not reserved then address.seed, address.seed_size = seed, size end
+  return seed
 end
 
 --- What a Start says ("Multi-Frame Start").

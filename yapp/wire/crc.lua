@@ -28,7 +28,8 @@ end
 local NATIVE = [[
   local TABLE, byte = ...
   return function(register, data, from, to)
-    local at = from
+    local at = from or 1
+    to = to or #data
     while at + 3 <= to do
       local a, b, c, d = byte(data, at, at + 3)
       register = (register << 8 & 0xFFFFFFFF) ~ TABLE[register >> 24 ~ a]
@@ -59,7 +60,8 @@ local function with_library(library)
   local T0, T1, T2, T3 = NEXT[0], NEXT[1], NEXT[2], NEXT[3]
   local T4, T5, T6, T7 = NEXT[4], NEXT[5], NEXT[6], NEXT[7]
   return function(register, data, from, to)
-    local at = from
+    local at = from or 1
+    to = to or #data
     while at + 7 <= to do
       local a, b, c, d, e, f, g, h = byte(data, at, at + 7)
       local z = register % 0x100
@@ -91,9 +93,7 @@ end
 -- data      string
 -- from, to  1-based, inclusive; the whole string when left out
 -- returns   the new register, 0 .. 0xFFFFFFFF.  Document: "CRC Calculation".
-function M.update(register, data, from, to)
-  return run(register, data, from or 1, to or #data)
-end
+M.update = run
 
 --- The CRC of a string, from the initial value.
 function M.of(data)

@@ -1,0 +1,179 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Tests the tests: puts one fault at a time into a module that needs no Wireshark, and sees whether a unit test fails.
+
+    mutate.py --each 30 --seed 1           30 faults in each module
+    mutate.py --each 5 yapp/wire/crc.lua   in one
+
+A fault is another operator, another constant, a condition the other way round or a line left out; what does not compile is
+none.  Those unit tests run that name the module, and the quick ones of the others that load it, in Lua 5.4 and 5.2, in a copy
+of the tree.  A mutant that no test fails on is shown with its line before and after; one that cannot be told from the module
+stands in tests/equivalent_mutants.txt with the reason.
+"""
+import argparse
+import concurrent.futures
+import math
+import os
+import pathlib
+import queue
+import random
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+TESTS = sorted(path.relative_to(ROOT) for path in ROOT.glob("tests/unit/test_*.lua"))
+OTHERS = {"+": "-", "-": "+", "*": "/", "/": "*", "%": "*", "<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "~=",
+          "~=": "==", "and": "or", "or": "and", "not": "", "true": "false", "false": "true"}
+TOKEN = re.compile(r"""--\[(=*)\[.*?\]\1\]|--[^\n]*|\[(=*)\[.*?\]\2\]|"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|0[xX][\da-fA-F]+|"""
+                   r"""\d+(?:\.\d+)?(?:[eE][+-]?\d+)?|[A-Za-z_]\w*|\.\.\.?|[=~<>]=|\S""", re.S)
+ENDS = {"if": "then", "elseif": "then", "while": "do"}
+# A line that is no statement of its own, or without which a local variable is nil: the first test sees that.
+NO_STATEMENT = re.compile(r"\s*(?:$|--|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|[\])}{]|.*[,({]\s*$)")
+MEMORY = 2 * 2**30
+QUICK = 0.4  # CPU seconds of a file of tests
+
+
+def lua(*arguments, folder=ROOT):
+    return subprocess.run(["lua5.4", *map(str, arguments)], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def pure_modules():
+    """The modules that load without Wireshark and use nothing of it, as .luacheckrc lists it."""
+    wireshark = set(re.findall(r'"(\w+)"', re.search(r"(?s)read_globals = \{(.*?)\n\}", (ROOT / ".luacheckrc").read_text())[1]))
+    for path in sorted(ROOT.glob("yapp/**/*.lua")):
+        listing = subprocess.run(["luac5.4", "-l", "-p", path], capture_output=True, text=True, check=True).stdout
+        loads = lua("-e", f"package.path = './?.lua' dofile('{path}')").returncode == 0
+        if loads and not wireshark & set(re.findall(r'_ENV "(\w+)"', listing)):
+            yield path.relative_to(ROOT)
+
+
+def loaded_by(test):
+    """The modules that a file of unit tests loads."""
+    code = ("package.path = './?.lua;./tests/unit/?.lua;' .. package.path .. ';/usr/share/lua/5.4/?.lua' "
+            f"dofile('{test}') for name in pairs(package.loaded) do print(name) end")
+    return {pathlib.Path(name.replace(".", "/") + ".lua") for name in lua("-e", code).stdout.split()}
+
+
+def mutants(text):
+    """All mutants of a module: (first character, the one behind the last, what stands there instead)."""
+    tokens = [one for one in TOKEN.finditer(text) if not one[0].startswith("--")]
+    for at, token in enumerate(tokens):
+        word = token[0]
+        if word in OTHERS:
+            yield (*token.span(), OTHERS[word])
+        elif word[0].isdigit():
+            yield (*token.span(), str((float if re.search(r"^\d+[.eE]", word) else lambda one: int(one, 0))(word) + 1))
+        elif word in ENDS:
+            end = next((one for one in tokens[at:] if one[0] == ENDS[word]), None)
+            if end:
+                yield token.end(), end.start(), f" not ({text[token.end():end.start()].strip()}) "
+    for line in re.finditer(r"[^\n]+", text):
+        if not NO_STATEMENT.match(line[0]):
+            yield (*line.span(), "")
+
+
+def line_at(text, place):
+    return text[text.rfind("\n", 0, place) + 1:].split("\n")[0].strip()
+
+
+def sample(path, each, seed):
+    """So many mutants of a module that compile: [(number of the line, before, after, text)]."""
+    text, chosen = (ROOT / path).read_text(), []
+    every = list(mutants(text))
+    random.Random(f"{seed} {path}").shuffle(every)
+    for start, end, new in every:
+        if len(chosen) == each:
+            break
+        mutant = text[:start] + new + text[end:]
+        if subprocess.run(["luac5.4", "-p", "-"], input=mutant, text=True, capture_output=True, check=False).returncode == 0:
+            chosen.append((text.count("\n", 0, start) + 1, line_at(text, start), line_at(mutant, start) or "(left out)", mutant))
+    return chosen
+
+
+def survives(folder, path, mutant, tests, seconds):
+    """Whether all tests pass with a mutant in a copy of the tree: within their CPU seconds and memory."""
+    def limits():
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    whole = (folder / path).read_text()
+    (folder / path).write_text(mutant)
+    try:
+        return not tests or all(subprocess.run(
+            [program, "tests/unit/run.lua", *tests], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            env={**os.environ, "YAPP_FIRST_FAILURE": "1"}, preexec_fn=limits, check=False, timeout=60 * seconds).returncode == 0
+            for program in ("lua5.4", "lua5.2"))
+    except subprocess.TimeoutExpired:
+        return False
+    finally:
+        (folder / path).write_text(whole)
+
+
+def copies(count, folder):
+    """Copies of what the unit tests need."""
+    found = queue.Queue()
+    for number in range(count):
+        for name in ("yapp", "tests/unit", "test_captures"):
+            shutil.copytree(ROOT / name, folder / str(number) / name)
+        shutil.copy(ROOT / "taurus_fields.lua", folder / str(number))
+        found.put(folder / str(number))
+    return found
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--each", type=int, default=30, help="mutants of a module")
+    parser.add_argument("--seed", default="1")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--least", type=float, default=90, help="per cent that have to be killed")
+    parser.add_argument("modules", nargs="*", type=pathlib.Path, help="all that need no Wireshark by default")
+    options = parser.parse_args()
+    seconds, loads = {}, {test: loaded_by(test) for test in TESTS}
+    for test in TESTS:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+        assert lua("tests/unit/run.lua", test).returncode == 0, f"{test} fails without a mutant"
+        seconds[test] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
+    equivalent = {tuple(line.split("\t")[:3]) for line in (ROOT / "tests/equivalent_mutants.txt").read_text().splitlines()}
+
+    def tests_of(path):
+        """Those that name the module, then the quick ones that load it; all that load it if there are no others."""
+        name = ".".join(path.with_suffix("").parts)
+        loading = sorted((test for test in TESTS if path in loads[test]), key=seconds.get)
+        naming = [test for test in loading if f'"{name}"' in (ROOT / test).read_text()]
+        return naming + [test for test in loading if test not in naming and seconds[test] < QUICK] or loading
+
+    score, start = {}, time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="yapp-mutants-") as folder, \
+            concurrent.futures.ThreadPoolExecutor(options.jobs) as pool:
+        free = copies(options.jobs, pathlib.Path(folder))
+
+        def judge(path, line, before, after, mutant):
+            tests, copy = tests_of(path), free.get()
+            try:
+                limit = math.ceil(2 + 5 * sum(seconds[test] for test in tests))
+                return path, line, before, after, survives(copy, path, mutant, tests, limit)
+            finally:
+                free.put(copy)
+
+        running = [pool.submit(judge, path, *one) for path in options.modules or pure_modules()
+                   for one in sample(path, options.each, options.seed) if (str(path), *one[1:3]) not in equivalent]
+        for one in running:
+            path, line, before, after, survived = one.result()
+            killed, every = score.get(path, (0, 0))
+            score[path] = killed + (not survived), every + 1
+            if survived and tests_of(path):
+                print(f"{path}:{line}:\n  - {before}\n  + {after}", flush=True)
+    for path, (killed, every) in score.items():
+        print(f"{path}: {killed} of {every} killed{'' if tests_of(path) else ', no unit test loads it'}")
+    killed, every = map(sum, zip(*score.values()))
+    print(f"mutate: seed {options.seed}, {killed} of {every} killed, {100 * killed / every:.1f} %, "
+          f"{time.monotonic() - start:.0f} s")
+    return 0 if killed >= every * options.least / 100 else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
