@@ -103,6 +103,10 @@ bench:
 	-@$(MAKE) --no-print-directory needs-bench
 	-/usr/bin/env python3 tests/bench/bench.py $(if $(RUNS),--runs $(RUNS)) $(if $(LONG),--long $(LONG)) $(if $(BASE),--base "$(BASE)")
 
+## Whether traffic of the worst kind costs more the longer it is: RUNS=2 PACKETS=10000.  Never fails
+hostile: needs-tshark needs-python
+	-/usr/bin/env python3 tests/bench/hostile.py $(if $(RUNS),--runs $(RUNS)) $(if $(PACKETS),--packets $(PACKETS))
+
 needs-bench: needs-tshark
 	$(call install-missing,python3 lua5.2 lua5.4,python3 python3-venv python3-can lua5.2 lua5.4,\
 	  /usr/bin/python3 -c 'import can; import ensurepip' 2>/dev/null)

@@ -127,7 +127,7 @@ def try_out(asked, loaded):
     for work in asked:
         why = broken[work.title] = {}
         for peer, command in work.commands.items():
-            whose = "before" if peer.startswith("before") else "now" if peer.startswith(("now", "list")) else peer
+            whose = "before" if peer.startswith("before") else "now" if peer.startswith(("now", "list", "one")) else peer
             try:
                 if whose in unloaded:
                     raise NotMeasured(unloaded[whose])

@@ -1,22 +1,20 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What the pure parts of the plugin take of the benchmark's yapp.pcap, in plain Lua: lua5.2 parts.lua yapp.pcap
--- Prints a line for each step, "name seconds", each with what the steps before it do, garbage collection included; and
--- how many messages there were.
+-- What the pure modules of the plugin take of the benchmark's yapp.pcap: lua5.2 parts.lua yapp.pcap
+-- Prints a line for each step, "name seconds", each with what the steps before it do, garbage
+-- collection included; and how many messages there were.
 if not arg then return end -- run by Wireshark, in a plugin folder
 
 local top = arg[0]:match("^(.*)tests[/\\]bench[/\\]") or "./"
 package.path = top .. "?.lua;" .. package.path
 
-local parts = {
-  can_frames = require "yapp.can.frames", can_id = require "yapp.wire.can_id", can_interleave = require "yapp.can.interleave",
-  can_memory = require "yapp.can.memory", can_reassembly = require "yapp.can.reassembly",
-  can_repeated = require "yapp.can.repeated",
-  catalogue = require "yapp.message.catalogue", crc = require "yapp.wire.crc",
-  decode = require "yapp.message.decode", decode_info = require "yapp.message.info",
-  history = require "yapp.message.history", reader = require "yapp.message.reader",
-}
-local catalogue = parts.catalogue.compile(dofile(top .. "taurus_fields.lua"))
+local can_id = require "yapp.wire.can_id"
+local catalogue_compiler = require "yapp.message.catalogue"
+local history = require "yapp.message.history"
+local info = require "yapp.message.info"
+local memory = require "yapp.can.memory"
+local message_reader = require "yapp.message.reader"
 
+local catalogue = catalogue_compiler.compile(dofile(top .. "taurus_fields.lua"))
 local NO_HISTORY = { change = function() end }
 local FILE_HEADER, RECORD, DATA = 24, 32, 24 -- bytes: of a pcap, of a CAN frame, before its data
 
@@ -33,50 +31,35 @@ local function each_frame(path, see)
   file:close()
 end
 
--- The memory of a packet list in tshark.
 local function new_memory()
-  local memory = parts.can_memory.new(parts, {
+  return memory.new {
     size_of = function(id) return catalogue.by_id[id] and catalogue.by_id[id].size end,
-    new_history = function() return parts.history.new { catalogue = catalogue } end,
-  })
-  memory:only_pass()
-  return memory
+    new_history = function() return history.new { catalogue = catalogue } end,
+  }
 end
 
--- What a frame is, the way that yapp_can_carrier goes: the short one wherever that goes.
--- facts  of yapp_can_memory.look, in one table; its number, data and reported are filled in
--- returns  its message, and the record of one that ends here
-local function take(memory, address, facts, number, data)
-  local taker, message, is_last = memory.short[address.ctrl], nil, nil
-  if taker then message, is_last = memory:plain(taker, address, number, data) end
-  if message then return message, is_last and memory:plain_record(number, message, true) end
-  facts.number, facts.data, facts.reported = number, data, #data
-  local record = memory:look(address, facts, {})
-  return record.message, record.is_last and record
-end
-
--- What yapp_can_carrier gives to the reader: one table for all messages.
-local function finish(m, address, number, message)
-  m.seq, m.payload, m.size, m.frame, m.time = address.seq, message.payload, message.size, number, number / 5000
-  m.id, m.source = address.id, address.id
+-- A finished message, as can.carrier gives it to the reader.
+local function finished(frame, payload)
+  local address = frame.address
+  return { id = address.id, seq = address.seq, ctl = address.ctl, source = address.id, frame = frame.number,
+    time = frame.number / 5000, payload = payload, size = #payload, is_whole = true, status = "good", good = true }
 end
 
 -- How many good messages a capture has, by the steps up to one.
 local function run(path, step)
-  local memory, reader = new_memory(), parts.reader.new(catalogue, { wanted = false })
-  local facts, count = { place = 0, informed = true }, 0
-  local m = { ctl = 0, is_whole = true, status = "good", good = true }
-  local address_of = parts.can_id.address
-  each_frame(path, function(number, data, can_id)
+  local known, reader = new_memory(), message_reader.new(catalogue, { wanted = false })
+  local frame, count = { place = 0, is_again = false, knows_bus = true, is_wide = false }, 0
+  each_frame(path, function(number, data, id)
     if step == "file" then return end
-    local address = address_of(can_id)
-    local message, record = take(memory, address, facts, number, data)
-    if not record then return end
+    frame.address, frame.number, frame.data, frame.reported = can_id.address(id), number, data, #data
+    local message = known:look(frame)
+    if not message or message.last ~= frame.look then return end
     if message.status == "good" then count = count + 1 end
-    if step == "reassembly" then return end
-    finish(m, address, number, message)
-    reader:read(m, step == "values" and NO_HISTORY or memory, record)
-    if step == "info" then parts.decode_info.text(m.message, m.raws, m.payload) end
+    if step == "reassembly" then return known:is_read(frame) end
+    local m = finished(frame, message.payload)
+    reader:read(m, step == "values" and NO_HISTORY or known, frame)
+    known:is_read(frame, m.has_fault)
+    if step == "info" then info.text(m.message, m.raws, m.payload, m.message.title, m.look) end
   end)
   return count
 end

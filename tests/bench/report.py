@@ -6,7 +6,7 @@ import typing
 import works
 
 NAMES = {"none": "none", "isotp": "ISO-TP", "floor": "floor", "hand": "by hand", "script": "script", "list": "CAN list",
-         "before": "before", "now": "now"}
+         "one": "one interface", "before": "before", "now": "now"}
 STEPS = {"reassembly": "reassembly and CRC", "values": "values, faults", "history": "history", "info": "text of Info"}
 MEMORY = (works.LIST, works.FILTER, works.VERBOSE, works.VALUES, works.TABLES)
 MEGABYTE = 1e6
@@ -18,7 +18,8 @@ Written by `make bench`: medians of the CPU time of whole processes, user and sy
 its peers in turns. None: tshark without the plugin. ISO-TP: tshark's own reassembly in C. Floor: the least that a Lua
 dissector can do (`tests/bench/floor.lua`). By hand: a Lua dissector for this one message, that reassembles, checks the CRC and
 has the same items, without anything else (`tests/bench/by_hand.lua`). Script: python-can and a decoder by hand
-(`tests/bench/peer.py`).
+(`tests/bench/peer.py`). One interface: the same messages in a pcapng file of one interface, where the row's has two, whose
+frames come in turns.
 
 {about}
 ## Ratios

@@ -7,7 +7,10 @@ isotp.pcap    the same bytes as ISO-TP, also five frames a message
 udp.pcap      plain Ethernet and UDP, as many packets as yapp.pcap has frames
 uart.pcap     the same messages as a serial stream, in packets of 64 bytes
 one.pcap      one frame of YAPP
+one_bus.pcapng    the same messages on one interface, one after the other
+two_buses.pcapng  on two, their frames in turns
 """
+import itertools
 import random
 import struct
 
@@ -92,12 +95,41 @@ def write_log(path, count):
                 file.write(f"({time // 1_000_000}.{time % 1_000_000:06d}) can0 {can_id:08X}#{data.hex().upper()}\n")
 
 
+def pcapng_block(kind, body):
+    body += bytes(-len(body) % 4)
+    return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
+
+
+def interface(name):
+    return pcapng_block(1, struct.pack("<HHIHH4s", SOCKETCAN, 0, 0, 2, 4, name) + bytes(4))
+
+
+def in_turns(packets):
+    """The frames of two messages in turns, as two buses send them: (bus, packet)."""
+    packets = iter(packets)
+    while pair := list(itertools.islice(packets, 2 * FRAMES)):
+        for at in range(FRAMES):
+            yield from ((bus, pair[at + bus * FRAMES]) for bus in (0, 1) if at + bus * FRAMES < len(pair))
+
+
+def write_pcapng(path, names, packets):
+    """packets: (interface, bytes)."""
+    time = BEGIN
+    with open(path, "wb") as file:
+        file.write(pcapng_block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)) + b"".join(map(interface, names)))
+        for bus, data in packets:
+            time += BETWEEN
+            file.write(pcapng_block(6, struct.pack("<IIIII", bus, time >> 32, time & 0xFFFFFFFF, len(data), len(data)) + data))
+
+
 WRITERS = {
     "yapp.pcap": lambda path, count: write_pcap(path, SOCKETCAN, can_packets(count, yapp_frames)),
     "isotp.pcap": lambda path, count: write_pcap(path, SOCKETCAN, can_packets(count, isotp_frames)),
     "udp.pcap": lambda path, count: write_pcap(path, ETHERNET, datagrams(count)),
     "uart.pcap": lambda path, count: write_pcap(path, EXPORTED_PDU, uart_packets(count)),
     "one.pcap": lambda path, count: write_pcap(path, SOCKETCAN, list(can_packets(1, yapp_frames))[:1]),
+    "one_bus.pcapng": lambda path, count: write_pcapng(path, [b"can0"], ((0, one) for one in can_packets(count, yapp_frames))),
+    "two_buses.pcapng": lambda path, count: write_pcapng(path, [b"can0", b"can1"], in_turns(can_packets(count, yapp_frames))),
     "yapp.log": write_log,
 }
 

@@ -4,6 +4,7 @@
     none    tshark without the plugin          floor   tests/bench/floor.lua, the least that a Lua dissector does
     isotp   tshark's own reassembly, in C      script  tests/bench/peer.py, what one would write instead
     now     the plugin                         before  another version of it
+    one     the plugin's, of one interface
     list    the plugin's packet list           hand    tests/bench/by_hand.lua, one message and nothing besides
 """
 import pathlib
@@ -15,6 +16,7 @@ HERE = pathlib.Path(__file__).resolve().parent
 LIST, FILTER, VERBOSE, VALUES, TABLES = ("packet list", "one fault filter", "`-V`", "`-T fields`, the 13 Motor Data values",
                                          "all values in one pass, `-z yapp,csv`")
 UART, START, LOG = "UART, packets of 64 bytes", "start: a capture of one frame", "candump log"
+BUSES = "packet list of two interfaces"
 LONG_LIST, LONG_LOG = "packet list, ten times the frames", "candump log, long"
 MOTOR = ("torque_iq_commanded torque_iq_measured rpm_commanded rpm_measured dc_voltage dc_current motor_temperature motor_mode "
          "status_flags fault_flags timestamp motor_state esc_temperature").split()
@@ -93,6 +95,7 @@ def works(shark, python, messages):
         Work(f"{count} foreign CAN frames", {"none": none("isotp.pcap"), "now": now("isotp.pcap")}, Target("none", 1.05)),
         Work(UART, {"none": none("uart.pcap"), "list": now("yapp.pcap"), "now": now("uart.pcap")}, Target("list", 0.8)),
         Work(LOG, {"none": none("yapp.log"), "now": now("yapp.log")}, Target("none", 2.5)),
+        Work(BUSES, {"one": now("one_bus.pcapng"), "now": now("two_buses.pcapng")}, Target("one", 1.1)),
         Work(START, {"none": none("one.pcap"), "now": now("one.pcap")}, Target("none", 0.04, difference=True), times=4),
     ]
 

@@ -93,6 +93,17 @@ def test_the_picture():
         "CONTRIBUTING.md has not what `make map` prints"
 
 
+def test_the_modules_that_the_page_names():
+    text = (tshark.ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:[a-z]+)/[a-z_]+)(?:[:.]([a-z_]+))?`", text)
+    folders = {module_map.folder(path, tshark.ROOT) for path in FILES}
+    named = [(name, function) for name, function in named if name.split("/")[0] in folders]
+    assert len(named) > 25
+    for name, function in named:
+        code = (tshark.ROOT / f"yapp/{name}.lua").read_text(encoding="utf-8")
+        assert not function or re.search(rf"function [\w.]*[.:]?{function}\(", code), f"{name}: {function}"
+
+
 @pytest.mark.parametrize("lua", LUAS)
 def test_what_is_installed_compiles(lua, folder):
     bundle.write(folder, tshark.ROOT)

@@ -65,7 +65,7 @@ function M.look(known, frame, is_again)
   local text = is_last and entry.status or entry.size and "part" or ALONE[record.address.ctrl] or "invalid"
   if is_last or text == "single" then
     local payload = is_last and entry.payload or record.data
-    record.change = known:change({ source = record.address.id + (record.bus or -1) * 0x800, time = record.number / 10,
+    record.change = known:change({ source = record.address.id + (record.bus or -1) * 0x800, time = record.number / 8,
       good = not is_last or text == "good" }, record)
     known:is_read(record, payload ~= "" and payload:byte() % 2 == 1)
   end

@@ -82,7 +82,10 @@ end
 -- several.
 local function buses(found)
   local list = {}
-  for number = 1, found.has_several and found.count or 0 do list[number] = ("%d"):format(found:bus(number)) end
+  for number = 1, found.has_several and found.count or 0 do
+    local bus = found:bus(number)
+    list[number] = bus and ("%d"):format(bus) -- of one that is cut nothing is told
+  end
   return table.concat(list, " ")
 end
 
