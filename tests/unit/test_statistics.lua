@@ -258,20 +258,6 @@ function T.test_csv_before_1970()
     "0.000000005,3,can0,left,528,0," .. CELLS })
 end
 
--- A folder in the place of a file: nothing of the table is left, and the folder stays.
-function T.test_csv_in_the_place_of_a_folder()
-  with_folder(function(folder, with)
-    assert(os.execute("mkdir " .. folder .. "/note.csv"))
-    local _, code, texts = run({ "csv," .. folder .. ",replace" }, ROWS, with)
-    lu.assertEquals(code, 21)
-    lu.assertStrContains(texts[1], "note.csv: ")
-    for _, name in ipairs { "motor.csv", "fields.json", "motor.csv.part", "note.csv.part" } do
-      lu.assertNil(io.open(folder .. "/" .. name), name)
-    end
-    assert(os.execute("rmdir " .. folder .. "/note.csv"))
-  end)
-end
-
 function T.test_csv_in_a_folder()
   with_folder(function(folder, with)
     local printed, code = run({ "csv," .. folder }, ROWS, with)
@@ -449,7 +435,7 @@ function T.test_a_report_for_ci()
 <testsuite name="yapp.check" tests="4" failures="1" errors="1">
   <testcase classname="yapp.check" name="motor.count=2 can0 0x210 left"><failure message="seen 1, frame 1"/></testcase>
   <testcase classname="yapp.check" name="crc=0 can0 0x210 left"/>
-  <testcase classname="yapp.check" name="note.count=1"><error message="nothing to judge it by"/></testcase>
+  <testcase classname="yapp.check" name="note.count=1"><error message="note nothing to judge it by"/></testcase>
   <testcase classname="yapp.check" name="unknown=0"/>
 </testsuite>
 ]])

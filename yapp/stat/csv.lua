@@ -28,7 +28,11 @@ end
 -- All columns of a message, as message.columns has them.
 local function columns_of(self, message)
   local list = {}
-  for i, row in ipairs(COMMON) do list[i] = { name = row[1], type = row[2], unit = row[3] } end
+  for i, row in ipairs(COMMON) do list[i] = {
+    name = row[1],
+    type = row[2],
+    unit = row[3],
+  } end
   if self.options.all then list[#list + 1] = { name = "crc_good", type = "bool" } end
   for _, column in ipairs(columns.columns(message)) do list[#list + 1] = column end
   return list
@@ -56,8 +60,10 @@ end
 -- Makes the folder and begins its files.
 local function prepare(self)
   local folder, context = self.options.folder, self.context
-  local ok, problem = context.make_folder(folder)
-  if not ok then return ("the folder %s cannot be made: %s"):format(folder, problem) end
+  if not context.make_folder(folder) then
+    return ("the folder %s cannot be made"):format(folder)
+  end
+  local problem
   self.fields, problem = create(self, FIELDS)
   for _, message in ipairs(context.catalogue.messages) do
     local file
@@ -71,11 +77,18 @@ end
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =,
 --          all = booleans }
 -- context  { clock = function(rel) -> seconds since 1970, nanoseconds, catalogue =, version = the
---          plugin's, make_folder = function(path) -> true or nil, why; and what output.print takes }
+--          plugin's, make_folder = function(path) -> whether it is there; and what output.print
+--          takes }
 -- returns  the statistic; nil and what is wrong
 function M.new(options, context)
-  local self = setmetatable({ options = options, context = context, files = {}, of_message = {},
-    counts = {}, fields = nil }, Csv)
+  local self = setmetatable({
+    options = options,
+    context = context,
+    files = {},
+    of_message = {},
+    counts = {},
+    fields = nil,
+  }, Csv)
   if not options.chosen then
     local problem = prepare(self)
     return not problem and self or nil, problem
@@ -112,12 +125,17 @@ local function meanings(values)
 end
 
 -- The last three are an integer's: what it fits in and what its numbers mean.
-local COLUMN_KEYS = { "name", "unit", "type", "filter", "title", "kind", "bits", "values" }
+local COLUMN_KEYS = output.words("name unit type filter title kind bits values")
 
 local function describe_column(column)
   local field, about = column.field, column.flag or column.field
-  local row = { name = column.name, unit = column.unit, type = column.type,
-    filter = about and about.filter, title = about and about.title }
+  local row = {
+    name = column.name,
+    unit = column.unit,
+    type = column.type,
+    filter = about and about.filter,
+    title = about and about.title,
+  }
   if field and column.type == "integer" then
     row.kind, row.bits = field.kind, field.size * 8
     row.values = field.values and meanings(field.values)
@@ -140,8 +158,11 @@ function M.describe(catalogue, version, columns_of_)
       title = message.title, every = message.every,
       columns = output.raw("[" .. table.concat(list, ",") .. "]") }))
   end
-  return output.object({ "version", "plugin", "messages" }, { version = 1, plugin = version,
-    messages = output.raw(output.object(names, messages)) })
+  return output.object({ "version", "plugin", "messages" }, {
+    version = 1,
+    plugin = version,
+    messages = output.raw(output.object(names, messages)),
+  })
 end
 
 --- returns  the exit code, nil for 0, 21 where a file could not be written; and why

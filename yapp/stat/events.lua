@@ -7,17 +7,12 @@ local KINDS = require("yapp.stat.tell").KINDS
 
 local M = {}
 
-local FAULTS = {
-  "time", "rel", "frame", "bus", "id", "source", "message", "field", "flag", "event", "active",
-  "help",
-}
-local EVENTS = {
-  "time", "rel", "frame", "bus", "id", "source", "message", "kind", "details", "times",
-}
+local FAULTS = output.words("time rel frame bus id source message field flag event active help")
+local EVENTS = output.words("time rel frame bus id source message kind details times")
 -- In JSON a kind's own keys stand behind those that all have.
 local KEYS = {}
 for _, kind in ipairs(KINDS) do
-  local keys = { "kind", "time", "frame", "bus", "id", "source", "message" }
+  local keys = output.words("kind time frame bus id source message")
   for _, key in ipairs(kind.keys or {}) do keys[#keys + 1] = key end
   KEYS[kind.name] = kind.keys and keys
 end
@@ -29,7 +24,12 @@ Events.__index = Events
 -- context   { clock = function(rel) -> seconds since 1970, nanoseconds, and what output.print
 --           takes }
 function M.new(options, context)
-  return setmetatable({ what = options.what, context = context, list = {}, places = {} }, Events)
+  return setmetatable({
+    what = options.what,
+    context = context,
+    list = {},
+    places = {},
+  }, Events)
 end
 
 function Events:event(event)

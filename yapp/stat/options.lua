@@ -16,7 +16,11 @@ for _, kind in ipairs(KINDS) do
     if not kind.by_wish then ALL_IS_WELL[#ALL_IS_WELL + 1] = kind.name .. "=0" end
   end
 end
-local MEASURES = { count = true, rate = true, gap = true }
+local MEASURES = {
+  count = true,
+  rate = true,
+  gap = true,
+}
 local RULES = table.concat(COUNTED, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=HZ, " ..
   "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X, source=NAME, junit=FILE, json, " ..
   "filter=EXPRESSION"
@@ -76,7 +80,11 @@ end
 -- MEASURES, "range" or "spread", limit = number, message, field, low, high }
 local function read_rule(text, catalogue, source)
   local name, value = text:match("^([^=]*)=(.*)$")
-  local rule = { text = text, source = source, kind = name }
+  local rule = {
+    text = text,
+    source = source,
+    kind = name,
+  }
   if COUNTED[name] then
     rule.limit = limit_of(value, "number of messages", true)
     return rule
@@ -93,7 +101,11 @@ local function read_rule(text, catalogue, source)
   return rule
 end
 
-local OF_CSV = { replace = true, all = true, json = true }
+local OF_CSV = {
+  replace = true,
+  all = true,
+  json = true,
+}
 
 -- read.WHAT: takes an option; finish.WHAT, behind the last one: what they come to.
 local read, finish = {}, {}
@@ -171,7 +183,11 @@ function M.read(text, catalogue)
   local parts = {}
   for part in (text:sub(1, (at or 0) - 1) .. ","):gmatch("([^,]*),") do parts[#parts + 1] = part end
   local what = parts[2] or ""
-  local options = { what = what, filter = at and text:sub(at + 8), problems = {} }
+  local options = {
+    what = what,
+    filter = at and text:sub(at + 8),
+    problems = {},
+  }
   local is_known = parts[1] == "yapp" and (" " .. table.concat(M.WHATS, " ") .. " ")
     :find(" " .. what .. " ", 1, true)
   if not is_known then

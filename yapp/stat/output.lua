@@ -128,12 +128,23 @@ local TITLES = {
   gap_min = "gap/s min", gap_mean = "mean", gap_max = "max", gap_max_frame = "in frame",
   crc_bad = "bad CRC", ok = "check", kind = "event",
 }
-local FOR_PEOPLE = { rel = true, details = true, times = true, note = true } -- in no JSON
+local FOR_PEOPLE = {
+  rel = true,
+  details = true,
+  times = true,
+  note = true,
+} -- in no JSON
+
+--- A list of the words of a text.
+function M.words(text)
+  local list = {}
+  for word in text:gmatch("%S+") do list[#list + 1] = word end
+  return list
+end
+
 -- The columns that a line has no room for, in the order in which they go.
-local SPARE = {
-  "time", "help", "gap_min", "gap_mean", "reboots", "late", "skipped", "values", "bus", "message",
-  "invalid", "id", "field", "unit", "rel",
-}
+local SPARE = M.words("time help gap_min gap_mean reboots late skipped bus message invalid id " ..
+  "field unit rel")
 
 -- How many places a text takes: characters, not bytes.
 local function width_of(text)
@@ -150,7 +161,12 @@ local function new_column(key, rows)
   end
   if width == 0 then return nil end
   local title = TITLES[key] or key
-  return { key = key, title = title, width = math.max(width, #title), is_number = is_number }
+  return {
+    key = key,
+    title = title,
+    width = math.max(width, #title),
+    is_number = is_number,
+  }
 end
 
 -- Takes columns away until a line has room for them.
@@ -224,7 +240,12 @@ function M.create(path)
   local handle, problem = io.open(aside, "wb")
   if not handle then return nil, problem end
   handle:setvbuf("full", 65536)
-  return setmetatable({ path = path, aside = aside, handle = handle, problem = nil }, File)
+  return setmetatable({
+    path = path,
+    aside = aside,
+    handle = handle,
+    problem = nil,
+  }, File)
 end
 
 function File:write(text)
@@ -232,43 +253,26 @@ function File:write(text)
   if not ok then self.problem = self.problem or problem end
 end
 
--- Gives a closed file its name, in place of one that is there.
-local function publish(file)
-  if file.aside == file.path then return true end
-  local ok, problem = os.rename(file.aside, file.path)
-  local other = not ok and io.open(file.path, "ab") -- a file, no folder
-  if other then -- Windows puts no file in the place of another
-    other:close()
-    os.remove(file.path)
-    ok, problem = os.rename(file.aside, file.path)
-  end
-  file.is_published = ok
-  return ok, problem
-end
-
-local function discard(file)
-  if file.aside ~= file.path then os.remove(file.is_published and file.path or file.aside) end
-end
-
--- Notes the first thing that goes wrong with a file.
-local function note(file, ok, problem)
-  if not ok then file.problem = file.problem or problem end
-end
-
---- Ends files and gives them their names, all or, where one fails, none.
+--- Ends files and gives them their names, all or, where one could not be written, none.
 -- problem  what went wrong before, nil for nothing
 -- returns  what went wrong, nil for nothing
 function M.finish(list, problem)
+  local function note(file, ok, why)
+    if not ok then problem = problem or file.path .. ": " .. why end
+  end
   for _, file in ipairs(list) do
-    note(file, file.handle:flush())
+    note(file, not file.problem, file.problem)
     note(file, file.handle:close())
-    if file.problem then problem = problem or file.path .. ": " .. file.problem end
   end
   for _, file in ipairs(list) do
-    if not problem then note(file, publish(file)) end
-    if file.problem then problem = problem or file.path .. ": " .. file.problem end
+    local aside, path = file.aside, file.path
+    if problem and aside ~= path then
+      os.remove(aside)
+    elseif aside ~= path and not os.rename(aside, path) then
+      os.remove(path) -- Windows puts no file in the place of another
+      note(file, os.rename(aside, path))
+    end
   end
-  for _, file in ipairs(problem and list or {}) do discard(file) end
   return problem
 end
 
