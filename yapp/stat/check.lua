@@ -26,7 +26,9 @@ function M.new(options, context)
     return function(message)
       local list = {}
       for _, rule in ipairs(options.rules) do
-        if rule.kind == kind and rule.message == message then list[#list + 1] = rule end
+        if rule.kind == kind and rule.message == message then
+          list[#list + 1] = rule
+        end
       end
       return list
     end
@@ -42,7 +44,9 @@ function M.new(options, context)
 end
 
 function Check:event(event)
-  if event.kind == "absent" then self.absent[#self.absent + 1] = event.source end
+  if event.kind == "absent" then
+    self.absent[#self.absent + 1] = event.source
+  end
   self.groups:event(event)
 end
 
@@ -85,7 +89,9 @@ local function count_events(rule, group)
   local seen, frame = groups.seen(group, rule.kind)
   local is_well = seen <= rule.limit
   local needs_past = tell.KINDS[rule.kind].needs_past
-  if needs_past and (group.count == 0 or is_well and group.is_unsure) then is_well = nil end
+  if needs_past and (group.count == 0 or is_well and group.is_unsure) then
+    is_well = nil
+  end
   return seen, frame, is_well
 end
 
@@ -98,8 +104,12 @@ local function is_about(rule, group)
   local kind, message = tell.KINDS[rule.kind], group.message
   if not is_its(rule, group.source) then return false end
   if not kind then return message == rule.message end
-  if kind.is_rare then return group.counts[rule.kind] ~= nil end
-  if not kind.about then return group.source.id ~= nil end
+  if kind.is_rare then
+    return group.counts[rule.kind] ~= nil
+  end
+  if not kind.about then
+    return group.source.id ~= nil
+  end
   local has = message and message[kind.about]
   return has and (type(has) ~= "table" or next(has) ~= nil)
 end
@@ -108,10 +118,14 @@ end
 -- Nil where it does not.
 local function holds_of_none(self, rule)
   local kind = tell.KINDS[rule.kind]
-  if not (kind and kind.is_rare or rule.is_default) then return nil end
+  if not (kind and kind.is_rare or rule.is_default) then
+    return nil
+  end
   for _, group in ipairs(self.groups.list) do
     local has_come = group.count > 0 or group.counts.crc
-    if has_come and is_its(rule, group.source) then return true end
+    if has_come and is_its(rule, group.source) then
+      return true
+    end
   end
 end
 
@@ -119,10 +133,14 @@ end
 local function judge_absent(self, rule)
   local names, ok = {}, holds_of_none(self, rule)
   for _, row in ipairs(self.absent) do
-    if is_its(rule, row) then names[#names + 1] = output.who(row) end
+    if is_its(rule, row) then
+      names[#names + 1] = output.who(row)
+    end
   end
   for _, row in ipairs(self.context.named()) do
-    if row.message and is_its(rule, row) then ok = #names <= rule.limit end
+    if row.message and is_its(rule, row) then
+      ok = #names <= rule.limit
+    end
   end
   return #names, nil, ok, nil, table.concat(names, ", ")
 end
@@ -156,8 +174,12 @@ local function row_of(rule, group, seen, frame, is_well, worst, note)
 end
 
 local function judge(self, rule, last)
-  if rule.kind == "absent" then return { row_of(rule, nil, judge_absent(self, rule)) } end
-  if rule.kind == "spread" then return { row_of(rule, nil, judge_spread(self, rule)) } end
+  if rule.kind == "absent" then
+    return { row_of(rule, nil, judge_absent(self, rule)) }
+  end
+  if rule.kind == "spread" then
+    return { row_of(rule, nil, judge_spread(self, rule)) }
+  end
   local measured, rows = measure[rule.kind] or count_events, {}
   for _, group in ipairs(self.groups:sorted()) do
     if is_about(rule, group) then
@@ -198,15 +220,21 @@ local function report(path, rows, problems)
       kind, errors = "error", errors + 1
     end
     for _, key in ipairs { "seen", "worst", "note", "frame" } do
-      if row[key] then seen[#seen + 1] = key .. " " .. output.text(row[key]) end
+      if row[key] then
+        seen[#seen + 1] = key .. " " .. output.text(row[key])
+      end
     end
     local name = row.rule
     for _, key in ipairs { "bus", "id", "source" } do
-      if row.id and row[key] then name = name .. " " .. output.text(row[key]) end
+      if row.id and row[key] then
+        name = name .. " " .. output.text(row[key])
+      end
     end
     cases[i] = case_of(name, kind, table.concat(seen, ", "))
   end
-  for _, problem in ipairs(problems) do cases[#cases + 1] = case_of(problem, "error", problem) end
+  for _, problem in ipairs(problems) do
+    cases[#cases + 1] = case_of(problem, "error", problem)
+  end
   local file, problem = output.create(path)
   if not file then return problem end
   file:write(REPORT:format(#cases, failures, errors, table.concat(cases)))
@@ -217,21 +245,28 @@ end
 -- returns  the exit code, and a text that says why where the table does not, nil for nothing
 function Check:finish(last)
   local options, problems = self.options, self.context.problems()
-  local rows, all, code = {}, {}, 0
+  local rows, code = {}, 0
   for _, rule in ipairs(options.rules) do
     for _, row in ipairs(judge(self, rule, last)) do
       rows[#rows + 1] = row
-      if row.is_well == nil and code == 0 then code = UNJUDGED end
+      if row.is_well == nil and code == 0 then
+        code = UNJUDGED
+      end
       if row.is_well == false then code = FAILED end
     end
   end
-  for _, problem in ipairs(options.problems) do all[#all + 1] = problem end -- said already
-  for _, problem in ipairs(problems) do all[#all + 1] = problem end
-  local problem = options.junit and report(options.junit, rows, all)
-  if problem then problems[#problems + 1] = "the report is not written: " .. problem end
-  if code == 0 and (all[1] or problem) then code = UNJUDGED end
+  for _, problem in ipairs(options.problems) do
+    problems[#problems + 1] = problem
+  end
+  local problem = options.junit and report(options.junit, rows, problems)
+  if problem then
+    problems[#problems + 1] = "the report is not written: " .. problem
+  end
+  if code == 0 and problems[1] then code = UNJUDGED end
   output.print(self.context, "YAPP check: " .. VERDICTS[code], KEYS, rows)
-  for i, text in ipairs(problems) do problems[i] = "check: " .. text end
+  for i, text in ipairs(problems) do
+    problems[i] = "check: " .. text
+  end
   return code, problems[1] and table.concat(problems, "\n") or nil
 end
 

@@ -33,14 +33,20 @@ local function columns_of(self, message)
     type = row[2],
     unit = row[3],
   } end
-  if self.options.all then list[#list + 1] = { name = "crc_good", type = "bool" } end
-  for _, column in ipairs(columns.columns(message)) do list[#list + 1] = column end
+  if self.options.all then
+    list[#list + 1] = { name = "crc_good", type = "bool" }
+  end
+  for _, column in ipairs(columns.columns(message)) do
+    list[#list + 1] = column
+  end
   return list
 end
 
 local function header(self, message)
   local names = {}
-  for i, column in ipairs(columns_of(self, message)) do names[i] = columns.quoted(column.name) end
+  for i, column in ipairs(columns_of(self, message)) do
+    names[i] = columns.quoted(column.name)
+  end
   return table.concat(names, ",") .. "\n"
 end
 
@@ -67,8 +73,12 @@ local function prepare(self)
   self.fields, problem = create(self, FIELDS)
   for _, message in ipairs(context.catalogue.messages) do
     local file
-    if not problem then file, problem = create(self, message.name .. ".csv") end
-    if file then file:write(header(self, message)) end
+    if not problem then
+      file, problem = create(self, message.name .. ".csv")
+    end
+    if file then
+      file:write(header(self, message))
+    end
     self.of_message[message], self.counts[message] = file, 0
   end
   return problem and output.finish(self.files, problem)
@@ -101,14 +111,20 @@ end
 function Csv:message(record)
   local options, source = self.options, record.source
   local message, is_good = source.message, record.kind == "message"
-  if not (record.fits and self.counts[message]) then return end
-  if not (is_good or options.all and record.kind == "crc") then return end
+  if not (record.fits and self.counts[message]) then
+    return
+  end
+  if not (is_good or options.all and record.kind == "crc") then
+    return
+  end
   local crc_good = options.all and (is_good and "1," or "0,") or ""
   local row = ("%s,%d,%s,%s,%d,%d,%s%s\n"):format(
     output.time_text(self.context.clock(record.rel)), record.frame,
     columns.quoted(source.bus or ""), columns.quoted(source.name or ""), source.id, record.seq,
     crc_good, columns.row(message, record.payload))
-  if options.chosen then return self.context.out(row) end
+  if options.chosen then
+    return self.context.out(row)
+  end
   self.of_message[message]:write(row)
   self.counts[message] = self.counts[message] + 1
 end
@@ -152,7 +168,9 @@ function M.describe(catalogue, version, columns_of_)
   local names, messages = {}, {}
   for i, message in ipairs(catalogue.messages) do
     local list = {}
-    for j, column in ipairs(columns_of_(message)) do list[j] = describe_column(column) end
+    for j, column in ipairs(columns_of_(message)) do
+      list[j] = describe_column(column)
+    end
     names[i] = message.name
     messages[message.name] = output.raw(output.object({ "title", "every", "columns" }, {
       title = message.title, every = message.every,

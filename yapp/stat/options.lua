@@ -13,7 +13,9 @@ local COUNTED, ALL_IS_WELL = {}, {}
 for _, kind in ipairs(KINDS) do
   if not kind.counts_as then
     COUNTED[#COUNTED + 1], COUNTED[kind.name] = kind.name, true
-    if not kind.by_wish then ALL_IS_WELL[#ALL_IS_WELL + 1] = kind.name .. "=0" end
+    if not kind.by_wish then
+      ALL_IS_WELL[#ALL_IS_WELL + 1] = kind.name .. "=0"
+    end
   end
 end
 local MEASURES = {
@@ -147,10 +149,14 @@ end
 
 function finish.check(options, catalogue)
   local rules, is_judged = options.rules, false
-  for _, rule in ipairs(rules) do is_judged = is_judged or rule.kind == "unknown" end
+  for _, rule in ipairs(rules) do
+    is_judged = is_judged or rule.kind == "unknown"
+  end
   if rules[1] or options.problems[1] then
     -- What was not decoded was not checked.
-    if not is_judged then rules[#rules + 1] = read_rule("unknown=0", catalogue) end
+    if not is_judged then
+      rules[#rules + 1] = read_rule("unknown=0", catalogue)
+    end
     demand(not options.unused, "no rule follows %s: it is for those behind it", options.unused)
     return
   end
@@ -181,7 +187,9 @@ end
 function M.read(text, catalogue)
   local at = text:find(",filter=", 1, true) -- what follows is a display filter, commas and all
   local parts = {}
-  for part in (text:sub(1, (at or 0) - 1) .. ","):gmatch("([^,]*),") do parts[#parts + 1] = part end
+  for part in (text:sub(1, (at or 0) - 1) .. ","):gmatch("([^,]*),") do
+    parts[#parts + 1] = part
+  end
   local what = parts[2] or ""
   local options = {
     what = what,
@@ -195,8 +203,12 @@ function M.read(text, catalogue)
     return options
   end
   options.rules = what == "check" and {} or nil
-  for i = 3, #parts do try(options, parts[i], read[what] or read_plain, parts[i], catalogue) end
-  if finish[what] then try(options, what, finish[what], catalogue) end
+  for i = 3, #parts do
+    try(options, parts[i], read[what] or read_plain, parts[i], catalogue)
+  end
+  if finish[what] then
+    try(options, what, finish[what], catalogue)
+  end
   if options.filter and not options.filter:find("%S") then
     options.problems[#options.problems + 1] = "filter=: the display filter is missing"
   end

@@ -30,8 +30,12 @@ end
 
 -- The shortest text that reads back as the same number; null for what JSON has no number for.
 local function number_value(value)
-  if value ~= value or value == math.huge or value == -math.huge then return "null" end
-  if value % 1 == 0 and value > -2 ^ 53 and value < 2 ^ 53 then return format("%d", value) end
+  if value ~= value or value == math.huge or value == -math.huge then
+    return "null"
+  end
+  if value % 1 == 0 and value > -2 ^ 53 and value < 2 ^ 53 then
+    return format("%d", value)
+  end
   local shown = format("%.15g", value)
   return tonumber(shown) == value and shown or format("%.17g", value)
 end
@@ -49,7 +53,9 @@ end
 -- has not is null.
 function M.object(keys, values)
   local parts = {}
-  for i, key in ipairs(keys) do parts[i] = text_value(key) .. ":" .. M.value(values[key]) end
+  for i, key in ipairs(keys) do
+    parts[i] = text_value(key) .. ":" .. M.value(values[key])
+  end
   return "{" .. table.concat(parts, ",") .. "}"
 end
 
@@ -105,7 +111,9 @@ end
 
 --- What a source is called where a column has room for one text: its name, or its bus and ID.
 function M.who(source)
-  if source.name or not source.id then return source.name or source.bus end
+  if source.name or not source.id then
+    return source.name or source.bus
+  end
   return (source.bus and source.bus .. " " or "") .. format("0x%x", source.id)
 end
 
@@ -138,7 +146,9 @@ local FOR_PEOPLE = {
 --- A list of the words of a text.
 function M.words(text)
   local list = {}
-  for word in text:gmatch("%S+") do list[#list + 1] = word end
+  for word in text:gmatch("%S+") do
+    list[#list + 1] = word
+  end
   return list
 end
 
@@ -172,7 +182,9 @@ end
 -- Takes columns away until a line has room for them.
 local function fit(columns, width)
   local total = -2
-  for _, column in ipairs(columns) do total = total + column.width + 2 end
+  for _, column in ipairs(columns) do
+    total = total + column.width + 2
+  end
   for _, key in ipairs(SPARE) do
     for i = #columns, 1, -1 do
       if total > width and columns[i].key == key then
@@ -190,7 +202,9 @@ local function table_line(columns, row, width)
     cells[i] = column.is_number and blanks .. text or text .. blanks
   end
   local line = table.concat(cells, "  "):gsub("%s+$", "")
-  if not width or width_of(line) <= width then return line .. "\n" end
+  if not width or width_of(line) <= width then
+    return line .. "\n"
+  end
   return line:match("^" .. ("[^\128-\191][\128-\191]*"):rep(width - 1)) .. "~\n"
 end
 
@@ -202,9 +216,13 @@ end
 --        go until it fits, and what is still beyond is cut
 function M.table(keys, rows, width)
   local columns, lines = {}, {}
-  for _, key in ipairs(keys) do columns[#columns + 1] = new_column(key, rows) end
+  for _, key in ipairs(keys) do
+    columns[#columns + 1] = new_column(key, rows)
+  end
   if width then fit(columns, width) end
-  for i, row in ipairs(rows) do lines[i] = table_line(columns, row, width) end
+  for i, row in ipairs(rows) do
+    lines[i] = table_line(columns, row, width)
+  end
   return table_line(columns, nil, width) .. table.concat(lines)
 end
 
@@ -214,14 +232,20 @@ end
 function M.print(context, title, keys, rows)
   if not context.json then
     context.out(title .. "\n")
-    if rows[1] then context.out("\n" .. M.table(keys, rows, context.width)) end
+    if rows[1] then
+      context.out("\n" .. M.table(keys, rows, context.width))
+    end
   end
   local in_json = {}
   for _, key in ipairs(keys) do
-    if not FOR_PEOPLE[key] then in_json[#in_json + 1] = key end
+    if not FOR_PEOPLE[key] then
+      in_json[#in_json + 1] = key
+    end
   end
   for _, row in ipairs(rows) do
-    if context.json then context.out(M.object(row.keys or in_json, row) .. "\n") end
+    if context.json then
+      context.out(M.object(row.keys or in_json, row) .. "\n")
+    end
     local frames, frame = context.frames, row.frame or row.gap_max_frame
     if frames then frames[#frames + 1] = frame end
   end
@@ -258,7 +282,9 @@ end
 -- returns  what went wrong, nil for nothing
 function M.finish(list, problem)
   local function note(file, ok, why)
-    if not ok then problem = problem or file.path .. ": " .. why end
+    if not ok then
+      problem = problem or file.path .. ": " .. why
+    end
   end
   for _, file in ipairs(list) do
     note(file, not file.problem, file.problem)

@@ -45,7 +45,9 @@ local function row_of(group)
     gap_max = output.seconds(group.gap_max),
     gap_max_frame = group.gap_max_frame,
   })
-  for key, kind in pairs(COUNTS) do row[key] = groups.seen(group, kind) end
+  for key, kind in pairs(COUNTS) do
+    row[key] = groups.seen(group, kind)
+  end
   return row
 end
 
@@ -57,7 +59,9 @@ function Summary:finish(last)
     for j, values in ipairs(group.values) do
       local row = groups.put(values, output.row(group.source, {}))
       names[j], ranges[row.field] = row.field, output.raw(output.object(RANGE, row))
-      if row.min then shown[#shown + 1] = row end
+      if row.min then
+        shown[#shown + 1] = row
+      end
     end
     rows[i] = row_of(group)
     rows[i].values = output.raw(output.object(names, ranges))
@@ -118,7 +122,9 @@ local function compared(self)
     if message then
       local list = lists[message] or {}
       lists[message], list[#list + 1] = list, group
-      if #list == 2 then messages[#messages + 1] = message end
+      if #list == 2 then
+        messages[#messages + 1] = message
+      end
     end
   end
   return lists, messages

@@ -185,8 +185,9 @@ end
 -- One -z argument.
 function Stat:argument(text)
   local options = options_of.read(text, self.plugin.catalogue)
-  for _, problem in ipairs(options.problems) do say(problem) end
-  if options.problems[1] and not options.rules then leave(FAILED) end
+  if options.problems[1] and not options.rules then -- check says them in its report, too
+    error(table.concat(options.problems, "\n"), 0)
+  end
   if not self.feed then
     self:open()
     tap_packets(self)
