@@ -241,20 +241,27 @@ local function report(path, rows, problems)
   return output.finish { file }
 end
 
+-- The rows of all rules, and the exit code that follows from them.
+local function judge_all(self, last)
+  local rows, code = {}, 0
+  for _, rule in ipairs(self.options.rules) do
+    for _, row in ipairs(judge(self, rule, last)) do
+      rows[#rows + 1] = row
+      if row.is_well == false then
+        code = FAILED
+      elseif row.is_well == nil and code == 0 then
+        code = UNJUDGED
+      end
+    end
+  end
+  return rows, code
+end
+
 --- last     { rel =, ... } of the last packet of any kind; nil where there was none
 -- returns  the exit code, and a text that says why where the table does not, nil for nothing
 function Check:finish(last)
   local options, problems = self.options, self.context.problems()
-  local rows, code = {}, 0
-  for _, rule in ipairs(options.rules) do
-    for _, row in ipairs(judge(self, rule, last)) do
-      rows[#rows + 1] = row
-      if row.is_well == nil and code == 0 then
-        code = UNJUDGED
-      end
-      if row.is_well == false then code = FAILED end
-    end
-  end
+  local rows, code = judge_all(self, last)
   for _, problem in ipairs(options.problems) do
     problems[#problems + 1] = problem
   end
@@ -264,10 +271,7 @@ function Check:finish(last)
   end
   if code == 0 and problems[1] then code = UNJUDGED end
   output.print(self.context, "YAPP check: " .. VERDICTS[code], KEYS, rows)
-  for i, text in ipairs(problems) do
-    problems[i] = "check: " .. text
-  end
-  return code, problems[1] and table.concat(problems, "\n") or nil
+  return code, problems[1] and "check: " .. table.concat(problems, "\ncheck: ") or nil
 end
 
 return M

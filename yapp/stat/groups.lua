@@ -40,7 +40,9 @@ local NUMERIC = {
 function M.numeric(message)
   local list = {}
   for _, field in ipairs(message.fields) do
-    if NUMERIC[field.kind] and not field.values then list[#list + 1] = { field = field } end
+    if NUMERIC[field.kind] and not field.values then
+      list[#list + 1] = { field = field }
+    end
   end
   return list
 end
@@ -97,7 +99,8 @@ end
 --- Puts field, unit, count, min, mean and max into a row.
 function M.put(values, row)
   local field, count = values.field, values.count
-  row.field, row.unit, row.count = field.name, field.unit, count
+  row.field, row.unit = field.name, field.unit
+  row.count = count
   if count == 0 then return row end
   row.min = output.number(rounded(field, values.min))
   row.mean = output.number(values.sum / count)
@@ -220,7 +223,9 @@ function M.seen(group, kind)
 end
 
 local function note_gap(group, gap, frame)
-  if gap > (group.gap_max or -1) then group.gap_max, group.gap_max_frame = gap, frame end
+  if gap > (group.gap_max or -1) then
+    group.gap_max, group.gap_max_frame = gap, frame
+  end
   group.gap_min = math.min(gap, group.gap_min or gap)
 end
 
@@ -229,8 +234,10 @@ function Groups:message(record)
   local group = group_of(self, record.source)
   if record.kind ~= "message" then return end
   if group.last then note_gap(group, tell.span(group.last, record.rel), record.frame) end
-  group.first, group.last = group.first or record.rel, record.rel
-  group.last_frame, group.count = record.frame, group.count + 1
+  group.first = group.first or record.rel
+  group.last = record.rel
+  group.last_frame = record.frame
+  group.count = group.count + 1
   group.is_unsure = group.is_unsure or record.is_unsure
   if not record.fits then return end
   local message = group.message

@@ -166,10 +166,12 @@ function finish.check(options, catalogue)
   end
 end
 
-local function read_plain(options, part)
+function read.summary(options, part)
   demand(part == "json", "the options of %s are json, filter=EXPRESSION", options.what)
   options.json = true
 end
+
+read.faults, read.events, read.compare = read.summary, read.summary, read.summary
 
 -- Calls a function that raises what is wrong with a part.
 local function try(options, part, call, ...)
@@ -196,15 +198,13 @@ function M.read(text, catalogue)
     filter = at and text:sub(at + 8),
     problems = {},
   }
-  local is_known = parts[1] == "yapp" and (" " .. table.concat(M.WHATS, " ") .. " ")
-    :find(" " .. what .. " ", 1, true)
-  if not is_known then
+  if parts[1] ~= "yapp" or not read[what] then
     options.problems[1] = text .. ": it is yapp," .. table.concat(M.WHATS, " or yapp,")
     return options
   end
   options.rules = what == "check" and {} or nil
   for i = 3, #parts do
-    try(options, parts[i], read[what] or read_plain, parts[i], catalogue)
+    try(options, parts[i], read[what], parts[i], catalogue)
   end
   if finish[what] then
     try(options, what, finish[what], catalogue)

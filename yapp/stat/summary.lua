@@ -15,8 +15,12 @@ local KEYS = words("bus id source message count rate gap_min gap_mean gap_max ga
   "crc_bad incomplete late reboots values invalid skipped")
 -- The kinds of events that are counted, by key.
 local COUNTS = {
-  crc_bad = "crc", incomplete = "incomplete", late = "late", reboots = "reboot",
-  invalid = "invalid", skipped = "skipped",
+  crc_bad = "crc",
+  incomplete = "incomplete",
+  late = "late",
+  reboots = "reboot",
+  invalid = "invalid",
+  skipped = "skipped",
 }
 local RANGE = words("min mean max")
 local VALUES = words("bus id source message field unit min mean max count")
@@ -27,12 +31,17 @@ Summary.__index = Summary
 --- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds,
 --          late = function() -> periods, json, width, frames = see output.print }
 function M.new(_, context)
-  return setmetatable({ context = context, groups = groups.new(groups.numeric) }, Summary)
+  local gathered = groups.new(groups.numeric)
+  return setmetatable({ context = context, groups = gathered }, Summary)
 end
 
-function Summary:event(event) self.groups:event(event) end
+function Summary:event(event)
+  self.groups:event(event)
+end
 
-function Summary:message(record) self.groups:message(record) end
+function Summary:message(record)
+  self.groups:message(record)
+end
 
 local function row_of(group)
   local count = group.count
@@ -58,7 +67,8 @@ function Summary:finish(last)
     local names, ranges = {}, {}
     for j, values in ipairs(group.values) do
       local row = groups.put(values, output.row(group.source, {}))
-      names[j], ranges[row.field] = row.field, output.raw(output.object(RANGE, row))
+      names[j] = row.field
+      ranges[row.field] = output.raw(output.object(RANGE, row))
       if row.min then
         shown[#shown + 1] = row
       end
@@ -67,7 +77,8 @@ function Summary:finish(last)
     rows[i].values = output.raw(output.object(names, ranges))
   end
   local sources = output.count(#rows, "source")
-  local title = ("YAPP summary: %s in %.3f s"):format(sources, last and last.rel or 0)
+  local length = last and last.rel or 0
+  local title = ("YAPP summary: %s in %.3f s"):format(sources, length)
   output.print(context, title, KEYS, rows)
   if shown[1] and not context.json then
     context.out("\n" .. output.table(VALUES, shown, context.width))
@@ -90,7 +101,9 @@ function M.compare(_, context)
   return setmetatable({ context = context, groups = gathered }, Compare)
 end
 
-function Compare:message(record) self.groups:message(record) end
+function Compare:message(record)
+  self.groups:message(record)
+end
 
 -- The row of a field; people see those of its sources, the first with what they have in common.
 local function compared_row(self, spread, list, place, shown)
@@ -98,10 +111,12 @@ local function compared_row(self, spread, list, place, shown)
   for i, group in ipairs(list) do
     local one = groups.put(group.values[place], output.row(group.source, {}))
     sources[i] = output.object(OF_SOURCE, one)
-    row.message, row.field, row.unit = group.message.name, one.field, one.unit
+    row.message = group.message.name
+    row.field, row.unit = one.field, one.unit
     one.source = output.who(group.source)
     if i == 1 then
-      one.spread, one.frame = output.number(spread.worst), spread.frame
+      one.spread = output.number(spread.worst)
+      one.frame = spread.frame
       one.rel = output.seconds(spread.rel)
       row.spread, row.frame = one.spread, one.frame
     else
