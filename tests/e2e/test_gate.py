@@ -435,7 +435,7 @@ def test_a_folder_that_is_not_writable(folder, home):
         assert z(folder, "csv,closed")[0] == 21
     for argument in ("csv,file/table", "csv,file"):
         returned, _, errors = z(folder, argument)
-        assert returned == 21 and "cannot be made: file: a file, not a folder" in errors
+        assert returned == 21 and f"the folder {argument[4:]} cannot be made" in errors
 
 
 def test_csv_does_not_overwrite_unasked(folder, home):

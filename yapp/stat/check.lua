@@ -12,9 +12,7 @@ local M = {}
 local FAILED, UNJUDGED = 20, 21
 local VERDICTS = { [0] = "all rules hold", [FAILED] = "FAILED",
   [UNJUDGED] = "not all of it could be judged" }
-local KEYS = {
-  "ok", "rule", "bus", "id", "source", "message", "frame", "seen", "limit", "worst", "note",
-}
+local KEYS = output.words("ok rule bus id source message frame seen limit worst note")
 
 local Check = {}
 Check.__index = Check
@@ -24,39 +22,35 @@ Check.__index = Check
 --          cannot be trusted, named = function() -> list of the sources that the user named, see
 --          message.sources, and what output.print takes }
 function M.new(options, context)
-  local self = setmetatable({ options = options, context = context, absent = {},
-    ranges = {}, -- by message: list of rules
-    spreads = {} }, Check) -- by rule
-  self.groups = groups.new(function(message)
-    local list = {}
-    for i, rule in ipairs(self.ranges[message] or {}) do
-      list[i] = groups.values(message, rule.field, rule)
-    end
-    return list
-  end)
-  for _, rule in ipairs(options.rules) do
-    local message = rule.message
-    if rule.kind == "range" then
-      self.ranges[message] = self.ranges[message] or {}
-      table.insert(self.ranges[message], rule)
-    elseif rule.kind == "spread" then
-      self.spreads[rule] = groups.spread(message, rule.field, context.late)
+  local function rules_of(kind)
+    return function(message)
+      local list = {}
+      for _, rule in ipairs(options.rules) do
+        if rule.kind == kind and rule.message == message then
+          list[#list + 1] = rule
+        end
+      end
+      return list
     end
   end
-  return self
+  local gathered = groups.new(rules_of("range"), rules_of("spread"), context.late)
+  return setmetatable({
+    options = options,
+    context = context,
+    groups = gathered,
+    absent = {},
+  },
+    Check)
 end
 
 function Check:event(event)
-  if event.kind == "absent" then self.absent[#self.absent + 1] = event.source end
+  if event.kind == "absent" then
+    self.absent[#self.absent + 1] = event.source
+  end
   self.groups:event(event)
 end
 
-function Check:message(record)
-  local message, raws = self.groups:message(record)
-  for rule, spread in pairs(message and self.spreads or {}) do
-    if rule.message == message then spread:note(record, raws) end
-  end
-end
+function Check:message(record) self.groups:message(record) end
 
 -- Judging ---------------------------------------------------------------------------------------
 
@@ -83,9 +77,9 @@ end
 
 function measure.range(rule, group)
   for _, values in ipairs(group.values) do
-    if values.limits == rule and values.seen > 0 then
-      return values.outside, values.frame, values.outside == 0, values.worst,
-        ("of %d values"):format(values.seen)
+    if values.want == rule and values.seen > 0 then
+      local note = ("of %d values"):format(values.seen)
+      return values.outside, values.frame, values.outside == 0, values.worst, note
     end
   end
 end
@@ -93,77 +87,103 @@ end
 -- How many events of a kind there are.
 local function count_events(rule, group)
   local seen, frame = groups.seen(group, rule.kind)
-  local is_well, is_open = seen <= rule.limit, false
-  if tell.KINDS[rule.kind].needs_past then
-    is_open = group.count == 0 or is_well and group.is_unsure
+  local is_well = seen <= rule.limit
+  local needs_past = tell.KINDS[rule.kind].needs_past
+  if needs_past and (group.count == 0 or is_well and group.is_unsure) then
+    is_well = nil
   end
-  if is_open then return seen, frame end
   return seen, frame, is_well
+end
+
+local function is_its(rule, source)
+  return not rule.source or source.name == rule.source
 end
 
 -- Whether a rule is about a source.
 local function is_about(rule, group)
   local kind, message = tell.KINDS[rule.kind], group.message
-  if rule.source and group.source.name ~= rule.source then return false end
+  if not is_its(rule, group.source) then return false end
   if not kind then return message == rule.message end
-  if kind.is_rare then return groups.seen(group, rule.kind) > 0 end
-  if not kind.about then return group.source.id ~= nil end
-  return message and kind.about(message)
+  if kind.is_rare then
+    return group.counts[rule.kind] ~= nil
+  end
+  if not kind.about then
+    return group.source.id ~= nil
+  end
+  local has = message and message[kind.about]
+  return has and (type(has) ~= "table" or next(has) ~= nil)
 end
 
 -- Whether a rule that is about nothing that came holds all the same: a message of its source came.
 -- Nil where it does not.
 local function holds_of_none(self, rule)
   local kind = tell.KINDS[rule.kind]
-  if not (kind and kind.is_rare or rule.is_default) then return nil end
+  if not (kind and kind.is_rare or rule.is_default) then
+    return nil
+  end
   for _, group in ipairs(self.groups.list) do
-    local is_its = not rule.source or group.source.name == rule.source
-    if is_its and (group.count > 0 or group.counts.crc) then return true end
+    local has_come = group.count > 0 or group.counts.crc
+    if has_come and is_its(rule, group.source) then
+      return true
+    end
   end
 end
 
 -- Of the sources that the user named with a message those that never came.
-local function count_absent(self, rule)
-  local names, is_any = {}, false
-  for _, row in ipairs(self.context.named()) do
-    local is_its = not rule.source or row.name == rule.source
-    is_any = is_any or row.message and is_its
-  end
+local function judge_absent(self, rule)
+  local names, ok = {}, holds_of_none(self, rule)
   for _, row in ipairs(self.absent) do
-    if not rule.source or row.name == rule.source then names[#names + 1] = output.who(row) end
+    if is_its(rule, row) then
+      names[#names + 1] = output.who(row)
+    end
   end
-  local ok = is_any and #names <= rule.limit
-  if not is_any then ok = holds_of_none(self, rule) end
-  return #names, ok, table.concat(names, ", ")
+  for _, row in ipairs(self.context.named()) do
+    if row.message and is_its(rule, row) then
+      ok = #names <= rule.limit
+    end
+  end
+  return #names, nil, ok, nil, table.concat(names, ", ")
 end
 
-local NOTES = { [true] = "what came before is not known", [false] = "nothing to judge it by" }
-
-local function row_of(rule, group, seen, frame, ok, worst, note)
-  local row = output.row(group and group.source or { name = rule.source }, { rule = rule.text,
-    seen = output.number(seen), frame = frame, worst = output.number(worst), note = note })
-  row.limit = output.raw(output.value(rule.limit or rule.text:match("=(.*)$")))
-  row.ok = { json = tostring(ok), text = ok and "ok" or "FAILED", is_failed = ok == false }
-  if ok == nil then
-    row.ok = { json = "null", text = "NOT JUDGED", is_open = true }
-    row.note = NOTES[group and group.is_unsure or false]
+local function judge_spread(self, rule)
+  for _, spread in ipairs(self.groups.spreads[rule.message] or {}) do
+    if spread.want == rule and spread.worst then
+      return spread.worst, spread.frame, spread.worst <= rule.limit
+    end
   end
-  return row
+end
+
+local TEXTS = { [true] = "ok", [false] = "FAILED" }
+
+local function row_of(rule, group, seen, frame, is_well, worst, note)
+  local source = group and group.source or { name = rule.source }
+  if is_well == nil then
+    local is_unsure = group and group.is_unsure
+    note = is_unsure and "what came before is not known" or "nothing to judge it by"
+  end
+  return output.row(source, {
+    is_well = is_well,
+    ok = { json = output.value(is_well), text = TEXTS[is_well] or "NOT JUDGED" },
+    rule = rule.text,
+    seen = output.number(seen),
+    limit = output.raw(output.value(rule.limit or rule.text:match("=(.*)$"))),
+    frame = frame,
+    worst = output.number(worst),
+    note = note,
+  })
 end
 
 local function judge(self, rule, last)
-  local spread, rows = self.spreads[rule], {}
   if rule.kind == "absent" then
-    local seen, ok, names = count_absent(self, rule)
-    return { row_of(rule, nil, seen, nil, ok, nil, names) }
+    return { row_of(rule, nil, judge_absent(self, rule)) }
   end
-  if spread then
-    local worst = spread.worst
-    return { row_of(rule, nil, worst, spread.frame, worst and worst <= rule.limit) }
+  if rule.kind == "spread" then
+    return { row_of(rule, nil, judge_spread(self, rule)) }
   end
+  local measured, rows = measure[rule.kind] or count_events, {}
   for _, group in ipairs(self.groups:sorted()) do
     if is_about(rule, group) then
-      rows[#rows + 1] = row_of(rule, group, (measure[rule.kind] or count_events)(rule, group, last))
+      rows[#rows + 1] = row_of(rule, group, measured(rule, group, last))
     end
   end
   if rows[1] then return rows end
@@ -174,68 +194,84 @@ end
 -- A report in JUnit's XML ------------------------------------------------------------------------
 
 local ENTITIES = { ["<"] = "&lt;", [">"] = "&gt;", ["&"] = "&amp;", ['"'] = "&quot;" }
+local REPORT = '<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="yapp.check" tests="%d" ' ..
+  'failures="%d" errors="%d">\n%s</testsuite>\n'
 
 -- XML has no control characters, not even as entities.
 local function escape(text)
   return (output.readable(text):gsub("%c", " "):gsub('[<>&"]', ENTITIES))
 end
 
-local CASE = '  <testcase classname="yapp.check" name="%s"%s>\n'
-local REPORT = '<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="yapp.check" tests="%d" ' ..
-  'failures="%d" errors="%d">\n%s</testsuite>\n'
+-- kind  "failure" or "error", with a text; nil where all is well
+local function case_of(name, kind, text)
+  local case = ('  <testcase classname="yapp.check" name="%s"'):format(escape(name))
+  if not kind then return case .. "/>\n" end
+  return ('%s><%s message="%s"/></testcase>\n'):format(case, kind, escape(text))
+end
 
--- Writes it; problems: lists of texts; returns what went wrong, nil for nothing.
-local function report(path, rows, ...)
-  local lines, counts = {}, { failure = 0, error = 0 }
-  local function add(name, kind, text)
-    local inner = "/"
-    if kind then
-      counts[kind] = counts[kind] + 1
-      inner = ('><%s message="%s"/></testcase'):format(kind, escape(text))
-    end
-    lines[#lines + 1] = CASE:format(escape(name), inner)
-  end
-  for _, row in ipairs(rows) do
-    local parts, seen = { row.rule }, {}
-    for _, key in ipairs { "bus", "id", "source" } do
-      local text = row.id and output.text(row[key]) or ""
-      if text ~= "" then parts[#parts + 1] = text end
+-- Writes it; returns what went wrong, nil for nothing.
+local function report(path, rows, problems)
+  local cases, failures, errors = {}, 0, #problems
+  for i, row in ipairs(rows) do
+    local kind, seen = nil, {}
+    if row.is_well == false then
+      kind, failures = "failure", failures + 1
+    elseif row.is_well == nil then
+      kind, errors = "error", errors + 1
     end
     for _, key in ipairs { "seen", "worst", "note", "frame" } do
-      local text = output.text(row[key])
-      if key ~= "note" then text = key .. " " .. text end
-      if row[key] then seen[#seen + 1] = text end
+      if row[key] then
+        seen[#seen + 1] = key .. " " .. output.text(row[key])
+      end
     end
-    local kind = row.ok.is_failed and "failure" or row.ok.is_open and "error"
-    add(table.concat(parts, " "), kind, table.concat(seen, ", "))
+    local name = row.rule
+    for _, key in ipairs { "bus", "id", "source" } do
+      if row.id and row[key] then
+        name = name .. " " .. output.text(row[key])
+      end
+    end
+    cases[i] = case_of(name, kind, table.concat(seen, ", "))
   end
-  for _, problems in ipairs { ... } do
-    for _, problem in ipairs(problems) do add(problem, "error", problem) end
+  for _, problem in ipairs(problems) do
+    cases[#cases + 1] = case_of(problem, "error", problem)
   end
   local file, problem = output.create(path)
   if not file then return problem end
-  file:write(REPORT:format(#lines, counts.failure, counts.error, table.concat(lines)))
+  file:write(REPORT:format(#cases, failures, errors, table.concat(cases)))
   return output.finish { file }
+end
+
+-- The rows of all rules, and the exit code that follows from them.
+local function judge_all(self, last)
+  local rows, code = {}, 0
+  for _, rule in ipairs(self.options.rules) do
+    for _, row in ipairs(judge(self, rule, last)) do
+      rows[#rows + 1] = row
+      if row.is_well == false then
+        code = FAILED
+      elseif row.is_well == nil and code == 0 then
+        code = UNJUDGED
+      end
+    end
+  end
+  return rows, code
 end
 
 --- last     { rel =, ... } of the last packet of any kind; nil where there was none
 -- returns  the exit code, and a text that says why where the table does not, nil for nothing
 function Check:finish(last)
   local options, problems = self.options, self.context.problems()
-  local rows, is_failed, is_open = {}, false, false
-  for _, rule in ipairs(options.rules) do
-    for _, row in ipairs(judge(self, rule, last)) do
-      rows[#rows + 1] = row
-      is_failed, is_open = is_failed or row.ok.is_failed, is_open or row.ok.is_open
-    end
+  local rows, code = judge_all(self, last)
+  for _, problem in ipairs(options.problems) do
+    problems[#problems + 1] = problem
   end
-  local problem = options.junit and report(options.junit, rows, options.problems, problems)
-  if problem then problems[#problems + 1] = "the report is not written: " .. problem end
-  is_open = is_open or options.problems[1] or problems[1]
-  local code = is_failed and FAILED or is_open and UNJUDGED or 0
+  local problem = options.junit and report(options.junit, rows, problems)
+  if problem then
+    problems[#problems + 1] = "the report is not written: " .. problem
+  end
+  if code == 0 and problems[1] then code = UNJUDGED end
   output.print(self.context, "YAPP check: " .. VERDICTS[code], KEYS, rows)
-  for i, text in ipairs(problems) do problems[i] = "check: " .. text end
-  return code, problems[1] and table.concat(problems, "\n") or nil
+  return code, problems[1] and "check: " .. table.concat(problems, "\ncheck: ") or nil
 end
 
 return M

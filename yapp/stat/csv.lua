@@ -28,15 +28,25 @@ end
 -- All columns of a message, as message.columns has them.
 local function columns_of(self, message)
   local list = {}
-  for i, row in ipairs(COMMON) do list[i] = { name = row[1], type = row[2], unit = row[3] } end
-  if self.options.all then list[#list + 1] = { name = "crc_good", type = "bool" } end
-  for _, column in ipairs(columns.columns(message)) do list[#list + 1] = column end
+  for i, row in ipairs(COMMON) do list[i] = {
+    name = row[1],
+    type = row[2],
+    unit = row[3],
+  } end
+  if self.options.all then
+    list[#list + 1] = { name = "crc_good", type = "bool" }
+  end
+  for _, column in ipairs(columns.columns(message)) do
+    list[#list + 1] = column
+  end
   return list
 end
 
 local function header(self, message)
   local names = {}
-  for i, column in ipairs(columns_of(self, message)) do names[i] = columns.quoted(column.name) end
+  for i, column in ipairs(columns_of(self, message)) do
+    names[i] = columns.quoted(column.name)
+  end
   return table.concat(names, ",") .. "\n"
 end
 
@@ -56,13 +66,19 @@ end
 -- Makes the folder and begins its files.
 local function prepare(self)
   local folder, context = self.options.folder, self.context
-  local ok, problem = context.make_folder(folder)
-  if not ok then return ("the folder %s cannot be made: %s"):format(folder, problem) end
+  if not context.make_folder(folder) then
+    return ("the folder %s cannot be made"):format(folder)
+  end
+  local problem
   self.fields, problem = create(self, FIELDS)
   for _, message in ipairs(context.catalogue.messages) do
     local file
-    if not problem then file, problem = create(self, message.name .. ".csv") end
-    if file then file:write(header(self, message)) end
+    if not problem then
+      file, problem = create(self, message.name .. ".csv")
+    end
+    if file then
+      file:write(header(self, message))
+    end
     self.of_message[message], self.counts[message] = file, 0
   end
   return problem and output.finish(self.files, problem)
@@ -71,11 +87,18 @@ end
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =,
 --          all = booleans }
 -- context  { clock = function(rel) -> seconds since 1970, nanoseconds, catalogue =, version = the
---          plugin's, make_folder = function(path) -> true or nil, why; and what output.print takes }
+--          plugin's, make_folder = function(path) -> whether it is there; and what output.print
+--          takes }
 -- returns  the statistic; nil and what is wrong
 function M.new(options, context)
-  local self = setmetatable({ options = options, context = context, files = {}, of_message = {},
-    counts = {}, fields = nil }, Csv)
+  local self = setmetatable({
+    options = options,
+    context = context,
+    files = {},
+    of_message = {},
+    counts = {},
+    fields = nil,
+  }, Csv)
   if not options.chosen then
     local problem = prepare(self)
     return not problem and self or nil, problem
@@ -88,14 +111,20 @@ end
 function Csv:message(record)
   local options, source = self.options, record.source
   local message, is_good = source.message, record.kind == "message"
-  if not (record.fits and self.counts[message]) then return end
-  if not (is_good or options.all and record.kind == "crc") then return end
+  if not (record.fits and self.counts[message]) then
+    return
+  end
+  if not (is_good or options.all and record.kind == "crc") then
+    return
+  end
   local crc_good = options.all and (is_good and "1," or "0,") or ""
   local row = ("%s,%d,%s,%s,%d,%d,%s%s\n"):format(
     output.time_text(self.context.clock(record.rel)), record.frame,
     columns.quoted(source.bus or ""), columns.quoted(source.name or ""), source.id, record.seq,
     crc_good, columns.row(message, record.payload))
-  if options.chosen then return self.context.out(row) end
+  if options.chosen then
+    return self.context.out(row)
+  end
   self.of_message[message]:write(row)
   self.counts[message] = self.counts[message] + 1
 end
@@ -112,12 +141,17 @@ local function meanings(values)
 end
 
 -- The last three are an integer's: what it fits in and what its numbers mean.
-local COLUMN_KEYS = { "name", "unit", "type", "filter", "title", "kind", "bits", "values" }
+local COLUMN_KEYS = output.words("name unit type filter title kind bits values")
 
 local function describe_column(column)
   local field, about = column.field, column.flag or column.field
-  local row = { name = column.name, unit = column.unit, type = column.type,
-    filter = about and about.filter, title = about and about.title }
+  local row = {
+    name = column.name,
+    unit = column.unit,
+    type = column.type,
+    filter = about and about.filter,
+    title = about and about.title,
+  }
   if field and column.type == "integer" then
     row.kind, row.bits = field.kind, field.size * 8
     row.values = field.values and meanings(field.values)
@@ -134,14 +168,19 @@ function M.describe(catalogue, version, columns_of_)
   local names, messages = {}, {}
   for i, message in ipairs(catalogue.messages) do
     local list = {}
-    for j, column in ipairs(columns_of_(message)) do list[j] = describe_column(column) end
+    for j, column in ipairs(columns_of_(message)) do
+      list[j] = describe_column(column)
+    end
     names[i] = message.name
     messages[message.name] = output.raw(output.object({ "title", "every", "columns" }, {
       title = message.title, every = message.every,
       columns = output.raw("[" .. table.concat(list, ",") .. "]") }))
   end
-  return output.object({ "version", "plugin", "messages" }, { version = 1, plugin = version,
-    messages = output.raw(output.object(names, messages)) })
+  return output.object({ "version", "plugin", "messages" }, {
+    version = 1,
+    plugin = version,
+    messages = output.raw(output.object(names, messages)),
+  })
 end
 
 --- returns  the exit code, nil for 0, 21 where a file could not be written; and why

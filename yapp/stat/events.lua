@@ -7,18 +7,15 @@ local KINDS = require("yapp.stat.tell").KINDS
 
 local M = {}
 
-local FAULTS = {
-  "time", "rel", "frame", "bus", "id", "source", "message", "field", "flag", "event", "active",
-  "help",
-}
-local EVENTS = {
-  "time", "rel", "frame", "bus", "id", "source", "message", "kind", "details", "times",
-}
+local FAULTS = output.words("time rel frame bus id source message field flag event active help")
+local EVENTS = output.words("time rel frame bus id source message kind details times")
 -- In JSON a kind's own keys stand behind those that all have.
 local KEYS = {}
 for _, kind in ipairs(KINDS) do
-  local keys = { "kind", "time", "frame", "bus", "id", "source", "message" }
-  for _, key in ipairs(kind.keys or {}) do keys[#keys + 1] = key end
+  local keys = output.words("kind time frame bus id source message")
+  for _, key in ipairs(kind.keys or {}) do
+    keys[#keys + 1] = key
+  end
   KEYS[kind.name] = kind.keys and keys
 end
 
@@ -29,11 +26,18 @@ Events.__index = Events
 -- context   { clock = function(rel) -> seconds since 1970, nanoseconds, and what output.print
 --           takes }
 function M.new(options, context)
-  return setmetatable({ what = options.what, context = context, list = {}, places = {} }, Events)
+  return setmetatable({
+    what = options.what,
+    context = context,
+    list = {},
+    places = {},
+  }, Events)
 end
 
 function Events:event(event)
-  if self.what == "faults" and event.kind ~= "fault" or not KEYS[event.kind] then return end
+  if self.what == "faults" and event.kind ~= "fault" or not KEYS[event.kind] then
+    return
+  end
   self.list[#self.list + 1] = event
   self.places[event] = #self.list
 end
@@ -41,15 +45,21 @@ end
 -- In time; what has no frame is behind all others.
 local function sort(self)
   table.sort(self.list, function(a, b)
-    if a.rel ~= b.rel then return a.rel < b.rel end
-    if a.frame ~= b.frame then return (a.frame or math.huge) < (b.frame or math.huge) end
+    if a.rel ~= b.rel then
+      return a.rel < b.rel
+    end
+    if a.frame ~= b.frame then
+      return (a.frame or math.huge) < (b.frame or math.huge)
+    end
     return self.places[a] < self.places[b]
   end)
 end
 
 local function row_of(self, event)
   local kind, row = KINDS[event.kind], {}
-  for key, value in pairs(event) do row[key] = value end
+  for key, value in pairs(event) do
+    row[key] = value
+  end
   output.row(event.source, row)
   row.time = event.rel and output.time(self.context.clock(event.rel))
   row.rel = output.seconds(event.rel)
@@ -63,7 +73,9 @@ end
 local function keys_of(event)
   local source = event.source
   local bus = tostring(source.bus_key)
-  if event.kind == "invalid" then return { source.key .. event.field .. event.value } end
+  if event.kind == "invalid" then
+    return { source.key .. event.field .. event.value }
+  end
   if event.kind ~= "reboot" then return {} end
   return { bus .. "+" .. source.id - source.message.id, source.name and bus .. "=" .. source.name }
 end
@@ -89,7 +101,9 @@ local function joined(list, rows)
   for i, event in ipairs(list) do
     local keys, row = keys_of(event), rows[i]
     local same = by_key[keys[1] or false] or by_key[keys[2] or false]
-    if same and event.kind == "reboot" and is_another(same, event) then same = nil end
+    if same and event.kind == "reboot" and is_another(same, event) then
+      same = nil
+    end
     if same then
       join(same, row)
     else
@@ -97,7 +111,9 @@ local function joined(list, rows)
       row.first, row.messages = event, {}
     end
     same.messages[event.source.message or false] = true
-    for _, key in ipairs(keys) do by_key[key] = same end
+    for _, key in ipairs(keys) do
+      by_key[key] = same
+    end
   end
   return kept
 end
@@ -110,7 +126,9 @@ function Events:finish()
     rows[i] = row_of(self, event)
     rows[i].keys = self.what == "events" and KEYS[event.kind] or nil
   end
-  if not context.json then rows = joined(list, rows) end
+  if not context.json then
+    rows = joined(list, rows)
+  end
   output.print(context, ("YAPP %s: %d"):format(self.what, #list),
     self.what == "faults" and FAULTS or EVENTS, rows)
 end

@@ -26,7 +26,11 @@ Feed.__index = Feed
 
 --- late, named  as for the kinds of stat.tell
 function M.new(late, named)
-  local self = setmetatable({ statistics = {}, late = late, named = named }, Feed)
+  local self = setmetatable({
+    statistics = {},
+    late = late,
+    named = named,
+  }, Feed)
   self:reset()
   return self
 end
@@ -43,7 +47,12 @@ end
 --- Adds a statistic.
 -- returns  what Feed.matched is told of, where it has a filter
 function Feed:add(statistic, has_filter)
-  local entry = { statistic = statistic, has_filter = has_filter, matched = {}, kinds = nil }
+  local entry = {
+    statistic = statistic,
+    has_filter = has_filter,
+    matched = {},
+    kinds = nil,
+  }
   if statistic.event then
     local function add(event) statistic:event(event) end
     entry.kinds = tell.kinds(self.late, self.named, add)

@@ -9,7 +9,6 @@ local M = {}
 
 local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
-local NO_LIMITS = {}
 
 -- The number that a value is: in its unit, a time in seconds, flags and codes as they are sent; NaN
 -- for a reserved count, nil where the message does not have the field.
@@ -30,92 +29,117 @@ local function rounded(field, value)
   return decode.rounded(field, value)
 end
 
--- Values ----------------------------------------------------------------------------------------
+local NUMERIC = {
+  uint = true,
+  int = true,
+  float = true,
+  ieee = true,
+}
 
-local Values = {}
-Values.__index = Values
-
---- What is gathered of a field: count, min, sum, max of its numbers; seen = of all of it, outside =
--- of those beyond the limits, the worst of them and its frame.
--- limits  { low, high = either nil }, nil for none; reserved counts are beyond all
-function M.values(message, field, limits)
-  limits = limits or NO_LIMITS
-  return setmetatable({ field = field, index = message.index[field], limits = limits,
-    low = limits.low or -INFINITE, high = limits.high or INFINITE,
-    count = 0, min = INFINITE, sum = 0.0, max = -INFINITE,
-    seen = 0, outside = 0, by = 0, worst = nil, frame = nil }, Values)
-end
-
-local function beyond(self, value)
-  return value ~= value and INFINITE or math.max(self.low - value, value - self.high)
-end
-
-local function note(self, record, raws)
-  local value = number_of(self.field, self.index, raws, record.payload)
-  if not value then return end
-  self.seen = self.seen + 1
-  if value == value then
-    self.count, self.sum = self.count + 1, self.sum + value
-    self.min, self.max = math.min(self.min, value), math.max(self.max, value)
-  end
-  if beyond(self, value) <= 0 then return end
-  value = rounded(self.field, value)
-  local by = beyond(self, value)
-  if by > 0 then self.outside = self.outside + 1 end
-  if by > self.by then self.by, self.worst, self.frame = by, value, record.frame end
-end
-
---- Their count, min, mean and max, for a row.
-function Values:put(row)
-  row.count = self.count
-  if self.count == 0 then return row end
-  row.min, row.max = output.number(rounded(self.field, self.min)),
-    output.number(rounded(self.field, self.max))
-  row.mean = output.number(self.sum / self.count)
-  return row
-end
-
-local NUMERIC = { uint = true, int = true, float = true, ieee = true }
-
---- Values of the fields of a message that can be averaged, as they are no codes.
+--- The fields of a message that can be averaged, as they are no codes: a list of { field }.
 function M.numeric(message)
   local list = {}
   for _, field in ipairs(message.fields) do
     if NUMERIC[field.kind] and not field.values then
-      list[#list + 1] = M.values(message, field)
+      list[#list + 1] = { field = field }
     end
   end
   return list
 end
 
--- Spread ----------------------------------------------------------------------------------------
+-- Values ----------------------------------------------------------------------------------------
 
-local Spread = {}
-Spread.__index = Spread
-
---- How far the latest values of a field of all sources lie apart.
--- late  function() -> how many periods of a message a value is good for
--- It has worst, frame and rel: the largest so far, nil while no two sources had a value at a time.
-function M.spread(message, field, late)
-  return setmetatable({ field = field, index = message.index[field], every = message.every,
-    late = late, latest = {}, worst = nil, frame = nil, rel = nil }, Spread)
+-- What is gathered of a field of a source: count, min, sum, max of its numbers; seen = of all of
+-- it, outside = of those beyond the limits, the worst of them and its frame.
+local function new_values(message, want)
+  return {
+    want = want,
+    field = want.field,
+    index = message.index[want.field],
+    low = want.low or -INFINITE,
+    high = want.high or INFINITE,
+    count = 0,
+    min = INFINITE,
+    sum = 0.0,
+    max = -INFINITE,
+    seen = 0,
+    outside = 0,
+    by = 0,
+    worst = nil,
+    frame = nil,
+  }
 end
 
---- Takes a record of that message.
-function Spread:note(record, raws)
-  local value = number_of(self.field, self.index, raws, record.payload) or NO_NUMBER
-  self.latest[record.source] = { value = rounded(self.field, value), rel = record.rel }
+-- How far a number is beyond the limits; a reserved count is beyond all.
+local function beyond(values, value)
+  if value ~= value then return INFINITE end
+  return math.max(values.low - value, value - values.high)
+end
+
+local function note_value(values, record, raws)
+  local value = number_of(values.field, values.index, raws, record.payload)
+  if not value then return end
+  values.seen = values.seen + 1
+  if value == value then
+    values.count = values.count + 1
+    values.sum = values.sum + value
+    values.min = math.min(values.min, value)
+    values.max = math.max(values.max, value)
+  end
+  if beyond(values, value) <= 0 then return end
+  value = rounded(values.field, value)
+  local by = beyond(values, value)
+  if by <= 0 then return end
+  values.outside = values.outside + 1
+  if by > values.by then
+    values.by, values.worst, values.frame = by, value, record.frame
+  end
+end
+
+--- Puts field, unit, count, min, mean and max into a row.
+function M.put(values, row)
+  local field, count = values.field, values.count
+  row.field, row.unit = field.name, field.unit
+  row.count = count
+  if count == 0 then return row end
+  row.min = output.number(rounded(field, values.min))
+  row.mean = output.number(values.sum / count)
+  row.max = output.number(rounded(field, values.max))
+  return row
+end
+
+-- Spread ----------------------------------------------------------------------------------------
+
+-- How far the latest values of a field of all sources lie apart: worst, frame and rel of the most,
+-- nil while no two sources had a value at a time.
+local function new_spread(message, want)
+  return {
+    want = want,
+    field = want.field,
+    index = message.index[want.field],
+    latest = {}, -- by source: { value, rel }
+    worst = nil,
+    frame = nil,
+    rel = nil,
+  }
+end
+
+local function note_spread(spread, record, raws, longest)
+  local value = number_of(spread.field, spread.index, raws, record.payload) or NO_NUMBER
+  spread.latest[record.source] = { value = rounded(spread.field, value), rel = record.rel }
   local low, high, count = INFINITE, -INFINITE, 0
-  for _, one in pairs(self.latest) do
-    local age = tell.span(one.rel, record.rel)
-    local is_good = not self.every or age <= self.late() * self.every
-    if is_good and one.value == one.value then
-      low, high, count = math.min(low, one.value), math.max(high, one.value), count + 1
+  for _, one in pairs(spread.latest) do
+    local is_old = tell.span(one.rel, record.rel) > longest
+    if one.value == one.value and not is_old then
+      low = math.min(low, one.value)
+      high = math.max(high, one.value)
+      count = count + 1
     end
   end
-  local apart = count > 1 and tonumber(("%.7g"):format(high - low)) -- no 0.30000000000000004
-  if apart and apart > (self.worst or -1) then
-    self.worst, self.frame, self.rel = apart, record.frame, record.rel
+  if count < 2 then return end
+  local apart = tonumber(("%.7g"):format(high - low)) -- no 0.30000000000000004
+  if apart > (spread.worst or -1) then
+    spread.worst, spread.frame, spread.rel = apart, record.frame, record.rel
   end
 end
 
@@ -124,9 +148,27 @@ end
 local Groups = {}
 Groups.__index = Groups
 
---- values_of  function(message) -> list of M.values that are gathered of each source of it
-function M.new(values_of)
-  return setmetatable({ values_of = values_of, by_source = {}, list = {}, buses = {} }, Groups)
+local function none() return {} end
+
+--- values   function(message) -> list of { field, low, high }: what is gathered of each source of it
+-- spreads  the same of all its sources together; nil for nothing
+-- late     function() -> how many periods of a message a value is good for
+function M.new(values, spreads, late)
+  return setmetatable({
+    wants_of = values,
+    wants_together = spreads or none,
+    late = late,
+    by_source = {},
+    list = {},
+    buses = {}, -- how many sources were there before it
+    spreads = {}, -- by message
+  }, Groups)
+end
+
+local function made(make, message, wants)
+  local list = {}
+  for i, want in ipairs(wants) do list[i] = make(message, want) end
+  return list
 end
 
 --- What is gathered of a source: {
@@ -138,9 +180,19 @@ local function group_of(self, source)
   if group then return group end
   local bus, message = source.bus_key or false, source.message
   self.buses[bus] = self.buses[bus] or #self.list
-  group = { source = source, message = message, counts = {}, count = 0,
-    values = message and self.values_of(message) or {}, bus_order = self.buses[bus] }
-  self.by_source[source], self.list[#self.list + 1] = group, group
+  group = {
+    source = source,
+    message = message,
+    counts = {},
+    count = 0,
+    values = message and made(new_values, message, self.wants_of(message)) or {},
+    bus_order = self.buses[bus],
+  }
+  if message and not self.spreads[message] then
+    self.spreads[message] = made(new_spread, message, self.wants_together(message))
+  end
+  self.by_source[source] = group
+  self.list[#self.list + 1] = group
   return group
 end
 
@@ -171,22 +223,29 @@ function M.seen(group, kind)
 end
 
 local function note_gap(group, gap, frame)
-  if gap > (group.gap_max or -1) then group.gap_max, group.gap_max_frame = gap, frame end
+  if gap > (group.gap_max or -1) then
+    group.gap_max, group.gap_max_frame = gap, frame
+  end
   group.gap_min = math.min(gap, group.gap_min or gap)
 end
 
---- Takes a record; returns the message and its raw values where it is good and fits.
+--- Takes a record.
 function Groups:message(record)
   local group = group_of(self, record.source)
   if record.kind ~= "message" then return end
   if group.last then note_gap(group, tell.span(group.last, record.rel), record.frame) end
-  group.first, group.last = group.first or record.rel, record.rel
-  group.last_frame, group.count = record.frame, group.count + 1
+  group.first = group.first or record.rel
+  group.last = record.rel
+  group.last_frame = record.frame
+  group.count = group.count + 1
   group.is_unsure = group.is_unsure or record.is_unsure
   if not record.fits then return end
-  local raws = decode.read(group.message, record.payload)
-  for _, values in ipairs(group.values) do note(values, record, raws) end
-  return group.message, raws
+  local message = group.message
+  local raws, spreads = decode.read(message, record.payload), self.spreads[message]
+  for _, values in ipairs(group.values) do note_value(values, record, raws) end
+  if not spreads[1] then return end
+  local longest = message.every and self.late() * message.every or INFINITE
+  for _, spread in ipairs(spreads) do note_spread(spread, record, raws, longest) end
 end
 
 --- The mean rate in Hz; nil where two messages at least are not at two times.

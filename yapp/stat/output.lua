@@ -30,8 +30,12 @@ end
 
 -- The shortest text that reads back as the same number; null for what JSON has no number for.
 local function number_value(value)
-  if value ~= value or value == math.huge or value == -math.huge then return "null" end
-  if value % 1 == 0 and value > -2 ^ 53 and value < 2 ^ 53 then return format("%d", value) end
+  if value ~= value or value == math.huge or value == -math.huge then
+    return "null"
+  end
+  if value % 1 == 0 and value > -2 ^ 53 and value < 2 ^ 53 then
+    return format("%d", value)
+  end
   local shown = format("%.15g", value)
   return tonumber(shown) == value and shown or format("%.17g", value)
 end
@@ -49,7 +53,9 @@ end
 -- has not is null.
 function M.object(keys, values)
   local parts = {}
-  for i, key in ipairs(keys) do parts[i] = text_value(key) .. ":" .. M.value(values[key]) end
+  for i, key in ipairs(keys) do
+    parts[i] = text_value(key) .. ":" .. M.value(values[key])
+  end
   return "{" .. table.concat(parts, ",") .. "}"
 end
 
@@ -105,7 +111,9 @@ end
 
 --- What a source is called where a column has room for one text: its name, or its bus and ID.
 function M.who(source)
-  if source.name or not source.id then return source.name or source.bus end
+  if source.name or not source.id then
+    return source.name or source.bus
+  end
   return (source.bus and source.bus .. " " or "") .. format("0x%x", source.id)
 end
 
@@ -128,12 +136,25 @@ local TITLES = {
   gap_min = "gap/s min", gap_mean = "mean", gap_max = "max", gap_max_frame = "in frame",
   crc_bad = "bad CRC", ok = "check", kind = "event",
 }
-local FOR_PEOPLE = { rel = true, details = true, times = true, note = true } -- in no JSON
+local FOR_PEOPLE = {
+  rel = true,
+  details = true,
+  times = true,
+  note = true,
+} -- in no JSON
+
+--- A list of the words of a text.
+function M.words(text)
+  local list = {}
+  for word in text:gmatch("%S+") do
+    list[#list + 1] = word
+  end
+  return list
+end
+
 -- The columns that a line has no room for, in the order in which they go.
-local SPARE = {
-  "time", "help", "gap_min", "gap_mean", "reboots", "late", "skipped", "values", "bus", "message",
-  "invalid", "id", "field", "unit", "rel",
-}
+local SPARE = M.words("time help gap_min gap_mean reboots late skipped bus message invalid id " ..
+  "field unit rel")
 
 -- How many places a text takes: characters, not bytes.
 local function width_of(text)
@@ -150,13 +171,20 @@ local function new_column(key, rows)
   end
   if width == 0 then return nil end
   local title = TITLES[key] or key
-  return { key = key, title = title, width = math.max(width, #title), is_number = is_number }
+  return {
+    key = key,
+    title = title,
+    width = math.max(width, #title),
+    is_number = is_number,
+  }
 end
 
 -- Takes columns away until a line has room for them.
 local function fit(columns, width)
   local total = -2
-  for _, column in ipairs(columns) do total = total + column.width + 2 end
+  for _, column in ipairs(columns) do
+    total = total + column.width + 2
+  end
   for _, key in ipairs(SPARE) do
     for i = #columns, 1, -1 do
       if total > width and columns[i].key == key then
@@ -174,7 +202,9 @@ local function table_line(columns, row, width)
     cells[i] = column.is_number and blanks .. text or text .. blanks
   end
   local line = table.concat(cells, "  "):gsub("%s+$", "")
-  if not width or width_of(line) <= width then return line .. "\n" end
+  if not width or width_of(line) <= width then
+    return line .. "\n"
+  end
   return line:match("^" .. ("[^\128-\191][\128-\191]*"):rep(width - 1)) .. "~\n"
 end
 
@@ -186,9 +216,13 @@ end
 --        go until it fits, and what is still beyond is cut
 function M.table(keys, rows, width)
   local columns, lines = {}, {}
-  for _, key in ipairs(keys) do columns[#columns + 1] = new_column(key, rows) end
+  for _, key in ipairs(keys) do
+    columns[#columns + 1] = new_column(key, rows)
+  end
   if width then fit(columns, width) end
-  for i, row in ipairs(rows) do lines[i] = table_line(columns, row, width) end
+  for i, row in ipairs(rows) do
+    lines[i] = table_line(columns, row, width)
+  end
   return table_line(columns, nil, width) .. table.concat(lines)
 end
 
@@ -198,14 +232,20 @@ end
 function M.print(context, title, keys, rows)
   if not context.json then
     context.out(title .. "\n")
-    if rows[1] then context.out("\n" .. M.table(keys, rows, context.width)) end
+    if rows[1] then
+      context.out("\n" .. M.table(keys, rows, context.width))
+    end
   end
   local in_json = {}
   for _, key in ipairs(keys) do
-    if not FOR_PEOPLE[key] then in_json[#in_json + 1] = key end
+    if not FOR_PEOPLE[key] then
+      in_json[#in_json + 1] = key
+    end
   end
   for _, row in ipairs(rows) do
-    if context.json then context.out(M.object(row.keys or in_json, row) .. "\n") end
+    if context.json then
+      context.out(M.object(row.keys or in_json, row) .. "\n")
+    end
     local frames, frame = context.frames, row.frame or row.gap_max_frame
     if frames then frames[#frames + 1] = frame end
   end
@@ -224,7 +264,12 @@ function M.create(path)
   local handle, problem = io.open(aside, "wb")
   if not handle then return nil, problem end
   handle:setvbuf("full", 65536)
-  return setmetatable({ path = path, aside = aside, handle = handle, problem = nil }, File)
+  return setmetatable({
+    path = path,
+    aside = aside,
+    handle = handle,
+    problem = nil,
+  }, File)
 end
 
 function File:write(text)
@@ -232,43 +277,28 @@ function File:write(text)
   if not ok then self.problem = self.problem or problem end
 end
 
--- Gives a closed file its name, in place of one that is there.
-local function publish(file)
-  if file.aside == file.path then return true end
-  local ok, problem = os.rename(file.aside, file.path)
-  local other = not ok and io.open(file.path, "ab") -- a file, no folder
-  if other then -- Windows puts no file in the place of another
-    other:close()
-    os.remove(file.path)
-    ok, problem = os.rename(file.aside, file.path)
-  end
-  file.is_published = ok
-  return ok, problem
-end
-
-local function discard(file)
-  if file.aside ~= file.path then os.remove(file.is_published and file.path or file.aside) end
-end
-
--- Notes the first thing that goes wrong with a file.
-local function note(file, ok, problem)
-  if not ok then file.problem = file.problem or problem end
-end
-
---- Ends files and gives them their names, all or, where one fails, none.
+--- Ends files and gives them their names, all or, where one could not be written, none.
 -- problem  what went wrong before, nil for nothing
 -- returns  what went wrong, nil for nothing
 function M.finish(list, problem)
+  local function note(file, ok, why)
+    if not ok then
+      problem = problem or file.path .. ": " .. why
+    end
+  end
   for _, file in ipairs(list) do
-    note(file, file.handle:flush())
+    note(file, not file.problem, file.problem)
     note(file, file.handle:close())
-    if file.problem then problem = problem or file.path .. ": " .. file.problem end
   end
   for _, file in ipairs(list) do
-    if not problem then note(file, publish(file)) end
-    if file.problem then problem = problem or file.path .. ": " .. file.problem end
+    local aside, path = file.aside, file.path
+    if problem and aside ~= path then
+      os.remove(aside)
+    elseif aside ~= path and not os.rename(aside, path) then
+      os.remove(path) -- Windows puts no file in the place of another
+      note(file, os.rename(aside, path))
+    end
   end
-  for _, file in ipairs(problem and list or {}) do discard(file) end
   return problem
 end
 

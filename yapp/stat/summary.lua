@@ -10,19 +10,20 @@ local span = require("yapp.stat.tell").span
 
 local M = {}
 
-local KEYS = {
-  "bus", "id", "source", "message", "count", "rate", "gap_min", "gap_mean", "gap_max",
-  "gap_max_frame", "crc_bad", "incomplete", "late", "reboots", "values", "invalid", "skipped",
-}
+local words = output.words
+local KEYS = words("bus id source message count rate gap_min gap_mean gap_max gap_max_frame " ..
+  "crc_bad incomplete late reboots values invalid skipped")
 -- The kinds of events that are counted, by key.
 local COUNTS = {
-  crc_bad = "crc", incomplete = "incomplete", late = "late", reboots = "reboot",
-  invalid = "invalid", skipped = "skipped",
+  crc_bad = "crc",
+  incomplete = "incomplete",
+  late = "late",
+  reboots = "reboot",
+  invalid = "invalid",
+  skipped = "skipped",
 }
-local RANGE = { "min", "mean", "max" }
-local VALUES = {
-  "bus", "id", "source", "message", "field", "unit", "min", "mean", "max", "count",
-}
+local RANGE = words("min mean max")
+local VALUES = words("bus id source message field unit min mean max count")
 
 local Summary = { tells_changes = true }
 Summary.__index = Summary
@@ -30,133 +31,133 @@ Summary.__index = Summary
 --- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds,
 --          late = function() -> periods, json, width, frames = see output.print }
 function M.new(_, context)
-  return setmetatable({ context = context, groups = groups.new(groups.numeric) }, Summary)
+  local gathered = groups.new(groups.numeric)
+  return setmetatable({ context = context, groups = gathered }, Summary)
 end
 
-function Summary:event(event) self.groups:event(event) end
+function Summary:event(event)
+  self.groups:event(event)
+end
 
-function Summary:message(record) self.groups:message(record) end
-
--- Rows of a source's values; and the same as JSON.
-local function ranges_of(group)
-  local rows, names, ranges = {}, {}, {}
-  for i, values in ipairs(group.values) do
-    local field = values.field
-    local row = values:put(output.row(group.source, { field = field.name, unit = field.unit }))
-    names[i], ranges[field.name] = field.name, output.raw(output.object(RANGE, row))
-    if values.count > 0 then rows[#rows + 1] = row end
-  end
-  return rows, output.raw(output.object(names, ranges))
+function Summary:message(record)
+  self.groups:message(record)
 end
 
 local function row_of(group)
-  local is_gap = group.count > 1
+  local count = group.count
+  local length = count > 1 and span(group.first, group.last)
   local row = output.row(group.source, {
-    count = group.count,
+    count = count,
     rate = output.number(groups.rate(group)),
     gap_min = output.seconds(group.gap_min),
-    gap_mean = output.seconds(is_gap and span(group.first, group.last) / (group.count - 1)),
+    gap_mean = output.seconds(length and length / (count - 1)),
     gap_max = output.seconds(group.gap_max),
     gap_max_frame = group.gap_max_frame,
   })
-  for key, kind in pairs(COUNTS) do row[key] = groups.seen(group, kind) end
+  for key, kind in pairs(COUNTS) do
+    row[key] = groups.seen(group, kind)
+  end
   return row
 end
 
 --- last  { rel = } of the last packet of any kind; nil where there was none
 function Summary:finish(last)
-  local rows, values, context = {}, {}, self.context
+  local rows, shown, context = {}, {}, self.context
   for i, group in ipairs(self.groups:sorted()) do
-    local ranges
+    local names, ranges = {}, {}
+    for j, values in ipairs(group.values) do
+      local row = groups.put(values, output.row(group.source, {}))
+      names[j] = row.field
+      ranges[row.field] = output.raw(output.object(RANGE, row))
+      if row.min then
+        shown[#shown + 1] = row
+      end
+    end
     rows[i] = row_of(group)
-    ranges, rows[i].values = ranges_of(group)
-    for _, row in ipairs(ranges) do values[#values + 1] = row end
+    rows[i].values = output.raw(output.object(names, ranges))
   end
-  local title = ("YAPP summary: %s in %.3f s"):format(output.count(#rows, "source"),
-    last and last.rel or 0)
+  local sources = output.count(#rows, "source")
+  local length = last and last.rel or 0
+  local title = ("YAPP summary: %s in %.3f s"):format(sources, length)
   output.print(context, title, KEYS, rows)
-  if values[1] and not context.json then
-    context.out("\n" .. output.table(VALUES, values, context.width))
+  if shown[1] and not context.json then
+    context.out("\n" .. output.table(VALUES, shown, context.width))
   end
 end
 
 -- compare -----------------------------------------------------------------------------------------
 
-local COMPARED = { "message", "field", "unit", "spread", "time", "frame", "sources" }
-local OF_SOURCE = { "bus", "id", "source", "count", "min", "mean", "max" }
+local COMPARED = words("message field unit spread time frame sources")
+local OF_SOURCE = words("bus id source count min mean max")
 -- For people: a line for each field and source.
-local SHOWN = { "field", "unit", "source", "min", "mean", "max", "spread", "rel", "frame" }
+local SHOWN = words("field unit source min mean max spread rel frame")
 
 local Compare = {}
 Compare.__index = Compare
 
 --- context  as for M.new
 function M.compare(_, context)
-  return setmetatable({ context = context, groups = groups.new(groups.numeric),
-    spreads = {} }, Compare) -- by message: a list, as its values are
+  local gathered = groups.new(groups.numeric, groups.numeric, context.late)
+  return setmetatable({ context = context, groups = gathered }, Compare)
 end
 
 function Compare:message(record)
-  local message, raws = self.groups:message(record)
-  if not message then return end
-  local spreads = self.spreads[message]
-  if not spreads then
-    spreads = {}
-    for i, values in ipairs(groups.numeric(message)) do
-      spreads[i] = groups.spread(message, values.field, self.context.late)
-    end
-    self.spreads[message] = spreads
-  end
-  for _, spread in ipairs(spreads) do spread:note(record, raws) end
+  self.groups:message(record)
 end
 
--- The row of a field, and those of its sources for people.
-local function compared_rows(self, message, list, place)
-  local spread, sources, shown = self.spreads[message][place], {}, {}
-  local row = { message = message.name, field = spread.field.name, unit = spread.field.unit,
-    spread = output.number(spread.worst), frame = spread.frame, rel = output.seconds(spread.rel),
-    time = spread.rel and output.time(self.context.clock(spread.rel)) }
+-- The row of a field; people see those of its sources, the first with what they have in common.
+local function compared_row(self, spread, list, place, shown)
+  local row, sources = {}, {}
   for i, group in ipairs(list) do
-    local of_source = group.values[place]:put(output.row(group.source, {}))
-    sources[i] = output.object(OF_SOURCE, of_source)
-    of_source.source = output.who(group.source)
-    shown[i] = of_source
+    local one = groups.put(group.values[place], output.row(group.source, {}))
+    sources[i] = output.object(OF_SOURCE, one)
+    row.message = group.message.name
+    row.field, row.unit = one.field, one.unit
+    one.source = output.who(group.source)
+    if i == 1 then
+      one.spread = output.number(spread.worst)
+      one.frame = spread.frame
+      one.rel = output.seconds(spread.rel)
+      row.spread, row.frame = one.spread, one.frame
+    else
+      one.field, one.unit = nil, nil
+    end
+    shown[#shown + 1] = one
   end
+  row.time = spread.rel and output.time(self.context.clock(spread.rel))
   row.sources = output.raw("[" .. table.concat(sources, ",") .. "]")
-  for _, key in ipairs { "field", "unit", "spread", "rel", "frame" } do
-    shown[1][key] = row[key] -- once
-  end
-  return row, shown
+  return row
 end
 
--- The sources of each message that has several: { message = list of groups }, and those messages.
+-- The sources by message, and the messages that have several, in order.
 local function compared(self)
   local lists, messages = {}, {}
   for _, group in ipairs(self.groups:sorted()) do
     local message = group.message
-    if self.spreads[message] then
-      lists[message] = lists[message] or {}
-      table.insert(lists[message], group)
-      if #lists[message] == 2 then messages[#messages + 1] = message end
+    if message then
+      local list = lists[message] or {}
+      lists[message], list[#list + 1] = list, group
+      if #list == 2 then
+        messages[#messages + 1] = message
+      end
     end
   end
   return lists, messages
 end
 
 function Compare:finish()
-  local context, lists, messages = self.context, compared(self)
+  local context = self.context
+  local lists, messages = compared(self)
   for _, message in ipairs(messages) do
-    local list, rows, all_shown = lists[message], {}, {}
-    for place in ipairs(self.spreads[message]) do
-      local shown
-      rows[place], shown = compared_rows(self, message, list, place)
-      for _, one in ipairs(shown) do all_shown[#all_shown + 1] = one end
+    local list, rows, shown = lists[message], {}, {}
+    for place, spread in ipairs(self.groups.spreads[message]) do
+      rows[place] = compared_row(self, spread, list, place, shown)
     end
     local title = ("YAPP compare: %d sources of %s"):format(#list, message.title)
     if context.json then
       output.print(context, title, COMPARED, rows)
     else
-      output.print(context, title, SHOWN, all_shown)
+      output.print(context, title, SHOWN, shown)
     end
   end
   if not (messages[1] or context.json) then

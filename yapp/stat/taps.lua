@@ -9,8 +9,14 @@ local options_of = require("yapp.stat.options")
 
 local M = {}
 
-local NEW = { summary = summary.new, compare = summary.compare, faults = events.new,
-  events = events.new, csv = csv.new, check = check.new }
+local NEW = {
+  summary = summary.new,
+  compare = summary.compare,
+  faults = events.new,
+  events = events.new,
+  csv = csv.new,
+  check = check.new,
+}
 local FAILED = 21 -- what could not be done or told
 
 local Stat = {}
@@ -25,7 +31,11 @@ Stat.__index = Stat
 -- Stat.wanted says whether anyone wants records: ask it before making one for Stat:offer.
 -- Stat.wants_parts is the same for when parts of messages came.
 function M.new(plugin)
-  return setmetatable({ plugin = plugin, wanted = false, wants_parts = false }, Stat)
+  return setmetatable({
+    plugin = plugin,
+    wanted = false,
+    wants_parts = false,
+  }, Stat)
 end
 
 --- A record of stat.tell, of the packet that is dissected.
@@ -51,81 +61,71 @@ local function leave(code)
   os.exit(code)
 end
 
--- Makes a folder, and those above it.
+-- Makes a folder, and those above it; returns whether it is there.
 local function make_folder(path)
-  local made = ""
-  for part, separator in path:gmatch("([^/\\]*)([/\\]*)") do
-    made = made .. part
-    if part ~= "" and not Dir.exists(made) and not Dir.make(made) and not Dir.exists(made) then
-      local file = io.open(made, "rb")
-      if file then file:close() end
-      local why = file and "a file, not a folder" or "no permission, or no place for it"
-      return nil, made .. ": " .. why
-    end
-    made = made .. separator
-  end
-  return true
+  for stop in (path .. "/"):gmatch("()[/\\]") do Dir.make(path:sub(1, stop - 1)) end
+  return Dir.exists(path)
 end
 
 -- Taps ------------------------------------------------------------------------------------------
 
--- The tap that asks for the field which has the time to the nanosecond (pinfo.abs_ts has steps of
--- 0.24 microseconds); asking builds trees, so in tshark it goes when it knows.
-local function tap_clock(feed)
-  local clock = { tap = Listener.new("frame", "frame.time_epoch"), is_exact = false }
-  function clock.tap.packet(pinfo)
-    if clock.is_exact then return end
+-- The tap that sees every packet; and one that asks for the field which has the time to the
+-- nanosecond (pinfo.abs_ts has steps of 0.24 microseconds).  Asking builds trees, so in tshark it
+-- goes when it knows.
+local function tap_packets(self)
+  local feed = self.feed
+  local tap, clock = Listener.new("frame"), Listener.new("frame", "frame.time_epoch")
+  local is_exact = false
+  local is_waiting = not gui_enabled() -- there all packets may come again
+
+  function clock.packet(pinfo)
+    if is_exact then return end
     for _, info in ipairs { all_field_infos() } do
       if info.name == "frame.time_epoch" then
         feed:begins(info.value.secs, info.value.nsecs, pinfo.rel_ts)
-        clock.is_exact = true
+        is_exact = true
       end
     end
   end
-  function clock.tap.reset() clock.is_exact = false end
-  return clock
-end
 
--- The tap that sees every packet, and the clock's.
-local function tap_packets(self)
-  local feed = self.feed
-  local tap, clock = Listener.new("frame"), tap_clock(feed)
-  local is_waiting = not gui_enabled() -- there all packets may come again
   function tap.packet(pinfo)
-    if is_waiting and clock.is_exact then
-      clock.tap:remove()
+    if is_waiting and is_exact then
+      clock:remove()
       is_waiting = false
       if feed:go_direct() then self.idle = tap end -- a tap cannot go while it is called
     end
     feed:packet(pinfo.number, pinfo.rel_ts)
   end
-  function tap.reset() feed:reset() end
-  return tap, clock.tap
+
+  function tap.reset()
+    feed:reset()
+    is_exact = false
+  end
+
+  return tap, clock
 end
 
--- The tap of a filter; nil and what is wrong with it.
+-- Functions from here on raise what is wrong.
+
 local function tap_filter(filter)
   local ok, tap = pcall(Listener.new, "frame", filter)
   if ok then return tap end
   local why = tostring(tap):match("is invalid %- (.*)$") or tap -- before that a place in this file
-  return nil, ("the filter %s is not one: %s"):format(filter, why)
+  error(("the filter %s is not one: %s"):format(filter, why), 0)
 end
 
 -- Begins a statistic.
 -- context  { out, width, frames } of output.print
--- returns  the tap of its filter, false where it has none; nil and what is wrong
+-- returns  the tap of its filter, nil where it has none
 function Stat:begin(options, context)
-  local plugin, feed, filter, problem = self.plugin, self.feed, false, nil
-  if options.filter then filter, problem = tap_filter(options.filter) end
-  if problem then return nil, problem end
+  local feed, filter = self.feed, options.filter and tap_filter(options.filter)
   function context.clock(rel) return feed:time(rel) end
-  for key, value in pairs(plugin) do context[key] = value end
   context.json, context.make_folder = options.json, make_folder
-  local statistic
-  statistic, problem = NEW[options.what](options, context)
-  if not statistic then return nil, options.what .. ": " .. problem end
+  setmetatable(context, { __index = self.plugin })
+  local statistic, problem = NEW[options.what](options, context)
+  if not statistic then error(options.what .. ": " .. problem, 0) end
   self.wants_parts = self.wants_parts or statistic.event ~= nil
-  local entry = feed:add(statistic, options.filter ~= nil)
+  local entry = feed:add(statistic, filter ~= nil)
   if filter then
     function filter.packet(pinfo) feed:matched(entry, pinfo.number) end
   end
@@ -140,22 +140,26 @@ end
 -- text     as behind -z; width: of a line
 -- returns  what it says, and what is wrong, as one text; a list of the frames that stand in it
 function Stat:run(text, width)
-  local options, said, frames = options_of.read(text, self.plugin.catalogue), {}, {}
+  local options = options_of.read(text, self.plugin.catalogue)
+  local said, frames, taps, problems = {}, {}, {}, options.problems
   local function out(part) said[#said + 1] = part end
-  local problems = options.problems
-  if not problems[1] then
+  local function run()
     self:open()
-    local filter, problem = self:begin(options, { out = out, width = width, frames = frames })
-    if problem then
-      problems = { problem }
-    else
-      local taps = { tap_packets(self) }
-      taps[#taps + 1] = filter or nil
-      retap_packets()
-      local ok, code, texts = pcall(self.feed.finish, self.feed, self.plugin.unfinished())
-      problems = ok and texts or { tostring(code) }
-      for _, tap in ipairs(taps) do tap:remove() end -- one that stayed would build trees for ever
-    end
+    taps[1] = self:begin(options, {
+      out = out,
+      width = width,
+      frames = frames,
+    })
+    local tap, clock = tap_packets(self)
+    taps[#taps + 1], taps[#taps + 2] = tap, clock
+    retap_packets()
+    local _, texts = self.feed:finish(self.plugin.unfinished())
+    problems = texts
+  end
+  if not problems[1] then
+    local ok, problem = pcall(run)
+    if not ok then problems = { tostring(problem) } end
+    for _, tap in ipairs(taps) do tap:remove() end -- one that stayed would build trees for ever
     self.feed, self.wanted, self.wants_parts = nil, false, false
   end
   for _, problem in ipairs(problems) do out(problem .. "\n") end
@@ -164,18 +168,12 @@ end
 
 -- tshark ----------------------------------------------------------------------------------------
 
--- Standard output: a full disk shows only here.
-function Stat:write(text)
-  local ok, problem = io.stdout:write(text)
-  if not ok then self.problem = self.problem or problem end
-end
-
 -- All is seen: prints, says what is wrong, ends with a code where one is due.
 function Stat:conclude()
   local ok, code, texts = pcall(self.feed.finish, self.feed, self.plugin.unfinished())
   if not ok then code, texts = FAILED, { tostring(code) } end
-  local flushed, problem = io.stdout:flush()
-  problem = self.problem or not flushed and problem
+  local is_flushed, problem = io.stdout:flush() -- a full disk may show only here
+  problem = self.problem or not is_flushed and problem
   if problem then
     texts[#texts + 1] = "standard output: " .. problem
     if code == 0 then code = FAILED end
@@ -187,19 +185,19 @@ end
 -- One -z argument.
 function Stat:argument(text)
   local options = options_of.read(text, self.plugin.catalogue)
-  for _, problem in ipairs(options.problems) do say(problem) end
-  if options.problems[1] and not options.rules then leave(FAILED) end
+  if options.problems[1] and not options.rules then -- check says them in its report, too
+    error(table.concat(options.problems, "\n"), 0)
+  end
   if not self.feed then
     self:open()
     tap_packets(self)
     local tap = Listener.new("frame") -- for the end alone: the other may go
     function tap.draw() self:conclude() end
   end
-  local ok, problem = self:begin(options, { out = function(part) self:write(part) end })
-  if ok == nil then
-    say(problem)
-    leave(FAILED)
-  end
+  self:begin(options, { out = function(part)
+    local ok, problem = io.stdout:write(part)
+    if not ok then self.problem = self.problem or problem end
+  end })
 end
 
 --- Registers -z yapp,... and, in Wireshark, the menus.

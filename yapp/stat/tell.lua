@@ -32,40 +32,82 @@ local LOST = {
 local DEFINED = { ["value.special"] = true, ["fault.active"] = true } -- remarks on what is defined
 local NOTHING = {}
 
-local function has_faults(message) return message.alarms[1] ~= nil end
-local function has_clock(message) return message.time ~= nil end
-local function has_period(message) return message.every ~= nil end
-
 --- The kinds of events, in the order in which `check` judges them: {
 --   name
 --   keys        of JSON, besides those that all events have; nil where it is no event of a list
 --   text        what people read, with {key} for the value of a key
 --   counts_as   the kind that it is for rules, where it has none of its own
---   about       function(message) -> whether a rule is about a source of this message; nil for
---               every source that has an ID
+--   about       what a message of the catalogue has whose sources a rule is about; nil for every
+--               source that has an ID
 --   needs_past  whether it shows in good messages only, where it is known what came before
 --   is_rare     whether a rule is about the sources that have it, and holds where none has
 --   by_wish     whether `check` alone leaves it out
 -- }
 M.KINDS = {
-  { name = "fault", keys = { "field", "flag", "event", "active" }, text = "{flag} {event}",
-    about = has_faults, needs_past = true },
-  { name = "crc", keys = {}, text = "bad CRC" },
-  { name = "incomplete", keys = { "what" }, text = "{what}" },
-  { name = "unfinished", keys = {}, text = "the capture ends before it", counts_as = "incomplete" },
-  { name = "reboot", keys = {}, text = "the controller's time went back", about = has_clock,
-    needs_past = true },
-  { name = "stale", keys = {}, text = "the controller's time stood still", about = has_clock,
-    needs_past = true },
-  { name = "silence", keys = { "length" }, text = "nothing for {length} s", about = has_period,
-    needs_past = true },
-  { name = "invalid", keys = { "field", "value" },
-    text = "{field} has {value}, which is not defined", about = function() return true end },
-  { name = "absent", keys = {}, text = "no message of it came" },
+  {
+    name = "fault",
+    keys = { "field", "flag", "event", "active" },
+    text = "{flag} {event}",
+    about = "alarms",
+    needs_past = true,
+  },
+  {
+    name = "crc",
+    keys = {},
+    text = "bad CRC",
+  },
+  {
+    name = "incomplete",
+    keys = { "what" },
+    text = "{what}",
+  },
+  {
+    name = "unfinished",
+    keys = {},
+    text = "the capture ends before it",
+    counts_as = "incomplete",
+  },
+  {
+    name = "reboot",
+    keys = {},
+    text = "the controller's time went back",
+    about = "time",
+    needs_past = true,
+  },
+  {
+    name = "stale",
+    keys = {},
+    text = "the controller's time stood still",
+    about = "time",
+    needs_past = true,
+  },
+  {
+    name = "silence",
+    keys = { "length" },
+    text = "nothing for {length} s",
+    about = "every",
+    needs_past = true,
+  },
+  {
+    name = "invalid",
+    keys = { "field", "value" },
+    text = "{field} has {value}, which is not defined",
+    about = "fields",
+  },
+  {
+    name = "absent",
+    keys = {},
+    text = "no message of it came",
+  },
   { name = "unknown", is_rare = true },
   -- A shell may write between the frames.
-  { name = "skipped", keys = { "length" }, text = "{length} bytes of no frame", is_rare = true,
-    by_wish = true },
+  {
+    name = "skipped",
+    keys = { "length" },
+    text = "{length} bytes of no frame",
+    is_rare = true,
+    by_wish = true,
+  },
 }
 for _, kind in ipairs(M.KINDS) do M.KINDS[kind.name] = kind end
 
@@ -103,8 +145,16 @@ end
 
 -- All eight names at once: Lua's table of eight is half of one that grows to nine.
 local function record_of(kind, source, m)
-  return { kind = kind, frame = m.frame, rel = m.time, source = source, seq = m.seq,
-    payload = m.payload, fits = m.raws ~= nil, change = m.change }
+  return {
+    kind = kind,
+    frame = m.frame,
+    rel = m.time,
+    source = source,
+    seq = m.seq,
+    payload = m.payload,
+    fits = m.raws ~= nil,
+    change = m.change,
+  }
 end
 
 local function offer(self, record, m)
@@ -227,8 +277,13 @@ end
 
 -- keys  of the kind, with their values
 local function tell_of(self, kind, record, keys)
-  local event = { kind = kind, rel = record.rel, frame = record.frame, source = record.source,
-    record = record }
+  local event = {
+    kind = kind,
+    rel = record.rel,
+    frame = record.frame,
+    source = record.source,
+    record = record,
+  }
   for key, value in pairs(keys or NOTHING) do event[key] = value end
   self.add(event)
 end
@@ -259,8 +314,12 @@ local function note_fault(self, state, record, fault, counts)
     end
   end
   if fault.event == "raised" then
-    set[#set + 1] = { field = fault.field, flag = fault.flag, help = fault.help,
-      since = record.rel }
+    set[#set + 1] = {
+      field = fault.field,
+      flag = fault.flag,
+      help = fault.help,
+      since = record.rel,
+    }
   end
   state.set, fault.active = set, active
   if counts then tell_of(self, "fault", record, fault) end
@@ -274,8 +333,12 @@ local function note_faults(self, state, record, change, counts)
     local was, is = band(before, flag.mask) ~= 0, band(now, flag.mask) ~= 0
     if was ~= is then
       local event = is and "raised" or "cleared"
-      local fault = { field = change.field.name, flag = flag.name, help = flag.help,
-        event = event }
+      local fault = {
+        field = change.field.name,
+        flag = flag.name,
+        help = flag.help,
+        event = event,
+      }
       note_fault(self, state, record, fault, counts)
     end
   end
@@ -295,8 +358,14 @@ end
 local function state_of(self, key)
   local state = self.states[key]
   if not state then
-    state = { last = nil, counts = false, set = {}, told = {}, told_by = NOTHING,
-      order = #self.states + 1 }
+    state = {
+      last = nil,
+      counts = false,
+      set = {},
+      told = {},
+      told_by = NOTHING,
+      order = #self.states + 1,
+    }
     self.states[key], self.states[state.order] = state, state
   end
   return state
@@ -347,8 +416,13 @@ local function note_active(self)
   for _, state in ipairs(self.states) do
     local record = state.told_by
     for _, one in ipairs(state.told) do
-      tell_of(self, "fault", record, { field = one.field, flag = one.flag, help = one.help,
-        event = "active", active = output.seconds(M.span(one.since, record.rel)) })
+      tell_of(self, "fault", record, {
+        field = one.field,
+        flag = one.flag,
+        help = one.help,
+        event = "active",
+        active = output.seconds(M.span(one.since, record.rel)),
+      })
     end
   end
 end
@@ -368,7 +442,11 @@ function Kinds:finish(last)
   note_active(self)
   for _, row in ipairs(self.named()) do
     if row.message and not has_come(self, row) then
-      self.add { kind = "absent", rel = last and last.rel, source = row }
+      self.add {
+        kind = "absent",
+        rel = last and last.rel,
+        source = row,
+      }
     end
   end
 end
