@@ -21,8 +21,9 @@ end
 set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
   description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }
 
--- A number has a point, as in Wireshark's own times and filters, whatever the user's locale has: with a comma "%.1f"
--- writes text that no program reads, Lua 5.2 reads no "2.5", and Lua that is made from numbers is none.
+-- A number has a point, as in Wireshark's own times and filters, whatever the user's locale has:
+-- with a comma "%.1f" writes text that no program reads, Lua 5.2 reads no "2.5", and Lua that is
+-- made from numbers is none.
 os.setlocale("C", "numeric")
 
 -- What the frames of a long capture leave behind is let go of without dawdling: it takes less time
@@ -48,9 +49,9 @@ local stat_taps = require "yapp.stat.taps"
 local stat_tell = require "yapp.stat.tell"
 local tree_builder = require "yapp.show.tree"
 
--- The user's own messages come behind ours: from Wireshark's personal configuration folder, and from where a preference
--- or the environment says.  Fields can be registered only while a plugin loads, when no preference is known: that of
--- the default profile is read from its file.
+-- The user's own messages come behind ours: from Wireshark's personal configuration folder, and
+-- from where a preference or the environment says.  Fields can be registered only while a plugin
+-- loads, when no preference is known: that of the default profile is read from its file.
 local chosen_file = catalogue_files.preference(Dir.personal_config_path("preferences"), "yapp.messages")
 
 local function load_catalogue()
@@ -64,7 +65,7 @@ local function load_catalogue()
   return compiled, #problems == 0
 end
 
--- Protocols and preferences -----------------------------------------------------------------------------------------
+-- Protocols and preferences -----------------------------------------------------------------------
 
 local catalogue, is_whole = load_catalogue()
 local MAX_ID = compiler.MAX_ID
@@ -121,7 +122,7 @@ function stat.plugin.unfinished()
   return tell:unfinished(messages)
 end
 
--- Dissectors --------------------------------------------------------------------------------------------------------
+-- Dissectors --------------------------------------------------------------------------------------
 
 -- Decode As on CAN: every extended data frame is YAPP's.
 function all.dissector(tvb, pinfo, root)
@@ -131,8 +132,8 @@ function all.dissector(tvb, pinfo, root)
   return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
 end
 
--- With the preference "all extended": what no table claims.  A heuristic is called for every CAN frame of every capture
--- that nobody else takes, so there is none before somebody wants it.
+-- With the preference "all extended": what no table claims.  A heuristic is called for every CAN
+-- frame of every capture that nobody else takes, so there is none before somebody wants it.
 local takes_all, is_heuristic = false, false -- takes_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
@@ -146,8 +147,8 @@ local function take_all()
   all:register_heuristic("can", unclaimed)
 end
 
--- Called from the table of ids, where match_uint is the CAN id; and by Decode As under the name that version 1 had for
--- it, where match_uint is 0.
+-- Called from the table of ids, where match_uint is the CAN id; and by Decode As under the name
+-- that version 1 had for it, where match_uint is 0.
 function yapp.dissector(tvb, pinfo, root)
   local can_id = pinfo.match_uint
   if can_id <= 0xFFFF then
@@ -170,7 +171,8 @@ function skipped.dissector(tvb, pinfo, root)
   return streams:skipped(tvb, pinfo, root)
 end
 
--- Taurus messages arrive through YAPP alone; the handle is what "is this protocol wanted" is asked by.
+-- Taurus messages arrive through YAPP alone; the handle is what "is this protocol wanted" is asked
+-- by.
 function taurus.dissector() return 0 end
 
 -- A conversation is YAPP's when one whole frame with a good CRC has been seen in it.
@@ -183,8 +185,9 @@ local function found_by_content(tvb, pinfo, root)
   return true
 end
 
--- Every call from a heuristic costs, and TCP and UDP are most of other people's captures: so the search begins where
--- the first bytes of a file have what may be a frame, or nothing yet, as in a live capture.
+-- Every call from a heuristic costs, and TCP and UDP are most of other people's captures: so the
+-- search begins where the first bytes of a file have what may be a frame, or nothing yet, as in a
+-- live capture.
 local is_searching = false
 
 local function search_streams()
@@ -204,7 +207,7 @@ local function controller_time(bytes)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 
--- Preferences and files ---------------------------------------------------------------------------------------------
+-- Preferences and files ---------------------------------------------------------------------------
 
 local function read_preferences()
   local prefs, chosen = yapp.prefs, {}
@@ -244,7 +247,7 @@ function yapp.init()
   streams:reset(options)
 end
 
--- Registration ------------------------------------------------------------------------------------------------------
+-- Registration ------------------------------------------------------------------------------------
 
 claim_starts()
 stat:register()

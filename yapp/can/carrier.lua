@@ -64,8 +64,8 @@ local function key_of(bus, id)
   return (bus or -1) * 0x800 + id
 end
 
--- What the messages of a source are called.  And a message, as message.reader and show.tree take it:
--- one table for all of a source, see finished.
+-- What the messages of a source are called.  And a message, as message.reader and show.tree take
+-- it: one table for all of a source, see finished.
 local function new_names(self, key, bus, id)
   local bus_name = self.buses:name(bus)
   local name = self.reader:label(id, bus_name)
@@ -237,7 +237,8 @@ end
 
 -- Parts -------------------------------------------------------------------------------------------
 
--- The texts of the parts of a message of a size, in frames of classic CAN: "Motor Data  part 2 of 5".
+-- The texts of the parts of a message of a size, in frames of classic CAN: "Motor Data  part 2 of
+-- 5".
 local function new_texts(names, size)
   local usual = math.ceil(size / 8) + 1
   local texts = { names.name .. ("  Start of %d bytes"):format(size), size = size, usual = usual }
@@ -341,8 +342,8 @@ function Carrier:dissect(tvb, pinfo, tree, id, is_wide)
   return reported
 end
 
---- A frame that is YAPP's by the user's word, but whose CAN id nothing says: Decode As on its first frame, on a pass
--- that builds no tree.  Shown as bytes.
+--- A frame that is YAPP's by the user's word, but whose CAN id nothing says: Decode As on its first
+-- frame, on a pass that builds no tree.  Shown as bytes.
 function Carrier:without_id(tvb, pinfo, tree)
   local builder, item = self.tree, tree
   self.memory:is_unknown()

@@ -67,8 +67,8 @@ function Reassembly:fault(look, expert, text, message)
   end
 end
 
---- Takes back what was said at a frame of a message that came out good, or of a frame that has found
--- its message.
+--- Takes back what was said at a frame of a message that came out good, or of a frame that has
+-- found its message.
 -- is_void  function(fault) -> boolean
 function Reassembly:take_back(look, is_void)
   local list = self.faults[look] or {}
@@ -94,12 +94,13 @@ function Reassembly:misfit(message, received, look)
   message.received = received
   local start = floor(message[1])
   if received < message.size then
-    self:fault(look, "fragment.incomplete", ("The message that started in frame %d ends with %d of %d bytes")
-      :format(start, received, message.size), message)
+    local text = "The message that started in frame %d ends with %d of %d bytes"
+    text = text:format(start, received, message.size)
+    self:fault(look, "fragment.incomplete", text, message)
     return "short"
   end
-  self:fault(look, "fragment.overrun", ("%d bytes for the %d of the message that started in frame %d")
-    :format(received, message.size, start), message)
+  local text = "%d bytes for the %d of the message that started in frame %d"
+  self:fault(look, "fragment.overrun", text:format(received, message.size, start), message)
   return "overrun"
 end
 
@@ -229,8 +230,9 @@ end
 
 -- Middles and Ends -------------------------------------------------------------------------------
 
--- CAN may deliver a frame twice (its sender did not see the acknowledgement): where a message is too
--- long by frames of one run of frames alike, and its CRC is good without them, they are left out.
+-- CAN may deliver a frame twice (its sender did not see the acknowledgement): where a message is
+-- too long by frames of one run of frames alike, and its CRC is good without them, they are left
+-- out.
 -- excess   bytes too many; look: of the last frame
 -- returns  whether it is so: then the message is ended
 local function leave_out(self, message, excess, look)
@@ -367,7 +369,8 @@ local TAKERS = { [0] = single, start, continue, continue }
 
 local function make_small(entries, message)
   local first, last = message[1], message.last
-  if message.blamed or message.padding or message.reserved or last - first > MAX_SPAN then return end
+  if message.blamed or message.padding or message.reserved then return end
+  if last - first > MAX_SPAN then return end
   for i = 1, #message do
     if message[i] % 1 ~= 0 then return end
   end
@@ -392,9 +395,14 @@ local function recall(entries, look, address)
     at = at - 1
     if entries[at] == last or entries[at] == -last then table.insert(message, 1, at) end
   until entries[at] == -last
-  message.address, message.size, message.payload, message.status = address, #payload, payload, "good"
-  message.crc = crc.update(can_id.seed(address, #payload), payload)
-  message.last, message.delta, message.has_fault = last, tonumber(delta), mark == "!"
+  message.address = address
+  message.size = #payload
+  message.crc = update(can_id.seed(address, #payload), payload)
+  message.payload = payload
+  message.status = "good"
+  message.last = last
+  message.delta = tonumber(delta)
+  message.has_fault = mark == "!"
   return message
 end
 
@@ -404,7 +412,8 @@ local Memory = {}
 Memory.__index = Memory
 
 --- The memory of one capture file.
--- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown one;
+-- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown
+--           one;
 --             new_history = function() -> a message.history, one for each pass }
 function M.new(options)
   local all = passes.new(options.new_history)
@@ -446,9 +455,9 @@ end
 -- frame    { address = wire.can_id.address of its 29-bit id, number, place = where in its packet,
 --          is_again = whether Wireshark has shown it before, data = captured bytes, reported = its
 --          length on the bus, bus = number, nil where there is one or nothing says; knows_bus =
---          whether this is known; is_wide = whether the user says that every extended frame is YAPP,
---          else only what is surely YAPP is claimed }: gets entry, look, pass = which has it, is_now
---          = whether that took it just now, faults = what is wrong with it: nil or a list of
+--          whether this is known; is_wide = whether the user says that every extended frame is
+--          YAPP, else only what is surely YAPP is claimed }: gets entry, look, pass = which has it,
+--          is_now = whether that took it just now, faults = what is wrong with it: nil or a list of
 --          { expert =, text =, message = or nil, void = whether it has been taken back since }
 -- returns  its entry; nil for a frame that is not YAPP's
 function Memory:look(frame)

@@ -1,11 +1,13 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Messages of one key that interleave, where a capture does not tell its buses apart.  Pure Lua.
 --
--- A Start that comes while a message with the same key is open may cut it off, or come from another bus.  From then on the
--- frames of that key are pooled, and an End looks for the frames that, with it, make up one of the open messages: its size
+-- A Start that comes while a message with the same key is open may cut it off, or come from another
+-- bus.  From then on the frames of that key are pooled, and an End looks for the frames that, with
+--       it, make up one of the open messages: its size
 -- and its CRC decide.  Every frame that comes brings some credit, which bounds the search.
 --
--- A frame in the pool has look, data, length (on the bus), is_end, and is_taken once a good message has it.
+-- A frame in the pool has look, data, length (on the bus), is_end, and is_taken once a good message
+-- has it.
 
 local can_id = require "yapp.wire.can_id"
 local crc = require "yapp.wire.crc"

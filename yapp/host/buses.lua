@@ -1,8 +1,10 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- On which bus a packet was captured: may this capture have several, which one is it, what is it called.  Wireshark's API.
+-- On which bus a packet was captured: may this capture have several, which one is it, what is it
+-- called.  Wireshark's API.
 --
--- The file says it (host.capture), or the reader of ours that it came through.  Of a live capture, of Vector BLF and of
--- what else is not read here the fields say it, where there is a tree; a tap asks for them.
+-- The file says it (host.capture), or the reader of ours that it came through.  Of a live capture,
+-- of Vector BLF and of what else is not read here the fields say it, where there is a tree; a tap
+-- asks for them.
 
 local capture = require "yapp.host.capture"
 local readers = require "yapp.file.readers"
@@ -44,8 +46,9 @@ end
 --- Looks at files from now on.  Call it once.
 function M.watch()
   local self = setmetatable({ seen = capture.read("", function() end) }, Buses)
-  -- A reader that never reads: the only place where the API shows a file.  It names both arguments: what a reader does
-  -- not hold may be collected while it reads, and Wireshark writes into both when it is back.
+  -- A reader that never reads: the only place where the API shows a file.  It names both arguments:
+  -- what a reader does not hold may be collected while it reads, and Wireshark writes into both
+  -- when it is back.
   local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the headers", "rms")
   function handler.read_open(file, _)
     local head = file:read(capture.OF_A_PIPE) or ""
@@ -63,8 +66,8 @@ function M.watch()
   return self
 end
 
---- A new file is about to be dissected.  What was seen since the last one may be of others, which did not open or were
--- only looked at in a file dialog: nothing of it counts before.
+--- A new file is about to be dissected.  What was seen since the last one may be of others, which
+-- did not open or were only looked at in a file dialog: nothing of it counts before.
 function Buses:init()
   local found = self.seen
   self.found, self.is_blf, self.is_shifted = found, self.seen_blf, false
@@ -90,8 +93,9 @@ function Buses:may_have_frames()
   return self.found.may_have_frames
 end
 
--- The fields that are there; none on a pass that builds no tree.  On 4.0 the value of an item without bytes, such as a
--- packet comment, throws past Lua: only what is wanted is asked for its value.
+-- The fields that are there; none on a pass that builds no tree.  On 4.0 the value of an item
+-- without bytes, such as a packet comment, throws past Lua: only what is wanted is asked for its
+-- value.
 local function fields_by_name(ok, ...)
   local found = {}
   for _, info in ipairs(ok and { ... } or {}) do
@@ -100,8 +104,8 @@ local function fields_by_name(ok, ...)
   return found
 end
 
--- The bus by the fields of the current packet, and whether it is known.  Where the file had one source when it was
--- opened, that goes on without a number.
+-- The bus by the fields of the current packet, and whether it is known.  Where the file had one
+-- source when it was opened, that goes on without a number.
 local function by_fields(self, pinfo)
   local fields = fields_by_name(pcall(all_field_infos))
   local interface, index = fields["frame.interface_id"], fields["sll.ifindex"]
@@ -119,7 +123,8 @@ local function by_fields(self, pinfo)
 end
 
 --- Where the current packet was captured.
--- returns  its bus, a number; nil where the capture has one, or nothing says; and whether this is known
+-- returns  its bus, a number; nil where the capture has one, or nothing says; and whether this is
+--          known
 function Buses:of(pinfo)
   local bus, name = readers.current()
   if bus then

@@ -1,11 +1,14 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a capture file says of its packets: on which bus each was captured, and whether YAPP may be in it.  Pure Lua.
+-- What a capture file says of its packets: on which bus each was captured, and whether YAPP may be
+-- in it.  Pure Lua.
 --
--- A dissector is not told on which interface a packet came, and the fields that say it need a tree.  The file says it:
--- of a pcapng file and of pcap files of Linux cooked v2 and RTAC the headers of blocks and records are read to the end.
+-- A dissector is not told on which interface a packet came, and the fields that say it need a tree.
+--  The file says it: of a pcapng file and of pcap files of Linux cooked v2 and RTAC the headers of
+--  blocks and records are read to the end.
 --
--- A source is an interface, an index in it (Linux cooked v2), or a direction (RTAC); of a capture with several that may
--- carry YAPP each has a number, its bus: 1, 2, 3 in the order in which they show.
+-- A source is an interface, an index in it (Linux cooked v2), or a direction (RTAC); of a capture
+-- with several that may carry YAPP each has a number, its bus: 1, 2, 3 in the order in which they
+-- show.
 
 local frame = require "yapp.wire.frame"
 local utf8 = require "yapp.base.utf8"
@@ -18,8 +21,8 @@ local byte, sub, floor = string.byte, string.sub, math.floor
 M.OF_A_PIPE = 65536
 local CHUNK = 1048576
 
--- Link types: SocketCAN, exported PDUs, RTAC serial, DLT_USER 0 .. 15; and Linux cooked captures, whose packets have the
--- protocol at this offset: 0x000C for CAN, 0x000D for CAN FD.
+-- Link types: SocketCAN, exported PDUs, RTAC serial, DLT_USER 0 .. 15; and Linux cooked captures,
+-- whose packets have the protocol at this offset: 0x000C for CAN, 0x000D for CAN FD.
 local SOCKETCAN, EXPORTED, RTAC, COOKED, COOKED_2 = 227, 252, 250, 113, 276
 local OURS = { [SOCKETCAN] = true, [EXPORTED] = true, [RTAC] = true }
 for linktype = 147, 162 do OURS[linktype] = true end
@@ -28,7 +31,8 @@ local INDEX_AT, EVENT_AT = 4, 8         -- of Linux cooked v2, of RTAC
 local DIRECTION = { 0, 1, 0, 1 }        -- of RTAC's events: data sent, data received, ...
 local SOCKETCAN_HEADER = 8              -- bytes in front of a CAN frame's data
 
--- Blocks of pcapng; those that are packets, or count as such, but for the first of which nothing is said here.
+-- Blocks of pcapng; those that are packets, or count as such, but for the first of which nothing is
+-- said here.
 local SECTION, INTERFACE, ENHANCED, SIMPLE, OLD = 0x0A0D0D0A, 1, 6, 3, 2
 local JOURNAL, SYSDIG, SYSDIG_END = 9, 0x204, 0x221
 local IF_NAME, IF_TSRESOL = 2, 9
@@ -66,7 +70,7 @@ function Window:bytes(at, count)
   return sub(self.text, at - self.from + 1, at - self.from + count)
 end
 
--- Sources -----------------------------------------------------------------------------------------------------------
+-- Sources -----------------------------------------------------------------------------------------
 
 local Capture = {}
 Capture.__index = Capture
@@ -109,7 +113,7 @@ local function note_packet(self, source, stamp)
   self.told[self.count] = source * STAMPS + floor(stamp) % STAMPS
 end
 
--- pcapng ------------------------------------------------------------------------------------------------------------
+-- pcapng ------------------------------------------------------------------------------------------
 
 -- The name and the time's unit from an interface's options.
 local function read_options(window, at, stop)
@@ -203,12 +207,12 @@ end
 
 -- Most blocks are packets: of each as little is read as goes.
 local function read_pcapng(self, window)
-  local at, length = 0, 0
+  local at = 0
   while window.from + #window.text >= at + 12 or window:has(at, 12) do
     local from = at - window.from
     local a, b, c, d, e, f, g, h = byte(window.text, from + 1, from + 8)
     if not window.is_little then a, b, c, d, e, f, g, h = d, c, b, a, h, g, f, e end
-    length = e + f * 0x100 + g * 0x10000 + h * 0x1000000
+    local length = e + f * 0x100 + g * 0x10000 + h * 0x1000000
     if a == ENHANCED and b + c + d == 0 then
       self.count, self.has_packets = self.count + 1, true
       if not self.may_be_ours then break end -- somebody else's file
@@ -221,7 +225,7 @@ local function read_pcapng(self, window)
   end
 end
 
--- pcap --------------------------------------------------------------------------------------------------------------
+-- pcap --------------------------------------------------------------------------------------------
 
 local function read_pcap(self, window, is_little, per_microsecond)
   window.is_little = is_little
@@ -266,18 +270,23 @@ end
 
 --- Reads a file.
 -- head     its first bytes, up to M.OF_A_PIPE
--- more     function(count) -> the next bytes, at most so many; nil or "" at the end, or where a pipe must be left alone
+-- more     function(count) -> the next bytes, at most so many; nil or "" at the end, or where a
+--          pipe must be left alone
 -- returns  a capture: {
 --   has_several   whether the file tells several sources apart that may carry YAPP
 --   begins        whether it is a pcapng file without a packet yet, as a live capture
---   is_told       whether the packets' buses are read here; of another format, and behind `count`, fields say them
+--   is_told       whether the packets' buses are read here; of another format, and behind `count`,
+--                 fields say them
 --   count, told   how many packets it told of, and of each source * STAMPS + when it was captured
 --   early         how many of them came before there was a second source: all that may be YAPP's
 --                 among them are of the first
 --   names         [number of a source] = the name of its interface, fit to be printed
---   only_name     of the only interface, own_name of the only one that may carry YAPP; nil where there are several
---   place         where in each packet a CAN frame's data begins, nil where that is not the same for all
---   may_have_frames  whether YAPP frames may be in TCP or UDP: not where it has packets and none of the first has one }
+--   only_name     of the only interface, own_name of the only one that may carry YAPP; nil where
+--                 there are several
+--   place         where in each packet a CAN frame's data begins, nil where that is not the same
+--                 for all
+--   may_have_frames  whether YAPP frames may be in TCP or UDP: not where it has packets and none of
+--                    the first has one }
 function M.read(head, more)
   local self = setmetatable({
     count = 0,
@@ -310,8 +319,8 @@ end
 --- The bus of a packet.
 -- number    of the packet
 -- captured  seconds since 1970 at which Wireshark says that it was captured, nil not to compare
--- returns   its bus; 0 for a packet that cannot carry YAPP; nil where the file's packet of this number is another: a read
---           filter has shifted the numbers
+-- returns   its bus; 0 for a packet that cannot carry YAPP; nil where the file's packet of this
+--           number is another: a read filter has shifted the numbers
 function Capture:bus(number, captured)
   local entry = self.told[number]
   if number <= self.early then return 1 end

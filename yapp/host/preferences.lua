@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The preferences: what they are called, what they say, and what is made of their texts.  Wireshark's API.
+-- The preferences: what they are called, what they say, and what is made of their texts.
+-- Wireshark's API.
 
 local M = {}
 
@@ -83,7 +84,8 @@ function M.late(text)
   return 2.5, { ("a gap is late above %q periods: not a number above 0, so it stays 2.5"):format(text) }
 end
 
---- Says so where the file with the user's own messages is not the one that was read when Wireshark started.
+--- Says so where the file with the user's own messages is not the one that was read when Wireshark
+-- started.
 -- file  of the preference; read: the path that was read, or nil
 function M.check_messages_file(file, read)
   if file == "" or file == read then return end

@@ -1,10 +1,11 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What SocketCAN says of a frame beside its data: the id of one that comes by Decode As, whether it is a remote frame.
--- Wireshark's API.
+-- What SocketCAN says of a frame beside its data: the id of one that comes by Decode As, whether it
+-- is a remote frame. Wireshark's API.
 --
--- A dissector gets the data alone.  In SocketCAN's table of ids, which is how our messages are found, pinfo.match_uint is
--- the id.  Who takes all frames of a bus has the header read in front of SocketCAN: exact, on every pass, at the cost of a
--- name in frame.protocols and about 1 µs a CAN frame; so only where the user asked for all of a bus.
+-- A dissector gets the data alone.  In SocketCAN's table of ids, which is how our messages are
+-- found, pinfo.match_uint is the id.  Who takes all frames of a bus has the header read in front of
+-- SocketCAN: exact, on every pass, at the cost of a name in frame.protocols and about 1 µs a CAN
+-- frame; so only where the user asked for all of a bus.
 
 local M = {}
 
@@ -15,12 +16,12 @@ local header = {}  -- of the frame that is dissected: { number = of its packet, 
 local refused = {} -- what the table of ids left to Decode As: { number, place, can_id }
 local REFUSED = "yapp.refused" -- in the private table of a packet: of this look at it only
 
--- Fields -----------------------------------------------------------------------------------------------------------
+-- Fields ------------------------------------------------------------------------------------------
 
 local NAMES = { ["can.id"] = true, ["can.flags.xtd"] = true, ["can.flags.rtr"] = true }
 
--- CAN's fields in the tree so far; none on a pass that builds no tree.  On 4.0 the value of an item without bytes throws
--- past Lua: only what is wanted is asked for its value.
+-- CAN's fields in the tree so far; none on a pass that builds no tree.  On 4.0 the value of an item
+-- without bytes throws past Lua: only what is wanted is asked for its value.
 local function can_fields(ok, ...)
   local found = {}
   for _, info in ipairs(ok and { ... } or {}) do
@@ -45,8 +46,8 @@ function M.find_id(tvb, pinfo)
   return tonumber(text:match("Ext%. ID: (%d+)"))
 end
 
---- Whether a frame of zeros is a remote frame, as far as a header, a field or a column says so: those have no data, but
--- captures give them zeros.
+--- Whether a frame of zeros is a remote frame, as far as a header, a field or a column says so:
+-- those have no data, but captures give them zeros.
 function M.is_remote(pinfo)
   if header.number == pinfo.number then return header.can_id == nil end
   local rtr = can_fields(pcall(all_field_infos))["can.flags.rtr"]
@@ -65,8 +66,8 @@ function M.is_refused(tvb, pinfo)
   return refused.number == pinfo.number and refused.place == tvb:offset() and pinfo.private[REFUSED] ~= nil
 end
 
---- Whether the current frame, which came with 0 for its id, did so by Decode As and not from the table of ids: it has
--- another id, or the table had it already.
+--- Whether the current frame, which came with 0 for its id, did so by Decode As and not from the
+-- table of ids: it has another id, or the table had it already.
 function M.is_decode_as(tvb, pinfo)
   if M.is_refused(tvb, pinfo) then return true end
   local can_id, is_unknown = M.find_id(tvb, pinfo)
@@ -78,10 +79,10 @@ function M.init()
   header, refused = {}, {}
 end
 
--- The header in front ----------------------------------------------------------------------------------------------
+-- The header in front -----------------------------------------------------------------------------
 
--- The first word of a SocketCAN record; big endian in its own encapsulation (unless a preference says otherwise), host
--- order in cooked captures.
+-- The first word of a SocketCAN record; big endian in its own encapsulation (unless a preference
+-- says otherwise), host order in cooked captures.
 -- returns  29-bit id of an extended data frame, or nil
 local function header_id(tvb, is_little)
   if tvb:len() < HEADER then return nil end
@@ -90,15 +91,17 @@ local function header_id(tvb, is_little)
   return word % MASK
 end
 
--- What the capture cut, C dissectors throw past Lua, and what that takes of Lua's 200 nested calls never comes back: so
--- SocketCAN is not called for half a header, and of a frame that is not ours it sees the captured bytes alone, which is
--- shown as malformed where without us it would be limited in size.  An extended frame may be ours: its ID is taken for
--- one of others when they have thrown once; and when so many IDs have, all are.
+-- What the capture cut, C dissectors throw past Lua, and what that takes of Lua's 200 nested calls
+-- never comes back: so SocketCAN is not called for half a header, and of a frame that is not ours
+-- it sees the captured bytes alone, which is shown as malformed where without us it would be
+-- limited in size.  An extended frame may be ours: its ID is taken for one of others when they have
+-- thrown once; and when so many IDs have, all are.
 local MOST_THROWN = 24
 local thrown, thrown_count = {}, 0 -- CAN ids: nothing that was lost comes back with the next file
 local cut_id -- of the cut frame that SocketCAN has, while it has it
 
--- Hands a frame on to SocketCAN.  A malformed one has its item by the time pcall returns, and is no error of ours.
+-- Hands a frame on to SocketCAN.  A malformed one has its item by the time pcall returns, and is no
+-- error of ours.
 local function hand_on(inner, can_id, tvb, pinfo, tree)
   local length = tvb:len()
   if length < HEADER then return 0 end
@@ -115,7 +118,8 @@ local function hand_on(inner, can_id, tvb, pinfo, tree)
   return ok and taken or length
 end
 
--- Whose table, what in it, and whether the id is in the host's order, little endian on every machine of today.
+-- Whose table, what in it, and whether the id is in the host's order, little endian on every
+-- machine of today.
 local CARRIERS = { { "wtap_encap", wtap.SOCKETCAN, false }, { "sll.ltype", 0x0C, true }, { "sll.ltype", 0x0D, true } }
 local is_wrapped = false
 

@@ -1,14 +1,15 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The passes over a capture, which the memories of CAN and of streams share: which frame a look is at, what was kept of
--- it, and what changed there.  Pure Lua.
+-- The passes over a capture, which the memories of CAN and of streams share: which frame a look is
+-- at, what was kept of it, and what changed there.  Pure Lua.
 --
--- A pass is frames in order.  A frame is known by its look: its number as a rule; where a number comes again, because a
--- packet has several frames or because a read filter rejected the packet before, a fraction tells them apart.
--- ("Frames 7 and 8 come, -R drops 7: then 8 is called 7 again.  Their looks are 7 and 7 + STEP; the number 7 is then the
--- second's.")
+-- A pass is frames in order.  A frame is known by its look: its number as a rule; where a number
+-- comes again, because a packet has several frames or because a read filter rejected the packet
+-- before, a fraction tells them apart. ("Frames 7 and 8 come, -R drops 7: then 8 is called 7 again.
+--  Their looks are 7 and 7 + STEP; the number 7 is then the second's.")
 --
--- There is a second pass only where the first could not know what tells buses apart or which id a frame has: it begins
--- anew, in order, with nothing taken from the first.  Who asks for a frame here and there gets what the first knows.
+-- There is a second pass only where the first could not know what tells buses apart or which id a
+-- frame has: it begins anew, in order, with nothing taken from the first.  Who asks for a frame
+-- here and there gets what the first knows.
 
 local M = {}
 
@@ -19,15 +20,17 @@ local STEP = 2 ^ -21 -- two million looks of one number, of two thousand million
 local Pass = {}
 Pass.__index = Pass
 
--- It has, to be read and written: entries, by look, what is kept of each frame of ours; history, of message.history; and,
--- set to true by who makes a frame of it, is_partial: whether it was not told all that tells frames apart.
+-- It has, to be read and written: entries, by look, what is kept of each frame of ours; history, of
+-- message.history; and, set to true by who makes a frame of it, is_partial: whether it was not told
+-- all that tells frames apart.
 local function new_pass(new_history)
   return setmetatable({
     entries = {}, history = new_history(), is_partial = false,
     highest = 0, latest = 0, place = 0, -- of the newest frame: number, look, place in its packet
     usual = nil,                        -- the place of the first frame, which most others have too
-    looks = {},                         -- [number] = { [place] = look }, where the look is not the number or the place not usual
-    is_filtered = false,                -- whether a read filter rejected a packet: numbers have shifted
+    -- [number] = { [place] = look }, where the look is not the number or the place not usual
+    looks = {},
+    is_filtered = false, -- whether a read filter rejected a packet: numbers have shifted
   }, Pass)
 end
 
@@ -89,8 +92,8 @@ end
 --- Takes a message into the history, in order.
 -- look     of the frame that ends it
 -- message  as History:note takes it; gets number, its look
--- returns  what changed, or nil, with numbers of frames; and the seconds since the source's previous good message, for
---          Pass:change at a later look
+-- returns  what changed, or nil, with numbers of frames; and the seconds since the source's
+--          previous good message, for Pass:change at a later look
 function Pass:note(look, message)
   message.number = look
   local change, delta = self.history:note(message)
@@ -109,9 +112,11 @@ Passes.__index = Passes
 
 --- No pass has begun.
 -- new_history  function() -> a message.history
--- It has first, a pass; second, another or nil; is_again: whether any frame was looked at a second time.
+-- It has first, a pass; second, another or nil; is_again: whether any frame was looked at a second
+-- time.
 function M.new(new_history)
-  return setmetatable({ new_history = new_history, first = new_pass(new_history), second = nil, is_again = false }, Passes)
+  local self = { new_history = new_history, first = new_pass(new_history), is_again = false }
+  return setmetatable(self, Passes)
 end
 
 -- Whether a second pass goes on at a frame: nothing of the first lies between.
@@ -127,7 +132,8 @@ end
 -- number, place  of the frame
 -- is_again       whether Wireshark has shown it before
 -- knows_all      whether this time all is known that tells frames apart
--- returns        a pass, and the look; whether the look is made now, in order.  Nil where no pass had the frame.
+-- returns        a pass, and the look; whether the look is made now, in order.  Nil where no pass
+--                had the frame.
 function Passes:look(number, place, is_again, knows_all)
   local first, second = self.first, self.second
   if not is_again then return first, first:next(number, place), true end

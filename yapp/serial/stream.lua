@@ -5,9 +5,9 @@
 -- Each "YP" with a header behind it is a candidate.  Candidates may overlap; they are judged in the
 -- order of their ends, as if the bytes came one at a time.  A good CRC proves every overlapping
 -- candidate wrong, whatever its header says.  Of those without one the header decides: one of the
--- catalogue's messages is that message, damaged, up to where the next begins; one of an unknown ID of
--- the document's is a frame where it is whole and none of the others lie in it; any other is noise.
--- They wait until nothing good can overlap them any more.
+-- catalogue's messages is that message, damaged, up to where the next begins; one of an unknown ID
+-- of the document's is a frame where it is whole and none of the others lie in it; any other is
+-- noise. They wait until nothing good can overlap them any more.
 
 local crc = require("yapp.wire.crc")
 local frame = require("yapp.wire.frame")

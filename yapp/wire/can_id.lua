@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- YAPP's use of a CAN frame: the 29-bit id, CAN FD padding, the header that the CRC covers ("CAN Framing").
--- Pure Lua, 5.2 and 5.4.
+-- YAPP's use of a CAN frame: the 29-bit id, CAN FD padding, the header that the CRC covers ("CAN
+-- Framing"). Pure Lua, 5.2 and 5.4.
 
 local crc = require "yapp.wire.crc"
 
@@ -29,8 +29,9 @@ local addresses, address_count = {}, 0
 
 --- A 29-bit CAN id taken apart ("CAN Message IDs").
 -- can_id   0 .. 0x1FFFFFFF
--- returns  { can_id, id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, key = what the frames of a message
---          share, key_bytes = the same as 4 bytes, big endian }; usually the same table for the same id: read only
+-- returns  { can_id, id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, key = what the
+--          frames of a message share, key_bytes = the same as 4 bytes, big endian }; usually the
+--          same table for the same id: read only
 function M.address(can_id)
   local address = addresses[can_id]
   if address then return address end
@@ -57,7 +58,8 @@ function M.padding(data, reported, needed)
   end
 end
 
---- The 12 bytes that the CRC covers before the payload ("Computing the UART and Ethernet Frame IDs from the CAN ID").
+--- The 12 bytes that the CRC covers before the payload ("Computing the UART and Ethernet Frame IDs
+-- from the CAN ID").
 -- address   { id, seq, ctl }
 -- size      of the payload; reserved: number, 0 when left out
 function M.header(address, size, reserved)
