@@ -26,7 +26,8 @@ local function each_frame(path, see)
   for record in function() return file:read(RECORD) end do
     local a, b, c, d, length = record:byte(17, 21)
     number = number + 1
-    see(number, record:sub(DATA + 1, DATA + length), a % 0x20 * 0x1000000 + b * 0x10000 + c * 0x100 + d)
+    see(number, record:sub(DATA + 1, DATA + length),
+      a % 0x20 * 0x1000000 + b * 0x10000 + c * 0x100 + d)
   end
   file:close()
 end
@@ -41,8 +42,9 @@ end
 -- A finished message, as can.carrier gives it to the reader.
 local function finished(frame, payload)
   local address = frame.address
-  return { id = address.id, seq = address.seq, ctl = address.ctl, source = address.id, frame = frame.number,
-    time = frame.number / 5000, payload = payload, size = #payload, is_whole = true, status = "good", good = true }
+  return { id = address.id, seq = address.seq, ctl = address.ctl, source = address.id,
+    frame = frame.number, time = frame.number / 5000, payload = payload, size = #payload,
+    is_whole = true, status = "good", good = true }
 end
 
 -- How many good messages a capture has, by the steps up to one.
@@ -51,7 +53,8 @@ local function run(path, step)
   local frame, count = { place = 0, is_again = false, knows_bus = true, is_wide = false }, 0
   each_frame(path, function(number, data, id)
     if step == "file" then return end
-    frame.address, frame.number, frame.data, frame.reported = can_id.address(id), number, data, #data
+    frame.address, frame.number = can_id.address(id), number
+    frame.data, frame.reported = data, #data
     local message = known:look(frame)
     if not message or message.last ~= frame.look then return end
     if message.status == "good" then count = count + 1 end

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What each CAN frame is, by the rules of the protocol's document, once more and as simply as they can be said; of buses
--- that are told apart, or of one.  And random frames of them.
+-- What each CAN frame is, by the rules of the protocol's document, once more and as simply as they
+-- can be said; of buses that are told apart, or of one.  And random frames of them.
 local crc = require("yapp.wire.crc")
 local words = require("can_words")
 
@@ -22,17 +22,23 @@ end
 local function two(n) return string.char(n % 256, (n - n % 256) / 256) end
 
 local function is_good(message, payload)
-  local header = "YP" .. string.char(message.seq, message.ctl) .. two(message.id) .. "\0\0" .. two(message.size) ..
+  local header = "YP" .. string.char(message.seq, message.ctl) .. two(message.id) .. "\0\0" ..
+    two(message.size) ..
     two(message.reserved)
   return crc.of(header .. payload) == message.crc
 end
 
--- How many zeros behind the last bytes that are needed make the frame up to a length that CAN FD has.
+-- How many zeros behind the last bytes that are needed make the frame up to a length that CAN FD
+-- has.
 local function padding(frame, needed)
   if frame.reported == needed then return 0 end
-  if needed < 1 or needed > frame.reported or frame.data:sub(needed + 1):find("[^%z]") then return nil end
+  if needed < 1 or needed > frame.reported or frame.data:sub(needed + 1):find("[^%z]") then
+    return nil
+  end
   for _, length in ipairs(FD) do
-    if length >= needed then return length == frame.reported and length > 8 and length - needed or nil end
+    if length >= needed then
+      return length == frame.reported and length > 8 and length - needed or nil
+    end
   end
 end
 
@@ -58,17 +64,18 @@ end
 -- What an End makes of its message.
 local function finish(verdicts, message, frame, say)
   local at, needed = frame.number, frame.reported - (message.received - message.size)
-  local zeros, status = padding(frame, needed), nil
+  local zeros = padding(frame, needed)
   if message.status then return say(at, "overrun", "fragment.overrun") end
   if zeros then
-    status = message.is_cut and "unverified" or
+    local status = message.is_cut and "unverified" or
       is_good(message, table.concat(message.chunks):sub(1, message.size)) and "good" or "bad"
     return say(at, status)
   end
   local excess = message.received - message.size
   local out = excess > 0 and not message.is_cut and repeated(message, excess)
   if not out then
-    return say(at, excess < 0 and "short" or "overrun", excess < 0 and "fragment.incomplete" or "fragment.overrun")
+    return say(at, excess < 0 and "short" or "overrun",
+      excess < 0 and "fragment.incomplete" or "fragment.overrun")
   end
   for place in pairs(out) do verdicts[message.frames[place]].faults[1] = "fragment.duplicate" end
   say(at, "good")
@@ -84,7 +91,9 @@ local function take_start(self, slot, frame, id, say)
   local before, faults = self.open[slot], {}
   if before and not before.status then faults[1] = "fragment.incomplete" end
   self.open[slot] = nil
-  if frame.reported ~= 8 then faults[#faults + 1] = frame.reported > 8 and "size.mismatch" or "fragment.incomplete" end
+  if frame.reported ~= 8 then
+    faults[#faults + 1] = frame.reported > 8 and "size.mismatch" or "fragment.incomplete"
+  end
   if reserved then
     if size == 0 or known and size ~= known then faults[#faults + 1] = "size.mismatch" end
     if reserved ~= 0 then faults[#faults + 1] = "reserved.nonzero" end
@@ -92,14 +101,17 @@ local function take_start(self, slot, frame, id, say)
   local is_message = reserved and size > 0
   say(frame.number, is_message and "part" or "start", unpack(faults))
   if not is_message then return end
-  self.open[slot] = { id = id.id, seq = id.seq, ctl = id.ctl, crc = number(data, 1, 4), size = size, reserved = reserved,
+  self.open[slot] = { id = id.id, seq = id.seq, ctl = id.ctl, crc = number(data, 1, 4), size = size,
+    reserved = reserved,
     chunks = {}, frames = {}, received = 0, alike = 0 }
 end
 
 local function take_part(self, slot, frame, id, say, verdicts)
   local message, is_end = self.open[slot], id.ctrl == 3
   if not message then
-    if frame.is_wide or id.ctl == 0 and words.KNOWN[id.id] then say(frame.number, "orphan", "fragment.orphan") end
+    if frame.is_wide or id.ctl == 0 and words.KNOWN[id.id] then
+      say(frame.number, "orphan", "fragment.orphan")
+    end
     return
   end
   local chunks = message.chunks
@@ -127,7 +139,8 @@ function M.verdicts(frames)
   local function say(at, what, ...) verdicts[at] = { what = what, faults = { ... } } end
   for at, frame in ipairs(frames) do
     local rest = frame.can_id
-    local id = { seq = rest % 256, ctl = (rest - rest % 256) / 256 % 64, ctrl = math.floor(rest / 2 ^ 14) % 16,
+    local id = { seq = rest % 256, ctl = (rest - rest % 256) / 256 % 64,
+      ctrl = math.floor(rest / 2 ^ 14) % 16,
       id = math.floor(rest / 2 ^ 18) }
     local slot = table.concat({ frame.bus or 0, id.id, id.ctl, id.seq }, " ")
     say(at, "-")
@@ -150,16 +163,19 @@ function M.verdicts(frames)
   return texts
 end
 
--- Random frames ---------------------------------------------------------------------------------------------------
+-- Random frames -----------------------------------------------------------------------------------
 
 local IDS = { { 0x210, 32 }, { 0x200, 17 }, { 0x123, 40 }, { 0x210, 34 } } -- with a usual size
 
 -- The frames of a message, { CAN CTRL, data }; some of CAN FD with padding.
 local function message_of(random, id, size)
   local bytes, step = {}, random(6) == 1 and 64 or 8
-  for i = 1, size do bytes[i] = string.char(random(12) == 1 and random(256) - 1 or 65 + random(2)) end -- often alike
+  for i = 1, size do
+    bytes[i] = string.char(random(12) == 1 and random(256) - 1 or 65 + random(2))
+  end
   local payload = table.concat(bytes)
-  local frames = { { 1, words.start(id.id, payload, { ctl = id.ctl, seq = id.seq, wrong = random(30) == 1,
+  local frames = { { 1, words.start(id.id, payload,
+    { ctl = id.ctl, seq = id.seq, wrong = random(30) == 1,
     reserved = random(30) == 1 and 5 or nil, size = random(40) == 1 and random(70) - 1 or nil }) } }
   for at = 1, size, step do
     local data = payload:sub(at, at + step - 1)
@@ -179,9 +195,11 @@ local DAMAGE = {
   function(frames, at) table.insert(frames, at, frames[at]) end,                    -- came twice
   function(frames, at) table.insert(frames, at, { 2, "strangers" }) end,            -- too many
   function(frames, at) frames[at] = { frames[at][1], frames[at][2]:sub(1, 3) } end, -- short
-  function(frames, at) frames[at] = { frames[at][1], frames[at][2], 3 } end,        -- cut by the capture
+  -- cut by the capture
+  function(frames, at) frames[at] = { frames[at][1], frames[at][2], 3 } end,
   function(frames, at) frames[at] = { frames[at][1], "?" .. frames[at][2]:sub(2) } end,
-  function(frames, at) frames[at] = { 4 + at % 12, frames[at][2] } end,             -- no CAN CTRL that is defined
+  -- no CAN CTRL that is defined
+  function(frames, at) frames[at] = { 4 + at % 12, frames[at][2] } end,
   function(frames, at) for _ = 1, at do table.insert(frames, 1, frames[1]) end end, -- new Starts
   function(frames, at) for _ = at, #frames do table.remove(frames) end end,         -- cut off
   function(frames) table.insert(frames, { 0, "single" }) end,
@@ -195,11 +213,13 @@ function M.random_frames(random)
     streams[bus] = {}
     for _ = 1, 2 + random(8) do
       local kind = IDS[random(#IDS)]
-      local id = { id = kind[1], ctl = is_wide and random(9) == 1 and 7 or 0, seq = random(9) == 1 and 3 or 0 }
+      local id = { id = kind[1], ctl = is_wide and random(9) == 1 and 7 or 0,
+        seq = random(9) == 1 and 3 or 0 }
       local frames = message_of(random, id, random(4) == 1 and 8 + random(60) or kind[2])
       if random(2) == 1 then DAMAGE[random(#DAMAGE)](frames, random(#frames)) end
       for _, frame in ipairs(frames) do
-        table.insert(streams[bus], { can_id = words.can_id(id.id, frame[1], id.ctl, id.seq), reported = #frame[2],
+        table.insert(streams[bus], { can_id = words.can_id(id.id, frame[1], id.ctl, id.seq),
+          reported = #frame[2],
           data = frame[2]:sub(1, frame[3] or -1), bus = bus, is_wide = is_wide })
       end
     end

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The memory of CAN frames: each rule by itself, in the words of can_words; random frames against an oracle; later looks,
--- packets of several frames, read filters, second passes.
+-- The memory of CAN frames: each rule by itself, in the words of can_words; random frames against
+-- an oracle; later looks, packets of several frames, read filters, second passes.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local crc = require("yapp.wire.crc")
@@ -12,9 +12,10 @@ local words = require("can_words")
 
 local T = {}
 
--- The rules ---------------------------------------------------------------------------------------------------------
+-- The rules ---------------------------------------------------------------------------------------
 
-local COMMAND, HEALTH, MOTOR = { [""] = { 0, 0, 0 } }, { [""] = { 0x200, 0, 0 } }, { [""] = { 0x210, 0, 0 } }
+local COMMAND, HEALTH = { [""] = { 0, 0, 0 } }, { [""] = { 0x200, 0, 0 } }
+local MOTOR = { [""] = { 0x210, 0, 0 } }
 
 local function check(rows, options)
   for _, row in ipairs(rows) do
@@ -48,13 +49,16 @@ function T.test_what_breaks_is_named()
   check({
     { "S32 M8 M8 M8 E8 E8", "part part part part good orphan+fragment.orphan" },
     { "S32 S32 M8 M8 M8 E8", "part part+fragment.incomplete part part part good" },
-    { "S32 M8 S32 M8 M8 E8", "part part part+fragment.incomplete part part short+fragment.incomplete" },
+    { "S32 M8 S32 M8 M8 E8",
+      "part part part+fragment.incomplete part part short+fragment.incomplete" },
     { "S32 M8 M8 E8", "part part part short+fragment.incomplete" },
     { "S32 M8 M8 M8 M8 E8", "part part part part part overrun+fragment.overrun" },
-    { "S32 M8 M8 M8 M8 M8 E8", "part part part part part part+fragment.overrun overrun+fragment.overrun" },
+    { "S32 M8 M8 M8 M8 M8 E8",
+      "part part part part part part+fragment.overrun overrun+fragment.overrun" },
     { "S32 M8 M8 M8 M8 M8 S32 M8 M8 M8 E8",
       "part part part part part part+fragment.overrun part part part part good" },
-    { "M8 E8 S32 M8 M8 M8 E8", "orphan+fragment.orphan orphan+fragment.orphan part part part part good" },
+    { "M8 E8 S32 M8 M8 M8 E8",
+      "orphan+fragment.orphan orphan+fragment.orphan part part part part good" },
     { "S32 M8 M8? M8 E8", "part part part part bad" },
   }, { ids = MOTOR })
 end
@@ -63,7 +67,8 @@ function T.test_malformed_starts()
   check({
     { "S32/7 M8", "start+fragment.incomplete orphan+fragment.orphan" },
     { "S32/1 E8", "start+fragment.incomplete orphan+fragment.orphan" },
-    { "S32 M8 S32/7 M8", "part part start+fragment.incomplete+fragment.incomplete orphan+fragment.orphan" },
+    { "S32 M8 S32/7 M8",
+      "part part start+fragment.incomplete+fragment.incomplete orphan+fragment.orphan" },
     { "S0 E8", "start+size.mismatch orphan+fragment.orphan" },
     { "S32r M8 M8 M8 E8", "part+reserved.nonzero part part part good" },
     { "S32/12 M8 M8 M8 E8", "part+size.mismatch part part part good" },
@@ -99,14 +104,20 @@ end
 
 function T.test_only_what_is_surely_yapp_is_claimed()
   check {
-    { "L8", "-" }, { "X8", "-" }, { "M8", "-" }, { "E8", "-" }, { "S8 E8", "- -" }, { "S9/7", "-" }, { "S9/12", "-" },
-    { "S9~7", "-" }, { "S9r", "-" }, { "S0", "-" }, { "S65535", "part" }, { "S9 M8 E1 E1", "part part good -" },
-    { "L7", "single", { ids = COMMAND } }, { "L8", "-", { ids = COMMAND } }, { "L6", "-", { ids = COMMAND } },
-    { "L8", "-", { ids = MOTOR } }, { "L17p20", "single", { ids = HEALTH } }, { "L17p24", "-", { ids = HEALTH } },
-    { "L7", "-", { ids = { [""] = { 0, 1, 0 } } } }, { "L7", "single", { ids = { [""] = { 0, 0, 255 } } } },
+    { "L8", "-" }, { "X8", "-" }, { "M8", "-" }, { "E8", "-" }, { "S8 E8", "- -" }, { "S9/7", "-" },
+    { "S9/12", "-" }, { "S9~7", "-" }, { "S9r", "-" }, { "S0", "-" }, { "S65535", "part" },
+    { "S9 M8 E1 E1", "part part good -" },
+    { "L7", "single", { ids = COMMAND } }, { "L8", "-", { ids = COMMAND } },
+    { "L6", "-", { ids = COMMAND } },
+    { "L8", "-", { ids = MOTOR } }, { "L17p20", "single", { ids = HEALTH } },
+    { "L17p24", "-", { ids = HEALTH } },
+    { "L7", "-", { ids = { [""] = { 0, 1, 0 } } } },
+    { "L7", "single", { ids = { [""] = { 0, 0, 255 } } } },
     { "M8 E1", "orphan+fragment.orphan orphan+fragment.orphan", { ids = MOTOR } },
-    { "M8 E1", "- -", { ids = { [""] = { 0x210, 1, 0 } } } }, { "S9", "-", { ids = { [""] = { 0x123, 1, 0 } } } },
-    { "aS9 aM8 aE1 bS9 bM8 bE1 aS9 aM8 aE1", "- - - part part good part part good", -- once the ID is known as YAPP's
+    { "M8 E1", "- -", { ids = { [""] = { 0x210, 1, 0 } } } },
+    { "S9", "-", { ids = { [""] = { 0x123, 1, 0 } } } },
+    -- once the ID is known as YAPP's
+    { "aS9 aM8 aE1 bS9 bM8 bE1 aS9 aM8 aE1", "- - - part part good part part good",
       { ids = { a = { 0x123, 0, 9 }, b = { 0x123, 0, 0 } }, buses = false } },
     { "S32 M8", "part part", { ids = { [""] = { 0x210, 0, 9 } } } }, { "X8", "-", { ids = MOTOR } },
   }
@@ -122,7 +133,8 @@ function T.test_keys()
     { a = { 0x210, 0, 255 }, b = { 0x210, 1, 255 } }, -- YAPP CTL
     { a = { 0x210, 0, 0 }, b = { 0x211, 0, 0 } },   -- Msg ID
   } do
-    check({ { "aS32 bS32 aM8 bM8 aM8 bM8 bM8 bE8 aM8 aE8", "part part part part part part part good part good" } },
+    check({ { "aS32 bS32 aM8 bM8 aM8 bM8 bM8 bE8 aM8 aE8",
+      "part part part part part part part good part good" } },
       { ids = ids, is_wide = true, buses = false })
   end
   check { { "aS32 bM8 aM8 bE8 aM8 aM8 aE8", "part - part - part part good" } } -- two buses
@@ -133,24 +145,30 @@ function T.test_a_frame_delivered_twice()
   for _, is_told in ipairs { true, false } do
     check({
       { "S32 M8 M8 M8= M8 E8", "part part part part+fragment.duplicate part good" },
-      { "S32 M8 M8= M8 M8= M8 M8= E8", "part part part part part part part overrun+fragment.overrun" }, -- of several runs
+      -- of several runs
+      { "S32 M8 M8= M8 M8= M8 M8= E8",
+        "part part part part part part part overrun+fragment.overrun" },
       { "S32 M8 M8= M8= M8 M8 E8",
         "part part part+fragment.duplicate part+fragment.duplicate part part good" },
-      { "S32! M8 M8= M8 M8 E8", "part part part part part overrun+fragment.overrun" }, -- the CRC proves nothing
+      -- the CRC proves nothing
+      { "S32! M8 M8= M8 M8 E8", "part part part part part overrun+fragment.overrun" },
       { "S32 M8 M8= M8? M8 E8", "part part part part part overrun+fragment.overrun" },
-      { "S32 M8 M8 M8= E8", "part part part part bad" }, -- one lost, one twice: as long as it should be
+      -- one lost, one twice: as long as it should be
+      { "S32 M8 M8 M8= E8", "part part part part bad" },
     }, { ids = MOTOR, buses = is_told })
   end
 end
 
 function T.test_faults_say_which_frames()
   local _, known, frames = words.send("S32 M8 M8 E8 S32 M8 S32", { buses = true })
-  local function text(number) return select(2, words.look(known, frames[number], true)).faults[1].text end
+  local function text(number)
+    return select(2, words.look(known, frames[number], true)).faults[1].text
+  end
   lu.assertStrContains(text(4), "started in frame 1 ends with 24 of 32 bytes")
   lu.assertStrContains(text(7), "8 of 32 bytes")
 end
 
--- Random frames -----------------------------------------------------------------------------------------------------
+-- Random frames -----------------------------------------------------------------------------------
 
 local function shuffled(list, random)
   local copy = {}
@@ -158,8 +176,8 @@ local function shuffled(list, random)
   return copy
 end
 
--- Every frame is what the oracle says; later looks say what the first ones said, in any order; every part of a message
--- leads to the frame that shows it, and from there back.
+-- Every frame is what the oracle says; later looks say what the first ones said, in any order;
+-- every part of a message leads to the frame that shows it, and from there back.
 function T.test_random_frames()
   local random = stream_generator.random(3)
   for round = 1, levels.size(300, 3000) do
@@ -167,7 +185,8 @@ function T.test_random_frames()
     local verdicts, first = oracle.verdicts(frames), {}
     for i, frame in ipairs(frames) do
       local text, record = words.look(known, frame)
-      first[i] = { text:match("^[^+]*"), record.change and record.change.delta, record.entry and record.entry.payload }
+      first[i] = { text:match("^[^+]*"), record.change and record.change.delta,
+        record.entry and record.entry.payload }
     end
     for _, frame in ipairs(shuffled(frames, random)) do
       local at = frame.number
@@ -188,8 +207,9 @@ function T.test_random_frames()
   end
 end
 
--- A first pass that did not know the buses (-2 on BLF) leaves nothing behind in the second, which knows them: that says what
--- it would say alone.  Who asks here and there before it is told what the first knew.
+-- A first pass that did not know the buses (-2 on BLF) leaves nothing behind in the second, which
+-- knows them: that says what it would say alone.  Who asks here and there before it is told what
+-- the first knew.
 function T.test_a_second_pass()
   local random = stream_generator.random(7)
   for round = 1, levels.size(100, 1000) do
@@ -215,19 +235,23 @@ function T.test_a_second_pass()
 end
 
 function T.test_here_and_there_the_first_pass_is_asked()
-  local frames, known = words.frames("aS32 bS32 aM8 bM8 aM8 bM8 aM8 bM8 aE8 bE8", { buses = true }), words.new()
+  local known = words.new()
+  local frames = words.frames("aS32 bS32 aM8 bM8 aM8 bM8 aM8 bM8 aE8 bE8", { buses = true })
   for _, frame in ipairs(frames) do
-    words.look(known, { can_id = frame.can_id, data = frame.data, number = frame.number, knows_bus = false })
+    words.look(known, { can_id = frame.can_id, data = frame.data, number = frame.number,
+      knows_bus = false })
   end
   for _, number in ipairs { 9, 4, 10 } do
     local text, record = words.look(known, frames[number], true)
-    lu.assertEquals({ text, (known:outcome(record)) }, number == 4 and { "part", 10 } or { "good", number })
-    lu.assertTrue(text == "part" or record.entry.is_unsure) -- what nobody knew is not told as history
+    lu.assertEquals({ text, (known:outcome(record)) },
+      number == 4 and { "part", 10 } or { "good", number })
+    -- what nobody knew is not told as history
+    lu.assertTrue(text == "part" or record.entry.is_unsure)
   end
   lu.assertNil(known.passes.second)
 end
 
--- Numbers and packets -----------------------------------------------------------------------------------------------
+-- Numbers and packets -----------------------------------------------------------------------------
 
 local WHOLE = words.frames("S32 M8 M8 M8 E8", { ids = MOTOR })
 
@@ -236,7 +260,8 @@ local function looks(known, rows, is_again)
   local list = {}
   for i, row in ipairs(rows) do
     local frame = row[2] == "C" and { can_id = 0, data = "1234567" } or WHOLE[row[2]]
-    local text, record = words.look(known, { can_id = frame.can_id, data = frame.data, number = row[1], place = row[3] }, is_again)
+    local text, record = words.look(known, { can_id = frame.can_id, data = frame.data,
+      number = row[1], place = row[3] }, is_again)
     local leads_to = record.entry and text == "part" and known:outcome(record)
     list[i] = leads_to and text .. ">" .. leads_to or
       text == "good" and text .. ":" .. table.concat(known:frames_of(record), ",") or text
@@ -246,16 +271,21 @@ end
 
 -- A packet of IEEE 1722 has several CAN frames.
 function T.test_several_frames_in_a_packet()
-  local rows, known = { { 1, 1, 30 }, { 1, 2, 60 }, { 1, 3, 90 }, { 2, 4, 30 }, { 2, 5, 60 }, { 2, "C", 90 } }, words.new()
+  local known = words.new()
+  local rows = { { 1, 1, 30 }, { 1, 2, 60 }, { 1, 3, 90 }, { 2, 4, 30 }, { 2, 5, 60 },
+    { 2, "C", 90 } }
   lu.assertEquals(looks(known, rows), "part part part part good:1,1,1,2,2 single")
   lu.assertEquals(looks(known, rows, true), "part>2 part>2 part>2 part>2 good:1,1,1,2,2 single")
-  lu.assertEquals(looks(known, { rows[6], rows[2], { 2, "C", 60 }, { 1, 1, 200 } }, true), "single part>2 - -")
+  lu.assertEquals(looks(known, { rows[6], rows[2], { 2, "C", 60 }, { 1, 1, 200 } }, true),
+    "single part>2 - -")
 end
 
--- With -2 -R a frame that is rejected has the number of the next one: frame 3 of the first pass is frame 2 of the second.
+-- With -2 -R a frame that is rejected has the number of the next one: frame 3 of the first pass is
+-- frame 2 of the second.
 function T.test_a_read_filter()
   local known = words.new()
-  lu.assertEquals(looks(known, { { 1, 1 }, { 2, 2 }, { 2, 3 }, { 2, 4 }, { 2, 5 }, { 3, "C" }, { 3, 1 } }),
+  lu.assertEquals(looks(known, { { 1, 1 }, { 2, 2 }, { 2, 3 }, { 2, 4 }, { 2, 5 }, { 3, "C" },
+    { 3, 1 } }),
     "part part part part good:1,2 single part") -- the Middles' number is another's
   lu.assertEquals(looks(known, { { 1, 1 }, { 2, 5 } }, true), "part>2 good:1,2")
   lu.assertEquals(looks(known, { { 2, "C" }, { 3, "C" } }, true), "- -")
@@ -272,7 +302,8 @@ end
 
 -- The first time the table of ids asks, the second time Decode As: it is one look.
 function T.test_asked_twice()
-  local known, frame = words.new(), { can_id = words.can_id(0x123, 2), data = "12345678", number = 1 }
+  local known, frame = words.new(), { can_id = words.can_id(0x123, 2), data = "12345678",
+    number = 1 }
   lu.assertEquals(words.look(known, frame), "-")
   frame.is_wide = true
   lu.assertEquals(words.look(known, frame), "orphan+fragment.orphan")
@@ -280,20 +311,24 @@ function T.test_asked_twice()
   lu.assertFalse(known.passes.first.is_filtered)
 end
 
--- What is kept ------------------------------------------------------------------------------------------------------
+-- What is kept ------------------------------------------------------------------------------------
 
 -- All that was known of a good message is known at a later look, also where it is kept small.
 function T.test_a_message_that_is_recalled()
-  for text, id in pairs { ["S32 M8 M8 M8 E8"] = 0x210, ["S9 M8 E1"] = 0x7FF, ["S73 M64 E9p12"] = 0x210,
+  for text, id in pairs { ["S32 M8 M8 M8 E8"] = 0x210, ["S9 M8 E1"] = 0x7FF,
+    ["S73 M64 E9p12"] = 0x210,
     ["S1000 " .. ("M8 "):rep(124) .. "E8"] = 5, ["S9 M8 L7? E1"] = 0x210, ["S9r M8 E1"] = 0x210 } do
-    local known, frames = words.new(), words.frames(text, { ids = { [""] = { id, 0, 9 } }, is_wide = true })
+    local known, frames = words.new(), words.frames(text,
+      { ids = { [""] = { id, 0, 9 } }, is_wide = true })
     words.looks(known, frames)
     local _, record = words.look(known, frames[#frames], true)
     local message, fragments = record.entry, {}
     for i, number in ipairs(known:frames_of(record)) do fragments[i] = frames[number].data end
     lu.assertEquals(table.concat(fragments, "", 2):sub(1, message.size), message.payload)
-    lu.assertEquals({ message.address.id, message.address.seq, #message.payload, message.status }, { id, 9, message.size, "good" })
-    lu.assertEquals(message.crc, crc.of(can_id.header(message.address, message.size, message.reserved) .. message.payload))
+    lu.assertEquals({ message.address.id, message.address.seq, #message.payload, message.status },
+      { id, 9, message.size, "good" })
+    local header = can_id.header(message.address, message.size, message.reserved)
+    lu.assertEquals(message.crc, crc.of(header .. message.payload))
     local has_fault = message.payload:byte() % 2 == 1
     for _, frame in ipairs { frames[1], frames[2], frames[#frames] } do
       local _, part = words.look(known, frame, true)
@@ -308,7 +343,9 @@ function T.test_unfinished()
     words.looks(known, frames)
     for _, frame in ipairs(frames) do
       local _, record = words.look(known, frame, true)
-      if record.entry and record.entry.size and select(2, known:outcome(record)) then list[#list + 1] = frame.number end
+      if record.entry and record.entry.size and select(2, known:outcome(record)) then
+        list[#list + 1] = frame.number
+      end
     end
     lu.assertEquals(#known:unfinished(), #list)
     return table.concat(list, " ")
@@ -316,7 +353,8 @@ function T.test_unfinished()
   lu.assertEquals(unfinished("S32 M8 L7"), "2")
   lu.assertEquals(unfinished("S32 M8 S32 M8 M8 M8 E8"), "")
   lu.assertEquals(unfinished("aS32 bS32 aM8 bM8", { buses = true }), "3 4")
-  lu.assertEquals(unfinished("S32 M8 S32 M8", { buses = true }), "4") -- a Start cut the first off: that is said there
+  -- a Start cut the first off: that is said there
+  lu.assertEquals(unfinished("S32 M8 S32 M8", { buses = true }), "4")
   lu.assertEquals(unfinished("S32 M8 S32 M8"), "4")
   lu.assertEquals(unfinished("S32 M8 M8 M8 M8 M8"), "") -- it has too many bytes: that is said too
 end
@@ -342,7 +380,8 @@ local function kept_bytes(known, rounds, frames)
 end
 
 function T.test_good_messages_cost_little()
-  local bytes = kept_bytes(words.new(), levels.size(6000, 20000), words.frames("S32 M8 M8 M8 E8", { ids = MOTOR }))
+  local bytes = kept_bytes(words.new(), levels.size(6000, 20000),
+    words.frames("S32 M8 M8 M8 E8", { ids = MOTOR }))
   lu.assertTrue(bytes < 100, ("%.0f bytes a frame"):format(bytes))
 end
 
@@ -351,22 +390,27 @@ function T.test_a_message_that_never_ends()
     local known = words.new()
     local start = words.start(0x123, "", { size = 65535 })
     for number = 1, 3 do
-      words.look(known, { can_id = words.can_id(0x123, 1), data = start, number = -number, bus = bus > 0 and bus or nil })
+      words.look(known, { can_id = words.can_id(0x123, 1), data = start, number = -number,
+        bus = bus > 0 and bus or nil })
     end
-    local middle = { can_id = words.can_id(0x123, 2), data = "12345678", bus = bus > 0 and bus or nil }
+    local middle = { can_id = words.can_id(0x123, 2), data = "12345678",
+      bus = bus > 0 and bus or nil }
     local bytes = kept_bytes(known, levels.size(30000, 120000), { middle })
-    lu.assertTrue(bytes < 600, ("%.0f bytes a frame"):format(bytes)) -- each frame says that it is one too many
+    -- each frame says that it is one too many
+    lu.assertTrue(bytes < 600, ("%.0f bytes a frame"):format(bytes))
   end
 end
 
 function T.test_a_flood_of_starts_leaves_few_open_and_the_newest()
   local known, data, payload = words.new(), words.start(0x123, ("x"):rep(2000)), ("y"):rep(16)
   local function send(id, ctrl, bytes, number)
-    return (words.look(known, { can_id = words.can_id(id, ctrl), data = bytes, number = number, bus = 1, is_wide = true }))
+    return (words.look(known, { can_id = words.can_id(id, ctrl), data = bytes, number = number,
+      bus = 1, is_wide = true }))
   end
   for bus = 1, levels.size(5, 25) do
     for id = 0, 2046 do
-      words.look(known, { can_id = words.can_id(id, 1), data = data, number = bus * 2047 + id, bus = bus, is_wide = true })
+      words.look(known, { can_id = words.can_id(id, 1), data = data, number = bus * 2047 + id,
+        bus = bus, is_wide = true })
     end
     lu.assertTrue(#known:unfinished() <= 1024)
   end

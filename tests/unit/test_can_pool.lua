@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Messages of one key that interleave where nothing tells the buses: in the words of can_words, and mixed at random.
+-- Messages of one key that interleave where nothing tells the buses: in the words of can_words, and
+-- mixed at random.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local levels = require("levels")
@@ -9,14 +10,19 @@ local words = require("can_words")
 local T = {}
 
 local function check(rows, options)
-  for _, row in ipairs(rows) do lu.assertEquals((words.send(row[1], row[3] or options)), row[2], row[1]) end
+  for _, row in ipairs(rows) do
+    lu.assertEquals((words.send(row[1], row[3] or options)), row[2], row[1])
+  end
 end
 
 function T.test_two_buses_in_every_order()
   check {
-    { "aS32 bS32 aM8 bM8 aM8 bM8 aM8 bM8 aE8 bE8", "part part part part part part part part good good" },
-    { "aS32 aM8 bS32 bM8 bM8 bM8 bE8 aM8 aM8 aE8", "part part part part part part good part part good" },
-    { "aS32 aM8 bS32 bM8 aM8 aM8 aE8 bM8 bM8 bE8", "part part part part part part good part part good" },
+    { "aS32 bS32 aM8 bM8 aM8 bM8 aM8 bM8 aE8 bE8",
+      "part part part part part part part part good good" },
+    { "aS32 aM8 bS32 bM8 bM8 bM8 bE8 aM8 aM8 aE8",
+      "part part part part part part good part part good" },
+    { "aS32 aM8 bS32 bM8 aM8 aM8 aE8 bM8 bM8 bE8",
+      "part part part part part part good part part good" },
     { "aS17 bS32 bM8 aM8 aM8 bM8 bM8 aE1 bE8", "part part part part part part part good good" },
     { "aS9 bS9 cS9 dS9 aM8 bM8 cM8 dM8 dE1 cE1 bE1 aE1",
       "part part part part part part part part good good good good" },
@@ -28,7 +34,8 @@ end
 function T.test_one_bus_that_loses_frames()
   check {
     { "S32 M8 S32 M8 M8 M8 E8", "part part part+fragment.incomplete part part part good" },
-    { "S32 M8 S32 M8 M8 M8 E8 E8", "part part part+fragment.incomplete part part part good orphan+fragment.orphan" },
+    { "S32 M8 S32 M8 M8 M8 E8 E8",
+      "part part part+fragment.incomplete part part part good orphan+fragment.orphan" },
     { "S32 S32! M8 M8 M8 E8", "part part+fragment.incomplete part part part bad" },
     { "S32 S32 M8 M8 E8", "part part+fragment.incomplete part part short+fragment.incomplete" },
     { "S32 M8 S32 M8 M8 M8 M8 E8",
@@ -46,12 +53,15 @@ function T.test_four_open_messages()
   check {
     { before .. "aM8 aE1", "part part part good part part good part part good part good" },
     { before .. "eS9 eM8 eE1 aM8 aE1", shown .. "part part good - -" },
-    { before .. "eS32 eM8 eM8? eM8 eM8 eE8", shown .. "part part part part part overrun+fragment.overrun" },
-    { before .. "eS32 eM8 eM8 eE8? eM8 eE8", shown .. "part part part short+fragment.incomplete - -" },
+    { before .. "eS32 eM8 eM8? eM8 eM8 eE8", shown ..
+      "part part part part part overrun+fragment.overrun" },
+    { before .. "eS32 eM8 eM8 eE8? eM8 eE8", shown ..
+      "part part part short+fragment.incomplete - -" },
   }
 end
 
--- A message has one End, and a frame one message; an End of a broken message on the other bus says nothing of this one.
+-- A message has one End, and a frame one message; an End of a broken message on the other bus says
+-- nothing of this one.
 function T.test_who_gets_a_frame()
   for _, text in ipairs { "S32 M8 M8 E8 E8", "S32 S32 M8 M8 E8 E8", "aS32 bS32 bM8 bM8 bE8 bE8" } do
     lu.assertNotStrContains(words.send(text), "good", text)
@@ -61,17 +71,20 @@ function T.test_who_gets_a_frame()
     lu.assertStrMatches(words.send(text), ".* good", nil, nil, text)
   end
   local frames = words.frames("S9 M8 E1", {})
-  for order, expected in pairs { ["112233"] = "good good", ["11233"] = "good orphan+fragment.orphan" } do
+  for order, expected in pairs { ["112233"] = "good good",
+    ["11233"] = "good orphan+fragment.orphan" } do
     local mirrored = {} -- one message on both buses
     for at in order:gmatch(".") do
       local frame = frames[tonumber(at)]
       mirrored[#mirrored + 1] = { can_id = frame.can_id, data = frame.data, number = #mirrored + 1 }
     end
-    lu.assertStrMatches(words.looks(words.new(), mirrored), ".* " .. expected:gsub("%p", "%%%0"), nil, nil, order)
+    lu.assertStrMatches(words.looks(words.new(), mirrored), ".* " .. expected:gsub("%p", "%%%0"),
+      nil, nil, order)
   end
 end
 
--- What is said of a frame at its own look is taken back where its message turns up; a later look has it, with all parts.
+-- What is said of a frame at its own look is taken back where its message turns up; a later look
+-- has it, with all parts.
 function T.test_later_looks()
   local text, known, frames = words.send("aS32 aM8 bS32 aM8 aM8 aE8 bM8 bM8 bM8 bE8")
   lu.assertEquals(text, "part part part part part good part part part good")
@@ -84,8 +97,8 @@ function T.test_later_looks()
   end
 end
 
--- Buses with messages of the same key: two with three at most and nothing lost, so that none is overtaken more than three
--- times; or three with more, and frames that are lost, twice, or damaged.
+-- Buses with messages of the same key: two with three at most and nothing lost, so that none is
+-- overtaken more than three times; or three with more, and frames that are lost, twice, or damaged.
 local function mixed(random)
   local streams, truth, is_whole = {}, {}, random(3) == 1
   for bus = 1, is_whole and 2 or 1 + random(2) do
@@ -96,7 +109,9 @@ local function mixed(random)
       local payload = table.concat(bytes)
       truth[payload] = true
       stream[#stream + 1] = { 1, words.start(0x210, payload) }
-      for at = 1, size, 8 do stream[#stream + 1] = { at + 8 > size and 3 or 2, payload:sub(at, at + 7) } end
+      for at = 1, size, 8 do
+        stream[#stream + 1] = { at + 8 > size and 3 or 2, payload:sub(at, at + 7) }
+      end
     end
     streams[bus] = stream
   end
@@ -106,14 +121,16 @@ local function mixed(random)
     local frame, fate = table.remove(streams[at], 1), is_whole and 99 or random(20)
     if fate == 2 then frame[2] = frame[2]:sub(1, -2) .. "?" end
     for _ = 1, fate == 1 and 0 or fate == 3 and 2 or 1 do
-      frames[#frames + 1] = { can_id = words.can_id(0x210, frame[1]), data = frame[2], number = #frames + 1 }
+      frames[#frames + 1] = { can_id = words.can_id(0x210, frame[1]), data = frame[2],
+        number = #frames + 1 }
     end
     if #streams[at] == 0 then table.remove(streams, at) end
   end
   return frames, truth, is_whole
 end
 
--- Whatever is lost: a good message was sent like that, and no frame is in two of them.  Where nothing is lost, all come out.
+-- Whatever is lost: a good message was sent like that, and no frame is in two of them.  Where
+-- nothing is lost, all come out.
 function T.test_mixed_at_random()
   local random, good, sent = stream_generator.random(5), 0, 0
   for _ = 1, levels.size(400, 4000) do
@@ -151,7 +168,8 @@ function T.test_the_effort_is_bounded()
   local known, number, start = words.new(), 0, words.start(0x123, "", { size = 40 })
   local function send(ctrl, data)
     number = number + 1
-    words.look(known, { can_id = words.can_id(0x123, ctrl), data = data, number = number, is_wide = true })
+    words.look(known, { can_id = words.can_id(0x123, ctrl), data = data, number = number,
+      is_wide = true })
   end
   for _ = 1, 80 do
     send(1, start)

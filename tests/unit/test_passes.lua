@@ -15,7 +15,9 @@ local function new_history()
       first = first or m.number
       return { noted = m.number, command_in = first, is_alarm = m.is_alarm }, 0.5
     end,
-    change = function(_, m) return m.number ~= 99 and { noted = m.number, previous_change = first } or nil end,
+    change = function(_, m)
+      return m.number ~= 99 and { noted = m.number, previous_change = first } or nil
+    end,
     next_change = function(_, number) return number + 1 end,
   }
 end
@@ -30,7 +32,8 @@ local function looks(all, rows, is_again, knows_all)
     local pass, look, is_now = all:look(row[1], row[2] or 8, is_again or false, knows_all ~= false)
     if is_now then pass.entries[look] = true end
     local place = look and math.floor(look)
-    list[i] = not pass and "-" or (pass == all.second and "second " or "") .. (is_now and "now " or "") ..
+    list[i] = not pass and "-" or (pass == all.second and "second " or "") ..
+      (is_now and "now " or "") ..
       ("%d"):format(place) .. (look > place and ("+%d"):format((look - place) / STEP) or "")
   end
   return table.concat(list, ", ")
@@ -98,7 +101,9 @@ function T.test_no_second_pass()
     { "nothing is missing", rows, function() end, true },
     { "nothing is known now", rows, function(pass) pass.is_partial = true end, false },
     { "not in order", { { 3 }, { 4 }, { 3 } }, function(pass) pass.is_partial = true end, true },
-    { "numbers have shifted", rows, function(pass) pass.is_partial, pass.is_filtered = true, true end, true },
+    { "numbers have shifted", rows, function(pass)
+      pass.is_partial, pass.is_filtered = true, true
+    end, true },
   } do
     local all = new()
     looks(all, rows, false, false)
