@@ -159,7 +159,8 @@ function yapp.dissector(tvb, pinfo, root)
     end
   end
   local length = frames:dissect(tvb, pinfo, root, can_id, takes_all)
-  if length == 0 then socketcan.note_refused(tvb, pinfo, can_id) end -- for Decode As, which is asked next
+  -- for Decode As, which is asked next
+  if length == 0 then socketcan.note_refused(tvb, pinfo, can_id) end
   return length
 end
 

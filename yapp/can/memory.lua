@@ -239,7 +239,8 @@ local function leave_out(self, message, excess, look)
   local chunks, at, runs = message.chunks, 1, 0
   while at < #chunks and runs < MAX_RUNS do
     local first = at
-    while at + 1 < #chunks and chunks[at + 1] == chunks[first] do at = at + 1 end -- an End is sent once
+    -- an End is sent once
+    while at + 1 < #chunks and chunks[at + 1] == chunks[first] do at = at + 1 end
     local count = excess / #chunks[first]
     if count % 1 == 0 and count <= at - first then
       runs = runs + 1

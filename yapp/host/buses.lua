@@ -31,9 +31,9 @@ local function first(path, what)
   return text or ""
 end
 
--- Whether a file is none that is read forward once, as far as that is known: Wireshark cannot rewind a
--- pipe behind what is read here of it.  Linux says how far a file that is open has been read, a packed
--- one not as far as its bytes are long, a pipe 0; elsewhere there is nobody to ask.
+-- Whether a file is none that is read forward once, as far as that is known: Wireshark cannot
+-- rewind a pipe behind what is read here of it.  Linux says how far a file that is open has been
+-- read, a packed one not as far as its bytes are long, a pipe 0; elsewhere there is nobody to ask.
 local function is_file(bytes)
   if first("/proc/self/fdinfo/0", "*l") == "" then return true end
   for number = 3, 63 do
@@ -72,7 +72,8 @@ function Buses:init()
   local found = self.seen
   self.found, self.is_blf, self.is_shifted = found, self.seen_blf, false
   self.plain_bus = readers.plain_bus()
-  self.kept = {} -- [number of a packet] = its bus, where a field said it: a later look may have no tree
+  -- [number of a packet] = its bus, where a field said it: a later look may have no tree
+  self.kept = {}
   self.asks = found.has_several or found.begins or found.may_be_ours or not found.is_told
   local needs_fields = found.begins or self.is_blf or found.has_several and not self.seen_whole
   if needs_fields then
