@@ -407,13 +407,17 @@ function T.test_a_flood_of_starts_leaves_few_open_and_the_newest()
     return (words.look(known, { can_id = words.can_id(id, ctrl), data = bytes, number = number,
       bus = 1, is_wide = true }))
   end
+  local said = {}
   for bus = 1, levels.size(5, 25) do
     for id = 0, 2046 do
-      words.look(known, { can_id = words.can_id(id, 1), data = data, number = bus * 2047 + id,
-        bus = bus, is_wide = true })
+      local _, record = words.look(known, { can_id = words.can_id(id, 1), data = data,
+        number = bus * 2047 + id, bus = bus, is_wide = true })
+      for _, fault in ipairs(record.faults or {}) do said[fault.text] = fault.expert end
     end
     lu.assertTrue(#known:unfinished() <= 1024)
   end
+  local given_up = "1024 messages are open: the oldest 512 are given up"
+  lu.assertEquals(said[given_up], "fragment.incomplete")
   send(0x7FF, 1, words.start(0x7FF, payload), 1e6)
   for id = 1, 400 do send(id, 1, data, 1e6 + id) end
   send(0x7FF, 2, payload:sub(1, 8), 1e6 + 401)

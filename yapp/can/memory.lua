@@ -122,16 +122,18 @@ end
 -- What is wrong with a Start, as far as it was captured.
 local function check_start(self, frame, look, size, reserved, known)
   if frame.reported > 8 then
-    self:fault(look, "size.mismatch", ("A Start has 8 bytes, this one has %d"):format(frame.reported))
+    local text = "A Start has 8 bytes, this one has %d"
+    self:fault(look, "size.mismatch", text:format(frame.reported))
   elseif frame.reported < 8 then
-    self:fault(look, "fragment.incomplete",
-      ("A Start has 8 bytes, this one has %d: its message cannot be put together"):format(frame.reported))
+    local text = "A Start has 8 bytes, this one has %d: its message cannot be put together"
+    self:fault(look, "fragment.incomplete", text:format(frame.reported))
   end
   if not reserved then return end
   if size == 0 then
     self:fault(look, "size.mismatch", "The size of the message is 0")
   elseif known and size ~= known then
-    self:fault(look, "size.mismatch", ("The size is %d bytes, the catalogue says %d"):format(size, known))
+    local text = "The size is %d bytes, the catalogue says %d"
+    self:fault(look, "size.mismatch", text:format(size, known))
   end
   if reserved ~= 0 then
     self:fault(look, "reserved.nonzero", ("The reserved bytes are 0x%04x, not 0"):format(reserved))
@@ -161,8 +163,8 @@ local function cut(self, slot)
   end
 end
 
--- The slots with the oldest Starts make room.
-local function make_room(self)
+-- The slots with the oldest Starts make room for one more: it is said there.
+local function make_room(self, look)
   local slots = {}
   for slot in pairs(self.open) do slots[#slots + 1] = slot end
   local function started(slot)
@@ -170,7 +172,10 @@ local function make_room(self)
     return (open.messages and open:newest() or open)[1]
   end
   table.sort(slots, function(a, b) return started(a) < started(b) end)
-  for i = 1, #slots - MAX_OPEN / 2 do cut(self, slots[i]) end
+  local count = #slots - MAX_OPEN / 2
+  for i = 1, count do cut(self, slots[i]) end
+  self:fault(look, "fragment.incomplete",
+    ("%d messages are open: the oldest %d are given up"):format(#slots, count))
 end
 
 -- A Start came while something is open in its slot.  On a bus that is told from others it cuts that
@@ -180,9 +185,9 @@ local function overtake(self, slot, frame, look)
   local open = self.open[slot]
   local message = open.messages and open:newest() or open
   if not message.status and not message.overtaken then
-    self:fault(look, "fragment.incomplete",
-      ("A new Start cuts off the message that started in frame %d: %d of %d bytes")
-      :format(floor(message[1]), open.messages and open:received() or open.received, message.size), message)
+    local received = open.messages and open:received() or open.received
+    local text = "A new Start cuts off the message that started in frame %d: %d of %d bytes"
+    self:fault(look, "fragment.incomplete", text:format(floor(message[1]), received, message.size), message)
   end
   if frame.bus or message.status or message.is_cut then return cut(self, slot) end
   if not open.messages then open = pool.new(self, open) end
@@ -223,7 +228,7 @@ local function start(self, slot, address, frame, look)
     others:add(message)
     return message
   end
-  if self.open_count >= MAX_OPEN then make_room(self) end
+  if self.open_count >= MAX_OPEN then make_room(self, look) end
   self.open[slot], self.open_count = message, self.open_count + 1
   return message
 end
@@ -536,7 +541,9 @@ function Memory:unfinished()
     for _, message in ipairs(open.messages or { open }) do
       -- It may have gone on behind a frame from which on the buses were not known.
       local is_unsure = message.bus and pass.is_partial
-      if not message.status and not message.overtaken and not is_unsure then list[#list + 1] = message end
+      if not message.status and not message.overtaken and not is_unsure then
+        list[#list + 1] = message
+      end
     end
   end
   table.sort(list, function(a, b) return a[1] < b[1] end)

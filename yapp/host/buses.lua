@@ -38,7 +38,8 @@ local function is_file(bytes)
   if first("/proc/self/fdinfo/0", "*l") == "" then return true end
   for number = 3, 63 do
     local position = tonumber(first("/proc/self/fdinfo/" .. number, "*l"):match("%d+")) or 0
-    if position >= bytes or position > 0 and PACKED[first("/proc/self/fd/" .. number, 2)] then return true end
+    if position >= bytes then return true end
+    if position > 0 and PACKED[first("/proc/self/fd/" .. number, 2)] then return true end
   end
   return false
 end
@@ -49,7 +50,8 @@ function M.watch()
   -- A reader that never reads: the only place where the API shows a file.  It names both arguments:
   -- what a reader does not hold may be collected while it reads, and Wireshark writes into both
   -- when it is back.
-  local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look", "Looks at the headers", "rms")
+  local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look",
+    "Looks at the headers", "rms")
   function handler.read_open(file, _)
     local head = file:read(capture.OF_A_PIPE) or ""
     local is_long = #head == capture.OF_A_PIPE
@@ -111,7 +113,9 @@ local function by_fields(self, pinfo)
   local fields = fields_by_name(pcall(all_field_infos))
   local interface, index = fields["frame.interface_id"], fields["sll.ifindex"]
   local event = fields["rtacser.eventtype"]
-  if not (interface or index or event) then return nil, not (self.is_blf or self.found.has_several) end
+  if not (interface or index or event) then
+    return nil, not (self.is_blf or self.found.has_several)
+  end
   local bus = self.found:source(interface or 0, index or 0, DIRECTION[event] or 0)
   local name = fields["frame.interface_name"]
   if name and name ~= "unknown" then self.found.names[bus] = self.found.names[bus] or name end

@@ -31,34 +31,38 @@ end
 function M.define(proto, catalogue, decode, max_id)
   local prefs = proto.prefs
   prefs.divisor = Pref.enum("Compressed floats divide by", decode.MAPPING,
-    "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed in the worked examples " ..
-    "of the vendor's document (0.4975 A, 749.26 RPM).",
+    "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed " ..
+    "in the worked examples of the vendor's document (0.4975 A, 749.26 RPM).",
     { { 1, "2^N - 6 (mapping)", decode.MAPPING }, { 2, "2^N - 5 (worked examples)", decode.WORKED_EXAMPLES } })
   for _, message in ipairs(catalogue.messages) do
     prefs[message.name .. "_ids"] = Pref.range(message.title .. " message IDs", ("0x%x"):format(message.id),
-      ("The IDs that carry Taurus %s. Change it when a controller has other IDs than the default, or when several " ..
-       "controllers share a bus: 0x210,0x211,0x300-0x303."):format(message.title), max_id)
+      ("The IDs that carry Taurus %s. Change it when a controller has other IDs than the " ..
+       "default, or when several controllers share a bus: 0x210,0x211,0x300-0x303."):format(message.title), max_id)
   end
   prefs.messages = Pref.string("File with your own messages", "",
-    "A Lua file like taurus_fields.lua. Its messages come after those of yapp_messages.lua in the personal " ..
-    "configuration folder, which needs no setting. It is read when Wireshark starts, from the default profile's " ..
-    "setting: a change takes effect at the next start. For one run alone set the environment variable YAPP_MESSAGES.")
+    "A Lua file like taurus_fields.lua. Its messages come after those of yapp_messages.lua in " ..
+    "the personal configuration folder, which needs no setting. It is read when Wireshark " ..
+    "starts, from the default profile's setting: a change takes effect at the next start. For " ..
+    "one run alone set the environment variable YAPP_MESSAGES.")
   prefs.sources = Pref.string("Names of sources", "",
-    "What to call an ID, everywhere or on one bus, and which message it carries: 0x210=motor:left_fore, " ..
-    "can1/0x210=motor:right_fore, 0x212=left_tail. Several IDs have one name with a plus between them, " ..
-    "can0/0x000+0x200+0x210=left; a bus alone names all of its IDs: can2=tail.")
+    "What to call an ID, everywhere or on one bus, and which message it carries: " ..
+    "0x210=motor:left_fore, can1/0x210=motor:right_fore, 0x212=left_tail. Several IDs have " ..
+    "one name with a plus between them, can0/0x000+0x200+0x210=left; a bus alone names all of " ..
+    "its IDs: can2=tail.")
   prefs.late = Pref.string("A gap is late above", "2.5",
-    "So many times the message's period (Command 0.2 s, Motor Data 0.1 s, Health 0.5 s) make a gap worth a warning, " ..
-    "yapp.late: at 2.5 one lost message is none.")
+    "So many times the message's period (Command 0.2 s, Motor Data 0.1 s, Health 0.5 s) make " ..
+    "a gap worth a warning, yapp.late: at 2.5 one lost message is none.")
   prefs.all_extended = Pref.bool("All extended CAN frames are YAPP", false,
-    "Switch it on for a bus that carries nothing but YAPP, to see unknown IDs, other YAPP CTL values and malformed " ..
-    "frames too. By default only what is surely YAPP is taken.")
+    "Switch it on for a bus that carries nothing but YAPP, to see unknown IDs, other YAPP CTL " ..
+    "values and malformed frames too. By default only what is surely YAPP is taken.")
   prefs.search_all = Pref.bool("Look for YAPP in all TCP and UDP traffic", false,
-    "YAPP in TCP and UDP is found by itself where a frame is among the first 64 KB of a file, and in live captures. " ..
-    "Switch it on when YAPP comes later in your files; it costs about 1 µs for each packet that nobody else takes.")
+    "YAPP in TCP and UDP is found by itself where a frame is among the first 64 KB of a file, " ..
+    "and in live captures. Switch it on when YAPP comes later in your files; it costs about 1 " ..
+    "µs for each packet that nobody else takes.")
   prefs.user_dlt = Pref.range("Link types that carry a serial stream", "",
-    "147 to 162, the numbers of DLT_USER0 to DLT_USER15: set it for serial captures with such a link type, where " ..
-    "the protocol's own DLT_USER table is not convenient. It takes the link type over from that table. Usually empty.",
+    "147 to 162, the numbers of DLT_USER0 to DLT_USER15: set it for serial captures with such " ..
+    "a link type, where the protocol's own DLT_USER table is not convenient. It takes the " ..
+    "link type over from that table. Usually empty.",
     LAST_DLT)
 end
 
