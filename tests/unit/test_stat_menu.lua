@@ -34,7 +34,8 @@ end
 
 function T.test_rows_are_printed()
   local context, said = new_context()
-  local keys, rows = { "rel", "id", "frame" }, { { rel = text.seconds(0.5), frame = 3, id = { json = "9", text = "0x9" } } }
+  local keys = { "rel", "id", "frame" }
+  local rows = { { rel = text.seconds(0.5), frame = 3, id = { json = "9", text = "0x9" } } }
   text.print(context, "YAPP", keys, rows)
   context.json = true
   text.print(context, "YAPP", keys, rows)
