@@ -10,6 +10,9 @@ local straight = require("yapp.message.straight")
 local demand, shown = check.demand, check.shown
 local is_name, is_text = check.is_name, check.is_text
 
+-- Bytes of a message's title: over a preference with a longer one Wireshark ends at once.
+local MOST_OF_TITLE = 200
+
 local M = {}
 
 M.MAX_ID = 2047
@@ -103,6 +106,7 @@ local function check_head(entry)
   local every, answers = entry.every, entry.answers
   check.check_options(entry, "a message", OPTIONS, math.huge)
   demand(is_text(entry.title), "the title is missing")
+  demand(#entry.title <= MOST_OF_TITLE, "the title has more than %d bytes", MOST_OF_TITLE)
   check.text(entry, "section")
   check.within("id", entry.id, 0, M.MAX_ID)
   check.within("size", entry.size, 1, MAX_SIZE)

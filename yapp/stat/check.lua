@@ -39,8 +39,7 @@ function M.new(options, context)
     context = context,
     groups = gathered,
     absent = {},
-  },
-    Check)
+  }, Check)
 end
 
 function Check:event(event)

@@ -150,8 +150,8 @@ Groups.__index = Groups
 
 local function none() return {} end
 
---- values   function(message) -> list of { field, low, high }: what is gathered of each source of
---          it
+--- values   function(message) -> list of { field, low, high }: what is gathered of each of its
+--          sources
 -- spreads  the same of all its sources together; nil for nothing
 -- late     function() -> how many periods of a message a value is good for
 function M.new(values, spreads, late)

@@ -136,12 +136,13 @@ local TITLES = {
   gap_min = "gap/s min", gap_mean = "mean", gap_max = "max", gap_max_frame = "in frame",
   crc_bad = "bad CRC", ok = "check", kind = "event",
 }
+-- In no JSON.
 local FOR_PEOPLE = {
   rel = true,
   details = true,
   times = true,
   note = true,
-} -- in no JSON
+}
 
 --- A list of the words of a text.
 function M.words(text)

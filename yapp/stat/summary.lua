@@ -148,7 +148,8 @@ end
 function Compare:finish()
   local context = self.context
   local lists, messages = compared(self)
-  for _, message in ipairs(messages) do
+  for i, message in ipairs(messages) do
+    if i > 1 and not context.json then context.out("\n") end
     local list, rows, shown = lists[message], {}, {}
     for place, spread in ipairs(self.groups.spreads[message]) do
       rows[place] = compared_row(self, spread, list, place, shown)
