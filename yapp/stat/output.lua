@@ -154,8 +154,8 @@ function M.words(text)
 end
 
 -- The columns that a line has no room for, in the order in which they go.
-local SPARE = M.words("time help gap_min gap_mean reboots late skipped bus message invalid id " ..
-  "field unit rel")
+local SPARE = M.words("time help gap_min gap_mean late skipped gap_max_frame unit rel rate " ..
+  "crc_bad invalid reboots message field id bus")
 
 -- How many places a text takes: characters, not bytes.
 local function width_of(text)
