@@ -7,6 +7,7 @@
 -- asks for them.
 
 local capture = require "yapp.host.capture"
+local fields_of = require "yapp.host.fields".of
 local readers = require "yapp.file.readers"
 
 local M = {}
@@ -96,21 +97,10 @@ function Buses:may_have_frames()
   return self.found.may_have_frames
 end
 
--- The fields that are there; none on a pass that builds no tree.  On 4.0 the value of an item
--- without bytes, such as a packet comment, throws past Lua: only what is wanted is asked for its
--- value.
-local function fields_by_name(ok, ...)
-  local found = {}
-  for _, info in ipairs(ok and { ... } or {}) do
-    if NAMES[info.name] then found[info.name] = info.value end
-  end
-  return found
-end
-
 -- The bus by the fields of the current packet, and whether it is known.  Where the file had one
 -- source when it was opened, that goes on without a number.
 local function by_fields(self, pinfo)
-  local fields = fields_by_name(pcall(all_field_infos))
+  local fields = fields_of(NAMES)
   local interface, index = fields["frame.interface_id"], fields["sll.ifindex"]
   local event = fields["rtacser.eventtype"]
   if not (interface or index or event) then

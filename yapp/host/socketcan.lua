@@ -7,6 +7,8 @@
 -- SocketCAN: exact, on every pass, at the cost of a name in frame.protocols and about 1 µs a CAN
 -- frame; so only where the user asked for all of a bus.
 
+local fields_of = require "yapp.host.fields".of
+
 local M = {}
 
 local EXTENDED, REMOTE, ERROR, MASK = 0x80000000, 0x40000000, 0x20000000, 0x20000000
@@ -20,16 +22,6 @@ local REFUSED = "yapp.refused" -- in the private table of a packet: of this look
 
 local NAMES = { ["can.id"] = true, ["can.flags.xtd"] = true, ["can.flags.rtr"] = true }
 
--- CAN's fields in the tree so far; none on a pass that builds no tree.  On 4.0 the value of an item
--- without bytes throws past Lua: only what is wanted is asked for its value.
-local function can_fields(ok, ...)
-  local found = {}
-  for _, info in ipairs(ok and { ... } or {}) do
-    if NAMES[info.name] then found[info.name] = info.value end
-  end
-  return found
-end
-
 local function is_true(value) return value == true or value == 1 end
 
 --- The id of the current frame, which came by Decode As.
@@ -37,7 +29,7 @@ local function is_true(value) return value == true or value == 1 end
 function M.find_id(tvb, pinfo)
   if header.number == pinfo.number then return header.can_id end
   if M.is_refused(tvb, pinfo) then return refused.can_id end
-  local fields = can_fields(pcall(all_field_infos))
+  local fields = fields_of(NAMES)
   local id, extended = fields["can.id"], fields["can.flags.xtd"]
   if id ~= nil and extended ~= nil then return is_true(extended) and id % MASK or nil end
   -- "Ext. ID: 138428416 (0x8404000), Length: 8", as SocketCAN leaves it in the Info column.
@@ -50,7 +42,7 @@ end
 -- those have no data, but captures give them zeros.
 function M.is_remote(pinfo)
   if header.number == pinfo.number then return header.can_id == nil end
-  local rtr = can_fields(pcall(all_field_infos))["can.flags.rtr"]
+  local rtr = fields_of(NAMES)["can.flags.rtr"]
   if rtr ~= nil then return is_true(rtr) end
   return tostring(pinfo.cols.info):find("Remote", 1, true) ~= nil and tostring(pinfo.cols.protocol) ~= "CANFD"
 end
