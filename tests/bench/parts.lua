@@ -34,7 +34,8 @@ end
 
 local function new_memory()
   return memory.new {
-    size_of = function(id) return catalogue.by_id[id] and catalogue.by_id[id].size end,
+    source_of = function(id) return catalogue.by_id[id] or {} end,
+    claim = function() end,
     new_history = function() return history.new { catalogue = catalogue } end,
   }
 end
@@ -50,18 +51,17 @@ end
 -- How many good messages a capture has, by the steps up to one.
 local function run(path, step)
   local known, reader = new_memory(), message_reader.new(catalogue, { wanted = false })
-  local frame, count = { place = 0, is_again = false, knows_bus = true, is_wide = false }, 0
+  local frame, count = { place = 0, is_again = false, knows_bus = true, bus = false, is_wide = false }, 0
   each_frame(path, function(number, data, id)
     if step == "file" then return end
-    frame.address, frame.number = can_id.address(id), number
+    frame.address, frame.number = can_id.address[id], number
     frame.data, frame.reported = data, #data
     local message = known:look(frame)
     if not message or message.last ~= frame.look then return end
     if message.status == "good" then count = count + 1 end
-    if step == "reassembly" then return known:is_read(frame) end
     local m = finished(frame, message.payload)
+    if step == "reassembly" then return end
     reader:read(m, step == "values" and NO_HISTORY or known, frame)
-    known:is_read(frame, m.has_fault)
     if step == "info" then info.text(m.message, m.raws, m.payload, m.message.title, m.look) end
   end)
   return count

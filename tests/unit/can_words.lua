@@ -35,10 +35,17 @@ local function new_history()
   }
 end
 
---- A memory of the messages of KNOWN.
+--- A memory of the messages of KNOWN, or of those of size_of(id, bus).
 function M.new(size_of)
-  return memory.new { size_of = size_of or function(id) return M.KNOWN[id] end,
-    new_history = new_history }
+  local sources = {}
+  local function source_of(id, bus)
+    local key = id + (bus or -1) * 0x800
+    local size = M.KNOWN[id]
+    if size_of then size = size_of(id, bus) end
+    sources[key] = sources[key] or { size = size, bus = bus }
+    return sources[key]
+  end
+  return memory.new { source_of = source_of, claim = function() end, new_history = new_history }
 end
 
 function M.can_id(id, ctrl, ctl, seq)
@@ -65,9 +72,9 @@ local ALONE = { [0] = "single", "start", "orphan", "orphan" } -- by CAN CTRL
 --          (8), knows_bus (true)
 -- returns  in words what it is, with what is wrong; the record
 function M.look(known, frame, is_again)
-  local record = { address = can_id.address(frame.can_id), number = frame.number,
+  local record = { address = can_id.address[frame.can_id], number = frame.number,
     place = frame.place or 8, is_again = is_again or false, data = frame.data,
-    reported = frame.reported or #frame.data, bus = frame.bus,
+    reported = frame.reported or #frame.data, bus = frame.bus or false,
     knows_bus = frame.knows_bus ~= false, is_wide = frame.is_wide or false }
   local entry = known:look(record)
   if not entry then return "-", record end
@@ -76,10 +83,11 @@ function M.look(known, frame, is_again)
     ALONE[record.address.ctrl] or "invalid"
   if is_last or text == "single" then
     local payload = is_last and entry.payload or record.data
-    record.change = known:change({ source = record.address.id + (record.bus or -1) * 0x800,
-      time = record.number / 8,
-      good = not is_last or text == "good" }, record)
-    known:is_read(record, payload ~= "" and payload:byte() % 2 == 1)
+    local message = { source = record.address.id + (record.bus or -1) * 0x800,
+      time = record.number / 8, has_fault = payload ~= "" and payload:byte() % 2 == 1,
+      good = not is_last or text == "good" }
+    record.change = known:change(message, record)
+    record.delta = message.delta or nil
   end
   local faults = {}
   for i, fault in ipairs(record.faults or {}) do faults[i] = fault.expert end

@@ -42,19 +42,25 @@ local function command(number, time, bus)
     time = time, good = true, raws = {}, payload = "" }
 end
 
--- What a list of looks gives in order; each as one key of the change, or all of them.
+-- What a list of looks gives in order, what is new and how things stand in one table, delta with it;
+-- or one key of these.
 local function run(looks, key, options)
   local h, found = history.new(options), {}
   for i, look in ipairs(looks) do
-    local change = h:note(look)
-    if key then found[i] = change and change[key] or "-" else found[i] = change end
+    local change, delta = h:note(look)
+    local all = { delta = delta }
+    for name, value in pairs(change or {}) do all[name] = value end
+    for name, value in pairs(h:standing(look) or {}) do all[name] = value end
+    found[i] = all
+    if key then found[i] = all[key] or "-" end
   end
   return found, h
 end
 
 function T.test_the_first_message_has_nothing_but_its_clock()
   local h = history.new()
-  lu.assertEquals(h:note(motor(1, 0)), { drift = 0 })
+  lu.assertNil(h:note(motor(1, 0)))
+  lu.assertEquals(h:standing(motor(1, 0)), { drift = 0 })
   lu.assertNil(h:note { source = 5, id = 5, seq = 0, number = 2, time = 1, good = true, payload = "" })
   lu.assertNil(h:note { source = 6, id = 6, seq = 0, number = 3, time = 1, good = false, payload = "" })
 end
@@ -155,7 +161,7 @@ function T.test_a_message_that_is_not_good_changes_nothing()
   local looks = { motor(1, 1), motor(2, 2, { fault = 1, seq = 9, clock = 0, good = false }), motor(3, 3),
     motor(4, 4, { fault = 1 }) }
   local changes = run(looks)
-  lu.assertEquals(changes[2], { delta = 1 })
+  lu.assertEquals(changes[2], { delta = 1 }) -- and nothing stands there
   lu.assertEquals({ changes[3].flags, changes[3].missing, changes[3].reboot }, {})
   lu.assertEquals(changes[4].flags[1].raised, 1)
 end
@@ -174,9 +180,10 @@ function T.test_links_to_the_changes_before_and_after()
     motor(40, 4, { fault = 3 }), motor(50, 5), motor(60, 6), motor(70, 7, { fault = 1 }) }
   local previous, h = run(looks, "previous_change")
   lu.assertEquals(previous, { "-", "-", 20, 20, 40, "-", 50 })
-  lu.assertNil(h:next_change(70, 0x210))
-  lu.assertEquals({ h:next_change(30, 0x210), h:next_change(1, 0x210), h:next_change(60, 0x210) }, { 40, 20, 70 })
-  lu.assertNil(h:next_change(20, "nobody"))
+  local following = {}
+  for i, look in ipairs(looks) do following[i] = h:standing(look).next_change or "-" end
+  lu.assertEquals(following, { "-", 40, 40, 50, 70, "-", "-" })
+  lu.assertNil(h:standing(motor(20, 2, { source = "nobody" })))
 end
 
 function T.test_the_latest_command_on_the_bus()
@@ -193,9 +200,10 @@ function T.test_the_catalogue_says_which_messages_others_answer()
   local answering = { messages = { { name = "a", answers = "b" }, { name = "b" }, { name = "command" } } }
   local h = history.new { catalogue = answering }
   local function note(number, message)
-    local told = h:note { source = message.name, message = message, id = 1, seq = 0, number = number, time = number,
-      good = true, raws = {}, payload = "" }
-    return told and told.command_in
+    local look = { source = message.name, message = message, id = 1, seq = 0, number = number,
+      time = number, good = true, raws = {}, payload = "" }
+    h:note(look)
+    return h:standing(look).command_in
   end
   for i, message in ipairs(answering.messages) do
     message.fields = {}
@@ -213,10 +221,10 @@ function T.test_a_flag_that_is_an_alarm_beside_others()
   lu.assertEquals(changes[2].flags, { change(STATE, 0x22, 0x20, 0, 0x20, 0) })
   lu.assertEquals(changes[3].flags, { change(STATE, 0x21, 1, 2, 0, 0) })
   lu.assertEquals(changes[4].flags, { change(STATE, 1, 0, 0x20, 0, 0x20) })
-  local alarms, since = {}, {}
-  for i, one in ipairs(changes) do alarms[i], since[i] = one.is_alarm or "-", one.active_since or "-" end
-  lu.assertEquals({ alarms, since }, { { "-", true, "-", true }, { "-", 2, 2, "-" } })
-  lu.assertEquals({ changes[4].previous_change, h:next_change(2, 0x210) }, { 2, 4 })
+  local since = {}
+  for i, one in ipairs(changes) do since[i] = one.active_since or "-" end
+  lu.assertEquals(since, { "-", 2, 2, "-" })
+  lu.assertEquals({ changes[4].previous_change, h:standing(looks[2]).next_change }, { 2, 4 })
 end
 
 -- A number in some bits of a field with faults is no flag: it neither rises nor falls.
@@ -227,7 +235,7 @@ function T.test_a_part_of_bits_beside_alarms()
   for i, raw in ipairs { 0x01, 0x02, 0x82, 0x83, 0x03 } do
     found[i] = h:note { source = 1, message = message, number = i, time = i, good = true, raws = { raw }, payload = "" }
   end
-  for _, i in ipairs { 1, 2, 4 } do lu.assertNil(found[i] and (found[i].flags or found[i].is_alarm)) end
+  for _, i in ipairs { 1, 2, 4 } do lu.assertNil(found[i] and found[i].flags) end
   lu.assertEquals(found[3].flags, { change(message.fields[1], 0x82, 0x80, 0, 0x80, 0) })
   lu.assertEquals(found[5].flags, { change(message.fields[1], 0x03, 0, 0x80, 0, 0x80) })
 end
@@ -262,8 +270,8 @@ function T.test_a_later_look_gets_the_same_in_any_order()
     local looks, random = random_looks(seed * 7919, 300)
     local h, noted = history.new(), {}
     for i, look in ipairs(looks) do
-      noted[i] = h:note(look) or false
-      look.delta = noted[i] and noted[i].delta or nil
+      local new, delta = h:note(look)
+      noted[i], look.delta = new or false, delta
       local before = 1 + random(i) -- some are asked for while the first pass goes on
       lu.assertEquals(h:change(looks[before]) or false, noted[before])
     end

@@ -13,12 +13,12 @@ local function new_history()
   return {
     note = function(_, m)
       first = first or m.number
-      return { noted = m.number, command_in = first, is_alarm = m.is_alarm }, 0.5
+      return { noted = m.number }, 0.5
     end,
-    change = function(_, m)
-      return m.number ~= 99 and { noted = m.number, previous_change = first } or nil
+    change = function(_, m) return m.number ~= 99 and { noted = m.number } or nil end,
+    standing = function(_, m)
+      return m.number ~= 99 and { command_in = first, next_change = m.number } or nil
     end,
-    next_change = function(_, number) return number + 1 end,
   }
 end
 
@@ -127,13 +127,15 @@ function T.test_what_changed()
   local all = new()
   looks(all, { { 7 }, { 7 }, { 8 } })
   local pass = all.first
-  local change, delta = pass:note(7, { is_alarm = true })
-  lu.assertEquals({ change.noted, change.next_change, delta }, { 7, 8, 0.5 })
-  lu.assertNil(change.command_in) -- 7 is now another frame's number
-  change = pass:note(8, {})
-  lu.assertEquals({ change.noted, change.next_change, change.command_in }, { 8 })
-  lu.assertEquals(pass:change(8, {}), { noted = 8 })
-  lu.assertNil(pass:change(99, {}))
+  local message = {}
+  local change, delta = pass:note(7, message)
+  lu.assertEquals({ change, delta }, { { noted = 7 }, 0.5 })
+  lu.assertEquals(pass:standing(message), {}) -- 7 is now another frame's number
+  pass:note(8, message)
+  lu.assertEquals(pass:standing(message), { next_change = 8 })
+  lu.assertEquals(pass:change(8, message), { noted = 8 })
+  lu.assertNil(pass:change(99, message))
+  lu.assertNil(pass:standing(message))
 end
 
 return T

@@ -50,9 +50,10 @@ local function deltas_of(memory, packet, fact)
   local deltas = {}
   for i, event in ipairs(packet and packet.events or {}) do
     if event.status == "good" then
-      local change = memory:change({ source = fact.stream .. event.id, id = event.id, good = true,
-        time = fact.number, seq = 0 }, packet, i, fact)
-      deltas[i] = change and change.delta
+      local message = { source = fact.stream .. event.id, id = event.id, good = true,
+        time = fact.number, seq = 0 }
+      memory:change(message, packet, i, fact)
+      deltas[i] = message.delta
     end
   end
   return deltas

@@ -36,61 +36,68 @@ Carrier.__index = Carrier
 -- tree     a tree builder (show.tree)
 -- reader   a message.reader: what a finished message means
 -- buses    a host.buses
--- claim    function(id): a frame of a message that is not in the catalogue was taken
+-- claim    function(id): a frame of this ID was taken, which the catalogue may not know
 function M.new(tree, reader, buses, claim)
   local self = { tree = tree, reader = reader, buses = buses, claim = claim, stat = reader.stat }
   return setmetatable(self, Carrier)
 end
 
+-- A source, a bus and an ID, and what is worked out of it once.
+local function new_source(self, key, id, bus)
+  local reader, bus_name = self.reader, self.buses:name(bus)
+  local name = reader:label(id, bus_name)
+  return {
+    key = key,
+    bus = bus,
+    bus_name = bus_name,
+    size = reader:size_of(id, bus_name), -- of its messages, nil for an unknown ID
+    name = name,                         -- in the Info column
+    text = reader:source_text(id, bus_name), -- in the column Source
+    texts = {}, -- of the parts of its messages, see part_text
+    -- A message, as message.reader and show.tree take it: nobody keeps it, so the next one is told
+    -- in the same table, as a new one took a tenth of a packet list.
+    message = { id = id, name = name, source = key, bus = bus, bus_name = bus_name, at = 0 },
+  }
+end
+
 --- Forgets the capture file: nothing survives into the next one.
 -- options  { new_history = function() -> a message.history }
 function Carrier:reset(options)
-  local reader, buses = self.reader, self.buses
-  local sizes = {} -- by key of a source, false of an unknown one
-  local function size_of(id, bus)
+  local sources = {}
+  local function source_of(id, bus)
     local key = (bus or -1) * 0x800 + id
-    if sizes[key] == nil then sizes[key] = reader:size_of(id, buses:name(bus)) or false end
-    return sizes[key] or nil
+    local source = sources[key]
+    if not source then
+      source = new_source(self, key, id, bus)
+      sources[key] = source
+    end
+    return source
   end
-  self.memory = memory.new { new_history = options.new_history, size_of = size_of }
-  self.names = {} -- by source, see new_names
-  self.place = buses.found.place
-  self.highest = 0 -- number so far: a frame above it is new, which saves asking Wireshark
-  self.frame = {} -- of now, as the memory takes it; and tvb, pinfo, tree
-end
-
--- The key of a source: bus and ID.
-local function key_of(bus, id)
-  return (bus or -1) * 0x800 + id
-end
-
--- What the messages of a source are called.  And a message, as message.reader and show.tree take
--- it: one table for all of a source, see finished.
-local function new_names(self, key, bus, id)
-  local bus_name = self.buses:name(bus)
-  local name = self.reader:label(id, bus_name)
-  local names = {
-    bus = bus_name,
-    name = name, -- in the Info column
-    source = self.reader:source_text(id, bus_name), -- in the column Source
-    texts = {}, -- of the parts of its messages, see part_text
-    message = { id = id, name = name, source = key, bus = bus, bus_name = bus_name, at = 0 },
+  self.memory = memory.new {
+    new_history = options.new_history,
+    source_of = source_of,
+    claim = self.claim,
   }
-  self.names[key] = names
-  self.claim(id)
-  return names
+  self.highest = 0 -- number so far: a frame above it is new, which saves asking Wireshark
+  -- The frame of now, as the memory takes it, and tvb, pinfo, tree: used again for the next one.
+  -- COMPAT 5.2: where there is nothing, false: to write nil under a name that has none makes the
+  -- table anew.
+  local buses = self.buses
+  local place = buses.found.place
+  self.frame = { place = place or 0, bus = false, knows_bus = true }
+  self.has_places, self.asks = not place, buses.asks
 end
 
 -- Statistics are told of a frame of a message that is still open, should the capture end before the
 -- message does, and of what is lost.
-local function source_record(frame, names)
-  local address, bus = frame.address, frame.bus
+local function source_record(frame)
+  local address, source = frame.address, frame.entry.source
   return {
     id = address.id,
     seq = address.seq,
-    source = key_of(bus, address.id),
-    bus = bus,
-    bus_name = names.bus,
+    source = source.key,
+    bus = source.bus,
+    bus_name = source.bus_name,
     frame = frame.number,
     time = frame.pinfo.rel_ts,
     visited = frame.is_again,
@@ -99,29 +106,25 @@ local function source_record(frame, names)
 end
 
 -- Says what is wrong with a frame.
-local function show_faults(self, frame, names, item)
+local function show_faults(self, frame, item)
   if #frame.data < frame.reported then
     local text = "The capture has %d of the frame's %d bytes"
     self.tree:expert(item, "truncated", text:format(#frame.data, frame.reported))
   end
   if not frame.faults then return end
   for _, fault in ipairs(frame.faults) do self.tree:expert(item, fault.expert, fault.text) end
-  if self.stat.wanted then self.reader.tell:faults(source_record(frame, names), frame.faults) end
+  if self.stat.wanted then self.reader.tell:faults(source_record(frame), frame.faults) end
 end
 
 -- YAPP's own item ---------------------------------------------------------------------------------
 
--- With what the CAN id says; the tree where nobody wants one, for the expert items.
-local function item_of(self, frame, names, wants)
-  local builder, address, entry = self.tree, frame.address, frame.entry
-  if not wants.yapp then
-    local is_message = entry.last == frame.look or not entry.size and address.ctrl == 0
-    return builder:bare(frame.tree, wants, is_message)
-  end
+-- With what the CAN id says.
+local function add_item(self, frame)
+  local builder, address, source = self.tree, frame.address, frame.entry.source
   local kind = KINDS[address.ctrl] or "undefined frame"
-  local title = ("%s, %s, %s"):format(builder.yapp.description, names.name, kind)
+  local title = ("%s, %s, %s"):format(builder.yapp.description, source.name, kind)
   local item = add(frame.tree, builder.yapp, frame.tvb(), title)
-  builder:add_address(item, address, names.bus)
+  builder:add_address(item, address, source.bus_name)
   return item
 end
 
@@ -163,43 +166,38 @@ end
 
 -- Messages ----------------------------------------------------------------------------------------
 
--- A finished message.  Nobody keeps it: the source's next one is told in the same table, as a
--- new one took a tenth of a packet list.
-local function finished(frame, names, wants, item, payload)
-  local m = names.message
+-- A finished message.
+local function finished(frame, wants, item, payload, status, size)
+  local m = frame.entry.source.message
   m.seq = frame.address.seq
   m.frame = frame.number
   m.time = frame.pinfo.rel_ts
   m.visited = frame.is_again
   m.payload = payload
+  m.size = size
+  m.status = status
+  m.good = status == "good"
   m.is_whole = true
   m.tree = frame.tree
   m.item = item
-  m.tvb = nil
+  m.tvb = false
   m.wanted = wants.yapp
+  m.wants_standing = wants.standing
   m.has_columns = wants.columns
   return m
 end
 
--- Its meaning and its history.
-local function read(self, m, frame)
-  self.reader:read(m, self.memory, frame)
-  self.memory:is_read(frame, m.has_fault)
-  return m
-end
-
 -- A single-frame message.
-local function show_single(self, frame, names, wants, item)
-  local data, reported, payload = frame.data, frame.reported, frame.data
-  local known = self.reader:size_of(frame.address.id, names.bus)
+local function show_single(self, frame, wants, item)
+  local data, reported, known = frame.data, frame.reported, frame.entry.source.size
   local padding = known and can_id.padding(data, reported, known)
-  if padding and padding > 0 then payload = data:sub(1, known) end
-  local m = finished(frame, names, wants, item, payload)
-  m.status = "single"
+  local size, payload = reported, data
+  if padding then size, payload = known, data:sub(1, known) end
+  local m = finished(frame, wants, item, payload, "single", size)
   m.good = #data == reported
-  m.size = padding and known or reported
   if wants.yapp or wants.taurus then m.tvb = frame.tvb end
-  local info = self.tree:payload(read(self, m, frame))
+  self.reader:read(m, self.memory, frame)
+  local info = self.tree:payload(m)
   if wants.yapp and padding and #data > known then
     add(item, self.tree.fields.padding, frame.tvb(known))
   end
@@ -207,105 +205,120 @@ local function show_single(self, frame, names, wants, item)
 end
 
 -- A message of which bytes are missing, or that has too many.
-local function show_unfit(self, frame, names, m)
+local function show_unfit(self, frame, m)
   local builder, message = self.tree, frame.entry
   m.is_whole = false
-  read(self, m, frame)
+  self.reader:read(m, self.memory, frame)
   if m.wanted and m.tvb then add(m.item, builder.fields.payload, m.tvb()) end
   if m.wanted then builder:add_delta(m.item, m) end
-  local text = ("%s  %d of %d bytes"):format(names.name, message.received, message.size)
+  local text = ("%s  %d of %d bytes"):format(m.name, message.received, message.size)
   return text .. STATUS_TEXT[message.status]
 end
 
 -- The last frame of a message: what was put together.
-local function show_message(self, frame, names, wants, item)
+local function show_message(self, frame, wants, item)
   local builder, message = self.tree, frame.entry
-  local status = message.status
-  local m = finished(frame, names, wants, item, message.payload)
-  m.status = status
-  m.good = status == "good"
-  m.size = message.size
-  if (wants.yapp or wants.taurus) and m.payload ~= "" then
-    m.tvb = ByteArray.new(m.payload, true):tvb(REASSEMBLED)
+  local status, payload = message.status, message.payload
+  local m = finished(frame, wants, item, payload, status, message.size)
+  if (wants.yapp or wants.taurus) and payload ~= "" then
+    m.tvb = ByteArray.new(payload, true):tvb(REASSEMBLED)
   end
   if wants.yapp then add_message(self, frame, item, m.tvb) end
-  if m.good then return builder:payload(read(self, m, frame)) end
   if status == "bad" then builder:bad_crc(item, message) end
-  if status == "short" or status == "overrun" then return show_unfit(self, frame, names, m) end
-  return builder:payload(read(self, m, frame)) .. STATUS_TEXT[status]
+  if status == "short" or status == "overrun" then return show_unfit(self, frame, m) end
+  self.reader:read(m, self.memory, frame)
+  local info = builder:payload(m)
+  return m.good and info or info .. STATUS_TEXT[status]
 end
 
 -- Parts -------------------------------------------------------------------------------------------
 
 -- The texts of the parts of a message of a size, in frames of classic CAN: "Motor Data  part 2 of
 -- 5".
-local function new_texts(names, size)
+local function new_texts(source, size)
   local usual = math.ceil(size / 8) + 1
-  local texts = { names.name .. ("  Start of %d bytes"):format(size), size = size, usual = usual }
+  local texts = { source.name .. ("  Start of %d bytes"):format(size), size = size, usual = usual }
   for i = 2, math.min(usual, MOST_TEXTS) do
-    texts[i] = ("%s  part %d of %d"):format(names.name, i, usual)
+    texts[i] = ("%s  part %d of %d"):format(source.name, i, usual)
   end
-  names.texts = texts
+  source.texts = texts
   return texts
 end
 
--- What the Info column says of a part.
-local function part_text(names, message, look, length)
-  local texts, index = names.texts, #message
-  if texts.size ~= message.size then texts = new_texts(names, message.size) end
+-- A part that did not come as most do: before the End of its message, in frames of classic CAN.
+-- How many parts there are is sure in the end; before that, it is what classic CAN needs.
+local function other_part_text(source, message, look, length)
+  local texts, index = source.texts, #message
   while index > 1 and message[index] ~= look do index = index - 1 end
-  -- How many parts there are is sure in the end; before that, it is what classic CAN needs.
-  local parts = message.status == "good" and #message or length == 8 and texts.usual or 0
-  if index == 1 or parts == texts.usual and texts[index] then
-    return message[index] == look and texts[index] or names.name .. "  part once more"
+  if message[index] ~= look then return source.name .. "  part once more" end
+  local parts = length == 8 and texts.usual or 0
+  if message.status == "good" then parts = #message end
+  if index == 1 or parts == texts.usual and texts[index] then return texts[index] end
+  if index > parts then return ("%s  part %d"):format(source.name, index) end
+  return ("%s  part %d of %d"):format(source.name, index, parts)
+end
+
+-- What the Info column says of a part.
+local function part_text(message, look, length)
+  local source = message.source
+  local texts, index = source.texts, #message
+  if texts.size ~= message.size then texts = new_texts(source, message.size) end
+  if length == 8 and texts[index] and message[index] == look and not message.status then
+    return texts[index]
   end
-  if index > parts then return ("%s  part %d"):format(names.name, index) end
-  return ("%s  part %d of %d"):format(names.name, index, parts)
+  return other_part_text(source, message, look, length)
 end
 
 -- A Start, a Middle, or an End that completes nothing.
-local function show_part(self, frame, names, wants, item)
+local function show_part(self, frame, wants, item)
   local leads_to, is_unfinished
   if frame.is_again then leads_to, is_unfinished = self.memory:outcome(frame) end
   if wants.yapp then add_part(self, frame, item, leads_to) end
   if is_unfinished then self.tree:expert(item, "unfinished") end
-  if self.stat.wants_parts then self.reader.tell:part(source_record(frame, names)) end
+  if self.stat.wants_parts then self.reader.tell:part(source_record(frame)) end
   if not wants.columns then return nil end
-  local text = part_text(names, frame.entry, frame.look, #frame.data)
+  local text = part_text(frame.entry, frame.look, #frame.data)
   return leads_to and ("%s  [Reassembled in #%d]"):format(text, leads_to) or text
 end
 
 -- A frame that belongs to no message.
-local function show_alone(self, frame, names, wants, item)
-  local ctrl = frame.address.ctrl
-  if ctrl == 0 then return show_single(self, frame, names, wants, item) end
+local function show_alone(self, frame, wants, item)
+  local ctrl, name = frame.address.ctrl, frame.entry.source.name
+  if ctrl == 0 then return show_single(self, frame, wants, item) end
   if wants.yapp and ctrl == START then
     add_start(self, frame, item)
   elseif wants.yapp and frame.data ~= "" then
     add(item, self.tree.fields["fragment.data"], frame.tvb())
   end
-  local text = ("%s  %s"):format(names.name, KINDS[ctrl] or "CAN CTRL " .. ctrl)
-  return KINDS[ctrl] and ctrl ~= START and text .. " without a Start" or text
+  if not KINDS[ctrl] then return ("%s  CAN CTRL %d"):format(name, ctrl) end
+  local text = ("%s  %s"):format(name, KINDS[ctrl])
+  return ctrl ~= START and text .. " without a Start" or text
 end
 
 -- Frames ------------------------------------------------------------------------------------------
 
 -- Shows a frame of ours.
-local function show(self, frame, names, pinfo, item)
-  local entry, builder = frame.entry, self.tree
-  local wants = not frame.is_again and builder.wanted or
-    builder:wants(item, pinfo, frame.is_again)
-  if wants.yapp or wants.names then item = item_of(self, frame, names, wants) end
-  local show_it = entry.size and show_part or show_alone
-  if entry.last == frame.look then show_it = show_message end
-  local info = show_it(self, frame, names, wants, item)
-  if frame.faults or #frame.data < frame.reported then show_faults(self, frame, names, item) end
-  if wants.columns then
-    local columns = pinfo.cols
-    columns.protocol = "YAPP"
-    columns.src = names.source
-    columns.info = info
+local function show(self, frame, entry)
+  local builder, pinfo, item = self.tree, frame.pinfo, frame.tree
+  local wants = not frame.is_again and builder.wanted or builder:wants(item, pinfo, frame.is_again)
+  local is_last, show_it = entry.last == frame.look, show_alone
+  if is_last then
+    show_it = show_message
+  elseif entry.size then
+    show_it = show_part
   end
+  if wants.yapp then
+    item = add_item(self, frame)
+  elseif wants.names then
+    builder:bare(item, wants, is_last or not entry.size and frame.address.ctrl == 0)
+  end
+  local info = show_it(self, frame, wants, item)
+  if frame.faults or #frame.data < frame.reported then show_faults(self, frame, item) end
+  if not wants.columns then return end
+  local columns = pinfo.cols
+  columns.protocol = "YAPP"
+  columns.src = entry.source.text
+  columns.info = info
 end
 
 --- Dissects one frame.
@@ -321,24 +334,23 @@ function Carrier:dissect(tvb, pinfo, tree, id, is_wide)
   if not is_again then self.highest = number end -- with -R numbers come twice
   -- YAPP has no remote frames; what is not known to be one is data.
   if ZEROS[data] and not is_again and socketcan.is_remote(pinfo) then return 0 end
-  local address, bus, knows_bus = address_of(id), nil, true
-  if self.buses.asks then bus, knows_bus = self.buses:of(pinfo) end
   frame.number = number
-  frame.place = self.place or offset_of(tvb)
   frame.is_again = is_again
   frame.data = data
   frame.reported = reported
-  frame.bus = bus
-  frame.knows_bus = knows_bus
-  frame.address = address
+  frame.address = address_of[id]
   frame.is_wide = is_wide
   frame.tvb = tvb
   frame.pinfo = pinfo
   frame.tree = tree
-  if not self.memory:look(frame) then return 0 end
-  local key = (bus or -1) * 0x800 + address.id
-  local names = self.names[key] or new_names(self, key, bus, address.id)
-  show(self, frame, names, pinfo, tree)
+  if self.has_places then frame.place = offset_of(tvb) end
+  if self.asks then
+    local bus, knows_bus = self.buses:of(pinfo)
+    frame.bus, frame.knows_bus = bus or false, knows_bus
+  end
+  local entry = self.memory:look(frame)
+  if not entry then return 0 end
+  show(self, frame, entry)
   return reported
 end
 
@@ -361,10 +373,9 @@ end
 function Carrier:unfinished()
   local list = {}
   for i, message in ipairs(self.memory:unfinished()) do
-    local address = message.address
     list[i] = {
-      source = key_of(message.bus, address.id),
-      seq = address.seq,
+      source = message.source.key,
+      seq = message.address.seq,
       frame = math.floor(message[#message]),
     }
   end

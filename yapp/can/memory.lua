@@ -3,10 +3,10 @@
 -- YAPP"), and what was said of each frame, for later looks.  Pure Lua.
 --
 -- It is told facts of frames, in the order of the capture, and asked what they are.  Of each frame
--- its entry is kept: the message that it is a part of, which all parts share, or { address } of a
--- frame that stands alone.  A message has
+-- its entry is kept: the message that it is a part of, which all parts share, or { address, source }
+-- of a frame that stands alone.  A message has
 --   1 .. n      the looks of its frames (memory.passes)
---   address, size, crc, reserved (nil when 0)   of its Start; bus
+--   address, size, crc, reserved (nil when 0)   of its Start; source, as whom it came from
 --   status      nil while it is open; "good", "bad" (CRC), "short", "overrun", "unverified" (bytes
 --               not captured), "cut" (a new Start came)
 --   chunks, received   while it is open: what came, how many bytes
@@ -40,16 +40,16 @@ local Reassembly = {}
 Reassembly.__index = Reassembly
 
 -- pass     of memory.passes, whose entries get that of each frame, by look
--- size_of  function(id, bus) -> payload size of a known message, nil for an unknown one
--- It has faults, by look: a list of { expert =, text =, message = or nil, void = true once it is
--- taken back }.  And open, by slot (a message's key and bus): the message that is open there, or a
--- pool of several (can.pool).
-local function new_reassembly(pass, size_of)
+-- options  as for M.new
+local function new_reassembly(pass, options)
   return setmetatable({
     pass = pass,
     entries = pass.entries,
-    size_of = size_of,
+    source_of = options.source_of,
+    claim = options.claim,
+    -- by look: a list of { expert =, text =, message = or nil, void = true once it is taken back }
     faults = {},
+    -- by slot (a message's key and bus): the message that is open there, or a can.pool of several
     open = {},
     open_count = 0,
     claimed = {}, -- unknown IDs of which a Start without a Seq has come: then others may have one
@@ -80,12 +80,17 @@ end
 
 --- A Middle or End whose message is not known.
 -- returns  its entry
-function Reassembly:orphan(address, look)
+function Reassembly:orphan(address, source, look)
   local kind = address.ctrl == END and "End" or "Middle"
   self:fault(look, "fragment.orphan", kind .. " of a message whose Start is not here")
-  local entry = { address = address }
-  self.entries[look] = entry
-  return entry
+  self.entries[look] = self:alone(address, source)
+  return self.entries[look]
+end
+
+--- The entry of a frame that stands alone.
+function Reassembly:alone(address, source)
+  self.claim(address.id)
+  return { address = address, source = source, delta = nil }
 end
 
 --- A message has more or fewer bytes than its size.
@@ -142,7 +147,8 @@ end
 
 -- Whether a Start is surely YAPP's: a plausible one, and of an unknown ID one that does not number
 -- itself, or follows such; or for a known ID one that the capture cut.
-local function is_plausible(self, address, frame, size, reserved, is_known)
+local function is_plausible(self, frame, size, reserved, is_known)
+  local address = frame.address
   if address.ctl ~= 0 or frame.reported ~= 8 then return false end
   if not reserved then return is_known end
   if reserved ~= 0 or size <= 8 then return false end
@@ -196,24 +202,26 @@ local function overtake(self, slot, frame, look)
   close(self, slot)
 end
 
-local function start(self, slot, address, frame, look)
+local function start(self, slot, frame, look)
+  local address = frame.address
+  local source = self.source_of(address.id, frame.bus)
   local sum, size, reserved = can_id.start(frame.data)
-  local known = self.size_of(address.id, frame.bus)
-  if not frame.is_wide and
-    not is_plausible(self, address, frame, size, reserved, known ~= nil) then
+  local known = source.size
+  if not frame.is_wide and not is_plausible(self, frame, size, reserved, known ~= nil) then
     return nil
   end
   self.claimed[address.id] = true
+  self.claim(address.id)
   local others = self.open[slot] and overtake(self, slot, frame, look)
   if size ~= known or reserved ~= 0 or frame.reported ~= 8 then
     check_start(self, frame, look, size, reserved, known)
-    if not reserved or size == 0 then return { address = address } end
+    if not reserved or size == 0 then return self:alone(address, source) end
   end
   -- With room for the usual message of five frames, and for the names that it will have.
   local message = {
     look, nil, nil, nil, nil,
     address = address,
-    bus = frame.bus,
+    source = source,
     size = size,
     crc = sum,
     chunks = { nil, nil, nil, nil },
@@ -221,7 +229,6 @@ local function start(self, slot, address, frame, look)
     status = nil,
     payload = nil,
     last = nil,
-    delta = nil,
   }
   if reserved ~= 0 then message.reserved = reserved end
   if others then
@@ -295,15 +302,16 @@ local function take_odd(message, at, data, reported)
 end
 
 -- A Middle or End where no message waits for it that came so far as it should.
-local function continue_other(self, slot, address, frame, look)
-  local message = self.open[slot]
+local function continue_other(self, slot, frame, look)
+  local message, address = self.open[slot], frame.address
   if not message then
-    local is_known = address.ctl == 0 and self.size_of(address.id, frame.bus)
+    local source = self.source_of(address.id, frame.bus)
+    local is_known = address.ctl == 0 and source.size
     if not frame.is_wide and not is_known then return nil end
-    return self:orphan(address, look)
+    return self:orphan(address, source, look)
   end
   if message.messages then
-    message:frame(address, frame, look)
+    message:frame(frame, look)
     if #message.messages == 0 then close(self, slot) end
     return self.entries[look]
   end
@@ -316,10 +324,10 @@ local function continue_other(self, slot, address, frame, look)
   return message
 end
 
-local function continue(self, slot, address, frame, look)
+local function continue(self, slot, frame, look)
   local message = self.open[slot]
   local chunks = message and message.chunks
-  if not chunks then return continue_other(self, slot, address, frame, look) end
+  if not chunks then return continue_other(self, slot, frame, look) end
   local data, reported, at = frame.data, frame.reported, #message
   local received = message.received + reported
   message[at + 1] = look
@@ -329,7 +337,7 @@ local function continue(self, slot, address, frame, look)
   else
     chunks[at] = data
   end
-  if address.ctrl ~= END then
+  if frame.address.ctrl ~= END then
     local too_many = received - message.size
     if too_many > 0 and too_many > min(message.repeated or 0, MAX_RUNS * reported) then
       go_beyond(self, message, look)
@@ -347,24 +355,26 @@ end
 
 -- Other frames -----------------------------------------------------------------------------------
 
-local function single(self, _, address, frame)
+local function single(self, _, frame)
+  local address = frame.address
+  local source = self.source_of(address.id, frame.bus)
   if not frame.is_wide then
-    local size = self.size_of(address.id, frame.bus)
-    if not size or address.ctl ~= 0 then return nil end
-    if not can_id.padding(frame.data, frame.reported, size) then return nil end
+    if not source.size or address.ctl ~= 0 then return nil end
+    if not can_id.padding(frame.data, frame.reported, source.size) then return nil end
   end
-  return { address = address, delta = nil }
+  return self:alone(address, source)
 end
 
-local function undefined(self, _, address, frame, look)
+local function undefined(self, _, frame, look)
   if not frame.is_wide then return nil end
+  local address = frame.address
   self:fault(look, "can.ctrl.invalid", ("CAN CTRL is %d; 0 to 3 are defined"):format(address.ctrl))
-  return { address = address }
+  return self:alone(address, self.source_of(address.id, frame.bus))
 end
 
--- By CAN CTRL: (reassembly, slot, address, frame, look) -> the frame's entry, nil where it is not
--- YAPP's.
+-- By CAN CTRL: (reassembly, slot, frame, look) -> the frame's entry, nil where it is not YAPP's.
 local TAKERS = { [0] = single, start, continue, continue }
+for ctrl = #TAKERS + 1, 15 do TAKERS[ctrl] = undefined end
 
 -- What is kept -----------------------------------------------------------------------------------
 
@@ -373,22 +383,22 @@ local TAKERS = { [0] = single, start, continue, continue }
 -- negative at its Start.  (Frames 7, 8 and 10 make a message: of 7 -10 is kept, of 8 10, of 10 the
 -- text.)
 
-local function make_small(entries, message)
-  local first, last = message[1], message.last
-  if message.blamed or message.padding or message.reserved then return end
-  if last - first > MAX_SPAN then return end
-  for i = 1, #message do
-    if message[i] % 1 ~= 0 then return end
-  end
+-- Returns whether that goes.
+local function make_small(pass, message, delta)
+  local entries, first, last = pass.entries, message[1], message.last
+  if message.blamed or message.padding or message.reserved then return false end
+  if last - first > MAX_SPAN or pass:has_fractions(message) then return false end
   for i = 2, #message - 1 do entries[message[i]] = last end
   local mark = message.has_fault and "!" or "|"
   entries[first] = -last
-  entries[last] = (message.delta or "") .. mark .. message.address.key_bytes .. message.payload
+  entries[last] = (delta or "") .. mark .. message.address.key_bytes .. message.payload
+  return true
 end
 
 -- The entry of a frame from what is kept; nil where that is of another id: a read filter rejected
 -- that frame.
-local function recall(entries, look, address)
+local function recall(self, frame, look)
+  local entries, address = self.entries, frame.address
   local entry = entries[look]
   local last = type(entry) == "number" and abs(entry) or look
   if type(entries[last]) ~= "string" then
@@ -402,6 +412,7 @@ local function recall(entries, look, address)
     if entries[at] == last or entries[at] == -last then table.insert(message, 1, at) end
   until entries[at] == -last
   message.address = address
+  message.source = self.source_of(address.id, frame.bus)
   message.size = #payload
   message.crc = update(can_id.seed(address, #payload), payload)
   message.payload = payload
@@ -418,70 +429,66 @@ local Memory = {}
 Memory.__index = Memory
 
 --- The memory of one capture file.
--- options   { size_of = function(id, bus) -> payload size of a known message, nil for an unknown
---           one;
+-- options   { source_of = function(id, bus) -> of whom a frame is: a table, the same each time, which
+--           entries have as source; it has size = of the payload of a known message, and bus;
+--             claim = function(id): a frame of this ID is ours;
 --             new_history = function() -> a message.history, one for each pass }
 function M.new(options)
   local all = passes.new(options.new_history)
-  local first = new_reassembly(all.first, options.size_of)
-  return setmetatable({ passes = all, first = first, second = nil }, Memory)
-end
-
--- The reassembly of a pass.
-local function reassembly_of(self, pass)
-  if pass == self.first.pass then return self.first end
-  self.second = self.second or new_reassembly(pass, self.first.size_of)
-  return self.second
+  local first = new_reassembly(all.first, options)
+  return setmetatable({ options = options, passes = all, first = first, second = nil }, Memory)
 end
 
 -- Takes a frame, in order: returns its entry.
-local function take(reassembly, frame, address, look)
-  local bus = frame.bus
-  local slot = bus and address.key + bus * BUS or address.key
-  local taker = TAKERS[address.ctrl] or undefined
-  local entry = taker(reassembly, slot, address, frame, look)
+local function take(reassembly, frame, look)
+  local address, bus = frame.address, frame.bus
+  local slot = address.key
+  if bus then slot = slot + bus * BUS end
+  local entry = TAKERS[address.ctrl](reassembly, slot, frame, look)
   if entry then reassembly.entries[look] = entry end
   return entry
 end
 
--- A frame that is looked at again.
-local function look_again(self, frame, address)
-  local number, place, knows_bus = frame.number, frame.place, frame.knows_bus
-  local pass, look, is_now = self.passes:look(number, place, true, knows_bus)
+-- Which reassembly a frame belongs to that is looked at again, its look, and whether it is taken
+-- now; nil where none had it.
+local function find(self, frame)
+  local pass, look, is_now = self.passes:look(frame.number, frame.place, true, frame.knows_bus)
   if not pass then return nil end
-  local reassembly = reassembly_of(self, pass)
-  if not is_now then
-    return recall(reassembly.entries, look, address), look, reassembly, false
-  end
-  if not knows_bus then pass.is_partial = true end
-  return take(reassembly, frame, address, look), look, reassembly, true
+  if pass == self.first.pass then return self.first, look, is_now end
+  self.second = self.second or new_reassembly(pass, self.options)
+  return self.second, look, is_now
 end
 
 --- What a frame is.
 -- frame    { address = wire.can_id.address of its 29-bit id, number, place = where in its packet,
 --          is_again = whether Wireshark has shown it before, data = captured bytes, reported = its
---          length on the bus, bus = number, nil where there is one or nothing says; knows_bus =
+--          length on the bus, bus = number, false where there is one or nothing says; knows_bus =
 --          whether this is known; is_wide = whether the user says that every extended frame is
 --          YAPP, else only what is surely YAPP is claimed }: gets entry, look, pass = which has it,
---          is_now = whether that took it just now, faults = what is wrong with it: nil or a list of
---          { expert =, text =, message = or nil, void = whether it has been taken back since }
+--          is_now = whether that took it just now, faults = what is wrong with it: false or a list
+--          of { expert =, text =, message = or nil, void = whether it has been taken back since }
 -- returns  its entry; nil for a frame that is not YAPP's
 function Memory:look(frame)
-  local address, reassembly, is_now = frame.address, self.first, true
-  local entry, look
+  local reassembly, is_now = self.first, true
+  local look, entry
   if frame.is_again then
-    entry, look, reassembly, is_now = look_again(self, frame, address)
+    reassembly, look, is_now = find(self, frame)
+    if not look then return nil end
   else
     look = reassembly.pass:next(frame.number, frame.place)
+  end
+  if is_now then
     if not frame.knows_bus then reassembly.pass.is_partial = true end
-    entry = take(reassembly, frame, address, look)
+    entry = take(reassembly, frame, look)
+  else
+    entry = recall(reassembly, frame, look)
   end
   if not entry then return nil end
   frame.entry = entry
   frame.look = look
   frame.pass = reassembly.pass
   frame.is_now = is_now
-  frame.faults = reassembly.faults[look]
+  frame.faults = reassembly.faults[look] or false
   return entry
 end
 
@@ -507,31 +514,33 @@ function Memory.frames_of(_, frame)
   return numbers
 end
 
---- What changed with a message since its source's previous good one (see message.history).
--- m       as History:note takes it; gets is_unsure: whether that is not known, as nothing tells the
---         buses
+--- What is new in a message (see message.history).
+-- m       as History:note takes it, and has_fault = whether it has a fault flag set; gets delta, and
+--         is_unsure: whether what came before is not known, as nothing tells the buses
 -- frame   its last, or only, one, as look filled it in
 function Memory.change(_, m, frame)
-  local entry = frame.entry
-  if frame.is_now and not frame.knows_bus then entry.is_unsure = true end
-  m.is_unsure = entry.is_unsure
+  local entry, pass = frame.entry, frame.pass
+  if frame.is_now then
+    if m.has_fault then entry.has_fault = true end
+    if not frame.knows_bus then entry.is_unsure = true end
+  end
+  m.is_unsure = entry.is_unsure or false
+  m.delta = false
   if m.is_unsure then return nil end
   if not frame.is_now then
-    m.delta = entry.delta
-    return frame.pass:change(frame.look, m)
+    m.delta = entry.delta or false
+    return pass:change(frame.look, m)
   end
-  local change
-  change, entry.delta = frame.pass:note(frame.look, m)
+  local change, delta = pass:note(frame.look, m)
+  m.delta = delta or false
+  if entry.status == "good" and make_small(pass, entry, delta) then return change end
+  entry.delta = delta
   return change
 end
 
---- A message has been read, in its last, or only, frame.
--- has_fault  whether it has a fault flag set
-function Memory.is_read(_, frame, has_fault)
-  if not frame.is_now then return end
-  local entry = frame.entry
-  if has_fault then entry.has_fault = true end
-  if entry.status == "good" and not entry.is_unsure then make_small(frame.pass.entries, entry) end
+--- How things stand at it, once Memory:change has told.
+function Memory.standing(_, m, frame)
+  return not m.is_unsure and frame.pass:standing(m) or nil
 end
 
 --- The messages of the pass that was made last that never ended, in the order of their Starts.
@@ -540,7 +549,7 @@ function Memory:unfinished()
   for _, open in pairs((self.second or self.first).open) do
     for _, message in ipairs(open.messages or { open }) do
       -- It may have gone on behind a frame from which on the buses were not known.
-      local is_unsure = message.bus and pass.is_partial
+      local is_unsure = message.source.bus and pass.is_partial
       if not message.status and not message.overtaken and not is_unsure then
         list[#list + 1] = message
       end

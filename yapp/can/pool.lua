@@ -137,7 +137,7 @@ local function all_since_start(self, message, seed)
 end
 
 local function seed_of(message)
-  return crc.of(can_id.header(message.address, message.size, message.reserved))
+  return can_id.seed(message.address, message.size, message.reserved)
 end
 
 -- Which message an End completes, and with which frames: the newest with all that came since its
@@ -199,9 +199,9 @@ local function end_newest(self, look)
 end
 
 --- Takes a Middle or End; the reassembly's entries say what it is.
-function Pool:frame(address, frame, look)
+function Pool:frame(frame, look)
   local newest, reassembly = self:newest(), self.reassembly
-  local is_end = address.ctrl == can_id.END
+  local is_end = frame.address.ctrl == can_id.END
   self.credit = math.min(math.max(self.credit, 0) + CREDIT_PER_FRAME, MAX_CREDIT)
   self.frames[#self.frames + 1] = { look = look, data = frame.data, length = frame.reported,
     is_end = is_end }
@@ -210,7 +210,7 @@ function Pool:frame(address, frame, look)
     local place, places, padding = find_whole(self)
     if place then return award(self, table.remove(self.messages, place), places, padding) end
   end
-  if newest.overtaken then return reassembly:orphan(address, look) end
+  if newest.overtaken then return reassembly:orphan(frame.address, newest.source, look) end
   reassembly.entries[look] = newest
   newest[#newest + 1] = look -- as far as anyone can see
   if is_end then return end_newest(self, look) end

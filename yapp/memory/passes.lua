@@ -13,9 +13,11 @@
 
 local M = {}
 
-local floor = math.floor
+local floor, max = math.floor, math.max
 
 local STEP = 2 ^ -21 -- two million looks of one number, of two thousand million numbers
+
+local FRAMES = { "command_in", "previous_change", "next_change" } -- of how things stand
 
 local Pass = {}
 Pass.__index = Pass
@@ -25,9 +27,13 @@ Pass.__index = Pass
 -- all that tells frames apart.
 local function new_pass(new_history)
   return setmetatable({
-    entries = {}, history = new_history(), is_partial = false,
-    highest = 0, latest = 0, place = 0, -- of the newest frame: number, look, place in its packet
-    usual = nil,                        -- the place of the first frame, which most others have too
+    entries = {},
+    history = new_history(),
+    is_partial = false,
+    highest = 0, -- number of the newest frame
+    usual = nil, -- the place of the first frame, which most others have too
+    latest = 0,  -- the look at it, where that is not its number
+    place = 0,   -- of it in its packet, where that is not the usual one
     -- [number] = { [place] = look }, where the look is not the number or the place not usual
     looks = {},
     is_filtered = false, -- whether a read filter rejected a packet: numbers have shifted
@@ -38,25 +44,33 @@ end
 -- number  of the frame; place: of its bytes in the packet
 function Pass:next(number, place)
   if number > self.highest then
-    self.highest, self.latest, self.place = number, number, place
+    self.highest = number
     if place == self.usual then return number end
     self.usual = self.usual or place
     if place ~= self.usual then self.looks[number] = { [place] = number } end
+    self.place = place
     return number
   end
+  local places = self.looks[number]
+  local newest = places and self.place or self.usual
   -- It was left to others, and comes again by Decode As.
-  if place == self.place and self.entries[self.latest] == nil then return self.latest end
-  local places = self.looks[number] or { [self.place] = number }
-  if place <= self.place then self.is_filtered, places = true, {} end
+  if place == newest and self.entries[self:newest()] == nil then return self:newest() end
+  places = places or { [newest] = number }
+  if place <= newest then self.is_filtered, places = true, {} end
   self.place = place
   places[place] = self:another()
   self.looks[number] = places
   return self.latest
 end
 
+--- The look at the newest frame.
+function Pass:newest()
+  return max(self.latest, self.highest)
+end
+
 --- A further look at the newest frame: for each message of a packet its own.
 function Pass:another()
-  self.latest = self.latest + STEP
+  self.latest = self:newest() + STEP
   return self.latest
 end
 
@@ -65,6 +79,15 @@ function Pass:find(number, place)
   local places = self.looks[number]
   if places then return places[place] end
   return place == self.usual and number <= self.highest and number or nil
+end
+
+--- Whether any of these looks is not the number of its frame.
+function Pass:has_fractions(looks)
+  if not next(self.looks) then return false end
+  for _, look in ipairs(looks) do
+    if look % 1 ~= 0 then return true end
+  end
+  return false
 end
 
 --- The number of the frame of a look; nil for one that a read filter rejected.
@@ -77,34 +100,31 @@ function Pass:number(look)
   end
 end
 
--- A change with numbers of frames for looks.
-local function told(self, message, change)
-  if not change then return nil end
-  if change.is_alarm or change.active_since then
-    local next_change = self.history:next_change(message.number, message.source)
-    change.next_change = next_change and self:number(next_change)
-  end
-  if change.command_in then change.command_in = self:number(change.command_in) end
-  if change.previous_change then change.previous_change = self:number(change.previous_change) end
-  return change
-end
-
 --- Takes a message into the history, in order.
 -- look     of the frame that ends it
 -- message  as History:note takes it; gets number, its look
--- returns  what changed, or nil, with numbers of frames; and the seconds since the source's
---          previous good message, for Pass:change at a later look
+-- returns  what is new in it, or nil; and the seconds since the source's previous good message, for
+--          Pass:change at a later look
 function Pass:note(look, message)
   message.number = look
-  local change, delta = self.history:note(message)
-  return told(self, message, change), delta
+  return self.history:note(message)
 end
 
---- What changed there, at a later look.
+--- What was new there, at a later look.
 -- message  as for Pass:note, and delta = what that returned
 function Pass:change(look, message)
   message.number = look
-  return told(self, message, self.history:change(message))
+  return self.history:change(message)
+end
+
+--- How things stand there (History:standing), with numbers of frames.
+-- message  which note, or change, has had
+function Pass:standing(message)
+  local standing = self.history:standing(message)
+  for _, name in ipairs(standing and FRAMES or {}) do
+    standing[name] = standing[name] and self:number(standing[name])
+  end
+  return standing
 end
 
 local Passes = {}

@@ -15,6 +15,7 @@ local byte, floor = string.byte, math.floor
 -- What a capture's times have; a difference of two of them has a little more or less.
 local NANOSECOND = 1e-9
 local NOTHING = {} -- how things stand before a source's first event
+local HUGE = math.huge
 
 local History = {}
 History.__index = History
@@ -28,15 +29,32 @@ function M.new(options)
   local self = setmetatable({ late = options.late or 2.5, by_key = {} }, History)
   self.answered = { command = not options.catalogue or nil } -- [message name] = true
   self.commands = {} -- [bus or false][message name] = numbers of messages that others answer
-  self.flags = {} -- [message] = the places of its fields of flags
   for _, message in ipairs(options.catalogue and options.catalogue.messages or {}) do
     if message.answers then self.answered[message.answers] = true end
   end
   return self
 end
 
-local function new_source()
-  return {
+-- The places of the fields of flags of a message.
+local function flags_of(message)
+  local places = {}
+  for i, field in ipairs(message.fields) do
+    if field.kind == "flags" then places[#places + 1] = i end
+  end
+  return places
+end
+
+-- The numbers of a bus's messages of one name that others answer.
+local function commands_of(self, bus, name)
+  local by_name = self.commands[bus or false] or {}
+  self.commands[bus or false] = by_name
+  by_name[name] = by_name[name] or {}
+  return by_name[name]
+end
+
+local function new_source(self, look)
+  local message, bus = look.message, look.bus
+  local source = {
     values = {}, -- of the flags of the previous good message, by index of field
     raised_at = {}, -- [index of a field with alarms] = { [bit] = when it was raised }
     clock = nil, -- the controller's, in the previous good message
@@ -45,7 +63,17 @@ local function new_source()
     numbers = {}, -- of the messages at which something happened, ascending
     events = {}, -- what happened: events[i] at numbers[i], see keep
     changes = {}, -- numbers of the messages that changed an alarm
+    -- Of its message, which stays the same:
+    flags = message and flags_of(message) or NOTHING,
+    longest = message and message.every and self.late * message.every + NANOSECOND / 2 or HUGE,
+    answered = nil, -- numbers of its bus's messages that it answers
+    own = nil, -- numbers of its own, where others answer them
   }
+  if message and message.answers then source.answered = commands_of(self, bus, message.answers) end
+  if message and self.answered[message.name] then
+    source.own = commands_of(self, bus, message.name)
+  end
+  return source
 end
 
 -- The place of the last of these ascending numbers that is not above `most`, 0 where none is.
@@ -125,21 +153,11 @@ local function mark_alarms(source, index, change, time)
   return true
 end
 
--- The places of the fields of flags of a message.
-local function flags_of(self, message)
-  local places = {}
-  for i, field in ipairs(message.fields) do
-    if field.kind == "flags" then places[#places + 1] = i end
-  end
-  self.flags[message] = places
-  return places
-end
-
 -- What changed in the flags of a good message, nil for nothing; and whether an alarm did.
-local function flag_changes(self, source, look)
+local function flag_changes(source, look)
   local raws, values, changes, is_alarm = look.raws, source.values, nil, nil
   if not raws then return nil end
-  local places = self.flags[look.message] or flags_of(self, look.message)
+  local places = source.flags
   for i = 1, #places do
     local index = places[i]
     local now, before = raws[index], values[index]
@@ -180,9 +198,9 @@ end
 
 -- A good message: keeps what it changes.
 -- clock  of the controller
-local function follow(self, source, look, clock)
+local function follow(source, look, clock)
   local state, before = source.events[#source.events] or NOTHING, source.clock
-  local flags, is_alarm = flag_changes(self, source, look)
+  local flags, is_alarm = flag_changes(source, look)
   local reboot, stale -- true or nil
   if clock and before then
     reboot, stale = clock < before or nil, clock == before or nil
@@ -190,7 +208,7 @@ local function follow(self, source, look, clock)
   local missing
   if look.seq ~= source.seq then missing = missing_before(look.seq, source.seq, reboot) end
   local is_new_clock = clock and (reboot or not before)
-  source.clock = clock or before
+  if clock then source.clock = clock end
   source.seq = look.seq
   source.last_time = look.time
   if flags or missing or is_new_clock or stale ~= state.stale then
@@ -200,116 +218,95 @@ local function follow(self, source, look, clock)
   end
 end
 
--- The numbers of a bus's messages of one name that others answer.
-local function commands_of(self, bus, name)
-  local by_name = self.commands[bus or false] or {}
-  self.commands[bus or false] = by_name
-  by_name[name] = by_name[name] or {}
-  return by_name[name]
-end
-
 -- Telling ----------------------------------------------------------------------------------------
 
+-- Nil where the message has no clock.
 local function drift_of(look, state, clock)
   if not clock or not state.clock then return nil end
   return (clock - state.clock) / 1e9 - (look.time - state.time)
 end
 
--- The latest good message before one on its bus of those that it answers.
-local function command_of(self, look)
-  local name = look.message and look.message.answers
-  if not name then return nil end
-  local numbers = commands_of(self, look.bus, name)
-  return numbers[last_until(numbers, look.number - 1)]
-end
-
-local function is_late(self, look, delta)
-  local every = look.message and look.message.every
-  return every and delta and delta > self.late * every + NANOSECOND / 2
-end
-
--- What is kept of a good message as its change.
-local function tell(self, source, look, delta, clock)
-  local place = last_until(source.numbers, look.number)
+-- How things stand behind a message, and what happened at it.
+local function events_at(source, number)
+  local place = last_until(source.numbers, number)
   local state = source.events[place] or NOTHING
-  local event = source.numbers[place] == look.number and state or NOTHING
-  -- A table of four: most changes are no more, and one with room for all keys costs 640 bytes of
-  -- garbage.
-  local change = {
-    delta = delta,
-    drift = drift_of(look, state, clock),
-    command_in = command_of(self, look),
-    active_since = state.active_since,
-  }
-  if is_late(self, look, delta) then change.late = delta end
-  if state.stale then change.stale = true end
-  if state.active_since or event.is_alarm then
-    change.previous_change = source.changes[last_until(source.changes, look.number - 1)]
-  end
-  if event ~= NOTHING then
-    change.missing, change.reboot = event.missing, event.reboot
-    change.flags, change.is_alarm = event.flags, event.is_alarm
-  end
-  return next(change) and change
+  return state, source.numbers[place] == number and state or NOTHING
 end
 
-local function only_delta(delta)
-  return delta and { delta = delta }
+-- What is new in a good message.
+local function change_of(source, number, delta)
+  local state, event = events_at(source, number)
+  local late = delta and delta > source.longest and delta or nil
+  if not (event.flags or event.missing or event.reboot or state.stale or late) then return nil end
+  return {
+    missing = event.missing,
+    late = late,
+    reboot = event.reboot,
+    stale = state.stale,
+    flags = event.flags,
+  }
 end
 
 --- Takes the next message, in the order of the capture.
 -- look     { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled
---          or nil, raws = by index of field, nil where the payload does not fit, payload =, seq =,
---          number = of the message: it grows, and no other has it; time = seconds of the capture,
---          good = whether the CRC, or the lack of one, says that it is whole }; it is not kept
--- returns  what changed, nil where nothing is known, and delta by itself: {
---   delta         seconds since the source's previous good message
+--          or nil, the same for all of a source; raws = by index of field, nil where the payload
+--          does not fit, payload =, seq =, number = of the message: it grows, and no other has it;
+--          time = seconds of the capture, good = whether the CRC, or the lack of one, says that it
+--          is whole }; it is not kept
+-- returns  what is new in it, nil where it is not good and where nothing is: {
 --   missing       messages missing before it by their Seq
---   late          seconds, where delta is more than a lost message or two
+--   late          seconds since the previous one, where they are more than a lost message or two
 --   reboot, stale true where the controller's clock went back, stood still
---   drift         seconds: controller's clock less the capture's, since the source's first message
---                 or reboot
---   command_in    number of the latest good message on the bus before it of those that it answers:
---                 a Command
 --   flags         list of { field, value, raised, cleared, alarm_raised, alarm_cleared } of the
 --                 fields whose flags changed: masks, alarm_* of the faults alone; in a source's
---                 first message all faults that are set are raised, other flags are not told
---   is_alarm      true where a fault rose or fell
---   active_since  time at which the oldest fault that is still set was raised
---   previous_change  number of the message before it that changed an alarm, where one is set or
---                    changed }
--- A message that is not good changes nothing and has its delta only.
+--                 first message all faults that are set are raised, other flags are not told }
+--          and the seconds since the source's previous good message, nil in the first
 function History:note(look)
   local source = self.by_key[look.source]
   if not source then
-    source = new_source()
+    source = new_source(self, look)
     self.by_key[look.source] = source
   end
   local delta = source.last_time and look.time - source.last_time
-  if not look.good then return only_delta(delta), delta end
-  local clock = clock_of(look)
-  follow(self, source, look, clock)
-  local name = look.message and look.message.name
-  if name and self.answered[name] then
-    local numbers = commands_of(self, look.bus, name)
-    numbers[#numbers + 1] = look.number
-  end
-  return tell(self, source, look, delta, clock), delta
+  if not look.good then return nil, delta end
+  follow(source, look, clock_of(look))
+  local own = source.own
+  if own then own[#own + 1] = look.number end
+  return change_of(source, look.number, delta), delta
 end
 
 --- What History:note said of a message, at any later time and in any order.
 -- look     as it was given to note, and delta = what note said, which only the caller keeps
 function History:change(look)
   local source = self.by_key[look.source]
-  if not source or not look.good then return only_delta(look.delta) end
-  return tell(self, source, look, look.delta, clock_of(look))
+  return source and look.good and change_of(source, look.number, look.delta) or nil
 end
 
---- The number of the next message of a source that changes an alarm, nil where none does.
--- number   of a message; source: its key
-function History:next_change(number, source)
-  local changes = self.by_key[source] and self.by_key[source].changes or NOTHING
-  return changes[last_until(changes, number) + 1]
+--- How things stand at a message, whether it changes them or not.
+-- look     as it was given to note
+-- returns  nil where it is not good, else {
+--   drift         seconds: controller's clock less the capture's, since the source's first message
+--                 or reboot
+--   command_in    number of the latest good message on the bus before it of those that it answers:
+--                 a Command
+--   active_since  time at which the oldest fault that is still set was raised
+--   previous_change, next_change  numbers of the messages before and behind it that changed an
+--                 alarm, where one is set or changed }
+function History:standing(look)
+  local source = self.by_key[look.source]
+  if not source or not look.good then return nil end
+  local number, commands, changes = look.number, source.answered, source.changes
+  local state, event = events_at(source, number)
+  local standing = {
+    drift = drift_of(look, state, clock_of(look)),
+    command_in = commands and commands[last_until(commands, number - 1)],
+    active_since = state.active_since,
+  }
+  if state.active_since or event.is_alarm then
+    standing.previous_change = changes[last_until(changes, number - 1)]
+    standing.next_change = changes[last_until(changes, number) + 1]
+  end
+  return standing
 end
 
 return M

@@ -144,9 +144,10 @@ end
 --          message = of the catalogue, where the ID is known
 --          raws and look = from decode.read, where the size fits too
 --          has_fault = whether a fault flag is set
---          change = what is new since the source's previous one
--- memory   whose change(memory, m, ...) tells that (can.memory, serial.memory); ...: what it takes
---          besides
+--          change = what is new in it, or false; delta = seconds since the source's previous good
+--          one; standing = how things stand, where wants_standing is true (see message.history)
+-- memory   whose change(memory, m, ...) and standing(memory, m, ...) tell that (can.memory,
+--          serial.memory); ...: what they take besides
 function Reader:read(m, memory, ...)
   local message, raws, look = self:message_of(m.id, m.bus_name), nil, nil
   if message and m.size == message.size and m.is_whole then
@@ -154,7 +155,8 @@ function Reader:read(m, memory, ...)
   end
   m.message, m.raws, m.look = message, raws, look
   m.has_fault = look and decode.has_alarm(message, raws)
-  m.change = memory:change(m, ...)
+  m.change = memory:change(m, ...) or false
+  m.standing = m.wants_standing and memory:standing(m, ...) or false
   if self.stat.wanted then self.tell:message(m) end
 end
 

@@ -200,7 +200,7 @@ local function show_frame(self, view, tvb, index)
     visited = fact.visited,
     tree = view.tree,
     wanted = view.wanted,
-    is_brief = not view.wanted,
+    wants_standing = view.wants.standing,
     has_columns = view.wants.columns,
   }
   self.reader:read(m, self.memory, view.packet, index, fact)
@@ -290,7 +290,7 @@ end
 local function show(self, view)
   local packet, wants, texts = view.packet, view.wants, {}
   view.wanted = wants.yapp or wants.taurus
-  if not view.wanted then self.tree:bare(view.tree, wants, true) end
+  if wants.names and not view.wanted then self.tree:bare(view.tree, wants, true) end
   for i, event in ipairs(packet.events) do
     local tvb, bytes = view.tvb, event.bytes
     if bytes and view.wanted then

@@ -289,13 +289,13 @@ function Memory:look(fact)
   }
 end
 
---- What changed with a frame since its source's previous good one (see message.history).
+--- What is new in a frame (see message.history).
 -- message  as History:note takes it; number, delta and is_unsure are filled in
 -- packet   from look, for this fact
 -- index    of the frame among its events
 -- fact     as given to look
 -- returns  a change, or nil, as for a frame that is not good, and where it is_unsure: the first
---          pass took several sources for one; its numbers are those of packets
+--          pass took several sources for one
 function Memory.change(_, message, packet, index, fact)
   if not message.good then return nil end
   local pass, event = packet.pass, packet.piece.events[index]
@@ -307,9 +307,14 @@ function Memory.change(_, message, packet, index, fact)
     return pass:change(look, message)
   end
   local change, delta = pass:note(look, message)
-  event.delta = delta
+  message.delta, event.delta = delta, delta
   if not pass.entries[look] then pass.entries[look] = delta or false end
   return change
+end
+
+--- How things stand at it, once Memory:change has told.
+function Memory.standing(_, message, packet)
+  return message.good and not message.is_unsure and packet.pass:standing(message) or nil
 end
 
 --- The frames that the capture ends before, as far as the pass that was made last has come.

@@ -223,7 +223,7 @@ end
 
 --- Shows a message, and its expert items.
 -- m        of message.reader, as Tree:payload takes it, and label = what the message is called
---          where its title does not tell it, or nil; is_steady = whether what is wanted of a tree
+--          where its title does not tell it, or false; is_steady = whether what is wanted of a tree
 --          cannot change before the next reset
 -- returns  the Taurus item; nil without a tree
 function Taurus:show(m)
@@ -249,14 +249,14 @@ local function add_wanted(item, pf, value)
   return add_generated(item, pf, value)
 end
 
--- Adds what changed; returns the item of the clock's drift.
-local function add_values(self, item, m)
-  local own, change = self.messages[m.message], m.change
-  local since, drift = change.active_since, change.drift
+-- Adds how things stand; returns the item of the clock's drift.
+local function add_standing(self, item, m)
+  local own, standing = self.messages[m.message], m.standing
+  local since, drift = standing.active_since, standing.drift
   add_wanted(item, own.active_time, since and relative_time(m.time - since))
-  add_wanted(item, own.previous, change.previous_change)
-  add_wanted(item, own.next, change.next_change)
-  add_wanted(item, own.command_in, change.command_in)
+  add_wanted(item, own.previous, standing.previous_change)
+  add_wanted(item, own.next, standing.next_change)
+  add_wanted(item, own.command_in, standing.command_in)
   return add_wanted(item, own.drift, drift and relative_time(drift))
 end
 
@@ -275,16 +275,16 @@ end
 
 --- Adds what the history says of a message, all of it generated, with its expert items.
 -- item     the Taurus item, or YAPP's where no tree is wanted
--- m        a message of message.reader, with its change; the frames in that are frame numbers
+-- m        a message of message.reader
 -- is_tree  whether it is the Taurus item; else there are expert items only
 -- returns  a list of the names of faults that were cleared: { "motor_overcurrent, hall_timeout" }
 function Taurus:add_change(item, m, is_tree)
-  local change, cleared = m.change, {}
+  local change, cleared = m.change or NONE, {}
   for _, one in ipairs(change.flags or NONE) do
     add_bits(self, item, one, "raised", is_tree)
     cleared[#cleared + 1] = add_bits(self, item, one, "cleared", is_tree)
   end
-  local drift = is_tree and add_values(self, item, m)
+  local drift = is_tree and m.standing and add_standing(self, item, m)
   if change.reboot then (drift or item):add_proto_expert_info(self.experts.reboot) end
   if change.stale then (drift or item):add_proto_expert_info(self.experts.stale) end
   return cleared

@@ -48,7 +48,9 @@ end
 local IS_TSHARK = not gui_enabled()
 local NO_COLUMN = "(info)" -- what the API calls it where there are no columns at all
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
-local NOTHING, LIST = {}, { columns = true } -- where nobody wants a tree
+-- Where nobody wants a tree.
+local NOTHING = { columns = false, yapp = false, taurus = false, standing = false, names = false }
+local LIST = { columns = true, yapp = false, taurus = false, standing = false, names = false }
 
 -- What is wanted of a look at a packet.
 local function ask(self, tree, pinfo, is_first)
@@ -81,17 +83,13 @@ function Tree:wants(tree, pinfo, is_again)
   return self.wanted
 end
 
---- Where nobody wants YAPP's own items, but there is a tree: its name, for who asks for protocols
---  (-z io,phs).
+--- Where nobody wants YAPP's own items, but there is a tree, and the names of protocols are wanted:
+--- its name, for who asks for them (-z io,phs).
 -- wants       of the tree; is_message: whether there is a message's name too
--- returns     the tree, for the expert items
 -- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
 function Tree:bare(tree, wants, is_message)
-  if wants.names then
-    add(tree, self.yapp)
-    if is_message and not wants.taurus then add(tree, self.taurus) end
-  end
-  return tree
+  add(tree, self.yapp)
+  if is_message and not wants.taurus then add(tree, self.taurus) end
 end
 
 --- What an ID is called: "Motor Data", "Motor Data 0x212 (can1)", "Motor Data left_fore", "ID
@@ -111,10 +109,10 @@ function Tree:expert(item, name, text)
 end
 
 --- Adds a field of YAPP's that no bytes of the packet say, where it has a value.
--- name     its filter without "yapp."
+-- name     its filter without "yapp."; value: nil or false for none
 -- returns  the item
 function Tree:generated(item, name, value)
-  if value == nil then return nil end
+  if not value then return nil end
   return add_generated(item, self.fields[name], value)
 end
 
@@ -180,11 +178,10 @@ end
 --  messages that are missing.
 -- message  of message.reader
 function Tree:add_delta(item, message)
-  local change = message.change or {}
-  local delta = change.delta
+  local delta, change = message.delta, message.change
   self:generated(item, "time_delta", delta and fields_of.relative_time(delta))
-  self:generated(item, "seq.missing", change.missing)
-  self:generated(item, "message.fault", message.has_fault or nil)
+  self:generated(item, "seq.missing", change and change.missing)
+  self:generated(item, "message.fault", message.has_fault)
 end
 
 --- A number of bytes in words: "1 byte", "2 bytes".
@@ -210,7 +207,7 @@ end
 
 -- What the Info column says of what changed, and the tree and the expert items of that.
 local function show_change(self, m, top)
-  local change = m.change
+  local change = m.change or NOTHING
   local cleared, info = self.messages:add_change(top or m.item, m, top ~= nil), ""
   if cleared[1] then info = "  cleared " .. table.concat(cleared, ", ") end
   if change.reboot then return info .. "  REBOOT" end
@@ -230,12 +227,12 @@ function Tree:payload(m)
   end
   if not m.raws then return show_bytes(self, m) end
   if #m.payload == 0 then m.tvb = nil end
-  m.label = m.name ~= m.message.title and m.name or nil
+  m.label = m.name ~= m.message.title and m.name
   m.is_steady = IS_TSHARK and not m.visited
   local top = self.messages:show(m)
   local info = m.has_columns and info_of.text(m.message, m.raws, m.payload, m.name, m.look) or ""
-  local has_more = change and (top or change.flags or change.reboot or change.stale)
-  return has_more and info .. show_change(self, m, top) or info
+  if change or top then info = info .. show_change(self, m, top) end
+  return info
 end
 
 return M

@@ -24,28 +24,32 @@ do
   end
 end
 
-M.MAX_KEPT = 4096 -- ids kept taken apart: a bus has few, a hostile capture any number
-local addresses, address_count = {}, 0
-
---- A 29-bit CAN id taken apart ("CAN Message IDs").
--- can_id   0 .. 0x1FFFFFFF
--- returns  { can_id, id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, key = what the
---          frames of a message share, key_bytes = the same as 4 bytes, big endian }; usually the
---          same table for the same id: read only
-function M.address(can_id)
-  local address = addresses[can_id]
-  if address then return address end
+local function take_apart(addresses, can_id)
   local seq = integer(can_id % 0x100)
   local ctl = integer((can_id - seq) / 0x100 % 0x40)
   local ctrl = integer((can_id - can_id % 0x4000) / 0x4000 % 0x10)
-  local key = can_id - ctrl * 0x4000
-  local a, b, c, d = key % 0x100, key % 0x10000, key % 0x1000000, key
-  address = { can_id = can_id, id = integer((can_id - can_id % 0x40000) / 0x40000), ctrl = ctrl, ctl = ctl, seq = seq,
-    key = key, key_bytes = char((d - c) / 0x1000000, (c - b) / 0x10000, (b - a) / 0x100, a) }
-  if address_count == M.MAX_KEPT then addresses, address_count = {}, 0 end
-  addresses[can_id], address_count = address, address_count + 1
+  local id = integer((can_id - can_id % 0x40000) / 0x40000)
+  local address = {
+    can_id = can_id,
+    id = id,
+    ctrl = ctrl,
+    ctl = ctl,
+    seq = seq,
+    key = can_id - ctrl * 0x4000,
+    key_bytes = char((id - id % 0x100) / 0x100, id % 0x100, ctl, seq),
+    seed = nil, -- see M.seed
+    seed_size = nil,
+  }
+  addresses[can_id] = address
   return address
 end
+
+--- A 29-bit CAN id taken apart ("CAN Message IDs"): address[can_id], 0 .. 0x1FFFFFFF, is
+--   { can_id, id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, key = what the frames of
+--   a message share, key_bytes = the same as 4 bytes }
+-- Usually the same table for the same id: read only.  A bus has few, a hostile capture any number:
+-- those that nobody holds go with the next collection.
+M.address = setmetatable({}, { __mode = "v", __index = take_apart })
 
 --- How many bytes of CAN FD padding a last, or single, frame carries.
 -- data    its captured bytes; reported: its length on the bus; needed: what the message still lacks
@@ -65,8 +69,9 @@ end
 function M.header(address, size, reserved)
   local id = address.id
   reserved = reserved or 0
-  return char(0x59, 0x50, address.seq, address.ctl, id % 0x100, (id - id % 0x100) / 0x100, 0, 0,
-    size % 0x100, (size - size % 0x100) / 0x100, reserved % 0x100, (reserved - reserved % 0x100) / 0x100)
+  local id_low, size_low, reserved_low = id % 0x100, size % 0x100, reserved % 0x100
+  return char(0x59, 0x50, address.seq, address.ctl, id_low, (id - id_low) / 0x100, 0, 0,
+    size_low, (size - size_low) / 0x100, reserved_low, (reserved - reserved_low) / 0x100)
 end
 
 --- The register of the CRC behind that header; kept for the next message of the same id and size.
