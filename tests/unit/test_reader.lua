@@ -62,9 +62,18 @@ function T.test_what_a_source_is_called()
     { "0x211=motor:", false, 0x200, "can0", "0x200", "Health" },
   } do
     local r = new(row[1], nil, row[2])
-    lu.assertEquals({ r:source_text(row[3], row[4]), r:label(row[3], row[4]) }, { row[5], row[6] },
+    local source = r:new_source("key", row[3], false, row[4])
+    lu.assertEquals({ source.text, source.name }, { row[5], row[6] },
       ("%s, 0x%x on %s"):format(row[1], row[3], tostring(row[4])))
   end
+end
+
+-- A serial line is told apart by port or conversation, unless the user gave a name.
+function T.test_what_a_source_of_a_stream_is_called()
+  local line = "10.0.0.1:14550"
+  local function text(r, id) return r:new_source("key", id, false, nil, line).text end
+  lu.assertEquals(text(new("0x200=left", nil, true), 0x210), "10.0.0.1:14550 0x210")
+  lu.assertEquals(text(new("0x200=left", nil, true), 0x200), "left")
 end
 
 function T.test_the_id_is_told_where_it_is_not_the_default()

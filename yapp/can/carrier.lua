@@ -42,33 +42,15 @@ function M.new(tree, reader, buses, claim)
   return setmetatable(self, Carrier)
 end
 
--- A source, a bus and an ID, and what is worked out of it once.
-local function new_source(self, key, id, bus)
-  local reader, bus_name = self.reader, self.buses:name(bus)
-  local name = reader:label(id, bus_name)
-  return {
-    key = key,
-    bus = bus,
-    bus_name = bus_name,
-    size = reader:size_of(id, bus_name), -- of its messages, nil for an unknown ID
-    name = name,                         -- in the Info column
-    text = reader:source_text(id, bus_name), -- in the column Source
-    texts = {}, -- of the parts of its messages, see part_text
-    -- A message, as message.reader and show.tree take it: nobody keeps it, so the next one is told
-    -- in the same table, as a new one took a tenth of a packet list.
-    message = { id = id, name = name, source = key, bus = bus, bus_name = bus_name, at = 0 },
-  }
-end
-
 --- Forgets the capture file: nothing survives into the next one.
 -- options  { new_history = function() -> a message.history }
 function Carrier:reset(options)
-  local sources = {}
+  local reader, buses, sources = self.reader, self.buses, {}
   local function source_of(id, bus)
     local key = (bus or -1) * 0x800 + id
     local source = sources[key]
     if not source then
-      source = new_source(self, key, id, bus)
+      source = reader:new_source(key, id, bus, buses:name(bus))
       sources[key] = source
     end
     return source
@@ -82,7 +64,6 @@ function Carrier:reset(options)
   -- The frame of now, as the memory takes it, and tvb, pinfo, tree: used again for the next one.
   -- COMPAT 5.2: where there is nothing, false: to write nil under a name that has none makes the
   -- table anew.
-  local buses = self.buses
   local place = buses.found.place
   self.frame = { place = place or 0, bus = false, knows_bus = true }
   self.has_places, self.asks = not place, buses.asks
@@ -124,7 +105,7 @@ local function add_item(self, frame)
   local kind = KINDS[address.ctrl] or "undefined frame"
   local title = ("%s, %s, %s"):format(builder.yapp.description, source.name, kind)
   local item = add(frame.tree, builder.yapp, frame.tvb(), title)
-  builder:add_address(item, address, source.bus_name)
+  builder:add_address(item, address, source)
   return item
 end
 

@@ -108,13 +108,30 @@ function Reader:label(id, bus)
   return bus and ("%s (%s)"):format(label, bus) or label
 end
 
---- What a source is called, the column Source: the name that the user gave, or the ID, in a capture
--- of several buses with its bus.
-function Reader:source_text(id, bus)
-  local name = self:name_of(id, bus)
-  if name then return name end
-  local text = ("0x%x"):format(id)
-  return self.has_several and bus and bus .. " " .. text or text
+--- A source, a bus or a stream and an ID, and what is worked out of it once.
+-- key       of the source; id: message ID; bus: key of the bus or stream, or false
+-- bus_name  or nil where the capture names none
+-- line      what tells the source apart besides its ID, where nothing else does; nil for the bus in a
+--           capture of several
+-- returns   { key, bus, bus_name, size = of its messages or nil, name = of them in the Info column
+--           (see Reader:label), text = what the source is called, the column Source: the name that
+--           the user gave, or line and ID; texts = of the parts of its messages, of can.carrier;
+--           message = a record for Reader:read: nobody keeps one, so the next one is told in the
+--           same table, as a new one took a tenth of a packet list }
+function Reader:new_source(key, id, bus, bus_name, line)
+  local name, text = self:label(id, bus_name), self:name_of(id, bus_name)
+  line = line or self.has_several and bus_name
+  text = text or (line and line .. " " or "") .. ("0x%x"):format(id)
+  return {
+    key = key,
+    bus = bus,
+    bus_name = bus_name,
+    size = self:size_of(id, bus_name),
+    name = name,
+    text = text,
+    texts = {},
+    message = { id = id, name = name, source = key, bus = bus, bus_name = bus_name, at = 0 },
+  }
 end
 
 --- What there is to say of a message that is not in the catalogue: its size may be that of one that

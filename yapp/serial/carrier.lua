@@ -39,6 +39,7 @@ function Carrier:reset(options)
     new_framer = function() return self:framer() end,
     new_history = options.new_history,
   }
+  self.sources = {} -- by stream, by ID
 end
 
 --- A framer of a stream: a serial.stream.
@@ -60,58 +61,59 @@ end
 
 -- A packet ----------------------------------------------------------------------------------------
 
--- The facts of a packet, for the memory, and what is shown of its stream: bus and bus_name;
--- bus_key, by which a Command and what it commands know each other (both ways of a conversation;
--- all there is on a UART, whose directions are sources of their own); line, what tells its sources
--- apart, nil where nothing does; time.
+-- The facts of a packet, for the memory, and what is shown of its stream: bus_name; bus_key, by
+-- which a Command and what it commands know each other (both ways of a conversation; all there is on
+-- a UART, whose directions are sources of their own); line, what tells its sources apart, nil where
+-- nothing does; has_address; time.
 local function facts_of(self, tvb, pinfo)
   local kind = pinfo.port_type
   local is_ip = kind == UDP or kind == TCP
   local address = tostring(pinfo.src)
   local here = ("%s|%d"):format(address, pinfo.src_port)
   local there = ("%s|%d"):format(tostring(pinfo.dst), pinfo.dst_port)
-  local fact = {
+  local transport, bus_key, bus, knows_all = "stream", "serial", nil, true
+  if is_ip then
+    bus_key = here < there and here .. there or there .. here
+  else
+    bus, knows_all = self.buses:of(pinfo)
+  end
+  if kind == UDP then
+    transport = "datagram"
+  elseif kind == TCP and pinfo.can_desegment > 0 then
+    transport = "segment"
+  end
+  local bus_name, has_address = self.buses:name(bus, is_ip), not NO_ADDRESS[address]
+  local line = bus and bus_name
+  if has_address then line = ("%s:%d"):format(address, pinfo.src_port) end
+  return {
     number = pinfo.number,
     place = tvb:offset(),
     bytes = tvb:raw(),
     truncated = tvb:reported_len() > tvb:len(),
     time = pinfo.rel_ts,
     visited = pinfo.visited,
-    knows_all = true,
-    transport = "stream",
-    bus_key = "serial",
+    knows_all = knows_all,
+    transport = transport,
+    stream = ("%s|%d|%s|%s"):format(bus or "", kind, here, there),
+    bus_key = bus_key,
+    bus_name = bus_name,
+    line = line,
+    has_address = has_address,
   }
-  if is_ip then
-    fact.bus_key = here < there and here .. there or there .. here
-  else
-    fact.bus, fact.knows_all = self.buses:of(pinfo)
-  end
-  fact.stream = ("%s|%d|%s|%s"):format(fact.bus or "", kind, here, there)
-  fact.bus_name = self.buses:name(fact.bus, is_ip)
-  if kind == UDP then
-    fact.transport = "datagram"
-  elseif kind == TCP and pinfo.can_desegment > 0 then
-    fact.transport = "segment"
-  end
-  fact.has_address = not NO_ADDRESS[address]
-  if fact.has_address then
-    fact.line = ("%s:%d"):format(address, pinfo.src_port)
-  elseif fact.bus then
-    fact.line = fact.bus_name
-  end
-  return fact
 end
 
--- The key of a source.
-local function key_of(fact, id)
-  return fact.stream .. "|" .. id
-end
-
--- What a source is called: as the user says, or by what tells it apart.
-local function source_text(self, fact, id)
-  local name = self.reader:name_of(id, fact.bus_name)
-  if name then return name end
-  return (fact.line and fact.line .. " " or "") .. ("0x%x"):format(id)
+-- A source, see message.reader.
+local function source_of(self, fact, id)
+  local of_stream = self.sources[fact.stream] or {}
+  self.sources[fact.stream] = of_stream
+  local source = of_stream[id]
+  if not source then
+    local key = fact.stream .. "|" .. id
+    source = self.reader:new_source(key, id, fact.bus_key, fact.bus_name, fact.line)
+    source.message.stream = fact.stream
+    of_stream[id] = source
+  end
+  return source
 end
 
 -- What is shown -----------------------------------------------------------------------------------
@@ -140,22 +142,21 @@ local LABELS = { good = ", CRC good", bad = ", CRC BAD", cut = ", not whole" }
 local MARKS = { good = "", bad = "  [BAD CRC]", cut = "  [INCOMPLETE]" } -- in the Info column
 
 -- YAPP's own item.  tvb and at: where the bytes of the frame are.
-local function add_frame(self, view, tvb, at, event)
+local function add_frame(self, view, source, tvb, at, event)
   local builder, fact = self.tree, view.fact
   local fields = builder.fields
   local item = add(view.tree, builder.yapp, tvb(at, event.length))
-  append_text(item, (", %s"):format(builder:name(event.id, fact.bus_name)))
+  append_text(item, (", %s"):format(source.name))
   add(item, fields.sync, tvb(at, 2))
   add(item, fields.seq, tvb(at + 2, 1))
   add(item, fields.ctl, tvb(at + 3, 1))
   builder:add_id(item, tvb(at + 4, 4), event.id, fact.bus_name)
   append_text(add_le(item, fields.size, tvb(at + 8, 2)), " bytes")
   add_le(item, fields.reserved, tvb(at + 10, 2))
-  if fact.bus_name then add_generated(item, fields.bus, fact.bus_name) end
-  add_generated(item, fields.source, source_text(self, fact, event.id))
+  builder:add_source(item, source)
   if event.parts then
     local payload = #event.payload > 0 and tvb(at + HEADER, #event.payload) or nil
-    add_generated(item, fields["reassembled.in"], event.shown_in)
+    add_generated(item, fields["reassembled.in"], fact.number)
     builder:add_fragments(item, tvb, event.parts, event.count, event.length, payload)
   end
   if event.status ~= "cut" then
@@ -175,44 +176,44 @@ local function say_cut(self, m, event)
   end
 end
 
+-- A frame as a message.
+local function finished(view, source, event)
+  local m, fact, status = source.message, view.fact, event.status
+  m.seq = event.seq
+  m.size = event.size
+  m.payload = event.payload
+  m.status = status
+  m.good = status == "good"
+  -- Where in it the bytes are missing nobody knows, unless the capture cut it.
+  m.is_whole = status ~= "cut" or event.truncated or false
+  m.frame = fact.number
+  m.time = fact.time
+  m.visited = fact.visited
+  m.tree = view.tree
+  m.item = view.tree
+  m.tvb = false
+  m.wanted = view.wanted
+  m.wants_standing = view.wants.standing
+  m.has_columns = view.wants.columns
+  return m
+end
+
 -- A frame, good, bad or cut; returns what the Info column says of it.
 local function show_frame(self, view, tvb, index)
   local builder, event, fact = self.tree, view.packet.events[index], view.fact
-  local status, at = event.status, event.at or 0
-  -- Where in it the bytes are missing nobody knows.
-  local is_lost = status == "cut" and not event.truncated
-  local m = {
-    id = event.id,
-    seq = event.seq,
-    ctl = event.ctl,
-    size = event.size,
-    payload = event.payload,
-    status = status,
-    good = status == "good",
-    is_whole = not is_lost,
-    source = key_of(fact, event.id),
-    stream = fact.stream,
-    bus = fact.bus_key,
-    bus_name = fact.bus_name,
-    name = builder:name(event.id, fact.bus_name),
-    frame = fact.number,
-    time = fact.time,
-    visited = fact.visited,
-    tree = view.tree,
-    wanted = view.wanted,
-    wants_standing = view.wants.standing,
-    has_columns = view.wants.columns,
-  }
+  local status, at, source = event.status, event.at or 0, source_of(self, fact, event.id)
+  local m = finished(view, source, event)
   self.reader:read(m, self.memory, view.packet, index, fact)
-  m.item = view.wanted and add_frame(self, view, tvb, at, event) or view.tree
-  m.tvb, m.at = view.wanted and tvb, at + HEADER
+  if view.wanted then
+    m.item, m.tvb, m.at = add_frame(self, view, source, tvb, at, event), tvb, at + HEADER
+  end
   if status == "bad" then builder:bad_crc(m.item, event) end
   if status == "cut" then say_cut(self, m, event) end
   if event.reserved ~= 0 then
     local text = ("The reserved bytes are 0x%04x, not 0"):format(event.reserved)
     builder:expert(m.item, "reserved.nonzero", text)
   end
-  if not (is_lost and m.message) then return builder:payload(m) .. MARKS[status] end
+  if m.is_whole or not m.message then return builder:payload(m) .. MARKS[status] end
   if m.wanted and #m.payload > 0 then
     add(m.item, builder.fields.payload, tvb(m.at, #m.payload))
   end
@@ -279,7 +280,7 @@ local function show_columns(self, view, texts)
   columns.protocol, columns.info = "YAPP", table.concat(texts, " | ")
   for _, event in ipairs(view.packet.events) do
     if event.id and not fact.has_address then
-      columns.src = source_text(self, fact, event.id)
+      columns.src = source_of(self, fact, event.id).text
       return
     end
   end
@@ -370,7 +371,7 @@ function Carrier:unfinished()
     list[i] = {
       id = id,
       seq = seq,
-      source = key_of(fact, id),
+      source = source_of(self, fact, id).key,
       frame = fact.number,
       time = fact.time,
       bus = fact.bus_key,

@@ -37,10 +37,11 @@ local function stream_of(self, pass, key)
   local stream = streams[key]
   if not stream then
     stream = {
-      framer = self.new_framer(), length = 0, -- and the bytes that it was given
-      waiting = {}, first = 1, last = 0,      -- the packets with bytes that it has not given out
-      joined = nil,                           -- where TCP joins segments: see take.segment
-      fact = nil, piece = nil,                -- of the latest packet
+      framer = self.new_framer(),
+      length = 0, -- bytes that it was given
+      waiting = {}, first = 1, last = 0, -- the packets with bytes that it has not given out
+      joined = nil, -- where TCP joins segments: see take.segment
+      fact = nil, look = nil, -- of the latest packet
     }
     streams[key] = stream
   end
@@ -50,12 +51,9 @@ end
 -- Taking a packet: each returns a piece -----------------------------------------------------------
 --
 -- { events, base = offset of the packet in its stream, done = bytes that are settled, pending =
--- bytes that wait,
---   missing = bytes to come of the frame that waits, leads_to = look at the packet that shows it,
---   stream }
--- An event is the framer's, with truncated = whether the capture cut it; without bytes where they
--- are in the packet; with parts = looks at its packets, look = of the message where the packet has
--- one before it, delta = of its source.
+-- bytes that wait, missing = bytes to come of the frame that waits }
+-- An event is the framer's, with truncated = whether the capture cut it, and parts = looks at the
+-- packets that it came in, where it began in an earlier one.
 
 -- Appends what a framer found; skipped bytes that follow skipped bytes are one event.
 local function append(events, found)
@@ -72,7 +70,7 @@ end
 -- Whatever waits in the framer is cut off.
 local function finish(framer, events, is_truncated)
   local rest = framer:finish()
-  for _, event in ipairs(rest) do event.truncated = is_truncated or nil end
+  for _, event in ipairs(rest) do event.truncated = is_truncated end
   append(events, rest)
 end
 
@@ -128,7 +126,7 @@ local function link(stream, event, base, look)
   for i = stream.first, stream.last do
     if waiting[i].from >= event.to then break end
     parts[#parts + 1] = waiting[i].look
-    waiting[i].piece.leads_to = look
+    waiting[i].kept.leads_to = look
   end
   if base < event.to then parts[#parts + 1] = look end
   event.parts = parts
@@ -147,51 +145,81 @@ function take.stream(_, stream, fact, look)
   end
   forget(stream, framer:offset())
   local done = max(framer:offset(), base)
-  local piece = {
+  return {
     events = events,
     base = base,
     done = done - base,
     pending = to - done,
     missing = framer:waiting(),
   }
-  if piece.pending > 0 then
-    stream.last = stream.last + 1
-    stream.waiting[stream.last] = { piece = piece, look = look, from = base, to = to }
-    piece.stream = stream
-  end
-  return piece
 end
 
--- Whether a packet is one good frame and no more.  Most are, and of those nothing is kept but the
--- delta: the rest is in their bytes, which come again with each look.
-local function is_one_frame(piece, fact)
-  local event = piece.events[1]
-  if piece.done < #fact.bytes or not event or not event.good then return false end
-  return event.from == piece.base and event.to - event.from == piece.done
+-- What is kept of a packet ------------------------------------------------------------------------
+--
+-- Of one that is a good frame and no more the seconds since the source's previous one, or false: the
+-- rest is in its bytes, which come again with each look.  Else a table:
+--   1 .. n     by event, the seconds since its source's previous one
+--   looks      by event, the look of a frame that has another before it in the packet
+--   leads_to   look at the packet that shows the bytes that wait
+-- and the piece, or, where it has good frames only, as most have: waited = the bytes of the first
+-- one in earlier packets, parts = looks at these; then the piece is made again.
+
+local function has_good_frames_only(piece, fact)
+  for _, event in ipairs(piece.events) do
+    if not event.good then return false end
+  end
+  return piece.events[1] and piece.done + piece.pending == #fact.bytes
+end
+
+local function kept_of(piece, fact)
+  if not has_good_frames_only(piece, fact) then
+    for _, event in ipairs(piece.events) do
+      if event.from >= piece.base then event.bytes = nil end -- they are in the packet anyway
+    end
+    return piece
+  end
+  local first, base = piece.events[1], piece.base
+  local is_all = piece.pending == 0 and not piece.events[2]
+  if is_all and first.from == base then return false end
+  local waited = first.from < base and sub(first.bytes, 1, base - first.from) or ""
+  return { waited = waited, parts = first.parts, looks = nil, leads_to = nil }
+end
+
+-- The piece of a packet of which its bytes alone are kept.
+local function piece_again(self, kept, fact)
+  local framer, waited = self.new_framer(), kept and kept.waited or ""
+  local events = framer:feed(waited .. fact.bytes)
+  events[1].parts = kept and kept.parts
+  local done = framer:offset() - #waited
+  return {
+    events = events,
+    base = #waited,
+    done = done,
+    pending = #fact.bytes - done,
+    missing = framer:waiting(),
+  }
 end
 
 -- Takes a packet into its stream.
 local function take_packet(self, pass, look, fact)
   local stream = stream_of(self, pass, fact.stream)
   local piece = take[fact.transport](self, stream, fact, look)
-  stream.fact, stream.piece = fact, piece
-  for i, event in ipairs(piece.events) do
-    if event.from >= piece.base then event.bytes = nil end -- they are in the packet anyway
-    if i > 1 and event.kind ~= "skipped" then
-      event.look = pass:another()
-      pass.entries[event.look] = false
+  local kept = kept_of(piece, fact)
+  stream.fact, stream.look = fact, look
+  pass.entries[look] = kept
+  for i = 2, #piece.events do
+    if piece.events[i].kind ~= "skipped" then
+      kept.looks = kept.looks or {}
+      kept.looks[i] = pass:another()
+      pass.entries[kept.looks[i]] = false
     end
   end
-  pass.entries[look] = not is_one_frame(piece, fact) and piece
-  return piece
-end
-
--- What the pass knows of a packet; nil for nothing.
-local function recall(pass, look, fact)
-  local kept, size = pass.entries[look], #fact.bytes
-  if type(kept) == "table" or kept == nil then return kept end
-  local event = { kind = "frame", good = true, from = 0, to = size, delta = kept or nil }
-  return { events = { event }, base = 0, done = size, pending = 0 }
+  if piece.pending > 0 then
+    local to = piece.base + #fact.bytes
+    stream.last = stream.last + 1
+    stream.waiting[stream.last] = { kept = kept, look = look, from = piece.base, to = to }
+  end
+  return kept, piece
 end
 
 -- What a packet holds -----------------------------------------------------------------------------
@@ -204,27 +232,40 @@ local function numbers_of(pass, looks)
 end
 
 -- An event as it is told.
-local function shown(pass, event, piece, fact)
-  local at, bytes, length = event.from - piece.base, fact.bytes, event.to - event.from
-  local status = event.kind
+local function told(pass, event, piece, fact)
+  local length, status = event.to - event.from, event.kind
+  local at, bytes, earlier = event.from - piece.base, fact.bytes, nil
+  if at < 0 then
+    earlier, at, bytes = event.bytes, nil, event.bytes
+  end
   if status == "frame" then status = event.good and "good" or "bad" end
-  local told = { status = status, length = length, bytes = event.bytes }
-  if not event.bytes then told.at = at end
-  if status == "skipped" then return told end
-  if event.bytes then at, bytes = 0, event.bytes end
-  told.id, told.size, told.reserved, told.seq, told.ctl = frame.parse(bytes, at + 1)
-  told.payload = sub(bytes, at + HEADER + 1, at + min(HEADER + told.size, length))
-  told.missing, told.truncated = event.missing, event.truncated
+  if status == "skipped" then
+    return { status = status, length = length, at = at, bytes = earlier }
+  end
+  local from, parts, sent, calculated = at or 0, event.parts, nil, nil
+  local id, size, reserved, seq, ctl = frame.parse(bytes, from + 1)
   if status == "bad" then
-    told.crc = frame.crc(bytes, at + length)
-    told.calculated = crc.update(crc.INITIAL, bytes, at + 1, at + length - CRC_SIZE)
+    sent = frame.crc(bytes, from + length)
+    calculated = crc.update(crc.INITIAL, bytes, from + 1, from + length - CRC_SIZE)
   end
-  if event.parts then
-    told.parts = numbers_of(pass, event.parts)
-    told.count = #event.parts
-    told.shown_in = fact.number
-  end
-  return told
+  return {
+    status = status,
+    length = length,
+    at = at,
+    bytes = earlier,
+    id = id,
+    size = size,
+    reserved = reserved,
+    seq = seq,
+    ctl = ctl,
+    payload = sub(bytes, from + HEADER + 1, from + min(HEADER + size, length)),
+    crc = sent,
+    calculated = calculated,
+    missing = event.missing,
+    truncated = event.truncated,
+    parts = parts and numbers_of(pass, parts),
+    count = parts and #parts,
+  }
 end
 
 -- The header of the frame that is open at the end of a stream; nil for none.
@@ -234,9 +275,9 @@ end
 
 -- Whether the capture ends before the frame of a packet's last bytes: a pass that has come to its
 -- end knows.
-local function is_unfinished(self, pass, piece)
-  local stream = piece.stream
-  return stream and stream.piece == piece and pass.highest >= self.passes.first.highest and
+local function is_unfinished(self, pass, look, fact)
+  local stream = self.streams[pass][fact.stream]
+  return stream and stream.look == look and pass.highest >= self.passes.first.highest and
     open_header(stream) ~= nil
 end
 
@@ -261,31 +302,37 @@ end
 --          { status = "good" | "bad" | "cut" | "skipped", id, seq, ctl, size, reserved, payload,
 --            crc, calculated = where bad, missing = bytes of one that is cut, truncated = whether
 --            the capture cut it, length = bytes, at = 0-based in the packet, or bytes = string
---            where it began in an earlier one, parts = numbers of the packets it came in, count =
---            of them, with any that a read filter rejected, and shown_in = the last: where it began
---            in an earlier one }
+--            where it began in an earlier one: then parts = numbers of the packets it came in, the
+--            last one is this, and count = of them, with any that a read filter rejected }
 --          Nothing in it changes later.
 function Memory:look(fact)
   local pass, look, is_now = self.passes:look(fact.number, fact.place, fact.visited, fact.knows_all)
   if not pass then return nil end
-  if is_now and not fact.knows_all then pass.is_partial = true end
-  local piece = is_now and take_packet(self, pass, look, fact) or recall(pass, look, fact)
-  if not piece then return nil end
-  local events = {}
-  for i, event in ipairs(piece.events) do events[i] = shown(pass, event, piece, fact) end
-  local leads_to = piece.leads_to and pass:number(piece.leads_to)
+  local kept, piece
+  if is_now then
+    if not fact.knows_all then pass.is_partial = true end
+    kept, piece = take_packet(self, pass, look, fact)
+  else
+    kept = pass.entries[look]
+    if kept == nil then return nil end
+    piece = type(kept) == "table" and kept.events and kept or
+      piece_again(self, type(kept) == "table" and kept, fact)
+  end
+  local events, leads_to = {}, nil
+  for i, event in ipairs(piece.events) do events[i] = told(pass, event, piece, fact) end
+  if kept and piece.pending > 0 then leads_to = kept.leads_to and pass:number(kept.leads_to) end
   if leads_to == fact.number then leads_to = nil end
   return {
     pass = pass,
     look = look,
     is_now = is_now,
-    piece = piece,
+    kept = kept,
     events = events,
     done = piece.done,
     pending = piece.pending,
     missing = piece.missing,
     leads_to = leads_to,
-    is_unfinished = fact.visited and is_unfinished(self, pass, piece),
+    is_unfinished = fact.visited and piece.pending > 0 and is_unfinished(self, pass, look, fact),
   }
 end
 
@@ -297,18 +344,24 @@ end
 -- returns  a change, or nil, as for a frame that is not good, and where it is_unsure: the first
 --          pass took several sources for one
 function Memory.change(_, message, packet, index, fact)
-  if not message.good then return nil end
-  local pass, event = packet.pass, packet.piece.events[index]
-  message.is_unsure = pass.is_partial and fact.knows_all
-  if message.is_unsure then return nil end
-  local look = event.look or packet.look
+  local pass, kept = packet.pass, packet.kept
+  local is_table = type(kept) == "table"
+  message.delta = false
+  message.is_unsure = message.good and pass.is_partial and fact.knows_all
+  if message.is_unsure or not message.good then return nil end
+  local look = is_table and kept.looks and kept.looks[index] or packet.look
   if not packet.is_now then
-    message.delta = event.delta
+    if is_table then kept = kept[index] end
+    message.delta = kept or false
     return pass:change(look, message)
   end
   local change, delta = pass:note(look, message)
-  message.delta, event.delta = delta, delta
-  if not pass.entries[look] then pass.entries[look] = delta or false end
+  message.delta = delta or false
+  if is_table then
+    kept[index] = delta
+  else
+    pass.entries[look] = delta or false
+  end
   return change
 end
 

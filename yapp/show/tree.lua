@@ -92,13 +92,6 @@ function Tree:bare(tree, wants, is_message)
   if is_message and not wants.taurus then add(tree, self.taurus) end
 end
 
---- What an ID is called: "Motor Data", "Motor Data 0x212 (can1)", "Motor Data left_fore", "ID
---  0x123".
--- bus_name  text, or nil where the capture names none
-function Tree:name(id, bus_name)
-  return self.reader:label(id, bus_name)
-end
-
 --- Adds an expert item of YAPP's.
 -- text  what there is to say of this packet: its own item, so that the expert's text is the same
 --       each time and
@@ -118,12 +111,13 @@ end
 
 --- Adds what the CAN id says, all of it generated.
 -- address  wire.can_id's
-function Tree:add_address(item, address, bus_name)
-  self:add_id(item, nil, address.id, bus_name)
+-- source   of message.reader
+function Tree:add_address(item, address, source)
+  self:add_id(item, nil, address.id, source.bus_name)
   self:generated(item, "ctl", address.ctl)
   self:generated(item, "seq", address.seq)
   self:generated(item, "can.ctrl", address.ctrl)
-  self:add_source(item, address.id, bus_name)
+  self:add_source(item, source)
 end
 
 --- Adds the id, with the name that the user's mapping gives it.
@@ -137,9 +131,10 @@ function Tree:add_id(item, range, id, bus_name)
 end
 
 --- Adds the bus, where there is one, and the source.
-function Tree:add_source(item, id, bus_name)
-  self:generated(item, "bus", bus_name)
-  self:generated(item, "source", self.reader:source_text(id, bus_name))
+-- source  of message.reader
+function Tree:add_source(item, source)
+  self:generated(item, "bus", source.bus_name)
+  self:generated(item, "source", source.text)
 end
 
 --- Adds the frames that a message was put together from.
