@@ -165,7 +165,7 @@ local function row_of(rule, group, seen, frame, is_well, worst, note)
     ok = { json = output.value(is_well), text = TEXTS[is_well] or "NOT JUDGED" },
     rule = rule.text,
     seen = output.number(seen),
-    limit = output.raw(output.value(rule.limit or rule.text:match("=(.*)$"))),
+    limit = { json = output.value(rule.limit or rule.text:match("=(.*)$")) },
     frame = frame,
     worst = output.number(worst),
     note = note,
@@ -234,10 +234,7 @@ local function report(path, rows, problems)
   for _, problem in ipairs(problems) do
     cases[#cases + 1] = case_of(problem, "error", problem)
   end
-  local file, problem = output.create(path)
-  if not file then return problem end
-  file:write(REPORT:format(#cases, failures, errors, table.concat(cases)))
-  return output.finish { file }
+  return output.save(path, REPORT:format(#cases, failures, errors, table.concat(cases)))
 end
 
 -- The rows of all rules, and the exit code that follows from them.

@@ -51,13 +51,8 @@ end
 
 -- A new file of the folder; no file in it is overwritten unasked.
 local function create(self, name)
-  local path = path_of(self, name)
-  local there = not self.options.replace and io.open(path, "rb")
-  if there then
-    there:close()
-    return nil, path .. " is there; add the option replace to write it anew"
-  end
-  local file, problem = output.create(path)
+  local advice = not self.options.replace and "add the option replace to write it anew"
+  local file, problem = output.create(path_of(self, name), advice)
   self.files[#self.files + 1] = file
   return file, problem
 end
@@ -149,7 +144,7 @@ local function meanings(values)
     keys[#keys + 1], texts[key] = key, text
   end
   table.sort(keys, function(a, b) return tonumber(a) < tonumber(b) end)
-  return output.raw(output.object(keys, texts))
+  return output.object(keys, texts)
 end
 
 -- The last three are an integer's: what it fits in and what its numbers mean.
@@ -184,15 +179,17 @@ function M.describe(catalogue, version, columns_of_)
       list[j] = describe_column(column)
     end
     names[i] = message.name
-    messages[message.name] = output.raw(output.object({ "title", "every", "columns" }, {
-      title = message.title, every = message.every,
-      columns = output.raw("[" .. table.concat(list, ",") .. "]") }))
+    messages[message.name] = output.object({ "title", "every", "columns" }, {
+      title = message.title,
+      every = message.every,
+      columns = output.list(list),
+    })
   end
   return output.object({ "version", "plugin", "messages" }, {
     version = 1,
     plugin = version,
-    messages = output.raw(output.object(names, messages)),
-  })
+    messages = output.object(names, messages),
+  }).json
 end
 
 --- returns  the exit code, nil for 0, 21 where a file could not be written; and why

@@ -70,18 +70,8 @@ local function default_path(name)
   return (os.getenv("HOME") or os.getenv("USERPROFILE") or ".") .. "/yapp-" .. name
 end
 
--- Writes a text into a new file.
 local function save(path, content)
-  local there = io.open(path, "r")
-  if there then
-    there:close()
-    return report_failure(("YAPP: %s is there already: another name"):format(path))
-  end
-  local file, problem = output.create(path)
-  if file then
-    file:write(content)
-    problem = output.finish { file }
-  end
+  local problem = output.save(path, content, "give another name")
   if problem then report_failure("YAPP: not written: " .. problem) end
 end
 

@@ -68,13 +68,11 @@ function Summary:finish(last)
     for j, values in ipairs(group.values) do
       local row = groups.put(values, output.row(group.source, {}))
       names[j] = row.field
-      ranges[row.field] = output.raw(output.object(RANGE, row))
-      if row.min then
-        shown[#shown + 1] = row
-      end
+      ranges[row.field] = output.object(RANGE, row)
+      if row.min then shown[#shown + 1] = row end
     end
     rows[i] = row_of(group)
-    rows[i].values = output.raw(output.object(names, ranges))
+    rows[i].values = output.object(names, ranges)
   end
   local sources = output.count(#rows, "source")
   local length = last and last.rel or 0
@@ -125,7 +123,7 @@ local function compared_row(self, spread, list, place, shown)
     shown[#shown + 1] = one
   end
   row.time = spread.rel and output.time(self.context.clock(spread.rel))
-  row.sources = output.raw("[" .. table.concat(sources, ",") .. "]")
+  row.sources = output.list(sources)
   return row
 end
 
