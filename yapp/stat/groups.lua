@@ -9,6 +9,7 @@ local M = {}
 
 local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
+local NONE = { seen = 0 }
 
 -- The number that a value is: in its unit, a time in seconds, flags and codes as they are sent; NaN
 -- for a reserved count, nil where the message does not have the field.
@@ -197,10 +198,10 @@ local function group_of(self, source)
   return group
 end
 
-local function add(group, kind, event)
-  local count, record = group.counts[kind], event.record or event
+local function add(group, kind, record)
+  local count = group.counts[kind]
   if not count then
-    count = { seen = 0, frame = event.frame }
+    count = { seen = 0, frame = record.frame }
     group.counts[kind] = count
   end
   if count.record ~= record then count.seen = count.seen + 1 end
@@ -209,18 +210,17 @@ end
 
 --- Counts an event: a message that has several of one kind once, and of faults those that rose.
 function Groups:event(event)
-  local kind = event.kind
-  if kind == "absent" or kind == "fault" and event.event ~= "raised" then return end
+  local kind, values, record = event.kind, event.values, event.record
+  if kind == "absent" or kind == "fault" and values.event ~= "raised" then return end
   local group = group_of(self, event.source)
-  add(group, tell.KINDS[kind].counts_as or kind, event)
-  if kind == "silence" and not event.is_last then add(group, "late", event) end
+  add(group, tell.KINDS[kind].counts_as or kind, record)
+  if kind == "silence" and not values.is_last then add(group, "late", record) end
 end
 
 --- How often, and first in which frame.
 function M.seen(group, kind)
-  local count = group.counts[kind]
-  if count then return count.seen, count.frame end
-  return 0
+  local count = group.counts[kind] or NONE
+  return count.seen, count.frame
 end
 
 local function note_gap(group, gap, frame)

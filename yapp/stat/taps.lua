@@ -185,7 +185,7 @@ end
 -- One -z argument.
 function Stat:argument(text)
   local options = options_of.read(text, self.plugin.catalogue)
-  if options.problems[1] and not options.rules then -- check says them in its report, too
+  if options.problems[1] and options.what ~= "check" then -- check says them in its report, too
     error(table.concat(options.problems, "\n"), 0)
   end
   if not self.feed then
