@@ -70,7 +70,7 @@ local function add_field(rule, name, value)
   rule.field = field
   if not spread_of then return add_range(rule, value) end
   demand(not rule.source, "a spread is of all sources, not of one")
-  rule.kind, rule.limit = "spread", limit_of(value, "spread")
+  rule.kind, rule.is_spread, rule.limit = "spread", true, limit_of(value, "spread")
 end
 
 -- "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55": { text, source, kind = one of COUNTED, of

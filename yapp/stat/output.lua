@@ -28,10 +28,14 @@ local function text_value(text)
   return '"' .. escaped .. '"'
 end
 
+local function is_whole(value)
+  return value % 1 == 0 and math.abs(value) < 2 ^ 53
+end
+
 -- The shortest text that reads back as the same number; null for what JSON has no number for.
 local function number_value(value)
   if value - value ~= 0 then return "null" end
-  if value % 1 == 0 and math.abs(value) < 2 ^ 53 then return format("%d", value) end
+  if is_whole(value) then return format("%d", value) end
   local shown = format("%.15g", value)
   return tonumber(shown) == value and shown or format("%.17g", value)
 end
@@ -73,7 +77,7 @@ end
 
 -- Values ----------------------------------------------------------------------------------------
 --
--- A value of a row: a text, an integer, nil, or { json, text } where people read something else, or
+-- A value of a row: a text, a number, nil, or { json, text } where people read something else, or
 -- nothing.
 
 --- A time of the capture; people read it in UTC, to the microsecond.
@@ -89,19 +93,13 @@ end
 
 --- A span in seconds; nil for nil.
 function M.seconds(value)
-  if not value then return nil end
-  local json = format("%.9f", value):gsub("^%-(0%.0+)$", "%1")
-  return { json = json, text = format("%.6f", value) }
+  return value and { json = format("%.9f", value), text = format("%.6f", value) } or nil
 end
 
---- A number, which people read with six digits; nil for nil.
-function M.number(value)
-  return value and { json = number_value(value), text = format("%.6g", value) }
-end
-
---- What people read of a value.
+--- What people read of a value: of a fraction six digits.
 function M.text(value)
   if type(value) == "table" then value = value.text end
+  if type(value) == "number" then return format(is_whole(value) and "%d" or "%.6g", value) end
   return value == nil and "" or tostring(value)
 end
 
