@@ -59,9 +59,9 @@ end
 -- its name, or its number counted from their default IDs.
 local function names_of(event)
   local source, values = event.source, event.values
-  local bus = tostring(source.bus_key)
   if event.kind == "invalid" then return { source.key .. values.field .. values.value } end
   if event.kind ~= "reboot" then return {} end
+  local bus = tostring(source.bus_key)
   return { bus .. "+" .. source.id - source.message.id, source.name and bus .. "=" .. source.name }
 end
 

@@ -13,7 +13,8 @@
 --   invalid  list of { field = name, value = raw } of what the catalogue does not define, or nil
 --   what     of "incomplete": "incomplete", "orphan" or "overrun"; lost = the message, a table that
 --            all its losses have, or nil; fault = { void = whether nothing is lost after all }
---   length   of "skipped": bytes, which grow while packets of the stream have nothing else }
+--   length   of "skipped": bytes, which grow while packets of the stream have nothing else; and
+--            last_frame }
 --
 -- An event is what a statistic lists or counts, made of records by Kinds: { kind = one of KINDS,
 -- rel, frame, source, record = which shows it, values = by the keys of its kind }.
@@ -85,7 +86,7 @@ end
 --- Forgets the capture file.
 function Tell:reset()
   self.sources = {}
-  self.stretches = {} -- by stream: { record, frame = latest }, while nothing else comes
+  self.stretches = {} -- by stream: the record of skipped bytes, while nothing else comes
 end
 
 local function source_of(self, m)
@@ -181,14 +182,14 @@ end
 -- m  { id = nil, frame, time, visited, bus, bus_name, source = key of the stream, length = bytes }
 function Tell:skipped(m)
   local stretch = self.stretches[m.source]
-  if stretch and m.frame > stretch.frame then -- else the capture is read anew
-    stretch.frame, stretch.record.length = m.frame, stretch.record.length + m.length
+  if stretch and m.frame > stretch.last_frame then -- else the capture is read anew
+    stretch.last_frame, stretch.length = m.frame, stretch.length + m.length
     return
   end
-  local record = record_of("skipped", source_of(self, m), m)
-  record.length = m.length
-  self.stretches[m.source] = { record = record, frame = m.frame }
-  self.stat:offer(record, m.visited)
+  stretch = record_of("skipped", source_of(self, m), m)
+  stretch.last_frame, stretch.length = m.frame, m.length
+  self.stretches[m.source] = stretch
+  self.stat:offer(stretch, m.visited)
 end
 
 --- A frame of a message that has not ended: when it came, should the capture end before the message
@@ -225,17 +226,21 @@ local Kinds = {}
 Kinds.__index = Kinds
 
 --- What makes events of records, for one statistic.
--- late   function() -> how many periods of its message make a gap a silence
--- named  function() -> list of the sources that the user named, see message.sources
--- add    function(event)
-function M.kinds(late, named, add)
-  return setmetatable({ late = late, named = named, add = add,
+-- late       function() -> how many periods of its message make a gap a silence
+-- named      function() -> list of the sources that the user named, see message.sources
+-- statistic  whose event(event) is called
+function M.kinds(late, named, statistic)
+  return setmetatable({
+    late = late,
+    named = named,
+    statistic = statistic,
     states = {}, -- a list and, by their keys, those of sources with good messages
-    came = {} }, Kinds)
+    came = {}, -- the sources of which something came that counts
+  }, Kinds)
 end
 
 local function tell_of(self, kind, record, values)
-  self.add {
+  self.statistic:event {
     kind = kind,
     rel = record.rel,
     frame = record.frame,
@@ -313,9 +318,9 @@ local function note_events(self, record, change)
   for _, one in ipairs(record.invalid or NOTHING) do tell_of(self, "invalid", record, one) end
 end
 
--- state: last = the latest record, counts = whether it does; set = the faults that are set, { field,
--- flag, help, since } each, in the order in which they rose: replaced, never written, as told may be
--- the same list; told = those that were set at told_by, the latest record that counts.
+-- state: last = the latest record, counts = whether it does; set = the faults that are set, in the
+-- order in which they rose, { field, flag, help, since } each: replaced, never written, as told may
+-- be the same list; told = those that were set at told_by, the latest record that counts.
 local function state_of(self, key)
   local state = self.states[key]
   if not state then
