@@ -67,7 +67,8 @@ local function run(arguments, records, with)
   with = with or {}
   local named = with.named or { { id = 0x210, name = "left" } }
   local function late() return 2.5 end
-  local printed, feed, entry = {}, feed_of.new(late, function() return named end), nil
+  local plugin = { late = late, named = function() return named end }
+  local printed, feed, entry = {}, feed_of.new(plugin), nil
   for _, argument in ipairs(arguments) do
     local catalogue = with.catalogue or CATALOGUE
     local options = options_of.read("yapp," .. argument, catalogue)

@@ -21,15 +21,10 @@ local KEYS = output.words("ok rule bus id source message frame seen limit worst 
 
 local Check = groups.class { compares = true }
 
---- options  of stat.options
--- context  as for groups.new; and problems = function() -> texts: why what comes of it cannot be
---          trusted, named = function() -> list of the sources that the user named, see
---          message.sources
-function M.new(options, context)
-  local self = groups.new(Check, options, context)
-  self.absent = {}
-  return self
-end
+--- See groups.class; its context has, too, problems = function() -> texts: why what comes of it
+-- cannot be trusted, and named = function() -> list of the sources that the user named, see
+-- message.sources.
+M.new = Check.new
 
 --- The rules about values.
 function Check:wants(message)
@@ -38,11 +33,6 @@ function Check:wants(message)
     if rule.field and rule.message == message then list[#list + 1] = rule end
   end
   return list
-end
-
-function Check:event(event)
-  if event.kind == "absent" then table.insert(self.absent, event.source) end
-  groups.event(self, event)
 end
 
 -- Judging ---------------------------------------------------------------------------------------

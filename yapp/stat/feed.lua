@@ -26,9 +26,9 @@ local NOTHING = {}
 local Feed = {}
 Feed.__index = Feed
 
---- late, named  as for the kinds of stat.tell
-function M.new(late, named)
-  local self = setmetatable({ statistics = {}, late = late, named = named }, Feed)
+--- plugin  of stat.taps
+function M.new(plugin)
+  local self = setmetatable({ statistics = {}, plugin = plugin }, Feed)
   self:reset()
   return self
 end
@@ -47,7 +47,7 @@ end
 function Feed:add(statistic, has_filter)
   local entry = { statistic = statistic, has_filter = has_filter, matched = {} }
   if statistic.event then
-    entry.kinds = tell.kinds(self.late, self.named, statistic)
+    entry.kinds = tell.kinds(self.plugin, statistic)
   end
   self.statistics[#self.statistics + 1] = entry
   return entry

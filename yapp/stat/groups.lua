@@ -13,12 +13,12 @@ local NUMERIC = check.set("uint int float ieee")
 
 -- The number that a value is: in its unit, a time in seconds, flags and codes as they are sent; NaN
 -- for a reserved count, nil where the message does not have the field.
-local function number_of(field, index, raws, payload)
+local function number_of(values, record, raws)
+  local field, value = values.field, raws[values.index]
   if field.kind == "time" then
-    local seconds, nanoseconds = decode.time(payload, field.offset)
+    local seconds, nanoseconds = decode.time(record.payload, field.offset)
     return seconds + nanoseconds / 1e9
   end
-  local value = raws[index]
   if value == nil then return nil end
   if not (field.values or field.flags) then value = decode.value(field, value) end
   return tonumber(value) or NO_NUMBER -- of 64 bits a text, where a double is not exact
@@ -54,7 +54,7 @@ local function new_values(message, want, spread)
 end
 
 local function note_value(values, record, raws)
-  local value = number_of(values.field, values.index, raws, record.payload)
+  local value = number_of(values, record, raws)
   if not value then return end
   values.seen = values.seen + 1
   if value == value then
@@ -79,7 +79,7 @@ end
 -- longest  seconds for which a value is good
 local function note_spread(values, record, raws, longest)
   local spread, low, high, count = values.spread, INFINITE, -INFINITE, 0
-  local value = number_of(values.field, values.index, raws, record.payload) or NO_NUMBER
+  local value = number_of(values, record, raws) or NO_NUMBER
   values.latest, values.rel = rounded(values.field, value), record.rel
   for _, one in ipairs(spread.members) do
     local latest = one.latest
@@ -101,28 +101,28 @@ end
 local Groups = {}
 
 --- A class of statistics that gather by source.
--- methods  its own, see stat.feed; wants, unless it wants the fields that can be averaged;
+-- class    its own methods, see stat.feed; wants, unless it wants the fields that can be averaged;
 --          compares = whether it wants their spreads, too
-function M.class(methods)
-  methods.__index = methods
-  return setmetatable(methods, { __index = Groups })
-end
-
---- A statistic of a class.
--- options  of stat.options
--- context  { clock = function(rel) -> seconds since 1970, nanoseconds,
---          late = function() -> how many periods of a message a value is good for, and what
---          output.print takes }
-function M.new(class, options, context)
-  return setmetatable({
-    options = options,
-    context = context,
-    by_source = {},
-    list = {},
-    buses = {}, -- how many sources were there before it
-    wanted = {}, -- by message: list of { field, low, high, is_spread }
-    spreads = {}, -- by what is wanted
-  }, class)
+-- returns  it, with class.new(options, context), which makes a statistic:
+--   options  of stat.options
+--   context  { clock = function(rel) -> seconds since 1970, nanoseconds,
+--            late = function() -> how many periods of a message a value is good for, and what
+--            output.print takes }
+function M.class(class)
+  class.__index = class
+  function class.new(options, context)
+    return setmetatable({
+      options = options,
+      context = context,
+      by_source = {},
+      list = {},
+      absent = {}, -- sources that the user named, and that never came
+      buses = {}, -- how many sources were there before it
+      wanted = {}, -- by message: list of { field, low, high, is_spread }
+      spreads = {}, -- by what is wanted
+    }, class)
+  end
+  return setmetatable(class, { __index = Groups })
 end
 
 --- What is gathered of a field of each source of a message: those that are no codes.
@@ -183,29 +183,28 @@ local function add(group, kind, record)
 end
 
 --- Counts an event: a message that has several of one kind once, and of faults those that rose.
-function M.event(self, event)
+function Groups:event(event)
   local kind, values, record = event.kind, event.values, event.record
-  if kind == "absent" or kind == "fault" and values.event ~= "raised" then return end
+  if kind == "absent" then return table.insert(self.absent, event.source) end
+  if kind == "fault" and values.event ~= "raised" then return end
   local group = group_of(self, event.source)
   add(group, tell.KINDS[kind].counts_as or kind, record)
   if kind == "silence" and not values.is_last then add(group, "late", record) end
 end
 
-local function note_gap(group, gap, frame)
-  if gap > (group.gap_max or -1) then
-    group.gap_max, group.gap_max_frame = gap, frame
-  end
-  group.gap_min = math.min(gap, group.gap_min or gap)
-end
-
-Groups.event = M.event
-
 --- Takes a record.
 function Groups:message(record)
   local group = group_of(self, record.source)
   if record.kind ~= "message" then return end
-  if group.last then note_gap(group, tell.span(group.last, record.rel), record.frame) end
-  group.first = group.first or record.rel
+  if group.last then
+    local gap = tell.span(group.last, record.rel)
+    if gap > (group.gap_max or -1) then
+      group.gap_max, group.gap_max_frame = gap, record.frame
+    end
+    group.gap_min = math.min(gap, group.gap_min or gap)
+  else
+    group.first = record.rel
+  end
   group.last = record.rel
   group.last_frame = record.frame
   group.count = group.count + 1

@@ -26,8 +26,8 @@ local VALUES = words("bus id source message field unit min mean max count")
 
 local Summary = groups.class { tells_changes = true }
 
---- options, context  as for groups.new
-function M.new(options, context) return groups.new(Summary, options, context) end
+--- See groups.class.
+M.new = Summary.new
 
 local function row_of(group)
   local rate, gap_mean = groups.pace(group)
@@ -75,8 +75,8 @@ local SHOWN = words("field unit source min mean max spread rel frame")
 
 local Compare = groups.class { compares = true, event = false }
 
---- options, context  as for groups.new
-function M.compare(options, context) return groups.new(Compare, options, context) end
+--- See groups.class.
+M.compare = Compare.new
 
 -- The row of a field; people see those of its sources, the first with what they have in common.
 local function compared_row(self, list, place, shown)

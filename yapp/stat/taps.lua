@@ -133,7 +133,7 @@ function Stat:begin(options, context)
 end
 
 function Stat:open()
-  self.feed, self.wanted = feed_of.new(self.plugin.late, self.plugin.named), true
+  self.feed, self.wanted = feed_of.new(self.plugin), true
 end
 
 --- Runs a statistic over all packets, in Wireshark.

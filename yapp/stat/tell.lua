@@ -226,13 +226,11 @@ local Kinds = {}
 Kinds.__index = Kinds
 
 --- What makes events of records, for one statistic.
--- late       function() -> how many periods of its message make a gap a silence
--- named      function() -> list of the sources that the user named, see message.sources
+-- plugin     { late, named }, see stat.taps
 -- statistic  whose event(event) is called
-function M.kinds(late, named, statistic)
+function M.kinds(plugin, statistic)
   return setmetatable({
-    late = late,
-    named = named,
+    plugin = plugin,
     statistic = statistic,
     states = {}, -- a list and, by their keys, those of sources with good messages
     came = {}, -- the sources of which something came that counts
@@ -364,7 +362,7 @@ local function note_silence(self, last)
     local record = state.last
     local every = record.source.message and record.source.message.every
     local length = M.span(record.rel, last.rel)
-    if every and state.counts and length > self.late() * every then
+    if every and state.counts and length > self.plugin.late() * every then
       tell_silence(self, record, length, true)
     end
   end
@@ -394,7 +392,7 @@ end
 function Kinds:finish(last)
   if last then note_silence(self, last) end
   note_active(self)
-  for _, row in ipairs(self.named()) do
+  for _, row in ipairs(self.plugin.named()) do
     if row.message and not has_come(self, row) then
       tell_of(self, "absent", { rel = last and last.rel, source = row })
     end
