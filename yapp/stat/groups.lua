@@ -192,6 +192,19 @@ function Groups:event(event)
   if kind == "silence" and not values.is_last then add(group, "late", record) end
 end
 
+local function note_values(self, group, record)
+  local message = group.message
+  local raws = decode.read(message, record.payload)
+  for _, values in ipairs(group.values) do
+    note_value(values, record, raws)
+  end
+  if not self.compares then return end
+  local longest = message.every and self.context.late() * message.every or INFINITE
+  for _, values in ipairs(group.values) do
+    if values.spread then note_spread(values, record, raws, longest) end
+  end
+end
+
 --- Takes a record.
 function Groups:message(record)
   local group = group_of(self, record.source)
@@ -209,15 +222,7 @@ function Groups:message(record)
   group.last_frame = record.frame
   group.count = group.count + 1
   if record.is_unsure then group.is_unsure = true end
-  if not record.fits then return end
-  local message = group.message
-  local raws = decode.read(message, record.payload)
-  for _, values in ipairs(group.values) do note_value(values, record, raws) end
-  if not self.compares then return end
-  local longest = message.every and self.context.late() * message.every or INFINITE
-  for _, values in ipairs(group.values) do
-    if values.spread then note_spread(values, record, raws, longest) end
-  end
+  if record.fits then note_values(self, group, record) end
 end
 
 --- How often something was, and first in which frame.

@@ -6,9 +6,14 @@ local output = require("yapp.stat.output")
 
 local M = {}
 
+-- ask = for what, which is behind the statistic's name then
 local MENU = {
-  { "summary", "Summary" }, { "faults", "Faults" }, { "events", "Events" },
-  { "compare", "Compare" }, { "check", "Check" }, { "csv", "Export tables" },
+  { "summary", "Summary" },
+  { "faults", "Faults" },
+  { "events", "Events" },
+  { "compare", "Compare" },
+  { "check", "Check", ask = "Rules (none: all is well)" },
+  { "csv", "Export tables", ask = "New folder", file = "tables" },
 }
 local TITLES = {}
 for _, row in ipairs(MENU) do TITLES[row[1]] = row[2] end
@@ -114,7 +119,7 @@ end
 -- stat     of stat.taps
 -- returns  { show = function(text), which opens the window of an argument of -z }
 function M.register(stat)
-  local menu, actions = {}, {}
+  local menu = {}
 
   -- The statistic runs when its window opens, and anew by its button: packets that have come since
   -- count too.
@@ -123,21 +128,15 @@ function M.register(stat)
     open_window(TITLES[what] or what, function() return stat:run(argument, WIDTH) end)
   end
 
-  function actions.check()
-    ask(TITLES.check, "Rules (none: all is well)", "", function(rules)
-      if rules then menu.show(rules == "" and "yapp,check" or "yapp,check," .. rules) end
-    end)
-  end
-
-  function actions.csv()
-    ask(TITLES.csv, "New folder", default_path("tables"), function(folder)
-      if folder and folder ~= "" then menu.show("yapp,csv," .. folder) end
-    end)
-  end
-
   for _, row in ipairs(MENU) do
-    local what, title = row[1], row[2]
-    local action = actions[what] or function() menu.show("yapp," .. what) end
+    local argument, title = "yapp," .. row[1], row[2]
+    local function answered(answer)
+      if answer then menu.show(answer == "" and argument or argument .. "," .. answer) end
+    end
+    local function action()
+      if not row.ask then return menu.show(argument) end
+      ask(title, row.ask, row.file and default_path(row.file) or "", answered)
+    end
     register_menu("YAPP/" .. title, action, MENU_TOOLS_UNSORTED)
     register_menu("YAPP " .. title, action, MENU_STAT_UNSORTED) -- 4.0 shows a slash there as it is
   end

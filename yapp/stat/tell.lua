@@ -105,12 +105,12 @@ local function source_of(self, m)
 end
 
 -- All eight names at once: Lua's table of eight is half of one that grows to nine.
-local function record_of(kind, source, m)
+local function record_of(self, kind, m)
   return {
     kind = kind,
     frame = m.frame,
     rel = m.time,
-    source = source,
+    source = source_of(self, m),
     seq = m.seq,
     payload = m.payload,
     fits = m.raws ~= nil,
@@ -140,9 +140,8 @@ end
 function Tell:message(m)
   local kind = m.good and "message" or KIND_OF[m.status]
   if not kind then return end
-  local source = source_of(self, m)
-  local record = record_of(kind, source, m)
-  source.orphan = nil
+  local record = record_of(self, kind, m)
+  record.source.orphan = nil
   if kind == "incomplete" then record.what = kind end
   if m.look and m.good then record.invalid = invalid_of(m) end
   if m.is_unsure then record.is_unsure = true end
@@ -165,12 +164,11 @@ function Tell:faults(m, faults)
   for _, fault in ipairs(faults) do
     local what = LOST[fault.expert]
     if what then
-      local source = source_of(self, m)
-      local record = record_of("incomplete", source, m)
+      local record = record_of(self, "incomplete", m)
       if what == "orphan" then
-        record.lost = orphaned(source, m)
+        record.lost = orphaned(record.source, m)
       else
-        record.lost, source.orphan = fault.message, nil
+        record.lost, record.source.orphan = fault.message, nil
       end
       record.what, record.fault = what, fault
       offer(self, record, m)
@@ -186,7 +184,7 @@ function Tell:skipped(m)
     stretch.last_frame, stretch.length = m.frame, stretch.length + m.length
     return
   end
-  stretch = record_of("skipped", source_of(self, m), m)
+  stretch = record_of(self, "skipped", m)
   stretch.last_frame, stretch.length = m.frame, m.length
   self.stretches[m.source] = stretch
   self.stat:offer(stretch, m.visited)
@@ -207,7 +205,7 @@ function Tell:unfinished(messages)
     local source = self.sources[message.source]
     local part = source and source.parts[message.seq]
     if part and part.frame == message.frame then
-      records[#records + 1] = record_of("unfinished", source, part)
+      table.insert(records, record_of(self, "unfinished", part))
     end
   end
   table.sort(records, function(a, b) return a.frame < b.frame end)
@@ -246,10 +244,6 @@ local function tell_of(self, kind, record, values)
     record = record,
     values = values or NOTHING,
   }
-end
-
-local function tell_silence(self, record, length, is_last)
-  tell_of(self, "silence", record, { length = output.seconds(length), is_last = is_last })
 end
 
 -- fault  one of a state
@@ -337,7 +331,9 @@ end
 
 local function note_good(self, record, counts)
   local state, change = state_of(self, record.source.key), record.change or NOTHING
-  if change.late and state.counts then tell_silence(self, state.last, change.late) end
+  if change.late and state.counts then
+    tell_of(self, "silence", state.last, { length = output.seconds(change.late) })
+  end
   state.last, state.counts = record, counts
   if counts then note_events(self, record, change) end
   for _, one in ipairs(change.flags or NOTHING) do note_faults(self, state, record, one) end
@@ -363,7 +359,7 @@ local function note_silence(self, last)
     local every = record.source.message and record.source.message.every
     local length = M.span(record.rel, last.rel)
     if every and state.counts and length > self.plugin.late() * every then
-      tell_silence(self, record, length, true)
+      tell_of(self, "silence", record, { length = output.seconds(length), is_last = true })
     end
   end
 end
