@@ -5,7 +5,7 @@
 -- 0 every rule was judged and held, 20 one did not hold, 21 one could not be judged; both: 20.
 
 local groups, output = require("yapp.stat.groups"), require("yapp.stat.output")
-local tell = require("yapp.stat.tell")
+local tell, utf8 = require("yapp.stat.tell"), require("yapp.base.utf8")
 
 local M = {}
 
@@ -163,7 +163,7 @@ local NAME, MESSAGE = output.words("rule bus id source"), output.words("seen wor
 
 -- XML has no control characters, not even as entities.
 local function escape(text)
-  return (output.readable(text):gsub("%c", " "):gsub('[<>&"]', ENTITIES))
+  return (utf8.printable(text):gsub('[<>&"]', ENTITIES))
 end
 
 -- kind  "failure" or "error", with a text; nil where all is well

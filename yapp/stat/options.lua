@@ -169,15 +169,16 @@ end
 --            rules =, junit =, problems = list of texts, each with the option that it is about }
 function M.read(text, catalogue)
   local head, filter = text:match("^(.-),filter=(.*)$") -- a display filter, commas and all
-  local parts = {}
-  for part in ((head or text) .. ","):gmatch("([^,]*),") do parts[#parts + 1] = part end
-  local what, problems = parts[2] or "", {}
+  local what, rest = (head or text):match("^yapp,([^,]*)(.*)$")
+  local problems = {}
   local options = { what = what, filter = filter, rules = {}, problems = problems }
-  if parts[1] ~= "yapp" or not read[what] then
+  if not read[what] then
     problems[1] = text .. ": it is yapp," .. table.concat(M.WHATS, " or yapp,")
     return options
   end
-  for i = 3, #parts do try(options, parts[i], read[what], parts[i], catalogue) end
+  for part in rest:gmatch(",([^,]*)") do
+    try(options, part, read[what], part, catalogue)
+  end
   if finish[what] then try(options, what, finish[what], catalogue) end
   if filter and not filter:find("%S") then
     problems[#problems + 1] = "filter=: the display filter is missing"

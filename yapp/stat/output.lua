@@ -10,22 +10,9 @@ local format = string.format
 
 -- JSON ----------------------------------------------------------------------------------------
 
-local ESCAPES = {
-  ['"'] = '\\"', ["\\"] = "\\\\", ["\n"] = "\\n", ["\r"] = "\\r", ["\t"] = "\\t",
-}
-
---- A text that is UTF-8: what is not would make a whole line or report unreadable.
-function M.readable(text)
-  local ascii = utf8.ascii(text)
-  if not ascii:find("[\128-\255]") then return text end
-  return (ascii:gsub("[\128-\255]", "?"))
-end
-
+-- What cannot be printed is written \xNN: bytes that are no UTF-8 would make a line unreadable.
 local function text_value(text)
-  local escaped = M.readable(text):gsub('[%c"\\]', function(c)
-    return ESCAPES[c] or format("\\u%04x", c:byte())
-  end)
-  return '"' .. escaped .. '"'
+  return '"' .. utf8.printable(text):gsub('["\\]', "\\%0") .. '"'
 end
 
 local function is_whole(value)
