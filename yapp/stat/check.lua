@@ -30,7 +30,9 @@ M.new = Check.new
 function Check:wants(message)
   local list = {}
   for _, rule in ipairs(self.options.rules) do
-    if rule.field and rule.message == message then list[#list + 1] = rule end
+    if rule.field and rule.message == message then
+      list[#list + 1] = rule
+    end
   end
   return list
 end
@@ -45,10 +47,14 @@ end
 -- Nil where it does not.
 local function holds_of_none(self, rule)
   local kind = tell.KINDS[rule.kind]
-  if not (kind and kind.is_rare or rule.is_default) then return nil end
+  if not (kind and kind.is_rare or rule.is_default) then
+    return nil
+  end
   for _, group in ipairs(self.list) do
     local has_come = group.count > 0 or group.counts.crc
-    if has_come and is_its(rule, group.source) then return true end
+    if has_come and is_its(rule, group.source) then
+      return true
+    end
   end
 end
 
@@ -85,7 +91,9 @@ local function count_events(rule, group)
   local seen, frame = groups.seen(group, rule.kind)
   local is_well = seen <= rule.limit
   local is_known = group.count > 0 and not (is_well and group.is_unsure)
-  if tell.KINDS[rule.kind].needs_past and not is_known then is_well = nil end
+  if tell.KINDS[rule.kind].needs_past and not is_known then
+    is_well = nil
+  end
   return seen, frame, is_well
 end
 
@@ -96,10 +104,14 @@ local of_all = {}
 function of_all.absent(self, rule)
   local names, ok = {}, holds_of_none(self, rule)
   for _, row in ipairs(self.absent) do
-    if is_its(rule, row) then names[#names + 1] = output.who(row) end
+    if is_its(rule, row) then
+      names[#names + 1] = output.who(row)
+    end
   end
   for _, row in ipairs(self.context.named()) do
-    if row.message and is_its(rule, row) then ok = #names <= rule.limit end
+    if row.message and is_its(rule, row) then
+      ok = #names <= rule.limit
+    end
   end
   return #names, nil, ok, nil, table.concat(names, ", ")
 end
@@ -115,7 +127,9 @@ local function is_about(rule, group)
   local kind, message = tell.KINDS[rule.kind], group.message
   if not is_its(rule, group.source) then return false end
   if not kind then return message == rule.message end
-  if kind.is_rare then return group.counts[rule.kind] ~= nil end
+  if kind.is_rare then
+    return group.counts[rule.kind] ~= nil
+  end
   if not kind.about then return group.source.id ~= nil end
   local has = message and message[kind.about]
   return has and (type(has) ~= "table" or next(has) ~= nil)
@@ -142,7 +156,9 @@ end
 -- The rows of a rule: one for each source that it is about, or one in all.
 local function judge(self, rule, last)
   local measure, rows = of_all[rule.kind], {}
-  if measure then return { row_of(rule, nil, measure(self, rule)) } end
+  if measure then
+    return { row_of(rule, nil, measure(self, rule)) }
+  end
   measure = of_source[rule.kind] or count_events
   for _, group in ipairs(self:sorted()) do
     if is_about(rule, group) then
@@ -178,7 +194,9 @@ local function texts_of(row, keys, with_key, between)
   local texts = {}
   for _, key in ipairs(keys) do
     local name = with_key and key .. " " or ""
-    if row[key] then texts[#texts + 1] = name .. output.text(row[key]) end
+    if row[key] then
+      texts[#texts + 1] = name .. output.text(row[key])
+    end
   end
   return table.concat(texts, between)
 end
@@ -207,7 +225,9 @@ local function judge_all(self, last)
   for _, rule in ipairs(self.options.rules) do
     for _, row in ipairs(judge(self, rule, last)) do
       rows[#rows + 1] = row
-      if row.ok == FAILED or code == 0 then code = row.ok.code end
+      if row.ok == FAILED or code == 0 then
+        code = row.ok.code
+      end
     end
   end
   return rows, code
@@ -218,10 +238,16 @@ end
 function Check:finish(last)
   local junit, problems = self.options.junit, self.context.problems()
   local rows, code = judge_all(self, last)
-  for _, problem in ipairs(self.options.problems) do problems[#problems + 1] = problem end
+  for _, problem in ipairs(self.options.problems) do
+    problems[#problems + 1] = problem
+  end
   local problem = junit and report(junit, rows, problems)
-  if problem then problems[#problems + 1] = "the report is not written: " .. problem end
-  if code == 0 and problems[1] then code = UNJUDGED.code end
+  if problem then
+    problems[#problems + 1] = "the report is not written: " .. problem
+  end
+  if code == 0 and problems[1] then
+    code = UNJUDGED.code
+  end
   output.print(self.context, "YAPP check: " .. TITLES[code], KEYS, rows)
   return code, problems[1] and "check: " .. table.concat(problems, "\ncheck: ") or nil
 end

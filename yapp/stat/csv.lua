@@ -29,7 +29,9 @@ local function columns_of(self, message)
   local all = {}
   local parts = { COMMON, self.options.all and CRC_GOOD or {}, columns.columns(message) }
   for _, part in ipairs(parts) do
-    for _, column in ipairs(part) do all[#all + 1] = column end
+    for _, column in ipairs(part) do
+      all[#all + 1] = column
+    end
   end
   return all
 end
@@ -65,7 +67,9 @@ local function begin_all(self)
   local file, problem = create(self, "fields.json")
   self.fields = file
   for _, message in ipairs(context.catalogue.messages) do
-    if file then file, problem = create(self, message.name .. ".csv") end
+    if file then
+      file, problem = create(self, message.name .. ".csv")
+    end
     if file then begin(self, message, file) end
   end
   return problem and output.finish(self.files, problem)
@@ -108,7 +112,9 @@ end
 function Csv:message(record)
   local all, source, is_good = self.options.all, record.source, record.kind == "message"
   local rows = record.fits and self.tables[source.message]
-  if not rows or not (is_good or all and record.kind == "crc") then return end
+  if not rows or not (is_good or all and record.kind == "crc") then
+    return
+  end
   local crc_good = all and (is_good and "1," or "0,") or ""
   rows.file:write(("%s,%d,%s,%d,%s%s\n"):format(output.time_text(self.context.clock(record.rel)),
     record.frame, cells_of(self, source), record.seq, crc_good,
@@ -156,7 +162,9 @@ function M.describe(catalogue, version, list_of)
   local names, messages = {}, {}
   for i, message in ipairs(catalogue.messages) do
     local list = list_of(message)
-    for j, column in ipairs(list) do list[j] = describe_column(column) end
+    for j, column in ipairs(list) do
+      list[j] = describe_column(column)
+    end
     names[i] = message.name
     messages[message.name] = output.object({ "title", "every", "columns" }, {
       title = message.title,

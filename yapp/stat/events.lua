@@ -28,13 +28,17 @@ end
 
 function Events:event(event)
   local is_wanted = self.what == "events" or event.kind == "fault"
-  if is_wanted and tell.KINDS[event.kind].text then self.list[#self.list + 1] = event end
+  if is_wanted and tell.KINDS[event.kind].text then
+    self.list[#self.list + 1] = event
+  end
 end
 
 -- of = the event, place = among all; a row of faults has no keys of its own.
 local function row_of(self, event, place)
   local row = { kind = event.kind, frame = event.frame, of = event, place = place }
-  for key, value in pairs(event.values) do row[key] = value end
+  for key, value in pairs(event.values) do
+    row[key] = value
+  end
   output.row(event.source, row)
   row.time = event.rel and output.time(self.context.clock(event.rel))
   row.rel = output.seconds(event.rel)
@@ -47,7 +51,9 @@ end
 -- In time; what has no frame is behind all others.
 local function is_before(a, b)
   local one, other = a.of, b.of
-  if one.rel ~= other.rel then return one.rel < other.rel end
+  if one.rel ~= other.rel then
+    return one.rel < other.rel
+  end
   if one.frame ~= other.frame then
     return (one.frame or math.huge) < (other.frame or math.huge)
   end
@@ -59,7 +65,9 @@ end
 -- its name, or its number counted from their default IDs.
 local function names_of(event)
   local source, values = event.source, event.values
-  if event.kind == "invalid" then return { source.key .. values.field .. values.value } end
+  if event.kind == "invalid" then
+    return { source.key .. values.field .. values.value }
+  end
   if event.kind ~= "reboot" then return {} end
   local bus = tostring(source.bus_key)
   return { bus .. "+" .. source.id - source.message.id, source.name and bus .. "=" .. source.name }
@@ -74,7 +82,9 @@ local function join(line, row)
     line.times = (line.times or 1) + 1
     return true
   end
-  if line.messages[message] or event.rel - line.of.rel > (message.every or 0) then return false end
+  if line.messages[message] or event.rel - line.of.rel > (message.every or 0) then
+    return false
+  end
   line.messages[message] = true
   line.id = { text = line.id.text .. ", " .. row.id.text }
   line.message = { text = line.message.text .. ", " .. row.message.text }
@@ -91,7 +101,9 @@ local function joined(rows)
       line, lines[#lines + 1] = row, row
       row.messages = { [row.of.source.message or false] = true }
     end
-    for _, name in ipairs(names) do by_name[name] = line end
+    for _, name in ipairs(names) do
+      by_name[name] = line
+    end
   end
   return lines
 end

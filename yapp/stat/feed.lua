@@ -39,7 +39,9 @@ function Feed:reset()
   self.waiting, self.last = NOTHING, nil
   self:begins(0, 0, 0) -- packets may have no time
   self.doubtful, self.is_unsure, self.is_direct = {}, false, false
-  for _, entry in ipairs(self.statistics) do entry.matched = {} end
+  for _, entry in ipairs(self.statistics) do
+    entry.matched = {}
+  end
 end
 
 --- Adds a statistic.
@@ -57,10 +59,16 @@ local function hand_on(self, record)
   for _, entry in ipairs(self.statistics) do
     local statistic = entry.statistic
     local is_counted = not entry.has_filter or entry.matched[record.frame] == true
-    if entry.kinds then entry.kinds:record(record, is_counted) end
+    if entry.kinds then
+      entry.kinds:record(record, is_counted)
+    end
     if is_counted then
-      if record.is_unsure and statistic.tells_changes then self.is_unsure = true end
-      if statistic.message then statistic:message(record) end
+      if record.is_unsure and statistic.tells_changes then
+        self.is_unsure = true
+      end
+      if statistic.message then
+        statistic:message(record)
+      end
     end
   end
 end
@@ -124,7 +132,9 @@ end
 -- returns  whether it is so
 function Feed:go_direct()
   for _, entry in ipairs(self.statistics) do
-    if entry.has_filter or entry.kinds then return false end
+    if entry.has_filter or entry.kinds then
+      return false
+    end
   end
   self.is_direct = true
   return true
@@ -159,14 +169,20 @@ end
 function Feed:finish(unfinished)
   flush(self)
   hand_on_losses(self)
-  for _, record in ipairs(unfinished) do hand_on(self, record) end
+  for _, record in ipairs(unfinished) do
+    hand_on(self, record)
+  end
   local code, texts = 0, {}
-  if self.is_unsure then code, texts[1] = UNTOLD, NOT_KNOWN end
+  if self.is_unsure then
+    code, texts[1] = UNTOLD, NOT_KNOWN
+  end
   local last = self.last and { rel = self.last }
   for _, entry in ipairs(self.statistics) do
     if entry.kinds then entry.kinds:finish(last) end
     local this, text = entry.statistic:finish(last)
-    if this and (code == 0 or this < code) then code = this end
+    if this and (code == 0 or this < code) then
+      code = this
+    end
     texts[#texts + 1] = text
   end
   return code, texts

@@ -20,7 +20,9 @@ local function number_of(values, record, raws)
     return seconds + nanoseconds / 1e9
   end
   if value == nil then return nil end
-  if not (field.values or field.flags) then value = decode.value(field, value) end
+  if not (field.values or field.flags) then
+    value = decode.value(field, value)
+  end
   return tonumber(value) or NO_NUMBER -- of 64 bits a text, where a double is not exact
 end
 
@@ -63,7 +65,9 @@ local function note_value(values, record, raws)
     values.min = math.min(values.min, value)
     values.max = math.max(values.max, value)
   end
-  if value >= values.low and value <= values.high then return end
+  if value >= values.low and value <= values.high then
+    return
+  end
   value = rounded(values.field, value)
   local by = math.max(values.low - value, value - values.high)
   if value ~= value then by = INFINITE end -- a reserved count is beyond all
@@ -143,7 +147,9 @@ local function add_values(self, group, message)
     local spread = want.is_spread and (self.spreads[want] or { members = {} })
     local values = new_values(message, want, spread)
     self.spreads[want] = spread
-    if spread then table.insert(spread.members, values) end
+    if spread then
+      table.insert(spread.members, values)
+    end
     group.values[i], group.values[want] = values, values
   end
 end
@@ -178,18 +184,26 @@ local function add(group, kind, record)
     count = { seen = 0, frame = record.frame }
     group.counts[kind] = count
   end
-  if count.record ~= record then count.seen = count.seen + 1 end
+  if count.record ~= record then
+    count.seen = count.seen + 1
+  end
   count.record = record
 end
 
 --- Counts an event: a message that has several of one kind once, and of faults those that rose.
 function Groups:event(event)
   local kind, values, record = event.kind, event.values, event.record
-  if kind == "absent" then return table.insert(self.absent, event.source) end
-  if kind == "fault" and values.event ~= "raised" then return end
+  if kind == "absent" then
+    return table.insert(self.absent, event.source)
+  end
+  if kind == "fault" and values.event ~= "raised" then
+    return
+  end
   local group = group_of(self, event.source)
   add(group, tell.KINDS[kind].counts_as or kind, record)
-  if kind == "silence" and not values.is_last then add(group, "late", record) end
+  if kind == "silence" and not values.is_last then
+    add(group, "late", record)
+  end
 end
 
 local function note_values(self, group, record)
@@ -201,7 +215,9 @@ local function note_values(self, group, record)
   if not self.compares then return end
   local longest = message.every and self.context.late() * message.every or INFINITE
   for _, values in ipairs(group.values) do
-    if values.spread then note_spread(values, record, raws, longest) end
+    if values.spread then
+      note_spread(values, record, raws, longest)
+    end
   end
 end
 
@@ -255,7 +271,9 @@ end
 --- All groups: by bus as these showed, then by ID; a stream itself, which has none, first.
 function Groups:sorted()
   table.sort(self.list, function(a, b)
-    if a.bus_order ~= b.bus_order then return a.bus_order < b.bus_order end
+    if a.bus_order ~= b.bus_order then
+      return a.bus_order < b.bus_order
+    end
     return (a.source.id or -1) < (b.source.id or -1)
   end)
   return self.list

@@ -16,7 +16,9 @@ local MENU = {
   { "csv", "Export tables", ask = "New folder", file = "tables" },
 }
 local TITLES = {}
-for _, row in ipairs(MENU) do TITLES[row[1]] = row[2] end
+for _, row in ipairs(MENU) do
+  TITLES[row[1]] = row[2]
+end
 local WIDTH = 80 -- characters in a window as it opens, 620 pixels wide; Lua cannot make it wider
 local MOST = 1000 -- frames in a display filter: more make Wireshark slow
 
@@ -77,11 +79,15 @@ end
 
 local function save(path, content)
   local problem = output.save(path, content, "give another name")
-  if problem then report_failure("YAPP: not written: " .. problem) end
+  if problem then
+    report_failure("YAPP: not written: " .. problem)
+  end
 end
 
 local function show_frames(frames)
-  if not frames[1] then return report_failure("YAPP: no frame stands in this window") end
+  if not frames[1] then
+    return report_failure("YAPP: no frame stands in this window")
+  end
   local most = math.min(#frames, MOST)
   set_filter(("frame.number in {%s}"):format(table.concat(frames, ", ", 1, most)))
   apply_filter()
@@ -100,7 +106,9 @@ local function open_window(title, make)
   window:add_button("Save", function()
     local path = default_path(title:lower():gsub(" ", "-") .. ".txt")
     ask("Save", "New file", path, function(answer)
-      if answer and answer ~= "" then save(answer, content) end
+      if answer and answer ~= "" then
+        save(answer, content)
+      end
     end)
   end)
   window:add_button("Show frames", function() show_frames(frames) end)
@@ -131,7 +139,9 @@ function M.register(stat)
   for _, row in ipairs(MENU) do
     local argument, title = "yapp," .. row[1], row[2]
     local function answered(answer)
-      if answer then menu.show(answer == "" and argument or argument .. "," .. answer) end
+      if answer then
+        menu.show(answer == "" and argument or argument .. "," .. answer)
+      end
     end
     local function action()
       if not row.ask then return menu.show(argument) end

@@ -137,7 +137,9 @@ function finish.check(options, catalogue)
   local rules = options.rules
   if rules[1] or options.problems[1] then
     -- What was not decoded was not checked.
-    if not options.judges_unknown then rules[#rules + 1] = read_rule("unknown=0", catalogue) end
+    if not options.judges_unknown then
+      rules[#rules + 1] = read_rule("unknown=0", catalogue)
+    end
     demand(not options.unused, "no rule follows %s: it is for those behind it", options.unused)
     return
   end
@@ -179,7 +181,9 @@ function M.read(text, catalogue)
   for part in rest:gmatch(",([^,]*)") do
     try(options, part, read[what], part, catalogue)
   end
-  if finish[what] then try(options, what, finish[what], catalogue) end
+  if finish[what] then
+    try(options, what, finish[what], catalogue)
+  end
   if filter and not filter:find("%S") then
     problems[#problems + 1] = "filter=: the display filter is missing"
   end

@@ -49,7 +49,9 @@ end
 --- A list of objects.
 function M.list(objects)
   local parts = {}
-  for i, object in ipairs(objects) do parts[i] = object.json end
+  for i, object in ipairs(objects) do
+    parts[i] = object.json
+  end
   return { json = "[" .. table.concat(parts, ",") .. "]" }
 end
 
@@ -86,7 +88,9 @@ end
 --- What people read of a value: of a fraction six digits.
 function M.text(value)
   if type(value) == "table" then value = value.text end
-  if type(value) == "number" then return format(is_whole(value) and "%d" or "%.6g", value) end
+  if type(value) == "number" then
+    return format(is_whole(value) and "%d" or "%.6g", value)
+  end
   return value == nil and "" or tostring(value)
 end
 
@@ -125,7 +129,9 @@ local FOR_PEOPLE = { rel = true, note = true } -- in no JSON
 --- A list of the words of a text.
 function M.words(text)
   local list = {}
-  for word in text:gmatch("%S+") do list[#list + 1] = word end
+  for word in text:gmatch("%S+") do
+    list[#list + 1] = word
+  end
   return list
 end
 
@@ -157,7 +163,9 @@ end
 -- Takes columns away until a line has room for them.
 local function fit(columns, width)
   local total = -2
-  for _, column in ipairs(columns) do total = total + column.width + 2 end
+  for _, column in ipairs(columns) do
+    total = total + column.width + 2
+  end
   for _, key in ipairs(SPARE) do
     for i = #columns, 1, -1 do
       if total > width and columns[i].key == key then
@@ -175,7 +183,9 @@ local function table_line(columns, row, width)
     cells[i] = column.is_number and blanks .. text or text .. blanks
   end
   local line = table.concat(cells, "  "):gsub("%s+$", "")
-  if not width or width_of(line) <= width then return line .. "\n" end
+  if not width or width_of(line) <= width then
+    return line .. "\n"
+  end
   return line:match("^" .. ("[^\128-\191][\128-\191]*"):rep(width - 1)) .. "~\n"
 end
 
@@ -193,16 +203,22 @@ function M.table(keys, rows, width)
   end
   if width then fit(columns, width) end
   local lines = { table_line(columns, titles, width) }
-  for _, row in ipairs(rows) do lines[#lines + 1] = table_line(columns, row, width) end
+  for _, row in ipairs(rows) do
+    lines[#lines + 1] = table_line(columns, row, width)
+  end
   return table.concat(lines)
 end
 
 local function print_json(context, keys, rows)
   local in_json = {}
   for _, key in ipairs(keys) do
-    if not FOR_PEOPLE[key] then in_json[#in_json + 1] = key end
+    if not FOR_PEOPLE[key] then
+      in_json[#in_json + 1] = key
+    end
   end
-  for _, row in ipairs(rows) do context.out(M.object(row.keys or in_json, row).json .. "\n") end
+  for _, row in ipairs(rows) do
+    context.out(M.object(row.keys or in_json, row).json .. "\n")
+  end
 end
 
 --- Prints rows: for people under a title, or as a JSON object a line.
@@ -211,10 +227,16 @@ end
 -- rows     tables by key; keys = those of its JSON, where these are others
 function M.print(context, title, keys, rows)
   local frames = context.frames or {}
-  for _, row in ipairs(rows) do frames[#frames + 1] = row.frame or row.gap_max_frame end
-  if context.json then return print_json(context, keys, rows) end
+  for _, row in ipairs(rows) do
+    frames[#frames + 1] = row.frame or row.gap_max_frame
+  end
+  if context.json then
+    return print_json(context, keys, rows)
+  end
   context.out(title .. "\n")
-  if rows[1] then context.out("\n" .. M.table(keys, rows, context.width)) end
+  if rows[1] then
+    context.out("\n" .. M.table(keys, rows, context.width))
+  end
 end
 
 -- Files ---------------------------------------------------------------------------------------
@@ -250,7 +272,9 @@ end
 -- returns  what went wrong, nil for nothing
 function M.finish(list, problem)
   local function note(file, ok, why)
-    if not ok then problem = problem or file.path .. ": " .. why end
+    if not ok then
+      problem = problem or file.path .. ": " .. why
+    end
   end
   for _, file in ipairs(list) do
     note(file, not file.problem, file.problem)

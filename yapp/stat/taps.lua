@@ -63,7 +63,9 @@ end
 
 -- Makes a folder, and those above it; returns whether it is there.
 local function make_folder(path)
-  for stop in (path .. "/"):gmatch("()[/\\]") do Dir.make(path:sub(1, stop - 1)) end
+  for stop in (path .. "/"):gmatch("()[/\\]") do
+    Dir.make(path:sub(1, stop - 1))
+  end
   return Dir.exists(path)
 end
 
@@ -137,8 +139,10 @@ function Stat:begin(options, context)
   context.json, context.make_folder = options.json, make_folder
   setmetatable(context, { __index = self.plugin })
   local statistic, problem = NEW[options.what](options, context)
-  if not statistic then error(options.what .. ": " .. problem, 0) end
-  self.wants_parts = self.wants_parts or statistic.event ~= nil
+  if not statistic then
+    error(options.what .. ": " .. problem, 0)
+  end
+  if statistic.event then self.wants_parts = true end
   local entry = feed:add(statistic, filter ~= nil)
   if filter then
     function filter.packet(pinfo) feed:matched(entry, pinfo.number) end
@@ -163,7 +167,9 @@ function Stat:run(text, width)
     problems = ok and texts or { tostring(texts) }
     self:close()
   end
-  for _, problem in ipairs(problems) do out(problem .. "\n") end
+  for _, problem in ipairs(problems) do
+    out(problem .. "\n")
+  end
   return table.concat(said), frames
 end
 
@@ -172,14 +178,18 @@ end
 -- All is seen: prints, says what is wrong, ends with a code where one is due.
 function Stat:conclude()
   local ok, code, texts = pcall(self.feed.finish, self.feed, self.plugin.unfinished())
-  if not ok then code, texts = FAILED, { tostring(code) } end
+  if not ok then
+    code, texts = FAILED, { tostring(code) }
+  end
   local is_flushed, problem = io.stdout:flush() -- a full disk may show only here
   problem = self.problem or not is_flushed and problem
   if problem then
     texts[#texts + 1] = "standard output: " .. problem
     if code == 0 then code = FAILED end
   end
-  for _, text in ipairs(texts) do say(text) end
+  for _, text in ipairs(texts) do
+    say(text)
+  end
   if code ~= 0 then leave(code) end
 end
 
@@ -212,7 +222,9 @@ function Stat:register()
       leave(FAILED)
     end
   end
-  for _, what in ipairs(options_of.WHATS) do register_stat_cmd_arg("yapp," .. what, run) end
+  for _, what in ipairs(options_of.WHATS) do
+    register_stat_cmd_arg("yapp," .. what, run)
+  end
   register_stat_cmd_arg("yapp", run) -- the longest name that fits is called: else this one
 end
 

@@ -143,7 +143,9 @@ function Tell:message(m)
   local record = record_of(self, kind, m)
   record.source.orphan = nil
   if kind == "incomplete" then record.what = kind end
-  if m.look and m.good then record.invalid = invalid_of(m) end
+  if m.look and m.good then
+    record.invalid = invalid_of(m)
+  end
   if m.is_unsure then record.is_unsure = true end
   offer(self, record, m)
 end
@@ -151,7 +153,9 @@ end
 -- What the orphaned frames of one message have in common: those in a row of one Seq, to its End.
 local function orphaned(source, m)
   local orphan = source.orphan
-  if not orphan or orphan.seq ~= m.seq then orphan = { seq = m.seq } end
+  if not orphan or orphan.seq ~= m.seq then
+    orphan = { seq = m.seq }
+  end
   source.orphan = not m.is_end and orphan or nil
   return orphan
 end
@@ -262,7 +266,9 @@ end
 local function alarms_of(field)
   local list = {}
   for _, flag in ipairs(field.flags) do
-    if band(flag.mask, field.alarm_bits) ~= 0 then list[#list + 1] = flag end
+    if band(flag.mask, field.alarm_bits) ~= 0 then
+      list[#list + 1] = flag
+    end
   end
   local undefined = band(field.undefined, field.alarm_bits)
   for place = 0, 31 do
@@ -287,7 +293,9 @@ local function note_fault(self, state, record, fault, is_set)
     fault.since, set[#set + 1] = record.rel, fault
   end
   state.set = set
-  if state.counts then tell_fault(self, record, fault, is_set and "raised" or "cleared") end
+  if state.counts then
+    tell_fault(self, record, fault, is_set and "raised" or "cleared")
+  end
 end
 
 -- The faults of a source that begin and end with a change of a field's flags.
@@ -304,10 +312,16 @@ end
 
 -- What a good message that counts tells besides faults.
 local function note_events(self, record, change)
-  if change.reboot then tell_of(self, "reboot", record) end
+  if change.reboot then
+    tell_of(self, "reboot", record)
+  end
   if change.stale then tell_of(self, "stale", record) end
-  if not record.fits then tell_of(self, "unknown", record) end
-  for _, one in ipairs(record.invalid or NOTHING) do tell_of(self, "invalid", record, one) end
+  if not record.fits then
+    tell_of(self, "unknown", record)
+  end
+  for _, one in ipairs(record.invalid or NOTHING) do
+    tell_of(self, "invalid", record, one)
+  end
 end
 
 -- state: last = the latest record, counts = whether it does; set = the faults that are set, in the
@@ -336,8 +350,12 @@ local function note_good(self, record, counts)
   end
   state.last, state.counts = record, counts
   if counts then note_events(self, record, change) end
-  for _, one in ipairs(change.flags or NOTHING) do note_faults(self, state, record, one) end
-  if counts then state.told, state.told_by = state.set, record end
+  for _, one in ipairs(change.flags or NOTHING) do
+    note_faults(self, state, record, one)
+  end
+  if counts then
+    state.told, state.told_by = state.set, record
+  end
 end
 
 --- Takes a record, in the order of the capture.
@@ -367,18 +385,24 @@ end
 -- The faults that are still set at the last message of their source that counts.
 local function note_active(self)
   table.sort(self.states, function(a, b)
-    if a.told_by.frame ~= b.told_by.frame then return a.told_by.frame < b.told_by.frame end
+    if a.told_by.frame ~= b.told_by.frame then
+      return a.told_by.frame < b.told_by.frame
+    end
     return a.order < b.order
   end)
   for _, state in ipairs(self.states) do
-    for _, fault in ipairs(state.told) do tell_fault(self, state.told_by, fault, "active") end
+    for _, fault in ipairs(state.told) do
+      tell_fault(self, state.told_by, fault, "active")
+    end
   end
 end
 
 local function has_come(self, row)
   for source in pairs(self.came) do
     local is_there = not row.bus or row.bus == source.bus
-    if is_there and source.id == row.id and source.name == row.name then return true end
+    if is_there and source.id == row.id and source.name == row.name then
+      return true
+    end
   end
   return false
 end
