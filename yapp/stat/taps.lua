@@ -54,13 +54,6 @@ local function say(text)
   io.stderr:write("yapp: ", (text:gsub("\n", "\nyapp: ")), "\n")
 end
 
--- Ends tshark.  What other statistics of this run would still print is lost: the exit code counts
--- for more.
-local function leave(code)
-  io.stdout:flush()
-  os.exit(code)
-end
-
 -- Makes a folder, and those above it; returns whether it is there.
 local function make_folder(path)
   for stop in (path .. "/"):gmatch("()[/\\]") do
@@ -190,7 +183,8 @@ function Stat:conclude()
   for _, text in ipairs(texts) do
     say(text)
   end
-  if code ~= 0 then leave(code) end
+  -- What other statistics of this run would still print is lost: the exit code counts for more.
+  if code ~= 0 then os.exit(code) end
 end
 
 -- One -z argument.
@@ -219,7 +213,7 @@ function Stat:register()
     local ok, problem = pcall(self.argument, self, text)
     if not ok then
       say(tostring(problem))
-      leave(FAILED)
+      os.exit(FAILED)
     end
   end
   for _, what in ipairs(options_of.WHATS) do

@@ -97,7 +97,7 @@ local function source_of(self, m)
       name = m.id and self.reader:name_of(m.id, m.bus_name),
       message = m.id and self.reader:message_of(m.id, m.bus_name),
       parts = {}, -- by Seq: see Tell:part
-      orphan = nil, -- { seq }: the message that lost its Start, while its frames come
+      orphan = false, -- or { seq }: the message that lost its Start, while its frames come
     }
     self.sources[m.source] = source
   end
@@ -119,7 +119,8 @@ local function record_of(self, kind, m)
 end
 
 local function offer(self, record, m)
-  self.stretches[m.stream or false] = nil
+  local stream = m.stream or false
+  if self.stretches[stream] then self.stretches[stream] = nil end -- in Lua 5.2 costly if it is nil
   self.stat:offer(record, m.visited)
 end
 
@@ -141,7 +142,7 @@ function Tell:message(m)
   local kind = m.good and "message" or KIND_OF[m.status]
   if not kind then return end
   local record = record_of(self, kind, m)
-  record.source.orphan = nil
+  record.source.orphan = false
   if kind == "incomplete" then record.what = kind end
   if m.look and m.good then
     record.invalid = invalid_of(m)
@@ -156,7 +157,7 @@ local function orphaned(source, m)
   if not orphan or orphan.seq ~= m.seq then
     orphan = { seq = m.seq }
   end
-  source.orphan = not m.is_end and orphan or nil
+  source.orphan = not m.is_end and orphan
   return orphan
 end
 
@@ -172,7 +173,7 @@ function Tell:faults(m, faults)
       if what == "orphan" then
         record.lost = orphaned(record.source, m)
       else
-        record.lost, record.source.orphan = fault.message, nil
+        record.lost, record.source.orphan = fault.message, false
       end
       record.what, record.fault = what, fault
       offer(self, record, m)
@@ -304,8 +305,11 @@ local function note_faults(self, state, record, change)
   for _, flag in ipairs(alarms_of(change.field)) do
     local is_set = band(change.value, flag.mask) ~= 0
     if is_set ~= (band(before, flag.mask) ~= 0) then
-      local fault = { field = change.field.name, flag = flag.name, help = flag.help, since = nil }
-      note_fault(self, state, record, fault, is_set)
+      note_fault(self, state, record, {
+        field = change.field.name,
+        flag = flag.name,
+        help = flag.help,
+      }, is_set)
     end
   end
 end
@@ -315,7 +319,9 @@ local function note_events(self, record, change)
   if change.reboot then
     tell_of(self, "reboot", record)
   end
-  if change.stale then tell_of(self, "stale", record) end
+  if change.stale then
+    tell_of(self, "stale", record)
+  end
   if not record.fits then
     tell_of(self, "unknown", record)
   end
