@@ -27,13 +27,12 @@ local function number_value(value)
   return tonumber(shown) == value and shown or format("%.17g", value)
 end
 
---- The JSON of a value: string, number, boolean, nil (null), or { json = what is JSON already }.
+--- The JSON of a value: string, number, nil (null), or { json = what is JSON already }.
 function M.value(value)
   local kind = type(value)
   if kind == "number" then return number_value(value) end
-  if kind == "string" then return text_value(value) end
   if kind == "table" then return value.json end
-  return value == nil and "null" or tostring(value)
+  return value and text_value(value) or "null"
 end
 
 --- An object of these keys, in this order, with the values that a table has under them; what it
@@ -72,11 +71,11 @@ end
 --- A time of the capture; people read it in UTC, to the microsecond.
 -- seconds, nanoseconds  since 1970
 function M.time(seconds, nanoseconds)
-  local ok, date = pcall(os.date, "!%Y-%m-%d %H:%M:%S", seconds)
-  if not ok then date = format("%d", seconds) end
+  local ok, date = pcall(os.date, "!%Y-%m-%d %H:%M:%S", seconds) -- on Windows from 1970 to 3000
+  local shown = ok and date or format("%d", seconds)
   return {
     json = M.time_text(seconds, nanoseconds),
-    text = format("%s.%06d", date, math.floor(nanoseconds / 1000)),
+    text = format("%s.%06d", shown, math.floor(nanoseconds / 1000)),
   }
 end
 
@@ -91,7 +90,7 @@ function M.text(value)
   if type(value) == "number" then
     return format(is_whole(value) and "%d" or "%.6g", value)
   end
-  return value == nil and "" or tostring(value)
+  return value or ""
 end
 
 --- A count of things: "1 message", "2 messages".
@@ -101,10 +100,9 @@ end
 
 --- What a source is called where a column has room for one text: its name, or its bus and ID.
 function M.who(source)
-  if source.name or not source.id then
-    return source.name or source.bus
-  end
-  return (source.bus and source.bus .. " " or "") .. format("0x%x", source.id)
+  if source.name then return source.name end
+  local bus = source.bus and source.bus .. " " or ""
+  return bus .. format("0x%x", source.id)
 end
 
 --- A row of what says which source, which goes into a table of its other values.
