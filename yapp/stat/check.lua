@@ -135,14 +135,18 @@ local function is_about(rule, group)
   return has and (type(has) ~= "table" or next(has) ~= nil)
 end
 
+-- Adds a row; the exit code follows from all of them.
 -- group  nil for all sources
-local function row_of(rule, group, seen, frame, is_well, worst, note)
+local function add_row(self, rule, group, seen, frame, is_well, worst, note)
   local ok = is_well and OK or FAILED
   if is_well == nil then
     local is_unsure = group and group.is_unsure
     ok, note = UNJUDGED, is_unsure and "what came before is not known" or "nothing to judge it by"
   end
-  return output.row(group and group.source or { name = rule.source }, {
+  if ok == FAILED or self.code == OK.code then
+    self.code = ok.code
+  end
+  local row = output.row(group and group.source or { name = rule.source }, {
     ok = ok,
     rule = rule.text,
     seen = seen,
@@ -151,23 +155,25 @@ local function row_of(rule, group, seen, frame, is_well, worst, note)
     worst = worst,
     note = note,
   })
+  table.insert(self.rows, row)
 end
 
--- The rows of a rule: one for each source that it is about, or one in all.
+-- Adds the rows of a rule: one for each source that it is about, or one in all.
 local function judge(self, rule, last)
-  local measure, rows = of_all[rule.kind], {}
+  local measure, is_about_any = of_all[rule.kind], false
   if measure then
-    return { row_of(rule, nil, measure(self, rule)) }
+    return add_row(self, rule, nil, measure(self, rule))
   end
   measure = of_source[rule.kind] or count_events
   for _, group in ipairs(self:sorted()) do
     if is_about(rule, group) then
-      rows[#rows + 1] = row_of(rule, group, measure(rule, group, last))
+      is_about_any = true
+      add_row(self, rule, group, measure(rule, group, last))
     end
   end
-  if rows[1] then return rows end
+  if is_about_any then return end
   local ok = holds_of_none(self, rule)
-  return { row_of(rule, nil, ok and 0, nil, ok) }
+  add_row(self, rule, nil, ok and 0, nil, ok)
 end
 
 -- A report in JUnit's XML ------------------------------------------------------------------------
@@ -219,37 +225,26 @@ end
 
 -- The end ---------------------------------------------------------------------------------------
 
--- The rows of all rules, and the exit code that follows from them.
-local function judge_all(self, last)
-  local rows, code = {}, 0
-  for _, rule in ipairs(self.options.rules) do
-    for _, row in ipairs(judge(self, rule, last)) do
-      rows[#rows + 1] = row
-      if row.ok == FAILED or code == 0 then
-        code = row.ok.code
-      end
-    end
-  end
-  return rows, code
-end
-
 --- last     { rel =, ... } of the last packet of any kind; nil where there was none
 -- returns  the exit code, and a text that says why where the table does not, nil for nothing
 function Check:finish(last)
-  local junit, problems = self.options.junit, self.context.problems()
-  local rows, code = judge_all(self, last)
-  for _, problem in ipairs(self.options.problems) do
+  local options, problems = self.options, self.context.problems()
+  self.rows, self.code = {}, OK.code
+  for _, rule in ipairs(options.rules) do
+    judge(self, rule, last)
+  end
+  for _, problem in ipairs(options.problems) do
     problems[#problems + 1] = problem
   end
-  local problem = junit and report(junit, rows, problems)
+  local problem = options.junit and report(options.junit, self.rows, problems)
   if problem then
     problems[#problems + 1] = "the report is not written: " .. problem
   end
-  if code == 0 and problems[1] then
-    code = UNJUDGED.code
+  if self.code == OK.code and problems[1] then
+    self.code = UNJUDGED.code
   end
-  output.print(self.context, "YAPP check: " .. TITLES[code], KEYS, rows)
-  return code, problems[1] and "check: " .. table.concat(problems, "\ncheck: ") or nil
+  output.print(self.context, "YAPP check: " .. TITLES[self.code], KEYS, self.rows)
+  return self.code, problems[1] and "check: " .. table.concat(problems, "\ncheck: ") or nil
 end
 
 return M
