@@ -111,15 +111,16 @@ end
 
 function Csv:message(record)
   local all, source, is_good = self.options.all, record.source, record.kind == "message"
-  local rows = record.fits and self.tables[source.message]
-  if not rows or not (is_good or all and record.kind == "crc") then
+  local to = record.fits and self.tables[source.message]
+  if not to or not (is_good or all and record.kind == "crc") then
     return
   end
+  local time = output.time_text(self.context.clock(record.rel))
   local crc_good = all and (is_good and "1," or "0,") or ""
-  rows.file:write(("%s,%d,%s,%d,%s%s\n"):format(output.time_text(self.context.clock(record.rel)),
-    record.frame, cells_of(self, source), record.seq, crc_good,
-    columns.row(source.message, record.payload)))
-  rows.rows = rows.rows + 1
+  local row = columns.row(source.message, record.payload)
+  to.file:write(("%s,%d,%s,%d,%s%s\n"):format(
+    time, record.frame, cells_of(self, source), record.seq, crc_good, row))
+  to.rows = to.rows + 1
 end
 
 -- The meanings of an enum's numbers, in their order: {"0":"Torque Mode","1":"Speed Mode"}.

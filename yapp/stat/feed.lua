@@ -22,6 +22,7 @@ local NOT_KNOWN = "what came before a message is not known (nothing tells severa
   "faults that rose or fell, reboots and gaps are missing"
 
 local NOTHING = {}
+local floor = math.floor
 
 local Feed = {}
 Feed.__index = Feed
@@ -122,8 +123,8 @@ end
 function Feed:time(rel)
   local first = self.first
   local since = rel - first.rel
-  local nanoseconds = first.nanoseconds + math.floor(since % 1 * 1e9 + 0.5)
-  local seconds = first.seconds + math.floor(since) + math.floor(nanoseconds / 1e9)
+  local nanoseconds = first.nanoseconds + floor(since % 1 * 1e9 + 0.5)
+  local seconds = first.seconds + floor(since) + floor(nanoseconds / 1e9)
   return seconds, nanoseconds % 1e9
 end
 
