@@ -9,7 +9,7 @@ local T = {}
 local SOURCE = { key = 1, id = 1 }
 
 local function new_feed()
-  return feed_of.new(function() return 2.5 end, function() return {} end)
+  return feed_of.new { late = function() return 2.5 end, named = function() return {} end }
 end
 
 -- A statistic that notes what it gets.

@@ -67,7 +67,8 @@ local function run(arguments, records, with)
   with = with or {}
   local named = with.named or { { id = 0x210, name = "left" } }
   local function late() return 2.5 end
-  local printed, feed, entry = {}, feed_of.new(late, function() return named end), nil
+  local plugin = { late = late, named = function() return named end }
+  local printed, feed, entry = {}, feed_of.new(plugin), nil
   for _, argument in ipairs(arguments) do
     local catalogue = with.catalogue or CATALOGUE
     local options = options_of.read("yapp," .. argument, catalogue)
@@ -620,7 +621,7 @@ end
 -- A window of Wireshark has room for 80 characters: each row is one line of it.
 function T.test_tables_fit_a_window()
   local flag = { name = ("long"):rep(12), mask = 1 }
-  local change = { flags = { { field = { name = "f", alarm_bits = 1, flags = { flag } }, value = 1, raised = 1, cleared = 0 } },
+  local change = { flags = { { field = { name = "f", undefined = 0, alarm_bits = 1, flags = { flag } }, value = 1, raised = 1, cleared = 0 } },
     reboot = true, late = 0.9 }
   local records = { record(1, 0), record(99999, 1, { change = change }), record(100000, 1.1, { source = RIGHT }) }
   for _, what in ipairs { "summary", "faults", "events", "compare", "check" } do
@@ -651,7 +652,7 @@ function T.test_wrong_options_are_named()
     ["faults,"] = "an empty option: the options of faults are json, filter=EXPRESSION",
     ["events,filter= "] = "filter=: the display filter is missing",
     ["csv"] = "csv: it is csv,FOLDER or csv,-,MESSAGE",
-    ["csv,-"] = "csv: it is csv,-,MESSAGE",
+    ["csv,-"] = "csv: it is csv,FOLDER or csv,-,MESSAGE",
     ["csv,-,motor,json"] = "csv: csv,- prints a table; json is for csv,FOLDER",
     ["csv,-,moter"] = "moter: there is no such message in the catalogue",
     ["csv,x,over"] = "over: the options of csv are replace, all, json, filter=EXPRESSION",

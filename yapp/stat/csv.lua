@@ -10,75 +10,67 @@ local columns, output = require("yapp.message.columns"), require("yapp.stat.outp
 local M = {}
 
 local UNTOLD = 21
--- In front of a message's own: name, type, unit.
+-- In front of a message's own.
 local COMMON = {
-  { "time", "time", "s" }, { "frame", "integer" }, { "bus", "string" }, { "source", "string" },
-  { "id", "integer" }, { "seq", "integer" },
+  { name = "time", type = "time", unit = "s" },
+  { name = "frame", type = "integer" },
+  { name = "bus", type = "string" },
+  { name = "source", type = "string" },
+  { name = "id", type = "integer" },
+  { name = "seq", type = "integer" },
 }
-local FIELDS = "fields.json"
+local CRC_GOOD = { { name = "crc_good", type = "bool" } }
 
 local Csv = {}
 Csv.__index = Csv
+
+-- All columns of a message, as message.columns has them.
+local function columns_of(self, message)
+  local all = {}
+  local parts = { COMMON, self.options.all and CRC_GOOD or {}, columns.columns(message) }
+  for _, part in ipairs(parts) do
+    for _, column in ipairs(part) do
+      all[#all + 1] = column
+    end
+  end
+  return all
+end
+
+-- Begins the table of a message.
+local function begin(self, message, file)
+  local names = {}
+  for i, column in ipairs(columns_of(self, message)) do
+    names[i] = columns.quoted(column.name)
+  end
+  file:write(table.concat(names, ",") .. "\n")
+  self.tables[message] = { file = file, rows = 0 }
+end
 
 local function path_of(self, name)
   return self.options.folder .. "/" .. name
 end
 
--- All columns of a message, as message.columns has them.
-local function columns_of(self, message)
-  local list = {}
-  for i, row in ipairs(COMMON) do list[i] = {
-    name = row[1],
-    type = row[2],
-    unit = row[3],
-  } end
-  if self.options.all then
-    list[#list + 1] = { name = "crc_good", type = "bool" }
-  end
-  for _, column in ipairs(columns.columns(message)) do
-    list[#list + 1] = column
-  end
-  return list
-end
-
-local function header(self, message)
-  local names = {}
-  for i, column in ipairs(columns_of(self, message)) do
-    names[i] = columns.quoted(column.name)
-  end
-  return table.concat(names, ",") .. "\n"
-end
-
 -- A new file of the folder; no file in it is overwritten unasked.
 local function create(self, name)
-  local path = path_of(self, name)
-  local there = not self.options.replace and io.open(path, "rb")
-  if there then
-    there:close()
-    return nil, path .. " is there; add the option replace to write it anew"
-  end
-  local file, problem = output.create(path)
+  local advice = not self.options.replace and "add the option replace to write it anew"
+  local file, problem = output.create(path_of(self, name), advice)
   self.files[#self.files + 1] = file
   return file, problem
 end
 
--- Makes the folder and begins its files.
-local function prepare(self)
+-- Makes the folder and begins its files; returns what went wrong, nil for nothing.
+local function begin_all(self)
   local folder, context = self.options.folder, self.context
   if not context.make_folder(folder) then
     return ("the folder %s cannot be made"):format(folder)
   end
-  local problem
-  self.fields, problem = create(self, FIELDS)
+  local file, problem = create(self, "fields.json")
+  self.fields = file
   for _, message in ipairs(context.catalogue.messages) do
-    local file
-    if not problem then
+    if file then
       file, problem = create(self, message.name .. ".csv")
     end
-    if file then
-      file:write(header(self, message))
-    end
-    self.of_message[message], self.counts[message] = file, 0
+    if file then begin(self, message, file) end
   end
   return problem and output.finish(self.files, problem)
 end
@@ -94,51 +86,41 @@ function M.new(options, context)
     options = options,
     context = context,
     files = {},
-    of_message = {},
-    counts = {},
-    cells = {},
-    fields = nil,
+    fields = nil, -- the file
+    tables = {}, -- by message: { file, rows = how many it has }
+    cells = {}, -- by source
   }, Csv)
-  if not options.chosen then
-    local problem = prepare(self)
-    return not problem and self or nil, problem
+  if options.chosen then
+    begin(self, options.chosen, { write = function(_, text) context.out(text) end })
+    return self
   end
-  self.counts[options.chosen] = 0
-  context.out(header(self, options.chosen))
-  return self
+  local problem = begin_all(self)
+  return not problem and self or nil, problem
 end
 
 -- "can0,left,528": the same in each row of a source, and a twentieth of the time.
 local function cells_of(self, source)
   local cells = self.cells[source]
   if not cells then
-    cells = ("%s,%s,%d"):format(
-      columns.quoted(source.bus or ""),
-      columns.quoted(source.name or ""),
-      source.id)
+    local bus, name = columns.quoted(source.bus or ""), columns.quoted(source.name or "")
+    cells = ("%s,%s,%d"):format(bus, name, source.id)
     self.cells[source] = cells
   end
   return cells
 end
 
 function Csv:message(record)
-  local options, source = self.options, record.source
-  local message, is_good = source.message, record.kind == "message"
-  if not (record.fits and self.counts[message]) then
+  local all, source, is_good = self.options.all, record.source, record.kind == "message"
+  local to = record.fits and self.tables[source.message]
+  if not to or not (is_good or all and record.kind == "crc") then
     return
   end
-  if not (is_good or options.all and record.kind == "crc") then
-    return
-  end
-  local crc_good = options.all and (is_good and "1," or "0,") or ""
-  local row = ("%s,%d,%s,%d,%s%s\n"):format(output.time_text(self.context.clock(record.rel)),
-    record.frame, cells_of(self, source), record.seq, crc_good,
-    columns.row(message, record.payload))
-  if options.chosen then
-    return self.context.out(row)
-  end
-  self.of_message[message]:write(row)
-  self.counts[message] = self.counts[message] + 1
+  local time = output.time_text(self.context.clock(record.rel))
+  local crc_good = all and (is_good and "1," or "0,") or ""
+  local row = columns.row(source.message, record.payload)
+  to.file:write(("%s,%d,%s,%d,%s%s\n"):format(
+    time, record.frame, cells_of(self, source), record.seq, crc_good, row))
+  to.rows = to.rows + 1
 end
 
 -- The meanings of an enum's numbers, in their order: {"0":"Torque Mode","1":"Speed Mode"}.
@@ -149,22 +131,23 @@ local function meanings(values)
     keys[#keys + 1], texts[key] = key, text
   end
   table.sort(keys, function(a, b) return tonumber(a) < tonumber(b) end)
-  return output.raw(output.object(keys, texts))
+  return output.object(keys, texts)
 end
 
 -- The last three are an integer's: what it fits in and what its numbers mean.
 local COLUMN_KEYS = output.words("name unit type filter title kind bits values")
 
 local function describe_column(column)
-  local field, about = column.field, column.flag or column.field
+  local field = column.field or {} -- of the common ones none
+  local about = column.flag or field
   local row = {
     name = column.name,
     unit = column.unit,
     type = column.type,
-    filter = about and about.filter,
-    title = about and about.title,
+    filter = about.filter,
+    title = about.title,
   }
-  if field and column.type == "integer" then
+  if field.kind and column.type == "integer" then
     row.kind, row.bits = field.kind, field.size * 8
     row.values = field.values and meanings(field.values)
   end
@@ -172,40 +155,41 @@ local function describe_column(column)
 end
 
 --- What the columns of all messages are.
--- catalogue   compiled; version: the plugin's own, a text
--- columns_of  function(message) -> its columns: message.columns' and what comes before them
--- returns     JSON: { version = 1, plugin =, messages = { NAME = { title =, every = in seconds or
---             null, columns = list of { those of COLUMN_KEYS } } } }
-function M.describe(catalogue, version, columns_of_)
+-- catalogue  compiled; version: the plugin's own, a text
+-- list_of    function(message) -> its columns: message.columns' and what comes before them
+-- returns    JSON: { version = 1, plugin =, messages = { NAME = { title =, every = in seconds or
+--            null, columns = list of { those of COLUMN_KEYS } } } }
+function M.describe(catalogue, version, list_of)
   local names, messages = {}, {}
   for i, message in ipairs(catalogue.messages) do
-    local list = {}
-    for j, column in ipairs(columns_of_(message)) do
+    local list = list_of(message)
+    for j, column in ipairs(list) do
       list[j] = describe_column(column)
     end
     names[i] = message.name
-    messages[message.name] = output.raw(output.object({ "title", "every", "columns" }, {
-      title = message.title, every = message.every,
-      columns = output.raw("[" .. table.concat(list, ",") .. "]") }))
+    messages[message.name] = output.object({ "title", "every", "columns" }, {
+      title = message.title,
+      every = message.every,
+      columns = output.list(list),
+    })
   end
   return output.object({ "version", "plugin", "messages" }, {
     version = 1,
     plugin = version,
-    messages = output.raw(output.object(names, messages)),
-  })
+    messages = output.object(names, messages),
+  }).json
 end
 
 --- returns  the exit code, nil for 0, 21 where a file could not be written; and why
 function Csv:finish()
-  local context, rows = self.context, {}
   if self.options.chosen then return end
-  self.fields:write(M.describe(context.catalogue, context.version, function(message)
-    return columns_of(self, message)
-  end) .. "\n")
+  local context, rows = self.context, {}
+  local function list_of(message) return columns_of(self, message) end
+  self.fields:write(M.describe(context.catalogue, context.version, list_of) .. "\n")
   local problem = output.finish(self.files)
   if problem then return UNTOLD, "csv: " .. problem end
   for i, message in ipairs(context.catalogue.messages) do
-    rows[i] = { file = path_of(self, message.name .. ".csv"), rows = self.counts[message] }
+    rows[i] = { file = path_of(self, message.name .. ".csv"), rows = self.tables[message].rows }
   end
   output.print(context, "YAPP csv: " .. output.count(#rows, "table"), { "file", "rows" }, rows)
 end

@@ -2,21 +2,18 @@
 -- -z yapp,events: what happened, in the order of time; and -z yapp,faults: of this the faults, when
 -- each flag rose and fell, on which source, for how long.  Pure Lua, 5.2 to 5.5.
 
-local output = require("yapp.stat.output")
-local KINDS = require("yapp.stat.tell").KINDS
+local output, tell = require("yapp.stat.output"), require("yapp.stat.tell")
 
 local M = {}
 
-local FAULTS = output.words("time rel frame bus id source message field flag event active help")
-local EVENTS = output.words("time rel frame bus id source message kind details times")
--- In JSON a kind's own keys stand behind those that all have.
+local COLUMNS = {
+  faults = output.words("time rel frame bus id source message field flag event active help"),
+  events = output.words("time rel frame bus id source message kind details times"),
+}
+-- Of a line of events in JSON, by kind.
 local KEYS = {}
-for _, kind in ipairs(KINDS) do
-  local keys = output.words("kind time frame bus id source message")
-  for _, key in ipairs(kind.keys or {}) do
-    keys[#keys + 1] = key
-  end
-  KEYS[kind.name] = kind.keys and keys
+for name, kind in pairs(tell.KINDS) do
+  KEYS[name] = output.words("kind time frame bus id source message " .. (kind.keys or ""))
 end
 
 local Events = { tells_changes = true }
@@ -26,111 +23,101 @@ Events.__index = Events
 -- context   { clock = function(rel) -> seconds since 1970, nanoseconds, and what output.print
 --           takes }
 function M.new(options, context)
-  return setmetatable({
-    what = options.what,
-    context = context,
-    list = {},
-    places = {},
-  }, Events)
+  return setmetatable({ what = options.what, context = context, list = {} }, Events)
 end
 
 function Events:event(event)
-  if self.what == "faults" and event.kind ~= "fault" or not KEYS[event.kind] then
-    return
+  local is_wanted = self.what == "events" or event.kind == "fault"
+  if is_wanted and tell.KINDS[event.kind].text then
+    self.list[#self.list + 1] = event
   end
-  self.list[#self.list + 1] = event
-  self.places[event] = #self.list
 end
 
--- In time; what has no frame is behind all others.
-local function sort(self)
-  table.sort(self.list, function(a, b)
-    if a.rel ~= b.rel then
-      return a.rel < b.rel
-    end
-    if a.frame ~= b.frame then
-      return (a.frame or math.huge) < (b.frame or math.huge)
-    end
-    return self.places[a] < self.places[b]
-  end)
-end
-
-local function row_of(self, event)
-  local kind, row = KINDS[event.kind], {}
-  for key, value in pairs(event) do
+-- of = the event, place = among all; a row of faults has no keys of its own.
+local function row_of(self, event, place)
+  local row = { kind = event.kind, frame = event.frame, of = event, place = place }
+  for key, value in pairs(event.values) do
     row[key] = value
   end
   output.row(event.source, row)
   row.time = event.rel and output.time(self.context.clock(event.rel))
   row.rel = output.seconds(event.rel)
-  row.details = kind.text:gsub("{(%w+)}", function(key) return output.text(row[key]) end)
+  row.details = tell.KINDS[event.kind].text:gsub("{(%w+)}", function(key)
+    return output.text(row[key])
+  end)
   return row
+end
+
+-- In time; what has no frame is behind all others.
+local function is_before(a, b)
+  local one, other = a.of, b.of
+  if one.rel ~= other.rel then
+    return one.rel < other.rel
+  end
+  if one.frame ~= other.frame then
+    return (one.frame or math.huge) < (other.frame or math.huge)
+  end
+  return a.place < b.place
 end
 
 -- By what a person's line is found that an event may go into: messages of a source with the same
 -- undefined value are one; so are reboots that several messages of a controller tell, which have
 -- its name, or its number counted from their default IDs.
-local function keys_of(event)
-  local source = event.source
-  local bus = tostring(source.bus_key)
+local function names_of(event)
+  local source, values = event.source, event.values
   if event.kind == "invalid" then
-    return { source.key .. event.field .. event.value }
+    return { source.key .. values.field .. values.value }
   end
   if event.kind ~= "reboot" then return {} end
+  local bus = tostring(source.bus_key)
   return { bus .. "+" .. source.id - source.message.id, source.name and bus .. "=" .. source.name }
 end
 
--- Whether a reboot is another one than that of a row: of a message that has told of it already, or
--- later than the message's next one.
-local function is_another(row, event)
+-- Puts an event into the line of another one; returns whether it belongs there.  A reboot does not
+-- where its message has told of one already, or has come before.
+local function join(line, row)
+  local event = row.of
   local message = event.source.message
-  return row.messages[message] or event.rel - row.first.rel > (message.every or 0)
+  if event.kind == "invalid" then
+    line.times = (line.times or 1) + 1
+    return true
+  end
+  if line.messages[message] or event.rel - line.of.rel > (message.every or 0) then
+    return false
+  end
+  line.messages[message] = true
+  line.id = { text = line.id.text .. ", " .. row.id.text }
+  line.message = { text = line.message.text .. ", " .. row.message.text }
+  return true
 end
 
-local function join(row, other)
-  if row.kind == "invalid" then
-    row.times = (row.times or 1) + 1
-  else
-    row.id = { text = row.id.text .. ", " .. other.id.text }
-    row.message = { text = row.message.text .. ", " .. other.message.text }
-  end
-end
-
-local function joined(list, rows)
-  local kept, by_key = {}, {}
-  for i, event in ipairs(list) do
-    local keys, row = keys_of(event), rows[i]
-    local same = by_key[keys[1] or false] or by_key[keys[2] or false]
-    if same and event.kind == "reboot" and is_another(same, event) then
-      same = nil
+-- The rows for people: what several of them tell is one line.
+local function joined(rows)
+  local lines, by_name = {}, {}
+  for _, row in ipairs(rows) do
+    local names = names_of(row.of)
+    local line = by_name[names[1]] or by_name[names[2]]
+    if not line or not join(line, row) then
+      line, lines[#lines + 1] = row, row
+      row.messages = { [row.of.source.message or false] = true }
     end
-    if same then
-      join(same, row)
-    else
-      same, kept[#kept + 1] = row, row
-      row.first, row.messages = event, {}
-    end
-    same.messages[event.source.message or false] = true
-    for _, key in ipairs(keys) do
-      by_key[key] = same
+    for _, name in ipairs(names) do
+      by_name[name] = line
     end
   end
-  return kept
+  return lines
 end
 
 --- returns  nothing: it always ends well
 function Events:finish()
-  local list, rows, context = self.list, {}, self.context
-  if self.what == "events" then sort(self) end
-  for i, event in ipairs(list) do
-    rows[i] = row_of(self, event)
-    rows[i].keys = self.what == "events" and KEYS[event.kind] or nil
+  local context, what, rows = self.context, self.what, {}
+  for i, event in ipairs(self.list) do
+    rows[i] = row_of(self, event, i)
+    rows[i].keys = what == "events" and KEYS[event.kind] or nil
   end
-  if not context.json then
-    rows = joined(list, rows)
-  end
-  output.print(context, ("YAPP %s: %d"):format(self.what, #list),
-    self.what == "faults" and FAULTS or EVENTS, rows)
+  if what == "events" then table.sort(rows, is_before) end
+  local title = ("YAPP %s: %d"):format(what, #rows)
+  output.print(context, title, COLUMNS[what], context.json and rows or joined(rows))
 end
 
 return M

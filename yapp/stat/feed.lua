@@ -21,16 +21,15 @@ local UNTOLD = 21 -- the exit code where something could not be told
 local NOT_KNOWN = "what came before a message is not known (nothing tells several buses apart): " ..
   "faults that rose or fell, reboots and gaps are missing"
 
+local NOTHING = {}
+local floor = math.floor
+
 local Feed = {}
 Feed.__index = Feed
 
---- late, named  as for the kinds of stat.tell
-function M.new(late, named)
-  local self = setmetatable({
-    statistics = {},
-    late = late,
-    named = named,
-  }, Feed)
+--- plugin  of stat.taps
+function M.new(plugin)
+  local self = setmetatable({ statistics = {}, plugin = plugin }, Feed)
   self:reset()
   return self
 end
@@ -38,24 +37,20 @@ end
 --- Forgets what was offered and seen: all packets will come again.
 function Feed:reset()
   self.queue, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
-  self.waiting, self.last = {}, nil
-  self.epoch = { seconds = 0, nanoseconds = 0 } -- of packets without a time
+  self.waiting, self.last = NOTHING, nil
+  self:begins(0, 0, 0) -- packets may have no time
   self.doubtful, self.is_unsure, self.is_direct = {}, false, false
-  for _, entry in ipairs(self.statistics) do entry.matched = {} end
+  for _, entry in ipairs(self.statistics) do
+    entry.matched = {}
+  end
 end
 
 --- Adds a statistic.
 -- returns  what Feed.matched is told of, where it has a filter
 function Feed:add(statistic, has_filter)
-  local entry = {
-    statistic = statistic,
-    has_filter = has_filter,
-    matched = {},
-    kinds = nil,
-  }
+  local entry = { statistic = statistic, has_filter = has_filter, matched = {} }
   if statistic.event then
-    local function add(event) statistic:event(event) end
-    entry.kinds = tell.kinds(self.late, self.named, add)
+    entry.kinds = tell.kinds(self.plugin, statistic)
   end
   self.statistics[#self.statistics + 1] = entry
   return entry
@@ -63,11 +58,19 @@ end
 
 local function hand_on(self, record)
   for _, entry in ipairs(self.statistics) do
-    local statistic, is_counted = entry.statistic, not entry.has_filter
-    is_counted = is_counted or entry.matched[record.frame] or false
-    if is_counted and record.is_unsure and statistic.tells_changes then self.is_unsure = true end
-    if entry.kinds then entry.kinds:record(record, is_counted) end
-    if is_counted and statistic.message then statistic:message(record) end
+    local statistic = entry.statistic
+    local is_counted = not entry.has_filter or entry.matched[record.frame] == true
+    if entry.kinds then
+      entry.kinds:record(record, is_counted)
+    end
+    if is_counted then
+      if record.is_unsure and statistic.tells_changes then
+        self.is_unsure = true
+      end
+      if statistic.message then
+        statistic:message(record)
+      end
+    end
   end
 end
 
@@ -80,14 +83,18 @@ local function take(self, record)
 end
 
 local function flush(self)
-  for _, record in ipairs(self.waiting) do take(self, record) end
+  local waiting = self.waiting
+  self.waiting = NOTHING
+  for i = 1, #waiting do
+    take(self, waiting[i])
+  end
 end
 
 --- A record of the packet that is dissected.
 -- visited  of the packet: tshark -2 dissects all packets before the first tap runs
 function Feed:offer(record, visited)
   if self.is_direct then
-    if self.waiting[1] then self:packet(nil, nil) end
+    flush(self)
     return take(self, record)
   end
   if record.frame ~= self.number or visited ~= self.visited then
@@ -102,30 +109,23 @@ function Feed.matched(_, entry, number)
   entry.matched[number] = true
 end
 
-local integer = rawget(math, "tointeger") or function(n) return n end
-
--- Seconds as whole seconds and nanoseconds: 2^22 s is what a double has to half a nanosecond.
-local function split(rel)
-  local fraction = rel % 1
-  return rel - fraction, math.floor(fraction * 1e9 + 0.5)
-end
-
 --- When the first packet was captured.
 -- seconds, nanoseconds  integers
 -- rel                   what the packet's time since the first one is: not 0 where a filter
 --                       rejected the first one
 function Feed:begins(seconds, nanoseconds, rel)
-  local whole, rest = split(rel)
-  self.epoch = { seconds = seconds - whole, nanoseconds = nanoseconds - rest }
+  self.first = { seconds = seconds, nanoseconds = nanoseconds, rel = rel }
 end
 
 --- The time of a packet from the seconds since the first one.
--- returns  seconds since 1970, nanoseconds; exact for captures of up to 48 days
+-- returns  seconds since 1970, nanoseconds; exact for captures of up to 48 days: 2^22 s is what a
+--          double has to half a nanosecond
 function Feed:time(rel)
-  local epoch, whole, rest = self.epoch, split(rel)
-  local nanoseconds = epoch.nanoseconds + rest
-  rest = nanoseconds % 1000000000
-  return integer(epoch.seconds + whole + (nanoseconds - rest) / 1000000000), integer(rest)
+  local first = self.first
+  local since = rel - first.rel
+  local nanoseconds = first.nanoseconds + floor(since % 1 * 1e9 + 0.5)
+  local seconds = first.seconds + floor(since) + floor(nanoseconds / 1e9)
+  return seconds, nanoseconds % 1e9
 end
 
 --- Records no longer wait for their packets' taps where none is needed: a tenth of csv's time.
@@ -133,7 +133,9 @@ end
 -- returns  whether it is so
 function Feed:go_direct()
   for _, entry in ipairs(self.statistics) do
-    if entry.has_filter or entry.kinds then return false end
+    if entry.has_filter or entry.kinds then
+      return false
+    end
   end
   self.is_direct = true
   return true
@@ -143,12 +145,9 @@ end
 -- number, rel  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a
 --              packet that the first pass rejected is another's in the second, with another time
 function Feed:packet(number, rel)
-  if self.waiting[1] then
-    flush(self)
-    self.waiting = {}
-  end
+  flush(self)
   self.last = rel
-  if number and number == self.number and self.queue[#self.queue].rel == rel then
+  if number == self.number and self.queue[#self.queue].rel == rel then
     self.waiting, self.number = self.queue, nil
   end
 end
@@ -171,14 +170,20 @@ end
 function Feed:finish(unfinished)
   flush(self)
   hand_on_losses(self)
-  for _, record in ipairs(unfinished) do hand_on(self, record) end
+  for _, record in ipairs(unfinished) do
+    hand_on(self, record)
+  end
   local code, texts = 0, {}
-  if self.is_unsure then code, texts[1] = UNTOLD, NOT_KNOWN end
+  if self.is_unsure then
+    code, texts[1] = UNTOLD, NOT_KNOWN
+  end
   local last = self.last and { rel = self.last }
   for _, entry in ipairs(self.statistics) do
     if entry.kinds then entry.kinds:finish(last) end
     local this, text = entry.statistic:finish(last)
-    if this and (code == 0 or this < code) then code = this end
+    if this and (code == 0 or this < code) then
+      code = this
+    end
     texts[#texts + 1] = text
   end
   return code, texts

@@ -6,12 +6,19 @@ local output = require("yapp.stat.output")
 
 local M = {}
 
+-- ask = for what, which is behind the statistic's name then
 local MENU = {
-  { "summary", "Summary" }, { "faults", "Faults" }, { "events", "Events" },
-  { "compare", "Compare" }, { "check", "Check" }, { "csv", "Export tables" },
+  { "summary", "Summary" },
+  { "faults", "Faults" },
+  { "events", "Events" },
+  { "compare", "Compare" },
+  { "check", "Check", ask = "Rules (none: all is well)" },
+  { "csv", "Export tables", ask = "New folder", file = "tables" },
 }
 local TITLES = {}
-for _, row in ipairs(MENU) do TITLES[row[1]] = row[2] end
+for _, row in ipairs(MENU) do
+  TITLES[row[1]] = row[2]
+end
 local WIDTH = 80 -- characters in a window as it opens, 620 pixels wide; Lua cannot make it wider
 local MOST = 1000 -- frames in a display filter: more make Wireshark slow
 
@@ -70,23 +77,17 @@ local function default_path(name)
   return (os.getenv("HOME") or os.getenv("USERPROFILE") or ".") .. "/yapp-" .. name
 end
 
--- Writes a text into a new file.
 local function save(path, content)
-  local there = io.open(path, "r")
-  if there then
-    there:close()
-    return report_failure(("YAPP: %s is there already: another name"):format(path))
+  local problem = output.save(path, content, "give another name")
+  if problem then
+    report_failure("YAPP: not written: " .. problem)
   end
-  local file, problem = output.create(path)
-  if file then
-    file:write(content)
-    problem = output.finish { file }
-  end
-  if problem then report_failure("YAPP: not written: " .. problem) end
 end
 
 local function show_frames(frames)
-  if not frames[1] then return report_failure("YAPP: no frame stands in this window") end
+  if not frames[1] then
+    return report_failure("YAPP: no frame stands in this window")
+  end
   local most = math.min(#frames, MOST)
   set_filter(("frame.number in {%s}"):format(table.concat(frames, ", ", 1, most)))
   apply_filter()
@@ -105,7 +106,9 @@ local function open_window(title, make)
   window:add_button("Save", function()
     local path = default_path(title:lower():gsub(" ", "-") .. ".txt")
     ask("Save", "New file", path, function(answer)
-      if answer and answer ~= "" then save(answer, content) end
+      if answer and answer ~= "" then
+        save(answer, content)
+      end
     end)
   end)
   window:add_button("Show frames", function() show_frames(frames) end)
@@ -124,7 +127,7 @@ end
 -- stat     of stat.taps
 -- returns  { show = function(text), which opens the window of an argument of -z }
 function M.register(stat)
-  local menu, actions = {}, {}
+  local menu = {}
 
   -- The statistic runs when its window opens, and anew by its button: packets that have come since
   -- count too.
@@ -133,21 +136,17 @@ function M.register(stat)
     open_window(TITLES[what] or what, function() return stat:run(argument, WIDTH) end)
   end
 
-  function actions.check()
-    ask(TITLES.check, "Rules (none: all is well)", "", function(rules)
-      if rules then menu.show(rules == "" and "yapp,check" or "yapp,check," .. rules) end
-    end)
-  end
-
-  function actions.csv()
-    ask(TITLES.csv, "New folder", default_path("tables"), function(folder)
-      if folder and folder ~= "" then menu.show("yapp,csv," .. folder) end
-    end)
-  end
-
   for _, row in ipairs(MENU) do
-    local what, title = row[1], row[2]
-    local action = actions[what] or function() menu.show("yapp," .. what) end
+    local argument, title = "yapp," .. row[1], row[2]
+    local function answered(answer)
+      if answer then
+        menu.show(answer == "" and argument or argument .. "," .. answer)
+      end
+    end
+    local function action()
+      if not row.ask then return menu.show(argument) end
+      ask(title, row.ask, row.file and default_path(row.file) or "", answered)
+    end
     register_menu("YAPP/" .. title, action, MENU_TOOLS_UNSORTED)
     register_menu("YAPP " .. title, action, MENU_STAT_UNSORTED) -- 4.0 shows a slash there as it is
   end

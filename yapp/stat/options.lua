@@ -1,29 +1,20 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What stands behind -z yapp,...: from the text to options and rules.  Pure Lua, 5.2 to 5.5.
 
-local demand = require("yapp.message.check").demand
-local KINDS = require("yapp.stat.tell").KINDS
+local input, words = require("yapp.message.check"), require("yapp.stat.output").words
 
 local M = {}
 
+local demand, set = input.demand, input.set
+
 M.WHATS = { "summary", "faults", "events", "compare", "csv", "check" }
 
--- Rules of what may happen N times, and the texts of those that `check` alone judges.
-local COUNTED, ALL_IS_WELL = {}, {}
-for _, kind in ipairs(KINDS) do
-  if not kind.counts_as then
-    COUNTED[#COUNTED + 1], COUNTED[kind.name] = kind.name, true
-    if not kind.by_wish then
-      ALL_IS_WELL[#ALL_IS_WELL + 1] = kind.name .. "=0"
-    end
-  end
-end
-local MEASURES = {
-  count = true,
-  rate = true,
-  gap = true,
-}
-local RULES = table.concat(COUNTED, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=HZ, " ..
+-- The kinds of events that `check` alone judges, in this order; skipped bytes it does not: a shell
+-- may write between the frames.
+local ILLS = "fault crc incomplete reboot stale silence invalid absent unknown"
+-- What may happen N times; what of a message's coming has a limit.
+local COUNTED, MEASURES = set(ILLS .. " skipped"), set("count rate gap")
+local RULES = (ILLS .. " skipped"):gsub("%S+", "%0=N,") .. " MESSAGE.count=N, MESSAGE.rate=HZ, " ..
   "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X, source=NAME, junit=FILE, json, " ..
   "filter=EXPRESSION"
 local RANGE = "a range is A..B, A.. or ..B"
@@ -41,7 +32,7 @@ end
 -- A number as people write it; nil for a hexadecimal one, nan, inf or a text.
 local function number(text)
   local value = text:find("^[+-]?[%d.]+[eE]?[+-]?%d*$") and tonumber(text)
-  return value and value - value == 0 and value or nil
+  return input.is_finite(value) and value or nil
 end
 
 -- Functions from here on raise what is wrong.
@@ -53,15 +44,19 @@ local function limit_of(text, what, is_count)
   return demand(is_good and value, "%q is not a %s", text, what)
 end
 
+-- An end of a range, which may be left out.
+local function end_of(text, none)
+  if text == "" then return none end
+  return demand(number(text), RANGE)
+end
+
 -- A..B, A.. or ..B
 local function add_range(rule, text)
   local low, high = text:match("^(.-)%.%.(.*)$")
   demand(low and text ~= "..", RANGE)
-  rule.kind, rule.low, rule.high = "range", number(low), number(high)
-  demand(rule.low or low == "", RANGE)
-  demand(rule.high or high == "", RANGE)
-  local is_empty = rule.low and rule.high and rule.low > rule.high
-  demand(not is_empty, "nothing lies in this range")
+  rule.kind = "range"
+  rule.low, rule.high = end_of(low, -math.huge), end_of(high, math.huge)
+  demand(rule.low <= rule.high, "nothing lies in this range")
 end
 
 -- MESSAGE.FIELD=A..B and MESSAGE.FIELD.spread=X
@@ -75,18 +70,14 @@ local function add_field(rule, name, value)
   rule.field = field
   if not spread_of then return add_range(rule, value) end
   demand(not rule.source, "a spread is of all sources, not of one")
-  rule.kind, rule.limit = "spread", limit_of(value, "spread")
+  rule.kind, rule.is_spread, rule.limit = "spread", true, limit_of(value, "spread")
 end
 
 -- "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55": { text, source, kind = one of COUNTED, of
 -- MEASURES, "range" or "spread", limit = number, message, field, low, high }
 local function read_rule(text, catalogue, source)
   local name, value = text:match("^([^=]*)=(.*)$")
-  local rule = {
-    text = text,
-    source = source,
-    kind = name,
-  }
+  local rule = { text = text, source = source, kind = name }
   if COUNTED[name] then
     rule.limit = limit_of(value, "number of messages", true)
     return rule
@@ -103,11 +94,7 @@ local function read_rule(text, catalogue, source)
   return rule
 end
 
-local OF_CSV = {
-  replace = true,
-  all = true,
-  json = true,
-}
+local OF_CSV = set("replace all json")
 
 -- read.WHAT: takes an option; finish.WHAT, behind the last one: what they come to.
 local read, finish = {}, {}
@@ -126,11 +113,9 @@ function read.csv(options, part, catalogue)
 end
 
 function finish.csv(options)
-  local folder = options.folder or ""
-  demand(folder ~= "", "it is csv,FOLDER or csv,-,MESSAGE")
-  if folder ~= "-" then return end
-  demand(options.chosen, "it is csv,-,MESSAGE")
-  demand(not options.json, "csv,- prints a table; json is for csv,FOLDER")
+  local folder, chosen = options.folder or "", options.chosen
+  demand(folder ~= "" and (folder ~= "-" or chosen), "it is csv,FOLDER or csv,-,MESSAGE")
+  demand(not (chosen and options.json), "csv,- prints a table; json is for csv,FOLDER")
 end
 
 function read.check(options, part, catalogue)
@@ -144,24 +129,22 @@ function read.check(options, part, catalogue)
   else
     options.unused = nil
     table.insert(options.rules, read_rule(part, catalogue, options.source))
+    options.judges_unknown = options.judges_unknown or name == "unknown"
   end
 end
 
 function finish.check(options, catalogue)
-  local rules, is_judged = options.rules, false
-  for _, rule in ipairs(rules) do
-    is_judged = is_judged or rule.kind == "unknown"
-  end
+  local rules = options.rules
   if rules[1] or options.problems[1] then
     -- What was not decoded was not checked.
-    if not is_judged then
+    if not options.judges_unknown then
       rules[#rules + 1] = read_rule("unknown=0", catalogue)
     end
     demand(not options.unused, "no rule follows %s: it is for those behind it", options.unused)
     return
   end
-  for i, text in ipairs(ALL_IS_WELL) do
-    rules[i] = read_rule(text, catalogue, options.source)
+  for i, kind in ipairs(words(ILLS)) do
+    rules[i] = read_rule(kind .. "=0", catalogue, options.source)
     rules[i].is_default = true
   end
 end
@@ -178,7 +161,7 @@ local function try(options, part, call, ...)
   local ok, why = pcall(call, options, ...)
   if ok then return end
   if part == "" then part = "an empty option" end
-  options.problems[#options.problems + 1] = part .. ": " .. why
+  table.insert(options.problems, part .. ": " .. why)
 end
 
 --- Reads the argument of -z.
@@ -187,30 +170,22 @@ end
 -- returns    { what =, json = true or nil, filter = or nil, folder =, chosen =, replace =, all =,
 --            rules =, junit =, problems = list of texts, each with the option that it is about }
 function M.read(text, catalogue)
-  local at = text:find(",filter=", 1, true) -- what follows is a display filter, commas and all
-  local parts = {}
-  for part in (text:sub(1, (at or 0) - 1) .. ","):gmatch("([^,]*),") do
-    parts[#parts + 1] = part
-  end
-  local what = parts[2] or ""
-  local options = {
-    what = what,
-    filter = at and text:sub(at + 8),
-    problems = {},
-  }
-  if parts[1] ~= "yapp" or not read[what] then
-    options.problems[1] = text .. ": it is yapp," .. table.concat(M.WHATS, " or yapp,")
+  local head, filter = text:match("^(.-),filter=(.*)$") -- a display filter, commas and all
+  local what, rest = (head or text):match("^yapp,([^,]*)(.*)$")
+  local problems = {}
+  local options = { what = what, filter = filter, rules = {}, problems = problems }
+  if not read[what] then
+    problems[1] = text .. ": it is yapp," .. table.concat(M.WHATS, " or yapp,")
     return options
   end
-  options.rules = what == "check" and {} or nil
-  for i = 3, #parts do
-    try(options, parts[i], read[what], parts[i], catalogue)
+  for part in rest:gmatch(",([^,]*)") do
+    try(options, part, read[what], part, catalogue)
   end
   if finish[what] then
     try(options, what, finish[what], catalogue)
   end
-  if options.filter and not options.filter:find("%S") then
-    options.problems[#options.problems + 1] = "filter=: the display filter is missing"
+  if filter and not filter:find("%S") then
+    problems[#problems + 1] = "filter=: the display filter is missing"
   end
   return options
 end

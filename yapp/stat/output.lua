@@ -10,43 +10,29 @@ local format = string.format
 
 -- JSON ----------------------------------------------------------------------------------------
 
-local ESCAPES = {
-  ['"'] = '\\"', ["\\"] = "\\\\", ["\n"] = "\\n", ["\r"] = "\\r", ["\t"] = "\\t",
-}
-
---- A text that is UTF-8: what is not would make a whole line or report unreadable.
-function M.readable(text)
-  local ascii = utf8.ascii(text)
-  if not ascii:find("[\128-\255]") then return text end
-  return (ascii:gsub("[\128-\255]", "?"))
+-- What cannot be printed is written \xNN: bytes that are no UTF-8 would make a line unreadable.
+local function text_value(text)
+  return '"' .. utf8.printable(text):gsub('["\\]', "\\%0") .. '"'
 end
 
-local function text_value(text)
-  local escaped = M.readable(text):gsub('[%c"\\]', function(c)
-    return ESCAPES[c] or format("\\u%04x", c:byte())
-  end)
-  return '"' .. escaped .. '"'
+local function is_whole(value)
+  return value % 1 == 0 and math.abs(value) < 2 ^ 53
 end
 
 -- The shortest text that reads back as the same number; null for what JSON has no number for.
 local function number_value(value)
-  if value ~= value or value == math.huge or value == -math.huge then
-    return "null"
-  end
-  if value % 1 == 0 and value > -2 ^ 53 and value < 2 ^ 53 then
-    return format("%d", value)
-  end
+  if value - value ~= 0 then return "null" end
+  if is_whole(value) then return format("%d", value) end
   local shown = format("%.15g", value)
   return tonumber(shown) == value and shown or format("%.17g", value)
 end
 
---- A value: string, number, boolean, nil (null), or { json = what is JSON already }.
+--- The JSON of a value: string, number, nil (null), or { json = what is JSON already }.
 function M.value(value)
   local kind = type(value)
   if kind == "number" then return number_value(value) end
-  if kind == "string" then return text_value(value) end
   if kind == "table" then return value.json end
-  return value == nil and "null" or tostring(value)
+  return value and text_value(value) or "null"
 end
 
 --- An object of these keys, in this order, with the values that a table has under them; what it
@@ -56,7 +42,16 @@ function M.object(keys, values)
   for i, key in ipairs(keys) do
     parts[i] = text_value(key) .. ":" .. M.value(values[key])
   end
-  return "{" .. table.concat(parts, ",") .. "}"
+  return { json = "{" .. table.concat(parts, ",") .. "}" }
+end
+
+--- A list of objects.
+function M.list(objects)
+  local parts = {}
+  for i, object in ipairs(objects) do
+    parts[i] = object.json
+  end
+  return { json = "[" .. table.concat(parts, ",") .. "]" }
 end
 
 --- A time of the capture with nine digits, as text.
@@ -70,38 +65,32 @@ end
 
 -- Values ----------------------------------------------------------------------------------------
 --
--- A value of a row: a text, an integer, nil, or { json, text } where people read something else.
-
---- For JSON only.
-function M.raw(json)
-  return { json = json, text = "" }
-end
+-- A value of a row: a text, a number, nil, or { json, text } where people read something else, or
+-- nothing.
 
 --- A time of the capture; people read it in UTC, to the microsecond.
 -- seconds, nanoseconds  since 1970
 function M.time(seconds, nanoseconds)
-  local ok, date = pcall(os.date, "!%Y-%m-%d %H:%M:%S", seconds)
-  if not ok then date = format("%d", seconds) end
-  return { json = M.time_text(seconds, nanoseconds),
-    text = format("%s.%06d", date, (nanoseconds - nanoseconds % 1000) / 1000) }
+  local ok, date = pcall(os.date, "!%Y-%m-%d %H:%M:%S", seconds) -- on Windows from 1970 to 3000
+  local shown = ok and date or format("%d", seconds)
+  return {
+    json = M.time_text(seconds, nanoseconds),
+    text = format("%s.%06d", shown, math.floor(nanoseconds / 1000)),
+  }
 end
 
 --- A span in seconds; nil for nil.
 function M.seconds(value)
-  if not value then return nil end
-  local json = format("%.9f", value):gsub("^%-(0%.0+)$", "%1")
-  return { json = json, text = format("%.6f", value) }
+  return value and { json = format("%.9f", value), text = format("%.6f", value) } or nil
 end
 
---- A number, which people read with six digits; nil for nil.
-function M.number(value)
-  return value and { json = number_value(value), text = format("%.6g", value) }
-end
-
---- What people read of a value.
+--- What people read of a value: of a fraction six digits.
 function M.text(value)
-  if value == nil then return "" end
-  return type(value) == "table" and value.text or tostring(value)
+  if type(value) == "table" then value = value.text end
+  if type(value) == "number" then
+    return format(is_whole(value) and "%d" or "%.6g", value)
+  end
+  return value or ""
 end
 
 --- A count of things: "1 message", "2 messages".
@@ -111,21 +100,18 @@ end
 
 --- What a source is called where a column has room for one text: its name, or its bus and ID.
 function M.who(source)
-  if source.name or not source.id then
-    return source.name or source.bus
-  end
-  return (source.bus and source.bus .. " " or "") .. format("0x%x", source.id)
+  if source.name then return source.name end
+  local bus = source.bus and source.bus .. " " or ""
+  return bus .. format("0x%x", source.id)
 end
 
 --- A row of what says which source, which goes into a table of its other values.
 function M.row(source, row)
   row.bus, row.source = source.bus, source.name
   if not source.id then return row end
+  local message = source.message or { title = "unknown" }
   row.id = { json = format("%d", source.id), text = format("0x%x", source.id) }
-  row.message = { json = "null", text = "unknown" }
-  if source.message then
-    row.message = { json = text_value(source.message.name), text = source.message.title }
-  end
+  row.message = { json = M.value(message.name), text = message.title }
   return row
 end
 
@@ -136,13 +122,7 @@ local TITLES = {
   gap_min = "gap/s min", gap_mean = "mean", gap_max = "max", gap_max_frame = "in frame",
   crc_bad = "bad CRC", ok = "check", kind = "event",
 }
--- In no JSON.
-local FOR_PEOPLE = {
-  rel = true,
-  details = true,
-  times = true,
-  note = true,
-}
+local FOR_PEOPLE = { rel = true, note = true } -- in no JSON
 
 --- A list of the words of a text.
 function M.words(text)
@@ -163,7 +143,7 @@ local function width_of(text)
 end
 
 -- nil where no row has anything.
-local function new_column(key, rows)
+local function new_column(key, rows, title)
   local width, is_number = 0, true
   for _, row in ipairs(rows) do
     local text = M.text(row[key])
@@ -171,10 +151,8 @@ local function new_column(key, rows)
     is_number = is_number and not text:find("[^%d.e+-]")
   end
   if width == 0 then return nil end
-  local title = TITLES[key] or key
   return {
     key = key,
-    title = title,
     width = math.max(width, #title),
     is_number = is_number,
   }
@@ -198,7 +176,7 @@ end
 local function table_line(columns, row, width)
   local cells = {}
   for i, column in ipairs(columns) do
-    local text = row and M.text(row[column.key]) or column.title
+    local text = M.text(row[column.key])
     local blanks = (" "):rep(column.width - width_of(text))
     cells[i] = column.is_number and blanks .. text or text .. blanks
   end
@@ -216,27 +194,20 @@ end
 -- width  characters that a line has room for, nil for any number: then columns that one can spare
 --        go until it fits, and what is still beyond is cut
 function M.table(keys, rows, width)
-  local columns, lines = {}, {}
+  local columns, titles = {}, {}
   for _, key in ipairs(keys) do
-    columns[#columns + 1] = new_column(key, rows)
+    titles[key] = TITLES[key] or key
+    columns[#columns + 1] = new_column(key, rows, titles[key])
   end
   if width then fit(columns, width) end
-  for i, row in ipairs(rows) do
-    lines[i] = table_line(columns, row, width)
+  local lines = { table_line(columns, titles, width) }
+  for _, row in ipairs(rows) do
+    lines[#lines + 1] = table_line(columns, row, width)
   end
-  return table_line(columns, nil, width) .. table.concat(lines)
+  return table.concat(lines)
 end
 
---- Prints rows: for people under a title, or as a JSON object a line.
--- context  { out = function(text), json = whether so, width = see M.table, frames = a list that
---          gets the frames which stand in the table, or nil }
-function M.print(context, title, keys, rows)
-  if not context.json then
-    context.out(title .. "\n")
-    if rows[1] then
-      context.out("\n" .. M.table(keys, rows, context.width))
-    end
-  end
+local function print_json(context, keys, rows)
   local in_json = {}
   for _, key in ipairs(keys) do
     if not FOR_PEOPLE[key] then
@@ -244,11 +215,25 @@ function M.print(context, title, keys, rows)
     end
   end
   for _, row in ipairs(rows) do
-    if context.json then
-      context.out(M.object(row.keys or in_json, row) .. "\n")
-    end
-    local frames, frame = context.frames, row.frame or row.gap_max_frame
-    if frames then frames[#frames + 1] = frame end
+    context.out(M.object(row.keys or in_json, row).json .. "\n")
+  end
+end
+
+--- Prints rows: for people under a title, or as a JSON object a line.
+-- context  { out = function(text), json = whether so, width = see M.table, frames = a list that
+--          gets the frames which stand in the table, or nil }
+-- rows     tables by key; keys = those of its JSON, where these are others
+function M.print(context, title, keys, rows)
+  local frames = context.frames or {}
+  for _, row in ipairs(rows) do
+    frames[#frames + 1] = row.frame or row.gap_max_frame
+  end
+  if context.json then
+    return print_json(context, keys, rows)
+  end
+  context.out(title .. "\n")
+  if rows[1] then
+    context.out("\n" .. M.table(keys, rows, context.width))
   end
 end
 
@@ -259,23 +244,25 @@ File.__index = File
 
 --- Begins a file: written aside, so that nobody ever reads half of it.  A device is written as it
 -- is: a file in its place would be the end of it.
+-- advice   what to do where the file is there already, which is not overwritten then; nil for
+--          nothing: it is
 -- returns  the file, with File:write(text); nil and why not
-function M.create(path)
+function M.create(path, advice)
+  local there = advice and io.open(path, "rb")
+  if there then
+    there:close()
+    return nil, ("%s is there; %s"):format(path, advice)
+  end
   local aside = path:find("^/dev/") and path or path .. ".part"
   local handle, problem = io.open(aside, "wb")
   if not handle then return nil, problem end
   handle:setvbuf("full", 65536)
-  return setmetatable({
-    path = path,
-    aside = aside,
-    handle = handle,
-    problem = nil,
-  }, File)
+  return setmetatable({ path = path, aside = aside, handle = handle }, File)
 end
 
 function File:write(text)
   local ok, problem = self.handle:write(text)
-  if not ok then self.problem = self.problem or problem end
+  if not ok then self.problem = problem end
 end
 
 --- Ends files and gives them their names, all or, where one could not be written, none.
@@ -301,6 +288,16 @@ function M.finish(list, problem)
     end
   end
   return problem
+end
+
+--- Writes a file that holds a text.
+-- advice   as for M.create
+-- returns  what went wrong, nil for nothing
+function M.save(path, text, advice)
+  local file, problem = M.create(path, advice)
+  if not file then return problem end
+  file:write(text)
+  return M.finish { file }
 end
 
 return M

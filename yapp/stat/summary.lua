@@ -6,7 +6,6 @@
 -- and those that are incomplete.
 
 local groups, output = require("yapp.stat.groups"), require("yapp.stat.output")
-local span = require("yapp.stat.tell").span
 
 local M = {}
 
@@ -25,32 +24,18 @@ local COUNTS = {
 local RANGE = words("min mean max")
 local VALUES = words("bus id source message field unit min mean max count")
 
-local Summary = { tells_changes = true }
-Summary.__index = Summary
+local Summary = groups.class { tells_changes = true }
 
---- context  { out = function(text), clock = function(rel) -> seconds since 1970, nanoseconds,
---          late = function() -> periods, json, width, frames = see output.print }
-function M.new(_, context)
-  local gathered = groups.new(groups.numeric)
-  return setmetatable({ context = context, groups = gathered }, Summary)
-end
-
-function Summary:event(event)
-  self.groups:event(event)
-end
-
-function Summary:message(record)
-  self.groups:message(record)
-end
+--- See groups.class.
+M.new = Summary.new
 
 local function row_of(group)
-  local count = group.count
-  local length = count > 1 and span(group.first, group.last)
+  local rate, gap_mean = groups.pace(group)
   local row = output.row(group.source, {
-    count = count,
-    rate = output.number(groups.rate(group)),
+    count = group.count,
+    rate = rate,
     gap_min = output.seconds(group.gap_min),
-    gap_mean = output.seconds(length and length / (count - 1)),
+    gap_mean = output.seconds(gap_mean),
     gap_max = output.seconds(group.gap_max),
     gap_max_frame = group.gap_max_frame,
   })
@@ -63,22 +48,18 @@ end
 --- last  { rel = } of the last packet of any kind; nil where there was none
 function Summary:finish(last)
   local rows, shown, context = {}, {}, self.context
-  for i, group in ipairs(self.groups:sorted()) do
+  for i, group in ipairs(self:sorted()) do
     local names, ranges = {}, {}
     for j, values in ipairs(group.values) do
-      local row = groups.put(values, output.row(group.source, {}))
-      names[j] = row.field
-      ranges[row.field] = output.raw(output.object(RANGE, row))
-      if row.min then
-        shown[#shown + 1] = row
-      end
+      local row = groups.row(group, values)
+      names[j], ranges[row.field] = row.field, output.object(RANGE, row)
+      if row.min then shown[#shown + 1] = row end
     end
     rows[i] = row_of(group)
-    rows[i].values = output.raw(output.object(names, ranges))
+    rows[i].values = output.object(names, ranges)
   end
   local sources = output.count(#rows, "source")
-  local length = last and last.rel or 0
-  local title = ("YAPP summary: %s in %.3f s"):format(sources, length)
+  local title = ("YAPP summary: %s in %.3f s"):format(sources, last and last.rel or 0)
   output.print(context, title, KEYS, rows)
   if shown[1] and not context.json then
     context.out("\n" .. output.table(VALUES, shown, context.width))
@@ -92,76 +73,65 @@ local OF_SOURCE = words("bus id source count min mean max")
 -- For people: a line for each field and source.
 local SHOWN = words("field unit source min mean max spread rel frame")
 
-local Compare = {}
-Compare.__index = Compare
+local Compare = groups.class { compares = true, event = false }
 
---- context  as for M.new
-function M.compare(_, context)
-  local gathered = groups.new(groups.numeric, groups.numeric, context.late)
-  return setmetatable({ context = context, groups = gathered }, Compare)
-end
-
-function Compare:message(record)
-  self.groups:message(record)
-end
+--- See groups.class.
+M.compare = Compare.new
 
 -- The row of a field; people see those of its sources, the first with what they have in common.
-local function compared_row(self, spread, list, place, shown)
-  local row, sources = {}, {}
+local function compared_row(self, list, place, shown)
+  local spread, sources, first = list[1].values[place].spread, {}, #shown + 1
   for i, group in ipairs(list) do
-    local one = groups.put(group.values[place], output.row(group.source, {}))
-    sources[i] = output.object(OF_SOURCE, one)
-    row.message = group.message.name
-    row.field, row.unit = one.field, one.unit
-    one.source = output.who(group.source)
-    if i == 1 then
-      one.spread = output.number(spread.worst)
-      one.frame = spread.frame
-      one.rel = output.seconds(spread.rel)
-      row.spread, row.frame = one.spread, one.frame
-    else
-      one.field, one.unit = nil, nil
-    end
-    shown[#shown + 1] = one
+    local row = groups.row(group, group.values[place])
+    sources[i] = output.object(OF_SOURCE, row)
+    row.source = output.who(group.source)
+    if i > 1 then row.field, row.unit = nil, nil end
+    shown[#shown + 1] = row
   end
-  row.time = spread.rel and output.time(self.context.clock(spread.rel))
-  row.sources = output.raw("[" .. table.concat(sources, ",") .. "]")
-  return row
+  local row = shown[first]
+  row.spread, row.frame, row.rel = spread.worst, spread.frame, output.seconds(spread.rel)
+  return {
+    message = list[1].message.name,
+    field = row.field,
+    unit = row.unit,
+    spread = spread.worst,
+    time = spread.rel and output.time(self.context.clock(spread.rel)),
+    frame = spread.frame,
+    sources = output.list(sources),
+  }
 end
 
--- The sources by message, and the messages that have several, in order.
+-- The groups of each message that has several, in the order of the second ones.
 local function compared(self)
-  local lists, messages = {}, {}
-  for _, group in ipairs(self.groups:sorted()) do
+  local by_message, lists = {}, {}
+  for _, group in ipairs(self:sorted()) do
     local message = group.message
     if message then
-      local list = lists[message] or {}
-      lists[message], list[#list + 1] = list, group
-      if #list == 2 then
-        messages[#messages + 1] = message
-      end
+      local list = by_message[message] or {}
+      by_message[message], list[#list + 1] = list, group
+      if #list == 2 then lists[#lists + 1] = list end
     end
   end
-  return lists, messages
+  return lists
 end
 
+--- Prints a table for each message.
 function Compare:finish()
-  local context = self.context
-  local lists, messages = compared(self)
-  for i, message in ipairs(messages) do
-    if i > 1 and not context.json then context.out("\n") end
-    local list, rows, shown = lists[message], {}, {}
-    for place, spread in ipairs(self.groups.spreads[message]) do
-      rows[place] = compared_row(self, spread, list, place, shown)
+  local context, lists = self.context, compared(self)
+  for i, list in ipairs(lists) do
+    local rows, shown = {}, {}
+    for place in ipairs(list[1].values) do
+      rows[place] = compared_row(self, list, place, shown)
     end
-    local title = ("YAPP compare: %d sources of %s"):format(#list, message.title)
+    local title = ("YAPP compare: %d sources of %s"):format(#list, list[1].message.title)
     if context.json then
       output.print(context, title, COMPARED, rows)
     else
+      if i > 1 then context.out("\n") end
       output.print(context, title, SHOWN, shown)
     end
   end
-  if not (messages[1] or context.json) then
+  if not (lists[1] or context.json) then
     context.out("YAPP compare: no message has several sources\n")
   end
 end

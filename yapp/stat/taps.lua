@@ -54,27 +54,29 @@ local function say(text)
   io.stderr:write("yapp: ", (text:gsub("\n", "\nyapp: ")), "\n")
 end
 
--- Ends tshark.  What other statistics of this run would still print is lost: the exit code counts
--- for more.
-local function leave(code)
-  io.stdout:flush()
-  os.exit(code)
-end
-
 -- Makes a folder, and those above it; returns whether it is there.
 local function make_folder(path)
-  for stop in (path .. "/"):gmatch("()[/\\]") do Dir.make(path:sub(1, stop - 1)) end
+  for stop in (path .. "/"):gmatch("()[/\\]") do
+    Dir.make(path:sub(1, stop - 1))
+  end
   return Dir.exists(path)
 end
 
 -- Taps ------------------------------------------------------------------------------------------
+
+-- A tap of the packets that a filter lets through, nil for all.
+local function listen(self, filter)
+  local tap = Listener.new("frame", filter)
+  table.insert(self.taps, tap)
+  return tap
+end
 
 -- The tap that sees every packet; and one that asks for the field which has the time to the
 -- nanosecond (pinfo.abs_ts has steps of 0.24 microseconds).  Asking builds trees, so in tshark it
 -- goes when it knows.
 local function tap_packets(self)
   local feed = self.feed
-  local tap, clock = Listener.new("frame"), Listener.new("frame", "frame.time_epoch")
+  local tap, clock = listen(self), listen(self, "frame.time_epoch")
   local is_exact = false
   local is_waiting = not gui_enabled() -- there all packets may come again
 
@@ -101,14 +103,22 @@ local function tap_packets(self)
     feed:reset()
     is_exact = false
   end
+end
 
-  return tap, clock
+function Stat:open()
+  self.feed, self.wanted, self.taps = feed_of.new(self.plugin), true, {}
+  tap_packets(self)
+end
+
+function Stat:close()
+  for _, tap in ipairs(self.taps) do tap:remove() end -- one that stayed would build trees for ever
+  self.feed, self.wanted, self.wants_parts = nil, false, false
 end
 
 -- Functions from here on raise what is wrong.
 
-local function tap_filter(filter)
-  local ok, tap = pcall(Listener.new, "frame", filter)
+local function tap_filter(self, filter)
+  local ok, tap = pcall(listen, self, filter)
   if ok then return tap end
   local why = tostring(tap):match("is invalid %- (.*)$") or tap -- before that a place in this file
   error(("the filter %s is not one: %s"):format(filter, why), 0)
@@ -116,24 +126,20 @@ end
 
 -- Begins a statistic.
 -- context  { out, width, frames } of output.print
--- returns  the tap of its filter, nil where it has none
 function Stat:begin(options, context)
-  local feed, filter = self.feed, options.filter and tap_filter(options.filter)
+  local feed, filter = self.feed, options.filter and tap_filter(self, options.filter)
   function context.clock(rel) return feed:time(rel) end
   context.json, context.make_folder = options.json, make_folder
   setmetatable(context, { __index = self.plugin })
   local statistic, problem = NEW[options.what](options, context)
-  if not statistic then error(options.what .. ": " .. problem, 0) end
-  self.wants_parts = self.wants_parts or statistic.event ~= nil
+  if not statistic then
+    error(options.what .. ": " .. problem, 0)
+  end
+  if statistic.event then self.wants_parts = true end
   local entry = feed:add(statistic, filter ~= nil)
   if filter then
     function filter.packet(pinfo) feed:matched(entry, pinfo.number) end
   end
-  return filter
-end
-
-function Stat:open()
-  self.feed, self.wanted = feed_of.new(self.plugin.late, self.plugin.named), true
 end
 
 --- Runs a statistic over all packets, in Wireshark.
@@ -141,28 +147,22 @@ end
 -- returns  what it says, and what is wrong, as one text; a list of the frames that stand in it
 function Stat:run(text, width)
   local options = options_of.read(text, self.plugin.catalogue)
-  local said, frames, taps, problems = {}, {}, {}, options.problems
+  local said, frames, problems = {}, {}, options.problems
   local function out(part) said[#said + 1] = part end
   local function run()
     self:open()
-    taps[1] = self:begin(options, {
-      out = out,
-      width = width,
-      frames = frames,
-    })
-    local tap, clock = tap_packets(self)
-    taps[#taps + 1], taps[#taps + 2] = tap, clock
+    self:begin(options, { out = out, width = width, frames = frames })
     retap_packets()
-    local _, texts = self.feed:finish(self.plugin.unfinished())
-    problems = texts
+    return select(2, self.feed:finish(self.plugin.unfinished()))
   end
   if not problems[1] then
-    local ok, problem = pcall(run)
-    if not ok then problems = { tostring(problem) } end
-    for _, tap in ipairs(taps) do tap:remove() end -- one that stayed would build trees for ever
-    self.feed, self.wanted, self.wants_parts = nil, false, false
+    local ok, texts = pcall(run)
+    problems = ok and texts or { tostring(texts) }
+    self:close()
   end
-  for _, problem in ipairs(problems) do out(problem .. "\n") end
+  for _, problem in ipairs(problems) do
+    out(problem .. "\n")
+  end
   return table.concat(said), frames
 end
 
@@ -171,32 +171,36 @@ end
 -- All is seen: prints, says what is wrong, ends with a code where one is due.
 function Stat:conclude()
   local ok, code, texts = pcall(self.feed.finish, self.feed, self.plugin.unfinished())
-  if not ok then code, texts = FAILED, { tostring(code) } end
+  if not ok then
+    code, texts = FAILED, { tostring(code) }
+  end
   local is_flushed, problem = io.stdout:flush() -- a full disk may show only here
   problem = self.problem or not is_flushed and problem
   if problem then
     texts[#texts + 1] = "standard output: " .. problem
     if code == 0 then code = FAILED end
   end
-  for _, text in ipairs(texts) do say(text) end
-  if code ~= 0 then leave(code) end
+  for _, text in ipairs(texts) do
+    say(text)
+  end
+  -- What other statistics of this run would still print is lost: the exit code counts for more.
+  if code ~= 0 then os.exit(code) end
 end
 
 -- One -z argument.
 function Stat:argument(text)
   local options = options_of.read(text, self.plugin.catalogue)
-  if options.problems[1] and not options.rules then -- check says them in its report, too
+  if options.problems[1] and options.what ~= "check" then -- check says them in its report, too
     error(table.concat(options.problems, "\n"), 0)
   end
   if not self.feed then
     self:open()
-    tap_packets(self)
     local tap = Listener.new("frame") -- for the end alone: the other may go
     function tap.draw() self:conclude() end
   end
   self:begin(options, { out = function(part)
     local ok, problem = io.stdout:write(part)
-    if not ok then self.problem = self.problem or problem end
+    if not ok then self.problem = problem end
   end })
 end
 
@@ -209,10 +213,12 @@ function Stat:register()
     local ok, problem = pcall(self.argument, self, text)
     if not ok then
       say(tostring(problem))
-      leave(FAILED)
+      os.exit(FAILED)
     end
   end
-  for _, what in ipairs(options_of.WHATS) do register_stat_cmd_arg("yapp," .. what, run) end
+  for _, what in ipairs(options_of.WHATS) do
+    register_stat_cmd_arg("yapp," .. what, run)
+  end
   register_stat_cmd_arg("yapp", run) -- the longest name that fits is called: else this one
 end
 

@@ -13,10 +13,11 @@
 --   invalid  list of { field = name, value = raw } of what the catalogue does not define, or nil
 --   what     of "incomplete": "incomplete", "orphan" or "overrun"; lost = the message, a table that
 --            all its losses have, or nil; fault = { void = whether nothing is lost after all }
---   length   of "skipped": bytes, which grow while packets of the stream have nothing else }
+--   length   of "skipped": bytes, which grow while packets of the stream have nothing else; and
+--            last_frame }
 --
 -- An event is what a statistic lists or counts, made of records by Kinds: { kind = one of KINDS,
--- rel, frame, source, record, and its keys }.  A record of a loss is its own event.
+-- rel, frame, source, record = which shows it, values = by the keys of its kind }.
 
 local band = require("yapp.base.bits").band
 local decode = require("yapp.message.decode")
@@ -29,87 +30,47 @@ local LOST = {
   ["fragment.overrun"] = "overrun",
   truncated = "incomplete", -- by the capture: what was not decoded was not checked
 }
+-- What a message without a good CRC is, by its status; of the others nothing is told.
+local KIND_OF = { bad = "crc", unverified = "incomplete", single = "incomplete" }
 local DEFINED = { ["value.special"] = true, ["fault.active"] = true } -- remarks on what is defined
 local NOTHING = {}
 
---- The kinds of events, in the order in which `check` judges them: {
---   name
---   keys        of JSON, besides those that all events have; nil where it is no event of a list
---   text        what people read, with {key} for the value of a key
+--- The kinds of events: { [name] = {
+--   text        what people read, with {key} for the value of a key; nil where it is no event of a
+--               list
+--   keys        of JSON, besides those that all events have
 --   counts_as   the kind that it is for rules, where it has none of its own
 --   about       what a message of the catalogue has whose sources a rule is about; nil for every
 --               source that has an ID
 --   needs_past  whether it shows in good messages only, where it is known what came before
---   is_rare     whether a rule is about the sources that have it, and holds where none has
---   by_wish     whether `check` alone leaves it out
--- }
+--   is_rare     whether a rule is about the sources that have it, and holds where none has } }
 M.KINDS = {
-  {
-    name = "fault",
-    keys = { "field", "flag", "event", "active" },
+  fault = {
     text = "{flag} {event}",
+    keys = "field flag event active",
     about = "alarms",
     needs_past = true,
   },
-  {
-    name = "crc",
-    keys = {},
-    text = "bad CRC",
-  },
-  {
-    name = "incomplete",
-    keys = { "what" },
-    text = "{what}",
-  },
-  {
-    name = "unfinished",
-    keys = {},
-    text = "the capture ends before it",
-    counts_as = "incomplete",
-  },
-  {
-    name = "reboot",
-    keys = {},
-    text = "the controller's time went back",
-    about = "time",
-    needs_past = true,
-  },
-  {
-    name = "stale",
-    keys = {},
-    text = "the controller's time stood still",
-    about = "time",
-    needs_past = true,
-  },
-  {
-    name = "silence",
-    keys = { "length" },
+  crc = { text = "bad CRC" },
+  incomplete = { text = "{what}", keys = "what" },
+  unfinished = { text = "the capture ends before it", counts_as = "incomplete" },
+  reboot = { text = "the controller's time went back", about = "time", needs_past = true },
+  stale = { text = "the controller's time stood still", about = "time", needs_past = true },
+  silence = {
     text = "nothing for {length} s",
+    keys = "length",
     about = "every",
     needs_past = true,
   },
-  {
-    name = "invalid",
-    keys = { "field", "value" },
+  invalid = {
     text = "{field} has {value}, which is not defined",
+    keys = "field value",
     about = "fields",
   },
-  {
-    name = "absent",
-    keys = {},
-    text = "no message of it came",
-  },
-  { name = "unknown", is_rare = true },
-  -- A shell may write between the frames.
-  {
-    name = "skipped",
-    keys = { "length" },
-    text = "{length} bytes of no frame",
-    is_rare = true,
-    by_wish = true,
-  },
+  absent = { text = "no message of it came" },
+  unknown = { is_rare = true },
+  skipped = { text = "{length} bytes of no frame", keys = "length", is_rare = true },
 }
-for _, kind in ipairs(M.KINDS) do M.KINDS[kind.name] = kind end
 
 local Tell = {}
 Tell.__index = Tell
@@ -125,7 +86,7 @@ end
 --- Forgets the capture file.
 function Tell:reset()
   self.sources = {}
-  self.stretches = {} -- by stream: { record, frame = latest }, while nothing else comes
+  self.stretches = {} -- by stream: the record of skipped bytes, while nothing else comes
 end
 
 local function source_of(self, m)
@@ -136,7 +97,7 @@ local function source_of(self, m)
       name = m.id and self.reader:name_of(m.id, m.bus_name),
       message = m.id and self.reader:message_of(m.id, m.bus_name),
       parts = {}, -- by Seq: see Tell:part
-      orphan = nil, -- what is lost with the frames without a Start of late: { seq }
+      orphan = false, -- or { seq }: the message that lost its Start, while its frames come
     }
     self.sources[m.source] = source
   end
@@ -144,12 +105,12 @@ local function source_of(self, m)
 end
 
 -- All eight names at once: Lua's table of eight is half of one that grows to nine.
-local function record_of(kind, source, m)
+local function record_of(self, kind, m)
   return {
     kind = kind,
     frame = m.frame,
     rel = m.time,
-    source = source,
+    source = source_of(self, m),
     seq = m.seq,
     payload = m.payload,
     fits = m.raws ~= nil,
@@ -158,7 +119,8 @@ local function record_of(kind, source, m)
 end
 
 local function offer(self, record, m)
-  self.stretches[m.stream or false] = nil
+  local stream = m.stream or false
+  if self.stretches[stream] then self.stretches[stream] = nil end -- in Lua 5.2 costly if it is nil
   self.stat:offer(record, m.visited)
 end
 
@@ -177,14 +139,14 @@ end
 --- A finished message, read.
 -- m  of message.reader, as read; stream = key of its stream, nil on CAN
 function Tell:message(m)
-  local kind = m.good and "message" or m.status == "bad" and "crc"
-  if not kind and (m.status == "unverified" or m.status == "single") then kind = "incomplete" end
+  local kind = m.good and "message" or KIND_OF[m.status]
   if not kind then return end
-  local source = source_of(self, m)
-  local record = record_of(kind, source, m)
-  source.orphan = nil
-  if kind == "incomplete" then record.what = LOST.truncated end
-  if m.look and m.good then record.invalid = invalid_of(m) end
+  local record = record_of(self, kind, m)
+  record.source.orphan = false
+  if kind == "incomplete" then record.what = kind end
+  if m.look and m.good then
+    record.invalid = invalid_of(m)
+  end
   if m.is_unsure then record.is_unsure = true end
   offer(self, record, m)
 end
@@ -192,8 +154,10 @@ end
 -- What the orphaned frames of one message have in common: those in a row of one Seq, to its End.
 local function orphaned(source, m)
   local orphan = source.orphan
-  if not orphan or orphan.seq ~= m.seq then orphan = { seq = m.seq } end
-  source.orphan = not m.is_end and orphan or nil
+  if not orphan or orphan.seq ~= m.seq then
+    orphan = { seq = m.seq }
+  end
+  source.orphan = not m.is_end and orphan
   return orphan
 end
 
@@ -205,14 +169,13 @@ function Tell:faults(m, faults)
   for _, fault in ipairs(faults) do
     local what = LOST[fault.expert]
     if what then
-      local source = source_of(self, m)
-      local record = record_of("incomplete", source, m)
+      local record = record_of(self, "incomplete", m)
       if what == "orphan" then
-        record.lost = orphaned(source, m)
+        record.lost = orphaned(record.source, m)
       else
-        record.lost, source.orphan = fault.message, nil
+        record.lost, record.source.orphan = fault.message, false
       end
-      record.what, record.fault, record.change = what, fault, nil
+      record.what, record.fault = what, fault
       offer(self, record, m)
     end
   end
@@ -222,14 +185,14 @@ end
 -- m  { id = nil, frame, time, visited, bus, bus_name, source = key of the stream, length = bytes }
 function Tell:skipped(m)
   local stretch = self.stretches[m.source]
-  if stretch and m.frame > stretch.frame then -- else the capture is read anew
-    stretch.frame, stretch.record.length = m.frame, stretch.record.length + m.length
+  if stretch and m.frame > stretch.last_frame then -- else the capture is read anew
+    stretch.last_frame, stretch.length = m.frame, stretch.length + m.length
     return
   end
-  local record = record_of("skipped", source_of(self, m), m)
-  record.length = m.length
-  self.stretches[m.source] = { record = record, frame = m.frame }
-  self.stat:offer(record, m.visited)
+  stretch = record_of(self, "skipped", m)
+  stretch.last_frame, stretch.length = m.frame, m.length
+  self.stretches[m.source] = stretch
+  self.stat:offer(stretch, m.visited)
 end
 
 --- A frame of a message that has not ended: when it came, should the capture end before the message
@@ -247,7 +210,7 @@ function Tell:unfinished(messages)
     local source = self.sources[message.source]
     local part = source and source.parts[message.seq]
     if part and part.frame == message.frame then
-      records[#records + 1] = record_of("unfinished", source, part)
+      table.insert(records, record_of(self, "unfinished", part))
     end
   end
   table.sort(records, function(a, b) return a.frame < b.frame end)
@@ -266,104 +229,119 @@ local Kinds = {}
 Kinds.__index = Kinds
 
 --- What makes events of records, for one statistic.
--- late   function() -> how many periods of its message make a gap a silence
--- named  function() -> list of the sources that the user named, see message.sources
--- add    function(event)
-function M.kinds(late, named, add)
-  return setmetatable({ late = late, named = named, add = add,
+-- plugin     { late, named }, see stat.taps
+-- statistic  whose event(event) is called
+function M.kinds(plugin, statistic)
+  return setmetatable({
+    plugin = plugin,
+    statistic = statistic,
     states = {}, -- a list and, by their keys, those of sources with good messages
-    came = {} }, Kinds)
+    came = {}, -- the sources of which something came that counts
+  }, Kinds)
 end
 
--- keys  of the kind, with their values
-local function tell_of(self, kind, record, keys)
-  local event = {
+local function tell_of(self, kind, record, values)
+  self.statistic:event {
     kind = kind,
     rel = record.rel,
     frame = record.frame,
     source = record.source,
     record = record,
+    values = values or NOTHING,
   }
-  for key, value in pairs(keys or NOTHING) do event[key] = value end
-  self.add(event)
+end
+
+-- fault  one of a state
+local function tell_fault(self, record, fault, event)
+  local is_over = event ~= "raised" and fault.since
+  tell_of(self, "fault", record, {
+    field = fault.field,
+    flag = fault.flag,
+    help = fault.help,
+    event = event,
+    active = output.seconds(is_over and M.span(fault.since, record.rel)),
+  })
 end
 
 -- The flags of a field that are faults, those that no table defines too.
 local function alarms_of(field)
-  local list, bit = {}, 1
+  local list = {}
   for _, flag in ipairs(field.flags) do
-    if band(flag.mask, field.alarm_bits) ~= 0 then list[#list + 1] = flag end
-  end
-  local undefined = band(field.undefined or 0, field.alarm_bits)
-  while bit <= undefined do
-    if band(undefined, bit) ~= 0 then
-      list[#list + 1] = { name = ("undefined_0x%x"):format(bit), mask = bit }
+    if band(flag.mask, field.alarm_bits) ~= 0 then
+      list[#list + 1] = flag
     end
-    bit = bit * 2
+  end
+  local undefined = band(field.undefined, field.alarm_bits)
+  for place = 0, 31 do
+    local mask = 2 ^ place
+    if band(undefined, mask) ~= 0 then
+      list[#list + 1] = { name = ("undefined_0x%x"):format(mask), mask = mask }
+    end
   end
   return list
 end
 
-local function note_fault(self, state, record, fault, counts)
-  local set, active = {}, nil
+local function note_fault(self, state, record, fault, is_set)
+  local set = {}
   for _, one in ipairs(state.set) do
     if one.field == fault.field and one.flag == fault.flag then
-      active = output.seconds(M.span(one.since, record.rel))
+      fault.since = one.since
     else
       set[#set + 1] = one
     end
   end
-  if fault.event == "raised" then
-    set[#set + 1] = {
-      field = fault.field,
-      flag = fault.flag,
-      help = fault.help,
-      since = record.rel,
-    }
+  if is_set then
+    fault.since, set[#set + 1] = record.rel, fault
   end
-  state.set, fault.active = set, active
-  if counts then tell_of(self, "fault", record, fault) end
+  state.set = set
+  if state.counts then
+    tell_fault(self, record, fault, is_set and "raised" or "cleared")
+  end
 end
 
 -- The faults of a source that begin and end with a change of a field's flags.
-local function note_faults(self, state, record, change, counts)
-  local now = change.value
-  local before = now - change.raised + change.cleared
+local function note_faults(self, state, record, change)
+  local before = change.value - change.raised + change.cleared
   for _, flag in ipairs(alarms_of(change.field)) do
-    local was, is = band(before, flag.mask) ~= 0, band(now, flag.mask) ~= 0
-    if was ~= is then
-      local event = is and "raised" or "cleared"
-      local fault = {
+    local is_set = band(change.value, flag.mask) ~= 0
+    if is_set ~= (band(before, flag.mask) ~= 0) then
+      note_fault(self, state, record, {
         field = change.field.name,
         flag = flag.name,
         help = flag.help,
-        event = event,
-      }
-      note_fault(self, state, record, fault, counts)
+      }, is_set)
     end
   end
 end
 
 -- What a good message that counts tells besides faults.
 local function note_events(self, record, change)
-  if change.reboot then tell_of(self, "reboot", record) end
-  if change.stale then tell_of(self, "stale", record) end
-  if not record.fits then tell_of(self, "unknown", record) end
-  for _, one in ipairs(record.invalid or NOTHING) do tell_of(self, "invalid", record, one) end
+  if change.reboot then
+    tell_of(self, "reboot", record)
+  end
+  if change.stale then
+    tell_of(self, "stale", record)
+  end
+  if not record.fits then
+    tell_of(self, "unknown", record)
+  end
+  for _, one in ipairs(record.invalid or NOTHING) do
+    tell_of(self, "invalid", record, one)
+  end
 end
 
--- state: last = the record before, counts = whether it does; set = the faults that are set, in the
--- order in which they rose: replaced, never written, as told may be the same list; told = those
--- that were set at told_by, the latest record that counts.
+-- state: last = the latest record, counts = whether it does; set = the faults that are set, in the
+-- order in which they rose, { field, flag, help, since } each: replaced, never written, as told may
+-- be the same list; told = those that were set at told_by, the latest record that counts.
 local function state_of(self, key)
   local state = self.states[key]
   if not state then
     state = {
       last = nil,
       counts = false,
-      set = {},
-      told = {},
-      told_by = NOTHING,
+      set = NOTHING,
+      told = NOTHING,
+      told_by = { frame = 0 },
       order = #self.states + 1,
     }
     self.states[key], self.states[state.order] = state, state
@@ -376,10 +354,14 @@ local function note_good(self, record, counts)
   if change.late and state.counts then
     tell_of(self, "silence", state.last, { length = output.seconds(change.late) })
   end
-  if counts then note_events(self, record, change) end
-  for _, one in ipairs(change.flags or NOTHING) do note_faults(self, state, record, one, counts) end
   state.last, state.counts = record, counts
-  if counts then state.told, state.told_by = state.set, record end
+  if counts then note_events(self, record, change) end
+  for _, one in ipairs(change.flags or NOTHING) do
+    note_faults(self, state, record, one)
+  end
+  if counts then
+    state.told, state.told_by = state.set, record
+  end
 end
 
 --- Takes a record, in the order of the capture.
@@ -390,7 +372,7 @@ function Kinds:record(record, counts)
   if record.kind == "message" then
     note_good(self, record, counts)
   elseif counts then
-    self.add(record)
+    tell_of(self, record.kind, record, record)
   end
 end
 
@@ -400,7 +382,7 @@ local function note_silence(self, last)
     local record = state.last
     local every = record.source.message and record.source.message.every
     local length = M.span(record.rel, last.rel)
-    if every and state.counts and length > self.late() * every then
+    if every and state.counts and length > self.plugin.late() * every then
       tell_of(self, "silence", record, { length = output.seconds(length), is_last = true })
     end
   end
@@ -409,20 +391,14 @@ end
 -- The faults that are still set at the last message of their source that counts.
 local function note_active(self)
   table.sort(self.states, function(a, b)
-    local first, second = a.told_by.frame or 0, b.told_by.frame or 0
-    if first ~= second then return first < second end
+    if a.told_by.frame ~= b.told_by.frame then
+      return a.told_by.frame < b.told_by.frame
+    end
     return a.order < b.order
   end)
   for _, state in ipairs(self.states) do
-    local record = state.told_by
-    for _, one in ipairs(state.told) do
-      tell_of(self, "fault", record, {
-        field = one.field,
-        flag = one.flag,
-        help = one.help,
-        event = "active",
-        active = output.seconds(M.span(one.since, record.rel)),
-      })
+    for _, fault in ipairs(state.told) do
+      tell_fault(self, state.told_by, fault, "active")
     end
   end
 end
@@ -430,7 +406,9 @@ end
 local function has_come(self, row)
   for source in pairs(self.came) do
     local is_there = not row.bus or row.bus == source.bus
-    if is_there and source.id == row.id and source.name == row.name then return true end
+    if is_there and source.id == row.id and source.name == row.name then
+      return true
+    end
   end
   return false
 end
@@ -440,13 +418,9 @@ end
 function Kinds:finish(last)
   if last then note_silence(self, last) end
   note_active(self)
-  for _, row in ipairs(self.named()) do
+  for _, row in ipairs(self.plugin.named()) do
     if row.message and not has_come(self, row) then
-      self.add {
-        kind = "absent",
-        rel = last and last.rel,
-        source = row,
-      }
+      tell_of(self, "absent", { rel = last and last.rel, source = row })
     end
   end
 end
