@@ -193,14 +193,9 @@ function M.seconds(seconds, nanoseconds)
   return format("-%d.%09d", -seconds, -nanoseconds)
 end
 
-local function escape(char) return format("\\x%02x", char:byte()) end
-
---- The text of a string field: up to its first NUL; where that is no UTF-8, or has control
--- characters, what is not printable ASCII is written \xNN.
+--- The text of a string field: up to its first NUL, fit to be printed.
 function M.text(raw)
-  local text = raw:match("^%Z*")
-  if utf8.is_printable(text) then return text end
-  return (text:gsub("[%c\128-\255]", escape))
+  return utf8.printable(raw:match("^%Z*"))
 end
 
 --- Bytes as hexadecimal digits.

@@ -51,8 +51,6 @@ end
 --   usual     function(raws, payload) -> the same as one text, nil where a value is special
 -- Raises what is wrong.
 function M.compile(message, text)
-  local is_text = text == "" or check.is_text(text)
-  check.demand(is_text, "info must be a text, not %s", check.shown(text))
   local parts, fields, shape, at = {}, {}, "", 1
   while at do
     local from, to, name, part_shape = text:find("{([%w_]+):?([^}]*)}", at)
