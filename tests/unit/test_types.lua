@@ -93,7 +93,7 @@ local LIMITS = {
   { "int8", { values = {} }, "80", "-128,", "f value.invalid" },
   { "string", { length = 6 }, "616200000000", "ab" }, { "string", { length = 2 }, "6162", "ab" },
   { "string", { length = 4 }, "00616263", "" }, { "string", { length = 3 }, "c2b043", "\194\176C" },
-  { "string", { length = 3 }, "61ff0a", "a\\xFF\\x0A" }, { "string", { length = 3 }, "612c62", '"a,b"' },
+  { "string", { length = 3 }, "61ff0a", "a\\xff\\x0a" }, { "string", { length = 3 }, "612c62", '"a,b"' },
   { "string", { length = 3 }, "612262", '"a""b"' },
   { "bytes", { length = 4 }, "00ff7f80", "00ff7f80" },
   { "int64_ns", {}, "ffffffffffffffff", "-0.000000001" },

@@ -102,8 +102,8 @@ end
 
 local function check_head(entry)
   local every, answers = entry.every, entry.answers
-  check.options(entry, "a message", OPTIONS, math.huge)
   demand(is_text(entry.title), "the title is missing")
+  check.options(entry, "a message", OPTIONS, math.huge)
   demand(#entry.title <= MOST_OF_TITLE, "the title has more than %d bytes", MOST_OF_TITLE)
   check.within("id", entry.id, 0, M.MAX_ID)
   check.within("size", entry.size, 1, MAX_SIZE)

@@ -199,9 +199,16 @@ function M.seconds(seconds, nanoseconds)
   return format("%d.%09d", seconds, nanoseconds)
 end
 
---- The text of a string field: up to its first NUL, fit to be printed.
+local function escape(char)
+  return format("\\x%02x", char:byte())
+end
+
+--- The text of a string field: up to its first NUL; where that is no UTF-8, or has control
+-- characters, what is not printable ASCII is written \xNN.
 function M.text(raw)
-  return utf8.printable(raw:match("^%Z*"))
+  local text = raw:match("^%Z*")
+  if utf8.is_printable(text) then return text end
+  return (text:gsub("[%c\128-\255]", escape))
 end
 
 --- Bytes as hexadecimal digits.
