@@ -11,8 +11,8 @@ local native = load([[
 ]], "=base.bits native")
 
 --- Lua 5.2's library, nil where there are native operators: BitOp in Wireshark (signed results),
--- bit32 in plain Lua (unsigned).  For loops that cannot afford a call more; either result is right after %
--- 0x100000000.
+-- bit32 in plain Lua (unsigned).  For loops that cannot afford a call more; either result is right
+-- after % 0x100000000.
 M.library = not native and (rawget(_G, "bit") or require("bit32")) or nil
 
 --- band(a, b): the bits that both have.  bor(a, b): those that any has.  bxor(a, b): those that one

@@ -71,6 +71,18 @@ local function uint32(window, at)
   return a * 0x1000000 + b * 0x10000 + c * 0x100 + d
 end
 
+-- Three of them, one behind the other, with one call: most of the time goes into these.
+local function three_uint32(window, at)
+  local from = at - window.from
+  local a, b, c, d, e, f, g, h, i, j, k, l = byte(window.text, from + 1, from + 12)
+  if not window.is_little then
+    a, b, c, d, e, f, g, h, i, j, k, l = d, c, b, a, h, g, f, e, l, k, j, i
+  end
+  return a + b * 0x100 + c * 0x10000 + d * 0x1000000,
+    e + f * 0x100 + g * 0x10000 + h * 0x1000000,
+    i + j * 0x100 + k * 0x10000 + l * 0x1000000
+end
+
 local function uint16(window, at)
   local a, b = byte(window:bytes(at, 2), 1, 2)
   if window.is_little then return a + b * 0x100 end
@@ -180,12 +192,13 @@ end
 -- A packet of a file that may have several sources.
 local function read_enhanced(self, window, at)
   if not window:has(at, 28) then return end
-  local interface = self.interfaces[self.first + uint32(window, at + 8) + 1]
+  local number, high, low = three_uint32(window, at + 8)
+  local interface = self.interfaces[self.first + number + 1]
   if not interface then
     self.told[self.count] = 0
     return
   end
-  local units = uint32(window, at + 12) * 2 ^ 32 + uint32(window, at + 16)
+  local units = high * 2 ^ 32 + low
   local stamp = floor(units / interface.per_microsecond)
   local source = interface.source
   if not source then
@@ -216,7 +229,7 @@ end
 local function read_pcapng(self, window)
   local at = 0
   while window.from + #window.text >= at + 12 or window:has(at, 12) do
-    local kind, length = uint32(window, at), uint32(window, at + 4)
+    local kind, length = three_uint32(window, at)
     if kind == ENHANCED then
       self.count = self.count + 1
       self.has_packets = true
