@@ -11,9 +11,8 @@ local native = load([[
 ]], "=base.bits native")
 
 --- Lua 5.2's library, nil where there are native operators: BitOp in Wireshark (signed results),
--- bit32 in plain Lua
--- (unsigned).  For loops that cannot afford a call more; either result is right after %
--- 0x100000000.
+-- bit32 in plain Lua (unsigned).  For loops that cannot afford a call more; either result is right
+-- after % 0x100000000.
 M.library = not native and (rawget(_G, "bit") or require("bit32")) or nil
 
 --- band(a, b): the bits that both have.  bor(a, b): those that any has.  bxor(a, b): those that one
@@ -23,10 +22,17 @@ M.library = not native and (rawget(_G, "bit") or require("bit32")) or nil
 if native then
   M.band, M.bor, M.bxor = native()
 else
-  local band, bor, bxor = M.library.band, M.library.bor, M.library.bxor
-  function M.band(a, b) return band(a, b) % 0x100000000 end
-  function M.bor(a, b) return bor(a, b) % 0x100000000 end
-  function M.bxor(a, b) return bxor(a, b) % 0x100000000 end
+  local library = M.library
+  local band, bor, bxor = library.band, library.bor, library.bxor
+  function M.band(a, b)
+    return band(a, b) % 0x100000000
+  end
+  function M.bor(a, b)
+    return bor(a, b) % 0x100000000
+  end
+  function M.bxor(a, b)
+    return bxor(a, b) % 0x100000000
+  end
 end
 
 return M

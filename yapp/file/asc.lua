@@ -13,6 +13,7 @@ local M = {}
 local HEAD = 4096 -- bytes
 local BUS_ERROR = 0x80
 local FDF, BRS, ESI = 4, 1, 2 -- of a SocketCAN frame
+local BASES = { hex = 16, dec = 10 } -- of ids and data
 local SECOND = 1000000 -- times are in microseconds: that many are exact in every Lua
 
 local MONTHS = {}
@@ -26,18 +27,19 @@ end
 -- Times
 -- ---------------------------------------------------------------------------------------------
 
+local DATE = "(%S+)%s+(%d+)%s+(%d+):(%d+):(%d+)%.?(%d*)%s*([ap]?)m?%s+(%d%d%d%d)"
+
 -- "Tue Nov 14 10:13:20.001 pm 2023", the recorder's local time, in microseconds since 1970; nil for
 -- no date.  python-can writes 1 ms as ".1".
 local function read_date(date)
-  local name, day, hour, min, sec, fraction, half, year =
-    date:lower():match("(%S+)%s+(%d+)%s+(%d+):(%d+):(%d+)%.?(%d*)%s*([ap]?)m?%s+(%d%d%d%d)")
-  local month = name and MONTHS[name]
+  local name, day, hour, min, sec, fraction, half, year = date:lower():match(DATE)
+  local month = MONTHS[name or ""]
   if not month then return nil end
   if half ~= "" then hour = hour % 12 end
   if half == "p" then hour = hour + 12 end
   local time = { year = year, month = month, day = day, hour = hour, min = min, sec = sec }
-  local seconds = os.time(time)
-  return seconds and seconds * SECOND + (tonumber(fraction:sub(1, 3)) or 0) * 1000
+  local milliseconds = tonumber(fraction:sub(1, 3)) or 0
+  return os.time(time) * SECOND + milliseconds * 1000
 end
 
 -- The time in front of a line, "12.000123", in microseconds, and what is behind it; nil for a line
@@ -47,7 +49,8 @@ local function read_stamp(line)
   local whole, fraction, at = line:match("^%s*(%d*)%.?(%d*)()")
   local rest = line:match("^%s+(.*)$", at)
   if not rest or whole == "" or #whole > 7 then return nil end -- 115 days
-  return tonumber(whole) * SECOND + tonumber((fraction .. "000000"):sub(1, 6)), rest
+  local microseconds = tonumber((fraction .. "000000"):sub(1, 6))
+  return tonumber(whole) * SECOND + microseconds, rest
 end
 
 -- A line
@@ -56,9 +59,10 @@ end
 -- "8404000x": the number, with SocketCAN's flag of an extended one
 local function read_id(id, base)
   local digits, extended = id:match("^(%x+)(x?)$")
-  local value = digits and #digits <= 10 and tonumber(digits, base)
-  if not value or value >= (extended == "x" and 0x20000000 or 0x800) then return nil end
-  return extended == "x" and value + text.EXTENDED or value
+  local value = #digits <= 10 and tonumber(digits, base)
+  if not value then return nil end
+  if extended == "" then return value < 0x800 and value or nil end
+  return value < 0x20000000 and value + text.EXTENDED or nil
 end
 
 -- So many data bytes, and what is behind them; nil where there are fewer
@@ -66,9 +70,10 @@ local function read_data(data, count, base)
   local bytes, at = {}, 1
   for i = 1, count do
     local digits, stop = data:match("^%s*(%x+)()", at)
-    local value = digits and #digits <= 3 and tonumber(digits, base)
+    local value = digits and tonumber(digits, base)
     if not value or value > 255 then return nil end
-    bytes[i], at = string.char(value), stop
+    bytes[i] = string.char(value)
+    at = stop
   end
   return table.concat(bytes), data:sub(at)
 end
@@ -76,12 +81,12 @@ end
 -- "d 8 FD 7F ...", "r 8": a length of 9 to 15 means 8
 local function read_classic(record, rest, base)
   local kind, code, data = rest:match("^%s*([dr])%s*(%x?)%s*(.*)$")
-  if not kind or kind == "d" and code == "" then return nil end
-  record.length = math.min(tonumber(code, 16) or 0, 8)
-  if kind == "d" then
+  record.length = math.min(tonumber(code or "", 16) or 0, 8)
+  if kind == "r" then
+    record.id = record.id + text.REMOTE
+    record.data = ""
+  elseif kind == "d" and code ~= "" then
     record.data = read_data(data, record.length, base)
-  else
-    record.id, record.data = record.id + text.REMOTE, ""
   end
 end
 
@@ -90,18 +95,19 @@ local FLEXIBLE = "^%s*%S-%s*%f[%S]([01])%s+([01])%s+%x%s+(%d+)(.*)$"
 
 local function read_flexible(record, rest, base)
   local brs, esi, length, data = rest:match(FLEXIBLE)
-  length = tonumber(length)
-  if not length or length > 64 then return nil end
-  local bytes, behind = read_data(data, length, base)
-  local flags = tonumber((behind or ""):match("^%s*%d+%s+%d+%s+(%x+)") or "1000", 16)
-  record.length, record.data = length, bytes
-  if flags % 0x20 >= 0x10 then
-    record.id, record.data = record.id + text.REMOTE, bytes and ""
-  elseif flags % 0x2000 >= 0x1000 then
-    record.fd, record.flags = true, FDF + BRS * brs + ESI * esi
+  record.length = tonumber(length)
+  if not length or record.length > 64 then return end
+  local bytes, behind = read_data(data, record.length, base)
+  if not bytes then return end
+  record.data = bytes
+  local flags = tonumber(behind:match("^%s*%d+%s+%d+%s+(%x+)") or "1000", 16)
+  if flags % 0x2000 >= 0x1000 then
+    record.fd = true
+    record.flags = FDF + BRS * brs + ESI * esi
   end
-  if not record.fd and length > 8 then record.data = nil end
 end
+
+local FRAME = "^(%d+)%s+(%x+x?)%s+([RT]x)(%s.*)$"
 
 --- Reads one line.
 -- @param line without its end
@@ -114,21 +120,22 @@ function M.parse(line, base)
   local record = { stamp = stamp, flags = 0, raw_dlc = 0 }
   local channel = rest:match("^C?A?N?F?D?%s*(%d+)%s+[RTx]*%s*ErrorFrame")
   if channel then
+    record.number = tonumber(channel)
     record.id = text.ERROR + BUS_ERROR
     record.length = 8
     record.data = ("\0"):rep(8)
-  else
-    local flexible, id, direction, behind
-    rest, flexible = rest:gsub("^CANFD%s+(%d+)%s+([RT]x)%s+(%x+x?)%s", "%1 %3 %2 ")
-    channel, id, direction, behind = rest:match("^(%d+)%s+(%x+x?)%s+([RT]x)(%s.*)$")
-    record.id = id and read_id(id, base)
-    if not record.id then return nil end
-    record.sent = direction == "Tx" or nil
-    local read = flexible == 1 and read_flexible or read_classic
-    read(record, behind, base)
+    return record
   end
-  record.number = tonumber(channel)
-  return record.data and record.number <= 0xFFFF and record or nil
+  -- The head of a line of CAN FD in the order of a classic one's.
+  local classic, swapped = rest:gsub("^CANFD%s+(%d+)%s+([RT]x)%s+(%x+x?)%s", "%1 %3 %2 ")
+  local number, id, direction, behind = classic:match(FRAME)
+  record.id = id and read_id(id, base)
+  if not record.id then return nil end
+  record.number = tonumber(number)
+  record.sent = direction == "Tx" or nil
+  local read = swapped == 1 and read_flexible or read_classic
+  read(record, behind, base)
+  return record.data and record
 end
 
 -- A file
@@ -144,7 +151,7 @@ function M.open(file)
   local head = file:read(HEAD) or ""
   local date = head:match("^%s*date%s+([^\r\n]*)")
   local base, stamps = head:match("\n%s*base%s+(%a+)%s+timestamps%s+(%a+)")
-  if not date or base ~= "hex" and base ~= "dec" then return nil end
+  if not date or not BASES[base] then return nil end
   date = read_date(date)
   local channel, has_several = nil, false
   for other in head:gmatch("\n%s*[%d.]+%s+(%d+)%s+%x+x%s") do
@@ -153,10 +160,11 @@ function M.open(file)
   end
   return setmetatable({
     has_several = has_several, -- channels in the first lines
-    base = base == "hex" and 16 or 10,
+    base = BASES[base],
     is_relative = stamps == "relative",
     date = date, -- of the file; nil if unknown
     start = date, -- what stamps count from
+    began = nil, -- the block whose first stamp is to come
     clock = 0, -- the stamp of a line, where they are relative the sum so far
     times = {}, -- by a frame's offset
     lines = text.lines(head),
@@ -173,11 +181,16 @@ function Log:packet(record, offset)
   return offset, packet, math.floor((time - rest) / SECOND), rest * 1000, bus
 end
 
--- A block of a log says when it began: python-can counts from there, CANoe from the date of the
--- file.
-function Log:begin(began, stamp)
-  local is_since_date = self.date and math.abs(self.date + stamp - began) < 2 * SECOND
-  self.start = is_since_date and self.date or began
+-- The time of a line.  A block of a log says when it began: python-can counts from there, CANoe
+-- from the date of the file.
+function Log:count(stamp)
+  local began, date = self.began, self.date
+  if began then
+    local is_since_date = date and math.abs(date + stamp - began) < 2 * SECOND
+    self.start = is_since_date and date or began
+    self.began = nil
+  end
+  self.clock = self.is_relative and self.clock + stamp or stamp
 end
 
 --- Reads the next frame.
@@ -185,22 +198,20 @@ end
 -- @return as candump's read; the bus is { number = the channel, name }, without a date in the file
 --   there is no time
 function Log:read(file)
-  local began
   local line, offset = self.lines:next(file)
   while line do
     local stamp = read_stamp(line)
-    if stamp and began then
-      self:begin(began, stamp)
-      began = nil
+    if stamp then
+      self:count(stamp)
+      local record = M.parse(line, self.base)
+      if record then
+        self.times[offset] = self.start and self.start + self.clock
+        return self:packet(record, offset)
+      end
+    else
+      local block = line:match("^%s*[Bb]egin%s+[Tt]riggerblock%s+(.*)")
+      if block then self.began = read_date(block) end
     end
-    if stamp then self.clock = self.is_relative and self.clock + stamp or stamp end
-    local record = M.parse(line, self.base)
-    if record then
-      self.times[offset] = self.start and self.start + self.clock
-      return self:packet(record, offset)
-    end
-    local block = not stamp and line:match("^%s*[Bb]egin%s+[Tt]riggerblock%s+(.*)")
-    if block then began = read_date(block) end
     line, offset = self.lines:next(file)
   end
 end

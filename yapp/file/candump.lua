@@ -25,12 +25,12 @@ local REPORTED = 3
 
 -- How many digits Wireshark's own reader takes behind "#", by what comes first: data, remote, CAN
 -- FD.
-local PLAIN_DIGITS = {}
-for kind, counts in pairs {
-  [""] = "0 2 4 6 8 10 12 14 16", R = "0 1", ["#"] = "1 3 5 7 9 11 13 15 17 25 33 41 49 65 97 129",
-} do
-  PLAIN_DIGITS[kind] = {}
-  for count in gmatch(counts, "%d+") do PLAIN_DIGITS[kind][tonumber(count)] = true end
+local PLAIN_DIGITS = { [""] = {}, R = { [0] = true, true }, ["#"] = {} }
+for count = 0, 8 do
+  PLAIN_DIGITS[""][2 * count] = true
+end
+for count in gmatch("0 1 2 3 4 5 6 7 8 12 16 20 24 32 48 64", "%d+") do
+  PLAIN_DIGITS["#"][2 * count + 1] = true
 end
 
 -- A test for text of whole lines, all of them log lines of this bus that Wireshark's own reader
@@ -49,24 +49,26 @@ local function plain_test(bus, by_value)
   return function(lines) return gsub(lines, pattern, erase) == "" end
 end
 
+local function nanoseconds_of(record)
+  return record.seconds * 1000000000 + record.nanoseconds
+end
+
 -- candump -t d prints the time since the frame before, -t z since the first one.  On one bus the
 -- latter climb, or stay where an adapter stamps several frames at once; the former go up and down,
 -- or repeat. (Of several buses two frames may change places.)
 local function are_deltas(records)
   local last, falls, repeats, rises = {}, 0, 0, 0
   for _, record in ipairs(records) do
-    if record.is_relative then
-      local time = record.seconds * 1000000000 + record.nanoseconds
-      local before = last[record.bus] or time
-      if time < before then
-        falls = falls + 1
-      elseif time > before then
-        rises = rises + 1
-      elseif time > 0 and last[record.bus] then
-        repeats = repeats + 1
-      end
-      last[record.bus] = time
+    local time = record.is_relative and nanoseconds_of(record) or 0
+    local before = last[record.bus] or time
+    if time < before then
+      falls = falls + 1
+    elseif time > before then
+      rises = rises + 1
+    elseif time > 0 and last[record.bus] then
+      repeats = repeats + 1
     end
+    last[record.bus] = time
   end
   if falls > 0 or rises <= 1 then falls = falls + repeats end
   return 10 * falls > #records
@@ -79,24 +81,10 @@ local function whole_lines(piece, at_end)
   return lines, sub(piece, #lines + 1)
 end
 
--- What the rest of a line may be whose start was cut off: cut in front of its id, in it, in its
--- length, in its data bytes, behind them; and a line of frames that candump lost.
-local RESTS = {
-  "%s%x+#",
-  "%s%x+%s+[%[{]%x+[%]}]",
-  "^%x*#",
-  "^%x*%s*[%[{]?%x*[%]}]",
-  "^[%x%s`]*[RT]?%s*$",
-  "['`]%s*$",
-  "^DROPCOUNT: ",
-}
-
--- The words behind the data.
-local ENDS = "remote request\nERRORFRAME\n"
+-- What the rest of a line has whose start was cut off: an id and "#", a length, data bytes alone.
+local RESTS = { "%x#", "[%[{]%x+[%]}]", "^#?[%x%s`]*[RT]?%s*$" }
 
 local function is_rest(line)
-  line = gsub(gsub(line, "\27?%[[%d;]*m", ""), "^[%d;]*m", "") -- colours
-  if find(ENDS, match(line, "^%s*(.-)%s*$") .. "\n", 1, true) then return true end
   for _, rest in ipairs(RESTS) do
     if find(line, rest) then return true end
   end
@@ -143,14 +131,14 @@ end
 -- that cannot be rewound is a pipe: nobody else could read it any more, so it is taken.  All text
 -- is kept until that is known.
 local function text_that_needs_us(file, head, is_plain)
-  local pieces, size = { head }, #head
+  local all, size = head, #head
   local lines, rest = whole_lines(head, false)
   while is_plain(lines) and #rest <= HEAD do
     local more = file:read(PIECE) or ""
     size = size + #more
     if size < SURE then
-      pieces[#pieces + 1] = more
-      if not file:seek("set", 0) then return table.concat(pieces) end
+      all = all .. more
+      if not file:seek("set", 0) then return all end
       file:seek("set", size)
     end
     lines, rest = whole_lines(rest .. more, more == "")
@@ -196,7 +184,6 @@ function M.open(file, options)
     clocks = {}, -- and at each frame's offset
     buses = {}, -- by name
     taken = {}, -- by number: whether a bus has it
-    lowest = 0, -- no number below it is free
     skipped = {}, -- number of lines, by reason
     pending = {}, -- what the packet list is to say at the next frame
     comments = {}, -- what it says, by the frame's offset
@@ -208,8 +195,8 @@ end
 function Log:add_bus(name)
   local number = tonumber(match(name, "%f[%d]%d?%d?%d$"))
   if not number or self.taken[number] then
-    while self.taken[self.lowest] do self.lowest = self.lowest + 1 end
-    number = self.lowest
+    number = 0
+    while self.taken[number] do number = number + 1 end
   end
   local shown = utf8.printable(name)
   self.taken[number] = true
@@ -224,8 +211,8 @@ function Log:skip(line, why)
   self.skipped[why] = count
   if count > REPORTED then return end
   local message = format("line %d: %s", self.lines.number, why)
-  local shown = utf8.printable(match(sub(line, 1, 50), "^%s*(.-)%s*$"))
-  if shown ~= "" then message = format('%s: "%s"', message, shown) end
+  local shown = match(sub(line, 1, 50), "^%s*(.-)%s*$")
+  if shown ~= "" then message = format('%s: "%s"', message, utf8.printable(shown)) end
   if count == REPORTED then message = message .. "; no more of these are told" end
   self.report(message)
   if not candump_line.HARMLESS[why] then self.pending[#self.pending + 1] = message end
@@ -235,7 +222,7 @@ end
 function Log:note(record, line, offset)
   if not self.buses[record.bus] then self:add_bus(record.bus) end
   if self.deltas and record.is_relative then
-    self.clock = self.clock + record.seconds * 1000000000 + record.nanoseconds
+    self.clock = self.clock + nanoseconds_of(record)
     self.clocks[offset] = self.clock
   end
   if record.note then self:skip(line, record.note) end

@@ -24,7 +24,6 @@ local LONG = "longer than any candump line, skipped"
 local TIME = "no such time, line skipped"
 local ID = "no such CAN id, line skipped"
 local DATA = "the data bytes do not fit, line skipped"
-local XL = "CAN XL is not supported, line skipped"
 -- What there is to say about a line with a frame.
 local BEHIND = "text behind the frame, ignored"
 local REPAIRED = "letters that look like hex digits, read as such"
@@ -35,30 +34,23 @@ M.HARMLESS = { [EMPTY] = true, [COMMENT] = true, [SAID] = true }
 -- Lines without a frame; candump -e prints what an error frame means, below it and behind a tab.
 local OTHERS = {
   { "^%s*$", EMPTY },
-  { "^%s*[#;]", COMMENT },
-  { "^%s*//", COMMENT },
+  { "^%s*[#;/]", COMMENT },
   { "^DROPCOUNT: ", DROPPED },
   { "^Enabling Logfile '", SAID },
   { "while logging[.!]?%s*$", SAID },
   { "^\t%l+%-[%l-]+%f[{%s\0]" },
 }
 
--- Two hex digits, or the eight binary ones of candump -i, to a byte.
+-- Two hex digits, or the eight binary ones of candump -i, to a byte; nil for other texts.
+local BASES = { [2] = 16, [8] = 2 }
 local BYTES = setmetatable({}, { __index = function(bytes, digits)
-  local byte = char(tonumber(digits, #digits == 2 and 16 or 2))
+  local base = BASES[#digits]
+  local value = base and tonumber(digits, base)
+  if not value then return nil end
+  local byte = char(value)
   bytes[digits] = byte
   return byte
 end })
-
--- So many bytes on the screen, in hex and in binary digits, and what stands behind them.  Between
--- them is a blank, or with -S, which turns them around, a "`".
-local ON_SCREEN = { [0] = { "^(%s-)(.*)$" } }
-for count = 1, 64 do
-  ON_SCREEN[count] = {
-    "^(" .. rep("[%s`]+%x%x", count) .. ")%f[%X](.*)$",
-    "^(" .. rep("[%s`]+" .. rep("[01]", 8), count) .. ")%f[%X](.*)$",
-  }
-end
 
 --- The id with SocketCAN's flags for 3 (standard) or 8 (extended, or error) hex digits, or nil.
 function M.id(digits)
@@ -68,79 +60,83 @@ function M.id(digits)
   return id < text.ERROR and id + text.EXTENDED or id
 end
 
+-- A date, local time as Wireshark shows it: seconds since 1970, and the digits of the fraction.
+local function read_date(stamp)
+  local year, month, day, hour, min, sec, fraction =
+    match(stamp, "^(%d%d%d%d)%-(%d%d)%-(%d%d) (%d%d):(%d%d):(%d%d)%.(%d+)$")
+  if not year or year < "1970" or month > "12" then return nil end
+  local date = { year = year, month = month, day = day, hour = hour, min = min, sec = sec }
+  return os.time(date), fraction
+end
+
 -- Fills in the time that stands in the parentheses, or returns why it cannot.  An absolute time has
--- ten digits at least: candump pads it.  A date is local time, as Wireshark shows it.
+-- ten digits at least: candump pads it.
 local function read_stamp(record, stamp)
-  local seconds, fraction = match(stamp, "^(%d+)%.(%d+)$")
-  if seconds then
-    record.seconds, record.is_relative = tonumber(seconds), #seconds < 10
-    if #seconds > 12 then return TIME end
-  else
-    local year, month, day, hour, min, sec, part =
-      match(stamp, "^(%d%d%d%d)%-(%d%d)%-(%d%d) (%d%d):(%d%d):(%d%d)%.(%d+)$")
-    if not year or year < "1970" or month > "12" then return TIME end
-    local date = { year = year, month = month, day = day, hour = hour, min = min, sec = sec }
-    record.seconds = os.time(date)
-    fraction = part
-  end
+  local digits, fraction = match(stamp, "^(%d+)%.(%d+)$")
+  local seconds = tonumber(digits)
+  record.is_relative = digits ~= nil and #digits < 10
+  if not digits then seconds, fraction = read_date(stamp) end
+  if not seconds or digits and #digits > 12 then return TIME end
+  record.seconds = seconds
   record.nanoseconds = tonumber(sub(fraction .. "00000000", 1, 9))
 end
 
 local function make_remote(record, length)
-  record.id, record.length, record.data = record.id + text.REMOTE, length, rep("\0", length)
+  record.id = record.id + text.REMOTE
+  record.length = length
+  record.data = rep("\0", length)
 end
 
--- What stands behind "#" in a log: ##<flags><data> of CAN FD, R<length>_<DLC>, <data>_<DLC>.
+-- A log, what stands behind "#": ##<flags><data> of CAN FD, R<length>_<DLC>, <data>_<DLC>.
 local function read_log(record, data, behind)
-  local flags, hex = match(data, "^#(%x)(%x*)$")
+  local is_known = behind == "" or behind == "R" or behind == "T"
+  if not is_known then record.note = BEHIND end
+  record.sent = behind == "T"
+  record.is_relative = false
   local length, dlc = match(data, "^R(%d?)_?(%x?)$")
+  local flags, hex = match(data, "^#(%x)(%x*)$")
   if flags then
-    record.fd, record.flags = true, tonumber(flags, 16)
-  elseif length then
-    make_remote(record, tonumber(length) or 0)
-  else
+    record.fd = true
+    record.flags = tonumber(flags, 16)
+  elseif not length then
     hex, dlc = match(data, "^(%x*)_?(%x?)$")
-    if not hex then return DATA end
   end
   record.raw_dlc = tonumber(dlc or "", 16) or 0
-  if hex then
-    if #hex % 2 ~= 0 then return DATA end
-    record.data, record.length = gsub(hex, "%x%x", BYTES)
-  end
-  record.is_relative = false
-  record.sent = behind == "T"
-  if behind ~= "" and behind ~= "R" and behind ~= "T" then record.note = BEHIND end
+  if length then return make_remote(record, tonumber(length) or 0) end
+  if not hex or #hex % 2 ~= 0 then return DATA end
+  record.data, record.length = gsub(hex, "%x%x", BYTES)
 end
 
--- The data bytes on the screen, and what stands behind them: nothing, ERRORFRAME, or the bytes as
--- ASCII is candump's own.
+-- The data bytes on the screen.  Between them is a blank, or with -S, which turns them around, a
+-- "`".  Behind them stands nothing, ERRORFRAME, or in quotes the bytes as ASCII.
 local function read_bytes(record, data)
-  local patterns = ON_SCREEN[record.length]
-  local digits, behind = match(data, patterns[1])
-  if not digits then digits, behind = match(data, patterns[2]) end
-  if not digits then return DATA end
-  record.data = gsub(digits, "[%s`]+(%x+)", BYTES)
-  if find(digits, "`", 1, true) then record.data = record.data:reverse() end
-  if find(behind, "^%s*$") or find(behind, "^%s+ERRORFRAME%s*$") then return nil end
-  local _, ascii = match(behind, "^%s+(['`])(.*)%1%s*$")
-  if ascii and #ascii == record.length then return nil end
-  -- Without a time a line is candump's only if all of it is; too many bytes are never right.
-  if not record.seconds or find(behind, "^%S") then return DATA end
-  if find(behind, "^%s+%x%x%f[%X]") then return DATA end
-  record.note = BEHIND
+  local bytes, at = {}, 1
+  for i = 1, record.length do
+    local digits, stop = match(data, "^[%s`]+(%x+)()", at)
+    bytes[i] = BYTES[digits or ""]
+    if not bytes[i] then return DATA end
+    at = stop
+  end
+  local is_known = find(data, "^%s*$", at) or find(data, "^%s+['`E]", at)
+  if not is_known then return DATA end
+  record.data = table.concat(bytes)
+  if find(sub(data, 1, at - 1), "`", 1, true) then record.data = record.data:reverse() end
 end
 
--- What stands behind the id on the screen: [8] classic, [08] CAN FD, {E} classic with the raw DLC
+-- The screen, what stands behind the id: [8] classic, [08] CAN FD, {E} classic with the raw DLC
 -- (-8).
-local function read_screen(record, open, length, data)
-  record.fd = #length == 2
-  length = tonumber(length, open == "{" and 16 or 10)
-  if open == "{" and length and length > 8 then length, record.raw_dlc = 8, length end
-  if not length or length > 64 then return DATA end
+local function read_screen(record, open, digits, data)
+  local is_raw = open == "{"
+  local length = tonumber(digits, is_raw and 16 or 10)
+  if not length then return DATA end
+  if is_raw and length > 8 then
+    record.raw_dlc = length
+    length = 8
+  end
+  record.fd = #digits == 2
   record.length = length
-  if not find(data, "^%s+remote request%s*$") then return read_bytes(record, data) end
-  if record.fd then return DATA end
-  make_remote(record, length)
+  if find(data, "^%s+remote request%s*$") then return make_remote(record, length) end
+  return read_bytes(record, data)
 end
 
 -- A line's time, and what is behind it: in a log, on the screen, and there with -x the direction
@@ -153,10 +149,11 @@ local FLAGS = { B = 1, E = 2 }
 
 -- Fills in what stands behind the id, or returns why it cannot.
 local function fill(record, stamp, read, ...)
-  if not record.id then return find((...), "^%x%x:") and XL or ID end
+  if not record.id then return ID end
   local why = stamp and read_stamp(record, stamp) or read(record, ...)
-  if not why and record.length > (record.fd and 64 or 8) then why = DATA end
-  return why
+  if why then return why end
+  local most = record.fd and 64 or 8
+  return record.length > most and DATA or nil
 end
 
 -- The frame in a line, or nil and why there is none.
@@ -180,8 +177,8 @@ local function frame_of(line)
     is_relative = false,
   }
   local why = fill(record, stamp, read, a, b, c)
-  if why then return nil, stamp and why or UNKNOWN end
-  return record
+  if not why then return record end
+  return nil, stamp and why or UNKNOWN
 end
 
 -- What stands for digits in the candump lines of the vendor's document: three Greek and two
@@ -198,7 +195,8 @@ local LOOK_ALIKES = {
 -- The line with such letters as the digits they stand for.
 local function repaired(line)
   line = gsub(line, "[\194\206\208][\128-\191]", LOOK_ALIKES)
-  return (gsub(gsub(line, "%$\\odot \\odot%$", "00"), "(%x)O%f[%s\0]", "%10"))
+  line = gsub(line, "%$\\odot \\odot%$", "00")
+  return (gsub(line, "(%x)O%f[%s\0]", "%10"))
 end
 
 --- Reads one line.

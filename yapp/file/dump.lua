@@ -32,38 +32,36 @@ function Dump:fill(file)
   return true
 end
 
--- Takes the next event, or nil at the end.
-function Dump:take(file)
-  while self.next > self.last do
-    if not self:fill(file) then return nil end
-  end
-  local event = self.events[self.next]
-  self.events[self.next] = nil
-  self.next = self.next + 1
-  return event
+-- The next event, which stays where it is; nil at the end.
+function Dump:peek(file)
+  while self.next > self.last and self:fill(file) do end
+  return self.events[self.next]
 end
 
-function Dump:put_back(event)
-  self.next = self.next - 1
-  self.events[self.next] = event
+-- Takes it.
+function Dump:drop()
+  self.events[self.next] = nil
+  self.next = self.next + 1
 end
 
 -- Takes the next frame, or all bytes of no frame in front of it, however they were read.
 function Dump:take_record(file)
-  local event = self:take(file)
-  if not event or event.kind ~= "skipped" then return event end
+  local event = self:peek(file)
+  if not event then return nil end
+  self:drop()
+  if event.kind ~= "skipped" then return event end
   local bytes, from = event.bytes, event.from
-  while #bytes < LONGEST do
-    event = self:take(file)
-    if not event then break end
-    if event.kind ~= "skipped" then
-      self:put_back(event)
-      break
-    end
+  event = self:peek(file)
+  while #bytes < LONGEST and event and event.kind == "skipped" do
+    self:drop()
     bytes = bytes .. event.bytes
+    event = self:peek(file)
   end
   local rest = bytes:sub(LONGEST + 1)
-  if rest ~= "" then self:put_back { kind = "skipped", from = from + LONGEST, bytes = rest } end
+  if rest ~= "" then
+    self.next = self.next - 1
+    self.events[self.next] = { kind = "skipped", from = from + LONGEST, bytes = rest }
+  end
   return { kind = "skipped", from = from, bytes = bytes:sub(1, LONGEST) }
 end
 

@@ -15,7 +15,6 @@ local M = {}
 local FIELDS = "frame.interface_id || frame.interface_name || sll.ifindex || rtacser.eventtype"
 local NAMES = {}
 for name in FIELDS:gmatch("[%w_.]+") do NAMES[name] = true end
-local DIRECTION = { 0, 1, 0, 1 } -- of RTAC's events: data sent, data received, ...
 local BLF = "LOGG"
 local IN_TSHARK = not gui_enabled() -- where a read filter may shift the numbers of packets
 
@@ -97,20 +96,28 @@ function Buses:may_have_frames()
   return self.found.may_have_frames
 end
 
--- The bus by the fields of the current packet, and whether it is known.  Where the file had one
--- source when it was opened, that goes on without a number.
-local function by_fields(self, pinfo)
+-- The source that the fields of the current packet tell; nil without a tree.
+local function source_by_fields(found)
   local fields = fields_of(NAMES)
   local interface, index = fields["frame.interface_id"], fields["sll.ifindex"]
   local event = fields["rtacser.eventtype"]
-  if not (interface or index or event) then
-    return nil, not (self.is_blf or self.found.has_several)
-  end
-  local bus = self.found:source(interface or 0, index or 0, DIRECTION[event] or 0)
+  if not (interface or index or event) then return nil end
+  local direction = capture.DIRECTION[event] or 0
+  local bus = found:source(interface or 0, index or 0, direction)
   local name = fields["frame.interface_name"]
-  if name and name ~= "unknown" then self.found.names[bus] = self.found.names[bus] or name end
-  if bus == 1 and not (self.is_blf or self.found.has_several) then
-    self.found.own_name = self.found.own_name or self.found.names[bus]
+  if name and name ~= "unknown" then found.names[bus] = found.names[bus] or name end
+  return bus
+end
+
+-- The bus by the fields of the current packet, and whether it is known.  Where the file had one
+-- source when it was opened, that goes on without a number.
+local function by_fields(self, pinfo)
+  local found = self.found
+  local had_one = not (self.is_blf or found.has_several)
+  local bus = source_by_fields(found)
+  if not bus then return nil, had_one end
+  if bus == 1 and had_one then
+    found.own_name = found.own_name or found.names[bus]
     return nil, true
   end
   self.kept[pinfo.number] = bus

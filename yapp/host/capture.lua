@@ -15,26 +15,31 @@ local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
-local byte, sub, floor = string.byte, string.sub, math.floor
+local byte, floor, sub = string.byte, math.floor, string.sub
 
 --- How many bytes of a pipe may be read: Wireshark 4.0 can rewind no more.
 M.OF_A_PIPE = 65536
 local CHUNK = 1048576
 
--- Link types: SocketCAN, exported PDUs, RTAC serial, DLT_USER 0 .. 15; and Linux cooked captures,
--- whose packets have the protocol at this offset: 0x000C for CAN, 0x000D for CAN FD.
+-- Link types: SocketCAN, exported PDUs, RTAC serial, DLT_USER 0 .. 15; and Linux cooked captures.
 local SOCKETCAN, EXPORTED, RTAC, COOKED, COOKED_2 = 227, 252, 250, 113, 276
 local OURS = { [SOCKETCAN] = true, [EXPORTED] = true, [RTAC] = true }
 for linktype = 147, 162 do OURS[linktype] = true end
-local PROTOCOL_AT = { [COOKED] = 14, [COOKED_2] = 0 }
-local INDEX_AT, EVENT_AT = 4, 8         -- of Linux cooked v2, of RTAC
-local DIRECTION = { 0, 1, 0, 1 }        -- of RTAC's events: data sent, data received, ...
-local SOCKETCAN_HEADER = 8              -- bytes in front of a CAN frame's data
 
--- Blocks of pcapng; those that are packets, or count as such, but for the first of which nothing is
--- said here.
-local SECTION, INTERFACE, ENHANCED, SIMPLE, OLD = 0x0A0D0D0A, 1, 6, 3, 2
-local JOURNAL, SYSDIG, SYSDIG_END = 9, 0x204, 0x221
+-- Of Linux cooked captures: where the protocol is in a packet; which are ours, CAN and CAN FD;
+-- where the interface's index is in version 2.
+local PROTOCOL_AT = { [COOKED] = 14, [COOKED_2] = 0 }
+local PROTOCOLS = { ["\0\12"] = true, ["\0\13"] = true }
+local INDEX_AT = 4
+
+local EVENT_AT = 8 -- in a packet of RTAC
+local SOCKETCAN_HEADER = 8 -- bytes in front of a CAN frame's data
+
+--- The direction of an RTAC packet by its event: data sent, data received, and so on.
+M.DIRECTION = { 0, 1, 0, 1 }
+
+-- Blocks of pcapng, and options of an interface.
+local SECTION, INTERFACE, ENHANCED, SIMPLE = 0x0A0D0D0A, 1, 6, 3
 local IF_NAME, IF_TSRESOL = 2, 9
 
 local STAMPS = 2 ^ 30 -- microseconds that are told apart, see Capture:bus
@@ -54,20 +59,34 @@ function Window:has(at, count)
   return true
 end
 
--- Four bytes as a number, in the order of this place of the file.
-function Window:uint32(at)
-  local a, b, c, d = byte(self.text, at - self.from + 1, at - self.from + 4)
-  if self.is_little then a, b, c, d = d, c, b, a end
-  return ((a * 256 + b) * 256 + c) * 256 + d
-end
-
-function Window:uint16(at)
-  local a, b = byte(self.text, at - self.from + 1, at - self.from + 2)
-  return self.is_little and b * 256 + a or a * 256 + b
-end
-
 function Window:bytes(at, count)
   return sub(self.text, at - self.from + 1, at - self.from + count)
+end
+
+-- Numbers in the order of this place of the file.
+local function uint32(window, at)
+  local from = at - window.from
+  local a, b, c, d = byte(window.text, from + 1, from + 4)
+  if window.is_little then return a + b * 0x100 + c * 0x10000 + d * 0x1000000 end
+  return a * 0x1000000 + b * 0x10000 + c * 0x100 + d
+end
+
+-- Three of them, one behind the other, with one call: most of the time goes into these.
+local function three_uint32(window, at)
+  local from = at - window.from
+  local a, b, c, d, e, f, g, h, i, j, k, l = byte(window.text, from + 1, from + 12)
+  if not window.is_little then
+    a, b, c, d, e, f, g, h, i, j, k, l = d, c, b, a, h, g, f, e, l, k, j, i
+  end
+  return a + b * 0x100 + c * 0x10000 + d * 0x1000000,
+    e + f * 0x100 + g * 0x10000 + h * 0x1000000,
+    i + j * 0x100 + k * 0x10000 + l * 0x1000000
+end
+
+local function uint16(window, at)
+  local a, b = byte(window:bytes(at, 2), 1, 2)
+  if window.is_little then return a + b * 0x100 end
+  return a * 0x100 + b
 end
 
 -- Sources -----------------------------------------------------------------------------------------
@@ -88,29 +107,28 @@ function Capture:source(interface, index, direction)
   return number
 end
 
--- The source of a packet whose data is at an offset; 0 for one that cannot be YAPP's.
-local function source_of(self, window, interface, linktype, at, length)
-  local protocol_at = PROTOCOL_AT[linktype]
-  if protocol_at then
-    if length < 16 or not window:has(at, 16) then return 0 end
-    local low = byte(window.text, at + protocol_at - window.from + 2)
-    if byte(window.text, at + protocol_at - window.from + 1) ~= 0 or low ~= 0x0C and low ~= 0x0D then return 0 end
-    if linktype == COOKED then return self:source(interface, 0, 0) end
-    local a, b, c, d = byte(window.text, at + INDEX_AT - window.from + 1, at + INDEX_AT - window.from + 4)
-    return self:source(interface, ((a * 256 + b) * 256 + c) * 256 + d, 0)
-  end
-  if not OURS[linktype] then return 0 end
-  local direction = 0
-  if linktype == RTAC and length > EVENT_AT and window:has(at, EVENT_AT + 1) then
-    direction = DIRECTION[byte(window.text, at + EVENT_AT - window.from + 1)] or 0
-  end
-  return self:source(interface, 0, direction)
+-- The source of a cooked packet; 0 for one that is not CAN.
+local function cooked_source(self, window, interface, linktype, at)
+  local protocol = window:bytes(at + PROTOCOL_AT[linktype], 2)
+  if not PROTOCOLS[protocol] then return 0 end
+  if linktype == COOKED then return self:source(interface, 0, 0) end
+  local a, b, c, d = byte(window:bytes(at + INDEX_AT, 4), 1, 4)
+  local index = a * 0x1000000 + b * 0x10000 + c * 0x100 + d
+  return self:source(interface, index, 0)
 end
 
--- The next packet of the file; stamp: when it was captured, microseconds.
-local function note_packet(self, source, stamp)
-  self.count = self.count + 1
-  self.told[self.count] = source * STAMPS + floor(stamp) % STAMPS
+-- The source of a packet whose data is at an offset; 0 for one that cannot be YAPP's.
+local function source_of(self, window, interface, linktype, at, length)
+  if PROTOCOL_AT[linktype] then
+    if length < 16 or not window:has(at, 16) then return 0 end
+    return cooked_source(self, window, interface, linktype, at)
+  end
+  if not OURS[linktype] then return 0 end
+  local direction
+  if linktype == RTAC and length > EVENT_AT and window:has(at, EVENT_AT + 1) then
+    direction = M.DIRECTION[byte(window:bytes(at + EVENT_AT, 1))]
+  end
+  return self:source(interface, 0, direction or 0)
 end
 
 -- pcapng ------------------------------------------------------------------------------------------
@@ -119,7 +137,7 @@ end
 local function read_options(window, at, stop)
   local name, per_second = nil, 1e6
   while at + 4 <= stop do
-    local option, length = window:uint16(at), window:uint16(at + 2)
+    local option, length = uint16(window, at), uint16(window, at + 2)
     if option == 0 or at + 4 + length > stop then break end
     local value = window:bytes(at + 4, length)
     if option == IF_NAME then
@@ -133,12 +151,26 @@ local function read_options(window, at, stop)
   return name, per_second
 end
 
+-- From here on it is read what each packet says: there may be several sources.
+local function begin_details(self)
+  if self.is_detailed then return end
+  self.is_detailed = true
+  self.early = self.count
+  if self.early == 0 then return end
+  for _, interface in ipairs(self.interfaces) do
+    if not interface.source then self:source(interface.number, 0, 0) end
+  end
+end
+
 local function read_interface(self, window, at, length)
   if length < 20 or not window:has(at, length) then return end
-  local number, linktype = #self.interfaces, window:uint16(at + 8)
+  local number, linktype = #self.interfaces, uint16(window, at + 8)
   local name, per_second = read_options(window, at + 16, at + length - 4)
-  if name and name ~= "" and utf8.is_printable(name) then self.interface_names[number] = name end
-  local is_ours, is_cooked = OURS[linktype], PROTOCOL_AT[linktype] ~= nil
+  if name and name ~= "" and utf8.is_printable(name) then
+    self.interface_names[number] = name
+  end
+  local is_cooked = PROTOCOL_AT[linktype] ~= nil
+  local is_ours = OURS[linktype] or is_cooked
   local interface = {
     number = number,
     linktype = linktype,
@@ -146,61 +178,49 @@ local function read_interface(self, window, at, length)
     source = 0, -- of its packets; nil where each says it
   }
   self.interfaces[number + 1] = interface
-  if linktype == RTAC or is_cooked then
+  if not is_ours then return end
+  if is_cooked or linktype == RTAC then
     interface.source = nil
-  elseif is_ours then
+  else
     interface.source = self:source(number, 0, 0)
   end
-  if not is_ours and not is_cooked then return end
-  -- What its packets say is read where there may be several sources.
   local is_several = self.may_be_ours or linktype == RTAC or linktype == COOKED_2
   self.may_be_ours = true
-  if not is_several or self.is_detailed then return end
-  self.is_detailed, self.early = true, self.count
-  for _, other in ipairs(self.interfaces) do
-    if self.early > 0 and not other.source then self:source(other.number, 0, 0) end
-  end
+  if is_several then begin_details(self) end
 end
 
 -- A packet of a file that may have several sources.
-local function read_enhanced(self, window, at, first)
+local function read_enhanced(self, window, at)
   if not window:has(at, 28) then return end
-  local from = at - window.from
-  local a, b, c, d, e, f, g, h, i, j, k, l = byte(window.text, from + 9, from + 20)
-  if not window.is_little then
-    a, b, c, d, e, f, g, h, i, j, k, l = d, c, b, a, h, g, f, e, l, k, j, i
+  local number, high, low = three_uint32(window, at + 8)
+  local interface = self.interfaces[self.first + number + 1]
+  if not interface then
+    self.told[self.count] = 0
+    return
   end
-  local interface = self.interfaces[first + a + b * 0x100 + c * 0x10000 + d * 0x1000000 + 1]
-  local source, stamp = 0, 0
-  if interface then
-    local high = e + f * 0x100 + g * 0x10000 + h * 0x1000000
-    local low = i + j * 0x100 + k * 0x10000 + l * 0x1000000
-    stamp = floor((high * 2 ^ 32 + low) / interface.per_microsecond)
-    source = interface.source
-    if not source then
-      local length = window:uint32(at + 20)
-      source = source_of(self, window, interface.number, interface.linktype, at + 28, length)
-    end
+  local units = high * 2 ^ 32 + low
+  local stamp = floor(units / interface.per_microsecond)
+  local source = interface.source
+  if not source then
+    local length = uint32(window, at + 20)
+    source = source_of(self, window, interface.number, interface.linktype, at + 28, length)
   end
   self.told[self.count] = source * STAMPS + stamp % STAMPS
 end
 
-local function counts_as_packet(kind)
-  return kind == SIMPLE or kind == OLD or kind == JOURNAL or kind >= SYSDIG and kind <= SYSDIG_END
-end
-
 -- Any other block; returns its length, which a section's byte order tells.
-local function read_block(self, window, at, length)
-  local kind = window:uint32(at)
+local function read_block(self, window, at, kind, length)
   if kind == SECTION then
     window.is_little = window:bytes(at + 8, 4) == "\77\60\43\26"
     self.first = #self.interfaces
-    return window:uint32(at + 4)
+    return uint32(window, at + 4)
   end
-  if kind == INTERFACE then read_interface(self, window, at, length) end
-  if counts_as_packet(kind) then
-    self.count, self.has_packets = self.count + 1, true
+  if kind == INTERFACE then
+    read_interface(self, window, at, length)
+  elseif kind == SIMPLE then
+    self.count = self.count + 1
     self.told[self.count] = 0
+    self.has_packets = true
   end
   return length
 end
@@ -209,16 +229,14 @@ end
 local function read_pcapng(self, window)
   local at = 0
   while window.from + #window.text >= at + 12 or window:has(at, 12) do
-    local from = at - window.from
-    local a, b, c, d, e, f, g, h = byte(window.text, from + 1, from + 8)
-    if not window.is_little then a, b, c, d, e, f, g, h = d, c, b, a, h, g, f, e end
-    local length = e + f * 0x100 + g * 0x10000 + h * 0x1000000
-    if a == ENHANCED and b + c + d == 0 then
-      self.count, self.has_packets = self.count + 1, true
+    local kind, length = three_uint32(window, at)
+    if kind == ENHANCED then
+      self.count = self.count + 1
+      self.has_packets = true
       if not self.may_be_ours then break end -- somebody else's file
-      if self.is_detailed then read_enhanced(self, window, at, self.first) end
+      if self.is_detailed then read_enhanced(self, window, at) end
     else
-      length = read_block(self, window, at, length)
+      length = read_block(self, window, at, kind, length)
     end
     if length < 12 then break end
     at = at + length
@@ -230,15 +248,17 @@ end
 local function read_pcap(self, window, is_little, per_microsecond)
   window.is_little = is_little
   if not window:has(0, 24) then return end
-  local linktype = window:uint32(20) % 0x10000 -- above it, what is said of frame check sequences
+  local linktype = uint32(window, 20) % 0x10000 -- above it, what is said of frame check sequences
   self.place = linktype == SOCKETCAN and SOCKETCAN_HEADER or nil
   self.has_packets = window:has(24, 16)
   if linktype ~= COOKED_2 and linktype ~= RTAC then return end
   local at = 24
   while window:has(at, 16) do
-    local length = window:uint32(at + 8)
-    local stamp = window:uint32(at) * 1e6 + window:uint32(at + 4) / per_microsecond
-    note_packet(self, source_of(self, window, 0, linktype, at + 16, length), stamp)
+    local length = uint32(window, at + 8)
+    local stamp = uint32(window, at) * 1e6 + uint32(window, at + 4) / per_microsecond
+    local source = source_of(self, window, 0, linktype, at + 16, length)
+    self.count = self.count + 1
+    self.told[self.count] = source * STAMPS + floor(stamp) % STAMPS
     at = at + 16 + length
   end
 end
@@ -261,9 +281,13 @@ local function has_header(bytes)
   return false
 end
 
--- The name of the only interface that may be ours, where its packets were not read: a cooked one.
-local function cooked_name(self)
-  for _, interface in ipairs(self.is_detailed and {} or self.interfaces) do
+-- The name of the only interface that may be ours; nil where there are several.
+local function own_name(self)
+  if self.source_count > 1 then return nil end
+  if self.source_count == 1 then return self.names[1] end
+  if self.is_detailed then return nil end
+  for _, interface in ipairs(self.interfaces) do
+    -- Cooked, so its packets, which were not read, would say it.
     if not interface.source then return self.interface_names[interface.number] end
   end
 end
@@ -303,14 +327,16 @@ function M.read(head, more)
     may_be_ours = false,
     is_detailed = false, -- whether the packets of a pcapng file are told of one by one
   }, Capture)
+  local window = setmetatable({ text = head, from = 0, more = more, is_little = true }, Window)
   local reader = READERS[sub(head, 1, 4)]
-  if reader then reader(self, setmetatable({ text = head, from = 0, more = more, is_little = true }, Window)) end
+  if reader then reader(self, window) end
+  local has_interfaces = #self.interfaces > 0
+  local may_come = self.may_be_ours or not has_interfaces
   self.has_several = self.source_count > 1
   self.is_told = reader ~= nil
-  self.begins = reader == read_pcapng and not self.has_packets and (self.may_be_ours or #self.interfaces == 0)
+  self.begins = reader == read_pcapng and not self.has_packets and may_come
   self.only_name = #self.interfaces == 1 and self.interface_names[0] or nil
-  self.own_name = self.source_count == 1 and self.names[1] or nil
-  if self.source_count == 0 and reader == read_pcapng then self.own_name = cooked_name(self) end
+  self.own_name = own_name(self)
   self.may_have_frames = not self.has_packets or has_header(head)
   if not self.has_several then self.told = {} end
   return self

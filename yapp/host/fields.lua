@@ -4,8 +4,8 @@
 
 local M = {}
 
--- On 4.0 the value of an item without bytes, such as a packet comment, throws past Lua: only what is
--- wanted is asked for its value.
+-- On 4.0 the value of an item without bytes, such as a packet comment, throws past Lua: only what
+-- is wanted is asked for its value.
 local function by_name(names, ok, ...)
   local found = {}
   for _, info in ipairs(ok and { ... } or {}) do

@@ -9,7 +9,10 @@ local FIRST_DLT, LAST_DLT = 147, 162 -- DLT_USER0 .. DLT_USER15
 -- Says what is wrong where the user sees it: one dialog in Wireshark, stderr in tshark.
 local function complain(texts)
   if #texts == 0 then return end
-  if gui_enabled() and report_failure then return report_failure("YAPP: " .. table.concat(texts, "\n")) end
+  if gui_enabled() and report_failure then
+    report_failure("YAPP: " .. table.concat(texts, "\n"))
+    return
+  end
   for _, text in ipairs(texts) do io.stderr:write("yapp: " .. text .. "\n") end
 end
 M.complain = complain
@@ -33,11 +36,17 @@ function M.define(proto, catalogue, decode, max_id)
   prefs.divisor = Pref.enum("Compressed floats divide by", decode.MAPPING,
     "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed " ..
     "in the worked examples of the vendor's document (0.4975 A, 749.26 RPM).",
-    { { 1, "2^N - 6 (mapping)", decode.MAPPING }, { 2, "2^N - 5 (worked examples)", decode.WORKED_EXAMPLES } })
+    {
+      { 1, "2^N - 6 (mapping)", decode.MAPPING },
+      { 2, "2^N - 5 (worked examples)", decode.WORKED_EXAMPLES },
+    })
   for _, message in ipairs(catalogue.messages) do
-    prefs[message.name .. "_ids"] = Pref.range(message.title .. " message IDs", ("0x%x"):format(message.id),
-      ("The IDs that carry Taurus %s. Change it when a controller has other IDs than the " ..
-       "default, or when several controllers share a bus: 0x210,0x211,0x300-0x303."):format(message.title), max_id)
+    local title = message.title
+    local about = "The IDs that carry Taurus " .. title .. ". Change it when a controller has " ..
+      "other IDs than the default, or when several controllers share a bus: " ..
+      "0x210,0x211,0x300-0x303."
+    prefs[message.name .. "_ids"] =
+      Pref.range(title .. " message IDs", ("0x%x"):format(message.id), about, max_id)
   end
   prefs.messages = Pref.string("File with your own messages", "",
     "A Lua file like taurus_fields.lua. Its messages come after those of yapp_messages.lua in " ..
@@ -85,7 +94,8 @@ end
 function M.late(text)
   local late = tonumber(text)
   if late and late > 0 and late < math.huge then return late, {} end
-  return 2.5, { ("a gap is late above %q periods: not a number above 0, so it stays 2.5"):format(text) }
+  local problem = "a gap is late above %q periods: not a number above 0, so it stays 2.5"
+  return 2.5, { problem:format(text) }
 end
 
 --- Says so where the file with the user's own messages is not the one that was read when Wireshark
@@ -93,8 +103,8 @@ end
 -- file  of the preference; read: the path that was read, or nil
 function M.check_messages_file(file, read)
   if file == "" or file == read then return end
-  M.complain_once { ("%s is read at the next start, if the default profile names it; for one run set the " ..
-    "environment variable YAPP_MESSAGES to it"):format(file) }
+  M.complain_once { file .. " is read at the next start, if the default profile names it; " ..
+    "for one run set the environment variable YAPP_MESSAGES to it" }
 end
 
 local taken = {} -- [encapsulation] = its dissector before, or true
@@ -103,7 +113,8 @@ local taken = {} -- [encapsulation] = its dissector before, or true
 -- text   of the preference
 -- proto  of the serial dissector
 function M.take_link_types(text, proto)
-  local encapsulations, wanted, others = DissectorTable.get("wtap_encap"), {}, {}
+  local encapsulations = DissectorTable.get("wtap_encap")
+  local wanted, others = {}, {}
   for _, dlt in ipairs(M.range(text, LAST_DLT)) do
     if dlt < FIRST_DLT then
       others[#others + 1] = dlt
@@ -112,8 +123,9 @@ function M.take_link_types(text, proto)
     end
   end
   if #others > 0 then
-    M.complain_once { ("link type %d is not a DLT_USER (147 to 162)%s"):format(others[1],
-      #others > 1 and (", nor are %d others"):format(#others - 1) or "") }
+    local problem = ("link type %d is not a DLT_USER (147 to 162)"):format(others[1])
+    if #others > 1 then problem = ("%s, nor are %d others"):format(problem, #others - 1) end
+    M.complain_once { problem }
   end
   for encapsulation in pairs(wanted) do
     if not taken[encapsulation] then

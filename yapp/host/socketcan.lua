@@ -14,8 +14,10 @@ local M = {}
 local EXTENDED, REMOTE, ERROR, MASK = 0x80000000, 0x40000000, 0x20000000, 0x20000000
 local HEADER = 8 -- bytes that have the id
 
-local header = {}  -- of the frame that is dissected: { number = of its packet, can_id = 29 bits, nil for other frames }
-local refused = {} -- what the table of ids left to Decode As: { number, place, can_id }
+-- Of the frame that is dissected: { number = of its packet, can_id = 29 bits, nil for others }.
+local header = {}
+-- What the table of ids left to Decode As: { number, place, can_id }.
+local refused = {}
 local REFUSED = "yapp.refused" -- in the private table of a packet: of this look at it only
 
 -- Fields ------------------------------------------------------------------------------------------
@@ -44,18 +46,22 @@ function M.is_remote(pinfo)
   if header.number == pinfo.number then return header.can_id == nil end
   local rtr = fields_of(NAMES)["can.flags.rtr"]
   if rtr ~= nil then return is_true(rtr) end
-  return tostring(pinfo.cols.info):find("Remote", 1, true) ~= nil and tostring(pinfo.cols.protocol) ~= "CANFD"
+  if tostring(pinfo.cols.protocol) == "CANFD" then return false end
+  return tostring(pinfo.cols.info):find("Remote", 1, true) ~= nil
 end
 
 --- The table of ids had the current frame and left it to Decode As, which is asked next.
 function M.note_refused(tvb, pinfo, can_id)
-  refused.number, refused.place, refused.can_id = pinfo.number, tvb:offset(), can_id
+  refused.number = pinfo.number
+  refused.place = tvb:offset()
+  refused.can_id = can_id
   pinfo.private[REFUSED] = ""
 end
 
 --- Whether it did so.
 function M.is_refused(tvb, pinfo)
-  return refused.number == pinfo.number and refused.place == tvb:offset() and pinfo.private[REFUSED] ~= nil
+  if refused.number ~= pinfo.number or refused.place ~= tvb:offset() then return false end
+  return pinfo.private[REFUSED] ~= nil
 end
 
 --- Whether the current frame, which came with 0 for its id, did so by Decode As and not from the
@@ -79,7 +85,10 @@ end
 local function header_id(tvb, is_little)
   if tvb:len() < HEADER then return nil end
   local word = is_little and tvb(0, 4):le_uint() or tvb(0, 4):uint()
-  if word < EXTENDED or word % (2 * REMOTE) >= REMOTE or word % (2 * ERROR) >= ERROR then return nil end
+  local is_extended = word >= EXTENDED
+  local is_remote = word % (2 * REMOTE) >= REMOTE
+  local is_error = word % (2 * ERROR) >= ERROR
+  if not is_extended or is_remote or is_error then return nil end
   return word % MASK
 end
 
@@ -98,12 +107,18 @@ local function hand_on(inner, can_id, tvb, pinfo, tree)
   local length = tvb:len()
   if length < HEADER then return 0 end
   if cut_id then -- it never came back
-    thrown[cut_id], thrown_count, cut_id = true, thrown_count + 1, nil
+    thrown[cut_id] = true
+    thrown_count = thrown_count + 1
+    cut_id = nil
   end
   local seen = tvb
   if length < tvb:reported_len() then
     local is_for_others = not can_id or thrown[can_id] or thrown_count >= MOST_THROWN
-    if is_for_others then seen = tvb(0, length):tvb() else cut_id = can_id end
+    if is_for_others then
+      seen = tvb(0, length):tvb()
+    else
+      cut_id = can_id
+    end
   end
   local ok, taken = pcall(inner.call, inner, seen, pinfo, tree)
   cut_id = nil
@@ -112,7 +127,11 @@ end
 
 -- Whose table, what in it, and whether the id is in the host's order, little endian on every
 -- machine of today.
-local CARRIERS = { { "wtap_encap", wtap.SOCKETCAN, false }, { "sll.ltype", 0x0C, true }, { "sll.ltype", 0x0D, true } }
+local CARRIERS = {
+  { "wtap_encap", wtap.SOCKETCAN, false },
+  { "sll.ltype", 0x0C, true },
+  { "sll.ltype", 0x0D, true },
+}
 local is_wrapped = false
 
 --- Reads the CAN header of every frame from now on.
@@ -122,9 +141,11 @@ function M.wrap(proto)
   is_wrapped = true
   local carriers = {}
   for _, row in ipairs(CARRIERS) do
-    local dissectors = DissectorTable.get(row[1])
-    local inner = dissectors:get_dissector(row[2])
-    if inner then carriers[row[2]] = { inner = inner, is_little = row[3], dissectors = dissectors } end
+    local dissectors, value = DissectorTable.get(row[1]), row[2]
+    local inner = dissectors:get_dissector(value)
+    if inner then
+      carriers[value] = { inner = inner, is_little = row[3], dissectors = dissectors }
+    end
   end
   function proto.dissector(tvb, pinfo, tree)
     local carrier = carriers[pinfo.match_uint]
@@ -132,7 +153,8 @@ function M.wrap(proto)
     -- Records that a little endian machine wrote as they were.
     local is_swapped = pinfo.match_uint == wtap.SOCKETCAN and get_preference("can.byte_swap")
     local can_id = header_id(tvb, carrier.is_little or is_swapped)
-    header.number, header.can_id = pinfo.number, can_id
+    header.number = pinfo.number
+    header.can_id = can_id
     return hand_on(carrier.inner, can_id, tvb, pinfo, tree)
   end
   for value, carrier in pairs(carriers) do carrier.dissectors:add(value, proto) end

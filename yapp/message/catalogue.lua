@@ -86,16 +86,14 @@ local function number_of(message, row, name)
   return message.index[field]
 end
 
-local function compile_difference(message, row)
-  demand(type(row) == "table", "a difference is { name, a, b, title }, not %s", shown(row))
-  demand(is_name(row[1]), "difference %s is not a filter name (a-z, 0-9, _)", shown(row[1]))
+local function compile_difference(message, row, i)
+  check.row(row, "difference", i, 4, {})
+  local name, title = row[1], row[4]
   local a, b = number_of(message, row, row[2]), number_of(message, row, row[3])
-  demand(is_text(row[4]), "difference %s has no title", row[1])
-  check.check_options(row, "difference " .. row[1], {}, 4)
   return {
-    name = row[1],
-    title = row[4],
-    filter = message.filter .. "." .. row[1],
+    name = name,
+    title = title,
+    filter = message.filter .. "." .. name,
     unit = message.fields[a].unit,
     a = a,
     b = b,
@@ -104,17 +102,15 @@ end
 
 local function check_head(entry)
   local every, answers = entry.every, entry.answers
-  check.check_options(entry, "a message", OPTIONS, math.huge)
   demand(is_text(entry.title), "the title is missing")
+  check.options(entry, "a message", OPTIONS, math.huge)
   demand(#entry.title <= MOST_OF_TITLE, "the title has more than %d bytes", MOST_OF_TITLE)
-  check.text(entry, "section")
   check.within("id", entry.id, 0, M.MAX_ID)
   check.within("size", entry.size, 1, MAX_SIZE)
-  local is_period = every == nil or check.is_finite(every) and every > 0
+  local is_period = not every or check.is_finite(every) and every > 0
   demand(is_period, "every %s is not a period in seconds", shown(every))
-  local is_message = answers == nil or is_name(answers)
+  local is_message = not answers or is_name(answers)
   demand(is_message, "answers %s is not the name of a message", shown(answers))
-  demand(type(entry.differences or {}) == "table", "differences must be a list")
   demand(#entry > 0, "it has no fields")
 end
 
@@ -141,7 +137,7 @@ local function compile_message(entry, place)
   message.read = straight.reader(message)
   info.compile(message, entry.info or "")
   for i, row in ipairs(entry.differences or {}) do
-    message.differences[i] = compile_difference(message, row)
+    message.differences[i] = compile_difference(message, row, i)
   end
   claim_filters(message, place)
   return message

@@ -6,13 +6,10 @@
 local band = require("yapp.base.bits").band
 local check = require("yapp.message.check")
 
-local demand = check.demand
-local shown = check.shown
+local demand, shown, set = check.demand, check.shown, check.set
+local is_name, is_text = check.is_name, check.is_text
 local is_integer = check.is_integer
 local is_finite = check.is_finite
-local is_name = check.is_name
-local is_text = check.is_text
-local set = check.set
 
 local M = {}
 
@@ -20,116 +17,102 @@ local MAX_SIZE = 65535
 -- The expert items for values.
 local INVALID = set("value.invalid command.key.invalid")
 
--- COMPAT 5.4: powers and quotients are floats there, and "%d" wants integers.
-local tointeger = rawget(math, "tointeger") or function() end
-local function whole(n) return tointeger(n) or n end
-
 -- Types ------------------------------------------------------------------------------------------
 
-local SCALED = "section unit scale offset count "
-local OPTIONS = {
-  uint = set(SCALED .. "values invalid flags group alarm bits"),
-  int = set(SCALED .. "values invalid"),
-  wide = set(SCALED),
-  float = set("section min max unit count"),
-  time = set("section"),
-  bool = set("section count"),
-  text = set("section length count"),
-  padding = set("length"),
-  variants = set("by cases"),
-}
+local SCALED = "section unit scale offset count"
+local SIGNED = SCALED .. " values invalid"
+local UNSIGNED = SIGNED .. " flags group alarm bits"
+local FLOAT = "section min max unit count"
 local PART_OPTIONS = set("section values invalid unit scale offset")
 local FLAG_OPTIONS = set("alarm help")
 
 -- [name] = { size (bytes; nil: the row says it), kind, options, top, bottom (highest and lowest
 -- count) }
 local TYPES = {
-  int64_ns = { size = 8, kind = "time", options = OPTIONS.time },
-  bool = { size = 1, kind = "bool", top = 1, bottom = 0, options = OPTIONS.bool },
-  string = { kind = "string", options = OPTIONS.text },
-  bytes = { kind = "bytes", options = OPTIONS.text },
-  padding = { kind = "padding", options = OPTIONS.padding },
-  variants = { kind = "variants", options = OPTIONS.variants },
+  int64_ns = { kind = "time", size = 8, options = set("section") },
+  bool = { kind = "bool", size = 1, bottom = 0, top = 1, options = set("section count") },
+  string = { kind = "string", options = set("section length count") },
+  bytes = { kind = "bytes", options = set("section length count") },
+  padding = { kind = "padding", options = set("length") },
+  variants = { kind = "variants", options = set("by cases") },
 }
-for size = 1, 8 do
-  local bits, span = size * 8, 2 ^ (size * 8)
-  TYPES["float" .. bits] = {
+
+-- COMPAT 5.4: powers are floats there, which are printed with a ".0".
+local tointeger = rawget(math, "tointeger") or function() end
+
+local function add_numbers(kind, size, bottom, top, options)
+  TYPES[kind .. 8 * size] = {
+    kind = kind,
     size = size,
-    kind = "float",
-    top = whole(span - 1),
-    options = OPTIONS.float,
+    bottom = tointeger(bottom) or bottom,
+    top = tointeger(top) or top,
+    options = set(options),
   }
-  if size <= 4 or size == 8 then
-    TYPES["uint" .. bits] = {
-      size = size,
-      kind = "uint",
-      top = whole(span - 1),
-      bottom = 0,
-      options = size > 4 and OPTIONS.wide or OPTIONS.uint,
-    }
-    TYPES["int" .. bits] = {
-      size = size,
-      kind = "int",
-      top = whole(span / 2 - 1),
-      bottom = whole(-span / 2),
-      options = size > 4 and OPTIONS.wide or OPTIONS.int,
-    }
+end
+
+for size = 1, 8 do
+  local span = 2 ^ (8 * size)
+  add_numbers("float", size, 0, span - 1, FLOAT)
+  if size <= 4 then
+    add_numbers("uint", size, 0, span - 1, UNSIGNED)
+    add_numbers("int", size, -span / 2, span / 2 - 1, SIGNED)
   end
 end
-
--- By the letters, then the number: int8 before int16.
-local names, numbered = {}, {}
-for name in pairs(TYPES) do
-  names[#names + 1] = name
-  numbered[name] = name:gsub("%d+", function(digits) return ("%03d"):format(digits) end)
-end
-table.sort(names, function(a, b) return numbered[a] < numbered[b] end)
+add_numbers("uint", 8, 0, 2 ^ 64 - 1, SCALED)
+add_numbers("int", 8, -2 ^ 63, 2 ^ 63 - 1, SCALED)
 
 --- The names of all types, for a message.
-M.TYPE_NAMES = table.concat(names, ", ")
+M.TYPE_NAMES = check.names(TYPES)
 
 -- Options ----------------------------------------------------------------------------------------
 
-local function check_value(field, value)
-  local fits = is_integer(value) and value >= field.bottom and value <= field.top
-  demand(fits, "value %s does not fit the type %s", shown(value), field.type)
+-- Raises that a number has no room in a field.
+local function check_fits(field, what, number, lowest)
+  local fits = is_integer(number) and number >= lowest and number <= field.top
+  demand(fits,
+    "%s %s does not fit the type %s", what, shown(number), field.type)
 end
 
 local function add_values(field, row)
-  if row.values == nil then return end
-  demand(type(row.values) == "table", "values must be a table, not %s", shown(row.values))
-  demand(not (row.flags or row.bits), "a field has values or flags, not both")
-  for value, meaning in pairs(row.values) do
-    check_value(field, value)
-    demand(is_text(meaning), "value %s has no meaning in words", shown(value))
+  for value, meaning in pairs(row.values or {}) do
+    check_fits(field, "value", value, field.bottom)
+    demand(is_text(meaning),
+      "value %s has no meaning in words", shown(value))
   end
   field.values = row.values
 end
 
 -- A linear scale: value = count * scale + offset.
 local function add_scale(field, row)
-  if row.scale == nil and row.offset == nil then return end
-  local scale, zero = row.scale or 1, row.offset or 0
-  demand(is_finite(scale) and scale ~= 0, "scale %s is not a number but 0", shown(scale))
-  demand(is_finite(zero), "offset %s is not a number", shown(zero))
+  if not (row.scale or row.offset) then return end
+  local scale = row.scale or 1
+  local zero = row.offset or 0
+  demand(is_finite(scale) and scale ~= 0,
+    "scale %s is not a number but 0", shown(scale))
+  demand(is_finite(zero),
+    "offset %s is not a number", shown(zero))
   local is_alone = not (row.values or row.flags or row.bits)
   demand(is_alone, "a field has a scale, or values, flags and bits, not both")
   -- COMPAT 5.4: products of integers wrap around
-  field.scale, field.zero = scale + 0.0, zero + 0.0
+  field.scale = scale + 0.0
+  field.zero = zero + 0.0
 end
 
 -- min and max make a compressed float of the bytes; without them float32 and float64 are IEEE
 -- 754's.
 local function add_range(field, row)
   field.special = field.filter .. ".special"
-  if row.min == nil and row.max == nil and (field.size == 4 or field.size == 8) then
+  local may_be_ieee = field.size == 4 or field.size == 8
+  if may_be_ieee and row.min == nil and row.max == nil then
     field.kind = "ieee"
     return
   end
-  local is_range = is_finite(row.min) and is_finite(row.max) and row.min < row.max
+  local is_range = is_finite(row.min) and is_finite(row.max)
+    and row.min < row.max
   demand(is_range, "%s needs min and max, min below max", field.type)
   -- COMPAT 5.4: products of integers wrap around
-  field.min, field.max = row.min + 0.0, row.max + 0.0
+  field.min = row.min + 0.0
+  field.max = row.max + 0.0
   -- A double holds the counts of six bytes; those of more are read with the reserved ones set
   -- apart.
   field.ordinary = field.size > 6 and field.top or field.top - 5
@@ -137,116 +120,39 @@ end
 
 -- What a person reads of a field or a flag beyond its title.
 local function describe(title, unit, message, section)
-  local text = ("%s%s, of %s"):format(title, unit and " in " .. unit or "", message.title)
-  return section and ('%s (section "%s")'):format(text, section) or text
+  local text = title
+  if unit then text = text .. " in " .. unit end
+  text = text .. ", of " .. message.title
+  if section then text = ('%s (section "%s")'):format(text, section) end
+  return text
 end
 
 -- The options that fields and parts of bits share.
 local function add_options(field, row, message)
-  field.unit = check.text(row, "unit")
-  field.section = check.text(row, "section") or message.section
+  local invalid = row.invalid or "value.invalid"
+  demand(INVALID[invalid], "invalid is value.invalid or command.key.invalid")
+  if row.values or field.kind == "bool" then field.invalid = invalid end
+  field.unit = row.unit
+  field.section = row.section or message.section
   add_values(field, row)
-  local is_right = row.invalid == nil or INVALID[row.invalid] and row.values
-  demand(is_right, "invalid is value.invalid or command.key.invalid, for a field with values")
-  field.invalid = row.invalid
-  if row.values or field.kind == "bool" then field.invalid = row.invalid or "value.invalid" end
   add_scale(field, row)
   field.description = describe(field.title, field.unit, message, field.section)
 end
 
--- Flags and parts of bits ------------------------------------------------------------------------
-
--- Checks a flag, or a part, { name, mask, title }, and takes its bits of the field; returns what it
--- is called.
-local function take_bits(field, row, what, i)
-  demand(type(row) == "table", "%s %d: %s is not { name, mask, title }", what, i, shown(row))
-  local name, mask, title = row[1], row[2], row[3]
-  demand(is_name(name), "%s %d: %s is not a filter name (a-z, 0-9, _)", what, i, shown(name))
-  what = what .. " " .. name
-  local fits = is_integer(mask) and mask >= 1 and mask <= field.top
-  demand(fits, "%s: mask %s does not fit the type %s", what, shown(mask), field.type)
-  demand(is_text(title), "%s has no title", what)
-  local taken = mask - band(mask, field.undefined)
-  demand(taken == 0, "%s: bit 0x%X is already another's", what, taken)
-  field.undefined = field.undefined - mask
-  return what
-end
-
-local function add_flag(field, row, i, message)
-  local what = take_bits(field, row, "flag", i)
-  check.check_options(row, what, FLAG_OPTIONS, 3)
-  demand(row.alarm == nil or row.alarm == true, "%s: alarm is true, or is not there", what)
-  if row.alarm then field.alarm_bits = field.alarm_bits + row[2] end
-  local help = check.text(row, "help", what .. ": ")
-  local description = describe(row[3] .. ", one of " .. field.title, nil, message, field.section)
-  field.flags[i] = {
-    name = row[1],
-    mask = row[2],
-    title = row[3],
-    help = help,
-    filter = field.group .. "." .. row[1],
-    description = help and description .. ". " .. help or description,
-  }
-end
-
--- A part of a field, as a row of its own: a field with a mask, whose counts begin at the mask's
--- lowest bit.
-local function new_part(field, row, i, message)
-  local what = take_bits(field, row, "bits", i)
-  local mask, low = row[2], 1
-  while mask % (2 * low) == 0 do low = low * 2 end
-  local top = whole(mask / low)
-  demand(band(top, top + 1) == 0, "%s: the bits of mask 0x%X are not side by side", what, mask)
-  check.check_options(row, what, PART_OPTIONS, 3)
-  field.watched = field.watched - mask
-  local part = {
-    name = row[1],
-    title = row[3],
-    type = field.type,
-    kind = "uint",
-    filter = message.filter .. "." .. row[1],
-    size = field.size,
-    inside = field,
-    mask = mask,
-    low = low,
-    top = top,
-    bottom = 0,
-  }
-  add_options(part, row, message)
-  return part
-end
-
--- Makes a field one of flags, parts, or both; returns a list of the parts.
-local function add_bits(field, row, message)
-  demand(row.flags == nil or is_name(row.group), "flags need a group, a name for their filters")
-  demand(row.group == nil or is_name(row.group), "group %s is not a filter name", shown(row.group))
-  demand(row.count == nil, "flags and bits are not for an array")
-  local flags, rows, parts = row.flags or {}, row.bits or {}, {}
-  demand(type(flags) == "table", "flags must be a list, not %s", shown(flags))
-  demand(type(rows) == "table", "bits must be a list, not %s", shown(rows))
-  field.kind, field.flags, field.alarm_bits = "flags", {}, 0
-  field.group = message.filter .. "." .. (row.group or field.name)
-  field.undefined, field.watched = field.top, field.top
-  for i, flag in ipairs(flags) do add_flag(field, flag, i, message) end
-  for i, part in ipairs(rows) do parts[i] = new_part(field, part, i, message) end
-  if row.alarm then field.alarm_bits = field.watched end
-  field.alarm = row.alarm or (field.alarm_bits ~= 0 and "FAULT") or nil
-  return parts
-end
-
--- Rows -------------------------------------------------------------------------------------------
+-- Fields -----------------------------------------------------------------------------------------
 
 local function length_of(row)
-  return check.within(row[2] .. " needs a length, and", row.length, 1, MAX_SIZE)
+  check.within(row[2] .. " needs a length, and", row.length, 1, MAX_SIZE)
+  return row.length
 end
 
--- One field of a row, without its place; and the parts in its bits.
+-- The field of a row, without its place.
+-- def  of TYPES; of a part of bits also type, the name of its field's
 local function new_field(message, row, def)
-  demand(is_text(row[3]), "the title is missing")
   local field = {
     name = row[1],
     title = row[3],
-    type = row[2],
+    type = def.type or row[2],
     kind = def.kind,
     filter = message.filter .. "." .. row[1],
     size = def.size or length_of(row),
@@ -254,33 +160,112 @@ local function new_field(message, row, def)
     bottom = def.bottom,
   }
   if field.kind == "float" then add_range(field, row) end
-  local is_alarm = row.alarm == nil or is_text(row.alarm) and row.flags
-  demand(is_alarm, "alarm is a word, for a field with flags")
   add_options(field, row, message)
-  if row.flags ~= nil or row.bits ~= nil then return field, add_bits(field, row, message) end
-  demand(row.group == nil, "group is for a field with flags")
-  return field, {}
+  return field
 end
 
 -- Puts a field at its place in the message.
 local function add_field(build, field)
   local message = build.message
-  demand(not message.by_name[field.name], "the name is there twice")
+  demand(not message.by_name[field.name],
+    "the name is there twice")
   field.offset, field.when = build.offset, build.when
   message.fields[#message.fields + 1] = field
-  message.by_name[field.name], message.index[field] = field, #message.fields
-  if field.kind == "time" and not build.when then message.time = message.time or field end
-  if field.alarm then message.alarms[#message.alarms + 1] = field end
+  message.by_name[field.name] = field
+  message.index[field] = #message.fields
+  if field.kind == "time" and not build.when then
+    message.time = message.time or field
+  end
 end
+
+-- Flags and parts of bits ------------------------------------------------------------------------
+
+-- Checks the i-th flag, or part, { name, mask, title }, and takes its bits of the field.
+-- returns  what it is called, "flag stopped"
+local function take_bits(field, row, what, i, options)
+  what = check.row(row, what, i, 3, options)
+  local mask = row[2]
+  check_fits(field, what .. ": mask", mask, 1)
+  local taken = mask - band(mask, field.undefined)
+  demand(taken == 0, "%s: bit 0x%X is already another's", what, taken)
+  field.undefined = field.undefined - mask
+  return what
+end
+
+local function add_flag(field, row, i, message)
+  local what = take_bits(field, row, "flag", i, FLAG_OPTIONS)
+  local name, mask, title = row[1], row[2], row[3]
+  local is_alarm = row.alarm
+  demand(is_alarm == nil or is_alarm == true,
+    "%s: alarm is true, or is not there", what)
+  if is_alarm then field.alarm_bits = field.alarm_bits + mask end
+  local description = describe(title .. ", one of " .. field.title, nil, message, field.section)
+  if row.help then description = description .. ". " .. row.help end
+  field.flags[i] = {
+    name = name,
+    mask = mask,
+    title = title,
+    help = row.help,
+    filter = field.group .. "." .. name,
+    description = description,
+  }
+end
+
+-- A part of a field, as a row of its own: a field with a mask, whose counts begin at the mask's
+-- lowest bit.
+local function new_part(field, row, i, message)
+  local what = take_bits(field, row, "bits", i, PART_OPTIONS)
+  local mask, low = row[2], 1
+  while mask % (2 * low) == 0 do low = low * 2 end
+  local top = mask / low
+  local is_one = band(top, top + 1) == 0
+  demand(is_one, "%s: the bits of mask 0x%X are not side by side", what, mask)
+  field.watched = field.watched - mask
+  local def = { kind = "uint", type = field.type, size = field.size, bottom = 0, top = top }
+  local part = new_field(message, row, def)
+  part.inside = field
+  part.mask = mask
+  part.low = low
+  return part
+end
+
+-- Makes a field that has its place one of flags, parts, or both.
+local function add_bits(build, field, row)
+  local message, alarm = build.message, row.alarm
+  local group = row.group or not row.flags and field.name
+  demand(is_name(group), "flags need a group, a name for their filters")
+  demand(alarm == nil or is_text(alarm), "alarm is a word, for a field with flags")
+  demand(not row.values, "a field has values or flags, not both")
+  field.kind = "flags"
+  field.group = message.filter .. "." .. group
+  field.flags = {}
+  field.alarm_bits = 0
+  field.undefined = field.top
+  field.watched = field.top
+  for i, flag in ipairs(row.flags or {}) do
+    add_flag(field, flag, i, message)
+  end
+  for i, part in ipairs(row.bits or {}) do
+    add_field(build, new_part(field, part, i, message))
+  end
+  if alarm then field.alarm_bits = field.watched end
+  if field.alarm_bits == 0 then return end
+  field.alarm = alarm or "FAULT"
+  message.alarms[#message.alarms + 1] = field
+end
+
+-- Rows -------------------------------------------------------------------------------------------
 
 -- An array is its elements: fields of their own with one filter name.
 local function add_elements(build, field, count)
-  for i = 1, check.within("count", count, 1, MAX_SIZE) do
+  check.within("count", count, 1, MAX_SIZE)
+  for i = 1, count do
     local element = {}
     for name, value in pairs(field) do element[name] = value end
-    element.name = ("%s_%d"):format(field.name, i)
-    element.title = ("%s %d"):format(field.title, i)
-    element.element, element.array_title = i, field.title
+    element.name = field.name .. "_" .. i
+    element.title = field.title .. " " .. i
+    element.array_title = field.title
+    element.element = i
     add_field(build, element)
     build.offset = build.offset + element.size
   end
@@ -288,25 +273,28 @@ end
 
 local add_rows
 
+-- What may choose among variants.
+local INTEGERS = set("uint int bool")
+
 -- The cases lie over one another, as in a union of C: the longest says where the message goes on.
 local function add_variants(build, row)
-  local message, start, longest, keys = build.message, build.offset, build.offset, {}
-  local by = message.by_name[row.by or false]
-  local is_integer_type = by and by.bottom and by.size <= 4 and by.kind ~= "flags"
-  demand(not build.when, "variants are not for a case of others")
-  demand(is_integer_type and not by.cases,
+  local by = build.message.by_name[row.by or false]
+  demand(by and INTEGERS[by.kind] and by.size <= 4 and not by.cases,
     "by %s is not an earlier integer of the message, one for each row of variants", shown(row.by))
-  demand(type(row.cases) == "table", "cases must be a table, not %s", shown(row.cases))
-  for value, rows in pairs(row.cases) do
-    check_value(by, value)
-    demand(type(rows) == "table", "case %s is not a list of rows", shown(value))
-    keys[#keys + 1] = value
+  demand(not build.when, "variants are not for a case of others")
+  demand(row.cases, "cases is missing")
+  local values = {}
+  for value in pairs(row.cases) do
+    check_fits(by, "value", value, by.bottom)
+    values[#values + 1] = value
   end
-  table.sort(keys)
+  table.sort(values)
   by.cases, by.invalid = {}, by.invalid or "value.invalid"
-  for _, value in ipairs(keys) do
+  local start, longest = build.offset, build.offset
+  for _, value in ipairs(values) do
     by.cases[value] = true
-    build.offset, build.when = start, { index = message.index[by], value = value }
+    build.offset = start
+    build.when = { index = build.message.index[by], value = value }
     add_rows(build, row.cases[value])
     longest = math.max(longest, build.offset)
   end
@@ -314,27 +302,36 @@ local function add_variants(build, row)
 end
 
 local function add_row(build, row)
-  demand(type(row) == "table", "a field is a row { name, type, title }, not %s", shown(row))
-  demand(is_name(row[1]), "%s is not a filter name (a-z, 0-9, _)", shown(row[1]))
-  local def = TYPES[row[2] or false]
-  demand(def, "unknown type %s; the types are %s", shown(row[2]), M.TYPE_NAMES)
-  check.check_options(row, "type " .. row[2], def.options, 3)
+  local name, kind = row[1], row[2]
+  demand(is_name(name),
+    "%s is not a filter name (a-z, 0-9, _)", shown(name))
+  local def = TYPES[kind or false]
+  demand(def,
+    "unknown type %s; the types are %s", shown(kind), M.TYPE_NAMES)
+  check.options(row, "type " .. kind, def.options, 3)
   if def.kind == "variants" then return add_variants(build, row) end
   if def.kind == "padding" then
     build.offset = build.offset + length_of(row)
     return
   end
-  local field, parts = new_field(build.message, row, def)
-  if row.count ~= nil then return add_elements(build, field, row.count) end
+  demand(is_text(row[3]), "the title is missing")
+  local field = new_field(build.message, row, def)
+  local has_bits = row.flags or row.bits
+  demand(has_bits or not (row.group or row.alarm),
+    "group and alarm are for a field with flags")
+  demand(not (has_bits and row.count), "flags and bits are not for an array")
+  if row.count then return add_elements(build, field, row.count) end
   add_field(build, field)
-  for _, part in ipairs(parts) do add_field(build, part) end
+  if has_bits then add_bits(build, field, row) end
   build.offset = build.offset + field.size
 end
 
 -- Fields in the order of the rows; build.offset is then behind the last.
 function add_rows(build, rows)
   for i, row in ipairs(rows) do
-    build.place.field = type(row) == "table" and is_name(row[1]) and row[1] or i
+    build.place.field = i
+    demand(type(row) == "table", "a field is a row { name, type, title }, not %s", shown(row))
+    if is_name(row[1]) then build.place.field = row[1] end
     add_row(build, row)
   end
 end

@@ -12,38 +12,49 @@ local MOST_OF_NAME = 64 -- bytes
 
 --- Raises a text like string.format's where a condition does not hold; returns the condition.
 function M.demand(condition, format, ...)
-  if not condition then error(format:format(...), 0) end
-  return condition
+  if condition then return condition end
+  error(format:format(...), 0)
 end
 
-function M.is_integer(v) return type(v) == "number" and v % 1 == 0 end
+local demand = M.demand
 
---- Whether it is a filter name, or a part of one.
-function M.is_name(v)
-  return type(v) == "string" and #v <= MOST_OF_NAME and v:find("^[a-z][a-z0-9_]*$") ~= nil
+--- A value in an error: a text in quotes and not too long.
+function M.shown(v)
+  if type(v) == "string" then return ("%q"):format(v:sub(1, 40)) end
+  return tostring(v)
+end
+
+-- What values are --------------------------------------------------------------------------------
+
+function M.is_integer(v)
+  return type(v) == "number" and v % 1 == 0
 end
 
 --- Whether it is a number that is neither NaN nor infinite.
-function M.is_finite(v) return type(v) == "number" and v - v == 0 end
+function M.is_finite(v)
+  return type(v) == "number" and v - v == 0
+end
+
+--- Whether it is a filter name, or a part of one.
+function M.is_name(v)
+  if type(v) ~= "string" or #v > MOST_OF_NAME then return false end
+  return v:find("^[a-z][a-z0-9_]*$") ~= nil
+end
 
 --- Whether it is a text, UTF-8 without control characters: over some others Wireshark ends at once.
 function M.is_text(v)
-  return type(v) == "string" and #v > 0 and #v <= MOST_BYTES and utf8.is_printable(v)
+  if type(v) ~= "string" or v == "" or #v > MOST_BYTES then return false end
+  return utf8.is_printable(v)
 end
 
---- Raises that an option is there and no text; returns it.
--- what  whose option it is, "flag hot: ", where that is not known
-function M.text(t, option, what)
-  local text = t[option]
-  M.demand(text == nil or M.is_text(text), "%s%s must be a text", what or "", option)
-  return text
-end
-
---- Raises that a number is not an integer from low to high; returns it.
+--- Raises that a number is not an integer from low to high.
+-- what  it is called
 function M.within(what, v, low, high)
   local is_within = M.is_integer(v) and v >= low and v <= high
-  return M.demand(is_within and v, "%s %s is not one of %d .. %d", what, M.shown(v), low, high)
+  demand(is_within, "%s %s is not one of %d .. %d", what, M.shown(v), low, high)
 end
+
+-- Sets, rows and their options -------------------------------------------------------------------
 
 --- The names in a text as a set: { [name] = true }.
 function M.set(text)
@@ -52,31 +63,58 @@ function M.set(text)
   return names
 end
 
---- A value in an error: a text in quotes and not too long.
-function M.shown(v)
-  return type(v) == "string" and ("%q"):format(v:sub(1, 40)) or tostring(v)
+--- The keys of a table, sorted, as a text for a message.
+function M.names(t)
+  local names = {}
+  for name in pairs(t) do names[#names + 1] = name end
+  table.sort(names)
+  return table.concat(names, ", ")
 end
 
---- Raises which option of a table is not among those that there are.
--- what        "a flag", "type uint8": whose options they are
--- options     { [name] = true }
+-- What these options have to be, whose ever they are; of the others their users know it.
+local TEXTS = M.set("section unit help info")
+local TABLES = M.set("values flags bits cases differences")
+
+--- Raises what is wrong with the options of a row, or of a message.
+-- what        "flag stopped", "type uint8": whose options they are
+-- options     { [name] = true } of those that there are
 -- positional  how many values without a name it has
-function M.check_options(t, what, options, positional)
-  local names = {}
-  for name in pairs(options) do names[#names + 1] = name end
-  table.sort(names)
-  for key in pairs(t) do
+function M.options(t, what, options, positional)
+  for key, value in pairs(t) do
     local is_positional = M.is_integer(key) and key >= 1 and key <= positional
-    M.demand(options[key] or is_positional, "unknown option %s; %s has %s",
-      M.shown(key), what, table.concat(names, ", "))
+    if not (options[key] or is_positional) then
+      demand(false, "unknown option %s; %s has %s", M.shown(key), what, M.names(options))
+    end
+    demand(not TEXTS[key] or M.is_text(value), "%s must be a text", key)
+    demand(not TABLES[key] or type(value) == "table", "%s must be a table", key)
   end
+end
+
+--- Raises what is wrong with a row { name, ..., title } of a list, but for what is between these.
+-- what      "flag": whose list it is, in which it is the i-th
+-- title_at  the place of its title
+-- options   see M.options
+-- returns   what it is called: "flag stopped"
+function M.row(row, what, i, title_at, options)
+  local number = what .. " " .. i
+  demand(type(row) == "table", "%s: %s is not { name, ..., title }", number, M.shown(row))
+  local name = row[1]
+  demand(M.is_name(name), "%s: %s is not a filter name (a-z, 0-9, _)", number, M.shown(name))
+  what = what .. " " .. name
+  demand(M.is_text(row[title_at]), "%s has no title", what)
+  M.options(row, what, options, title_at)
+  return what
 end
 
 --- A list of problems as far as somebody reads it.
 function M.few(problems)
   local few = {}
-  for i = 1, math.min(#problems, MOST_PROBLEMS) do few[i] = problems[i] end
-  if #problems > #few then few[#few] = ("and so on: %d problems in all"):format(#problems) end
+  for i = 1, math.min(#problems, MOST_PROBLEMS) do
+    few[i] = problems[i]
+  end
+  if #problems > #few then
+    few[#few] = ("and so on: %d problems in all"):format(#problems)
+  end
   return few
 end
 

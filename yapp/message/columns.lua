@@ -29,10 +29,18 @@ local INTEGERS = { uint = true, int = true, flags = true }
 -- The columns of a field: { name, type, the flag that it is } each.
 local function columns_of(field)
   local kind, name = field.kind, field.name
-  if field.special then return { { name, "float" }, { name .. "_special", "string" } } end
-  if kind == "time" or kind == "bool" then return { { name, kind } } end
-  if not INTEGERS[kind] then return { { name, "string" } } end
-  if field.values then return { { name, "integer" }, { name .. "_text", "string" } } end
+  if field.special then
+    return { { name, "float" }, { name .. "_special", "string" } }
+  end
+  if kind == "time" or kind == "bool" then
+    return { { name, kind } }
+  end
+  if not INTEGERS[kind] then
+    return { { name, "string" } }
+  end
+  if field.values then
+    return { { name, "integer" }, { name .. "_text", "string" } }
+  end
   local columns = { { name, field.scale and "float" or "integer" } }
   local group = field.group and field.group:match("[^.]+$")
   for _, flag in ipairs(field.flags or {}) do
@@ -76,7 +84,8 @@ local cells = {}
 
 function cells.float(field, raw)
   local value, special = decode.value(field, raw)
-  return special and SPECIALS[special] or format(decode.format_of(field) .. ",", value)
+  if special then return SPECIALS[special] end
+  return format(decode.format_of(field) .. ",", value)
 end
 
 function cells.ieee(field, raw)
@@ -90,8 +99,9 @@ end
 
 function cells.uint(field, raw)
   if field.scale then return format("%.15g", decode.value(field, raw)) end
-  local text = decode.digits(raw)
-  return field.values and text .. "," .. M.quoted(field.values[raw] or "") or text
+  local text, values = decode.digits(raw), field.values
+  if not values then return text end
+  return text .. "," .. M.quoted(values[raw] or "")
 end
 
 function cells.flags(field, raw)
@@ -102,20 +112,30 @@ function cells.flags(field, raw)
   return concat(texts, ",")
 end
 
-function cells.string(field, raw) return M.quoted(decode.value(field, raw)) end
+function cells.string(field, raw)
+  return M.quoted(decode.value(field, raw))
+end
 
-function cells.bool(_, raw) return raw == 0 and "0" or "1" end
+function cells.bool(_, raw)
+  return raw == 0 and "0" or "1"
+end
 
-cells.int, cells.bytes = cells.uint, cells.string
+cells.int = cells.uint
+cells.bytes = cells.string
 
 -- A function that writes the cells of a field; the latest ones are kept: flags seldom change.
 local function new_write(field)
-  local make, last, text = cells[field.kind], nil, nil
   if field.kind == "time" then
-    return function(_, payload) return decode.seconds(decode.time(payload, field.offset)) end
+    return function(_, payload)
+      return decode.seconds(decode.time(payload, field.offset))
+    end
   end
+  local make, last, text = cells[field.kind], nil, nil
   return function(raw)
-    if raw ~= last then last, text = raw, make(field, raw) end
+    if raw ~= last then
+      last = raw
+      text = make(field, raw)
+    end
     return text
   end
 end

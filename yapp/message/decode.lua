@@ -18,7 +18,8 @@ M.SPECIALS = {
   "Out of Range Low",
 }
 
-local byte, format, concat = string.byte, string.format, table.concat
+local byte, find, format, sub = string.byte, string.find, string.format, string.sub
+local concat = table.concat
 local HUGE = math.huge
 
 --- The bits that two numbers of 32 bits have in common.
@@ -38,80 +39,73 @@ end
 --- An IEEE 754 number of four bytes, 1-based at.
 function M.float32(payload, at)
   local a, b, c, d = byte(payload, at, at + 3)
+  local sign = d >= 0x80 and -1 or 1
   local exponent = d % 0x80 * 2 + (c >= 0x80 and 1 or 0)
-  return ieee(d >= 0x80 and -1 or 1, exponent, c % 0x80 * 0x10000 + b * 0x100 + a, 0xFF, 23)
+  local mantissa = c % 0x80 * 0x10000 + b * 0x100 + a
+  return ieee(sign, exponent, mantissa, 0xFF, 23)
 end
 
--- Eight bytes as two halves of 32 bits, of the magnitude, and whether the number is negative.
-local function halves(payload, at, signed)
-  local a, b, c, d, e, f, g, h = byte(payload, at, at + 7)
-  local low = a + b * 0x100 + c * 0x10000 + d * 0x1000000
-  local high = e + f * 0x100 + g * 0x10000 + h * 0x1000000
-  if not signed or h < 0x80 then return high, low, false end
-  if low == 0 then return 0x100000000 - high, 0, true end -- two's complement: invert, add one
-  return 0xFFFFFFFF - high, 0x100000000 - low, true
-end
-
-local BILLION = 1000000000
-
--- Long division by 10^9, 16 bits a step: no intermediate leaves the exact range of a double.
-local function divide(high, low)
-  if high < 0x200000 then -- all of it is exact
-    local number = high * 0x100000000 + low
-    local rest = number % BILLION
-    return (number - rest) / BILLION, rest
+--- The little endian number of so many bytes, as near as a double comes; 1-based at.
+function M.count(payload, at, size)
+  local count = 0.0 -- COMPAT 5.4: integers of eight bytes wrap around
+  for i = at + size - 1, at, -1 do
+    count = count * 0x100 + byte(payload, i)
   end
-  local quotient, rest = 0, 0
-  for i = 1, 4 do
-    local half = i < 3 and high or low
-    local limb = i % 2 == 1 and (half - half % 0x10000) / 0x10000 or half % 0x10000
-    rest = rest * 0x10000 + limb
-    local left = rest % BILLION
-    quotient, rest = quotient * 0x10000 + (rest - left) / BILLION, left
-  end
-  return quotient, rest
+  return count
 end
 
 --- An IEEE 754 number of eight bytes, 1-based at.
 function M.float64(payload, at)
-  local high, low = halves(payload, at)
-  local positive = high % 0x80000000
-  local rest = positive % 0x100000
-  local sign = high == positive and 1 or -1
-  return ieee(sign, (positive - rest) / 0x100000, rest * 2 ^ 32 + low, 0x7FF, 52)
+  local g, h = byte(payload, at + 6, at + 7)
+  local sign = h >= 0x80 and -1 or 1
+  local exponent = h % 0x80 * 16 + (g - g % 16) / 16
+  local mantissa = g % 16 * 2 ^ 48 + M.count(payload, at, 6)
+  return ieee(sign, exponent, mantissa, 0x7FF, 52)
+end
+
+local BILLION = 1000000000
+
+-- An integer of eight bytes divided by 10^9: the quotient, and the rest, of the same sign.
+local function divide(payload, at, signed)
+  local a, b, c, d, e, f, g, h = byte(payload, at, at + 7)
+  if h == 0 and g < 0x20 then -- the usual one: a double holds it
+    local high = e + f * 0x100 + g * 0x10000
+    local number = high * 0x100000000 + d * 0x1000000 + c * 0x10000 + b * 0x100 + a
+    local rest = number % BILLION
+    return (number - rest) / BILLION, rest
+  end
+  -- Long division, a byte a step.  Of a negative number the highest byte is below 0.
+  local quotient, rest = 0, signed and h >= 0x80 and h - 0x100 or h
+  for i = at + 6, at, -1 do
+    local dividend = rest * 0x100 + byte(payload, i)
+    rest = dividend % BILLION
+    quotient = quotient * 0x100 + (dividend - rest) / BILLION
+  end
+  if quotient < 0 and rest > 0 then return quotient + 1, rest - BILLION end
+  return quotient, rest
 end
 
 --- An integer of eight bytes: a number up to 2^53, beyond that its decimal digits as a string.
 -- payload  string; at: 1-based; signed: whether it is in two's complement
 function M.integer64(payload, at, signed)
-  local high, low, negative = halves(payload, at, signed)
-  if high < 0x200000 then
-    local number = high * 0x100000000 + low
-    return negative and -number or number
-  end
-  local billions, rest = divide(high, low)
-  return format("%s%.0f%09.0f", negative and "-" or "", billions, rest)
+  local billions, rest = divide(payload, at, signed)
+  if math.abs(billions) < 9007199 then return billions * BILLION + rest end
+  return format("%.0f%09.0f", billions, math.abs(rest))
 end
 
 --- A signed 64 bit count of nanoseconds ("Time"), split exactly.
 -- payload  string; offset: 0-based
 -- returns  seconds, nanoseconds; both negative, or zero, for a negative time
 function M.time(payload, offset)
-  local high, low, negative = halves(payload, offset + 1, true)
-  local seconds, rest = divide(high, low)
-  if negative then return -seconds, -rest end
-  return seconds, rest
+  return divide(payload, offset + 1, true)
 end
 
---- The count of a compressed float of seven or eight bytes, as near as a double comes; -1 - n for
--- the reserved count that is n below the highest.
-function M.count(payload, at, size)
-  local count, reserved = 0.0, true
-  for i = size - 1, 0, -1 do
-    local b = byte(payload, at + i)
-    count, reserved = count * 0x100 + b, reserved and b >= (i > 0 and 0xFF or 0xFB)
-  end
-  return reserved and byte(payload, at) - 0x100 or count
+--- The count of a compressed float of seven or eight bytes; -1 - n for the reserved count that is n
+-- below the highest.
+function M.long_count(payload, at, size)
+  local lowest, others = byte(payload, at), sub(payload, at + 1, at + size - 1)
+  if lowest >= 0xFB and not find(others, "[^\255]") then return lowest - 0x100 end
+  return M.count(payload, at, size)
 end
 
 -- Compressed floats: floatN <min; max> has counts 0 .. top, top = 2^N - 1.  The five highest are
@@ -135,7 +129,7 @@ function M.divisor() return divisor end
 --- The value of a compressed float, unrounded; nil and which special (0 .. 4) for a reserved count.
 function M.float(field, raw)
   if raw > field.ordinary then return nil, field.top - raw end
-  if raw < 0 then return nil, -1 - raw end -- of M.count
+  if raw < 0 then return nil, -1 - raw end -- of M.long_count
   -- One division at the end, so that the middle of a symmetric range is 0 and not nearly 0.
   local steps = field.top - divisor
   return (field.min * steps + raw * (field.max - field.min)) / steps
@@ -143,8 +137,8 @@ end
 
 -- The nearest number that four bytes can hold: what a sum with a large number leaves of it.
 local function to_float32(value)
-  local is_normal = math.abs(value) >= 2 ^ -126
-  local large = is_normal and value * (2 ^ 29 + 1) or 1.5 * 2 ^ -97
+  local large = 1.5 * 2 ^ -97
+  if math.abs(value) >= 2 ^ -126 then large = value * (2 ^ 29 + 1) end
   return large - (large - value)
 end
 
@@ -164,6 +158,15 @@ end
 -- What was read last: a table of statistics reads what the packet list has just read.
 local latest = {}
 
+-- The same as M.read of a payload that is shorter than the message.
+local function read_cut(message, payload)
+  local raws, look = message.read(payload .. ("\0"):rep(message.size - #payload))
+  for i, field in ipairs(message.fields) do
+    if field.offset + field.size > #payload then raws[i] = nil end
+  end
+  return raws, look
+end
+
 --- The raw values of a payload.
 -- message  compiled
 -- payload  string; may be shorter than the message where a capture cut it: only fields that are
@@ -177,10 +180,11 @@ function M.read(message, payload)
   if message == latest.message and payload == latest.payload then
     return latest.raws, latest.look
   end
-  local missing = message.size - #payload
-  local raws, look = message.read(missing > 0 and payload .. ("\0"):rep(missing) or payload)
-  for i, field in ipairs(missing > 0 and message.fields or {}) do
-    if field.offset + field.size > #payload then raws[i] = nil end
+  local raws, look
+  if #payload >= message.size then
+    raws, look = message.read(payload)
+  else
+    raws, look = read_cut(message, payload)
   end
   latest.message, latest.payload = message, payload
   latest.raws, latest.look = raws, look
@@ -189,11 +193,15 @@ end
 
 --- A time in seconds with nine digits behind the point.
 function M.seconds(seconds, nanoseconds)
-  if seconds >= 0 and nanoseconds >= 0 then return format("%d.%09d", seconds, nanoseconds) end
-  return format("-%d.%09d", -seconds, -nanoseconds)
+  if seconds < 0 or nanoseconds < 0 then
+    return format("-%d.%09d", -seconds, -nanoseconds)
+  end
+  return format("%d.%09d", seconds, nanoseconds)
 end
 
-local function escape(char) return format("\\x%02x", char:byte()) end
+local function escape(char)
+  return format("\\x%02x", char:byte())
+end
 
 --- The text of a string field: up to its first NUL; where that is no UTF-8, or has control
 -- characters, what is not printable ASCII is written \xNN.
@@ -258,9 +266,11 @@ end
 --- The value of a difference of a message, at seven digits; nil where one of its two fields has
 -- none.
 function M.difference(message, difference, raws)
-  local fields, a, b = message.fields, difference.a, difference.b
-  local first, second = M.value(fields[a], raws[a]), M.value(fields[b], raws[b])
-  return first and second and tonumber(format("%.7g", first - second)) or nil
+  local a, b = difference.a, difference.b
+  local first = M.value(message.fields[a], raws[a])
+  local second = M.value(message.fields[b], raws[b])
+  if not (first and second) then return nil end
+  return tonumber(format("%.7g", first - second))
 end
 
 -- Flags ------------------------------------------------------------------------------------------
@@ -299,7 +309,8 @@ end
 
 local function is_invalid(field, raw)
   if field.values and not field.values[raw] then return true end
-  return field.cases and not field.cases[raw] or field.kind == "bool" and raw > 1
+  if field.cases and not field.cases[raw] then return true end
+  return field.kind == "bool" and raw > 1
 end
 
 --- What is remarkable in the values: one entry an expert item.
@@ -308,7 +319,9 @@ end
 -- returns  a list of { index of field, expert }, nil when there is nothing
 function M.remarks(message, raws)
   local remarks = {}
-  local function add(i, expert) remarks[#remarks + 1] = { i, expert } end
+  local function add(i, expert)
+    remarks[#remarks + 1] = { i, expert }
+  end
   for i, field in ipairs(message.fields) do
     local raw = raws[i]
     if raw and field.special then

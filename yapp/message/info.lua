@@ -20,16 +20,20 @@ end
 -- What a field shows.
 -- shape    of a number with a fraction; payload: for times
 local function shown(field, shape, raw, payload)
-  if field.kind == "time" and payload and #payload >= field.offset + 8 then
-    return decode.seconds(decode.time(payload, field.offset)) .. " s"
+  local is_time = field.kind == "time" and payload
+  if is_time and #payload >= field.offset + 8 then
+    local seconds, nanoseconds = decode.time(payload, field.offset)
+    return decode.seconds(seconds, nanoseconds) .. " s"
   end
   if not raw then return "?" end
   local value, special = decode.value(field, raw)
   if special then return SPECIALS[special] end
   if is_real(field) then return format(shape, value) end
-  local values = field.values or field.kind == "bool" and BOOLS
+  local values = field.values
+  if field.kind == "bool" then values = BOOLS end
   if not values then return decode.digits(value) end
-  return values[raw] or format(field.kind == "int" and "invalid %d" or "invalid 0x%x", raw)
+  local invalid = field.kind == "int" and "invalid %d" or "invalid 0x%x"
+  return values[raw] or format(invalid, raw)
 end
 
 -- Compiling --------------------------------------------------------------------------------------
@@ -40,9 +44,15 @@ local function compile_part(message, name, shape)
   check.demand(shape == "" or is_real(field) and shape:find("^%%%.?%d?[fg]$"),
     "info: the format %s is not one for %s", check.shown(shape), name)
   if shape == "" then shape = "%.4g" end
-  local part = { field = field, index = message.index[field], shape = shape }
+  local part = {
+    field = field,
+    index = message.index[field],
+    shape = shape,
+  }
   if straight.is_plain(field) then return part, shape end
-  function part.write(raw, payload) return shown(field, shape, raw, payload) end
+  function part.write(raw, payload)
+    return shown(field, shape, raw, payload)
+  end
   return part, "%s"
 end
 
@@ -51,9 +61,8 @@ end
 --   usual     function(raws, payload) -> the same as one text, nil where a value is special
 -- Raises what is wrong.
 function M.compile(message, text)
-  local is_text = text == "" or check.is_text(text)
-  check.demand(is_text, "info must be a text, not %s", check.shown(text))
-  local parts, fields, shape, at = {}, {}, "", 1
+  local parts, fields = {}, {}
+  local shape, at = "", 1
   while at do
     local from, to, name, part_shape = text:find("{([%w_]+):?([^}]*)}", at)
     local literal = text:sub(at, (from or 0) - 1)
@@ -77,7 +86,10 @@ end
 local function in_parts(message, raws, payload)
   local texts = {}
   for i, part in ipairs(message.info) do
-    texts[i] = part.field and shown(part.field, part.shape, raws[part.index], payload) or part
+    texts[i] = part
+    if part.field then
+      texts[i] = shown(part.field, part.shape, raws[part.index], payload)
+    end
   end
   return concat(texts)
 end
@@ -87,13 +99,15 @@ end
 -- name     what the message is called; its title when left out
 -- look     false where nothing in the values is remarkable
 function M.text(message, raws, payload, name, look)
-  local text, word = message.usual(raws, payload) or in_parts(message, raws, payload), nil
+  local text = message.usual(raws, payload) or in_parts(message, raws, payload)
   text = (name or message.title) .. "  " .. text
   if look == false then return text end
+  local word
   for _, field in ipairs(message.alarms) do
     local alarms = decode.alarms(field, raws[message.index[field]])
     if alarms ~= 0 then
-      local before = field.alarm == word and ", " or "  " .. field.alarm .. " "
+      local before = ", "
+      if field.alarm ~= word then before = "  " .. field.alarm .. " " end
       text = text .. before .. decode.flag_names(field, alarms)
       word = field.alarm
     end

@@ -24,38 +24,37 @@ local demand = check.demand
 local Sources = {}
 Sources.__index = Sources
 
-local function trim(text) return (text:match("^%s*(.-)%s*$")) end
+local function trim(text)
+  return text:match("^%s*(.-)%s*$")
+end
 
--- Splits at commas outside of quotes.
+-- Splits at commas outside of quotes; what is blank is no part.
 local function split(text)
-  local parts, at, from = {}, 1, 1
-  while true do
-    local place = text:find('[,"]', at)
-    if place and text:sub(place, place) == '"' then
-      at = (text:find('"', place + 1, true) or #text) + 1
-    else
-      parts[#parts + 1] = trim(text:sub(from, (place or 0) - 1))
-      if not place then return parts end
-      at, from = place + 1, place + 1
-    end
+  local parts = {}
+  local hidden = text:gsub('"[^"]*"', function(quoted) return (quoted:gsub(",", "\0")) end)
+  for part in hidden:gmatch("[^,]+") do
+    part = trim((part:gsub("\0", ",")))
+    if part ~= "" then parts[#parts + 1] = part end
   end
+  return parts
 end
 
 -- Parts from here on raise what is wrong with them.
 
--- A bus in quotes, and what comes behind it.
+-- A bus in quotes, and what comes behind it.  One with quotes in it is several quoted texts in a
+-- row: "a ""b""" is "a ", "b" and "".
 local function take_quoted(part)
-  local at = 2
-  while true do
-    local quote = demand(part:find('"', at, true), "the quote is not closed")
-    if part:sub(quote + 1, quote + 1) ~= '"' then
-      local sign, rest = part:match("^%s*([/=])(.*)$", quote + 1)
-      demand(sign, "a bus in quotes is followed by / or =")
-      local bus = part:sub(2, quote - 1):gsub('""', '"')
-      return bus, sign, rest
-    end
-    at = quote + 2
+  local stop
+  local behind = part:match('^"[^"]*"()')
+  while behind do
+    stop = behind
+    behind = part:match('^"[^"]*"()', stop)
   end
+  demand(stop, "the quote is not closed")
+  local sign, rest = part:match("^%s*([/=])(.*)$", stop)
+  demand(sign, "a bus in quotes is followed by / or =")
+  local bus = part:sub(2, stop - 2):gsub('""', '"')
+  return bus, sign, rest
 end
 
 -- The bus, the text of the IDs, and what is behind the "="; either of the first two may be nil.
@@ -64,9 +63,10 @@ local function take_address(part)
     local bus, sign, rest = take_quoted(part)
     if sign == "=" then return bus, nil, rest end
     local ids, value = rest:match("^(.-)=(.*)$")
-    return bus, demand(ids, SHAPE), value
+    demand(ids, SHAPE)
+    return bus, ids, value
   end
-  local address, value = part:match("^%s*(.-)%s*=(.*)$")
+  local address, value = part:match("^(.-)%s*=(.*)$")
   demand(address, SHAPE)
   local bus, ids = address:match("^(.*)/([^/]*)$")
   if bus then return trim(bus), ids, value end
@@ -96,44 +96,39 @@ local function find_message(catalogue, name)
   demand(false, "there is no message %q, but %s", name, table.concat(names, ", "))
 end
 
--- The rows of one part: { bus =, id =, message =, name = } each.
+-- What a part says.
+-- returns  the bus, the IDs, the compiled message and the name: nil for each that it does not say
 local function read_part(part, catalogue)
   local bus, id_text, value = take_address(part)
   local ids = id_text and read_ids(id_text)
   local message_name, name = value:match("^(.-):(.*)$")
   name = trim(name or value)
-  demand(message_name or name ~= "", "the name is missing")
-  local message
-  if message_name then
-    demand(ids, "a message is for an ID, not for a bus")
-    message = find_message(catalogue, trim(message_name))
-  end
   demand(not name:find(";.*="), "sources are parted by commas")
   demand(#name <= MAX_NAME, "the name has more than %d bytes", MAX_NAME)
   demand(name == "" or check.is_text(name), "the name is not a text")
-  local rows = {}
-  for i = 1, ids and #ids or 1 do
-    rows[i] = {
-      bus = bus,
-      id = ids and ids[i],
-      message = message,
-      name = name ~= "" and name or nil,
-    }
+  if not message_name then
+    demand(name ~= "", "the name is missing")
+    return bus, ids, nil, name
   end
-  return rows
+  demand(ids, "a message is for an ID, not for a bus")
+  local message = find_message(catalogue, trim(message_name))
+  return bus, ids, message, name ~= "" and name or nil
 end
 
--- Adds the rows of a part, those of IDs that are new.
+local EVERY = { "every" } -- ID of a bus
+
+-- Adds a row for each ID of a part that is new.
 local function add_part(self, part, catalogue)
+  local bus, ids, message, name = read_part(part, catalogue)
+  local of_bus = self.by_bus[bus or false] or {}
+  self.by_bus[bus or false] = of_bus
   local is_known = false
-  for _, row in ipairs(read_part(part, catalogue)) do
-    local of_bus = self.by_bus[row.bus or false] or {}
-    self.by_bus[row.bus or false] = of_bus
-    local key = row.id or "all"
-    if of_bus[key] then
+  for _, id in ipairs(ids or EVERY) do
+    if of_bus[id] then
       is_known = true
     else
-      of_bus[key] = row
+      local row = { bus = bus, id = ids and id, message = message, name = name }
+      of_bus[id] = row
       self.rows[#self.rows + 1] = row
     end
   end
@@ -149,8 +144,7 @@ function M.parse(text, catalogue)
   local self = setmetatable({ by_bus = { [false] = {} }, rows = {} }, Sources)
   local problems = {}
   for _, part in ipairs(split(text)) do
-    local ok, problem = true, nil
-    if part ~= "" then ok, problem = pcall(add_part, self, part, catalogue) end
+    local ok, problem = pcall(add_part, self, part, catalogue)
     if not ok then problems[#problems + 1] = ("sources: %s: %s"):format(part, problem) end
   end
   return self, check.few(problems)
@@ -160,18 +154,19 @@ end
 -- its ID anywhere.
 -- bus  the name that the capture gives it, or nil; id: message ID
 function Sources:name(bus, id)
-  local of_bus, anywhere = bus and self.by_bus[bus] or {}, self.by_bus[false][id]
-  local own, all = of_bus[id], of_bus.all
+  local of_bus = bus and self.by_bus[bus] or {}
+  local own, of_every_id = of_bus[id], of_bus.every
   if own and own.name then return own.name end
-  if all then return all.name end
-  return not own and anywhere and anywhere.name or nil
+  if of_every_id then return of_every_id.name end
+  local anywhere = not own and self.by_bus[false][id]
+  return anywhere and anywhere.name or nil
 end
 
 --- The compiled message that the user said an ID carries on a bus; nil where this preference says
 -- nothing of it.
 function Sources:message(bus, id)
-  local own = bus and self.by_bus[bus] and self.by_bus[bus][id]
-  local row = own or self.by_bus[false][id]
+  local of_bus = self.by_bus[bus or false]
+  local row = of_bus and of_bus[id] or self.by_bus[false][id]
   return row and row.message
 end
 

@@ -26,23 +26,22 @@ local sources = {}
 -- A little endian count.  The first bytes of the payload are in b1, b2, ...: a call takes longer
 -- than a field.
 local function count_source(field)
-  local first, last = field.offset + 1, field.offset + field.size
-  local names, sum, is_kept = {}, {}, last <= MOST_KEPT
-  for i = 1, field.size do
-    names[i] = is_kept and "b" .. field.offset + i or "c" .. i
-    sum[i] = i == 1 and names[i] or format("%s * %.0f", names[i], 0x100 ^ (i - 1))
+  local offset, size = field.offset, field.size
+  if offset + size > MOST_KEPT then
+    return format("a = count(payload, %d, %d)", offset + 1, size)
   end
-  local count = "a = " .. concat(sum, " + ")
-  if is_kept then return count end
-  return format("%s = byte(payload, %d, %d) %s", concat(names, ", "), first, last, count)
+  local sum = { "a = b" .. offset + 1 }
+  for i = 2, size do
+    sum[i] = format("b%d * %.0f", offset + i, 0x100 ^ (i - 1))
+  end
+  return concat(sum, " + ")
 end
 
 function sources.uint(field, message)
   if field.mask then -- a part of the bits of a field that is already read
-    local low = field.low
-    local inside = message.index[field.inside]
-    return format("a = raws[%d] a = (a - a %% %d) %s %d %% %d", inside, low, DIVIDE, low,
-      field.top + 1)
+    local inside, low = message.index[field.inside], field.low
+    local shape = "a = raws[%d] a = (a - a %% %d) " .. DIVIDE .. " %d %% %d"
+    return format(shape, inside, low, low, field.top + 1)
   end
   if field.size > MOST_BYTES then
     return format("a = integer64(payload, %d, false)", field.offset + 1)
@@ -60,7 +59,7 @@ end
 
 function sources.float(field)
   if field.size <= MOST_BYTES then return count_source(field) end
-  return format("a = count(payload, %d, %d)", field.offset + 1, field.size)
+  return format("a = long_count(payload, %d, %d)", field.offset + 1, field.size)
 end
 
 function sources.ieee(field)
@@ -93,7 +92,8 @@ local function look_source(field, i)
 end
 
 local function field_source(message, field, i)
-  local source, look = sources[field.kind], look_source(field, i)
+  local source = sources[field.kind]
+  local look = look_source(field, i)
   local line = format("%s raws[%d] = a", source(field, message), i)
   if look then line = format("%s if %s then look = true end", line, look) end
   if field.cases then
@@ -106,9 +106,9 @@ end
 local READER = [[
 local FIELDS, byte, sub, band, numbers = ...
 local float32, float64 = numbers.float32, numbers.float64
-local integer64, count = numbers.integer64, numbers.count
+local integer64, count, long_count = numbers.integer64, numbers.count, numbers.long_count
 return function(payload)
-local raws, look, a, c1, c2, c3, c4, c5, c6 = { %s }, false
+local raws, look, a = { %s }, false
 local %s = byte(payload, 1, %d)
 %s
 return raws, look
