@@ -52,7 +52,8 @@ local tree_builder = require "yapp.show.tree"
 -- The user's own messages come behind ours: from Wireshark's personal configuration folder, and
 -- from where a preference or the environment says.  Fields can be registered only while a plugin
 -- loads, when no preference is known: that of the default profile is read from its file.
-local chosen_file = catalogue_files.preference(Dir.personal_config_path("preferences"), "yapp.messages")
+local default_profile = Dir.personal_config_path("preferences")
+local chosen_file = catalogue_files.preference(default_profile, "yapp.messages")
 
 local function load_catalogue()
   local files = { { path = here .. "taurus_fields.lua" },
@@ -80,7 +81,12 @@ preferences.define(yapp, catalogue, decode, MAX_ID)
 local buses = bus_finder.watch()
 local stat = stat_taps.new { version = VERSION, catalogue = catalogue }
 local reader = message_reader.new(catalogue, stat)
-local tree = tree_builder.new { yapp = yapp, taurus = taurus, catalogue = catalogue, reader = reader }
+local tree = tree_builder.new {
+  yapp = yapp,
+  taurus = taurus,
+  catalogue = catalogue,
+  reader = reader,
+}
 
 -- SocketCAN's table of ids finds the frames of a message: no other frame costs anything.
 local by_can_id, is_registered = DissectorTable.get("can.extended_id"), {}
@@ -240,23 +246,31 @@ function yapp.init()
   search_streams()
   local late, problems = preferences.late(yapp.prefs.late)
   preferences.complain_once(problems)
-  local options = { new_history = function() return history.new { late = late, catalogue = catalogue } end }
+  local function new_history()
+    return history.new { late = late, catalogue = catalogue }
+  end
   reader:reset()
   tell:reset()
   tree:reset()
-  frames:reset(options)
-  streams:reset(options)
+  frames:reset(new_history)
+  streams:reset(new_history)
 end
 
 -- Registration ------------------------------------------------------------------------------------
 
 claim_starts()
 stat:register()
-for _, proto in ipairs { all, yapp } do DissectorTable.get("can.subdissector"):add_for_decode_as(proto) end
-for _, name in ipairs { "tcp.port", "udp.port" } do
-  for _, proto in ipairs { serial, yapp } do DissectorTable.get(name):add_for_decode_as(proto) end
+for name, protos in pairs {
+  ["can.subdissector"] = { all, yapp },
+  ["tcp.port"] = { serial, yapp },
+  ["udp.port"] = { serial, yapp },
+  ["rtacser.data"] = { serial },
+} do
+  for _, proto in ipairs(protos) do DissectorTable.get(name):add_for_decode_as(proto) end
 end
-DissectorTable.get("rtacser.data"):add_for_decode_as(serial)
-file_readers.register { new_framer = function() return streams:framer() end, time_of = controller_time }
+file_readers.register {
+  new_framer = function() return streams:framer() end,
+  time_of = controller_time,
+}
 
 package.loaded["yapp.plugin"] = { version = VERSION, path = here .. "yapp.lua" }

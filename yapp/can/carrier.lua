@@ -43,8 +43,8 @@ function M.new(tree, reader, buses, claim)
 end
 
 --- Forgets the capture file: nothing survives into the next one.
--- options  { new_history = function() -> a message.history }
-function Carrier:reset(options)
+-- new_history  function() -> a message.history
+function Carrier:reset(new_history)
   local reader, buses, sources = self.reader, self.buses, {}
   local function source_of(id, bus)
     local key = (bus or -1) * 0x800 + id
@@ -56,7 +56,7 @@ function Carrier:reset(options)
     return source
   end
   self.memory = memory.new {
-    new_history = options.new_history,
+    new_history = new_history,
     source_of = source_of,
     claim = self.claim,
   }

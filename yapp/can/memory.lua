@@ -3,8 +3,8 @@
 -- YAPP"), and what was said of each frame, for later looks.  Pure Lua.
 --
 -- It is told facts of frames, in the order of the capture, and asked what they are.  Of each frame
--- its entry is kept: the message that it is a part of, which all parts share, or { address, source }
--- of a frame that stands alone.  A message has
+-- its entry is kept: the message that it is a part of, which all parts share, or { address,
+-- source } of a frame that stands alone.  A message has
 --   1 .. n      the looks of its frames (memory.passes)
 --   address, size, crc, reserved (nil when 0)   of its Start; source, as whom it came from
 --   status      nil while it is open; "good", "bad" (CRC), "short", "overrun", "unverified" (bytes
@@ -193,7 +193,8 @@ local function overtake(self, slot, frame, look)
   if not message.status and not message.overtaken then
     local received = open.messages and open:received() or open.received
     local text = "A new Start cuts off the message that started in frame %d: %d of %d bytes"
-    self:fault(look, "fragment.incomplete", text:format(floor(message[1]), received, message.size), message)
+    text = text:format(floor(message[1]), received, message.size)
+    self:fault(look, "fragment.incomplete", text, message)
   end
   if frame.bus or message.status or message.is_cut then return cut(self, slot) end
   if not open.messages then open = pool.new(self, open) end
@@ -429,8 +430,8 @@ local Memory = {}
 Memory.__index = Memory
 
 --- The memory of one capture file.
--- options   { source_of = function(id, bus) -> of whom a frame is: a table, the same each time, which
---           entries have as source; it has size = of the payload of a known message, and bus;
+-- options   { source_of = function(id, bus) -> of whom a frame is: a table, the same each time,
+--           which entries have as source; it has size = of the payload of a known message, and bus;
 --             claim = function(id): a frame of this ID is ours;
 --             new_history = function() -> a message.history, one for each pass }
 function M.new(options)
@@ -515,8 +516,8 @@ function Memory.frames_of(_, frame)
 end
 
 --- What is new in a message (see message.history).
--- m       as History:note takes it, and has_fault = whether it has a fault flag set; gets delta, and
---         is_unsure: whether what came before is not known, as nothing tells the buses
+-- m       as History:note takes it, and has_fault = whether it has a fault flag set; gets delta,
+--         and is_unsure: whether what came before is not known, as nothing tells the buses
 -- frame   its last, or only, one, as look filled it in
 function Memory.change(_, m, frame)
   local entry, pass = frame.entry, frame.pass

@@ -28,8 +28,13 @@ Pool.__index = Pool
 -- message     the one that is open
 -- It has messages: those that are open, oldest first, each with from: the place of its first frame.
 function M.new(reassembly, message)
-  local self = setmetatable({ reassembly = reassembly, messages = { message }, frames = {}, bytes = 0,
-    credit = MAX_CREDIT }, Pool)
+  local self = setmetatable({
+    reassembly = reassembly,
+    messages = { message },
+    frames = {},
+    bytes = 0,
+    credit = MAX_CREDIT,
+  }, Pool)
   for i, data in ipairs(message.chunks) do
     self.frames[i] = { look = message[i + 1], data = data, length = #data }
   end
@@ -100,16 +105,19 @@ local function search(self, goal, at, register, needed)
     local frame = frames[at]
     self.credit = self.credit - 1
     if self.credit < 0 then return false end
-    if at == last then
-      goal.padding = #frame.data == frame.length and can_id.padding(frame.data, frame.length, needed)
-      places[#places + 1] = at
-      return goal.padding and crc.update(register, frame.data, 1, needed) == goal.crc
-    end
     -- What the capture cut proves nothing.
-    if frame.length < needed and not frame.is_end and not frame.is_taken and #frame.data == frame.length then
+    local data, length = frame.data, frame.length
+    local is_whole = #data == length
+    if at == last then
+      goal.padding = is_whole and can_id.padding(data, length, needed)
+      places[#places + 1] = at
+      return goal.padding and crc.update(register, data, 1, needed) == goal.crc
+    end
+    if is_whole and length < needed and not frame.is_end and not frame.is_taken then
       local count = #places
       places[count + 1] = at
-      if search(self, goal, at + 1, crc.update(register, frame.data), needed - frame.length) then return true end
+      local next_register = crc.update(register, data)
+      if search(self, goal, at + 1, next_register, needed - length) then return true end
       for i = #places, count + 1, -1 do places[i] = nil end
     end
     at = at + 1
@@ -156,22 +164,30 @@ local function find_whole(self)
   end
 end
 
--- Gives frames to a message and ends it: with a status when it is known, else the CRC decides.
-local function award(self, message, places, padding, status)
-  local reassembly, frames, chunks, is_cut = self.reassembly, self.frames, {}, false
+-- Gives frames to a message; returns its bytes, as far as they were captured, and whether they were
+-- not.
+local function give(self, message, places)
+  local reassembly, chunks, is_cut = self.reassembly, {}, false
   for i = #message, 2, -1 do message[i] = nil end
   for i, at in ipairs(places) do
-    local frame = frames[at]
+    local frame = self.frames[at]
     message[i + 1] = frame.look
     if not is_cut then chunks[i] = frame.data end
     is_cut = is_cut or #frame.data < frame.length
     reassembly.entries[frame.look] = message
     reassembly:take_back(frame.look, function(fault) return fault.expert == "fragment.orphan" end)
   end
-  local payload = concat(chunks)
+  return concat(chunks), is_cut
+end
+
+-- Gives frames to a message and ends it: with a status when it is known, else the CRC decides.
+local function award(self, message, places, padding, status)
+  local reassembly, frames = self.reassembly, self.frames
+  local payload, is_cut = give(self, message, places)
   if not status then payload = payload:sub(1, message.size) end
+  if is_cut then status = status or "unverified" end
   message.padding = padding and padding > 0 and padding or nil
-  reassembly:finish(message, payload, frames[#frames].look, status or is_cut and "unverified" or nil)
+  reassembly:finish(message, payload, frames[#frames].look, status)
   if message.status ~= "good" then return end -- else its frames may still be another's
   for _, at in ipairs(places) do frames[at].is_taken = true end
   for _, look in ipairs(message.blamed or {}) do

@@ -177,7 +177,7 @@ end
 -- How many messages are missing before one by their Seq, which numbers nothing where it stands
 -- still; a controller that reboots begins anew.
 local function missing_before(seq, previous, is_reboot)
-  if not seq or not previous or is_reboot then return nil end
+  if seq == previous or not seq or not previous or is_reboot then return nil end
   local missing = (seq - previous - 1) % 256
   return missing > 0 and missing or nil
 end
@@ -205,8 +205,7 @@ local function follow(source, look, clock)
   if clock and before then
     reboot, stale = clock < before or nil, clock == before or nil
   end
-  local missing
-  if look.seq ~= source.seq then missing = missing_before(look.seq, source.seq, reboot) end
+  local missing = missing_before(look.seq, source.seq, reboot)
   local is_new_clock = clock and (reboot or not before)
   if clock then source.clock = clock end
   source.seq = look.seq

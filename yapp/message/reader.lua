@@ -111,8 +111,8 @@ end
 --- A source, a bus or a stream and an ID, and what is worked out of it once.
 -- key       of the source; id: message ID; bus: key of the bus or stream, or false
 -- bus_name  or nil where the capture names none
--- line      what tells the source apart besides its ID, where nothing else does; nil for the bus in a
---           capture of several
+-- line      what tells the source apart besides its ID, where nothing else does; nil for the bus
+--           in a capture of several
 -- returns   { key, bus, bus_name, size = of its messages or nil, name = of them in the Info column
 --           (see Reader:label), text = what the source is called, the column Source: the name that
 --           the user gave, or line and ID; texts = of the parts of its messages, of can.carrier;

@@ -33,11 +33,11 @@ function M.new(tree, reader, buses)
 end
 
 --- Forgets the capture file.
--- options  { new_history = function() -> a message.history }
-function Carrier:reset(options)
+-- new_history  function() -> a message.history
+function Carrier:reset(new_history)
   self.memory = serial_memory.new {
     new_framer = function() return self:framer() end,
-    new_history = options.new_history,
+    new_history = new_history,
   }
   self.sources = {} -- by stream, by ID
 end
@@ -62,9 +62,9 @@ end
 -- A packet ----------------------------------------------------------------------------------------
 
 -- The facts of a packet, for the memory, and what is shown of its stream: bus_name; bus_key, by
--- which a Command and what it commands know each other (both ways of a conversation; all there is on
--- a UART, whose directions are sources of their own); line, what tells its sources apart, nil where
--- nothing does; has_address; time.
+-- which a Command and what it commands know each other (both ways of a conversation; all there is
+-- on a UART, whose directions are sources of their own); line, what tells its sources apart, nil
+-- where nothing does; has_address; time.
 local function facts_of(self, tvb, pinfo)
   local kind = pinfo.port_type
   local is_ip = kind == UDP or kind == TCP

@@ -14,6 +14,7 @@ local M = {}
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local min, max, sub = math.min, math.max, string.sub
+local NOTHING = {} -- of a packet that is a frame and no more
 
 local Memory = {}
 Memory.__index = Memory
@@ -156,8 +157,8 @@ end
 
 -- What is kept of a packet ------------------------------------------------------------------------
 --
--- Of one that is a good frame and no more the seconds since the source's previous one, or false: the
--- rest is in its bytes, which come again with each look.  Else a table:
+-- Of one that is a good frame and no more the seconds since the source's previous one, or false:
+-- the rest is in its bytes, which come again with each look.  Else a table:
 --   1 .. n     by event, the seconds since its source's previous one
 --   looks      by event, the look of a frame that has another before it in the packet
 --   leads_to   look at the packet that shows the bytes that wait
@@ -185,11 +186,13 @@ local function kept_of(piece, fact)
   return { waited = waited, parts = first.parts, looks = nil, leads_to = nil }
 end
 
--- The piece of a packet of which its bytes alone are kept.
-local function piece_again(self, kept, fact)
-  local framer, waited = self.new_framer(), kept and kept.waited or ""
+-- The piece of a packet that is looked at again.
+local function piece_of(self, kept, fact)
+  local of_packet = type(kept) == "table" and kept or NOTHING
+  if of_packet.events then return of_packet end
+  local framer, waited = self.new_framer(), of_packet.waited or ""
   local events = framer:feed(waited .. fact.bytes)
-  events[1].parts = kept and kept.parts
+  events[1].parts = of_packet.parts
   local done = framer:offset() - #waited
   return {
     events = events,
@@ -207,9 +210,9 @@ local function take_packet(self, pass, look, fact)
   local kept = kept_of(piece, fact)
   stream.fact, stream.look = fact, look
   pass.entries[look] = kept
+  if piece.events[2] then kept.looks = {} end
   for i = 2, #piece.events do
     if piece.events[i].kind ~= "skipped" then
-      kept.looks = kept.looks or {}
       kept.looks[i] = pass:another()
       pass.entries[kept.looks[i]] = false
     end
@@ -231,41 +234,48 @@ local function numbers_of(pass, looks)
   return numbers
 end
 
--- An event as it is told.
-local function told(pass, event, piece, fact)
-  local length, status = event.to - event.from, event.kind
-  local at, bytes, earlier = event.from - piece.base, fact.bytes, nil
-  if at < 0 then
-    earlier, at, bytes = event.bytes, nil, event.bytes
-  end
-  if status == "frame" then status = event.good and "good" or "bad" end
-  if status == "skipped" then
-    return { status = status, length = length, at = at, bytes = earlier }
-  end
-  local from, parts, sent, calculated = at or 0, event.parts, nil, nil
-  local id, size, reserved, seq, ctl = frame.parse(bytes, from + 1)
-  if status == "bad" then
-    sent = frame.crc(bytes, from + length)
-    calculated = crc.update(crc.INITIAL, bytes, from + 1, from + length - CRC_SIZE)
-  end
+-- A frame as it is told.
+-- bytes, from  string with it, and where it begins there; length: of it
+local function told_frame(event, status, bytes, from, length)
+  local id, size, reserved, seq, ctl = frame.parse(bytes, from)
+  local is_bad, last = status == "bad", from + length - 1
   return {
     status = status,
     length = length,
-    at = at,
-    bytes = earlier,
+    at = nil,
+    bytes = nil,
     id = id,
     size = size,
     reserved = reserved,
     seq = seq,
     ctl = ctl,
-    payload = sub(bytes, from + HEADER + 1, from + min(HEADER + size, length)),
-    crc = sent,
-    calculated = calculated,
+    payload = sub(bytes, from + HEADER, from - 1 + min(HEADER + size, length)),
+    crc = is_bad and frame.crc(bytes, last) or nil,
+    calculated = is_bad and crc.update(crc.INITIAL, bytes, from, last - CRC_SIZE) or nil,
     missing = event.missing,
     truncated = event.truncated,
-    parts = parts and numbers_of(pass, parts),
-    count = parts and #parts,
+    parts = nil,
+    count = nil,
   }
+end
+
+-- An event as it is told.
+local function told(pass, event, piece, fact)
+  local length, status = event.to - event.from, event.kind
+  local at, parts = event.from - piece.base, event.parts
+  local is_earlier = at < 0
+  local result
+  if status == "frame" then status = event.good and "good" or "bad" end
+  if status == "skipped" then
+    result = { status = status, length = length }
+  else
+    local bytes, from = fact.bytes, at + 1
+    if is_earlier then bytes, from = event.bytes, 1 end
+    result = told_frame(event, status, bytes, from, length)
+  end
+  if is_earlier then result.bytes = event.bytes else result.at = at end
+  if parts then result.parts, result.count = numbers_of(pass, parts), #parts end
+  return result
 end
 
 -- The header of the frame that is open at the end of a stream; nil for none.
@@ -275,7 +285,7 @@ end
 
 -- Whether the capture ends before the frame of a packet's last bytes: a pass that has come to its
 -- end knows.
-local function is_unfinished(self, pass, look, fact)
+local function ends_open(self, pass, look, fact)
   local stream = self.streams[pass][fact.stream]
   return stream and stream.look == look and pass.highest >= self.passes.first.highest and
     open_header(stream) ~= nil
@@ -315,13 +325,14 @@ function Memory:look(fact)
   else
     kept = pass.entries[look]
     if kept == nil then return nil end
-    piece = type(kept) == "table" and kept.events and kept or
-      piece_again(self, type(kept) == "table" and kept, fact)
+    piece = piece_of(self, kept, fact)
   end
-  local events, leads_to = {}, nil
+  local events, leads_to, is_unfinished = {}, nil, false
   for i, event in ipairs(piece.events) do events[i] = told(pass, event, piece, fact) end
-  if kept and piece.pending > 0 then leads_to = kept.leads_to and pass:number(kept.leads_to) end
-  if leads_to == fact.number then leads_to = nil end
+  if piece.pending > 0 and fact.visited then
+    leads_to = kept.leads_to and pass:number(kept.leads_to)
+    is_unfinished = not kept.leads_to and ends_open(self, pass, look, fact)
+  end
   return {
     pass = pass,
     look = look,
@@ -331,8 +342,8 @@ function Memory:look(fact)
     done = piece.done,
     pending = piece.pending,
     missing = piece.missing,
-    leads_to = leads_to,
-    is_unfinished = fact.visited and piece.pending > 0 and is_unfinished(self, pass, look, fact),
+    leads_to = leads_to ~= fact.number and leads_to or nil,
+    is_unfinished = is_unfinished,
   }
 end
 
@@ -345,20 +356,20 @@ end
 --          pass took several sources for one
 function Memory.change(_, message, packet, index, fact)
   local pass, kept = packet.pass, packet.kept
-  local is_table = type(kept) == "table"
+  local of_packet = type(kept) == "table" and kept
   message.delta = false
   message.is_unsure = message.good and pass.is_partial and fact.knows_all
   if message.is_unsure or not message.good then return nil end
-  local look = is_table and kept.looks and kept.looks[index] or packet.look
+  local look = index == 1 and packet.look or kept.looks[index]
   if not packet.is_now then
-    if is_table then kept = kept[index] end
+    if of_packet then kept = of_packet[index] end
     message.delta = kept or false
     return pass:change(look, message)
   end
   local change, delta = pass:note(look, message)
   message.delta = delta or false
-  if is_table then
-    kept[index] = delta
+  if of_packet then
+    of_packet[index] = delta
   else
     pass.entries[look] = delta or false
   end

@@ -100,6 +100,12 @@ function adders.time(_, made)
   end
 end
 
+local function add_names(item, pf, is_shown, names)
+  if names == "" then return end
+  if is_shown then append_text(item, " (" .. names .. ")") end
+  if pf then set_hidden(add_generated(item, pf, names)) end
+end
+
 -- Flags with what is wanted of them: wanted(pf) -> the ProtoField, or nil.
 local function add_flags(field, made, is_shown, wanted)
   local pf, names_pf, undefined_pf = wanted(made.pf), wanted(made.names), wanted(made.undefined)
@@ -109,12 +115,9 @@ local function add_flags(field, made, is_shown, wanted)
   return function(parent, range, raw)
     local item = pf and add_le(parent, pf, range) or parent
     for i = 1, #flags do add_le(item, flags[i], range) end
-    if raw == 0 then return item end
-    local undefined, names = decode.undefined(field, raw), flag_names(field, raw)
-    if undefined ~= 0 and undefined_pf then add(item, undefined_pf, range, undefined) end
-    if names == "" then return item end
-    if is_shown then append_text(item, " (" .. names .. ")") end
-    if names_pf then set_hidden(add_generated(item, names_pf, names)) end
+    local undefined = undefined_pf and decode.undefined(field, raw) or 0
+    if undefined ~= 0 then add(item, undefined_pf, range, undefined) end
+    if raw ~= 0 then add_names(item, names_pf, is_shown, flag_names(field, raw)) end
     return item
   end
 end
