@@ -73,6 +73,7 @@ local OF_SOURCE = words("bus id source count min mean max")
 -- For people: a line for each field and source.
 local SHOWN = words("field unit source min mean max spread rel frame")
 
+-- Of no event, so that records need not wait for their packets, see stat.feed.
 local Compare = groups.class { compares = true, event = false }
 
 --- See groups.class.
