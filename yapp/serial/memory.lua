@@ -357,9 +357,10 @@ end
 function Memory.change(_, message, packet, index, fact)
   local pass, kept = packet.pass, packet.kept
   local of_packet = type(kept) == "table" and kept
-  message.delta = false
-  message.is_unsure = message.good and pass.is_partial and fact.knows_all
-  if message.is_unsure or not message.good then return nil end
+  message.delta, message.is_unsure = false, false
+  if not message.good then return nil end
+  message.is_unsure = pass.is_partial and fact.knows_all
+  if message.is_unsure then return nil end
   local look = index == 1 and packet.look or kept.looks[index]
   if not packet.is_now then
     if of_packet then kept = of_packet[index] end
