@@ -85,7 +85,7 @@ function M.look(known, frame, is_again)
     local payload = is_last and entry.payload or record.data
     local message = { source = record.address.id + (record.bus or -1) * 0x800,
       time = record.number / 8, has_fault = payload ~= "" and payload:byte() % 2 == 1,
-      good = not is_last or text == "good" }
+      good = not is_last or text == "good", is_only_pass = frame.is_only_pass }
     record.change = known:change(message, record)
     record.delta = message.delta or nil
   end

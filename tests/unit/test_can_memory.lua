@@ -387,6 +387,24 @@ function T.test_good_messages_cost_little()
   lu.assertTrue(bytes < 100, ("%.0f bytes a frame"):format(bytes))
 end
 
+-- Where no frame is looked at again nothing is kept of good messages; what is open is put together
+-- as ever, and of what is not good is said what is wrong.
+function T.test_the_only_pass_keeps_nothing()
+  local function frames(text)
+    local list = words.frames(text, { ids = MOTOR })
+    for _, frame in ipairs(list) do frame.is_only_pass = true end
+    return list
+  end
+  local bytes = kept_bytes(words.new(), levels.size(6000, 20000), frames("S32 M8 M8 M8 E8"))
+  lu.assertTrue(bytes < 40, ("%.0f bytes a frame"):format(bytes))
+  local known, some = words.new(), frames("S32 M8 M8 M8 E8 S32 M8 M8 E8 S32 M8 M8 M8 E8")
+  local said = words.looks(known, some)
+  lu.assertEquals(said, words.looks(words.new(), words.frames(
+    "S32 M8 M8 M8 E8 S32 M8 M8 E8 S32 M8 M8 M8 E8", { ids = MOTOR })))
+  lu.assertEquals(words.look(known, some[5], true), "-")
+  lu.assertEquals(words.look(known, some[9], true), "short+fragment.incomplete")
+end
+
 function T.test_a_message_that_never_ends()
   for bus = 0, 1 do
     local known = words.new()

@@ -318,6 +318,20 @@ function T.test_answers_stay()
   lu.assertEquals(in_words(memory:look(facts({ 2, A:sub(10) }, { visited = true }))), words_of_second)
 end
 
+-- Of a packet that nobody looks at again nothing is kept, nor invented; its stream goes on.
+function T.test_a_packet_that_is_forgotten()
+  local memory, packets = new(), { { 1, A }, { 2, B:sub(1, 5) }, { 3, B:sub(6) } }
+  local said = { "good 5 @0", "5 wait", "good 6 in 2,3" }
+  for i, packet in ipairs(packets) do
+    local found = memory:look(facts(packet, {}))
+    lu.assertEquals(in_words(found), said[i])
+    memory:forget(found)
+  end
+  for _, packet in ipairs(packets) do
+    lu.assertEquals(in_words(memory:look(facts(packet, { visited = true }))), "")
+  end
+end
+
 function T.test_one_frame_a_packet_costs_little()
   collectgarbage()
   collectgarbage()

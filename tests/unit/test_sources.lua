@@ -37,8 +37,6 @@ function T.test_the_example()
   lu.assertEquals({ s:name("can1", 0x211), s:name("can1", 0x212) }, { "left_aft", "left_tail" })
   lu.assertEquals({ message_name(s, "can1", 0x210), message_name(s, "can9", 0x211) }, { "motor", "motor" })
   lu.assertNil(message_name(s, nil, 0x212))
-  lu.assertTrue(s:has_name("left_tail"))
-  lu.assertFalse(s:has_name("tail"))
   lu.assertEquals(#s:list(), 4)
 end
 
@@ -108,7 +106,6 @@ function T.test_a_bus_alone_names_every_id()
   lu.assertNil(s:name(nil, 0x7FF))
   local row = s:list()[1]
   lu.assertEquals({ row.bus, row.id or "none", row.name }, { "can0", "none", "left" })
-  lu.assertEquals({ s:has_name("left"), s:has_name("can0") }, { true, false })
 end
 
 function T.test_several_ids_of_which_one_is_known_or_wrong()

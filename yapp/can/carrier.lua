@@ -164,6 +164,7 @@ local function finished(frame, wants, item, payload, status, size)
   m.tvb = false
   m.wanted = wants.yapp
   m.wants_standing = wants.standing
+  m.is_only_pass = wants.is_only_pass
   m.has_columns = wants.columns
   return m
 end

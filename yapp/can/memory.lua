@@ -396,6 +396,12 @@ local function make_small(pass, message, delta)
   return true
 end
 
+-- Nobody will look at these frames again.
+local function forget(entries, message, look)
+  for i = 1, #message do entries[message[i]] = false end
+  entries[look] = false
+end
+
 -- The entry of a frame from what is kept; nil where that is of another id: a read filter rejected
 -- that frame.
 local function recall(self, frame, look)
@@ -437,7 +443,8 @@ Memory.__index = Memory
 function M.new(options)
   local all = passes.new(options.new_history)
   local first = new_reassembly(all.first, options)
-  return setmetatable({ options = options, passes = all, first = first, second = nil }, Memory)
+  -- And second, where there is a second pass.
+  return setmetatable({ options = options, passes = all, first = first }, Memory)
 end
 
 -- Takes a frame, in order: returns its entry.
@@ -516,8 +523,9 @@ function Memory.frames_of(_, frame)
 end
 
 --- What is new in a message (see message.history).
--- m       as History:note takes it, and has_fault = whether it has a fault flag set; gets delta,
---         and is_unsure: whether what came before is not known, as nothing tells the buses
+-- m       as History:note takes it, and has_fault = whether it has a fault flag set, is_only_pass =
+--         whether no frame is looked at again; gets delta, and is_unsure: whether what came before
+--         is not known, as nothing tells the buses
 -- frame   its last, or only, one, as look filled it in
 function Memory.change(_, m, frame)
   local entry, pass = frame.entry, frame.pass
@@ -534,8 +542,11 @@ function Memory.change(_, m, frame)
   end
   local change, delta = pass:note(frame.look, m)
   m.delta = delta or false
-  if entry.status == "good" and make_small(pass, entry, delta) then return change end
-  entry.delta = delta
+  if m.is_only_pass and m.good then
+    forget(pass.entries, entry, frame.look)
+  elseif entry.status ~= "good" or not make_small(pass, entry, delta) then
+    entry.delta = delta
+  end
   return change
 end
 

@@ -176,12 +176,4 @@ function Sources:list()
   return self.rows
 end
 
---- Whether some source has this name.
-function Sources:has_name(name)
-  for _, row in ipairs(self.rows) do
-    if row.name == name then return true end
-  end
-  return false
-end
-
 return M

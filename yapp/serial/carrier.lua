@@ -51,7 +51,7 @@ end
 -- must be one of the document's: what has another ID or size may be somebody else's.
 function Carrier:has_frame(bytes)
   local function accepts(id, size)
-    return (self.reader:size_of(id) or size) == size
+    return self.reader:fits(id, size) ~= false
   end
   for _, event in ipairs(self:framer():feed(bytes)) do
     if event.good and frame.judge(event.bytes, 1, accepts) then return true end
@@ -286,18 +286,26 @@ local function show_columns(self, view, texts)
   end
 end
 
--- Shows what a packet holds; what lies in the packet has no bytes of its own.
--- view  { tvb, pinfo, tree, wants, packet, fact }; gets wanted = whether anyone wants a tree
-local function show(self, view)
-  local packet, wants, texts = view.packet, view.wants, {}
-  view.wanted = wants.yapp or wants.taurus
-  if wants.names and not view.wanted then self.tree:bare(view.tree, wants, true) end
+-- Shows what a packet holds.  A view is what most of the above look at: wanted = whether anyone
+-- wants a tree, and what it is made of here.
+local function show(self, tvb, pinfo, tree, fact, packet)
+  local texts, wants = {}, self.tree:wants(tree, pinfo, fact.visited)
+  local view = {
+    tvb = tvb,
+    pinfo = pinfo,
+    tree = tree,
+    fact = fact,
+    packet = packet,
+    wants = wants,
+    wanted = wants.yapp or wants.taurus,
+  }
+  if wants.names and not view.wanted then self.tree:bare(tree, wants, true) end
   for i, event in ipairs(packet.events) do
-    local tvb, bytes = view.tvb, event.bytes
+    local bytes, of_event = event.bytes, tvb -- what lies in the packet has no bytes of its own
     if bytes and view.wanted then
-      tvb = ByteArray.new(bytes, true):tvb("Reassembled YAPP")
+      of_event = ByteArray.new(bytes, true):tvb("Reassembled YAPP")
     end
-    local text = show_event(self, view, tvb, i)
+    local text = show_event(self, view, of_event, i)
     if i <= MOST_IN_INFO then texts[i] = text end
   end
   if #packet.events > MOST_IN_INFO then
@@ -305,6 +313,7 @@ local function show(self, view)
   end
   if packet.pending > 0 then texts[#texts + 1] = show_pending(self, view) end
   if wants.columns then show_columns(self, view, texts) end
+  if wants.is_only_pass and packet.pass then self.memory:forget(packet) end
 end
 
 -- The capture cut the packet short: this is said at the frame that it cut, where there is one.
@@ -325,16 +334,7 @@ function Carrier:dissect(tvb, pinfo, tree)
   local packet = self.memory:look(fact)
   if not packet then return 0 end
   local is_segment = fact.transport == "segment"
-  if packet.events[1] or not is_segment then
-    show(self, {
-      tvb = tvb,
-      pinfo = pinfo,
-      tree = tree,
-      packet = packet,
-      fact = fact,
-      wants = self.tree:wants(tree, pinfo, fact.visited),
-    })
-  end
+  if packet.events[1] or not is_segment then show(self, tvb, pinfo, tree, fact, packet) end
   if is_segment and packet.done < size then
     pinfo.desegment_offset = packet.done
     pinfo.desegment_len = ONE_MORE_SEGMENT
@@ -349,14 +349,8 @@ end
 function Carrier:skipped(tvb, pinfo, tree)
   local size = tvb:len()
   if size > 0 then
-    show(self, {
-      tvb = tvb,
-      pinfo = pinfo,
-      tree = tree,
-      packet = { events = { { status = "skipped", at = 0, length = size } }, pending = 0 },
-      fact = facts_of(self, tvb, pinfo),
-      wants = self.tree:wants(tree, pinfo, true),
-    })
+    local event = { status = "skipped", at = 0, length = size }
+    show(self, tvb, pinfo, tree, facts_of(self, tvb, pinfo), { events = { event }, pending = 0 })
   end
   return size
 end

@@ -15,6 +15,7 @@ local M = {}
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local min, max, sub = math.min, math.max, string.sub
 local NOTHING = {} -- of a packet that is a frame and no more
+local FORGOTTEN = { events = {}, base = 0, done = 0, pending = 0 }
 
 local Memory = {}
 Memory.__index = Memory
@@ -375,6 +376,12 @@ function Memory.change(_, message, packet, index, fact)
     pass.entries[look] = delta or false
   end
   return change
+end
+
+--- Nobody will look at a packet again: what is kept of it goes.
+-- packet  from look
+function Memory.forget(_, packet)
+  packet.pass.entries[packet.look] = FORGOTTEN
 end
 
 --- How things stand at it, once Memory:change has told.

@@ -48,19 +48,38 @@ end
 local IS_TSHARK = not gui_enabled()
 local NO_COLUMN = "(info)" -- what the API calls it where there are no columns at all
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
+-- COMPAT 4.0: no filter can name a column there.
+local FILTERS_COLUMNS = not get_version():find("^4%.0%.")
+
 -- Where nobody wants a tree.
-local NOTHING = { columns = false, yapp = false, taurus = false, standing = false, names = false }
-local LIST = { columns = true, yapp = false, taurus = false, standing = false, names = false }
+local function without_tree(has_columns, is_only_pass)
+  return {
+    columns = has_columns,
+    is_only_pass = is_only_pass,
+    yapp = false,
+    taurus = false,
+    standing = false,
+    names = false,
+  }
+end
+local LIST = without_tree(true, false) -- of Wireshark
 
 -- What is wanted of a look at a packet.
 local function ask(self, tree, pinfo, is_first)
   local has_columns = not is_first or tostring(pinfo.cols.info) ~= NO_COLUMN
   -- From 4.6 on there is always a tree.
-  if not tree.hidden then return has_columns and LIST or NOTHING end
+  if not tree.hidden then
+    return is_first and without_tree(has_columns, has_columns) or LIST
+  end
+  -- The first pass of two shows no tree; and it has columns only where a filter names one, which
+  -- needs a tree.
+  local is_only_pass = is_first and (tree.visible or
+    has_columns and not (FILTERS_COLUMNS and pcall(all_field_infos)))
   -- The API asks by dissector, and those exist only when loading has ended.
   local taurus = tree:referenced(Dissector.get("taurus"))
   return {
     columns = has_columns,
+    is_only_pass = is_only_pass,
     yapp = tree:referenced(Dissector.get("yapp")),
     taurus = taurus,
     standing = taurus and (not is_first or self.messages:wants_standing(tree)),
@@ -74,9 +93,10 @@ end
 --           those of messages are, standing = whether, of these, what also stands at messages that
 --           change nothing, names = whether, without them, the names of protocols are (see bare),
 --           columns = whether there are columns: tshark has them for a packet list, and not with
---           -V, -q, most of -T or in a first pass of two }.  In tshark this does not change within
---           a first pass, so it is asked once and kept in `wanted`; in Wireshark, and on later
---           looks of sharkd, it may.
+--           -V, -q, most of -T or in a first pass of two; is_only_pass = whether it is sure that
+--           no packet is shown again, so that nothing need be kept: a tenth of a packet list }.  In
+--           tshark this does not change within a first pass, so it is asked once and kept in
+--           `wanted`; in Wireshark, and on later looks of sharkd, it may.
 function Tree:wants(tree, pinfo, is_again)
   if not IS_TSHARK or is_again then return ask(self, tree, pinfo, false) end
   self.wanted = self.wanted or ask(self, tree, pinfo, true)
@@ -202,7 +222,7 @@ end
 
 -- What the Info column says of what changed, and the tree and the expert items of that.
 local function show_change(self, m, top)
-  local change = m.change or NOTHING
+  local change = m.change or {}
   local cleared, info = self.messages:add_change(top or m.item, m, top ~= nil), ""
   if cleared[1] then info = "  cleared " .. table.concat(cleared, ", ") end
   if change.reboot then return info .. "  REBOOT" end

@@ -11,8 +11,8 @@ local char = string.char
 -- COMPAT 5.4: a quotient is a float there, and prints as one.
 local integer = rawget(math, "tointeger") or function(n) return n end
 
--- CAN CTRL
-M.SINGLE, M.START, M.MIDDLE, M.END = 0, 1, 2, 3
+-- CAN CTRL: 0 is a single frame, 2 a Middle.
+M.START, M.END = 1, 3
 M.KINDS = { [0] = "Single", "Start", "Middle", "End" }
 
 -- CAN FD has these lengths above 8: FD_LENGTH[n] is the shortest that holds n bytes.
@@ -30,7 +30,6 @@ local function take_apart(addresses, can_id)
   local ctrl = integer((can_id - can_id % 0x4000) / 0x4000 % 0x10)
   local id = integer((can_id - can_id % 0x40000) / 0x40000)
   local address = {
-    can_id = can_id,
     id = id,
     ctrl = ctrl,
     ctl = ctl,
@@ -45,7 +44,7 @@ local function take_apart(addresses, can_id)
 end
 
 --- A 29-bit CAN id taken apart ("CAN Message IDs"): address[can_id], 0 .. 0x1FFFFFFF, is
---   { can_id, id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, key = what the frames of
+--   { id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, key = what the frames of
 --   a message share, key_bytes = the same as 4 bytes }
 -- Usually the same table for the same id: read only.  A bus has few, a hostile capture any number:
 -- those that nobody holds go with the next collection.
