@@ -26,8 +26,9 @@ set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
 -- made from numbers is none.
 os.setlocale("C", "numeric")
 
--- What the frames of a long capture leave behind is let go of without dawdling: it takes less time
--- and memory.  (COMPAT 5.5: not called so there.)
+-- What the frames of a long capture leave behind is let go of early and without dawdling: it takes
+-- less memory and no more time.  (COMPAT 5.5: not called so there.)
+pcall(collectgarbage, "setpause", 150)
 pcall(collectgarbage, "setstepmul", 1000)
 
 package.path = here .. "?.lua;" .. package.path

@@ -327,7 +327,7 @@ function Carrier:dissect(tvb, pinfo, tree, id, is_wide)
   frame.tree = tree
   if self.has_places then frame.place = offset_of(tvb) end
   if self.asks then
-    local bus, knows_bus = self.buses:of(pinfo)
+    local bus, knows_bus = self.buses:of(pinfo, number)
     frame.bus, frame.knows_bus = bus or false, knows_bus
   end
   local entry = self.memory:look(frame)

@@ -111,7 +111,7 @@ end
 
 -- The bus by the fields of the current packet, and whether it is known.  Where the file had one
 -- source when it was opened, that goes on without a number.
-local function by_fields(self, pinfo)
+local function by_fields(self, number)
   local found = self.found
   local had_one = not (self.is_blf or found.has_several)
   local bus = source_by_fields(found)
@@ -120,25 +120,26 @@ local function by_fields(self, pinfo)
     found.own_name = found.own_name or found.names[bus]
     return nil, true
   end
-  self.kept[pinfo.number] = bus
+  self.kept[number] = bus
   return bus, true
 end
 
 --- Where the current packet was captured.
+-- number   of it, which Wireshark need not be asked for again
 -- returns  its bus, a number; nil where the capture has one, or nothing says; and whether this is
 --          known
-function Buses:of(pinfo)
+function Buses:of(pinfo, number)
   local bus, name = readers.current()
   if bus then
     self.found.names[bus] = name
     return bus, true
   end
   if not self.asks then return nil, true end
-  local number, found = pinfo.number, self.found
+  local found = self.found
   if number > found.count then
     bus = self.kept[number]
     if bus then return bus, true end
-    return by_fields(self, pinfo)
+    return by_fields(self, number)
   end
   if not found.has_several then return nil, true end
   bus = not self.is_shifted and found:bus(number, IN_TSHARK and pinfo.abs_ts or nil)

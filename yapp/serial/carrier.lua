@@ -66,7 +66,7 @@ end
 -- on a UART, whose directions are sources of their own); line, what tells its sources apart, nil
 -- where nothing does; has_address; time.
 local function facts_of(self, tvb, pinfo)
-  local kind = pinfo.port_type
+  local kind, number = pinfo.port_type, pinfo.number
   local is_ip = kind == UDP or kind == TCP
   local address = tostring(pinfo.src)
   local here = ("%s|%d"):format(address, pinfo.src_port)
@@ -75,7 +75,7 @@ local function facts_of(self, tvb, pinfo)
   if is_ip then
     bus_key = here < there and here .. there or there .. here
   else
-    bus, knows_all = self.buses:of(pinfo)
+    bus, knows_all = self.buses:of(pinfo, number)
   end
   if kind == UDP then
     transport = "datagram"
@@ -86,7 +86,7 @@ local function facts_of(self, tvb, pinfo)
   local line = bus and bus_name
   if has_address then line = ("%s:%d"):format(address, pinfo.src_port) end
   return {
-    number = pinfo.number,
+    number = number,
     place = tvb:offset(),
     bytes = tvb:raw(),
     truncated = tvb:reported_len() > tvb:len(),

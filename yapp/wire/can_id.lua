@@ -36,8 +36,6 @@ local function take_apart(addresses, can_id)
     seq = seq,
     key = can_id - ctrl * 0x4000,
     key_bytes = char((id - id % 0x100) / 0x100, id % 0x100, ctl, seq),
-    seed = nil, -- see M.seed
-    seed_size = nil,
   }
   addresses[can_id] = address
   return address
@@ -73,7 +71,8 @@ function M.header(address, size, reserved)
     size_low, (size - size_low) / 0x100, reserved_low, (reserved - reserved_low) / 0x100)
 end
 
---- The register of the CRC behind that header; kept for the next message of the same id and size.
+--- The register of the CRC behind that header; kept for the next message of the same id and size,
+-- in the address: seed, seed_size.
 function M.seed(address, size, reserved)
   if address.seed_size == size and not reserved then return address.seed end
   local seed = crc.of(M.header(address, size, reserved))
