@@ -383,6 +383,17 @@ function T.test_what_was_not_decoded_was_not_checked()
   lu.assertEquals(verdicts("crc=0", { record(3, 2, { fits = false }) })[2], "unknown=0 left false 1 3")
 end
 
+-- On CAN the key of a source is a number, which is no place in a list: thousands of sources.
+function T.test_faults_of_thousands_of_sources()
+  local records, count = {}, 6000
+  for i = 1, count do
+    local source = { key = 2047 + i, bus_key = 1, bus = "can0", id = i % 0x800, message = MOTOR }
+    records[i] = record(i, i, { source = source, change = raised(1, 1, 0) })
+  end
+  local _, faults = run({ "faults,json" }, records):gsub('"event":"active"', "")
+  lu.assertEquals(faults, count)
+end
+
 function T.test_what_cannot_be_judged()
   local function code_of(rules, records, with) return (select(2, verdicts(rules, records, with))) end
   local good = { record(1, 0) }

@@ -15,7 +15,6 @@ local byte, floor = string.byte, math.floor
 -- What a capture's times have; a difference of two of them has a little more or less.
 local NANOSECOND = 1e-9
 local NOTHING = {} -- how things stand before a source's first event
-local HUGE = math.huge
 
 local History = {}
 History.__index = History
@@ -65,7 +64,7 @@ local function new_source(self, look)
     changes = {}, -- numbers of the messages that changed an alarm
     -- Of its message, which stays the same:
     flags = message and flags_of(message) or NOTHING,
-    longest = message and message.every and self.late * message.every + NANOSECOND / 2 or HUGE,
+    longest = message and message.every and self.late * message.every + NANOSECOND / 2 or math.huge,
     answered = nil, -- numbers of its bus's messages that it answers
     own = nil, -- numbers of its own, where others answer them
   }

@@ -32,8 +32,8 @@ end
 local function split(text)
   local parts = {}
   local hidden = text:gsub('"[^"]*"', function(quoted) return (quoted:gsub(",", "\0")) end)
-  for part in hidden:gmatch("[^,]+") do
-    part = trim((part:gsub("\0", ",")))
+  for text_of_part in hidden:gmatch("[^,]+") do
+    local part = trim((text_of_part:gsub("\0", ",")))
     if part ~= "" then parts[#parts + 1] = part end
   end
   return parts

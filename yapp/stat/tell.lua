@@ -235,7 +235,7 @@ function M.kinds(plugin, statistic)
   return setmetatable({
     plugin = plugin,
     statistic = statistic,
-    states = {}, -- a list and, by their keys, those of sources with good messages
+    states = {}, by_key = {}, -- of sources with good messages
     came = {}, -- the sources of which something came that counts
   }, Kinds)
 end
@@ -334,7 +334,7 @@ end
 -- order in which they rose, { field, flag, help, since } each: replaced, never written, as told may
 -- be the same list; told = those that were set at told_by, the latest record that counts.
 local function state_of(self, key)
-  local state = self.states[key]
+  local state = self.by_key[key]
   if not state then
     state = {
       last = nil,
@@ -344,7 +344,7 @@ local function state_of(self, key)
       told_by = { frame = 0 },
       order = #self.states + 1,
     }
-    self.states[key], self.states[state.order] = state, state
+    self.by_key[key], self.states[state.order] = state, state
   end
   return state
 end
