@@ -19,52 +19,55 @@ local TITLES = {}
 for _, row in ipairs(MENU) do
   TITLES[row[1]] = row[2]
 end
-local WIDTH = 80 -- characters in a window as it opens, 620 pixels wide; Lua cannot make it wider
+-- Characters in a window as it opens, 620 pixels wide, beside its scroll bar: Lua cannot make it
+-- wider.
+local WIDTH = 72
 local MOST = 1000 -- frames in a display filter: more make Wireshark slow
 
 local HELP = [[
-YAPP, the packet protocol of Taurus motor controllers, on CAN, CAN FD, UART, TCP
-and UDP.
+YAPP, the packet protocol of Taurus motor controllers, on CAN, CAN FD,
+UART, TCP and UDP.
 
-To see                              display filter
-every message with a fault          taurus.fault.active
-where a fault begins, where it ends taurus.fault.raised || taurus.fault.cleared
-all frames of messages with a fault yapp.message.fault
-a gap; a controller that rebooted   yapp.late || taurus.reboot
-bad CRCs                            yapp.crc.status == 0
-bytes are missing                   yapp.fragment.incomplete
-the Start is missing                yapp.fragment.orphan
-messages that the capture ends in   yapp.unfinished
-commands that are ignored           taurus.command.key.invalid
-sensors not connected, out of range taurus.value.special
-one controller                      yapp.source == "left", or yapp.id == 0x210
+To see                          display filter
+every message with a fault      taurus.fault.active
+where a fault begins            taurus.fault.raised
+where it ends                   taurus.fault.cleared
+all frames of these messages    yapp.message.fault
+a gap; a controller rebooted    yapp.late || taurus.reboot
+bad CRCs                        yapp.crc.status == 0
+bytes are missing               yapp.fragment.incomplete
+the Start is missing            yapp.fragment.orphan
+the capture ends in a message   yapp.unfinished
+commands that are ignored       taurus.command.key.invalid
+no sensor, or out of range      taurus.value.special
+one controller                  yapp.source == "left"
 
 Tools > YAPP
-Summary        of each controller: rate, gaps, losses, ranges of its values
+Summary        of each controller: rate, gaps, losses, its values
 Faults         when each fault rose and fell
-Events         these, reboots, silences, bad CRCs and losses, in the order of
-               time
+Events         these, reboots, silences, bad CRCs, losses, in order
 Compare        the values of all controllers beside each other
 Check          whether all is well, or rules hold:
                fault=0,motor.rate=9,motor.dc_voltage=40..55
 Export tables  a CSV for each message, in a new folder
 
-In a window, Show frames makes a display filter of the frames that stand in it:
-a click on one in the packet list leads to it.  On the command line, without a
-limit to the width, the same is
+In a window, Show frames makes a display filter of the frames that
+stand in it: a click on one in the packet list leads to it.  On the
+command line, without a limit to the width, the same is
 
     tshark -q -r flight.pcapng -z yapp,faults
 
-All of a flight on one time axis, in the browser, makes the program yapp-tables,
-a Python package in the folder tools of this plugin's files:
+All of a flight on one time axis, in the browser, makes the program
+yapp-tables, a Python package in the folder tools of the plugin's files:
 
     pip install "./tools[report]"
     yapp-tables report flight.pcapng -o flight.html
 
 Other IDs than the default, several controllers, names for them:
 Edit > Preferences > Protocols > YAPP.
-Columns, colours, filter buttons and graphs: the profile YAPP, at the right of
-the status bar.  README.md and the folder docs of this plugin's files have more.
+Columns, colours, filter buttons and graphs: the profile YAPP, at the
+right of the status bar.  README.md and the folder docs of this plugin's
+files have more.
 ]]
 
 -- Asks for one line.
