@@ -202,7 +202,7 @@ class Comparison:
 
 def show(capture, path, *arguments):
     """What tshark shows: a dictionary of texts for each frame."""
-    for line in tshark.fields(path, FIELDS, *capture.preferences, *arguments):
+    for line in tshark.fields(path, FIELDS + tshark.tells_remote(), *capture.preferences, *arguments):
         yield dict(zip(FIELDS, line))
 
 

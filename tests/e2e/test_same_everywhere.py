@@ -27,10 +27,6 @@ def remote(can_id, length):
     return Frame(can_id, bytes(length), kind="remote")
 
 
-# From 4.4 on -T fields has no column, and no field that is not named: then nothing tells a remote frame (docs/reading.md).
-REMOTE = () if tshark.version() < (4, 2) else ("can.flags.rtr",)
-
-
 def shown(path, *names, passes=(), named=()):
     rows = tshark.fields(path, [*names, *named], *passes)
     return [row[:len(names)] for row in rows]
@@ -50,7 +46,7 @@ def test_fields_that_are_named_change_nothing(passes, named, folder):
     asks = [remote(0, 7), remote(0, 7)] if "-2" not in passes else [Frame(0x123, bytes(7), kind="standard")] * 2
     frames = [Sent(0, 0, 0, COMMAND).frame(0, COMMAND), *asks, Sent(0, 0, 0, COMMAND).frame(0, COMMAND),
               *Sent(0x210, 0, 0, MOTOR).frames(), *Sent(0x123, 0, 0, MOTOR).frames(), *asks]
-    rows = shown(written(folder, frames), "yapp.id", "yapp.crc.status", passes=passes, named=(*named, *REMOTE))
+    rows = shown(written(folder, frames), "yapp.id", "yapp.crc.status", passes=passes, named=(*named, *tshark.tells_remote()))
     ids = ["0x00000000", "", "", "0x00000000"] + ["0x00000210"] * 5 + ["0x00000123"] * 5 + ["", ""]
     assert [row[0] for row in rows] == ids
     assert [at for at, row in enumerate(rows) if row[1] == "1"] == [8, 13]
@@ -72,7 +68,7 @@ def test_remote_frames_in_a_message_of_zeros(passes, folder):
     """All of it may be remote frames; only the flag tells."""
     zeros = Sent(0x210, 0, 0, bytes(32)).frames()
     frames = [*zeros[:2], remote(zeros[1].can_id, 8), zeros[2], zeros[3], remote(zeros[4].can_id, 8), zeros[4]]
-    rows = shown(written(folder, frames), "yapp.id", "yapp.crc.status", "yapp.fragment", passes=passes, named=REMOTE)
+    rows = shown(written(folder, frames), "yapp.id", "yapp.crc.status", "yapp.fragment", passes=passes, named=tshark.tells_remote())
     assert [at for at, row in enumerate(rows, 1) if not row[0]] == [3, 6]
     assert rows[6][1:] == ["1", "1,2,4,5,7"]
 
@@ -80,7 +76,7 @@ def test_remote_frames_in_a_message_of_zeros(passes, folder):
 @pytest.mark.parametrize("passes", ONE_PASS, ids=" ".join)
 def test_a_remote_frame_is_no_message_to_count_from(passes, folder):
     command = Sent(0, 0, 0, COMMAND).frame(0, COMMAND)
-    rows = shown(written(folder, [command, remote(0, 7), command]), "yapp.time_delta", passes=passes, named=REMOTE)
+    rows = shown(written(folder, [command, remote(0, 7), command]), "yapp.time_delta", passes=passes, named=tshark.tells_remote())
     assert rows == [[""], [""], ["0.002000000"]]
 
 

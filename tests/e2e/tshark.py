@@ -38,6 +38,11 @@ def version():
     return tuple(int(part) for part in first.split("(Wireshark)")[1].split()[0].rstrip(".").split("."))
 
 
+def tells_remote():
+    """The fields to name so that a remote frame is told: from 4.4 on -T fields has no column, and no field that is not named."""
+    return [] if version() < (4, 2) else ["can.flags.rtr"]
+
+
 @functools.lru_cache(None)
 def plugin_version():
     return re.search(r'^local VERSION = "(.*)"', (PLUGIN / "yapp.lua").read_text(), re.MULTILINE)[1]

@@ -258,7 +258,7 @@ def test_check_tables_and_help_in_the_menu(captures):
         for entry in "Compare", "Events", "Summary":  # each row is one line of a window as it opens
             wireshark.wait_for_window("first.pcapng")
             choose(wireshark, entry)
-            assert max(map(len, text_of(wireshark, f"YAPP {entry}").splitlines())) <= 72
+            assert max(map(len, text_of(wireshark, f"YAPP {entry}").splitlines())) <= 73
         wireshark.wait_for_window("first.pcapng")
         choose(wireshark, "Export tables")
         answer(wireshark, "YAPP Export tables", str(captures / "tables"))

@@ -21,7 +21,7 @@ for _, row in ipairs(MENU) do
 end
 -- Characters in a window as it opens, 620 pixels wide, beside its scroll bar: Lua cannot make it
 -- wider.
-local WIDTH = 72
+local WIDTH = 73
 local MOST = 1000 -- frames in a display filter: more make Wireshark slow
 
 local HELP = [[

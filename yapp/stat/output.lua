@@ -135,7 +135,7 @@ end
 
 -- The columns that a line has no room for, in the order in which they go.
 local SPARE = M.words("time help gap_min gap_mean late skipped gap_max_frame unit rel rate " ..
-  "crc_bad invalid reboots message field id bus")
+  "crc_bad invalid reboots count message field id bus")
 
 -- How many places a text takes: characters, not bytes.
 local function width_of(text)
