@@ -177,7 +177,7 @@ class Bus:
         _, size, reserved = struct.unpack("<IHH", frame.data)
         if kind is None and key[2] and key[0] not in self.claimed:
             return False
-        return reserved == 0 and size > 8 and (kind is None or size == SIZES[kind])
+        return reserved == 0 and size > 8  # of a known ID whatever its size: a firmware that grew a field shows
 
     @staticmethod
     def single(verdict, kind, frame):
@@ -251,16 +251,16 @@ class Bus:
 
     @staticmethod
     def without_repeated(key, message):
-        """CAN may deliver a frame twice: leaves out those without which the CRC is right; returns the padding then."""
+        """CAN may deliver a frame twice: leaves out those without which the CRC is right, where the last is not padded."""
         chunks = message.chunks
         runs = runs_of([chunk.data for chunk in chunks[:-1]])
         for count in range(1, sum(len(run) - 1 for run in runs) + 1):
             for shares in shares_of([len(run) - 1 for run in runs], count):
-                # Which frames of a run go makes no difference to its bytes: the first stays.
-                out = {at for run, share in zip(runs, shares) for at in run[1:share + 1]}
+                # Which frames of a run go makes no difference to its bytes: the last ones do.
+                out = {at for run, share in zip(runs, shares) for at in run[len(run) - share:]}
                 needed = message.size - message.received + sum(len(chunks[at].data) for at in out) + len(chunks[-1].data)
                 padding = fits(chunks[-1], needed)
-                if padding is None:
+                if padding != 0:
                     continue
                 kept = [chunk for at, chunk in enumerate(chunks) if at not in out]
                 data = b"".join(chunk.data for chunk in kept)[:message.size]
