@@ -133,7 +133,7 @@ def test_its_filters_are_filters():
 
 def test_the_filters_of_the_help():
     text = (tshark.ROOT / "yapp/stat/menu.lua").read_text()
-    filters = [part for line in re.findall(r"^.{36}((?:yapp|taurus)\..*)$", text, re.M) for part in re.split(r", or ", line)]
+    filters = [part for line in re.findall(r"^.{32}((?:yapp|taurus)\..*)$", text, re.M) for part in re.split(r", or ", line)]
     assert len(filters) >= 9
     tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
 
