@@ -251,16 +251,16 @@ class Bus:
 
     @staticmethod
     def without_repeated(key, message):
-        """CAN may deliver a frame twice: leaves out those without which the CRC is right, where the last is not padded."""
+        """CAN may deliver a frame twice: leaves out those without which the CRC is right; returns the padding then."""
         chunks = message.chunks
         runs = runs_of([chunk.data for chunk in chunks[:-1]])
         for count in range(1, sum(len(run) - 1 for run in runs) + 1):
             for shares in shares_of([len(run) - 1 for run in runs], count):
-                # Which frames of a run go makes no difference to its bytes: the last ones do.
-                out = {at for run, share in zip(runs, shares) for at in run[len(run) - share:]}
+                # Which frames of a run go makes no difference to its bytes: the first stays.
+                out = {at for run, share in zip(runs, shares) for at in run[1:share + 1]}
                 needed = message.size - message.received + sum(len(chunks[at].data) for at in out) + len(chunks[-1].data)
                 padding = fits(chunks[-1], needed)
-                if padding != 0:
+                if padding is None:
                     continue
                 kept = [chunk for at, chunk in enumerate(chunks) if at not in out]
                 data = b"".join(chunk.data for chunk in kept)[:message.size]

@@ -260,7 +260,7 @@ local function leave_out(self, message, excess, look)
       self:finish(message, concat(chunks, "", 1, at - count) .. concat(chunks, "", at + 1), look)
       if message.status == "good" then
         for _ = 1, count do
-          self:fault(table.remove(message, at - count + 2), "fragment.duplicate",
+          self:fault(table.remove(message, first + 2), "fragment.duplicate",
             "The frame before it once more: the CRC says that the message has one of them")
         end
         return true
