@@ -96,7 +96,10 @@ class Comparison:
         self.several = capture.layout in can_generator.SEVERAL_BUSES
         self.guessed = self.unknowable() if two_passes else set()
         self.rows = {int(row["frame.number"]): row for row in rows}
-        # With a read filter the frames that are left have numbers of their own.
+        # With a read filter the frames that are left have numbers of their own, which are not the file's: so the bus is
+        # not told, and messages of 400 bytes may lie among each other, which no search finds.
+        self.may_miss = bool(self.several and frames)
+        self.strict = capture.layout not in can_generator.MERGED and not self.may_miss
         self.old_number = dict(enumerate(frames or sorted(capture.verdicts), 1))
         self.new_number = {old: new for new, old in self.old_number.items()}
 
@@ -113,11 +116,10 @@ class Comparison:
                 frame.can_id & 0xFF and not can_generator.kind_of(frame.can_id >> 18)}
 
     def run(self):
-        strict = self.capture.layout not in can_generator.MERGED
         used = set()
         for number, new in self.new_number.items():
             verdict, row = self.capture.verdicts[number], self.rows.get(new, collections.defaultdict(str))
-            if strict and not (self.capture.layout in can_generator.ONE_BUS and verdict.blurred):
+            if self.strict and not (self.capture.layout in can_generator.ONE_BUS and verdict.blurred):
                 self.strictly(number, verdict, row)
             else:
                 self.merged(number, verdict, row, used)
@@ -184,7 +186,7 @@ class Comparison:
     def merged(self, number, verdict, row, used):
         """The bus is not told, or a message that was cut off may still be open: what is good is certain."""
         if row["yapp.crc.status"] != "1":
-            if verdict.status == 1 and self.capture.asked_for(verdict.members) and (
+            if verdict.status == 1 and not self.may_miss and self.capture.asked_for(verdict.members) and (
                     STRANGERS or self.capture.calm(verdict.members)):
                 self.expect(number, "CRC status", "1", row["yapp.crc.status"])
             return
@@ -267,9 +269,11 @@ def test_filters(layout, folder):
     # the search among their messages may cost grows with the frames that come.)
     if layout in can_generator.MERGED:
         can_generator.write(path, capture.frames[:1500], layout)
-    left, all_of_them = (good_messages(capture, path, "-2", option, "yapp") for option in ("-R", "-Y"))
-    # The numbers of the frames that are left are no longer the file's, which is what tells the buses.
-    assert left <= all_of_them if layout in can_generator.SEVERAL_BUSES else left == all_of_them
+    if layout in can_generator.SEVERAL_BUSES:
+        numbers = [int(row["frame.number"]) for row in show(capture, path, "-Y", "yapp")]
+        compare(seed, layout, wide, capture, path, "-2", "-R", "yapp", frames=numbers)
+    else:
+        assert good_messages(capture, path, "-2", "-R", "yapp") == good_messages(capture, path, "-2", "-Y", "yapp")
 
 
 @pytest.mark.parametrize("layout", levels.few(can_generator.LAYOUTS, ["merged interface"]))

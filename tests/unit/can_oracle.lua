@@ -42,20 +42,22 @@ local function padding(frame, needed)
   end
 end
 
--- Frames that came twice: a run of frames alike, of which some fewer are the message.
+-- Frames that came twice: a run of frames alike, of which some fewer are the message; the first
+-- ones stay.
+-- needed   bytes of the last frame if none came twice
 -- returns  { [place] = true } of those too many
-local function repeated(message, excess)
+local function repeated(message, frame, needed)
   local chunks, at = message.chunks, 1
   while at < #chunks do
     local first = at
     while at + 1 < #chunks and chunks[at + 1] == chunks[first] do at = at + 1 end
-    local count = excess / #chunks[first]
-    if count == math.floor(count) and count >= 1 and count <= at - first then
+    for count = 1, at - first do
       local rest, out = {}, {}
       for i, chunk in ipairs(chunks) do
-        if i > at - count and i <= at then out[i] = true else rest[#rest + 1] = chunk end
+        if i > first and i <= first + count then out[i] = true else rest[#rest + 1] = chunk end
       end
-      if is_good(message, table.concat(rest)) then return out end
+      if padding(frame, needed + count * #chunks[first]) and
+        is_good(message, table.concat(rest):sub(1, message.size)) then return out end
     end
     at = at + 1
   end
@@ -72,7 +74,7 @@ local function finish(verdicts, message, frame, say)
     return say(at, status)
   end
   local excess = message.received - message.size
-  local out = excess > 0 and not message.is_cut and repeated(message, excess)
+  local out = excess > 0 and not message.is_cut and repeated(message, frame, needed)
   if not out then
     return say(at, excess < 0 and "short" or "overrun",
       excess < 0 and "fragment.incomplete" or "fragment.overrun")

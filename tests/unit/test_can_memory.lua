@@ -156,6 +156,13 @@ function T.test_a_frame_delivered_twice()
       -- one lost, one twice: as long as it should be
       { "S32 M8 M8 M8= E8", "part part part part bad" },
     }, { ids = MOTOR, buses = is_told })
+    check({ -- CAN FD, whose last frame has padding
+      { "S41 M16 M16 M16= E9p12", "part part part part+fragment.duplicate good" },
+      { "S57 M16 M16= M16= M16 M16 E9p12",
+        "part part part+fragment.duplicate part+fragment.duplicate part part good" },
+      { "S37 M12 M12= M12 E13p16", "part part part+fragment.duplicate part good" },
+      { "S37 M12 M12= M12 E13p20", "part part part part overrun+fragment.overrun" },
+    }, { buses = is_told })
   end
 end
 

@@ -157,6 +157,26 @@ function T.test_mixed_at_random()
   lu.assertEquals(good, sent)
 end
 
+-- Frames that are lost on either bus do not cost what comes a dozen messages later.
+function T.test_messages_are_found_again_after_broken_ones()
+  local message = { "S32", "M8", "M8", "M8", "E8" }
+  for seed = 1, 10 do
+    local random, list, sent, whole = stream_generator.random(seed), {}, { 0, 0 }, nil
+    while sent[1] + sent[2] < 1000 do
+      local bus = math.abs(sent[1] - sent[2]) > 5 and (sent[1] > sent[2] and 2 or 1) or random(2)
+      if sent[bus] >= 300 or random(10) > 1 then
+        list[#list + 1] = ("_ab"):sub(bus + 1, bus + 1) .. message[sent[bus] % 5 + 1]
+      end
+      sent[bus] = sent[bus] + 1
+      if sent[1] + sent[2] == 680 then whole = #list end
+    end
+    local _, known, frames = words.send(table.concat(list, " "))
+    for i = whole, #frames do
+      if list[i]:find("E") then lu.assertEquals(words.look(known, frames[i], true), "good", seed) end
+    end
+  end
+end
+
 -- Two messages of many small frames, mixed, that fit nothing: the worst that the search can meet.
 function T.test_the_effort_is_bounded()
   local crc = require("yapp.wire.crc")

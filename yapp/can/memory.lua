@@ -246,26 +246,32 @@ end
 -- CAN may deliver a frame twice (its sender did not see the acknowledgement): where a message is
 -- too long by frames of one run of frames alike, and its CRC is good without them, they are left
 -- out.
--- excess   bytes too many; look: of the last frame
+-- frame    the last one; needed: the bytes that it should have, with nothing left out
 -- returns  whether it is so: then the message is ended
-local function leave_out(self, message, excess, look)
+local function leave_out(self, message, frame, needed, look)
   local chunks, at, runs = message.chunks, 1, 0
   while at < #chunks and runs < MAX_RUNS do
     local first = at
     -- an End is sent once
     while at + 1 < #chunks and chunks[at + 1] == chunks[first] do at = at + 1 end
-    local count = excess / #chunks[first]
-    if count % 1 == 0 and count <= at - first then
-      runs = runs + 1
-      self:finish(message, concat(chunks, "", 1, at - count) .. concat(chunks, "", at + 1), look)
-      if message.status == "good" then
-        for _ = 1, count do
-          self:fault(table.remove(message, first + 2), "fragment.duplicate",
-            "The frame before it once more: the CRC says that the message has one of them")
+    for count = 1, at - first do
+      needed = needed + #chunks[first]
+      local padding = can_id.padding(frame.data, frame.reported, needed)
+      if padding then
+        runs = runs + 1
+        local rest = concat(chunks, "", at + 1, #chunks - 1) .. frame.data:sub(1, needed)
+        self:finish(message, concat(chunks, "", 1, at - count) .. rest, look)
+        if message.status == "good" then
+          if padding > 0 then message.padding = padding end
+          for _ = 1, count do
+            self:fault(table.remove(message, first + 2), "fragment.duplicate",
+              "The frame before it once more: the CRC says that the message has one of them")
+          end
+          return true
         end
-        return true
       end
     end
+    needed = needed - (at - first) * #chunks[first]
     at = at + 1
   end
   return false
@@ -273,16 +279,16 @@ end
 
 -- The End of a message that has not as many bytes as its size says.
 local function finish_unusual(self, message, frame, look)
-  local chunks, excess = message.chunks, message.received - message.size
-  local needed = frame.reported - excess
+  local chunks = message.chunks
+  local needed = frame.reported + message.size - message.received
   local padding = can_id.padding(frame.data, frame.reported, needed)
   if padding then
     message.padding = padding
     chunks[#chunks] = frame.data:sub(1, needed)
     return self:finish(message, concat(chunks), look, message.is_cut and "unverified" or nil)
   end
-  local is_repeated = excess > 0 and (message.repeated or 0) >= excess and not message.is_cut
-  if is_repeated and leave_out(self, message, excess, look) then return end
+  local may_repeat = message.repeated and not message.is_cut
+  if may_repeat and leave_out(self, message, frame, needed, look) then return end
   self:finish(message, concat(chunks), look, self:misfit(message, message.received, look))
   message.calculated = nil
 end

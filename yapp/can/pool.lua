@@ -3,8 +3,8 @@
 --
 -- A Start that comes while a message with the same key is open may cut it off, or come from another
 -- bus.  From then on the frames of that key are pooled, and an End looks for the frames that, with
---       it, make up one of the open messages: its size
--- and its CRC decide.  Every frame that comes brings some credit, which bounds the search.
+-- it, make up one of the open messages: its size and its CRC decide.  Every frame that comes brings
+-- some credit, which bounds the search.
 --
 -- A frame in the pool has look, data, length (on the bus), is_end, and is_taken once a good message
 -- has it.
@@ -104,7 +104,7 @@ local function search(self, goal, at, register, needed)
   while at <= last do
     local frame = frames[at]
     self.credit = self.credit - 1
-    if self.credit < 0 then return false end
+    if self.credit < self.reserve then return false end
     -- What the capture cut proves nothing.
     local data, length = frame.data, frame.length
     local is_whole = #data == length
@@ -157,6 +157,8 @@ local function find_whole(self)
   local places, padding = all_since_start(self, newest, seed_of(newest))
   if places then return #messages, places, padding end
   for i, message in ipairs(messages) do
+    -- The oldest is broken as a rule, and searched among most frames: each may use its share.
+    self.reserve = self.credit * (1 - 1 / (#messages - i + 1))
     local goal = { crc = message.crc, places = {} }
     if search(self, goal, message.from, seed_of(message), message.size) then
       return i, goal.places, goal.padding
