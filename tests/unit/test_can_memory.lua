@@ -206,7 +206,7 @@ function T.test_random_frames()
       local entry = record.entry
       if entry and entry.last == record.look then
         lu.assertEquals(entry.payload, first[at][3])
-        for _, number in ipairs(known:frames_of(record)) do
+        for _, number in ipairs(record.pass:numbers(record.entry)) do
           lu.assertEquals((known:outcome(select(2, words.look(known, frames[number], true)))), at)
         end
       end
@@ -271,7 +271,7 @@ local function looks(known, rows, is_again)
       number = row[1], place = row[3] }, is_again)
     local leads_to = record.entry and text == "part" and known:outcome(record)
     list[i] = leads_to and text .. ">" .. leads_to or
-      text == "good" and text .. ":" .. table.concat(known:frames_of(record), ",") or text
+      text == "good" and text .. ":" .. table.concat(record.pass:numbers(record.entry), ",") or text
   end
   return table.concat(list, " ")
 end
@@ -330,7 +330,7 @@ function T.test_a_message_that_is_recalled()
     words.looks(known, frames)
     local _, record = words.look(known, frames[#frames], true)
     local message, fragments = record.entry, {}
-    for i, number in ipairs(known:frames_of(record)) do fragments[i] = frames[number].data end
+    for i, number in ipairs(record.pass:numbers(record.entry)) do fragments[i] = frames[number].data end
     lu.assertEquals(table.concat(fragments, "", 2):sub(1, message.size), message.payload)
     lu.assertEquals({ message.address.id, message.address.seq, #message.payload, message.status },
       { id, 9, message.size, "good" })

@@ -92,7 +92,7 @@ function T.test_later_looks()
   for last, numbers in pairs(members) do
     for _, number in ipairs(numbers) do
       local _, record = words.look(known, frames[number], true)
-      lu.assertEquals({ known:outcome(record), known:frames_of(record) }, { last, numbers })
+      lu.assertEquals({ known:outcome(record), record.pass:numbers(record.entry) }, { last, numbers })
     end
   end
 end
@@ -142,7 +142,7 @@ function T.test_mixed_at_random()
       if text == "good" then
         lu.assertTrue(truth[record.entry.payload])
         local data = {}
-        for i, number in ipairs(known:frames_of(record)) do
+        for i, number in ipairs(record.pass:numbers(record.entry)) do
           lu.assertNil(taken[number])
           taken[number], data[i] = true, frames[number].data
         end

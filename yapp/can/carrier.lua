@@ -120,7 +120,7 @@ end
 -- What is put together in a message's last frame.
 local function add_message(self, frame, item, tvb)
   local builder, entry, data = self.tree, frame.entry, frame.data
-  local numbers = self.memory:frames_of(frame)
+  local numbers = frame.pass:numbers(frame.entry)
   builder:generated(item, "reassembled.in", frame.number)
   append_text(builder:generated(item, "size", entry.size), " bytes")
   builder:generated(item, "reserved", entry.reserved or 0)

@@ -287,8 +287,8 @@ local function finish_unusual(self, message, frame, look)
     chunks[#chunks] = frame.data:sub(1, needed)
     return self:finish(message, concat(chunks), look, message.is_cut and "unverified" or nil)
   end
-  local may_repeat = message.repeated and not message.is_cut
-  if may_repeat and leave_out(self, message, frame, needed, look) then return end
+  if message.repeated and not message.is_cut and
+    leave_out(self, message, frame, needed, look) then return end
   self:finish(message, concat(chunks), look, self:misfit(message, message.received, look))
   message.calculated = nil
 end
@@ -453,16 +453,6 @@ function M.new(options)
   return setmetatable({ options = options, passes = all, first = first }, Memory)
 end
 
--- Takes a frame, in order: returns its entry.
-local function take(reassembly, frame, look)
-  local address, bus = frame.address, frame.bus
-  local slot = address.key
-  if bus then slot = slot + bus * BUS end
-  local entry = TAKERS[address.ctrl](reassembly, slot, frame, look)
-  if entry then reassembly.entries[look] = entry end
-  return entry
-end
-
 -- Which reassembly a frame belongs to that is looked at again, its look, and whether it is taken
 -- now; nil where none had it.
 local function find(self, frame)
@@ -493,7 +483,10 @@ function Memory:look(frame)
   end
   if is_now then
     if not frame.knows_bus then reassembly.pass.is_partial = true end
-    entry = take(reassembly, frame, look)
+    local address, bus = frame.address, frame.bus
+    local slot = bus and address.key + bus * BUS or address.key
+    entry = TAKERS[address.ctrl](reassembly, slot, frame, look)
+    if entry then reassembly.entries[look] = entry end
   else
     entry = recall(reassembly, frame, look)
   end
@@ -519,13 +512,6 @@ function Memory:outcome(frame)
   if message.last then return frame.pass:number(message.last) end
   local is_open = self.passes.is_again and not message.status and not message.overtaken
   return nil, is_open and message[#message] == frame.look
-end
-
---- The numbers of the frames of a message, in order; without those that a read filter rejected.
-function Memory.frames_of(_, frame)
-  local numbers = {}
-  for _, look in ipairs(frame.entry) do numbers[#numbers + 1] = frame.pass:number(look) end
-  return numbers
 end
 
 --- What is new in a message (see message.history).

@@ -47,8 +47,8 @@ function Pool:newest()
   return self.messages[#self.messages]
 end
 
--- The places of the frames since a message's Start that nobody else took, as they came; and their
--- bytes.
+-- How many bytes came since a message's Start that nobody else took; and the places of their
+-- frames.
 local function leftovers(self, message)
   local places, length = {}, 0
   for i = message.from, #self.frames do
@@ -58,13 +58,12 @@ local function leftovers(self, message)
       length = length + frame.length
     end
   end
-  return places, length
+  return length, places
 end
 
 --- How many bytes have come since the newest Start.
 function Pool:received()
-  local _, length = leftovers(self, self:newest())
-  return length
+  return (leftovers(self, self:newest()))
 end
 
 --- A Start came: the open messages are overtaken, and too old ones given up.
@@ -129,7 +128,7 @@ end
 -- by their number.
 local function all_since_start(self, message, seed)
   local frames = self.frames
-  local places, length = leftovers(self, message)
+  local length, places = leftovers(self, message)
   local last = frames[#frames]
   local padding = can_id.padding(last.data, last.length, message.size - length + last.length)
   if not padding then return nil end
@@ -202,7 +201,7 @@ end
 -- another bus's, so where others are open that message stays for what may come.
 local function end_newest(self, look)
   local message = self:newest()
-  local places, length = leftovers(self, message)
+  local length, places = leftovers(self, message)
   local last, ended = self.frames[#self.frames], message
   if #self.messages == 1 then
     self.messages = {}

@@ -100,6 +100,13 @@ function Pass:number(look)
   end
 end
 
+--- The numbers of the frames of these looks, without those that a read filter rejected.
+function Pass:numbers(looks)
+  local numbers = {}
+  for _, look in ipairs(looks) do numbers[#numbers + 1] = self:number(look) end
+  return numbers
+end
+
 --- Takes a message into the history, in order.
 -- look     of the frame that ends it
 -- message  as History:note takes it; gets number, its look

@@ -228,13 +228,6 @@ end
 
 -- What a packet holds -----------------------------------------------------------------------------
 
--- The numbers of the packets of some looks, but for those that a read filter rejected.
-local function numbers_of(pass, looks)
-  local numbers = {}
-  for _, look in ipairs(looks) do numbers[#numbers + 1] = pass:number(look) end
-  return numbers
-end
-
 -- A frame as it is told.
 -- bytes, from  string with it, and where it begins there; length: of it
 local function told_frame(event, status, bytes, from, length)
@@ -275,7 +268,7 @@ local function told(pass, event, piece, fact)
     result = told_frame(event, status, bytes, from, length)
   end
   if is_earlier then result.bytes = event.bytes else result.at = at end
-  if parts then result.parts, result.count = numbers_of(pass, parts), #parts end
+  if parts then result.parts, result.count = pass:numbers(parts), #parts end
   return result
 end
 
