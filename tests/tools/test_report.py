@@ -231,10 +231,12 @@ def pixel(browser, x, y):
 
 
 def test_nothing_lies_over_the_first_picture(example_browser):
-    example_browser.execute_script("scrollTo(0, 0)")
     x, y = example_browser.execute_script(
-        """const {x, y, width, height} = document.querySelector("#plot .barlayer path").getBoundingClientRect();
-        return [x + width / 2, y + height - 4]"""
+        """const bar = document.querySelector("#plot .barlayer path");
+        scrollTo(0, 0);
+        if (bar.getBoundingClientRect().bottom > innerHeight) bar.scrollIntoView({block: "center"});
+        const {x, y, width, height} = bar.getBoundingClientRect();
+        return [x + width / 2 + scrollX, y + height - 4 + scrollY]"""
     )
     assert pixel(example_browser, round(x), round(y)) == (0xE8, 0x59, 0x0C)
 
