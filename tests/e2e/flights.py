@@ -14,11 +14,9 @@ read from a capture.  What could be read in two ways is not planted: between two
 import collections
 import dataclasses
 import random
-import re
 import struct
 
 import model
-import tshark
 from can_generator import END, LONG_BLOCK, MIDDLE, SINGLE, START, Frame, Sent, message_crc
 
 SECOND = 1_000_000_000
@@ -27,8 +25,6 @@ LATE = 2.5
 FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
 KIND = {name: ident for ident, (name, _, _) in model.MESSAGES.items()}
 FORMS = ["pcapng", "sll2", "candump"]
-# Whether the catalogue says that the state Faulted is a fault.
-FAULTED = 0x20 if re.search('"faulted", 0x20.*alarm = true', (tshark.PLUGIN / "taurus_fields.lua").read_text()) else 0
 LATE_PCAPNG = "late pcapng"  # the interfaces but the first one behind what the plugin looks at when it opens a file
 
 
@@ -281,7 +277,7 @@ def every_alarm():
     undefined_bits = [1 << place for place in range(32) if 1 << place not in model.FAULT]
     return [("fault_flags", name) for name in model.FAULT.values()] + \
         [("fault_flags", f"undefined_{bit:#x}") for bit in undefined_bits] + \
-        ([("motor_state", "faulted")] if FAULTED else [])
+        [("motor_state", "faulted")]
 
 
 def alarms(payload):
@@ -289,7 +285,7 @@ def alarms(payload):
     faults = struct.unpack_from("<I", payload, 18)[0]
     found = {("fault_flags", model.FAULT.get(1 << place, f"undefined_{1 << place:#x}"))
              for place in range(32) if faults >> place & 1}
-    return found | ({("motor_state", "faulted")} if payload[30] & FAULTED else set())
+    return found | ({("motor_state", "faulted")} if payload[30] & model.FAULTED else set())
 
 
 def undefined(sender, payload):

@@ -48,6 +48,7 @@ STATUS = {
     0x4000_0000: "mpos_update",
 }
 STATE = {0x1: "ready", 0x2: "running", 0x4: "stopped", 0x8: "overmodulated", 0x10: "saturated", 0x20: "faulted"}
+FAULTED = 0x20  # is a fault, as each bit of the fault flags
 HEALTH_STATUS = {0x1: "regeneration_enabled", 0x2: "reversed", 0x4: "precharging"}
 
 TEMPERATURE, CURRENT, PERCENT, RIPPLE = (-40, 210, "°C"), (-128, 128, "A"), (0, 100, "%"), (0, 12.5, "V")

@@ -17,7 +17,6 @@ import model
 import tshark
 
 SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", levels.size(3, 4))) + 1)
-FAULTED = 0x20  # of Motor State
 EXPERTS = ["yapp.late", "taurus.reboot", "taurus.stale", "taurus.fault.raised", "taurus.fault.cleared"]
 FLAGS = [f"taurus.motor.{group}.{way}" for group in ("fault", "status", "state") for way in ("raised", "cleared")]
 LINKS = ["taurus.motor.command_in", "taurus.motor.fault.previous_change", "taurus.motor.fault.next_change"]
@@ -70,7 +69,7 @@ class Truth:
     @staticmethod
     def alarms(payload):
         """All bits that are faults: the fault flags, and behind them the state Faulted."""
-        return struct.unpack_from("<I", payload, 18)[0] | (payload[30] & FAULTED) << 32
+        return struct.unpack_from("<I", payload, 18)[0] | (payload[30] & model.FAULTED) << 32
 
     def has_fault(self, message):
         return message.sender.kind == "motor" and self.alarms(message.payload) != 0
@@ -111,7 +110,7 @@ class Truth:
         last = message.frames[-1]
         for group, offset, shape in ("status", 14, "I"), ("fault", 18, "I"), ("state", 30, "B"):
             now = struct.unpack_from("<" + shape, message.payload, offset)[0]
-            unknown = {"fault": 0, "status": now, "state": now & ~FAULTED}[group]  # in a first message faults are raised
+            unknown = {"fault": 0, "status": now, "state": now & ~model.FAULTED}[group]  # in a first message faults are raised
             old = struct.unpack_from("<" + shape, before.payload, offset)[0] if before else unknown
             shown[f"taurus.motor.{group}.raised"], shown[f"taurus.motor.{group}.cleared"] = now & ~old, old & ~now
         self.faults(last, self.alarms(message.payload), self.alarms(before.payload) if before else 0, state, shown)

@@ -12,7 +12,7 @@ import make
 import stream_captures
 import tshark
 from can_generator import END, LONG_BLOCK, START, Frame, Sent, message_crc
-from flights import FAULTED, block, option, pad, struct
+from flights import block, option, pad, struct
 
 RECIPE = next(line.strip() for line in (tshark.ROOT / "docs/statistics.md").read_text().splitlines()
               if line.startswith("    tshark -q -r run.pcapng"))
@@ -176,7 +176,6 @@ def test_other_ids_that_are_numbered(folder):
     assert gate(folder, pcapng(flight(OTHER, seq=1)))[0] in (20, 21)
 
 
-@pytest.mark.skipif(not FAULTED, reason="the catalogue has no such fault")
 def test_a_state_is_faulted_though_no_fault_flag_is_set(folder):
     returned, output, _ = gate(folder, pcapng(flight(spoil=only_at(9, with_payload(9, state=0x20)))))
     assert returned == 20 and "FAILED  fault=0" in output
