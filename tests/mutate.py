@@ -6,8 +6,7 @@
     mutate.py --each 5 yapp/wire/crc.lua   in one
 
 A fault is another operator, another constant, a condition the other way round or a line left out; what does not compile is
-none.  Those unit tests run that name the module, and the quick ones of the others that load it, in Lua 5.4 and 5.2, in a copy
-of the tree.  A mutant that no test fails on is shown with its line before and after; one that cannot be told from the module
+none.  The unit tests that load the module run, those that name it first, in Lua 5.4 and 5.2, in a copy of the tree.  A mutant that no test fails on is shown with its line before and after; one that cannot be told from the module
 stands in tests/equivalent_mutants.txt with the reason.
 """
 import argparse
@@ -35,7 +34,6 @@ ENDS = {"if": "then", "elseif": "then", "while": "do"}
 # A line that is no statement of its own, or without which a local variable is nil: the first test sees that.
 NO_STATEMENT = re.compile(r"\s*(?:$|--|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|[\])}{]|.*[,({]\s*$)")
 MEMORY = 2 * 2**30
-QUICK = 0.4  # CPU seconds of a file of tests
 
 
 def lua(*arguments, folder=ROOT):
@@ -140,11 +138,10 @@ def main():
     equivalent = {tuple(line.split("\t")[:3]) for line in (ROOT / "tests/equivalent_mutants.txt").read_text().splitlines()}
 
     def tests_of(path):
-        """Those that name the module, then the quick ones that load it; all that load it if there are no others."""
+        """Those that load the module: first those that name it, the quick ones first."""
         name = ".".join(path.with_suffix("").parts)
-        loading = sorted((test for test in TESTS if path in loads[test]), key=seconds.get)
-        naming = [test for test in loading if f'"{name}"' in (ROOT / test).read_text()]
-        return naming + [test for test in loading if test not in naming and seconds[test] < QUICK] or loading
+        return sorted((test for test in TESTS if path in loads[test]),
+                      key=lambda test: (f'"{name}"' not in (ROOT / test).read_text(), seconds[test]))
 
     score, start = {}, time.monotonic()
     with tempfile.TemporaryDirectory(prefix="yapp-mutants-") as folder, \
