@@ -93,6 +93,7 @@ function T.test_later_looks()
     for _, number in ipairs(numbers) do
       local _, record = words.look(known, frames[number], true)
       lu.assertEquals({ known:outcome(record), known:frames_of(record) }, { last, numbers })
+      lu.assertNil(record.entry.padding)
     end
   end
 end

@@ -134,6 +134,14 @@ can"1  0x210          Motor Data  volts  V      10    10   10      1
   lu.assertEquals(run({ "summary" }, {}), "YAPP summary: 0 sources in 0.000 s\n")
 end
 
+-- What rests on what came before a message cannot be told where that is not known.
+function T.test_what_rests_on_what_came_before()
+  local records = { record(1, 0), record(2, 0.1, { is_unsure = true }) }
+  for what, expected in pairs { summary = 21, faults = 21, events = 21, compare = 0, ["csv,-,motor"] = 0 } do
+    lu.assertEquals(select(2, run({ what }, records)), expected, what)
+  end
+end
+
 -- faults and events ---------------------------------------------------------------------------------------------
 
 local FAULTY = {
@@ -394,6 +402,23 @@ function T.test_faults_of_thousands_of_sources()
   lu.assertEquals(faults, count)
 end
 
+-- A packet of a stream has messages of several sources: what is active at its end is in their order.
+function T.test_faults_that_are_active_in_one_packet()
+  local records, expected = {}, {}
+  for i = 1, 20 do
+    local source = { key = i, bus_key = 1, bus = "can0", id = 100 - i, message = MOTOR }
+    records[i] = record(7, 1, { source = source, change = raised(1, 1) })
+    expected[i] = 100 - i
+  end
+  local active = {}
+  for _, line in ipairs(lines((run({ "faults,json" }, records)))) do
+    if line:find('"event":"active"', 1, true) then
+      active[#active + 1] = tonumber(line:match('"id":(%d+)'))
+    end
+  end
+  lu.assertEquals(active, expected)
+end
+
 function T.test_what_cannot_be_judged()
   local function code_of(rules, records, with) return (select(2, verdicts(rules, records, with))) end
   local good = { record(1, 0) }
@@ -435,6 +460,12 @@ ok          motor.gap=1         can0  0x210  left    Motor Data      2   0.5
 NOT JUDGED  note.count=1                                                             nothing to judge it by
 ok          unknown=0                                                      0
 ]])
+end
+
+function T.test_check_in_json()
+  lu.assertEquals(run({ "check,json,motor.volts=20..30,unknown=0" }, { record(1, 0) }), '{"ok":false,"rule":"motor.volts=20..30",' ..
+    '"bus":"can0","id":528,"source":"left","message":"motor","frame":1,"seen":1,"limit":"20..30","worst":10}\n' ..
+    '{"ok":true,"rule":"unknown=0","bus":null,"id":null,"source":null,"message":null,"frame":null,"seen":0,"limit":0,"worst":null}\n')
 end
 
 function T.test_a_report_for_ci()
@@ -569,6 +600,18 @@ volts  V     left          10  73.6667  200     188       0.350000      5
              can"1 0x210   12    105.5  199
 ]])
   lu.assertEquals(run({ "compare" }, { record(1, 0) }), "YAPP compare: no message has several sources\n")
+end
+
+-- A table for each message, by ID, an empty line between.
+function T.test_compare_of_several_messages()
+  local records = {}
+  for i, source in ipairs { LEFT, RIGHT, { key = "h", bus_key = 1, bus = "can0", id = 0x200, message = HEALTH },
+    { key = "i", bus_key = 2, bus = "can1", id = 0x200, message = HEALTH } } do
+    records[i] = record(i, i / 10, { source = source, payload = source.message == HEALTH and ("\0"):rep(8) or nil })
+  end
+  local titles = {}
+  for part in (run({ "compare" }, records) .. "\n"):gmatch("(.-)\n\n") do titles[#titles + 1] = part:match("^YAPP.*") end
+  lu.assertEquals(titles, { "YAPP compare: 2 sources of Health", "YAPP compare: 2 sources of Motor Data" })
 end
 
 -- One reboot of a controller, which two of its messages tell.
