@@ -36,6 +36,8 @@ local LEFT = { key = "a", bus_key = 1, bus = "can0", name = "left", id = 0x210, 
 local RIGHT = { key = "b", bus_key = 2, bus = 'can"1', id = 0x210, message = MOTOR }
 local ODD = { key = "c", bus_key = 1, bus = "can0", id = 0x300 }
 
+local NAMED_RIGHT = { { id = 0x210, bus = 'can"9', name = "right", message = MOTOR } }
+
 -- A good message of 10 V; with: what is otherwise.
 local function record(frame, rel, with)
   local one = { kind = "message", frame = frame, rel = rel, source = LEFT, seq = 0, payload = payload(10),
@@ -140,6 +142,17 @@ function T.test_what_rests_on_what_came_before()
   for what, expected in pairs { summary = 21, faults = 21, events = 21, compare = 0, ["csv,-,motor"] = 0 } do
     lu.assertEquals(select(2, run({ what }, records)), expected, what)
   end
+end
+
+-- By bus in the order in which these came, then by ID.  Of the longest gaps the first one is told.
+function T.test_the_order_of_sources()
+  local records, ids = {}, {}
+  for i, one in ipairs { { 1, 0x300 }, { 2, 0x100 }, { 1, 0x200 }, { 2, 0x50 }, { 1, 0x250 } } do
+    records[i] = record(i, i, { source = { key = i, bus_key = one[1], bus = "can" .. one[1], id = one[2] }, fits = false })
+  end
+  for _, id in run({ "summary,json" }, records):gmatch('"bus":"(can%d)","id":(%d+)') do ids[#ids + 1] = tonumber(id) end
+  lu.assertEquals(ids, { 0x200, 0x250, 0x300, 0x50, 0x100 })
+  lu.assertStrContains(run({ "summary,json" }, { record(1, 0), record(2, 0.5), record(3, 1) }), '"gap_max_frame":2,')
 end
 
 -- faults and events ---------------------------------------------------------------------------------------------
@@ -276,6 +289,7 @@ function T.test_csv_in_a_folder()
     lu.assertEquals(read(folder .. "/note.csv"), "time,frame,bus,source,id,seq,text\n")
     lu.assertStrContains(read(folder .. "/fields.json"), '{"version":1,"plugin":"9.8.7","messages":{"motor":' ..
       '{"title":"Motor Data","every":0.1,"columns":[{"name":"time",')
+    lu.assertStrContains(read(folder .. "/fields.json"), '"title":"Mode","kind":"uint","bits":8,"values":{"0":"off","3":"on"}}')
     lu.assertNil(io.open(folder .. "/motor.csv.part"))
   end)
 end
@@ -534,7 +548,9 @@ function T.test_what_the_catalogue_does_not_define()
     invalid = { { field = "fault_flags", value = 32 }, { field = "mode", value = 7 } } }) }
   lu.assertEquals(found("events,json", "invalid", records), { '{"kind":"invalid",,"field":"mode","value":7}',
     '{"kind":"invalid",,"field":"fault_flags","value":32}', '{"kind":"invalid",,"field":"mode","value":7}' })
-  lu.assertStrContains(run({ "events" }, records), "invalid  mode has 7, which is not defined              2\n")
+  local words = run({ "events" }, records)
+  lu.assertStrContains(words, "invalid  mode has 7, which is not defined              2\n")
+  lu.assertEquals(select(2, words:gsub("mode has 7", "")), 1) -- one line of both
   lu.assertStrContains(run({ "summary,json" }, records), '"invalid":2,"skipped":0}') -- messages
   lu.assertEquals(verdicts("invalid=1,invalid=2", records),
     { "invalid=1 left false 2 2", "invalid=2 left true 2 2", "unknown=0 null true 0 null" })
@@ -632,8 +648,36 @@ function T.test_a_reboot_is_one_line()
   lu.assertEquals(reboots(source(0x210, MOTOR), source(0x201, HEALTH)), 2)
   lu.assertEquals(reboots(source(0x210, MOTOR, "left"), source(0x207, HEALTH, "left")), 1)
   lu.assertEquals(reboots(source(0x210, MOTOR), RIGHT), 2)
-  local one = source(0x210, MOTOR)
+  local one, other = source(0x210, MOTOR), source(0x200, HEALTH)
   lu.assertEquals(reboots(one, one), 2)
+  lu.assertEquals(reboots(one, other, other), 2) -- the second one of Health tells of another
+end
+
+-- What a controller's messages tell within a period of theirs is one reboot.
+function T.test_two_reboots_are_two_lines()
+  local note = { name = "beat", title = "Beat", id = 0x201 } -- without a period
+  for _, row in ipairs { { HEALTH, 0.5, 1 }, { HEALTH, 0.625, 2 }, { note, 0, 1 }, { note, 0.25, 2 } } do
+    local source = { key = "x", bus_key = 1, bus = "can0", id = row[1].id, message = row[1] }
+    local records = { record(1, 16, { change = { reboot = true }, source = { key = "y", bus_key = 1, bus = "can0", id = 0x210,
+      message = MOTOR } }), record(2, 16 + row[2], { source = source, change = { reboot = true } }) }
+    lu.assertEquals(select(2, run({ "events" }, records):gsub("time went back", "")), row[3], row[1].name .. " " .. row[2])
+  end
+end
+
+-- In time, also where the capture's goes back; at one time by frame, and what has no frame is last.
+function T.test_events_at_one_time()
+  local records = { bad(2, 1), bad(3, 0.5), bad(4, 2), bad(6, 2) }
+  local printed = run({ "events,json" }, records, { last = 2, named = NAMED_RIGHT,
+    unfinished = { record(5, 2, { kind = "unfinished" }) } })
+  local frames = {}
+  for i, line in ipairs(lines(printed)) do frames[i] = line:match('"frame":(%w+)') end
+  lu.assertEquals(frames, { "3", "2", "4", "5", "6", "null" })
+end
+
+function T.test_what_is_no_event_of_a_list()
+  local records = { record(1, 0), record(2, 0.1, { source = ODD, fits = false }), bad(3, 0.1), lost(4, 0.2, "orphan") }
+  lu.assertEquals(kinds(run({ "events,json" }, records)), { "crc 00.100000005 3 ", "incomplete 00.200000005 4 orphan" })
+  lu.assertEquals(run({ "faults,json" }, records), "")
 end
 
 -- `check` alone -----------------------------------------------------------------------------------------------------
