@@ -60,6 +60,13 @@ function T.test_four_open_messages()
   }
 end
 
+-- What lies before the oldest message that is left is nobody's: of a message that was not captured
+-- whole the bytes since its own Start count.
+function T.test_frames_of_a_message_that_was_given_up()
+  local text = words.send("aS32 aM8 bS32 cS9 dS9 eS9 cM8 cE1 dM8 dE1 eM8 eE1 bM8 bM8~3 bM8 bE8")
+  lu.assertStrMatches(text, ".* part good .* good part part part unverified")
+end
+
 -- A message has one End, and a frame one message; an End of a broken message on the other bus says
 -- nothing of this one.
 function T.test_who_gets_a_frame()
