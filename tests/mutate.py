@@ -14,6 +14,7 @@ import concurrent.futures
 import math
 import os
 import pathlib
+import pwd
 import queue
 import random
 import re
@@ -35,7 +36,8 @@ ENDS = {"if": "then", "elseif": "then", "while": "do"}
 NO_STATEMENT = re.compile(r"\s*(?:$|--|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|[\])}{]|.*[,({]\s*$)")
 MEMORY = 2 * 2**30
 # Mutants remove, rename and write files of any name: never as root.
-USER = {"user": "nobody", "group": "nogroup", "extra_groups": []} if os.geteuid() == 0 else {}
+NOBODY = pwd.getpwnam("nobody")
+USER = {"user": NOBODY.pw_uid, "group": NOBODY.pw_gid, "extra_groups": []} if os.geteuid() == 0 else {}
 
 
 def lua(*arguments, folder=ROOT):

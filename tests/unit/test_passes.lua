@@ -69,6 +69,10 @@ end
 function T.test_asked_twice_at_another_place()
   local pass = new().first
   lu.assertEquals({ pass:next(1, 30), pass:next(2, 60), pass:next(2, 60), pass.is_filtered }, { 1, 2, 2, false })
+  pass = new().first -- the second frame of a packet
+  lu.assertEquals(pass:next(1, 30), 1)
+  pass.entries[1] = true
+  lu.assertEquals({ pass:next(1, 60), pass:next(1, 60), pass.is_filtered }, { 1 + STEP, 1 + STEP, false })
 end
 
 -- Frames 7, 8 come, -R drops 7: then 8 is called 7 again.
