@@ -105,6 +105,19 @@ function T.test_later_looks()
   end
 end
 
+-- Who was told of it at that frame's own look knows it, too.
+function T.test_what_is_taken_back_is_void()
+  local known, told = words.new(), nil
+  for i, frame in ipairs(words.frames("aS32 aM8 bS32 aM8 aM8 aE8 bM8 bM8 bM8 bE8", {})) do
+    local _, record = words.look(known, frame)
+    if i == 3 then
+      told = record.faults[1]
+      lu.assertEquals({ told.expert, told.void or false }, { "fragment.incomplete", false })
+    end
+  end
+  lu.assertTrue(told.void)
+end
+
 -- Buses with messages of the same key: two with three at most and nothing lost, so that none is
 -- overtaken more than three times; or three with more, and frames that are lost, twice, or damaged.
 local function mixed(random)

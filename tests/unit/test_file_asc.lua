@@ -111,6 +111,16 @@ function T.test_times()
   lu.assertNil(frames(HEAD:gsub("Nov", "Xyz") .. frame)[1].seconds)
 end
 
+function T.test_several_channels_in_the_first_lines()
+  local function has_several(...)
+    local lines = HEAD
+    for i, channel in ipairs { ... } do lines = lines .. ("%d.5 %d 8404000x Rx d 0\n"):format(i, channel) end
+    return asc.open(file_of(lines)).has_several
+  end
+  lu.assertEquals({ has_several(), has_several(2), has_several(2, 2), has_several(1, 2, 1), has_several(1, 1, 3) },
+    { false, false, false, true, true })
+end
+
 -- The base of a file's ids and data; a clock of twelve hours, of which 12 am is the first.
 function T.test_bases_and_halves_of_the_day()
   for base, line in pairs { hex = "0.5 1 8404000x Rx d 2 10 ff", dec = "0.5 1 138428416x Rx d 2 16 255" } do

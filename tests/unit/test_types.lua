@@ -198,6 +198,12 @@ function T.test_arrays()
     { "cell_2", "V", "Cell 2" })
 end
 
+function T.test_a_payload_that_is_too_short_has_no_row()
+  local m = message(3, { "a", "uint16", "A" }, { "b", "uint8", "B" })
+  lu.assertNil(columns.row(m, "\1\2"))
+  lu.assertEquals(columns.row(m, "\1\2\3more"), "513,3")
+end
+
 function T.test_padding()
   local m = message(8, { "a", "uint8", "A" }, { "gap", "padding", length = 3 }, { "b", "uint32", "B" })
   lu.assertEquals({ shown(m, "01ffffff02000000"), #m.fields }, { "1,2", 2 })
