@@ -289,7 +289,8 @@ function T.test_csv_in_a_folder()
     lu.assertEquals(read(folder .. "/note.csv"), "time,frame,bus,source,id,seq,text\n")
     lu.assertStrContains(read(folder .. "/fields.json"), '{"version":1,"plugin":"9.8.7","messages":{"motor":' ..
       '{"title":"Motor Data","every":0.1,"columns":[{"name":"time",')
-    lu.assertStrContains(read(folder .. "/fields.json"), '"title":"Mode","kind":"uint","bits":8,"values":{"0":"off","3":"on"}}')
+    lu.assertStrContains(read(folder .. "/fields.json"), '{"name":"mode","unit":null,"type":"integer","filter":"taurus.motor.mode",' ..
+      '"title":"Mode","kind":"uint","bits":8,"values":{"0":"off","3":"on"}}')
     lu.assertNil(io.open(folder .. "/motor.csv.part"))
   end)
 end
