@@ -6,8 +6,7 @@
     mutate.py --each 5 yapp/wire/crc.lua   in one
 
 A fault is another operator, another constant, a condition the other way round or a line left out; what does not compile is
-none.  Those unit tests run that name the module, and the quick ones of the others that load it, in Lua 5.4 and 5.2, in a copy
-of the tree.  A mutant that no test fails on is shown with its line before and after; one that cannot be told from the module
+none.  The unit tests that load the module run, those that name it first, in Lua 5.4 and 5.2, in a copy of the tree.  A mutant that no test fails on is shown with its line before and after; one that cannot be told from the module
 stands in tests/equivalent_mutants.txt with the reason.
 """
 import argparse
@@ -15,6 +14,7 @@ import concurrent.futures
 import math
 import os
 import pathlib
+import pwd
 import queue
 import random
 import re
@@ -35,7 +35,9 @@ ENDS = {"if": "then", "elseif": "then", "while": "do"}
 # A line that is no statement of its own, or without which a local variable is nil: the first test sees that.
 NO_STATEMENT = re.compile(r"\s*(?:$|--|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|[\])}{]|.*[,({]\s*$)")
 MEMORY = 2 * 2**30
-QUICK = 0.4  # CPU seconds of a file of tests
+# Mutants remove, rename and write files of any name: never as root.
+NOBODY = pwd.getpwnam("nobody")
+USER = {"user": NOBODY.pw_uid, "group": NOBODY.pw_gid, "extra_groups": []} if os.geteuid() == 0 else {}
 
 
 def lua(*arguments, folder=ROOT):
@@ -96,17 +98,20 @@ def sample(path, each, seed):
 
 
 def survives(folder, path, mutant, tests, seconds):
-    """Whether all tests pass with a mutant in a copy of the tree: within their CPU seconds and memory."""
-    def limits():
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    """Whether all tests pass with a mutant in a copy of the tree: each in the CPU seconds that it needs, and more."""
     whole = (folder / path).read_text()
     (folder / path).write_text(mutant)
     try:
-        return not tests or all(subprocess.run(
-            [program, "tests/unit/run.lua", *tests], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            env={**os.environ, "YAPP_FIRST_FAILURE": "1"}, preexec_fn=limits, check=False, timeout=60 * seconds).returncode == 0
-            for program in ("lua5.4", "lua5.2"))
+        for test in tests:
+            most = math.ceil(2 + 5 * seconds[test])
+            limits = ["prlimit", f"--cpu={most}", f"--as={MEMORY}"]
+            for program in ("lua5.4", "lua5.2"):
+                run = subprocess.run([*limits, program, "tests/unit/run.lua", test], cwd=folder, stdout=subprocess.DEVNULL,
+                                     stderr=subprocess.DEVNULL, env={**os.environ, "YAPP_FIRST_FAILURE": "1"},
+                                     check=False, timeout=60 * most, **USER)
+                if run.returncode != 0:
+                    return False
+        return True
     except subprocess.TimeoutExpired:
         return False
     finally:
@@ -120,6 +125,7 @@ def copies(count, folder):
         for name in ("yapp", "tests/unit", "test_captures"):
             shutil.copytree(ROOT / name, folder / str(number) / name)
         shutil.copy(ROOT / "taurus_fields.lua", folder / str(number))
+        subprocess.run(["chmod", "-R", "a+rX", folder], check=True)
         found.put(folder / str(number))
     return found
 
@@ -140,11 +146,10 @@ def main():
     equivalent = {tuple(line.split("\t")[:3]) for line in (ROOT / "tests/equivalent_mutants.txt").read_text().splitlines()}
 
     def tests_of(path):
-        """Those that name the module, then the quick ones that load it; all that load it if there are no others."""
+        """Those that load the module: first those that name it, the quick ones first."""
         name = ".".join(path.with_suffix("").parts)
-        loading = sorted((test for test in TESTS if path in loads[test]), key=seconds.get)
-        naming = [test for test in loading if f'"{name}"' in (ROOT / test).read_text()]
-        return naming + [test for test in loading if test not in naming and seconds[test] < QUICK] or loading
+        return sorted((test for test in TESTS if path in loads[test]),
+                      key=lambda test: (f'"{name}"' not in (ROOT / test).read_text(), seconds[test]))
 
     score, start = {}, time.monotonic()
     with tempfile.TemporaryDirectory(prefix="yapp-mutants-") as folder, \
@@ -154,8 +159,7 @@ def main():
         def judge(path, line, before, after, mutant):
             tests, copy = tests_of(path), free.get()
             try:
-                limit = math.ceil(2 + 5 * sum(seconds[test] for test in tests))
-                return path, line, before, after, survives(copy, path, mutant, tests, limit)
+                return path, line, before, after, survives(copy, path, mutant, tests, seconds)
             finally:
                 free.put(copy)
 

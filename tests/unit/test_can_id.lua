@@ -23,6 +23,15 @@ function T.test_ids()
   end
 end
 
+function T.test_what_a_start_says()
+  local data = "\1\2\3\4\5\6\7\8"
+  lu.assertEquals({ can.start(data) }, { 0x04030201, 0x0605, 0x0807 })
+  for length, count in pairs { [3] = 0, [4] = 1, [5] = 1, [6] = 2, [7] = 2 } do
+    local sum, size, reserved = can.start(data:sub(1, length))
+    lu.assertEquals({ sum ~= nil, size ~= nil, reserved ~= nil }, { count >= 1, count >= 2, false }, length)
+  end
+end
+
 function T.test_the_key_is_all_but_the_can_ctrl()
   local key = can.address[0x08404000].key
   for ctrl = 0, 15 do lu.assertEquals(can.address[0x08400000 + ctrl * 0x4000].key, key) end

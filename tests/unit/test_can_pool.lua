@@ -60,6 +60,13 @@ function T.test_four_open_messages()
   }
 end
 
+-- What lies before the oldest message that is left is nobody's: of a message that was not captured
+-- whole the bytes since its own Start count.
+function T.test_frames_of_a_message_that_was_given_up()
+  local text = words.send("aS32 aM8 bS32 cS9 dS9 eS9 cM8 cE1 dM8 dE1 eM8 eE1 bM8 bM8~3 bM8 bE8")
+  lu.assertStrMatches(text, ".* part good .* good part part part unverified")
+end
+
 -- A message has one End, and a frame one message; an End of a broken message on the other bus says
 -- nothing of this one.
 function T.test_who_gets_a_frame()
@@ -93,8 +100,22 @@ function T.test_later_looks()
     for _, number in ipairs(numbers) do
       local _, record = words.look(known, frames[number], true)
       lu.assertEquals({ known:outcome(record), record.pass:numbers(record.entry) }, { last, numbers })
+      lu.assertNil(record.entry.padding)
     end
   end
+end
+
+-- Who was told of it at that frame's own look knows it, too.
+function T.test_what_is_taken_back_is_void()
+  local known, told = words.new(), nil
+  for i, frame in ipairs(words.frames("aS32 aM8 bS32 aM8 aM8 aE8 bM8 bM8 bM8 bE8", {})) do
+    local _, record = words.look(known, frame)
+    if i == 3 then
+      told = record.faults[1]
+      lu.assertEquals({ told.expert, told.void or false }, { "fragment.incomplete", false })
+    end
+  end
+  lu.assertTrue(told.void)
 end
 
 -- Buses with messages of the same key: two with three at most and nothing lost, so that none is
@@ -155,6 +176,13 @@ function T.test_mixed_at_random()
     end
   end
   lu.assertEquals(good, sent)
+end
+
+-- Buses that overlap without a gap: what has gone does not fill the pool.
+function T.test_it_goes_on_for_long()
+  local text = "aS32 aM8 " .. ("bS32 aM8 aM8 aE8 bM8 aS32 bM8 bM8 bE8 aM8 "):rep(300) .. "aM8 aM8 aE8"
+  local shown = words.send(text)
+  lu.assertEquals(select(2, shown:gsub("good", "")), 601)
 end
 
 -- Frames that are lost on either bus do not cost what comes a dozen messages later.

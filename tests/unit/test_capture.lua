@@ -222,6 +222,7 @@ function T.test_the_name_of_the_only_interface()
   lu.assertEquals(names_of(CAN, CAN), { "-", "-" })
   lu.assertEquals(names_of(ETHERNET), { "-", "n1" })
   lu.assertEquals(names_of(CAN), { "n1", "n1" })
+  lu.assertEquals(names_of(ETHERNET, SLL), { "n2", "-" }) -- may carry CAN
 end
 
 -- Other people's files, and damaged ones ----------------------------------------------------------
@@ -272,6 +273,7 @@ function T.test_other_peoples_files_are_left_alone()
   local blf, plain = read("LOGG" .. long), read(pcap(CAN, { "x" }, le))
   lu.assertEquals({ blf.is_told, plain.is_told, plain.place }, { false, true, 8 })
   lu.assertNil(read(pcap(SLL2, { can_over_sll2(1) }, le)).place)
+  lu.assertEquals(read(pcap(CAN, {}, le)).place, 8) -- before its first packet
 end
 
 -- It must not raise, nor run for ever, and what it says of the packets in front stays right.

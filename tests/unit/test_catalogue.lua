@@ -39,7 +39,10 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { size = "1" }, 'message m: size "1"' },
     { { info = 5 }, "message m: info must be a text" },
     { { info = "{g}" }, 'message m: info names a field "g"' },
-    { { info = "{f:%d}" }, "message m: info: the format" },
+    { { info = "{f:%d}" }, "message m: info: the format" }, { { info = "{f:%.1f}" }, "message m: info: the format" },
+    { { info = "{f:%d}", [1] = { "f", "float8", "F", min = 0, max = 1 } }, "message m: info: the format" },
+    { { info = "{f:%99.1f}", [1] = { "f", "float8", "F", min = 0, max = 1 } }, "message m: info: the format" },
+    { { name = ("n"):rep(65) }, "is not a filter name" },
     { { [1] = 5 }, "message m, field 1: a field is a row" },
     { { section = "" }, "message m: section must be a text" },
     { { rate = 5 }, 'message m: unknown option "rate"; a message has answers, differences, every, id, info, name' },
@@ -127,6 +130,11 @@ function T.test_filter_names_that_meet()
     [2] = { "g", "uint8", "G", group = "s", flags = { { "x", 1, "X" } } },
     [3] = { "h", "uint8", "H", group = "s", flags = { { "x", 1, "X" } } } }) }
   lu.assertStrContains(problems[1], "message m, field h: the filter name taurus.m.s.")
+end
+
+function T.test_the_longest_name()
+  local compiled, problems = catalogue.compile { message { name = ("n"):rep(64) } }
+  lu.assertEquals({ #compiled.messages, problems }, { 1, {} })
 end
 
 function T.test_one_bad_message_does_not_take_the_others_along()

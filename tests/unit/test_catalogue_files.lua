@@ -55,6 +55,14 @@ function T.test_an_error_names_file_message_and_field()
   lu.assertEquals(problems[3], path .. ": message d: the name is there twice; this message is shown as bytes")
 end
 
+-- What a file says of itself may be long, and no message without a name takes another one's place.
+function T.test_long_errors_and_messages_without_a_name()
+  local _, problems = load('error(("x"):rep(1000), 0)')
+  lu.assertStrContains(problems[1], "cannot be read: " .. ("x"):rep(500) .. "; its messages")
+  _, problems = load("return { { id = 5 } }", "return { { id = 6 } }")
+  lu.assertEquals(#problems, 2)
+end
+
 function T.test_a_message_without_a_name_has_its_number_in_the_file()
   local _, problems, list = load("return {" .. entry("a", 1) .. entry("b", 2) .. "}",
     "return {" .. entry("c", 3) .. "{ id = 4 } }")

@@ -159,6 +159,26 @@ function T.test_every_flag_bit_has_a_name_or_is_undefined()
   end
 end
 
+-- Document: "Taurus Motor Data", Fault Flags and Motor State.  Faults stand behind the values, each word once.
+function T.test_faults_in_the_info_column()
+  local usual = "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"
+  for changed, expected in pairs { ["00000000/05"] = "", ["00000110/05"] = "  FAULT motor_overcurrent, hall_timeout",
+    ["00000000/25"] = "  FAULT faulted", ["01000000/20"] = "  FAULT oc_limit_unmeasurable, faulted",
+    ["00000800/05"] = "  FAULT undefined 0x80000" } do
+    local fault, state = changed:match("(.*)/(.*)")
+    local payload = EXAMPLE:sub(1, 18) .. bytes(fault) .. EXAMPLE:sub(23, 30) .. bytes(state) .. "\0"
+    local raws, look = decode.read(MOTOR, payload)
+    lu.assertEquals(look, expected ~= "")
+    lu.assertEquals(decode_info.text(MOTOR, raws, payload, nil, look), usual .. expected)
+    lu.assertEquals(decode_info.text(MOTOR, raws, payload), usual .. expected)
+  end
+  local own = catalogue.compile { { name = "m", title = "M", id = 1, size = 2,
+    { "a", "uint8", "A", group = "a", alarm = "ALARM", flags = { { "x", 1, "X" } } },
+    { "b", "uint8", "B", group = "b", alarm = "WARNING", flags = { { "y", 1, "Y" } } } } }
+  local m = own.messages[1]
+  lu.assertEquals(decode_info.text(m, decode.read(m, "\1\1")), "M    ALARM x  WARNING y")
+end
+
 function T.test_special_values_in_the_info_column()
   local raws = decode.read(COMMAND, bytes("01A501FFFFFEFF"))
   lu.assertEquals(decode_info.text(COMMAND, raws), "Command  Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")

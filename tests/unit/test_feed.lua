@@ -187,6 +187,8 @@ function T.test_exact_times()
   feed:begins(1700000000, 5, 2.000000001) -- the first packet that a read filter left
   lu.assertEquals(time(2.000000001), { 1700000000, 5 })
   lu.assertEquals(time(0), { 1699999998, 4 })
+  feed:reset() -- packets may have no time: then it is that since the first one
+  lu.assertEquals(time(2.5), { 2, 500000000 })
 end
 
 function T.test_what_did_not_hold_comes_before_what_could_not_be_told()

@@ -29,6 +29,7 @@ function T.test_lines()
       "100000 1 88404000 fd 8 5 BBBE6FC720000000",
     ["0.1 CANFD 1 Tx 123 Name_1 0 1 9 12 1 2 3 4 5 6 7 8 9 A B C 0 0 1000 0"] =
       "100000 1 00000123 fd tx 12 6 0102030405060708090A0B0C",
+    ["0.1 CANFD 1 Rx 123 1 1 2 2 1 2 130000 130 203000 0 0 0 0 0"] = "100000 1 00000123 fd 2 7 0102",
     ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2"] = "100000 1 00000123 fd 2 4 0102",
     ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2 130000 130 0 0 0 0 0 0"] = "100000 1 00000123 2 0 0102",
     ["4999999.999999 1 1 Rx d 0"] = "4999999999999 1 00000001 0 0 ",
@@ -47,7 +48,7 @@ function T.test_lines_without_a_frame()
     "1.0 1 Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.01%", "0.1 1 EngineData Rx d 1 00", "0.1 1 8404000x Rx d 8 BB BE",
     "0.1 1 800 Rx d 0", "0.1 1 20000000x Rx d 0", "0.1 1 123 Rx d 1 100", "0.1 1 123 Rx x 1 00",
     "12345678 1 123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 f 65 00", "0.1 CANFD 1 Rx 123 0 0 9 12 1 2 3", "x 1 123 Rx d 0",
-    "0.1 1 123456789ABx Rx d 0", "0.1 1" } do
+    "0.1 1 123456789ABx Rx d 0", "0.1 1", "0.1", "5", ".5 1 123 Rx d 0" } do
     lu.assertNil(shown(line), line)
   end
 end
@@ -108,6 +109,30 @@ function T.test_times()
     "0.501000000 100.501000000")
   lu.assertEquals(times(HEAD:gsub("Tue Nov", "Die Nov") .. frame), "0.501000000")
   lu.assertNil(frames(HEAD:gsub("Nov", "Xyz") .. frame)[1].seconds)
+end
+
+function T.test_several_channels_in_the_first_lines()
+  local function has_several(...)
+    local lines = HEAD
+    for i, channel in ipairs { ... } do lines = lines .. ("%d.5 %d 8404000x Rx d 0\n"):format(i, channel) end
+    return asc.open(file_of(lines)).has_several
+  end
+  lu.assertEquals({ has_several(), has_several(2), has_several(2, 2), has_several(1, 2, 1), has_several(1, 1, 3) },
+    { false, false, false, true, true })
+end
+
+-- The base of a file's ids and data; a clock of twelve hours, of which 12 am is the first.
+function T.test_bases_and_halves_of_the_day()
+  for base, line in pairs { hex = "0.5 1 8404000x Rx d 2 10 ff", dec = "0.5 1 138428416x Rx d 2 16 255" } do
+    local bytes = frames((HEAD:gsub("hex", base)) .. line)[1].bytes
+    lu.assertEquals({ bytes:byte(-10, -1) }, { 0, 0x40, 0x40, 0x88, 2, 0, 0, 0, 16, 255 }, base)
+  end
+  for text, hour in pairs { ["12:13:20.001 am"] = 0, ["1:13:20.001 am"] = 1, ["12:13:20.001 pm"] = 12,
+    ["11:13:20.001 pm"] = 23 } do
+    local start = os.time { year = 2023, month = 11, day = 14, hour = hour, min = 13, sec = 20 }
+    local head = HEAD:gsub("22:13:20%.001", text)
+    lu.assertEquals(frames(head .. "1.0 1 123 Rx d 0\n")[1].seconds, start + 1, text)
+  end
 end
 
 function T.test_long_lines_and_many_blocks()

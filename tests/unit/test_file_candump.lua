@@ -63,6 +63,24 @@ function T.test_equal_deltas_are_added_up()
   lu.assertEquals(times(frames)[4], "0.030000000")
 end
 
+-- Times that fall now and then are of several adapters; where they repeat too, they are deltas.
+function T.test_times_that_fall_now_and_then()
+  local function last(microseconds)
+    local stamps = {}
+    for i, time in ipairs(microseconds) do stamps[i] = ("000.%06d"):format(time) end
+    return times(frames_of(screen(stamps)))[#stamps]
+  end
+  local twice, once = {}, {}
+  for i = 1, 20 do twice[i], once[i] = i, i end
+  twice[8], twice[15] = 5, 12 -- two of twenty
+  lu.assertEquals(last(twice), "0.000020000")
+  once[5], once[6], once[7], once[12] = 4, 4, 4, 10
+  local sum = 0
+  for i = 1, 20 do sum = sum + once[i] end
+  lu.assertEquals(last(once), ("0.%06d000"):format(sum))
+  lu.assertEquals(times(frames_of(screen({ "000.000000000", "000.000000001", "000.000000001" })))[3], "0.000000002")
+end
+
 -- Reading again at any offset gives the same record, in any order of reading.
 local function assert_same_again(text)
   local frames, _, log = frames_of(text)
@@ -112,6 +130,17 @@ function T.test_broken_lines_are_told_and_skipped()
   lu.assertNil(frames[2].comment)
   lu.assertStrContains(frames[3].comment, "line 4: not a candump line")
   lu.assertStrContains(frames[3].comment, "line 5: the data bytes do not fit")
+end
+
+function T.test_one_broken_line_stands_at_the_next_frame()
+  local frames = frames_of(HEAD .. "oh no\n" .. HEAD .. HEAD)
+  lu.assertNil(frames[3].comment)
+  lu.assertEquals(frames[2].comment, 'line 2: not a candump line, skipped: "oh no"')
+end
+
+function T.test_several_buses_in_the_first_lines()
+  lu.assertFalse(opened(HEAD .. HEAD, true).has_several)
+  lu.assertTrue(opened(HEAD .. HEAD:gsub("can0", "can1") .. HEAD, true).has_several)
 end
 
 function T.test_many_broken_lines_do_not_flood()

@@ -118,7 +118,7 @@ function T.test_every_form_cut_at_its_start()
 end
 
 function T.test_a_shell_in_front_of_the_frames()
-  for _, lines in ipairs { "$ candump -ta can0", "$ sudo ip link set can0 up\n$ candump can0",
+  for _, lines in ipairs { "candump can0", "$ candump -ta can0", "$ sudo ip link set can0 up\n$ candump can0",
     "Script started on 2026-11-14 22:13:20+00:00\npi@drone:~$ ls\nrun.log\npi@drone:~$ candump -L any",
     "Enabling Logfile 'candump-2026-11-14_221320.log'", "Disabled standard output while logging.",
     "\nWarning: Console output active while logging!\nEnabling Logfile 'candump-2026-11-14_221320.log'\n" } do

@@ -18,6 +18,11 @@ function T.test_parse()
   for length = 0, 11 do lu.assertNil(frame.parse(MOTOR:sub(1, length), 1)) end
 end
 
+-- The size has two bytes ("YAPP Framing").
+function T.test_the_largest()
+  lu.assertEquals(frame.LARGEST, 12 + 0xFFFF + 4)
+end
+
 function T.test_crc()
   lu.assertEquals(frame.crc("..\187\190\111\199", 6), 0xC76FBEBB)
 end

@@ -32,7 +32,7 @@ local function motor(number, time, with)
   with = with or {}
   local clock = with.clock or time
   return { source = with.source or 0x210, bus = with.bus, message = MOTOR, id = 0x210, seq = with.seq or 0,
-    number = number, time = time, good = with.good ~= false, payload = around(int64(clock * 1e9)),
+    number = number, time = time, good = with.good ~= false, payload = around(int64(math.floor(clock * 1e9 + 0.5))),
     raws = { [MOTOR.index[STATUS]] = with.status or 0, [MOTOR.index[FAULT]] = with.fault or 0,
       [MOTOR.index[STATE]] = with.state or 0 } }
 end
@@ -134,6 +134,18 @@ function T.test_clocks_at_the_ends_of_their_range()
     "stale"), { "-", "-", "-" })
   local last = run({ motor(1, 1, { clock = 9007199 }), motor(2, 2, { clock = 9007199.000000001 }) })[2]
   lu.assertEquals({ last.stale, last.reboot }, {})
+end
+
+-- Every byte of it counts: where the next one begins, and at the lowest clock there is.
+function T.test_every_byte_of_a_clock()
+  for byte = 1, 7 do
+    local at = 2 ^ (8 * byte) / 1e9
+    local step = math.max(at / 2 ^ 20, 2e-8)
+    local found = run { motor(1, 1, { clock = at - step }), motor(2, 2, { clock = at + step }) }
+    lu.assertNil(found[2].reboot, byte)
+    lu.assertAlmostEquals(found[2].drift, 2 * step - 1, 1e-6 + at / 2 ^ 50)
+  end
+  lu.assertEquals(run({ motor(1, 1, { clock = -9223372036 }), motor(2, 2, { clock = 0 }) }, "reboot"), { "-", "-" })
 end
 
 function T.test_flags_that_rise_and_fall()

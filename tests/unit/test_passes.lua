@@ -57,6 +57,24 @@ function T.test_several_frames_a_packet()
   lu.assertEquals(all.first:number(3 + 2 * STEP), 3)
 end
 
+function T.test_looks_with_fractions()
+  local all = new()
+  looks(all, { { 1, 30 }, { 1, 60 }, { 2, 30 } })
+  local pass = all.first
+  lu.assertEquals({ pass:has_fractions { 1, 2 }, pass:has_fractions { 1, 1 + STEP }, pass:has_fractions {} },
+    { false, true, false })
+end
+
+-- A frame at another place than most, left to others, comes again by Decode As: it is one look.
+function T.test_asked_twice_at_another_place()
+  local pass = new().first
+  lu.assertEquals({ pass:next(1, 30), pass:next(2, 60), pass:next(2, 60), pass.is_filtered }, { 1, 2, 2, false })
+  pass = new().first -- the second frame of a packet
+  lu.assertEquals(pass:next(1, 30), 1)
+  pass.entries[1] = true
+  lu.assertEquals({ pass:next(1, 60), pass:next(1, 60), pass.is_filtered }, { 1 + STEP, 1 + STEP, false })
+end
+
 -- Frames 7, 8 come, -R drops 7: then 8 is called 7 again.
 function T.test_a_read_filter()
   local all = new()

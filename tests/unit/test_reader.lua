@@ -130,6 +130,12 @@ function T.test_what_a_message_gets()
   end
 end
 
+function T.test_nothing_new()
+  local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true }
+  new():read(m, { change = function() end })
+  lu.assertFalse(m.change)
+end
+
 function T.test_what_is_a_fault()
   local r = new()
   local fault, status, state = at(MOTOR, "fault_flags"), at(MOTOR, "status_flags"), at(MOTOR, "motor_state")

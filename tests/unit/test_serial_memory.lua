@@ -290,7 +290,7 @@ function T.test_looks_here_and_there_at_what_was_mixed()
     local packet, message = memory:look(fact), { good = true, source = "s", time = 1 }
     lu.assertEquals(in_words(packet), (MIXED[i]:gsub(" %+2", "")))
     lu.assertNil(memory:change(message, packet, #packet.events, fact))
-    lu.assertTrue(message.is_unsure)
+    lu.assertEquals({ message.is_unsure, message.delta }, { true, false })
   end
 end
 

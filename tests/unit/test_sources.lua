@@ -48,6 +48,11 @@ function T.test_a_message_without_a_name_and_names_with_signs()
     { "motor", "left:aft=2", "ÄÖ rotor 3" })
 end
 
+function T.test_the_highest_id()
+  local s, problems = parse("0x7FF=a")
+  lu.assertEquals({ problems, s:name(nil, 2047) }, { {}, "a" })
+end
+
 function T.test_another_sign_between_sources()
   local s, problems = parse("0x210=motor:left;can1/0x210=right, 0x211=a;b")
   lu.assertEquals(problems, { "sources: 0x210=motor:left;can1/0x210=right: sources are parted by commas" })

@@ -36,6 +36,8 @@ local LEFT = { key = "a", bus_key = 1, bus = "can0", name = "left", id = 0x210, 
 local RIGHT = { key = "b", bus_key = 2, bus = 'can"1', id = 0x210, message = MOTOR }
 local ODD = { key = "c", bus_key = 1, bus = "can0", id = 0x300 }
 
+local NAMED_RIGHT = { { id = 0x210, bus = 'can"9', name = "right", message = MOTOR } }
+
 -- A good message of 10 V; with: what is otherwise.
 local function record(frame, rel, with)
   local one = { kind = "message", frame = frame, rel = rel, source = LEFT, seq = 0, payload = payload(10),
@@ -132,6 +134,25 @@ can0   0x210  left    Motor Data  volts  V      10    10   10      2
 can"1  0x210          Motor Data  volts  V      10    10   10      1
 ]])
   lu.assertEquals(run({ "summary" }, {}), "YAPP summary: 0 sources in 0.000 s\n")
+end
+
+-- What rests on what came before a message cannot be told where that is not known.
+function T.test_what_rests_on_what_came_before()
+  local records = { record(1, 0), record(2, 0.1, { is_unsure = true }) }
+  for what, expected in pairs { summary = 21, faults = 21, events = 21, compare = 0, ["csv,-,motor"] = 0 } do
+    lu.assertEquals(select(2, run({ what }, records)), expected, what)
+  end
+end
+
+-- By bus in the order in which these came, then by ID.  Of the longest gaps the first one is told.
+function T.test_the_order_of_sources()
+  local records, ids = {}, {}
+  for i, one in ipairs { { 1, 0x300 }, { 2, 0x100 }, { 1, 0x200 }, { 2, 0x50 }, { 1, 0x250 } } do
+    records[i] = record(i, i, { source = { key = i, bus_key = one[1], bus = "can" .. one[1], id = one[2] }, fits = false })
+  end
+  for _, id in run({ "summary,json" }, records):gmatch('"bus":"(can%d)","id":(%d+)') do ids[#ids + 1] = tonumber(id) end
+  lu.assertEquals(ids, { 0x200, 0x250, 0x300, 0x50, 0x100 })
+  lu.assertStrContains(run({ "summary,json" }, { record(1, 0), record(2, 0.5), record(3, 1) }), '"gap_max_frame":2,')
 end
 
 -- faults and events ---------------------------------------------------------------------------------------------
@@ -268,6 +289,8 @@ function T.test_csv_in_a_folder()
     lu.assertEquals(read(folder .. "/note.csv"), "time,frame,bus,source,id,seq,text\n")
     lu.assertStrContains(read(folder .. "/fields.json"), '{"version":1,"plugin":"9.8.7","messages":{"motor":' ..
       '{"title":"Motor Data","every":0.1,"columns":[{"name":"time",')
+    lu.assertStrContains(read(folder .. "/fields.json"), '{"name":"mode","unit":null,"type":"integer","filter":"taurus.motor.mode",' ..
+      '"title":"Mode","kind":"uint","bits":8,"values":{"0":"off","3":"on"}}')
     lu.assertNil(io.open(folder .. "/motor.csv.part"))
   end)
 end
@@ -394,6 +417,23 @@ function T.test_faults_of_thousands_of_sources()
   lu.assertEquals(faults, count)
 end
 
+-- A packet of a stream has messages of several sources: what is active at its end is in their order.
+function T.test_faults_that_are_active_in_one_packet()
+  local records, expected = {}, {}
+  for i = 1, 20 do
+    local source = { key = i, bus_key = 1, bus = "can0", id = 100 - i, message = MOTOR }
+    records[i] = record(7, 1, { source = source, change = raised(1, 1) })
+    expected[i] = 100 - i
+  end
+  local active = {}
+  for _, line in ipairs(lines((run({ "faults,json" }, records)))) do
+    if line:find('"event":"active"', 1, true) then
+      active[#active + 1] = tonumber(line:match('"id":(%d+)'))
+    end
+  end
+  lu.assertEquals(active, expected)
+end
+
 function T.test_what_cannot_be_judged()
   local function code_of(rules, records, with) return (select(2, verdicts(rules, records, with))) end
   local good = { record(1, 0) }
@@ -435,6 +475,12 @@ ok          motor.gap=1         can0  0x210  left    Motor Data      2   0.5
 NOT JUDGED  note.count=1                                                             nothing to judge it by
 ok          unknown=0                                                      0
 ]])
+end
+
+function T.test_check_in_json()
+  lu.assertEquals(run({ "check,json,motor.volts=20..30,unknown=0" }, { record(1, 0) }), '{"ok":false,"rule":"motor.volts=20..30",' ..
+    '"bus":"can0","id":528,"source":"left","message":"motor","frame":1,"seen":1,"limit":"20..30","worst":10}\n' ..
+    '{"ok":true,"rule":"unknown=0","bus":null,"id":null,"source":null,"message":null,"frame":null,"seen":0,"limit":0,"worst":null}\n')
 end
 
 function T.test_a_report_for_ci()
@@ -503,7 +549,9 @@ function T.test_what_the_catalogue_does_not_define()
     invalid = { { field = "fault_flags", value = 32 }, { field = "mode", value = 7 } } }) }
   lu.assertEquals(found("events,json", "invalid", records), { '{"kind":"invalid",,"field":"mode","value":7}',
     '{"kind":"invalid",,"field":"fault_flags","value":32}', '{"kind":"invalid",,"field":"mode","value":7}' })
-  lu.assertStrContains(run({ "events" }, records), "invalid  mode has 7, which is not defined              2\n")
+  local words = run({ "events" }, records)
+  lu.assertStrContains(words, "invalid  mode has 7, which is not defined              2\n")
+  lu.assertEquals(select(2, words:gsub("mode has 7", "")), 1) -- one line of both
   lu.assertStrContains(run({ "summary,json" }, records), '"invalid":2,"skipped":0}') -- messages
   lu.assertEquals(verdicts("invalid=1,invalid=2", records),
     { "invalid=1 left false 2 2", "invalid=2 left true 2 2", "unknown=0 null true 0 null" })
@@ -571,6 +619,18 @@ volts  V     left          10  73.6667  200     188       0.350000      5
   lu.assertEquals(run({ "compare" }, { record(1, 0) }), "YAPP compare: no message has several sources\n")
 end
 
+-- A table for each message, by ID, an empty line between.
+function T.test_compare_of_several_messages()
+  local records = {}
+  for i, source in ipairs { LEFT, RIGHT, { key = "h", bus_key = 1, bus = "can0", id = 0x200, message = HEALTH },
+    { key = "i", bus_key = 2, bus = "can1", id = 0x200, message = HEALTH } } do
+    records[i] = record(i, i / 10, { source = source, payload = source.message == HEALTH and ("\0"):rep(8) or nil })
+  end
+  local titles = {}
+  for part in (run({ "compare" }, records) .. "\n"):gmatch("(.-)\n\n") do titles[#titles + 1] = part:match("^YAPP.*") end
+  lu.assertEquals(titles, { "YAPP compare: 2 sources of Health", "YAPP compare: 2 sources of Motor Data" })
+end
+
 -- One reboot of a controller, which two of its messages tell.
 function T.test_a_reboot_is_one_line()
   local function source(id, message, name)
@@ -589,8 +649,36 @@ function T.test_a_reboot_is_one_line()
   lu.assertEquals(reboots(source(0x210, MOTOR), source(0x201, HEALTH)), 2)
   lu.assertEquals(reboots(source(0x210, MOTOR, "left"), source(0x207, HEALTH, "left")), 1)
   lu.assertEquals(reboots(source(0x210, MOTOR), RIGHT), 2)
-  local one = source(0x210, MOTOR)
+  local one, other = source(0x210, MOTOR), source(0x200, HEALTH)
   lu.assertEquals(reboots(one, one), 2)
+  lu.assertEquals(reboots(one, other, other), 2) -- the second one of Health tells of another
+end
+
+-- What a controller's messages tell within a period of theirs is one reboot.
+function T.test_two_reboots_are_two_lines()
+  local note = { name = "beat", title = "Beat", id = 0x201 } -- without a period
+  for _, row in ipairs { { HEALTH, 0.5, 1 }, { HEALTH, 0.625, 2 }, { note, 0, 1 }, { note, 0.25, 2 } } do
+    local source = { key = "x", bus_key = 1, bus = "can0", id = row[1].id, message = row[1] }
+    local records = { record(1, 16, { change = { reboot = true }, source = { key = "y", bus_key = 1, bus = "can0", id = 0x210,
+      message = MOTOR } }), record(2, 16 + row[2], { source = source, change = { reboot = true } }) }
+    lu.assertEquals(select(2, run({ "events" }, records):gsub("time went back", "")), row[3], row[1].name .. " " .. row[2])
+  end
+end
+
+-- In time, also where the capture's goes back; at one time by frame, and what has no frame is last.
+function T.test_events_at_one_time()
+  local records = { bad(2, 1), bad(3, 0.5), bad(4, 2), bad(6, 2) }
+  local printed = run({ "events,json" }, records, { last = 2, named = NAMED_RIGHT,
+    unfinished = { record(5, 2, { kind = "unfinished" }) } })
+  local frames = {}
+  for i, line in ipairs(lines(printed)) do frames[i] = line:match('"frame":(%w+)') end
+  lu.assertEquals(frames, { "3", "2", "4", "5", "6", "null" })
+end
+
+function T.test_what_is_no_event_of_a_list()
+  local records = { record(1, 0), record(2, 0.1, { source = ODD, fits = false }), bad(3, 0.1), lost(4, 0.2, "orphan") }
+  lu.assertEquals(kinds(run({ "events,json" }, records)), { "crc 00.100000005 3 ", "incomplete 00.200000005 4 orphan" })
+  lu.assertEquals(run({ "faults,json" }, records), "")
 end
 
 -- `check` alone -----------------------------------------------------------------------------------------------------

@@ -117,6 +117,9 @@ function T.test_orphans_of_one_message()
   lu.assertEquals({ orphan("d1", { is_end = true }), orphan("e1", { is_end = true }), orphan("f1", { seq = 7 }),
     orphan("g1", { seq = 8 }), orphan("g2", { seq = 8, is_end = true }), orphan("h1", { seq = 8 }) },
     { "d1", "e1", "f1", "g1", "g1", "h1" })
+  orphan "i1"
+  tell:faults(part(), { { expert = "fragment.incomplete", message = {} } }) -- of another message
+  lu.assertEquals({ orphan "j1", orphan "j2" }, { "j1", "j1" })
 end
 
 function T.test_bytes_of_no_frame()

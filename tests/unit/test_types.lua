@@ -4,6 +4,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local columns = require("yapp.message.columns")
+local csv = require("yapp.stat.csv")
 local decode = require("yapp.message.decode")
 local decode_info = require("yapp.message.info")
 
@@ -20,7 +21,8 @@ end
 
 -- The row of CSV of a payload, and the experts of its remarks.
 local function shown(m, hex)
-  local raws = decode.read(m, bytes(hex))
+  local raws, look = decode.read(m, bytes(hex))
+  lu.assertEquals(look, decode.remarks(m, raws) ~= nil, hex)
   local experts = {}
   for _, remark in ipairs(decode.remarks(m, raws) or {}) do
     experts[#experts + 1] = m.fields[remark[1]].name .. " " .. remark[2]
@@ -76,6 +78,8 @@ local LIMITS = {
   { "float40", { min = -1, max = 1 }, "faffffffff", "1," },
   { "float40", { min = -1, max = 1 }, "ffffffffff", ",nan", "f value.special" },
   { "float48", { min = 0, max = 281474976710650 }, "0000000000 80", "140737488355328," },
+  { "float48", { min = -1, max = 1 }, "faffffffffff", "1," },
+  { "float48", { min = -1, max = 1 }, "fbffffffffff", ",below", "f value.special" },
   { "float56", { min = -1, max = 1 }, "00000000000000", "-1," },
   { "float56", { min = -1, max = 1 }, "faffffffffffff", "1," },
   { "float56", { min = -1, max = 1 }, "fbffffffffffff", ",below", "f value.special" },
@@ -156,6 +160,32 @@ function T.test_parts_of_bits()
   lu.assertEquals({ shown(m, "010203ff") }, { "4278387201,255,197121", "" })
 end
 
+-- Of a field with an alarm all bits are remarkable; of another one those that nobody defines, and a flag's alarm.
+function T.test_each_bit_alone()
+  local flags = { { "a", 0x1, "A" }, { "b", 0x6, "B", alarm = true } }
+  for alarm, defined in pairs { [false] = 0x1, [true] = 0 } do
+    local m = message(1, { "f", "uint8", "F", group = "g", flags = flags, alarm = alarm and "FAULT" or nil })
+    for bit = 0, 7 do
+      local _, experts = shown(m, ("%02x"):format(math.floor(2 ^ bit)))
+      local is_flag = 2 ^ bit <= 0x4
+      local expected = (2 ^ bit == defined and "" or is_flag and "f fault.active") or
+        alarm and "f fault.active, f flags.undefined" or "f flags.undefined"
+      lu.assertEquals(experts, expected, bit)
+    end
+  end
+end
+
+-- No digits beyond those that a count carries: a tenth of a count is told as such.
+function T.test_digits_of_compressed_floats()
+  for size = 2, 6 do
+    local m = message(size, { "f", "float" .. 8 * size, "F", min = 0, max = (2 ^ (8 * size) - 6) / 10 })
+    for count = 1, 1000 do
+      local payload = string.char(count % 256, math.floor(count / 256)) .. ("\0"):rep(size - 2)
+      lu.assertEquals(columns.row(m, payload), ("%g,"):format(count / 10), size)
+    end
+  end
+end
+
 function T.test_arrays()
   local m = message(9, { "cell", "uint16", "Cell", count = 3, scale = 0.001, unit = "V" }, { "end", "uint8", "End" },
     { "on", "bool", "On", count = 2 })
@@ -167,6 +197,12 @@ function T.test_arrays()
   lu.assertEquals(offsets, { 0, 2, 4, 6, 7, 8 })
   lu.assertEquals({ columns.columns(m)[2].name, columns.columns(m)[2].unit, m.by_name.cell_2.title },
     { "cell_2", "V", "Cell 2" })
+end
+
+function T.test_a_payload_that_is_too_short_has_no_row()
+  local m = message(3, { "a", "uint16", "A" }, { "b", "uint8", "B" })
+  lu.assertNil(columns.row(m, "\1\2"))
+  lu.assertEquals(columns.row(m, "\1\2\3more"), "513,3")
 end
 
 function T.test_padding()
@@ -189,6 +225,13 @@ function T.test_variants()
   lu.assertEquals({ raws[1], raws[2] or "none" }, { 1, "none" })
 end
 
+-- A bool may choose, by each of its two values.
+function T.test_variants_by_a_bool()
+  local m = message(2, { "on", "bool", "On" }, { "data", "variants", by = "on", cases = {
+    [0] = { { "a", "uint8", "A" } }, [1] = { { "b", "uint8", "B" } } } })
+  lu.assertEquals({ shown(m, "0007"), shown(m, "0107") }, { "0,7,", "1,,7", "" })
+end
+
 function T.test_differences()
   local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 4,
     differences = { { "d", "a", "b", "D" } }, { "a", "float16", "A", min = -10, max = 5 },
@@ -206,6 +249,21 @@ function T.test_names_of_columns_that_are_taken()
   lu.assertEquals(names, { "time_2", "id_2", "x", "x_text", "x_text_2" })
 end
 
+function T.test_types_of_columns()
+  local m = message(32, { "a", "bool", "A" }, { "b", "int64_ns", "B" }, { "c", "string", "C", length = 2 },
+    { "d", "bytes", "D", length = 2 }, { "e", "uint8", "E", unit = "m" },
+    { "f", "uint8", "F", scale = 0.5, unit = "K" },
+    { "g", "float32", "G" }, { "h", "float8", "H", min = 0, max = 1, unit = "V" }, { "i", "int8", "I", values = {} },
+    { "j", "uint8", "J", group = "j", flags = { { "x", 1, "X" } } }, { "k", "padding", length = 10 } )
+  local found = {}
+  for i, column in ipairs(columns.columns(m)) do
+    found[i] = ("%s %s %s"):format(column.name, column.type, column.unit or "-")
+  end
+  lu.assertEquals(found, { "a bool -", "b time s", "c string -", "d string -", "e integer m", "f float K", "g float -",
+    "g_special string -", "h float V", "h_special string -", "i integer -", "i_text string -", "j integer -",
+    "j_x bool -" })
+end
+
 -- fields.json: what a reader needs for the type of a column, and what its numbers mean.
 function T.test_columns_are_described()
   local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 16, every = 0.5,
@@ -217,7 +275,7 @@ function T.test_columns_are_described()
     local json = '{"name":"%s","unit":null,"type":"%s","filter":"taurus.m.%s","title":"%s",%s}'
     return json:format(name, type, rest.filter or name, title, rest[1] or '"kind":null,"bits":null,"values":null')
   end
-  lu.assertEquals(require("yapp.stat.csv").describe(compiled, "9.8.7", columns.columns),
+  lu.assertEquals(csv.describe(compiled, "9.8.7", columns.columns),
     '{"version":1,"plugin":"9.8.7","messages":{"m":{"title":"M","every":0.5,"columns":[' .. table.concat({
       column("mode", "integer", "Mode", { '"kind":"int","bits":8,"values":{"-1":"lost","2":"a \\"b\\"","10":"ten"}' }),
       column("mode_text", "string", "Mode", { filter = "mode" }),
@@ -259,6 +317,15 @@ function T.test_info_of_every_kind()
   payload = bytes("ff" .. "97ff" .. "02" .. "616263" .. "00ff" .. "ffffffff") .. payload:sub(14)
   lu.assertEquals(decode_info.text(m, decode.read(m, payload), payload),
     "M  -1 -10.5 invalid 0x2 abc 00ff NaN 9007199254740992 1.000000000 s")
+end
+
+-- A time may be the last of a payload.
+function T.test_info_of_a_time_at_the_end()
+  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 8, info = "{t}",
+    { "t", "int64_ns", "T" } } }
+  local m, payload = compiled.messages[1], bytes("00ca9a3b00000000")
+  lu.assertEquals(decode_info.text(m, decode.read(m, payload), payload), "M  1.000000000 s")
+  lu.assertEquals(decode_info.text(m, decode.read(m, ""), ""), "M  ?")
 end
 
 function T.test_many_fields_of_every_kind()

@@ -26,13 +26,13 @@ Pool.__index = Pool
 --- A pool for one key.
 -- reassembly  of can.memory, which is told what becomes of frames
 -- message     the one that is open
--- It has messages: those that are open, oldest first, each with from: the place of its first frame.
+-- It has messages: those that are open, oldest first, each with from: the place of its first frame;
+-- and, once it is overtaken, bytes: of the frames that nobody took.
 function M.new(reassembly, message)
   local self = setmetatable({
     reassembly = reassembly,
     messages = { message },
     frames = {},
-    bytes = 0,
     credit = MAX_CREDIT,
   }, Pool)
   for i, data in ipairs(message.chunks) do
@@ -85,6 +85,7 @@ function Pool:overtake()
   for i = before + 1, #self.frames do frames[i - before] = self.frames[i] end
   self.frames = frames
   for _, message in ipairs(rest) do message.from = message.from - before end
+  self.bytes = leftovers(self, rest[1])
   return true
 end
 
@@ -190,7 +191,10 @@ local function award(self, message, places, padding, status)
   message.padding = padding and padding > 0 and padding or nil
   reassembly:finish(message, payload, frames[#frames].look, status)
   if message.status ~= "good" then return end -- else its frames may still be another's
-  for _, at in ipairs(places) do frames[at].is_taken = true end
+  for _, at in ipairs(places) do
+    frames[at].is_taken = true
+    self.bytes = self.bytes - frames[at].length
+  end
   for _, look in ipairs(message.blamed or {}) do
     reassembly:take_back(look, function(fault) return fault.message == message end)
   end

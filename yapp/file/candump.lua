@@ -260,7 +260,7 @@ end
 -- time of another: no record is made of it.
 function Log:next(lines, file)
   local seconds, nanoseconds, name, digits, data, stop = usual(lines.text, lines.pos)
-  if stop and #self.pending == 0 then
+  if stop then
     local head, bus = self:head(name, digits)
     if head then
       local offset = lines:skip_to(stop)

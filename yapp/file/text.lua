@@ -35,7 +35,7 @@ end
 function Lines:read_on(file)
   local rest = sub(self.text, self.pos)
   local more, why = file:read(math.max(BLOCK, #rest))
-  if why then error("cannot read on behind offset " .. self.base + self.pos .. ": " .. why, 0) end
+  if why then error("cannot read on at offset " .. self.base + self.pos - 1 .. ": " .. why, 0) end
   self.base = self.base + self.pos - 1
   self.text = rest .. (more or "")
   self.pos = 1

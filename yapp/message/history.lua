@@ -218,12 +218,6 @@ end
 
 -- Telling ----------------------------------------------------------------------------------------
 
--- Nil where the message has no clock.
-local function drift_of(look, state, clock)
-  if not clock or not state.clock then return nil end
-  return (clock - state.clock) / 1e9 - (look.time - state.time)
-end
-
 -- How things stand behind a message, and what happened at it.
 local function events_at(source, number)
   local place = last_until(source.numbers, number)
@@ -295,8 +289,9 @@ function History:standing(look)
   if not source or not look.good then return nil end
   local number, commands, changes = look.number, source.answered, source.changes
   local state, event = events_at(source, number)
+  local clock = clock_of(look)
   local standing = {
-    drift = drift_of(look, state, clock_of(look)),
+    drift = clock and state.clock and (clock - state.clock) / 1e9 - (look.time - state.time),
     command_in = commands and commands[last_until(commands, number - 1)],
     active_since = state.active_since,
   }

@@ -21,7 +21,7 @@ function M.new(catalogue, stat)
     sources = nil, -- a message.sources
     is_by_id = true, -- whether no bus has messages of its own
     has_several = false, -- whether the capture has several buses
-    several_ids = {}, -- [message] = whether more than one ID carries it
+    several_ids = nil, -- [message] = whether more than one ID carries it
     hinted = {}, -- [id of an unknown message]: frame where it was said what it may be
   }, Reader)
 end

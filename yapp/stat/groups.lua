@@ -227,7 +227,7 @@ function Groups:message(record)
   if record.kind ~= "message" then return end
   if group.last then
     local gap = tell.span(group.last, record.rel)
-    if gap > (group.gap_max or -1) then
+    if gap > (group.gap_max or -math.huge) then
       group.gap_max, group.gap_max_frame = gap, record.frame
     end
     group.gap_min = math.min(gap, group.gap_min or gap)
