@@ -177,6 +177,15 @@ function T.test_which_bits_are_alarms()
   local motor = catalogue.compile(dofile("taurus_fields.lua")).by_id[0x210]
   local fault, state = motor.by_name.fault_flags, motor.by_name.motor_state
   lu.assertEquals(motor.alarms, { fault, state })
+  -- A flag before them that becomes a fault does not give its name to what is shown of all faults.
+  local entries = dofile("taurus_fields.lua")
+  for _, entry in ipairs(entries) do
+    for _, row in ipairs(entry.name == "motor" and entry or {}) do
+      if row[1] == "status_flags" then row.flags[1].alarm = true end
+    end
+  end
+  local changed = catalogue.compile(entries).by_id[0x210]
+  lu.assertEquals({ #changed.alarms, changed.alarm }, { 3, changed.by_name.fault_flags })
   lu.assertEquals({ fault.alarm_bits, state.alarm_bits, state.alarm, motor.by_name.status_flags.alarm_bits },
     { 0xFFFFFFFF, 0x20, "FAULT", 0 })
 end

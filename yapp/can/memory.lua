@@ -301,11 +301,10 @@ end
 -- Bytes that are as the ones before, or were not all captured.  Behind such nothing is known to be
 -- in its place.
 local function take_odd(message, at, data, reported)
-  local chunks = message.chunks
   if message.is_cut then return end
-  if data == chunks[at - 1] then message.repeated = (message.repeated or 0) + reported end
+  if data == message.chunks[at - 1] then message.repeated = (message.repeated or 0) + reported end
   message.is_cut = #data < reported
-  chunks[at] = data
+  message.chunks[at] = data
 end
 
 -- A Middle or End where no message waits for it that came so far as it should.

@@ -63,7 +63,7 @@ end
 
 --- How many bytes have come since the newest Start.
 function Pool:received()
-  return (leftovers(self, self:newest()))
+  return leftovers(self, self:newest())
 end
 
 --- A Start came: the open messages are overtaken, and too old ones given up.

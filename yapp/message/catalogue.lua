@@ -170,7 +170,7 @@ end
 --   name, title, id, size, filter ("taurus.motor"), section of a document, every (period in
 --   seconds) and answers (a message's name), or nil
 --   fields, by_name, index ([field] = its place in fields), alarms (its fields with alarm bits),
---   time (its first field of kind time, or nil)
+--   alarm (the first of them that has nothing else), time (its first field of kind time), or nil
 --   differences { name, title, filter, unit, a, b (places) }
 --   read (message.straight), info and usual (message.info)
 -- A field has name, title, filter, offset, size in bytes, type, unit and section or nil,

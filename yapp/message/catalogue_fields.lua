@@ -248,7 +248,10 @@ local function add_bits(build, field, row)
   for i, part in ipairs(row.bits or {}) do
     add_field(build, new_part(field, part, i, message))
   end
-  if alarm then field.alarm_bits = field.watched end
+  if alarm then
+    field.alarm_bits = field.watched
+    message.alarm = message.alarm or field
+  end
   if field.alarm_bits == 0 then return end
   field.alarm = alarm or "FAULT"
   message.alarms[#message.alarms + 1] = field

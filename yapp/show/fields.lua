@@ -176,7 +176,9 @@ end
 -- What belongs to a message as a whole; add_standing: adds what messages have that change nothing,
 -- too.
 local function make_message(message, add, add_standing)
-  local filter, title, alarm = message.filter, message.title, message.alarms[1]
+  local filter, title = message.filter, message.title
+  -- Where a flag of another field becomes a fault nothing gets another name.
+  local alarm = message.alarm or message.alarms[1]
   local own = { pf = add(filter, "NONE", title, "A whole message: " .. title), differences = {} }
   for i, difference in ipairs(message.differences) do
     local about = ("%s, of %s"):format(difference.title, title)
