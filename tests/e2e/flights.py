@@ -232,8 +232,8 @@ class Truth:
             self.flags(sender, message, state)
 
     def flags(self, sender, message, state):
-        now, last = alarms(message.payload), message.frames[-1]
-        for flag in every_alarm():
+        now, last = model.alarms(message.payload), message.frames[-1]
+        for flag in model.alarms():
             if flag in now and flag not in state["set"]:
                 state["set"][flag] = last.at
                 self.fault(sender, last, flag, "raised", None)
@@ -270,22 +270,6 @@ class Truth:
                 self.event("incomplete", sender, following.frames[0], what="incomplete")
             else:
                 self.event("unfinished", sender, frames[-1])
-
-
-def every_alarm():
-    """The flags that are faults, in the order of the table, those that it has not behind them: (field, flag)."""
-    undefined_bits = [1 << place for place in range(32) if 1 << place not in model.FAULT]
-    return [("fault_flags", name) for name in model.FAULT.values()] + \
-        [("fault_flags", f"undefined_{bit:#x}") for bit in undefined_bits] + \
-        [("motor_state", "faulted")]
-
-
-def alarms(payload):
-    """The faults that are set in a payload of Motor Data."""
-    faults = struct.unpack_from("<I", payload, 18)[0]
-    found = {("fault_flags", model.FAULT.get(1 << place, f"undefined_{1 << place:#x}"))
-             for place in range(32) if faults >> place & 1}
-    return found | ({("motor_state", "faulted")} if payload[30] & model.FAULTED else set())
 
 
 def undefined(sender, payload):

@@ -15,7 +15,7 @@ YAPP = {
 YAPP_EXPERTS = ["crc.bad", "fragment.orphan", "fragment.incomplete", "fragment.overrun", "size.mismatch", "id.unknown",
                 "reserved.nonzero", "can.ctrl.invalid", "stream.skipped", "truncated", "fragment.duplicate"]
 TAURUS_EXPERTS = ["fault.active", "command.key.invalid", "value.special", "flags.undefined", "value.invalid"]
-# Worked out from more than one message: what test_events.py is about.
+# Worked out from more than one message: what test_flight_fields.py is about.
 EVENT_EXPERTS = ["yapp.late", "yapp.unfinished", "taurus.fault.raised", "taurus.fault.cleared", "taurus.reboot", "taurus.stale"]
 CHANGES = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8",
            "yapp.reassembled.data": "BYTES"}
@@ -48,7 +48,8 @@ STATUS = {
     0x4000_0000: "mpos_update",
 }
 STATE = {0x1: "ready", 0x2: "running", 0x4: "stopped", 0x8: "overmodulated", 0x10: "saturated", 0x20: "faulted"}
-FAULTED = 0x20  # is a fault, as each bit of the fault flags
+FAULTED = 0x20
+ALARMS = {"status_flags": 0, "fault_flags": 0xFFFF_FFFF, "motor_state": FAULTED}  # the bits that are faults
 HEALTH_STATUS = {0x1: "regeneration_enabled", 0x2: "reversed", 0x4: "precharging"}
 
 TEMPERATURE, CURRENT, PERCENT, RIPPLE = (-40, 210, "°C"), (-128, 128, "A"), (0, 100, "%"), (0, 12.5, "V")
@@ -115,6 +116,20 @@ def filters():
     return names
 
 
+def alarms(payload=None):
+    """The faults of Motor Data, or those that are set in a payload, as (field, flag): in the order of the table, of each
+    field those that it does not define behind the others."""
+    found, at = [], 0
+    for field, size, kind in MESSAGES[MOTOR][2]:
+        count = ALARMS.get(field, 0) & (-1 if payload is None else int.from_bytes(payload[at:at + size], "little"))
+        bits = {1 << place: f"undefined_{1 << place:#x}" for place in range(8 * size)} if count else {}
+        names = kind[1] if count else {}
+        found += [(field, flag) for bit, flag in [*names.items(), *bits.items()]
+                  if count & bit and (flag in names.values() or bit not in names)]
+        at += size
+    return found
+
+
 def decode(ident, payload, divisor=MAPPING):
     """What the fields of a message show: {filter name: text}, and the expert items it raises: a list of names."""
     name, _, fields = MESSAGES[ident]
@@ -137,7 +152,7 @@ def decode(ident, payload, divisor=MAPPING):
             shown[path] = f"0x{count:0{2 * size}x}"
             for bit, flag in bits.items():
                 shown[f"taurus.{name}.{group}.{flag}"] = "1" if count & bit else "0"
-            if group == "fault" and count or bits.get(0x20) == "faulted" and count & 0x20:
+            if count & ALARMS.get(field, 0):
                 experts.append("taurus.fault.active")
             if count & ~sum(bits):
                 experts.append("taurus.flags.undefined")

@@ -66,13 +66,8 @@ class Truth:
                 if at < len(changes):
                     self.frames[number]["taurus.motor.fault.next_change"] = changes[at]
 
-    @staticmethod
-    def alarms(payload):
-        """All bits that are faults: the fault flags, and behind them the state Faulted."""
-        return struct.unpack_from("<I", payload, 18)[0] | (payload[30] & model.FAULTED) << 32
-
     def has_fault(self, message):
-        return message.sender.kind == "motor" and self.alarms(message.payload) != 0
+        return message.sender.kind == "motor" and model.alarms(message.payload) != []
 
     def faulty(self, message, frames):
         if self.has_fault(message):
@@ -108,12 +103,13 @@ class Truth:
 
     def motor(self, message, before, state, shown):
         last = message.frames[-1]
-        for group, offset, shape in ("status", 14, "I"), ("fault", 18, "I"), ("state", 30, "B"):
+        for field, group, offset, shape in ("status_flags", "status", 14, "I"), ("fault_flags", "fault", 18, "I"), \
+                ("motor_state", "state", 30, "B"):
             now = struct.unpack_from("<" + shape, message.payload, offset)[0]
-            unknown = {"fault": 0, "status": now, "state": now & ~model.FAULTED}[group]  # in a first message faults are raised
+            unknown = now & ~model.ALARMS[field]  # in a first message faults are raised
             old = struct.unpack_from("<" + shape, before.payload, offset)[0] if before else unknown
             shown[f"taurus.motor.{group}.raised"], shown[f"taurus.motor.{group}.cleared"] = now & ~old, old & ~now
-        self.faults(last, self.alarms(message.payload), self.alarms(before.payload) if before else 0, state, shown)
+        self.faults(last, *({*model.alarms(one.payload)} if one else set() for one in (message, before)), state, shown)
         at = bisect.bisect_left(self.commands[last.bus], last.number)
         shown["taurus.motor.command_in"] = self.commands[last.bus][at - 1] if at else None
         counts = struct.unpack_from("<6H", message.payload)
@@ -123,12 +119,8 @@ class Truth:
 
     @staticmethod
     def faults(last, now, old, state, shown):
-        for bit in (1 << place for place in range(38)):
-            if now & bit:
-                state["faults"].setdefault(bit, last.at)
-            else:
-                state["faults"].pop(bit, None)
-        shown["taurus.fault.raised"], shown["taurus.fault.cleared"] = now & ~old != 0, old & ~now != 0
+        state["faults"] = {flag: state["faults"].get(flag, last.at) for flag in now}
+        shown["taurus.fault.raised"], shown["taurus.fault.cleared"] = now - old != set(), old - now != set()
         changes = state["changes"]
         if (now or now != old) and changes:
             shown["taurus.motor.fault.previous_change"] = changes[-1]
