@@ -106,7 +106,7 @@ def main(folder):
             "-C", "YAPP", *options, "-r", gui.FLIGHT, profile=profile(pathlib.Path(name)), recent=recent) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
         time.sleep(2)
-        for picture in (whole_window, buttons, transition, events, graph):
+        for picture in (graph, whole_window, buttons, transition, events):  # the graph first: its texts are read off the screen
             picture(wireshark, folder)
 
 
