@@ -163,6 +163,10 @@ function T.test_a_frame_delivered_twice()
       { "S37 M12 M12= M12 E13p16", "part part part+fragment.duplicate part good" },
       { "S37 M12 M12= M12 E13p20", "part part part part overrun+fragment.overrun" },
     }, { buses = is_told })
+    for text, padding in pairs { ["S41 M16 M16 M16= E9p12"] = 3, ["S32 M8 M8= M8 M8 E8"] = 0 } do
+      local _, known, frames = words.send(text, { buses = is_told })
+      lu.assertEquals(select(2, words.look(known, frames[#frames], true)).entry.padding or 0, padding)
+    end
   end
 end
 
