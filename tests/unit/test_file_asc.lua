@@ -41,6 +41,10 @@ end
 function T.test_decimal()
   lu.assertEquals(shown("0.1 1 138428416x Rx d 2 255 16", 10), "100000 1 88404000 2 0 FF10")
   lu.assertNil(shown("0.1 1 8404000x Rx d 2 256 16", 10))
+  -- 2^64 + 1 would be 1 in Lua 5.4, and 2^63 less than 0
+  for _, byte in ipairs { "18446744073709551617", "9223372036854775808", "1000" } do
+    lu.assertNil(shown("0.1 1 8404000x Rx d 1 " .. byte, 10))
+  end
 end
 
 function T.test_lines_without_a_frame()
@@ -48,7 +52,8 @@ function T.test_lines_without_a_frame()
     "1.0 1 Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.01%", "0.1 1 EngineData Rx d 1 00", "0.1 1 8404000x Rx d 8 BB BE",
     "0.1 1 800 Rx d 0", "0.1 1 20000000x Rx d 0", "0.1 1 123 Rx d 1 100", "0.1 1 123 Rx x 1 00",
     "12345678 1 123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 f 65 00", "0.1 CANFD 1 Rx 123 0 0 9 12 1 2 3", "x 1 123 Rx d 0",
-    "0.1 1 123456789ABx Rx d 0", "0.1 1", "0.1", "5", ".5 1 123 Rx d 0" } do
+    "0.1 1 123456789ABx Rx d 0", "0.1 1", "0.1", "5", ".5 1 123 Rx d 0",
+    "0.1 " .. ("9"):rep(400) .. " 123 Rx d 0", "0.1 " .. ("9"):rep(400) .. " ErrorFrame" } do
     lu.assertNil(shown(line), line)
   end
 end

@@ -69,7 +69,7 @@ end
 local function read_data(data, count, base)
   local bytes, at = {}, 1
   for i = 1, count do
-    local digits, stop = data:match("^%s*(%x+)()", at)
+    local digits, stop = data:match("^%s*(%x%x?%x?)%f[%X]()", at)
     local value = digits and tonumber(digits, base)
     if not value or value > 255 then return nil end
     bytes[i] = string.char(value)
@@ -107,7 +107,7 @@ local function read_flexible(record, rest, base)
   end
 end
 
-local FRAME = "^(%d+)%s+(%x+x?)%s+([RT]x)(%s.*)$"
+local FRAME = "^(%d%d?%d?)%s+(%x+x?)%s+([RT]x)(%s.*)$"
 
 --- Reads one line.
 -- @param line without its end
@@ -118,7 +118,7 @@ function M.parse(line, base)
   local stamp, rest = read_stamp(line)
   if not stamp then return nil end
   local record = { stamp = stamp, flags = 0, raw_dlc = 0 }
-  local channel = rest:match("^C?A?N?F?D?%s*(%d+)%s+[RTx]*%s*ErrorFrame")
+  local channel = rest:match("^C?A?N?F?D?%s*(%d%d?%d?)%s+[RTx]*%s*ErrorFrame")
   if channel then
     record.number = tonumber(channel)
     record.id = text.ERROR + BUS_ERROR
