@@ -6,8 +6,9 @@
     mutate.py --each 5 yapp/wire/crc.lua   in one
 
 A fault is another operator, another constant, a condition the other way round or a line left out; what does not compile is
-none.  The unit tests that load the module run, those that name it first, in Lua 5.4 and 5.2, in a copy of the tree.  A mutant that no test fails on is shown with its line before and after; one that cannot be told from the module
-stands in tests/equivalent_mutants.txt with the reason.
+none.  The unit tests that load the module run, those that name it first, in Lua 5.4 and 5.2, in a copy of the tree.  A mutant
+that no test fails on is shown with its line before and after; one that cannot be told from the module stands in
+tests/equivalent_mutants.txt with the reason.
 """
 import argparse
 import concurrent.futures

@@ -87,10 +87,10 @@ def test_plots(capture):
         assert wireshark.pixels("#0072b2") > 100
 
 
-def installer(home):
-    """Runs install.py for the home of a Wireshark; returns the lines that say what is kept."""
-    done = subprocess.run(["/usr/bin/python3", gui.ROOT / "tools/install.py"], env={**os.environ, "HOME": str(home)},
-                          capture_output=True, text=True, check=False, **gui.tshark._user())
+def installer(wireshark):
+    """Runs install.py as the user of a Wireshark; returns the lines that say what is kept."""
+    done = subprocess.run(["/usr/bin/python3", gui.ROOT / "tools/install.py"], env={**os.environ, "HOME": str(wireshark.home)},
+                          capture_output=True, text=True, check=False, **wireshark.user)
     return [line for line in done.stdout.splitlines() if line.startswith("kept")]
 
 
@@ -98,7 +98,7 @@ def test_what_wireshark_writes_is_no_change(capture):
     """Its files after the graphs were looked at are known as ours."""
     with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
         profile = wireshark.home / ".config/wireshark/profiles/YAPP"
-        installer(wireshark.home)
+        installer(wireshark)
         wireshark.wait_for_window("flight.pcapng")
         wireshark.press("alt+s", "i", until=lambda: any("I/O Graphs" in title for title in wireshark.windows().values()))
         wireshark.wait_for_window("I/O Graphs")
@@ -107,5 +107,5 @@ def test_what_wireshark_writes_is_no_change(capture):
         wireshark.keys("ctrl+q")
         wireshark.wireshark.wait(30)
         assert (profile / "preferences").read_bytes() != (PROFILE / "preferences").read_bytes()
-        assert installer(wireshark.home) == []
+        assert installer(wireshark) == []
         assert (profile / "preferences").read_bytes() == (PROFILE / "preferences").read_bytes()

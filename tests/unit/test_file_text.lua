@@ -52,9 +52,19 @@ function T.test_going_to_an_offset()
   lu.assertTrue(file.moved > 0)
 end
 
+-- What is named is where the line begins that is not there, or not whole.
 function T.test_a_file_that_cannot_be_read_on()
-  local file = { read = function() return nil, "Input/output error" end }
-  lu.assertErrorMsgContains("Input/output error", function() text.lines(""):next(file) end)
+  for _, before in ipairs { "", "one\ntwo" } do
+    local pieces = { before ~= "" and before or nil }
+    local file = { read = function()
+      local piece = table.remove(pieces, 1)
+      return piece, piece == nil and "Input/output error" or nil
+    end }
+    local lines = text.lines("")
+    if before ~= "" then lu.assertEquals(lines:next(file), "one") end
+    lu.assertErrorMsgContains(("the line at offset %d: Input/output error"):format(before == "" and 0 or 4),
+      function() lines:next(file) end)
+  end
 end
 
 return T

@@ -153,6 +153,9 @@ function T.test_the_order_of_sources()
   for _, id in run({ "summary,json" }, records):gmatch('"bus":"(can%d)","id":(%d+)') do ids[#ids + 1] = tonumber(id) end
   lu.assertEquals(ids, { 0x200, 0x250, 0x300, 0x50, 0x100 })
   lu.assertStrContains(run({ "summary,json" }, { record(1, 0), record(2, 0.5), record(3, 1) }), '"gap_max_frame":2,')
+  -- as in files put together in the wrong order
+  lu.assertStrContains(run({ "summary,json" }, { record(1, 10), record(2, 8) }),
+    '"gap_min":-2.000000000,"gap_mean":-2.000000000,"gap_max":-2.000000000,"gap_max_frame":2,')
 end
 
 -- faults and events ---------------------------------------------------------------------------------------------

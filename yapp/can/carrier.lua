@@ -120,7 +120,7 @@ end
 -- What is put together in a message's last frame.
 local function add_message(self, frame, item, tvb)
   local builder, entry, data = self.tree, frame.entry, frame.data
-  local numbers = frame.pass:numbers(frame.entry)
+  local numbers = frame.pass:numbers(entry)
   builder:generated(item, "reassembled.in", frame.number)
   append_text(builder:generated(item, "size", entry.size), " bytes")
   builder:generated(item, "reserved", entry.reserved or 0)

@@ -35,8 +35,8 @@ end
 function Lines:read_on(file)
   local rest = sub(self.text, self.pos)
   local more, why = file:read(math.max(BLOCK, #rest))
-  if why then error("cannot read on at offset " .. self.base + self.pos - 1 .. ": " .. why, 0) end
   self.base = self.base + self.pos - 1
+  if why then error("cannot read the line at offset " .. self.base .. ": " .. why, 0) end
   self.text = rest .. (more or "")
   self.pos = 1
   return #self.text > #rest
