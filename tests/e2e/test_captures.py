@@ -238,9 +238,10 @@ def test_command_of_the_document():
 
 # Messages of several frames --------------------------------------------------------------------------------------
 
+# Two passes take remote frames of zeros for data (docs/reading.md): only in one pass is it known which frames are whose.
 @levels.each_once
-@pytest.mark.parametrize("passes", expected.PASSES)
-@pytest.mark.parametrize("name", MESSAGES)
+@pytest.mark.parametrize("name, passes", [(name, passes) for name in MESSAGES for passes in expected.PASSES
+                                          if passes == "one pass" or name != "remote_frames"])
 def test_links_between_the_frames_of_a_message(name, passes):
     frames = shown(name, passes)
     lists = [one["yapp.fragment"] for one in frames if "yapp.fragment" in one]

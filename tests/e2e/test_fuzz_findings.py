@@ -120,7 +120,7 @@ def test_a_fault_ends_a_run_with_a_small_capture(folder):
     (folder / "kept").mkdir()
     plant(folder / "plugin", "yapp/message/decode.lua", "function M.read", 'error("planted")')
     command = [sys.executable, tshark.ROOT / "tests/fuzz.py", "--plugin", folder / "plugin"]
-    done = subprocess.run([*command, "--frames", "100", "--jobs", "1", "--keep", folder / "kept"], capture_output=True,
+    done = subprocess.run([*command, "--frames", "3000", "--jobs", "1", "--keep", folder / "kept"], capture_output=True,
                           text=True, check=False)
     assert done.returncode == 1 and "planted" in done.stdout, done.stdout + done.stderr
     kept = sorted(path for path in (folder / "kept").iterdir() if path.suffix != ".args")

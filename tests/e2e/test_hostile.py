@@ -160,7 +160,7 @@ def test_each_id_is_given_to_each_message():
     path = tshark.CAPTURES / "document_command.pcap"
     lines = said(*(word for name in ALL_IDS for word in ("-o", f"yapp.{name}_ids:0-2047")), "-r", path)
     assert lines[0] == "yapp: preferences: ID 0x0 is given to Command and to Motor Data: it stays with Command"
-    assert lines[-1] == "yapp: preferences: and so on: 4096 IDs in all"
+    assert lines[-1] == "yapp: preferences: and so on: 4096 problems in all"
     assert len(lines) <= 25
 
 
