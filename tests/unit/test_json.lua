@@ -32,7 +32,10 @@ function T.test_a_file_that_could_not_be_written_for_a_moment()
   local file = assert(json.create(path))
   file.handle:close()
   local answers = { { true }, { nil, "No space left on device" }, { true } }
-  file.handle = { write = function() return unpack(table.remove(answers, 1), 1, 2) end, close = function() return true end }
+  file.handle = {
+    write = function() return unpack(table.remove(answers, 1), 1, 2) end,
+    close = function() return true end,
+  }
   for _ = 1, 3 do file:write("some text") end
   lu.assertEquals(json.finish { file }, path .. ": No space left on device")
   os.remove(path)
