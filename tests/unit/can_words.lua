@@ -75,7 +75,8 @@ function M.look(known, frame, is_again)
   local record = { address = can_id.address[frame.can_id], number = frame.number,
     place = frame.place or 8, is_again = is_again or false, data = frame.data,
     reported = frame.reported or #frame.data, bus = frame.bus or false,
-    knows_bus = frame.knows_bus ~= false, is_wide = frame.is_wide or false }
+    knows_bus = frame.knows_bus ~= false, is_wide = frame.is_wide or false,
+    is_only_pass = frame.is_only_pass }
   local entry = known:look(record)
   if not entry then return "-", record end
   local is_last = entry.last == record.look
@@ -85,7 +86,7 @@ function M.look(known, frame, is_again)
     local payload = is_last and entry.payload or record.data
     local message = { source = record.address.id + (record.bus or -1) * 0x800,
       time = record.number / 8, has_fault = payload ~= "" and payload:byte() % 2 == 1,
-      good = not is_last or text == "good", is_only_pass = frame.is_only_pass }
+      good = not is_last or text == "good" }
     record.change = known:change(message, record)
     record.delta = message.delta or nil
   end

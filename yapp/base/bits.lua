@@ -15,6 +15,9 @@ local native = load([[
 -- after % 0x100000000.
 M.library = not native and (rawget(_G, "bit") or require("bit32")) or nil
 
+--- As band, but the sign is not sure: whether it is 0 can be asked of it, in loops.
+M.common = native and native() or M.library.band
+
 --- band(a, b): the bits that both have.  bor(a, b): those that any has.  bxor(a, b): those that one
 -- of them has.
 -- a, b     integers, 0 .. 0xFFFFFFFF

@@ -65,7 +65,13 @@ function Carrier:reset(new_history)
   -- COMPAT 5.2: where there is nothing, false: to write nil under a name that has none makes the
   -- table anew.
   local place = buses.found.place
-  self.frame = { place = place or 0, bus = false, knows_bus = true }
+  self.frame = {
+    place = place or 0,
+    bus = false,
+    knows_bus = true,
+    is_only_pass = false,
+    range = false,
+  }
   self.has_places, self.asks = not place, buses.asks
 end
 
@@ -104,8 +110,10 @@ local function add_item(self, frame)
   local builder, address, source = self.tree, frame.address, frame.entry.source
   local kind = KINDS[address.ctrl] or "undefined frame"
   local title = ("%s, %s, %s"):format(builder.yapp.description, source.name, kind)
-  local item = add(frame.tree, builder.yapp, frame.tvb(), title)
+  local range = frame.tvb()
+  local item = add(frame.tree, builder.yapp, range, title)
   builder:add_address(item, address, source)
+  frame.range = range
   return item
 end
 
@@ -125,7 +133,8 @@ local function add_message(self, frame, item, tvb)
   append_text(builder:generated(item, "size", entry.size), " bytes")
   builder:generated(item, "reserved", entry.reserved or 0)
   builder:add_crc(item, nil, entry)
-  builder:add_fragments(item, tvb or frame.tvb, numbers, #entry, #entry.payload, tvb and tvb())
+  local payload = tvb and tvb()
+  builder:add_fragments(item, payload or frame.range, numbers, #entry, #entry.payload, payload)
   if entry.padding and entry.padding <= #data then
     add(item, builder.fields.padding, frame.tvb(#data - entry.padding))
   end
@@ -139,7 +148,7 @@ local function add_part(self, frame, item, leads_to)
     add_start(self, frame, item)
     append_text(item, (" of %d bytes"):format(message.size))
   elseif frame.data ~= "" then
-    add(item, fields["fragment.data"], frame.tvb())
+    add(item, fields["fragment.data"], frame.range)
   end
   if leads_to then add_generated(item, fields["reassembled.in"], leads_to) end
   if message.has_fault then add_generated(item, fields["message.fault"], true) end
@@ -164,7 +173,6 @@ local function finished(frame, wants, item, payload, status, size)
   m.tvb = false
   m.wanted = wants.yapp
   m.wants_standing = wants.standing
-  m.is_only_pass = wants.is_only_pass
   m.has_columns = wants.columns
   return m
 end
@@ -270,7 +278,7 @@ local function show_alone(self, frame, wants, item)
   if wants.yapp and ctrl == START then
     add_start(self, frame, item)
   elseif wants.yapp and frame.data ~= "" then
-    add(item, self.tree.fields["fragment.data"], frame.tvb())
+    add(item, self.tree.fields["fragment.data"], frame.range)
   end
   if not KINDS[ctrl] then return ("%s  CAN CTRL %d"):format(name, ctrl) end
   local text = ("%s  %s"):format(name, KINDS[ctrl])
@@ -283,6 +291,7 @@ end
 local function show(self, frame, entry)
   local builder, pinfo, item = self.tree, frame.pinfo, frame.tree
   local wants = not frame.is_again and builder.wanted or builder:wants(item, pinfo, frame.is_again)
+  frame.is_only_pass = wants.is_only_pass -- and those that follow
   local is_last, show_it = entry.last == frame.look, show_alone
   if is_last then
     show_it = show_message

@@ -9,9 +9,10 @@
 --   address, size, crc, reserved (nil when 0)   of its Start; source, as whom it came from
 --   status      nil while it is open; "good", "bad" (CRC), "short", "overrun", "unverified" (bytes
 --               not captured), "cut" (a new Start came)
---   chunks, received   while it is open: what came, how many bytes
---   repeated, is_cut   bytes of frames that are as the one before, whether bytes were not captured;
---               nil where there was nothing of the kind
+--   chunks      while it is open: what came, and received = how many bytes; repeated = bytes of
+--               frames that are as the one before, is_cut = whether bytes were not captured: nil
+--               where there was nothing of the kind
+--   received    bytes, once it is known that they do not fit
 --   payload, padding (nil when 0), calculated (of a bad CRC)   once it has ended
 --   last        the look of the frame that ended it: what is shown of the message stands there
 --   blamed      the looks at which something was said to be wrong with it, or nil
@@ -83,8 +84,7 @@ end
 function Reassembly:orphan(address, source, look)
   local kind = address.ctrl == END and "End" or "Middle"
   self:fault(look, "fragment.orphan", kind .. " of a message whose Start is not here")
-  self.entries[look] = self:alone(address, source)
-  return self.entries[look]
+  return self:alone(address, source)
 end
 
 --- The entry of a frame that stands alone.
@@ -190,13 +190,14 @@ end
 local function overtake(self, slot, frame, look)
   local open = self.open[slot]
   local message = open.messages and open:newest() or open
+  local chunks = message.chunks
   if not message.status and not message.overtaken then
-    local received = open.messages and open:received() or open.received
+    local received = chunks and chunks.received or open:received()
     local text = "A new Start cuts off the message that started in frame %d: %d of %d bytes"
     text = text:format(floor(message[1]), received, message.size)
     self:fault(look, "fragment.incomplete", text, message)
   end
-  if frame.bus or message.status or message.is_cut then return cut(self, slot) end
+  if frame.bus or message.status or chunks and chunks.is_cut then return cut(self, slot) end
   if not open.messages then open = pool.new(self, open) end
   self.open[slot] = open
   if open:overtake() then return open end
@@ -211,8 +212,10 @@ local function start(self, slot, frame, look)
   if not frame.is_wide and not is_plausible(self, frame, size, reserved, known ~= nil) then
     return nil
   end
-  self.claimed[address.id] = true
-  self.claim(address.id)
+  if not self.claimed[address.id] then
+    self.claimed[address.id] = true
+    self.claim(address.id)
+  end
   local others = self.open[slot] and overtake(self, slot, frame, look)
   if size ~= known or reserved ~= 0 or frame.reported ~= 8 then
     check_start(self, frame, look, size, reserved, known)
@@ -225,8 +228,7 @@ local function start(self, slot, frame, look)
     source = source,
     size = size,
     crc = sum,
-    chunks = { nil, nil, nil, nil },
-    received = 0,
+    chunks = { nil, nil, nil, nil, received = 0 },
     status = nil,
     payload = nil,
     last = nil,
@@ -280,31 +282,31 @@ end
 -- The End of a message that has not as many bytes as its size says.
 local function finish_unusual(self, message, frame, look)
   local chunks = message.chunks
-  local needed = frame.reported + message.size - message.received
+  local needed = frame.reported + message.size - chunks.received
   local padding = can_id.padding(frame.data, frame.reported, needed)
   if padding then
     message.padding = padding
     chunks[#chunks] = frame.data:sub(1, needed)
-    return self:finish(message, concat(chunks), look, message.is_cut and "unverified" or nil)
+    return self:finish(message, concat(chunks), look, chunks.is_cut and "unverified" or nil)
   end
-  if message.repeated and not message.is_cut and
+  if chunks.repeated and not chunks.is_cut and
     leave_out(self, message, frame, needed, look) then return end
-  self:finish(message, concat(chunks), look, self:misfit(message, message.received, look))
+  self:finish(message, concat(chunks), look, self:misfit(message, chunks.received, look))
   message.calculated = nil
 end
 
 -- A message has got more bytes than it can have.
 local function go_beyond(self, message, look)
-  message.status, message.chunks = self:misfit(message, message.received, look), nil
+  message.status, message.chunks = self:misfit(message, message.chunks.received, look), nil
 end
 
 -- Bytes that are as the ones before, or were not all captured.  Behind such nothing is known to be
 -- in its place.
-local function take_odd(message, at, data, reported)
-  if message.is_cut then return end
-  if data == message.chunks[at - 1] then message.repeated = (message.repeated or 0) + reported end
-  message.is_cut = #data < reported
-  message.chunks[at] = data
+local function take_odd(chunks, at, data, reported)
+  if chunks.is_cut then return end
+  if data == chunks[at - 1] then chunks.repeated = (chunks.repeated or 0) + reported end
+  chunks.is_cut = #data < reported
+  chunks[at] = data
 end
 
 -- A Middle or End where no message waits for it that came so far as it should.
@@ -317,12 +319,12 @@ local function continue_other(self, slot, frame, look)
     return self:orphan(address, source, look)
   end
   if message.messages then
-    message:frame(frame, look)
+    local entry = message:frame(frame, look)
     if #message.messages == 0 then close(self, slot) end
-    return self.entries[look]
+    return entry
   end
-  message[#message + 1], message.received = look, message.received + frame.reported
-  go_beyond(self, message, look)
+  message[#message + 1] = look
+  self:misfit(message, message.received + frame.reported, look)
   if address.ctrl == END then
     close(self, slot)
     self:finish(message, "", look, message.status)
@@ -335,24 +337,24 @@ local function continue(self, slot, frame, look)
   local chunks = message and message.chunks
   if not chunks then return continue_other(self, slot, frame, look) end
   local data, reported, at = frame.data, frame.reported, #message
-  local received = message.received + reported
+  local received = chunks.received + reported
   message[at + 1] = look
-  message.received = received
-  if message.is_cut or data == chunks[at - 1] or #data < reported then
-    take_odd(message, at, data, reported)
+  chunks.received = received
+  if data == chunks[at - 1] or #data < reported or chunks.is_cut then
+    take_odd(chunks, at, data, reported)
   else
     chunks[at] = data
   end
   if frame.address.ctrl ~= END then
     local too_many = received - message.size
-    if too_many > 0 and too_many > min(message.repeated or 0, MAX_RUNS * reported) then
+    if too_many > 0 and too_many > min(chunks.repeated or 0, MAX_RUNS * reported) then
       go_beyond(self, message, look)
     end
     return message
   end
   close(self, slot)
   if received == message.size then
-    self:finish(message, concat(chunks), look, message.is_cut and "unverified" or nil)
+    self:finish(message, concat(chunks), look, chunks.is_cut and "unverified" or nil)
   else
     finish_unusual(self, message, frame, look)
   end
@@ -399,12 +401,6 @@ local function make_small(pass, message, delta)
   entries[first] = -last
   entries[last] = (delta or "") .. mark .. message.address.key_bytes .. message.payload
   return true
-end
-
--- Nobody will look at these frames again.
-local function forget(entries, message, look)
-  for i = 1, #message do entries[message[i]] = false end
-  entries[look] = false
 end
 
 -- The entry of a frame from what is kept; nil where that is of another id: a read filter rejected
@@ -467,9 +463,10 @@ end
 --          is_again = whether Wireshark has shown it before, data = captured bytes, reported = its
 --          length on the bus, bus = number, false where there is one or nothing says; knows_bus =
 --          whether this is known; is_wide = whether the user says that every extended frame is
---          YAPP, else only what is surely YAPP is claimed }: gets entry, look, pass = which has it,
---          is_now = whether that took it just now, faults = what is wrong with it: false or a list
---          of { expert =, text =, message = or nil, void = whether it has been taken back since }
+--          YAPP, else only what is surely YAPP is claimed; is_only_pass = whether no frame is
+--          looked at again: then none is kept }: gets entry, look, pass = which has it, is_now =
+--          whether that took it just now, faults = what is wrong with it: false or a list of {
+--          expert =, text =, message = or nil, void = whether it has been taken back since }
 -- returns  its entry; nil for a frame that is not YAPP's
 function Memory:look(frame)
   local reassembly, is_now = self.first, true
@@ -485,7 +482,7 @@ function Memory:look(frame)
     local address, bus = frame.address, frame.bus
     local slot = bus and address.key + bus * BUS or address.key
     entry = TAKERS[address.ctrl](reassembly, slot, frame, look)
-    if entry then reassembly.entries[look] = entry end
+    if entry and not frame.is_only_pass then reassembly.entries[look] = entry end
   else
     entry = recall(reassembly, frame, look)
   end
@@ -514,9 +511,8 @@ function Memory:outcome(frame)
 end
 
 --- What is new in a message (see message.history).
--- m       as History:note takes it, and has_fault = whether it has a fault flag set, is_only_pass =
---         whether no frame is looked at again; gets delta, and is_unsure: whether what came before
---         is not known, as nothing tells the buses
+-- m       as History:note takes it, and has_fault = whether it has a fault flag set; gets delta,
+--         and is_unsure: whether what came before is not known, as nothing tells the buses
 -- frame   its last, or only, one, as look filled it in
 function Memory.change(_, m, frame)
   local entry, pass = frame.entry, frame.pass
@@ -533,11 +529,9 @@ function Memory.change(_, m, frame)
   end
   local change, delta = pass:note(frame.look, m)
   m.delta = delta or false
-  if m.is_only_pass and m.good then
-    forget(pass.entries, entry, frame.look)
-  elseif entry.status ~= "good" or not make_small(pass, entry, delta) then
-    entry.delta = delta
-  end
+  if frame.is_only_pass then return change end
+  local is_small = entry.status == "good" and make_small(pass, entry, delta)
+  if not is_small then entry.delta = delta end
   return change
 end
 

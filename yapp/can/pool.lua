@@ -176,7 +176,7 @@ local function give(self, message, places)
     message[i + 1] = frame.look
     if not is_cut then chunks[i] = frame.data end
     is_cut = is_cut or #frame.data < frame.length
-    reassembly.entries[frame.look] = message
+    if reassembly.entries[frame.look] then reassembly.entries[frame.look] = message end
     reassembly:take_back(frame.look, function(fault) return fault.expert == "fragment.orphan" end)
   end
   return concat(chunks), is_cut
@@ -203,6 +203,7 @@ end
 
 -- An End that completes nothing ends the newest message, as far as anyone can see.  But it may be
 -- another bus's, so where others are open that message stays for what may come.
+-- returns  what ended
 local function end_newest(self, look)
   local message = self:newest()
   local length, places = leftovers(self, message)
@@ -217,9 +218,11 @@ local function end_newest(self, look)
   local padding = can_id.padding(last.data, last.length, message.size - length + last.length)
   local status = not padding and self.reassembly:misfit(ended, length, look) or nil
   award(self, ended, places, padding, status)
+  return ended
 end
 
---- Takes a Middle or End; the reassembly's entries say what it is.
+--- Takes a Middle or End.
+-- returns  its entry
 function Pool:frame(frame, look)
   local newest, reassembly = self:newest(), self.reassembly
   local is_end = frame.address.ctrl == can_id.END
@@ -229,19 +232,23 @@ function Pool:frame(frame, look)
   self.bytes = self.bytes + frame.reported
   if is_end then
     local place, places, padding = find_whole(self)
-    if place then return award(self, table.remove(self.messages, place), places, padding) end
+    if place then
+      local whole = table.remove(self.messages, place)
+      award(self, whole, places, padding)
+      return whole
+    end
   end
   if newest.overtaken then return reassembly:orphan(frame.address, newest.source, look) end
-  reassembly.entries[look] = newest
   newest[#newest + 1] = look -- as far as anyone can see
   if is_end then return end_newest(self, look) end
   -- More bytes than all open messages can use: none of them will come out good.
   local limit = MAX_WASTE
   for _, message in ipairs(self.messages) do limit = limit + message.size end
-  if self.bytes <= limit then return end
+  if self.bytes <= limit then return newest end
   reassembly:misfit(newest, self.bytes, look)
   for _, message in ipairs(self.messages) do message.status = message.status or "overrun" end
   self.messages = {}
+  return newest
 end
 
 return M

@@ -4,6 +4,7 @@
 -- An enum is its number and, in NAME_text, its meaning; flags are the integer and, in GROUP_FLAG, 0
 -- or 1; a float that is no ordinary number is an empty cell and what it is in NAME_special.
 
+local common = require("yapp.base.bits").common
 local decode = require("yapp.message.decode")
 local straight = require("yapp.message.straight")
 
@@ -107,7 +108,7 @@ end
 function cells.flags(field, raw)
   local texts = { decode.digits(raw) }
   for i, flag in ipairs(field.flags) do
-    texts[i + 1] = decode.band(raw, flag.mask) ~= 0 and "1" or "0"
+    texts[i + 1] = common(raw, flag.mask) ~= 0 and "1" or "0"
   end
   return concat(texts, ",")
 end

@@ -3,7 +3,7 @@
 -- there, little endian ("YAPP Data Types", "YAPP Float Compression", "Time"), what they mean, and
 -- what is remarkable in them.  Pure Lua.
 
-local band = require("yapp.base.bits").band
+local bits = require("yapp.base.bits")
 local utf8 = require("yapp.base.utf8")
 
 local M = {}
@@ -21,6 +21,7 @@ M.SPECIALS = {
 local byte, find, format, sub = string.byte, string.find, string.format, string.sub
 local concat = table.concat
 local HUGE = math.huge
+local band, common = bits.band, bits.common
 
 --- The bits that two numbers of 32 bits have in common.
 M.band = band
@@ -283,9 +284,9 @@ end
 --- The filter names of the flags that are set, undefined bits as one number: "motor_overcurrent,
 -- hall_timeout".
 function M.flag_names(field, raw)
-  local names = {}
-  for _, flag in ipairs(field.flags) do
-    if band(raw, flag.mask) ~= 0 then names[#names + 1] = flag.name end
+  local names, flags = {}, field.flags
+  for i = 1, #flags do
+    if common(raw, flags[i].mask) ~= 0 then names[#names + 1] = flags[i].name end
   end
   local undefined = M.undefined(field, raw)
   if undefined ~= 0 then names[#names + 1] = format("undefined 0x%x", undefined) end

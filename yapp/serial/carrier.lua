@@ -157,7 +157,7 @@ local function add_frame(self, view, source, tvb, at, event)
   if event.parts then
     local payload = #event.payload > 0 and tvb(at + HEADER, #event.payload) or nil
     add_generated(item, fields["reassembled.in"], fact.number)
-    builder:add_fragments(item, tvb, event.parts, event.count, event.length, payload)
+    builder:add_fragments(item, tvb(), event.parts, event.count, event.length, payload)
   end
   if event.status ~= "cut" then
     builder:add_crc(item, tvb(at + HEADER + event.size, CRC_SIZE), event)

@@ -20,6 +20,7 @@ local format = string.format
 local band = decode.band
 local flag_names = decode.flag_names
 
+local IS_TSHARK = not gui_enabled()
 local NONE = {}
 
 local Taurus = {}
@@ -175,7 +176,7 @@ end
 -- for one fault takes 1.9 times as long.
 local function plan_of(self, m, tree)
   local is_shown = tree.visible
-  local plans = is_shown and self.shown or m.is_steady and self.steady or {}
+  local plans = is_shown and self.shown or IS_TSHARK and not m.visited and self.steady or {}
   local plan = plans[m.message] or make_plan(self, m.message, tree, is_shown)
   plans[m.message] = plan
   return plan
@@ -225,18 +226,16 @@ local function append_help(item, field, bits)
 end
 
 --- Shows a message, and its expert items.
--- m        of message.reader, as Tree:payload takes it, and label = what the message is called
---          where its title does not tell it, or false; is_steady = whether what is wanted of a tree
---          cannot change before the next reset
+-- m        of message.reader, as Tree:payload takes it
 -- returns  the Taurus item; nil without a tree
 function Taurus:show(m)
   local top, items = nil, NONE
-  if m.tvb then top, items = build(self, m) end
+  if m.tvb and m.payload ~= "" then top, items = build(self, m) end
   for _, remark in ipairs(m.look and decode.remarks(m.message, m.raws) or NONE) do
     local index, name = remark[1], remark[2]
     local place = items[index]
     if place and name == "fault.active" then
-      if m.label then append_text(place, " of " .. m.label) end
+      if m.name ~= m.message.title then append_text(place, " of " .. m.name) end
       append_help(place, m.message.fields[index], m.raws[index])
     end
     (place or top or m.item):add_proto_expert_info(self.experts[name])
@@ -277,17 +276,16 @@ local function add_bits(self, item, one, way, is_tree)
 end
 
 --- Adds what the history says of a message, all of it generated, with its expert items.
--- item     the Taurus item, or YAPP's where no tree is wanted
--- m        a message of message.reader
--- is_tree  whether it is the Taurus item; else there are expert items only
+-- m    a message of message.reader
+-- top  the Taurus item; nil or false where nobody wants a tree: then there are expert items only
 -- returns  a list of the names of faults that were cleared: { "motor_overcurrent, hall_timeout" }
-function Taurus:add_change(item, m, is_tree)
-  local change, cleared = m.change or NONE, {}
+function Taurus:add_change(m, top)
+  local change, cleared, item = m.change or NONE, {}, top or m.item
   for _, one in ipairs(change.flags or NONE) do
-    add_bits(self, item, one, "raised", is_tree)
-    cleared[#cleared + 1] = add_bits(self, item, one, "cleared", is_tree)
+    add_bits(self, item, one, "raised", top)
+    cleared[#cleared + 1] = add_bits(self, item, one, "cleared", top)
   end
-  local drift = is_tree and m.standing and add_standing(self, item, m)
+  local drift = top and m.standing and add_standing(self, item, m)
   if change.reboot then (drift or item):add_proto_expert_info(self.experts.reboot) end
   if change.stale then (drift or item):add_proto_expert_info(self.experts.stale) end
   return cleared

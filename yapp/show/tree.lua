@@ -134,9 +134,10 @@ end
 -- source   of message.reader
 function Tree:add_address(item, address, source)
   self:add_id(item, nil, address.id, source.bus_name)
-  self:generated(item, "ctl", address.ctl)
-  self:generated(item, "seq", address.seq)
-  self:generated(item, "can.ctrl", address.ctrl)
+  local fields = self.fields
+  add_generated(item, fields.ctl, address.ctl)
+  add_generated(item, fields.seq, address.seq)
+  add_generated(item, fields["can.ctrl"], address.ctrl)
   self:add_source(item, source)
 end
 
@@ -154,17 +155,18 @@ end
 -- source  of message.reader
 function Tree:add_source(item, source)
   self:generated(item, "bus", source.bus_name)
-  self:generated(item, "source", source.text)
+  add_generated(item, self.fields.source, source.text)
 end
 
 --- Adds the frames that a message was put together from.
--- tvb      of the whole; numbers: of its frames; count: of them, with any that a read filter
---          rejected; length: in bytes
+-- whole    TvbRange; numbers: of its frames; count: of them, with any that a read filter rejected;
+--          length: in bytes
 -- payload  TvbRange of the message's payload, nil where it has none
-function Tree:add_fragments(item, tvb, numbers, count, length, payload)
-  local list = self:generated(item, "fragments", tvb())
+function Tree:add_fragments(item, whole, numbers, count, length, payload)
+  local list = self:generated(item, "fragments", whole)
   list:set_text(("%d fragments (%d bytes)"):format(count, length))
-  for _, number in ipairs(numbers) do self:generated(list, "fragment", number) end
+  local fragment = self.fields.fragment
+  for _, number in ipairs(numbers) do add_generated(list, fragment, number) end
   self:generated(list, "fragment.count", count)
   self:generated(list, "reassembled.length", length)
   self:generated(list, "reassembled.data", payload)
@@ -223,7 +225,7 @@ end
 -- What the Info column says of what changed, and the tree and the expert items of that.
 local function show_change(self, m, top)
   local change = m.change or {}
-  local cleared, info = self.messages:add_change(top or m.item, m, top ~= nil), ""
+  local cleared, info = self.messages:add_change(m, top), ""
   if cleared[1] then info = "  cleared " .. table.concat(cleared, ", ") end
   if change.reboot then return info .. "  REBOOT" end
   return change.stale and info .. "  STALE" or info
@@ -241,10 +243,7 @@ function Tree:payload(m)
     self:expert(m.item, "late", ("%.3f s since the previous one"):format(change.late))
   end
   if not m.raws then return show_bytes(self, m) end
-  if #m.payload == 0 then m.tvb = nil end
-  m.label = m.name ~= m.message.title and m.name
-  m.is_steady = IS_TSHARK and not m.visited
-  local top = self.messages:show(m)
+  local top = (m.tvb or m.look) and self.messages:show(m)
   local info = m.has_columns and info_of.text(m.message, m.raws, m.payload, m.name, m.look) or ""
   if change or top then info = info .. show_change(self, m, top) end
   return info
