@@ -102,17 +102,11 @@ local function claim_id(id)
   end
 end
 
--- Starts of unknown messages, of those that do not number themselves.
-local function claim_starts()
-  for id = 0, MAX_ID do
-    if not is_registered[id] then by_can_id:add(id * 0x40000 + 0x4000, yapp) end
-  end
-end
-
 local frames = can_carrier.new(tree, reader, buses, claim_id)
 local streams = serial_carrier.new(tree, reader, buses)
 local tell = stat_tell.new(stat, reader)
 reader:tell_to(tell)
+function stat.plugin.tapped() tree:only_pass() end
 function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
 function stat.plugin.named() return reader.sources:list() end
 function stat.plugin.problems()
@@ -259,7 +253,8 @@ end
 
 -- Registration ------------------------------------------------------------------------------------
 
-claim_starts()
+-- Starts of unknown messages, of those that do not number themselves.
+for id = 0, MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
 stat:register()
 for name, protos in pairs {
   ["can.subdissector"] = { all, yapp },

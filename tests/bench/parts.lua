@@ -45,7 +45,7 @@ local function finished(frame, payload)
   local address = frame.address
   return { id = address.id, seq = address.seq, ctl = address.ctl, source = address.id,
     frame = frame.number, time = frame.number / 5000, payload = payload, size = #payload,
-    is_whole = true, status = "good", good = true }
+    is_whole = true, status = "good", good = true, wants = {} }
 end
 
 -- How many good messages a capture has, by the steps up to one.

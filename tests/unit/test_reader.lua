@@ -110,7 +110,8 @@ local function read(r, message, bytes, with)
   for offset, byte in pairs(bytes) do
     payload = payload:sub(1, offset) .. string.char(byte) .. payload:sub(offset + 2)
   end
-  local m = { id = message.id, size = message.size, payload = payload, is_whole = true, good = true }
+  local m = { id = message.id, size = message.size, payload = payload, is_whole = true, good = true,
+    wants = {} }
   for key, value in pairs(with or {}) do m[key] = value end
   local memory = { change = function(_, _, what) return what end }
   r:read(m, memory, "what changed")
@@ -131,7 +132,8 @@ function T.test_what_a_message_gets()
 end
 
 function T.test_nothing_new()
-  local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true }
+  local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true,
+    wants = {} }
   new():read(m, { change = function() end })
   lu.assertFalse(m.change)
 end

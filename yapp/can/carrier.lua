@@ -65,13 +65,7 @@ function Carrier:reset(new_history)
   -- COMPAT 5.2: where there is nothing, false: to write nil under a name that has none makes the
   -- table anew.
   local place = buses.found.place
-  self.frame = {
-    place = place or 0,
-    bus = false,
-    knows_bus = true,
-    is_only_pass = false,
-    range = false,
-  }
+  self.frame = { place = place or 0, bus = false, knows_bus = true }
   self.has_places, self.asks = not place, buses.asks
 end
 
@@ -171,9 +165,7 @@ local function finished(frame, wants, item, payload, status, size)
   m.tree = frame.tree
   m.item = item
   m.tvb = false
-  m.wanted = wants.yapp
-  m.wants_standing = wants.standing
-  m.has_columns = wants.columns
+  m.wants = wants
   return m
 end
 
@@ -185,7 +177,7 @@ local function show_single(self, frame, wants, item)
   if padding then size, payload = known, data:sub(1, known) end
   local m = finished(frame, wants, item, payload, "single", size)
   m.good = #data == reported
-  if wants.yapp or wants.taurus then m.tvb = frame.tvb end
+  if wants.tree then m.tvb = frame.tvb end
   self.reader:read(m, self.memory, frame)
   local info = self.tree:payload(m)
   if wants.yapp and padding and #data > known then
@@ -199,8 +191,8 @@ local function show_unfit(self, frame, m)
   local builder, message = self.tree, frame.entry
   m.is_whole = false
   self.reader:read(m, self.memory, frame)
-  if m.wanted and m.tvb then add(m.item, builder.fields.payload, m.tvb()) end
-  if m.wanted then builder:add_delta(m.item, m) end
+  if m.wants.yapp and m.tvb then add(m.item, builder.fields.payload, m.tvb()) end
+  if m.wants.yapp then builder:add_delta(m.item, m) end
   local text = ("%s  %d of %d bytes"):format(m.name, message.received, message.size)
   return text .. STATUS_TEXT[message.status]
 end
@@ -210,7 +202,7 @@ local function show_message(self, frame, wants, item)
   local builder, message = self.tree, frame.entry
   local status, payload = message.status, message.payload
   local m = finished(frame, wants, item, payload, status, message.size)
-  if (wants.yapp or wants.taurus) and payload ~= "" then
+  if wants.tree and payload ~= "" then
     m.tvb = ByteArray.new(payload, true):tvb(REASSEMBLED)
   end
   if wants.yapp then add_message(self, frame, item, m.tvb) end

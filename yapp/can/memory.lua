@@ -295,11 +295,6 @@ local function finish_unusual(self, message, frame, look)
   message.calculated = nil
 end
 
--- A message has got more bytes than it can have.
-local function go_beyond(self, message, look)
-  message.status, message.chunks = self:misfit(message, message.chunks.received, look), nil
-end
-
 -- Bytes that are as the ones before, or were not all captured.  Behind such nothing is known to be
 -- in its place.
 local function take_odd(chunks, at, data, reported)
@@ -348,7 +343,7 @@ local function continue(self, slot, frame, look)
   if frame.address.ctrl ~= END then
     local too_many = received - message.size
     if too_many > 0 and too_many > min(chunks.repeated or 0, MAX_RUNS * reported) then
-      go_beyond(self, message, look)
+      message.status, message.chunks = self:misfit(message, received, look), nil
     end
     return message
   end

@@ -183,6 +183,7 @@ local function give(self, message, places)
 end
 
 -- Gives frames to a message and ends it: with a status when it is known, else the CRC decides.
+-- returns  the message
 local function award(self, message, places, padding, status)
   local reassembly, frames = self.reassembly, self.frames
   local payload, is_cut = give(self, message, places)
@@ -190,7 +191,7 @@ local function award(self, message, places, padding, status)
   if is_cut then status = status or "unverified" end
   message.padding = padding and padding > 0 and padding or nil
   reassembly:finish(message, payload, frames[#frames].look, status)
-  if message.status ~= "good" then return end -- else its frames may still be another's
+  if message.status ~= "good" then return message end -- its frames may still be another's
   for _, at in ipairs(places) do
     frames[at].is_taken = true
     self.bytes = self.bytes - frames[at].length
@@ -199,6 +200,7 @@ local function award(self, message, places, padding, status)
     reassembly:take_back(look, function(fault) return fault.message == message end)
   end
   message.blamed = nil
+  return message
 end
 
 -- An End that completes nothing ends the newest message, as far as anyone can see.  But it may be
@@ -217,8 +219,7 @@ local function end_newest(self, look)
   end
   local padding = can_id.padding(last.data, last.length, message.size - length + last.length)
   local status = not padding and self.reassembly:misfit(ended, length, look) or nil
-  award(self, ended, places, padding, status)
-  return ended
+  return award(self, ended, places, padding, status)
 end
 
 --- Takes a Middle or End.
@@ -233,9 +234,7 @@ function Pool:frame(frame, look)
   if is_end then
     local place, places, padding = find_whole(self)
     if place then
-      local whole = table.remove(self.messages, place)
-      award(self, whole, places, padding)
-      return whole
+      return award(self, table.remove(self.messages, place), places, padding)
     end
   end
   if newest.overtaken then return reassembly:orphan(frame.address, newest.source, look) end

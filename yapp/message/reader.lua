@@ -16,7 +16,6 @@ function M.new(catalogue, stat)
   return setmetatable({
     messages = catalogue.messages,
     stat = stat,
-    tell = nil, -- see Reader:tell_to
     by_id = catalogue.by_id, -- the user's choice, see Reader:use; before, readers of files ask
     sources = nil, -- a message.sources
     is_by_id = true, -- whether no bus has messages of its own
@@ -162,7 +161,7 @@ end
 --          raws and look = from decode.read, where the size fits too
 --          has_fault = whether a fault flag is set
 --          change = what is new in it, or false; delta = seconds since the source's previous good
---          one; standing = how things stand, where wants_standing is true (see message.history)
+--          one; standing = how things stand, where wants.standing (see message.history)
 -- memory   whose change(memory, m, ...) and standing(memory, m, ...) tell that (can.memory,
 --          serial.memory); ...: what they take besides
 function Reader:read(m, memory, ...)
@@ -173,7 +172,7 @@ function Reader:read(m, memory, ...)
   m.message, m.raws, m.look = message, raws, look
   m.has_fault = look and decode.has_alarm(message, raws)
   m.change = memory:change(m, ...) or false
-  m.standing = m.wants_standing and memory:standing(m, ...) or false
+  m.standing = m.wants.standing and memory:standing(m, ...) or false
   if self.stat.wanted then self.tell:message(m) end
 end
 

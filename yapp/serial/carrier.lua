@@ -192,9 +192,7 @@ local function finished(view, source, event)
   m.tree = view.tree
   m.item = view.tree
   m.tvb = false
-  m.wanted = view.wanted
-  m.wants_standing = view.wants.standing
-  m.has_columns = view.wants.columns
+  m.wants = view.wants
   return m
 end
 
@@ -204,7 +202,7 @@ local function show_frame(self, view, tvb, index)
   local status, at, source = event.status, event.at or 0, source_of(self, fact, event.id)
   local m = finished(view, source, event)
   self.reader:read(m, self.memory, view.packet, index, fact)
-  if view.wanted then
+  if m.wants.tree then
     m.item, m.tvb, m.at = add_frame(self, view, source, tvb, at, event), tvb, at + HEADER
   end
   if status == "bad" then builder:bad_crc(m.item, event) end
@@ -214,7 +212,7 @@ local function show_frame(self, view, tvb, index)
     builder:expert(m.item, "reserved.nonzero", text)
   end
   if m.is_whole or not m.message then return builder:payload(m) .. MARKS[status] end
-  if m.wanted and #m.payload > 0 then
+  if m.wants.yapp and #m.payload > 0 then
     add(m.item, builder.fields.payload, tvb(m.at, #m.payload))
   end
   return m.name .. MARKS[status]
@@ -224,7 +222,7 @@ local function show_skipped(self, view, tvb, at, bytes)
   local builder, fact, tell = self.tree, view.fact, self.reader.tell
   local text, size = printable(bytes), builder.bytes(#bytes)
   local item = view.tree
-  if view.wanted then
+  if view.wants.yapp then
     item = add(item, builder.yapp, tvb(at, #bytes))
     append_text(item, (", %s skipped"):format(size))
     local skipped = add(item, builder.fields.skipped, tvb(at, #bytes))
@@ -286,8 +284,7 @@ local function show_columns(self, view, texts)
   end
 end
 
--- Shows what a packet holds.  A view is what most of the above look at: wanted = whether anyone
--- wants a tree, and what it is made of here.
+-- Shows what a packet holds.  A view is what most of the above look at.
 local function show(self, tvb, pinfo, tree, fact, packet)
   local texts, wants = {}, self.tree:wants(tree, pinfo, fact.visited)
   local view = {
@@ -297,12 +294,11 @@ local function show(self, tvb, pinfo, tree, fact, packet)
     fact = fact,
     packet = packet,
     wants = wants,
-    wanted = wants.yapp or wants.taurus,
   }
-  if wants.names and not view.wanted then self.tree:bare(tree, wants, true) end
+  if wants.names and not wants.tree then self.tree:bare(tree, wants, true) end
   for i, event in ipairs(packet.events) do
     local bytes, of_event = event.bytes, tvb -- what lies in the packet has no bytes of its own
-    if bytes and view.wanted then
+    if bytes and wants.tree then
       of_event = ByteArray.new(bytes, true):tvb("Reassembled YAPP")
     end
     local text = show_event(self, view, of_event, i)

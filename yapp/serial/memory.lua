@@ -14,8 +14,8 @@ local M = {}
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local min, max, sub = math.min, math.max, string.sub
-local NOTHING = {} -- of a packet that is a frame and no more
 local FORGOTTEN = { events = {}, done = 0, pending = 0 }
+local NOTHING = {} -- of a packet that is a frame and no more
 
 local Memory = {}
 Memory.__index = Memory

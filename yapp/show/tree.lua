@@ -30,7 +30,6 @@ function M.new(options)
     reader = options.reader,
     messages = messages_of.new(options.taurus, options.catalogue),
     default_names = {}, -- titles by ID
-    wanted = nil, -- see Tree:wants
   }, Tree)
   for id, message in pairs(options.catalogue.by_id) do self.default_names[id] = message.title end
   self.fields, self.yapp_experts = fields_of.of_yapp(self.yapp, self.default_names)
@@ -39,8 +38,13 @@ end
 
 --- Forgets what was wanted of the file before.
 function Tree:reset()
-  self.wanted = nil
+  self.wanted, self.is_only_pass = nil, false
   self.messages:reset()
+end
+
+--- Says that tshark shows none again of the packets that it shows now for the first time.
+function Tree:only_pass()
+  self.wanted, self.is_only_pass = nil, true
 end
 
 -- What is wanted ----------------------------------------------------------------------------------
@@ -58,6 +62,7 @@ local function without_tree(has_columns, is_only_pass)
     is_only_pass = is_only_pass,
     yapp = false,
     taurus = false,
+    tree = false,
     standing = false,
     names = false,
   }
@@ -76,12 +81,14 @@ local function ask(self, tree, pinfo, is_first)
   local is_only_pass = is_first and (tree.visible or
     has_columns and not (FILTERS_COLUMNS and pcall(all_field_infos)))
   -- The API asks by dissector, and those exist only when loading has ended.
+  local yapp = tree:referenced(Dissector.get("yapp"))
   local taurus = tree:referenced(Dissector.get("taurus"))
   return {
     columns = has_columns,
     is_only_pass = is_only_pass,
-    yapp = tree:referenced(Dissector.get("yapp")),
+    yapp = yapp,
     taurus = taurus,
+    tree = yapp or taurus,
     standing = taurus and (not is_first or self.messages:wants_standing(tree)),
     names = not SAYS_PROTOCOLS and not self.reader.stat.wanted,
   }
@@ -90,17 +97,19 @@ end
 --- What anyone wants of a packet.
 -- is_again  whether the packet was shown before
 -- returns   { yapp = whether YAPP's own items are visible, filtered or printed, taurus = whether
---           those of messages are, standing = whether, of these, what also stands at messages that
---           change nothing, names = whether, without them, the names of protocols are (see bare),
---           columns = whether there are columns: tshark has them for a packet list, and not with
---           -V, -q, most of -T or in a first pass of two; is_only_pass = whether it is sure that
---           no packet is shown again, so that nothing need be kept: a tenth of a packet list }.  In
---           tshark this does not change within a first pass, so it is asked once and kept in
---           `wanted`; in Wireshark, and on later looks of sharkd, it may.
+--           those of messages are, tree = whether any of both, standing = whether, of these, what
+--           also stands at those that change nothing, names = whether, without them, the names of
+--           protocols are (see bare), columns = whether there are columns: tshark has them for a
+--           packet list, and not with -V, -q, most of -T or in a first pass of two; is_only_pass =
+--           whether it is sure that no packet is shown again, so that nothing need be kept: a tenth
+--           of a packet list }.  In tshark this does not change within a first pass, so it is asked
+--           once and kept in `wanted`; in Wireshark, and on later looks of sharkd, it may.
 function Tree:wants(tree, pinfo, is_again)
   if not IS_TSHARK or is_again then return ask(self, tree, pinfo, false) end
-  self.wanted = self.wanted or ask(self, tree, pinfo, true)
-  return self.wanted
+  local wants = self.wanted or ask(self, tree, pinfo, true)
+  wants.is_only_pass = wants.is_only_pass or self.is_only_pass
+  self.wanted = wants
+  return wants
 end
 
 --- Where nobody wants YAPP's own items, but there is a tree, and the names of protocols are wanted:
@@ -209,7 +218,7 @@ end
 -- A message that is not in the catalogue, or not as it is there: bytes.
 local function show_bytes(self, m)
   local message = m.message
-  if m.wanted and m.tvb and #m.payload > 0 then
+  if m.wants.yapp and m.tvb and #m.payload > 0 then
     add(m.item, self.fields.payload, m.tvb(m.at, #m.payload))
   end
   if not message then
@@ -233,18 +242,18 @@ end
 
 --- Shows a finished message: the message of the catalogue, or bytes.
 -- m        of message.reader, with { tree = where the Taurus tree goes, item = YAPP's own item or
---          the tree, wanted = whether there is one, tvb and at = where the payload lies, tvb nil
---          where nobody wants a tree, has_columns = whether anyone sees the Info column }
+--          the tree, tvb and at = where the payload lies, tvb nil where nobody wants a tree, wants
+--          = of Tree:wants }
 -- returns  what the Info column says of it, or a part of that where nobody sees it
 function Tree:payload(m)
   local change = m.change
-  if m.wanted then self:add_delta(m.item, m) end
+  if m.wants.yapp then self:add_delta(m.item, m) end
   if change and change.late then
     self:expert(m.item, "late", ("%.3f s since the previous one"):format(change.late))
   end
   if not m.raws then return show_bytes(self, m) end
   local top = (m.tvb or m.look) and self.messages:show(m)
-  local info = m.has_columns and info_of.text(m.message, m.raws, m.payload, m.name, m.look) or ""
+  local info = m.wants.columns and info_of.text(m.message, m.raws, m.payload, m.name, m.look) or ""
   if change or top then info = info .. show_change(self, m, top) end
   return info
 end

@@ -6,10 +6,7 @@ local crc = require "yapp.wire.crc"
 
 local M = {}
 
-local char = string.char
-
--- COMPAT 5.4: a quotient is a float there, and prints as one.
-local integer = rawget(math, "tointeger") or function(n) return n end
+local char, floor = string.char, math.floor
 
 -- CAN CTRL: 0 is a single frame, 2 a Middle.
 M.START, M.END = 1, 3
@@ -25,10 +22,10 @@ do
 end
 
 local function take_apart(addresses, can_id)
-  local seq = integer(can_id % 0x100)
-  local ctl = integer((can_id - seq) / 0x100 % 0x40)
-  local ctrl = integer((can_id - can_id % 0x4000) / 0x4000 % 0x10)
-  local id = integer((can_id - can_id % 0x40000) / 0x40000)
+  local seq = floor(can_id % 0x100)
+  local ctl = floor(can_id / 0x100) % 0x40
+  local ctrl = floor(can_id / 0x4000) % 0x10
+  local id = floor(can_id / 0x40000)
   local address = {
     id = id,
     ctrl = ctrl,
