@@ -38,8 +38,14 @@ Carrier.__index = Carrier
 -- buses    a host.buses
 -- claim    function(id): a frame of this ID was taken, which the catalogue may not know
 function M.new(tree, reader, buses, claim)
-  local self = { tree = tree, reader = reader, buses = buses, claim = claim, stat = reader.stat }
-  return setmetatable(self, Carrier)
+  return setmetatable({
+    tree = tree,
+    reader = reader,
+    buses = buses,
+    claim = claim,
+    stat = reader.stat,
+    title = tree.yapp.description .. ", ", -- how YAPP's item begins
+  }, Carrier)
 end
 
 --- Forgets the capture file: nothing survives into the next one.
@@ -103,8 +109,7 @@ end
 local function add_item(self, frame)
   local builder, address, source = self.tree, frame.address, frame.entry.source
   local kind = KINDS[address.ctrl] or "undefined frame"
-  local title = ("%s, %s, %s"):format(builder.yapp.description, source.name, kind)
-  local range = frame.tvb()
+  local title, range = self.title .. source.name .. ", " .. kind, frame.tvb()
   local item = add(frame.tree, builder.yapp, range, title)
   builder:add_address(item, address, source)
   frame.range = range
@@ -122,13 +127,13 @@ end
 -- What is put together in a message's last frame.
 local function add_message(self, frame, item, tvb)
   local builder, entry, data = self.tree, frame.entry, frame.data
-  local numbers = frame.pass:numbers(entry)
   builder:generated(item, "reassembled.in", frame.number)
   append_text(builder:generated(item, "size", entry.size), " bytes")
   builder:generated(item, "reserved", entry.reserved or 0)
   builder:add_crc(item, nil, entry)
-  local payload = tvb and tvb()
-  builder:add_fragments(item, payload or frame.range, numbers, #entry, #entry.payload, payload)
+  local payload, length = tvb and tvb(), #entry.payload
+  builder:add_fragments(item, payload or frame.range, frame.pass:numbers(entry), #entry, length,
+    payload)
   if entry.padding and entry.padding <= #data then
     add(item, builder.fields.padding, frame.tvb(#data - entry.padding))
   end
@@ -235,7 +240,7 @@ local function other_part_text(source, message, look, length)
   if message[index] ~= look then return source.name .. "  part once more" end
   local parts = length == 8 and texts.usual or 0
   if message.status == "good" then parts = #message end
-  if index == 1 or parts == texts.usual and texts[index] then return texts[index] end
+  if index == 1 then return texts[1] end
   if index > parts then return ("%s  part %d"):format(source.name, index) end
   return ("%s  part %d of %d"):format(source.name, index, parts)
 end

@@ -525,8 +525,7 @@ function Memory.change(_, m, frame)
   local change, delta = pass:note(frame.look, m)
   m.delta = delta or false
   if frame.is_only_pass then return change end
-  local is_small = entry.status == "good" and make_small(pass, entry, delta)
-  if not is_small then entry.delta = delta end
+  if entry.status ~= "good" or not make_small(pass, entry, delta) then entry.delta = delta end
   return change
 end
 

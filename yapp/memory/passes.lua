@@ -100,8 +100,10 @@ function Pass:number(look)
   end
 end
 
---- The numbers of the frames of these looks, without those that a read filter rejected.
+--- The numbers of the frames of these looks, without those that a read filter rejected: a list, or
+--- the looks themselves.
 function Pass:numbers(looks)
+  if not next(self.looks) then return looks end
   local numbers = {}
   for _, look in ipairs(looks) do numbers[#numbers + 1] = self:number(look) end
   return numbers
@@ -142,8 +144,11 @@ Passes.__index = Passes
 -- It has first, a pass; second, another or nil; is_again: whether any frame was looked at a second
 -- time.
 function M.new(new_history)
-  local self = { new_history = new_history, first = new_pass(new_history), is_again = false }
-  return setmetatable(self, Passes)
+  return setmetatable({
+    new_history = new_history,
+    first = new_pass(new_history),
+    is_again = false,
+  }, Passes)
 end
 
 -- Whether a second pass goes on at a frame: nothing of the first lies between.

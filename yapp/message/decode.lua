@@ -23,9 +23,6 @@ local concat = table.concat
 local HUGE = math.huge
 local band, common = bits.band, bits.common
 
---- The bits that two numbers of 32 bits have in common.
-M.band = band
-
 -- Numbers ----------------------------------------------------------------------------------------
 
 -- An IEEE 754 number from its parts.
@@ -284,13 +281,15 @@ end
 --- The filter names of the flags that are set, undefined bits as one number: "motor_overcurrent,
 -- hall_timeout".
 function M.flag_names(field, raw)
+  if raw == field.named then return field.names end -- most do not change
   local names, flags = {}, field.flags
   for i = 1, #flags do
     if common(raw, flags[i].mask) ~= 0 then names[#names + 1] = flags[i].name end
   end
   local undefined = M.undefined(field, raw)
   if undefined ~= 0 then names[#names + 1] = format("undefined 0x%x", undefined) end
-  return concat(names, ", ")
+  field.named, field.names = raw, concat(names, ", ")
+  return field.names
 end
 
 --- The bits of a field that are faults and set.

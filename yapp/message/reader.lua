@@ -17,7 +17,6 @@ function M.new(catalogue, stat)
     messages = catalogue.messages,
     stat = stat,
     by_id = catalogue.by_id, -- the user's choice, see Reader:use; before, readers of files ask
-    sources = nil, -- a message.sources
     is_by_id = true, -- whether no bus has messages of its own
     has_several = false, -- whether the capture has several buses
     several_ids = nil, -- [message] = whether more than one ID carries it

@@ -17,7 +17,7 @@ local set_text = TreeItem.set_text
 local referenced = TreeItem.referenced
 local range_of = Tvb.range
 local format = string.format
-local band = decode.band
+local common = require("yapp.base.bits").common
 local flag_names = decode.flag_names
 
 local IS_TSHARK = not gui_enabled()
@@ -219,7 +219,7 @@ end
 -- What the catalogue says of the flags that are set.
 local function append_help(item, field, bits)
   for _, flag in ipairs(field.flags) do
-    if flag.help and band(bits, flag.mask) ~= 0 then
+    if flag.help and common(bits, flag.mask) ~= 0 then
       append_text(item, ("; %s: %s"):format(flag.name, flag.help))
     end
   end

@@ -75,9 +75,11 @@ local function with_library(library)
       at = at + 8
     end
     for i = at, to do
-      register = bxor(lshift(register, 8), TABLE[bxor(rshift(register, 24), byte(data, i))])
+      local low = register % 0x1000000
+      register = bxor(low * 0x100, T0[(register - low) / 0x1000000], T0[byte(data, i)])
+        % 0x100000000
     end
-    return register % 0x100000000
+    return register
   end
 end
 
