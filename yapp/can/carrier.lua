@@ -245,17 +245,6 @@ local function other_part_text(source, message, look, length)
   return ("%s  part %d of %d"):format(source.name, index, parts)
 end
 
--- What the Info column says of a part.
-local function part_text(message, look, length)
-  local source = message.source
-  local texts, index = source.texts, #message
-  if texts.size ~= message.size then texts = new_texts(source, message.size) end
-  if length == 8 and texts[index] and message[index] == look and not message.status then
-    return texts[index]
-  end
-  return other_part_text(source, message, look, length)
-end
-
 -- A Start, a Middle, or an End that completes nothing.
 local function show_part(self, frame, wants, item)
   local leads_to, is_unfinished
@@ -264,7 +253,12 @@ local function show_part(self, frame, wants, item)
   if is_unfinished then self.tree:expert(item, "unfinished") end
   if self.stat.wants_parts then self.reader.tell:part(source_record(frame)) end
   if not wants.columns then return nil end
-  local text = part_text(frame.entry, frame.look, #frame.data)
+  local message, length = frame.entry, #frame.data
+  local source = message.source
+  local texts = source.texts
+  if texts.size ~= message.size then texts = new_texts(source, message.size) end
+  local text = length == 8 and not frame.is_again and not message.status and texts[#message]
+    or other_part_text(source, message, frame.look, length)
   return leads_to and ("%s  [Reassembled in #%d]"):format(text, leads_to) or text
 end
 

@@ -352,7 +352,7 @@ function Capture:bus(number, captured)
   if number <= self.early then return 1 end
   if not entry then return nil end
   local stamp = entry % STAMPS
-  local difference = captured and (floor(captured * 1e6 + 0.5) - stamp) % STAMPS or 0
+  local difference = captured and (captured * 1e6 - stamp) % STAMPS or 0
   if difference > 2 and difference < STAMPS - 2 then return nil end
   return (entry - stamp) / STAMPS
 end
