@@ -7,6 +7,7 @@ import csv
 import functools
 import json
 import os
+import re
 from decimal import Decimal
 
 import pytest
@@ -287,3 +288,23 @@ def test_check(results, seed):
         failed = {line["rule"] for line in found["check"] if line["ok"] is False}
         assert failed == (set() if code == 0 else set(tight)), found["check"]
         assert all(line["ok"] is not None for line in found["check"])
+
+
+WHATS = ("summary", "faults", "events", "compare", "check", "csv")
+
+
+@pytest.mark.parametrize("what", WHATS)
+def test_the_document_has_every_key(what):
+    """In docs/statistics.md, in the row of the statistic and in no other order."""
+    page = (tshark.ROOT / "docs/statistics.md").read_text("utf-8").partition("## Keys of JSON")[2]
+    row = re.search(rf"^\| `{what}` \| (.*)$", page, re.M)[1]
+    keys = {tuple(json.loads(line)) for line in lines_of(what)}
+    first = re.search("`(.*?)`", row)[1].split()
+    assert keys and all(found[:len(first)] == tuple(first) for found in keys), keys
+    assert {key for found in keys for key in found[len(first):]} <= set(re.findall(r"\w+", row))
+
+
+def lines_of(what):
+    options = f",{tshark.writable_folder() / 'tables'}" if what == "csv" else ""
+    return tshark.run("-q", "-r", tshark.ROOT / "docs/flight.pcapng", "-z", f"yapp,{what}{options},json",
+                      check=False).stdout.splitlines()
