@@ -368,6 +368,15 @@ def test_every_column_wherever_it_is_printed(name, arguments):
         assert re.search(rf"(?m)^ *(<section>)?{re.escape(text)} *(</section>)?$", printed), (title, printed)
 
 
+@levels.by_version
+@pytest.mark.parametrize("name", ["dump_document.yapp", "document_uart_split.pcap"])
+def test_protocols_are_counted_whatever_else_is_wanted(name):
+    """Packets of skipped bytes, and of bytes that wait, are YAPP's where a filter names fields of Taurus alone."""
+    counted = [re.search(r"\n +yapp +frames:(\d+)", tshark.run("-q", "-r", tshark.CAPTURES / name, "-z", "io,phs", *filters).stdout)[1]
+               for filters in ((), ("-Y", "taurus || frame"))]
+    assert counted[0] == counted[1] != "0"
+
+
 # Capture, frame, field, and how the tree reads.
 TREE = [
     ("document_motor", 5, "taurus.motor.dc_voltage", "DC Voltage: 47.97314 V"),

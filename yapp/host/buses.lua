@@ -76,8 +76,9 @@ function Buses:init()
   self.plain_bus = readers.plain_bus()
   -- [number of a packet] = its bus, where a field said it: a later look may have no tree
   self.kept = {}
-  -- Of a log that Wireshark's own reader takes, it is known that it has one.
-  self.asks = not self.plain_bus and
+  -- Of a log that Wireshark's own reader takes, it is known that it has one; a window may have
+  -- looked at another file since.
+  self.asks = not (IN_TSHARK and self.plain_bus) and
     (found.has_several or found.begins or found.may_be_ours or not found.is_told)
   local needs_fields = found.begins or self.is_blf or found.has_several and not self.seen_whole
   if needs_fields then

@@ -222,7 +222,7 @@ local function show_skipped(self, view, tvb, at, bytes)
   local builder, fact, tell = self.tree, view.fact, self.reader.tell
   local text, size = printable(bytes), builder.bytes(#bytes)
   local item = view.tree
-  if view.wants.yapp then
+  if view.wants.tree then
     item = add(item, builder.yapp, tvb(at, #bytes))
     append_text(item, (", %s skipped"):format(size))
     local skipped = add(item, builder.fields.skipped, tvb(at, #bytes))
@@ -257,7 +257,7 @@ end
 local function show_pending(self, view)
   local builder, packet, item = self.tree, view.packet, view.tree
   local leads_to, size = packet.leads_to, self.tree.bytes(packet.pending)
-  if view.wants.yapp then
+  if view.wants.tree then
     local range = view.tvb(packet.done, packet.pending)
     item = add(item, builder.yapp, range)
     append_text(item, ", part of a frame")
