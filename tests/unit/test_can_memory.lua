@@ -445,6 +445,18 @@ function T.test_the_only_pass_keeps_nothing()
   for at = 1, #some do lu.assertEquals(words.look(known, some[at], true), "-") end
 end
 
+-- Nor are two frames of a packet taken for one, though nobody tells their places in it apart.
+function T.test_the_only_pass_tells_frames_of_a_packet_apart()
+  for _, is_only_pass in ipairs { true, false } do
+    local known = words.new()
+    for _ = 1, 2 do
+      local text = words.look(known, { can_id = words.can_id(0x210, 2), data = "12345678", number = 1,
+        is_only_pass = is_only_pass })
+      lu.assertEquals(text, "orphan+fragment.orphan")
+    end
+  end
+end
+
 function T.test_a_message_that_never_ends()
   for bus = 0, 1 do
     local known = words.new()

@@ -477,7 +477,11 @@ function Memory:look(frame)
     local address, bus = frame.address, frame.bus
     local slot = bus and address.key + bus * BUS or address.key
     entry = TAKERS[address.ctrl](reassembly, slot, frame, look)
-    if entry and not frame.is_only_pass then reassembly.entries[look] = entry end
+    if not entry then
+      reassembly.pass.left = look
+    elseif not frame.is_only_pass then
+      reassembly.entries[look] = entry
+    end
   else
     entry = recall(reassembly, frame, look)
   end

@@ -23,8 +23,8 @@ local Pass = {}
 Pass.__index = Pass
 
 -- It has, to be read and written: entries, by look, what is kept of each frame of ours; history, of
--- message.history; and, set to true by who makes a frame of it, is_partial: whether it was not told
--- all that tells frames apart.
+-- message.history; and, set by who makes a frame of it, is_partial: true where it was not told all
+-- that tells frames apart; left: the latest look at a frame that is not ours.
 local function new_pass(new_history)
   return setmetatable({
     entries = {},
@@ -54,7 +54,7 @@ function Pass:next(number, place)
   local places = self.looks[number]
   local newest = places and self.place or self.usual
   -- It was left to others, and comes again by Decode As.
-  if place == newest and self.entries[self:newest()] == nil then return self:newest() end
+  if place == newest and self.left == self:newest() then return self:newest() end
   places = places or { [newest] = number }
   if place <= newest then self.is_filtered, places = true, {} end
   self.place = place
