@@ -16,7 +16,7 @@ HERE = pathlib.Path(__file__).resolve().parent
 LIST, FILTER, VERBOSE, VALUES, TABLES = ("packet list", "one fault filter", "`-V`", "`-T fields`, the 13 Motor Data values",
                                          "all values in one pass, `-z yapp,csv`")
 UART, START, LOG = "UART, packets of 64 bytes", "start: a capture of one frame", "candump log"
-BUSES = "packet list of two interfaces"
+BUSES, PASSES = "packet list of two interfaces", "packet list in two passes, `-2`"
 LONG_LIST, LONG_LOG = "packet list, ten times the frames", "candump log, long"
 MOTOR = ("torque_iq_commanded torque_iq_measured rpm_commanded rpm_measured dc_voltage dc_current motor_temperature motor_mode "
          "status_flags fault_flags timestamp motor_state esc_temperature").split()
@@ -96,6 +96,7 @@ def works(shark, python, messages):
         Work(UART, {"none": none("uart.pcap"), "list": now("yapp.pcap"), "now": now("uart.pcap")}, Target("list", 0.8)),
         Work(LOG, {"none": none("yapp.log"), "now": now("yapp.log")}, Target("none", 2.5)),
         Work(BUSES, {"one": now("one_bus.pcapng"), "now": now("two_buses.pcapng")}, Target("one", 1.1)),
+        Work(PASSES, {"none": none("yapp.pcap", "-2"), "now": now("yapp.pcap", "-2")}, Target("none", 5.0)),
         Work(START, {"none": none("one.pcap"), "now": now("one.pcap")}, Target("none", 0.04, difference=True), times=4),
     ]
 

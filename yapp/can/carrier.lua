@@ -10,7 +10,7 @@ local M = {}
 
 local KINDS, START, END = can_id.KINDS, can_id.START, can_id.END
 local address_of = can_id.address
-local add, add_le, add_generated = items.add, items.add_le, items.add_generated
+local add, add_le = items.add, items.add_le
 local append_text = items.append_text
 -- A method that Lua has to look up in a Tvb costs more than what it does.
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
@@ -142,15 +142,15 @@ end
 
 -- A part of a message.
 local function add_part(self, frame, item, leads_to)
-  local fields, message = self.tree.fields, frame.entry
+  local builder, message = self.tree, frame.entry
   if frame.address.ctrl == START then
     add_start(self, frame, item)
     append_text(item, (" of %d bytes"):format(message.size))
   elseif frame.data ~= "" then
-    add(item, fields["fragment.data"], frame.range)
+    add(item, builder.fields["fragment.data"], frame.range)
   end
-  if leads_to then add_generated(item, fields["reassembled.in"], leads_to) end
-  if message.has_fault then add_generated(item, fields["message.fault"], true) end
+  builder:generated(item, "reassembled.in", leads_to)
+  builder:generated(item, "message.fault", message.has_fault)
 end
 
 -- Messages ----------------------------------------------------------------------------------------
@@ -252,7 +252,7 @@ local function show_part(self, frame, wants, item)
   if wants.yapp then add_part(self, frame, item, leads_to) end
   if is_unfinished then self.tree:expert(item, "unfinished") end
   if self.stat.wants_parts then self.reader.tell:part(source_record(frame)) end
-  if not wants.columns then return nil end
+  if not wants.columns then return end
   local message, length = frame.entry, #frame.data
   local source = message.source
   local texts = source.texts

@@ -53,6 +53,7 @@ local function new_reassembly(pass, options)
     -- by slot (a message's key and bus): the message that is open there, or a can.pool of several
     open = {},
     open_count = 0,
+    recalled = {}, -- the message of the latest look at one that is kept small
     claimed = {}, -- unknown IDs of which a Start without a Seq has come: then others may have one
   }, Reassembly)
 end
@@ -152,7 +153,7 @@ local function is_plausible(self, frame, size, reserved, is_known)
   if address.ctl ~= 0 or frame.reported ~= 8 then return false end
   if not reserved then return is_known end
   if reserved ~= 0 or size <= 8 then return false end
-  return is_known or address.seq == 0 or self.claimed[address.id] == true
+  return is_known or address.seq == 0 or self.claimed[address.id]
 end
 
 -- Empties a slot.
@@ -209,7 +210,7 @@ local function start(self, slot, frame, look)
   local source = self.source_of(address.id, frame.bus)
   local sum, size, reserved = can_id.start(frame.data)
   local known = source.size
-  if not frame.is_wide and not is_plausible(self, frame, size, reserved, known ~= nil) then
+  if not frame.is_wide and not is_plausible(self, frame, size, reserved, known) then
     return nil
   end
   if not self.claimed[address.id] then
@@ -389,8 +390,8 @@ for ctrl = #TAKERS + 1, 15 do TAKERS[ctrl] = undefined end
 -- Returns whether that goes.
 local function make_small(pass, message, delta)
   local entries, first, last = pass.entries, message[1], message.last
-  if message.blamed or message.padding or message.reserved then return false end
-  if last - first > MAX_SPAN or pass:has_fractions(message) then return false end
+  if message.blamed or message.padding or message.reserved or last - first > MAX_SPAN or
+    pass:has_fractions(message) then return false end
   for i = 2, #message - 1 do entries[message[i]] = last end
   local mark = message.has_fault and "!" or "|"
   entries[first] = -last
@@ -398,8 +399,35 @@ local function make_small(pass, message, delta)
   return true
 end
 
+-- A message from what is kept of it; nil where that is another one.
+local function make_big(self, last, address, source)
+  local entries = self.entries
+  local delta, mark, key, payload = entries[last]:match("^([^|!]*)([|!])(....)(.*)$")
+  if key ~= address.key_bytes then return nil end
+  local message = {
+    last,
+    address = address,
+    source = source,
+    size = #payload,
+    crc = update(can_id.seed(address, #payload), payload),
+    payload = payload,
+    status = "good",
+    last = last,
+    delta = tonumber(delta),
+    has_fault = mark == "!",
+  }
+  local at = last
+  repeat
+    at = at - 1
+    if entries[at] == last or entries[at] == -last then table.insert(message, 1, at) end
+  until entries[at] == -last
+  self.recalled = message
+  return message
+end
+
 -- The entry of a frame from what is kept; nil where that is of another id: a read filter rejected
--- that frame.
+-- that frame.  Most are asked for in order, so the message is often the latest: a tenth of two
+-- passes.
 local function recall(self, frame, look)
   local entries, address = self.entries, frame.address
   local entry = entries[look]
@@ -407,23 +435,11 @@ local function recall(self, frame, look)
   if type(entries[last]) ~= "string" then
     return entry and entry.address.key == address.key and entry or nil
   end
-  local delta, mark, key, payload = entries[last]:match("^([^|!]*)([|!])(....)(.*)$")
-  if key ~= address.key_bytes then return nil end
-  local message, at = { last }, last
-  repeat
-    at = at - 1
-    if entries[at] == last or entries[at] == -last then table.insert(message, 1, at) end
-  until entries[at] == -last
-  message.address = address
-  message.source = self.source_of(address.id, frame.bus)
-  message.size = #payload
-  message.crc = update(can_id.seed(address, #payload), payload)
-  message.payload = payload
-  message.status = "good"
-  message.last = last
-  message.delta = tonumber(delta)
-  message.has_fault = mark == "!"
-  return message
+  local source, known = self.source_of(address.id, frame.bus), self.recalled
+  if known.last == last and known.source == source and known.address.key == address.key then
+    return known
+  end
+  return make_big(self, last, address, source)
 end
 
 -- The memory -------------------------------------------------------------------------------------
@@ -535,7 +551,7 @@ end
 
 --- How things stand at it, once Memory:change has told.
 function Memory.standing(_, m, frame)
-  return not m.is_unsure and frame.pass:standing(m) or nil
+  return not m.is_unsure and frame.pass:standing(m)
 end
 
 --- The messages of the pass that was made last that never ended, in the order of their Starts.

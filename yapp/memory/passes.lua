@@ -54,7 +54,11 @@ function Pass:next(number, place)
   local places = self.looks[number]
   local newest = places and self.place or self.usual
   -- It was left to others, and comes again by Decode As.
-  if place == newest and self.left == self:newest() then return self:newest() end
+  local look = self:newest()
+  if place == newest and self.left == look then
+    self.left = nil
+    return look
+  end
   places = places or { [newest] = number }
   if place <= newest then self.is_filtered, places = true, {} end
   self.place = place

@@ -271,7 +271,7 @@ end
 -- look     as it was given to note, and delta = what note said, which only the caller keeps
 function History:change(look)
   local source = self.by_key[look.source]
-  return source and look.good and change_of(source, look.number, look.delta) or nil
+  return source and look.good and change_of(source, look.number, look.delta)
 end
 
 --- How things stand at a message, whether it changes them or not.

@@ -19,7 +19,6 @@ function M.new(catalogue, stat)
     by_id = catalogue.by_id, -- the user's choice, see Reader:use; before, readers of files ask
     is_by_id = true, -- whether no bus has messages of its own
     has_several = false, -- whether the capture has several buses
-    several_ids = nil, -- [message] = whether more than one ID carries it
     hinted = {}, -- [id of an unknown message]: frame where it was said what it may be
   }, Reader)
 end
@@ -41,7 +40,7 @@ function Reader:use_buses(has_several)
 end
 
 --- Takes the user's choice of IDs and names; nothing is known before that.
--- by_id    { [id] = compiled message }
+-- by_id    { [id] = compiled message }; several_ids says which more than one ID carries
 -- sources  a message.sources
 function Reader:use(by_id, sources)
   self.by_id, self.sources, self.is_by_id, self.several_ids = {}, sources, true, {}

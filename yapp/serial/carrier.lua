@@ -262,9 +262,7 @@ local function show_pending(self, view)
     item = add(item, builder.yapp, range)
     append_text(item, ", part of a frame")
     add(item, builder.fields["fragment.data"], range)
-    if leads_to then
-      add_generated(item, builder.fields["reassembled.in"], leads_to)
-    end
+    builder:generated(item, "reassembled.in", leads_to)
   end
   if packet.is_unfinished then builder:expert(item, "unfinished") end
   if leads_to then return ("[Reassembled in #%d]"):format(leads_to) end

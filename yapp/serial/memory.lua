@@ -379,7 +379,7 @@ end
 
 --- How things stand at it, once Memory:change has told.
 function Memory.standing(_, message, packet)
-  return message.good and not message.is_unsure and packet.pass:standing(message) or nil
+  return message.good and not message.is_unsure and packet.pass:standing(message)
 end
 
 --- The frames that the capture ends before, as far as the pass that was made last has come.

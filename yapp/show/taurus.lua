@@ -247,8 +247,7 @@ end
 
 -- Adds a generated field where somebody wants it; nil for a value or a field that is not there.
 local function add_wanted(item, pf, value)
-  if not pf or not value or not referenced(item, pf) then return nil end
-  return add_generated(item, pf, value)
+  return pf and value and referenced(item, pf) and add_generated(item, pf, value)
 end
 
 -- Adds how things stand; returns the item of the clock's drift.

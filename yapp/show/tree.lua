@@ -134,8 +134,7 @@ end
 -- name     its filter without "yapp."; value: nil or false for none
 -- returns  the item
 function Tree:generated(item, name, value)
-  if not value then return nil end
-  return add_generated(item, self.fields[name], value)
+  return value and add_generated(item, self.fields[name], value)
 end
 
 --- Adds what the CAN id says, all of it generated.
