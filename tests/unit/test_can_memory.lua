@@ -445,6 +445,25 @@ function T.test_the_only_pass_keeps_nothing()
   for at = 1, #some do lu.assertEquals(words.look(known, some[at], true), "-") end
 end
 
+-- A later look at another frame of the message that was looked at last; one of another key at its
+-- number, as a read filter shifts them, is none; and one whose bus is known by then has that source.
+function T.test_later_looks_in_a_row()
+  local known, frames = words.new(), words.frames("S32 M8 M8 M8 E8", { ids = MOTOR })
+  words.looks(known, frames)
+  local _, last = words.look(known, frames[5], true)
+  for at = 1, 5 do
+    local _, record = words.look(known, frames[at], true)
+    lu.assertEquals({ record.entry.payload, known:outcome(record) }, { last.entry.payload, 5 })
+  end
+  local other = { can_id = frames[5].can_id + 1, data = frames[5].data, number = 5 } -- its Seq
+  lu.assertEquals(words.look(known, other, true), "-")
+  for bus = 1, 2 do
+    frames[4].bus = bus
+    local _, record = words.look(known, frames[4], true)
+    lu.assertEquals(record.entry.source.bus, bus)
+  end
+end
+
 -- Nor are two frames of a packet taken for one, though nobody tells their places in it apart.
 function T.test_the_only_pass_tells_frames_of_a_packet_apart()
   for _, is_only_pass in ipairs { true, false } do

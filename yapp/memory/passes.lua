@@ -105,7 +105,7 @@ function Pass:number(look)
 end
 
 --- The numbers of the frames of these looks, without those that a read filter rejected: a list, or
---- the looks themselves.
+-- the looks themselves, so read only.
 function Pass:numbers(looks)
   if not next(self.looks) then return looks end
   local numbers = {}

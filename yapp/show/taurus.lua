@@ -245,7 +245,8 @@ end
 
 -- Changes -----------------------------------------------------------------------------------------
 
--- Adds a generated field where somebody wants it; nil for a value or a field that is not there.
+-- Adds a generated field where somebody wants it; nil or false for a value or a field that is not
+-- there.
 local function add_wanted(item, pf, value)
   return pf and value and referenced(item, pf) and add_generated(item, pf, value)
 end

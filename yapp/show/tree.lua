@@ -132,7 +132,7 @@ end
 
 --- Adds a field of YAPP's that no bytes of the packet say, where it has a value.
 -- name     its filter without "yapp."; value: nil or false for none
--- returns  the item
+-- returns  the item; nil or false without one
 function Tree:generated(item, name, value)
   return value and add_generated(item, self.fields[name], value)
 end

@@ -27,7 +27,7 @@ Stat.__index = Stat
 --           late = function() -> how many periods of its message make a gap one,
 --           named = function() -> list of the sources that the user named, see message.sources,
 --           problems = function() -> list of texts: what the user asked for and did not get,
---           tapped = function(): tshark's taps see packets, which a first pass of two has none of,
+--           tapped = function(): tshark's taps see a packet; a first pass of two has no taps,
 --           unfinished = function() -> records of the messages that the capture ends before }
 -- Stat.wanted says whether anyone wants records: ask it before making one for Stat:offer.
 -- Stat.wants_parts is the same for when parts of messages came.
