@@ -155,7 +155,7 @@ def test_what_the_plugin_complains_of_is_passed_on(flight, tmp_path, monkeypatch
     options = [*OPTIONS, "-o", "yapp.late:abc", "--plugin", PLUGIN]
     for arguments in (["convert", flight[0], "--to", "csv", "--out", "data"], ["report", flight[0], "-o", "page.html"]):
         done = run_tables(tmp_path, *arguments, *options)
-        assert done.returncode == 0
+        assert done.returncode == 3
         for text in ("bad.lua: message m: size is 3, but the fields add up to 1 byte", '"abc" periods: not a number'):
             assert done.stderr.count(text) == 1
     with pytest.warns(UserWarning, match="the fields add up to 1 byte"):

@@ -112,13 +112,47 @@ def show(browser, begin, end):
     )
 
 
-def test_it_opens_without_an_error_and_asks_the_network_for_nothing(browser, page):
-    assert [line for line in browser.get_log("browser") if line["level"] == "SEVERE"] == []
+def asked(browser):
+    """Every address that the page asked for since this was called last."""
     messages = (json.loads(line["message"])["message"] for line in browser.get_log("performance"))
-    asked = [
+    return [
         message["params"]["request"]["url"] for message in messages if message["method"] == "Network.requestWillBeSent"
     ]
-    assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {page[0].as_uri()}
+
+
+def test_it_opens_without_an_error_and_asks_the_network_for_nothing(browser, page):
+    assert [line for line in browser.get_log("browser") if line["level"] == "SEVERE"] == []
+    assert {url for url in asked(browser) if not url.startswith(("data:", "blob:"))} == {page[0].as_uri()}
+
+
+def test_no_click_sends_anything_anywhere(example):
+    """Everything that can be clicked is: no request, no window, no form."""
+    browser = open_browser(example, width=1200)
+    try:
+        browser.get_log("performance")
+        browser.execute_script(
+            """window.sent = [];
+            for (const [owner, name] of [[window, "open"], [window, "fetch"], [navigator, "sendBeacon"],
+              [XMLHttpRequest.prototype, "send"], [HTMLFormElement.prototype, "submit"],
+              [HTMLFormElement.prototype, "requestSubmit"]])
+              owner[name] = (...given) => { window.sent.push([name, String(given[0])]); };
+            for (const one of document.querySelectorAll("button, summary, tr, a, label, .modebar-btn, [tabindex]"))
+              if (!(one.href ?? "").startsWith("file:")) one.dispatchEvent(new MouseEvent("click", {bubbles: true}));
+            """
+        )
+        time.sleep(2)
+        assert browser.execute_script("return window.sent") == []
+        buttons = browser.execute_script(
+            "return [...document.querySelectorAll('.modebar-btn')].map(one => one.dataset.title)"
+        )
+        assert len(buttons) == 6
+        assert not [text for text in buttons if re.search("share|cloud|studio|edit", text, re.IGNORECASE)]
+        context = browser.execute_script("return document.getElementById('plot')._context")
+        assert (context["plotlyServerURL"], context["showSendToCloud"], context["showLink"]) == ("", False, False)
+        assert not [url for url in asked(browser) if not url.startswith(("data:", "blob:"))]
+        assert len(browser.window_handles) == 1
+    finally:
+        browser.quit()
 
 
 def faults_of(browser):

@@ -19,14 +19,17 @@ from .flight import read_flight
 from .results import Results
 from .tshark import Tshark
 
-FAILED, REFUSED = 1, 2
+FAILED, REFUSED, INCOMPLETE = 1, 2, 3
 # What -o of `report` takes for a preference, and not for the page.
 PREFERENCE = re.compile(r"[a-z0-9_-]+(\.[a-z0-9_.-]+)+:|uat:")
 CAPTURES = "files, patterns such as 'flights/**/*.pcapng', - for a list from stdin"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command. Returns its exit code: 0 all done, 1 a capture failed, 2 nothing could be done."""
+    """Run the command. Returns its exit code.
+
+    0 all done, 1 a capture failed, 2 nothing could be done, 3 done, but not all that looks like YAPP was decoded.
+    """
     given = _parser().parse_args(arguments)
     try:
         code: int = given.run(given)
@@ -61,6 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     convert.add_argument(
         "--jobs", type=_positive, default=os.cpu_count() or 1, metavar="N", help="captures at a time on this machine"
     )
+    convert.add_argument("--strict", action="store_true", help="end with 1 where not all was decoded, not with 3")
     convert.set_defaults(run=_convert)
 
     report = commands.add_parser("report", parents=[common], help="one page of a capture, -o PAGE.html")
@@ -96,14 +100,12 @@ def _report(given: argparse.Namespace) -> int:
     write_report = need(f"{__package__}.report", "report").write_report
     tshark = _tshark(given)
     flight = read_flight(given.capture, tshark)
-    _say(flight.complaints)
+    _say(flight.left_out)
     try:
         write_report(flight, page, tshark.begin(given.capture))
     except OSError as error:
         raise SetupError(f"{page} cannot be written: {error.strerror}") from error
-    if flight.partial:
-        print(f"yapp-tables: {given.capture}: read in part: {flight.partial}", file=sys.stderr)
-    return FAILED if flight.partial else 0
+    return FAILED if flight.partial else INCOMPLETE if flight.left_out else 0
 
 
 def _say(complaints: Iterable[str]) -> None:
@@ -143,26 +145,33 @@ def _convert(given: argparse.Namespace) -> int:
     captures = _captures(given.captures)
     writer(given.to)
     tshark = _tshark(given)
-    catalogue, complaints = tshark.catalogue()
-    _say(complaints)
+    catalogue, _ = tshark.catalogue()
     made = made_by(tshark, catalogue)
     results = Results(given.out.resolve(), given.to)
     results.open(captures, made)
     try:
-        jobs, failures = [], []
+        jobs, failures, incomplete = [], [], 0
         for capture, name in results.names(captures).items():
             current = results.current(name, capture, made)
             if current is None:
                 jobs.append(Job(capture, name, results, tshark, made))
-            elif current.partial:
+                continue
+            _say(f"{capture}: {text}" for text in current.lacks)
+            incomplete += bool(current.lacks)
+            if current.partial:
                 failures.append(Failure(capture, f"read in part: {current.partial}"))
         if len(jobs) < len(captures):
             print(f"{len(captures) - len(jobs)} of {len(captures)} captures are up to date", file=sys.stderr)
         with fleet.executor(given.scheduler, given.jobs) as pool:
-            failures += fleet.run(jobs, pool, Progress.of(jobs))
+            progress = Progress.of(jobs)
+            failures += fleet.run(jobs, pool, progress)
     finally:
         results.close()
-    return _tell(failures, len(captures), results.out / "failures.csv")
+    failed = _tell(failures, len(captures), results.out / "failures.csv")
+    if incomplete := incomplete + progress.incomplete:
+        _say([f"{incomplete} of {len(captures)} captures were not decoded completely: the lines above say what to set"])
+        return failed or (FAILED if given.strict else INCOMPLETE)
+    return failed
 
 
 def _tell(failures: list[Failure], count: int, path: Path) -> int:

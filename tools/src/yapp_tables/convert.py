@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import errno
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .errors import CaptureError, SetupError, YappError, need
 from .results import MadeBy, Result, Results, plain_name
-from .tables import digest, plugin_version, present
+from .tables import digest, nothing_in, plugin_version, present
 from .tshark import Export, Tshark
+from .undecoded import left_out
 from .watch import PROGRESS, Watch
 from .writers import Writer
 
@@ -62,6 +63,7 @@ def convert(job: Job) -> Result:
             count = writer(job.results.to)(export, source_file, name, aside / "result")
             assert state is not None
             made = Result(str(job.capture), state.st_size, state.st_mtime_ns, job.made_by, (), count, export.partial)
+            made = replace(made, lacks=tuple(left_out(None, export.undecoded, export.complaints)))
             return job.results.place(job.name, aside / "result", made)
     except OSError as error:
         if error.errno == errno.ENOSPC:
@@ -74,6 +76,4 @@ def _check(job: Job, export: Export) -> None:
     if here != job.made_by:
         raise SetupError(f"the machine that works on it has another plugin or catalogue: {here}, not {job.made_by}")
     if not present(export):
-        narrowed = f" that {job.tshark.filter} lets through" if job.tshark.filter else ""
-        damaged = f" (damaged: {export.partial})" if export.partial else ""
-        raise CaptureError(f"{job.capture}: no YAPP messages in it{narrowed}{damaged}")
+        raise CaptureError(nothing_in(job.capture, export, job.tshark.filter))

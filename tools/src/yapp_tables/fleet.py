@@ -118,6 +118,7 @@ class Progress:
     bytes_done: int = 0
     messages: int = 0
     failed: int = 0
+    incomplete: int = 0
     inside: Position = NOWHERE
     started: float = field(default_factory=time.monotonic)
     shown: float = field(default_factory=time.monotonic)
@@ -136,6 +137,10 @@ class Progress:
         if failure:
             self.failed += 1
             self._print(f"{capture}: {failure.reason}\n")
+        lacks = result.lacks if result else ()
+        self.incomplete += bool(lacks)
+        for text in lacks:
+            self._print(f"{capture}: {text}\n")
         if self.files_done == self.files:
             self.show(last=True)
 

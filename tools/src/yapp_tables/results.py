@@ -42,7 +42,10 @@ class MadeBy:
 
 @dataclass(frozen=True)
 class Result:
-    """What is remembered of a result beside it. capture: absolute path; files: relative to the output folder."""
+    """What is remembered of a result beside it. capture: absolute path; files: relative to the output folder.
+
+    lacks: sentences on what was not decoded.
+    """
 
     capture: str
     size: int
@@ -51,6 +54,7 @@ class Result:
     files: tuple[str, ...] = ()
     messages: int = 0
     partial: str | None = None
+    lacks: tuple[str, ...] = ()
 
 
 def plain_name(capture: Path) -> str:
@@ -157,6 +161,13 @@ class Results:
             record = json.loads(note.read_text(encoding="utf-8"))
             made_by = record.pop("made_by")
             made_by["options"] = tuple(made_by["options"])
-            return Result(**{**record, "files": tuple(record["files"]), "made_by": MadeBy(**made_by)})
+            return Result(
+                **{
+                    **record,
+                    "files": tuple(record["files"]),
+                    "lacks": tuple(record["lacks"]),
+                    "made_by": MadeBy(**made_by),
+                }
+            )
         except (OSError, ValueError, TypeError, KeyError):
             return None

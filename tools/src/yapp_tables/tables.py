@@ -19,6 +19,7 @@ from pyarrow import csv as arrow_csv
 
 from .errors import SetupError
 from .tshark import Export, Record
+from .undecoded import left_out
 
 TIME = pa.timestamp("ns", tz="UTC")
 # Every message's first columns.  The CSV has no source_file: that is the capture's name.
@@ -206,6 +207,13 @@ def present(export: Export) -> list[Message]:
     return [message for message in messages(export.fields).values() if _has_rows(export.csv(message.name))]
 
 
+def nothing_in(capture: Path, export: Export, filter_: str | None = None) -> str:
+    """Return why a capture gives no table."""
+    narrowed = f" that {filter_} lets through" if filter_ else ""
+    why = "; ".join(left_out(export.partial, export.undecoded, export.complaints))
+    return f"{capture}: no YAPP messages in it{narrowed}{': ' * bool(why)}{why}"
+
+
 def _has_rows(path: Path) -> bool:
     if not path.is_file():
         return False
@@ -229,6 +237,9 @@ EVENTS = pa.schema(
         "length": pa.float64(),
         "what": pa.string(),
         "value": pa.string(),
+        "size": pa.int64(),
+        "count": pa.int64(),
+        "like": pa.string(),
         "help": pa.string(),
     }
 )

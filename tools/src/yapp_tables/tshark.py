@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import CaptureError, SetupError, YappError
+from .undecoded import undecoded
 from .watch import Watch
 
 INSTALL_TSHARK = "install Wireshark (Debian, Ubuntu: apt-get install tshark) or name the program with --tshark PATH"
@@ -25,6 +26,11 @@ USUAL_PLACES = ("/Applications/Wireshark.app/Contents/MacOS/tshark", r"C:\Progra
 EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000")
 LOOK_SECONDS = 1
 PLUGIN_SAYS = "yapp: "
+STATISTICS = ("events", "summary")
+UNDECIDED = 21  # the exit code of a statistic that leaves something out
+UNRELIABLE = (
+    "two controllers share an ID, or buses cannot be told apart: their faults, reboots and silences are left out"
+)
 
 Record = dict[str, Any]
 
@@ -33,8 +39,8 @@ Record = dict[str, Any]
 class Export:
     """What one run left behind: `<message>.csv` and `fields.json` in folder, and the lines of the other statistics.
 
-    partial: tshark's reason where the capture is damaged; complaints: what the plugin said is wrong with its
-    preferences or the user's messages, which it goes on without.
+    partial: tshark's reason where the capture is damaged; undecoded: a sentence on the messages that were not decoded;
+    complaints: what the plugin leaves out for another reason: a preference that it cannot read, unreliable events.
     """
 
     folder: Path
@@ -42,6 +48,7 @@ class Export:
     records: dict[str, list[Record]] = field(default_factory=dict)
     partial: str | None = None
     complaints: tuple[str, ...] = ()
+    undecoded: str = ""
 
     def csv(self, message: str) -> Path:
         """Where the rows of a message are, whether or not there are any."""
@@ -61,12 +68,10 @@ class Tshark:
     options: tuple[str, ...] = ()
     filter: str | None = None
 
-    def export(
-        self, capture: Path, folder: Path, statistics: tuple[str, ...] = (), watch: Watch | None = None
-    ) -> Export:
+    def export(self, capture: Path, folder: Path, watch: Watch | None = None) -> Export:
         """Write a capture's messages to folder, which is made.
 
-        statistics: what else to gather, "events" or "summary"; watch: who wants to know how far it is.
+        watch: who wants to know how far it is.
         Returns an Export.  Raises SetupError, CaptureError and, for what another try may mend, YappError.
         """
         if not capture.is_file():
@@ -77,14 +82,18 @@ class Tshark:
         folder.mkdir(parents=True)
         csv = folder / "csv"
         # Relative to tshark's own folder: a comma in a path would end the option.
-        wanted = ["csv,csv", *(f"{name},json" for name in statistics)]
+        wanted = ["csv,csv", *(f"{name},json" for name in STATISTICS)]
         done = _run(self._command(capture, wanted), folder, watch)
         partial = self._refusal(capture, done, written=(csv / "fields.json").is_file())
         fields: Record = json.loads((csv / "fields.json").read_text(encoding="utf-8"))
         if "plugin" not in fields:
             raise SetupError(f"the plugin is too old, its fields.json does not name its version: {INSTALL_PLUGIN}")
-        complaints = () if partial else _complaints(done.stderr)
-        return Export(csv, fields, _records(done.stdout, statistics), partial, complaints)
+        complaints = () if partial else _complaints(done)
+        records = _records(done.stdout)
+        titles = {name: entry["title"] or name for name, entry in fields["messages"].items()}
+        said = " ".join((*self.options, done.stderr))
+        lost = undecoded(records["events"], records["summary"], titles, said)
+        return Export(csv, fields, records, partial, complaints, lost)
 
     def catalogue(self) -> tuple[Record, tuple[str, ...]]:
         """fields.json of this plugin with these options, and complaints as in Export.
@@ -151,6 +160,8 @@ class Tshark:
             return None
         if done.returncode == 0:
             raise SetupError(f"the plugin wrote no fields.json{said and ': ' + said}: {INSTALL_PLUGIN}")
+        if written and done.returncode == UNDECIDED:
+            return None
         if written and done.returncode > 1:
             return said or f"tshark ended with {done.returncode}"
         if "reference" in said or "-o flag" in said:
@@ -198,15 +209,16 @@ def _complaint(stderr: str) -> str:
     return " ".join(line.removeprefix("tshark: ") for line in lines if line and not line.startswith("Running as user"))
 
 
-def _complaints(stderr: str) -> tuple[str, ...]:
-    """The lines of the plugin: where all went well they are about its preferences and the user's messages."""
-    lines = [line.removeprefix(PLUGIN_SAYS) for line in stderr.splitlines() if line.startswith(PLUGIN_SAYS)]
-    return tuple(dict.fromkeys(lines))
+def _complaints(done: subprocess.CompletedProcess[str]) -> tuple[str, ...]:
+    """Return what the plugin says it leaves out, but for undecoded messages, which are events."""
+    lines = [line.removeprefix(PLUGIN_SAYS) for line in done.stderr.splitlines() if line.startswith(PLUGIN_SAYS)]
+    found = dict.fromkeys(line for line in lines if "not decoded" not in line)
+    return tuple(found) or (UNRELIABLE,) * (done.returncode == UNDECIDED)
 
 
-def _records(stdout: str, statistics: tuple[str, ...]) -> dict[str, list[Record]]:
-    """The JSON lines of the statistics, told apart by their keys; numbers with a point stay exact."""
-    records: dict[str, list[Record]] = {name: [] for name in statistics}
+def _records(stdout: str) -> dict[str, list[Record]]:
+    """Return the JSON lines of the statistics, told apart by their keys; numbers with a point stay exact."""
+    records: dict[str, list[Record]] = {name: [] for name in STATISTICS}
     for line in stdout.splitlines():
         if line.startswith("{"):
             record = json.loads(line, parse_float=Decimal)
