@@ -25,7 +25,7 @@ def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     truth = flights.write(folder / "flight.pcapng", 7, SECONDS)
     options = [word for option in flights.OPTIONS for word in ("-o", option)]
-    done = run_tables(folder, "report", "flight.pcapng", "-o", "flight.html", *options, "--plugin", PLUGIN)
+    done = run_tables(folder, "report", "flight.pcapng", "--out", "flight.html", *options, "--plugin", PLUGIN)
     assert done.returncode == 0, done.stderr
     return folder / "flight.html", truth
 
@@ -65,7 +65,7 @@ def example(tmp_path_factory):
     """The page of docs/flight.pcapng, as README shows it."""
     folder = tmp_path_factory.mktemp("example")
     names = "yapp.sources:can0/0x210=motor:left, can1/0x210=motor:right"
-    done = run_tables(folder, "report", EXAMPLE, "-o", "flight.html", "-o", names, "--plugin", PLUGIN)
+    done = run_tables(folder, "report", EXAMPLE, "--out", "flight.html", "-o", names, "--plugin", PLUGIN)
     assert done.returncode == 0, done.stderr
     return folder / "flight.html"
 
@@ -383,7 +383,7 @@ def test_what_nobody_saw_before_stands_in_the_page(make_capture, yapp_tables, tm
     ]
     summary = [EVENT | {"count": 2, "rate": 10.0, "invalid": 3, "skipped": None}]
     make_capture("flight.pcapng", motor=[motor_row(0), motor_row(5)], events=events, summary=summary)
-    done = yapp_tables("report", "flight.pcapng", "-o", "page.html")
+    done = yapp_tables("report", "flight.pcapng", "--out", "page.html")
     assert done.returncode == 0, done.stderr
     browser = open_browser(tmp_path / "page.html", width=1200)
     try:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
@@ -13,6 +14,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from plotly.offline import get_plotlyjs
 
+from .config import StrPath
+from .errors import SetupError
 from .flight import Flight
 from .pictures import MARKS, Pictures, Record
 from .tables import Column
@@ -54,6 +57,21 @@ def write_report(flight: Flight, path: Path, begin: int | None = None) -> None:
     for name, text in parts.items():
         tail = tail.replace(name, text, 1)
     write_whole(path, head + data + tail)
+
+
+def write_reports(
+    flights: Sequence[Flight], captures: Sequence[Path], out: StrPath | None = None, overlay: bool = False
+) -> Path:
+    """Write the page of a flight, or a folder of pages. Returns the page. Raises SetupError."""
+    assert not overlay
+    page = captures[0].with_suffix(".html") if out is None else Path(out)
+    if not page.parent.is_dir():
+        raise SetupError(f"{page} cannot be written: no folder {page.parent}")
+    try:
+        write_report(flights[0], page, flights[0].begin)
+    except OSError as error:
+        raise SetupError(f"{page} cannot be written: {error.strerror}") from error
+    return page
 
 
 class _Page:
