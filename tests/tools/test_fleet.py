@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Many captures: local threads, a Dask cluster of processes, workers that are killed."""
 
+import fcntl
 import json
 import os
 import pty
 import re
 import signal
+import struct
 import subprocess
 import sys
+import termios
 import threading
 import time
 
@@ -123,6 +126,7 @@ def test_no_scheduler_is_a_sentence(fleet):
 def test_progress_is_a_bar_on_a_terminal_and_a_line_at_the_end_elsewhere(make_capture, tmp_path):
     make_capture("large.pcap", motor=[motor_row(n) for n in range(3000)], does=["slow"])
     ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 100, 0, 0))
     command = ["convert", "large.pcap", "--to", "parquet", "--out", "data", "--tshark", FAKE]
     done = subprocess.run([sys.executable, "-m", "yapp_tables", *command], cwd=tmp_path, stderr=theirs, check=False)
     os.close(theirs)
