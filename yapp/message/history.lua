@@ -10,7 +10,8 @@ local decode = require("yapp.message.decode")
 
 local M = {}
 
-local floor, huge, max, insert = math.floor, math.huge, math.max, table.insert
+local abs, floor, huge, max, min = math.abs, math.floor, math.huge, math.max, math.min
+local insert = table.insert
 
 local HALF_NANOSECOND = 5e-10 -- what rounding may add to a difference of two times
 local MAX_JUMP = 1 + HALF_NANOSECOND -- seconds; the capture's clock may jitter by less
@@ -19,6 +20,7 @@ local MAX_BEHIND = 8 -- a Seq so far behind came late: 248 messages or more did 
 -- When several controllers share a source, see is_shared.
 local LARGE_FALL = 2 -- seconds; a message that came late makes the clock fall by less
 local FADE = 0.85 -- what a message leaves of the evidence
+local MAX_FALLS = 4
 local ENOUGH = 1.3 -- two returns from small falls, or one from a large fall
 
 -- Changes that many messages have in common: to be read only.
@@ -83,7 +85,10 @@ local function new_source(self, m)
     payload = nil,
     -- Since then:
     raised_at = {}, -- [index of its field * 2^32 + its bit] = when a fault that is set was raised
-    fall = { size = 0, behind = huge, evidence = 0 }, -- see is_shared
+    -- See is_shared:
+    falls = {}, -- from which the clock has not returned, the latest first: { lead before it, size }
+    lead = 0, -- seconds the controller gained on the capture since a clock first fell, or 0
+    evidence = 0,
     shared_at = huge, -- number of the message that proves that controllers share the source
     -- By the number of a message:
     changes = {}, -- [number] = change
@@ -134,19 +139,24 @@ end
 --   100.0, 7.2, 100.1, 7.3      the clock falls, returns to where it would be, falls again
 --   100.0, 99.8, 100.1, 99.9    small falls: messages that come late do that, but not 3 in a row
 --   100.0, 100.0, 100.1, 100.1  two twins
--- A controller that reboots never returns: each time it falls further behind.
+-- A controller that reboots does not return to exactly there.
 -- advance, elapsed  seconds of the controller's and of the capture's clock since source.clock
 local function is_shared(source, m, advance, elapsed)
-  local fall, size = source.fall, fall_of(source, m, advance, elapsed)
-  fall.evidence = fall.evidence * FADE
-  fall.behind = fall.behind + elapsed - advance
-  if advance > 0 and fall.behind <= fall.size / 4 then
-    fall.evidence = fall.evidence + (fall.size < LARGE_FALL and 1 or 50)
-    fall.behind = huge
+  local lead, falls = source.lead, source.falls
+  source.lead = lead + advance - elapsed
+  source.evidence = source.evidence * FADE
+  for i, fall in ipairs(falls) do
+    if advance > 0 and abs(source.lead - fall.lead) <= min(fall.size / 4, 1) then
+      source.evidence = source.evidence + (fall.size < LARGE_FALL and 1 or 50)
+      table.remove(falls, i)
+      break
+    end
   end
+  local size = fall_of(source, m, advance, elapsed)
   if not size then return false end
-  fall.size, fall.behind = size, elapsed - advance
-  return fall.evidence > ENOUGH
+  insert(falls, 1, { lead = lead, size = size })
+  falls[MAX_FALLS + 1] = nil
+  return source.evidence > ENOUGH
 end
 
 -- Return what a clock says of its message: a change.
@@ -154,7 +164,7 @@ local function clock_change(source, m, clock)
   local advance = (clock - source.clock) / 1e9
   -- Without time stamps, take a message to come a period after the one before.
   local elapsed = source.has_times and m.time - source.clock_time or source.period
-  local may_be_shared = advance <= 0 or source.fall.size > 0
+  local may_be_shared = advance <= 0 or source.lead ~= 0
   if may_be_shared and is_shared(source, m, advance, max(elapsed, 0)) then return SHARED end
   if advance < 0 then return { reboot = -advance } end
   if advance == 0 then return STALE end

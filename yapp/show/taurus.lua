@@ -288,6 +288,7 @@ function Taurus:add_change(m, top)
   local drift = top and m.standing and add_standing(self, item, m)
   if change.reboot then (drift or item):add_proto_expert_info(self.experts.reboot) end
   if change.stale then (drift or item):add_proto_expert_info(self.experts.stale) end
+  if change.jump then (drift or item):add_proto_expert_info(self.experts.jump) end
   return cleared
 end
 

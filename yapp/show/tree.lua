@@ -250,6 +250,7 @@ function Tree:payload(m)
   if change and change.late then
     self:expert(m.item, "late", ("%.3f s since the previous one"):format(change.late))
   end
+  if change and change.shared then self:expert(m.item, "source.shared") end
   if not m.raws then return show_bytes(self, m) end
   local top = (m.tvb or m.look) and self.messages:show(m)
   local info = m.wants.columns and info_of.text(m.message, m.raws, m.payload, m.name, m.look) or ""
