@@ -261,6 +261,11 @@ function Framer:finish()
   return events
 end
 
+--- Return the number of bytes that were fed.
+function Framer:length()
+  return self.to
+end
+
 --- Return the offset of the first byte that is in no event yet.
 function Framer:offset()
   return self.from
