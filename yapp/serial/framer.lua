@@ -64,8 +64,8 @@ function Framer:forget()
   self.candidates = {} -- those that failed and those that are open, by start
   self.first, self.last = 1, 0
   self.first_open = 1  -- in `candidates`: all before it have failed
-  self.open_by_end = {} -- [offset] = the latest of those that end there
-  self.known = {} -- the starts of those that are messages of the catalogue
+  self.open_by_end = {} -- [offset] = the last open one that ends there
+  self.known = {}       -- the starts of those that are messages of the catalogue
 end
 
 -- Returns the next candidate whose header has come, nil where none has.
@@ -88,7 +88,7 @@ function Framer:find()
     is_plausible = is_plausible,
     is_known = is_plausible and known ~= nil,
     next_known = 0, -- index in `known`: the first one behind it
-    has_failed = false,
+    has_failed = false, -- whether its CRC is bad; false while it is open
     same_end = nil, -- another open candidate that ends where this one does
   }
 end
@@ -177,7 +177,7 @@ end
 
 local function by_start(a, b) return a.from < b.from end
 
--- Judges the candidates that were open and whose end has come.
+-- Judges the open candidates whose end has come.
 -- before  the end of the stream before these bytes came
 function Framer:close(events, before)
   if not next(self.open_by_end) then return end
@@ -186,8 +186,7 @@ function Framer:close(events, before)
     local candidate = self.open_by_end[to]
     self.open_by_end[to] = nil
     while candidate do
-      due[#due + 1] = candidate
-      candidate = candidate.same_end
+      due[#due + 1], candidate = candidate, candidate.same_end
     end
   end
   table.sort(due, by_start)
@@ -271,25 +270,17 @@ function Framer:offset()
   return self.from
 end
 
---- Return the header of the earliest frame that is not decided yet: a capture that ends here, ends
--- before this frame.
--- returns  string; nil if there is none, only a part of its header, or what is more likely noise
-function Framer:open_header()
-  local candidates, last = self.candidates, self.last
-  for i = self.first, last + 1 do
-    local candidate = i > last and self.found or candidates[i]
+--- Return the earliest frame that is not decided yet: a capture that ends here, ends before it.
+-- returns  its header, and the number of bytes to come (nil if its CRC is bad, but not yet final);
+--          nil if there is none, only a part of its header, or what is more likely noise
+function Framer:open_frame()
+  for i = self.first, self.last + 1 do
+    local candidate = self.candidates[i] or self.found
     if candidate and candidate.is_plausible and candidate.from >= self.from then
-      local at = candidate.from - self.text_from
-      return sub(self.text, at + 1, at + HEADER)
+      local at, missing = candidate.from - self.text_from, candidate.to - self.to
+      return sub(self.text, at + 1, at + HEADER), missing > 0 and missing or nil
     end
   end
-end
-
---- Return the number of bytes missing for the end of the earliest open candidate.
--- returns  nil if there is none, only a part of a header, or what is more likely noise
-function Framer:waiting()
-  local candidate = self:first_waiting()
-  return candidate and candidate.is_plausible and candidate.to - self.to or nil
 end
 
 return M
