@@ -40,7 +40,8 @@ local Framer = {}
 Framer.__index = Framer
 
 --- Make the framer of a stream.
--- size_of   function(id) -> payload size of the catalogue's message, nil for an unknown ID
+-- size_of   function(id) -> payload size of the catalogue's message, nil for an unknown ID; and the
+--           smallest that it may have, nil for the same
 -- patience  bytes: the longest frame that good frames inside of it wait for; nil for the usual
 -- Document: "UART Stream Framing".
 function M.new(size_of, patience)
@@ -80,8 +81,9 @@ function Framer:find()
   self.searched = from
   local id, size, reserved = frame.parse(self.text, at)
   if not id then return nil end
-  local known = self.size_of(id)
-  local is_plausible = reserved == 0 and id <= frame.MAX_ID and (not known or known == size)
+  local known, smallest = self.size_of(id)
+  local fits = not known or size <= known and size >= (smallest or known)
+  local is_plausible = reserved == 0 and id <= frame.MAX_ID and fits
   return {
     from = from,
     to = from + HEADER + size + CRC_SIZE,
