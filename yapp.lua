@@ -43,7 +43,7 @@ local frame = require "yapp.wire.frame"
 local history = require "yapp.message.history"
 local message_reader = require "yapp.message.reader"
 local preferences = require "yapp.host.preferences"
-local serial_carrier = require "yapp.serial.carrier"
+local serial_dissector = require "yapp.serial.dissector"
 local socketcan = require "yapp.host.socketcan"
 local source_names = require "yapp.message.sources"
 local stat_taps = require "yapp.stat.taps"
@@ -77,6 +77,7 @@ local serial = Proto("yapp_serial", "YAPP serial stream")
 local skipped = Proto("yapp_skipped", "YAPP, bytes between the frames of a serial dump")
 local taurus = Proto("taurus", "Taurus motor controller")
 local header = Proto("yapp_socketcan", "YAPP's look at CAN headers")
+local tcp_header = Proto("yapp_tcp", "YAPP's look at TCP headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local buses = bus_finder.watch()
@@ -103,7 +104,7 @@ local function claim_id(id)
 end
 
 local frames = can_carrier.new(tree, reader, buses, claim_id)
-local streams = serial_carrier.new(tree, reader, buses)
+local streams = serial_dissector.new(tree, reader, buses, tcp_header)
 local tell = stat_tell.new(stat, reader)
 reader:tell_to(tell)
 function stat.plugin.tapped() tree:only_pass() end
@@ -177,11 +178,12 @@ end
 -- by.
 function taurus.dissector() return 0 end
 
--- A conversation is YAPP's when one whole frame with a good CRC has been seen in it.
+-- A conversation is YAPP's from its first good frame on, or from the first bytes on that are nothing
+-- but messages of the catalogue, though damaged.
 local function found_by_content(tvb, pinfo, root)
   if pinfo.in_error_pkt then return false end
   local raw = tvb:len() > 0 and tvb:raw() or ""
-  if not raw:find("YP", 1, true) or not streams:has_frame(raw) then return false end
+  if not raw:find("YP", 1, true) or not streams:is_yapp(raw) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true
@@ -193,6 +195,7 @@ end
 local is_searching = false
 
 local function search_streams()
+  if buses:has_frames() then streams:watch_tcp() end
   if is_searching or not (yapp.prefs.search_all or buses:may_have_frames()) then return end
   is_searching = true
   serial:register_heuristic("tcp", found_by_content)
@@ -239,7 +242,6 @@ function yapp.init()
   buses:init()
   reader:use_buses(buses:are_several())
   socketcan.init()
-  search_streams()
   local late, problems = preferences.late(yapp.prefs.late)
   preferences.complain_once(problems)
   local function new_history()
@@ -250,6 +252,7 @@ function yapp.init()
   tree:reset()
   frames:reset(new_history)
   streams:reset(new_history)
+  search_streams()
 end
 
 -- Registration ------------------------------------------------------------------------------------
@@ -266,7 +269,7 @@ for name, protos in pairs {
   for _, proto in ipairs(protos) do DissectorTable.get(name):add_for_decode_as(proto) end
 end
 file_readers.register {
-  new_framer = function() return streams:framer() end,
+  new_framer = function() return streams:new_framer(frame.LARGEST) end,
   time_of = controller_time,
 }
 

@@ -99,6 +99,11 @@ function Buses:may_have_frames()
   return self.found.may_have_frames
 end
 
+--- Whether the first bytes of the file have YAPP frames, in TCP, UDP or whatever.
+function Buses:has_frames()
+  return self.found.has_packets and self.found.may_have_frames
+end
+
 -- The source that the fields of the current packet tell; nil without a tree.
 local function source_by_fields(found)
   local fields = fields_of(NAMES)
