@@ -46,8 +46,8 @@ local preferences = require "yapp.host.preferences"
 local serial_dissector = require "yapp.serial.dissector"
 local socketcan = require "yapp.host.socketcan"
 local source_names = require "yapp.message.sources"
+local stat_intake = require "yapp.stat.intake"
 local stat_taps = require "yapp.stat.taps"
-local stat_tell = require "yapp.stat.tell"
 local tree_builder = require "yapp.show.tree"
 
 -- The user's own messages come behind ours: from Wireshark's personal configuration folder, and
@@ -81,8 +81,9 @@ local tcp_header = Proto("yapp_tcp", "YAPP's look at TCP headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local buses = bus_finder.watch()
-local stat = stat_taps.new { version = VERSION, catalogue = catalogue }
-local reader = message_reader.new(catalogue, stat)
+local intake = stat_intake.new()
+local reader = message_reader.new(catalogue, intake)
+reader:tell_to(intake)
 local tree = tree_builder.new {
   yapp = yapp,
   taurus = taurus,
@@ -105,24 +106,22 @@ end
 
 local frames = can_carrier.new(tree, reader, buses, claim_id)
 local streams = serial_dissector.new(tree, reader, buses, tcp_header)
-local tell = stat_tell.new(stat, reader)
-reader:tell_to(tell)
-function stat.plugin.tapped() tree:only_pass() end
-function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
-function stat.plugin.named() return reader.sources:list() end
-function stat.plugin.problems()
-  local problems, file = {}, yapp.prefs.messages
-  if not is_whole then problems[1] = "the catalogue did not load whole" end
-  if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
-    problems[#problems + 1] = file .. ", the file with your own messages, was not read"
-  end
-  return problems
-end
-function stat.plugin.unfinished()
+
+-- What the statistics need of the preferences; see read_preferences.
+local settings = { version = VERSION, catalogue = catalogue }
+local function unfinished()
   local messages = frames:unfinished()
   for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end
-  return tell:unfinished(messages)
+  return messages
 end
+local stat = stat_taps.new {
+  settings = settings,
+  intake = intake,
+  reader = reader,
+  tree = tree,
+  buses = buses,
+  unfinished = unfinished,
+}
 
 -- Dissectors --------------------------------------------------------------------------------------
 
@@ -215,6 +214,20 @@ end
 
 -- Preferences and files ---------------------------------------------------------------------------
 
+-- What is wrong with the preferences, and what the user asked for and did not get: such an answer
+-- is not the whole one.
+local function list_problems(...)
+  local problems, file = {}, yapp.prefs.messages
+  if not is_whole then problems[1] = "the catalogue did not load whole" end
+  if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
+    problems[#problems + 1] = file .. ", the file with your own messages, was not read"
+  end
+  for _, texts in ipairs { ... } do
+    for _, text in ipairs(texts) do problems[#problems + 1] = "preferences: " .. text end
+  end
+  return problems
+end
+
 local function read_preferences()
   local prefs, chosen = yapp.prefs, {}
   decode.use_divisor(prefs.divisor)
@@ -222,9 +235,12 @@ local function read_preferences()
     chosen[message.name] = preferences.range(prefs[message.name .. "_ids"], MAX_ID)
   end
   local by_id, clashes = compiler.assign(catalogue, chosen)
-  local sources, problems = source_names.parse(prefs.sources, catalogue)
-  preferences.complain_once(clashes)
-  preferences.complain_once(problems)
+  local sources, unread = source_names.parse(prefs.sources, catalogue)
+  local late, no_number = preferences.late(prefs.late)
+  local link_types = preferences.take_link_types(prefs.user_dlt, serial)
+  for _, texts in ipairs { clashes, unread, no_number, link_types } do
+    preferences.complain_once(texts)
+  end
   preferences.check_messages_file(prefs.messages, chosen_file)
   reader:use(by_id, sources)
   for id in pairs(by_id) do claim_id(id) end
@@ -233,7 +249,9 @@ local function read_preferences()
   end
   takes_all = prefs.all_extended
   if takes_all then take_all() end
-  preferences.take_link_types(prefs.user_dlt, serial)
+  settings.late, settings.ids = late, chosen
+  settings.sources, settings.sources_text = sources, prefs.sources
+  settings.problems = list_problems(clashes, unread, no_number, link_types)
 end
 yapp.prefs_changed = read_preferences
 
@@ -242,13 +260,11 @@ function yapp.init()
   buses:init()
   reader:use_buses(buses:are_several())
   socketcan.init()
-  local late, problems = preferences.late(yapp.prefs.late)
-  preferences.complain_once(problems)
   local function new_history()
-    return history.new { late = late, catalogue = catalogue }
+    return history.new { late = settings.late, catalogue = catalogue }
   end
   reader:reset()
-  tell:reset()
+  intake:reset()
   tree:reset()
   frames:reset(new_history)
   streams:reset(new_history)
