@@ -2,6 +2,7 @@
 -- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the
 -- values come from message.decode, what changed from the history.
 
+local bits = require("yapp.base.bits")
 local decode = require("yapp.message.decode")
 local fields = require("yapp.show.fields")
 
@@ -17,7 +18,7 @@ local set_text = TreeItem.set_text
 local referenced = TreeItem.referenced
 local range_of = Tvb.range
 local format = string.format
-local common = require("yapp.base.bits").common
+local band, common = bits.band, bits.common
 local flag_names = decode.flag_names
 
 local IS_TSHARK = not gui_enabled()
@@ -116,7 +117,7 @@ local function add_flags(field, made, is_shown, wanted)
   return function(parent, range, raw)
     local item = pf and add_le(parent, pf, range) or parent
     for i = 1, #flags do add_le(item, flags[i], range) end
-    local undefined = undefined_pf and decode.undefined(field, raw) or 0
+    local undefined = undefined_pf and band(raw, field.undefined) or 0
     if undefined ~= 0 then add(item, undefined_pf, range, undefined) end
     if raw ~= 0 then add_names(item, names_pf, is_shown, flag_names(field, raw)) end
     return item

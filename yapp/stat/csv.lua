@@ -6,6 +6,7 @@
 -- FOLDER/fields.json    what each column is
 
 local columns, output = require("yapp.message.columns"), require("yapp.stat.output")
+local decode = require("yapp.message.decode")
 
 local M = {}
 
@@ -117,7 +118,7 @@ function Csv:message(record)
   end
   local time = output.time_text(self.context.clock(record.rel))
   local crc_good = all and (is_good and "1," or "0,") or ""
-  local row = columns.row(source.message, record.payload)
+  local row = columns.row(source.message, decode.read(source.message, record.payload))
   to.file:write(("%s,%d,%s,%d,%s%s\n"):format(
     time, record.frame, cells_of(self, source), record.seq, crc_good, row))
   to.rows = to.rows + 1
