@@ -192,7 +192,7 @@ local function alarm_of(options)
   local compiled, problems = catalogue.compile { message(nil, options) }
   lu.assertEquals(problems, {})
   local m = compiled.messages[1]
-  return { ("%x"):format(m.fields[1].alarm_bits), m.fields[1].fault_word or "none", m.fault_fields[1] == m.fields[1] }
+  return { ("%x"):format(m.fields[1].alarm_bits), m.fields[1].fault_word or "none", m.alarms[1] == m.fields[1] }
 end
 
 function T.test_which_bits_are_alarms()
@@ -205,7 +205,7 @@ function T.test_which_bits_are_alarms()
   lu.assertEquals(alarm_of { bits = { gear } }, { "0", "none", false })
   local motor = catalogue.compile(dofile("taurus_fields.lua")).by_id[0x210]
   local fault, state = motor.by_name.fault_flags, motor.by_name.motor_state
-  lu.assertEquals(motor.fault_fields, { fault, state })
+  lu.assertEquals(motor.alarms, { fault, state })
   -- A flag before them that becomes a fault does not give its name to what is shown of all faults.
   local entries = dofile("taurus_fields.lua")
   for _, entry in ipairs(entries) do
@@ -214,7 +214,7 @@ function T.test_which_bits_are_alarms()
     end
   end
   local changed = catalogue.compile(entries).by_id[0x210]
-  lu.assertEquals({ #changed.fault_fields, changed.fault_field }, { 3, changed.by_name.fault_flags })
+  lu.assertEquals({ #changed.alarms, changed.fault_field }, { 3, changed.by_name.fault_flags })
   lu.assertEquals({ fault.alarm_bits, state.alarm_bits, state.fault_word, motor.by_name.status_flags.alarm_bits },
     { 0xFFFFFFFF, 0x20, "FAULT", 0 })
 end

@@ -151,7 +151,7 @@ local function compile_message(entry, place)
     fields = {},
     by_name = {},
     index = {},
-    fault_fields = {},
+    alarms = {},
     generated = {},
     derived = {},
   }

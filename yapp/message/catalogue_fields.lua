@@ -254,7 +254,7 @@ local function add_bits(build, field, row)
   end
   if field.alarm_bits == 0 then return end
   field.fault_word = alarm or "FAULT"
-  message.fault_fields[#message.fault_fields + 1] = field
+  message.alarms[#message.alarms + 1] = field
 end
 
 -- Rows -------------------------------------------------------------------------------------------

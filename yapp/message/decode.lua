@@ -392,7 +392,7 @@ end
 
 --- Return whether a fault flag is set in a message.
 function M.has_alarm(message, raws)
-  for _, field in ipairs(message.fault_fields) do
+  for _, field in ipairs(message.alarms) do
     if M.faults(field, raws[message.index[field]]) ~= 0 then return true end
   end
   return false

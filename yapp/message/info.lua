@@ -62,7 +62,7 @@ function M.text(message, raws, name, is_remarkable)
   local text = (name or message.title) .. "  " .. message.write_info(raws)
   if is_remarkable == false then return text end
   local word
-  for _, field in ipairs(message.fault_fields) do
+  for _, field in ipairs(message.alarms) do
     local faults = decode.faults(field, raws[message.index[field]])
     if faults ~= 0 then
       local before = ", "

@@ -186,7 +186,7 @@ end
 local function make_message(message, add, add_standing)
   local filter, title = message.filter, message.title
   -- Where a flag of another field becomes a fault nothing gets another name.
-  local alarm = message.fault_field or message.fault_fields[1]
+  local alarm = message.fault_field or message.alarms[1]
   local own = { pf = add(filter, "NONE", title, "A whole message: " .. title), generated = {} }
   for i, item in ipairs(message.generated) do
     own.generated[i] = add(item.filter, "DOUBLE", item.title, item.description)

@@ -2,7 +2,7 @@
 -- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the
 -- values come from message.decode, what changed from the history.
 
-local bits = require("yapp.base.bits")
+local bit_operations = require("yapp.base.bits")
 local decode = require("yapp.message.decode")
 local fields = require("yapp.show.fields")
 
@@ -18,7 +18,7 @@ local set_text = TreeItem.set_text
 local referenced = TreeItem.referenced
 local range_of = Tvb.range
 local format = string.format
-local band, common = bits.band, bits.common
+local band, common = bit_operations.band, bit_operations.common
 local flag_names = decode.flag_names
 
 local IS_TSHARK = not gui_enabled()
