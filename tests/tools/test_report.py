@@ -25,7 +25,7 @@ def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     truth = flights.write(folder / "flight.pcapng", 7, SECONDS)
     options = [word for option in flights.OPTIONS for word in ("-o", option)]
-    done = run_tables(folder, "report", "flight.pcapng", "-o", "flight.html", *options, "--plugin", PLUGIN)
+    done = run_tables(folder, "report", "flight.pcapng", "--out", "flight.html", *options, "--plugin", PLUGIN)
     assert done.returncode == 0, done.stderr
     return folder / "flight.html", truth
 
@@ -65,7 +65,7 @@ def example(tmp_path_factory):
     """The page of docs/flight.pcapng, as README shows it."""
     folder = tmp_path_factory.mktemp("example")
     names = "yapp.sources:can0/0x210=motor:left, can1/0x210=motor:right"
-    done = run_tables(folder, "report", EXAMPLE, "-o", "flight.html", "-o", names, "--plugin", PLUGIN)
+    done = run_tables(folder, "report", EXAMPLE, "--out", "flight.html", "-o", names, "--plugin", PLUGIN)
     assert done.returncode == 0, done.stderr
     return folder / "flight.html"
 
@@ -112,13 +112,47 @@ def show(browser, begin, end):
     )
 
 
-def test_it_opens_without_an_error_and_asks_the_network_for_nothing(browser, page):
-    assert [line for line in browser.get_log("browser") if line["level"] == "SEVERE"] == []
+def asked(browser):
+    """Every address that the page asked for since this was called last."""
     messages = (json.loads(line["message"])["message"] for line in browser.get_log("performance"))
-    asked = [
+    return [
         message["params"]["request"]["url"] for message in messages if message["method"] == "Network.requestWillBeSent"
     ]
-    assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {page[0].as_uri()}
+
+
+def test_it_opens_without_an_error_and_asks_the_network_for_nothing(browser, page):
+    assert [line for line in browser.get_log("browser") if line["level"] == "SEVERE"] == []
+    assert {url for url in asked(browser) if not url.startswith(("data:", "blob:"))} == {page[0].as_uri()}
+
+
+def test_no_click_sends_anything_anywhere(example):
+    """Everything that can be clicked is: no request, no window, no form."""
+    browser = open_browser(example, width=1200)
+    try:
+        browser.get_log("performance")
+        browser.execute_script(
+            """window.sent = [];
+            for (const [owner, name] of [[window, "open"], [window, "fetch"], [navigator, "sendBeacon"],
+              [XMLHttpRequest.prototype, "send"], [HTMLFormElement.prototype, "submit"],
+              [HTMLFormElement.prototype, "requestSubmit"]])
+              owner[name] = (...given) => { window.sent.push([name, String(given[0])]); };
+            for (const one of document.querySelectorAll("button, summary, tr, a, label, .modebar-btn, [tabindex]"))
+              if (!(one.href ?? "").startsWith("file:")) one.dispatchEvent(new MouseEvent("click", {bubbles: true}));
+            """
+        )
+        time.sleep(2)
+        assert browser.execute_script("return window.sent") == []
+        buttons = browser.execute_script(
+            "return [...document.querySelectorAll('.modebar-btn')].map(one => one.dataset.title)"
+        )
+        assert len(buttons) == 6
+        assert not [text for text in buttons if re.search("share|cloud|studio|edit", text, re.IGNORECASE)]
+        context = browser.execute_script("return document.getElementById('plot')._context")
+        assert (context["plotlyServerURL"], context["showSendToCloud"], context["showLink"]) == ("", False, False)
+        assert not [url for url in asked(browser) if not url.startswith(("data:", "blob:"))]
+        assert len(browser.window_handles) == 1
+    finally:
+        browser.quit()
 
 
 def faults_of(browser):
@@ -349,7 +383,7 @@ def test_what_nobody_saw_before_stands_in_the_page(make_capture, yapp_tables, tm
     ]
     summary = [EVENT | {"count": 2, "rate": 10.0, "invalid": 3, "skipped": None}]
     make_capture("flight.pcapng", motor=[motor_row(0), motor_row(5)], events=events, summary=summary)
-    done = yapp_tables("report", "flight.pcapng", "-o", "page.html")
+    done = yapp_tables("report", "flight.pcapng", "--out", "page.html")
     assert done.returncode == 0, done.stderr
     browser = open_browser(tmp_path / "page.html", width=1200)
     try:

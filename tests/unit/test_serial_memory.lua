@@ -16,7 +16,7 @@ local function unknown() return nil end
 
 local function new()
   return serial_memory.new { new_framer = function() return serial_stream.new(unknown) end,
-    new_history = function() return history.new() end }
+    new_history = function() return history.new { late = 2.5, catalogue = { messages = {} } } end }
 end
 
 -- "good 5 @0", "bad 7 in 1,2", "skipped 4 @25", "cut 5 @0 -9"

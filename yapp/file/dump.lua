@@ -49,10 +49,10 @@ function Dump:take_record(file)
   local event = self:peek(file)
   if not event then return nil end
   self:drop()
-  if event.kind ~= "skipped" then return event end
+  if event.status ~= "skipped" then return event end
   local bytes, from = event.bytes, event.from
   event = self:peek(file)
-  while #bytes < LONGEST and event and event.kind == "skipped" do
+  while #bytes < LONGEST and event and event.status == "skipped" do
     self:drop()
     bytes = bytes .. event.bytes
     event = self:peek(file)
@@ -60,14 +60,14 @@ function Dump:take_record(file)
   local rest = bytes:sub(LONGEST + 1)
   if rest ~= "" then
     self.next = self.next - 1
-    self.events[self.next] = { kind = "skipped", from = from + LONGEST, bytes = rest }
+    self.events[self.next] = { status = "skipped", from = from + LONGEST, bytes = rest }
   end
-  return { kind = "skipped", from = from, bytes = bytes:sub(1, LONGEST) }
+  return { status = "skipped", from = from, bytes = bytes:sub(1, LONGEST) }
 end
 
 -- The controller's own time of a frame, nil without one.
 function Dump:stamp(event)
-  if not event.good then return nil end
+  if event.status ~= "good" then return nil end
   local seconds, nanoseconds = self.time_of(event.bytes)
   return seconds and { seconds, nanoseconds }
 end
@@ -94,7 +94,7 @@ function M.open(file, options, head)
   local at, found = 1, false
   while not (found and (self.time or self.framer:offset() >= AHEAD)) and self:fill(file) do
     while at <= self.last and not self.time do
-      found = found or self.events[at].good
+      found = found or self.events[at].status == "good"
       self.time = self:stamp(self.events[at])
       at = at + 1
     end
@@ -116,7 +116,7 @@ function Dump:read(file)
   if not event then return nil end
   self.time = self:stamp(event) or self.time
   local record = {
-    length = #event.bytes, time = self.time or UNKNOWN, is_skipped = event.kind == "skipped",
+    length = #event.bytes, time = self.time or UNKNOWN, is_skipped = event.status == "skipped",
   }
   self.records[event.from] = record
   return packet(record, event.from, event.bytes)

@@ -98,15 +98,21 @@ function Buses:may_have_frames()
   return self.found.may_have_frames
 end
 
+--- Whether the first bytes of the file have YAPP frames, in TCP, UDP or whatever.
+function Buses:has_frames()
+  return self.found.has_frames
+end
+
 --- Return what the capture says of packets that were dropped: a list of { time = seconds since 1970
 -- or nil, frame = number of the packet behind the loss or nil, bus = name or nil, count }.
 function Buses:drops()
-  return self.found.drops[1] and self.found.drops or readers.drops()
+  local drops = self.found.drops
+  return not drops[1] and readers.drops and readers.drops() or drops
 end
 
 --- Whether packets of the capture have no time stamps.
 function Buses:lacks_times()
-  return self.found.has_no_times or readers.lacks_times()
+  return self.found.has_no_times or readers.lacks_times and readers.lacks_times()
 end
 
 -- The bus by the fields of the current packet; nil where they do not tell it.

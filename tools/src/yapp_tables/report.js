@@ -12,6 +12,10 @@
   const DASHES = [["solid", ""], ["dot", "3"], ["dash", "9"], ["dashdot", "9 3 3 3"], ["longdash", "15"],
     ["longdashdot", "15 6 6 6"]];
   const PANEL = 150, SPREAD = 56, ROW = 18, SPACE = 12, AXIS = 50;
+  // These buttons and no others: one of plotly's own uploads the chart to a server.
+  const BUTTONS = [["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"]];
+  const CONFIG = { responsive: true, displaylogo: false, scrollZoom: false, displayModeBar: innerWidth >= 700,
+    modeBarButtons: BUTTONS, plotlyServerURL: "", showLink: false, showSendToCloud: false };
   const LETTER = 6.5; // how wide one is in a bar
   const NARROW = innerWidth < 700, TOP = NARROW ? 24 : 44, PAPER = 700; // A4 and Letter, upright, in pixels
 
@@ -87,10 +91,11 @@
   // What went wrong first, in a sentence.
   function verdict() {
     const events = data.others.reduce((sum, row) => sum + row.count, 0), [first] = data.faults.length ? data.faults : data.others;
-    if (!first) return "Nothing.";
+    const lost = data.undecoded ? [make("b", { className: "bad", textContent: `${data.undecoded}.` }), " "] : [];
+    if (!first) return data.undecoded || data.partial || data.complaints.length ? [...lost, "Nothing in what was decoded."] : "Nothing.";
     const said = [data.faults.length ? count(data.faults.length, "fault") : "", events ? `${count(events, data.faults.length ? "other event" : "event")}` : ""];
     const length = first.end === null ? ", until the end" : first.length ? `, for ${duration(first.length)}` : "";
-    return [make("b", { className: "bad", textContent: first.what }), " on ", make("b", { textContent: first.source }),
+    return [...lost, make("b", { className: "bad", textContent: first.what }), " on ", make("b", { textContent: first.source }),
       ` at ${exact(first.begin)} s${length}. `, make("span", { className: "pale", textContent: `${said.filter(Boolean).join(", ")} in all. A click on a row zooms to it.` })];
   }
 
@@ -323,7 +328,7 @@
     const made = { height: bottom + AXIS, width: screen ? PAPER : undefined, autosize: !screen, showlegend: false, barmode: "overlay",
       hovermode: "closest", dragmode: NARROW ? false : "zoom", uirevision: "kept",
       paper_bgcolor: paper, plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink, family: style.fontFamily, size: 12 },
-      margin: { l: 36, r: 14, t: TOP, b: AXIS }, modebar: { remove: ["select2d", "lasso2d", "autoScale2d"] },
+      margin: { l: 36, r: 14, t: TOP, b: AXIS },
       xaxis: { ...x, anchor: stack.length > 1 ? `y${stack.length}` : "y", title: { text: NARROW ? "seconds since the beginning" : `seconds since ${data.start}` } },
       xaxis2: { ...x, anchor: "free", position: 1, side: "top", matches: "x", showgrid: false },
       shapes: faulty().map(([x0, x1]) => ({ type: "rect", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, line: { width: 0 },
@@ -365,7 +370,7 @@
   function draw() {
     const made = layout();
     if (plot.layout) made.xaxis.range = range();
-    return Plotly.react(plot, traces(made.xaxis.range), made, { responsive: true, displaylogo: false, scrollZoom: false, displayModeBar: !NARROW });
+    return Plotly.react(plot, traces(made.xaxis.range), made, CONFIG);
   }
 
   // After a zoom: other samples of the same lines.

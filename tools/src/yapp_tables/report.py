@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
@@ -13,14 +14,26 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from plotly.offline import get_plotlyjs
 
+from .config import StrPath
+from .errors import SetupError
 from .flight import Flight
 from .pictures import MARKS, Pictures, Record
 from .tables import Column
+from .undecoded import source_name
 from .whole import write_whole
 
 # What an event other than a fault means; those of the first kind are told one by one, the others counted for a source.
-SINGLE = {"reboot": "reboot", "silence": "silence", "absent": "never came"}
+SINGLE = {
+    "reboot": "reboot",
+    "silence": "silence",
+    "absent": "never came",
+    "shared": "two controllers share this ID: its other events are left out",
+    "jump": "the controller's clock jumped ahead",
+    "clock": "the capture's clock went back",
+}
 COUNTED = {
+    "missing": "messages missing by Seq No",
+    "dropped": "packets dropped while capturing",
     "stale": "the controller's time stood still",
     "crc": "bad CRC",
     "incomplete": "lost frames",
@@ -44,6 +57,21 @@ def write_report(flight: Flight, path: Path, begin: int | None = None) -> None:
     for name, text in parts.items():
         tail = tail.replace(name, text, 1)
     write_whole(path, head + data + tail)
+
+
+def write_reports(
+    flights: Sequence[Flight], captures: Sequence[Path], out: StrPath | None = None, overlay: bool = False
+) -> Path:
+    """Write the page of a flight, or a folder of pages. Returns the page. Raises SetupError."""
+    assert not overlay
+    page = captures[0].with_suffix(".html") if out is None else Path(out)
+    if not page.parent.is_dir():
+        raise SetupError(f"{page} cannot be written: no folder {page.parent}")
+    try:
+        write_report(flights[0], page, flights[0].begin)
+    except OSError as error:
+        raise SetupError(f"{page} cannot be written: {error.strerror}") from error
+    return page
 
 
 class _Page:
@@ -71,6 +99,7 @@ class _Page:
             "start": f"{begin:%Y-%m-%d %H:%M:%S}{f'.{self.start % 10**9:09}'.rstrip('0').rstrip('.')} UTC",
             "length": self.end,
             "partial": flight.partial,
+            "undecoded": flight.undecoded,
             "complaints": flight.complaints,
             "versions": f"YAPP plugin {flight.plugin}, yapp-tables {version('yapp-tables')}",
             "faults": faults,
@@ -97,7 +126,7 @@ class _Page:
             event
             | {
                 "at": 0.0 if event["at"] is None else self._since(event["at"]),
-                "source": _source(event),
+                "source": source_name(event),
                 "title": self._title(event["message"]),
             }
             for event in events
@@ -149,7 +178,7 @@ class _Page:
             row = {"what": what, "source": event["source"], "begin": event["at"], "end": event["at"], "count": 0}
             row |= {"length": None, "bytes": None, "message": event["title"], "at": []}
             row = rows.setdefault(key, row)
-            row["count"] += 1
+            row["count"] += event["count"] or 1
             row["at"].append(event["at"])
             row["end"] = event["at"]
             if kind == "silence":
@@ -183,11 +212,6 @@ class _Page:
         names = [name for name in self.flight.summary.schema.names if any(row[name] is not None for row in rows)]
         about = ({name: row[name] for name in names if name not in ("bus", "id")} for row in rows)
         return [
-            row | {"source": _source(given), "message": self._title(given["message"])}
+            row | {"source": source_name(given), "message": self._title(given["message"])}
             for row, given in zip(about, rows, strict=True)
         ]
-
-
-def _source(row: Record) -> str:
-    number = None if row["id"] is None else f"0x{row['id']:03x}"
-    return row["source"] or " ".join(part for part in (row["bus"], number) if part) or "stream"

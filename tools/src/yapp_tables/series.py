@@ -70,6 +70,11 @@ def thin(source: Source, columns: list[Array], most: int) -> tuple[Array, list[A
     return np.insert(thinned, at, times[gaps] + source.every), [np.insert(column, at, np.nan) for column in columns]
 
 
+def with_gaps(source: Source, columns: list[Array]) -> tuple[Array, list[Array]]:
+    """Return times and values with a sample without a value in each gap, so that no line is drawn over it."""
+    return thin(source, columns, len(source.times) + 1)
+
+
 def _extremes(values: Array, starts: Array) -> Array:
     """Two values for each stretch: the one of smallest and largest that comes first, then the other."""
     low = np.fmin.reduceat(values, starts)
