@@ -178,8 +178,8 @@ end
 -- by.
 function taurus.dissector() return 0 end
 
--- A conversation is YAPP's from its first good frame on, or from the first bytes on that are nothing
--- but messages of the catalogue, though damaged.
+-- A conversation is YAPP's from its first packet on that holds a good frame, or nothing but
+-- messages of the catalogue, which may be damaged.
 local function found_by_content(tvb, pinfo, root)
   if pinfo.in_error_pkt then return false end
   local raw = tvb:len() > 0 and tvb:raw() or ""
