@@ -177,8 +177,8 @@ end
 -- by.
 function taurus.dissector() return 0 end
 
--- A conversation is YAPP's from its first good frame on, or from the first bytes on that are nothing
--- but messages of the catalogue, though damaged.
+-- A conversation is YAPP's from its first good frame on, or from the first bytes on that are
+-- nothing but messages of the catalogue, though damaged.
 local function found_by_content(tvb, pinfo, root)
   if pinfo.in_error_pkt then return false end
   local raw = tvb:len() > 0 and tvb:raw() or ""
@@ -232,7 +232,7 @@ local function read_preferences()
   local prefs, chosen = yapp.prefs, {}
   decode.use_divisor(prefs.divisor)
   for _, message in ipairs(catalogue.messages) do
-    chosen[message.name] = preferences.range(prefs[message.name .. "_ids"], MAX_ID)
+    chosen[message.name] = preferences.range(prefs[message.name .. "_ids"])
   end
   local by_id, clashes = compiler.assign(catalogue, chosen)
   local sources, unread = source_names.parse(prefs.sources, catalogue)

@@ -193,7 +193,7 @@ def test_garbage_leaves_a_choice_as_it_is(setting):
 
 def test_link_types_of_others():
     lines = said("-o", "yapp.user_dlt:0-162", "-r", tshark.CAPTURES / "document_command.pcap")
-    assert lines == ["yapp: preferences: link type 0 is not a DLT_USER (147 to 162), nor are 146 others"]
+    assert lines == ["yapp: preferences: yapp.user_dlt: link type 0 is no DLT_USER; those are 147 to 162"]
 
 
 # candump text ------------------------------------------------------------------------------------------------------
