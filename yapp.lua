@@ -114,15 +114,6 @@ local function unfinished()
   for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end
   return messages
 end
-local stat = stat_taps.new {
-  settings = settings,
-  intake = intake,
-  reader = reader,
-  tree = tree,
-  buses = buses,
-  unfinished = unfinished,
-}
-
 -- Dissectors --------------------------------------------------------------------------------------
 
 -- Decode As on CAN: every extended data frame is YAPP's.
@@ -138,14 +129,24 @@ end
 local takes_all, is_heuristic = false, false -- takes_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
-  return takes_all and all.dissector(tvb, pinfo, root) > 0
+  if takes_all then return all.dissector(tvb, pinfo, root) > 0 end
+  if intake.wanted and frames:is_start(tvb) then
+    local can_id = socketcan.find_id(tvb, pinfo)
+    socketcan.wrap(header) -- from the next frame on the id is known
+    if can_id then frames:report_start(tvb, pinfo, can_id) end
+  end
+  return false
+end
+
+local function watch_unclaimed()
+  if is_heuristic then return end
+  is_heuristic = true
+  all:register_heuristic("can", unclaimed)
 end
 
 local function take_all()
   socketcan.wrap(header)
-  if is_heuristic then return end
-  is_heuristic = true
-  all:register_heuristic("can", unclaimed)
+  watch_unclaimed()
 end
 
 -- Called from the table of ids, where match_uint is the CAN id; and by Decode As under the name
@@ -177,8 +178,8 @@ end
 -- by.
 function taurus.dissector() return 0 end
 
--- A conversation is YAPP's from its first good frame on, or from the first bytes on that are
--- nothing but messages of the catalogue, though damaged.
+-- A conversation is YAPP's from its first packet on that holds a good frame, or nothing but
+-- messages of the catalogue, which may be damaged.
 local function found_by_content(tvb, pinfo, root)
   if pinfo.in_error_pkt then return false end
   local raw = tvb:len() > 0 and tvb:raw() or ""
@@ -211,6 +212,16 @@ local function controller_time(bytes)
   local seconds, nanoseconds = decode.time(bytes, frame.HEADER + time.offset)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
+
+local stat = stat_taps.new {
+  settings = settings,
+  intake = intake,
+  reader = reader,
+  tree = tree,
+  buses = buses,
+  unfinished = unfinished,
+  watch = watch_unclaimed,
+}
 
 -- Preferences and files ---------------------------------------------------------------------------
 
@@ -260,8 +271,9 @@ function yapp.init()
   buses:init()
   reader:use_buses(buses:are_several())
   socketcan.init()
+  local function has_times() return not (buses.lacks_times and buses:lacks_times()) end
   local function new_history()
-    return history.new { late = settings.late, catalogue = catalogue }
+    return history.new { late = settings.late, catalogue = catalogue, has_times = has_times }
   end
   reader:reset()
   intake:reset()

@@ -6,43 +6,39 @@
 --   packet 7   |end of A|good frame B|start of C|   events A (of packets 6 and 7) and B, and the
 --   packet 8   |end of C|                           pending bytes of C, which packet 8 shows
 --
--- TCP segments bring their sequence numbers.  Bytes that came before are left out.  A segment behind
--- a gap waits for the missing one, until it is clear that the capture does not have it.
-
-local crc = require("yapp.wire.crc")
-local frame_of = require("yapp.wire.frame")
+-- TCP segments bring their sequence numbers.  Bytes that came before are left out.  A segment
+-- behind a gap waits for the missing one, until it is clear that the capture does not have it.
 
 local M = {}
 
-local HEADER, CRC_SIZE = frame_of.HEADER, frame_of.CRC_SIZE
-local abs, max, min, sub = math.abs, math.max, math.min, string.sub
+local abs, max, sub = math.abs, math.max, string.sub
 
 -- How long segments wait for a missing one: seconds, and bytes of the stream.  A sender that hears
--- nothing repeats it within a second, as a rule, and few send 64 KB ahead.
+-- nothing sends again within a second, as a rule, and few send 64 KB ahead.
 local MAX_WAIT, MAX_AHEAD = 1, 65535
 -- A sequence number further off is that of a new connection.
 local MAX_DISTANCE = 2 ^ 20
 
--- Of a packet that holds good frames and nothing else: its own bytes tell them again.
+-- The contents of a packet that holds good frames and nothing else: its own bytes tell them again.
 local PLAIN = { events = {}, pending = 0 }
 
 local Streams = {}
 Streams.__index = Streams
 
--- A stream.  `framer` finds its frames.
 local function new_stream(framer)
   return {
     framer = framer,
-    pieces = {},      -- those with bytes that are in no event yet: pieces[first] to pieces[last]
+    pieces = {},      -- contents with bytes that are in no event yet: pieces[first] to pieces[last]
     first = 1,
     last = 0,
     latest = nil,     -- the latest packet
     -- Of TCP:
     next_seq = nil,   -- sequence number of the next byte
-    acked = nil,      -- the latest acknowledgement of the other side
+    acked = nil,      -- what the other side has acknowledged
     is_ended = false, -- whether a new connection has begun
-    held = {},        -- the segments behind a gap, by sequence number
-    gap = nil,        -- the packet that showed the gap
+    held = {},        -- contents of the segments behind a gap, by sequence number
+    gap = nil,        -- see Streams:drops
+    gap_time = nil,   -- when it was noticed, in seconds since the first packet
   }
 end
 
@@ -54,7 +50,7 @@ function M.new(new_framer)
     datagrams = new_stream(new_framer()), -- each is complete in itself: one stream does for all
     by_key = {},
     contents = {}, -- by frame key
-    gaps = {},     -- [packet behind a gap that was not filled] = true
+    gaps = {},     -- [gap that was not filled] = true
   }, Streams)
 end
 
@@ -72,31 +68,31 @@ local function append(events, found)
   end
 end
 
--- No more bytes follow those that wait in a stream.
+-- Ends a stream: nothing follows the bytes that wait.
 local function finish(stream, events, is_truncated)
   local rest = stream.framer:finish()
   for _, event in ipairs(rest) do event.truncated = is_truncated end
   append(events, rest)
 end
 
--- Feeds a packet to its stream.
--- known  number of its bytes that the stream has
-local function feed(stream, piece, known, events)
-  local framer, packet = stream.framer, piece.packet
-  piece.known, piece.from = known, framer:length()
+-- Feeds the bytes of a packet to its stream.
+-- known  how many of them the stream has
+local function feed(stream, contents, known, events)
+  local framer, packet = stream.framer, contents.packet
+  contents.packet, contents.known, contents.from = nil, known, framer:length()
   append(events, framer:feed(sub(packet.bytes, known + 1)))
-  piece.to = framer:length()
-  if packet.transport == "datagram" or packet.truncated then
-    finish(stream, events, packet.truncated)
-  end
+  contents.to = framer:length()
+  if packet.is_datagram or packet.truncated then finish(stream, events, packet.truncated) end
   stream.last = stream.last + 1
-  stream.pieces[stream.last] = piece
+  stream.pieces[stream.last] = contents
 end
 
--- Says where the bytes of an event are.
-local function locate(stream, event, own)
-  if own.from and event.from >= own.from and event.to <= own.to then
-    event.at, event.bytes = own.known + event.from - own.from, nil
+-- Notes where the bytes of an event are.
+-- contents  of the packet that shows it
+local function locate(stream, event, contents)
+  local from = contents.from
+  if from and event.from >= from and event.to <= contents.to then
+    event.at, event.bytes = contents.known + event.from - from, nil
     return
   end
   if event.status == "skipped" then return end
@@ -104,13 +100,13 @@ local function locate(stream, event, own)
   for i = stream.first, stream.last do
     local piece = stream.pieces[i]
     if piece.from < event.to and piece.to > event.from then
-      event.parts[#event.parts + 1] = piece.packet.key
-      if piece ~= own then piece.contents.leads_to = own.packet.key end
+      event.parts[#event.parts + 1] = piece.key
+      if piece ~= contents then piece.leads_to = contents.key end
     end
   end
 end
 
--- Drops the packets whose bytes all come before an offset.
+-- Drops the contents whose bytes all come before an offset.
 local function drop_pieces(stream, offset)
   while stream.first <= stream.last and stream.pieces[stream.first].to <= offset do
     stream.pieces[stream.first] = nil
@@ -126,30 +122,35 @@ local function distance(seq, other)
 end
 
 -- Keeps a segment in the order of the sequence numbers.
-local function hold(stream, piece)
-  local held, at = stream.held, #stream.held + 1
-  while at > 1 and distance(piece.packet.seq, held[at - 1].packet.seq) < 0 do at = at - 1 end
-  table.insert(held, at, piece)
+local function hold(stream, contents)
+  local held, seq, index = stream.held, contents.packet.seq, #stream.held + 1
+  while index > 1 and distance(seq, held[index - 1].packet.seq) < 0 do index = index - 1 end
+  table.insert(held, index, contents)
 end
 
--- Whether the capture lacks the segment that others wait for.
+-- Notes that a segment is missing before a packet.
+local function note_gap(self, stream, packet)
+  local gap = { time = packet.epoch, frame = packet.number, bus = packet.bus_name, count = 1 }
+  self.gaps[gap], stream.gap, stream.gap_time = true, gap, packet.time
+end
+
+-- Whether the capture does not have the segment that others wait for.
 local function is_lost(stream, packet)
   return stream.acked and distance(stream.acked, stream.next_seq) > 0 or
     distance(packet.seq, stream.next_seq) > MAX_AHEAD or
-    packet.time - stream.gap.time > MAX_WAIT
+    packet.time - stream.gap_time > MAX_WAIT
 end
 
 -- Feeds the segments that wait, as far as they are in order.
 -- packet    the current one
--- gives_up  whether none of the missing ones will come
+-- gives_up  whether no missing segment will come
 local function feed_held(self, stream, packet, gives_up, events)
   while stream.held[1] do
-    local piece = stream.held[1]
-    local seq, length = piece.packet.seq, piece.packet.length
+    local contents = stream.held[1]
+    local seq, length = contents.packet.seq, contents.packet.length
     local known = distance(stream.next_seq, seq)
     if known < 0 then
-      stream.gap = stream.gap or packet
-      self.gaps[stream.gap] = true
+      if not stream.gap then note_gap(self, stream, packet) end
       if not gives_up and not is_lost(stream, packet) then return end
       finish(stream, events)
       stream.gap, known = nil, 0
@@ -158,17 +159,17 @@ local function feed_held(self, stream, packet, gives_up, events)
     end
     table.remove(stream.held, 1)
     if known < length then
-      feed(stream, piece, known, events)
+      feed(stream, contents, known, events)
       stream.next_seq = (seq + length) % 0x100000000
     else
-      piece.from, piece.to = 0, 0
+      contents.packet = nil
     end
   end
 end
 
 -- Takes a segment, and those that waited for it.
-local function take_segment(self, stream, piece, events)
-  local packet = piece.packet
+local function take_segment(self, stream, contents, events)
+  local packet = contents.packet
   local next_seq = stream.next_seq or packet.seq
   if stream.is_ended or abs(distance(packet.seq, next_seq)) > MAX_DISTANCE then
     feed_held(self, stream, packet, true, events)
@@ -176,122 +177,121 @@ local function take_segment(self, stream, piece, events)
     next_seq, stream.is_ended = packet.seq, false
   end
   stream.next_seq = next_seq
-  hold(stream, piece)
+  hold(stream, contents)
   feed_held(self, stream, packet, false, events)
 end
 
---- Note what the other side of a TCP connection has received.
--- key  of the stream
--- ack  sequence number of the byte that it expects next
-function Streams:acknowledge(key, ack)
-  local stream = self.by_key[key]
-  if not stream then return end
-  if not stream.acked or distance(ack, stream.acked) > 0 then stream.acked = ack end
-end
-
---- Note that a new TCP connection begins.
--- key  of the stream
-function Streams:begin(key)
-  local stream = self.by_key[key]
-  if stream then stream.is_ended, stream.acked = true, nil end
-end
-
---- Whether a segment can be taken in its place: the stream is YAPP's, and its sequence numbers are
--- known.
--- key  of the stream
-function Streams:follows(key)
-  local stream = self.by_key[key]
-  return stream ~= nil and stream.next_seq ~= nil
+--- Note what the header of a TCP segment says.
+-- key       of its stream
+-- opposite  key of the stream of the other direction
+-- segment   of serial.tcp
+-- returns   whether the segment can be taken in its place: its stream has been seen, and its
+--           sequence numbers are known
+function Streams:note_header(key, opposite, segment)
+  local stream, other, ack = self.by_key[key], self.by_key[opposite], segment.ack
+  if other and ack and distance(ack, other.acked or ack - 1) > 0 then other.acked = ack end
+  if stream and segment.is_syn then stream.is_ended, stream.acked = true, nil end
+  return stream and stream.next_seq
 end
 
 -- Packets ----------------------------------------------------------------------------------------
 
 -- Whether a packet holds good frames and nothing else.
-local function is_plain(contents, packet)
-  local events = contents.events
+local function is_plain(events, bytes)
   for _, event in ipairs(events) do
     if event.status ~= "good" or not event.at then return false end
   end
   local first, last = events[1], events[#events]
-  return first and first.at == 0 and last.at + last.to - last.from == #packet.bytes
+  return first and first.at == 0 and last.at + last.to - last.from == #bytes
 end
 
--- Takes a packet into a stream; returns what it holds.
-local function contents_of(self, stream, packet, is_segment)
+-- Takes a packet into a stream; returns its contents.
+local function take(self, stream, packet)
+  local events, framer = {}, stream.framer
   local contents = {
-    events = {},
+    key = packet.key,
+    events = events,
     pending = 0,
     missing = nil,
-    is_held = false,
     leads_to = nil,
     stream = stream,
+    is_held = false, -- whether it was behind a gap when it came
+    packet = packet, -- until its bytes are fed
+    known = 0,       -- number of bytes that had come before
+    from = nil,      -- offset in the stream of those that had not, once they are fed
+    to = nil,
   }
-  local events, framer = contents.events, stream.framer
-  local own = { packet = packet, contents = contents, known = 0, from = nil, to = nil }
-  if is_segment then
-    take_segment(self, stream, own, events)
+  if packet.seq then
+    take_segment(self, stream, contents, events)
   else
-    feed(stream, own, 0, events)
+    feed(stream, contents, 0, events)
   end
   for _, event in ipairs(events) do
     drop_pieces(stream, event.from)
-    locate(stream, event, own)
+    locate(stream, event, contents)
   end
   drop_pieces(stream, framer:offset())
-  if not own.from then
+  if contents.packet then
     contents.is_held, contents.pending = true, #packet.bytes
-  elseif own.to > framer:offset() then
-    contents.pending, contents.missing = own.to - max(own.from, framer:offset()), framer:waiting()
+  elseif (contents.to or 0) > framer:offset() then
+    contents.pending = contents.to - max(contents.from, framer:offset())
+    contents.missing = select(2, framer:open_frame())
   end
   return contents
 end
 
 --- Take the next packet of the capture.
 -- packet  {
---   key        frame key; a key that comes again replaces what was stored
---   number, bus_name, bus_key
---   time       seconds since the first packet; epoch = since 1970, or nil
---   bytes      string: those that were captured
---   truncated  whether the packet had more
---   transport  "datagram" or "stream"
---   stream     key of the stream
---   seq        of TCP, where it is known: the first byte's sequence number; length = number of
---              bytes that it had }; it is kept
+--   key          frame key; a key that comes again replaces what was stored
+--   number       of the packet; bus_name = or nil
+--   time         seconds since the first packet; epoch = since 1970, or nil
+--   bytes        string: those that were captured
+--   truncated    whether the packet had more
+--   is_datagram  whether it is complete in itself
+--   stream       key of the stream
+--   seq          of TCP, if it is known: sequence number of the first byte
+--   length       number of bytes that it had }
 -- is_stored  whether Streams:find may ask for it
--- returns    what it holds: {
+-- returns  {
 --   events    as from serial.framer, and truncated = whether the capture cut the frame short;
---             at = offset in the packet; if not all its bytes are in this packet, bytes = string and
---             parts = keys of the packets they came in, which skipped bytes have not
---   pending   number of bytes at the end that are in no event yet; missing = number of bytes to come
---             of the frame that they begin, or nil; is_held = whether they are behind a gap
+--             at = offset in the packet.  If not all its bytes are in this packet: bytes = string,
+--             and parts = keys of the packets they came in (none of skipped bytes)
+--   pending   number of bytes at the end that are in no event yet
+--   is_held   whether it is a segment that waits for a missing one: then all are pending
+--   missing   number of bytes to come of the frame that the pending ones begin, or nil
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
 function Streams:take(packet, is_stored)
   local stream = self.datagrams
-  if packet.transport ~= "datagram" then
+  if not packet.is_datagram then
     stream = self.by_key[packet.stream] or new_stream(self.new_framer())
     self.by_key[packet.stream] = stream
   end
-  local contents = contents_of(self, stream, packet, packet.seq)
+  local contents = take(self, stream, packet)
   stream.latest = packet
   if is_stored then
-    self.contents[packet.key] = is_plain(contents, packet) and PLAIN or contents
+    self.contents[packet.key] = is_plain(contents.events, packet.bytes) and PLAIN or contents
   end
   return contents
 end
 
---- Return what a packet holds that was taken before, nil if it was not.
+--- Return the events of a packet that is complete in itself.
+-- bytes  string
+function Streams:read(bytes)
+  return take(self, self.datagrams, { bytes = bytes, is_datagram = true }).events
+end
+
+--- Return the contents of a packet that was taken before, nil if it was not.
 function Streams:find(packet)
   local contents = self.contents[packet.key]
   if contents ~= PLAIN then return contents end
-  return contents_of(self, self.datagrams, packet, false)
+  return { events = self:read(packet.bytes), pending = 0 }
 end
 
 --- Whether the capture ends before the frame that a packet's pending bytes begin.
--- contents  of the packet
-function Streams:is_unfinished(contents, packet)
+function M.is_unfinished(contents, packet)
   local stream = contents.stream
   return contents.pending > 0 and not contents.leads_to and stream.latest.key == packet.key and
-    stream.framer:open_header() ~= nil
+    stream.framer:open_frame() ~= nil
 end
 
 --- Return the frames that the capture ends before.
@@ -299,54 +299,20 @@ end
 function Streams:unfinished()
   local list = {}
   for _, stream in pairs(self.by_key) do
-    local header = stream.framer:open_header()
+    local header = stream.framer:open_frame()
     if header then list[#list + 1] = { header = header, packet = stream.latest } end
   end
   return list
 end
 
---- Return the gaps in TCP streams: segments that the capture does not have.
+--- Return the gaps in TCP connections: segments that the capture does not have.
 -- returns  list of { time = seconds since 1970, frame = number of the packet behind the gap,
 --          bus = name or nil, count = 1 }
 function Streams:drops()
   local list = {}
-  for packet in pairs(self.gaps) do
-    list[#list + 1] = {
-      time = packet.epoch,
-      frame = packet.number,
-      bus = packet.bus_name,
-      count = 1,
-    }
-  end
+  for gap in pairs(self.gaps) do list[#list + 1] = gap end
   table.sort(list, function(a, b) return a.frame < b.frame end)
   return list
-end
-
---- Return the message in an event that is a frame.
--- event    of a packet
--- bytes    of the packet
--- returns  { status, missing, truncated, parts = as in the event; length = number of bytes; id, seq,
---          ctl, size, reserved, payload; crc, calculated = if it is bad }
-function M.message(event, bytes)
-  local from, length = 1, event.to - event.from
-  if event.bytes then bytes = event.bytes else from = event.at + 1 end
-  local id, size, reserved, seq, ctl = frame_of.parse(bytes, from)
-  local is_bad, last = event.status == "bad", from + length - 1
-  return {
-    status = event.status,
-    missing = event.missing,
-    truncated = event.truncated,
-    parts = event.parts,
-    length = length,
-    id = id,
-    seq = seq,
-    ctl = ctl,
-    size = size,
-    reserved = reserved,
-    payload = sub(bytes, from + HEADER, from - 1 + min(HEADER + size, length)),
-    crc = is_bad and frame_of.crc(bytes, last) or nil,
-    calculated = is_bad and crc.update(crc.INITIAL, bytes, from, last - CRC_SIZE) or nil,
-  }
 end
 
 return M

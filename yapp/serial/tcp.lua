@@ -6,9 +6,9 @@
 -- header, and hands on the segment when TCP has shown it.  That costs a name in frame.protocols and
 -- about 1 µs a segment: so only in captures with YAPP on TCP.
 
-local M = {}
+local band = require("yapp.base.bits").band
 
-local byte, floor = string.byte, math.floor
+local M = {}
 
 local TCP = 6 -- IP protocol
 local HEADER = 20
@@ -22,24 +22,20 @@ local protocols, tcp = DissectorTable.get("ip.proto"), Dissector.get("tcp")
 local is_watching, thrown, inside = false, 0, nil -- inside: number of the packet that TCP has
 local segment -- that TCP has, nil for none
 
-local function number(a, b, c, d) return a * 0x1000000 + b * 0x10000 + c * 0x100 + d end
-
-local function has(flags, flag) return flags % (2 * flag) >= flag end
-
 -- Reads a header; nil if it is not there or if an ICMP error only quotes it.
 local function read(tvb, pinfo)
   if tvb:len() < HEADER or pinfo.in_error_pkt then return nil end
-  local a, b, c, d, e, f, g, h, size, flags = byte(tvb:raw(0, HEADER), 5, 14)
-  local start, is_syn = floor(size / 16) * 4, has(flags, SYN)
+  local seq, ack, size, flags = Struct.unpack(">I4I4BB", tvb:raw(4, 10))
+  local start, is_syn = band(size, 0xF0) / 4, band(flags, SYN) ~= 0
   if start < HEADER or start > tvb:len() then return nil end
   return {
     start = start,
     offset = tvb:offset() + start,
-    length = has(flags, RST) and 0 or tvb:reported_len() - start,
-    seq = (number(a, b, c, d) + (is_syn and 1 or 0)) % 0x100000000,
-    ack = has(flags, ACK) and number(e, f, g, h) or nil,
+    length = band(flags, RST) == 0 and tvb:reported_len() - start or 0,
+    seq = (seq + (is_syn and 1 or 0)) % 0x100000000,
+    ack = band(flags, ACK) ~= 0 and ack or nil,
     is_syn = is_syn,
-    is_ours = false, -- whether TCP has handed it to YAPP
+    is_ours = false,
   }
 end
 

@@ -117,7 +117,7 @@ function Csv:event(event)
   if not (to and (is_good or all)) then return end
   local time = output.time_text(self.context.clock(event.time))
   local crc_good = all and (is_good and "1," or "0,") or ""
-  local row = columns.row(source.message, event.payload)
+  local row = columns.row(source.message, event.raws)
   to.file:write(("%s,%d,%s,%d,%s%s\n"):format(
     time, event.frame, cells_of(self, source), event.seq, crc_good, row))
   to.rows = to.rows + 1

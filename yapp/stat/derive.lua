@@ -202,6 +202,13 @@ function Deriver:take(event, now, counts)
   if counts then self:add(event, now) end
 end
 
+--- Take what may be the Start of a message that is not dissected.
+-- is_sure  whether other messages came: then it is an `unknown` event
+function Deriver:start(event, is_sure)
+  local values = self.undecoded:note(event.source, event.values.size)
+  if is_sure then emit(self, "unknown", event, event.time, values) end
+end
+
 -- The end -----------------------------------------------------------------------------------------
 
 -- Silences that last to the end of the capture.

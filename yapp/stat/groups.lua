@@ -12,18 +12,18 @@ local M = {}
 local span = kinds.span
 local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
-local NUMERIC = check.set("uint int float ieee")
+local NUMERIC = check.set("uint int float ieee derived")
 
 -- The number that a value is: in its unit, a time in seconds, flags and codes as they are sent; NaN
 -- for a reserved value, nil where the message does not have the field.
-local function number_of(values, event)
-  local field, raw = values.field, event.raws[values.index]
+local function number_of(message, values, raws)
+  local field, raw = values.field, raws[values.index]
+  if field.kind == "derived" then return decode.derived(message, field, raws) end
+  if raw == nil then return nil end
   if field.kind == "time" then
-    if #event.payload < field.offset + field.size then return nil end
-    local seconds, nanoseconds = decode.time(event.payload, field.offset)
+    local seconds, nanoseconds = decode.time(raw, 0)
     return seconds + nanoseconds / 1e9
   end
-  if raw == nil then return nil end
   if not (field.values or field.flags) then
     raw = decode.value(field, raw)
   end
@@ -44,7 +44,7 @@ end
 local function new_values(message, want, spread)
   return {
     field = want.field,
-    index = message.index[want.field],
+    index = message.index[want.field] or false, -- a derived value has none
     low = want.low or -INFINITE,
     high = want.high or INFINITE,
     count = 0,
@@ -133,9 +133,11 @@ end
 --- Return what is gathered of each source of a message: the fields that are no codes.
 function Groups:wants(message)
   local list = {}
-  for _, field in ipairs(message.fields) do
-    if NUMERIC[field.kind] and not field.values then
-      list[#list + 1] = { field = field, is_spread = self.compares }
+  for _, fields in ipairs { message.fields, message.derived } do
+    for _, field in ipairs(fields) do
+      if NUMERIC[field.kind] and not field.values then
+        list[#list + 1] = { field = field, is_spread = self.compares }
+      end
     end
   end
   return list
@@ -213,7 +215,7 @@ local function note_message(self, event, now)
   local every = group.message.every
   local longest = every and self.context.settings.late * every or INFINITE
   for _, values in ipairs(group.values) do
-    local value = number_of(values, event)
+    local value = number_of(group.message, values, event.raws)
     if value then note_value(values, value, event.frame) end
     if values.spread then note_spread(values, value, event, now, longest) end
   end

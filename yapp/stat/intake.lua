@@ -80,6 +80,7 @@ local function source_of(self, m)
       message = id and self.reader:message_of(id, bus),
       parts = {}, -- by Seq: see Intake:part
       orphan = false, -- or { seq }: the message that lost its Start, while its frames come
+      start_seq = nil, -- see Intake:start
     }
     self.sources[m.source] = source
   end
@@ -199,6 +200,21 @@ end
 -- m  as for Intake:faults; its frame, time and visited may change later: those of the latest count
 function Intake:part(m)
   source_of(self, m).parts[m.seq] = m
+end
+
+--- Report what may be the Start of a message that is not dissected: its ID is unknown, and it has a
+-- Seq No.  It is one if a message of the catalogue has its size, or if its Seq No is the next one.
+-- m  { id, seq, size, source, bus, bus_name, frame, time, visited }
+function Intake:start(m)
+  local source = source_of(self, m)
+  local is_message = source.start_seq and (source.start_seq + 1) % 256 == m.seq
+  for _, message in ipairs(self.reader.messages) do
+    is_message = is_message or m.size == message.size
+  end
+  source.start_seq = m.seq
+  if is_message then
+    self.queue:offer(new_event("start", m, source, { size = m.size }), m.visited)
+  end
 end
 
 --- Return the events of the messages that the capture ends before, in the order of their frames.

@@ -82,8 +82,10 @@ end
 local function add_field(rule, name, value)
   local message = rule.message
   local spread_of = name:match("^(.*)%.spread$")
-  local field, names = find(message.fields, spread_of or name)
-  demand(field, "%s has no field %q, but %s", message.name, spread_of or name, names)
+  name = spread_of or name
+  local field, names = find(message.fields, name)
+  field = field or find(message.derived, name)
+  demand(field, "%s has no field %q, but %s", message.name, name, names)
   demand(field.kind ~= "string" and field.kind ~= "bytes",
     "%s.%s is a text, which has no range", message.name, field.name)
   rule.field = field

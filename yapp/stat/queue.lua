@@ -29,8 +29,9 @@ Queue.__index = Queue
 
 --- Make a queue for a run over the capture.
 -- settings  see stat.taps
-function M.new(settings)
-  local self = setmetatable({ settings = settings, entries = {} }, Queue)
+-- hint      a text for statistics without a filter, or nil
+function M.new(settings, hint)
+  local self = setmetatable({ settings = settings, hint = hint, entries = {} }, Queue)
   self:reset()
   return self
 end
@@ -44,6 +45,7 @@ function Queue:reset()
   self.stepped_back = 0 -- seconds that the capture's clock went back, in all
   self:begins(0, 0, 0) -- packets may have no time
   self.losses = {} -- events that may be taken back before the end
+  self.starts = {} -- events of messages that are not dissected: they count if others are
   self.has_messages = false
   self.is_direct = false
   for _, entry in ipairs(self.entries) do
@@ -66,18 +68,24 @@ function Queue:add(statistic, options)
   return entry
 end
 
+-- Whether the filter of a statistic lets an event count.
+local function counts(entry, event)
+  return not entry.has_filter or entry.matched[event.frame] == true
+end
+
 local function hand_on(self, event)
   local now = event.time + self.stepped_back
   if event.source.id then self.has_messages = true end
   for _, entry in ipairs(self.entries) do
-    local counts = not entry.has_filter or entry.matched[event.frame] == true
-    entry.deriver:take(event, now, counts)
+    entry.deriver:take(event, now, counts(entry, event))
   end
 end
 
 local function take(self, event)
   if event.values.loss then
     self.losses[#self.losses + 1] = event
+  elseif event.kind == "start" then
+    self.starts[#self.starts + 1] = event
   else
     hand_on(self, event)
   end
@@ -203,7 +211,7 @@ local function notes_of(self, entry, nothing)
   for _, text in ipairs(deriver.undecoded:texts()) do notes[#notes + 1] = text end
   local unreliable = entry.statistic.follows_changes and deriver:unreliable() or {}
   for _, text in ipairs(unreliable) do notes[#notes + 1] = text end
-  notes[#notes + 1] = self.settings.hint
+  if not entry.has_filter then notes[#notes + 1] = self.hint end
   return notes, unreliable[1] ~= nil
 end
 
@@ -228,6 +236,9 @@ function Queue:finish(capture)
   end
   local nothing = nothing_found(self, capture.extended)
   for _, entry in ipairs(self.entries) do
+    for _, event in ipairs(self.starts) do
+      if counts(entry, event) then entry.deriver:start(event, nothing == nil) end
+    end
     local ending = {
       rel = self.last, -- of the last packet of any kind, nil where there was none
       now = self.last and self.last + self.stepped_back,

@@ -10,7 +10,9 @@ local statistics = require("yapp.stat.statistics")
 
 local M = {}
 
-local EXTENDED = "can.flags.xtd == 1 && !(can.flags.rtr == 1)" -- data frames
+local EXTENDED = "can.id && can.flags.xtd == 1 && !(can.flags.rtr == 1)" -- data frames
+local MAX_TREES = 1000 -- frames
+local NO_NARROWING = "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
 local IS_TSHARK = not gui_enabled() -- in Wireshark all packets may come again
 
 local Stat = {}
@@ -21,16 +23,26 @@ Stat.__index = Stat
 --   settings = { version = text, catalogue = compiled, late = how many periods of its message make
 --              a gap one, sources = a message.sources, sources_text = the preference, ids = by
 --              message name the list of those that a preference gives it, problems = list of texts:
---              what the user asked for and did not get; hint = a text for every answer, or nil },
---              whose values change with the preferences
+--              what the user asked for and did not get }, whose values change with the
+--              preferences
 --   intake     a stat.intake, reader = a message.reader, tree = a show.tree, buses = a host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
---              frame } }
+--              frame }
+--   watch      function(), from which on Intake:start is called }
 function M.new(parts)
   return setmetatable(parts, Stat)
 end
 
 -- Output ----------------------------------------------------------------------------------------
+
+-- Whether tshark has a display filter.  The API does not say it; Linux does.
+local function has_display_filter()
+  local file = IS_TSHARK and io.open("/proc/self/cmdline", "rb")
+  if not file then return false end
+  local words = file:read("*a")
+  file:close()
+  return words:find("\0-Y", 1, true) or words:find("\0--display-filter", 1, true)
+end
 
 local function say(text)
   io.stderr:write("yapp: ", (text:gsub("\n", "\nyapp: ")), "\n")
@@ -69,11 +81,14 @@ local function tap_clock(self)
   return clock
 end
 
--- The tap that counts extended frames; it goes when the first message of ours is there.
+-- The tap that counts extended frames.  It builds trees, which say the CAN id of the first Starts
+-- that nobody dissects; in tshark it goes when messages of ours are there.
 local function tap_extended(self)
   local tap = listen(self, EXTENDED)
-  function tap.packet() self.extended = self.extended + 1 end
-  if IS_TSHARK then self.intake:remove_later(tap) end
+  function tap.packet()
+    self.extended = self.extended + 1
+    if self.extended == MAX_TREES and IS_TSHARK then self.intake:remove_later(tap) end
+  end
 end
 
 -- The tap that sees every packet.  The one of the clock builds trees, so in tshark it goes when it
@@ -99,9 +114,11 @@ local function tap_packets(self)
 end
 
 local function open(self)
-  self.queue, self.taps = queue.new(self.settings), {}
+  local hint = has_display_filter() and NO_NARROWING or nil
+  self.queue, self.taps = queue.new(self.settings, hint), {}
   self.is_exact, self.extended = false, 0
   self.intake:open(self.queue, self.reader)
+  self.watch()
   tap_extended(self)
   tap_packets(self)
 end
