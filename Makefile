@@ -4,7 +4,7 @@
 SHELL := bash
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 CAPTURE ?=
-DEMO := document_motor document_command document_uart
+DEMO := docs/flight.pcapng
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
@@ -42,9 +42,9 @@ needs-tests: needs-tshark
 	  python3-pytest-xdist python3-can python3-serial python3-hatchling can-utils zip,\
 	  /usr/bin/python3 -c 'import xdist; import can; import serial; import hatchling' 2>/dev/null)
 
-## The packet list and the decoded tree: of the specification's captures, or of CAPTURE=file
+## The faults of a flight, and the first one decoded: docs/flight.pcapng, or CAPTURE=file
 demo: needs-tshark
-	@tests/demo $(if $(CAPTURE),"$(CAPTURE)",$(DEMO:%=test_captures/%.pcap))
+	@tests/demo "$(or $(CAPTURE),$(DEMO))"
 
 ## What a developer runs after every change: each behaviour once, in three to four minutes on two cores
 test: lint unit e2e

@@ -203,9 +203,10 @@ end
 local function controller_time(bytes)
   local id, size = frame.parse(bytes, 1)
   local message = reader:message_of(id)
-  if not message or not message.time or message.size ~= size then return nil end
+  local time = message and message.time
+  if not time or size < math.max(message.min_size, time.offset + 8) then return nil end
   if #bytes < frame.HEADER + size then return nil end
-  local seconds, nanoseconds = decode.time(bytes, frame.HEADER + message.time.offset)
+  local seconds, nanoseconds = decode.time(bytes, frame.HEADER + time.offset)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 

@@ -9,14 +9,15 @@ MAPPING, WORKED_EXAMPLES = 6, 5  # what 2^N is reduced by
 YAPP = {
     "id": "UINT32", "ctl": "UINT8", "seq": "UINT8", "size": "UINT16", "reserved": "UINT16", "sync": "UINT16",
     "can.ctrl": "UINT8", "crc": "UINT32", "crc.status": "UINT8", "crc.calculated": "UINT32", "payload": "BYTES",
-    "padding": "BYTES", "fragments": "NONE", "fragment": "FRAMENUM", "fragment.count": "UINT32",
+    "undecoded": "BYTES", "padding": "BYTES", "fragments": "NONE", "fragment": "FRAMENUM", "fragment.count": "UINT32",
     "reassembled.in": "FRAMENUM", "reassembled.length": "UINT32", "skipped": "BYTES", "time_delta": "RELATIVE_TIME",
 }
 YAPP_EXPERTS = ["crc.bad", "fragment.orphan", "fragment.incomplete", "fragment.overrun", "size.mismatch", "id.unknown",
                 "reserved.nonzero", "can.ctrl.invalid", "stream.skipped", "truncated", "fragment.duplicate"]
 TAURUS_EXPERTS = ["fault.active", "command.key.invalid", "value.special", "flags.undefined", "value.invalid"]
 # Worked out from more than one message: what test_flight_fields.py is about.
-EVENT_EXPERTS = ["yapp.late", "yapp.unfinished", "taurus.fault.raised", "taurus.fault.cleared", "taurus.reboot", "taurus.stale"]
+EVENT_EXPERTS = ["yapp.late", "yapp.unfinished", "taurus.fault.raised", "taurus.fault.cleared", "taurus.reboot", "taurus.stale",
+                 "taurus.jump", "yapp.source.shared"]
 CHANGES = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8",
            "yapp.reassembled.data": "BYTES"}
 CHANGES |= {f"taurus.motor.{group}.{way}": "UINT8" if group == "state" else "UINT32"
@@ -24,7 +25,7 @@ CHANGES |= {f"taurus.motor.{group}.{way}": "UINT8" if group == "state" else "UIN
 CHANGES |= {f"taurus.{name}": kind for name, kind in {
     "health.status.raised": "UINT8", "health.status.cleared": "UINT8", "motor.fault.active_time": "RELATIVE_TIME",
     "motor.fault.previous_change": "FRAMENUM", "motor.fault.next_change": "FRAMENUM", "motor.rpm_error": "DOUBLE",
-    "motor.torque_iq_error": "DOUBLE", "motor.command_in": "FRAMENUM", "motor.clock_drift": "RELATIVE_TIME",
+    "motor.torque_iq_error": "DOUBLE", "motor.dc_power": "DOUBLE", "motor.command_in": "FRAMENUM", "motor.clock_drift": "RELATIVE_TIME",
     "health.clock_drift": "RELATIVE_TIME", "motor.status_flags.names": "STRING", "motor.fault_flags.names": "STRING",
     "motor.motor_state.names": "STRING", "health.taurus_status.names": "STRING"}.items()}
 EXPERTS = [f"yapp.{name}" for name in YAPP_EXPERTS] + [f"taurus.{name}" for name in TAURUS_EXPERTS]

@@ -113,7 +113,7 @@ def wanted_of_messages(name):
     for message in make.read(name).messages:
         fields, experts = {}, []
         known = model.MESSAGES.get(message["id"])
-        if known and sum(size for _, size, _ in known[2]) == len(message["payload"]):
+        if known and sum(size for _, size, _ in known[2]) <= len(message["payload"]):
             fields, experts = model.decode(message["id"], message["payload"])
         by_frame.setdefault(message["frame"], []).append((message, fields, experts))
     return by_frame

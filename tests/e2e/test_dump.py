@@ -39,7 +39,7 @@ TIMES = {0x210: 22, 0x200: 0}  # where the time stamp is in the payload
 
 def stamp(event):
     """The controller's own time in nanoseconds, None without one."""
-    if event.kind != "good" or event.ident not in TIMES or len(event.payload) != KNOWN[event.ident]:
+    if event.kind != "good" or event.ident not in TIMES or len(event.payload) < KNOWN[event.ident]:
         return None
     at = TIMES[event.ident]
     nanoseconds = struct.unpack("<q", event.payload[at:at + 8])[0]

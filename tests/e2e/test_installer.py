@@ -710,10 +710,19 @@ def test_one_version():
         assert re.search(pattern, (tshark.ROOT / name).read_text(), re.MULTILINE)[1] == version, name
 
 
-def test_demo_leaves_nothing_behind(folder):
-    capture = tshark.CAPTURES / "document_command.pcap"
+@pytest.mark.parametrize("capture, shown", [
+    ("docs/flight.pcapng", "motor_overcurrent +raised"),
+    ("test_captures/document_command.pcap", r"750\.8\d* RPM"),
+    (None, "No Taurus message"),
+])
+def test_demo(folder, capture, shown):
+    """The fault, a screen long, what to do next; and nothing stays behind."""
+    if capture is None:  # a capture without a packet
+        capture = folder / "empty.pcap"
+        capture.write_bytes((tshark.CAPTURES / "document_command.pcap").read_bytes()[:24])
     (folder / "tmp").mkdir()
-    done = subprocess.run([tshark.ROOT / "tests/demo", capture], capture_output=True, text=True, check=True,
+    done = subprocess.run([tshark.ROOT / "tests/demo", capture], capture_output=True, text=True, check=True, cwd=tshark.ROOT,
                           env={**os.environ, "TMPDIR": str(folder / "tmp"), "HOME": str(folder)})
-    assert re.search(r"750\.8\d* RPM", done.stdout)
+    assert re.search(shown, done.stdout)
+    assert len(done.stdout.splitlines()) <= 60 and "Next: make install" in done.stdout.splitlines()[-1]
     assert not any((folder / "tmp").iterdir())

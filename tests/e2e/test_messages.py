@@ -4,6 +4,7 @@
 
     test_messages.py    writes NAME.pcap and NAME.expected of test_captures/own_messages anew: look at the difference"""
 import html
+import json
 import os
 import pathlib
 import re
@@ -277,6 +278,80 @@ def test_differences():
     found = tshark.run("-r", path, "-Y", f"taurus.motor.torque_iq_error && !({both})").stdout
     missing = tshark.run("-r", path, "-Y", f"!taurus.motor.torque_iq_error && {both}").stdout
     assert found == missing == ""
+
+
+# Payloads of another size ------------------------------------------------------------------------------------------
+
+MOTOR = "FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000000E38CD23CE04E000005FF"
+FAULTY = MOTOR[:40] + "01" + MOTOR[42:]  # motor_overcurrent
+LINKS = {"can": "can0", "pdu": ">", "udp": ">", "tcp": ">"}
+
+
+def together(folder, *messages):
+    """Messages on CAN, a UART, UDP and TCP, one after the other in one file; and in which frame each of them ends."""
+    sources, ends, before = [], [], 0
+    for link, source in LINKS.items():
+        sources.append(make.Source(f"link {link}\n" + "".join(f"{source} [{one}]\n" for one in messages)))
+        ends.append([before + message["frame"] for message in sources[-1].messages])
+        before += len(sources[-1].packets)
+    path = folder / "together.pcapng"
+    path.write_bytes(make.pcapng(*sources))
+    return path, ends
+
+
+@levels.by_version
+@pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
+def test_a_firmware_that_appends_fields(folder, passes):
+    """On every link what the catalogue knows is decoded and counted, and the rest is bytes; not where the CRC is bad."""
+    path, ends = together(folder, f"210 {FAULTY}DEADBEEF", f"210 {MOTOR}00", f"!210 {FAULTY}DEADBEEF", f"210 {MOTOR[:62]}")
+    names = ["taurus.motor.dc_voltage", "taurus.motor.fault.motor_overcurrent", "yapp.message.fault", "yapp.undecoded",
+             "yapp.size.mismatch", "yapp.payload", expected.column("Info")]
+    rows = tshark.fields(path, names, *passes, separator="|")
+    info = "Motor Data{}  0.0/0.0 RPM  47.97 V  0.00 A{}  [{} bytes, {} not decoded]"
+    for link, frames in zip(LINKS, ends):
+        faulty, well, bad, short = [rows[number - 1] for number in frames]
+        # In one run several buses have the ID: Info says which.
+        where = re.match(r"Motor Data(.*?)  0", faulty[-1])[1]
+        assert faulty[:-1] == ["47.97314", *["1" if tshark.version() < (4, 2) else "True"] * 2, "deadbeef", "1", ""], link
+        assert faulty[-1] == info.format(where, "  FAULT motor_overcurrent", 36, 4), link
+        assert well[3:] == ["00", "1", "", info.format(where, "  cleared motor_overcurrent  STALE", 33, 1)], link
+        assert bad[:4] == ["", "", "", ""], link
+        if link == "can":  # in a stream it is no frame
+            assert bad[4:] == ["1", f"{FAULTY}deadbeef".lower(), f"Motor Data{where}, 36 bytes, the catalogue says 32  [BAD CRC]"]
+        assert short[:5] == ["", "", "", "", "1"] and short[5] == MOTOR[:62].lower(), link
+    found = [json.loads(line) for line in tshark.run("-q", *passes, "-r", path, "-z", "yapp,faults,json").stdout.splitlines()]
+    assert [(one["frame"], one["event"]) for one in found] == [
+        (frames[place], event) for frames in ends for place, event in enumerate(["raised", "cleared"])]
+
+
+OLD_AND_NEW = """return { { name = "motor", title = "Motor Data", id = 0x210, size = 36, min_size = 32, info = "{volts:%.2f} V  {more}",
+  derived = { { "power", "volts * amps", "Power", unit = "W" }, { "sum", "more + amps", "Sum" } },
+  { "before", "bytes", "Before", length = 8 }, { "volts", "float16", "Volts", min = -128, max = 128, unit = "V" },
+  { "amps", "float16", "Amps", min = -128, max = 128, unit = "A" }, { "behind", "bytes", "Behind", length = 20 },
+  { "more", "uint32", "More" } } }"""
+
+
+@levels.by_version
+def test_one_entry_for_two_firmwares(folder):
+    """From min_size bytes on a payload is the message; what it does not have is absent in tree, Info and table."""
+    (folder / "both.lua").write_text(OLD_AND_NEW)
+    path, ends = together(folder, f"210 {MOTOR}", f"210 {MOTOR}05000000", f"210 {MOTOR}0506", f"210 {MOTOR[:62]}",
+                          f"210 {MOTOR}0500000009", f"!210 {MOTOR}")
+    env = {"YAPP_MESSAGES": str(folder / "both.lua")}
+    names = ["taurus.motor.volts", "taurus.motor.more", "taurus.motor.sum", "yapp.undecoded", expected.column("Info")]
+    rows = [line.split("|")[:5] for line in tshark.run(
+        "-r", path, "-T", "fields", "-E", "separator=|", *[part for name in names for part in ("-e", name)], env=env).stdout.splitlines()]
+    for link, frames in zip(LINKS, ends):
+        old, new, between, short, longer, bad = [rows[number - 1] for number in frames]
+        assert old[:4] == between[:4] == bad[:4] == ["47.97314", "", "", ""], link
+        assert old[4].endswith("47.97 V  -") and bad[4].endswith("47.97 V  -  [BAD CRC]"), link
+        assert new[:4] == ["47.97314", "5", "5", ""] and new[4].endswith("47.97 V  5"), link
+        assert short[:4] == ["", "", "", ""] and short[4].endswith(", 31 bytes, the catalogue says 32 to 36"), link
+        assert longer[:4] == ["47.97314", "5", "5", "09"] and longer[4].endswith("47.97 V  5  [37 bytes, 1 not decoded]"), link
+    table = tshark.run("-q", "-r", path, "-z", "yapp,csv,-,motor,filter=udp", env=env).stdout.splitlines()
+    cells = [line.split(",", 6)[6].split(",") for line in table]
+    assert cells[0] == ["before", "volts", "volts_special", "amps", "amps_special", "behind", "more", "power", "sum"]
+    assert [row[-3:] for row in cells[1:]] == [["", "0", ""], ["5", "0", "5"], ["", "0", ""], ["5", "0", "5"]]
 
 
 # docs/messages.md ------------------------------------------------------------------------------------------------

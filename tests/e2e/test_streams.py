@@ -32,7 +32,7 @@ EXPERTS = ["crc.bad", "id.unknown", "stream.skipped", "fragment.incomplete", "tr
            "reserved.nonzero"]
 TAURUS = [name for name, kind in model.filters().items() if kind in ("uint", "flags", "time")]
 FIELDS = ["frame.number", INFO, "_ws.lua.error", "yapp", *(f"yapp.{name}" for name in [
-    "id", "seq", "ctl", "size", "sync", "crc", "crc.status", "payload", "skipped", "fragment.data", "fragment",
+    "id", "seq", "ctl", "size", "sync", "crc", "crc.status", "payload", "undecoded", "skipped", "fragment.data", "fragment",
     "fragment.count", "reassembled.in", "reassembled.length", "time_delta", *EXPERTS]), *TAURUS]
 LABELS = {"good": "CRC good", "bad": "CRC BAD", "cut": "not whole"}
 ENDS = {"good": "", "bad": "  [BAD CRC]", "cut": "  [INCOMPLETE]"}
@@ -77,12 +77,17 @@ def fits(event):
     return stream_captures.KNOWN.get(event.ident) == int.from_bytes(event.data[8:10], "little")
 
 
+def is_longer(event):
+    """A good message with more bytes than the catalogue has: it is decoded, and what follows is bytes."""
+    return event.kind == "good" and len(event.payload) > stream_captures.KNOWN.get(event.ident, 65535)
+
+
 def info(event):
     if event.kind == "skipped":
         return f"Skipped {counted(event.data)}{quoted(event.data)}"
     known = model.MESSAGES.get(event.ident)
     if known:
-        return known[1] if fits(event) else f"{known[1]}, {counted(event.payload)}, the catalogue says"
+        return known[1] if fits(event) or is_longer(event) else f"{known[1]}, {counted(event.payload)}, the catalogue says"
     return f"ID 0x{event.ident:x}  {counted(event.payload)}{ENDS[event.kind]}"
 
 
@@ -109,7 +114,7 @@ def expected(packet):
             add(**{"truncated" if packet.captured < len(packet.data) else "fragment__incomplete": ""})
         else:
             add(crc=f"0x{event.sent_crc:08x}", crc__status=str(int(event.kind == "good")))
-            if event.ident in model.MESSAGES and fits(event):
+            if event.ident in model.MESSAGES and (fits(event) or is_longer(event)):
                 for name, value in model.decode(event.ident, payload)[0].items():
                     fields[name].extend([value] if name in TAURUS else [])
         if event.kind == "bad":
@@ -121,7 +126,9 @@ def expected(packet):
         elif not fits(event):
             add(size__mismatch="")
         is_lost = event.kind == "cut" and packet.captured == len(packet.data)
-        if payload and (event.ident not in model.MESSAGES or not fits(event) or is_lost):
+        if is_longer(event):
+            add(undecoded=payload[stream_captures.KNOWN[event.ident]:].hex())
+        elif payload and (event.ident not in model.MESSAGES or not fits(event) or is_lost):
             add(payload=payload.hex())
         if event.delta is not None:
             add(time_delta=model.time_text(event.delta))

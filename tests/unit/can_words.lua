@@ -35,14 +35,13 @@ local function new_history()
   }
 end
 
---- A memory of the messages of KNOWN, or of those of size_of(id, bus).
-function M.new(size_of)
+--- A memory of the messages of KNOWN.
+-- min_size  of all of them, nil where other sizes are wrong
+function M.new(min_size)
   local sources = {}
   local function source_of(id, bus)
     local key = id + (bus or -1) * 0x800
-    local size = M.KNOWN[id]
-    if size_of then size = size_of(id, bus) end
-    sources[key] = sources[key] or { size = size, bus = bus }
+    sources[key] = sources[key] or { size = M.KNOWN[id], min_size = min_size, bus = bus }
     return sources[key]
   end
   return memory.new { source_of = source_of, claim = function() end, new_history = new_history }
@@ -150,8 +149,10 @@ function M.looks(known, frames, is_again)
 end
 
 --- Sends frames; returns what each of them is at a later look, the memory, and the frames.
+-- options  as for M.frames, and min_size
 function M.send(text, options)
-  local known, frames = M.new(), M.frames(text, options or {})
+  options = options or {}
+  local known, frames = M.new(options.min_size), M.frames(text, options)
   M.looks(known, frames)
   return M.looks(known, frames, true), known, frames
 end

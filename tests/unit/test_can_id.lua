@@ -49,8 +49,22 @@ function T.test_many_ids_cost_no_more_than_some()
   lu.assertEquals(can.address[0x08404000].id, 0x210)
 end
 
+local function bytes(count, zeros) return ("x"):rep(count) .. ("\0"):rep(zeros or 0) end
+
+function T.test_the_size_of_a_single_frame()
+  for _, row in ipairs { -- data, reported, least, most, size
+    { bytes(7), 7, 7, 7, 7 }, { bytes(8), 8, 7, 7, nil }, { bytes(6), 6, 7, 7, nil },
+    { bytes(17, 3), 20, 17, 17, 17 }, { bytes(20), 20, 17, 17, nil },
+    { bytes(9, 3), 12, 9, 16, 12 }, { bytes(16), 16, 9, 16, 16 },
+    { bytes(8), 8, 9, 16, nil }, { bytes(14, 6), 20, 9, 17, 17 },
+    { bytes(16, 4), 20, 9, 16, nil }, -- 16 bytes need no padding
+  } do
+    lu.assertEquals(can.single_size(row[1], row[2], row[3], row[4]), row[5],
+      ("%d for %d to %d"):format(row[2], row[3], row[4]))
+  end
+end
+
 function T.test_padding()
-  local function bytes(count, zeros) return ("x"):rep(count) .. ("\0"):rep(zeros) end
   for _, row in ipairs { -- data, reported, needed, padding
     { bytes(8, 0), 8, 8, 0 },
     { bytes(1, 0), 1, 1, 0 },

@@ -91,6 +91,23 @@ function T.test_sizes_that_are_not_the_catalogues()
   }, { ids = MOTOR })
 end
 
+-- A catalogue may allow a range of sizes: those are as good as the full one.
+function T.test_sizes_from_min_size_on()
+  for text, expected in pairs {
+    ["L32"] = "single", ["L24"] = "single", ["L20"] = "single", ["L16"] = "-", ["L48"] = "-",
+    ["L33"] = "-", ["L32p48"] = "-", ["S24 M8 M8 E8"] = "part part part good",
+    ["S20 M8 M8 E4"] = "part part part good",
+    ["S16 M8 E8"] = "part+size.mismatch part good",
+    ["S33 M8 M8 M8 M8 E1"] = "part+size.mismatch part part part part good",
+  } do
+    lu.assertEquals((words.send(text, { ids = MOTOR, min_size = 20 })), expected, text)
+  end
+  for text, expected in pairs { ["L17p20"] = "single", ["L12"] = "single", ["L10p12"] = "single",
+    ["L17p24"] = "-", ["L8"] = "-" } do
+    lu.assertEquals((words.send(text, { ids = HEALTH, min_size = 10 })), expected, text)
+  end
+end
+
 function T.test_cut_by_the_snap_length()
   check({
     { "S32 M8~3 M8 M8 E8", "part part part part unverified" },

@@ -232,4 +232,32 @@ function T.test_the_effort_is_bounded()
   lu.assertTrue(steps < 40 * number + 4096, ("%d steps for %d frames"):format(steps, number))
 end
 
+-- Instructions that frames cost, in thousands.
+local function thousands_of_instructions(text)
+  local frames, count = words.frames(text, {}), 0
+  debug.sethook(function() count = count + 1 end, "", 1000)
+  words.looks(words.new(), frames)
+  debug.sethook()
+  return count
+end
+
+-- Two Starts of one key, then frames that complete nothing: four times as many cost four times as
+-- much, whatever the size that the Starts announce.
+function T.test_frames_behind_two_starts_cost_the_same_however_many()
+  for _, size in ipairs { 4000, 60000 } do
+    for _, rest in ipairs { "E8 ", "E8 M8 ", "E7 M8 M8 " } do
+      local starts = ("S%d S%d "):format(size, size)
+      local few = thousands_of_instructions(starts .. rest:rep(1000))
+      local many = thousands_of_instructions(starts .. rest:rep(4000))
+      lu.assertTrue(many < 5 * few, ("%s: %d, %d"):format(rest, few, many))
+    end
+  end
+end
+
+-- Frames that no open message can use end all of them: the next message is put together again.
+function T.test_too_many_ends_give_all_up()
+  local text = words.send("S32 S32 " .. ("E8? "):rep(600) .. "S32 M8 M8 M8 E8")
+  lu.assertEquals(text:sub(-30), "- - - part part part part good")
+end
+
 return T

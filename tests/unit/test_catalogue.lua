@@ -45,12 +45,27 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { name = ("n"):rep(65) }, "is not a filter name" },
     { { [1] = 5 }, "message m, field 1: a field is a row" },
     { { section = "" }, "message m: section must be a text" },
-    { { rate = 5 }, 'message m: unknown option "rate"; a message has answers, differences, every, id, info, name' },
+    { { rate = 5 }, 'message m: unknown option "rate"; a message has answers, derived, differences, every, id,' },
     { { every = 0 }, "message m: every 0 is not a period" }, { { every = "1" }, 'message m: every "1" is not' },
     { { answers = "A b" }, 'message m: answers "A b" is not the name of a message' },
     { { differences = 5 }, "message m: differences must be a table" },
     { { differences = { { "d", "f", "g", "D" } } }, 'message m: difference d: "g" is no field of numbers' },
     { { differences = { { "d", "f", "f" } } }, "message m: difference d has no title" },
+    { { derived = { { "d", "f * g", "D" } } }, 'message m: derived d: "g" is no field of numbers' },
+    { { derived = { { "d", "f / f", "D" } } }, 'message m: derived d: "f / f" is not two fields with *, + or -' },
+    { { derived = { { "d", "f * f * f", "D" } } }, 'derived d: "f * f * f" is not two fields' },
+    { { derived = { { "d", 5, "D" } } }, "message m: derived d: 5 is not two fields" },
+    { { derived = { { "d", nil, "D" } } }, "message m: derived d: nil is not two fields" },
+    { { derived = { { "d", "f*f" } } }, "message m: derived d has no title" },
+    { { derived = { { "d", "f*f", "D", units = "V" } } }, 'unknown option "units"; derived d has unit' },
+    { { derived = { { "d", "f*f", "D", unit = 5 } } }, "message m: unit must be a text" },
+    { { derived = { { "f", "f*f", "D" } } }, "message m, field f: the filter name taurus.m.f is taken" },
+    { { derived = { 5 } }, "message m: derived 1: 5 is not { name" },
+    { { derived = "f*f" }, "message m: derived must be a table" },
+    { { derived = { { "d", "f*f", "D" } }, [1] = { "f", "uint8", "F", values = {} } }, '"f" is no field of' },
+    { { min_size = 0 }, "message m: min_size 0 is not one of 1 .. 1" }, { { min_size = 2 }, "min_size 2 is" },
+    { { min_size = "1" }, 'message m: min_size "1"' }, { { min_size = 0.5 }, "message m: min_size 0.5" },
+    { { size = 3, min_size = 2, [2] = { "g", "uint16", "G" } }, "message m: min_size 2 lies inside the field g" },
     { { differences = { { "f", "f", "f", "D" } } }, "message m, field f: the filter name taurus.m.f is taken" },
     { { [1] = { "f", "int64_ns", "F" }, [2] = { "clock_drift", "uint8", "C" }, size = 9 },
       "message m, field clock_drift: the filter name taurus.m.clock_drift is taken" },
@@ -135,6 +150,20 @@ end
 function T.test_the_longest_name()
   local compiled, problems = catalogue.compile { message { name = ("n"):rep(64) } }
   lu.assertEquals({ #compiled.messages, problems }, { 1, {} })
+end
+
+function T.test_the_smallest_payload()
+  local entry = message { size = 5, [2] = { "gap", "padding", length = 2 }, [3] = { "g", "uint16", "G" } }
+  lu.assertEquals(catalogue.compile({ entry }).messages[1].min_size, 5)
+  for min_size = 1, 5 do
+    entry.min_size = min_size
+    local compiled, problems = catalogue.compile { entry }
+    if min_size == 4 then
+      lu.assertEquals(problems, { "message m: min_size 4 lies inside the field g" })
+    else
+      lu.assertEquals({ compiled.messages[1].min_size, problems }, { min_size, {} })
+    end
+  end
 end
 
 function T.test_one_bad_message_does_not_take_the_others_along()

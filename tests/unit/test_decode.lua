@@ -169,14 +169,14 @@ function T.test_faults_in_the_info_column()
     local payload = EXAMPLE:sub(1, 18) .. bytes(fault) .. EXAMPLE:sub(23, 30) .. bytes(state) .. "\0"
     local raws, look = decode.read(MOTOR, payload)
     lu.assertEquals(look, expected ~= "")
-    lu.assertEquals(decode_info.text(MOTOR, raws, payload, nil, look), usual .. expected)
-    lu.assertEquals(decode_info.text(MOTOR, raws, payload), usual .. expected)
+    lu.assertEquals(decode_info.text(MOTOR, raws, nil, look), usual .. expected)
+    lu.assertEquals(decode_info.text(MOTOR, raws), usual .. expected)
   end
   local own = catalogue.compile { { name = "m", title = "M", id = 1, size = 2,
     { "a", "uint8", "A", group = "a", alarm = "ALARM", flags = { { "x", 1, "X" } } },
     { "b", "uint8", "B", group = "b", alarm = "WARNING", flags = { { "y", 1, "Y" } } } } }
   local m = own.messages[1]
-  lu.assertEquals(decode_info.text(m, decode.read(m, "\1\1")), "M    ALARM x  WARNING y")
+  lu.assertEquals(decode_info.text(m, (decode.read(m, "\1\1"))), "M    ALARM x  WARNING y")
 end
 
 function T.test_special_values_in_the_info_column()

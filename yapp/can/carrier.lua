@@ -176,17 +176,18 @@ end
 
 -- A single-frame message.
 local function show_single(self, frame, wants, item)
-  local data, reported, known = frame.data, frame.reported, frame.entry.source.size
-  local padding = known and can_id.padding(data, reported, known)
-  local size, payload = reported, data
-  if padding then size, payload = known, data:sub(1, known) end
+  local data, reported, source = frame.data, frame.reported, frame.entry.source
+  local most = source.size
+  local least = source.min_size or most
+  local size = most and can_id.single_size(data, reported, least, most) or reported
+  local payload = size < #data and data:sub(1, size) or data
   local m = finished(frame, wants, item, payload, "single", size)
   m.good = #data == reported
   if wants.tree then m.tvb = frame.tvb end
   self.reader:read(m, self.memory, frame)
   local info = self.tree:payload(m)
-  if wants.yapp and padding and #data > known then
-    add(item, self.tree.fields.padding, frame.tvb(known))
+  if wants.yapp and #data > size then
+    add(item, self.tree.fields.padding, frame.tvb(size))
   end
   return info
 end

@@ -126,7 +126,8 @@ end
 -- Starts -----------------------------------------------------------------------------------------
 
 -- What is wrong with a Start, as far as it was captured.
-local function check_start(self, frame, look, size, reserved, known)
+local function check_start(self, frame, look, size, reserved, source)
+  local known = source.size
   if frame.reported > 8 then
     local text = "A Start has 8 bytes, this one has %d"
     self:fault(look, "size.mismatch", text:format(frame.reported))
@@ -137,7 +138,7 @@ local function check_start(self, frame, look, size, reserved, known)
   if not reserved then return end
   if size == 0 then
     self:fault(look, "size.mismatch", "The size of the message is 0")
-  elseif known and size ~= known then
+  elseif known and (size > known or size < (source.min_size or known)) then
     local text = "The size is %d bytes, the catalogue says %d"
     self:fault(look, "size.mismatch", text:format(size, known))
   end
@@ -179,7 +180,7 @@ local function make_room(self, look)
     return (open.messages and open:newest() or open)[1]
   end
   table.sort(slots, function(a, b) return started(a) < started(b) end)
-  local count = #slots - MAX_OPEN / 2
+  local count = #slots - floor(MAX_OPEN / 2)
   for i = 1, count do cut(self, slots[i]) end
   self:fault(look, "fragment.incomplete",
     ("%d messages are open: the oldest %d are given up"):format(#slots, count))
@@ -219,7 +220,7 @@ local function start(self, slot, frame, look)
   end
   local others = self.open[slot] and overtake(self, slot, frame, look)
   if size ~= known or reserved ~= 0 or frame.reported ~= 8 then
-    check_start(self, frame, look, size, reserved, known)
+    check_start(self, frame, look, size, reserved, source)
     if not reserved or size == 0 then return self:alone(address, source) end
   end
   -- With room for the usual message of five frames, and for the names that it will have.
@@ -364,7 +365,8 @@ local function single(self, _, frame)
   local source = self.source_of(address.id, frame.bus)
   if not frame.is_wide then
     if not source.size or address.ctl ~= 0 then return nil end
-    if not can_id.padding(frame.data, frame.reported, source.size) then return nil end
+    local least = source.min_size or source.size
+    if not can_id.single_size(frame.data, frame.reported, least, source.size) then return nil end
   end
   return self:alone(address, source)
 end
@@ -449,7 +451,8 @@ Memory.__index = Memory
 
 --- The memory of one capture file.
 -- options   { source_of = function(id, bus) -> of whom a frame is: a table, the same each time,
---           which entries have as source; it has size = of the payload of a known message, and bus;
+--           which entries have as source; it has bus, size = of the payload of a known message,
+--           min_size = of the shortest that is right, nil where that is the size;
 --             claim = function(id): a frame of this ID is ours;
 --             new_history = function() -> a message.history, one for each pass }
 function M.new(options)

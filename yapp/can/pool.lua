@@ -34,10 +34,12 @@ function M.new(reassembly, message)
     messages = { message },
     frames = {},
     credit = MAX_CREDIT,
+    since = 0, -- bytes that came since the newest Start and that no good message has
   }, Pool)
   for i, data in ipairs(message.chunks) do
     self.frames[i] = { look = message[i + 1], data = data, length = #data }
   end
+  self.since = message.chunks.received
   message.from, message.chunks = 1, nil
   return self
 end
@@ -63,7 +65,7 @@ end
 
 --- How many bytes have come since the newest Start.
 function Pool:received()
-  return leftovers(self, self:newest())
+  return self.since
 end
 
 --- A Start came: the open messages are overtaken, and too old ones given up.
@@ -93,6 +95,7 @@ end
 function Pool:add(message)
   message.from, message.chunks = #self.frames + 1, nil
   self.messages[#self.messages + 1] = message
+  self.since = 0
 end
 
 -- Depth first over the frames from `at` on; the newest frame has to be the last taken.
@@ -129,10 +132,10 @@ end
 -- by their number.
 local function all_since_start(self, message, seed)
   local frames = self.frames
-  local length, places = leftovers(self, message)
   local last = frames[#frames]
-  local padding = can_id.padding(last.data, last.length, message.size - length + last.length)
+  local padding = can_id.padding(last.data, last.length, message.size - self.since + last.length)
   if not padding then return nil end
+  local _, places = leftovers(self, message)
   local register = seed
   for _, at in ipairs(places) do
     local frame = frames[at]
@@ -200,6 +203,7 @@ local function award(self, message, places, padding, status)
     reassembly:take_back(look, function(fault) return fault.message == message end)
   end
   message.blamed = nil
+  self.since = self.messages[1] and leftovers(self, self:newest()) or 0
   return message
 end
 
@@ -222,32 +226,38 @@ local function end_newest(self, look)
   return award(self, ended, places, padding, status)
 end
 
+-- More bytes than all open messages can use: none of them will come out good.
+local function is_full(self)
+  local limit = MAX_WASTE
+  for _, message in ipairs(self.messages) do limit = limit + message.size end
+  return self.bytes > limit
+end
+
 --- Takes a Middle or End.
 -- returns  its entry
 function Pool:frame(frame, look)
   local newest, reassembly = self:newest(), self.reassembly
-  local is_end = frame.address.ctrl == can_id.END
+  local is_end, is_over = frame.address.ctrl == can_id.END, newest.overtaken
   self.credit = math.min(math.max(self.credit, 0) + CREDIT_PER_FRAME, MAX_CREDIT)
   self.frames[#self.frames + 1] = { look = look, data = frame.data, length = frame.reported,
     is_end = is_end }
-  self.bytes = self.bytes + frame.reported
+  self.bytes, self.since = self.bytes + frame.reported, self.since + frame.reported
   if is_end then
     local place, places, padding = find_whole(self)
     if place then
       return award(self, table.remove(self.messages, place), places, padding)
     end
   end
-  if newest.overtaken then return reassembly:orphan(frame.address, newest.source, look) end
-  newest[#newest + 1] = look -- as far as anyone can see
-  if is_end then return end_newest(self, look) end
-  -- More bytes than all open messages can use: none of them will come out good.
-  local limit = MAX_WASTE
-  for _, message in ipairs(self.messages) do limit = limit + message.size end
-  if self.bytes <= limit then return newest end
-  reassembly:misfit(newest, self.bytes, look)
-  for _, message in ipairs(self.messages) do message.status = message.status or "overrun" end
-  self.messages = {}
-  return newest
+  local is_last = is_end and not is_over
+  if not is_over then newest[#newest + 1] = look end -- as far as anyone can see
+  local ended = is_last and end_newest(self, look)
+  if is_full(self) then
+    if not is_over and not is_last then reassembly:misfit(newest, self.bytes, look) end
+    for _, message in ipairs(self.messages) do message.status = message.status or "overrun" end
+    self.messages = {}
+  end
+  if is_over then return reassembly:orphan(frame.address, newest.source, look) end
+  return ended or newest
 end
 
 return M

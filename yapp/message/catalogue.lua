@@ -17,7 +17,9 @@ local M = {}
 
 M.MAX_ID = 2047
 local MAX_SIZE = 65535
-local OPTIONS = check.set("name title section id size info every answers differences")
+local DERIVED_OPTIONS = check.set("unit")
+local OPTIONS =
+  check.set("name title section id size min_size info every answers differences derived")
 
 -- The filter names of expert items.
 local EXPERTS = {
@@ -66,7 +68,7 @@ local function claim_filters(message, place)
   claim(taken, message.filter)
   if message.time then claim(taken, message.filter .. ".clock_drift") end
   if message.answers then claim(taken, ("%s.%s_in"):format(message.filter, message.answers)) end
-  for _, difference in ipairs(message.differences) do claim(taken, difference.filter) end
+  for _, item in ipairs(message.generated) do claim(taken, item.filter) end
   for _, field in ipairs(message.fields) do
     place.field = field.name
     if not field.element or field.element == 1 then
@@ -77,27 +79,45 @@ end
 
 -- A message --------------------------------------------------------------------------------------
 
--- The place of a field of numbers among those of its message.
-local function number_of(message, row, name)
-  local field = message.by_name[name or false]
+-- Generated values -------------------------------------------------------------------------------
+
+-- The index of a field of numbers in its message.
+-- what  the item that needs it: "derived dc_power"
+local function number_index(message, what, name)
+  local field = message.by_name[name]
   local is_number = field and (field.special or
     (field.kind == "uint" or field.kind == "int") and not field.values)
-  demand(is_number, "difference %s: %s is no field of numbers", row[1], shown(name))
+  demand(is_number, "%s: %s is no field of numbers", what, shown(name))
   return message.index[field]
 end
 
-local function compile_difference(message, row, i)
-  check.row(row, "difference", i, 4, {})
-  local name, title = row[1], row[4]
-  local a, b = number_of(message, row, row[2]), number_of(message, row, row[3])
-  return {
-    name = name,
-    title = title,
-    filter = message.filter .. "." .. name,
-    unit = message.fields[a].unit,
-    a = a,
-    b = b,
-  }
+-- A value that is worked out from two fields: a, operator, b.
+local function add_generated(message, what, item, a, b)
+  item.kind = "derived"
+  item.filter = message.filter .. "." .. item.name
+  item.a, item.b = number_index(message, what, a), number_index(message, what, b)
+  item.description = fields.describe(item.title, item.unit, message)
+  message.generated[#message.generated + 1] = item
+end
+
+-- { name, field, field, title }: the first field less the second.
+local function add_difference(message, row, i)
+  local what = check.row(row, "difference", i, 4, {})
+  local item = { name = row[1], title = row[4], operator = "-" }
+  local first = message.by_name[row[2] or false]
+  item.unit = first and first.unit
+  add_generated(message, what, item, row[2], row[3])
+end
+
+-- { name, "field * field", title, unit = }
+local function add_derived(message, row, i)
+  local what = check.row(row, "derived", i, 3, DERIVED_OPTIONS)
+  local a, operator, b = tostring(row[2]):match("^ *([%w_]+) *([*+-]) *([%w_]+) *$")
+  demand(a, '%s: %s is not two fields with *, + or - between them: "voltage * current"', what,
+    shown(row[2]))
+  local item = { name = row[1], title = row[3], unit = row.unit, operator = operator }
+  add_generated(message, what, item, a, b)
+  message.derived[i] = item
 end
 
 local function check_head(entry)
@@ -107,6 +127,7 @@ local function check_head(entry)
   demand(#entry.title <= MOST_OF_TITLE, "the title has more than %d bytes", MOST_OF_TITLE)
   check.within("id", entry.id, 0, M.MAX_ID)
   check.within("size", entry.size, 1, MAX_SIZE)
+  check.within("min_size", entry.min_size or entry.size, 1, entry.size)
   local is_period = not every or check.is_finite(every) and every > 0
   demand(is_period, "every %s is not a period in seconds", shown(every))
   local is_message = not answers or is_name(answers)
@@ -123,6 +144,7 @@ local function compile_message(entry, place)
     section = entry.section,
     id = entry.id,
     size = entry.size,
+    min_size = entry.min_size or entry.size,
     every = entry.every,
     answers = entry.answers,
     filter = "taurus." .. entry.name,
@@ -130,15 +152,20 @@ local function compile_message(entry, place)
     by_name = {},
     index = {},
     alarms = {},
-    differences = {},
+    generated = {},
+    derived = {},
   }
   local size = fields.compile(message, entry, place)
   demand(size == entry.size, "size is %d, but the fields add up to %d bytes", entry.size, size)
+  for _, field in ipairs(message.fields) do
+    local is_whole = message.min_size <= field.offset or
+      message.min_size >= field.offset + field.size
+    demand(is_whole, "min_size %d lies inside the field %s", message.min_size, field.name)
+  end
   message.read = straight.reader(message)
   info.compile(message, entry.info or "")
-  for i, row in ipairs(entry.differences or {}) do
-    message.differences[i] = compile_difference(message, row, i)
-  end
+  for i, row in ipairs(entry.differences or {}) do add_difference(message, row, i) end
+  for i, row in ipairs(entry.derived or {}) do add_derived(message, row, i) end
   claim_filters(message, place)
   return message
 end
@@ -171,7 +198,10 @@ end
 --   seconds) and answers (a message's name), or nil
 --   fields, by_name, index ([field] = its place in fields), alarms (its fields with alarm bits),
 --   alarm (the first of them that has nothing else), time (its first field of kind time), or nil
---   differences { name, title, filter, unit, a, b (places) }
+--   min_size (bytes: a shorter payload is not this message; size where the entry has none)
+--   generated { name, title, filter, unit, description, kind = "derived", operator ("*", "-" or
+--   "+"), a, b (indexes of fields) }: values worked out from two fields, see decode.derived
+--   derived: those of them that tables and statistics have, too
 --   read (message.straight), info and usual (message.info)
 -- A field has name, title, filter, offset, size in bytes, type, unit and section or nil,
 -- description (what a person reads of it beyond its title), and kind, with what its kind needs:

@@ -118,8 +118,8 @@ local function add_range(field, row)
   field.ordinary = field.size > 6 and field.top or field.top - 5
 end
 
--- What a person reads of a field or a flag beyond its title.
-local function describe(title, unit, message, section)
+--- What a person reads of a field, a flag or a generated value beyond its title.
+function M.describe(title, unit, message, section)
   local text = title
   if unit then text = text .. " in " .. unit end
   text = text .. ", of " .. message.title
@@ -136,7 +136,7 @@ local function add_options(field, row, message)
   field.section = row.section or message.section
   add_values(field, row)
   add_scale(field, row)
-  field.description = describe(field.title, field.unit, message, field.section)
+  field.description = M.describe(field.title, field.unit, message, field.section)
 end
 
 -- Fields -----------------------------------------------------------------------------------------
@@ -199,7 +199,7 @@ local function add_flag(field, row, i, message)
   demand(is_alarm == nil or is_alarm == true,
     "%s: alarm is true, or is not there", what)
   if is_alarm then field.alarm_bits = field.alarm_bits + mask end
-  local description = describe(title .. ", one of " .. field.title, nil, message, field.section)
+  local description = M.describe(title .. ", one of " .. field.title, nil, message, field.section)
   if row.help then description = description .. ". " .. row.help end
   field.flags[i] = {
     name = name,

@@ -30,6 +30,7 @@ local INTEGERS = { uint = true, int = true, flags = true }
 -- The columns of a field: { name, type, the flag that it is } each.
 local function columns_of(field)
   local kind, name = field.kind, field.name
+  if kind == "derived" then return { { name, "float" } } end
   if field.special then
     return { { name, "float" }, { name .. "_special", "string" } }
   end
@@ -50,14 +51,22 @@ local function columns_of(field)
   return columns
 end
 
+-- The fields of a message, and behind them its derived values.
+local function fields_of(message)
+  local list = {}
+  for _, field in ipairs(message.fields) do list[#list + 1] = field end
+  for _, item in ipairs(message.derived) do list[#list + 1] = item end
+  return list
+end
+
 --- The columns of a message, in order.
 -- returns  a list of { name =, unit = or nil, type = "float", "integer", "bool", "string" or "time"
---          (seconds), field =, flag = of one of flags }; a name that another column has already
---          ("time", "id") gets "_2" behind it
+--          (seconds), field = or item of message.derived, flag = of one of flags }; a name that
+--          another column has already ("time", "id") gets "_2" behind it
 function M.columns(message)
   local columns, taken = {}, {}
   for _, name in ipairs(TAKEN) do taken[name] = true end
-  for _, field in ipairs(message.fields) do
+  for _, field in ipairs(fields_of(message)) do
     for i, column in ipairs(columns_of(field)) do
       local name, count = column[1], 1
       while taken[name] do
@@ -124,11 +133,17 @@ end
 cells.int = cells.uint
 cells.bytes = cells.string
 
+function cells.time(_, raw)
+  return decode.seconds(decode.time(raw, 0))
+end
+
 -- A function that writes the cells of a field; the latest ones are kept: flags seldom change.
-local function new_write(field)
-  if field.kind == "time" then
-    return function(_, payload)
-      return decode.seconds(decode.time(payload, field.offset))
+-- Of a derived value it takes all raws; nil where it has none.
+local function new_write(message, field)
+  if field.kind == "derived" then
+    return function(raws)
+      local value = decode.derived(message, field, raws)
+      return value and format("%.7g", value)
     end
   end
   local make, last, text = cells[field.kind], nil, nil
@@ -143,17 +158,18 @@ end
 
 -- Rows -------------------------------------------------------------------------------------------
 
--- How the row of a message is written: { parts = list of { field, index, write, empty = cells of
--- nothing }, usual = function(raws, payload) -> the row, nil for one with special values }.
+-- How the row of a message is written: { parts = list of { field, index = of the field, nil for a
+-- derived value, write, empty = cells of nothing }, usual = function(raws) -> the row, nil for one
+-- with absent or special values }.
 local function new_row(message)
   local parts, plain, shapes = {}, {}, {}
   local is_usual = #message.fields > 0
-  for i, field in ipairs(message.fields) do
+  for i, field in ipairs(fields_of(message)) do
     local is_plain = straight.is_plain(field)
     parts[i] = {
       field = field,
-      index = i,
-      write = new_write(field),
+      index = message.index[field],
+      write = new_write(message, field),
       empty = (","):rep(#columns_of(field) - 1),
     }
     plain[i] = is_plain and { field = field, index = i } or parts[i]
@@ -168,22 +184,20 @@ local rows = setmetatable({}, { __mode = "k" }) -- by message
 
 --- The cells of a message, joined by commas, in the order of its columns; quoted where they must
 -- be.
--- payload  string; nil is returned where it is shorter than the message
+-- payload  string; fields that are not wholly in it are empty cells
 function M.row(message, payload)
-  if #payload < message.size then return nil end
   local row = rows[message]
   if not row then
     row = new_row(message)
     rows[message] = row
   end
   local raws = decode.read(message, payload)
-  local usual = row.usual(raws, payload)
+  local usual = row.usual(raws)
   if usual then return usual end
   local texts = {}
   for i, part in ipairs(row.parts) do
-    local when = part.field.when
-    local is_there = not when or raws[when.index] == when.value
-    texts[i] = is_there and part.write(raws[i], payload) or part.empty
+    local raw = not part.index and raws or raws[part.index]
+    texts[i] = raw and part.write(raw) or part.empty
   end
   return concat(texts, ",")
 end

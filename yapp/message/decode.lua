@@ -157,23 +157,23 @@ end
 local latest = {}
 
 -- The same as M.read of a payload that is shorter than the message.
-local function read_cut(message, payload)
-  local raws, look = message.read(payload .. ("\0"):rep(message.size - #payload))
+local function read_short(message, payload)
+  local raws = message.read(payload .. ("\0"):rep(message.size - #payload))
   for i, field in ipairs(message.fields) do
     if field.offset + field.size > #payload then raws[i] = nil end
   end
-  return raws, look
+  return raws, M.remarks(message, raws) ~= nil
 end
 
 --- The raw values of a payload.
 -- message  compiled
--- payload  string; may be shorter than the message where a capture cut it: only fields that are
---          whole are read
--- returns  { [index of field] = raw }, without times (see M.time), missing fields and cases that
---          are not chosen; and whether M.remarks has something to say
+-- payload  string; where it is shorter than the message, only fields that are whole are read; what
+--          is behind the message is not read
+-- returns  { [index of field] = raw }, without missing fields and cases that are not chosen; and
+--          whether M.remarks has something to say
 -- A raw is the integer or the count as sent, but for ieee the number, for a 64 bit integer beyond
--- 2^53 its decimal digits, for strings and bytes the bytes; of a compressed float of seven or eight
--- bytes -1 - n is the reserved count n.
+-- 2^53 its decimal digits, for times (see M.time), strings and bytes the bytes; of a compressed
+-- float of seven or eight bytes -1 - n is the reserved count n.
 function M.read(message, payload)
   if message == latest.message and payload == latest.payload then
     return latest.raws, latest.look
@@ -182,7 +182,7 @@ function M.read(message, payload)
   if #payload >= message.size then
     raws, look = message.read(payload)
   else
-    raws, look = read_cut(message, payload)
+    raws, look = read_short(message, payload)
   end
   latest.message, latest.payload = message, payload
   latest.raws, latest.look = raws, look
@@ -250,6 +250,7 @@ local DIGITS = { 7, 7, 10, 10, 15, 15, 15, 15 }
 --- The format of a value with as many digits as its count can carry: "%.7g"; nil for ieee and what
 -- is no fraction.
 function M.format_of(field)
+  if field.kind == "derived" then return "%.7g" end
   if field.kind == "float" then return "%." .. DIGITS[field.size] .. "g" end
   return field.scale and "%.15g" or nil
 end
@@ -261,14 +262,24 @@ function M.rounded(field, value)
   return field.size == 4 and M.shortest(value) or value
 end
 
---- The value of a difference of a message, at seven digits; nil where one of its two fields has
--- none.
-function M.difference(message, difference, raws)
-  local a, b = difference.a, difference.b
-  local first = M.value(message.fields[a], raws[a])
-  local second = M.value(message.fields[b], raws[b])
-  if not (first and second) then return nil end
-  return tonumber(format("%.7g", first - second))
+local OPERATORS = {
+  ["*"] = function(a, b) return a * b end,
+  ["-"] = function(a, b) return a - b end,
+  ["+"] = function(a, b) return a + b end,
+}
+
+--- Work out a generated value from its two fields.
+-- item     of message.generated
+-- returns  a number with seven digits, so that a filter with == matches; nil where one of the two
+--          fields has no value
+function M.derived(message, item, raws)
+  local a = M.value(message.fields[item.a], raws[item.a])
+  local b = M.value(message.fields[item.b], raws[item.b])
+  if not (a and b) then return nil end
+  -- COMPAT 5.4: products of integers wrap around
+  local value = OPERATORS[item.operator](a + 0.0, b + 0.0)
+  if value - value ~= 0 then return nil end -- too large
+  return tonumber(format("%.7g", value))
 end
 
 -- Flags ------------------------------------------------------------------------------------------

@@ -18,14 +18,10 @@ local function is_real(field)
 end
 
 -- What a field shows.
--- shape    of a number with a fraction; payload: for times
-local function shown(field, shape, raw, payload)
-  local is_time = field.kind == "time" and payload
-  if is_time and #payload >= field.offset + 8 then
-    local seconds, nanoseconds = decode.time(payload, field.offset)
-    return decode.seconds(seconds, nanoseconds) .. " s"
-  end
-  if not raw then return "?" end
+-- shape    of a number with a fraction
+local function shown(field, shape, raw)
+  if not raw then return "-" end
+  if field.kind == "time" then return decode.seconds(decode.time(raw, 0)) .. " s" end
   local value, special = decode.value(field, raw)
   if special then return SPECIALS[special] end
   if is_real(field) then return format(shape, value) end
@@ -50,15 +46,15 @@ local function compile_part(message, name, shape)
     shape = shape,
   }
   if straight.is_plain(field) then return part, shape end
-  function part.write(raw, payload)
-    return shown(field, shape, raw, payload)
+  function part.write(raw)
+    return raw and shown(field, shape, raw)
   end
   return part, "%s"
 end
 
 --- Compiles the text of a message: sets its
 --   info      parts { { field = f, index = i, shape = "%.1f" }, " V" }
---   usual     function(raws, payload) -> the same as one text, nil where a value is special
+--   usual     function(raws) -> the same as one text, nil where a value is absent or special
 -- Raises what is wrong.
 function M.compile(message, text)
   local parts, fields = {}, {}
@@ -83,23 +79,23 @@ end
 -- The text ---------------------------------------------------------------------------------------
 
 -- The parts of the text one by one, for values that the usual format cannot show.
-local function in_parts(message, raws, payload)
+local function in_parts(message, raws)
   local texts = {}
   for i, part in ipairs(message.info) do
     texts[i] = part
     if part.field then
-      texts[i] = shown(part.field, part.shape, raws[part.index], payload)
+      texts[i] = shown(part.field, part.shape, raws[part.index])
     end
   end
   return concat(texts)
 end
 
 --- What the Info column says of a message.
--- raws     from decode.read; payload: the string that they are from, for times
+-- raws     from decode.read
 -- name     what the message is called; its title when left out
 -- look     false where nothing in the values is remarkable
-function M.text(message, raws, payload, name, look)
-  local text = message.usual(raws, payload) or in_parts(message, raws, payload)
+function M.text(message, raws, name, look)
+  local text = message.usual(raws) or in_parts(message, raws)
   text = (name or message.title) .. "  " .. text
   if look == false then return text end
   local word

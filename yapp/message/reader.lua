@@ -70,16 +70,17 @@ function Reader:message_of(id, bus)
   return self.sources:message(bus, id) or self.by_id[id]
 end
 
---- The payload size of that message, nil for none.
+--- The payload size of that message and the smallest that it may have, nil for none.
 function Reader:size_of(id, bus)
   local message = self:message_of(id, bus)
-  return message and message.size
+  if message then return message.size, message.min_size end
 end
 
---- Whether a payload of so many bytes is the message that an ID carries; nil for an unknown ID.
+--- Whether a good payload of so many bytes is decoded as the message that an ID carries; nil for an
+-- unknown ID.
 function Reader:fits(id, size, bus)
-  local known = self:size_of(id, bus)
-  return known and known == size
+  local message = self:message_of(id, bus)
+  return message and size >= message.min_size
 end
 
 --- The name that the user gave to a source, nil where there is none.
@@ -110,20 +111,22 @@ end
 -- bus_name  or nil where the capture names none
 -- line      what tells the source apart besides its ID, where nothing else does; nil for the bus
 --           in a capture of several
--- returns   { key, bus, bus_name, size = of its messages or nil, name = of them in the Info column
+-- returns   { key, bus, bus_name, size, min_size = of its messages or nil, name = of them in Info
 --           (see Reader:label), text = what the source is called, the column Source: the name that
 --           the user gave, or line and ID; texts = of the parts of its messages, of can.carrier;
 --           message = a record for Reader:read: nobody keeps one, so the next one is told in the
 --           same table, as a new one took a tenth of a packet list }
 function Reader:new_source(key, id, bus, bus_name, line)
   local name, text = self:label(id, bus_name), self:name_of(id, bus_name)
+  local size, min_size = self:size_of(id, bus_name)
   line = line or self.has_several and bus_name
   text = text or (line and line .. " " or "") .. ("0x%x"):format(id)
   return {
     key = key,
     bus = bus,
     bus_name = bus_name,
-    size = self:size_of(id, bus_name),
+    size = size,
+    min_size = min_size,
     name = name,
     text = text,
     texts = {},
@@ -156,7 +159,9 @@ end
 --          of the bus or stream, or nil, bus_name = or nil, frame = number, time = seconds since
 --          the first packet, ... }: gets
 --          message = of the catalogue, where the ID is known
---          raws and look = from decode.read, where the size fits too
+--          raws and look = from decode.read, where the size fits too: min_size of the message at
+--          least, and more than its size only of a good one
+--          undecoded = number of payload bytes behind the message's size, nil for none
 --          has_fault = whether a fault flag is set
 --          change = what is new in it, or false; delta = seconds since the source's previous good
 --          one; standing = how things stand, where wants.standing (see message.history)
@@ -164,10 +169,12 @@ end
 --          serial.memory); ...: what they take besides
 function Reader:read(m, memory, ...)
   local message, raws, look = self:message_of(m.id, m.bus_name), nil, nil
-  if message and m.size == message.size and m.is_whole then
+  local is_longer = message and m.size > message.size
+  if message and m.is_whole and m.size >= message.min_size and (m.good or not is_longer) then
     raws, look = decode.read(message, m.payload)
   end
   m.message, m.raws, m.look = message, raws, look
+  m.undecoded = raws and is_longer and m.size - message.size or nil
   m.has_fault = look and decode.has_alarm(message, raws)
   m.change = memory:change(m, ...) or false
   m.standing = m.wants.standing and memory:standing(m, ...) or false

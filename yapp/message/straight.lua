@@ -20,7 +20,7 @@ local MOST_PARTS = 100 -- of a text: a function has up to 200 local variables
 
 -- Reading ----------------------------------------------------------------------------------------
 
--- Lines that set a to the raw value of a field, by kind; a time has none.
+-- Lines that set a to the raw value of a field, by kind.
 local sources = {}
 
 -- A little endian count.  The first bytes of the payload are in b1, b2, ...: a call takes longer
@@ -71,6 +71,7 @@ function sources.string(field)
 end
 
 sources.bytes = sources.string
+sources.time = sources.string
 sources.flags = count_source
 sources.bool = count_source
 
@@ -121,7 +122,7 @@ function M.reader(message)
   local room, lines = {}, {}
   for i, field in ipairs(message.fields) do
     room[i] = "nil" -- a table that grows by itself takes longer
-    if sources[field.kind] then lines[#lines + 1] = field_source(message, field, i) end
+    lines[i] = field_source(message, field, i)
   end
   local kept = math.max(math.min(message.size, MOST_KEPT), 1)
   local bytes = {}
@@ -149,7 +150,7 @@ end
 
 local WRITER = [[
 local WRITE, SHAPE, format = ...
-return function(raws, payload)
+return function(raws)
 %s
 return format(%s)
 end]]
@@ -157,9 +158,9 @@ end]]
 local function writer_source(parts)
   local lines, values = {}, {}
   for i, part in ipairs(parts) do
-    local field, a, raw = part.field, "a" .. i, format("raws[%d]", part.index)
+    local field, a, raw = part.field, "a" .. i, part.index and format("raws[%d]", part.index)
     if part.write then
-      lines[i] = format("local %s = WRITE[%d](%s, payload)", a, i, raw)
+      lines[i] = format("local %s = WRITE[%d](%s)", a, i, raw or "raws")
       values[i] = a
     else
       lines[i] = format("local %s = %s if %s and %s > %d then return nil end", a, raw, a, a,
@@ -179,21 +180,21 @@ end
 
 --- Makes a function that writes values of a message, one that has nothing special about it, by one
 -- format.
--- parts    list of { field, index = of it, write = function(raw, payload) -> what the format takes,
---          nil where the value is special; no write where M.is_plain(field) }
+-- parts    list of { field, index = of it, write = function(raw) -> what the format takes, nil
+--          where the value is special; no write where M.is_plain(field); where index is nil, write
+--          takes all raws }
 -- shape    as for string.format
--- returns  function(raws, payload) -> text, nil where a value is missing or special, or parts are
---          too many
+-- returns  function(raws) -> text, nil where a value is missing or special, or parts are too many
 function M.writer(parts, shape)
   if #parts > MOST_PARTS then return function() end end
   local writes, divisor, write = {}, nil, nil
   for i, part in ipairs(parts) do writes[i] = part.write or false end
-  return function(raws, payload)
+  return function(raws)
     if divisor ~= numbers.divisor() then
       divisor = numbers.divisor()
       write = load(writer_source(parts), "=writer")(writes, shape, format)
     end
-    return write(raws, payload)
+    return write(raws)
   end
 end
 

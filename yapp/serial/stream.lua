@@ -28,7 +28,8 @@ local Stream = {}
 Stream.__index = Stream
 
 --- A stream of bytes, empty yet.
--- size_of  function(id) -> payload size of the catalogue's message, nil for an unknown ID
+-- size_of  function(id) -> payload size of the catalogue's message, nil for an unknown ID, and the
+--          smallest that it may have, nil for the same
 -- returns  the stream; feed() it.  Document: "UART Stream Framing".
 function M.new(size_of)
   local self = setmetatable({
@@ -64,8 +65,9 @@ function Stream:find()
   self.searched = from
   local id, size, reserved = frame.parse(self.text, at)
   if not id then return nil end
-  local known = self.size_of(id)
-  local is_plausible = reserved == 0 and id <= frame.MAX_ID and (not known or known == size)
+  local known, smallest = self.size_of(id)
+  local fits = not known or size <= known and size >= (smallest or known)
+  local is_plausible = reserved == 0 and id <= frame.MAX_ID and fits
   self.found = {
     from = from,
     to = from + HEADER + size + CRC_SIZE,

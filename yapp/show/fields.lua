@@ -35,6 +35,8 @@ local YAPP = {
     "What the CRC should be, where it is bad", HEX },
   { "payload", "BYTES", "Payload",
     "Payload that the catalogue does not explain" },
+  { "undecoded", "BYTES", "Not decoded",
+    "Payload behind the last field that the catalogue has" },
   { "padding", "BYTES", "CAN FD padding",
     "Bytes that fill a CAN FD frame" },
   { "fragments", "NONE", "Fragments",
@@ -65,33 +67,37 @@ local YAPP = {
     "By its sequence number" },
 }
 
--- filter, what it says by itself, group, severity
-local YAPP_EXPERTS = {
-  { "crc.bad", "Bad CRC", "CHECKSUM", "ERROR" },
-  { "fragment.orphan", "Middle or End without a Start", "SEQUENCE", "WARN" },
-  { "fragment.incomplete", "Message with bytes missing", "REASSEMBLE", "WARN" },
-  { "fragment.overrun", "More bytes than the message's size", "REASSEMBLE", "WARN" },
-  { "fragment.duplicate", "Frame delivered twice", "SEQUENCE", "NOTE" },
-  { "unfinished", "The capture ends before the message does", "REASSEMBLE", "WARN" },
-  { "late", "A long gap before this message", "SEQUENCE", "WARN" },
-  { "size.mismatch", "Payload length is not the catalogue's", "PROTOCOL", "WARN" },
-  { "id.unknown", "Message ID is not in the catalogue", "UNDECODED", "NOTE" },
-  { "reserved.nonzero", "Reserved bytes are not 0", "PROTOCOL", "WARN" },
-  { "can.ctrl.invalid", "CAN CTRL is not defined", "PROTOCOL", "WARN" },
-  { "can.id.missing", "The CAN id of this frame is not known", "UNDECODED", "WARN" },
-  { "stream.skipped", "Bytes that belong to no frame", "SEQUENCE", "NOTE" },
-  { "truncated", "The capture cut the packet short", "MALFORMED", "WARN" },
-}
-local TAURUS_EXPERTS = {
-  { "fault.active", "Fault flags are set", "RESPONSE_CODE", "ERROR" },
-  { "fault.raised", "A fault was raised", "RESPONSE_CODE", "ERROR" },
-  { "fault.cleared", "A fault was cleared", "RESPONSE_CODE", "NOTE" },
-  { "reboot", "The controller's time went back: it was started anew", "SEQUENCE", "WARN" },
-  { "stale", "The controller's time stood still", "SEQUENCE", "WARN" },
-  { "command.key.invalid", "Key is not valid: the command is ignored", "PROTOCOL", "WARN" },
-  { "value.special", "No ordinary number: a reserved count, NaN or infinity", "PROTOCOL", "NOTE" },
-  { "flags.undefined", "A bit is set that no table defines", "PROTOCOL", "NOTE" },
-  { "value.invalid", "Value that is not defined", "PROTOCOL", "WARN" },
+-- Expert items: filter, text, group, severity.  The text is the same each time, so that `-z expert`
+-- counts it; numbers stand in the item's label, see M.add_expert.
+local EXPERTS = {
+  { "yapp.crc.bad", "Bad CRC", "CHECKSUM", "ERROR" },
+  { "yapp.fragment.orphan", "Middle or End without a Start", "SEQUENCE", "WARN" },
+  { "yapp.fragment.incomplete", "Message with bytes missing", "REASSEMBLE", "WARN" },
+  { "yapp.fragment.overrun", "More bytes than the message's size", "REASSEMBLE", "WARN" },
+  { "yapp.fragment.duplicate", "Frame delivered twice", "SEQUENCE", "NOTE" },
+  { "yapp.unfinished", "Message cut off by the end of the capture", "REASSEMBLE", "WARN" },
+  { "yapp.late", "A long gap before this message", "SEQUENCE", "WARN" },
+  { "yapp.size.mismatch", "Payload length is not the catalogue's", "PROTOCOL", "WARN" },
+  { "yapp.id.unknown", "Message ID is not in the catalogue", "UNDECODED", "NOTE" },
+  { "yapp.reserved.nonzero", "Reserved bytes are not 0", "PROTOCOL", "WARN" },
+  { "yapp.can.ctrl.invalid", "CAN CTRL is not defined", "PROTOCOL", "WARN" },
+  { "yapp.can.id.missing", "The CAN id of this frame is not known", "UNDECODED", "WARN" },
+  { "yapp.stream.skipped", "Bytes that belong to no frame", "SEQUENCE", "NOTE" },
+  { "yapp.truncated", "The capture cut the packet short", "MALFORMED", "WARN" },
+  { "yapp.source.shared", "Two controllers send this ID on one bus: their clocks alternate",
+    "SEQUENCE", "WARN" },
+  { "taurus.fault.active", "Fault flags are set", "RESPONSE_CODE", "ERROR" },
+  { "taurus.fault.raised", "A fault was raised", "RESPONSE_CODE", "ERROR" },
+  { "taurus.fault.cleared", "A fault was cleared", "RESPONSE_CODE", "NOTE" },
+  { "taurus.reboot", "Controller rebooted (its clock went back)", "SEQUENCE", "WARN" },
+  { "taurus.stale", "Controller clock did not advance", "SEQUENCE", "WARN" },
+  { "taurus.jump", "Controller's clock jumped ahead", "SEQUENCE", "WARN" },
+  { "taurus.command.key.invalid", "Key is not defined (the controller ignores this command)",
+    "PROTOCOL", "WARN" },
+  { "taurus.value.special", "Reserved value: not a number, infinite or out of range",
+    "PROTOCOL", "NOTE" },
+  { "taurus.flags.undefined", "A bit is set that no table defines", "PROTOCOL", "NOTE" },
+  { "taurus.value.invalid", "Value that is not defined", "PROTOCOL", "WARN" },
 }
 
 -- One constructor for every type; base: of a number, the width of a boolean's field; values: or a
@@ -101,12 +107,14 @@ local function make(filter, kind, title, about, shape, values, mask)
   return ProtoField.new(title, filter, ftypes[kind], values, shape, mask, about)
 end
 
-local function make_experts(proto, prefix, rows)
+-- The expert items of a protocol: { [filter] = ProtoExpert }.
+local function make_experts(proto, prefix)
   local experts = {}
-  for _, row in ipairs(rows) do
+  for _, row in ipairs(EXPERTS) do
     local name, text, group, severity = unpack(row)
-    experts[name] =
-      ProtoExpert.new(prefix .. name, text, expert.group[group], expert.severity[severity])
+    if name:find("^" .. prefix) then
+      experts[name] = ProtoExpert.new(name, text, expert.group[group], expert.severity[severity])
+    end
   end
   proto.experts = experts
   return experts
@@ -114,7 +122,7 @@ end
 
 --- Makes YAPP's own fields and expert items and hands them to the protocol.
 -- yapp     Proto; names: { [id] = title } of the messages that are known
--- returns  { [filter without "yapp."] = ProtoField }, { [the same] = ProtoExpert }
+-- returns  { [filter without "yapp."] = ProtoField }, { [filter] = ProtoExpert }
 function M.of_yapp(yapp, names)
   local fields, list = {}, {}
   for i, row in ipairs(YAPP) do
@@ -123,7 +131,7 @@ function M.of_yapp(yapp, names)
     fields[name] = list[i]
   end
   yapp.fields = list
-  return fields, make_experts(yapp, "yapp.", YAPP_EXPERTS)
+  return fields, make_experts(yapp, "yapp%.")
 end
 
 -- What a flags field has below it.
@@ -179,10 +187,9 @@ local function make_message(message, add, add_standing)
   local filter, title = message.filter, message.title
   -- Where a flag of another field becomes a fault nothing gets another name.
   local alarm = message.alarm or message.alarms[1]
-  local own = { pf = add(filter, "NONE", title, "A whole message: " .. title), differences = {} }
-  for i, difference in ipairs(message.differences) do
-    local about = ("%s, of %s"):format(difference.title, title)
-    own.differences[i] = add(difference.filter, "DOUBLE", difference.title, about)
+  local own = { pf = add(filter, "NONE", title, "A whole message: " .. title), generated = {} }
+  for i, item in ipairs(message.generated) do
+    own.generated[i] = add(item.filter, "DOUBLE", item.title, item.description)
   end
   if message.time then
     own.drift = add_standing(filter .. ".clock_drift", "RELATIVE_TIME", "Clock drift",
@@ -208,7 +215,7 @@ end
 
 --- Makes the fields and expert items of the messages and hands them to the protocol.
 -- taurus   Proto; catalogue: compiled
--- returns  { [message] = { pf, differences (list), drift, command_in, active_time, previous, next
+-- returns  { [message] = { pf, generated (list), drift, command_in, active_time, previous, next
 --          } }, { [field] = { pf, special, flags (list), names, undefined, raised, cleared } },
 --          where the elements of an array share theirs; { [filter without "taurus."] = ProtoExpert
 --          }; and a list of the ProtoFields that the history has also for a message that changes
@@ -231,7 +238,7 @@ function M.of_taurus(taurus, catalogue)
     end
   end
   taurus.fields = list
-  return messages, fields, make_experts(taurus, "taurus.", TAURUS_EXPERTS), standing
+  return messages, fields, make_experts(taurus, "taurus%."), standing
 end
 
 -- Adding items ------------------------------------------------------------------------------------
@@ -249,6 +256,15 @@ M.append_text = TreeItem.append_text
 -- returns  the item
 function M.add_generated(item, pf, value)
   return set_generated(add(item, pf, value))
+end
+
+--- Adds an expert item.
+-- expert   ProtoExpert
+-- text     what there is to say of this packet: an item of its own, so that the expert's text is
+--          the same each time; nil where the expert's says all
+function M.add_expert(item, expert, text)
+  if text and item.visible then item = M.add_generated(item, text) end
+  item:add_proto_expert_info(expert)
 end
 
 --- Seconds, a double, as a time to the nanosecond.

@@ -97,7 +97,7 @@ end
 
 function adders.time(_, made)
   return function(parent, range, raw)
-    return add(parent, made.pf, range, raw)
+    return add(parent, made.pf, range, NSTime.new(decode.time(raw, 0)))
   end
 end
 
@@ -146,7 +146,7 @@ end
 
 -- How the tree of a message is built: a list of { field, index, inside = index of the field that it
 -- is a part of, add, title = of an array's element }, and own = the message's own ProtoField, where
--- it is wanted, differences = a list of { difference, pf, unit }.
+-- it is wanted, generated = a list of { item, pf, unit }.
 local function make_plan(self, message, tree, is_shown)
   local own, plan = self.messages[message], { title = "Taurus " .. message.title }
   plan.own = referenced(tree, own.pf) and own.pf
@@ -160,12 +160,12 @@ local function make_plan(self, message, tree, is_shown)
       title = is_shown and field.element and field.title,
     }
   end
-  plan.differences = {}
-  for i, difference in ipairs(message.differences) do
-    local pf = own.differences[i]
-    local unit = is_shown and difference.unit and " " .. difference.unit or ""
+  plan.generated = {}
+  for i, item in ipairs(message.generated) do
+    local pf = own.generated[i]
+    local unit = is_shown and item.unit and " " .. item.unit or ""
     if referenced(tree, pf) then
-      plan.differences[#plan.differences + 1] = { difference = difference, pf = pf, unit = unit }
+      plan.generated[#plan.generated + 1] = { item = item, pf = pf, unit = unit }
     end
   end
   return plan
@@ -184,13 +184,6 @@ end
 
 -- The tree of a message ---------------------------------------------------------------------------
 
--- A time has no raw value: whether it is there depends on the payload, and on its case.
-local function time_of(field, m)
-  local when, payload = field.when, m.payload
-  if #payload < field.offset + 8 or when and m.raws[when.index] ~= when.value then return nil end
-  return NSTime.new(decode.time(payload, field.offset))
-end
-
 -- Builds it; returns it, and the items by index of field, for the expert items.
 local function build(self, m)
   local plan, raws, tvb, at, items = plan_of(self, m, m.tree), m.raws, m.tvb, m.at, {}
@@ -201,7 +194,6 @@ local function build(self, m)
     local step = plan[i]
     local field, index = step.field, step.index
     local raw = raws[index]
-    if field.kind == "time" then raw = time_of(field, m) end
     if raw then
       local range = range_of(tvb, at + field.offset, field.size)
       local item = step.add(items[step.inside] or top, range, raw)
@@ -209,9 +201,9 @@ local function build(self, m)
       items[index] = item
     end
   end
-  for _, one in ipairs(plan.differences) do
-    local value = decode.difference(m.message, one.difference, raws)
-    if value then append_text(add_generated(top, one.pf, value), one.unit) end
+  for _, step in ipairs(plan.generated) do
+    local value = decode.derived(m.message, step.item, raws)
+    if value then append_text(add_generated(top, step.pf, value), step.unit) end
   end
   return top, items
 end
@@ -238,7 +230,7 @@ function Taurus:show(m)
       if m.name ~= m.message.title then append_text(place, " of " .. m.name) end
       append_help(place, m.message.fields[index], m.raws[index])
     end
-    (place or top or m.item):add_proto_expert_info(self.experts[name])
+    (place or top or m.item):add_proto_expert_info(self.experts["taurus." .. name])
   end
   return top
 end
@@ -251,7 +243,7 @@ local function add_wanted(item, pf, value)
   return pf and value and referenced(item, pf) and add_generated(item, pf, value)
 end
 
--- Adds how things stand; returns the item of the clock's drift.
+-- Adds how things stand.
 local function add_standing(self, item, m)
   local own, standing = self.messages[m.message], m.standing
   local since, drift = standing.active_since, standing.drift
@@ -259,7 +251,7 @@ local function add_standing(self, item, m)
   add_wanted(item, own.previous, standing.previous_change)
   add_wanted(item, own.next, standing.next_change)
   add_wanted(item, own.command_in, standing.command_in)
-  return add_wanted(item, own.drift, drift and relative_time(drift))
+  add_wanted(item, own.drift, drift and relative_time(drift))
 end
 
 -- Adds the bits of a flags field that rose or fell; returns the names of the faults among them,
@@ -271,24 +263,43 @@ local function add_bits(self, item, one, way, is_tree)
   if added then append_text(added, " (" .. flag_names(field, bits) .. ")") end
   if alarms == 0 then return nil end
   if added and way == "raised" then append_help(added, field, alarms) end
-  (added or item):add_proto_expert_info(self.experts["fault." .. way])
+  (added or item):add_proto_expert_info(self.experts["taurus.fault." .. way])
   return flag_names(field, alarms)
 end
 
+-- What a user sees of a change: its name, the expert item, its label with the change's number, and
+-- the word in the Info column.
+local CHANGES = {
+  { "late", "yapp.late", "Silent for %.3f s" },
+  { "shared", "yapp.source.shared" },
+  { "reboot", "taurus.reboot", "Controller rebooted (its clock went back by %.1f s)", "  REBOOT" },
+  { "stale", "taurus.stale", nil, "  STALE" },
+  { "jump", "taurus.jump", "Controller's clock jumped ahead by %.1f s", "  JUMP" },
+}
+
 --- Adds what the history says of a message, all of it generated, with its expert items.
--- m    a message of message.reader
--- top  the Taurus item; nil or false where nobody wants a tree: then there are expert items only
--- returns  a list of the names of faults that were cleared: { "motor_overcurrent, hall_timeout" }
-function Taurus:add_change(m, top)
-  local change, cleared, item = m.change or NONE, {}, top or m.item
+-- m        a message of message.reader
+-- top      the Taurus item; nil or false where nobody wants a tree: then there are expert items
+--          only
+-- experts  of YAPP
+-- returns  what the Info column says of it: "  cleared motor_overcurrent, hall_timeout  REBOOT"
+function Taurus:add_change(m, top, experts)
+  local change, cleared, item, info = m.change or NONE, {}, top or m.item, ""
   for _, one in ipairs(change.flags or NONE) do
     add_bits(self, item, one, "raised", top)
     cleared[#cleared + 1] = add_bits(self, item, one, "cleared", top)
   end
-  local drift = top and m.standing and add_standing(self, item, m)
-  if change.reboot then (drift or item):add_proto_expert_info(self.experts.reboot) end
-  if change.stale then (drift or item):add_proto_expert_info(self.experts.stale) end
-  return cleared
+  if top and m.standing then add_standing(self, item, m) end
+  if cleared[1] then info = "  cleared " .. table.concat(cleared, ", ") end
+  for _, row in ipairs(CHANGES) do
+    local value, name, label, word = change[row[1]], row[2], row[3], row[4]
+    if value then
+      label = label and type(value) == "number" and label:format(value) or nil
+      fields.add_expert(item, self.experts[name] or experts[name], label)
+      info = info .. (word or "")
+    end
+  end
+  return info
 end
 
 return M

@@ -32,7 +32,7 @@ function M.new(options)
     default_names = {}, -- titles by ID
   }, Tree)
   for id, message in pairs(options.catalogue.by_id) do self.default_names[id] = message.title end
-  self.fields, self.yapp_experts = fields_of.of_yapp(self.yapp, self.default_names)
+  self.fields, self.experts = fields_of.of_yapp(self.yapp, self.default_names)
   return self
 end
 
@@ -122,12 +122,9 @@ function Tree:bare(tree, wants, is_message)
 end
 
 --- Adds an expert item of YAPP's.
--- text  what there is to say of this packet: its own item, so that the expert's text is the same
---       each time and
---       `-z expert` can count it; nil where the expert's says all
+-- name  its filter without "yapp."; text: see show.fields, add_expert
 function Tree:expert(item, name, text)
-  if text and item.visible then item = add_generated(item, text) end
-  item:add_proto_expert_info(self.yapp_experts[name])
+  fields_of.add_expert(item, self.experts["yapp." .. name], text)
 end
 
 --- Adds a field of YAPP's that no bytes of the packet say, where it has a value.
@@ -214,29 +211,36 @@ function Tree.bytes(count)
   return count == 1 and "1 byte" or ("%d bytes"):format(count)
 end
 
--- A message that is not in the catalogue, or not as it is there: bytes.
-local function show_bytes(self, m)
-  local message = m.message
-  if m.wants.yapp and m.tvb and #m.payload > 0 then
-    add(m.item, self.fields.payload, m.tvb(m.at, #m.payload))
+-- Says that a payload has not the catalogue's size.
+-- returns  what the Info column says
+local function say_mismatch(self, m)
+  local message, size, wanted = m.message, Tree.bytes(m.size), ("%d"):format(m.message.size)
+  if message.min_size < message.size then
+    wanted = ("%d to %s"):format(message.min_size, wanted)
   end
-  if not message then
-    local text, info = self.reader:hint(m)
-    self:expert(m.item, "id.unknown", text)
-    return ("%s  %s%s"):format(m.name, Tree.bytes(#m.payload), info or "")
-  end
-  local size, wanted = Tree.bytes(m.size), ("the catalogue says %d"):format(message.size)
+  wanted = "the catalogue says " .. wanted
   self:expert(m.item, "size.mismatch", ("%s has %s, %s"):format(m.name, size, wanted))
   return ("%s, %s, %s"):format(m.name, size, wanted)
 end
 
--- What the Info column says of what changed, and the tree and the expert items of that.
-local function show_change(self, m, top)
-  local change = m.change or {}
-  local cleared, info = self.messages:add_change(m, top), ""
-  if cleared[1] then info = "  cleared " .. table.concat(cleared, ", ") end
-  if change.reboot then return info .. "  REBOOT" end
-  return change.stale and info .. "  STALE" or info
+-- A message that is not in the catalogue, or not as it is there: bytes.
+local function show_bytes(self, m)
+  if m.wants.yapp and m.tvb and #m.payload > 0 then
+    add(m.item, self.fields.payload, m.tvb(m.at, #m.payload))
+  end
+  if m.message then return say_mismatch(self, m) end
+  local text, info = self.reader:hint(m)
+  self:expert(m.item, "id.unknown", text)
+  return ("%s  %s%s"):format(m.name, Tree.bytes(#m.payload), info or "")
+end
+
+-- What is behind a payload's last field.
+local function show_undecoded(self, m)
+  if m.wants.yapp and m.tvb then
+    add(m.item, self.fields.undecoded, m.tvb(m.at + m.message.size, m.undecoded))
+  end
+  say_mismatch(self, m)
+  return ("  [%s, %d not decoded]"):format(Tree.bytes(m.size), m.undecoded)
 end
 
 --- Shows a finished message: the message of the catalogue, or bytes.
@@ -245,15 +249,16 @@ end
 --          = of Tree:wants }
 -- returns  what the Info column says of it, or a part of that where nobody sees it
 function Tree:payload(m)
-  local change = m.change
+  local top, info = nil, ""
   if m.wants.yapp then self:add_delta(m.item, m) end
-  if change and change.late then
-    self:expert(m.item, "late", ("%.3f s since the previous one"):format(change.late))
+  if not m.raws then
+    info = show_bytes(self, m)
+  else
+    top = (m.tvb or m.look) and self.messages:show(m)
+    if m.wants.columns then info = info_of.text(m.message, m.raws, m.name, m.look) end
   end
-  if not m.raws then return show_bytes(self, m) end
-  local top = (m.tvb or m.look) and self.messages:show(m)
-  local info = m.wants.columns and info_of.text(m.message, m.raws, m.payload, m.name, m.look) or ""
-  if change or top then info = info .. show_change(self, m, top) end
+  if m.change or top then info = info .. self.messages:add_change(m, top, self.experts) end
+  if m.undecoded then info = info .. show_undecoded(self, m) end
   return info
 end
 

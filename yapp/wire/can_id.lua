@@ -56,6 +56,16 @@ function M.padding(data, reported, needed)
   end
 end
 
+--- How long the payload of a single frame is whose message may have from `least` to `most` bytes.
+-- The largest that fits counts. With 9 to 17 bytes allowed, a frame of 12 bytes has 12, though it
+-- may be 9 and padding; a frame of 20 bytes has 17 and padding.
+-- data, reported  as for M.padding
+-- returns         number; nil when it does not fit
+function M.single_size(data, reported, least, most)
+  if reported >= least and reported <= most then return reported end
+  return M.padding(data, reported, most) and most
+end
+
 --- The 12 bytes that the CRC covers before the payload ("Computing the UART and Ethernet Frame IDs
 -- from the CAN ID").
 -- address   { id, seq, ctl }
