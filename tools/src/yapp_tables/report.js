@@ -6,7 +6,7 @@
   // Plotly's names of dashes, and the lengths that it draws: a dash is a field, a colour a controller.
   const DASHES = [["solid", ""], ["dot", "3"], ["dash", "9"], ["dashdot", "9 3 3 3"], ["longdash", "15"],
     ["longdashdot", "15 6 6 6"]];
-  const HUES = [212, 22, 135, 48, 275, 335, 186, 0, 240, 70, 310, 100, 30, 160, 255, 355];
+  const HUES = [212, 22, 135, 48, 275, 335, 186, 0, 310, 175, 355, 255, 95, 35, 65, 230];
   const PANEL = 150, SPREAD = 56, ROW = 18, SPACE = 14, AXIS = 50, LATE = 2.5;
   const LETTER = 6.5, LEAST = 3; // pixels: of a letter in a bar, of the shortest bar
   const NARROW = innerWidth < 700, TOP = NARROW ? 24 : 44, PAPER = 700; // A4 and Letter, upright
