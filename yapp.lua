@@ -43,11 +43,11 @@ local frame = require "yapp.wire.frame"
 local history = require "yapp.message.history"
 local message_reader = require "yapp.message.reader"
 local preferences = require "yapp.host.preferences"
-local serial_carrier = require "yapp.serial.carrier"
+local serial_dissector = require "yapp.serial.dissector"
 local socketcan = require "yapp.host.socketcan"
 local source_names = require "yapp.message.sources"
+local stat_intake = require "yapp.stat.intake"
 local stat_taps = require "yapp.stat.taps"
-local stat_tell = require "yapp.stat.tell"
 local tree_builder = require "yapp.show.tree"
 
 -- The user's own messages come behind ours: from Wireshark's personal configuration folder, and
@@ -77,11 +77,13 @@ local serial = Proto("yapp_serial", "YAPP serial stream")
 local skipped = Proto("yapp_skipped", "YAPP, bytes between the frames of a serial dump")
 local taurus = Proto("taurus", "Taurus motor controller")
 local header = Proto("yapp_socketcan", "YAPP's look at CAN headers")
+local tcp_header = Proto("yapp_tcp", "YAPP's look at TCP headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local buses = bus_finder.watch()
-local stat = stat_taps.new { version = VERSION, catalogue = catalogue }
-local reader = message_reader.new(catalogue, stat)
+local intake = stat_intake.new()
+local reader = message_reader.new(catalogue, intake)
+reader:tell_to(intake)
 local tree = tree_builder.new {
   yapp = yapp,
   taurus = taurus,
@@ -103,26 +105,15 @@ local function claim_id(id)
 end
 
 local frames = can_carrier.new(tree, reader, buses, claim_id)
-local streams = serial_carrier.new(tree, reader, buses)
-local tell = stat_tell.new(stat, reader)
-reader:tell_to(tell)
-function stat.plugin.tapped() tree:only_pass() end
-function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
-function stat.plugin.named() return reader.sources:list() end
-function stat.plugin.problems()
-  local problems, file = {}, yapp.prefs.messages
-  if not is_whole then problems[1] = "the catalogue did not load whole" end
-  if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
-    problems[#problems + 1] = file .. ", the file with your own messages, was not read"
-  end
-  return problems
-end
-function stat.plugin.unfinished()
+local streams = serial_dissector.new(tree, reader, buses, tcp_header)
+
+-- What the statistics need of the preferences; see read_preferences.
+local settings = { version = VERSION, catalogue = catalogue }
+local function unfinished()
   local messages = frames:unfinished()
   for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end
-  return tell:unfinished(messages)
+  return messages
 end
-
 -- Dissectors --------------------------------------------------------------------------------------
 
 -- Decode As on CAN: every extended data frame is YAPP's.
@@ -138,14 +129,24 @@ end
 local takes_all, is_heuristic = false, false -- takes_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
-  return takes_all and all.dissector(tvb, pinfo, root) > 0
+  if takes_all then return all.dissector(tvb, pinfo, root) > 0 end
+  if intake.wanted and frames:is_start(tvb) then
+    local can_id = socketcan.find_id(tvb, pinfo)
+    socketcan.wrap(header) -- from the next frame on the id is known
+    if can_id then frames:report_start(tvb, pinfo, can_id) end
+  end
+  return false
+end
+
+local function watch_unclaimed()
+  if is_heuristic then return end
+  is_heuristic = true
+  all:register_heuristic("can", unclaimed)
 end
 
 local function take_all()
   socketcan.wrap(header)
-  if is_heuristic then return end
-  is_heuristic = true
-  all:register_heuristic("can", unclaimed)
+  watch_unclaimed()
 end
 
 -- Called from the table of ids, where match_uint is the CAN id; and by Decode As under the name
@@ -177,11 +178,12 @@ end
 -- by.
 function taurus.dissector() return 0 end
 
--- A conversation is YAPP's when one whole frame with a good CRC has been seen in it.
+-- A conversation is YAPP's from its first packet on that holds a good frame, or nothing but
+-- messages of the catalogue, which may be damaged.
 local function found_by_content(tvb, pinfo, root)
   if pinfo.in_error_pkt then return false end
   local raw = tvb:len() > 0 and tvb:raw() or ""
-  if not raw:find("YP", 1, true) or not streams:has_frame(raw) then return false end
+  if not raw:find("YP", 1, true) or not streams:is_yapp(raw) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true
@@ -193,6 +195,7 @@ end
 local is_searching = false
 
 local function search_streams()
+  if buses:has_frames() then streams:watch_tcp() end
   if is_searching or not (yapp.prefs.search_all or buses:may_have_frames()) then return end
   is_searching = true
   serial:register_heuristic("tcp", found_by_content)
@@ -210,7 +213,31 @@ local function controller_time(bytes)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 
+local stat = stat_taps.new {
+  settings = settings,
+  intake = intake,
+  reader = reader,
+  tree = tree,
+  buses = buses,
+  unfinished = unfinished,
+  watch = watch_unclaimed,
+}
+
 -- Preferences and files ---------------------------------------------------------------------------
+
+-- What is wrong with the preferences, and what the user asked for and did not get: such an answer
+-- is not the whole one.
+local function list_problems(...)
+  local problems, file = {}, yapp.prefs.messages
+  if not is_whole then problems[1] = "the catalogue did not load whole" end
+  if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
+    problems[#problems + 1] = file .. ", the file with your own messages, was not read"
+  end
+  for _, texts in ipairs { ... } do
+    for _, text in ipairs(texts) do problems[#problems + 1] = "preferences: " .. text end
+  end
+  return problems
+end
 
 local function read_preferences()
   local prefs, chosen = yapp.prefs, {}
@@ -219,9 +246,12 @@ local function read_preferences()
     chosen[message.name] = preferences.range(prefs[message.name .. "_ids"], MAX_ID)
   end
   local by_id, clashes = compiler.assign(catalogue, chosen)
-  local sources, problems = source_names.parse(prefs.sources, catalogue)
-  preferences.complain_once(clashes)
-  preferences.complain_once(problems)
+  local sources, unread = source_names.parse(prefs.sources, catalogue)
+  local late, no_number = preferences.late(prefs.late)
+  local link_types = preferences.take_link_types(prefs.user_dlt, serial)
+  for _, texts in ipairs { clashes, unread, no_number, link_types } do
+    preferences.complain_once(texts)
+  end
   preferences.check_messages_file(prefs.messages, chosen_file)
   reader:use(by_id, sources)
   for id in pairs(by_id) do claim_id(id) end
@@ -230,7 +260,9 @@ local function read_preferences()
   end
   takes_all = prefs.all_extended
   if takes_all then take_all() end
-  preferences.take_link_types(prefs.user_dlt, serial)
+  settings.late, settings.ids = late, chosen
+  settings.sources, settings.sources_text = sources, prefs.sources
+  settings.problems = list_problems(clashes, unread, no_number, link_types)
 end
 yapp.prefs_changed = read_preferences
 
@@ -239,17 +271,16 @@ function yapp.init()
   buses:init()
   reader:use_buses(buses:are_several())
   socketcan.init()
-  search_streams()
-  local late, problems = preferences.late(yapp.prefs.late)
-  preferences.complain_once(problems)
+  local function has_times() return not (buses.lacks_times and buses:lacks_times()) end
   local function new_history()
-    return history.new { late = late, catalogue = catalogue }
+    return history.new { late = settings.late, catalogue = catalogue, has_times = has_times }
   end
   reader:reset()
-  tell:reset()
+  intake:reset()
   tree:reset()
   frames:reset(new_history)
   streams:reset(new_history)
+  search_streams()
 end
 
 -- Registration ------------------------------------------------------------------------------------
@@ -266,7 +297,7 @@ for name, protos in pairs {
   for _, proto in ipairs(protos) do DissectorTable.get(name):add_for_decode_as(proto) end
 end
 file_readers.register {
-  new_framer = function() return streams:framer() end,
+  new_framer = function() return streams:new_framer(frame.LARGEST) end,
   time_of = controller_time,
 }
 

@@ -192,7 +192,7 @@ local function alarm_of(options)
   local compiled, problems = catalogue.compile { message(nil, options) }
   lu.assertEquals(problems, {})
   local m = compiled.messages[1]
-  return { ("%x"):format(m.fields[1].alarm_bits), m.fields[1].alarm or "none", m.alarms[1] == m.fields[1] }
+  return { ("%x"):format(m.fields[1].alarm_bits), m.fields[1].fault_word or "none", m.alarms[1] == m.fields[1] }
 end
 
 function T.test_which_bits_are_alarms()
@@ -214,8 +214,8 @@ function T.test_which_bits_are_alarms()
     end
   end
   local changed = catalogue.compile(entries).by_id[0x210]
-  lu.assertEquals({ #changed.alarms, changed.alarm }, { 3, changed.by_name.fault_flags })
-  lu.assertEquals({ fault.alarm_bits, state.alarm_bits, state.alarm, motor.by_name.status_flags.alarm_bits },
+  lu.assertEquals({ #changed.alarms, changed.fault_field }, { 3, changed.by_name.fault_flags })
+  lu.assertEquals({ fault.alarm_bits, state.alarm_bits, state.fault_word, motor.by_name.status_flags.alarm_bits },
     { 0xFFFFFFFF, 0x20, "FAULT", 0 })
 end
 
@@ -261,7 +261,7 @@ function T.test_nonsense_in_every_option()
               local raws = decode.read(one, ("\255"):rep(size))
               decode.remarks(one, raws)
               lu.assertStrContains(decode_info.text(one, raws), "M")
-              lu.assertNotNil(columns.row(one, ("\255"):rep(size)))
+              lu.assertNotNil(columns.row(one, decode.read(one, ("\255"):rep(size))))
             end
           end
         end

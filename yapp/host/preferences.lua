@@ -112,9 +112,10 @@ local taken = {} -- [encapsulation] = its dissector before, or true
 --- Gives link types for users to the serial dissector, and back what was taken before.
 -- text   of the preference
 -- proto  of the serial dissector
+-- returns  a list of what is wrong
 function M.take_link_types(text, proto)
   local encapsulations = DissectorTable.get("wtap_encap")
-  local wanted, others = {}, {}
+  local wanted, others, problems = {}, {}, {}
   for _, dlt in ipairs(M.range(text, LAST_DLT)) do
     if dlt < FIRST_DLT then
       others[#others + 1] = dlt
@@ -125,7 +126,7 @@ function M.take_link_types(text, proto)
   if #others > 0 then
     local problem = ("link type %d is not a DLT_USER (147 to 162)"):format(others[1])
     if #others > 1 then problem = ("%s, nor are %d others"):format(problem, #others - 1) end
-    M.complain_once { problem }
+    problems[1] = problem
   end
   for encapsulation in pairs(wanted) do
     if not taken[encapsulation] then
@@ -140,6 +141,7 @@ function M.take_link_types(text, proto)
       taken[encapsulation] = nil
     end
   end
+  return problems
 end
 
 return M

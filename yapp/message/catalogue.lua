@@ -4,8 +4,8 @@
 
 local check = require("yapp.message.check")
 local fields = require("yapp.message.catalogue_fields")
+local decode = require("yapp.message.decode")
 local info = require("yapp.message.info")
-local straight = require("yapp.message.straight")
 
 local demand, shown = check.demand, check.shown
 local is_name, is_text = check.is_name, check.is_text
@@ -162,8 +162,8 @@ local function compile_message(entry, place)
       message.min_size >= field.offset + field.size
     demand(is_whole, "min_size %d lies inside the field %s", message.min_size, field.name)
   end
-  message.read = straight.reader(message)
-  info.compile(message, entry.info or "")
+  message.read = decode.new_reader(message)
+  message.write_info = info.compile(message, entry.info or "")
   for i, row in ipairs(entry.differences or {}) do add_difference(message, row, i) end
   for i, row in ipairs(entry.derived or {}) do add_derived(message, row, i) end
   claim_filters(message, place)

@@ -250,10 +250,10 @@ local function add_bits(build, field, row)
   end
   if alarm then
     field.alarm_bits = field.watched
-    message.alarm = message.alarm or field
+    message.fault_field = message.fault_field or field
   end
   if field.alarm_bits == 0 then return end
-  field.alarm = alarm or "FAULT"
+  field.fault_word = alarm or "FAULT"
   message.alarms[#message.alarms + 1] = field
 end
 
