@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 
 import pytest
 
@@ -166,3 +167,10 @@ def test_the_map_names_what_there_is():
     makefile = (tshark.ROOT / "Makefile").read_text()
     for target in re.findall(r"\bmake ([a-z-]+)\b", MAP):
         assert re.search(rf"^[\w .-]*\b{target}\b[\w .-]*:", makefile, re.M), target
+
+
+def test_the_page_of_filters(folder):
+    """docs/filters.md is what the plugin has: run `make filters` after a change of a field."""
+    page = folder / "filters.md"
+    subprocess.run([sys.executable, tshark.ROOT / "tools/filters_page.py", page], check=True, timeout=tshark.TIMEOUT)
+    assert page.read_text() == (tshark.ROOT / "docs/filters.md").read_text()
