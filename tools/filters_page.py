@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Write docs/filters.md, the reference of all filter names, from what tshark says of the plugin: filters_page.py [FILE]
 
-`tshark -G fields` has names, types, titles and descriptions, `-G values` the meanings of numbers, `-G currentprefs` the
-preferences. tshark reads plugins for -G from a plugin folder alone, so the plugin is copied into the home of an empty user.
+`tshark -G fields` has names, types, titles and descriptions, `-G values` the meanings of numbers,
+`-G currentprefs` the preferences. For -G tshark loads plugins from a plugin folder only, so the plugin is copied into an
+empty home.
 """
 import os
 import pathlib
@@ -41,7 +42,8 @@ def ask(home, what):
     """What `tshark -G WHAT` prints with the plugin installed in this home."""
     user = {"user": 65534, "group": 65534, "extra_groups": []} if ROOT_IS_REFUSED else {}
     environment = {"PATH": os.environ["PATH"], "HOME": str(home), "LC_ALL": "C.UTF-8"}
-    done = subprocess.run(["tshark", "-G", what], env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True, **user)
+    done = subprocess.run(["tshark", "-G", what], env=environment, stdout=subprocess.PIPE,
+                          stderr=subprocess.DEVNULL, check=True, **user)
     return done.stdout.decode()
 
 
@@ -57,7 +59,8 @@ def table(head, rows):
 def fields(text):
     """-> [(name, type, mask, title, description)] of the plugin, in the order in which it makes them."""
     rows = [line.split("\t") for line in text.splitlines() if line.startswith("F\t")]
-    return [(row[2], row[3], int(row[6] or "0", 16), row[1], row[7].strip()) for row in rows if row[4] in ("yapp", "taurus")]
+    return [(row[2], row[3], int(row[6] or "0", 16), row[1], row[7].strip())
+            for row in rows if row[4] in ("yapp", "taurus")]
 
 
 def meanings(text):
@@ -71,8 +74,8 @@ def meanings(text):
 def preferences(text):
     """-> a section for each preference"""
     found = re.findall(r"^# (.*)\n# .*\n#?(yapp\.\w+): ?(.*)$", text, re.M)
-    return [f"\n### `{name}`\n\nDefault: {f'`{value}`' if value else 'empty'}.\n\n" + textwrap.fill(about, 100, break_on_hyphens=False) + "\n"
-            for about, name, value in found]
+    return [f"\n### `{name}`\n\nDefault: {f'`{value}`' if value else 'empty'}.\n\n"
+            f"{textwrap.fill(about, 100, break_on_hyphens=False)}\n" for about, name, value in found]
 
 
 def page(home):
@@ -91,7 +94,7 @@ def page(home):
         if name in values and kind != "FT_BOOLEAN" and name != "yapp.id":
             text += f": {values[name]}"
         groups.setdefault(group, []).append((f"`{name}`", what, text))
-    for group, rows in groups.items():
+    for group, rows in sorted(groups.items(), key=lambda one: (one[0] != "yapp", one[0])):
         parts += [f"\n## Fields of {group}\n\n", table(["filter", "type", "meaning"], rows)]
     parts += ["\n## Expert items\n\n`tshark -z expert` counts them.\n\n", table(["filter", "meaning"], experts)]
     parts += ["\n## Preferences\n\n*Preferences > Protocols > YAPP*, or `-o NAME:VALUE`.\n",
