@@ -44,6 +44,7 @@ local history = require "yapp.message.history"
 local message_reader = require "yapp.message.reader"
 local preferences = require "yapp.host.preferences"
 local serial_dissector = require "yapp.serial.dissector"
+local show_fields = require "yapp.show.fields"
 local socketcan = require "yapp.host.socketcan"
 local source_names = require "yapp.message.sources"
 local stat_intake = require "yapp.stat.intake"
@@ -62,7 +63,7 @@ local function load_catalogue()
   for _, path in ipairs { chosen_file or "", os.getenv("YAPP_MESSAGES") or "" } do
     if path ~= "" then files[#files + 1] = { path = path } end
   end
-  local compiled, problems = catalogue_files.load(files)
+  local compiled, problems = catalogue_files.load(files, show_fields.EXPERT_NAMES)
   preferences.complain(problems)
   return compiled, #problems == 0
 end
@@ -118,7 +119,7 @@ end
 
 -- Decode As on CAN: every extended data frame is YAPP's.
 function all.dissector(tvb, pinfo, root)
-  local can_id, is_unknown = socketcan.find_id(tvb, pinfo)
+  local can_id, is_unknown = socketcan.find_id(pinfo)
   socketcan.wrap(header) -- from the next frame on the id is known
   if can_id then return frames:dissect(tvb, pinfo, root, can_id, true) end
   return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
@@ -131,7 +132,7 @@ local takes_all, is_heuristic = false, false -- takes_all: the preference
 local function unclaimed(tvb, pinfo, root)
   if takes_all then return all.dissector(tvb, pinfo, root) > 0 end
   if intake.wanted and frames:is_start(tvb) then
-    local can_id = socketcan.find_id(tvb, pinfo)
+    local can_id = socketcan.find_id(pinfo)
     socketcan.wrap(header) -- from the next frame on the id is known
     if can_id then frames:report_start(tvb, pinfo, can_id) end
   end
@@ -149,21 +150,12 @@ local function take_all()
   watch_unclaimed()
 end
 
--- Called from the table of ids, where match_uint is the CAN id; and by Decode As under the name
--- that version 1 had for it, where match_uint is 0.
+-- Called from the table of ids, where match_uint is the CAN id; and by Decode As of TCP and UDP
+-- under the name that version 1 had for it, where match_uint is the port.
 function yapp.dissector(tvb, pinfo, root)
   local can_id = pinfo.match_uint
-  if can_id <= 0xFFFF then
-    if pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
-    if can_id == 0 and socketcan.is_decode_as(tvb, pinfo) then
-      frames.memory:is_unknown() -- a first pass without fields took all ids for 0
-      return all.dissector(tvb, pinfo, root)
-    end
-  end
-  local length = frames:dissect(tvb, pinfo, root, can_id, takes_all)
-  -- for Decode As, which is asked next
-  if length == 0 then socketcan.note_refused(tvb, pinfo, can_id) end
-  return length
+  if can_id <= 0xFFFF and pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
+  return frames:dissect(tvb, pinfo, root, can_id, takes_all)
 end
 
 function serial.dissector(tvb, pinfo, root)
@@ -243,7 +235,7 @@ local function read_preferences()
   local prefs, chosen = yapp.prefs, {}
   decode.use_divisor(prefs.divisor)
   for _, message in ipairs(catalogue.messages) do
-    chosen[message.name] = preferences.range(prefs[message.name .. "_ids"], MAX_ID)
+    chosen[message.name] = preferences.range(prefs[message.name .. "_ids"])
   end
   local by_id, clashes = compiler.assign(catalogue, chosen)
   local sources, unread = source_names.parse(prefs.sources, catalogue)
@@ -289,7 +281,7 @@ end
 for id = 0, MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
 stat:register()
 for name, protos in pairs {
-  ["can.subdissector"] = { all, yapp },
+  ["can.subdissector"] = { all },
   ["tcp.port"] = { serial, yapp },
   ["udp.port"] = { serial, yapp },
   ["rtacser.data"] = { serial },
