@@ -8,6 +8,8 @@ import functools
 import json
 import os
 import re
+import shutil
+import subprocess
 from decimal import Decimal
 
 import pytest
@@ -295,18 +297,59 @@ def test_check(results, seed):
         assert all(line["ok"] is not None for line in found["check"])
 
 
-WHATS = ("summary", "faults", "events", "compare", "check", "csv")
+# The plugin's own tables: what the documents have to name.
+TABLES = """
+package.path = arg[1] .. "/?.lua;" .. package.path
+local function list(rows, keys)
+  for _, row in ipairs(rows) do
+    local cells = {}
+    for i, key in ipairs(keys) do cells[i] = tostring(row[key] or "") end
+    print(table.concat(cells, "|"))
+  end
+end
+if arg[2] == "kinds" then
+  list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_default", "counts_as", "scope" })
+else
+  list(require("yapp.stat.statistics").LIST, { "name" })
+end
+"""
+
+
+def rows_of(what):
+    lua = next(filter(None, map(shutil.which, ("lua5.2", "lua5.4", "lua"))))
+    done = subprocess.run([lua, "-", str(tshark.ROOT), what], input=TABLES, capture_output=True, text=True, check=True)
+    return [line.split("|") for line in done.stdout.splitlines()]
+
+
+WHATS = [row[0] for row in rows_of("statistics")]
+PAGE = (tshark.ROOT / "docs/statistics.md").read_text("utf-8")
+
+
+def test_the_document_has_every_kind_of_event():
+    """With its keys in JSON, and its rule; in the rule set of `check` alone those that are there."""
+    keys = {name: row[1] for row in re.findall(r"^\| ((?:`\w+` ?)+)\|([^|]*)\|", PAGE.partition("| kind of `events` |")[2], re.M)
+            for name in re.findall(r"\w+", row[0])}
+    gate = PAGE.partition("## The gate")[2]
+    rules = set(re.findall(r"`(\w+)=N`", re.search(r"\| rule \|.*?\n\n", gate, re.S)[0]))
+    alone = re.search(r"it checks everything: (.*?), each 0", gate, re.S)[1]
+    kinds = rows_of("kinds")
+    assert {name: more.strip("` ") for name, more in keys.items() if name in [row[0] for row in kinds]} == \
+        {name: more for name, more, *_ in kinds}
+    assert rules == {name for name, _, _, counts_as, _ in kinds if not counts_as}
+    assert re.findall(r"\w+", alone) == [name for name, _, is_default, _, _ in kinds if is_default] == RULES
+    assert OF_CAPTURE == [name for name, *_, scope in kinds if scope == "capture"]
 
 
 @pytest.mark.parametrize("what", WHATS)
 def test_the_document_has_every_key(what):
     """In docs/statistics.md, in the row of the statistic and in no other order."""
-    page = (tshark.ROOT / "docs/statistics.md").read_text("utf-8").partition("## Keys of JSON")[2]
+    page = PAGE.partition("## Keys of JSON")[2]
     row = re.search(rf"^\| `{what}` \| (.*)$", page, re.M)[1]
     keys = {tuple(json.loads(line)) for line in lines_of(what)}
     first = re.search("`(.*?)`", row)[1].split()
     assert keys and all(found[:len(first)] == tuple(first) for found in keys), keys
-    assert {key for found in keys for key in found[len(first):]} <= set(re.findall(r"\w+", row))
+    if what != "events":  # whose keys by kind are a table of their own
+        assert {key for found in keys for key in found[len(first):]} <= set(re.findall(r"\w+", row))
 
 
 def lines_of(what):
