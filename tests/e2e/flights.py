@@ -5,7 +5,9 @@
     flight.write(path, form)      "pcapng" (a named interface each bus), "sll2" (an index each bus), "candump" (a log)
     flight.arguments(form)        the preferences that go with it
     flights.make(seed, True)      one in which nothing went wrong
-    flight.truth(form)            {"events": [...], "faults": [...], "summary": [...]}, as docs name the JSON lines
+    flights.shared(seed)          one in which several controllers share sources: two on one bus, or the buses were merged
+    flight.truth(form)            {"events": [...], "faults": [...], "summary": [...]}, as docs name the JSON lines; "added":
+                                  events of the kinds of 2.2, missing and jump
     flight.rows(form)             the good messages of known IDs: what CSV has
 
 The truth is worked out from what was sent and what was planted, by the rules of the public names: nothing in it was ever
@@ -22,6 +24,7 @@ from can_generator import END, LONG_BLOCK, MIDDLE, SINGLE, START, Frame, Sent, m
 SECOND = 1_000_000_000
 EVERY = {"command": 0.2, "motor": 0.1, "health": 0.5}  # periods; a gap above LATE of them is a silence
 LATE = 2.5
+MAX_BEHIND = 8  # a Seq so far behind is of a message that came late
 FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
 KIND = {name: ident for ident, (name, _, _) in model.MESSAGES.items()}
 FORMS = ["pcapng", "sll2", "candump"]
@@ -58,6 +61,7 @@ class Sender:
         self.numbered = kind != "unknown" and rng.random() < 0.3
         self.seq = rng.randrange(256) if self.numbered else 0
         self.clock = rng.randrange(10**12)
+        self.jumps = random.Random(f"jumps {self.clock}")  # of its own, so that the rest of a flight stays as it was
         self.faults, self.status, self.state = 0, 0x40010000, 1
         self.messages = []
 
@@ -80,11 +84,13 @@ class Sender:
         return rng.randbytes(20)
 
     def step_clock(self, elapsed, stands_still):
-        """The controller's clock goes on, begins anew, or stands still."""
+        """The controller's clock goes on, begins anew, jumps ahead, or stands still."""
         if self.chance(0.01):
             self.clock = min(self.clock - 1, self.rng.randrange(10**8))
         elif not stands_still:
             self.clock += elapsed + self.rng.randrange(-1000, 1000)
+            if self.jumps.random() < 0.02 and not self.is_clean:
+                self.clock += self.jumps.choice([SECOND // 2, SECOND - 10**7, SECOND + 10**7, self.jumps.randrange(3600 * SECOND)])
 
     def change_flags(self):
         rng = self.rng
@@ -152,7 +158,7 @@ class Truth:
 
     def __init__(self, flight, form):
         self.flight, self.form = flight, form
-        self.events, self.faults, self.summary = [], [], []
+        self.events, self.faults, self.summary, self.added = [], [], [], []
         for sender in flight.senders:
             if any(message.frames for message in sender.messages):
                 self.source(sender)
@@ -187,7 +193,7 @@ class Truth:
         """One source: its messages in order, each with the good one before it."""
         lost = crc = 0
         good = []
-        state = {"set": {}, "clock": None, "flags": []}
+        state = {"set": {}, "clock": None, "at": None, "seq": None}
         counts = collections.Counter()
         for index, message in enumerate(sender.messages):
             if not message.frames:
@@ -220,16 +226,28 @@ class Truth:
         counts["invalid"] += bool(invalid)
         for field, value in invalid:
             self.event("invalid", sender, last, field=field, value=value)
-        if sender.kind not in ("motor", "health"):
-            return
-        clock = clock_of(sender, message.payload)
-        if state["clock"] is not None and clock <= state["clock"]:
-            kind = "reboot" if clock < state["clock"] else "stale"
-            counts[kind + "s"] += 1
-            self.event(kind, sender, last)
-        state["clock"] = clock
+        is_reboot = False
+        if sender.kind in ("motor", "health"):
+            is_reboot = self.clock(sender, message, state, counts)
+        missing = missing_before(message, state, is_reboot)
+        if missing:
+            self.added.append({"kind": "missing", "time": last.at, "frame": last.number, **self.who(sender), "count": missing})
         if sender.kind == "motor":
             self.flags(sender, message, state)
+
+    def clock(self, sender, message, state, counts):
+        """What the controller's clock says; returns whether it is a reboot."""
+        clock, last = clock_of(sender, message.payload), message.frames[-1]
+        before, jump = state["clock"], jump_of(clock, last.at, state)
+        state["clock"], state["at"] = clock, last.at
+        if jump:
+            self.added.append({"kind": "jump", "time": last.at, "frame": last.number, **self.who(sender), "length": jump})
+        if before is None or clock > before:
+            return False
+        kind = "reboot" if clock < before else "stale"
+        counts[kind + "s"] += 1
+        self.event(kind, sender, last)
+        return kind == "reboot"
 
     def flags(self, sender, message, state):
         now, last = model.alarms(message.payload), message.frames[-1]
@@ -286,6 +304,23 @@ def clock_of(sender, payload):
     return struct.unpack_from("<q", payload, 22 if sender.kind == "motor" else 0)[0]
 
 
+def jump_of(clock, at, state):
+    """By how much the controller's clock advanced more than the capture's, if that is a jump."""
+    if state["clock"] is None or clock <= state["clock"] or at < state["at"]:
+        return None
+    jump = clock - state["clock"] - (at - state["at"])
+    return jump if jump > SECOND else None
+
+
+def missing_before(message, state, is_reboot):
+    """How many messages Seq says are missing before this one."""
+    ahead = (message.seq - (message.seq if state["seq"] is None else state["seq"])) % 256
+    if ahead >= 256 - MAX_BEHIND:
+        return 0
+    state["seq"] = message.seq
+    return 0 if is_reboot else max(ahead - 1, 0)
+
+
 def rates(good):
     times = [message.frames[-1].at for message in good]
     gaps = [(after - before, message.frames[-1].number)
@@ -327,7 +362,7 @@ def ranges(sender, good):
 # The flight --------------------------------------------------------------------------------------------------------
 
 class Flight:
-    def __init__(self, seed, is_clean=False):
+    def __init__(self, seed, is_clean=False, how_shared=None):
         self.is_clean = is_clean
         rng = self.rng = random.Random(f"flight {seed}")
         self.begin = 1_700_000_000 * SECOND + rng.randrange(10**12)
@@ -336,6 +371,8 @@ class Flight:
         self.senders = []
         for bus in range(len(self.names)):
             self.add_bus(bus)
+        if how_shared:
+            self.share(seed, how_shared)
         self.choose_names()
         self.collect()
 
@@ -348,6 +385,27 @@ class Flight:
                 self.senders.append(Sender(rng, bus, FIRST_ID["health"] + place, "health", self.is_clean))
         if rng.random() < 0.3 and not self.is_clean:
             self.senders.append(Sender(rng, bus, 0x320, "unknown", False))
+
+    def share(self, seed, how):
+        """Another controller sends some of what one sends already; or all buses are one in the capture."""
+        if how == "merged":
+            self.names = self.names[:1]
+            for sender in self.senders:
+                sender.bus = 0
+            return
+        rng = random.Random(f"flight {seed} shared")
+        for sender in [one for one in self.senders if one.kind in ("motor", "health") and rng.random() < 0.5]:
+            for _ in range(rng.choice([1, 1, 2])):
+                self.senders.append(Sender(rng, sender.bus, sender.ident, sender.kind, self.is_clean))
+
+    def sources(self):
+        """Each bus and ID: (one of its senders, all messages that have a frame, in order, whether several send there)."""
+        by_source = collections.defaultdict(list)
+        for sender in self.senders:
+            by_source[sender.bus, sender.ident].append(sender)
+        for senders in by_source.values():
+            messages = [message for sender in senders for message in sender.messages if message.frames]
+            yield senders[0], sorted(messages, key=lambda message: message.frames[-1].number), len(senders) > 1
 
     def choose_names(self):
         """The preference: some names for every bus, some for one."""
@@ -411,7 +469,7 @@ class Flight:
 
     def truth(self, form):
         truth = Truth(self, form)
-        return {"events": truth.events, "faults": truth.faults, "summary": truth.summary}
+        return {"events": truth.events, "faults": truth.faults, "summary": truth.summary, "added": truth.added}
 
     def rows(self, form):
         """Of each known message the good ones in the order of the capture: (frame, bus, source, message)."""
@@ -464,3 +522,7 @@ def option(code, value):
 
 def make(seed, is_clean=False):
     return Flight(seed, is_clean)
+
+
+def shared(seed, is_clean=False):
+    return Flight(seed, is_clean, "merged" if seed % 2 else "twice")

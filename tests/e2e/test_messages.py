@@ -15,6 +15,7 @@ import sys
 import pytest
 
 import levels
+import model
 import tshark
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captures"))
@@ -253,31 +254,18 @@ def test_no_catalogue_at_all(folder):
     assert "bad argument" not in done.stderr
 
 
-def test_names_and_types_of_what_is_generated():
-    load = tshark.load(tshark.PLUGIN / "yapp.lua")
-    rows = [line.split("\t") for line in tshark.run("-G", "fields", *load, plugin=False).stdout.splitlines()]
-    types = {row[2]: row[3] for row in rows if row[0] == "F"}
-    wanted = {
-        "motor.fault.raised": "UINT32", "motor.fault.cleared": "UINT32", "motor.status.raised": "UINT32",
-        "motor.status.cleared": "UINT32", "motor.state.raised": "UINT8", "motor.state.cleared": "UINT8",
-        "health.status.raised": "UINT8", "motor.fault.active_time": "RELATIVE_TIME",
-        "motor.fault.previous_change": "FRAMENUM", "motor.fault.next_change": "FRAMENUM", "motor.rpm_error": "DOUBLE",
-        "motor.torque_iq_error": "DOUBLE", "motor.command_in": "FRAMENUM", "motor.clock_drift": "RELATIVE_TIME",
-        "health.clock_drift": "RELATIVE_TIME", "fault.raised": "NONE", "fault.cleared": "NONE", "reboot": "NONE",
-        "stale": "NONE",
-    }
-    assert {name: types.get(f"taurus.{name}") for name in wanted} == {
-        name: f"FT_{kind}" for name, kind in wanted.items()}
-
-
-def test_differences():
-    rows = tshark.fields(tshark.CAPTURES / "info_column.pcap", ["taurus.motor.rpm_error", "taurus.motor.torque_iq_error"])
-    assert [row for row in rows if row[0]] == [["-1.831222", "0"]]
-    path = tshark.CAPTURES / "reserved_counts_motor.pcap"
-    both = "taurus.motor.torque_iq_measured && taurus.motor.torque_iq_commanded"
-    found = tshark.run("-r", path, "-Y", f"taurus.motor.torque_iq_error && !({both})").stdout
-    missing = tshark.run("-r", path, "-Y", f"!taurus.motor.torque_iq_error && {both}").stdout
-    assert found == missing == ""
+def test_generated_values(folder):
+    """Each is what its operator makes of its two fields, and absent where one of them has no value."""
+    for ident, message in model.MESSAGES.items():
+        payloads = model.sweep(ident) if message.generated else []
+        path = folder / f"{message[0]}.pcap"
+        path.write_bytes(make.pcap(make.Source("".join(f"can0 fd [{ident:X} {one.hex(' ')}]\n" for one in payloads))))
+        names = [f"taurus.{message[0]}.{name}" for name in message.generated]
+        rows = tshark.fields(path, names) if payloads else []
+        for payload, row in zip(payloads, rows, strict=True):
+            values = model.generated(ident, payload)
+            for name, text in zip(names, row, strict=True):
+                assert (text == "") == (name not in values) and float(text or 0) == pytest.approx(values.get(name, 0), rel=1e-6, abs=1e-9)
 
 
 # Payloads of another size ------------------------------------------------------------------------------------------

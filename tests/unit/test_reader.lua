@@ -172,6 +172,22 @@ function T.test_nothing_new()
   lu.assertFalse(m.change)
 end
 
+-- Several controllers share its source: nothing is known of what came before, nor of how things stand.
+function T.test_an_unreliable_source()
+  local function read_with(change)
+    local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true,
+      wants = { standing = true } }
+    local memory = { change = function(_, one) one.is_unsure = false return change end,
+      standing = function(_, one) return one.is_unsure and "nothing" or "something" end }
+    new():read(m, memory)
+    return { m.is_unsure, m.standing }
+  end
+  lu.assertEquals(read_with { shared = true, unreliable = true }, { true, "nothing" })
+  lu.assertEquals(read_with { unreliable = true }, { true, "nothing" })
+  lu.assertEquals(read_with { reboot = 3 }, { false, "something" })
+  lu.assertEquals(read_with(nil), { false, "something" })
+end
+
 function T.test_what_is_a_fault()
   local r = new()
   local fault, status, state = at(MOTOR, "fault_flags"), at(MOTOR, "status_flags"), at(MOTOR, "motor_state")

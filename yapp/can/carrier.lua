@@ -61,6 +61,7 @@ function Carrier:reset(new_history)
     end
     return source
   end
+  self.source_of = source_of
   self.memory = memory.new {
     new_history = new_history,
     source_of = source_of,
@@ -349,6 +350,33 @@ function Carrier:without_id(tvb, pinfo, tree)
   pinfo.cols.protocol = "YAPP"
   builder:expert(item, "can.id.missing")
   return tvb:reported_len()
+end
+
+--- Whether a frame that nobody dissects may be a Start: it has the bytes of one.
+function Carrier.is_start(_, tvb)
+  if length_of(tvb) ~= 8 then return false end
+  local _, size, reserved = can_id.start(raw_of(tvb))
+  return reserved == 0 and size > 8
+end
+
+--- Reports it to the statistics, if its CAN id is that of a Start.
+-- id  29-bit CAN id
+function Carrier:report_start(tvb, pinfo, id)
+  local address, number = address_of[id], pinfo.number
+  if address.ctrl ~= START or address.ctl ~= 0 then return end
+  local _, size = can_id.start(raw_of(tvb))
+  local source = self.source_of(address.id, self.buses:of(pinfo, number))
+  self.reader.tell:start {
+    id = address.id,
+    seq = address.seq,
+    size = size,
+    source = source.key,
+    bus = source.bus,
+    bus_name = source.bus_name,
+    frame = number,
+    time = pinfo.rel_ts,
+    visited = pinfo.visited,
+  }
 end
 
 --- The messages that the capture ends before.

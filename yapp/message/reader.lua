@@ -1,7 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a finished message means: which message of the catalogue it is, its values, its source and
--- what changed there. Pure Lua.  Carriers bring messages; the tree and the statistics get them from
--- here.
+-- What a finished message means: its message of the catalogue, its values, its source and what
+-- changed there.  Pure Lua.  Dissectors bring messages; the tree and the statistics get them here.
 
 local decode = require("yapp.message.decode")
 local frame_key = require("yapp.base.frame_key")
@@ -13,37 +12,41 @@ local FRAMES = { "command_in", "previous_change", "next_change" } -- of how thin
 local Reader = {}
 Reader.__index = Reader
 
---- catalogue  compiled
--- stat         { wanted = whether anyone wants to be told of messages }
+--- Make a reader.
+-- catalogue  compiled
+-- stat       { wanted = whether a statistic wants messages }
 function M.new(catalogue, stat)
   return setmetatable({
     messages = catalogue.messages,
     stat = stat,
-    by_id = catalogue.by_id, -- the user's choice, see Reader:use; before, readers of files ask
+    by_id = catalogue.by_id, -- [id] = message, see Reader:use; file readers ask before that
+    sources = nil, -- the names that the user gave, see Reader:use
+    several_ids = nil, -- [message] = whether more than one ID carries it
     is_by_id = true, -- whether no bus has messages of its own
     has_several = false, -- whether the capture has several buses
-    hinted = {}, -- [id of an unknown message]: frame where it was said what it may be
+    hinted = {}, -- [id of an unknown message] = the frame whose Info has the whole advice
+    tell = nil, -- a stat.tell
   }, Reader)
 end
 
---- Tells someone of what is read, of what is lost, and of parts, while stat wants it.
+--- Tell a statistic of messages, of losses, and of fragments, while stat.wanted.
 -- tell  a stat.tell
 function Reader:tell_to(tell)
   self.tell = tell
 end
 
---- Forgets the capture file.
+--- Forget the capture file.
 function Reader:reset()
   self.hinted = {}
 end
 
---- Whether the capture has several buses: then the bus belongs to what a source is called.
+--- Say whether the capture has several buses: then the name of a source includes its bus.
 function Reader:use_buses(has_several)
   self.has_several = has_several
 end
 
---- Takes the user's choice of IDs and names; nothing is known before that.
--- by_id    { [id] = compiled message }; several_ids says which more than one ID carries
+--- Use the user's choice of IDs and names.
+-- by_id    { [id] = compiled message }
 -- sources  a message.sources
 function Reader:use(by_id, sources)
   self.by_id, self.sources, self.is_by_id, self.several_ids = {}, sources, true, {}
@@ -58,7 +61,7 @@ function Reader:use(by_id, sources)
   local first = {}
   local function count(message, id)
     first[message] = first[message] or id
-    self.several_ids[message] = self.several_ids[message] or first[message] ~= id
+    if first[message] ~= id then self.several_ids[message] = true end
   end
   for id, message in pairs(self.by_id) do count(message, id) end
   for _, row in ipairs(sources:list()) do
@@ -66,7 +69,7 @@ function Reader:use(by_id, sources)
   end
 end
 
---- The message of the catalogue that an ID carries on a bus, nil for none.
+--- Return the message of the catalogue that an ID carries on a bus, nil for none.
 -- bus  name, nil where the capture has none
 function Reader:message_of(id, bus)
   if self.is_by_id then return self.by_id[id] end
@@ -86,26 +89,22 @@ function Reader:fits(id, size, bus)
   return message and size >= message.min_size
 end
 
---- The name that the user gave to a source, nil where there is none.
+--- Return the name that the user gave to a source, nil for none.
 function Reader:name_of(id, bus)
   return self.sources:name(bus, id)
 end
 
---- What a message is called where rows stand for themselves: its title; and where that does not
--- tell its source, the source's name, or ID and bus: "Motor Data left", "Motor Data 0x212 (can1)",
--- "Motor Data", "ID 0x123".
+--- Return the name of a message in a line of its own.  It is the title, and the name of the source.
+-- A source without a name adds its ID or bus, if they tell it from others: "Motor Data left",
+-- "Motor Data 0x212 (can1)", "Motor Data", "ID 0x123".
 function Reader:label(id, bus)
   local message, name = self:message_of(id, bus), self:name_of(id, bus)
-  local number, is_told_bus = ("0x%x"):format(id), self.has_several and bus
-  if not message then
-    local label = "ID " .. number
-    if name then return label .. " " .. name end
-    return is_told_bus and ("%s (%s)"):format(label, bus) or label
-  end
-  if name then return message.title .. " " .. name end
-  local is_usual = id == message.id and not self.several_ids[message]
-  if is_usual and not is_told_bus then return message.title end
-  local label = message.title .. " " .. number
+  local number, needs_bus = ("0x%x"):format(id), self.has_several and bus
+  local title = message and message.title or "ID " .. number
+  if name then return title .. " " .. name end
+  local is_usual = not message or id == message.id and not self.several_ids[message]
+  if is_usual and not needs_bus then return title end
+  local label = message and title .. " " .. number or title
   return bus and ("%s (%s)"):format(label, bus) or label
 end
 
@@ -137,8 +136,7 @@ function Reader:new_source(key, id, bus, bus_name, line)
   }
 end
 
---- What there is to say of a message that is not in the catalogue: its size may be that of one that
--- is.
+--- Return what to do about a message that is not in the catalogue, if one of its size is.
 -- m        a message, as for Reader:read
 -- returns  a text for the packet, and what the Info column adds or nil
 function Reader:hint(m)
@@ -165,6 +163,7 @@ local function ask(m, history)
     local change, delta = history:note(m)
     m.change, m.delta = change or false, delta or false
   end
+  if m.change and m.change.unreliable then m.is_unsure = true end
   local standing = m.wants.standing and history:standing(m)
   if not standing then return end
   for _, name in ipairs(FRAMES) do
@@ -202,6 +201,7 @@ function Reader:read(m, history, ...)
     ask(m, history)
   else
     m.change = history:change(m, ...) or false
+    if m.change and m.change.unreliable then m.is_unsure = true end
     m.standing = m.wants.standing and history:standing(m, ...) or false
   end
   if self.stat.wanted then self.tell:message(m) end
