@@ -34,7 +34,7 @@ pcall(collectgarbage, "setstepmul", 1000)
 package.path = here .. "?.lua;" .. package.path
 
 local bus_finder = require "yapp.host.buses"
-local can_carrier = require "yapp.can.carrier"
+local can_dissector = require "yapp.can.dissector"
 local catalogue_files = require "yapp.message.catalogue_files"
 local compiler = require "yapp.message.catalogue"
 local decode = require "yapp.message.decode"
@@ -93,7 +93,7 @@ local tree = tree_builder.new {
 local by_can_id, is_registered = DissectorTable.get("can.extended_id"), {}
 
 -- Every CAN CTRL and Seq No of a message ID, with YAPP CTL 0.
-local function claim_id(id)
+local function register_id(id)
   if is_registered[id] then return end
   is_registered[id] = true
   for ctrl = 0, 3 do
@@ -102,7 +102,7 @@ local function claim_id(id)
   end
 end
 
-local frames = can_carrier.new(tree, reader, buses, claim_id)
+local frames = can_dissector.new(tree, reader, buses, register_id)
 local streams = serial_carrier.new(tree, reader, buses)
 local tell = stat_tell.new(stat, reader)
 reader:tell_to(tell)
@@ -148,21 +148,12 @@ local function take_all()
   all:register_heuristic("can", unclaimed)
 end
 
--- Called from the table of ids, where match_uint is the CAN id; and by Decode As under the name
--- that version 1 had for it, where match_uint is 0.
+-- Called from the table of ids, where match_uint is the CAN id; and by Decode As of TCP and UDP under
+-- the name that version 1 had for it, where match_uint is the port.
 function yapp.dissector(tvb, pinfo, root)
   local can_id = pinfo.match_uint
-  if can_id <= 0xFFFF then
-    if pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
-    if can_id == 0 and socketcan.is_decode_as(tvb, pinfo) then
-      frames.memory:is_unknown() -- a first pass without fields took all ids for 0
-      return all.dissector(tvb, pinfo, root)
-    end
-  end
-  local length = frames:dissect(tvb, pinfo, root, can_id, takes_all)
-  -- for Decode As, which is asked next
-  if length == 0 then socketcan.note_refused(tvb, pinfo, can_id) end
-  return length
+  if can_id <= 0xFFFF and pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
+  return frames:dissect(tvb, pinfo, root, can_id, takes_all)
 end
 
 function serial.dissector(tvb, pinfo, root)
@@ -223,9 +214,9 @@ local function read_preferences()
   preferences.complain_once(problems)
   preferences.check_messages_file(prefs.messages, chosen_file)
   reader:use(by_id, sources)
-  for id in pairs(by_id) do claim_id(id) end
+  for id in pairs(by_id) do register_id(id) end
   for _, row in ipairs(sources:list()) do
-    if row.message then claim_id(row.id) end
+    if row.message then register_id(row.id) end
   end
   takes_all = prefs.all_extended
   if takes_all then take_all() end
@@ -247,7 +238,7 @@ function yapp.init()
   reader:reset()
   tell:reset()
   tree:reset()
-  frames:reset(new_history)
+  frames:reset(new_history())
   streams:reset(new_history)
 end
 
@@ -257,7 +248,7 @@ end
 for id = 0, MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
 stat:register()
 for name, protos in pairs {
-  ["can.subdissector"] = { all, yapp },
+  ["can.subdissector"] = { all },
   ["tcp.port"] = { serial, yapp },
   ["udp.port"] = { serial, yapp },
   ["rtacser.data"] = { serial },

@@ -4,8 +4,11 @@
 -- here.
 
 local decode = require("yapp.message.decode")
+local frame_key = require("yapp.base.frame_key")
 
 local M = {}
+
+local FRAMES = { "command_in", "previous_change", "next_change" } -- of how things stand
 
 local Reader = {}
 Reader.__index = Reader
@@ -149,6 +152,24 @@ function Reader:hint(m)
   return text, ", " .. size .. advice
 end
 
+-- Asks the history what is new in a message, and how things stand there.
+local function ask(m, history)
+  m.change, m.standing = false, false
+  if m.is_unsure then return end
+  if m.visited then
+    m.change = history:change(m) or false
+  else
+    local change, delta = history:note(m)
+    m.change, m.delta = change or false, delta or false
+  end
+  local standing = m.wants.standing and history:standing(m)
+  if not standing then return end
+  for _, name in ipairs(FRAMES) do
+    standing[name] = standing[name] and frame_key.number(standing[name])
+  end
+  m.standing = standing
+end
+
 --- Reads a finished message.  The record is what message.history, show.tree and stat.tell take it
 -- as.
 -- m        { id, seq, ctl, size, payload, status, good = whether it is proved whole, is_whole =
@@ -160,17 +181,22 @@ end
 --          has_fault = whether a fault flag is set
 --          change = what is new in it, or false; delta = seconds since the source's previous good
 --          one; standing = how things stand, where wants.standing (see message.history)
--- memory   whose change(memory, m, ...) and standing(memory, m, ...) tell that (can.memory,
---          serial.memory); ...: what they take besides
-function Reader:read(m, memory, ...)
+-- history  a message.history, which is asked by m.number, the frame key.  It is asked for nothing
+--          where m.is_unsure; of a visited message (m.visited) m.delta is known already.
+--          Or, of streams, what has change(m, ...) and standing(m, ...), with what they take besides
+function Reader:read(m, history, ...)
   local message, raws, look = self:message_of(m.id, m.bus_name), nil, nil
   if message and m.size == message.size and m.is_whole then
     raws, look = decode.read(message, m.payload)
   end
   m.message, m.raws, m.look = message, raws, look
   m.has_fault = look and decode.has_alarm(message, raws)
-  m.change = memory:change(m, ...) or false
-  m.standing = m.wants.standing and memory:standing(m, ...) or false
+  if history.note then
+    ask(m, history)
+  else
+    m.change = history:change(m, ...) or false
+    m.standing = m.wants.standing and history:standing(m, ...) or false
+  end
   if self.stat.wanted then self.tell:message(m) end
 end
 
