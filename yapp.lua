@@ -34,7 +34,7 @@ pcall(collectgarbage, "setstepmul", 1000)
 package.path = here .. "?.lua;" .. package.path
 
 local bus_finder = require "yapp.host.buses"
-local can_carrier = require "yapp.can.carrier"
+local can_dissector = require "yapp.can.dissector"
 local catalogue_files = require "yapp.message.catalogue_files"
 local compiler = require "yapp.message.catalogue"
 local decode = require "yapp.message.decode"
@@ -96,7 +96,7 @@ local tree = tree_builder.new {
 local by_can_id, is_registered = DissectorTable.get("can.extended_id"), {}
 
 -- Every CAN CTRL and Seq No of a message ID, with YAPP CTL 0.
-local function claim_id(id)
+local function register_id(id)
   if is_registered[id] then return end
   is_registered[id] = true
   for ctrl = 0, 3 do
@@ -105,7 +105,7 @@ local function claim_id(id)
   end
 end
 
-local frames = can_carrier.new(tree, reader, buses, claim_id)
+local frames = can_dissector.new(tree, reader, buses, register_id)
 local streams = serial_dissector.new(tree, reader, buses, tcp_header)
 
 -- What the statistics need of the preferences; see read_preferences.
@@ -175,7 +175,8 @@ function taurus.dissector() return 0 end
 local function found_by_content(tvb, pinfo, root)
   if pinfo.in_error_pkt then return false end
   local raw = tvb:len() > 0 and tvb:raw() or ""
-  if not raw:find("YP", 1, true) or not streams:is_yapp(raw, tvb:reported_len()) then return false end
+  if not raw:find("YP", 1, true) then return false end
+  if not streams:is_yapp(raw, tvb:reported_len()) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true
@@ -246,9 +247,9 @@ local function read_preferences()
   end
   preferences.check_messages_file(prefs.messages, chosen_file)
   reader:use(by_id, sources)
-  for id in pairs(by_id) do claim_id(id) end
+  for id in pairs(by_id) do register_id(id) end
   for _, row in ipairs(sources:list()) do
-    if row.message then claim_id(row.id) end
+    if row.message then register_id(row.id) end
   end
   takes_all = prefs.all_extended
   if takes_all then take_all() end
@@ -270,7 +271,7 @@ function yapp.init()
   reader:reset()
   intake:reset()
   tree:reset()
-  frames:reset(new_history)
+  frames:reset(new_history())
   streams:reset(new_history)
   search_streams()
 end

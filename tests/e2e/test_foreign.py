@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Everybody else's traffic: with the plugin, tshark -V says the same as without, byte for byte.
 
-The frames are made from a seed.  Random extended frames may be well-formed YAPP: can_generator.Bus says which, and only
+The frames are made from a seed.  Random extended frames may be well-formed YAPP: can_generator.verdicts says which, and only
 these may differ.
 """
 import os
@@ -187,8 +187,7 @@ def differing(path, *arguments):
 
 def ours(frames):
     """The frames that are well-formed YAPP."""
-    bus = can_generator.Bus(wide=False)
-    return {number for number, frame in enumerate(frames, 1) if bus.frame(number, frame).ours}
+    return {number for number, verdict in can_generator.verdicts(frames, False).items() if verdict.ours}
 
 
 @pytest.mark.parametrize("name", levels.few(TRAFFIC, [name for name in TRAFFIC if "Decode As" in name]))

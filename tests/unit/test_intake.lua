@@ -42,7 +42,9 @@ function T.test_kinds_of_finished_messages()
     intake:message(message { status = row[1], good = row[2] or false })
   end
   local kinds = {}
-  for i, one in ipairs(offered) do kinds[i] = one[1].kind .. (one[1].values.what and " " .. one[1].values.what or "") end
+  for i, one in ipairs(offered) do
+    kinds[i] = one[1].kind .. (one[1].values.what and " " .. one[1].values.what or "")
+  end
   lu.assertEquals(kinds, { "message", "crc", "incomplete incomplete", "message", "incomplete incomplete" })
 end
 
@@ -127,7 +129,8 @@ function T.test_bytes_of_no_frame()
   intake:skipped { frame = 3, time = 2, visited = false, bus = "serial", bus_name = "ttyA", source = "stream",
     length = 9 }
   local record = offered[1][1]
-  lu.assertEquals({ record.kind, record.values.length, record.frame, record.time, record.source.key, record.source.bus },
+  lu.assertEquals({ record.kind, record.values.length, record.frame, record.time,
+    record.source.key, record.source.bus },
     { "skipped", 9, 3, 2, "stream", "ttyA" })
   lu.assertNil(record.source.id)
 end
@@ -148,7 +151,8 @@ function T.test_bytes_of_several_packets()
     skipped("stream", 9)
     lu.assertEquals(#offered, run * 5)
   end
-  lu.assertEquals({ offered[1][1].frame, offered[1][1].values.length, offered[5][1].frame, offered[5][1].values.length },
+  lu.assertEquals({ offered[1][1].frame, offered[1][1].values.length, offered[5][1].frame,
+    offered[5][1].values.length },
     { 3, 27, 9, 9 })
 end
 

@@ -35,7 +35,8 @@ local function notes(code, text)
 end
 
 local function event_of(frame, name, kind, values)
-  return kinds.event(kind or "message", { frame = frame, time = frame, seq = 0, payload = name, raws = {} }, SOURCE, values)
+  return kinds.event(kind or "message", { frame = frame, time = frame, seq = 0, payload = name, raws = {} },
+    SOURCE, values)
 end
 
 local function offer(queue, frame, name, values, visited)

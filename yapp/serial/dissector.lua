@@ -62,7 +62,8 @@ function Dissector:new_framer(patience)
   return framer.new(function(id) return self.reader:size_of(id) end, patience)
 end
 
---- Whether bytes are YAPP, for a heuristic: they hold a good frame, or they are nothing but messages
+--- Whether bytes are YAPP, for a heuristic: they hold a good frame, or they are nothing but
+-- messages
 -- of the catalogue, each with all its bytes, whose CRC may be bad.  Headers must be the document's:
 -- another ID or size may be somebody else's.
 -- length  number of bytes that the packet had
