@@ -458,7 +458,7 @@ function Dissector:dissect(tvb, pinfo, tree)
   -- An ICMP error only quotes what was sent before.
   if size == 0 or pinfo.in_error_pkt then return 0 end
   if pinfo.port_type == TCP then
-    local segment = tcp.current()
+    local segment = tcp.current(pinfo.number)
     if segment then
       segment.is_ours = true -- TCP may have joined it to others: it comes by itself
       return size
