@@ -108,6 +108,15 @@ end
 local frames = can_dissector.new(tree, reader, buses, register_id)
 local streams = serial_dissector.new(tree, reader, buses, tcp_header)
 
+-- What the capture does not have: packets that it says were dropped, and segments of TCP.
+local function drops()
+  local list = {}
+  for _, source in ipairs { buses, streams } do
+    for _, drop in ipairs(source:drops()) do list[#list + 1] = drop end
+  end
+  return list
+end
+
 -- What the statistics need of the preferences; see read_preferences.
 local settings = { version = VERSION, catalogue = catalogue }
 local function unfinished()
@@ -173,10 +182,7 @@ function taurus.dissector() return 0 end
 -- A conversation is YAPP's from its first packet on that holds a good frame, or nothing but
 -- messages of the catalogue, whose CRC may be bad.
 local function found_by_content(tvb, pinfo, root)
-  if pinfo.in_error_pkt then return false end
-  local raw = tvb:len() > 0 and tvb:raw() or ""
-  if not raw:find("YP", 1, true) then return false end
-  if not streams:is_yapp(raw, tvb:reported_len()) then return false end
+  if not streams:accepts(tvb, pinfo, root) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true
@@ -188,7 +194,8 @@ end
 local is_searching = false
 
 local function search_streams()
-  if buses:has_frames() then streams:watch_tcp() end
+  local head = buses:head()
+  if head and streams:is_yapp(head, #head) then streams:watch_tcp() end
   if is_searching or not (yapp.prefs.search_all or buses:may_have_frames()) then return end
   is_searching = true
   serial:register_heuristic("tcp", found_by_content)
@@ -213,6 +220,7 @@ local stat = stat_taps.new {
   tree = tree,
   buses = buses,
   unfinished = unfinished,
+  drops = drops,
   watch = watch_unclaimed,
 }
 

@@ -556,11 +556,13 @@ local HARD = {
   claims = function() return header(5, 65535) end,
   mixed_claims = function(random) return header(5, 60000 + random(5000)) end,
   falling_claims = function(_, at) return header(5, 65535 - at % 65000) end,
+  falling_ends = function(_, at) return header(5, 65535 - 2 * at % 65000) end,
   small_claims = function(random) return header(5, random(40)) end,
   dense_claims = function() return "YP\0\0\5\0\0\0" end, -- the next "YP" is the size
   intact_in_claims = function(random) return random(100) == 1 and GOOD or header(5, 65535) end,
 }
-local HARDEST = { dense_claims = HARD.dense_claims, intact_in_claims = HARD.intact_in_claims }
+local HARDEST = { dense_claims = HARD.dense_claims, intact_in_claims = HARD.intact_in_claims,
+  falling_ends = HARD.falling_ends }
 
 local function hard(make, count)
   local random, parts, length = generator.random(7), {}, 0
