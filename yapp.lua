@@ -44,6 +44,7 @@ local history = require "yapp.message.history"
 local message_reader = require "yapp.message.reader"
 local preferences = require "yapp.host.preferences"
 local serial_dissector = require "yapp.serial.dissector"
+local show_fields = require "yapp.show.fields"
 local socketcan = require "yapp.host.socketcan"
 local source_names = require "yapp.message.sources"
 local stat_intake = require "yapp.stat.intake"
@@ -62,7 +63,7 @@ local function load_catalogue()
   for _, path in ipairs { chosen_file or "", os.getenv("YAPP_MESSAGES") or "" } do
     if path ~= "" then files[#files + 1] = { path = path } end
   end
-  local compiled, problems = catalogue_files.load(files)
+  local compiled, problems = catalogue_files.load(files, show_fields.EXPERT_NAMES)
   preferences.complain(problems)
   return compiled, #problems == 0
 end

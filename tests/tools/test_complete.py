@@ -82,7 +82,7 @@ def test_a_capture_without_a_decoded_message(make_capture, yapp_tables):
          "1 of 2 sources was not decoded (5 messages of 0x211 have the size of Motor Data): "
          "set yapp.motor_ids:0x208-0x20a,0x210-0x211"),
         ([unknown(0x210, 7, like=None, size=28, message="motor")], "",
-         "1 of 1 source was not decoded (7 messages of 0x210 have 28 bytes, which no message has)"),
+         "1 of 1 source was not decoded (7 messages of 0x210 have 28 bytes, not the size of Motor Data)"),
         ([unknown(None, 2, like=None, size=9, bus=None, source="ttyUSB0")], "",
          "1 of 2 sources was not decoded (2 messages of ttyUSB0 have 9 bytes, which no message has)"),
         ([], "", ""),

@@ -65,7 +65,7 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { derived = { { "d", "f*f", "D" } }, [1] = { "f", "uint8", "F", values = {} } }, '"f" is no field of' },
     { { min_size = 0 }, "message m: min_size 0 is not one of 1 .. 1" }, { { min_size = 2 }, "min_size 2 is" },
     { { min_size = "1" }, 'message m: min_size "1"' }, { { min_size = 0.5 }, "message m: min_size 0.5" },
-    { { size = 3, min_size = 2, [2] = { "g", "uint16", "G" } }, "message m: min_size 2 lies inside the field g" },
+    { { size = 3, min_size = 2, [2] = { "g", "uint16", "G" } }, "message m, field g: min_size 2 ends inside it" },
     { { differences = { { "f", "f", "f", "D" } } }, "message m, field f: the filter name taurus.m.f is taken" },
     { { [1] = { "f", "int64_ns", "F" }, [2] = { "clock_drift", "uint8", "C" }, size = 9 },
       "message m, field clock_drift: the filter name taurus.m.clock_drift is taken" },
@@ -152,6 +152,14 @@ function T.test_the_longest_name()
   lu.assertEquals({ #compiled.messages, problems }, { 1, {} })
 end
 
+function T.test_reserved_filter_names()
+  local reserved = { ["taurus.reboot"] = true, ["taurus.m.g.x"] = true }
+  local entries = { message { name = "reboot" }, message({ id = 2 }, { group = "g", flags = { { "x", 1, "X" } } }) }
+  local compiled, problems = catalogue.compile(entries, nil, reserved)
+  lu.assertEquals({ #compiled.messages, problems }, { 0, { "message reboot: the filter name taurus.reboot is taken",
+    "message m, field f: the filter name taurus.m.g.x is taken" } })
+end
+
 function T.test_the_smallest_payload()
   local entry = message { size = 5, [2] = { "gap", "padding", length = 2 }, [3] = { "g", "uint16", "G" } }
   lu.assertEquals(catalogue.compile({ entry }).messages[1].min_size, 5)
@@ -159,7 +167,7 @@ function T.test_the_smallest_payload()
     entry.min_size = min_size
     local compiled, problems = catalogue.compile { entry }
     if min_size == 4 then
-      lu.assertEquals(problems, { "message m: min_size 4 lies inside the field g" })
+      lu.assertEquals(problems, { "message m, field g: min_size 4 ends inside it" })
     else
       lu.assertEquals({ compiled.messages[1].min_size, problems }, { min_size, {} })
     end

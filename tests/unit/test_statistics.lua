@@ -72,7 +72,7 @@ local function settings_of(with)
   local ids = with.ids or {}
   for _, message in ipairs(catalogue.messages) do ids[message.name] = ids[message.name] or { message.id } end
   return { version = "9.8.7", catalogue = catalogue, late = 2.5, sources = sources, ids = ids,
-    sources_text = with.sources_text or "", problems = { with.problem }, hint = with.hint }
+    sources_text = with.sources_text or "", problems = { with.problem } }
 end
 
 -- Runs statistics over events; last: when the last packet came; matches: { [frame] = true } of a filter; epoch: of the
@@ -80,7 +80,7 @@ end
 local function run(arguments, records, with)
   with = with or {}
   local settings = settings_of(with)
-  local printed, queue, entry = {}, queue_of.new(settings), nil
+  local printed, queue, entry = {}, queue_of.new(settings, with.hint), nil
   for _, argument in ipairs(arguments) do
     local options = options_of.read("yapp," .. argument, settings.catalogue)
     if not argument:find("^check") then lu.assertEquals(options.problems, {}) end
@@ -716,6 +716,225 @@ function T.test_tables_fit_a_window()
   end
 end
 
+-- No false all-clear -----------------------------------------------------------------------------------------------
+
+local known = {} -- sources by key
+
+local function unknown(frame, bus, id, size, with)
+  local key = bus .. id
+  local source = not with and known[key] or { key = key, bus_key = bus, bus = bus ~= "" and bus or nil, id = id }
+  known[key] = source
+  for name, value in pairs(with or {}) do source[name] = value end
+  return record(frame, frame, { source = source, payload = ("\0"):rep(size), fits = false })
+end
+
+-- The lines behind the title of faults.
+local function said(records, with) return lines((run({ "faults" }, records, with)):gsub("\n\n.*", "")) end
+
+function T.test_messages_that_were_not_decoded()
+  local records = { unknown(1, "can1", 0x212, 11), unknown(2, "can0", 0x213, 11), unknown(3, "can1", 0x211, 11),
+    unknown(4, "can1", 0x211, 11) }
+  local text = "4 messages were not decoded: can1 0x211, 0x212, can0 0x213 (11 bytes each, the size of Motor Data). " ..
+    "Try -o yapp.motor_ids:0x210-0x213"
+  lu.assertEquals(said(records), { "YAPP faults: 0", text })
+  for _, what in ipairs { "faults,json", "summary,json", "events,json", "compare,json", "csv,-,motor" } do
+    local printed, code, texts = run({ what }, records)
+    lu.assertEquals({ texts, code }, { { text }, 0 }, what)
+    lu.assertNotStrContains(printed, "decoded")
+  end
+  for _, what in ipairs { "faults", "summary", "events", "compare", "check" } do
+    lu.assertEquals(lines(run({ what }, records))[2], text)
+  end
+  -- those that a filter lets count; in a window lines are broken at blanks
+  lu.assertStrContains(said(records, { matches = { [1] = true } })[2], "1 message was not decoded: can1 0x212 (11 bytes, the")
+  local window = said(records, { width = 73 })
+  lu.assertEquals(table.concat(window, " ", 2):gsub(" +", " "), text)
+  for _, line in ipairs(window) do lu.assertTrue(#line <= 73) end
+end
+
+function T.test_sizes_that_no_preference_decodes()
+  local short = record(2, 0, { payload = payload(10):sub(1, 9), fits = false })
+  lu.assertEquals(said({ unknown(1, "", 0x300, 20), short }), { "YAPP faults: 0",
+    "2 messages were not decoded: 0x300 (20 bytes, the size of no known message); can0 0x210 (9 bytes, Motor Data has 11)" })
+  local long = record(2, 0, { payload = payload(10) .. "1234", undecoded = 4, change = raised(1, 1) })
+  local printed = run({ "faults" }, { long })
+  lu.assertStrContains(printed, "1 message was decoded in part: can0 0x210 (15 bytes, Motor Data has 11)\n")
+  lu.assertStrContains(printed, "hot   raised") -- a fault in it counts
+  lu.assertEquals(lines(run({ "events,json" }, { long }))[1], '{"kind":"unknown","time":1700000000.000000005,"frame":2,' ..
+    '"bus":"can0","id":528,"source":"left","message":"motor","size":15,"count":1,"like":null}')
+  lu.assertEquals(verdicts("fault=9", { long })[2], "unknown=0 left false 1 2")
+  lu.assertEquals(said({ unknown(1, "", 70000, 11) })[2], -- an ID that no preference takes
+    "1 message was not decoded: 0x11170 (11 bytes, the size of Motor Data)")
+  local many = {}
+  for i = 1, 40 do many[i] = unknown(i, "", i, 20 + i) end
+  lu.assertStrContains(said(many)[2], "0x1e (50 bytes, the size of no known message); and 10 more")
+end
+
+function T.test_preferences_that_decode()
+  local function advice(records, with) return said(records, with)[2]:match("Try (.*)") end
+  lu.assertEquals(advice({ unknown(1, "a", 0x300, 11), unknown(2, "a", 0x301, 8) }, { ids = { motor = { 0x20, 0x21, 0x7ff } } }),
+    "-o yapp.motor_ids:0x20-0x21,0x300,0x7ff -o yapp.health_ids:0x200,0x301")
+  local catalogue = catalogue_of.compile { { name = "one", title = "One", id = 1, size = 3, { "a", "uint24", "A" } },
+    { name = "two", title = "Two", id = 2, size = 3, { "a", "uint24", "A" } } }
+  lu.assertEquals(said({ unknown(1, "a", 0x300, 3) }, { catalogue = catalogue })[2], "1 message was not decoded: a 0x300 " ..
+    "(3 bytes, the size of One and of Two). Try -o yapp.one_ids:0x1,0x300 or -o yapp.two_ids:0x2,0x300")
+  -- one ID, several messages
+  local records = { unknown(1, "a", 0x300, 11), unknown(2, "b", 0x300, 8) }
+  lu.assertEquals(advice(records), '-o "yapp.sources:a/0x300=motor:,b/0x300=health:"')
+  lu.assertEquals(advice(records, { sources_text = "can2=tail" }), '-o "yapp.sources:can2=tail,a/0x300=motor:,b/0x300=health:"')
+  records = { unknown(1, "USB, left", 0x210, 8, { message = MOTOR, name = "left" }) }
+  lu.assertEquals(advice(records), [[-o 'yapp.sources:"USB, left"/0x210=health:left']])
+  lu.assertNil(advice(records, { sources_text = '"USB, left"/0x210=motor:left' })) -- what stands there holds
+  -- two sizes of one source
+  lu.assertEquals(advice { unknown(1, "a", 0x300, 11), unknown(2, "a", 0x300, 20) }, "-o yapp.motor_ids:0x210,0x300")
+end
+
+function T.test_messages_that_are_not_dissected()
+  local records = { record(1, 0), record(2, 1, { kind = "start", source = ODD, values = { size = 11 }, fits = false }) }
+  lu.assertStrContains(said(records)[2], "1 message was not decoded: can0 0x300 (11 bytes, the size of Motor Data). Try")
+  lu.assertEquals(verdicts("unknown=0", records)[1], "unknown=0 null false 1 2")
+  local printed, code = run({ "check" }, { records[2] }, { extended = 5 })
+  lu.assertEquals({ code, lines(printed)[2] }, { 21, "no YAPP message found; 5 extended CAN frames were not dissected: " ..
+    "see yapp.motor_ids, yapp.all_extended" })
+  lu.assertStrContains(lines(printed)[3], "1 message was not decoded")
+end
+
+function T.test_nothing_to_judge_by()
+  local function note(rules, records, with)
+    return run({ "check" .. rules }, records, with):match("NOT JUDGED  %S+  +(%S[^\n]*)\n")
+  end
+  lu.assertEquals(note("", {}, { extended = 1 }),
+    "no YAPP message found; 1 extended CAN frame was not dissected: see yapp.motor_ids, yapp.all_extended")
+  lu.assertStrContains(note(",note.count=1", { record(1, 0) }), "no Note came: see yapp.note_ids")
+  lu.assertStrContains(note(",source=who,crc=0", { record(1, 0) }), "no message of who came: see yapp.sources")
+  lu.assertStrContains(note(",absent=0", { record(1, 0) }), "no source is named with a message: see yapp.sources")
+  lu.assertStrContains(note(",motor.volts.spread=1", { record(1, 0) }), "no two sources of it have a value at one time")
+  lu.assertStrContains(note(",motor.rate=1", { record(1, 0), record(2, 0) }), "no two messages at different times")
+  lu.assertStrContains(run({ "check" }, { record(1, 0) }, { matches = {} }), "no message matches the filter\n")
+end
+
+function T.test_failures_come_first_and_a_count_last()
+  local printed = run({ "check,motor.count=1,note.count=1,crc=0,x=1" }, { record(1, 0), bad(2, 0.1) })
+  local first = {}
+  for i, line in ipairs(lines(printed)) do first[i] = line:match("^%S+") end
+  lu.assertEquals(table.concat(first, " "), "YAPP check FAILED NOT NOT ok ok 1")
+  lu.assertEquals(lines(printed)[#lines(printed)], "1 of 5 rules failed, 2 not judged")
+  lu.assertStrContains(printed, "x=1: a rule is one of fault=N") -- what is wrong is there, and on stderr
+end
+
+local CHANGED = { missing = { 3, '"count":3', "messages missing by Seq No: 3" },
+  reboot = { 12.3, "", "controller rebooted (its clock went back by 12.300 s)" },
+  stale = { true, "", "controller clock did not advance" },
+  jump = { 3.25, '"length":3.250000000', "controller clock jumped ahead by 3.250 s" },
+  shared = { true, "", "two controllers appear to send this ID" } }
+
+function T.test_kinds_that_are_changes()
+  for _, row in ipairs(kinds_of.LIST) do
+    local expected = CHANGED[row.name]
+    lu.assertEquals(expected ~= nil, row.change ~= nil)
+    if expected then
+      local records = { record(1, 0), record(2, 0.1, { change = { [row.name] = expected[1] } }) }
+      local json = lines((run({ "events,json" }, records)))
+      lu.assertEquals({ #json, json[1] }, { 1, ('{"kind":"%s","time":1700000000.100000005,"frame":2,"bus":"can0","id":528,'):format(
+        row.name) .. '"source":"left","message":"motor"' .. (expected[2] ~= "" and "," or "") .. expected[2] .. "}" })
+      lu.assertStrContains(run({ "events" }, records), expected[3])
+      local seen = type(expected[1]) == "number" and row.amount and expected[1] or 1
+      local rules = ("%s=%d,%s=%d"):format(row.name, seen - 1, row.name, seen)
+      lu.assertEquals(verdicts(rules, records), { ("%s=%d left false %d 2"):format(row.name, seen - 1, seen),
+        ("%s=%d left true %d 2"):format(row.name, seen, seen), "unknown=0 null true 0 null" })
+    end
+  end
+  local without = run({ "events" }, { record(1, 0), record(2, 0.1, { change = { reboot = true } }) })
+  lu.assertStrContains(without, "reboot  controller rebooted\n")
+end
+
+-- Once two controllers share a source, what follows from its messages is unreliable; and that is said.
+function T.test_a_source_that_two_controllers_share()
+  local records = { record(1, 0), record(2, 0.1, { change = { shared = true }, is_unreliable = true }),
+    record(3, 0.2, { is_unreliable = true }) }
+  local text = "two controllers appear to send can0 0x210: from frame 2 on changes of faults, reboots and gaps are " ..
+    "unreliable and left out"
+  for _, what in ipairs { "faults", "events", "summary" } do
+    local printed, code, texts = run({ what }, records, { last = 9 })
+    lu.assertEquals({ lines(printed)[2], code, texts }, { text, 21, { text } })
+    lu.assertEquals(select(2, run({ what .. ",json" }, records)), 21)
+  end
+  lu.assertEquals(found("events,json", "kind", records, { last = 9 }), { '{"kind":"shared",}' }) -- no silence
+  lu.assertEquals(verdicts("shared=0,fault=0,motor.gap=9,motor.rate=1,crc=0", records), { "shared=0 left false 1 2",
+    "fault=0 left null 0 null", "motor.gap=9 left null 0.1 2", "motor.rate=1 left null 10 3", "crc=0 left true 0 null",
+    "unknown=0 null true 0 null" })
+end
+
+function T.test_the_clock_of_the_capture()
+  local records = { record(1, 100), record(2, 100.1), record(3, 50), record(4, 50.05), record(5, 50.049) }
+  lu.assertEquals(found("events,json", "clock", records, { last = 50.2 }), { '{"kind":"clock",,"length":-50.100000000}' })
+  lu.assertStrContains(run({ "events,json" }, records), '"kind":"clock","time":1700000050.000000005,"frame":3,"bus":null,' ..
+    '"id":null,"source":null,"message":null,"length":-50.1')
+  lu.assertStrContains(run({ "events" }, records), "the capture's own clock went back by 50.100 s")
+  lu.assertEquals(verdicts("clock=0,clock=1", records), { "clock=0 null false 1 3", "clock=1 null true 1 3",
+    "unknown=0 null true 0 null" })
+  -- the motor is dead behind the step: a silence of 30 s to the end
+  lu.assertEquals(found("events,json", "silence", { record(1, 100), record(2, 100.1) }, { last = 50 })[1], nil)
+  local with = { unfinished = {}, last = 80 }
+  local dead = { record(1, 100), record(2, 100.1), record(3, 50, { source = ODD, fits = false }) }
+  lu.assertEquals(found("events,json", "silence", dead, with), { '{"kind":"silence",,"length":30.000000000}' })
+  lu.assertEquals(verdicts("motor.gap=1", dead, with)[1], "motor.gap=1 left false 30 2")
+  lu.assertEquals(select(2, verdicts("", { record(1, 0.5), record(2, 0.4991) }, { last = 0.5 })), 0) -- interfaces take turns
+end
+
+function T.test_packets_that_were_dropped()
+  local drops = { { time = 1700000000.25, frame = 3, bus = "can0", count = 37 }, { count = 5 } }
+  lu.assertEquals(lines((run({ "events,json" }, { record(1, 0), record(2, 0.1) }, { drops = drops }))), {
+    '{"kind":"dropped","time":1700000000.250000005,"frame":3,"bus":"can0","id":null,"source":null,"message":null,"count":37}',
+    '{"kind":"dropped","time":null,"frame":null,"bus":null,"id":null,"source":null,"message":null,"count":5}' })
+  lu.assertStrContains(run({ "events" }, { record(1, 0) }, { drops = drops }), "packets lost while capturing: 37")
+  lu.assertEquals(verdicts("dropped=41,dropped=42", { record(1, 0) }, { drops = drops }), { "dropped=41 null false 42 3",
+    "dropped=42 null true 42 3", "unknown=0 null true 0 null" })
+  lu.assertEquals(lines((run({ "faults,json" }, { record(1, 0) }, { drops = drops }))), {})
+end
+
+-- Rules about time cannot be judged where packets have no time stamps.
+function T.test_packets_without_time_stamps()
+  local with = { lacks_times = true }
+  local records = { record(1, 0), record(2, 0, { change = { stale = true, jump = 2 } }) }
+  for _, rule in ipairs { "silence=0", "motor.rate=1", "motor.rate=..9", "motor.gap=1", "motor.volts.spread=1", "stale=0", "jump=0" } do
+    local printed, code = run({ "check," .. rule }, records, with)
+    lu.assertEquals(code, 21, rule)
+    lu.assertStrContains(printed, "packets of this capture have no time stamps")
+  end
+  lu.assertEquals(select(2, verdicts("fault=0,crc=0,motor.count=2,motor.volts=..10", records, with)), 0)
+  lu.assertEquals(run({ "events,json" }, records, with), "")
+end
+
+function T.test_rates_from_both_sides()
+  local records = {}
+  for i = 1, 20 do records[i] = record(i, i / 10) end
+  local expected = { ["9..11"] = 0, ["10..10"] = 0, ["..9.9"] = 20, ["10.1.."] = 20, ["10"] = 0, ["10.1"] = 20, ["..10"] = 0 }
+  for range, code in pairs(expected) do
+    lu.assertEquals(select(2, verdicts("motor.rate=" .. range, records)), code, range)
+  end
+  lu.assertStrContains(run({ "check,json,motor.rate=9,motor.rate=9..11" }, records), '"seen":10,"limit":"9..11"')
+end
+
+-- What the last option says in a window's dialog stands there too.
+function T.test_a_hint_for_every_answer()
+  for _, what in ipairs { "summary", "faults", "check" } do
+    lu.assertEquals(lines(run({ what }, { record(1, 0) }, { hint = "use filter=" }))[2], "use filter=")
+    lu.assertNotStrContains(run({ what }, { record(1, 0) }, { hint = "use filter=", matches = { [1] = true } }), "use filter=")
+  end
+end
+
+function T.test_derived_values()
+  local catalogue = catalogue_of.compile { { name = "m", title = "M", id = 1, size = 2, { "u", "uint8", "U" },
+    { "i", "uint8", "I" }, derived = { { "p", "u * i", "P", unit = "W" } } } }
+  local source = { key = 1, id = 1, message = catalogue.messages[1] }
+  local records = { record(1, 0, { source = source, payload = "\3\4" }), record(2, 1, { source = source, payload = "\5\6" }) }
+  local with = { catalogue = catalogue }
+  lu.assertStrContains(run({ "summary,json" }, records, with), '"p":{"min":12,"mean":21,"max":30}}')
+  lu.assertEquals(verdicts("m.p=13..,m.p=..30", records, with), { "m.p=13.. null false 1 1", "m.p=..30 null true 0 null",
+    "unknown=0 null true 0 null" })
+end
+
 -- Options -------------------------------------------------------------------------------------------------------
 
 function T.test_options()
@@ -727,6 +946,10 @@ function T.test_options()
   lu.assertEquals({ options.folder, options.all, options.replace, options.json }, { "a/b", true, true, true })
   lu.assertEquals(read_options("csv,-,motor,all").chosen, MOTOR)
   lu.assertEquals(read_options("check,crc=0,junit=a=b.xml").junit, "a=b.xml")
+  options = read_options("check, fault = 0 ,motor.volts = 1 .. 2 , filter = a == 1")
+  lu.assertEquals({ options.rules[1].text, options.rules[2].text, options.rules[2].high, options.filter, options.problems },
+    { "fault=0", "motor.volts=1..2", 2, " a == 1", {} })
+  lu.assertEquals({ read_options("csv, a b , all").folder, read_options("summary , json").json }, { "a b", true })
 end
 
 function T.test_wrong_options_are_named()
@@ -759,11 +982,38 @@ function T.test_wrong_options_are_named()
     ["check,motor.volt.spread=1"] = 'motor.volt.spread=1: motor has no field "volt", but volts, fault_flags, level, mode, clock',
     ["check,source="] = "source=: it is empty",
     ["check,junit="] = "junit=: it is empty",
+    ["check,rules="] = "rules=: it is empty",
+    ["check,rules=none.txt"] = "rules=none.txt: none.txt: No such file or directory",
+    ["check,crc=1 0"] = 'crc=1 0: "1 0" is not a number of messages',
   }
   for text, problem in pairs(expected) do
     lu.assertEquals(options_of.read("yapp," .. text, CATALOGUE).problems[1], problem)
   end
   lu.assertStrContains(options_of.read("yapp,check,fault", CATALOGUE).problems[1], "a rule is one of fault=N")
+end
+
+-- One a line; a # begins a comment, but for one in the name of a source.
+function T.test_a_file_of_rules()
+  with_folder(function(folder)
+    local path = folder .. "/rules.txt"
+    local function read_file(text, more)
+      local file = assert(io.open(path, "wb"))
+      file:write(text)
+      file:close()
+      local options, texts = options_of.read(("yapp,check,rules=%s%s"):format(path, more or ""), CATALOGUE), {}
+      for i, rule in ipairs(options.rules) do texts[i] = (rule.source and rule.source .. ": " or "") .. rule.text end
+      return table.concat(texts, " "), options.problems
+    end
+    lu.assertEquals({ read_file("\239\187\191# rules\r\n fault = 0 # none\r\n\r\ncrc=1#\r\nunknown=2", ",motor.rate=9") },
+      { "fault=0 crc=1 unknown=2 motor.rate=9", {} })
+    lu.assertEquals(read_file("source=any#3 # left\nfault=0\nunknown=0\n"), "any#3: fault=0 any#3: unknown=0")
+    local text, problems = read_file("fault=0\nmotor.rate=fast\n\nrules=x\n", ",crc=a")
+    lu.assertEquals({ text, problems }, { "fault=0 unknown=0", { path .. ':2: motor.rate=fast: "fast" is not a rate',
+      path .. ":4: rules=x: a file of rules names no other", 'crc=a: "a" is not a number of messages' } })
+    for _, empty in ipairs { "", "# fault=0\n\n" } do
+      lu.assertEquals({ read_file(empty) }, { "unknown=0", { ("rules=%s: there is no rule in it"):format(path) } })
+    end
+  end)
 end
 
 return T

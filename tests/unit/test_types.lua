@@ -19,6 +19,11 @@ local function message(size, ...)
   return compiled.messages[1]
 end
 
+-- The row of CSV of a payload.
+local function row_of(m, payload)
+  return columns.row(m, (decode.read(m, payload)))
+end
+
 -- The row of CSV of a payload, and the experts of its remarks.
 local function shown(m, hex)
   local raws, look = decode.read(m, bytes(hex))
@@ -27,7 +32,7 @@ local function shown(m, hex)
   for _, remark in ipairs(decode.remarks(m, raws) or {}) do
     experts[#experts + 1] = m.fields[remark[1]].name .. " " .. remark[2]
   end
-  return columns.row(m, decode.read(m, bytes(hex))), table.concat(experts, ", ")
+  return row_of(m, bytes(hex)), table.concat(experts, ", ")
 end
 
 -- type, options, payload, row, experts
@@ -181,7 +186,7 @@ function T.test_digits_of_compressed_floats()
     local m = message(size, { "f", "float" .. 8 * size, "F", min = 0, max = (2 ^ (8 * size) - 6) / 10 })
     for count = 1, 1000 do
       local payload = string.char(count % 256, math.floor(count / 256)) .. ("\0"):rep(size - 2)
-      lu.assertEquals(columns.row(m, decode.read(m, payload)), ("%g,"):format(count / 10), size)
+      lu.assertEquals(row_of(m, payload), ("%g,"):format(count / 10), size)
     end
   end
 end
@@ -201,7 +206,7 @@ end
 
 function T.test_a_payload_of_another_size_has_the_cells_that_it_has()
   local m = message(3, { "a", "uint16", "A" }, { "b", "uint8", "B" })
-  lu.assertEquals({ columns.row(m, decode.read(m, "\1")), columns.row(m, decode.read(m, "\1\2")), columns.row(m, decode.read(m, "\1\2\3more")) },
+  lu.assertEquals({ row_of(m, "\1"), row_of(m, "\1\2"), row_of(m, "\1\2\3more") },
     { ",", "513,", "513,3" })
 end
 
@@ -267,9 +272,9 @@ function T.test_columns_of_derived_values()
     names[i] = ("%s %s %s"):format(column.name, column.type, column.unit or "-")
   end
   lu.assertEquals(names, { "a integer -", "b float -", "b_special string -", "p float W" })
-  lu.assertEquals(columns.row(m, decode.read(m, "\7\1")), "7,0.01,,0.07")
-  lu.assertEquals(columns.row(m, decode.read(m, "\7\255")), "7,,nan,")
-  lu.assertEquals(columns.row(m, decode.read(m, "\7")), "7,,,")
+  lu.assertEquals(row_of(m, "\7\1"), "7,0.01,,0.07")
+  lu.assertEquals(row_of(m, "\7\255"), "7,,nan,")
+  lu.assertEquals(row_of(m, "\7"), "7,,,")
 end
 
 -- Seven digits, no infinity, and no integer of Lua 5.4 that wraps around.
@@ -295,7 +300,7 @@ function T.test_payloads_that_are_shorter()
     [10] = "1,One,1.000000000,,,,,,,", [11] = "1,One,1.000000000,ab,,,,,,", [12] = "1,One,1.000000000,ab,49,1,3,,,",
     [13] = "1,One,1.000000000,ab,49,1,3,1,,", [16] = "1,One,1.000000000,ab,49,1,3,1,,",
     [17] = "1,One,1.000000000,ab,49,1,3,1,,5" }
-  for length, row in pairs(rows) do lu.assertEquals(columns.row(m, decode.read(m, payload:sub(1, length))), row, length) end
+  for length, row in pairs(rows) do lu.assertEquals(row_of(m, payload:sub(1, length)), row, length) end
   local infos = { [1] = "One - - -", [9] = "One 1.000000000 s - -", [17] = "One 1.000000000 s ab true" }
   for length, text in pairs(infos) do
     local raws, is_remarkable = decode.read(m, payload:sub(1, length))

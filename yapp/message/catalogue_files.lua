@@ -82,18 +82,18 @@ local function merge(all, list, path)
   for _, one in ipairs(list) do
     local index = index_of[name_of(one.entry) or false] or #all.entries + 1
     all.entries[index] = one.entry
-    all.files[index] = path
-    all.numbers[index] = one.number
+    all.origins[index] = { file = path, number = one.number }
   end
 end
 
 --- Reads the files of the catalogue and compiles them as one.
 -- files    list of { path =, optional = whether it is no error that it is not there }, in order: a
 --          message of a later file with the name of one of an earlier takes its place
+-- reserved  optional { [filter name] = true } that no message may use
 -- returns  the compiled catalogue and a list of texts, each with the file, the message and the
 --          field that is wrong, see message.catalogue.compile
-function M.load(files)
-  local all, problems = { entries = {}, files = {}, numbers = {} }, {}
+function M.load(files, reserved)
+  local all, problems = { entries = {}, origins = {} }, {}
   for _, file in ipairs(files) do
     local entries, problem = read(file.path)
     if entries then
@@ -103,7 +103,7 @@ function M.load(files)
       problems[#problems + 1] = file.path .. ": " .. problem
     end
   end
-  local compiled, found = catalogue.compile(all.entries, all.files, all.numbers)
+  local compiled, found = catalogue.compile(all.entries, all.origins, reserved)
   for _, text in ipairs(found) do
     problems[#problems + 1] = text .. "; this message is shown as bytes"
   end

@@ -124,7 +124,7 @@ local function to_float32(value)
   return large - (large - value)
 end
 
---- Return the number with the fewest digits that is the same in four bytes: 0.1 for the nearest one.
+--- Return the number with the fewest digits that is the same in four bytes: 0.1 for the nearest.
 -- value  finite
 function M.shortest(value)
   if value == 0 then return value end -- COMPAT 5.4: the text "-0" is an integer there
@@ -212,8 +212,8 @@ local function prepare(field)
   end
 end
 
--- The reader of a message is made from Lua source: a loop over the fields takes 5 % of a packet list
--- more.  The first bytes of a payload are in b1, b2, ...; one that is not there is nil.
+-- The reader of a message is made from Lua source: a loop over the fields takes 5 % more of a
+-- packet list.  The first bytes of a payload are in b1, b2, ...; one that is not there is nil.
 local READER = [[
 local FIELDS, byte, common = ...
 return function(payload)
@@ -258,7 +258,8 @@ function M.new_reader(message)
     nils[i], lines[i] = "nil", field_source(field, i) -- a table that grows by itself takes longer
   end
   for i = 1, math.min(message.size, MAX_KEPT) do bytes[i] = "b" .. i end
-  local source = format(READER, concat(nils, ", "), concat(bytes, ", "), #bytes, concat(lines, "\n"))
+  local source =
+    format(READER, concat(nils, ", "), concat(bytes, ", "), #bytes, concat(lines, "\n"))
   return load(source, "=reader of " .. message.name)(message.fields, byte, common)
 end
 
@@ -333,8 +334,8 @@ end
 -- The digits that a compressed float of so many bytes can carry.
 local DIGITS = { 7, 7, 10, 10, 15, 15, 15, 15 }
 
---- Return the format of a value with as many digits as its count can carry: "%.7g"; nil for ieee and
--- what is no fraction.
+--- Return the format of a value with as many digits as its count can carry: "%.7g"; nil for ieee
+-- and what is no fraction.
 function M.format_of(field)
   if field.kind == "derived" then return "%.7g" end
   if field.kind == "float" then return "%." .. DIGITS[field.size] .. "g" end

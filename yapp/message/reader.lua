@@ -163,6 +163,7 @@ local function ask(m, history)
     local change, delta = history:note(m)
     m.change, m.delta = change or false, delta or false
   end
+  if m.change and m.change.unreliable then m.is_unsure = true end
   local standing = m.wants.standing and history:standing(m)
   if not standing then return end
   for _, name in ipairs(FRAMES) do
@@ -200,9 +201,9 @@ function Reader:read(m, history, ...)
     ask(m, history)
   else
     m.change = history:change(m, ...) or false
+    if m.change and m.change.unreliable then m.is_unsure = true end
     m.standing = m.wants.standing and history:standing(m, ...) or false
   end
-  if m.change and m.change.unreliable then m.is_unsure = true end
   if self.stat.wanted then self.tell:message(m) end
 end
 

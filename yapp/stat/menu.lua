@@ -44,7 +44,7 @@ All of a flight on one time axis, in the browser, makes the program
 yapp-tables, a Python package in the folder tools of the plugin's files:
 
     pip install "./tools[report]"
-    yapp-tables report flight.pcapng -o flight.html
+    yapp-tables report flight.pcapng --out flight.html
 
 Other IDs than the default, several controllers, names for them:
 Edit > Preferences > Protocols > YAPP.

@@ -143,7 +143,11 @@ def _prune(given: argparse.Namespace) -> int:
 def _report(given: argparse.Namespace) -> int:
     write_reports = need(f"{__package__}.report", "report").write_reports
     captures, config = fleet.find(_captures(given.captures)), _config(given)
-    flights = [api.read_flight(capture, config.of(capture)[0], has_begin=True) for capture in captures]
+    flights = []
+    for capture in captures:
+        tshark, aircraft = config.of(capture)
+        flights.append(api.read_flight(capture, tshark, has_begin=True))
+        flights[-1].aircraft = aircraft
     for flight in flights:
         _say(f"{flight.name}: {text}" for text in flight.left_out)
     write_reports(flights, captures, given.out, given.overlay)

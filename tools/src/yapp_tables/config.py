@@ -6,8 +6,9 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatch
 from os import PathLike
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
 from .errors import SetupError
@@ -19,7 +20,10 @@ StrPath = str | PathLike[str]
 
 @dataclass(frozen=True)
 class Aircraft:
-    """A part of a fleet. captures: a pattern of absolute paths; options, profile, catalogue: as Tshark's."""
+    """A part of a fleet. captures: a pattern of absolute paths, in which * stands for folders, too.
+
+    options, profile, catalogue: as Tshark's.
+    """
 
     name: str
     captures: str
@@ -46,7 +50,7 @@ class Config:
     def of(self, capture: Path) -> tuple[Tshark, str | None]:
         """Return how this capture is decoded, and the name of its aircraft."""
         for aircraft in self.fleet:
-            if _matches(capture, aircraft.captures):
+            if fnmatch(str(capture), aircraft.captures):
                 options = (*aircraft.options, *self.tshark.options)
                 profile = aircraft.profile or self.tshark.profile
                 catalogue = aircraft.catalogue or self.tshark.catalogue
@@ -88,15 +92,3 @@ def _aircraft(entry: dict[str, Any], folder: Path) -> Aircraft:
     options += tshark_of(sources=entry.get("sources")).options
     catalogue = str(folder / entry["catalogue"]) if "catalogue" in entry else None
     return Aircraft(entry["name"], str(folder / entry["captures"]), tuple(options), entry.get("profile"), catalogue)
-
-
-def _matches(capture: Path, pattern: str) -> bool:
-    """Return whether a path matches, where `**` stands for any number of folders."""
-    names, wanted = capture.parts, PurePath(pattern).parts
-    reached = {0}
-    for part in wanted:
-        if part == "**":
-            reached = {at for first in reached for at in range(first, len(names) + 1)}
-        else:
-            reached = {at + 1 for at in reached if at < len(names) and PurePath(names[at]).match(part)}
-    return len(names) in reached or (wanted[-1:] == ("**",) and bool(reached))

@@ -56,6 +56,8 @@ class Flight(Mapping[str, pa.Table]):
         self.faults = faults(self.events)
         self.summary = table(export.records["summary"], SUMMARY)
         self.statistics = statistics(export.records["summary"])
+        self.aircraft: str | None = None
+        self.catalogue = list(export.fields["messages"])
         found = present(export)
         if not found:
             raise CaptureError(nothing_in(capture, export))

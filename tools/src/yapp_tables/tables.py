@@ -287,76 +287,26 @@ def _has_rows(path: Path) -> bool:
         return len(list(zip(range(2), file, strict=False))) == 2
 
 
-EVENTS = pa.schema(
-    {
-        "time": TIME,
-        "kind": pa.string(),
-        "frame": pa.int64(),
-        "bus": pa.string(),
-        "id": pa.uint32(),
-        "source": pa.string(),
-        "message": pa.string(),
-        "field": pa.string(),
-        "flag": pa.string(),
-        "event": pa.string(),
-        "active": pa.float64(),
-        "length": pa.float64(),
-        "what": pa.string(),
-        "value": pa.string(),
-        "size": pa.int64(),
-        "count": pa.int64(),
-        "like": pa.string(),
-        "help": pa.string(),
-    }
+def _schema(columns: str) -> pa.Schema:
+    """Return a schema of "name:type" words; a name alone is text."""
+    pairs = (word.partition(":") for word in columns.split())
+    return pa.schema([(name, TIME if kind == "time" else getattr(pa, kind or "string")()) for name, _, kind in pairs])
+
+
+EVENTS = _schema(
+    "time:time kind frame:int64 bus id:uint32 source message field flag event active:float64 "
+    "length:float64 what value size:int64 count:int64 like help"
 )
 FAULT = ("time", "frame", "bus", "id", "source", "message", "field", "flag", "event", "active", "help")
-SUMMARY = pa.schema(
-    {
-        "bus": pa.string(),
-        "id": pa.uint32(),
-        "source": pa.string(),
-        "message": pa.string(),
-        "count": pa.int64(),
-        "rate": pa.float64(),
-        "gap_min": pa.float64(),
-        "gap_mean": pa.float64(),
-        "gap_max": pa.float64(),
-        "gap_max_frame": pa.int64(),
-        "crc_bad": pa.int64(),
-        "incomplete": pa.int64(),
-        "late": pa.int64(),
-        "reboots": pa.int64(),
-        "invalid": pa.int64(),
-        "skipped": pa.int64(),
-    }
+SUMMARY = _schema(
+    "bus id:uint32 source message count:int64 rate:float64 gap_min:float64 gap_mean:float64 "
+    "gap_max:float64 gap_max_frame:int64 crc_bad:int64 incomplete:int64 late:int64 reboots:int64 "
+    "invalid:int64 skipped:int64"
 )
-STATISTICS = pa.schema(
-    {
-        "bus": pa.string(),
-        "id": pa.uint32(),
-        "source": pa.string(),
-        "message": pa.string(),
-        "field": pa.string(),
-        "min": pa.float64(),
-        "mean": pa.float64(),
-        "max": pa.float64(),
-    }
-)
-FLIGHTS = pa.schema(
-    {
-        "capture": pa.string(),
-        "start": TIME,
-        "length": pa.float64(),
-        "aircraft": pa.string(),
-        "plugin": pa.string(),
-        "tools": pa.string(),
-        "options": pa.string(),
-        "messages": pa.int64(),
-        "faults": pa.int64(),
-        "partial": pa.string(),
-        "undecoded": pa.string(),
-        "left_out": pa.string(),
-    }
+STATISTICS = _schema("bus id:uint32 source message field min:float64 mean:float64 max:float64")
+FLIGHTS = _schema(
+    "capture start:time length:float64 aircraft plugin tools options messages:int64 faults:int64 partial "
+    "undecoded left_out"
 )
 
 

@@ -36,11 +36,13 @@ def undecoded(events: Sequence[Record], summary: Sequence[Record], titles: dict[
         ids = sorted({event["id"] for event in found if event["id"] is not None})
         who = ", ".join(f"0x{number:03x}" for number in ids) or ", ".join(sorted(set(map(source_name, found))))
         verb = "has" if count == 1 else "have"
-        what = f"the size of {titles.get(like, like)}" if like else f"{size} bytes, which no message has"
+        known = titles.get(found[0].get("message") or "")
+        what = f"{size} bytes, not the size of {known}" if known else f"{size} bytes, which no message has"
+        what = f"the size of {titles.get(like, like)}" if like else what
         details.append(f"{count} message{'s' * (count != 1)} of {who} {verb} {what}")
         if like and ids:
-            known = {row["id"] for row in summary if row.get("message") == like and row.get("id") is not None}
-            settings.append(f"yapp.{like}_ids:{_ranges(known.union(ids, _ids(said, like)))}")
+            own = {row["id"] for row in summary if row.get("message") == like and row.get("id") is not None}
+            settings.append(f"yapp.{like}_ids:{_ranges(own.union(ids, _ids(said, like)))}")
     lost = {source_name(event) for event in unknown}
     total = len(lost.union(map(source_name, summary)))
     advice = f": set {' and '.join(settings)}" if settings else ""
