@@ -142,6 +142,7 @@ local function keep_bus(self, window, interface, offset, seconds)
     local index = INDEX_OF[interface.linktype](window:bytes(offset, 16))
     bus = index and bus_number(self, interface, index) or 0
   end
+  self.latest = seconds
   self.entries[self.count] = bus * TIMES + floor(seconds * 1e6) % TIMES
 end
 
@@ -372,6 +373,8 @@ end
 --   is_told       whether it is of a format that this module reads
 --   is_unknown    whether it has buses that this module cannot tell: a file of Vector BLF
 --   count         how many packets were read
+--   latest        when the last one was captured, if it tells several buses apart: seconds since
+--                 1970
 --   names         [bus] = its name
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
@@ -386,6 +389,7 @@ function M.read(head, more)
     count = 0,
     early = 0, -- packets in front of the second interface: those that may be YAPP's are of bus 1
     keeps = false, -- whether the buses of packets are wanted
+    latest = 0,
     entries = {}, -- [number of a packet] = its bus * TIMES + when it was captured
     interfaces = {}, -- of the file
     first = 0, -- number of interfaces in the sections before
