@@ -59,8 +59,8 @@ local function packet(of, bytes, number, stamp, options)
   return block(ENHANCED, body, number)
 end
 
-local function obsolete_packet(of, bytes, number, drops)
-  local body = number(of, 2) .. number(drops, 2) .. packet_body(bytes, number)
+local function obsolete_packet(of, bytes, number)
+  local body = number(of, 2) .. "\255\255" .. packet_body(bytes, number)
   return block(OBSOLETE, body, number)
 end
 
@@ -169,7 +169,7 @@ end
 function T.test_blocks_of_all_kinds()
   local rows = {
     { simple_packet(("x"):rep(9), be), "2 1 1" }, -- of the section's first interface
-    { obsolete_packet(1, "xyz", be, 0xFFFF), "2 2 1" },
+    { obsolete_packet(1, "xyz", be), "2 2 1" },
   }
   for _, kind in ipairs { 9, 0x0BAD, 0x40000BAD, 0x204, 0x216, 0x221 } do
     rows[#rows + 1] = { block(kind, ("\0"):rep(60), be), "2 - 1" }
@@ -354,8 +354,6 @@ function T.test_packets_that_were_dropped()
       { one .. packet(0, "x", number, 2500000, comment .. drop_option(3, number)),
         { "2.5 1 can0 3" } },
       { one .. packet(0, "x", number, 0, drop_option(0, number)), {} },
-      { one .. obsolete_packet(0, "xyz", number, 5) .. obsolete_packet(0, "x", number, 0xFFFF),
-        { "0.0 1 can0 5" } },
       { two .. packet(2, "x", number) .. packet(2, "yy", number, 1e6, drop_option(1, number)) ..
         packet(1, "z", number, 0, drop_option(2 ^ 33, number)),
         { "1.0 2 if2 1", "0.0 3 - 8589934592" } },

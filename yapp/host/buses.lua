@@ -16,6 +16,7 @@ local FIELDS = "frame.interface_id || frame.interface_name || frame.section_numb
   "sll.ifindex || rtacser.eventtype"
 local NAMES = {}
 for name in FIELDS:gmatch("[%w_.]+") do NAMES[name] = true end
+local RECENT = 60 -- seconds: a capture with such a packet may still go on
 local IN_TSHARK = not gui_enabled()
 local IS_WINDOWS = package.config:sub(1, 1) == "\\"
 
@@ -78,7 +79,8 @@ function Buses:init()
   self.found, self.is_shifted = found, false
   self.plain_bus = readers.plain_bus()
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
-  local needs_fields = found.is_live or self.is_cut and found.carriers > 0
+  local is_recent = os.time() - found.latest < RECENT
+  local needs_fields = found.is_live or is_recent or self.is_cut and found.carriers > 0
   self.asks = needs_fields or found.has_several or not (found.is_told or self.plain_bus)
   if needs_fields then
     self.tap = self.tap or Listener.new("frame", FIELDS)
@@ -137,7 +139,7 @@ function Buses:of(pinfo, number)
     found.names[bus] = name
     return bus, true
   end
-  if self.tap and number > found.count then
+  if number > found.count and (self.tap or found.has_several) then
     bus = self.kept[number] or bus_by_fields(found)
     -- What was the only bus when the file was opened goes on without a number.
     if not found.has_several and (bus or 1) == 1 then return nil, true end

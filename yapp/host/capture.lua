@@ -30,20 +30,19 @@ for linktype = 147, 162 do CARRIERS[linktype] = true end
 -- Link types of which each packet tells its bus: RTAC serial, Linux cooked captures.
 local RTAC, COOKED, COOKED_2 = 250, 113, 276
 local IS_CAN = { ["\0\12"] = true, ["\0\13"] = true } -- protocols: CAN and CAN FD
-local DIRECTION = { 0, 1, 0, 1 } -- of an RTAC packet by its event
-local DIRECTION_NAMES = { [0] = "tx", "rx" }
+local DIRECTIONS = { "tx", "rx", "tx", "rx" } -- of an RTAC packet by its event
 
--- By link type: function(head) -> index and direction of a packet's bus, by its first 16 bytes; nil
--- for a packet that carries no YAPP.
-local BUS_OF = {
-  [RTAC] = function(head) return 0, DIRECTION[byte(head, 9)] or 0 end,
+-- By link type: function(head) -> what tells a packet's bus from others of its interface, by its
+-- first 16 bytes; nil for a packet that carries no YAPP.
+local INDEX_OF = {
+  [RTAC] = function(head) return DIRECTIONS[byte(head, 9)] or "tx" end,
   [COOKED] = function(head)
-    if IS_CAN[sub(head, 15, 16)] then return 0, 0 end
+    if IS_CAN[sub(head, 15, 16)] then return 0 end
   end,
   [COOKED_2] = function(head)
     if not IS_CAN[sub(head, 1, 2)] or #head < 16 then return nil end
     local a, b, c, d = byte(head, 5, 8)
-    return a * 0x1000000 + b * 0x10000 + c * 0x100 + d, 0
+    return a * 0x1000000 + b * 0x10000 + c * 0x100 + d
   end,
 }
 
@@ -82,13 +81,10 @@ local function three_numbers(window, offset)
     i + j * 0x100 + k * 0x10000 + l * 0x1000000
 end
 
--- How the option epb_dropcount, of 8 bytes, begins in either byte order.
-local DROPS_LITTLE, DROPS_BIG = "\4\0\8\0", "\0\4\0\8"
-
--- Notes whether epb_dropcount may be among the bytes at hand, which costs less than to read the
--- options of each block.
+-- Notes whether the option epb_dropcount, code 4 and 8 bytes, may be among the bytes at hand.  That
+-- costs less than to read the options of each block.
 local function look_for_drops(window)
-  local option = window.is_little and DROPS_LITTLE or DROPS_BIG
+  local option = window.is_little and "\4\0\8\0" or "\0\4\0\8"
   window.may_have_drops = find(window.text, option, 1, true) ~= nil
 end
 
@@ -109,42 +105,30 @@ end
 local Capture = {}
 Capture.__index = Capture
 
-local function base_name(bus)
-  return bus.interface.name or "if" .. bus.interface.number
-end
-
--- Gives a bus a name that no other has.
--- is_shared  whether the name of its interface stands for several: then "#" and what tells them
---            apart follow
-local function name_bus(self, number, is_shared)
+-- Gives a bus a name that no other has.  If the name of its interface stands for several, "#" and
+-- what tells them apart follow.
+local function name_bus(self, number)
   local bus = self.buses[number]
-  local name = base_name(bus)
-  if is_shared then name = name .. "#" .. bus.suffix end
+  local name = bus.name
+  if self.uses[name] > 1 then name = name .. "#" .. bus.suffix end
   while self.is_taken[name] do name = name .. "#" .. bus.suffix end
   self.is_taken[name], self.names[number] = true, name
 end
 
--- Names the buses of a file that was read.
-local function name_buses(self)
-  local uses = {}
-  for _, bus in ipairs(self.buses) do
-    local name = base_name(bus)
-    uses[name] = (uses[name] or 0) + 1
-  end
-  for number, bus in ipairs(self.buses) do name_bus(self, number, uses[base_name(bus)] > 1) end
-end
-
 -- The number of a bus, which may be new.
--- index, direction  0 where its packets have none
-local function bus_number(self, interface, index, direction)
-  local key = interface.number * 2 ^ 33 + index * 2 + direction
-  local number = self.bus_numbers[key]
+-- index  what tells it from others of its interface, 0 if nothing does
+local function bus_number(self, interface, index)
+  local number = interface.buses[index]
   if not number then
+    local name = interface.name or "if" .. interface.number
     number = #self.buses + 1
-    local suffix = index > 0 and index or interface.number
-    if interface.linktype == RTAC then suffix = DIRECTION_NAMES[direction] end
-    self.buses[number] = { interface = interface, suffix = suffix }
-    self.bus_numbers[key] = number
+    interface.buses[index] = number
+    self.buses[number] = {
+      interface = interface,
+      name = name,
+      suffix = index ~= 0 and index or interface.number,
+    }
+    self.uses[name] = (self.uses[name] or 0) + 1
   end
   return number
 end
@@ -155,9 +139,10 @@ end
 local function keep_bus(self, window, interface, offset, seconds)
   local bus = interface.bus
   if not bus then
-    local index, direction = BUS_OF[interface.linktype](window:bytes(offset, 16))
-    bus = index and bus_number(self, interface, index, direction) or 0
+    local index = INDEX_OF[interface.linktype](window:bytes(offset, 16))
+    bus = index and bus_number(self, interface, index) or 0
   end
+  self.latest = seconds
   self.entries[self.count] = bus * TIMES + floor(seconds * 1e6) % TIMES
 end
 
@@ -188,9 +173,16 @@ local function units_per_second(option)
   return exponent < 128 and 10 ^ exponent or 2 ^ (exponent - 128)
 end
 
--- The functions from here on read a block, which is there as far as it is no longer than CHUNK.
--- They return true where what follows is not to be read.
+local function interface_of(self, number)
+  return self.interfaces[self.first + number + 1]
+end
 
+local function seconds_of(interface, high, low)
+  return (high * 2 ^ 32 + low) / interface.per_second + interface.shift
+end
+
+-- The functions from here on read a block, which is there as far as it is no longer than CHUNK.
+-- They return true if what follows is not to be read.
 
 local function read_interface(self, window, offset, length)
   if length < 20 then return true end
@@ -203,66 +195,67 @@ local function read_interface(self, window, offset, length)
     name = name ~= "" and utf8.name(name) or nil,
     per_second = units_per_second(options[9]),
     shift = option_number(window, options[14]), -- seconds to add to its times
-    bus = 0, -- of its packets; nil where each tells it
+    buses = {}, -- by index
+    bus = 0, -- of its packets; nil if each tells it
     dropped = 0, -- packets, as the statistics say
     accounted = 0, -- of them, as packets say
   }
   self.interfaces[#self.interfaces + 1] = interface
-  local is_mixed = BUS_OF[linktype] ~= nil
+  local is_mixed = INDEX_OF[linktype] ~= nil
   if not (is_mixed or CARRIERS[linktype]) then return end
   self.carriers = self.carriers + 1
-  interface.bus = not is_mixed and bus_number(self, interface, 0, 0) or nil
+  interface.bus = not is_mixed and bus_number(self, interface, 0) or nil
   if not self.keeps then self.early = self.count end
   self.keeps = is_mixed or self.carriers > 1
 end
 
--- Reads a packet: an enhanced block, or one of the obsolete kind.
-local function read_packet(self, window, offset, length, is_obsolete)
-  self.count = self.count + 1
-  local may_have_drops = window.may_have_drops or is_obsolete
-  if not (self.keeps or may_have_drops) then return end -- the usual case
-  if length < 32 then return true end
+-- Reads the options of an enhanced block: how many packets were dropped in front of its own.
+local function read_drops(self, window, offset, length)
+  local captured = three_numbers(window, offset + 20)
+  local start, stop = offset + 28 + captured + -captured % 4, offset + length - 4
+  if start >= stop then return end
   local number, high, low = three_numbers(window, offset + 8)
-  local drops = 0
-  if is_obsolete then
-    number = window:number(offset + 8, 2)
-    drops = window:number(offset + 10, 2) % 0xFFFF -- 0xFFFF: not known
-  end
-  local interface = self.interfaces[self.first + number + 1]
-  if not interface then return true end
-  local seconds = (high * 2 ^ 32 + low) / interface.per_second + interface.shift
-  if self.keeps then keep_bus(self, window, interface, offset + 28, seconds) end
-  if may_have_drops then
-    local captured = window:number(offset + 20, 4)
-    local start = offset + 28 + captured + -captured % 4
-    local options = read_options(window, start, offset + length - 4)
-    drops = max(drops, option_number(window, options[4]))
-  end
-  if drops == 0 then return end
-  interface.accounted = interface.accounted + drops
-  self.losses[#self.losses + 1] =
-    { time = seconds, frame = self.count, interface = interface, count = drops }
+  local interface = interface_of(self, number)
+  local count = option_number(window, read_options(window, start, stop)[4])
+  if not interface or count == 0 then return end
+  interface.accounted = interface.accounted + count
+  local seconds = seconds_of(interface, high, low)
+  self.drops[#self.drops + 1] =
+    { time = seconds, frame = self.count, interface = interface, count = count }
 end
 
-local function read_obsolete_packet(self, window, offset, length)
-  return read_packet(self, window, offset, length, true)
+local OBSOLETE, ENHANCED = 2, 6
+
+-- Reads a block with a packet, of the enhanced or of the obsolete kind.
+local function read_packet(self, window, offset, length, kind)
+  self.count = self.count + 1
+  if not (self.keeps or window.may_have_drops) then return end -- the usual case
+  if length < 32 then return true end
+  if self.keeps then
+    local number, high, low = three_numbers(window, offset + 8)
+    if kind == OBSOLETE then number = window:number(offset + 8, 2) end
+    local interface = interface_of(self, number)
+    if not interface then return true end
+    keep_bus(self, window, interface, offset + 28, seconds_of(interface, high, low))
+  end
+  if window.may_have_drops and kind == ENHANCED then read_drops(self, window, offset, length) end
 end
 
--- A simple block: a packet of the section's first interface, without a time.
+-- A simple block has a packet of the section's first interface, without a time.
 local function read_simple_packet(self, window, offset)
   self.count, self.has_no_times = self.count + 1, true
-  local interface = self.interfaces[self.first + 1]
+  local interface = interface_of(self, 0)
   if not interface then return true end
   if self.keeps then keep_bus(self, window, interface, offset + 12, 0) end
 end
 
 -- Reads how many packets an interface, or its operating system, dropped so far.
 local function read_statistics(self, window, offset, length)
-  local interface = self.interfaces[self.first + window:number(offset + 8, 4) + 1]
+  local interface = interface_of(self, window:number(offset + 8, 4))
   if not interface then return end
   local options = read_options(window, offset + 20, offset + length - 4)
-  interface.dropped = max(interface.dropped, option_number(window, options[5]),
-    option_number(window, options[7]))
+  local by_system = option_number(window, options[7])
+  interface.dropped = max(interface.dropped, option_number(window, options[5]), by_system)
 end
 
 local function count_packet(self)
@@ -275,22 +268,17 @@ end
 
 local BLOCKS = {
   [1] = read_interface,
-  [2] = read_obsolete_packet,
+  [OBSOLETE] = read_packet,
   [3] = read_simple_packet,
   [5] = read_statistics,
-  [6] = read_packet,
-  -- Wireshark gives these a frame number, too: of the systemd journal, custom, events of sysdig.
-  [9] = count_packet,
-  [0x00000BAD] = count_packet,
-  [0x40000BAD] = count_packet,
-  [0x204] = count_packet,
-  [0x216] = count_packet,
-  [0x221] = count_packet,
-  -- Wireshark 4.6 gives these a frame number, 4.4 does not: further events of sysdig.
-  [0x208] = stop_reading,
-  [0x217] = stop_reading,
-  [0x222] = stop_reading,
+  [ENHANCED] = read_packet,
 }
+-- Wireshark gives these a frame number, too: of the systemd journal, custom, events of sysdig.
+for _, kind in ipairs { 9, 0xBAD, 0x40000BAD, 0x204, 0x216, 0x221 } do
+  BLOCKS[kind] = count_packet
+end
+-- Wireshark 4.6 gives these a frame number, 4.4 does not: further events of sysdig.
+for _, kind in ipairs { 0x208, 0x217, 0x222 } do BLOCKS[kind] = stop_reading end
 
 local SECTION = 0x0A0D0D0A
 
@@ -313,7 +301,7 @@ local function read_pcapng(self, window)
     local is_there = offset + length <= window.stop or window:has(offset, min(length, CHUNK))
     if length < 12 or length > MAX_BLOCK or not is_there then break end
     local read = BLOCKS[kind]
-    if read and read(self, window, offset, length) then break end
+    if read and read(self, window, offset, length, kind) then break end
     offset = offset + length
   end
 end
@@ -327,7 +315,7 @@ local function read_pcap(self, window, is_little, fractions)
   self.place = linktype == SOCKETCAN and 8 or nil
   self.has_packets = window:has(24, 16)
   if linktype ~= COOKED_2 and linktype ~= RTAC then return end
-  local interface = { number = 0, linktype = linktype }
+  local interface = { number = 0, linktype = linktype, buses = {} }
   self.carriers = 1
   local offset = 24
   while window:has(offset, 16) do
@@ -361,19 +349,17 @@ local function has_header(bytes)
   return false
 end
 
--- The packets that were dropped, as Capture.drops lists them.
-local function list_drops(self)
-  local drops = {}
-  local function add(interface, count, time, number)
-    local bus = self.has_several and self.names[interface.bus] or interface.name
-    drops[#drops + 1] = { time = time, frame = number, bus = bus, count = count }
-  end
-  for _, loss in ipairs(self.losses) do add(loss.interface, loss.count, loss.time, loss.frame) end
+-- Completes the list of drops: what statistics say beyond what packets say, and names of buses.
+local function complete_drops(self)
+  local drops = self.drops
   for _, interface in ipairs(self.interfaces) do
     local rest = interface.dropped - interface.accounted
-    if rest > 0 then add(interface, rest) end
+    if rest > 0 then drops[#drops + 1] = { interface = interface, count = rest } end
   end
-  return drops
+  for _, drop in ipairs(drops) do
+    local interface = drop.interface
+    drop.bus = self.has_several and self.names[interface.bus] or interface.name
+  end
 end
 
 --- Read a file as far as it may have YAPP: of somebody else's no more than its first bytes.
@@ -387,6 +373,8 @@ end
 --   is_told       whether it is of a format that this module reads
 --   is_unknown    whether it has buses that this module cannot tell: a file of Vector BLF
 --   count         how many packets were read
+--   latest        when the last one was captured, if it tells several buses apart: seconds since
+--                 1970
 --   names         [bus] = its name
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
@@ -401,15 +389,16 @@ function M.read(head, more)
     count = 0,
     early = 0, -- packets in front of the second interface: those that may be YAPP's are of bus 1
     keeps = false, -- whether the buses of packets are wanted
+    latest = 0,
     entries = {}, -- [number of a packet] = its bus * TIMES + when it was captured
     interfaces = {}, -- of the file
     first = 0, -- number of interfaces in the sections before
     firsts = {}, -- by section
-    buses = {}, -- { interface, suffix = what tells it from others in its interface }
-    bus_numbers = {}, -- by interface, index and direction
+    buses = {}, -- list of { interface, name = of it, suffix = to tell it from others of this name }
+    uses = {}, -- by name: how many buses have it
     names = {},
     is_taken = {}, -- by name
-    losses = {},
+    drops = {},
     has_no_times = false,
     has_packets = false,
   }, Capture)
@@ -419,7 +408,7 @@ function M.read(head, more)
   end
   local reader = READERS[sub(head, 1, 4)]
   if reader then reader(self, window) end
-  name_buses(self)
+  for number = 1, #self.buses do name_bus(self, number) end
   local has_packets = self.has_packets or self.count > 0
   self.is_told = reader ~= nil
   self.is_unknown = sub(head, 1, 4) == "LOGG"
@@ -428,7 +417,7 @@ function M.read(head, more)
     (self.carriers > 0 or #self.interfaces == 0)
   self.head = has_frame and has_packets and head or nil
   self.may_have_frames = has_frame or not has_packets
-  self.drops = list_drops(self)
+  complete_drops(self)
   if not self.has_several then self.entries = {} end
   return self
 end
@@ -457,9 +446,11 @@ function Capture:bus_by_fields(section, interface, index, event, name)
   local first = self.firsts[section] or section == 1 and 0
   if not first then return nil end
   local number = first + interface
-  local record = self.interfaces[number + 1] or { number = number, name = name and utf8.name(name) }
+  local record = self.interfaces[number + 1] or
+    { number = number, name = name and utf8.name(name), buses = {} }
   self.interfaces[number + 1] = record
-  local bus = bus_number(self, record, index, DIRECTION[event] or 0)
+  if event then index = DIRECTIONS[event] or "tx" end
+  local bus = bus_number(self, record, index)
   if not self.names[bus] then name_bus(self, bus) end
   return bus
 end
