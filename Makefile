@@ -9,7 +9,7 @@ DEMO := docs/flight.pcapng
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
 .PHONY: demo test test-all unit unit-5.2 unit-5.4 unit-5.5 map hostile e2e lint install uninstall dist release soak matrix \
-  fuzz mutate valgrind bench screenshots \
+  fuzz mutate valgrind bench screenshots filters \
   needs-tshark needs-python needs-hatchling needs-tests needs-bench
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
@@ -114,6 +114,10 @@ hostile: needs-tshark needs-python
 needs-bench: needs-tshark
 	$(call install-missing,python3 lua5.2 lua5.4,python3 python3-venv python3-can lua5.2 lua5.4,\
 	  /usr/bin/python3 -c 'import can; import ensurepip' 2>/dev/null)
+
+## docs/filters.md, the reference of all filter names
+filters: needs-tshark needs-python
+	/usr/bin/env python3 tools/filters_page.py
 
 screenshots:
 	tests/screenshots

@@ -171,11 +171,11 @@ end
 function taurus.dissector() return 0 end
 
 -- A conversation is YAPP's from its first packet on that holds a good frame, or nothing but
--- messages of the catalogue, which may be damaged.
+-- messages of the catalogue, whose CRC may be bad.
 local function found_by_content(tvb, pinfo, root)
   if pinfo.in_error_pkt then return false end
   local raw = tvb:len() > 0 and tvb:raw() or ""
-  if not raw:find("YP", 1, true) or not streams:is_yapp(raw) then return false end
+  if not raw:find("YP", 1, true) or not streams:is_yapp(raw, tvb:reported_len()) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true

@@ -294,10 +294,14 @@ SITUATIONS = {
         (b"text YP text", []), (ONE[:30], []), (ONE[30:], []), (TWO + THREE[:5], [("good", TWO)], THREE[:5]),
         (THREE[5:], [("good", THREE)])]),
     "a conversation is known by damaged messages": (UDP_FOUND, [
-        (DAMAGED, [("bad", DAMAGED)]), (LOST_BYTE + MOTOR[:40], [("incomplete", LOST_BYTE), ("incomplete", MOTOR[:40])]), (MOTOR, [("good", MOTOR)])]),
-    "a conversation is known by the start of a message, TCP": (TCP_FOUND, [
-        (MOTOR[:20], [], MOTOR[:20]), (MOTOR[20:], [("good", MOTOR)]), (DAMAGED, [("bad", DAMAGED)])]),
-    "text with a damaged message is nobody's": (UDP_FOUND, [(b"x" + DAMAGED, []), (DAMAGED + b"x", []), (ONE[:-1] + b"x", [])]),
+        (DAMAGED * 2, [("bad", DAMAGED)] * 2), (LOST_BYTE, [("incomplete", LOST_BYTE)]), (MOTOR, [("good", MOTOR)])]),
+    "a conversation is known by what the capture has of a message": (UDP_FOUND, [
+        ((MOTOR, 30), [("incomplete", MOTOR[:30])]), (DAMAGED, [("bad", DAMAGED)])]),
+    "a conversation is known by damaged messages, TCP": (TCP_FOUND, [
+        (DAMAGED, [("bad", DAMAGED)]), (MOTOR[:20], [], MOTOR[:20]), (MOTOR[20:], [("good", MOTOR)])]),
+    "what has more or less than damaged messages is nobody's": (UDP_FOUND, [
+        (b"x" + DAMAGED, []), (DAMAGED + b"x", []), (LOST_BYTE, []), (MOTOR[:12], []), (BAD, []), (GROWN[:-1] + b"?", []),
+        ((DAMAGED + b"x", 30), [])]),
     "empty datagrams": (UDP, [(b"", []), (ONE, [("good", ONE)]), (b"", [])]),
     "the snap length cuts a frame": (SERIAL, [
         (ONE + TWO[:10], [("good", ONE)], TWO[:10]), ((TWO[10:], 15), [("incomplete", TWO[:25])]), (THREE, [("good", THREE)])]),

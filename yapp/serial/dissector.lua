@@ -62,17 +62,18 @@ function Dissector:new_framer(patience)
   return framer.new(function(id) return self.reader:size_of(id) end, patience)
 end
 
---- Whether bytes are YAPP, for a heuristic: they hold a good frame, or nothing but messages of the
--- catalogue, which may be damaged.  Headers must be the document's: another ID or size may be
--- somebody else's.
-function Dissector:is_yapp(bytes)
-  local is_catalogue = true
+--- Whether bytes are YAPP, for a heuristic: they hold a good frame, or they are nothing but messages
+-- of the catalogue, each with all its bytes, whose CRC may be bad.  Headers must be the document's:
+-- another ID or size may be somebody else's.
+-- length  number of bytes that the packet had
+function Dissector:is_yapp(bytes, length)
+  local is_catalogue, missing = true, length - #bytes
   local function fits(id, size) return self.reader:fits(id, size) ~= false end
   for _, event in ipairs(self.streams:read(bytes)) do
     local at = event.at + 1
     if event.status == "good" and frame.judge(bytes, at, fits) then return true end
-    local is_message = event.status ~= "skipped" and self.reader:size_of(frame.parse(bytes, at))
-    is_catalogue = is_catalogue and is_message
+    local is_complete = event.status == "bad" or event.missing == missing
+    is_catalogue = is_catalogue and is_complete and self.reader:size_of(frame.parse(bytes, at))
   end
   return is_catalogue
 end
