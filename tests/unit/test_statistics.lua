@@ -95,7 +95,7 @@ local function run(arguments, records, with)
   queue:begins(with.epoch or 1700000000, 5, 0)
   for _, one in ipairs(records) do
     queue:offer(one, false)
-    if with.matches and with.matches[one.frame] then matched[one.frame] = true end
+    if with.matches and with.matches[one.frame] then rawset(matched, one.frame, true) end
     queue:packet(one.frame, one.time)
   end
   if with.last then queue:packet(9999, with.last) end
