@@ -163,7 +163,7 @@ local function begin(self, options, context)
   local has_notes = not (options.json or row.is_data)
   local entry = events:add(statistic, { filter = options.filter, has_notes = has_notes })
   if filter then
-    function filter.packet(pinfo) events:matched(entry, pinfo.number) end
+    function filter.packet(pinfo) entry.matched[pinfo.number] = true end
   end
 end
 
