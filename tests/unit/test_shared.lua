@@ -43,8 +43,8 @@ end
 
 local function new(options)
   options = options or {}
-  options.late, options.catalogue = 2.5, TAURUS
-  return history.new(options)
+  local has_times = options.has_times or function() return true end
+  return history.new { late = 2.5, catalogue = TAURUS, has_times = has_times }
 end
 
 -- The number of the message at which it shows that these are of several controllers, nil for never.
