@@ -273,7 +273,9 @@ function T.test_the_latest_command_on_the_bus()
   local messages = { motor(1, 1, { bus = 1 }), command(2, 2, 1), motor(3, 3, { bus = 1 }),
     motor(4, 4, { bus = 2, source = 2 }), command(5, 5, 2), command(6, 5, nil), motor(7, 6, { bus = 1 }),
     motor(8, 7, { bus = 2, source = 2 }), motor(9, 8, { source = 3 }) }
-  lu.assertEquals(run(messages, "command_in"), { "-", "-", 2, "-", "-", "-", 2, 5, 6 })
+  local found, h = run(messages, "command_in")
+  lu.assertEquals(found, { "-", "-", 2, "-", "-", "-", 2, 5, 6 })
+  for i, m in ipairs(messages) do lu.assertEquals(h:standing(m).command_in or "-", found[i]) end
   local bad = command(2, 2)
   bad.good = false
   lu.assertEquals(run({ bad, motor(3, 3) }, "command_in"), { "-", "-" })
@@ -354,8 +356,8 @@ function T.test_a_revisit_gets_the_same_in_any_order()
     local messages, random = random_messages(seed * 7919, 300)
     local h, noted = new(), {}
     for i, m in ipairs(messages) do
-      local new, delta = h:note(m)
-      noted[i], m.delta = new or false, delta
+      local new_change, delta = h:note(m)
+      noted[i], m.delta = new_change or false, delta
       local before = 1 + random(i) -- some are asked for while the first pass goes on
       lu.assertEquals(h:change(messages[before]) or false, noted[before])
     end

@@ -160,7 +160,7 @@ local function is_shared(source, m, advance, elapsed)
   return source.evidence > ENOUGH
 end
 
--- Return what a clock says of its message: a change.
+-- Return what a clock says of its message: a change, nil for nothing.
 local function clock_change(source, m, clock)
   local advance = (clock - source.clock) / 1e9
   -- Without time stamps, take a message to come a period after the one before.
@@ -172,7 +172,6 @@ local function clock_change(source, m, clock)
   local jump = advance - elapsed
   -- If the capture's own clock went back, it is no measure of the controller's.
   if jump > MAX_JUMP and elapsed >= 0 and source.has_times then return { jump = jump } end
-  return NOTHING
 end
 
 -- Keep the clock of a message; return what it says of the message.
