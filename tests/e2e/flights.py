@@ -369,7 +369,7 @@ def ranges(sender, good):
 # The flight --------------------------------------------------------------------------------------------------------
 
 class Flight:
-    def __init__(self, seed, is_clean=False, how_shared=None):
+    def __init__(self, seed, is_clean=False, is_shared=False):
         self.is_clean = is_clean
         rng = self.rng = random.Random(f"flight {seed}")
         self.begin = 1_700_000_000 * SECOND + rng.randrange(10**12)
@@ -378,8 +378,8 @@ class Flight:
         self.senders = []
         for bus in range(len(self.names)):
             self.add_bus(bus)
-        if how_shared:
-            self.share(seed, how_shared)
+        if is_shared:
+            self.share(seed)
         self.choose_names()
         self.collect()
 
@@ -393,15 +393,17 @@ class Flight:
         if rng.random() < 0.3 and not self.is_clean:
             self.senders.append(Sender(rng, bus, 0x320, "unknown", False))
 
-    def share(self, seed, how):
-        """Another controller sends some of what one sends already; or all buses are one in the capture."""
-        if how == "merged":
+    def share(self, seed):
+        """All buses are one in the capture; or, where no ID is on two of them, others send what is sent there already."""
+        rng = random.Random(f"flight {seed} shared")
+        if seed % 2:
             self.names = self.names[:1]
             for sender in self.senders:
                 sender.bus = 0
+        clocked = [sender for sender in self.senders if sender.kind in ("motor", "health")]
+        if len({(sender.bus, sender.ident) for sender in clocked}) < len(clocked):
             return
-        rng = random.Random(f"flight {seed} shared")
-        for sender in [one for one in self.senders if one.kind in ("motor", "health") and rng.random() < 0.5]:
+        for sender in clocked[:1] + [one for one in clocked[1:] if rng.random() < 0.5]:
             for _ in range(rng.choice([1, 1, 2])):
                 self.senders.append(Sender(rng, sender.bus, sender.ident, sender.kind, self.is_clean))
 
@@ -539,4 +541,4 @@ def make(seed, is_clean=False):
 
 
 def shared(seed, is_clean=False):
-    return Flight(seed, is_clean, "merged" if seed % 2 else "twice")
+    return Flight(seed, is_clean, True)

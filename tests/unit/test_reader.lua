@@ -171,19 +171,21 @@ function T.test_nothing_new()
   lu.assertFalse(m.change)
 end
 
--- Several controllers share its source: nothing is known of what came before, nor of how things stand.
+-- Several controllers share its source: the history says so, in order and on a revisit.
 function T.test_an_unreliable_source()
-  local function read_with(change)
-    local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true,
-      wants = { standing = true } }
-    new():read(m, { note = function() return change end,
-      standing = function(_, one) return not one.is_unsure and { drift = 1 } or nil end })
-    return { m.is_unsure or false, m.standing and "something" or "nothing" }
+  local function read_with(change, visited)
+    local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true, is_unsure = false,
+      visited = visited, wants = {} }
+    local function answer() return change end
+    new():read(m, visited and { note = true, change = answer } or { note = answer })
+    return m.is_unsure
   end
-  lu.assertEquals(read_with { shared = true, unreliable = true }, { true, "nothing" })
-  lu.assertEquals(read_with { unreliable = true }, { true, "nothing" })
-  lu.assertEquals(read_with { reboot = 3 }, { false, "something" })
-  lu.assertEquals(read_with(nil), { false, "something" })
+  for _, visited in ipairs { false, true } do
+    lu.assertTrue(read_with({ shared = true, unreliable = true }, visited))
+    lu.assertTrue(read_with({ unreliable = true }, visited))
+    lu.assertFalse(read_with({ reboot = 3 }, visited))
+    lu.assertFalse(read_with(nil, visited))
+  end
 end
 
 function T.test_what_is_a_fault()

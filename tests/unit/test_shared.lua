@@ -43,8 +43,8 @@ end
 
 local function new(options)
   options = options or {}
-  options.late, options.catalogue = 2.5, TAURUS
-  return history.new(options)
+  local has_times = options.has_times or function() return true end
+  return history.new { late = 2.5, catalogue = TAURUS, has_times = has_times }
 end
 
 -- The number of the message at which it shows that these are of several controllers, nil for never.
@@ -96,6 +96,8 @@ function T.test_clocks_in_pairs()
   end
   lu.assertEquals(shared_at(pairs_of { "left", "right" }), 4)
   lu.assertEquals(shared_at(pairs_of { "same", "same" }), 6) -- or every message came twice
+  local without_period = { id = 1, time = { offset = 0 }, fields = {} }
+  lu.assertNil(shared_at(clocks(0.01, { 5.0, 5.0, 5.1, 5.1, 5.2, 5.2 }, { kind = without_period })))
 end
 
 -- From there on: nothing of this source, everything of the others.

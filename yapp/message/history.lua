@@ -17,11 +17,11 @@ local HALF_NANOSECOND = 5e-10 -- what rounding may add to a difference of two ti
 local MAX_JUMP = 1 + HALF_NANOSECOND -- seconds; the capture's clock may jitter by less
 local MAX_BEHIND = 8 -- a Seq so far behind came late: 248 messages or more did not get lost
 
--- When several controllers share a source, see is_shared.
+-- Evidence that several controllers share a source, see is_shared.
 local LARGE_FALL = 2 -- seconds; a message that came late makes the clock fall by less
-local FADE = 0.85 -- what a message leaves of the evidence
-local MAX_FALLS = 4
-local ENOUGH = 1.3 -- two returns from small falls, or one from a large fall
+local LARGE_RETURN = 50 -- from a large fall; a return from another one counts 1
+local FADE = 0.85 -- what each message leaves of the evidence: of 50, enough for 22 messages
+local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 
 -- Changes that many messages have in common: to be read only.
 local NOTHING = {}
@@ -35,7 +35,7 @@ History.__index = History
 --- Make the history of one pass over one capture.
 -- options  { catalogue = compiled,
 --            late = periods of a message that a gap must exceed to be late,
---            has_times = function() -> whether the packets have time stamps; nil: they have }
+--            has_times = function() -> whether the packets have time stamps }
 function M.new(options)
   local self = setmetatable({
     late = options.late,
@@ -68,7 +68,7 @@ end
 
 local function new_source(self, m)
   local message, bus = m.message or { fields = {} }, m.bus or false
-  local has_times = not self.has_times or self.has_times()
+  local has_times = self.has_times()
   return {
     -- Its kind of message:
     flag_indexes = flags_of(message),
@@ -86,14 +86,14 @@ local function new_source(self, m)
     -- Since then:
     raised_at = {}, -- [index of its field * 2^32 + its bit] = when a fault that is set was raised
     -- See is_shared:
-    falls = {}, -- from which the clock has not returned, the latest first: { lead before it, size }
-    lead = 0, -- seconds the controller gained on the capture since a clock first fell, or 0
+    lead = 0, -- seconds that the controller's clock gained on the capture's since its first fall
+    falls = {}, -- the latest first, without those it returned from: { lead before it, size }
     evidence = 0,
     shared_at = huge, -- number of the message that proves that controllers share the source
     -- By the number of a message:
     changes = {}, -- [number] = change
     base_numbers = {}, -- ascending: the first clock, and reboots
-    bases = {}, -- { clock, time } of each: there, drift is 0
+    bases = {}, -- of each: seconds of the controller's clock less the capture's
     fault_numbers = {}, -- ascending: where faults change
     active_since = {}, -- of each: when the oldest fault that is still set was raised, or false
     commands = commands_of(self, message.answers, bus), -- ascending: what its messages answer
@@ -126,40 +126,41 @@ local function clock_of(m)
   return seconds * 1e9 + nanoseconds
 end
 
--- Return how far the clock fell behind where it would be, nil if it did not: 100.0, and 0.1 s later
--- 7.2, is 92.9.  A twin, which has the same clock within a third of a period, is as good as a large
--- fall, or as a small one if it is the same message.  (A clock that stands still comes later.)
-local function fall_of(source, m, advance, elapsed)
-  if advance < 0 then return elapsed - advance end
-  if advance > 0 or elapsed >= source.period / 3 then return nil end
-  return m.payload == source.payload and source.period or LARGE_FALL
+-- Add evidence if the clock is back where it would be without a fall.
+local function note_return(source)
+  for i, fall in ipairs(source.falls) do
+    if abs(source.lead - fall.lead) <= min(fall.size, LARGE_FALL) / 4 then
+      source.evidence = source.evidence + (fall.size < LARGE_FALL and 1 or LARGE_RETURN)
+      table.remove(source.falls, i)
+      return
+    end
+  end
 end
 
 -- Whether a message proves that several controllers share its source.  Their clocks alternate:
---   100.0, 7.2, 100.1, 7.3      the clock falls, returns to where it would be, falls again
---   100.0, 99.8, 100.1, 99.9    small falls: messages that come late do that, but not 3 in a row
---   100.0, 100.0, 100.1, 100.1  two twins
--- A controller that reboots does not return to exactly there.
+--   100.0, 7.2, 100.1, 7.3      it falls by 92.8, returns to where it would be, falls: proved
+--   100.0, 99.8, 100.1, 99.9    small falls: a late message makes one, so a third one proves it
+--   100.0, 100.0, 100.1, 100.1  the same clock again within a third of a period is a fall, too: a
+--                               large one, or a small one if the whole message is the same
+-- After a reboot, the clock does not return.  A clock that stops is the same after a whole period.
 -- advance, elapsed  seconds of the controller's and of the capture's clock since source.clock
 local function is_shared(source, m, advance, elapsed)
-  local lead, falls = source.lead, source.falls
-  source.lead = lead + advance - elapsed
+  local lead, falls, size = source.lead, source.falls, elapsed - advance
+  source.lead = lead - size
   source.evidence = source.evidence * FADE
-  for i, fall in ipairs(falls) do
-    if advance > 0 and abs(source.lead - fall.lead) <= min(fall.size / 4, 1) then
-      source.evidence = source.evidence + (fall.size < LARGE_FALL and 1 or 50)
-      table.remove(falls, i)
-      break
-    end
+  if advance > 0 then
+    note_return(source)
+    return false
+  elseif advance == 0 then
+    if elapsed >= source.period / 3 then return false end
+    size = m.payload == source.payload and source.period or LARGE_FALL
   end
-  local size = fall_of(source, m, advance, elapsed)
-  if not size then return false end
   insert(falls, 1, { lead = lead, size = size })
-  falls[MAX_FALLS + 1] = nil
+  falls[5] = nil -- up to four controllers fall from one to the next before they return
   return source.evidence > ENOUGH
 end
 
--- Return what a clock says of its message: a change.
+-- Return what a clock says of its message: a change, nil for nothing.
 local function clock_change(source, m, clock)
   local advance = (clock - source.clock) / 1e9
   -- Without time stamps, take a message to come a period after the one before.
@@ -171,7 +172,6 @@ local function clock_change(source, m, clock)
   local jump = advance - elapsed
   -- If the capture's own clock went back, it is no measure of the controller's.
   if jump > MAX_JUMP and elapsed >= 0 and source.has_times then return { jump = jump } end
-  return NOTHING
 end
 
 -- Keep the clock of a message; return what it says of the message.
@@ -181,7 +181,7 @@ local function note_clock(source, m)
   local change = source.clock and clock_change(source, m, clock) or NOTHING
   if source.has_times and (change.reboot or not source.clock) then
     insert(source.base_numbers, m.number)
-    insert(source.bases, { clock = clock, time = m.time })
+    insert(source.bases, clock / 1e9 - m.time)
   end
   source.clock, source.clock_time, source.payload = clock, m.time, m.payload
   return change
@@ -228,7 +228,9 @@ end
 -- Return what changed in the flags of a message, nil for nothing.
 local function flag_changes(source, m)
   local raws, flags, changes = m.raws or NOTHING, source.flags, nil
-  for _, index in ipairs(source.flag_indexes) do
+  local indexes = source.flag_indexes
+  for i = 1, #indexes do
+    local index = indexes[i]
     local now, before = raws[index], flags[index]
     if now and now ~= before then
       flags[index] = now
@@ -265,21 +267,27 @@ local function update(source, m, delta)
   local flags, missing = flag_changes(source, m), missing_before(source, m.seq, change.reboot)
   local late = delta and delta > source.longest and delta or nil
   if flags or missing or late then
-    local clock_says = change
-    change = { flags = flags, missing = missing, late = late }
-    for key, value in pairs(clock_says) do change[key] = value end
+    change = {
+      flags = flags,
+      missing = missing,
+      late = late,
+      reboot = change.reboot,
+      jump = change.jump,
+      stale = change.stale,
+    }
   elseif change == NOTHING then
-    return nil
+    change = nil
   end
-  source.changes[m.number] = change
+  if change or source.changes[m.number] then source.changes[m.number] = change end
   return change
 end
 
 --- Take the next message, in the order of the capture.
 -- m        { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled
 --          or nil, the same for all of a source; raws = by index of field, nil if the payload does
---          not fit; payload, seq; number: it grows, and no other message has it; time = seconds of
---          the capture; good = whether the CRC, or the lack of one, says that it is complete }
+--          not fit; payload, seq; number = frame key, which never falls: a message replaces one
+--          with its key; time = seconds of the capture; good = whether the CRC, or the lack of
+--          one, says that it is complete }
 -- returns  what changes with it, nil if it is not good or nothing does: {
 --   missing  how many messages are missing before it by Seq
 --   late     seconds since the previous one, if that is more than a lost message or two
@@ -330,7 +338,7 @@ function History:standing(m)
   local last = last_until(faults, number)
   local since, is_change = source.active_since[last] or nil, faults[last] == number
   local state = {
-    drift = clock and (clock - base.clock) / 1e9 - (m.time - base.time),
+    drift = clock and clock / 1e9 - m.time - base,
     command_in = commands and commands[last_until(commands, number - 1)],
     active_since = since,
   }

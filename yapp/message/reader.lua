@@ -50,23 +50,21 @@ end
 -- sources  a message.sources
 function Reader:use(by_id, sources)
   self.by_id, self.sources, self.is_by_id, self.several_ids = {}, sources, true, {}
-  for id, message in pairs(by_id) do self.by_id[id] = message end
-  for _, row in ipairs(sources:list()) do
-    if row.message and row.bus then
-      self.is_by_id = false
-    elseif row.message then
-      self.by_id[row.id] = row.message
-    end
-  end
   local first = {}
   local function count(message, id)
     first[message] = first[message] or id
     if first[message] ~= id then self.several_ids[message] = true end
   end
-  for id, message in pairs(self.by_id) do count(message, id) end
+  for id, message in pairs(by_id) do self.by_id[id] = message end
   for _, row in ipairs(sources:list()) do
-    if row.message then count(row.message, row.id) end
+    if row.message and row.bus then
+      self.is_by_id = false
+      count(row.message, row.id)
+    elseif row.message then
+      self.by_id[row.id] = row.message
+    end
   end
+  for id, message in pairs(self.by_id) do count(message, id) end
 end
 
 --- Return the message of the catalogue that an ID carries on a bus, nil for none.
