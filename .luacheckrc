@@ -12,3 +12,4 @@ read_globals = {
 }
 files["tests/unit"] = { read_globals = { "arg" } }
 for _, path in ipairs { "yapp.lua", "taurus_fields.lua", "yapp" } do files[path] = { max_line_length = 100 } end
+exclude_files = { "test_captures/cases" } -- broken on purpose

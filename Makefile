@@ -4,13 +4,13 @@
 SHELL := bash
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 CAPTURE ?=
-DEMO := document_motor document_command document_uart
+DEMO := docs/flight.pcapng
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
 .PHONY: demo test test-all unit unit-5.2 unit-5.4 unit-5.5 map hostile e2e lint install uninstall dist release soak matrix \
-  fuzz mutate valgrind bench screenshots \
-  needs-tshark needs-python needs-tests needs-bench
+  fuzz mutate valgrind bench screenshots filters \
+  needs-tshark needs-python needs-hatchling needs-tests needs-bench
 
 # $(call install-missing,commands that must be there,packages that bring them,another condition)
 define install-missing
@@ -34,13 +34,17 @@ needs-tshark:
 needs-python:
 	$(call install-missing,python3,python3)
 
+needs-hatchling: needs-python
+	$(call install-missing,python3,python3-hatchling,python3 -c 'import hatchling' 2>/dev/null)
+
 needs-tests: needs-tshark
 	$(call install-missing,lua5.2 lua5.4 luacheck pytest-3 candump zip,lua5.2 lua5.4 lua-check lua-unit python3-pytest \
-	  python3-pytest-xdist python3-can python3-serial can-utils zip,/usr/bin/python3 -c 'import xdist; import can; import serial' 2>/dev/null)
+	  python3-pytest-xdist python3-can python3-serial python3-hatchling can-utils zip,\
+	  /usr/bin/python3 -c 'import xdist; import can; import serial; import hatchling' 2>/dev/null)
 
-## The packet list and the decoded tree: of the specification's captures, or of CAPTURE=file
+## The faults of a flight, and the first one decoded: docs/flight.pcapng, or CAPTURE=file
 demo: needs-tshark
-	@tests/demo $(if $(CAPTURE),"$(CAPTURE)",$(DEMO:%=test_captures/%.pcap))
+	@tests/demo "$(or $(CAPTURE),$(DEMO))"
 
 ## What a developer runs after every change: each behaviour once, in three to four minutes on two cores
 test: lint unit e2e
@@ -111,6 +115,10 @@ needs-bench: needs-tshark
 	$(call install-missing,python3 lua5.2 lua5.4,python3 python3-venv python3-can lua5.2 lua5.4,\
 	  /usr/bin/python3 -c 'import can; import ensurepip' 2>/dev/null)
 
+## docs/filters.md, the reference of all filter names
+filters: needs-tshark needs-python
+	/usr/bin/env python3 tools/filters_page.py
+
 screenshots:
 	tests/screenshots
 
@@ -119,11 +127,11 @@ install uninstall: needs-tshark needs-python
 	@/usr/bin/env python3 tools/install.py $@
 
 ## What a release has: the zip for every desktop, the profile's, the samples', the wheel of yapp-tables, their sums
-dist: needs-python
+dist: needs-hatchling
 	@/usr/bin/env python3 tools/dist.py
 
 ## A release from its tag, TAG=v2.1.0, built twice: what the workflow does
-release: needs-python
+release: needs-hatchling
 	tools/release.sh "$(TAG)"
 
 # The Python package has its own environment, so that nothing is installed into the system's Python.

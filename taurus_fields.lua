@@ -12,6 +12,8 @@
 --   section  the part of a document that defines it, for descriptions; a row may have its own
 --   id       its default message ID, 0 .. 2047
 --   size     its payload in bytes, checked against the rows
+--   min_size   the fewest bytes, where older firmware sends fewer; they end with a field.  Fields
+--            that a shorter payload does not have are absent
 --   info     what the Info column says: {field} or {field:format}, format as in string.format
 --   every    its period in seconds, 0.1 for 10 Hz: a gap of several periods gets the expert item
 --            yapp.late
@@ -19,6 +21,8 @@
 --            latest frame
 --   differences  a list of { filter name, field, field, title }: the first less the second, where
 --            both have a value
+--   derived  a list of { filter name, "field * field", title, unit = }: a value that is worked out
+--            from two fields with *, + or -.  It is in tables and statistics, like a field
 -- and rows, one a field, in the order of the payload: { filter name, type, title, options }.
 -- Types, little endian:
 --   uint8 uint16 uint24 uint32 uint64, int8 .. int64     integers, signed ones in two's complement
@@ -153,6 +157,7 @@ return {
       { "torque_iq_error", "torque_iq_measured", "torque_iq_commanded", "Torque IQ Error" },
       { "rpm_error", "rpm_measured", "rpm_commanded", "RPM Error" },
     },
+    derived = { { "dc_power", "dc_voltage * dc_current", "DC Power", unit = "W" } },
     { "torque_iq_commanded", "float16", "Torque IQ Commanded", min = -128, max = 128, unit = "A" },
     { "torque_iq_measured", "float16", "Torque IQ Measured", min = -128, max = 128, unit = "A" },
     { "rpm_commanded", "float16", "RPM Commanded", min = -60000, max = 60000, unit = "RPM" },

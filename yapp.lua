@@ -34,7 +34,7 @@ pcall(collectgarbage, "setstepmul", 1000)
 package.path = here .. "?.lua;" .. package.path
 
 local bus_finder = require "yapp.host.buses"
-local can_carrier = require "yapp.can.carrier"
+local can_dissector = require "yapp.can.dissector"
 local catalogue_files = require "yapp.message.catalogue_files"
 local compiler = require "yapp.message.catalogue"
 local decode = require "yapp.message.decode"
@@ -43,11 +43,12 @@ local frame = require "yapp.wire.frame"
 local history = require "yapp.message.history"
 local message_reader = require "yapp.message.reader"
 local preferences = require "yapp.host.preferences"
-local serial_carrier = require "yapp.serial.carrier"
+local serial_dissector = require "yapp.serial.dissector"
+local show_fields = require "yapp.show.fields"
 local socketcan = require "yapp.host.socketcan"
 local source_names = require "yapp.message.sources"
+local stat_intake = require "yapp.stat.intake"
 local stat_taps = require "yapp.stat.taps"
-local stat_tell = require "yapp.stat.tell"
 local tree_builder = require "yapp.show.tree"
 
 -- The user's own messages come behind ours: from Wireshark's personal configuration folder, and
@@ -62,7 +63,7 @@ local function load_catalogue()
   for _, path in ipairs { chosen_file or "", os.getenv("YAPP_MESSAGES") or "" } do
     if path ~= "" then files[#files + 1] = { path = path } end
   end
-  local compiled, problems = catalogue_files.load(files)
+  local compiled, problems = catalogue_files.load(files, show_fields.EXPERT_NAMES)
   preferences.complain(problems)
   return compiled, #problems == 0
 end
@@ -77,11 +78,13 @@ local serial = Proto("yapp_serial", "YAPP serial stream")
 local skipped = Proto("yapp_skipped", "YAPP, bytes between the frames of a serial dump")
 local taurus = Proto("taurus", "Taurus motor controller")
 local header = Proto("yapp_socketcan", "YAPP's look at CAN headers")
+local tcp_header = Proto("yapp_tcp", "YAPP's look at TCP headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local buses = bus_finder.watch()
-local stat = stat_taps.new { version = VERSION, catalogue = catalogue }
-local reader = message_reader.new(catalogue, stat)
+local intake = stat_intake.new()
+local reader = message_reader.new(catalogue, intake)
+reader:tell_to(intake)
 local tree = tree_builder.new {
   yapp = yapp,
   taurus = taurus,
@@ -93,7 +96,7 @@ local tree = tree_builder.new {
 local by_can_id, is_registered = DissectorTable.get("can.extended_id"), {}
 
 -- Every CAN CTRL and Seq No of a message ID, with YAPP CTL 0.
-local function claim_id(id)
+local function register_id(id)
   if is_registered[id] then return end
   is_registered[id] = true
   for ctrl = 0, 3 do
@@ -102,32 +105,30 @@ local function claim_id(id)
   end
 end
 
-local frames = can_carrier.new(tree, reader, buses, claim_id)
-local streams = serial_carrier.new(tree, reader, buses)
-local tell = stat_tell.new(stat, reader)
-reader:tell_to(tell)
-function stat.plugin.tapped() tree:only_pass() end
-function stat.plugin.late() return (preferences.late(yapp.prefs.late)) end
-function stat.plugin.named() return reader.sources:list() end
-function stat.plugin.problems()
-  local problems, file = {}, yapp.prefs.messages
-  if not is_whole then problems[1] = "the catalogue did not load whole" end
-  if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
-    problems[#problems + 1] = file .. ", the file with your own messages, was not read"
+local frames = can_dissector.new(tree, reader, buses, register_id)
+local streams = serial_dissector.new(tree, reader, buses, tcp_header)
+
+-- What the capture does not have: packets that it says were dropped, and segments of TCP.
+local function drops()
+  local list = {}
+  for _, source in ipairs { buses, streams } do
+    for _, drop in ipairs(source:drops()) do list[#list + 1] = drop end
   end
-  return problems
-end
-function stat.plugin.unfinished()
-  local messages = frames:unfinished()
-  for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end
-  return tell:unfinished(messages)
+  return list
 end
 
+-- What the statistics need of the preferences; see read_preferences.
+local settings = { version = VERSION, catalogue = catalogue }
+local function unfinished()
+  local messages = frames:unfinished()
+  for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end
+  return messages
+end
 -- Dissectors --------------------------------------------------------------------------------------
 
 -- Decode As on CAN: every extended data frame is YAPP's.
 function all.dissector(tvb, pinfo, root)
-  local can_id, is_unknown = socketcan.find_id(tvb, pinfo)
+  local can_id, is_unknown = socketcan.find_id(pinfo)
   socketcan.wrap(header) -- from the next frame on the id is known
   if can_id then return frames:dissect(tvb, pinfo, root, can_id, true) end
   return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
@@ -138,31 +139,32 @@ end
 local takes_all, is_heuristic = false, false -- takes_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
-  return takes_all and all.dissector(tvb, pinfo, root) > 0
+  if takes_all then return all.dissector(tvb, pinfo, root) > 0 end
+  if intake.wanted and frames:is_start(tvb) then
+    local can_id = socketcan.find_id(pinfo)
+    socketcan.wrap(header) -- from the next frame on the id is known
+    if can_id then frames:report_start(tvb, pinfo, can_id) end
+  end
+  return false
 end
 
-local function take_all()
-  socketcan.wrap(header)
+local function watch_unclaimed()
   if is_heuristic then return end
   is_heuristic = true
   all:register_heuristic("can", unclaimed)
 end
 
--- Called from the table of ids, where match_uint is the CAN id; and by Decode As under the name
--- that version 1 had for it, where match_uint is 0.
+local function take_all()
+  socketcan.wrap(header)
+  watch_unclaimed()
+end
+
+-- Called from the table of ids, where match_uint is the CAN id; and by Decode As of TCP and UDP
+-- under the name that version 1 had for it, where match_uint is the port.
 function yapp.dissector(tvb, pinfo, root)
   local can_id = pinfo.match_uint
-  if can_id <= 0xFFFF then
-    if pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
-    if can_id == 0 and socketcan.is_decode_as(tvb, pinfo) then
-      frames.memory:is_unknown() -- a first pass without fields took all ids for 0
-      return all.dissector(tvb, pinfo, root)
-    end
-  end
-  local length = frames:dissect(tvb, pinfo, root, can_id, takes_all)
-  -- for Decode As, which is asked next
-  if length == 0 then socketcan.note_refused(tvb, pinfo, can_id) end
-  return length
+  if can_id <= 0xFFFF and pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
+  return frames:dissect(tvb, pinfo, root, can_id, takes_all)
 end
 
 function serial.dissector(tvb, pinfo, root)
@@ -177,11 +179,10 @@ end
 -- by.
 function taurus.dissector() return 0 end
 
--- A conversation is YAPP's when one whole frame with a good CRC has been seen in it.
+-- A conversation is YAPP's from its first packet on that holds a good frame, or nothing but
+-- messages of the catalogue, whose CRC may be bad.
 local function found_by_content(tvb, pinfo, root)
-  if pinfo.in_error_pkt then return false end
-  local raw = tvb:len() > 0 and tvb:raw() or ""
-  if not raw:find("YP", 1, true) or not streams:has_frame(raw) then return false end
+  if not streams:accepts(tvb, pinfo, root) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true
@@ -193,6 +194,8 @@ end
 local is_searching = false
 
 local function search_streams()
+  local head = buses:head()
+  if head and streams:is_yapp(head, #head) then streams:watch_tcp() end
   if is_searching or not (yapp.prefs.search_all or buses:may_have_frames()) then return end
   is_searching = true
   serial:register_heuristic("tcp", found_by_content)
@@ -203,33 +206,64 @@ end
 local function controller_time(bytes)
   local id, size = frame.parse(bytes, 1)
   local message = reader:message_of(id)
-  if not message or not message.time or message.size ~= size then return nil end
+  local time = message and message.time
+  if not time or size < math.max(message.min_size, time.offset + 8) then return nil end
   if #bytes < frame.HEADER + size then return nil end
-  local seconds, nanoseconds = decode.time(bytes, frame.HEADER + message.time.offset)
+  local seconds, nanoseconds = decode.time(bytes, frame.HEADER + time.offset)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 
+local stat = stat_taps.new {
+  settings = settings,
+  intake = intake,
+  reader = reader,
+  tree = tree,
+  buses = buses,
+  unfinished = unfinished,
+  drops = drops,
+  watch = watch_unclaimed,
+}
+
 -- Preferences and files ---------------------------------------------------------------------------
+
+-- What is wrong with the preferences, and what the user asked for and did not get: such an answer
+-- is not the whole one.
+local function list_problems(...)
+  local problems, file = {}, yapp.prefs.messages
+  if not is_whole then problems[1] = "the catalogue did not load whole" end
+  if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
+    problems[#problems + 1] = file .. ", the file with your own messages, was not read"
+  end
+  for _, texts in ipairs { ... } do
+    for _, text in ipairs(texts) do problems[#problems + 1] = "preferences: " .. text end
+  end
+  return problems
+end
 
 local function read_preferences()
   local prefs, chosen = yapp.prefs, {}
   decode.use_divisor(prefs.divisor)
   for _, message in ipairs(catalogue.messages) do
-    chosen[message.name] = preferences.range(prefs[message.name .. "_ids"], MAX_ID)
+    chosen[message.name] = preferences.range(prefs[message.name .. "_ids"])
   end
   local by_id, clashes = compiler.assign(catalogue, chosen)
-  local sources, problems = source_names.parse(prefs.sources, catalogue)
-  preferences.complain_once(clashes)
-  preferences.complain_once(problems)
+  local sources, unread = source_names.parse(prefs.sources, catalogue)
+  local late, no_number = preferences.late(prefs.late)
+  local link_types = preferences.take_link_types(prefs.user_dlt, serial)
+  for _, texts in ipairs { clashes, unread, no_number, link_types } do
+    preferences.complain_once(texts)
+  end
   preferences.check_messages_file(prefs.messages, chosen_file)
   reader:use(by_id, sources)
-  for id in pairs(by_id) do claim_id(id) end
+  for id in pairs(by_id) do register_id(id) end
   for _, row in ipairs(sources:list()) do
-    if row.message then claim_id(row.id) end
+    if row.message then register_id(row.id) end
   end
   takes_all = prefs.all_extended
   if takes_all then take_all() end
-  preferences.take_link_types(prefs.user_dlt, serial)
+  settings.late, settings.ids = late, chosen
+  settings.sources, settings.sources_text = sources, prefs.sources
+  settings.problems = list_problems(clashes, unread, no_number, link_types)
 end
 yapp.prefs_changed = read_preferences
 
@@ -238,17 +272,16 @@ function yapp.init()
   buses:init()
   reader:use_buses(buses:are_several())
   socketcan.init()
-  search_streams()
-  local late, problems = preferences.late(yapp.prefs.late)
-  preferences.complain_once(problems)
+  local function has_times() return not (buses.lacks_times and buses:lacks_times()) end
   local function new_history()
-    return history.new { late = late, catalogue = catalogue }
+    return history.new { late = settings.late, catalogue = catalogue, has_times = has_times }
   end
   reader:reset()
-  tell:reset()
+  intake:reset()
   tree:reset()
-  frames:reset(new_history)
+  frames:reset(new_history())
   streams:reset(new_history)
+  search_streams()
 end
 
 -- Registration ------------------------------------------------------------------------------------
@@ -257,7 +290,7 @@ end
 for id = 0, MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
 stat:register()
 for name, protos in pairs {
-  ["can.subdissector"] = { all, yapp },
+  ["can.subdissector"] = { all },
   ["tcp.port"] = { serial, yapp },
   ["udp.port"] = { serial, yapp },
   ["rtacser.data"] = { serial },
@@ -265,7 +298,7 @@ for name, protos in pairs {
   for _, proto in ipairs(protos) do DissectorTable.get(name):add_for_decode_as(proto) end
 end
 file_readers.register {
-  new_framer = function() return streams:framer() end,
+  new_framer = function() return streams:new_framer(frame.LARGEST) end,
   time_of = controller_time,
 }
 

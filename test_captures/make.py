@@ -94,7 +94,7 @@ def padded(data, fd):
 
 class Source:
     """A .frames file: its settings, .packets [(microseconds, bus, bytes, length on the wire)], and .messages, the
-    bracketed ones, each with the number of its last packet as "frame"."""
+    bracketed ones, each with the number of its last packet as "frame", on CAN with those of all as "frames"."""
 
     def __init__(self, text):
         self.link, self.format, self.records, self.options = "can", "pcap", "", []
@@ -170,6 +170,7 @@ class Source:
             for index, (can_id, data) in enumerate(can_frames(message, kind == "fd")):
                 self.time += 200 if index else 0
                 self.add(bus, self.can_record(bus, can_id | EXTENDED, data, kind == "fd"))
+            message["frames"] = list(range(message["frame"], len(self.packets) + 1))
             message["frame"] = len(self.packets)
             return
         can_id = int(tokens[0], 16) | {"rtr": REMOTE, "err": ERROR}.get(kind, 0)

@@ -9,7 +9,7 @@
     SHA256SUMS
 
 The same commit gives the same bytes on every machine: times are the commit's (SOURCE_DATE_EPOCH), and nothing is compressed,
-since each zlib packs in its own way.  Of docs and tools what git does not know is left out.
+since each zlib packs in its own way: the wheel is packed anew. The same version of hatchling is needed on all of them. Of docs and tools what git does not know is left out.
 """
 import hashlib
 import os
@@ -17,16 +17,19 @@ import pathlib
 import re
 import subprocess
 import sys
+import tempfile
+import time
+import zipfile
 
 sys.dont_write_bytecode = True
 if sys.version_info < (3, 11):
     sys.exit("dist.py needs Python 3.11 or later")
-import backend  # noqa: E402
 import bundle  # noqa: E402
 
+OLDEST = "946684800"  # the year 2000: a zip knows no time before 1980
 TOP = pathlib.Path(__file__).resolve().parents[1]
 DOCUMENTS = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "docs/*", "ci/*", "action.yml",
-             "tools/*.py", "tools/pyproject.toml", "tools/README.md", "tools/src/*/*")
+             "tools/*.py", "tools/pyproject.toml", "tools/README.md", "tools/LICENSE", "tools/src/*/*")
 
 
 def git(*arguments):
@@ -60,16 +63,40 @@ def samples():
     return {"yapp-samples/README.md": text.encode(), **{f"yapp-samples/{path.name}": path.read_bytes() for path in paths}}
 
 
+def write_zip(path, files):
+    """Write { place: bytes }: the same bytes for the same files. Programs are those that begin with #!."""
+    when = time.gmtime(int(os.environ["SOURCE_DATE_EPOCH"]))
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in sorted(files.items()):
+            entry = zipfile.ZipInfo(name, when[:6])
+            entry.create_system = 3
+            entry.external_attr = (0o100755 if content.startswith(b"#!") else 0o100644) << 16
+            archive.writestr(entry, content)
+
+
+def wheel():
+    """{ the wheel's name: its files }, as hatchling builds it."""
+    with tempfile.TemporaryDirectory() as folder:
+        done = subprocess.run([sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder], cwd=TOP / "tools",
+                              capture_output=True, text=True, check=False)
+        if done.returncode:
+            sys.exit(f"{done.stderr}dist.py needs hatchling: apt-get install python3-hatchling, or pip install hatchling")
+        path, = pathlib.Path(folder).glob("*.whl")
+        with zipfile.ZipFile(path) as archive:
+            return {path.name: {name: archive.read(name) for name in archive.namelist()}}
+
+
 def main(folder):
-    version = backend.project()["version"]
-    os.environ.setdefault("SOURCE_DATE_EPOCH", git("log", "-1", "--format=%ct").strip() or backend.OLDEST)
+    os.environ.setdefault("SOURCE_DATE_EPOCH", git("log", "-1", "--format=%ct").strip() or OLDEST)
+    version = re.search(r'^local VERSION = "(.*)"', (TOP / "yapp.lua").read_text(encoding="utf-8"), re.MULTILINE)[1]
     folder.mkdir(parents=True, exist_ok=True)
     installed = bundle.installed(TOP)
     profile = {name[len("profiles/"):]: content for name, content in installed.items() if name.startswith("profiles/")}
-    zips = {f"yapp-{version}.zip": whole(), f"yapp-profile-{version}.zip": profile, f"yapp-samples-{version}.zip": samples()}
+    zips = {f"yapp-{version}.zip": whole(), f"yapp-profile-{version}.zip": profile, f"yapp-samples-{version}.zip": samples(),
+            **wheel()}
     for name, files in zips.items():
-        backend.write_zip(folder / name, files)
-    names = sorted([*zips, backend.build_wheel(folder)])
+        write_zip(folder / name, files)
+    names = sorted(zips)
     sums = "".join(f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in names)
     (folder / "SHA256SUMS").write_bytes(sums.encode())
     for name in [*names, "SHA256SUMS"]:

@@ -5,7 +5,9 @@ import subprocess
 import sys
 
 TOP = pathlib.Path(__file__).resolve().parents[1]
+# REUSE-IgnoreStart
 TEXT = "SPDX-License-Identifier: GPL-2.0-or-later"
+# REUSE-IgnoreEnd
 NAMES = ("Makefile", ".luacheckrc")
 NOT_OURS = ("test_captures/fuzz_",)
 

@@ -46,6 +46,13 @@ def endless(starts):
         yield traffic.MIDDLE, struct.pack("<Q", number)
 
 
+def ends():
+    """Two Starts of 65,535 bytes, then Ends that complete nothing."""
+    yield from itertools.repeat((traffic.START, start(NEVER)), 2)
+    for number in itertools.count():
+        yield traffic.END, struct.pack("<Q", number)
+
+
 def hopeless():
     """Two messages of one key, mixed, that no frames make up."""
     while True:
@@ -71,6 +78,7 @@ CASES = {
         b"".join(header(0x123, size) for size in range(1, NEVER, 997)))),
     "CAN: a message that never ends": (traffic.SOCKETCAN, lambda: can(endless(1))),
     "CAN: two of them": (traffic.SOCKETCAN, lambda: can(endless(2))),
+    "CAN: two Starts, then Ends": (traffic.SOCKETCAN, lambda: can(ends())),
     "CAN: Starts of one key without end": (traffic.SOCKETCAN, lambda: can(itertools.repeat((traffic.START, start(NEVER))))),
     "CAN: Starts of all keys": (traffic.SOCKETCAN, lambda: can(
         ((number * 7919 % 0x800) << 18 | 0x4000 | number // 0x800 % 0x100, start(NEVER)) for number in itertools.count())),

@@ -5,6 +5,7 @@
     flight.write(path, form)      "pcapng" (a named interface each bus), "sll2" (an index each bus), "candump" (a log)
     flight.arguments(form)        the preferences that go with it
     flights.make(seed, True)      one in which nothing went wrong
+    flights.shared(seed)          one in which several controllers share sources: two on one bus, or the buses were merged
     flight.truth(form)            {"events": [...], "faults": [...], "summary": [...]}, as docs name the JSON lines
     flight.rows(form)             the good messages of known IDs: what CSV has
 
@@ -13,6 +14,7 @@ read from a capture.  What could be read in two ways is not planted: between two
 """
 import collections
 import dataclasses
+import operator
 import random
 import struct
 
@@ -22,8 +24,10 @@ from can_generator import END, LONG_BLOCK, MIDDLE, SINGLE, START, Frame, Sent, m
 SECOND = 1_000_000_000
 EVERY = {"command": 0.2, "motor": 0.1, "health": 0.5}  # periods; a gap above LATE of them is a silence
 LATE = 2.5
+MAX_BEHIND = 8  # a Seq so far behind is of a message that came late
 FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
 KIND = {name: ident for ident, (name, _, _) in model.MESSAGES.items()}
+OPERATORS = {"*": operator.mul, "-": operator.sub, "+": operator.add}
 FORMS = ["pcapng", "sll2", "candump"]
 LATE_PCAPNG = "late pcapng"  # the interfaces but the first one behind what the plugin looks at when it opens a file
 
@@ -58,6 +62,7 @@ class Sender:
         self.numbered = kind != "unknown" and rng.random() < 0.3
         self.seq = rng.randrange(256) if self.numbered else 0
         self.clock = rng.randrange(10**12)
+        self.jumps = random.Random(f"jumps {self.clock}")  # of its own, so that the rest of a flight stays as it was
         self.faults, self.status, self.state = 0, 0x40010000, 1
         self.messages = []
 
@@ -80,11 +85,13 @@ class Sender:
         return rng.randbytes(20)
 
     def step_clock(self, elapsed, stands_still):
-        """The controller's clock goes on, begins anew, or stands still."""
+        """The controller's clock goes on, begins anew, jumps ahead, or stands still."""
         if self.chance(0.01):
             self.clock = min(self.clock - 1, self.rng.randrange(10**8))
         elif not stands_still:
             self.clock += elapsed + self.rng.randrange(-1000, 1000)
+            if self.jumps.random() < 0.02 and not self.is_clean:
+                self.clock += self.jumps.choice([SECOND // 2, SECOND - 10**7, SECOND + 10**7, self.jumps.randrange(3600 * SECOND)])
 
     def change_flags(self):
         rng = self.rng
@@ -176,7 +183,7 @@ class Truth:
 
     def absent(self):
         """Sources that were named with a message and have no frame in the capture."""
-        for bus, ident, kind, name in self.flight.named():
+        for bus, ident, kind, name in self.flight.named(self.form):
             if kind and not any(sender.ident == ident and self.flight.name(sender, self.form) == name and
                                 bus in (None, self.flight.bus_name(sender.bus, self.form)) and
                                 any(message.frames for message in sender.messages) for sender in self.flight.senders):
@@ -187,7 +194,7 @@ class Truth:
         """One source: its messages in order, each with the good one before it."""
         lost = crc = 0
         good = []
-        state = {"set": {}, "clock": None, "flags": []}
+        state = {"set": {}, "clock": None, "at": None, "seq": None}
         counts = collections.Counter()
         for index, message in enumerate(sender.messages):
             if not message.frames:
@@ -201,6 +208,9 @@ class Truth:
             else:
                 lost += 1
                 self.lost(sender, message, sender.messages[index + 1:])
+        if good and sender.kind == "unknown":
+            size = len(good[0].payload)
+            self.event("unknown", sender, good[0].frames[-1], size=size, count=len(good), like=None)
         if good:
             for flag, since in state["set"].items():
                 last = good[-1].frames[-1]
@@ -220,16 +230,28 @@ class Truth:
         counts["invalid"] += bool(invalid)
         for field, value in invalid:
             self.event("invalid", sender, last, field=field, value=value)
-        if sender.kind not in ("motor", "health"):
-            return
-        clock = clock_of(sender, message.payload)
-        if state["clock"] is not None and clock <= state["clock"]:
-            kind = "reboot" if clock < state["clock"] else "stale"
-            counts[kind + "s"] += 1
-            self.event(kind, sender, last)
-        state["clock"] = clock
+        is_reboot = False
+        if sender.kind in ("motor", "health"):
+            is_reboot = self.clock(sender, message, state, counts)
+        missing = missing_before(message, state, is_reboot)
+        if missing:
+            self.event("missing", sender, last, count=missing)
         if sender.kind == "motor":
             self.flags(sender, message, state)
+
+    def clock(self, sender, message, state, counts):
+        """What the controller's clock says; returns whether it is a reboot."""
+        clock, last = clock_of(sender, message.payload), message.frames[-1]
+        before, jump = state["clock"], jump_of(clock, last.at, state)
+        state["clock"], state["at"] = clock, last.at
+        if jump:
+            self.event("jump", sender, last, length=jump)
+        if before is None or clock > before:
+            return False
+        kind = "reboot" if clock < before else "stale"
+        counts[kind + "s"] += 1
+        self.event(kind, sender, last)
+        return kind == "reboot"
 
     def flags(self, sender, message, state):
         now, last = model.alarms(message.payload), message.frames[-1]
@@ -286,6 +308,23 @@ def clock_of(sender, payload):
     return struct.unpack_from("<q", payload, 22 if sender.kind == "motor" else 0)[0]
 
 
+def jump_of(clock, at, state):
+    """By how much the controller's clock advanced more than the capture's, if that is a jump."""
+    if state["clock"] is None or clock <= state["clock"] or at < state["at"]:
+        return None
+    jump = clock - state["clock"] - (at - state["at"])
+    return jump if jump > SECOND else None
+
+
+def missing_before(message, state, is_reboot):
+    """How many messages Seq says are missing before this one."""
+    ahead = (message.seq - (message.seq if state["seq"] is None else state["seq"])) % 256
+    if ahead >= 256 - MAX_BEHIND:
+        return 0
+    state["seq"] = message.seq
+    return 0 if is_reboot else max(ahead - 1, 0)
+
+
 def rates(good):
     times = [message.frames[-1].at for message in good]
     gaps = [(after - before, message.frames[-1].number)
@@ -310,6 +349,9 @@ def numbers(sender, payload):
             found[field] = None if special else model.value(count, size, kind[0], kind[1])
         elif field == "board_revision":
             found[field] = count
+    for name in model.MESSAGES[KIND[sender.kind]].derived:
+        field, sign, other = model.MESSAGES[KIND[sender.kind]].generated[name]
+        found[name] = None if None in (found[field], found[other]) else OPERATORS[sign](found[field], found[other])
     return found
 
 
@@ -327,7 +369,7 @@ def ranges(sender, good):
 # The flight --------------------------------------------------------------------------------------------------------
 
 class Flight:
-    def __init__(self, seed, is_clean=False):
+    def __init__(self, seed, is_clean=False, is_shared=False):
         self.is_clean = is_clean
         rng = self.rng = random.Random(f"flight {seed}")
         self.begin = 1_700_000_000 * SECOND + rng.randrange(10**12)
@@ -336,6 +378,8 @@ class Flight:
         self.senders = []
         for bus in range(len(self.names)):
             self.add_bus(bus)
+        if is_shared:
+            self.share(seed)
         self.choose_names()
         self.collect()
 
@@ -348,6 +392,29 @@ class Flight:
                 self.senders.append(Sender(rng, bus, FIRST_ID["health"] + place, "health", self.is_clean))
         if rng.random() < 0.3 and not self.is_clean:
             self.senders.append(Sender(rng, bus, 0x320, "unknown", False))
+
+    def share(self, seed):
+        """All buses are one in the capture; or, where no ID is on two of them, others send what is sent there already."""
+        rng = random.Random(f"flight {seed} shared")
+        if seed % 2:
+            self.names = self.names[:1]
+            for sender in self.senders:
+                sender.bus = 0
+        clocked = [sender for sender in self.senders if sender.kind in ("motor", "health")]
+        if len({(sender.bus, sender.ident) for sender in clocked}) < len(clocked):
+            return
+        for sender in clocked[:1] + [one for one in clocked[1:] if rng.random() < 0.5]:
+            for _ in range(rng.choice([1, 1, 2])):
+                self.senders.append(Sender(rng, sender.bus, sender.ident, sender.kind, self.is_clean))
+
+    def sources(self):
+        """Each bus and ID: (one of its senders, all messages that have a frame, in order, whether several send there)."""
+        by_source = collections.defaultdict(list)
+        for sender in self.senders:
+            by_source[sender.bus, sender.ident].append(sender)
+        for senders in by_source.values():
+            messages = [message for sender in senders for message in sender.messages if message.frames]
+            yield senders[0], sorted(messages, key=lambda message: message.frames[-1].number), len(senders) > 1
 
     def choose_names(self):
         """The preference: some names for every bus, some for one."""
@@ -362,10 +429,10 @@ class Flight:
             self.anywhere[0x217] = ("motor:", "nowhere")
             self.by_bus[0, 0x207] = ("health:", "not here")
 
-    def named(self):
+    def named(self, form):
         """What the user said: (bus or None, ID, "motor:" or so, name)."""
         return [(None, ident, *row) for ident, row in self.anywhere.items()] + \
-            [(self.names[bus], ident, *row) for (bus, ident), row in self.by_bus.items()]
+            [(self.named_bus(bus, form), ident, *row) for (bus, ident), row in self.by_bus.items()]
 
     def collect(self):
         """All frames in the order of time, others' among them; cut at the end in the middle of a message, maybe."""
@@ -391,18 +458,25 @@ class Flight:
                 message.cut = len(message.frames) < sent
 
     def bus_name(self, bus, form):
-        return None if form == "sll2" else self.names[bus]
+        """The name of a bus: its interface's; one that stands for several has an index behind it.  The only one has none."""
+        if form == "sll2":
+            return f"if0#{bus + 1}" if len(self.names) > 1 else None
+        return self.names[bus]
+
+    def named_bus(self, bus, form):
+        """The bus that a preference names: one that never comes where the capture names none."""
+        return self.bus_name(bus, form) or self.names[bus]
 
     def name(self, sender, form):
-        """What the user called a source; where the capture names no bus, only what was said of every bus holds."""
+        """What the user called a source."""
         row = self.anywhere.get(sender.ident)
-        if form != "sll2":
+        if self.bus_name(sender.bus, form):
             row = self.by_bus.get((sender.bus, sender.ident), row)
         return row and row[1]
 
     def arguments(self, form):
         parts = [f"{ident:#x}={kind}{name}" for ident, (kind, name) in self.anywhere.items()]
-        parts += [f"{self.names[bus]}/{ident:#x}={kind}{name}" for (bus, ident), (kind, name) in self.by_bus.items()]
+        parts += [f"{self.named_bus(bus, form)}/{ident:#x}={kind}{name}" for (bus, ident), (kind, name) in self.by_bus.items()]
         ids = {kind: ",".join(sorted({f"{sender.ident:#x}" for sender in self.senders if sender.kind == kind}))
                for kind in ("motor", "health")}
         reader = ["-X", "read_format:yapp_candump"] if form == "candump" else []
@@ -464,3 +538,7 @@ def option(code, value):
 
 def make(seed, is_clean=False):
     return Flight(seed, is_clean)
+
+
+def shared(seed, is_clean=False):
+    return Flight(seed, is_clean, True)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What a capture has to show, worked out without the plugin: the tables of the document and of the list of filter
-names typed once more, the float codec as its formula, and the CRC a bit at a time (test_captures/make.py)."""
+names typed once more, the float codec as its formula, and the CRC a bit at a time (test_captures/make.py).
+
+A message is one entry of MESSAGES: filter names, sweeps over its flags and reserved counts, and values follow from it."""
 import struct
 
 MOTOR, HEALTH, COMMAND = 0x210, 0x200, 0x000
@@ -9,24 +11,18 @@ MAPPING, WORKED_EXAMPLES = 6, 5  # what 2^N is reduced by
 YAPP = {
     "id": "UINT32", "ctl": "UINT8", "seq": "UINT8", "size": "UINT16", "reserved": "UINT16", "sync": "UINT16",
     "can.ctrl": "UINT8", "crc": "UINT32", "crc.status": "UINT8", "crc.calculated": "UINT32", "payload": "BYTES",
-    "padding": "BYTES", "fragments": "NONE", "fragment": "FRAMENUM", "fragment.count": "UINT32",
+    "undecoded": "BYTES", "padding": "BYTES", "fragments": "NONE", "fragment": "FRAMENUM", "fragment.count": "UINT32",
     "reassembled.in": "FRAMENUM", "reassembled.length": "UINT32", "skipped": "BYTES", "time_delta": "RELATIVE_TIME",
 }
 YAPP_EXPERTS = ["crc.bad", "fragment.orphan", "fragment.incomplete", "fragment.overrun", "size.mismatch", "id.unknown",
                 "reserved.nonzero", "can.ctrl.invalid", "stream.skipped", "truncated", "fragment.duplicate"]
 TAURUS_EXPERTS = ["fault.active", "command.key.invalid", "value.special", "flags.undefined", "value.invalid"]
 # Worked out from more than one message: what test_flight_fields.py is about.
-EVENT_EXPERTS = ["yapp.late", "yapp.unfinished", "taurus.fault.raised", "taurus.fault.cleared", "taurus.reboot", "taurus.stale"]
-CHANGES = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8",
+EVENT_EXPERTS = ["yapp.late", "yapp.unfinished", "taurus.fault.raised", "taurus.fault.cleared", "taurus.reboot", "taurus.stale",
+                 "taurus.jump", "yapp.source.shared"]
+# Of YAPP's own, in no .expected file: what is worked out from more than one message.
+HISTORY = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8",
            "yapp.reassembled.data": "BYTES"}
-CHANGES |= {f"taurus.motor.{group}.{way}": "UINT8" if group == "state" else "UINT32"
-            for group in ("fault", "status", "state") for way in ("raised", "cleared")}
-CHANGES |= {f"taurus.{name}": kind for name, kind in {
-    "health.status.raised": "UINT8", "health.status.cleared": "UINT8", "motor.fault.active_time": "RELATIVE_TIME",
-    "motor.fault.previous_change": "FRAMENUM", "motor.fault.next_change": "FRAMENUM", "motor.rpm_error": "DOUBLE",
-    "motor.torque_iq_error": "DOUBLE", "motor.command_in": "FRAMENUM", "motor.clock_drift": "RELATIVE_TIME",
-    "health.clock_drift": "RELATIVE_TIME", "motor.status_flags.names": "STRING", "motor.fault_flags.names": "STRING",
-    "motor.motor_state.names": "STRING", "health.taurus_status.names": "STRING"}.items()}
 EXPERTS = [f"yapp.{name}" for name in YAPP_EXPERTS] + [f"taurus.{name}" for name in TAURUS_EXPERTS]
 
 FAULT = {
@@ -49,31 +45,57 @@ STATUS = {
 }
 STATE = {0x1: "ready", 0x2: "running", 0x4: "stopped", 0x8: "overmodulated", 0x10: "saturated", 0x20: "faulted"}
 FAULTED = 0x20
-ALARMS = {"status_flags": 0, "fault_flags": 0xFFFF_FFFF, "motor_state": FAULTED}  # the bits that are faults
 HEALTH_STATUS = {0x1: "regeneration_enabled", 0x2: "reversed", 0x4: "precharging"}
 
 TEMPERATURE, CURRENT, PERCENT, RIPPLE = (-40, 210, "°C"), (-128, 128, "A"), (0, 100, "%"), (0, 12.5, "V")
 SPEED = (-60000, 60000, "RPM")
 
-# Message: name, title, and its fields in the document's order: name, size in bytes, and what it is: (min, max, unit)
-# for a compressed float, (group, bits) for flags, a set of the values that the document defines.
+
+class Flags(tuple):
+    """A field of flags: (group, {bit: name}), and which bits are faults."""
+
+    def __new__(cls, group, bits, faults=0):
+        self = super().__new__(cls, (group, bits))
+        self.faults = faults
+        return self
+
+
+class Message(tuple):
+    """A message: (name, title, fields), the fields in the document's order: name, size in bytes, and what it is: (min, max,
+    unit) for a compressed float, Flags, a set of the values that the document defines, None for a time.
+
+    every: its period in seconds; answers: the message that commands it; generated: { filter name: (field, operator, field) },
+    of which derived are in tables, too."""
+
+    def __new__(cls, name, title, fields, every, answers=None, generated=(), derived=()):
+        self = super().__new__(cls, (name, title, fields))
+        self.size, self.every, self.answers = sum(size for _, size, _ in fields), every, answers
+        self.generated, self.derived = dict(generated), list(derived)
+        return self
+
+
 MESSAGES = {
-    COMMAND: ("command", "Command", [
+    COMMAND: Message("command", "Command", [
         ("enabled", 1, {0, 1}), ("key", 1, {0xA5, 0x5A}), ("motor_mode", 1, {0, 1}),
-        ("torque_iq", 2, (-200, 200, "A")), ("rpm", 2, (-100000, 100000, "RPM"))]),
-    MOTOR: ("motor", "Motor Data", [
+        ("torque_iq", 2, (-200, 200, "A")), ("rpm", 2, (-100000, 100000, "RPM"))], 0.2),
+    MOTOR: Message("motor", "Motor Data", [
         ("torque_iq_commanded", 2, CURRENT), ("torque_iq_measured", 2, CURRENT),
         ("rpm_commanded", 2, SPEED), ("rpm_measured", 2, SPEED),
         ("dc_voltage", 2, (-128, 128, "V")), ("dc_current", 2, CURRENT),
         ("motor_temperature", 1, TEMPERATURE), ("motor_mode", 1, {0, 1}),
-        ("status_flags", 4, ("status", STATUS)), ("fault_flags", 4, ("fault", FAULT)),
-        ("timestamp", 8, None), ("motor_state", 1, ("state", STATE)), ("esc_temperature", 1, TEMPERATURE)]),
-    HEALTH: ("health", "Health", [
+        ("status_flags", 4, Flags("status", STATUS)), ("fault_flags", 4, Flags("fault", FAULT, 0xFFFF_FFFF)),
+        ("timestamp", 8, None), ("motor_state", 1, Flags("state", STATE, FAULTED)), ("esc_temperature", 1, TEMPERATURE)],
+        0.1, "command", {"torque_iq_error": ("torque_iq_measured", "-", "torque_iq_commanded"),
+                         "rpm_error": ("rpm_measured", "-", "rpm_commanded"), "dc_power": ("dc_voltage", "*", "dc_current")},
+        ["dc_power"]),
+    HEALTH: Message("health", "Health", [
         ("timestamp", 8, None), ("control_thread_cpu", 1, PERCENT), ("taurus_thread_cpu", 1, PERCENT),
         ("cpu_temperature", 1, TEMPERATURE), ("capacitor_temperature", 1, TEMPERATURE),
         ("fet_temperature", 1, TEMPERATURE), ("vin_rms_ripple", 1, RIPPLE), ("vin_pp_ripple", 1, RIPPLE),
-        ("taurus_status", 1, ("status", HEALTH_STATUS)), ("board_revision", 1, set(range(256)))]),
+        ("taurus_status", 1, Flags("status", HEALTH_STATUS)), ("board_revision", 1, set(range(256)))], 0.5),
 }
+# The bits that are faults, by the name of the field.
+ALARMS = {field: kind.faults for message in MESSAGES.values() for field, _, kind in message[2] if isinstance(kind, Flags)}
 SPECIALS = ["Not a Number", "Positive Infinity", "Negative Infinity", "Out of Range High", "Out of Range Low"]
 
 
@@ -116,6 +138,44 @@ def filters():
     return names
 
 
+def generated_filters():
+    """Every filter name that the plugin works out for the messages, with its type, without FT_."""
+    names = {}
+    for message in MESSAGES.values():
+        path, flags = f"taurus.{message[0]}", [(field, size, kind) for field, size, kind in message[2] if is_flags(kind)]
+        names |= {f"{path}.{one}": "DOUBLE" for one in message.generated}
+        names |= {f"{path}.{field}.names": "STRING" for field, _, _ in flags}
+        names |= {f"{path}.{kind[0]}.{way}": f"UINT{8 * size}" for _, size, kind in flags for way in ("raised", "cleared")}
+        if any(kind is None for _, _, kind in message[2]):
+            names[f"{path}.clock_drift"] = "RELATIVE_TIME"
+        if message.answers:
+            names[f"{path}.{message.answers}_in"] = "FRAMENUM"
+        # Where another field's flag becomes a fault nothing gets another name.
+        whole = [kind[0] for _, size, kind in flags if kind.faults == 2 ** (8 * size) - 1]
+        for group in (whole or [kind[0] for _, _, kind in flags if kind.faults])[:1]:
+            names |= {f"{path}.{group}.active_time": "RELATIVE_TIME", f"{path}.{group}.previous_change": "FRAMENUM",
+                      f"{path}.{group}.next_change": "FRAMENUM"}
+    return names
+
+
+def sweep(ident):
+    """Payloads of a message: each bit of each field of flags alone, none and all; each reserved count of each compressed
+    float; each other count at both ends.  The rest are ordinary values."""
+    fields = MESSAGES[ident][2]
+    usual = {field: min(kind) if isinstance(kind, set) else 0 for field, _, kind in fields}
+    found = [usual]
+    for field, size, kind in fields:
+        top = 2 ** (8 * size) - 1
+        if is_float(kind):
+            counts = [top - special for special in range(6)]
+        elif is_flags(kind):
+            counts = [1 << bit for bit in range(8 * size)] + [top]
+        else:
+            counts = [0, top]
+        found += [usual | {field: count} for count in counts]
+    return [b"".join(counts[field].to_bytes(size, "little") for field, size, _ in fields) for counts in found]
+
+
 def alarms(payload=None):
     """The faults of Motor Data, or those that are set in a payload, as (field, flag): in the order of the table, of each
     field those that it does not define behind the others."""
@@ -128,6 +188,21 @@ def alarms(payload=None):
                   if count & bit and (flag in names.values() or bit not in names)]
         at += size
     return found
+
+
+OPERATORS = {"-": lambda a, b: a - b, "*": lambda a, b: a * b}
+
+
+def generated(ident, payload):
+    """The values that are worked out from two fields: { filter name: number }."""
+    message, numbers, at = MESSAGES[ident], {}, 0
+    for field, size, kind in message[2]:
+        count = int.from_bytes(payload[at:at + size], "little")
+        at += size
+        if is_float(kind) and count <= 2 ** (8 * size) - MAPPING:
+            numbers[field] = value(count, size, kind[0], kind[1])
+    return {f"taurus.{message[0]}.{name}": OPERATORS[operator](numbers[a], numbers[b])
+            for name, (a, operator, b) in message.generated.items() if a in numbers and b in numbers}
 
 
 def decode(ident, payload, divisor=MAPPING):

@@ -12,6 +12,7 @@ from crc32k import crc32k
 
 KNOWN = {0x000: 7, 0x200: 17, 0x210: 32}  # payload sizes of the catalogue
 HEADER, CRC = 12, 4
+PATIENCE = 4096  # the largest frame that a stream waits for, with good frames inside of it
 EPOCH = 1_700_000_000_000_000
 
 
@@ -104,7 +105,17 @@ def many_claims(rng):
 
 
 def inside_a_good_one(rng):
-    return frame(rng.randrange(0x300, 0x800), noise(rng) + good(rng) + noise(rng))
+    """Also several, and several levels deep."""
+    inner = good(rng)
+    for _ in range(rng.randrange(1, 4)):
+        inner = frame(rng.choice([*KNOWN, rng.randrange(0x300, 0x800)]), rng.choice([b"", noise(rng)]) + inner + rng.choice([b"", noise(rng), good(rng)]))
+    return inner
+
+
+def inside_a_bad_one(rng):
+    data = bytearray(inside_a_good_one(rng))
+    data[-rng.randrange(1, 5)] ^= 1
+    return bytes(data)
 
 
 def two_that_overlap(rng):
@@ -120,7 +131,7 @@ def yp(rng):
 
 
 PIECES = [good] * 8 + [text, text, noise, flipped_bit, dropped_byte, dropped_byte, grown, odd, damaged_size, cut, beheaded, false_sync, ruled_out,
-                       many_claims, inside_a_good_one, two_that_overlap, yp]
+                       many_claims, inside_a_good_one, inside_a_good_one, inside_a_bad_one, two_that_overlap, yp]
 
 
 def stream(rng, start=b""):
@@ -143,7 +154,7 @@ def cuts(rng, data):
 # The truth -------------------------------------------------------------------------------------------------------
 
 class Event:
-    """What a packet shows: kind is good, bad, cut or skipped; data its bytes, start their offset in the stream."""
+    """What a packet shows: kind is good, bad, incomplete or skipped; data its bytes, start their offset in the stream."""
 
     def __init__(self, kind, data, start):
         self.kind, self.data, self.start, self.end = kind, data, start, start + len(data)
@@ -189,12 +200,18 @@ class Oracle:
                     sent = struct.unpack("<I", data[end - CRC:end])[0]
                     self.whole.append((at, end, crc32k(data[at:end - CRC]) == sent))
 
-    def good(self, came):
-        """The good frames: where two overlap, the one that ends first, of those that end together the longer one."""
-        taken = []
-        for start, end, is_good in sorted(self.whole, key=lambda one: (one[1], one[0])):
-            if is_good and end <= came and (not taken or start >= taken[-1][1]):
+    def good(self, came, ended):
+        """The good frames: where two overlap, the one that begins first.  While the stream goes on, frames wait for an open
+        candidate that begins before them, unless it is larger than a stream waits for."""
+        taken, at = [], 0
+        for start, end, is_good in sorted([*self.whole, *((start, end, False) for start, end in self.open)]):
+            if start < at or start + HEADER > came:
+                continue
+            if end > came and not ended and end - start <= PATIENCE:
+                break
+            if is_good and end <= came:
                 taken.append((start, end))
+                at = end
         return taken
 
     def waiting(self, came, after):
@@ -216,14 +233,14 @@ class Oracle:
                 limit = first
                 break
             if end <= stop or self.belief[first] == "known" or stop == limit and behind == "end":
-                events += [("skipped", at, first), ("bad" if end <= stop else "cut", first, min(end, stop))]
+                events += [("skipped", at, first), ("bad" if end <= stop else "incomplete", first, min(end, stop))]
                 at = min(end, stop)
         return events + [("skipped", at, limit)], limit
 
     def tiles(self, came, ended):
         """The events of a prefix, and where what waits begins."""
         events, at = [], 0
-        for start, end in self.good(came):
+        for start, end in self.good(came, ended):
             events += self.damaged(came, at, start, "good")[0] + [("good", start, end)]
             at = end
         last, done = self.damaged(came, at, came, "end") if ended else self.damaged(came, at, self.waiting(came, at), "open")
@@ -246,34 +263,59 @@ class Packet:
     def __init__(self, data, place, captured=None):
         self.data, self.place = data, place
         self.captured = len(data) if captured is None else captured
-        self.events, self.pending, self.leads_to, self.ours = [], b"", set(), True
+        self.events, self.pending, self.leads_to, self.held = [], b"", set(), False
         self.time = self.number = self.sequence = None
+        self.acknowledged = 1
         self.link = lambda packet: packet.data
 
 
 # How the pieces of a stream come ---------------------------------------------------------------------------------
 
-def note_parts(packets, last):
+def note_parts(packets, last, events=None):
     """Which packets the frames came in that the last one shows."""
-    for event in last.events:
+    for event in last.events if events is None else events:
         if event.kind != "skipped":
-            event.parts = [one for one in packets if one.end > event.start and one.start < event.end]
+            event.parts = [one for one in sorted(packets, key=lambda one: one.start) if one.end > max(event.start, one.start) and one.start < event.end]
             for one in event.parts:
                 one.leads_to |= {last} - {one}
 
 
-def joined_by_us(rng, data, place):
-    """A stream that the plugin joins: packets tell which bytes wait, and frames which packets they came in."""
-    packets, came, done, oracle = [], 0, 0, Oracle(data)
-    for piece in cuts(rng, data):
-        packet = Packet(piece, place)
-        packet.start, packet.end = came, came + len(piece)
-        came = packet.end
-        packet.events, done = oracle.events(came, done)
-        packet.pending = data[max(done, packet.start):came]
+def joined(data, place, pieces):
+    """The packets of a stream, for its bytes as (from, to): packets tell which bytes wait, and frames which packets they
+    came in.  What they hold is noted when it is in order, in the last one of those that came till then."""
+    packets, came, done, oracle, waiting = [], 0, 0, Oracle(data), []
+    for start, end in pieces:
+        packet = Packet(data[start:end], place)
+        packet.sequence = start + 1
         packets.append(packet)
-        note_parts(packets, packet)
+        waiting = sorted([*waiting, (start, end, len(packets), packet)])
+        before = came
+        while waiting and waiting[0][0] <= came:
+            start, end, _, one = waiting.pop(0)
+            one.start, one.end = came, max(came, end)
+            came = one.end
+        if came > before:
+            packet.events, done = oracle.events(came, done)
+        if hasattr(packet, "end"):
+            packet.pending = data[max(done, packet.start):packet.end]
+        else:
+            packet.pending, packet.held = packet.data, True
+        note_parts([one for one in packets if hasattr(one, "end")], packet)
+        packet.done = done
     return packets
+
+
+def in_order(rng, data):
+    """Its bytes in pieces, as (from, to)."""
+    pieces, at = [], 0
+    for piece in cuts(rng, data):
+        pieces.append((at, at + len(piece)))
+        at += len(piece)
+    return pieces
+
+
+def joined_by_us(rng, data, place):
+    return joined(data, place, in_order(rng, data))
 
 
 def datagrams(rng, data, place):
@@ -286,73 +328,84 @@ def datagrams(rng, data, place):
     return packets
 
 
-def events_over_tcp(oracle, before, came, known):
-    """Wireshark's TCP does not let go of bytes of earlier segments unless some of the current one go with them."""
-    events, done = oracle.events(came, known)
-    return (events, done) if done > before else ([], known)
+def with_first(rng, data, change):
+    """The bytes of a TCP connection, whose first segment tells what it is, and its segments."""
+    first = good(rng)
+    return first + data, [(0, len(first)), *change([(start + len(first), end + len(first)) for start, end in in_order(rng, data)])]
 
 
-def segments(rng, data, place, lost=0.0):
-    """TCP in order; what is lost is never sent again, and the stream starts anew behind it."""
-    runs, sequence = [[]], 1
-    for piece in [good(rng), *cuts(rng, data)]:
-        packet = Packet(piece, place)
-        packet.sequence = sequence
-        sequence += len(piece)
-        if packet.sequence > 1 and rng.random() < lost:
-            runs.append([])
-        else:
-            runs[-1].append(packet)
-    for run in runs:
-        oracle, came, done = Oracle(b"".join(packet.data for packet in run)), 0, 0
-        for packet in run:
-            before, came = came, came + len(packet.data)
-            packet.events, done = events_over_tcp(oracle, before, came, done)
-            packet.done = done
-    return [packet for run in runs for packet in run]
-
-
-def segments_lost(rng, data, place):
-    return segments(rng, data, place, lost=0.2)
+def segments(rng, data, place):
+    data, pieces = with_first(rng, data, lambda pieces: pieces)
+    return joined(data, place, pieces)
 
 
 def segments_repeated(rng, data, place):
-    """Some segments come twice: the second time they show nothing.  Not those of one byte, which are keep-alives to
-    Wireshark's TCP; and not those inside what waits, with which it is a segment late from 4.4 on, see
-    test_repeated_inside_a_frame."""
-    packets = []
-    for packet in segments(rng, data, place):
-        packets.append(packet)
-        if rng.random() < 0.3:
-            again = rng.choice([one for one in packets if one.sequence - 1 <= packet.done and len(one.data) > 1])
-            packet = Packet(again.data, place)
-            packet.sequence, packet.ours, packet.late = again.sequence, False, True
-            packets.append(packet)
-    return packets
+    """Segments that come twice, with less or more than before, and such as begin in what came before."""
+    def repeat(pieces):
+        changed = []
+        for start, end in pieces:
+            changed.append((rng.choice([start, start, rng.randrange(start + 1)]), end))
+            while rng.random() < 0.3:
+                again = rng.choice(changed)[0]
+                changed.append((again, rng.randrange(again, end) + 1))
+        return changed
+
+    data, pieces = with_first(rng, data, repeat)
+    pieces = [pieces[0]] + [(max(start, end - 1400), end) for start, end in pieces[1:]]
+    return joined(data, place, pieces)
 
 
 def segments_disordered(rng, data, place):
-    """Some segments come late: what waits for them shows when they come."""
-    packets = segments(rng, data, place)
-    order = sorted(range(len(packets)), key=lambda i: i if i == 0 or rng.random() < 0.7 else i + rng.randrange(1, 5))
-    whole, came, done, arrived = b"".join(packet.data for packet in packets), 0, 0, set()
-    oracle, result = Oracle(whole), []
-    for i in order:
-        packet, before = packets[i], came
-        arrived.add(i)
-        while len(arrived) and came < len(whole):
-            following = next((j for j in arrived if packets[j].sequence == came + 1), None)
-            if following is None:
-                break
-            came += len(packets[following].data)
-        packet.events = []
-        if came > before:
-            packet.events, done = events_over_tcp(oracle, before, came, done)
-        result.append(packet)
+    """Some segments come late, and some of them twice."""
+    def shuffle(pieces):
+        order = sorted(range(len(pieces)), key=lambda i: i if rng.random() < 0.7 else i + rng.randrange(1, 5))
+        return [pieces[i] for i in order for _ in range(rng.choice([1, 1, 1, 2]))]
+
+    data, pieces = with_first(rng, data, shuffle)
+    return joined(data, place, pieces)
+
+
+def merged(events):
+    """Skipped bytes that follow skipped bytes are one event."""
+    result = []
+    for event in events:
+        if result and result[-1].kind == event.kind == "skipped":
+            event = Event("skipped", result.pop().data + event.data, event.start)
+        result.append(event)
     return result
 
 
-# Carriers --------------------------------------------------------------------------------------------------------
+def segments_lost(rng, data, place):
+    """Some segments are not in the capture.  The other side acknowledges their bytes, so nothing waits for them: the next
+    packet shows what is left of the bytes before them, and the stream starts anew."""
+    first, runs, sequence = good(rng), [], 1
+    pieces = [first, *cuts(rng, data)]
+    while pieces:
+        count = rng.randrange(1, 8)
+        ends = [0]
+        for piece in pieces[:count]:
+            ends.append(ends[-1] + len(piece))
+        run = joined(b"".join(pieces[:count]), place, list(zip(ends, ends[1:])))
+        if runs:
+            before = runs[-1]
+            rest, _ = Oracle(b"".join(packet.data for packet in before)).events(before[-1].end, before[-1].done, ended=True)
+            for event in rest:
+                note_parts(before, run[0], [event])
+            run[0].events = merged(rest + run[0].events)
+        for packet in run:
+            packet.sequence += sequence - 1
+        runs.append(run)
+        sequence += ends[-1] + sum(map(len, pieces[count:count + 1]))
+        pieces = pieces[count + 1:]
+    packets = runs[0]
+    for run in runs[1:]:
+        acknowledgement = Packet(b"", Place(place.linktype, place.interface, place.number ^ 1, address=True))
+        acknowledgement.sequence, acknowledgement.acknowledged = 1, run[0].sequence
+        packets += [acknowledgement, *run]
+    return packets
+
+
+# Carriers -------------------------------------------------------------------------------------------------------------
 
 USER0, ETHERNET, RTAC, EXPORTED_PDU = 147, 1, 250, 252
 
@@ -361,7 +414,7 @@ class Place:
     """Where a stream was captured: interface, and the number of the stream, of which come two to a conversation."""
 
     def __init__(self, linktype, interface, number, address=None):
-        self.linktype, self.interface, self.address = linktype, interface, address
+        self.linktype, self.interface, self.number, self.address = linktype, interface, number, address
         self.direction, self.pair = number % 2, number // 2
 
 
@@ -401,11 +454,12 @@ def udp(packet):
 
 def tcp(packet):
     ports = addresses(packet.place)[2:]
-    return ethernet(packet, 6, struct.pack(">HHIIHHHH", *ports, packet.sequence, 1, 0x5018, 65535, 0, 0) + packet.data)
+    return ethernet(packet, 6, struct.pack(">HHIIHHHH", *ports, packet.sequence, packet.acknowledged, 0x5018, 65535, 0, 0) + packet.data)
 
 
 LINKS = {USER0: raw, RTAC: rtac, EXPORTED_PDU: exported_pdu}
 UAT = ["-o", 'uat:user_dlts:"User 0 (DLT=147)","yapp_serial","0","","0",""']
+OUT_OF_ORDER = ["-o", "tcp.reassemble_out_of_order:TRUE"]
 AS_SERIAL = ["-d", "rtacser.data,yapp_serial"]
 
 
@@ -446,9 +500,12 @@ CARRIERS = {
     "TCP, Decode As yapp": (on_one(ETHERNET), segments, tcp, ["-d", "tcp.port==20001,yapp"]),
     "TCP, segments missing": (on_one(ETHERNET), segments_lost, tcp, []),
     "TCP, segments repeated": (on_one(ETHERNET), segments_repeated, tcp, []),
-    "TCP, out of order": (on_one(ETHERNET), segments_disordered, tcp, ["-o", "tcp.reassemble_out_of_order:TRUE"]),
-    "TCP that joins nothing": (on_one(ETHERNET), joined_by_us, tcp, ["-o", "tcp.desegment_tcp_streams:FALSE", "-d",
-                                                                    "tcp.port==20001,yapp_serial"]),
+    "TCP, segments repeated, analysis off": (on_one(ETHERNET), segments_repeated, tcp, [
+        "-o", "tcp.analyze_sequence_numbers:FALSE"]),
+    "TCP, segments repeated, Wireshark reassembles": (on_one(ETHERNET), segments_repeated, tcp, OUT_OF_ORDER),
+    "TCP, out of order": (on_one(ETHERNET), segments_disordered, tcp, []),
+    "TCP, out of order, Wireshark reassembles": (on_one(ETHERNET), segments_disordered, tcp, OUT_OF_ORDER),
+    "TCP that joins nothing": (on_one(ETHERNET), segments_disordered, tcp, ["-o", "tcp.desegment_tcp_streams:FALSE"]),
 }
 
 
@@ -513,9 +570,6 @@ def capture(carrier, seed, count):
     for number in range(count):
         place = where(number)
         streams.append(arrive(rng, stream(rng), place))
-        if arrive is joined_by_us and link is tcp:
-            for packet in streams[-1]:
-                packet.sequence = packet.start + 1
     packets = interleaved(rng, streams)
     note_deltas(packets)
     return Capture(carrier, packets, link, options)

@@ -22,22 +22,21 @@ pytestmark = [levels.by_route, levels.together("captures")]
 NAMES = make.names()
 MOTOR = bytes.fromhex("FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000" "0000E38CD23CE04E000005FF")
 
-# Capture: the frames of each message that came to an end, whole or not.
-MESSAGES = {
+# The frames of each message of several frames that came to an end, complete or not: of a text that writes each frame by
+# itself they stand here, of others the text knows them.
+FRAMES = {
     "document_motor": [[1, 2, 3, 4, 5]],
     "document_motor_sll": [[1, 2, 3, 4, 5]],
     "document_motor_sll2": [[1, 2, 3, 4, 5]],
-    "document_uart_split": [[1, 2, 3, 4]],
+    "document_uart_split": [[1, 2, 3, 4]], "document_tcp_split": [[1, 2, 3]], "tcp_conversation": [[2, 4], [3, 5]],
     "kernel_records": [[1, 2, 3, 4, 5]],
     "fd_multi_frame": [[1, 2, 3], [4, 5, 6]],
     "seq_in_use": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10], [11, 12, 13, 14, 15]],
     "two_interfaces": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10]],
     "two_buses_sll2": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10]],
     "two_buses_unnamed": [[1, 3, 5, 7, 9], [2, 4, 6, 8, 10]],
-    "time_delta": [[2, 3, 4, 5], [8, 9, 10, 11]],
     "other_traffic": [[1, 3, 5, 7, 9]],
     "remote_frames": [[1, 3, 5, 7, 10]],
-    "health": [[1, 2, 3, 4]],
     "repeated_start": [[2, 3, 4, 5, 6]],
     "repeated_start_sll2": [[2, 3, 4, 5, 6]],
     "repeated_end": [[1, 2, 3, 4, 5]],
@@ -45,21 +44,15 @@ MESSAGES = {
     "lost_end": [[5, 6, 7, 8, 9]],
     "extra_middle": [[1, 2, 3, 5, 6]],
     "overrun": [[1, 2, 3, 4, 5, 6]],
-    "unfinished": [[1, 2, 3, 4, 5]],
-    "events": [[9, 10, 11, 12, 13]],
     "cut_middle": [[1, 2, 3, 4, 5]],
     "cut_end": [[1, 2, 3, 4, 5]],
-    "bad_crc_can": [[1, 2, 3, 4, 5]],
-    "ctl_nonzero": [[2, 3, 4, 5, 6]],
-    "info_column": [[1, 2, 3, 4, 5]],
     "reserved_nonzero": [[1, 2, 3, 4, 5]],
     "start_12_bytes": [[1, 2, 3, 4, 5]],
     "start_size_65535": [[1, 2, 3, 4, 5]],
-    "undefined_values": [[3, 4, 5, 6, 7]],
-    "unknown_id": [[2, 3, 4, 5]],
     "unknown_id_size_65535": [[1, 2, 3]],
-    "wrong_size": [[3, 4, 5, 6, 7]],
 }
+MESSAGES = {name: frames for name in NAMES if (frames := FRAMES.get(name) or [
+    message["frames"] for message in make.read(name).messages if len(message.get("frames", [])) > 1])}
 
 # Frames that came twice, and where their message ends: it does not list them.
 REPEATED = {("extra_middle", 4): 6}
@@ -97,7 +90,7 @@ def test_nothing_else_lies_there():
 
 # Where each frame stands alone, a display filter has nothing to change.
 # In a first pass of two nothing tells remote frames from data.
-RUNS = [(name, passes) for name in NAMES for passes in expected.PASSES
+RUNS = [(name, passes) for name in NAMES for passes in expected.PASSES if name not in expected.SWEPT
         if (passes != "-2 -Y" or name in MESSAGES) and (passes == "one pass" or name != "remote_frames")]
 
 
@@ -113,7 +106,7 @@ def wanted_of_messages(name):
     for message in make.read(name).messages:
         fields, experts = {}, []
         known = model.MESSAGES.get(message["id"])
-        if known and sum(size for _, size, _ in known[2]) == len(message["payload"]):
+        if known and sum(size for _, size, _ in known[2]) <= len(message["payload"]):
             fields, experts = model.decode(message["id"], message["payload"])
         by_frame.setdefault(message["frame"], []).append((message, fields, experts))
     return by_frame
@@ -144,26 +137,23 @@ def test_messages_show_what_the_document_says(name):
             assert one["yapp.size"] == [str(len(message["payload"])) for message in headers]
 
 
-def test_flags_and_counts_of_the_sweeps():
-    """Every flag, undefined bit and reserved count is there, once by itself."""
-    for name, group, bits, width in [("fault_flags", "motor.fault", model.FAULT, 32),
-                                     ("status_flags", "motor.status", model.STATUS, 32),
-                                     ("motor_state", "motor.state", model.STATE, 8),
-                                     ("health_status", "health.status", model.HEALTH_STATUS, 8)]:
-        none, *single, every = shown(name)
-        assert len(single) == width
-        for bit, one in enumerate([none, *single, every], -1):
-            for mask, flag in bits.items():
-                set_here = one is every or one is not none and mask == 1 << bit
-                assert one[f"taurus.{group}.{flag}"] == ["1" if set_here else "0"], f"{name}, bit {bit}"
-            undefined = one is every and len(bits) < width or 0 <= bit < width and 1 << bit not in bits
-            assert ("taurus.flags.undefined" in one) == undefined
-    floats = [name for name, kind in model.filters().items() if kind == "DOUBLE"]
-    assert len(floats) == 17
-    for path in floats:
-        frames = shown(f"reserved_counts_{path.split('.')[1]}")
-        assert sorted(one[f"{path}.special"][0] for one in frames if f"{path}.special" in one) == list("01234")
-        assert all((path in one) != (f"{path}.special" in one) for one in frames)
+@pytest.mark.parametrize("ident", model.MESSAGES, ids=lambda ident: model.MESSAGES[ident][0])
+def test_each_flag_and_each_reserved_count(folder, ident):
+    """A message with each of them by itself shows what the document says, and a filter for a flag finds these alone."""
+    payloads = model.sweep(ident)
+    source = make.Source("".join(f"can0 fd [{ident:X} {payload.hex(' ')}]\n" for payload in payloads))
+    path = folder / "sweep.pcap"
+    path.write_bytes(make.pcap(source))
+    wanted = [model.decode(ident, payload) for payload in payloads]
+    found = {one["frame"]: one for one in expected.shown(path)}
+    for message, (fields, experts) in zip(source.messages, wanted, strict=True):
+        values = {name: [value] for name, value in fields.items()}
+        for expert in experts:
+            values.setdefault(expert, []).append("1")
+        assert taurus(found[message["frame"]]) == values, message["payload"].hex()
+    flags = [name for name, kind in model.filters().items() if kind == "BOOLEAN" and name in wanted[0][0]]
+    tshark.assert_found(path, [(f"{name} == 1", [message["frame"] for message, (fields, _) in zip(source.messages, wanted)
+                                                 if fields[name] == "1"]) for name in flags])
 
 
 def test_public_names_and_types():
@@ -171,7 +161,7 @@ def test_public_names_and_types():
     fields = [line.split("\t") for line in tshark.run("-G", "fields", *load, plugin=False).stdout.splitlines()]
     types = {field[2]: field[3] for field in fields if field[0] == "F"}
     wanted = {f"yapp.{name}": kind for name, kind in model.YAPP.items()} | model.filters()
-    wanted.update(model.CHANGES)
+    wanted |= model.HISTORY | model.generated_filters()
     wanted.update((name, "NONE") for name in model.EXPERTS + model.EVENT_EXPERTS)
     assert {name: types.get(name) for name in wanted} == {name: f"FT_{kind}" for name, kind in wanted.items()}
 
@@ -240,9 +230,11 @@ def test_command_of_the_document():
 
 # Two passes take remote frames of zeros for data (docs/reading.md): only in one pass is it known which frames are whose.
 @levels.each_once
-@pytest.mark.parametrize("name, passes", [(name, passes) for name in MESSAGES for passes in expected.PASSES
-                                          if passes == "one pass" or name != "remote_frames"])
+@pytest.mark.parametrize("passes", expected.PASSES)
+@pytest.mark.parametrize("name", MESSAGES)
 def test_links_between_the_frames_of_a_message(name, passes):
+    if name == "remote_frames" and passes != "one pass":
+        return
     frames = shown(name, passes)
     lists = [one["yapp.fragment"] for one in frames if "yapp.fragment" in one]
     assert lists == [[str(number) for number in message] for message in MESSAGES[name]]
@@ -323,20 +315,19 @@ def test_time_since_the_previous_message_with_the_same_id():
 INFO = [
     ("info_column", 5, "Motor Data  750.8/749.0 RPM  47.97 V  0.50 A  FAULT motor_overcurrent, hall_timeout"),
     ("document_motor", 1, "Motor Data  Start of 32 bytes  [Reassembled in #5]"),
-    ("document_motor", 3, "Motor Data  part 3 of 5  [Reassembled in #5]"),
-    ("fd_multi_frame", 2, "Health  part 2 of 3  [Reassembled in #3]"),
+    ("document_motor", 3, "Motor Data  fragment 3 of 5  [Reassembled in #5]"),
+    ("fd_multi_frame", 2, "Health  fragment 2 of 3  [Reassembled in #3]"),
     ("document_motor", 5, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"),
     ("document_command", 1, "Command  Enabled, No Regeneration Allowed  Speed Mode  750.8 RPM  0.50 A"),
     ("health", 4, "Health  control 50 %, Taurus 20 %  CPU 50 °C, FET 40 °C"),
     ("bad_crc_can", 5, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  [BAD CRC]"),
     ("lost_middle", 4, "Motor Data  24 of 32 bytes  [INCOMPLETE]"),
-    ("extra_middle", 4, "Motor Data  part once more  [Reassembled in #6]"),
+    ("extra_middle", 4, "Motor Data  duplicate fragment  [Reassembled in #6]"),
     ("extra_middle", 6, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"),
     ("overrun", 6, "Motor Data  40 of 32 bytes  [OVERRUN]"),
     ("end_without_start", 1, "Motor Data  End without a Start"),
     ("unknown_id", 1, "ID 0x123  3 bytes"),
     ("wrong_size", 1, "Command, 6 bytes, the catalogue says 7"),
-    ("reserved_counts_motor", 21, "Motor Data  0.0/0.0 RPM  NaN V  0.00 A  STALE"),
     ("events", 6, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  FAULT hall_timeout  STALE"),
     ("events", 5, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  FAULT hall_timeout  cleared motor_overcurrent"),
     ("events", 7, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  cleared hall_timeout  REBOOT"),
@@ -377,6 +368,27 @@ def test_protocols_are_counted_whatever_else_is_wanted(name):
     assert counted[0] == counted[1] != "0"
 
 
+@levels.by_version
+def test_bytes_of_a_message_in_filters():
+    """They are asked of the tree's bytes, where nothing else is wanted of it and no tree is shown."""
+    path = tshark.CAPTURES / "document_motor.pcap"
+    raw = [] if tshark.version() < (4, 2) else [("@taurus.motor.dc_voltage == f5:af", [5]), ("@taurus.motor.dc_voltage == f5:ae", [])]
+    rows = [("taurus contains 18:01:00:00", [5]), ("taurus contains 18:01:00:02", []), (r'taurus[12:1] == "\x18"', [5]),
+            (r'taurus[12:1] == "\x19"', []), ("taurus[30:2] == 05:ff", [5]), ("len(taurus) == 32", [5]), ("len(taurus) == 31", []), *raw]
+    tshark.assert_found(path, rows)
+    for text, frames in rows:  # a filter alone
+        if frames:
+            assert [line.split()[0] for line in tshark.run("-r", path, "-Y", text).stdout.splitlines()] == ["5"], text
+
+
+@pytest.mark.parametrize("special", range(5))
+def test_tree_of_a_reserved_count(folder, special):
+    path, count = folder / "one.pcap", 0xFFFF - special
+    path.write_bytes(make.pcap(make.Source(f"can0 fd [210 {count.to_bytes(2, 'little').hex()}{MOTOR.hex()[4:]}]\n")))
+    shown = tshark.run("-r", path, "-O", "taurus").stdout
+    assert f"\n    Torque IQ Commanded: {model.SPECIALS[special]} (0x{count:04x})\n" in shown
+
+
 # Capture, frame, field, and how the tree reads.
 TREE = [
     ("document_motor", 5, "taurus.motor.dc_voltage", "DC Voltage: 47.97314 V"),
@@ -399,14 +411,6 @@ TREE = [
     ("health", 4, "taurus.health.control_thread_cpu", "Control Thread CPU Usage: 50 %"),
     ("health", 4, "taurus.health.vin_rms_ripple", "Vin RMS Ripple: 1.25 V"),
     ("bad_crc_can", 5, "yapp.crc", "CRC: 0xc76fbe44 [incorrect, should be 0xc76fbebb]"),
-    ("reserved_counts_motor", 2, "taurus.motor.torque_iq_commanded.special",
-     "Torque IQ Commanded: Positive Infinity (0xfffe)"),
-    ("reserved_counts_motor", 3, "taurus.motor.torque_iq_commanded.special",
-     "Torque IQ Commanded: Negative Infinity (0xfffd)"),
-    ("reserved_counts_motor", 4, "taurus.motor.torque_iq_commanded.special",
-     "Torque IQ Commanded: Out of Range High (0xfffc)"),
-    ("reserved_counts_motor", 5, "taurus.motor.torque_iq_commanded.special",
-     "Torque IQ Commanded: Out of Range Low (0xfffb)"),
 ]
 
 
@@ -425,7 +429,7 @@ PROTOCOLS = {
     "document_motor": "can:yapp", "document_command": "can:yapp",
     "document_motor_sll2": "sll:can:yapp", "fd_single": "can:yapp", "document_uart": "exported_pdu:yapp_serial", "document_uart_dlt_user0":
     "user_dlt:yapp_serial", "document_uart_rtac": "rtacser:yapp_serial",
-    "document_udp": "eth:ethertype:ip:udp:yapp_serial", "document_tcp": "eth:ethertype:ip:tcp:yapp_serial",
+    "document_udp": "eth:ethertype:ip:udp:yapp_serial", "document_tcp": "eth:ethertype:ip:yapp_tcp:tcp:yapp_serial",
 }
 
 

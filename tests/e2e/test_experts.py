@@ -81,13 +81,13 @@ EXPERTS = [
     ("yapp.crc.bad", "bad_crc_can", [5], "Errors", "Bad CRC", "Received 0xc76fbe44, expected 0xc76fbebb"),
     ("yapp.crc.bad", "bad_crc_uart", [1], "Errors", "Bad CRC", "Received 0xc76fbe44, expected 0xc76fbebb"),
     ("yapp.fragment.orphan", "end_without_start", [1], "Warns", "Middle or End without a Start",
-     "End of a message whose Start is not here"),
+     "End fragment: no Start captured"),
     ("yapp.fragment.incomplete", "lost_middle", [4], "Warns", "Message with bytes missing",
      "The message that started in frame 1 ends with 24 of 32 bytes"),
     ("yapp.fragment.incomplete", "lost_end", [5], "Warns", "Message with bytes missing",
-     "A new Start cuts off the message that started in frame 1: 24 of 32 bytes"),
+     "A new Start supersedes the message that started in frame 1: 24 of 32 bytes came"),
     ("yapp.fragment.overrun", "overrun", [6], "Warns", "More bytes than the message's size",
-     "40 bytes for the 32 of the message that started in frame 1"),
+     "The message that started in frame 1 has 40 bytes instead of 32"),
     ("yapp.size.mismatch", "wrong_size", [1, 2, 3, 7, 8], "Warns", "Payload length is not the catalogue's",
      "Command has 6 bytes, the catalogue says 7"),
     ("yapp.id.unknown", "unknown_id", [1, 5], "Notes", "Message ID is not in the catalogue",
@@ -100,29 +100,62 @@ EXPERTS = [
      '7 bytes that belong to no frame: "login: "'),
     ("yapp.truncated", "cut_middle", [3], "Warns", "The capture cut the packet short",
      "The capture has 3 of the frame's 8 bytes"),
-    ("yapp.late", "events", [8], "Warns", "A long gap before this message", "0.500 s since the previous one"),
+    ("yapp.late", "events", [8], "Warns", "A long gap before this message", "Silent for 0.500 s"),
     ("taurus.fault.active", "info_column", [5], "Errors", "Fault flags are set",
      "Fault Flags: 0x10010000 (motor_overcurrent, hall_timeout)"),
     ("taurus.fault.raised", "events", [3, 4], "Errors", "A fault was raised",
      "Fault Flags raised: 0x00010000 (motor_overcurrent)"),
     ("taurus.fault.cleared", "events", [5, 7], "Notes", "A fault was cleared",
      "Fault Flags cleared: 0x00010000 (motor_overcurrent)"),
-    ("taurus.reboot", "events", [7], "Warns", "The controller's time went back: it was started anew", "Clock drift: "),
-    ("taurus.stale", "events", [6], "Warns", "The controller's time stood still", "Clock drift: -"),
-    ("taurus.command.key.invalid", "invalid_key", [1, 4], "Warns", "Key is not valid: the command is ignored", "Key: "),
-    ("taurus.value.special", "document_motor", [5], "Notes", "No ordinary number: a reserved count, NaN or infinity",
+    ("taurus.reboot", "events", [7], "Warns", "Controller rebooted (its clock went back)", "Controller rebooted (its clock went back"),
+    ("taurus.stale", "events", [6], "Warns", "Controller clock did not advance", "Clock drift: -"),
+    ("taurus.command.key.invalid", "invalid_key", [1, 4], "Warns", "Key is not defined (the controller ignores this command)",
+     "Key: "),
+    ("taurus.value.special", "document_motor", [5], "Notes", "Reserved value: not a number, infinite or out of range",
      "ESC Temperature: Not a Number (0xff)"),
-    ("taurus.flags.undefined", "health_status", list(range(5, 11)), "Notes", "A bit is set that no table defines",
-     "Undefined bits: 0x00000008"),
+    ("taurus.flags.undefined", "fault_flags", [21, 29, 34], "Notes", "A bit is set that no table defines",
+     "Undefined bits: 0x00080000"),
     ("taurus.value.invalid", "undefined_values", [1, 2, 7], "Warns", "Value that is not defined", "Enabled: "),
 ]
-KNOWN_LATER = [("yapp.unfinished", "unfinished", [8], "Warns", "The capture ends before the message does"),
-               ("yapp.unfinished", "unfinished_uart", [3], "Warns", "The capture ends before the message does"),
+KNOWN_LATER = [("yapp.unfinished", "unfinished", [8], "Warns", "Message cut off by the end of the capture"),
+               ("yapp.unfinished", "unfinished_uart", [3], "Warns", "Message cut off by the end of the capture"),
                ("yapp.fragment.duplicate", "extra_middle", [4], "Notes", "Frame delivered twice")]
 
 
+MOTOR = "FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000"  # up to the fault flags; the clock is at byte 22
+
+
+def clocks(seconds):
+    """Motor Data every 0.1 s, with these times of the controller's clock."""
+    lines = [f"{number / 10:.1f} can0 fd [210 {MOTOR}0000{int(clock * 10**9).to_bytes(8, 'little').hex()}05FF]\n"
+             for number, clock in enumerate(seconds)]
+    return make.pcap(make.Source("".join(lines)))
+
+
+# Expert item, the controller's clock in each message, the frames, and the label, which has the numbers.
+CLOCKS = [
+    ("taurus.jump", [1.0, 1.1, 3601.2, 3601.3], [3], "Controller's clock jumped ahead by 3600.0 s"),
+    ("taurus.reboot", [10.0, 10.1, 0.5, 0.6], [3], "Controller rebooted (its clock went back by 9.6 s)"),
+    ("taurus.stale", [1.0, 1.1, 1.1, 1.2], [3], "Controller clock did not advance"),
+    ("yapp.source.shared", [time + 50 * (number % 2) for number, time in enumerate([one / 10 for one in range(10, 30)])], None,
+     "Two controllers send this ID on one bus: their clocks alternate"),
+]
+
+
+@levels.by_version
+@pytest.mark.parametrize("name, seconds, frames, label", CLOCKS, ids=[row[0] for row in CLOCKS])
+def test_what_the_clocks_say(folder, name, seconds, frames, label):
+    """Once, with the number in the label; the same in two passes."""
+    (folder / "clocks.pcap").write_bytes(clocks(seconds))
+    for passes in ((), ("-2",)):
+        shown = tshark.run(*passes, "-r", folder / "clocks.pcap", "-Y", name, "-O", "taurus").stdout
+        found = [int(number) for number in re.findall(r"(?m)^Frame (\d+):", shown)]
+        assert found == frames if frames else len(found) == 1
+        assert label in shown
+
+
 def test_every_expert_item_has_a_capture():
-    assert {row[0] for row in EXPERTS + KNOWN_LATER} == set(model.EXPERTS + model.EVENT_EXPERTS)
+    assert {row[0] for row in EXPERTS + KNOWN_LATER} | {row[0] for row in CLOCKS} == set(model.EXPERTS + model.EVENT_EXPERTS)
 
 
 def found_and_listed(name, capture, *passes):
@@ -191,23 +224,6 @@ def test_decode_as_shows_the_same_as_the_preference(name, passes):
 
 
 # Flags -----------------------------------------------------------------------------------------------------------
-
-SWEEPS = [("fault_flags", "taurus.motor.fault", model.FAULT, 34),
-          ("status_flags", "taurus.motor.status", model.STATUS, 34),
-          ("motor_state", "taurus.motor.state", model.STATE, 10),
-          ("health_status", "taurus.health.status", model.HEALTH_STATUS, 10)]
-
-
-@pytest.mark.parametrize("name, path, bits, last", SWEEPS, ids=[row[0] for row in SWEEPS])
-def test_each_flag_is_found_in_its_frame_and_in_no_other(name, path, bits, last):
-    """Frame 1 has no bit, frame n + 2 has bit n, the last frame has all."""
-    frames = {flag: mask.bit_length() + 1 for mask, flag in bits.items()}
-    there = [f"{path}.{flag} == 1 && frame.number == {number}" for flag, number in frames.items()]
-    elsewhere = [f"{path}.{flag} == 1 && frame.number != {number} && frame.number != {last}" for flag, number in frames.items()]
-    everywhere = " && ".join(f"{path}.{flag} == 1" for flag in frames)
-    tshark.assert_found(make.capture(name)[0], [(" || ".join(there), sorted(frames.values())),
-                                                (" || ".join(elsewhere), []), (everywhere, [last])])
-
 
 HELP = """return { { name = "motor", title = "Motor Data", id = 0x210, size = 32,
   { "before", "bytes", "Before", length = 18 },

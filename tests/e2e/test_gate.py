@@ -2,6 +2,8 @@
 """The CI recipe in a real shell, on what it must let pass and on what it must stop; and how statistics end otherwise."""
 import json
 import os
+import re
+import shlex
 import shutil
 import subprocess
 
@@ -282,10 +284,12 @@ def test_a_read_filter_where_several_buses_have_one_id(folder):
     for passes, code in (((), 20), (("-2",), 20), (("-2", "-R", "yapp.id == 0x210"), 21)):
         done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,check,fault=0", check=False)
         assert done.returncode == code, (passes, done.stdout)
-    assert "what came before is not known" in done.stdout
+    assert "what came before its messages is not known" in done.stdout
     for what, code in (("faults", 21), ("events", 21), ("summary", 21), ("csv,-,motor", 0)):
         done = tshark.run("-2", "-R", "yapp.id == 0x210", "-q", "-r", folder / "run.pcapng", "-z", f"yapp,{what}", check=False)
-        assert (done.returncode, "yapp: what came before" in done.stderr) == (code, code == 21), what
+        said = "nothing tells the buses of 0x210 apart"
+        assert (done.returncode, said in done.stderr) == (code, code == 21), what
+        assert (said in done.stdout) == (code == 21), what
 
 
 def test_a_name_is_that_of_its_own_interface(folder):
@@ -389,6 +393,173 @@ def test_a_job_goes_on_behind_a_gate_that_holds(folder):
     assert gate(folder, pcapng(CLEAN), RECIPE + " && echo went on")[1].endswith("went on\n")
     (folder / "run.pcapng").write_bytes(CASES["fault"][0])
     assert "went on" not in shell(folder, RECIPE + "; echo went on", folder / "home")[1]
+
+
+# No false all-clear --------------------------------------------------------------------------------------------------
+
+CASES_FOLDER = tshark.CAPTURES / "cases"
+# The capture; what a check of it asks for; its exit code; the rules that fail.
+JUDGED = [
+    ("g0_clean.pcapng", "", 0, set()),
+    ("g0_clean.pcapng", ",motor.rate=9..11", 0, set()),
+    ("g1_clock_back_motor_dead.pcapng", "", 20, {"clock", "silence"}),
+    ("g2_seq_half_lost.pcapng", "", 20, {"missing"}),
+    ("g3_dropcount.txt", "", 20, {"dropped"}),
+    ("g4_isb_ifdrop.pcapng", "", 20, {"dropped"}),
+    ("g4_epb_dropcount.pcapng", "", 20, {"dropped"}),
+    ("g5_two_escs_one_id.pcapng", ",motor.rate=9..11", 20, {"motor.rate"}),
+    ("g6_controller_swap.pcapng", "", 20, {"jump"}),
+    ("g8_udp_first_bad.pcap", "", 20, {"crc"}),
+    ("g13_no_times_motor_dead.txt", ",silence=0,motor.gap=0.3", 21, set()),
+    ("g13_spb_no_times.pcapng", ",silence=0,motor.gap=0.3", 21, set()),
+]
+
+
+@levels.each_once
+@pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
+@pytest.mark.parametrize("row", JUDGED, ids=lambda row: row[0].partition("_")[0] + row[1])
+def test_what_the_gate_let_through(row, passes):
+    """Captures that passed a gate of 2.1, but for the clean one."""
+    name, rules, code, failed = row
+    done = tshark.run(*passes, "-q", "-r", CASES_FOLDER / name, "-z", "yapp,events,json", "-z", f"yapp,check,json{rules}", check=False)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    found = {line["rule"].split("=")[0] for line in lines if line.get("ok") is False}
+    assert (done.returncode, found) == (code, failed), done.stdout
+    kinds = {line["kind"] for line in lines if "kind" in line}
+    assert failed - {"motor.rate"} <= kinds
+
+
+def test_a_preference_that_could_not_be_read():
+    for preference, code in ((None, 0), ("yapp.sources:can0/0x210=motr:left", 21), ("yapp.late:often", 21),
+                             ("yapp.user_dlt:9", 21), ("yapp.health_ids:0x200,0x210", 21)):  # 0x210 stays with Motor Data
+        options = ["-o", preference] if preference else []
+        done = tshark.run(*options, "-q", "-r", CASES_FOLDER / "g0_clean.pcapng", "-z", "yapp,check", check=False)
+        assert (done.returncode, "check: preferences: " in done.stderr) == (code, code != 0), done.stderr
+        assert done.stdout.splitlines()[-1].endswith(f"{int(code != 0)} not judged")
+
+
+def controllers(messages, count=20, seq=0):
+    """(bus, ID, payload of the message of an index) each, ten a second."""
+    placed = []
+    for order, (bus, ident, payload) in enumerate(messages):
+        for index in range(count):
+            for place, frame in enumerate(Sent(ident, 0, (seq + index) % 256 if seq else 0, payload(index)).frames()):
+                frame.bus = bus
+                placed.append((BEGIN + index * 100_000_000 + order * 3_000_000 + place * 300_000, frame))
+    return pcapng(sorted(placed, key=lambda one: one[0]), ("can0", "can1"))
+
+
+def overheated(index):
+    return motor_payload(index, faults=0x10000 if index > 5 else 0)
+
+
+def health_payload(index):
+    return struct.pack("<q", index * 100_000_000) + bytes(9)
+
+
+EIGHT = [(bus, 0x210 + number, overheated if (bus, number) == (1, 3) else motor_payload)
+         for bus in (0, 1) for number in range(4)]
+IN_TEXT = ["faults", "events", "summary", "compare"]
+ON_STDERR = ["faults,json", "events,json", "summary,json", "compare,json", "csv,-,motor"]
+
+
+def advice(text):
+    """The preferences that a text says to try."""
+    return shlex.split(re.search(r"\. Try (.*)", text)[1])
+
+
+@pytest.mark.parametrize("seq", [0, 7], ids=["not numbered", "numbered"])
+def test_eight_controllers_without_a_preference(folder, seq):
+    """Every answer says that six of them were not decoded; the preference that it suggests finds the fault."""
+    (folder / "run.pcapng").write_bytes(controllers(EIGHT, seq=seq))
+    text = "120 messages were not decoded: can0 0x211, 0x212, 0x213, can1 0x211, 0x212, 0x213 " \
+        "(32 bytes each, the size of Motor Data). Try -o yapp.motor_ids:0x210-0x213"
+    taps = [argument for what in IN_TEXT for argument in ("-z", f"yapp,{what}")]
+    for passes in (), ("-2",):
+        said = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", *taps).stdout.splitlines()
+        assert [following for line, following in zip(said, said[1:]) if line.startswith("YAPP")] == [text] * len(IN_TEXT)
+        for what in ON_STDERR if not passes and not seq else ON_STDERR[:1]:
+            assert f"yapp: {text}\n" in tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", f"yapp,{what}").stderr, what
+        done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,events,json")
+        events = [json.loads(line) for line in done.stdout.splitlines()]
+        found = {(line["bus"], line["id"]): line for line in events if line["kind"] == "unknown"}
+        assert sorted(found) == [(bus, ident) for bus in ("can0", "can1") for ident in (0x211, 0x212, 0x213)]
+        assert all((line["size"], line["count"], line["like"], line["message"]) == (32, 20, "motor", None)
+                   for line in found.values()) and len(events) == 6
+    check = tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,check", check=False)
+    assert check.returncode == 20 and text in check.stdout
+    done = tshark.run(*advice(text), "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults", "-z", "yapp,check,unknown=0")
+    assert "motor_overcurrent" in done.stdout and "not decoded" not in done.stdout
+
+
+def test_a_firmware_that_appended_bytes(folder):
+    """The known part is decoded, a fault in it is found; that there is more is said."""
+    def grown(index, sent):
+        return Sent(sent.msg, 0, sent.seq, overheated(index) + b"more").frames()
+    (folder / "run.pcapng").write_bytes(pcapng(flight(spoil=grown)))
+    text = "30 messages were decoded in part: can0 0x210 (36 bytes each, Motor Data has 32)"
+    done = tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,faults", "-z", "yapp,csv,-,motor")
+    assert re.search(rf"^YAPP faults: 2\n{re.escape(text)}\n(.*\n)+.*motor_overcurrent  raised", done.stdout, re.M)
+    assert f"yapp: {text}\n" in done.stderr and done.stdout.count(",can0,,528,") == 30
+    done = tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,check,json", "-z", "yapp,events,json", check=False)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert {line["rule"] for line in lines if line.get("ok") is False} == {"fault=0", "unknown=0"} and done.returncode == 20
+    (one,) = [line for line in lines if line.get("kind") == "unknown"]
+    assert (one["frame"], one["message"], one["size"], one["count"], one["like"]) == (6, "motor", 36, 30, None)
+
+
+def test_csv_in_a_folder_says_what_was_not_decoded(folder):
+    (folder / "run.pcapng").write_bytes(controllers(EIGHT))
+    done = tshark.run("-q", "-r", folder / "run.pcapng", "-z", f"yapp,csv,{folder}/tables")
+    assert "120 messages were not decoded" in done.stdout.splitlines()[1] and "yapp: 120 messages" in done.stderr
+
+
+def test_one_id_with_two_messages(folder):
+    """The same ID carries Motor Data on one bus and Health on the other: only yapp.sources can say it."""
+    (folder / "run.pcapng").write_bytes(controllers([
+        (0, 0x211, overheated), (1, 0x211, health_payload), (0, 0x300, health_payload), (1, 0x210, health_payload)]))
+    capture = folder / "run.pcapng"
+    given = ["-o", "yapp.sources:can0/0x300=spare, 0x7ff=motor:none", "-o", "yapp.health_ids:0x205"]
+    said = tshark.run(*given, "-q", "-r", capture, "-z", "yapp,faults").stdout
+    found = advice(said)
+    assert found == ["-o", "yapp.health_ids:0x205,0x300", "-o", "yapp.sources:can0/0x300=spare, 0x7ff=motor:none,"
+                     "can0/0x211=motor:,can1/0x211=health:,can1/0x210=health:"]
+    done = tshark.run(*given, *found, "-q", "-r", capture, "-z", "yapp,faults", "-z", "yapp,check,unknown=0")
+    assert "motor_overcurrent" in done.stdout and "not decoded" not in done.stdout
+
+
+def test_what_no_message_is_found_in(folder):
+    """It says what was there, and what to look at."""
+    foreign = [(BEGIN + index, Frame(0x18FEF100, bytes(8))) for index in range(120)]
+    standard = [(BEGIN + index, Frame(0x123, bytes(8), kind="standard")) for index in range(3)]
+    extended = "no YAPP message found; 120 extended CAN frames were not dissected: see yapp.motor_ids, yapp.all_extended"
+    for placed, text in ((foreign, extended), (flight(OTHER, seq=1, count=24), extended),
+                         (standard, "no YAPP message found in 3 packets"), ([], "no YAPP message found in 0 packets")):
+        (folder / "run.pcapng").write_bytes(pcapng(placed))
+        for passes in (), ("-2",):
+            done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,summary", "-z", "yapp,faults,json", "-z",
+                              "yapp,check", check=False)
+            assert (done.returncode, done.stdout.splitlines()[1][:len(text)]) == (21, text)
+            assert re.search(f"NOT JUDGED +fault=0 +{re.escape(text)}", done.stdout) and f"yapp: {text}" in done.stderr
+
+
+def test_a_display_filter_narrows_no_statistic(folder):
+    for options, is_said in (([], False), (["-Y", "yapp"], True), (["-Yyapp"], True)):
+        done = tshark.run("-q", *options, "-r", CASES_FOLDER / "g0_clean.pcapng", "-z", "yapp,summary", "-z",
+                          "yapp,faults,filter=yapp")
+        assert [line.startswith("-Y does not narrow") for line in done.stdout.splitlines()].count(True) == is_said
+
+
+def test_rules_from_a_file(folder, home):
+    (folder / "rules.txt").write_bytes(b"\xef\xbb\xbf# of the hover test\r\nfault = 0\r\n\r\nmotor.rate=9 .. 11 # per second\r\n")
+    returned, output, _ = z(folder, "check, rules = rules.txt , motor.count=30")
+    assert returned == 0 and output.endswith("\n0 of 4 rules failed, 0 not judged\n")
+    (folder / "rules.txt").write_text("fault=0\nmotor.rate=fast\nrules=rules.txt\n")
+    returned, output, errors = z(folder, "check,rules=rules.txt")
+    assert returned == 21 and 'rules.txt:2: motor.rate=fast: "fast" is not a rate' in errors
+    assert "rules.txt:3: rules=rules.txt: a file of rules names no other" in errors
+    returned, _, errors = z(folder, "check,rules=none.txt")
+    assert returned == 21 and "rules=none.txt: none.txt: No such file" in errors
 
 
 # The other ends ------------------------------------------------------------------------------------------------------

@@ -64,7 +64,7 @@ def frame(ident, ctrl, data="00*8"):
 
 
 @pytest.mark.parametrize("arguments", levels.few(
-    [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp")], [("-d", "can.subdissector,yapp")]),
+    [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp_all")], [("-d", "can.subdissector,yapp_all")]),
                          ids=["default", "all_extended", "decode_as"])
 def test_sizes_that_a_start_announces(folder, arguments):
     """A message of any size with nothing, too little, or too much; the message after them is decoded."""
@@ -133,7 +133,7 @@ HEADS = [(can_id, size) for can_id in (0, 0x08400000, 0x08404000, 0x08408000, 0x
 
 @levels.by_version
 @levels.each_once
-@pytest.mark.parametrize("arguments", [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp")],
+@pytest.mark.parametrize("arguments", [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp_all")],
                          ids=["default", "all_extended", "decode_as"])
 @pytest.mark.parametrize("flags", [0, 4], ids=["can", "fd"])
 def test_lengths_above_the_record(folder, flags, arguments):
@@ -193,7 +193,7 @@ def test_garbage_leaves_a_choice_as_it_is(setting):
 
 def test_link_types_of_others():
     lines = said("-o", "yapp.user_dlt:0-162", "-r", tshark.CAPTURES / "document_command.pcap")
-    assert lines == ["yapp: preferences: link type 0 is not a DLT_USER (147 to 162), nor are 146 others"]
+    assert lines == ["yapp: preferences: yapp.user_dlt: link type 0 is no DLT_USER; those are 147 to 162"]
 
 
 # candump text ------------------------------------------------------------------------------------------------------

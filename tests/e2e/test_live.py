@@ -593,12 +593,6 @@ def test_commands_of_the_document(home, folder, port, second, command):
         assert ("Motor Data" in out) == ("fault.active" not in command)
 
 
-def test_the_readme_has_commands_of_the_document():
-    section = re.search(r"\n## Live\n(.*?)\n## ", (tshark.ROOT / "README.md").read_text(), re.DOTALL)[1]
-    commands = re.findall(r"^    .*", section, re.MULTILINE)
-    assert len(commands) == 7 and all(f"{command}\n" in DOCUMENT for command in commands)
-
-
 def test_settings_in_the_document():
     for interface in ("yapp-serial", "yapp-can"):
         out, _ = spoken("--extcap-config", "--extcap-interface", interface)

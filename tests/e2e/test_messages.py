@@ -4,6 +4,7 @@
 
     test_messages.py    writes NAME.pcap and NAME.expected of test_captures/own_messages anew: look at the difference"""
 import html
+import json
 import os
 import pathlib
 import re
@@ -14,6 +15,7 @@ import sys
 import pytest
 
 import levels
+import model
 import tshark
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "test_captures"))
@@ -252,31 +254,114 @@ def test_no_catalogue_at_all(folder):
     assert "bad argument" not in done.stderr
 
 
-def test_names_and_types_of_what_is_generated():
-    load = tshark.load(tshark.PLUGIN / "yapp.lua")
-    rows = [line.split("\t") for line in tshark.run("-G", "fields", *load, plugin=False).stdout.splitlines()]
-    types = {row[2]: row[3] for row in rows if row[0] == "F"}
-    wanted = {
-        "motor.fault.raised": "UINT32", "motor.fault.cleared": "UINT32", "motor.status.raised": "UINT32",
-        "motor.status.cleared": "UINT32", "motor.state.raised": "UINT8", "motor.state.cleared": "UINT8",
-        "health.status.raised": "UINT8", "motor.fault.active_time": "RELATIVE_TIME",
-        "motor.fault.previous_change": "FRAMENUM", "motor.fault.next_change": "FRAMENUM", "motor.rpm_error": "DOUBLE",
-        "motor.torque_iq_error": "DOUBLE", "motor.command_in": "FRAMENUM", "motor.clock_drift": "RELATIVE_TIME",
-        "health.clock_drift": "RELATIVE_TIME", "fault.raised": "NONE", "fault.cleared": "NONE", "reboot": "NONE",
-        "stale": "NONE",
-    }
-    assert {name: types.get(f"taurus.{name}") for name in wanted} == {
-        name: f"FT_{kind}" for name, kind in wanted.items()}
+def test_generated_values(folder):
+    """Each is what its operator makes of its two fields, and absent where one of them has no value."""
+    for ident, message in model.MESSAGES.items():
+        payloads = model.sweep(ident) if message.generated else []
+        path = folder / f"{message[0]}.pcap"
+        path.write_bytes(make.pcap(make.Source("".join(f"can0 fd [{ident:X} {one.hex(' ')}]\n" for one in payloads))))
+        names = [f"taurus.{message[0]}.{name}" for name in message.generated]
+        rows = tshark.fields(path, names) if payloads else []
+        for payload, row in zip(payloads, rows, strict=True):
+            values = model.generated(ident, payload)
+            for name, text in zip(names, row, strict=True):
+                assert (text == "") == (name not in values) and float(text or 0) == pytest.approx(values.get(name, 0), rel=1e-6, abs=1e-9)
 
 
-def test_differences():
-    rows = tshark.fields(tshark.CAPTURES / "info_column.pcap", ["taurus.motor.rpm_error", "taurus.motor.torque_iq_error"])
-    assert [row for row in rows if row[0]] == [["-1.831222", "0"]]
-    path = tshark.CAPTURES / "reserved_counts_motor.pcap"
-    both = "taurus.motor.torque_iq_measured && taurus.motor.torque_iq_commanded"
-    found = tshark.run("-r", path, "-Y", f"taurus.motor.torque_iq_error && !({both})").stdout
-    missing = tshark.run("-r", path, "-Y", f"!taurus.motor.torque_iq_error && {both}").stdout
-    assert found == missing == ""
+def test_derived_values_are_like_fields():
+    """In a table, in fields.json, in summary, and in a rule."""
+    path = tshark.CAPTURES / "info_column.pcap"
+    power = model.generated(model.MOTOR, make.read("info_column").messages[0]["payload"])["taurus.motor.dc_power"]
+    header, row = [line.split(",") for line in tshark.run("-q", "-r", path, "-z", "yapp,csv,-,motor").stdout.splitlines()]
+    assert header[-1] == "dc_power" and float(row[-1]) == pytest.approx(power, rel=1e-6)
+    summary = json.loads(tshark.run("-q", "-r", path, "-z", "yapp,summary,json").stdout)
+    assert summary["values"]["dc_power"]["max"] == pytest.approx(power, rel=1e-6)
+    for limit, code in (power + 1, 0), (power - 1, 20):
+        assert tshark.run("-q", "-r", path, "-z", f"yapp,check,motor.dc_power=..{limit}", check=False).returncode == code
+
+
+@pytest.mark.parametrize("case, said", [("c1_catalogue_keyed", 'the entry "battery" is not read: a message has its name inside'),
+                                        ("c2_catalogue_hole", "message 2 of the list is nil: a variable that is not defined")])
+def test_a_file_that_is_no_list(case, said):
+    """Nothing is left out without a word: an error that says which entry and what to do, and check cannot judge."""
+    path = tshark.CAPTURES / f"cases/{case}.lua"
+    done = tshark.run("-q", "-r", tshark.CAPTURES / "cases/c_battery.pcapng", "-z", "yapp,check", env={"YAPP_MESSAGES": str(path)},
+                      check=False)
+    assert f"yapp: {path}: {said}" in done.stderr and done.returncode == 21, done.stderr
+
+
+# Payloads of another size ------------------------------------------------------------------------------------------
+
+MOTOR = "FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000000E38CD23CE04E000005FF"
+FAULTY = MOTOR[:40] + "01" + MOTOR[42:]  # motor_overcurrent
+LINKS = {"can": "can0", "pdu": ">", "udp": ">", "tcp": ">"}
+
+
+def together(folder, *messages):
+    """Messages on CAN, a UART, UDP and TCP, one after the other in one file; and in which frame each of them ends."""
+    sources, ends, before = [], [], 0
+    for link, source in LINKS.items():
+        sources.append(make.Source(f"link {link}\n" + "".join(f"{source} [{one}]\n" for one in messages)))
+        ends.append([before + message["frame"] for message in sources[-1].messages])
+        before += len(sources[-1].packets)
+    path = folder / "together.pcapng"
+    path.write_bytes(make.pcapng(*sources))
+    return path, ends
+
+
+@levels.by_version
+@pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
+def test_a_firmware_that_appends_fields(folder, passes):
+    """On every link what the catalogue knows is decoded and counted, and the rest is bytes; not where the CRC is bad."""
+    path, ends = together(folder, f"210 {FAULTY}DEADBEEF", f"210 {MOTOR}00", f"!210 {FAULTY}DEADBEEF", f"210 {MOTOR[:62]}")
+    names = ["taurus.motor.dc_voltage", "taurus.motor.fault.motor_overcurrent", "yapp.message.fault", "yapp.undecoded",
+             "yapp.size.mismatch", "yapp.payload", expected.column("Info")]
+    rows = tshark.fields(path, names, *passes, separator="|")
+    info = "Motor Data{}  0.0/0.0 RPM  47.97 V  0.00 A{}  [{} bytes, {} not decoded]"
+    for link, frames in zip(LINKS, ends):
+        faulty, well, bad, short = [rows[number - 1] for number in frames]
+        # In one run several buses have the ID: Info says which.
+        where = re.match(r"Motor Data(.*?)  0", faulty[-1])[1]
+        assert faulty[:-1] == ["47.97314", *["1" if tshark.version() < (4, 2) else "True"] * 2, "deadbeef", "1", ""], link
+        assert faulty[-1] == info.format(where, "  FAULT motor_overcurrent", 36, 4), link
+        assert well[3:] == ["00", "1", "", info.format(where, "  cleared motor_overcurrent  STALE", 33, 1)], link
+        assert bad[:4] == ["", "", "", ""], link
+        if link == "can":  # in a stream it is no frame
+            assert bad[4:] == ["1", f"{FAULTY}deadbeef".lower(), f"Motor Data{where}, 36 bytes, the catalogue says 32  [BAD CRC]"]
+        assert short[:5] == ["", "", "", "", "1"] and short[5] == MOTOR[:62].lower(), link
+    found = [json.loads(line) for line in tshark.run("-q", *passes, "-r", path, "-z", "yapp,faults,json").stdout.splitlines()]
+    assert [(one["frame"], one["event"]) for one in found] == [
+        (frames[place], event) for frames in ends for place, event in enumerate(["raised", "cleared"])]
+
+
+OLD_AND_NEW = """return { { name = "motor", title = "Motor Data", id = 0x210, size = 36, min_size = 32, info = "{volts:%.2f} V  {more}",
+  derived = { { "power", "volts * amps", "Power", unit = "W" }, { "sum", "more + amps", "Sum" } },
+  { "before", "bytes", "Before", length = 8 }, { "volts", "float16", "Volts", min = -128, max = 128, unit = "V" },
+  { "amps", "float16", "Amps", min = -128, max = 128, unit = "A" }, { "behind", "bytes", "Behind", length = 20 },
+  { "more", "uint32", "More" } } }"""
+
+
+@levels.by_version
+def test_one_entry_for_two_firmwares(folder):
+    """From min_size bytes on a payload is the message; what it does not have is absent in tree, Info and table."""
+    (folder / "both.lua").write_text(OLD_AND_NEW)
+    path, ends = together(folder, f"210 {MOTOR}", f"210 {MOTOR}05000000", f"210 {MOTOR}0506", f"210 {MOTOR[:62]}",
+                          f"210 {MOTOR}0500000009", f"!210 {MOTOR}")
+    env = {"YAPP_MESSAGES": str(folder / "both.lua")}
+    names = ["taurus.motor.volts", "taurus.motor.more", "taurus.motor.sum", "yapp.undecoded", expected.column("Info")]
+    rows = [line.split("|")[:5] for line in tshark.run(
+        "-r", path, "-T", "fields", "-E", "separator=|", *[part for name in names for part in ("-e", name)], env=env).stdout.splitlines()]
+    for link, frames in zip(LINKS, ends):
+        old, new, between, short, longer, bad = [rows[number - 1] for number in frames]
+        assert old[:4] == between[:4] == bad[:4] == ["47.97314", "", "", ""], link
+        assert old[4].endswith("47.97 V  -") and bad[4].endswith("47.97 V  -  [BAD CRC]"), link
+        assert new[:4] == ["47.97314", "5", "5", ""] and new[4].endswith("47.97 V  5"), link
+        assert short[:4] == ["", "", "", ""] and short[4].endswith(", 31 bytes, the catalogue says 32 to 36"), link
+        assert longer[:4] == ["47.97314", "5", "5", "09"] and longer[4].endswith("47.97 V  5  [37 bytes, 1 not decoded]"), link
+    table = tshark.run("-q", "-r", path, "-z", "yapp,csv,-,motor,filter=udp", env=env).stdout.splitlines()
+    cells = [line.split(",", 6)[6].split(",") for line in table]
+    assert cells[0] == ["before", "volts", "volts_special", "amps", "amps_special", "behind", "more", "power", "sum"]
+    assert [row[-3:] for row in cells[1:]] == [["", "0", ""], ["5", "0", "5"], ["", "0", ""], ["5", "0", "5"]]
 
 
 # docs/messages.md ------------------------------------------------------------------------------------------------

@@ -107,10 +107,16 @@ def test_nonsense_is_refused(setting):
     assert setting in done.stderr
 
 
-def test_a_link_type_that_is_not_the_users():
-    path = make.capture("document_command")[0]
-    assert stderr_of("-r", path, "-o", "yapp.user_dlt:1,147") == [
-        "yapp: preferences: link type 1 is not a DLT_USER (147 to 162)"]
+@pytest.mark.parametrize("setting, said", [
+    ("sources:0x210=moter:left", 'yapp.sources: no message "moter" in "0x210=moter:left"; known messages: command, motor, health'),
+    ("late:soon", 'yapp.late: no number above 0 in "soon"; it is 2.5 until you change it'),
+    ("user_dlt:1,147", "yapp.user_dlt: link type 1 is no DLT_USER; those are 147 to 162"),
+    ("command_ids:0x210", "ID 0x210 is given to Command and to Motor Data: it stays with Command")])
+def test_what_cannot_be_read_is_said_and_is_never_well(setting, said):
+    done = tshark.run("-q", "-r", tshark.CAPTURES / "cases/g0_clean.pcapng", "-o", f"yapp.{setting}", "-z", "yapp,check,fault=0",
+                      check=False)
+    assert done.returncode == (20 if "ids" in setting else 21)  # what is no Motor Data any more is unknown
+    assert f"yapp: preferences: {said}" in done.stderr and f"yapp: check: preferences: {said}" in done.stderr
 
 
 # The catalogue ---------------------------------------------------------------------------------------------------

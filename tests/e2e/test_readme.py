@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 
 import pytest
 
@@ -14,6 +15,7 @@ import tshark
 
 pytestmark = levels.together("readme")
 README = (tshark.ROOT / "README.md").read_text()
+STATISTICS = (tshark.ROOT / "docs/statistics.md").read_text()
 MAP = (tshark.ROOT / "CONTRIBUTING.md").read_text()
 PAGES = [path.relative_to(tshark.ROOT) for path in (tshark.ROOT / "README.md", tshark.ROOT / "CONTRIBUTING.md",
                                                     *sorted((tshark.ROOT / "docs").glob("*.md")))]
@@ -21,13 +23,13 @@ FLIGHT = flights.make(3)
 CODES = {"check": 20}  # the flight has faults
 
 
-def table(title):
+def table(title, page=README):
     """The rows of the table under a heading: lists of cells, without the head."""
-    rows = re.search(rf"\n## {title}\n(?:.*\n)*?((?:\|.*\n)+)", README)[1].splitlines()[2:]
+    rows = re.search(rf"\n## {title}\n(?:.*\n)*?((?:\|.*\n)+)", page)[1].splitlines()[2:]
     return [[cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", row)[1:-1]] for row in rows]
 
 
-QUESTIONS = [row[1].strip("`") for row in table("Questions and answers")]
+QUESTIONS = [row[1].strip("`") for row in table("Questions and answers", STATISTICS)]
 FAULT = (tshark.ROOT / "docs/fault.md").read_text()
 # (exit code or nothing, command, what it prints)
 EXAMPLES = re.findall(r"<!-- run( \d+)? -->\n    \$ (.*)\n((?:    .*\n)+)", README + FAULT)
@@ -73,7 +75,7 @@ def test_examples_print_what_they_say(folder, code, command, printed):
 def test_all_examples_are_tried():
     commands = re.findall(r"^    (?:\$ )?((?:tshark|wireshark) .*)", FAULT, re.M)
     assert len(commands) == 7 and sum(command.startswith("wireshark") for command in commands) == 1
-    assert len(EXAMPLES) == 2 + 6
+    assert len(EXAMPLES) == 1 + 6
 
 
 def test_the_flight_is_made_by_its_script():
@@ -99,7 +101,7 @@ def test_a_question_is_answered(flight, command):
     elif what == "compare":
         assert done.stdout.startswith("YAPP compare: ") and "spread" in done.stdout
     elif what == "csv":
-        for name, messages in rows.items():
+        for name, messages in () if "csv,-" in command else rows.items():
             assert (flight / f"tables/{name}.csv").read_text().count("\n") == len(messages) + 1
     elif what == "fault":
         frames = [frame.number for frame, _, _, message in rows["motor"] if int.from_bytes(message.payload[18:22], "little")
@@ -125,9 +127,9 @@ def test_several_controllers(flight):
 
 
 def test_its_filters_are_filters():
-    cells = [row[1] for row in table("Filters")] + re.findall(r"^\| .* \| (`[^`]*`) \|$", README.split("\n## ")[0], re.M)
+    cells = [row[1] for row in table("Filters")]
     filters = [text.replace("\\|", "|") for cell in cells for text in re.findall(r"`([^`]+)`", cell)]
-    assert len(filters) > 15
+    assert len(filters) >= 8
     tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
 
 
@@ -140,12 +142,29 @@ def test_the_filters_of_the_help():
 
 # How they are made -------------------------------------------------------------------------------------------------
 
-def test_it_is_short_and_begins_with_what_matters():
-    lines = README.splitlines()
-    assert len(lines) < 200
-    first = "\n".join(lines[:25])
-    for part in ("![", "make install", "taurus.fault.active", "[Filters](#filters)"):
-        assert part in first
+def test_it_is_short_and_in_this_order():
+    assert len(README.splitlines()) <= 150 and len(README.split()) <= 900
+    titles = re.findall(r"^## (.*)", README, re.M)
+    assert titles == ["Install", "A first result", "Several controllers", "Filters", "A gate for CI", "Nothing is decoded?",
+                      "More", "Tests"]
+    links = re.findall(r"\]\(([^)]*)\)", README)
+    assert len(links) == len(set(links))
+
+
+# Lines that no reader has to scroll, sentences that nobody has to read twice.
+MAX_COLUMNS, MAX_CELL, MAX_WORDS = 100, 120, 25
+WIDER = {"api", "reliability", "statistics", "tables", "CONTRIBUTING"}  # pages that are yet to be written by task
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.stem not in WIDER], ids=str)
+def test_lengths(page):
+    text = re.sub(r"```.*?```", "", (tshark.ROOT / page).read_text(), flags=re.S)
+    lines = [line for line in text.splitlines() if not line.startswith(("    ", "!["))]
+    assert [line for line in lines if len(line) > MAX_COLUMNS and not line.startswith("|")] == []
+    cells = [cell.strip() for line in lines if line.startswith("|") for cell in re.split(r"(?<!\\)\|", line)]
+    assert [cell for cell in cells if len(cell) > MAX_CELL] == []
+    prose = " ".join(line for line in lines if not re.match(r"[|#<]|- |\d+\. ", line))
+    assert [one for one in re.split(r"(?<=[.!?:])\s+", prose) if len(one.split()) > MAX_WORDS] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=str)
@@ -166,3 +185,10 @@ def test_the_map_names_what_there_is():
     makefile = (tshark.ROOT / "Makefile").read_text()
     for target in re.findall(r"\bmake ([a-z-]+)\b", MAP):
         assert re.search(rf"^[\w .-]*\b{target}\b[\w .-]*:", makefile, re.M), target
+
+
+def test_the_page_of_filters(folder):
+    """docs/filters.md is what the plugin has: run `make filters` after a change of a field."""
+    page = folder / "filters.md"
+    subprocess.run([sys.executable, tshark.ROOT / "tools/filters_page.py", page], check=True, timeout=tshark.TIMEOUT)
+    assert page.read_text() == (tshark.ROOT / "docs/filters.md").read_text()

@@ -6,6 +6,7 @@ Its captures are JSON: {"motor": [row, ...], "events": [...], "summary": [...], 
 does]}; a row is {column: text}.
 """
 
+import itertools
 import json
 import os
 import signal
@@ -30,6 +31,8 @@ COLUMNS = {
     ],
     "note": [{"name": "text", "type": "string"}],
 }  # fmt: skip
+if "FAKE_COLUMN" in os.environ:  # a catalogue that has another field
+    COLUMNS["motor"].append(json.loads(os.environ["FAKE_COLUMN"]))
 FIELDS = {
     "version": 1,
     "plugin": os.environ.get("FAKE_VERSION", "1.0"),
@@ -50,6 +53,11 @@ def main(arguments):
     if os.environ.get("FAKE_PLUGIN") == "none":
         print(f'tshark: Invalid -z argument "{",".join(wanted[0])}"; it must be one of:', file=sys.stderr)
         return 1
+    given = [[b for a, b in itertools.pairwise(arguments) if a == f"-{name}"] for name in "oC"]
+    asked = {"o": given[0], "C": next(iter(given[1]), None), "messages": os.environ.get("YAPP_MESSAGES")}
+    if wanted:
+        with capture.with_suffix(".asked").open("a") as file:
+            file.write(json.dumps(asked) + "\n")
     flight = json.loads(content) if content.startswith(b"{") else {}
     code = behave(capture, flight.get("does", []))
     for name, what, *rest in wanted:
@@ -82,6 +90,8 @@ def behave(capture, does):
                 f'tshark: The file "{capture}" isn\'t a capture file in a format TShark understands.', file=sys.stderr
             )
             sys.exit(2)
+        case "undecided":
+            return 21
         case "nap":
             time.sleep(0.3)
         case "slow":

@@ -35,3 +35,9 @@ def run_tables(folder, *arguments, **options):
     """The command as a user runs it, in this folder; returns the finished process."""
     command = [sys.executable, "-m", "yapp_tables", *map(str, arguments)]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, **options)
+
+
+def result(folder, name, suffix):
+    """The one file of a capture's result: flight-1a2b3c4d.parquet of flight."""
+    (path,) = folder.glob(f"{name}-????????{suffix}")
+    return path

@@ -54,5 +54,10 @@ def test_all_brings_what_the_recipes_use():
             wanted += more.split(",") if name == "yapp-tables" else []
             brought.add(name)
     used = set(re.findall(r"^(?:import|from) (\w+)", "\n".join(text for _, text in BLOCKS), re.M))
-    assert used - {"yapp_tables"} <= brought
+    assert used - {"yapp_tables", *sys.stdlib_module_names} <= brought
     assert "pytz" in brought  # duckdb makes times with it, and does not bring it
+
+
+def test_the_api_page_is_that_of_the_docstrings():
+    done = subprocess.run([sys.executable, TOP / "tools/api_page.py"], capture_output=True, text=True, check=True)
+    assert (TOP / "docs/api.md").read_text() == done.stdout

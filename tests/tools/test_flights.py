@@ -15,7 +15,7 @@ import pytest
 import yapp_tables as yt
 from asammdf import MDF
 from mcap.reader import make_reader
-from running import PLUGIN, run_tables
+from running import PLUGIN, result, run_tables
 
 OPTIONS = [word for option in flights.OPTIONS for word in ("-o", option)]
 
@@ -90,7 +90,9 @@ def test_parquet(flight):
     path, truth = flight
     folder = convert(path, "parquet") / "message=motor"
     # PlotJuggler reads no dictionary columns.
-    assert not [field for field in pq.read_schema(folder / "flight.parquet") if pa.types.is_dictionary(field.type)]
+    assert not [
+        field for field in pq.read_schema(result(folder, "flight", ".parquet")) if pa.types.is_dictionary(field.type)
+    ]
     motor = ds.dataset(folder).to_table()
     columns = (motor[name].to_pylist() for name in ("bus", "id", "rpm_measured"))
     assert_speeds(zip(motor["time"].cast("int64").to_pylist(), *columns, strict=True), truth)
@@ -98,7 +100,7 @@ def test_parquet(flight):
 
 def test_csv(flight):
     path, truth = flight
-    motor = pl.read_csv(convert(path, "csv") / "message=motor/flight.csv", infer_schema_length=None)
+    motor = pl.read_csv(result(convert(path, "csv") / "message=motor", "flight", ".csv"), infer_schema_length=None)
     times = motor["time"].str.to_datetime("%Y-%m-%d %H:%M:%S%.9fZ", time_unit="ns").dt.timestamp("ns")
     assert_speeds(zip(times, motor["bus"], motor["id"], motor["rpm_measured"], strict=True), truth)
 
@@ -106,11 +108,12 @@ def test_csv(flight):
 def test_mf4(flight):
     path, truth = flight
     found = []
-    with MDF(convert(path, "mf4") / "flight.mf4") as mdf:
+    with MDF(result(convert(path, "mf4"), "flight", ".mf4")) as mdf:
         start = round(mdf.header.start_time.timestamp()) * 10**9
         for index, group in enumerate(mdf.groups):
-            message, bus, number = group.channel_group.acq_name.split()
+            message, *source = group.channel_group.acq_name.split()
             if message == "motor":
+                bus, number = source
                 speed = mdf.get("rpm_measured", group=index, ignore_invalidation_bits=True)
                 assert speed.unit == "RPM"
                 assert set(mdf.get("motor_mode", group=index).samples) == {b"Speed Mode"}
@@ -125,7 +128,7 @@ def test_mf4(flight):
 def test_mcap(flight):
     path, truth = flight
     found = []
-    with (convert(path, "mcap") / "flight.mcap").open("rb") as file:
+    with result(convert(path, "mcap"), "flight", ".mcap").open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages():
             if channel.topic.startswith("/motor"):
                 row = json.loads(message.data)
@@ -145,17 +148,20 @@ def test_a_cut_capture_is_partial(flight, tmp_path):
     cut.write_bytes(flight[0].read_bytes()[:-50_005])
     done = run_tables(tmp_path, "convert", cut, "--to", "parquet", "--out", "data", *OPTIONS, "--plugin", PLUGIN)
     assert done.returncode == 1
-    assert "cut short" in (tmp_path / "data/failures.csv").read_text()
-    assert (tmp_path / "data/message=motor/cut.partial.parquet").exists()
+    assert "cut short" in (tmp_path / "data.yapp-tables/failures.csv").read_text()
+    assert list((tmp_path / "data/message=motor").glob("cut-????????.partial.parquet"))
 
 
 def test_what_the_plugin_complains_of_is_passed_on(flight, tmp_path, monkeypatch):
     (tmp_path / "bad.lua").write_text('return {{name="m",title="M",id=5,size=3,{"x","uint8","X"}}}')
     monkeypatch.setenv("YAPP_MESSAGES", str(tmp_path / "bad.lua"))
     options = [*OPTIONS, "-o", "yapp.late:abc", "--plugin", PLUGIN]
-    for arguments in (["convert", flight[0], "--to", "csv", "--out", "data"], ["report", flight[0], "-o", "page.html"]):
+    for arguments in (
+        ["convert", flight[0], "--to", "csv", "--out", "data"],
+        ["report", flight[0], "--out", "page.html"],
+    ):
         done = run_tables(tmp_path, *arguments, *options)
-        assert done.returncode == 0
+        assert done.returncode == 3
         for text in ("bad.lua: message m: size is 3, but the fields add up to 1 byte", '"abc" periods: not a number'):
             assert done.stderr.count(text) == 1
     with pytest.warns(UserWarning, match="the fields add up to 1 byte"):

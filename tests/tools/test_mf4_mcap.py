@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from asammdf import MDF
 from mcap.reader import make_reader
-from running import motor_row
+from running import motor_row, result
 
 ROWS = [
     motor_row(0),
@@ -28,7 +28,7 @@ def converted(make_capture, yapp_tables, tmp_path):
         capture = make_capture("flight.pcapng", motor=ROWS, note=NOTES)
         done = yapp_tables("convert", capture, "--to", to, "--out", "data")
         assert done.returncode == 0, done.stderr
-        return tmp_path / f"data/flight.{to}"
+        return result(tmp_path / "data", "flight", f".{to}")
 
     return convert
 
@@ -40,6 +40,7 @@ def test_mf4(converted):
         names = [group.channel_group.acq_name for group in mdf.groups]
         assert names == [
             "motor can0 0x210", "motor can1 0x211", 'motor left, "aft"', "motor right <&> below", "note can0 0x210",
+            "flights",
         ]  # fmt: skip
         speed = mdf.get("rpm_measured", group=0, ignore_invalidation_bits=True)
         assert speed.unit == "RPM"

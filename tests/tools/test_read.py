@@ -16,7 +16,8 @@ def read(path, **options):
 def test_a_message_is_a_table_with_the_promised_types(make_capture):
     motor = read(make_capture("flight.pcapng", motor=[motor_row(0), motor_row(1)]))["motor"]
     assert motor.schema.names == [
-        "time", "source_file", "bus", "frame", "source", "id", "seq", "rpm_measured", "rpm_measured_special",
+        "time", "source_file", "bus", "frame", "source", "id", "seq", "flight_id",
+        "rpm_measured", "rpm_measured_special",
         "motor_mode", "motor_mode_text", "fault_flags", "fault_motor_overcurrent", "timestamp", "serial", "revision",
     ]  # fmt: skip
     assert motor.schema.field("time").type == pa.timestamp("ns", tz="UTC")

@@ -4,7 +4,7 @@
 import numpy as np
 import pyarrow as pa
 import pytest
-from yapp_tables.series import LATE, Source, sources, spans, spread, thin
+from yapp_tables.series import Source, sources, spans, thin
 
 
 def source(times, every=0.1):
@@ -57,30 +57,3 @@ def test_a_source_is_its_name_or_its_bus_and_id():
     assert [(one.name, one.times.tolist()) for one in sources(table, 0.1, 1)] == [
         ("0x210", [0.0]), ("can0 0x210", [2e-9]), ("left", [1e-9]),
     ]  # fmt: skip
-
-
-def test_the_spread_is_between_the_latest_values_of_all_that_are_not_silent():
-    rng = np.random.default_rng(1)
-    times = [np.sort(rng.uniform(0, 20, 150)) for _ in range(3)]
-    values = [np.where(rng.random(150) < 0.1, np.nan, rng.normal(size=150)) for _ in range(3)]
-    found = spread([source(each) for each in times], values)
-    assert found.times.tolist() == sorted(np.concatenate(times))
-    for place, now in enumerate(found.times):
-        latest = {}
-        for number in range(3):
-            before = np.flatnonzero((times[number] <= now) & (now - times[number] <= LATE * 0.1))
-            if len(before) and np.isfinite(values[number][before[-1]]):
-                latest[number] = values[number][before[-1]]
-        if len(latest) < 2:
-            assert np.isnan(found.values[place])
-        else:
-            assert found.values[place] == max(latest.values()) - min(latest.values())
-            assert (latest[found.high[place]], latest[found.low[place]]) == (max(latest.values()), min(latest.values()))
-    largest = found.largest(["a", "b", "c"])
-    assert largest["spread"] == np.nanmax(found.values)
-    assert found.values[found.times.tolist().index(largest["at"])] == largest["spread"]
-
-
-def test_without_two_sources_at_a_time_there_is_no_spread():
-    alone = spread([source([0, 0.1]), source([9, 9.1])], [np.ones(2), np.zeros(2)])
-    assert alone.largest(["a", "b"]) == {}

@@ -18,8 +18,8 @@ function T.test_ids()
     { 0x0003C000, 0, 15, 0, 0 },
     { 0x1FFC0000, 2047, 0, 0, 0 },
   } do
-    local address = can.address[row[1]]
-    lu.assertEquals({ address.id, address.ctrl, address.ctl, address.seq }, { row[2], row[3], row[4], row[5] })
+    local fields = can.fields[row[1]]
+    lu.assertEquals({ fields.id, fields.ctrl, fields.ctl, fields.seq }, { row[2], row[3], row[4], row[5] })
   end
 end
 
@@ -33,24 +33,38 @@ function T.test_what_a_start_says()
 end
 
 function T.test_the_key_is_all_but_the_can_ctrl()
-  local key = can.address[0x08404000].key
-  for ctrl = 0, 15 do lu.assertEquals(can.address[0x08400000 + ctrl * 0x4000].key, key) end
+  local key = can.fields[0x08404000].message_key
+  for ctrl = 0, 15 do lu.assertEquals(can.fields[0x08400000 + ctrl * 0x4000].message_key, key) end
   for _, other in ipairs { 0x08404001, 0x08404100, 0x08444000 } do
-    lu.assertNotEquals(can.address[other].key, key)
+    lu.assertNotEquals(can.fields[other].message_key, key)
   end
 end
 
 function T.test_many_ids_cost_no_more_than_some()
   collectgarbage()
   local before = collectgarbage("count")
-  for can_id = 0, 100000 do local _ = can.address[can_id] end
+  for can_id = 0, 100000 do local _ = can.fields[can_id] end
   collectgarbage()
   lu.assertTrue(collectgarbage("count") - before < 4096)
-  lu.assertEquals(can.address[0x08404000].id, 0x210)
+  lu.assertEquals(can.fields[0x08404000].id, 0x210)
+end
+
+local function bytes(count, zeros) return ("x"):rep(count) .. ("\0"):rep(zeros or 0) end
+
+function T.test_the_size_of_a_single_frame()
+  for _, row in ipairs { -- data, reported, least, most, size
+    { bytes(7), 7, 7, 7, 7 }, { bytes(8), 8, 7, 7, nil }, { bytes(6), 6, 7, 7, nil },
+    { bytes(17, 3), 20, 17, 17, 17 }, { bytes(20), 20, 17, 17, nil },
+    { bytes(9, 3), 12, 9, 16, 12 }, { bytes(16), 16, 9, 16, 16 },
+    { bytes(8), 8, 9, 16, nil }, { bytes(14, 6), 20, 9, 17, 17 },
+    { bytes(16, 4), 20, 9, 16, nil }, -- 16 bytes need no padding
+  } do
+    lu.assertEquals(can.single_size(row[1], row[2], row[3], row[4]), row[5],
+      ("%d for %d to %d"):format(row[2], row[3], row[4]))
+  end
 end
 
 function T.test_padding()
-  local function bytes(count, zeros) return ("x"):rep(count) .. ("\0"):rep(zeros) end
   for _, row in ipairs { -- data, reported, needed, padding
     { bytes(8, 0), 8, 8, 0 },
     { bytes(1, 0), 1, 1, 0 },

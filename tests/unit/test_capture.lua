@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a capture file says of its packets: buses and their names, whether YAPP may be in it; of
--- files that are made here, whole, cut, damaged, and through a pipe.
+-- What a capture file says of its packets: buses and their names, drops, whether YAPP may be in it;
+-- of files that are made here, whole, cut, damaged, and through a pipe.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local capture = require("yapp.host.capture")
@@ -13,7 +13,7 @@ local T = {}
 
 local function be(value, size) return le(value, size):reverse() end
 
-local SECTION, INTERFACE, SIMPLE, ENHANCED = 0x0A0D0D0A, 1, 3, 6
+local SECTION, INTERFACE, OBSOLETE, SIMPLE, STATISTICS, ENHANCED = 0x0A0D0D0A, 1, 2, 3, 5, 6
 local CAN, ETHERNET, RTAC, SLL, SLL2, EXPORTED = 227, 1, 250, 113, 276, 252
 
 local function pcap(linktype, packets, number, magic)
@@ -45,12 +45,31 @@ local function interface(linktype, number, options)
     number)
 end
 
--- A packet; when it was captured is in the units of its interface.
-local function packet(of, bytes, number, stamp)
+-- What comes behind the interface's number in a block with a packet: when it was captured, in the
+-- units of its interface, and its data.
+local function packet_body(bytes, number, stamp)
   stamp = stamp or 0
   local low = stamp % 2 ^ 32
-  return block(ENHANCED, number(of, 4) .. number((stamp - low) / 2 ^ 32, 4) .. number(low, 4) ..
-    number(#bytes, 4) .. number(#bytes, 4) .. bytes, number)
+  return number((stamp - low) / 2 ^ 32, 4) .. number(low, 4) .. number(#bytes, 4) ..
+    number(#bytes, 4) .. bytes .. ("\0"):rep(-#bytes % 4)
+end
+
+local function packet(of, bytes, number, stamp, options)
+  local body = number(of, 4) .. packet_body(bytes, number, stamp) .. (options or "")
+  return block(ENHANCED, body, number)
+end
+
+local function obsolete_packet(of, bytes, number)
+  local body = number(of, 2) .. "\255\255" .. packet_body(bytes, number)
+  return block(OBSOLETE, body, number)
+end
+
+local function simple_packet(bytes, number)
+  return block(SIMPLE, number(#bytes, 4) .. bytes, number)
+end
+
+local function statistics(of, number, options)
+  return block(STATISTICS, number(of, 4) .. ("\0"):rep(8) .. options, number)
 end
 
 -- A section with interfaces of these link types, packets { interface, bytes }.
@@ -70,24 +89,26 @@ local FRAME = "YP\0\0\16\2\0\0\32\0\0\0" .. ("x"):rep(36)
 
 local function none() return nil end
 
--- Reads a file of which so many bytes are the head; the rest comes in pieces of the same length.
+-- Reads a file of which so many bytes are the head; the rest comes in pieces of the same length, or
+-- of what is asked for at least.
 local function read(file, length)
-  length = length or capture.OF_A_PIPE
+  length = length or capture.HEAD
   local at = length
-  return capture.read(file:sub(1, length), function(count)
-    local piece = file:sub(at + 1, at + math.min(count, length))
+  return capture.read(file:sub(1, length), function(skip, count)
+    at = at + skip
+    local piece = file:sub(at + 1, at + math.min(count, math.max(length, 65536)))
     at = at + #piece
-    return piece
+    return piece ~= "" and piece or nil
   end)
 end
 
--- The buses of a file's packets, "1 2 1"; "0" of one that cannot carry YAPP; "" of a file without
--- several.
+-- The buses of a file's packets, "1 2 1"; "0" of one whose interface carries no YAPP, "-" of one
+-- without an interface; "" of a file without several.
 local function buses(found)
   local list = {}
   for number = 1, found.has_several and found.count or 0 do
     local bus = found:bus(number)
-    list[number] = bus and ("%d"):format(bus) -- of one that is cut nothing is told
+    list[number] = bus and ("%d"):format(bus) or "-"
   end
   return table.concat(list, " ")
 end
@@ -118,10 +139,10 @@ function T.test_buses()
       { pcapng({ SLL }, { { 0, CAN_OVER_SLL }, { 0, FD_OVER_SLL } }, number), "" },
       { pcapng({ SLL, SLL }, { { 0, CAN_OVER_SLL }, { 1, FD_OVER_SLL } }, number), "1 2" },
       -- no such interface
-      { pcapng({ CAN, CAN }, { { 0, "x" }, { 7, "x" }, { 1, "x" } }, number), "1 0 2" },
+      { pcapng({ CAN, CAN }, { { 0, "x" }, { 7, "x" }, { 1, "x" } }, number), "1 -" },
     }
     for i, row in ipairs(rows) do
-      for _, length in ipairs { 100000, 64, 7 } do
+      for _, length in ipairs { 100000, 100, 68 } do
         local found = read(row[1], length)
         lu.assertEquals({ buses(found), found.has_several }, { row[2], row[2] ~= "" },
           ("row %d, %d"):format(i, length))
@@ -139,19 +160,39 @@ function T.test_sections_and_interfaces_that_come_late()
     packet(0, "x", le) ..
     section(be) .. interface(ETHERNET, be) .. interface(CAN, be, option(2, "can2", be)) ..
     packet(0, "x", be) .. packet(1, "x", be) .. section(le) .. packet(0, "x", le))
-  lu.assertEquals({ buses(found), found.names }, { "1 2 1 0 3 0", { "can0", "can1", "can2" } })
+  lu.assertEquals({ buses(found), found.names }, { "1 2 1 0 3 -", { "can0", "can1", "can2" } })
   found = read(first .. first) -- as when two files are put one behind the other
   lu.assertEquals(buses(found), "1 2")
 end
 
--- Packets of other kinds count; other blocks do not.
-function T.test_other_blocks()
-  for kind, is_packet in pairs { [SIMPLE] = true, [4] = false, [5] = false, [0x0BAD] = false, [0x80000000] = false } do
-    local found = read(section(be) .. interface(CAN, be) .. interface(CAN, be) ..
-      packet(1, "x", be) ..
-      block(kind, ("\0"):rep(60), be) .. packet(0, "x", be))
-    lu.assertEquals(buses(found), is_packet and "2 0 1" or "2 1", kind)
+-- Which blocks have a frame number is that of Wireshark 4.0, 4.4 and 4.6.
+function T.test_blocks_of_all_kinds()
+  local rows = {
+    { simple_packet(("x"):rep(9), be), "2 1 1" }, -- of the section's first interface
+    { obsolete_packet(1, "xyz", be), "2 2 1" },
+  }
+  for _, kind in ipairs { 9, 0x0BAD, 0x40000BAD, 0x204, 0x216, 0x221 } do
+    rows[#rows + 1] = { block(kind, ("\0"):rep(60), be), "2 - 1" }
   end
+  for _, kind in ipairs { 4, 5, 7, 8, 10, 0x101, 0x201, 0x205, 0x0A0D0A00, 0x80000BAD, 0x80000000 } do
+    rows[#rows + 1] = { block(kind, ("\0"):rep(60), be), "2 1" }
+  end
+  -- Frames of 4.6, but not of 4.4: what follows has no number that is sure.
+  for _, kind in ipairs { 0x208, 0x217, 0x222 } do
+    rows[#rows + 1] = { block(kind, ("\0"):rep(60), be), "2" }
+  end
+  for i, row in ipairs(rows) do
+    local head = section(be) .. interface(CAN, be) .. interface(CAN, be) .. packet(1, "x", be)
+    lu.assertEquals(buses(read(head .. row[1] .. packet(0, "x", be))), row[2], i)
+  end
+end
+
+-- Wireshark rounds up a block's length, as some programs leave out the padding.
+function T.test_a_length_without_the_padding()
+  local whole = packet(1, "xy", le)
+  local file = section(le) .. interface(CAN, le) .. interface(CAN, le) .. whole:sub(1, 4) ..
+    le(#whole - 2, 4) .. whole:sub(9) .. packet(0, "x", le)
+  lu.assertEquals(buses(read(file)), "2 1")
 end
 
 -- A read filter shifts the numbers: Wireshark's time of a packet is another than the file's.
@@ -182,6 +223,19 @@ function T.test_the_time_tells_whether_a_number_is_still_this_packets()
   end
 end
 
+-- if_tsoffset, in seconds, may be negative.
+function T.test_times_with_an_offset()
+  for _, number in ipairs { le, be } do
+    for bytes, shift in pairs { [number(3600, 8)] = 3600, [("\255"):rep(8)] = -1 } do
+      local options = option(14, bytes, number)
+      local found = read(section(number) .. interface(CAN, number, options) ..
+        interface(CAN, number, options) .. packet(1, "x", number, 1700000000e6))
+      lu.assertEquals(found:bus(1, 1700000000 + shift), 2)
+      lu.assertNil(found:bus(1, 1700000000))
+    end
+  end
+end
+
 function T.test_nanosecond_pcap()
   for magic, number in pairs { ["\77\60\178\161"] = le, ["\161\178\60\77"] = be } do
     lu.assertEquals(buses(read(pcap(SLL2, { can_over_sll2(1), can_over_sll2(2) }, number, magic))),
@@ -199,30 +253,152 @@ function T.test_names_of_interfaces()
     for _, options in ipairs { named("can0") .. ended, "", comment .. named("vcan12"),
       named("m\195\188") .. ended,
       named("\255"), named("a\1b"), named(""), ended .. named("behind the end"), named("end\0\0\0"),
-      comment .. number(2, 2) .. number(60000, 2) .. "cut", named("can9") } do
+      comment .. number(2, 2) .. number(60000, 2) .. "cut", named("can9"),
+      named("a\\x01b"), named("a\226\128\139b") } do
       file = file .. interface(CAN, number, options)
     end
-    local names = { "can0", nil, "vcan12", "m\195\188", nil, nil, nil, nil, "end", nil, "can9" }
+    local names = { "can0", "if1", "vcan12", "m\195\188", "\\xFF", "a\\x01b", "if6", "if7", "end",
+      "if9", "can9", "a\\x5Cx01b", "a\\xE2\\x80\\x8Bb" }
     lu.assertEquals(read(file).names, names)
     for length = 0, #file do lu.assertTable(read(file:sub(1, length)).names) end
   end
 end
 
+-- The names of the buses of interfaces { link type, name }, each with packets.
+local function names_of(interfaces, packets)
+  local file = { section(le) }
+  for _, row in ipairs(interfaces) do
+    file[#file + 1] = interface(row[1], le, row[2] and option(2, row[2], le))
+  end
+  for _, row in ipairs(packets or {}) do file[#file + 1] = packet(row[1], row[2], le) end
+  return read(table.concat(file)).names
+end
+
+function T.test_no_two_buses_have_one_name()
+  local three, four = can_over_sll2(3), can_over_sll2(4)
+  lu.assertEquals(names_of { { CAN }, { ETHERNET }, { CAN } }, { "if0", "if2" })
+  lu.assertEquals(names_of { { CAN, "can0" }, { CAN, "x" }, { CAN, "can0" } },
+    { "can0#0", "x", "can0#2" })
+  -- a given name that looks like one of ours
+  lu.assertEquals(names_of { { CAN }, { CAN, "if0" } }, { "if0#0", "if0#1" })
+  lu.assertEquals(names_of { { CAN, "a" }, { CAN, "a#0" }, { CAN, "a" } },
+    { "a#0", "a#0#1", "a#2" })
+  local any = { { SLL2, "any" } }
+  lu.assertEquals(names_of(any, { { 0, three }, { 0, three } }), { "any" })
+  lu.assertEquals(names_of(any, { { 0, three }, { 0, four } }), { "any#3", "any#4" })
+  lu.assertEquals(names_of({ { SLL2, "any" }, { SLL2, "any" } }, { { 0, three }, { 1, three } }),
+    { "any#3", "any#3#3" })
+  lu.assertEquals(read(pcap(SLL2, { three, four }, le)).names, { "if0#3", "if0#4" })
+  lu.assertEquals(read(pcap(RTAC, { rtac(2), rtac(1) }, le)).names, { "if0#rx", "if0#tx" })
+  lu.assertEquals(names_of({ { RTAC, "COM1" } }, { { 0, rtac(1) }, { 0, rtac(2) } }),
+    { "COM1#tx", "COM1#rx" })
+end
+
+-- What a packet without a bus of its own is called: on CAN, and in UDP or TCP.
 function T.test_the_name_of_the_only_interface()
-  local function names_of(...)
+  local function only_names(...)
     local file = section(le)
     for i, linktype in ipairs { ... } do
       file = file .. interface(linktype, le, option(2, "n" .. i, le))
     end
     local found = read(file)
-    return { found.own_name or "-", found.only_name or "-" }
+    return { found:name(nil) or "-", found:name(nil, true) or "-" }
   end
-  lu.assertEquals(names_of(ETHERNET, CAN), { "n2", "-" })
-  lu.assertEquals(names_of(CAN, ETHERNET), { "n1", "-" })
-  lu.assertEquals(names_of(CAN, CAN), { "-", "-" })
-  lu.assertEquals(names_of(ETHERNET), { "-", "n1" })
-  lu.assertEquals(names_of(CAN), { "n1", "n1" })
-  lu.assertEquals(names_of(ETHERNET, SLL), { "n2", "-" }) -- may carry CAN
+  lu.assertEquals(only_names(ETHERNET, CAN), { "n2", "-" })
+  lu.assertEquals(only_names(CAN, ETHERNET), { "n1", "-" })
+  lu.assertEquals(only_names(CAN, CAN), { "-", "-" })
+  lu.assertEquals(only_names(ETHERNET), { "n1", "n1" })
+  lu.assertEquals(only_names(CAN), { "n1", "n1" })
+  lu.assertNil(read(section(le) .. interface(CAN, le)):name(nil)) -- no name: none is made up
+  lu.assertNil(read(pcap(CAN, { "x" }, le)):name(nil))
+end
+
+-- Behind what was read, as in a live capture, fields tell the bus.
+function T.test_buses_by_fields()
+  local found = read(section(le) .. interface(CAN, le, option(2, "can0", le)))
+  local function bus(...) return found:bus_by_fields(...) or "-" end
+  lu.assertEquals({ bus(1, 0, 0), bus(1, 1, 0, nil, "can1"), bus(1, 0, 0), bus(1, 2, 0, nil, "can1"),
+    bus(1, 3, 0), bus(2, 0, 0) }, { 1, 2, 1, 3, 4, "-" })
+  lu.assertEquals({ found:name(1), found:name(2), found:name(3), found:name(4) },
+    { "can0", "can1", "can1#2", "if3" })
+  found = read("")
+  lu.assertEquals({ bus(1, 0, 3, nil, "any"), bus(1, 0, 4, nil, "any"), bus(1, 0, 3, nil, "any"),
+    bus(2, 0, 0) }, { 1, 2, 1, "-" })
+  lu.assertEquals({ found:name(1), found:name(2) }, { "any", "any#4" })
+  found = read("")
+  lu.assertEquals({ bus(1, 0, 0, 1), bus(1, 0, 0, 2), bus(1, 0, 0, 3) }, { 1, 2, 1 })
+end
+
+-- Drops -------------------------------------------------------------------------------------------
+
+local function drop_option(count, number) return option(4, number(count, 8), number) end
+
+-- "time frame bus count" of each loss.
+local function drops(found)
+  local list = {}
+  for i, drop in ipairs(found.drops) do
+    list[i] = ("%s %s %s %d"):format(drop.time and ("%.1f"):format(drop.time) or "-",
+      drop.frame or "-", drop.bus or "-", drop.count)
+  end
+  return list
+end
+
+function T.test_packets_that_were_dropped()
+  for _, number in ipairs { le, be } do
+    local name, comment = option(2, "can0", number), option(1, "why", number)
+    local one = section(number) .. interface(CAN, number, name)
+    local two = one .. interface(ETHERNET, number) .. interface(CAN, number)
+    local counted = option(4, number(2, 8), number) .. option(5, number(7, 8), number)
+    local rows = {
+      { one .. packet(0, "x", number), {} },
+      { one .. packet(0, "x", number, 2500000, comment .. drop_option(3, number)),
+        { "2.5 1 can0 3" } },
+      { one .. packet(0, "x", number, 0, drop_option(0, number)), {} },
+      { two .. packet(2, "x", number) .. packet(2, "yy", number, 1e6, drop_option(1, number)) ..
+        packet(1, "z", number, 0, drop_option(2 ^ 33, number)),
+        { "1.0 2 if2 1", "0.0 3 - 8589934592" } },
+      { one .. packet(0, "x", number) .. statistics(0, number, counted), { "- - can0 7" } },
+      -- the numbers grow from one block to the next; what packets account for is there already
+      { one .. statistics(0, number, counted) .. packet(0, "x", number, 0, drop_option(4, number)) ..
+        statistics(0, number, option(5, number(9, 8), number)),
+        { "0.0 1 can0 4", "- - can0 5" } },
+      -- what the operating system dropped
+      { one .. statistics(0, number, option(7, number(6, 8), number)), { "- - can0 6" } },
+      { one .. statistics(3, number, counted), {} }, -- no such interface
+    }
+    for i, row in ipairs(rows) do
+      for _, length in ipairs { 100000, 64 } do
+        lu.assertEquals(drops(read(row[1], length)), row[2], ("row %d, %d"):format(i, length))
+      end
+    end
+  end
+end
+
+-- Wherever the pieces in which a file is read end.
+function T.test_no_drop_is_missed_at_the_end_of_a_piece()
+  local file = { section(le), interface(CAN, le) }
+  local expected = {}
+  for i = 1, 3000 do
+    file[#file + 1] = packet(0, ("x"):rep(i % 9), le, 0, i % 7 == 0 and drop_option(i, le))
+    if i % 7 == 0 then expected[#expected + 1] = ("0.0 %d - %d"):format(i, i) end
+  end
+  file = table.concat(file)
+  lu.assertEquals(drops(read(file, #file)), expected)
+  for _, length in ipairs { 100, 4096, 4097, 4099 } do
+    lu.assertEquals(drops(capture.read(file:sub(1, length), function(skip, count)
+      length = length + skip
+      local piece = file:sub(length + 1, length + math.min(count, 5003))
+      length = length + #piece
+      return piece ~= "" and piece or nil
+    end)), expected)
+  end
+end
+
+function T.test_packets_without_times()
+  local head = section(le) .. interface(CAN, le)
+  lu.assertTrue(read(head .. packet(0, "x", le) .. simple_packet("x", le)).has_no_times)
+  lu.assertFalse(read(head .. packet(0, "x", le)).has_no_times)
+  lu.assertFalse(read(pcap(CAN, { "x" }, le)).has_no_times)
 end
 
 -- Other people's files, and damaged ones ----------------------------------------------------------
@@ -254,17 +430,17 @@ function T.test_captures_that_begin()
     { pcapng({ SLL }, {}, be), true }, { pcapng({ SLL2 }, { { 0, IP_OVER_SLL2 } }, be), false },
     { pcapng({ ETHERNET }, {}, le), false }, { pcap(CAN, {}, le), false }, { "", false },
   }
-  for at, row in ipairs(rows) do lu.assertEquals(read(row[1]).begins, row[2], "row " .. at) end
+  for at, row in ipairs(rows) do lu.assertEquals(read(row[1]).is_live, row[2], "row " .. at) end
 end
 
--- Of somebody else's file no more is read than its first packet.
+-- Of somebody else's file no more is read than its head.
 function T.test_other_peoples_files_are_left_alone()
   local long = ("x"):rep(100000)
   for _, file in ipairs { pcapng({ ETHERNET }, { { 0, long }, { 0, long } }, le),
     pcap(ETHERNET, { long }, le),
     pcap(CAN, { long, long }, le), "LOGG" .. long, long } do
     local asked = 0
-    local found = capture.read(file:sub(1, capture.OF_A_PIPE), function()
+    local found = capture.read(file:sub(1, capture.HEAD), function()
       asked = asked + 1
       return nil
     end)
@@ -314,12 +490,43 @@ function T.test_lengths_that_are_nonsense()
   end
 end
 
+-- A block is never held: what is asked for is at most a piece, and what a long block holds beyond
+-- that is skipped.
+function T.test_blocks_of_absurd_length()
+  local two = section(le) .. interface(CAN, le, option(2, "can0", le)) .. interface(CAN, le)
+  local long = 120 * 2 ^ 20
+  local comments = option(1, ("x"):rep(60000), le):rep(3) .. option(2, "late", le)
+  local rows = {
+    { le(CAN, 4) .. le(0, 4) .. comments, INTERFACE, { "can0", "if1", "late" }, "2 1" },
+    { le(CAN, 4) .. le(0, 4) .. option(1, "", le):rep(200) .. option(2, "behind too many", le),
+      INTERFACE, { "can0", "if1", "if2" }, "2 1" },
+    { "", 0x777, { "can0", "if1" }, "2 1" },
+    { le(0, 20), ENHANCED, { "can0", "if1" }, "1 2 1" },
+  }
+  for i, row in ipairs(rows) do
+    local head = two .. le(row[2], 4) .. le(long, 4) .. row[1]
+    local rest, tail = #two + long - 4, le(long, 4) .. packet(1, "x", le) .. packet(0, "x", le)
+    local at, most = #head, 0
+    local found = capture.read(head, function(skip, count) -- of head, zeros, tail
+      local start = at + skip
+      most, at = math.max(most, count), start + count
+      local zeros = math.max(0, math.min(count, rest - start))
+      local stop = start + count - rest
+      local piece = ("\0"):rep(zeros) ..
+        (stop > 0 and tail:sub(math.max(start - rest, 0) + 1, stop) or "")
+      return piece ~= "" and piece or nil
+    end)
+    lu.assertTrue(most <= 2 ^ 20)
+    lu.assertEquals({ found.names, buses(found) }, { row[3], row[4] }, i)
+  end
+end
+
 -- Nothing behind the first bytes of a pipe is read: what they say of their packets is told.
 function T.test_a_pipe()
   local packets = {}
   for i = 1, 5000 do packets[i] = { i % 2, ("x"):rep(16) } end
   local file = pcapng({ CAN, CAN }, packets, le)
-  local found = capture.read(file:sub(1, capture.OF_A_PIPE), none)
+  local found = capture.read(file:sub(1, capture.HEAD), none)
   lu.assertTrue(found.has_several)
   lu.assertTrue(found.count > 1000 and found.count < 5000, found.count)
   lu.assertEquals({ found:bus(1), found:bus(2), found:bus(found.count) },

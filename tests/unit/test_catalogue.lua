@@ -45,12 +45,27 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { name = ("n"):rep(65) }, "is not a filter name" },
     { { [1] = 5 }, "message m, field 1: a field is a row" },
     { { section = "" }, "message m: section must be a text" },
-    { { rate = 5 }, 'message m: unknown option "rate"; a message has answers, differences, every, id, info, name' },
+    { { rate = 5 }, 'message m: unknown option "rate"; a message has answers, derived, differences, every, id,' },
     { { every = 0 }, "message m: every 0 is not a period" }, { { every = "1" }, 'message m: every "1" is not' },
     { { answers = "A b" }, 'message m: answers "A b" is not the name of a message' },
     { { differences = 5 }, "message m: differences must be a table" },
     { { differences = { { "d", "f", "g", "D" } } }, 'message m: difference d: "g" is no field of numbers' },
     { { differences = { { "d", "f", "f" } } }, "message m: difference d has no title" },
+    { { derived = { { "d", "f * g", "D" } } }, 'message m: derived d: "g" is no field of numbers' },
+    { { derived = { { "d", "f / f", "D" } } }, 'message m: derived d: "f / f" is not two fields with *, + or -' },
+    { { derived = { { "d", "f * f * f", "D" } } }, 'derived d: "f * f * f" is not two fields' },
+    { { derived = { { "d", 5, "D" } } }, "message m: derived d: 5 is not two fields" },
+    { { derived = { { "d", nil, "D" } } }, "message m: derived d: nil is not two fields" },
+    { { derived = { { "d", "f*f" } } }, "message m: derived d has no title" },
+    { { derived = { { "d", "f*f", "D", units = "V" } } }, 'unknown option "units"; derived d has unit' },
+    { { derived = { { "d", "f*f", "D", unit = 5 } } }, "message m: unit must be a text" },
+    { { derived = { { "f", "f*f", "D" } } }, "message m, field f: the filter name taurus.m.f is taken" },
+    { { derived = { 5 } }, "message m: derived 1: 5 is not { name" },
+    { { derived = "f*f" }, "message m: derived must be a table" },
+    { { derived = { { "d", "f*f", "D" } }, [1] = { "f", "uint8", "F", values = {} } }, '"f" is no field of' },
+    { { min_size = 0 }, "message m: min_size 0 is not one of 1 .. 1" }, { { min_size = 2 }, "min_size 2 is" },
+    { { min_size = "1" }, 'message m: min_size "1"' }, { { min_size = 0.5 }, "message m: min_size 0.5" },
+    { { size = 3, min_size = 2, [2] = { "g", "uint16", "G" } }, "message m, field g: min_size 2 ends inside it" },
     { { differences = { { "f", "f", "f", "D" } } }, "message m, field f: the filter name taurus.m.f is taken" },
     { { [1] = { "f", "int64_ns", "F" }, [2] = { "clock_drift", "uint8", "C" }, size = 9 },
       "message m, field clock_drift: the filter name taurus.m.clock_drift is taken" },
@@ -137,6 +152,28 @@ function T.test_the_longest_name()
   lu.assertEquals({ #compiled.messages, problems }, { 1, {} })
 end
 
+function T.test_reserved_filter_names()
+  local reserved = { ["taurus.reboot"] = true, ["taurus.m.g.x"] = true }
+  local entries = { message { name = "reboot" }, message({ id = 2 }, { group = "g", flags = { { "x", 1, "X" } } }) }
+  local compiled, problems = catalogue.compile(entries, nil, reserved)
+  lu.assertEquals({ #compiled.messages, problems }, { 0, { "message reboot: the filter name taurus.reboot is taken",
+    "message m, field f: the filter name taurus.m.g.x is taken" } })
+end
+
+function T.test_the_smallest_payload()
+  local entry = message { size = 5, [2] = { "gap", "padding", length = 2 }, [3] = { "g", "uint16", "G" } }
+  lu.assertEquals(catalogue.compile({ entry }).messages[1].min_size, 5)
+  for min_size = 1, 5 do
+    entry.min_size = min_size
+    local compiled, problems = catalogue.compile { entry }
+    if min_size == 4 then
+      lu.assertEquals(problems, { "message m, field g: min_size 4 ends inside it" })
+    else
+      lu.assertEquals({ compiled.messages[1].min_size, problems }, { min_size, {} })
+    end
+  end
+end
+
 function T.test_one_bad_message_does_not_take_the_others_along()
   local compiled, problems = catalogue.compile { message { id = 9999 }, message { name = "n" } }
   lu.assertEquals({ #compiled.messages, compiled.by_id[1].name, #problems }, { 1, "n", 1 })
@@ -163,7 +200,7 @@ local function alarm_of(options)
   local compiled, problems = catalogue.compile { message(nil, options) }
   lu.assertEquals(problems, {})
   local m = compiled.messages[1]
-  return { ("%x"):format(m.fields[1].alarm_bits), m.fields[1].alarm or "none", m.alarms[1] == m.fields[1] }
+  return { ("%x"):format(m.fields[1].alarm_bits), m.fields[1].fault_word or "none", m.alarms[1] == m.fields[1] }
 end
 
 function T.test_which_bits_are_alarms()
@@ -185,8 +222,8 @@ function T.test_which_bits_are_alarms()
     end
   end
   local changed = catalogue.compile(entries).by_id[0x210]
-  lu.assertEquals({ #changed.alarms, changed.alarm }, { 3, changed.by_name.fault_flags })
-  lu.assertEquals({ fault.alarm_bits, state.alarm_bits, state.alarm, motor.by_name.status_flags.alarm_bits },
+  lu.assertEquals({ #changed.alarms, changed.fault_field }, { 3, changed.by_name.fault_flags })
+  lu.assertEquals({ fault.alarm_bits, state.alarm_bits, state.fault_word, motor.by_name.status_flags.alarm_bits },
     { 0xFFFFFFFF, 0x20, "FAULT", 0 })
 end
 
@@ -232,7 +269,7 @@ function T.test_nonsense_in_every_option()
               local raws = decode.read(one, ("\255"):rep(size))
               decode.remarks(one, raws)
               lu.assertStrContains(decode_info.text(one, raws), "M")
-              lu.assertNotNil(columns.row(one, ("\255"):rep(size)))
+              lu.assertNotNil(columns.row(one, decode.read(one, ("\255"):rep(size))))
             end
           end
         end

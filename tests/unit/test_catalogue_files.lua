@@ -85,6 +85,42 @@ function T.test_a_file_that_is_no_catalogue()
   end
 end
 
+-- What is in the list is read; what is not is said, with what to do.
+function T.test_a_table_that_is_no_list()
+  local keyed = ": the entry %s is not read: a message has its name inside"
+  local gap = ": message %d of the list is nil: a variable that is not defined, or misspelt?"
+  for text, row in pairs {
+    ["a = " .. entry("b", 2)] = { "a 1 uint8", keyed:format('"a"') },
+    [entry("b", 2) .. "version = 2"] = { "a 1 uint8, b 2 uint8", keyed:format('"version"') },
+    ["name = " .. entry("b", 2)] = { "a 1 uint8", keyed:format('"name"') },
+    ["[0] = " .. entry("b", 2)] = { "a 1 uint8", keyed:format("0") },
+    ["[1.5] = " .. entry("b", 2)] = { "a 1 uint8", keyed:format("1.5") },
+    ["[{}] = " .. entry("b", 2)] = { "a 1 uint8", keyed:format("a table") },
+    ["nothing, " .. entry("b", 2)] = { "a 1 uint8, b 2 uint8", gap:format(1) },
+    [entry("b", 2) .. "nothing, " .. entry("c", 3)] = { "a 1 uint8, b 2 uint8, c 3 uint8", gap:format(2) },
+    ["[7] = " .. entry("b", 2)] = { "a 1 uint8, b 2 uint8", gap:format(1) },
+    [entry("b", 2) .. "5"] = { "a 1 uint8, b 2 uint8", ": message 2: a message is a table, not 5" },
+    [entry("b", 2) .. "print"] = { "a 1 uint8, b 2 uint8", ": message 2: a message is a table, not a function" },
+  } do
+    local names, problems, list = load("return {" .. entry("a", 1) .. "}", "return {" .. text .. "}")
+    lu.assertEquals({ names, #problems }, { row[1], 1 }, text)
+    lu.assertStrContains(problems[1], list[2].path .. row[2])
+  end
+end
+
+function T.test_a_list_without_an_end()
+  for _, text in ipairs {
+    "local t = {} for i = 1, 100000 do t[i] = %s end return t",
+    "local t = {} for i = 1, 100000 do t['x' .. i] = %s end return t",
+    "return setmetatable({}, { __index = function() return %s end, __len = function() return 1e9 end })",
+  } do
+    local start = os.clock()
+    local names, problems = load("return {" .. entry("a", 1) .. "}", text:format(entry("b", 2):sub(1, -2)))
+    lu.assertStrContains(names, "a 1 uint8")
+    lu.assertTrue(#problems <= 20 and os.clock() - start < 2, text)
+  end
+end
+
 function T.test_of_many_mistakes_some_are_said()
   local entries = {}
   for i = 1, 100 do entries[i] = entry("m" .. i, 9999) end

@@ -40,8 +40,8 @@ end
 
 function T.test_which_sizes_fit()
   local r = new("can1/0x210=health:")
-  lu.assertEquals({ r:fits(0x210, 32), r:fits(0x210, 34), r:fits(0x210, 32, "can1"), r:fits(0x210, 17, "can1"),
-    r:fits(0x123, 5) or "unknown" }, { true, false, false, true, "unknown" })
+  lu.assertEquals({ r:fits(0x210, 32), r:fits(0x210, 34), r:fits(0x210, 31), r:fits(0x210, 17, "can1"),
+    r:fits(0x123, 5) or "unknown" }, { true, true, false, true, "unknown" })
   lu.assertNil(r:size_of(0x123))
 end
 
@@ -113,8 +113,7 @@ local function read(r, message, bytes, with)
   local m = { id = message.id, size = message.size, payload = payload, is_whole = true, good = true,
     wants = {} }
   for key, value in pairs(with or {}) do m[key] = value end
-  local memory = { change = function(_, _, what) return what end }
-  r:read(m, memory, "what changed")
+  r:read(m, { note = function() return { missing = 1 } end })
   return m
 end
 
@@ -124,18 +123,69 @@ function T.test_what_a_message_gets()
   local r = new()
   local m = read(r, HEALTH, { [at(HEALTH, "board_revision")] = 9 })
   lu.assertEquals({ m.message, m.raws[HEALTH.index[HEALTH.by_name.board_revision]], m.look, m.has_fault, m.change },
-    { HEALTH, 9, false, false, "what changed" })
-  for _, with in ipairs { { id = 0x123 }, { size = 16 }, { is_whole = false } } do
+    { HEALTH, 9, false, false, { missing = 1 } })
+  for _, with in ipairs { { id = 0x123 }, { size = 16 }, { is_whole = false }, { size = 18, good = false } } do
     m = read(r, HEALTH, {}, with)
-    lu.assertEquals({ m.raws or "none", m.look or "none", m.has_fault or "none" }, { "none", "none", "none" })
+    lu.assertEquals({ m.raws or "none", m.look or "none", m.has_fault or "none", m.undecoded or "none" },
+      { "none", "none", "none", "none" })
   end
+end
+
+-- A firmware that appended something: what the catalogue knows counts, the record of the next message is clean.
+function T.test_a_longer_payload()
+  local r, fault = new(), at(MOTOR, "fault_flags")
+  local m = read(r, MOTOR, { [fault] = 1 }, { size = 36 })
+  lu.assertEquals({ m.raws[MOTOR.index[MOTOR.by_name.fault_flags]], m.has_fault, m.undecoded }, { 1, true, 4 })
+  m = read(r, MOTOR, {}, { undecoded = 4 })
+  lu.assertNil(m.undecoded)
+end
+
+-- One entry for two firmwares.
+function T.test_a_shorter_payload()
+  local entries = dofile("taurus_fields.lua")
+  for _, entry in ipairs(entries) do
+    if entry.name == "motor" then entry.min_size = 30 end
+  end
+  local compiled = catalogue.compile(entries)
+  local r = reader.new(compiled, { wanted = false })
+  r:use(catalogue.assign(compiled, {}), (sources.parse("", compiled)))
+  local found = {}
+  for size = 29, 33 do
+    local m = { id = 0x210, size = size, payload = ("\1"):rep(size), is_whole = true, good = size ~= 31,
+      wants = {} }
+    r:read(m, { note = function() end })
+    found[#found + 1] = ("%d %s %s %s"):format(size, m.raws and "read" or "bytes", tostring(r:fits(0x210, size)),
+      m.undecoded or "-")
+  end
+  lu.assertEquals(found, { "29 bytes false -", "30 read true -", "31 read true -", "32 read true -",
+    "33 read true 1" })
+  lu.assertEquals({ r:size_of(0x210) }, { 32, 30 })
+  local source = r:new_source("key", 0x210, false)
+  lu.assertEquals({ source.size, source.min_size }, { 32, 30 })
 end
 
 function T.test_nothing_new()
   local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true,
     wants = {} }
-  new():read(m, { change = function() end })
+  new():read(m, { note = function() end })
   lu.assertFalse(m.change)
+end
+
+-- Several controllers share its source: the history says so, in order and on a revisit.
+function T.test_an_unreliable_source()
+  local function read_with(change, visited)
+    local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true, is_unsure = false,
+      visited = visited, wants = {} }
+    local function answer() return change end
+    new():read(m, visited and { note = true, change = answer } or { note = answer })
+    return m.is_unsure
+  end
+  for _, visited in ipairs { false, true } do
+    lu.assertTrue(read_with({ shared = true, unreliable = true }, visited))
+    lu.assertTrue(read_with({ unreliable = true }, visited))
+    lu.assertFalse(read_with({ reboot = 3 }, visited))
+    lu.assertFalse(read_with(nil, visited))
+  end
 end
 
 function T.test_what_is_a_fault()

@@ -31,7 +31,8 @@ end
 function T.test_the_example()
   local s, problems = parse("0x210=motor:left_fore, 0x211=motor:left_aft, can1/0x210=motor:right_fore,528 = x ," ..
     "0x212=left_tail")
-  lu.assertEquals(problems, { "sources: 528 = x: this bus and ID stand there before: the first one holds" })
+  lu.assertEquals(problems,
+    { 'yapp.sources: a bus and ID once more in "528 = x"; the first part that names them holds' })
   lu.assertEquals({ s:name("can0", 0x210), s:name(nil, 0x210), s:name("can1", 0x210) },
     { "left_fore", "left_fore", "right_fore" })
   lu.assertEquals({ s:name("can1", 0x211), s:name("can1", 0x212) }, { "left_aft", "left_tail" })
@@ -55,8 +56,17 @@ end
 
 function T.test_another_sign_between_sources()
   local s, problems = parse("0x210=motor:left;can1/0x210=right, 0x211=a;b")
-  lu.assertEquals(problems, { "sources: 0x210=motor:left;can1/0x210=right: sources are parted by commas" })
+  lu.assertEquals(problems, {
+    'yapp.sources: a semicolon in "0x210=motor:left;can1/0x210=right"; separate sources by commas' })
   lu.assertEquals(s:name(nil, 0x211), "a;b")
+end
+
+-- As the capture names buses that have no name, or one with others.
+function T.test_buses_with_made_up_names()
+  local s, problems = parse([[if1/0x210=a, any#3 / 0x210 = b, can0#1=c, a\xE2\x80\x8Bb/0x210=d]])
+  lu.assertEquals(problems, {})
+  lu.assertEquals({ s:name("if1", 0x210), s:name("any#3", 0x210), s:name("can0#1", 1),
+    s:name([[a\xE2\x80\x8Bb]], 0x210) }, { "a", "b", "c", "d" })
 end
 
 function T.test_buses_with_odd_names()
@@ -72,18 +82,20 @@ function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()
   lu.assertEquals(s:name(nil, 0x215), "good")
   lu.assertEquals(#s:list(), 1)
   lu.assertEquals(problems, {
-    "sources: 0x210: a source is [BUS/]ID=[MESSAGE:]NAME or BUS=NAME",
-    'sources: 0x800=a: the ID "0x800" is not one of 0 .. 0x7FF',
-    'sources: left/x=b: the ID "x" is not one of 0 .. 0x7FF',
-    'sources: 0x210=moter:c: there is no message "moter", but command, motor, health',
-    "sources: 0x211=: the name is missing",
-    'sources: "x"0x1=d: a bus in quotes is followed by / or =',
-    "sources: 0x212=" .. ("n"):rep(65) .. ": the name has more than 64 bytes",
-    "sources: 0x213=\1: the name is not a text",
-    "sources: 0x214=\255: the name is not a text",
-    'sources: -1=q: the ID "-1" is not one of 0 .. 0x7FF',
-    'sources: 1.5=r: the ID "1.5" is not one of 0 .. 0x7FF',
-    'sources: "open/1=e: the quote is not closed',
+    'yapp.sources: no "=" in "0x210"; write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME',
+    'yapp.sources: no ID "0x800" in "0x800=a"; IDs are 0 to 0x7FF',
+    'yapp.sources: no ID "x" in "left/x=b"; IDs are 0 to 0x7FF',
+    'yapp.sources: no message "moter" in "0x210=moter:c"; known messages: command, motor, health',
+    'yapp.sources: no name in "0x211="; write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME',
+    'yapp.sources: no "/" or "=" behind the quotes in ""x"0x1=d"; write [BUS/]ID=[MESSAGE:]NAME or ' ..
+      "BUS=NAME",
+    'yapp.sources: a long name in "0x212=' .. ("n"):rep(65) .. '"; the longest has 64 bytes',
+    'yapp.sources: a name that cannot be shown in "0x213=\\x01"; use letters',
+    'yapp.sources: a name that cannot be shown in "0x214=\\xFF"; use letters',
+    'yapp.sources: no ID "-1" in "-1=q"; IDs are 0 to 0x7FF',
+    'yapp.sources: no ID "1.5" in "1.5=r"; IDs are 0 to 0x7FF',
+    'yapp.sources: no "/" or "=" behind the quotes in ""open/1=e"; write ' ..
+      "[BUS/]ID=[MESSAGE:]NAME or BUS=NAME",
   })
   local _, many = parse(("x,"):rep(1000))
   lu.assertEquals(#many, 20)
@@ -116,11 +128,11 @@ end
 function T.test_several_ids_of_which_one_is_known_or_wrong()
   local s, problems = parse("0x210=a, 0x210+0x211=b, 0x212+0x999=c, 0x213+=d, can0=motor:e, can1=f, can1=g")
   lu.assertEquals(problems, {
-    "sources: 0x210+0x211=b: this bus and ID stand there before: the first one holds",
-    'sources: 0x212+0x999=c: the ID "0x999" is not one of 0 .. 0x7FF',
-    'sources: 0x213+=d: the ID "" is not one of 0 .. 0x7FF',
-    "sources: can0=motor:e: a message is for an ID, not for a bus",
-    "sources: can1=g: this bus and ID stand there before: the first one holds",
+    'yapp.sources: a bus and ID once more in "0x210+0x211=b"; the first part that names them holds',
+    'yapp.sources: no ID "0x999" in "0x212+0x999=c"; IDs are 0 to 0x7FF',
+    'yapp.sources: no ID "" in "0x213+=d"; IDs are 0 to 0x7FF',
+    'yapp.sources: a message for a whole bus in "can0=motor:e"; name its ID, too',
+    'yapp.sources: a bus and ID once more in "can1=g"; the first part that names them holds',
   })
   lu.assertEquals({ s:name(nil, 0x210), s:name(nil, 0x211), s:name("can1", 5) }, { "a", "b", "f" })
   lu.assertNil(s:name(nil, 0x212))

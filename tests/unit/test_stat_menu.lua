@@ -2,7 +2,7 @@
 -- What Wireshark's windows are made of: tables of a width, frames in a text.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local text = require("yapp.stat.output")
+local output = require("yapp.stat.output")
 
 local T = {}
 
@@ -14,32 +14,36 @@ end
 
 function T.test_frames_that_stand_in_a_window()
   local context = new_context()
-  text.print(context, "YAPP events: 3", { "frame", "kind" }, { { frame = 7 }, { kind = "absent" }, { frame = 9 } })
-  text.print(context, "YAPP summary", { "gap_max_frame" }, { { gap_max_frame = 165 } })
+  output.print(context, "YAPP events: 3", { text = { "frame", "kind" } },
+    { { frame = 7 }, { kind = "absent" }, { frame = 9 } }, {})
+  output.print(context, "YAPP summary", { text = { "gap_max_frame" } }, { { gap_max_frame = 165 } }, {})
   lu.assertEquals(context.frames, { 7, 9, 165 })
 end
 
+-- A window has columns of its own, times of three digits, and lines that are broken at blanks.
 function T.test_a_table_of_a_width()
-  local rows = { { bus = "can0", frame = 7, source = "left", kind = "what it says at length", help = "" },
-    { bus = "can1", frame = 12, source = "ö", id = { json = "1", text = "" } } }
-  local function table_of(width)
-    return text.table({ "bus", "id", "frame", "source", "kind", "help" }, rows, width)
-  end
+  local keys = { text = { "bus", "frame", "source", "kind", "help" }, window = { "rel", "who", "kind" } }
+  local rows = { { bus = "can0", frame = 7, source = "left", who = "left", kind = "what it says at length", help = "",
+    rel = output.seconds(0.5) }, { bus = "can1", frame = 12, source = "ö", who = "ö", id = { json = "1", text = "" },
+    rel = output.seconds(1) } }
+  local function table_of(width) return output.table(keys, rows, width) end
   lu.assertEquals(table_of(nil),
     "bus   frame  source  event\ncan0      7  left    what it says at length\ncan1     12  ö\n")
-  lu.assertEquals(table_of(43), table_of(nil))
-  lu.assertEquals(table_of(37), "frame  source  event\n    7  left    what it says at length\n   12  ö\n")
-  lu.assertEquals(table_of(28), "frame  source  event\n    7  left    what it says~\n   12  ö\n")
+  lu.assertEquals(table_of(37), " at/s  source  event\n0.500  left    what it says at length\n1.000  ö\n")
+  lu.assertEquals(table_of(28), " at/s  source  event\n0.500  left    what it says\n    at length\n1.000  ö\n")
+  rows[1].kind = ("x"):rep(30) -- has no blank
+  lu.assertEquals(table_of(28):match("\n.-\n.-\n"), "\n0.500  left\n    " .. ("x"):rep(24) .. "\n")
 end
 
 function T.test_rows_are_printed()
   local context, said = new_context()
-  local keys = { "rel", "id", "frame" }
-  local rows = { { rel = text.seconds(0.5), frame = 3, id = { json = "9", text = "0x9" } } }
-  text.print(context, "YAPP", keys, rows)
+  local keys = { text = { "rel", "id", "frame" }, json = { "id", "frame" } }
+  local rows = { { rel = output.seconds(0.5), frame = 3, id = { json = "9", text = "0x9" } } }
+  output.print(context, "YAPP", keys, rows, { "what is left out" })
   context.json = true
-  text.print(context, "YAPP", keys, rows)
-  lu.assertEquals(table.concat(said), "YAPP\n\nsince start/s  ID   frame\n     0.500000  0x9      3\n" ..
+  output.print(context, "YAPP", keys, rows, { "what is left out" })
+  lu.assertEquals(table.concat(said), "YAPP\nwhat is left out\n\n" ..
+    "since start/s  ID   frame\n     0.500000  0x9      3\n" ..
     '{"id":9,"frame":3}\n')
 end
 

@@ -19,6 +19,11 @@ local function message(size, ...)
   return compiled.messages[1]
 end
 
+-- The row of CSV of a payload.
+local function row_of(m, payload)
+  return columns.row(m, (decode.read(m, payload)))
+end
+
 -- The row of CSV of a payload, and the experts of its remarks.
 local function shown(m, hex)
   local raws, look = decode.read(m, bytes(hex))
@@ -27,7 +32,7 @@ local function shown(m, hex)
   for _, remark in ipairs(decode.remarks(m, raws) or {}) do
     experts[#experts + 1] = m.fields[remark[1]].name .. " " .. remark[2]
   end
-  return columns.row(m, bytes(hex)), table.concat(experts, ", ")
+  return row_of(m, bytes(hex)), table.concat(experts, ", ")
 end
 
 -- type, options, payload, row, experts
@@ -181,7 +186,7 @@ function T.test_digits_of_compressed_floats()
     local m = message(size, { "f", "float" .. 8 * size, "F", min = 0, max = (2 ^ (8 * size) - 6) / 10 })
     for count = 1, 1000 do
       local payload = string.char(count % 256, math.floor(count / 256)) .. ("\0"):rep(size - 2)
-      lu.assertEquals(columns.row(m, payload), ("%g,"):format(count / 10), size)
+      lu.assertEquals(row_of(m, payload), ("%g,"):format(count / 10), size)
     end
   end
 end
@@ -199,10 +204,10 @@ function T.test_arrays()
     { "cell_2", "V", "Cell 2" })
 end
 
-function T.test_a_payload_that_is_too_short_has_no_row()
+function T.test_a_payload_of_another_size_has_the_cells_that_it_has()
   local m = message(3, { "a", "uint16", "A" }, { "b", "uint8", "B" })
-  lu.assertNil(columns.row(m, "\1\2"))
-  lu.assertEquals(columns.row(m, "\1\2\3more"), "513,3")
+  lu.assertEquals({ row_of(m, "\1"), row_of(m, "\1\2"), row_of(m, "\1\2\3more") },
+    { ",", "513,", "513,3" })
 end
 
 function T.test_padding()
@@ -232,13 +237,88 @@ function T.test_variants_by_a_bool()
   lu.assertEquals({ shown(m, "0007"), shown(m, "0107") }, { "0,7,", "1,,7", "" })
 end
 
-function T.test_differences()
-  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 4,
-    differences = { { "d", "a", "b", "D" } }, { "a", "float16", "A", min = -10, max = 5 },
-    { "b", "int16", "B", scale = 0.5 } } }
+-- The generated values of a payload, "-" for none.
+local function generated(m, hex)
+  local raws, values = decode.read(m, bytes(hex)), {}
+  for i, item in ipairs(m.generated) do values[i] = decode.derived(m, item, raws) or "-" end
+  return values
+end
+
+function T.test_generated_values()
+  local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 4,
+    differences = { { "d", "a", "b", "D" } },
+    derived = { { "p", "a * b", "P", unit = "W" }, { "s", "b+b", "S" }, { "n", " a -b ", "N" } },
+    { "a", "float16", "A", min = -10, max = 5, unit = "V" }, { "b", "int16", "B", scale = 0.5 } } }
+  lu.assertEquals(problems, {})
   local m = compiled.messages[1]
-  lu.assertEquals(decode.difference(m, m.differences[1], decode.read(m, bytes("faff0300"))), 3.5)
-  lu.assertNil(decode.difference(m, m.differences[1], decode.read(m, bytes("ffff0300"))))
+  lu.assertEquals(generated(m, "faff0300"), { 3.5, 7.5, 3, 3.5 })
+  lu.assertEquals(generated(m, "ffff0300"), { "-", "-", 3, "-" }) -- a is not a number
+  lu.assertEquals(generated(m, "faff03"), { "-", "-", "-", "-" }) -- b does not fit
+  local about = {}
+  for i, item in ipairs(m.generated) do
+    about[i] = ("%s %s %s"):format(item.filter, item.unit or "-", item.description)
+  end
+  lu.assertEquals(about, { "taurus.m.d V D in V, of M", "taurus.m.p W P in W, of M", "taurus.m.s - S, of M",
+    "taurus.m.n - N, of M" })
+end
+
+-- Only derived ones are in tables, behind the fields.
+function T.test_columns_of_derived_values()
+  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 2,
+    differences = { { "d", "a", "b", "D" } }, derived = { { "p", "a * b", "P", unit = "W" } },
+    { "a", "uint8", "A" }, { "b", "float8", "B", min = 0, max = 2.5 } } }
+  local m, names = compiled.messages[1], {}
+  for i, column in ipairs(columns.columns(m)) do
+    names[i] = ("%s %s %s"):format(column.name, column.type, column.unit or "-")
+  end
+  lu.assertEquals(names, { "a integer -", "b float -", "b_special string -", "p float W" })
+  lu.assertEquals(row_of(m, "\7\1"), "7,0.01,,0.07")
+  lu.assertEquals(row_of(m, "\7\255"), "7,,nan,")
+  lu.assertEquals(row_of(m, "\7"), "7,,,")
+end
+
+-- Seven digits, no infinity, and no integer of Lua 5.4 that wraps around.
+function T.test_products_of_large_numbers()
+  local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 20,
+    derived = { { "u", "a * b", "U" }, { "f", "c * c", "F" } },
+    { "a", "uint32", "A" }, { "b", "uint64", "B" }, { "c", "float64", "C" } } }
+  local m = compiled.messages[1]
+  lu.assertEquals(generated(m, ("ff"):rep(12) .. "9a9999999999b93f"), { 7.922816e28, 0.01 })
+  lu.assertEquals(generated(m, "0200000003000000" .. "00000000" .. "ffffffffffffef7f"), { 6, "-" })
+end
+
+-- Every length from min_size up to size: what does not fit wholly is not there, in nothing that shows it.
+function T.test_payloads_that_are_shorter()
+  local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 17, min_size = 1,
+    info = "{a} {t} {s} {k}", { "a", "uint8", "A", values = { [1] = "One" } }, { "t", "int64_ns", "T" },
+    { "s", "string", "S", length = 2 }, { "f", "uint8", "F", group = "g", flags = { { "x", 1, "X" } },
+      bits = { { "n", 0xF0, "N" } } }, { "k", "bool", "K" },
+    { "v", "variants", by = "k", cases = { [0] = { { "w", "uint8", "W" } }, [1] = { { "z", "uint32", "Z" } } } } } }
+  lu.assertEquals(problems, {})
+  local m, payload = compiled.messages[1], bytes("01" .. "00ca9a3b00000000" .. "6162" .. "31" .. "01" .. "05000000")
+  local rows = { [1] = "1,One,,,,,,,,", [8] = "1,One,,,,,,,,", [9] = "1,One,1.000000000,,,,,,,",
+    [10] = "1,One,1.000000000,,,,,,,", [11] = "1,One,1.000000000,ab,,,,,,", [12] = "1,One,1.000000000,ab,49,1,3,,,",
+    [13] = "1,One,1.000000000,ab,49,1,3,1,,", [16] = "1,One,1.000000000,ab,49,1,3,1,,",
+    [17] = "1,One,1.000000000,ab,49,1,3,1,,5" }
+  for length, row in pairs(rows) do lu.assertEquals(row_of(m, payload:sub(1, length)), row, length) end
+  local infos = { [1] = "One - - -", [9] = "One 1.000000000 s - -", [17] = "One 1.000000000 s ab true" }
+  for length, text in pairs(infos) do
+    local raws, is_remarkable = decode.read(m, payload:sub(1, length))
+    lu.assertEquals({ decode_info.text(m, raws), is_remarkable }, { "M  " .. text, false })
+  end
+end
+
+-- What a payload does not have is neither undefined nor a fault, and is 0 nowhere.
+function T.test_nothing_is_remarkable_in_what_is_absent()
+  local m = message(3, { "a", "uint8", "A", values = {} }, { "b", "uint8", "B", values = { [1] = "One" } },
+    { "c", "uint8", "C", group = "g", alarm = "FAULT", flags = { { "x", 1, "X" } } })
+  for length, experts in pairs { [0] = {}, { "value.invalid" }, { "value.invalid" },
+    { "value.invalid", "fault.active" } } do
+    local raws, is_remarkable = decode.read(m, ("\1"):rep(length))
+    local found = {}
+    for i, remark in ipairs(decode.remarks(m, raws) or {}) do found[i] = remark[2] end
+    lu.assertEquals({ found, is_remarkable, decode.has_alarm(m, raws) }, { experts, length > 0, length == 3 })
+  end
 end
 
 function T.test_names_of_columns_that_are_taken()
@@ -296,9 +376,9 @@ function T.test_info_of_many_fields()
       { "b", "float16", "B", min = 0, max = 65530 } } }
     lu.assertEquals(problems, {})
     local m = compiled.messages[1]
-    lu.assertEquals(decode_info.text(m, decode.read(m, "\7\3\0"), "\7\3\0"), "M  " .. ("7"):rep(count) ..
+    lu.assertEquals(decode_info.text(m, (decode.read(m, "\7\3\0"))), "M  " .. ("7"):rep(count) ..
       ("3"):rep(count))
-    lu.assertEquals(decode_info.text(m, decode.read(m, "\7\255\255"), "\7\255\255"), "M  " .. ("7"):rep(count) ..
+    lu.assertEquals(decode_info.text(m, (decode.read(m, "\7\255\255"))), "M  " .. ("7"):rep(count) ..
       ("NaN"):rep(count))
   end
 end
@@ -312,10 +392,10 @@ function T.test_info_of_every_kind()
   local m = compiled.messages[1]
   local payload = bytes("ff" .. "97ff" .. "01" .. "616263" .. "00ff" .. "cdcc8c3f" .. "0000000000002000" ..
     "00ca9a3b00000000" .. "0000")
-  lu.assertEquals(decode_info.text(m, decode.read(m, payload), payload),
+  lu.assertEquals(decode_info.text(m, (decode.read(m, payload))),
     "M  -1 -10.5 true abc 00ff 1.10 9007199254740992 1.000000000 s")
   payload = bytes("ff" .. "97ff" .. "02" .. "616263" .. "00ff" .. "ffffffff") .. payload:sub(14)
-  lu.assertEquals(decode_info.text(m, decode.read(m, payload), payload),
+  lu.assertEquals(decode_info.text(m, (decode.read(m, payload))),
     "M  -1 -10.5 invalid 0x2 abc 00ff NaN 9007199254740992 1.000000000 s")
 end
 
@@ -324,8 +404,8 @@ function T.test_info_of_a_time_at_the_end()
   local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 8, info = "{t}",
     { "t", "int64_ns", "T" } } }
   local m, payload = compiled.messages[1], bytes("00ca9a3b00000000")
-  lu.assertEquals(decode_info.text(m, decode.read(m, payload), payload), "M  1.000000000 s")
-  lu.assertEquals(decode_info.text(m, decode.read(m, ""), ""), "M  ?")
+  lu.assertEquals(decode_info.text(m, (decode.read(m, payload))), "M  1.000000000 s")
+  lu.assertEquals(decode_info.text(m, (decode.read(m, ""))), "M  -")
 end
 
 function T.test_many_fields_of_every_kind()

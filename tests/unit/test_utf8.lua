@@ -37,4 +37,36 @@ function T.test_printable()
   end
 end
 
+-- What nobody sees, or what turns the direction of text, is written like a control character.
+function T.test_invisible_characters()
+  for text, expected in pairs {
+    ["a\226\128\139b"] = "a\\xE2\\x80\\x8Bb",                -- U+200B, zero width space
+    ["\226\128\143"] = "\\xE2\\x80\\x8F",                    -- U+200F, right-to-left mark
+    ["\226\128\174\195\188"] = "\\xE2\\x80\\xAE\195\188",    -- U+202E, right-to-left override
+    ["\226\129\160\226\129\169"] = "\\xE2\\x81\\xA0\\xE2\\x81\\xA9", -- U+2060, U+2069
+    ["\216\156"] = "\\xD8\\x9C",                              -- U+061C, Arabic letter mark
+    ["\239\187\191x"] = "\\xEF\\xBB\\xBFx",                  -- U+FEFF
+    ["\226\128\138\226\128\144"] = "\226\128\138\226\128\144", -- U+200A, U+2010 are seen
+  } do
+    lu.assertEquals(utf8.printable(text), expected)
+    lu.assertEquals(utf8.is_printable(text), text == expected)
+  end
+end
+
+-- Names that differ stay different, and a name that was made fit stays as it is.
+function T.test_names_stay_different()
+  local names = { "a\1", "a\\x01", "a\\x5Cx01", "a\\\1", "a\255", "a\\xFF", "\\Device\\NPF_{1}", "a\\x",
+    "a\226\128\139", "a" }
+  local shown = {}
+  for _, name in ipairs(names) do
+    local text = utf8.name(name)
+    lu.assertNil(shown[text], text)
+    shown[text] = true
+    lu.assertTrue(utf8.is_printable(text))
+    lu.assertEquals(utf8.printable(text), text)
+  end
+  lu.assertEquals({ utf8.name(names[1]), utf8.name(names[2]), utf8.name(names[7]) },
+    { "a\\x01", "a\\x5Cx01", names[7] })
+end
+
 return T

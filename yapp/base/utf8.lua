@@ -12,6 +12,12 @@ local CHARACTERS = {
 }
 for i, character in ipairs(CHARACTERS) do CHARACTERS[i] = character:gsub("C", "[\128-\191]") end
 
+-- Characters that nobody sees, or that turn the direction of the text around them: U+061C, U+200B
+-- to U+200F, U+2028 to U+202E, U+2060 to U+206F, U+FEFF
+local INVISIBLE = {
+  "\216\156", "\226\128[\139-\143]", "\226\128[\168-\174]", "\226\129[\160-\175]", "\239\187\191",
+}
+
 --- The text with a "?" for each character beyond ASCII; bytes that are no UTF-8, or a control
 -- character's, stay.
 function M.ascii(text)
@@ -20,32 +26,47 @@ function M.ascii(text)
   return text
 end
 
---- Whether the text is UTF-8 without control characters.
-function M.is_printable(text)
-  return not M.ascii(text):find("[%c\128-\255]")
+-- Whether one of these patterns is somewhere in the text.
+local function has_any(text, patterns)
+  for _, pattern in ipairs(patterns) do
+    if text:find(pattern) then return true end
+  end
+  return false
 end
 
--- A character that may be printed, or several of ASCII; nil where there is none.
-local function printable_at(text, at)
-  local ascii = text:match("^[^%c\128-\255]+", at)
+--- Whether the text is UTF-8 without control characters and without invisible ones.
+function M.is_printable(text)
+  if not text:find("[%c\128-\255]") then return true end
+  return not M.ascii(text):find("[%c\128-\255]") and not has_any(text, INVISIBLE)
+end
+
+-- The character that may be printed at an index, or several of ASCII; nil for none.
+local function printable_at(text, index)
+  local ascii = text:match("^[^%c\128-\255]+", index)
   if ascii then return ascii end
   for _, character in ipairs(CHARACTERS) do
-    local found = text:match("^" .. character, at)
-    if found then return found end
+    local found = text:match("^" .. character, index)
+    if found then return not has_any(found, INVISIBLE) and found or nil end
   end
 end
 
---- The text fit to be printed: "\xNN" for each byte of a control character, and each that is no
--- UTF-8.
+--- Return the text fit to be printed: "\xNN" for each byte of a control character, of an invisible
+-- one, and of what is no UTF-8.
 function M.printable(text)
   if M.is_printable(text) then return text end
-  local parts, at = {}, 1
-  while at <= #text do
-    local part = printable_at(text, at)
-    parts[#parts + 1] = part or ("\\x%02X"):format(text:byte(at))
-    at = at + #(part or "?")
+  local parts, index = {}, 1
+  while index <= #text do
+    local part = printable_at(text, index)
+    parts[#parts + 1] = part or ("\\x%02X"):format(text:byte(index))
+    index = index + #(part or "?")
   end
   return table.concat(parts)
+end
+
+--- Return a name fit to be printed, so that different names stay different: a backslash that would
+-- read as one of printable's stands as "\x5C" ("a\x01" of five letters is "a\x5Cx01").
+function M.name(text)
+  return M.printable((text:gsub("\\(x%x%x)", "\\x5C%1")))
 end
 
 return M

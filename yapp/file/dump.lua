@@ -4,12 +4,12 @@
 local M = {}
 
 local CHUNK = 65536
-local AHEAD = 1048576 -- how far to look for a time stamp; what is read on the way is kept
-local LONGEST = 65536 -- bytes of no frame in one record: Wireshark takes four times as much
+local MAX_AHEAD = 1048576 -- bytes to search for a time stamp; they are kept
+local MAX_SKIPPED = 65536 -- bytes of no frame in a record; Wireshark takes four times that
 
 -- A record is an exported PDU: it names its dissector, and a UDP port type says that it is complete
--- in itself.  Bytes between frames may look like the start of one, which only what follows them has
--- proved wrong.
+-- in itself.  Bytes between frames may look like the start of a frame.  Only what follows shows
+-- that they are not, so they have a dissector of their own.
 local DISSECTOR, UDP = "\0\12\0\12", "\0\24\0\4\0\0\0\3\0\0\0\0" -- tags, each with its length
 local FRAME = DISSECTOR .. "yapp_serial\0" .. UDP
 local SKIPPED = DISSECTOR .. "yapp_skipped" .. UDP
@@ -19,112 +19,107 @@ local UNKNOWN = {} -- a time
 local Dump = {}
 Dump.__index = Dump
 
--- Reads on; whether there was anything more.
+-- Reads on.
 function Dump:fill(file)
-  if self.ended then return false end
-  local bytes = self.head or file:read(CHUNK) or ""
-  self.head, self.ended = nil, bytes == ""
-  local events = self.ended and self.framer:finish() or self.framer:feed(bytes)
-  for _, event in ipairs(events) do
-    self.last = self.last + 1
-    self.events[self.last] = event
+  local bytes, events = self.head or file:read(CHUNK) or "", self.events
+  self.head, self.is_over = nil, bytes == ""
+  for _, event in ipairs(self.is_over and self.framer:finish() or self.framer:feed(bytes)) do
+    local last = events[self.last]
+    if last and last.status == "skipped" and event.status == "skipped" then
+      last.bytes = last.bytes .. event.bytes
+    else
+      self.last = self.last + 1
+      events[self.last] = event
+      self.has_frame = self.has_frame or event.status == "good"
+      if self.is_opening then self.time = self.time or self:stamp(event) end
+    end
   end
-  return true
 end
 
--- The next event, which stays where it is; nil at the end.
-function Dump:peek(file)
-  while self.next > self.last and self:fill(file) do end
-  return self.events[self.next]
-end
-
--- Takes it.
-function Dump:drop()
-  self.events[self.next] = nil
-  self.next = self.next + 1
-end
-
--- Takes the next frame, or all bytes of no frame in front of it, however they were read.
-function Dump:take_record(file)
-  local event = self:peek(file)
-  if not event then return nil end
-  self:drop()
-  if event.kind ~= "skipped" then return event end
-  local bytes, from = event.bytes, event.from
-  event = self:peek(file)
-  while #bytes < LONGEST and event and event.kind == "skipped" do
-    self:drop()
-    bytes = bytes .. event.bytes
-    event = self:peek(file)
-  end
-  local rest = bytes:sub(LONGEST + 1)
-  if rest ~= "" then
-    self.next = self.next - 1
-    self.events[self.next] = { kind = "skipped", from = from + LONGEST, bytes = rest }
-  end
-  return { kind = "skipped", from = from, bytes = bytes:sub(1, LONGEST) }
-end
-
--- The controller's own time of a frame, nil without one.
+-- Returns the controller's own time of a frame, nil for none.
 function Dump:stamp(event)
-  if not event.good then return nil end
+  if event.status ~= "good" then return nil end
   local seconds, nanoseconds = self.time_of(event.bytes)
   return seconds and { seconds, nanoseconds }
 end
 
---- Opens a dump.
--- @param file at its first byte, or behind `head`; a pipe will do
--- @param options { new_framer = function() -> a serial.stream; time_of = function(frame bytes) ->
---   seconds, nanoseconds of the message's own time stamp, nil without one }
--- @param head the first bytes, where they have been read already
--- @return a log with read and seek_read; nil for a file that holds no frame with a good CRC
+--- Open a dump.
+-- file     at its first byte, or behind `head`; a pipe will do
+-- options  { new_framer = function() -> a serial.framer,
+--            time_of = function(bytes of a frame) -> seconds, nanoseconds of the message's own time
+--            stamp, nil for none }
+-- head     string: the first bytes, if they have been read
+-- returns  a log with read and seek_read; nil for a file that holds no good frame
 function M.open(file, options, head)
   local self = setmetatable({
     framer = options.new_framer(),
     time_of = options.time_of,
     head = head ~= "" and head or nil,
     decimals = 9,
-    events = {}, -- read, and not given as records yet: events[next] to events[last]
+    events = {}, -- that are no records yet: events[next] to events[last]
     next = 1,
     last = 0,
-    ended = false,
-    time = nil, -- of the record before; of the first one that has a time
-    records = {}, -- { length, time, is_skipped }, by offset
+    is_opening = true,
+    is_over = false,
+    has_frame = false,
+    time = nil,   -- of the latest record; before, the first one that there is
+    records = {}, -- [offset] = { length, time, is_skipped }
   }, Dump)
-  local at, found = 1, false
-  while not (found and (self.time or self.framer:offset() >= AHEAD)) and self:fill(file) do
-    while at <= self.last and not self.time do
-      found = found or self.events[at].good
-      self.time = self:stamp(self.events[at])
-      at = at + 1
-    end
+  local function is_enough()
+    return self.has_frame and (self.time or self.framer:offset() >= MAX_AHEAD) or self.is_over
   end
-  return found and self or nil
+  while not is_enough() do self:fill(file) end
+  self.is_opening = false
+  return self.has_frame and self or nil
 end
 
+-- Takes the next event, nil at the end.  All bytes between two frames are one, as long as Wireshark
+-- takes them, however they were read.
+function Dump:next_event(file)
+  local event = self.events[self.next]
+  local function may_go_on()
+    return self.next == self.last and event.status == "skipped" and #event.bytes < MAX_SKIPPED
+  end
+  while not self.is_over and (not event or may_go_on()) do
+    self:fill(file)
+    event = self.events[self.next]
+  end
+  if event and event.status == "skipped" and #event.bytes > MAX_SKIPPED then
+    local from, bytes = event.from, event.bytes
+    event.from, event.bytes = from + MAX_SKIPPED, bytes:sub(MAX_SKIPPED + 1)
+    return { status = "skipped", from = from, bytes = bytes:sub(1, MAX_SKIPPED) }
+  end
+  self.events[self.next] = nil
+  self.next = self.next + 1
+  return event
+end
+
+-- Returns a record as Wireshark takes it.
 local function packet(record, offset, bytes)
   local time = record.time
   return offset, (record.is_skipped and SKIPPED or FRAME) .. bytes, time[1], time[2]
 end
 
---- The next record: a frame or a range of bytes that belong to none.
--- @return its offset, the packet's bytes (an exported PDU), seconds and nanoseconds; nil at the
---   end.  The time is the controller's own where the message has a time stamp, else that of the
---   record before; in front of the first one, that of the first one if it comes soon, else nil
+--- Read the next record: a frame, or bytes of no frame.
+-- returns  its offset, the packet's bytes (an exported PDU), seconds and nanoseconds; nil at the
+--          end.  The time is the controller's own if the message has a time stamp, else that of the
+--          record before.  In front of the first time it is that one if it comes soon, else nil
 function Dump:read(file)
-  local event = self:take_record(file)
+  local event = self:next_event(file)
   if not event then return nil end
   self.time = self:stamp(event) or self.time
   local record = {
-    length = #event.bytes, time = self.time or UNKNOWN, is_skipped = event.kind == "skipped",
+    length = #event.bytes,
+    time = self.time or UNKNOWN,
+    is_skipped = event.status == "skipped",
   }
   self.records[event.from] = record
   return packet(record, event.from, event.bytes)
 end
 
---- A record again.
--- @param offset of a record that was read before
--- @return as from read
+--- Read a record that was read before.
+-- offset   of the record
+-- returns  as Dump:read
 function Dump:seek_read(file, offset)
   local record = self.records[offset]
   if not record or not file:seek("set", offset) then return nil end

@@ -1,10 +1,10 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- On which bus a packet was captured: may this capture have several, which one is it, what is it
--- called.  Wireshark's API.
+-- The bus on which a packet was captured, and what the capture says of packets that were dropped.
+-- Wireshark's API.
 --
 -- The file says it (host.capture), or the reader of ours that it came through.  Of a live capture,
--- of Vector BLF and of what else is not read here the fields say it, where there is a tree; a tap
--- asks for them.
+-- and of a pipe behind its first bytes, fields of the packet say it; a tap makes Wireshark build
+-- the tree that has them.
 
 local capture = require "yapp.host.capture"
 local fields_of = require "yapp.host.fields".of
@@ -12,36 +12,37 @@ local readers = require "yapp.file.readers"
 
 local M = {}
 
-local FIELDS = "frame.interface_id || frame.interface_name || sll.ifindex || rtacser.eventtype"
+local FIELDS = "frame.interface_id || frame.interface_name || frame.section_number || " ..
+  "sll.ifindex || rtacser.eventtype"
 local NAMES = {}
 for name in FIELDS:gmatch("[%w_.]+") do NAMES[name] = true end
-local BLF = "LOGG"
-local IN_TSHARK = not gui_enabled() -- where a read filter may shift the numbers of packets
+local RECENT = 60 -- seconds: a capture with such a packet may still go on
+local IN_TSHARK = not gui_enabled()
+local IS_WINDOWS = package.config:sub(1, 1) == "\\"
 
 local Buses = {}
 Buses.__index = Buses
 
-local PACKED = { ["\31\139"] = true, ["\40\181"] = true, ["\4\34"] = true } -- gzip, Zstandard, LZ4
-
--- The first line, or so many bytes, of a file; "" where it cannot be read.
-local function first(path, what)
-  local file = io.open(path, "rb")
-  local text = file and file:read(what)
-  if file then file:close() end
-  return text or ""
+-- How far each open file of this process was read, as one text: Linux says it, and on macOS
+-- /dev/fd/N is the open file itself.
+local function positions()
+  local list = {}
+  for number = 3, 63 do
+    local info = io.open("/proc/self/fdinfo/" .. number)
+    local file = info or io.open("/dev/fd/" .. number)
+    list[#list + 1] = info and info:read("*l") or file and file:seek()
+    if file then file:close() end
+  end
+  return table.concat(list, " ")
 end
 
--- Whether a file is none that is read forward once, as far as that is known: Wireshark cannot
--- rewind a pipe behind what is read here of it.  Linux says how far a file that is open has been
--- read, a packed one not as far as its bytes are long, a pipe 0; elsewhere there is nobody to ask.
-local function is_file(bytes)
-  if first("/proc/self/fdinfo/0", "*l") == "" then return true end
-  for number = 3, 63 do
-    local position = tonumber(first("/proc/self/fdinfo/" .. number, "*l"):match("%d+")) or 0
-    if position >= bytes then return true end
-    if position > 0 and PACKED[first("/proc/self/fd/" .. number, 2)] then return true end
-  end
-  return false
+-- Reads the first bytes of a capture.
+-- returns  them; and whether more may be read: of a pipe Wireshark can rewind no more.  A file
+--          is what the process has read further by now, if this can be seen.
+local function read_head(file)
+  local before = positions()
+  local head = file:read(capture.HEAD) or ""
+  return head, not IN_TSHARK or IS_WINDOWS or positions() ~= before
 end
 
 --- Looks at files from now on.  Call it once.
@@ -53,11 +54,14 @@ function M.watch()
   local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look",
     "Looks at the headers", "rms")
   function handler.read_open(file, _)
-    local head = file:read(capture.OF_A_PIPE) or ""
-    local is_long = #head == capture.OF_A_PIPE
-    local may_go_on = is_long and is_file(#head)
-    self.seen = capture.read(head, function(count) return may_go_on and file:read(count) or nil end)
-    self.seen_blf, self.seen_whole = head:sub(1, 4) == BLF, may_go_on or not is_long
+    local head, is_file = read_head(file)
+    local function more(skip, count)
+      if not is_file then return nil end
+      if skip > 0 then file:seek("cur", skip) end
+      return file:read(count)
+    end
+    self.seen = capture.read(head, more)
+    self.is_cut = #head == capture.HEAD and not is_file
     readers.forget()
     return false
   end
@@ -72,15 +76,12 @@ end
 -- did not open or were only looked at in a file dialog: nothing of it counts before.
 function Buses:init()
   local found = self.seen
-  self.found, self.is_blf, self.is_shifted = found, self.seen_blf, false
+  self.found, self.is_shifted = found, false
   self.plain_bus = readers.plain_bus()
-  -- [number of a packet] = its bus, where a field said it: a later look may have no tree
-  self.kept = {}
-  -- Of a log that Wireshark's own reader takes, it is known that it has one; a window may have
-  -- looked at another file since.
-  self.asks = not (IN_TSHARK and self.plain_bus) and
-    (found.has_several or found.begins or found.may_be_ours or not found.is_told)
-  local needs_fields = found.begins or self.is_blf or found.has_several and not self.seen_whole
+  self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
+  local is_recent = os.time() - found.latest < RECENT
+  local needs_fields = found.is_live or is_recent or self.is_cut and found.carriers > 0
+  self.asks = needs_fields or found.has_several or not (found.is_told or self.plain_bus)
   if needs_fields then
     self.tap = self.tap or Listener.new("frame", FIELDS)
   elseif self.tap then
@@ -89,9 +90,9 @@ function Buses:init()
   end
 end
 
---- Whether the capture tells several sources apart, as far as is known.
+--- Whether the capture tells several buses apart, as far as is known.
 function Buses:are_several()
-  return self.found.has_several or self.is_blf or readers.are_several()
+  return self.found.has_several or readers.are_several()
 end
 
 --- Whether the file may have YAPP frames in TCP or UDP, by its first bytes.
@@ -99,66 +100,64 @@ function Buses:may_have_frames()
   return self.found.may_have_frames
 end
 
--- The source that the fields of the current packet tell; nil without a tree.
-local function source_by_fields(found)
+--- Return the first bytes of the file if they may have YAPP frames and it has packets, else nil.
+function Buses:head()
+  return self.found.head
+end
+
+--- Return what the capture says of packets that were dropped: a list of { time = seconds since 1970
+-- or nil, frame = number of the packet behind the loss or nil, bus = name or nil, count }.
+function Buses:drops()
+  local drops = self.found.drops
+  return not drops[1] and readers.drops and readers.drops() or drops
+end
+
+--- Whether packets of the capture have no time stamps.
+function Buses:lacks_times()
+  return self.found.has_no_times or readers.lacks_times and readers.lacks_times()
+end
+
+-- The bus by the fields of the current packet; nil where they do not tell it.
+local function bus_by_fields(found)
   local fields = fields_of(NAMES)
   local interface, index = fields["frame.interface_id"], fields["sll.ifindex"]
-  local event = fields["rtacser.eventtype"]
+  local event, name = fields["rtacser.eventtype"], fields["frame.interface_name"]
   if not (interface or index or event) then return nil end
-  local direction = capture.DIRECTION[event] or 0
-  local bus = found:source(interface or 0, index or 0, direction)
-  local name = fields["frame.interface_name"]
-  if name and name ~= "unknown" then found.names[bus] = found.names[bus] or name end
-  return bus
+  if name == "unknown" then name = nil end
+  local section = fields["frame.section_number"] or 1
+  return found:bus_by_fields(section, interface or 0, index or 0, event, name)
 end
 
--- The bus by the fields of the current packet, and whether it is known.  Where the file had one
--- source when it was opened, that goes on without a number.
-local function by_fields(self, number)
-  local found = self.found
-  local had_one = not (self.is_blf or found.has_several)
-  local bus = source_by_fields(found)
-  if not bus then return nil, had_one end
-  if bus == 1 and had_one then
-    found.own_name = found.own_name or found.names[bus]
-    return nil, true
-  end
-  self.kept[number] = bus
-  return bus, true
-end
-
---- Where the current packet was captured.
--- number   of it, which Wireshark need not be asked for again
--- returns  its bus, a number; nil where the capture has one, or nothing says; and whether this is
+--- Return where the current packet was captured.
+-- number   of the packet, which Wireshark need not be asked for again
+-- returns  its bus, a number, nil where the capture has one or nothing says it; and whether this is
 --          known
 function Buses:of(pinfo, number)
   local bus, name = readers.current()
+  local found = self.found
   if bus then
-    self.found.names[bus] = name
+    found.names[bus] = name
     return bus, true
   end
-  if not self.asks then return nil, true end
-  local found = self.found
-  if number > found.count then
-    bus = self.kept[number]
-    if bus then return bus, true end
-    return by_fields(self, number)
+  if number > found.count and (self.tap or found.has_several) then
+    bus = self.kept[number] or bus_by_fields(found)
+    -- What was the only bus when the file was opened goes on without a number.
+    if not found.has_several and (bus or 1) == 1 then return nil, true end
+    self.kept[number] = bus
+    return bus, bus ~= nil
   end
-  if not found.has_several then return nil, true end
+  if not found.has_several then return nil, not found.is_unknown end
   bus = not self.is_shifted and found:bus(number, IN_TSHARK and pinfo.abs_ts or nil)
-  if bus and bus > 0 then return bus, true end
-  self.is_shifted = true
-  return nil, false
+  self.is_shifted = not bus
+  return bus or nil, not self.is_shifted
 end
 
---- What a bus is called.
+--- Return what a bus is called.
 -- bus      its number; nil where the capture has one or tells none apart
--- is_ip    whether it came in UDP or TCP, so by any interface
+-- is_ip    whether the packet came in UDP or TCP, so by any interface
 -- returns  text, or nil where the capture names none
 function Buses:name(bus, is_ip)
-  if bus then return self.found.names[bus] end
-  if is_ip then return self.found.only_name or self.plain_bus end
-  return self.found.own_name or self.found.only_name or self.plain_bus
+  return self.found:name(bus, is_ip) or not bus and self.plain_bus or nil
 end
 
 return M

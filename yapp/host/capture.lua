@@ -1,79 +1,77 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a capture file says of its packets: on which bus each was captured, and whether YAPP may be
--- in it.  Pure Lua.
+-- What a capture file says of its packets: the bus of each, what buses are called, how many packets
+-- were dropped while capturing, and whether YAPP may be in it.  Pure Lua.
 --
--- A dissector is not told on which interface a packet came, and the fields that say it need a tree.
---  The file says it: of a pcapng file and of pcap files of Linux cooked v2 and RTAC the headers of
---  blocks and records are read to the end.
+-- Wireshark does not tell a dissector the interface of a packet.  The file does: this module reads
+-- the headers of the blocks of pcapng and of the records of pcap.
 --
--- A source is an interface, an index in it (Linux cooked v2), or a direction (RTAC); of a capture
--- with several that may carry YAPP each has a number, its bus: 1, 2, 3 in the order in which they
--- show.
+-- A bus is an interface, an index in it (Linux cooked v2), or a direction in it (RTAC).  Buses that
+-- may carry YAPP are numbered from 1 in the order in which they show.
 
 local frame = require "yapp.wire.frame"
 local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
-local byte, floor, sub = string.byte, math.floor, string.sub
+local byte, find, floor, max, min, sub =
+  string.byte, string.find, math.floor, math.max, math.min, string.sub
 
---- How many bytes of a pipe may be read: Wireshark 4.0 can rewind no more.
-M.OF_A_PIPE = 65536
-local CHUNK = 1048576
+--- How many bytes of a pipe may be read: Wireshark can rewind so many.
+M.HEAD = 65536
+local CHUNK = 1048576 -- bytes that are read at once, and the most that are held of a block
+local MAX_BLOCK = 2 ^ 28 -- bytes; Wireshark refuses longer ones
+local MAX_OPTIONS = 64 -- of a block
 
--- Link types: SocketCAN, exported PDUs, RTAC serial, DLT_USER 0 .. 15; and Linux cooked captures.
-local SOCKETCAN, EXPORTED, RTAC, COOKED, COOKED_2 = 227, 252, 250, 113, 276
-local OURS = { [SOCKETCAN] = true, [EXPORTED] = true, [RTAC] = true }
-for linktype = 147, 162 do OURS[linktype] = true end
+-- Link types whose packets may carry YAPP: SocketCAN, exported PDUs, DLT_USER 0 .. 15.
+local SOCKETCAN = 227
+local CARRIERS = { [SOCKETCAN] = true, [252] = true }
+for linktype = 147, 162 do CARRIERS[linktype] = true end
 
--- Of Linux cooked captures: where the protocol is in a packet; which are ours, CAN and CAN FD;
--- where the interface's index is in version 2.
-local PROTOCOL_AT = { [COOKED] = 14, [COOKED_2] = 0 }
-local PROTOCOLS = { ["\0\12"] = true, ["\0\13"] = true }
-local INDEX_AT = 4
+-- Link types of which each packet tells its bus: RTAC serial, Linux cooked captures.
+local RTAC, COOKED, COOKED_2 = 250, 113, 276
+local IS_CAN = { ["\0\12"] = true, ["\0\13"] = true } -- protocols: CAN and CAN FD
+local DIRECTIONS = { "tx", "rx", "tx", "rx" } -- of an RTAC packet by its event
 
-local EVENT_AT = 8 -- in a packet of RTAC
-local SOCKETCAN_HEADER = 8 -- bytes in front of a CAN frame's data
+-- By link type: function(head) -> what tells a packet's bus from others of its interface, by its
+-- first 16 bytes; nil for a packet that carries no YAPP.
+local INDEX_OF = {
+  [RTAC] = function(head) return DIRECTIONS[byte(head, 9)] or "tx" end,
+  [COOKED] = function(head)
+    if IS_CAN[sub(head, 15, 16)] then return 0 end
+  end,
+  [COOKED_2] = function(head)
+    if not IS_CAN[sub(head, 1, 2)] or #head < 16 then return nil end
+    local a, b, c, d = byte(head, 5, 8)
+    return a * 0x1000000 + b * 0x10000 + c * 0x100 + d
+  end,
+}
 
---- The direction of an RTAC packet by its event: data sent, data received, and so on.
-M.DIRECTION = { 0, 1, 0, 1 }
+local TIMES = 2 ^ 40 -- microseconds that are told apart: 12 days, see Capture:bus
 
--- Blocks of pcapng, and options of an interface.
-local SECTION, INTERFACE, ENHANCED, SIMPLE = 0x0A0D0D0A, 1, 6, 3
-local IF_NAME, IF_TSRESOL = 2, 9
+-- The bytes of a file -----------------------------------------------------------------------------
 
-local STAMPS = 2 ^ 30 -- microseconds that are told apart, see Capture:bus
-
--- The bytes of a file, read as they are needed.
 local Window = {}
 Window.__index = Window
 
--- Whether so many bytes from an offset on are there.
-function Window:has(at, count)
-  while at + count > self.from + #self.text do
-    local more = self.more(CHUNK)
-    if not more or more == "" then return false end
-    local used = math.min(math.max(at - self.from, 0), #self.text)
-    self.text, self.from = sub(self.text, used + 1) .. more, self.from + used
-  end
-  return true
+function Window:bytes(offset, count)
+  return sub(self.text, offset - self.start + 1, offset - self.start + count)
 end
 
-function Window:bytes(at, count)
-  return sub(self.text, at - self.from + 1, at - self.from + count)
+-- The number that bytes are; of 8 bytes it has a sign.
+local function number_of(bytes, is_little)
+  if is_little then bytes = bytes:reverse() end
+  local number = #bytes == 8 and byte(bytes) > 127 and -1 or 0
+  for i = 1, #bytes do number = number * 0x100 + byte(bytes, i) end
+  return number
 end
 
--- Numbers in the order of this place of the file.
-local function uint32(window, at)
-  local from = at - window.from
-  local a, b, c, d = byte(window.text, from + 1, from + 4)
-  if window.is_little then return a + b * 0x100 + c * 0x10000 + d * 0x1000000 end
-  return a * 0x1000000 + b * 0x10000 + c * 0x100 + d
+function Window:number(offset, count)
+  return number_of(self:bytes(offset, count), self.is_little)
 end
 
--- Three of them, one behind the other, with one call: most of the time goes into these.
-local function three_uint32(window, at)
-  local from = at - window.from
+-- Three numbers of four bytes with one call: most of the time goes into these.
+local function three_numbers(window, offset)
+  local from = offset - window.start
   local a, b, c, d, e, f, g, h, i, j, k, l = byte(window.text, from + 1, from + 12)
   if not window.is_little then
     a, b, c, d, e, f, g, h, i, j, k, l = d, c, b, a, h, g, f, e, l, k, j, i
@@ -83,278 +81,389 @@ local function three_uint32(window, at)
     i + j * 0x100 + k * 0x10000 + l * 0x1000000
 end
 
-local function uint16(window, at)
-  local a, b = byte(window:bytes(at, 2), 1, 2)
-  if window.is_little then return a + b * 0x100 end
-  return a * 0x100 + b
+-- Notes whether the option epb_dropcount, code 4 and 8 bytes, may be among the bytes at hand.  That
+-- costs less than to read the options of each block.
+local function look_for_drops(window)
+  local option = window.is_little and "\4\0\8\0" or "\0\4\0\8"
+  window.may_have_drops = find(window.text, option, 1, true) ~= nil
 end
 
--- Sources -----------------------------------------------------------------------------------------
+-- Makes `count` bytes, at most CHUNK, at an offset available; skips what lies in front of them.
+-- returns  whether they are there
+function Window:has(offset, count)
+  if offset + count <= self.stop then return true end
+  local more = self.more(max(0, offset - self.stop), CHUNK)
+  if not more then return false end
+  self.text = self:bytes(offset, CHUNK) .. more
+  self.start, self.stop = offset, offset + #self.text
+  look_for_drops(self)
+  return offset + count <= self.stop
+end
+
+-- Buses -------------------------------------------------------------------------------------------
 
 local Capture = {}
 Capture.__index = Capture
 
---- The number of a source.
--- interface, index, direction  numbers, 0 where a packet has none
-function Capture:source(interface, index, direction)
-  local key = interface * 2 ^ 33 + index * 2 + direction
-  local number = self.sources[key]
+-- Gives a bus a name that no other has.  If the name of its interface stands for several, "#" and
+-- what tells them apart follow.
+local function name_bus(self, number)
+  local bus = self.buses[number]
+  local name = bus.name
+  if self.uses[name] > 1 then name = name .. "#" .. bus.suffix end
+  while self.is_taken[name] do name = name .. "#" .. bus.suffix end
+  self.is_taken[name], self.names[number] = true, name
+end
+
+-- The number of a bus, which may be new.
+-- index  what tells it from others of its interface, 0 if nothing does
+local function bus_number(self, interface, index)
+  local number = interface.buses[index]
   if not number then
-    number = self.source_count + 1
-    self.sources[key], self.source_count = number, number
-    self.names[number] = self.interface_names[interface]
+    local name = interface.name or "if" .. interface.number
+    number = #self.buses + 1
+    interface.buses[index] = number
+    self.buses[number] = {
+      interface = interface,
+      name = name,
+      suffix = index ~= 0 and index or interface.number,
+    }
+    self.uses[name] = (self.uses[name] or 0) + 1
   end
   return number
 end
 
--- The source of a cooked packet; 0 for one that is not CAN.
-local function cooked_source(self, window, interface, linktype, at)
-  local protocol = window:bytes(at + PROTOCOL_AT[linktype], 2)
-  if not PROTOCOLS[protocol] then return 0 end
-  if linktype == COOKED then return self:source(interface, 0, 0) end
-  local a, b, c, d = byte(window:bytes(at + INDEX_AT, 4), 1, 4)
-  local index = a * 0x1000000 + b * 0x10000 + c * 0x100 + d
-  return self:source(interface, index, 0)
-end
-
--- The source of a packet whose data is at an offset; 0 for one that cannot be YAPP's.
-local function source_of(self, window, interface, linktype, at, length)
-  if PROTOCOL_AT[linktype] then
-    if length < 16 or not window:has(at, 16) then return 0 end
-    return cooked_source(self, window, interface, linktype, at)
+-- Keeps the bus of the latest packet, and when it was captured.
+-- offset   of its data
+-- seconds  since 1970
+local function keep_bus(self, window, interface, offset, seconds)
+  local bus = interface.bus
+  if not bus then
+    local index = INDEX_OF[interface.linktype](window:bytes(offset, 16))
+    bus = index and bus_number(self, interface, index) or 0
   end
-  if not OURS[linktype] then return 0 end
-  local direction
-  if linktype == RTAC and length > EVENT_AT and window:has(at, EVENT_AT + 1) then
-    direction = M.DIRECTION[byte(window:bytes(at + EVENT_AT, 1))]
-  end
-  return self:source(interface, 0, direction or 0)
+  self.latest = seconds
+  self.entries[self.count] = bus * TIMES + floor(seconds * 1e6) % TIMES
 end
 
 -- pcapng ------------------------------------------------------------------------------------------
 
--- The name and the time's unit from an interface's options.
-local function read_options(window, at, stop)
-  local name, per_second = nil, 1e6
-  while at + 4 <= stop do
-    local option, length = uint16(window, at), uint16(window, at + 2)
-    if option == 0 or at + 4 + length > stop then break end
-    local value = window:bytes(at + 4, length)
-    if option == IF_NAME then
-      name = value:match("^[^\0]*")
-    elseif option == IF_TSRESOL and length > 0 then
-      local exponent = byte(value)
-      per_second = exponent < 128 and 10 ^ exponent or 2 ^ (exponent - 128)
-    end
-    at = at + 4 + length + -length % 4
+-- The options of a block: { [code] = bytes }.
+-- offset, stop  of the first one, and behind the last one
+local function read_options(window, offset, stop)
+  local options = {}
+  for _ = 1, MAX_OPTIONS do
+    if offset + 4 > stop or not window:has(offset, 4) then break end
+    local code, length = window:number(offset, 2), window:number(offset + 2, 2)
+    if code == 0 or offset + 4 + length > stop or not window:has(offset, 4 + length) then break end
+    options[code] = options[code] or window:bytes(offset + 4, length)
+    offset = offset + 4 + length + -length % 4
   end
-  return name, per_second
+  return options
 end
 
--- From here on it is read what each packet says: there may be several sources.
-local function begin_details(self)
-  if self.is_detailed then return end
-  self.is_detailed = true
-  self.early = self.count
-  if self.early == 0 then return end
-  for _, interface in ipairs(self.interfaces) do
-    if not interface.source then self:source(interface.number, 0, 0) end
-  end
+-- A number in an option; 0 where it is missing.
+local function option_number(window, option)
+  return option and number_of(option, window.is_little) or 0
 end
 
-local function read_interface(self, window, at, length)
-  if length < 20 or not window:has(at, length) then return end
-  local number, linktype = #self.interfaces, uint16(window, at + 8)
-  local name, per_second = read_options(window, at + 16, at + length - 4)
-  if name and name ~= "" and utf8.is_printable(name) then
-    self.interface_names[number] = name
-  end
-  local is_cooked = PROTOCOL_AT[linktype] ~= nil
-  local is_ours = OURS[linktype] or is_cooked
+-- Time units in a second, by the option if_tsresol.
+local function units_per_second(option)
+  local exponent = option and byte(option) or 6
+  return exponent < 128 and 10 ^ exponent or 2 ^ (exponent - 128)
+end
+
+local function interface_of(self, number)
+  return self.interfaces[self.first + number + 1]
+end
+
+local function seconds_of(interface, high, low)
+  return (high * 2 ^ 32 + low) / interface.per_second + interface.shift
+end
+
+-- The functions from here on read a block, which is there as far as it is no longer than CHUNK.
+-- They return true if what follows is not to be read.
+
+local function read_interface(self, window, offset, length)
+  if length < 20 then return true end
+  local linktype = window:number(offset + 8, 2)
+  local options = read_options(window, offset + 16, offset + length - 4)
+  local name = (options[2] or ""):match("^[^\0]*")
   local interface = {
-    number = number,
+    number = #self.interfaces, -- in the file
     linktype = linktype,
-    per_microsecond = per_second / 1e6,
-    source = 0, -- of its packets; nil where each says it
+    name = name ~= "" and utf8.name(name) or nil,
+    per_second = units_per_second(options[9]),
+    shift = option_number(window, options[14]), -- seconds to add to its times
+    buses = {}, -- by index
+    bus = 0, -- of its packets; nil if each tells it
+    dropped = 0, -- packets, as the statistics say
+    accounted = 0, -- of them, as packets say
   }
-  self.interfaces[number + 1] = interface
-  if not is_ours then return end
-  if is_cooked or linktype == RTAC then
-    interface.source = nil
-  else
-    interface.source = self:source(number, 0, 0)
-  end
-  local is_several = self.may_be_ours or linktype == RTAC or linktype == COOKED_2
-  self.may_be_ours = true
-  if is_several then begin_details(self) end
+  self.interfaces[#self.interfaces + 1] = interface
+  local is_mixed = INDEX_OF[linktype] ~= nil
+  if not (is_mixed or CARRIERS[linktype]) then return end
+  self.carriers = self.carriers + 1
+  interface.bus = not is_mixed and bus_number(self, interface, 0) or nil
+  if not self.keeps then self.early = self.count end
+  self.keeps = is_mixed or self.carriers > 1
 end
 
--- A packet of a file that may have several sources.
-local function read_enhanced(self, window, at)
-  if not window:has(at, 28) then return end
-  local number, high, low = three_uint32(window, at + 8)
-  local interface = self.interfaces[self.first + number + 1]
-  if not interface then
-    self.told[self.count] = 0
-    return
-  end
-  local units = high * 2 ^ 32 + low
-  local stamp = floor(units / interface.per_microsecond)
-  local source = interface.source
-  if not source then
-    local length = uint32(window, at + 20)
-    source = source_of(self, window, interface.number, interface.linktype, at + 28, length)
-  end
-  self.told[self.count] = source * STAMPS + stamp % STAMPS
+-- Reads the options of an enhanced block: how many packets were dropped in front of its own.
+local function read_drops(self, window, offset, length)
+  local captured = three_numbers(window, offset + 20)
+  local start, stop = offset + 28 + captured + -captured % 4, offset + length - 4
+  if start >= stop then return end
+  local number, high, low = three_numbers(window, offset + 8)
+  local interface = interface_of(self, number)
+  local count = option_number(window, read_options(window, start, stop)[4])
+  if not interface or count == 0 then return end
+  interface.accounted = interface.accounted + count
+  local seconds = seconds_of(interface, high, low)
+  self.drops[#self.drops + 1] =
+    { time = seconds, frame = self.count, interface = interface, count = count }
 end
 
--- Any other block; returns its length, which a section's byte order tells.
-local function read_block(self, window, at, kind, length)
-  if kind == SECTION then
-    window.is_little = window:bytes(at + 8, 4) == "\77\60\43\26"
-    self.first = #self.interfaces
-    return uint32(window, at + 4)
+local OBSOLETE, ENHANCED = 2, 6
+
+-- Reads a block with a packet, of the enhanced or of the obsolete kind.
+local function read_packet(self, window, offset, length, kind)
+  self.count = self.count + 1
+  if not (self.keeps or window.may_have_drops) then return end -- the usual case
+  if length < 32 then return true end
+  if self.keeps then
+    local number, high, low = three_numbers(window, offset + 8)
+    if kind == OBSOLETE then number = window:number(offset + 8, 2) end
+    local interface = interface_of(self, number)
+    if not interface then return true end
+    keep_bus(self, window, interface, offset + 28, seconds_of(interface, high, low))
   end
-  if kind == INTERFACE then
-    read_interface(self, window, at, length)
-  elseif kind == SIMPLE then
-    self.count = self.count + 1
-    self.told[self.count] = 0
-    self.has_packets = true
-  end
-  return length
+  if window.may_have_drops and kind == ENHANCED then read_drops(self, window, offset, length) end
 end
 
--- Most blocks are packets: of each as little is read as goes.
+-- A simple block has a packet of the section's first interface, without a time.
+local function read_simple_packet(self, window, offset)
+  self.count, self.has_no_times = self.count + 1, true
+  local interface = interface_of(self, 0)
+  if not interface then return true end
+  if self.keeps then keep_bus(self, window, interface, offset + 12, 0) end
+end
+
+-- Reads how many packets an interface, or its operating system, dropped so far.
+local function read_statistics(self, window, offset, length)
+  local interface = interface_of(self, window:number(offset + 8, 4))
+  if not interface then return end
+  local options = read_options(window, offset + 20, offset + length - 4)
+  local by_system = option_number(window, options[7])
+  interface.dropped = max(interface.dropped, option_number(window, options[5]), by_system)
+end
+
+local function count_packet(self)
+  self.count = self.count + 1
+end
+
+local function stop_reading()
+  return true
+end
+
+local BLOCKS = {
+  [1] = read_interface,
+  [OBSOLETE] = read_packet,
+  [3] = read_simple_packet,
+  [5] = read_statistics,
+  [ENHANCED] = read_packet,
+}
+-- Wireshark gives these a frame number, too: of the systemd journal, custom, events of sysdig.
+for _, kind in ipairs { 9, 0xBAD, 0x40000BAD, 0x204, 0x216, 0x221 } do
+  BLOCKS[kind] = count_packet
+end
+-- Wireshark 4.6 gives these a frame number, 4.4 does not: further events of sysdig.
+for _, kind in ipairs { 0x208, 0x217, 0x222 } do BLOCKS[kind] = stop_reading end
+
+local SECTION = 0x0A0D0D0A
+
+-- Begins a section, which has its own byte order and numbers its interfaces from 0.
+-- returns  the length of its block
+local function read_section(self, window, offset)
+  window.is_little = window:bytes(offset + 8, 4) == "\77\60\43\26"
+  look_for_drops(window)
+  self.first = #self.interfaces
+  self.firsts[#self.firsts + 1] = self.first
+  return window:number(offset + 4, 4)
+end
+
 local function read_pcapng(self, window)
-  local at = 0
-  while window.from + #window.text >= at + 12 or window:has(at, 12) do
-    local kind, length = three_uint32(window, at)
-    if kind == ENHANCED then
-      self.count = self.count + 1
-      self.has_packets = true
-      if not self.may_be_ours then break end -- somebody else's file
-      if self.is_detailed then read_enhanced(self, window, at) end
-    else
-      length = read_block(self, window, at, kind, length)
-    end
-    if length < 12 then break end
-    at = at + length
+  local offset = 0
+  while offset + 12 <= window.stop or window:has(offset, 12) do
+    local kind, length = three_numbers(window, offset)
+    if kind == SECTION then length = read_section(self, window, offset) end
+    length = length + -length % 4 -- as Wireshark does it
+    local is_there = offset + length <= window.stop or window:has(offset, min(length, CHUNK))
+    if length < 12 or length > MAX_BLOCK or not is_there then break end
+    local read = BLOCKS[kind]
+    if read and read(self, window, offset, length, kind) then break end
+    offset = offset + length
   end
 end
 
 -- pcap --------------------------------------------------------------------------------------------
 
-local function read_pcap(self, window, is_little, per_microsecond)
+local function read_pcap(self, window, is_little, fractions)
   window.is_little = is_little
   if not window:has(0, 24) then return end
-  local linktype = uint32(window, 20) % 0x10000 -- above it, what is said of frame check sequences
-  self.place = linktype == SOCKETCAN and SOCKETCAN_HEADER or nil
+  local linktype = window:number(20, 4) % 0x10000 -- above it, what is said of check sequences
+  self.place = linktype == SOCKETCAN and 8 or nil
   self.has_packets = window:has(24, 16)
   if linktype ~= COOKED_2 and linktype ~= RTAC then return end
-  local at = 24
-  while window:has(at, 16) do
-    local length = uint32(window, at + 8)
-    local stamp = uint32(window, at) * 1e6 + uint32(window, at + 4) / per_microsecond
-    local source = source_of(self, window, 0, linktype, at + 16, length)
+  local interface = { number = 0, linktype = linktype, buses = {} }
+  self.carriers = 1
+  local offset = 24
+  while window:has(offset, 16) do
+    local seconds, fraction, length = three_numbers(window, offset)
+    if length > MAX_BLOCK then break end
     self.count = self.count + 1
-    self.told[self.count] = source * STAMPS + floor(stamp) % STAMPS
-    at = at + 16 + length
+    window:has(offset, 32)
+    keep_bus(self, window, interface, offset + 16, seconds + fraction / fractions)
+    offset = offset + 16 + length
   end
 end
 
+-- By the first four bytes of a file.
 local READERS = {
-  ["\212\195\178\161"] = function(self, window) read_pcap(self, window, true, 1) end,
-  ["\161\178\195\212"] = function(self, window) read_pcap(self, window, false, 1) end,
-  ["\77\60\178\161"] = function(self, window) read_pcap(self, window, true, 1000) end,
-  ["\161\178\60\77"] = function(self, window) read_pcap(self, window, false, 1000) end,
+  ["\212\195\178\161"] = function(self, window) read_pcap(self, window, true, 1e6) end,
+  ["\161\178\195\212"] = function(self, window) read_pcap(self, window, false, 1e6) end,
+  ["\77\60\178\161"] = function(self, window) read_pcap(self, window, true, 1e9) end,
+  ["\161\178\60\77"] = function(self, window) read_pcap(self, window, false, 1e9) end,
   ["\10\13\13\10"] = read_pcapng,
 }
 
+-- What is known of a capture ----------------------------------------------------------------------
+
 -- Whether bytes have what may be the header of a YAPP frame.
 local function has_header(bytes)
-  local at = frame.find(bytes, 1)
-  while at do
-    if frame.judge(bytes, at, function() return true end) then return true end
-    at = frame.find(bytes, at + 1)
+  local start = frame.find(bytes, 1)
+  while start do
+    if frame.judge(bytes, start, function() return true end) then return true end
+    start = frame.find(bytes, start + 1)
   end
   return false
 end
 
--- The name of the only interface that may be ours; nil where there are several.
-local function own_name(self)
-  if self.source_count > 1 then return nil end
-  if self.source_count == 1 then return self.names[1] end
-  if self.is_detailed then return nil end
+-- Completes the list of drops: what statistics say beyond what packets say, and names of buses.
+local function complete_drops(self)
+  local drops = self.drops
   for _, interface in ipairs(self.interfaces) do
-    -- Cooked, so its packets, which were not read, would say it.
-    if not interface.source then return self.interface_names[interface.number] end
+    local rest = interface.dropped - interface.accounted
+    if rest > 0 then drops[#drops + 1] = { interface = interface, count = rest } end
+  end
+  for _, drop in ipairs(drops) do
+    local interface = drop.interface
+    drop.bus = self.has_several and self.names[interface.bus] or interface.name
   end
 end
 
---- Reads a file.
--- head     its first bytes, up to M.OF_A_PIPE
--- more     function(count) -> the next bytes, at most so many; nil or "" at the end, or where a
---          pipe must be left alone
--- returns  a capture: {
---   has_several   whether the file tells several sources apart that may carry YAPP
---   begins        whether it is a pcapng file without a packet yet, as a live capture
---   is_told       whether the packets' buses are read here; of another format, and behind `count`,
---                 fields say them
---   count, told   how many packets it told of, and of each source * STAMPS + when it was captured
---   early         how many of them came before there was a second source: all that may be YAPP's
---                 among them are of the first
---   names         [number of a source] = the name of its interface, fit to be printed
---   only_name     of the only interface, own_name of the only one that may carry YAPP; nil where
---                 there are several
---   place         where in each packet a CAN frame's data begins, nil where that is not the same
---                 for all
---   may_have_frames  whether YAPP frames may be in TCP or UDP: not where it has packets and none of
---                    the first has one }
+--- Read a file as far as it may have YAPP: of somebody else's no more than its first bytes.
+-- head  its first bytes, M.HEAD at most
+-- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
+--       nil at the end, and where a pipe must be left alone
+-- returns a capture: {
+--   carriers      number of interfaces that may carry YAPP
+--   has_several   whether it tells several buses apart
+--   is_live       whether it is pcapng without a packet yet, as when a capture begins
+--   is_told       whether it is of a format that this module reads
+--   is_unknown    whether it has buses that this module cannot tell: a file of Vector BLF
+--   count         how many packets were read
+--   latest        when the last one was captured, if it tells several buses apart: seconds since
+--                 1970
+--   names         [bus] = its name
+--   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
+--                 the loss or nil, bus = name or nil, count = packets that were dropped }
+--   has_no_times  whether packets have no time stamps
+--   place         offset in each packet of a CAN frame's data; nil where it is not always the same
+--   head          its first bytes, if they have what may be YAPP frames, in TCP, UDP or whatever
+--   may_have_frames  whether they have, or it has no packets yet }
 function M.read(head, more)
+  local has_frame = has_header(head)
   local self = setmetatable({
+    carriers = 0,
     count = 0,
-    early = 0,
-    told = {},
+    early = 0, -- packets in front of the second interface: those that may be YAPP's are of bus 1
+    keeps = false, -- whether the buses of packets are wanted
+    latest = 0,
+    entries = {}, -- [number of a packet] = its bus * TIMES + when it was captured
+    interfaces = {}, -- of the file
+    first = 0, -- number of interfaces in the sections before
+    firsts = {}, -- by section
+    buses = {}, -- list of { interface, name = of it, suffix = to tell it from others of this name }
+    uses = {}, -- by name: how many buses have it
     names = {},
-    interface_names = {},
-    interfaces = {},
-    first = 0, -- interfaces in the sections before
-    sources = {},
-    source_count = 0,
-    place = nil,
+    is_taken = {}, -- by name
+    drops = {},
+    has_no_times = false,
     has_packets = false,
-    may_be_ours = false,
-    is_detailed = false, -- whether the packets of a pcapng file are told of one by one
   }, Capture)
-  local window = setmetatable({ text = head, from = 0, more = more, is_little = true }, Window)
+  local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
+  function window.more(skip, count)
+    if self.carriers > 0 or has_frame then return more(skip, count) end
+  end
   local reader = READERS[sub(head, 1, 4)]
   if reader then reader(self, window) end
-  local has_interfaces = #self.interfaces > 0
-  local may_come = self.may_be_ours or not has_interfaces
-  self.has_several = self.source_count > 1
+  for number = 1, #self.buses do name_bus(self, number) end
+  local has_packets = self.has_packets or self.count > 0
   self.is_told = reader ~= nil
-  self.begins = reader == read_pcapng and not self.has_packets and may_come
-  self.only_name = #self.interfaces == 1 and self.interface_names[0] or nil
-  self.own_name = own_name(self)
-  self.may_have_frames = not self.has_packets or has_header(head)
-  if not self.has_several then self.told = {} end
+  self.is_unknown = sub(head, 1, 4) == "LOGG"
+  self.has_several = #self.buses > 1
+  self.is_live = reader == read_pcapng and not has_packets and
+    (self.carriers > 0 or #self.interfaces == 0)
+  self.head = has_frame and has_packets and head or nil
+  self.may_have_frames = has_frame or not has_packets
+  complete_drops(self)
+  if not self.has_several then self.entries = {} end
   return self
 end
 
---- The bus of a packet.
+--- Return the bus of a packet that was read.
 -- number    of the packet
 -- captured  seconds since 1970 at which Wireshark says that it was captured, nil not to compare
--- returns   its bus; 0 for a packet that cannot carry YAPP; nil where the file's packet of this
+-- returns   its bus; 0 where its interface carries no YAPP; nil where the file's packet of this
 --           number is another: a read filter has shifted the numbers
 function Capture:bus(number, captured)
-  local entry = self.told[number]
   if number <= self.early then return 1 end
+  local entry = self.entries[number]
   if not entry then return nil end
-  local stamp = entry % STAMPS
-  local difference = captured and (captured * 1e6 - stamp) % STAMPS or 0
-  if difference > 2 and difference < STAMPS - 2 then return nil end
-  return (entry - stamp) / STAMPS
+  local difference = captured and (captured * 1e6 - entry) % TIMES or 0
+  if difference > 2 and difference < TIMES - 2 then return nil end
+  return floor(entry / TIMES)
+end
+
+--- Return the bus of a packet that was not read, by what Wireshark's fields say.
+-- section    its number, from 1
+-- interface  its number in the section
+-- index      of Linux cooked v2, 0 for none; event: of RTAC, or nil
+-- name       of the interface, or nil
+-- returns    a bus; nil where the section was not read
+function Capture:bus_by_fields(section, interface, index, event, name)
+  local first = self.firsts[section] or section == 1 and 0
+  if not first then return nil end
+  local number = first + interface
+  local record = self.interfaces[number + 1] or
+    { number = number, name = name and utf8.name(name), buses = {} }
+  self.interfaces[number + 1] = record
+  if event then index = DIRECTIONS[event] or "tx" end
+  local bus = bus_number(self, record, index)
+  if not self.names[bus] then name_bus(self, bus) end
+  return bus
+end
+
+--- Return what a bus is called.
+-- bus      nil where the capture has one
+-- is_ip    whether the packet came in UDP or TCP, so by any interface
+-- returns  text, nil where the capture has no name for it
+function Capture:name(bus, is_ip)
+  if bus then return self.names[bus] end
+  local only = not is_ip and not self.has_several and self.buses[1]
+  local interface = only and only.interface or self.interfaces[1]
+  if only or #self.interfaces == 1 then return interface and interface.name end
 end
 
 return M

@@ -1,24 +1,23 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What SocketCAN says of a frame beside its data: the id of one that comes by Decode As, whether it
--- is a remote frame. Wireshark's API.
+-- What SocketCAN says of a frame besides its data: the id of a frame that comes by Decode As or by
+-- the heuristics, and whether it is a remote frame.  Wireshark's API.
 --
--- A dissector gets the data alone.  In SocketCAN's table of ids, which is how our messages are
--- found, pinfo.match_uint is the id.  Who takes all frames of a bus has the header read in front of
--- SocketCAN: exact, on every pass, at the cost of a name in frame.protocols and about 1 µs a CAN
--- frame; so only where the user asked for all of a bus.
+-- A dissector gets the data alone.  In SocketCAN's table of ids, by which our messages are found,
+-- pinfo.match_uint is the id.  For all other frames the header is read in front of SocketCAN: it is
+-- exact on every pass, and costs a name in frame.protocols and about 1 µs a CAN frame.  So this
+-- begins only when a frame without an id is wanted.
 
 local fields_of = require "yapp.host.fields".of
 
 local M = {}
 
-local EXTENDED, REMOTE, ERROR, MASK = 0x80000000, 0x40000000, 0x20000000, 0x20000000
+local EXTENDED, MASK = 0x80000000, 0x20000000
 local HEADER = 8 -- bytes that have the id
+local MAX_THROWN = 24
 
--- Of the frame that is dissected: { number = of its packet, can_id = 29 bits, nil for others }.
+-- Of the latest frame whose header was read: { number = of its packet, can_id = 29 bits, nil for
+-- one that is no extended data frame }.
 local header = {}
--- What the table of ids left to Decode As: { number, place, can_id }.
-local refused = {}
-local REFUSED = "yapp.refused" -- in the private table of a packet: of this look at it only
 
 -- Fields ------------------------------------------------------------------------------------------
 
@@ -26,11 +25,10 @@ local NAMES = { ["can.id"] = true, ["can.flags.xtd"] = true, ["can.flags.rtr"] =
 
 local function is_true(value) return value == true or value == 1 end
 
---- The id of the current frame, which came by Decode As.
--- returns  29-bit id; nil where it is not an extended data frame; nil and true where nothing says
-function M.find_id(tvb, pinfo)
+--- Return the id of the current frame, which came by Decode As or by the heuristics.
+-- returns  29-bit id; nil for what is no extended data frame; nil and true if nothing says it
+function M.find_id(pinfo)
   if header.number == pinfo.number then return header.can_id end
-  if M.is_refused(tvb, pinfo) then return refused.can_id end
   local fields = fields_of(NAMES)
   local id, extended = fields["can.id"], fields["can.flags.xtd"]
   if id ~= nil and extended ~= nil then return is_true(extended) and id % MASK or nil end
@@ -40,8 +38,8 @@ function M.find_id(tvb, pinfo)
   return tonumber(text:match("Ext%. ID: (%d+)"))
 end
 
---- Whether a frame of zeros is a remote frame, as far as a header, a field or a column says so:
--- those have no data, but captures give them zeros.
+--- Say whether a frame of zeros is a remote frame, as far as a header, a field or a column says it:
+-- remote frames have no data, but captures give them zeros.
 function M.is_remote(pinfo)
   if header.number == pinfo.number then return header.can_id == nil end
   local rtr = fields_of(NAMES)["can.flags.rtr"]
@@ -50,31 +48,9 @@ function M.is_remote(pinfo)
   return tostring(pinfo.cols.info):find("Remote", 1, true) ~= nil
 end
 
---- The table of ids had the current frame and left it to Decode As, which is asked next.
-function M.note_refused(tvb, pinfo, can_id)
-  refused.number = pinfo.number
-  refused.place = tvb:offset()
-  refused.can_id = can_id
-  pinfo.private[REFUSED] = ""
-end
-
---- Whether it did so.
-function M.is_refused(tvb, pinfo)
-  if refused.number ~= pinfo.number or refused.place ~= tvb:offset() then return false end
-  return pinfo.private[REFUSED] ~= nil
-end
-
---- Whether the current frame, which came with 0 for its id, did so by Decode As and not from the
--- table of ids: it has another id, or the table had it already.
-function M.is_decode_as(tvb, pinfo)
-  if M.is_refused(tvb, pinfo) then return true end
-  local can_id, is_unknown = M.find_id(tvb, pinfo)
-  return not is_unknown and can_id ~= 0
-end
-
---- Forgets the capture file.
+--- Forget the capture file.
 function M.init()
-  header, refused = {}, {}
+  header = {}
 end
 
 -- The header in front -----------------------------------------------------------------------------
@@ -85,79 +61,64 @@ end
 local function header_id(tvb, is_little)
   if tvb:len() < HEADER then return nil end
   local word = is_little and tvb(0, 4):le_uint() or tvb(0, 4):uint()
-  local is_extended = word >= EXTENDED
-  local is_remote = word % (2 * REMOTE) >= REMOTE
-  local is_error = word % (2 * ERROR) >= ERROR
-  if not is_extended or is_remote or is_error then return nil end
-  return word % MASK
+  -- 3 bits above the id: extended, remote, error
+  if word >= EXTENDED and word < EXTENDED + MASK then return word % MASK end
 end
 
--- What the capture cut, C dissectors throw past Lua, and what that takes of Lua's 200 nested calls
--- never comes back: so SocketCAN is not called for half a header, and of a frame that is not ours
--- it sees the captured bytes alone, which is shown as malformed where without us it would be
--- limited in size.  An extended frame may be ours: its ID is taken for one of others when they have
--- thrown once; and when so many IDs have, all are.
-local MOST_THROWN = 24
-local thrown, thrown_count = {}, 0 -- CAN ids: nothing that was lost comes back with the next file
-local cut_id -- of the cut frame that SocketCAN has, while it has it
+-- How many calls for truncated frames did not return: at bytes that are not there a C dissector
+-- throws past Lua, which costs 2 of Lua's 200 nested calls for good.
+local thrown = 0
 
--- Hands a frame on to SocketCAN.  A malformed one has its item by the time pcall returns, and is no
--- error of ours.
+-- Hands a frame on to SocketCAN.  Of a truncated frame SocketCAN sees only the captured bytes, if
+-- the frame cannot be YAPP or if dissectors have thrown too often.
 local function hand_on(inner, can_id, tvb, pinfo, tree)
   local length = tvb:len()
   if length < HEADER then return 0 end
-  if cut_id then -- it never came back
-    thrown[cut_id] = true
-    thrown_count = thrown_count + 1
-    cut_id = nil
+  local is_whole = length == tvb:reported_len()
+  if not is_whole and (not can_id or thrown >= MAX_THROWN) then
+    tvb, is_whole = tvb(0, length):tvb(), true
   end
-  local seen = tvb
-  if length < tvb:reported_len() then
-    local is_for_others = not can_id or thrown[can_id] or thrown_count >= MOST_THROWN
-    if is_for_others then
-      seen = tvb(0, length):tvb()
-    else
-      cut_id = can_id
-    end
-  end
-  local ok, taken = pcall(inner.call, inner, seen, pinfo, tree)
-  cut_id = nil
+  if not is_whole then thrown = thrown + 1 end
+  -- If this fails, the frame has an item that says so.
+  local ok, taken = pcall(inner.call, inner, tvb, pinfo, tree)
+  if not is_whole then thrown = thrown - 1 end
   return ok and taken or length
 end
 
--- Whose table, what in it, and whether the id is in the host's order, little endian on every
--- machine of today.
-local CARRIERS = {
+-- Where CAN frames come from: table, value in it, and whether the id is in the host's order, which
+-- is little endian on every machine of today.
+local ORIGINS = {
   { "wtap_encap", wtap.SOCKETCAN, false },
   { "sll.ltype", 0x0C, true },
   { "sll.ltype", 0x0D, true },
 }
 local is_wrapped = false
 
---- Reads the CAN header of every frame from now on.
+--- Read the CAN header of every frame from now on.
 -- proto  a Proto for the wrapper
 function M.wrap(proto)
   if is_wrapped then return end
   is_wrapped = true
-  local carriers = {}
-  for _, row in ipairs(CARRIERS) do
+  local origins = {}
+  function proto.dissector(tvb, pinfo, tree)
+    local value = pinfo.match_uint
+    local origin = origins[value]
+    if not origin then return 0 end
+    -- Records that a little endian machine wrote as they were.
+    local is_swapped = value == wtap.SOCKETCAN and get_preference("can.byte_swap")
+    local can_id = header_id(tvb, origin.is_little or is_swapped)
+    header.number = pinfo.number
+    header.can_id = can_id
+    return hand_on(origin.inner, can_id, tvb, pinfo, tree)
+  end
+  for _, row in ipairs(ORIGINS) do
     local dissectors, value = DissectorTable.get(row[1]), row[2]
     local inner = dissectors:get_dissector(value)
     if inner then
-      carriers[value] = { inner = inner, is_little = row[3], dissectors = dissectors }
+      origins[value] = { inner = inner, is_little = row[3] }
+      dissectors:add(value, proto)
     end
   end
-  function proto.dissector(tvb, pinfo, tree)
-    local carrier = carriers[pinfo.match_uint]
-    if not carrier then return 0 end
-    -- Records that a little endian machine wrote as they were.
-    local is_swapped = pinfo.match_uint == wtap.SOCKETCAN and get_preference("can.byte_swap")
-    local can_id = header_id(tvb, carrier.is_little or is_swapped)
-    header.number = pinfo.number
-    header.can_id = can_id
-    return hand_on(carrier.inner, can_id, tvb, pinfo, tree)
-  end
-  for value, carrier in pairs(carriers) do carrier.dissectors:add(value, proto) end
 end
 
 return M

@@ -4,8 +4,8 @@
 
 local check = require("yapp.message.check")
 local fields = require("yapp.message.catalogue_fields")
+local decode = require("yapp.message.decode")
 local info = require("yapp.message.info")
-local straight = require("yapp.message.straight")
 
 local demand, shown = check.demand, check.shown
 local is_name, is_text = check.is_name, check.is_text
@@ -17,20 +17,9 @@ local M = {}
 
 M.MAX_ID = 2047
 local MAX_SIZE = 65535
-local OPTIONS = check.set("name title section id size info every answers differences")
-
--- The filter names of expert items.
-local EXPERTS = {
-  "fault.active",
-  "fault.raised",
-  "fault.cleared",
-  "command.key.invalid",
-  "value.special",
-  "value.invalid",
-  "flags.undefined",
-  "reboot",
-  "stale",
-}
+local DERIVED_OPTIONS = check.set("unit")
+local OPTIONS =
+  check.set("name title section id size min_size info every answers differences derived")
 
 -- Filter names -----------------------------------------------------------------------------------
 
@@ -54,51 +43,70 @@ local function filters_of(field)
   return names
 end
 
-local function claim(taken, name)
-  demand(not taken[name], "the filter name %s is taken", name)
-  taken[name] = true
+-- Raises which filter name of a message is there twice, or is reserved.
+local function check_filters(message, reserved, context)
+  local taken = {}
+  local function take(name)
+    demand(not (taken[name] or reserved[name]), "the filter name %s is taken", name)
+    taken[name] = true
+  end
+  take(message.filter)
+  if message.time then take(message.filter .. ".clock_drift") end
+  if message.answers then take(("%s.%s_in"):format(message.filter, message.answers)) end
+  for _, item in ipairs(message.generated) do take(item.filter) end
+  for _, field in ipairs(message.fields) do
+    context.field = field.name
+    if (field.element or 1) == 1 then
+      for _, name in ipairs(filters_of(field)) do take(name) end
+    end
+  end
+  context.field = nil
 end
 
--- Raises which filter name of a message is there twice, or an expert item's.
-local function claim_filters(message, place)
-  local taken = {}
-  for _, name in ipairs(EXPERTS) do taken["taurus." .. name] = true end
-  claim(taken, message.filter)
-  if message.time then claim(taken, message.filter .. ".clock_drift") end
-  if message.answers then claim(taken, ("%s.%s_in"):format(message.filter, message.answers)) end
-  for _, difference in ipairs(message.differences) do claim(taken, difference.filter) end
-  for _, field in ipairs(message.fields) do
-    place.field = field.name
-    if not field.element or field.element == 1 then
-      for _, name in ipairs(filters_of(field)) do claim(taken, name) end
-    end
+-- Generated values -------------------------------------------------------------------------------
+
+-- Return the index of a field of numbers in its message.
+-- what  the item that needs it: "derived dc_power"
+local function number_index(message, what, name)
+  local field = message.by_name[name]
+  local is_number = field and (field.special or
+    (field.kind == "uint" or field.kind == "int") and not field.values)
+  demand(is_number, "%s: %s is no field of numbers", what, shown(name))
+  return message.index[field]
+end
+
+-- Add a value that is worked out from two fields.
+-- item     { name, title, unit or nil }: gets the rest
+-- text     "field * field"
+-- returns  item
+local function add_generated(message, what, item, text)
+  local a, operator, b = tostring(text):match("^ *([%w_]+) *([*+-]) *([%w_]+) *$")
+  demand(a, '%s: %s is not two fields with *, + or - between them: "voltage * current"', what,
+    shown(text))
+  item.kind = "derived"
+  item.filter = message.filter .. "." .. item.name
+  item.description = fields.describe(item.title, item.unit, message)
+  item.operator = operator
+  item.a, item.b = number_index(message, what, a), number_index(message, what, b)
+  message.generated[#message.generated + 1] = item
+  return item
+end
+
+-- differences: { name, field, field, title }; derived: { name, "field * field", title, unit = }
+local function add_all_generated(message, entry)
+  for i, row in ipairs(entry.differences or {}) do
+    local what, first = check.row(row, "difference", i, 4, {}), message.by_name[row[2] or false]
+    local item = { name = row[1], title = row[4], unit = first and first.unit }
+    add_generated(message, what, item, ("%s - %s"):format(row[2], row[3]))
+  end
+  for i, row in ipairs(entry.derived or {}) do
+    local what = check.row(row, "derived", i, 3, DERIVED_OPTIONS)
+    local item = { name = row[1], title = row[3], unit = row.unit }
+    message.derived[i] = add_generated(message, what, item, row[2])
   end
 end
 
 -- A message --------------------------------------------------------------------------------------
-
--- The place of a field of numbers among those of its message.
-local function number_of(message, row, name)
-  local field = message.by_name[name or false]
-  local is_number = field and (field.special or
-    (field.kind == "uint" or field.kind == "int") and not field.values)
-  demand(is_number, "difference %s: %s is no field of numbers", row[1], shown(name))
-  return message.index[field]
-end
-
-local function compile_difference(message, row, i)
-  check.row(row, "difference", i, 4, {})
-  local name, title = row[1], row[4]
-  local a, b = number_of(message, row, row[2]), number_of(message, row, row[3])
-  return {
-    name = name,
-    title = title,
-    filter = message.filter .. "." .. name,
-    unit = message.fields[a].unit,
-    a = a,
-    b = b,
-  }
-end
 
 local function check_head(entry)
   local every, answers = entry.every, entry.answers
@@ -107,6 +115,7 @@ local function check_head(entry)
   demand(#entry.title <= MOST_OF_TITLE, "the title has more than %d bytes", MOST_OF_TITLE)
   check.within("id", entry.id, 0, M.MAX_ID)
   check.within("size", entry.size, 1, MAX_SIZE)
+  check.within("min_size", entry.min_size or entry.size, 1, entry.size)
   local is_period = not every or check.is_finite(every) and every > 0
   demand(is_period, "every %s is not a period in seconds", shown(every))
   local is_message = not answers or is_name(answers)
@@ -114,8 +123,8 @@ local function check_head(entry)
   demand(#entry > 0, "it has no fields")
 end
 
--- place  gets field = the name of the one that is looked at, nil for none: what an error is about
-local function compile_message(entry, place)
+-- context  what an error is about: gets field = the name of the one that is compiled, nil for none
+local function compile_message(entry, reserved, context)
   check_head(entry)
   local message = {
     name = entry.name,
@@ -123,6 +132,7 @@ local function compile_message(entry, place)
     section = entry.section,
     id = entry.id,
     size = entry.size,
+    min_size = entry.min_size or entry.size,
     every = entry.every,
     answers = entry.answers,
     filter = "taurus." .. entry.name,
@@ -130,77 +140,78 @@ local function compile_message(entry, place)
     by_name = {},
     index = {},
     alarms = {},
-    differences = {},
+    generated = {},
+    derived = {},
   }
-  local size = fields.compile(message, entry, place)
+  local size = fields.compile(message, entry, context)
   demand(size == entry.size, "size is %d, but the fields add up to %d bytes", entry.size, size)
-  message.read = straight.reader(message)
-  info.compile(message, entry.info or "")
-  for i, row in ipairs(entry.differences or {}) do
-    message.differences[i] = compile_difference(message, row, i)
-  end
-  claim_filters(message, place)
+  message.read = decode.new_reader(message)
+  message.write_info = info.compile(message, entry.info or "")
+  add_all_generated(message, entry)
+  check_filters(message, reserved, context)
   return message
 end
 
 -- All messages -----------------------------------------------------------------------------------
 
-local function add_message(catalogue, entry, place)
+local function add_message(catalogue, entry, reserved, context)
   demand(type(entry) == "table", "a message is a table, not %s", shown(entry))
-  demand(is_name(entry.name), "name %s is not a filter name (a-z, 0-9, _)", shown(entry.name))
-  place.message = entry.name
-  demand(not catalogue.names[entry.name], "the name is there twice")
-  catalogue.names[entry.name] = true
-  local message = compile_message(entry, place)
-  place.field = nil
+  local name = entry.name
+  demand(is_name(name), "name %s is not a filter name (a-z, 0-9, _)", shown(name))
+  context.message = name
+  demand(not catalogue.names[name], "the name is there twice")
+  catalogue.names[name] = true
+  local message = compile_message(entry, reserved, context)
   local other = catalogue.by_id[message.id]
   demand(not other, "id 0x%X is that of message %s", message.id, other and other.name)
   catalogue.messages[#catalogue.messages + 1] = message
   catalogue.by_id[message.id] = message
 end
 
---- Checks a catalogue and compiles it.
--- entries  what taurus_fields.lua returns: a list of messages, described there
--- files    optional list: the file that each entry is from; a text about it begins with that
--- numbers  optional list: the number of each entry in its file
--- returns  { messages = list, by_id = { [id] = message } } of the messages without a fault, and a
---          list of texts, each saying which message and field is wrong and why, one for a message;
---          empty when all is well
+--- Check a catalogue and compile it.
+-- entries   what taurus_fields.lua returns: a list of messages, described there
+-- origins   optional list: { file, number in it } of each entry; a text about it begins with that
+-- reserved  optional { [filter name] = true } that no message may use
+-- returns   { messages = list, by_id = { [id] = message } } of the messages without a mistake, and
+--           a list of texts, one for each other message: which field is wrong and why
 -- A compiled message has
---   name, title, id, size, filter ("taurus.motor"), section of a document, every (period in
---   seconds) and answers (a message's name), or nil
---   fields, by_name, index ([field] = its place in fields), alarms (its fields with alarm bits),
---   alarm (the first of them that has nothing else), time (its first field of kind time), or nil
---   differences { name, title, filter, unit, a, b (places) }
---   read (message.straight), info and usual (message.info)
+--   name, title, id, filter ("taurus.motor"); section of a document, every (period in seconds) and
+--   answers (a message's name), or nil
+--   size, min_size (bytes: a shorter payload is not this message)
+--   fields, by_name, index ([field] = its index in fields), time (its first field of kind time)
+--   alarms (its fields with fault flags), fault_field (the first of them that has nothing else)
+--   generated { name, title, filter, unit, description, kind = "derived", operator ("*", "-" or
+--   "+"), a, b (indexes of fields) }: values worked out from two fields, see decode.derived
+--   derived: those of them that tables and statistics have, too
+--   read (see decode.new_reader), write_info (see info.compile)
 -- A field has name, title, filter, offset, size in bytes, type, unit and section or nil,
 -- description (what a person reads of it beyond its title), and kind, with what its kind needs:
 --   uint, int  bottom, top; values, invalid, cases (a set); scale and zero: value = count * scale +
 --              zero; mask, low, inside: a part of the bits of another field
 --   flags      flags { name, mask, title, filter, help or nil, description }, group, undefined and
---              watched (masks: bits that nobody defines; bits of no part, which rise and fall),
---              alarm_bits (mask: bits that are faults), alarm (the word before their names, nil
---              where none is one)
---   float      compressed: min, max, top, ordinary (the highest count that is no reserved one)
+--              watched (masks: bits that nothing defines; bits of no part, which rise and fall),
+--              alarm_bits (mask: bits that are faults), fault_word (in Info, before their names)
+--   float      compressed: min, max, top, ordinary (the highest count that is not reserved)
 --   ieee, bool, string, bytes, time
 -- and, where it is one of an array, element (1 ..) and array_title; in a case of variants, when = {
 -- index, value }.
-function M.compile(entries, files, numbers)
+function M.compile(entries, origins, reserved)
   local catalogue, problems = { messages = {}, by_id = {}, names = {} }, {}
   for i = 1, #entries do
-    local place = { message = numbers and numbers[i] or i }
-    local ok, problem = pcall(add_message, catalogue, entries[i], place)
+    local origin = origins and origins[i] or {}
+    local context = { message = origin.number or i }
+    local ok, problem = pcall(add_message, catalogue, entries[i], reserved or {}, context)
     if not ok then
-      local file = files and files[i] .. ": " or ""
-      local field = place.field and ", field " .. place.field or ""
-      problem = tostring(problem)
-      problems[#problems + 1] = ("%smessage %s%s: %s"):format(file, place.message, field, problem)
+      local file = origin.file and origin.file .. ": " or ""
+      local field = context.field and ", field " .. context.field or ""
+      problems[#problems + 1] =
+        ("%smessage %s%s: %s"):format(file, context.message, field, tostring(problem))
     end
   end
   return catalogue, problems
 end
 
---- Which message each ID carries.
+--- Say which message each ID carries.
 -- catalogue  compiled
 -- ids        { [message name] = list of IDs }, the user's choice
 -- returns    { [id] = message }, and a list of texts for IDs that two messages claim: the first

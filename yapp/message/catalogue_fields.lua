@@ -69,74 +69,50 @@ M.TYPE_NAMES = check.names(TYPES)
 -- Raises that a number has no room in a field.
 local function check_fits(field, what, number, lowest)
   local fits = is_integer(number) and number >= lowest and number <= field.top
-  demand(fits,
-    "%s %s does not fit the type %s", what, shown(number), field.type)
+  demand(fits, "%s %s does not fit the type %s", what, shown(number), field.type)
 end
 
 local function add_values(field, row)
   for value, meaning in pairs(row.values or {}) do
     check_fits(field, "value", value, field.bottom)
-    demand(is_text(meaning),
-      "value %s has no meaning in words", shown(value))
+    demand(is_text(meaning), "value %s has no meaning in words", shown(value))
   end
   field.values = row.values
 end
 
 -- A linear scale: value = count * scale + offset.
 local function add_scale(field, row)
-  if not (row.scale or row.offset) then return end
-  local scale = row.scale or 1
-  local zero = row.offset or 0
-  demand(is_finite(scale) and scale ~= 0,
-    "scale %s is not a number but 0", shown(scale))
-  demand(is_finite(zero),
-    "offset %s is not a number", shown(zero))
-  local is_alone = not (row.values or row.flags or row.bits)
-  demand(is_alone, "a field has a scale, or values, flags and bits, not both")
-  -- COMPAT 5.4: products of integers wrap around
-  field.scale = scale + 0.0
-  field.zero = zero + 0.0
+  local scale, zero = row.scale or 1, row.offset or 0
+  demand(is_finite(scale) and scale ~= 0, "scale %s is not a number but 0", shown(scale))
+  demand(is_finite(zero), "offset %s is not a number", shown(zero))
+  demand(not (row.values or row.flags or row.bits),
+    "a field has a scale, or values, flags and bits, not both")
+  field.scale, field.zero = scale + 0.0, zero + 0.0 -- COMPAT 5.4: products of integers wrap around
 end
 
 -- min and max make a compressed float of the bytes; without them float32 and float64 are IEEE
 -- 754's.
 local function add_range(field, row)
+  local min, max, size = row.min, row.max, field.size
   field.special = field.filter .. ".special"
-  local may_be_ieee = field.size == 4 or field.size == 8
-  if may_be_ieee and row.min == nil and row.max == nil then
+  if min == nil and max == nil and (size == 4 or size == 8) then
     field.kind = "ieee"
     return
   end
-  local is_range = is_finite(row.min) and is_finite(row.max)
-    and row.min < row.max
+  local is_range = is_finite(min) and is_finite(max) and min < max
   demand(is_range, "%s needs min and max, min below max", field.type)
-  -- COMPAT 5.4: products of integers wrap around
-  field.min = row.min + 0.0
-  field.max = row.max + 0.0
-  -- A double holds the counts of six bytes; those of more are read with the reserved ones set
-  -- apart.
-  field.ordinary = field.size > 6 and field.top or field.top - 5
+  field.min, field.max = min + 0.0, max + 0.0 -- COMPAT 5.4: products of integers wrap around
+  -- A double holds the counts of six bytes; longer ones are read with the reserved ones set apart.
+  field.ordinary = size > 6 and field.top or field.top - 5
 end
 
--- What a person reads of a field or a flag beyond its title.
-local function describe(title, unit, message, section)
+--- Say what a person reads of a field, a flag or a generated value beyond its title.
+function M.describe(title, unit, message, section)
   local text = title
   if unit then text = text .. " in " .. unit end
   text = text .. ", of " .. message.title
   if section then text = ('%s (section "%s")'):format(text, section) end
   return text
-end
-
--- The options that fields and parts of bits share.
-local function add_options(field, row, message)
-  local invalid = row.invalid or "value.invalid"
-  demand(INVALID[invalid], "invalid is value.invalid or command.key.invalid")
-  if row.values or field.kind == "bool" then field.invalid = invalid end
-  field.unit = row.unit
-  field.section = row.section or message.section
-  add_values(field, row)
-  add_scale(field, row)
-  field.description = describe(field.title, field.unit, message, field.section)
 end
 
 -- Fields -----------------------------------------------------------------------------------------
@@ -146,41 +122,48 @@ local function length_of(row)
   return row.length
 end
 
--- The field of a row, without its place.
--- def  of TYPES; of a part of bits also type, the name of its field's
+-- Make the field of a row, or of a part of bits, without its offset.
+-- def  of TYPES; of a part also type, the name of its field's
 local function new_field(message, row, def)
+  local invalid, section = row.invalid or "value.invalid", row.section or message.section
   local field = {
     name = row[1],
     title = row[3],
+    description = M.describe(row[3], row.unit, message, section),
     type = def.type or row[2],
     kind = def.kind,
     filter = message.filter .. "." .. row[1],
     size = def.size or length_of(row),
     top = def.top,
     bottom = def.bottom,
+    unit = row.unit,
+    section = section,
   }
+  demand(INVALID[invalid], "invalid is value.invalid or command.key.invalid")
+  if row.values or field.kind == "bool" then field.invalid = invalid end
   if field.kind == "float" then add_range(field, row) end
-  add_options(field, row, message)
+  if row.scale or row.offset then add_scale(field, row) end
+  add_values(field, row)
   return field
 end
 
--- Puts a field at its place in the message.
+-- Put a field at its offset in the message.
 local function add_field(build, field)
-  local message = build.message
-  demand(not message.by_name[field.name],
-    "the name is there twice")
-  field.offset, field.when = build.offset, build.when
-  message.fields[#message.fields + 1] = field
-  message.by_name[field.name] = field
+  local message, offset = build.message, build.offset
+  local min_size, name = message.min_size, field.name
+  demand(not message.by_name[name], "the name is there twice")
+  demand(min_size <= offset or min_size >= offset + field.size, "min_size %d ends inside it",
+    min_size)
+  field.offset, field.when = offset, build.when
+  table.insert(message.fields, field)
+  message.by_name[name] = field
   message.index[field] = #message.fields
-  if field.kind == "time" and not build.when then
-    message.time = message.time or field
-  end
+  if field.kind == "time" and not build.when then message.time = message.time or field end
 end
 
 -- Flags and parts of bits ------------------------------------------------------------------------
 
--- Checks the i-th flag, or part, { name, mask, title }, and takes its bits of the field.
+-- Check the i-th flag, or part, { name, mask, title }, and take its bits of the field.
 -- returns  what it is called, "flag stopped"
 local function take_bits(field, row, what, i, options)
   what = check.row(row, what, i, 3, options)
@@ -192,49 +175,42 @@ local function take_bits(field, row, what, i, options)
   return what
 end
 
-local function add_flag(field, row, i, message)
+local function add_flag(message, field, row, i)
   local what = take_bits(field, row, "flag", i, FLAG_OPTIONS)
   local name, mask, title = row[1], row[2], row[3]
-  local is_alarm = row.alarm
-  demand(is_alarm == nil or is_alarm == true,
-    "%s: alarm is true, or is not there", what)
-  if is_alarm then field.alarm_bits = field.alarm_bits + mask end
-  local description = describe(title .. ", one of " .. field.title, nil, message, field.section)
-  if row.help then description = description .. ". " .. row.help end
+  local description = M.describe(title .. ", one of " .. field.title, nil, message, field.section)
+  demand(row.alarm == nil or row.alarm == true, "%s: alarm is true, or is not there", what)
+  if row.alarm then field.alarm_bits = field.alarm_bits + mask end
   field.flags[i] = {
     name = name,
     mask = mask,
     title = title,
     help = row.help,
     filter = field.group .. "." .. name,
-    description = description,
+    description = description .. (row.help and ". " .. row.help or ""),
   }
 end
 
--- A part of a field, as a row of its own: a field with a mask, whose counts begin at the mask's
--- lowest bit.
-local function new_part(field, row, i, message)
+-- Make a part of a field: a field with a mask, whose counts begin at the mask's lowest bit.
+local function new_part(message, field, row, i)
   local what = take_bits(field, row, "bits", i, PART_OPTIONS)
   local mask, low = row[2], 1
   while mask % (2 * low) == 0 do low = low * 2 end
   local top = mask / low
-  local is_one = band(top, top + 1) == 0
-  demand(is_one, "%s: the bits of mask 0x%X are not side by side", what, mask)
+  demand(band(top, top + 1) == 0, "%s: the bits of mask 0x%X are not side by side", what, mask)
   field.watched = field.watched - mask
-  local def = { kind = "uint", type = field.type, size = field.size, bottom = 0, top = top }
-  local part = new_field(message, row, def)
-  part.inside = field
-  part.mask = mask
-  part.low = low
+  local part = new_field(message, row,
+    { kind = "uint", type = field.type, size = field.size, bottom = 0, top = top })
+  part.inside, part.mask, part.low = field, mask, low
   return part
 end
 
--- Makes a field that has its place one of flags, parts, or both.
+-- Make a field that has its offset one of flags, parts, or both.
 local function add_bits(build, field, row)
-  local message, alarm = build.message, row.alarm
+  local message, word = build.message, row.alarm
   local group = row.group or not row.flags and field.name
   demand(is_name(group), "flags need a group, a name for their filters")
-  demand(alarm == nil or is_text(alarm), "alarm is a word, for a field with flags")
+  demand(word == nil or is_text(word), "alarm is a word, for a field with flags")
   demand(not row.values, "a field has values or flags, not both")
   field.kind = "flags"
   field.group = message.filter .. "." .. group
@@ -242,19 +218,17 @@ local function add_bits(build, field, row)
   field.alarm_bits = 0
   field.undefined = field.top
   field.watched = field.top
-  for i, flag in ipairs(row.flags or {}) do
-    add_flag(field, flag, i, message)
-  end
+  for i, flag in ipairs(row.flags or {}) do add_flag(message, field, flag, i) end
   for i, part in ipairs(row.bits or {}) do
-    add_field(build, new_part(field, part, i, message))
+    add_field(build, new_part(message, field, part, i))
   end
-  if alarm then
+  if word then
     field.alarm_bits = field.watched
-    message.alarm = message.alarm or field
+    message.fault_field = message.fault_field or field
   end
   if field.alarm_bits == 0 then return end
-  field.alarm = alarm or "FAULT"
-  message.alarms[#message.alarms + 1] = field
+  field.fault_word = word or "FAULT"
+  table.insert(message.alarms, field)
 end
 
 -- Rows -------------------------------------------------------------------------------------------
@@ -306,11 +280,9 @@ end
 
 local function add_row(build, row)
   local name, kind = row[1], row[2]
-  demand(is_name(name),
-    "%s is not a filter name (a-z, 0-9, _)", shown(name))
+  demand(is_name(name), "%s is not a filter name (a-z, 0-9, _)", shown(name))
   local def = TYPES[kind or false]
-  demand(def,
-    "unknown type %s; the types are %s", shown(kind), M.TYPE_NAMES)
+  demand(def, "unknown type %s; the types are %s", shown(kind), M.TYPE_NAMES)
   check.options(row, "type " .. kind, def.options, 3)
   if def.kind == "variants" then return add_variants(build, row) end
   if def.kind == "padding" then
@@ -332,22 +304,22 @@ end
 -- Fields in the order of the rows; build.offset is then behind the last.
 function add_rows(build, rows)
   for i, row in ipairs(rows) do
-    build.place.field = i
+    build.context.field = i
     demand(type(row) == "table", "a field is a row { name, type, title }, not %s", shown(row))
-    if is_name(row[1]) then build.place.field = row[1] end
+    if is_name(row[1]) then build.context.field = row[1] end
     add_row(build, row)
   end
 end
 
---- Compiles the rows of a message into its fields, by_name, index, time and alarms.
+--- Compile the rows of a message into its fields, by_name, index, time and alarms.
 -- message  compiled as far as its head, with these tables, empty
--- place    gets field = the name, or else the number, of the row that is looked at: what an error
+-- context  gets field = the name, or else the number, of the row that is looked at: what an error
 --          is about
 -- returns  the sum of the sizes in bytes.  Raises what is wrong.
-function M.compile(message, rows, place)
-  local build = { message = message, place = place, offset = 0, when = nil }
+function M.compile(message, rows, context)
+  local build = { message = message, context = context, offset = 0, when = nil }
   add_rows(build, rows)
-  place.field = nil
+  context.field = nil
   return build.offset
 end
 

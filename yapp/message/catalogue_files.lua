@@ -1,7 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The files of the catalogue: the plugin's own messages, and those of the user, which come after
--- and may replace
--- them.  Pure Lua.
+-- and may replace them.  Pure Lua.
 
 local catalogue = require("yapp.message.catalogue")
 local check = require("yapp.message.check")
@@ -10,12 +9,13 @@ local M = {}
 
 local DENIED = 13 -- EACCES
 local MOST_BYTES = 500 -- of an error of the file's own
+local MOST_ENTRIES = catalogue.MAX_ID + 1 -- there are no more IDs
 
 local function run(path)
   return assert(loadfile(path))()
 end
 
--- The list of a file; nil and why there is none.
+-- What a file returns; nil and why there is nothing.
 local function read(path)
   local file, problem, code = io.open(path)
   if not file then
@@ -31,49 +31,79 @@ local function read(path)
   if type(entries) ~= "table" then
     return nil, "the file must return a list of messages, not " .. check.shown(entries)
   end
-  if entries.name ~= nil then
+  if type(entries.name) == "string" then
     return nil, "the file must return a list of messages, { { name = ... } }, not one"
   end
   return entries
+end
+
+-- The messages of a file in their order: a list of { number, entry }.
+-- problems  gets a text for each entry that has a name instead of a number, and for the first gap
+local function list_of(entries, path, problems)
+  local list = {}
+  local function add_problem(text, ...)
+    problems[#problems + 1] = ("%s: " .. text):format(path, ...)
+  end
+  for key, entry in next, entries do
+    if check.is_integer(key) and key >= 1 then
+      list[#list + 1] = { number = key, entry = entry }
+    else
+      add_problem("the entry %s is not read: a message has its name inside, " ..
+        "{ { name = ... }, { name = ... } }, and no key in front", check.shown(key))
+    end
+    if #list + #problems > MOST_ENTRIES then
+      add_problem("the file has more than %d entries, and no messages are read behind these",
+        MOST_ENTRIES)
+      break
+    end
+  end
+  table.sort(list, function(a, b) return a.number < b.number end)
+  for i, one in ipairs(list) do
+    if one.number ~= i then
+      add_problem("message %d of the list is nil: a variable that is not defined, or misspelt?", i)
+      break
+    end
+  end
+  return list
 end
 
 local function name_of(entry)
   return type(entry) == "table" and entry.name or nil
 end
 
--- Appends the entries of a file, each with its number there; one with the name of an entry of an
--- earlier file takes its place.
-local function merge(all, entries, path)
-  local places = {}
+-- Appends the messages of a file; one with the name of a message of an earlier file takes its
+-- index.
+local function merge(all, list, path)
+  local index_of = {}
   for i, entry in ipairs(all.entries) do
-    places[name_of(entry) or false] = i
+    index_of[name_of(entry) or false] = i
   end
-  places[false] = nil
-  for i, entry in ipairs(entries) do
-    local place = places[name_of(entry) or false] or #all.entries + 1
-    all.entries[place] = entry
-    all.files[place] = path
-    all.numbers[place] = i
+  index_of[false] = nil
+  for _, one in ipairs(list) do
+    local index = index_of[name_of(one.entry) or false] or #all.entries + 1
+    all.entries[index] = one.entry
+    all.origins[index] = { file = path, number = one.number }
   end
 end
 
 --- Reads the files of the catalogue and compiles them as one.
 -- files    list of { path =, optional = whether it is no error that it is not there }, in order: a
 --          message of a later file with the name of one of an earlier takes its place
+-- reserved  optional { [filter name] = true } that no message may use
 -- returns  the compiled catalogue and a list of texts, each with the file, the message and the
 --          field that is wrong, see message.catalogue.compile
-function M.load(files)
-  local all, problems = { entries = {}, files = {}, numbers = {} }, {}
+function M.load(files, reserved)
+  local all, problems = { entries = {}, origins = {} }, {}
   for _, file in ipairs(files) do
     local entries, problem = read(file.path)
     if entries then
-      merge(all, entries, file.path)
+      merge(all, list_of(entries, file.path, problems), file.path)
     elseif not (file.optional and problem == "not found") then
       problem = problem .. "; its messages are shown as bytes"
       problems[#problems + 1] = file.path .. ": " .. problem
     end
   end
-  local compiled, found = catalogue.compile(all.entries, all.files, all.numbers)
+  local compiled, found = catalogue.compile(all.entries, all.origins, reserved)
   for _, text in ipairs(found) do
     problems[#problems + 1] = text .. "; this message is shown as bytes"
   end

@@ -20,8 +20,9 @@ local demand = M.demand
 
 --- A value in an error: a text in quotes and not too long.
 function M.shown(v)
-  if type(v) == "string" then return ("%q"):format(v:sub(1, 40)) end
-  return tostring(v)
+  local kind = type(v)
+  if kind == "string" then return ("%q"):format(v:sub(1, 40)) end
+  return (kind == "table" or kind == "function") and "a " .. kind or tostring(v)
 end
 
 -- What values are --------------------------------------------------------------------------------
@@ -73,7 +74,7 @@ end
 
 -- What these options have to be, whose ever they are; of the others their users know it.
 local TEXTS = M.set("section unit help info")
-local TABLES = M.set("values flags bits cases differences")
+local TABLES = M.set("values flags bits cases differences derived")
 
 --- Raises what is wrong with the options of a row, or of a message.
 -- what        "flag stopped", "type uint8": whose options they are

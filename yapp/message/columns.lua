@@ -1,191 +1,171 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- A message as a row of CSV: its columns, and the cells of a payload.  Pure Lua.
+-- A message as a row of CSV: its columns, and the cells of its values.  Pure Lua.
 --
 -- An enum is its number and, in NAME_text, its meaning; flags are the integer and, in GROUP_FLAG, 0
--- or 1; a float that is no ordinary number is an empty cell and what it is in NAME_special.
+-- or 1; a float with a reserved value is an empty cell and what it is in NAME_special.
 
 local common = require("yapp.base.bits").common
 local decode = require("yapp.message.decode")
-local straight = require("yapp.message.straight")
+local writer = require("yapp.message.writer")
 
 local M = {}
 
-local format, concat = string.format, table.concat
+local format = string.format
 
 -- What the rows of every message begin with, and a name that a reader may add.
 local TAKEN = { "time", "frame", "bus", "source", "id", "seq", "crc_good" }
 -- An empty cell, and the one beside it.
 local SPECIALS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
 
---- A text as a cell of CSV: in quotes where it must be.
+--- Return a text as a cell of CSV: in quotes where it must be.
 function M.quoted(text)
   if text:find('[,"\r\n]') then return '"' .. text:gsub('"', '""') .. '"' end
   return text
 end
 
--- Columns ----------------------------------------------------------------------------------------
+-- Kinds of fields --------------------------------------------------------------------------------
 
-local INTEGERS = { uint = true, int = true, flags = true }
+-- function(field) -> its columns, { name, type, the flag that it is } each, and
+-- function(raw) -> their cells as a text
+local KINDS = {}
 
--- The columns of a field: { name, type, the flag that it is } each.
-local function columns_of(field)
-  local kind, name = field.kind, field.name
-  if field.special then
-    return { { name, "float" }, { name .. "_special", "string" } }
+local function of_float(field)
+  local shape = decode.format_of(field)
+  local function write(raw)
+    local value, special = decode.value(field, raw)
+    if special then return SPECIALS[special] end
+    if shape then return format(shape, value) .. "," end
+    value = decode.rounded(field, value)
+    local text = format("%.15g", value)
+    if tonumber(text) ~= value then text = format("%.17g", value) end
+    return text .. ","
   end
-  if kind == "time" or kind == "bool" then
-    return { { name, kind } }
-  end
-  if not INTEGERS[kind] then
-    return { { name, "string" } }
-  end
-  if field.values then
-    return { { name, "integer" }, { name .. "_text", "string" } }
-  end
-  local columns = { { name, field.scale and "float" or "integer" } }
-  local group = field.group and field.group:match("[^.]+$")
-  for _, flag in ipairs(field.flags or {}) do
-    columns[#columns + 1] = { group .. "_" .. flag.name, "bool", flag }
-  end
-  return columns
+  return { { field.name, "float" }, { field.name .. "_special", "string" } }, write
 end
 
---- The columns of a message, in order.
+local function of_integer(field)
+  local name, values = field.name, field.values
+  if field.scale then
+    return { { name, "float" } }, function(raw)
+      return format("%.15g", decode.value(field, raw))
+    end
+  end
+  if not values then return { { name, "integer" } }, decode.digits end
+  return { { name, "integer" }, { name .. "_text", "string" } }, function(raw)
+    return decode.digits(raw) .. "," .. M.quoted(values[raw] or "")
+  end
+end
+
+local function of_text(field)
+  return { { field.name, "string" } }, function(raw) return M.quoted(decode.value(field, raw)) end
+end
+
+KINDS.float, KINDS.ieee = of_float, of_float
+KINDS.uint, KINDS.int = of_integer, of_integer
+KINDS.string, KINDS.bytes = of_text, of_text
+
+function KINDS.bool(field)
+  return { { field.name, "bool" } }, function(raw) return raw == 0 and "0" or "1" end
+end
+
+function KINDS.time(field)
+  return { { field.name, "time" } }, function(raw) return decode.seconds(decode.time(raw, 0)) end
+end
+
+function KINDS.flags(field)
+  local columns, group = { { field.name, "integer" } }, field.group:match("[^.]+$")
+  for _, flag in ipairs(field.flags) do
+    columns[#columns + 1] = { group .. "_" .. flag.name, "bool", flag }
+  end
+  return columns, function(raw)
+    local texts = { decode.digits(raw) }
+    for i, flag in ipairs(field.flags) do
+      texts[i + 1] = common(raw, flag.mask) ~= 0 and "1" or "0"
+    end
+    return table.concat(texts, ",")
+  end
+end
+
+-- Of a generated value, which is worked out from all raws.
+function KINDS.derived(item, message)
+  return { { item.name, "float" } }, function(raws)
+    local value = decode.derived(message, item, raws)
+    return value and format("%.7g", value) or ""
+  end
+end
+
+-- Columns and rows -------------------------------------------------------------------------------
+
+-- Call visit(field, its columns, what writes it) for the fields and derived values of a message.
+local function each(message, visit)
+  for _, list in ipairs { message.fields, message.derived } do
+    for _, field in ipairs(list) do visit(field, KINDS[field.kind](field, message)) end
+  end
+end
+
+--- List the columns of a message, in order.
 -- returns  a list of { name =, unit = or nil, type = "float", "integer", "bool", "string" or "time"
---          (seconds), field =, flag = of one of flags }; a name that another column has already
---          ("time", "id") gets "_2" behind it
+--          (seconds), field = or item of message.derived, flag = of one of flags }; a name that
+--          another column has already ("time", "id") gets "_2" behind it
 function M.columns(message)
   local columns, taken = {}, {}
   for _, name in ipairs(TAKEN) do taken[name] = true end
-  for _, field in ipairs(message.fields) do
-    for i, column in ipairs(columns_of(field)) do
+  each(message, function(field, list)
+    for i, column in ipairs(list) do
       local name, count = column[1], 1
       while taken[name] do
         count = count + 1
         name = column[1] .. "_" .. count
       end
       taken[name] = true
-      local unit = i == 1 and (field.kind == "time" and "s" or field.unit) or nil
       columns[#columns + 1] = {
         name = name,
-        unit = unit,
+        unit = i == 1 and (field.kind == "time" and "s" or field.unit) or nil,
         type = column[2],
         field = field,
         flag = column[3],
       }
     end
-  end
+  end)
   return columns
 end
 
--- Cells ------------------------------------------------------------------------------------------
-
--- The cells of a field as a text, from its raw value and the payload, by kind.
-local cells = {}
-
-function cells.float(field, raw)
-  local value, special = decode.value(field, raw)
-  if special then return SPECIALS[special] end
-  return format(decode.format_of(field) .. ",", value)
-end
-
-function cells.ieee(field, raw)
-  local value, special = decode.value(field, raw)
-  if special then return SPECIALS[special] end
-  value = decode.rounded(field, value)
-  local text = format("%.15g", value)
-  if tonumber(text) ~= value then text = format("%.17g", value) end
-  return text .. ","
-end
-
-function cells.uint(field, raw)
-  if field.scale then return format("%.15g", decode.value(field, raw)) end
-  local text, values = decode.digits(raw), field.values
-  if not values then return text end
-  return text .. "," .. M.quoted(values[raw] or "")
-end
-
-function cells.flags(field, raw)
-  local texts = { decode.digits(raw) }
-  for i, flag in ipairs(field.flags) do
-    texts[i + 1] = common(raw, flag.mask) ~= 0 and "1" or "0"
-  end
-  return concat(texts, ",")
-end
-
-function cells.string(field, raw)
-  return M.quoted(decode.value(field, raw))
-end
-
-function cells.bool(_, raw)
-  return raw == 0 and "0" or "1"
-end
-
-cells.int = cells.uint
-cells.bytes = cells.string
-
--- A function that writes the cells of a field; the latest ones are kept: flags seldom change.
-local function new_write(field)
-  if field.kind == "time" then
-    return function(_, payload)
-      return decode.seconds(decode.time(payload, field.offset))
-    end
-  end
-  local make, last, text = cells[field.kind], nil, nil
+-- Keep the latest text of a write: flags and the like seldom change.
+local function kept(write)
+  local latest, text
   return function(raw)
-    if raw ~= last then
-      last = raw
-      text = make(field, raw)
-    end
+    if raw ~= latest then latest, text = raw, write(raw) end
     return text
   end
 end
 
--- Rows -------------------------------------------------------------------------------------------
-
--- How the row of a message is written: { parts = list of { field, index, write, empty = cells of
--- nothing }, usual = function(raws, payload) -> the row, nil for one with special values }.
 local function new_row(message)
-  local parts, plain, shapes = {}, {}, {}
-  local is_usual = #message.fields > 0
-  for i, field in ipairs(message.fields) do
-    local is_plain = straight.is_plain(field)
-    parts[i] = {
+  local pieces = {}
+  each(message, function(field, columns, write)
+    if pieces[1] then pieces[#pieces + 1] = "," end
+    pieces[#pieces + 1] = {
       field = field,
-      index = i,
-      write = new_write(field),
-      empty = (","):rep(#columns_of(field) - 1),
+      index = message.index[field],
+      shape = writer.takes_shape(field) and decode.format_of(field) .. "," or nil,
+      write = message.index[field] and kept(write) or write,
+      absent = (","):rep(#columns - 1),
     }
-    plain[i] = is_plain and { field = field, index = i } or parts[i]
-    shapes[i] = is_plain and decode.format_of(field) .. "," or "%s"
-    is_usual = is_usual and not field.when
-  end
-  local usual = is_usual and straight.writer(plain, concat(shapes, ",")) or function() end
-  return { parts = parts, usual = usual }
+  end)
+  return writer.new(pieces)
 end
 
 local rows = setmetatable({}, { __mode = "k" }) -- by message
 
---- The cells of a message, joined by commas, in the order of its columns; quoted where they must
--- be.
--- payload  string; nil is returned where it is shorter than the message
-function M.row(message, payload)
-  if #payload < message.size then return nil end
-  local row = rows[message]
-  if not row then
-    row = new_row(message)
-    rows[message] = row
+--- Return the cells of a message, joined by commas, in the order of its columns; quoted where they
+-- must be, empty for fields that are absent.
+-- raws  from decode.read
+function M.row(message, raws)
+  local write = rows[message]
+  if not write then
+    write = new_row(message)
+    rows[message] = write
   end
-  local raws = decode.read(message, payload)
-  local usual = row.usual(raws, payload)
-  if usual then return usual end
-  local texts = {}
-  for i, part in ipairs(row.parts) do
-    local when = part.field.when
-    local is_there = not when or raws[when.index] == when.value
-    texts[i] = is_there and part.write(raws[i], payload) or part.empty
-  end
-  return concat(texts, ",")
+  return write(raws)
 end
 
 return M

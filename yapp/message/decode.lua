@@ -1,15 +1,15 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- From the payload of a message to its values, by the compiled catalogue: numbers as they lie
--- there, little endian ("YAPP Data Types", "YAPP Float Compression", "Time"), what they mean, and
--- what is remarkable in them.  Pure Lua.
+-- From the payload of a message to its values, by the compiled catalogue: raw values, little endian
+-- ("YAPP Data Types", "YAPP Float Compression", "Time"), what they mean, and what is remarkable in
+-- them.  Pure Lua.
 
 local bits = require("yapp.base.bits")
 local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
---- What the reserved counts of compressed floats are, from the top down ("YAPP Float Compression"):
--- the index is what <field>.special says.
+--- The reserved counts of compressed floats, from the top down ("YAPP Float Compression"): the
+-- index is what <field>.special says.
 M.SPECIALS = {
   [0] = "Not a Number",
   "Positive Infinity",
@@ -18,53 +18,46 @@ M.SPECIALS = {
   "Out of Range Low",
 }
 
+local abs, floor, concat = math.abs, math.floor, table.concat
 local byte, find, format, sub = string.byte, string.find, string.format, string.sub
-local concat = table.concat
-local HUGE = math.huge
 local band, common = bits.band, bits.common
+
+local MAX_KEPT = 100 -- bytes of a payload in local variables: a function has up to 200
 
 -- Numbers ----------------------------------------------------------------------------------------
 
--- An IEEE 754 number from its parts.
--- highest  exponent of infinity; digits: bits of the mantissa
-local function ieee(sign, exponent, mantissa, highest, digits)
-  if exponent == highest then return mantissa == 0 and sign * HUGE or 0 / 0 end
-  local bias = (highest - 1) / 2 + digits
-  if exponent == 0 then return sign * (mantissa * 2 ^ (1 - bias)) end
-  return sign * (mantissa + 2 ^ digits) * 2 ^ (exponent - bias)
-end
-
---- An IEEE 754 number of four bytes, 1-based at.
-function M.float32(payload, at)
-  local a, b, c, d = byte(payload, at, at + 3)
-  local sign = d >= 0x80 and -1 or 1
-  local exponent = d % 0x80 * 2 + (c >= 0x80 and 1 or 0)
-  local mantissa = c % 0x80 * 0x10000 + b * 0x100 + a
-  return ieee(sign, exponent, mantissa, 0xFF, 23)
-end
-
---- The little endian number of so many bytes, as near as a double comes; 1-based at.
-function M.count(payload, at, size)
-  local count = 0.0 -- COMPAT 5.4: integers of eight bytes wrap around
+-- Return the little endian number of so many bytes, as near as a double comes.
+-- at  1-based index in the payload
+local function count_of(payload, at, size)
+  local count = size > 6 and 0.0 or 0 -- COMPAT 5.4: integers of eight bytes wrap around
   for i = at + size - 1, at, -1 do
     count = count * 0x100 + byte(payload, i)
   end
   return count
 end
 
---- An IEEE 754 number of eight bytes, 1-based at.
-function M.float64(payload, at)
-  local g, h = byte(payload, at + 6, at + 7)
-  local sign = h >= 0x80 and -1 or 1
-  local exponent = h % 0x80 * 16 + (g - g % 16) / 16
-  local mantissa = g % 16 * 2 ^ 48 + M.count(payload, at, 6)
-  return ieee(sign, exponent, mantissa, 0x7FF, 52)
+-- Return an IEEE 754 number.
+-- digits  bits of its mantissa: 23 of four bytes, 52 of eight
+local function ieee(payload, at, size, digits)
+  local bits_of_exponent = 8 * size - 1 - digits
+  local a, b = byte(payload, at + size - 2, at + size - 1)
+  local high = 2 ^ (15 - bits_of_exponent) -- the two highest bytes: sign, exponent, digits
+  local top = b % 0x80 * 0x100 + a
+  local exponent = floor(top / high)
+  local mantissa = top % high * 2 ^ (digits - 15 + bits_of_exponent) +
+    count_of(payload, at, size - 2)
+  local sign, highest = b >= 0x80 and -1 or 1, 2 ^ bits_of_exponent - 1
+  if exponent == highest then return mantissa == 0 and sign * math.huge or 0 / 0 end
+  local bias = (highest - 1) / 2 + digits
+  if exponent == 0 then return sign * (mantissa * 2 ^ (1 - bias)) end
+  return sign * (mantissa + 2 ^ digits) * 2 ^ (exponent - bias)
 end
 
 local BILLION = 1000000000
 
--- An integer of eight bytes divided by 10^9: the quotient, and the rest, of the same sign.
-local function divide(payload, at, signed)
+-- Divide an integer of eight bytes by 10^9.
+-- returns  the quotient, and the rest, of the same sign
+local function divide(payload, at, is_signed)
   local a, b, c, d, e, f, g, h = byte(payload, at, at + 7)
   if h == 0 and g < 0x20 then -- the usual one: a double holds it
     local high = e + f * 0x100 + g * 0x10000
@@ -73,7 +66,7 @@ local function divide(payload, at, signed)
     return (number - rest) / BILLION, rest
   end
   -- Long division, a byte a step.  Of a negative number the highest byte is below 0.
-  local quotient, rest = 0, signed and h >= 0x80 and h - 0x100 or h
+  local quotient, rest = 0, is_signed and h >= 0x80 and h - 0x100 or h
   for i = at + 6, at, -1 do
     local dividend = rest * 0x100 + byte(payload, i)
     rest = dividend % BILLION
@@ -83,27 +76,19 @@ local function divide(payload, at, signed)
   return quotient, rest
 end
 
---- An integer of eight bytes: a number up to 2^53, beyond that its decimal digits as a string.
--- payload  string; at: 1-based; signed: whether it is in two's complement
-function M.integer64(payload, at, signed)
-  local billions, rest = divide(payload, at, signed)
-  if math.abs(billions) < 9007199 then return billions * BILLION + rest end
-  return format("%.0f%09.0f", billions, math.abs(rest))
+-- Return an integer of eight bytes: a number up to 2^53, beyond that its decimal digits.
+local function integer64(payload, at, is_signed)
+  local billions, rest = divide(payload, at, is_signed)
+  if abs(billions) < 9007199 then return billions * BILLION + rest end
+  return format("%.0f%09.0f", billions, abs(rest))
 end
 
---- A signed 64 bit count of nanoseconds ("Time"), split exactly.
--- payload  string; offset: 0-based
+--- Split a signed 64 bit count of nanoseconds exactly ("Time").
+-- payload  string
+-- offset   0-based
 -- returns  seconds, nanoseconds; both negative, or zero, for a negative time
 function M.time(payload, offset)
   return divide(payload, offset + 1, true)
-end
-
---- The count of a compressed float of seven or eight bytes; -1 - n for the reserved count that is n
--- below the highest.
-function M.long_count(payload, at, size)
-  local lowest, others = byte(payload, at), sub(payload, at + 1, at + size - 1)
-  if lowest >= 0xFB and not find(others, "[^\255]") then return lowest - 0x100 end
-  return M.count(payload, at, size)
 end
 
 -- Compressed floats: floatN <min; max> has counts 0 .. top, top = 2^N - 1.  The five highest are
@@ -113,34 +98,33 @@ end
 M.MAPPING = 5
 M.WORKED_EXAMPLES = 4
 
-local divisor = M.MAPPING
+--- What compressed floats divide by, as top - divisor.
+M.divisor = M.MAPPING
 
---- Makes every compressed float divide by top - divisor.
--- new  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
-function M.use_divisor(new)
-  divisor = new
+--- Choose what every compressed float divides by.
+-- divisor  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
+function M.use_divisor(divisor)
+  M.divisor = divisor
 end
 
---- What compressed floats divide by, as top - divisor.
-function M.divisor() return divisor end
-
---- The value of a compressed float, unrounded; nil and which special (0 .. 4) for a reserved count.
+--- Return the value of a compressed float, unrounded; nil and which special (0 .. 4) for a reserved
+-- count.
 function M.float(field, raw)
   if raw > field.ordinary then return nil, field.top - raw end
-  if raw < 0 then return nil, -1 - raw end -- of M.long_count
+  if raw < 0 then return nil, -1 - raw end -- of seven or eight bytes
   -- One division at the end, so that the middle of a symmetric range is 0 and not nearly 0.
-  local steps = field.top - divisor
+  local steps = field.top - M.divisor
   return (field.min * steps + raw * (field.max - field.min)) / steps
 end
 
--- The nearest number that four bytes can hold: what a sum with a large number leaves of it.
+-- Return the nearest number that four bytes can hold: what a sum with a large one leaves of it.
 local function to_float32(value)
   local large = 1.5 * 2 ^ -97
-  if math.abs(value) >= 2 ^ -126 then large = value * (2 ^ 29 + 1) end
+  if abs(value) >= 2 ^ -126 then large = value * (2 ^ 29 + 1) end
   return large - (large - value)
 end
 
---- The number with the fewest digits that is the same in four bytes: 0.1 for those nearest to it.
+--- Return the number with the fewest digits that is the same in four bytes: 0.1 for the nearest.
 -- value  finite
 function M.shortest(value)
   if value == 0 then return value end -- COMPAT 5.4: the text "-0" is an integer there
@@ -151,45 +135,150 @@ function M.shortest(value)
   return tonumber(format("%.9g", value))
 end
 
--- Fields -----------------------------------------------------------------------------------------
+-- Reading ----------------------------------------------------------------------------------------
 
--- What was read last: a table of statistics reads what the packet list has just read.
-local latest = {}
+-- How the raw value of a field is read: function(field, payload) -> raw.
 
--- The same as M.read of a payload that is shorter than the message.
-local function read_cut(message, payload)
-  local raws, look = message.read(payload .. ("\0"):rep(message.size - #payload))
+local function read_count(field, payload)
+  return count_of(payload, field.offset + 1, field.size)
+end
+
+local function read_signed(field, payload)
+  local count = read_count(field, payload)
+  return count > field.top and count - 2 * (field.top + 1) or count
+end
+
+local function read_part(field, payload)
+  return floor(read_count(field, payload) / field.low) % (field.top + 1)
+end
+
+local function read_integer64(field, payload)
+  return integer64(payload, field.offset + 1, field.kind == "int")
+end
+
+local function read_bytes(field, payload)
+  return sub(payload, field.offset + 1, field.offset + field.size)
+end
+
+local function read_long_float(field, payload)
+  local lowest, others = byte(payload, field.offset + 1), sub(read_bytes(field, payload), 2)
+  if lowest >= 0xFB and not find(others, "[^\255]") then return lowest - 0x100 end
+  return read_count(field, payload)
+end
+
+local function read_ieee(field, payload)
+  return ieee(payload, field.offset + 1, field.size, field.size == 4 and 23 or 52)
+end
+
+local READ = {
+  int = read_signed,
+  ieee = read_ieee,
+  string = read_bytes,
+  bytes = read_bytes,
+  time = read_bytes,
+}
+local READ_LONG = { uint = read_integer64, int = read_integer64, float = read_long_float }
+
+-- What is remarkable in a field: function(field, raw) -> expert, and another one, or nil.
+
+local function remark_special(field, raw)
+  if not M.value(field, raw) then return "value.special" end
+end
+
+local function remark_flags(field, raw)
+  local fault = common(raw, field.alarm_bits) ~= 0 and "fault.active" or nil
+  local undefined = common(raw, field.undefined) ~= 0 and "flags.undefined" or nil
+  return fault or undefined, fault and undefined
+end
+
+local function remark_undefined(field, raw)
+  local values, cases = field.values, field.cases
+  local is_undefined = values and not values[raw] or cases and not cases[raw] or
+    field.kind == "bool" and raw > 1
+  return is_undefined and field.invalid or nil
+end
+
+-- Choose how a field is read: set its read, and its remark, nil where nothing can be remarkable.
+local function prepare(field)
+  local kind = field.kind
+  field.read = field.size > 6 and READ_LONG[kind] or READ[kind] or field.mask and read_part or
+    read_count
+  if field.special then
+    field.remark = remark_special
+  elseif kind == "flags" then
+    field.remark = remark_flags
+  elseif field.invalid then
+    field.remark = remark_undefined
+  end
+end
+
+-- The reader of a message is made from Lua source: a loop over the fields takes 5 % more of a
+-- packet list.  The first bytes of a payload are in b1, b2, ...; one that is not there is nil.
+local READER = [[
+local FIELDS, byte, common = ...
+return function(payload)
+local raws, is_remarkable, a = { %s }, false
+local %s = byte(payload, 1, %d)
+%s
+return raws, is_remarkable
+end]]
+
+-- Return the condition under which the i-th field of a message is remarkable.
+local function remark_source(field, i)
+  if field.kind == "float" and field.size <= 6 then return format("a > %.0f", field.ordinary) end
+  if field.kind == "flags" then
+    return format("common(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
+  end
+  return field.remark and format("FIELDS[%d]:remark(a)", i) or "false"
+end
+
+-- Return the lines that read the i-th field of a message.
+local function field_source(field, i)
+  local last, when, value = field.offset + field.size, field.when, {}
+  local is_there = last <= MAX_KEPT and "b" .. last or "#payload >= " .. last
+  if when then is_there = format("%s and raws[%d] == %d", is_there, when.index, when.value) end
+  for j = 1, field.size do
+    value[j] = format("b%d * %.0f", field.offset + j, 0x100 ^ (j - 1))
+  end
+  value = concat(value, " + ")
+  if field.read ~= read_count or last > MAX_KEPT then
+    value = format("FIELDS[%d]:read(payload)", i)
+  end
+  local line = "if %s then a = %s raws[%d] = a if %s then is_remarkable = true end end"
+  return format(line, is_there, value, i, remark_source(field, i))
+end
+
+--- Make the reader of a message.
+-- message  compiled, but for this
+-- returns  function(payload), see M.read
+function M.new_reader(message)
+  local nils, bytes, lines = {}, {}, {}
   for i, field in ipairs(message.fields) do
-    if field.offset + field.size > #payload then raws[i] = nil end
+    prepare(field)
+    nils[i], lines[i] = "nil", field_source(field, i) -- a table that grows by itself takes longer
   end
-  return raws, look
+  for i = 1, math.min(message.size, MAX_KEPT) do bytes[i] = "b" .. i end
+  local source =
+    format(READER, concat(nils, ", "), concat(bytes, ", "), #bytes, concat(lines, "\n"))
+  return load(source, "=reader of " .. message.name)(message.fields, byte, common)
 end
 
---- The raw values of a payload.
+--- Read the raw values of a payload.
 -- message  compiled
--- payload  string; may be shorter than the message where a capture cut it: only fields that are
---          whole are read
--- returns  { [index of field] = raw }, without times (see M.time), missing fields and cases that
---          are not chosen; and whether M.remarks has something to say
+-- payload  string; where it is shorter than the message, only fields that are whole are read; what
+--          is behind the message is not read
+-- returns  { [index of field] = raw }, without missing fields and cases that are not chosen; and
+--          whether M.remarks has something to say
 -- A raw is the integer or the count as sent, but for ieee the number, for a 64 bit integer beyond
--- 2^53 its decimal digits, for strings and bytes the bytes; of a compressed float of seven or eight
--- bytes -1 - n is the reserved count n.
+-- 2^53 its decimal digits, for times (see M.time), strings and bytes the bytes; of a compressed
+-- float of seven or eight bytes -1 - n is the reserved count n.
 function M.read(message, payload)
-  if message == latest.message and payload == latest.payload then
-    return latest.raws, latest.look
-  end
-  local raws, look
-  if #payload >= message.size then
-    raws, look = message.read(payload)
-  else
-    raws, look = read_cut(message, payload)
-  end
-  latest.message, latest.payload = message, payload
-  latest.raws, latest.look = raws, look
-  return raws, look
+  return message.read(payload)
 end
 
---- A time in seconds with nine digits behind the point.
+-- Values -----------------------------------------------------------------------------------------
+
+--- Return a time in seconds as a text with nine digits behind the point.
 function M.seconds(seconds, nanoseconds)
   if seconds < 0 or nanoseconds < 0 then
     return format("-%d.%09d", -seconds, -nanoseconds)
@@ -198,48 +287,46 @@ function M.seconds(seconds, nanoseconds)
 end
 
 local function escape(char)
-  return format("\\x%02x", char:byte())
+  return format("\\x%02x", byte(char))
 end
 
---- The text of a string field: up to its first NUL; where that is no UTF-8, or has control
--- characters, what is not printable ASCII is written \xNN.
+--- Return the text of a string field: up to its first NUL; where that is no UTF-8, or has control
+-- characters, what is not printable ASCII is \xNN.
 function M.text(raw)
   local text = raw:match("^%Z*")
   if utf8.is_printable(text) then return text end
   return (text:gsub("[%c\128-\255]", escape))
 end
 
---- Bytes as hexadecimal digits.
-function M.hex(raw)
-  return (raw:gsub(".", function(char) return format("%02x", char:byte()) end))
+local function hex_digits(char)
+  return format("%02x", byte(char))
 end
 
---- An integer as a text; beyond 2^53 it is one.
+--- Return an integer as a text; beyond 2^53 it is one.
 function M.digits(value)
   return type(value) == "number" and format("%.0f", value) or value -- tostring has 14 in Lua 5.2
 end
 
 -- The value of a raw by kind, and where there is none which special.
-local values = {
+local VALUES = {
   float = M.float,
   string = function(_, raw) return M.text(raw) end,
-  bytes = function(_, raw) return M.hex(raw) end,
+  bytes = function(_, raw) return (raw:gsub(".", hex_digits)) end,
+  ieee = function(_, raw)
+    if raw ~= raw then return nil, 0 end
+    if raw - raw ~= 0 then return nil, raw > 0 and 1 or 2 end
+    return raw
+  end,
 }
 
-function values.ieee(_, raw)
-  if raw ~= raw then return nil, 0 end
-  if raw - raw ~= 0 then return nil, raw > 0 and 1 or 2 end
-  return raw
-end
-
---- The value of a field in its unit, unrounded.
+--- Return the value of a field in its unit, unrounded.
 -- raw      from M.read
 -- returns  a number; a string for strings, bytes (hexadecimal) and integers beyond 2^53; nil where
 --          there is none, and then which special (0 .. 4, as <field>.special has it) for a float
 --          that is no number
 function M.value(field, raw)
   if not raw then return nil end
-  local value_of = values[field.kind]
+  local value_of = VALUES[field.kind]
   if value_of then return value_of(field, raw) end
   return field.scale and raw * field.scale + field.zero or raw
 end
@@ -247,90 +334,82 @@ end
 -- The digits that a compressed float of so many bytes can carry.
 local DIGITS = { 7, 7, 10, 10, 15, 15, 15, 15 }
 
---- The format of a value with as many digits as its count can carry: "%.7g"; nil for ieee and what
--- is no fraction.
+--- Return the format of a value with as many digits as its count can carry: "%.7g"; nil for ieee
+-- and what is no fraction.
 function M.format_of(field)
+  if field.kind == "derived" then return "%.7g" end
   if field.kind == "float" then return "%." .. DIGITS[field.size] .. "g" end
   return field.scale and "%.15g" or nil
 end
 
---- A value with the digits that its count can carry, so that a filter with == 1.1 matches.
+--- Round a value to the digits that its count can carry, so that a filter with == 1.1 matches.
 function M.rounded(field, value)
   local shape = M.format_of(field)
   if shape then return tonumber(format(shape, value)) end
   return field.size == 4 and M.shortest(value) or value
 end
 
---- The value of a difference of a message, at seven digits; nil where one of its two fields has
--- none.
-function M.difference(message, difference, raws)
-  local a, b = difference.a, difference.b
-  local first = M.value(message.fields[a], raws[a])
-  local second = M.value(message.fields[b], raws[b])
-  if not (first and second) then return nil end
-  return tonumber(format("%.7g", first - second))
+local OPERATORS = {
+  ["*"] = function(a, b) return a * b end,
+  ["-"] = function(a, b) return a - b end,
+  ["+"] = function(a, b) return a + b end,
+}
+
+--- Work out a generated value from its two fields.
+-- item     of message.generated
+-- returns  a number with seven digits, so that a filter with == matches; nil where one of the two
+--          fields has no value
+function M.derived(message, item, raws)
+  local a = M.value(message.fields[item.a], raws[item.a])
+  local b = M.value(message.fields[item.b], raws[item.b])
+  if not (a and b) then return nil end
+  -- COMPAT 5.4: products of integers wrap around
+  local value = OPERATORS[item.operator](a + 0.0, b + 0.0)
+  if value - value ~= 0 then return nil end -- too large
+  return tonumber(format("%.7g", value))
 end
 
 -- Flags ------------------------------------------------------------------------------------------
 
---- The bits that are set and that no flag of the field defines, as a number.
-function M.undefined(field, raw)
-  return band(raw, field.undefined)
-end
-
---- The filter names of the flags that are set, undefined bits as one number: "motor_overcurrent,
--- hall_timeout".
+--- Return the filter names of the flags that are set, undefined bits as one number:
+-- "motor_overcurrent, hall_timeout, undefined 0x80000".
 function M.flag_names(field, raw)
   if raw == field.named then return field.names end -- most do not change
-  local names, flags = {}, field.flags
-  for i = 1, #flags do
-    if common(raw, flags[i].mask) ~= 0 then names[#names + 1] = flags[i].name end
+  local names = {}
+  for _, flag in ipairs(field.flags) do
+    if common(raw, flag.mask) ~= 0 then names[#names + 1] = flag.name end
   end
-  local undefined = M.undefined(field, raw)
+  local undefined = band(raw, field.undefined)
   if undefined ~= 0 then names[#names + 1] = format("undefined 0x%x", undefined) end
   field.named, field.names = raw, concat(names, ", ")
   return field.names
 end
 
---- The bits of a field that are faults and set.
-function M.alarms(field, raw)
+--- Return the fault flags of a field that are set, as a number.
+-- raw  nil where the payload does not have the field
+function M.faults(field, raw)
   return raw and band(raw, field.alarm_bits) or 0
 end
 
---- Whether a fault is set in a message.
+--- Return whether a fault flag is set in a message.
 function M.has_alarm(message, raws)
   for _, field in ipairs(message.alarms) do
-    if M.alarms(field, raws[message.index[field]]) ~= 0 then return true end
+    if M.faults(field, raws[message.index[field]]) ~= 0 then return true end
   end
   return false
 end
 
--- Remarks ----------------------------------------------------------------------------------------
-
-local function is_invalid(field, raw)
-  if field.values and not field.values[raw] then return true end
-  if field.cases and not field.cases[raw] then return true end
-  return field.kind == "bool" and raw > 1
-end
-
---- What is remarkable in the values: one entry an expert item.
+--- List what is remarkable in the values: one entry an expert item.
 -- message  compiled
 -- raws     from M.read
 -- returns  a list of { index of field, expert }, nil when there is nothing
 function M.remarks(message, raws)
   local remarks = {}
-  local function add(i, expert)
-    remarks[#remarks + 1] = { i, expert }
-  end
   for i, field in ipairs(message.fields) do
-    local raw = raws[i]
-    if raw and field.special then
-      if M.value(field, raw) == nil then add(i, "value.special") end
-    elseif raw and field.flags then
-      if M.alarms(field, raw) ~= 0 then add(i, "fault.active") end
-      if M.undefined(field, raw) ~= 0 then add(i, "flags.undefined") end
-    elseif raw and is_invalid(field, raw) then
-      add(i, field.invalid)
+    if field.remark and raws[i] then
+      for _, expert in ipairs { field:remark(raws[i]) } do
+        remarks[#remarks + 1] = { i, expert }
+      end
     end
   end
   return remarks[1] and remarks or nil

@@ -1,87 +1,112 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The history of each source: what changed between a good message and the good one before it.  Pure
--- Lua.
+-- The history of each source: what changes from one good message to the next.  Pure Lua.
 --
--- A source is a bus or stream, and an ID.  What changed is worked out once, in the order of the
--- capture, and kept as events, so that a later look at any message gets the same: memory grows with
--- events, Commands and reboots, not with messages.
+-- A source is a bus or stream, and an ID.  Changes are found once, in the order of the capture, and
+-- kept by the number of the message, so that a revisit gets the same.  Memory grows with changes,
+-- Commands and reboots, not with messages.
 
 local band = require("yapp.base.bits").band
+local decode = require("yapp.message.decode")
 
 local M = {}
 
-local byte, floor = string.byte, math.floor
+local abs, floor, huge, max, min = math.abs, math.floor, math.huge, math.max, math.min
+local insert = table.insert
 
--- What a capture's times have; a difference of two of them has a little more or less.
-local NANOSECOND = 1e-9
-local NOTHING = {} -- how things stand before a source's first event
+local HALF_NANOSECOND = 5e-10 -- what rounding may add to a difference of two times
+local MAX_JUMP = 1 + HALF_NANOSECOND -- seconds; the capture's clock may jitter by less
+local MAX_BEHIND = 8 -- a Seq so far behind came late: 248 messages or more did not get lost
+
+-- Evidence that several controllers share a source, see is_shared.
+local LARGE_FALL = 2 -- seconds; a message that came late makes the clock fall by less
+local LARGE_RETURN = 50 -- from a large fall; a return from another one counts 1
+local FADE = 0.85 -- what each message leaves of the evidence: of 50, enough for 22 messages
+local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
+
+-- Changes that many messages have in common: to be read only.
+local NOTHING = {}
+local STALE = { stale = true }
+local SHARED = { shared = true, unreliable = true }
+local UNRELIABLE = { unreliable = true }
 
 local History = {}
 History.__index = History
 
---- The history of one pass over one capture.
--- options  { late = how many periods of its message a gap must exceed to be one (2.5),
---            catalogue = compiled: which messages others answer (without it, the one that is called
---            command) }
+--- Make the history of one pass over one capture.
+-- options  { catalogue = compiled,
+--            late = periods of a message that a gap must exceed to be late,
+--            has_times = function() -> whether the packets have time stamps }
 function M.new(options)
-  options = options or {}
-  local self = setmetatable({ late = options.late or 2.5, by_key = {} }, History)
-  self.answered = { command = not options.catalogue or nil } -- [message name] = true
-  self.commands = {} -- [bus or false][message name] = numbers of messages that others answer
-  for _, message in ipairs(options.catalogue and options.catalogue.messages or {}) do
-    if message.answers then self.answered[message.answers] = true end
+  local self = setmetatable({
+    late = options.late,
+    has_times = options.has_times,
+    by_key = {}, -- [key of a source] = see new_source
+    commands = {}, -- [name of a message that others answer][bus or false] = numbers, ascending
+  }, History)
+  for _, message in ipairs(options.catalogue.messages) do
+    if message.answers then self.commands[message.answers] = {} end
   end
   return self
 end
 
--- The places of the fields of flags of a message.
+-- Return the list of numbers of a bus's messages of this name, nil if no other message answers it.
+local function commands_of(self, name, bus)
+  local by_bus = self.commands[name]
+  if not by_bus then return nil end
+  by_bus[bus] = by_bus[bus] or {}
+  return by_bus[bus]
+end
+
+-- Return the indexes of a message's flags fields.
 local function flags_of(message)
-  local places = {}
+  local indexes = {}
   for i, field in ipairs(message.fields) do
-    if field.kind == "flags" then places[#places + 1] = i end
+    if field.kind == "flags" then indexes[#indexes + 1] = i end
   end
-  return places
+  return indexes
 end
 
--- The numbers of a bus's messages of one name that others answer.
-local function commands_of(self, bus, name)
-  local by_name = self.commands[bus or false] or {}
-  self.commands[bus or false] = by_name
-  by_name[name] = by_name[name] or {}
-  return by_name[name]
-end
-
-local function new_source(self, look)
-  local message, bus = look.message, look.bus
-  local source = {
-    values = {}, -- of the flags of the previous good message, by index of field
-    raised_at = {}, -- [index of a field with alarms] = { [bit] = when it was raised }
-    clock = nil, -- the controller's, in the previous good message
-    seq = nil,
-    last_time = nil,
-    numbers = {}, -- of the messages at which something happened, ascending
-    events = {}, -- what happened: events[i] at numbers[i], see keep
-    changes = {}, -- numbers of the messages that changed an alarm
-    -- Of its message, which stays the same:
-    flags = message and flags_of(message) or NOTHING,
-    longest = message and message.every and self.late * message.every + NANOSECOND / 2 or math.huge,
-    answered = nil, -- numbers of its bus's messages that it answers
-    own = nil, -- numbers of its own, where others answer them
+local function new_source(self, m)
+  local message, bus = m.message or { fields = {} }, m.bus or false
+  local has_times = self.has_times()
+  return {
+    -- Its kind of message:
+    flag_indexes = flags_of(message),
+    period = message.every or 0,
+    longest = has_times and self.late * (message.every or huge) + HALF_NANOSECOND or huge,
+    has_times = has_times,
+    -- The previous good message:
+    time = nil, -- seconds of the capture
+    seq = nil, -- the newest
+    flags = {}, -- [index of a flags field] = raw value
+    -- The previous good message with a clock:
+    clock = nil, -- the controller's, nanoseconds
+    clock_time = nil, -- seconds of the capture
+    payload = nil,
+    -- Since then:
+    raised_at = {}, -- [index of its field * 2^32 + its bit] = when a fault that is set was raised
+    -- See is_shared:
+    lead = 0, -- seconds that the controller's clock gained on the capture's since its first fall
+    falls = {}, -- the latest first, without those it returned from: { lead before it, size }
+    evidence = 0,
+    shared_at = huge, -- number of the message that proves that controllers share the source
+    -- By the number of a message:
+    changes = {}, -- [number] = change
+    base_numbers = {}, -- ascending: the first clock, and reboots
+    bases = {}, -- of each: seconds of the controller's clock less the capture's
+    fault_numbers = {}, -- ascending: where faults change
+    active_since = {}, -- of each: when the oldest fault that is still set was raised, or false
+    commands = commands_of(self, message.answers, bus), -- ascending: what its messages answer
+    own = commands_of(self, message.name, bus), -- ascending: its own, if others answer them
   }
-  if message and message.answers then source.answered = commands_of(self, bus, message.answers) end
-  if message and self.answered[message.name] then
-    source.own = commands_of(self, bus, message.name)
-  end
-  return source
 end
 
--- The place of the last of these ascending numbers that is not above `most`, 0 where none is.
-local function last_until(numbers, most)
+-- Return the index of the last of these ascending numbers that is at most `limit`, 0 for none.
+local function last_until(numbers, limit)
   local low, high = 0, #numbers
-  if high == 0 or numbers[high] <= most then return high end
   while low < high do
     local middle = floor((low + high + 1) / 2)
-    if numbers[middle] <= most then
+    if numbers[middle] <= limit then
       low = middle
     else
       high = middle - 1
@@ -90,43 +115,82 @@ local function last_until(numbers, most)
   return low
 end
 
--- The controller's clock in nanoseconds: an int64, little endian; exact up to 104 days (2^53 ns).
--- Nil where the message has none.
-local function clock_of(look)
-  local field = look.raws and look.message and look.message.time
-  if not field then return nil end
-  local at = field.offset + 1
-  local a, b, c, d, e, f, g, h = byte(look.payload, at, at + 7)
-  if not h then return nil end
-  if h >= 0x80 then h = h - 0x100 end
-  return a + b * 0x100 + c * 0x10000 + d * 0x1000000 +
-    (e + f * 0x100 + g * 0x10000 + h * 0x1000000) * 0x100000000
+-- Clocks -----------------------------------------------------------------------------------------
+
+-- Return the controller's clock in nanoseconds, exact up to 104 days (2^53 ns); nil for a message
+-- without one.
+local function clock_of(m)
+  local field = m.raws and m.message.time
+  if not field or #m.payload < field.offset + 8 then return nil end
+  local seconds, nanoseconds = decode.time(m.payload, field.offset)
+  return seconds * 1e9 + nanoseconds
+end
+
+-- Add evidence if the clock is back where it would be without a fall.
+local function note_return(source)
+  for i, fall in ipairs(source.falls) do
+    if abs(source.lead - fall.lead) <= min(fall.size, LARGE_FALL) / 4 then
+      source.evidence = source.evidence + (fall.size < LARGE_FALL and 1 or LARGE_RETURN)
+      table.remove(source.falls, i)
+      return
+    end
+  end
+end
+
+-- Whether a message proves that several controllers share its source.  Their clocks alternate:
+--   100.0, 7.2, 100.1, 7.3      it falls by 92.8, returns to where it would be, falls: proved
+--   100.0, 99.8, 100.1, 99.9    small falls: a late message makes one, so a third one proves it
+--   100.0, 100.0, 100.1, 100.1  the same clock again within a third of a period is a fall, too: a
+--                               large one, or a small one if the whole message is the same
+-- After a reboot, the clock does not return.  A clock that stops is the same after a whole period.
+-- advance, elapsed  seconds of the controller's and of the capture's clock since source.clock
+local function is_shared(source, m, advance, elapsed)
+  local lead, falls, size = source.lead, source.falls, elapsed - advance
+  source.lead = lead - size
+  source.evidence = source.evidence * FADE
+  if advance > 0 then
+    note_return(source)
+    return false
+  elseif advance == 0 then
+    if elapsed >= source.period / 3 then return false end
+    size = m.payload == source.payload and source.period or LARGE_FALL
+  end
+  insert(falls, 1, { lead = lead, size = size })
+  falls[5] = nil -- up to four controllers fall from one to the next before they return
+  return source.evidence > ENOUGH
+end
+
+-- Return what a clock says of its message: a change, nil for nothing.
+local function clock_change(source, m, clock)
+  local advance = (clock - source.clock) / 1e9
+  -- Without time stamps, take a message to come a period after the one before.
+  local elapsed = source.has_times and m.time - source.clock_time or source.period
+  local may_be_shared = advance <= 0 or source.lead ~= 0
+  if may_be_shared and is_shared(source, m, advance, max(elapsed, 0)) then return SHARED end
+  if advance < 0 then return { reboot = -advance } end
+  if advance == 0 then return STALE end
+  local jump = advance - elapsed
+  -- If the capture's own clock went back, it is no measure of the controller's.
+  if jump > MAX_JUMP and elapsed >= 0 and source.has_times then return { jump = jump } end
+end
+
+-- Keep the clock of a message; return what it says of the message.
+local function note_clock(source, m)
+  local clock = clock_of(m)
+  if not clock then return NOTHING end
+  local change = source.clock and clock_change(source, m, clock) or NOTHING
+  if source.has_times and (change.reboot or not source.clock) then
+    insert(source.base_numbers, m.number)
+    insert(source.bases, clock / 1e9 - m.time)
+  end
+  source.clock, source.clock_time, source.payload = clock, m.time, m.payload
+  return change
 end
 
 -- Flags ------------------------------------------------------------------------------------------
 
--- Keeps when the bits of a mask were raised, nil for those that fell.
-local function mark(times, mask, time)
-  local bit = 1
-  while bit <= mask do
-    if mask % (2 * bit) >= bit then times[bit] = time end
-    bit = bit * 2
-  end
-end
-
--- Since when the oldest alarm bit that is still set has been set.
-local function oldest(raised_at)
-  local since
-  for _, times in pairs(raised_at) do
-    for _, time in pairs(times) do
-      if not since or time < since then since = time end
-    end
-  end
-  return since
-end
-
--- What changed in one field of flags; nil for nothing.  Of a source's first message the alarms
--- count as raised.
+-- Return what changed in a flags field, nil for nothing.  In a source's first message, faults that
+-- are set count as raised.
 local function flag_change(field, before, now)
   before = before or now - band(now, field.alarm_bits)
   local both = band(before, now)
@@ -142,164 +206,147 @@ local function flag_change(field, before, now)
   }
 end
 
--- Keeps when alarms were raised; returns whether any was, or fell.
-local function mark_alarms(source, index, change, time)
-  if change.alarm_raised + change.alarm_cleared == 0 then return false end
-  local times = source.raised_at[index] or {}
-  source.raised_at[index] = times
-  mark(times, change.alarm_raised, time)
-  mark(times, change.alarm_cleared, nil)
-  return true
+-- Keep when faults were raised, and since when the oldest that is still set has been set.
+local function note_faults(source, m, index, change)
+  local bits, bit = change.alarm_raised + change.alarm_cleared, 1
+  if bits == 0 then return end
+  while bit <= bits do
+    if bits % (2 * bit) >= bit then
+      local is_raised = band(change.alarm_raised, bit) ~= 0
+      source.raised_at[index * 2 ^ 32 + bit] = is_raised and m.time or nil
+    end
+    bit = bit * 2
+  end
+  local numbers, oldest = source.fault_numbers, false
+  for _, time in pairs(source.raised_at) do
+    if not oldest or time < oldest then oldest = time end
+  end
+  if numbers[#numbers] ~= m.number then insert(numbers, m.number) end
+  source.active_since[#numbers] = oldest
 end
 
--- What changed in the flags of a good message, nil for nothing; and whether an alarm did.
-local function flag_changes(source, look)
-  local raws, values, changes, is_alarm = look.raws, source.values, nil, nil
-  if not raws then return nil end
-  local places = source.flags
-  for i = 1, #places do
-    local index = places[i]
-    local now, before = raws[index], values[index]
+-- Return what changed in the flags of a message, nil for nothing.
+local function flag_changes(source, m)
+  local raws, flags, changes = m.raws or NOTHING, source.flags, nil
+  local indexes = source.flag_indexes
+  for i = 1, #indexes do
+    local index = indexes[i]
+    local now, before = raws[index], flags[index]
     if now and now ~= before then
-      values[index] = now
-      local change = flag_change(look.message.fields[index], before, now)
-      changes = changes or change and {}
-      if change then changes[#changes + 1] = change end
-      if change and mark_alarms(source, index, change, look.time) then is_alarm = true end
+      flags[index] = now
+      local change = flag_change(m.message.fields[index], before, now)
+      if change then
+        changes = changes or {}
+        insert(changes, change)
+        note_faults(source, m, index, change)
+      end
     end
   end
-  return changes, is_alarm
+  return changes
 end
 
--- Following --------------------------------------------------------------------------------------
+-- Messages ---------------------------------------------------------------------------------------
 
--- How many messages are missing before one by their Seq, which numbers nothing where it stands
--- still; a controller that reboots begins anew.
-local function missing_before(seq, previous, is_reboot)
-  if seq == previous or not seq or not previous or is_reboot then return nil end
-  local missing = (seq - previous - 1) % 256
-  return missing > 0 and missing or nil
+-- Return how many messages Seq says are missing before one, nil for none: 7, 9 is one.  A source
+-- that does not number its messages repeats its Seq.  7, 9, 8, 10 is one, at 9: 8 came late.  After
+-- a reboot, numbers begin anew.
+local function missing_before(source, seq, reboot)
+  local ahead = (seq - (source.seq or seq)) % 256
+  if ahead >= 256 - MAX_BEHIND then return nil end
+  source.seq = seq
+  return ahead > 1 and not reboot and ahead - 1 or nil
 end
 
--- Keeps what happened at a message, and how things stand after it.
-local function keep(source, look, event, is_new_clock)
-  local state = source.events[#source.events] or NOTHING
-  event.active_since = state.active_since
-  if event.is_alarm then
-    event.active_since = oldest(source.raised_at)
-    source.changes[#source.changes + 1] = look.number
+-- Return what changes with a good message, nil for nothing.
+local function update(source, m, delta)
+  local change = note_clock(source, m)
+  if change == SHARED then
+    source.shared_at, source.changes[m.number] = m.number, SHARED
+    return SHARED
   end
-  event.clock, event.time = state.clock, state.time -- of the message where drift is 0
-  if is_new_clock then event.clock, event.time = source.clock, look.time end
-  source.numbers[#source.numbers + 1] = look.number
-  source.events[#source.events + 1] = event
-end
-
--- A good message: keeps what it changes.
--- clock  of the controller
-local function follow(source, look, clock)
-  local state, before = source.events[#source.events] or NOTHING, source.clock
-  local flags, is_alarm = flag_changes(source, look)
-  local reboot, stale -- true or nil
-  if clock and before then
-    reboot, stale = clock < before or nil, clock == before or nil
-  end
-  local missing = missing_before(look.seq, source.seq, reboot)
-  local is_new_clock = clock and (reboot or not before)
-  if clock then source.clock = clock end
-  source.seq = look.seq
-  source.last_time = look.time
-  if flags or missing or is_new_clock or stale ~= state.stale then
-    local event = { flags = flags, is_alarm = is_alarm, missing = missing }
-    event.reboot, event.stale = reboot, stale
-    keep(source, look, event, is_new_clock)
-  end
-end
-
--- Telling ----------------------------------------------------------------------------------------
-
--- How things stand behind a message, and what happened at it.
-local function events_at(source, number)
-  local place = last_until(source.numbers, number)
-  local state = source.events[place] or NOTHING
-  return state, source.numbers[place] == number and state or NOTHING
-end
-
--- What is new in a good message.
-local function change_of(source, number, delta)
-  local state, event = events_at(source, number)
+  local flags, missing = flag_changes(source, m), missing_before(source, m.seq, change.reboot)
   local late = delta and delta > source.longest and delta or nil
-  if not (event.flags or event.missing or event.reboot or state.stale or late) then return nil end
-  return {
-    missing = event.missing,
-    late = late,
-    reboot = event.reboot,
-    stale = state.stale,
-    flags = event.flags,
-  }
-end
-
---- Takes the next message, in the order of the capture.
--- look     { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled
---          or nil, the same for all of a source; raws = by index of field, nil where the payload
---          does not fit, payload =, seq =, number = of the message: it grows, and no other has it;
---          time = seconds of the capture, good = whether the CRC, or the lack of one, says that it
---          is whole }; it is not kept
--- returns  what is new in it, nil where it is not good and where nothing is: {
---   missing       messages missing before it by their Seq
---   late          seconds since the previous one, where they are more than a lost message or two
---   reboot, stale true where the controller's clock went back, stood still
---   flags         list of { field, value, raised, cleared, alarm_raised, alarm_cleared } of the
---                 fields whose flags changed: masks, alarm_* of the faults alone; in a source's
---                 first message all faults that are set are raised, other flags are not told }
---          and the seconds since the source's previous good message, nil in the first
-function History:note(look)
-  local source = self.by_key[look.source]
-  if not source then
-    source = new_source(self, look)
-    self.by_key[look.source] = source
+  if flags or missing or late then
+    change = {
+      flags = flags,
+      missing = missing,
+      late = late,
+      reboot = change.reboot,
+      jump = change.jump,
+      stale = change.stale,
+    }
+  elseif change == NOTHING then
+    change = nil
   end
-  local delta = source.last_time and look.time - source.last_time
-  if not look.good then return nil, delta end
-  follow(source, look, clock_of(look))
-  local own = source.own
-  if own then own[#own + 1] = look.number end
-  return change_of(source, look.number, delta), delta
+  if change or source.changes[m.number] then source.changes[m.number] = change end
+  return change
 end
 
---- What History:note said of a message, at any later time and in any order.
--- look     as it was given to note, and delta = what note said, which only the caller keeps
-function History:change(look)
-  local source = self.by_key[look.source]
-  return source and look.good and change_of(source, look.number, look.delta)
+--- Take the next message, in the order of the capture.
+-- m        { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled
+--          or nil, the same for all of a source; raws = by index of field, nil if the payload does
+--          not fit; payload, seq; number = frame key, which never falls: a message replaces one
+--          with its key; time = seconds of the capture; good = whether the CRC, or the lack of
+--          one, says that it is complete }
+-- returns  what changes with it, nil if it is not good or nothing does: {
+--   missing  how many messages are missing before it by Seq
+--   late     seconds since the previous one, if that is more than a lost message or two
+--   reboot   seconds by which the controller's clock went back
+--   jump     seconds by which it advanced more than the capture's, if more than one
+--   stale    true if it did not advance
+--   flags    list of { field, value, raised, cleared, alarm_raised, alarm_cleared } of the fields
+--            whose flags changed: masks, alarm_* of the faults alone
+--   shared   true at the message that proves that several controllers share the source
+--   unreliable  true from there on, and then there is nothing else }
+--          and the seconds since the source's previous good message, nil for the first
+function History:note(m)
+  local source = self.by_key[m.source]
+  if not source then
+    source = new_source(self, m)
+    self.by_key[m.source] = source
+  end
+  local delta = source.time and m.time - source.time
+  if not m.good then return nil, delta end
+  source.time = m.time
+  if source.own then insert(source.own, m.number) end
+  if m.number > source.shared_at then return UNRELIABLE, delta end
+  return update(source, m, delta), delta
 end
 
---- How things stand at a message, whether it changes them or not.
--- look     as it was given to note
--- returns  nil where it is not good, else {
+--- Return the change that History:note returned, at any later time and in any order.
+-- m  as it was given to note
+function History:change(m)
+  local source, number = self.by_key[m.source], m.number
+  if not source or not m.good then return nil end
+  return number > source.shared_at and UNRELIABLE or source.changes[number]
+end
+
+--- Return how things stand at a message, whether it changes them or not.
+-- m        as it was given to note
+-- returns  nil if m is not good or its source is unreliable, else {
 --   drift         seconds: controller's clock less the capture's, since the source's first message
 --                 or reboot
---   command_in    number of the latest good message on the bus before it of those that it answers:
---                 a Command
+--   command_in    number of the latest good message before it on the bus that it answers: a Command
 --   active_since  time at which the oldest fault that is still set was raised
---   previous_change, next_change  numbers of the messages before and behind it that changed an
---                 alarm, where one is set or changed }
-function History:standing(look)
-  local source = self.by_key[look.source]
-  if not source or not look.good then return nil end
-  local number, commands, changes = look.number, source.answered, source.changes
-  local state, event = events_at(source, number)
-  local clock = clock_of(look)
-  local standing = {
-    drift = clock and state.clock and (clock - state.clock) / 1e9 - (look.time - state.time),
+--   previous_change, next_change  numbers of the messages before and behind it that changed a
+--                 fault, if one is set or changes }
+function History:standing(m)
+  local source, number = self.by_key[m.source], m.number
+  if not source or not m.good or number >= source.shared_at then return nil end
+  local base = source.bases[last_until(source.base_numbers, number)]
+  local clock, commands, faults = base and clock_of(m), source.commands, source.fault_numbers
+  local last = last_until(faults, number)
+  local since, is_change = source.active_since[last] or nil, faults[last] == number
+  local state = {
+    drift = clock and clock / 1e9 - m.time - base,
     command_in = commands and commands[last_until(commands, number - 1)],
-    active_since = state.active_since,
+    active_since = since,
   }
-  if state.active_since or event.is_alarm then
-    standing.previous_change = changes[last_until(changes, number - 1)]
-    standing.next_change = changes[last_until(changes, number) + 1]
+  if since or is_change then
+    state.previous_change = faults[is_change and last - 1 or last]
+    state.next_change = faults[last + 1]
   end
-  return standing
+  return state
 end
 
 return M

@@ -3,113 +3,72 @@
 
 local check = require("yapp.message.check")
 local decode = require("yapp.message.decode")
-local straight = require("yapp.message.straight")
+local writer = require("yapp.message.writer")
 
 local M = {}
-
-local format, concat = string.format, table.concat
 
 local SPECIALS = { [0] = "NaN", "+inf", "-inf", "above range", "below range" }
 local BOOLS = { [0] = "false", "true" }
 
--- Whether the value of a field is a number with a fraction.
-local function is_real(field)
-  return field.special or field.scale
-end
-
--- What a field shows.
--- shape    of a number with a fraction; payload: for times
-local function shown(field, shape, raw, payload)
-  local is_time = field.kind == "time" and payload
-  if is_time and #payload >= field.offset + 8 then
-    local seconds, nanoseconds = decode.time(payload, field.offset)
-    return decode.seconds(seconds, nanoseconds) .. " s"
-  end
-  if not raw then return "?" end
+-- Return what a field shows.
+-- shape  of a number with a fraction
+local function text_of(field, shape, raw)
+  if field.kind == "time" then return decode.seconds(decode.time(raw, 0)) .. " s" end
   local value, special = decode.value(field, raw)
   if special then return SPECIALS[special] end
-  if is_real(field) then return format(shape, value) end
-  local values = field.values
-  if field.kind == "bool" then values = BOOLS end
-  if not values then return decode.digits(value) end
+  if field.special or field.scale then return shape:format(value) end
+  local meanings = field.kind == "bool" and BOOLS or field.values
+  if not meanings then return decode.digits(value) end
   local invalid = field.kind == "int" and "invalid %d" or "invalid 0x%x"
-  return values[raw] or format(invalid, raw)
+  return meanings[raw] or invalid:format(raw)
 end
 
--- Compiling --------------------------------------------------------------------------------------
-
-local function compile_part(message, name, shape)
+-- Return the piece of a field, for the writer.
+local function new_piece(message, name, shape)
   local field = message.by_name[name]
   check.demand(field, "info names a field %s that is not there", check.shown(name))
-  check.demand(shape == "" or is_real(field) and shape:find("^%%%.?%d?[fg]$"),
+  local is_real = field.special or field.scale
+  check.demand(shape == "" or is_real and shape:find("^%%%.?%d?[fg]$"),
     "info: the format %s is not one for %s", check.shown(shape), name)
   if shape == "" then shape = "%.4g" end
-  local part = {
+  return {
     field = field,
     index = message.index[field],
-    shape = shape,
+    shape = writer.takes_shape(field) and shape or nil,
+    write = function(raw) return text_of(field, shape, raw) end,
+    absent = "-",
   }
-  if straight.is_plain(field) then return part, shape end
-  function part.write(raw, payload)
-    return shown(field, shape, raw, payload)
-  end
-  return part, "%s"
 end
 
---- Compiles the text of a message: sets its
---   info      parts { { field = f, index = i, shape = "%.1f" }, " V" }
---   usual     function(raws, payload) -> the same as one text, nil where a value is special
--- Raises what is wrong.
+--- Compile the text of a message.
+-- text     "{name:%.1f} V": the format of a number with a fraction may be left out
+-- returns  function(raws) -> what Info says of its values.  Raises what is wrong.
 function M.compile(message, text)
-  local parts, fields = {}, {}
-  local shape, at = "", 1
-  while at do
-    local from, to, name, part_shape = text:find("{([%w_]+):?([^}]*)}", at)
-    local literal = text:sub(at, (from or 0) - 1)
-    if literal ~= "" then parts[#parts + 1] = literal end
-    shape = shape .. literal:gsub("%%", "%%%%")
-    if from then
-      local part, of_part = compile_part(message, name, part_shape)
-      parts[#parts + 1] = part
-      fields[#fields + 1] = part
-      shape = shape .. of_part
-    end
-    at = to and to + 1
+  local pieces, index = {}, 1
+  while index do
+    local from, to, name, shape = text:find("{([%w_]+):?([^}]*)}", index)
+    pieces[#pieces + 1] = text:sub(index, (from or 0) - 1)
+    pieces[#pieces + 1] = from and new_piece(message, name, shape)
+    index = to and to + 1
   end
-  message.info = parts
-  message.usual = straight.writer(fields, shape)
+  return writer.new(pieces)
 end
 
--- The text ---------------------------------------------------------------------------------------
-
--- The parts of the text one by one, for values that the usual format cannot show.
-local function in_parts(message, raws, payload)
-  local texts = {}
-  for i, part in ipairs(message.info) do
-    texts[i] = part
-    if part.field then
-      texts[i] = shown(part.field, part.shape, raws[part.index], payload)
-    end
-  end
-  return concat(texts)
-end
-
---- What the Info column says of a message.
--- raws     from decode.read; payload: the string that they are from, for times
--- name     what the message is called; its title when left out
--- look     false where nothing in the values is remarkable
-function M.text(message, raws, payload, name, look)
-  local text = message.usual(raws, payload) or in_parts(message, raws, payload)
-  text = (name or message.title) .. "  " .. text
-  if look == false then return text end
+--- Return what the Info column says of a message.
+-- raws           of decode.read
+-- name           what the message is called; its title when left out
+-- is_remarkable  false where nothing in the values is
+function M.text(message, raws, name, is_remarkable)
+  local text = (name or message.title) .. "  " .. message.write_info(raws)
+  if is_remarkable == false then return text end
   local word
   for _, field in ipairs(message.alarms) do
-    local alarms = decode.alarms(field, raws[message.index[field]])
-    if alarms ~= 0 then
+    local faults = decode.faults(field, raws[message.index[field]])
+    if faults ~= 0 then
       local before = ", "
-      if field.alarm ~= word then before = "  " .. field.alarm .. " " end
-      text = text .. before .. decode.flag_names(field, alarms)
-      word = field.alarm
+      if field.fault_word ~= word then before = "  " .. field.fault_word .. " " end
+      text = text .. before .. decode.flag_names(field, faults)
+      word = field.fault_word
     end
   end
   return text

@@ -1,107 +1,108 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a finished message means: which message of the catalogue it is, its values, its source and
--- what changed there. Pure Lua.  Carriers bring messages; the tree and the statistics get them from
--- here.
+-- What a finished message means: its message of the catalogue, its values, its source and what
+-- changed there.  Pure Lua.  Dissectors bring messages; the tree and the statistics get them here.
 
 local decode = require("yapp.message.decode")
+local frame_key = require("yapp.base.frame_key")
 
 local M = {}
+
+local FRAMES = { "command_in", "previous_change", "next_change" } -- of how things stand
 
 local Reader = {}
 Reader.__index = Reader
 
---- catalogue  compiled
--- stat         { wanted = whether anyone wants to be told of messages }
+--- Make a reader.
+-- catalogue  compiled
+-- stat       { wanted = whether a statistic wants messages }
 function M.new(catalogue, stat)
   return setmetatable({
     messages = catalogue.messages,
     stat = stat,
-    by_id = catalogue.by_id, -- the user's choice, see Reader:use; before, readers of files ask
+    by_id = catalogue.by_id, -- [id] = message, see Reader:use; file readers ask before that
+    sources = nil, -- the names that the user gave, see Reader:use
+    several_ids = nil, -- [message] = whether more than one ID carries it
     is_by_id = true, -- whether no bus has messages of its own
     has_several = false, -- whether the capture has several buses
-    hinted = {}, -- [id of an unknown message]: frame where it was said what it may be
+    hinted = {}, -- [id of an unknown message] = the frame whose Info has the whole advice
+    tell = nil, -- a stat.tell
   }, Reader)
 end
 
---- Tells someone of what is read, of what is lost, and of parts, while stat wants it.
+--- Tell a statistic of messages, of losses, and of fragments, while stat.wanted.
 -- tell  a stat.tell
 function Reader:tell_to(tell)
   self.tell = tell
 end
 
---- Forgets the capture file.
+--- Forget the capture file.
 function Reader:reset()
   self.hinted = {}
 end
 
---- Whether the capture has several buses: then the bus belongs to what a source is called.
+--- Say whether the capture has several buses: then the name of a source includes its bus.
 function Reader:use_buses(has_several)
   self.has_several = has_several
 end
 
---- Takes the user's choice of IDs and names; nothing is known before that.
--- by_id    { [id] = compiled message }; several_ids says which more than one ID carries
+--- Use the user's choice of IDs and names.
+-- by_id    { [id] = compiled message }
 -- sources  a message.sources
 function Reader:use(by_id, sources)
   self.by_id, self.sources, self.is_by_id, self.several_ids = {}, sources, true, {}
+  local first = {}
+  local function count(message, id)
+    first[message] = first[message] or id
+    if first[message] ~= id then self.several_ids[message] = true end
+  end
   for id, message in pairs(by_id) do self.by_id[id] = message end
   for _, row in ipairs(sources:list()) do
     if row.message and row.bus then
       self.is_by_id = false
+      count(row.message, row.id)
     elseif row.message then
       self.by_id[row.id] = row.message
     end
   end
-  local first = {}
-  local function count(message, id)
-    first[message] = first[message] or id
-    self.several_ids[message] = self.several_ids[message] or first[message] ~= id
-  end
   for id, message in pairs(self.by_id) do count(message, id) end
-  for _, row in ipairs(sources:list()) do
-    if row.message then count(row.message, row.id) end
-  end
 end
 
---- The message of the catalogue that an ID carries on a bus, nil for none.
+--- Return the message of the catalogue that an ID carries on a bus, nil for none.
 -- bus  name, nil where the capture has none
 function Reader:message_of(id, bus)
   if self.is_by_id then return self.by_id[id] end
   return self.sources:message(bus, id) or self.by_id[id]
 end
 
---- The payload size of that message, nil for none.
+--- The payload size of that message and the smallest that it may have, nil for none.
 function Reader:size_of(id, bus)
   local message = self:message_of(id, bus)
-  return message and message.size
+  if message then return message.size, message.min_size end
 end
 
---- Whether a payload of so many bytes is the message that an ID carries; nil for an unknown ID.
+--- Whether a good payload of so many bytes is decoded as the message that an ID carries; nil for an
+-- unknown ID.
 function Reader:fits(id, size, bus)
-  local known = self:size_of(id, bus)
-  return known and known == size
+  local message = self:message_of(id, bus)
+  return message and size >= message.min_size
 end
 
---- The name that the user gave to a source, nil where there is none.
+--- Return the name that the user gave to a source, nil for none.
 function Reader:name_of(id, bus)
   return self.sources:name(bus, id)
 end
 
---- What a message is called where rows stand for themselves: its title; and where that does not
--- tell its source, the source's name, or ID and bus: "Motor Data left", "Motor Data 0x212 (can1)",
--- "Motor Data", "ID 0x123".
+--- Return the name of a message in a line of its own.  It is the title, and the name of the source.
+-- A source without a name adds its ID or bus, if they tell it from others: "Motor Data left",
+-- "Motor Data 0x212 (can1)", "Motor Data", "ID 0x123".
 function Reader:label(id, bus)
   local message, name = self:message_of(id, bus), self:name_of(id, bus)
-  local number, is_told_bus = ("0x%x"):format(id), self.has_several and bus
-  if not message then
-    local label = "ID " .. number
-    if name then return label .. " " .. name end
-    return is_told_bus and ("%s (%s)"):format(label, bus) or label
-  end
-  if name then return message.title .. " " .. name end
-  local is_usual = id == message.id and not self.several_ids[message]
-  if is_usual and not is_told_bus then return message.title end
-  local label = message.title .. " " .. number
+  local number, needs_bus = ("0x%x"):format(id), self.has_several and bus
+  local title = message and message.title or "ID " .. number
+  if name then return title .. " " .. name end
+  local is_usual = not message or id == message.id and not self.several_ids[message]
+  if is_usual and not needs_bus then return title end
+  local label = message and title .. " " .. number or title
   return bus and ("%s (%s)"):format(label, bus) or label
 end
 
@@ -110,20 +111,22 @@ end
 -- bus_name  or nil where the capture names none
 -- line      what tells the source apart besides its ID, where nothing else does; nil for the bus
 --           in a capture of several
--- returns   { key, bus, bus_name, size = of its messages or nil, name = of them in the Info column
+-- returns   { key, bus, bus_name, size, min_size = of its messages or nil, name = of them in Info
 --           (see Reader:label), text = what the source is called, the column Source: the name that
 --           the user gave, or line and ID; texts = of the parts of its messages, of can.carrier;
 --           message = a record for Reader:read: nobody keeps one, so the next one is told in the
 --           same table, as a new one took a tenth of a packet list }
 function Reader:new_source(key, id, bus, bus_name, line)
   local name, text = self:label(id, bus_name), self:name_of(id, bus_name)
+  local size, min_size = self:size_of(id, bus_name)
   line = line or self.has_several and bus_name
   text = text or (line and line .. " " or "") .. ("0x%x"):format(id)
   return {
     key = key,
     bus = bus,
     bus_name = bus_name,
-    size = self:size_of(id, bus_name),
+    size = size,
+    min_size = min_size,
     name = name,
     text = text,
     texts = {},
@@ -131,8 +134,7 @@ function Reader:new_source(key, id, bus, bus_name, line)
   }
 end
 
---- What there is to say of a message that is not in the catalogue: its size may be that of one that
--- is.
+--- Return what to do about a message that is not in the catalogue, if one of its size is.
 -- m        a message, as for Reader:read
 -- returns  a text for the packet, and what the Info column adds or nil
 function Reader:hint(m)
@@ -149,6 +151,25 @@ function Reader:hint(m)
   return text, ", " .. size .. advice
 end
 
+-- Asks the history what is new in a message, and how things stand there.
+local function ask(m, history)
+  m.change, m.standing = false, false
+  if m.is_unsure then return end
+  if m.visited then
+    m.change = history:change(m) or false
+  else
+    local change, delta = history:note(m)
+    m.change, m.delta = change or false, delta or false
+  end
+  if m.change and m.change.unreliable then m.is_unsure = true end
+  local standing = m.wants.standing and history:standing(m)
+  if not standing then return end
+  for _, name in ipairs(FRAMES) do
+    standing[name] = standing[name] and frame_key.number(standing[name])
+  end
+  m.standing = standing
+end
+
 --- Reads a finished message.  The record is what message.history, show.tree and stat.tell take it
 -- as.
 -- m        { id, seq, ctl, size, payload, status, good = whether it is proved whole, is_whole =
@@ -156,21 +177,24 @@ end
 --          of the bus or stream, or nil, bus_name = or nil, frame = number, time = seconds since
 --          the first packet, ... }: gets
 --          message = of the catalogue, where the ID is known
---          raws and look = from decode.read, where the size fits too
+--          raws and look = from decode.read, where the size fits too: min_size of the message at
+--          least, and more than its size only of a good one
+--          undecoded = number of payload bytes behind the message's size, nil for none
 --          has_fault = whether a fault flag is set
 --          change = what is new in it, or false; delta = seconds since the source's previous good
 --          one; standing = how things stand, where wants.standing (see message.history)
--- memory   whose change(memory, m, ...) and standing(memory, m, ...) tell that (can.memory,
---          serial.memory); ...: what they take besides
-function Reader:read(m, memory, ...)
+-- history  a message.history, which is asked by m.number, the frame key.  It is asked for nothing
+--          where m.is_unsure; of a visited message (m.visited) m.delta is known already.
+function Reader:read(m, history)
   local message, raws, look = self:message_of(m.id, m.bus_name), nil, nil
-  if message and m.size == message.size and m.is_whole then
+  local is_longer = message and m.size > message.size
+  if message and m.is_whole and m.size >= message.min_size and (m.good or not is_longer) then
     raws, look = decode.read(message, m.payload)
   end
   m.message, m.raws, m.look = message, raws, look
+  m.undecoded = raws and is_longer and m.size - message.size or nil
   m.has_fault = look and decode.has_alarm(message, raws)
-  m.change = memory:change(m, ...) or false
-  m.standing = m.wants.standing and memory:standing(m, ...) or false
+  ask(m, history)
   if self.stat.wanted then self.tell:message(m) end
 end
 

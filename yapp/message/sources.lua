@@ -1,25 +1,26 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The names that the user gave to sources: the preference.  Pure Lua.
+-- The preference yapp.sources: which names the user gave to sources.  Pure Lua.
 --
 --   0x210=motor:left_fore, can1/0x210=motor:right_fore, can0/0x210+0x200+0x000=left, can2=tail
 --   0x213=motor:
 --
 -- A part is [BUS/]ID[+ID...]=[MESSAGE:]NAME, or BUS=NAME for every ID of a bus.  BUS is the name
--- that the capture gives a bus, ID is decimal or 0x and hexadecimal, MESSAGE the catalogue's short
--- name of what the ID carries.  Without BUS it is for every bus that has no part of its own.
--- Spaces around each do not count.  A bus with a comma, "=" or a quote in its name stands in
--- quotes, its own quotes doubled: "USB, left"/0x210=motor:a; so does one that begins with a digit
--- and has no ID.  The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
+-- that the capture gives a bus.  ID is decimal, or 0x and hexadecimal.  MESSAGE is the catalogue's
+-- short name of what the ID carries.  A part without BUS is for every bus that has no part of its
+-- own.  Spaces around each do not count.
+-- A bus stands in quotes if its name has a comma, "=" or a quote, or if it begins with a digit and
+-- no ID follows.  Its own quotes are doubled: "USB, left"/0x210=motor:a.
+-- The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
 
 local check = require("yapp.message.check")
+local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
 local MAX_ID = 2047
 local MAX_NAME = 64 -- bytes
-local SHAPE = "a source is [BUS/]ID=[MESSAGE:]NAME or BUS=NAME"
-
-local demand = check.demand
+local SHAPE = "write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME"
+local EVERY = { "every" } -- ID of a bus
 
 local Sources = {}
 Sources.__index = Sources
@@ -28,7 +29,7 @@ local function trim(text)
   return text:match("^%s*(.-)%s*$")
 end
 
--- Splits at commas outside of quotes; what is blank is no part.
+-- Splits a text at the commas outside of quotes; what is blank is no part.
 local function split(text)
   local parts = {}
   local hidden = text:gsub('"[^"]*"', function(quoted) return (quoted:gsub(",", "\0")) end)
@@ -39,35 +40,34 @@ local function split(text)
   return parts
 end
 
--- Parts from here on raise what is wrong with them.
-
--- A bus in quotes, and what comes behind it.  One with quotes in it is several quoted texts in a
--- row: "a ""b""" is "a ", "b" and "".
-local function take_quoted(part)
-  local stop
-  local behind = part:match('^"[^"]*"()')
-  while behind do
-    stop = behind
-    behind = part:match('^"[^"]*"()', stop)
-  end
-  demand(stop, "the quote is not closed")
-  local sign, rest = part:match("^%s*([/=])(.*)$", stop)
-  demand(sign, "a bus in quotes is followed by / or =")
-  local bus = part:sub(2, stop - 2):gsub('""', '"')
-  return bus, sign, rest
+-- Raises what is wrong with a part, and what to do, unless a condition holds.
+local function demand(condition, problem, advice)
+  if not condition then error({ problem = problem, advice = advice }, 0) end
 end
 
--- The bus, the text of the IDs, and what is behind the "="; either of the first two may be nil.
+-- The offset behind a quoted text at the start of a part.  One with quotes in it is several quoted
+-- texts in a row: "a ""b""" is "a ", "b" and "".
+local function end_of_quotes(part)
+  local stop, more = nil, 1
+  while more do
+    stop, more = more, part:match('^"[^"]*"()', more)
+  end
+  return stop
+end
+
+-- Takes a part apart at its "=".
+-- returns  the bus and the text of the IDs, nil for one that is not there; and what follows
 local function take_address(part)
   if part:sub(1, 1) == '"' then
-    local bus, sign, rest = take_quoted(part)
-    if sign == "=" then return bus, nil, rest end
-    local ids, value = rest:match("^(.-)=(.*)$")
-    demand(ids, SHAPE)
+    local stop = end_of_quotes(part)
+    local bus = part:sub(2, stop - 2):gsub('""', '"')
+    local ids, value = part:match("^%s*/(.-)=(.*)$", stop)
+    value = value or part:match("^%s*=(.*)$", stop)
+    demand(value, 'no "/" or "=" behind the quotes', SHAPE)
     return bus, ids, value
   end
   local address, value = part:match("^(.-)%s*=(.*)$")
-  demand(address, SHAPE)
+  demand(address, 'no "="', SHAPE)
   local bus, ids = address:match("^(.*)/([^/]*)$")
   if bus then return trim(bus), ids, value end
   if address:find("^[%d+-]") then return nil, address, value end
@@ -77,45 +77,42 @@ end
 local function read_ids(text)
   local ids = {}
   for part in (text .. "+"):gmatch("([^+]*)%+") do
-    local one = trim(part)
-    local is_number = one:find("^%d+$") or one:find("^0[xX]%x+$")
-    local id = is_number and tonumber(one)
-    demand(id and id <= MAX_ID, "the ID %q is not one of 0 .. 0x%X", one, MAX_ID)
+    local digits = trim(part)
+    local id = (digits:find("^%d+$") or digits:find("^0[xX]%x+$")) and tonumber(digits)
+    demand(id and id <= MAX_ID, ('no ID "%s"'):format(digits), "IDs are 0 to 0x7FF")
     ids[#ids + 1] = id
   end
   return ids
 end
 
--- The message of the catalogue that has a name.
 local function find_message(catalogue, name)
   local names = {}
   for i, message in ipairs(catalogue.messages) do
     if message.name == name then return message end
     names[i] = message.name
   end
-  demand(false, "there is no message %q, but %s", name, table.concat(names, ", "))
+  local known = "known messages: " .. table.concat(names, ", ")
+  demand(false, ('no message "%s"'):format(name), known)
 end
 
--- What a part says.
+-- Reads a part.
 -- returns  the bus, the IDs, the compiled message and the name: nil for each that it does not say
 local function read_part(part, catalogue)
   local bus, id_text, value = take_address(part)
   local ids = id_text and read_ids(id_text)
   local message_name, name = value:match("^(.-):(.*)$")
   name = trim(name or value)
-  demand(not name:find(";.*="), "sources are parted by commas")
-  demand(#name <= MAX_NAME, "the name has more than %d bytes", MAX_NAME)
-  demand(name == "" or check.is_text(name), "the name is not a text")
+  demand(not name:find(";.*="), "a semicolon", "separate sources by commas")
+  demand(#name <= MAX_NAME, "a long name", ("the longest has %d bytes"):format(MAX_NAME))
+  demand(name == "" or check.is_text(name), "a name that cannot be shown", "use letters")
   if not message_name then
-    demand(name ~= "", "the name is missing")
+    demand(name ~= "", "no name", SHAPE)
     return bus, ids, nil, name
   end
-  demand(ids, "a message is for an ID, not for a bus")
+  demand(ids, "a message for a whole bus", "name its ID, too")
   local message = find_message(catalogue, trim(message_name))
   return bus, ids, message, name ~= "" and name or nil
 end
-
-local EVERY = { "every" } -- ID of a bus
 
 -- Adds a row for each ID of a part that is new.
 local function add_part(self, part, catalogue)
@@ -132,27 +129,31 @@ local function add_part(self, part, catalogue)
       self.rows[#self.rows + 1] = row
     end
   end
-  demand(not is_known, "this bus and ID stand there before: the first one holds")
+  demand(not is_known, "a bus and ID once more", "the first part that names them holds")
 end
 
---- Reads the preference.
+--- Read the preference.
 -- text       of the user
 -- catalogue  compiled
--- returns    the sources; and a list of texts of what is wrong, each with the part that it is
---            about: such a part is left out, the others hold
+-- returns    the sources; and a list of texts of what is wrong: a part that cannot be read is left
+--            out, the others hold
 function M.parse(text, catalogue)
   local self = setmetatable({ by_bus = { [false] = {} }, rows = {} }, Sources)
   local problems = {}
   for _, part in ipairs(split(text)) do
-    local ok, problem = pcall(add_part, self, part, catalogue)
-    if not ok then problems[#problems + 1] = ("sources: %s: %s"):format(part, problem) end
+    local ok, wrong = pcall(add_part, self, part, catalogue)
+    if not ok then
+      local problem = ('yapp.sources: %s in "%s"; %s'):format(wrong.problem, part, wrong.advice)
+      problems[#problems + 1] = utf8.printable(problem)
+    end
   end
   return self, check.few(problems)
 end
 
---- The name of a source, nil where the user gave none: that of its ID on its bus, of its bus, or of
--- its ID anywhere.
--- bus  the name that the capture gives it, or nil; id: message ID
+--- Return the name of a source, nil where the user gave none: that of its ID on its bus, of its
+-- bus, or of its ID anywhere.
+-- bus  the name that the capture gives it, or nil
+-- id   message ID
 function Sources:name(bus, id)
   local of_bus = bus and self.by_bus[bus] or {}
   local own, of_every_id = of_bus[id], of_bus.every
@@ -162,16 +163,17 @@ function Sources:name(bus, id)
   return anywhere and anywhere.name or nil
 end
 
---- The compiled message that the user said an ID carries on a bus; nil where this preference says
--- nothing of it.
+--- Return the compiled message that the user said an ID carries on a bus; nil where the preference
+-- says nothing of it.
+-- bus, id  as of Sources:name
 function Sources:message(bus, id)
   local of_bus = self.by_bus[bus or false]
   local row = of_bus and of_bus[id] or self.by_bus[false][id]
   return row and row.message
 end
 
---- All that was read: a list of { bus = name or nil, id = nil for all of a bus, message = compiled
--- or nil, name = or nil }.
+--- Return all that was read: a list of { bus = name or nil, id = nil for all of a bus, message =
+-- compiled or nil, name = or nil }.
 function Sources:list()
   return self.rows
 end

@@ -1,6 +1,9 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The fields and expert items, YAPP's own from rows and those of the messages from the compiled
 -- catalogue; and how they are added to a tree.  Wireshark's API.
+--
+-- A field of YAPP's is a row of YAPP, an expert item a row of EXPERTS, a value of the history a row
+-- of add_states.
 
 local decode = require("yapp.message.decode")
 
@@ -35,6 +38,8 @@ local YAPP = {
     "What the CRC should be, where it is bad", HEX },
   { "payload", "BYTES", "Payload",
     "Payload that the catalogue does not explain" },
+  { "undecoded", "BYTES", "Not decoded",
+    "Payload behind the last field that the catalogue has" },
   { "padding", "BYTES", "CAN FD padding",
     "Bytes that fill a CAN FD frame" },
   { "fragments", "NONE", "Fragments",
@@ -65,173 +70,193 @@ local YAPP = {
     "By its sequence number" },
 }
 
--- filter, what it says by itself, group, severity
-local YAPP_EXPERTS = {
-  { "crc.bad", "Bad CRC", "CHECKSUM", "ERROR" },
-  { "fragment.orphan", "Middle or End without a Start", "SEQUENCE", "WARN" },
-  { "fragment.incomplete", "Message with bytes missing", "REASSEMBLE", "WARN" },
-  { "fragment.overrun", "More bytes than the message's size", "REASSEMBLE", "WARN" },
-  { "fragment.duplicate", "Frame delivered twice", "SEQUENCE", "NOTE" },
-  { "unfinished", "The capture ends before the message does", "REASSEMBLE", "WARN" },
-  { "late", "A long gap before this message", "SEQUENCE", "WARN" },
-  { "size.mismatch", "Payload length is not the catalogue's", "PROTOCOL", "WARN" },
-  { "id.unknown", "Message ID is not in the catalogue", "UNDECODED", "NOTE" },
-  { "reserved.nonzero", "Reserved bytes are not 0", "PROTOCOL", "WARN" },
-  { "can.ctrl.invalid", "CAN CTRL is not defined", "PROTOCOL", "WARN" },
-  { "can.id.missing", "The CAN id of this frame is not known", "UNDECODED", "WARN" },
-  { "stream.skipped", "Bytes that belong to no frame", "SEQUENCE", "NOTE" },
-  { "truncated", "The capture cut the packet short", "MALFORMED", "WARN" },
-}
-local TAURUS_EXPERTS = {
-  { "fault.active", "Fault flags are set", "RESPONSE_CODE", "ERROR" },
-  { "fault.raised", "A fault was raised", "RESPONSE_CODE", "ERROR" },
-  { "fault.cleared", "A fault was cleared", "RESPONSE_CODE", "NOTE" },
-  { "reboot", "The controller's time went back: it was started anew", "SEQUENCE", "WARN" },
-  { "stale", "The controller's time stood still", "SEQUENCE", "WARN" },
-  { "command.key.invalid", "Key is not valid: the command is ignored", "PROTOCOL", "WARN" },
-  { "value.special", "No ordinary number: a reserved count, NaN or infinity", "PROTOCOL", "NOTE" },
-  { "flags.undefined", "A bit is set that no table defines", "PROTOCOL", "NOTE" },
-  { "value.invalid", "Value that is not defined", "PROTOCOL", "WARN" },
+-- Expert items: filter, text, group, severity.  The text is the same each time, so that `-z expert`
+-- counts it; numbers stand in the item's label, see M.add_expert.
+local EXPERTS = {
+  { "yapp.crc.bad", "Bad CRC", "CHECKSUM", "ERROR" },
+  { "yapp.fragment.orphan", "Middle or End without a Start", "SEQUENCE", "WARN" },
+  { "yapp.fragment.incomplete", "Message with bytes missing", "REASSEMBLE", "WARN" },
+  { "yapp.fragment.overrun", "More bytes than the message's size", "REASSEMBLE", "WARN" },
+  { "yapp.fragment.duplicate", "Frame delivered twice", "SEQUENCE", "NOTE" },
+  { "yapp.unfinished", "Message cut off by the end of the capture", "REASSEMBLE", "WARN" },
+  { "yapp.late", "A long gap before this message", "SEQUENCE", "WARN" },
+  { "yapp.size.mismatch", "Payload length is not the catalogue's", "PROTOCOL", "WARN" },
+  { "yapp.id.unknown", "Message ID is not in the catalogue", "UNDECODED", "NOTE" },
+  { "yapp.reserved.nonzero", "Reserved bytes are not 0", "PROTOCOL", "WARN" },
+  { "yapp.can.ctrl.invalid", "CAN CTRL is not defined", "PROTOCOL", "WARN" },
+  { "yapp.can.id.missing", "The CAN id of this frame is not known", "UNDECODED", "WARN" },
+  { "yapp.stream.skipped", "Bytes that belong to no frame", "SEQUENCE", "NOTE" },
+  { "yapp.truncated", "The capture cut the packet short", "MALFORMED", "WARN" },
+  { "yapp.source.shared", "Two controllers send this ID on one bus: their clocks alternate",
+    "SEQUENCE", "WARN" },
+  { "taurus.fault.active", "Fault flags are set", "RESPONSE_CODE", "ERROR" },
+  { "taurus.fault.raised", "A fault was raised", "RESPONSE_CODE", "ERROR" },
+  { "taurus.fault.cleared", "A fault was cleared", "RESPONSE_CODE", "NOTE" },
+  { "taurus.reboot", "Controller rebooted (its clock went back)", "SEQUENCE", "WARN" },
+  { "taurus.stale", "Controller clock did not advance", "SEQUENCE", "WARN" },
+  { "taurus.jump", "Controller's clock jumped ahead", "SEQUENCE", "WARN" },
+  { "taurus.command.key.invalid", "Key is not defined (the controller ignores this command)",
+    "PROTOCOL", "WARN" },
+  { "taurus.value.special", "Reserved value: not a number, infinite or out of range",
+    "PROTOCOL", "NOTE" },
+  { "taurus.flags.undefined", "A bit is set that no table defines", "PROTOCOL", "NOTE" },
+  { "taurus.value.invalid", "Value that is not defined", "PROTOCOL", "WARN" },
 }
 
--- One constructor for every type; base: of a number, the width of a boolean's field; values: or a
--- frametype.
-local function make(filter, kind, title, about, shape, values, mask)
-  shape = shape or (kind:find("INT") and base.DEC or NONE)
-  return ProtoField.new(title, filter, ftypes[kind], values, shape, mask, about)
+--- The filter names of all expert items: { [name] = true }.
+M.EXPERT_NAMES = {}
+for _, row in ipairs(EXPERTS) do M.EXPERT_NAMES[row[1]] = true end
+
+-- Return a function(filter, type, title, description, base, values, mask) -> ProtoField, and the
+-- list of all that it makes.
+-- base: of a number, the width of a boolean's field; values: or a frametype
+local function new_maker()
+  local list = {}
+  return function(filter, kind, title, about, shape, values, mask)
+    shape = shape or kind:find("INT") and base.DEC or NONE
+    local pf = ProtoField.new(title, filter, ftypes[kind], values, shape, mask, about)
+    list[#list + 1] = pf
+    return pf
+  end, list
 end
 
-local function make_experts(proto, prefix, rows)
-  local experts = {}
-  for _, row in ipairs(rows) do
+local experts = {} -- [filter] = ProtoExpert, made once, when the plugin loads
+
+-- Make the expert items of a protocol, whose filters begin with this prefix.
+local function make_experts(proto, prefix)
+  local own = {}
+  for _, row in ipairs(EXPERTS) do
     local name, text, group, severity = unpack(row)
-    experts[name] =
-      ProtoExpert.new(prefix .. name, text, expert.group[group], expert.severity[severity])
+    if name:find(prefix, 1, true) == 1 then
+      own[name] = ProtoExpert.new(name, text, expert.group[group], expert.severity[severity])
+      experts[name] = own[name]
+    end
   end
-  proto.experts = experts
-  return experts
+  proto.experts = own
 end
 
---- Makes YAPP's own fields and expert items and hands them to the protocol.
--- yapp     Proto; names: { [id] = title } of the messages that are known
--- returns  { [filter without "yapp."] = ProtoField }, { [the same] = ProtoExpert }
+--- Make YAPP's own fields and expert items and hand them to the protocol.
+-- yapp     Proto
+-- names    { [id] = title } of the messages that are known
+-- returns  { [filter without "yapp."] = ProtoField }
 function M.of_yapp(yapp, names)
-  local fields, list = {}, {}
-  for i, row in ipairs(YAPP) do
+  local fields, make, list = {}, new_maker()
+  for _, row in ipairs(YAPP) do
     local name, kind, title, about, shape, values = unpack(row, 1, 6)
-    list[i] = make("yapp." .. name, kind, title, about, shape, name == "id" and names or values)
-    fields[name] = list[i]
+    if name == "id" then values = names end
+    fields[name] = make("yapp." .. name, kind, title, about, shape, values)
   end
   yapp.fields = list
-  return fields, make_experts(yapp, "yapp.", YAPP_EXPERTS)
+  make_experts(yapp, "yapp.")
+  return fields
 end
 
--- What a flags field has below it.
-local function make_flags(field, made, kind, about, add)
-  local title, group = field.title, field.group
-  made.undefined = add(group .. ".undefined", "UINT32", "Undefined bits",
+-- Fields of messages ------------------------------------------------------------------------------
+
+-- Make what a flags field has below it.
+local function make_flags(field, made, kind, make)
+  local title, group, about = field.title, field.group, field.description
+  made.undefined = make(group .. ".undefined", "UINT32", "Undefined bits",
     "Bits that nothing defines: " .. about, HEX)
   made.flags = {}
   for i, flag in ipairs(field.flags) do
-    made.flags[i] = add(flag.filter, "BOOLEAN", flag.title, flag.description, field.size * 8, nil,
+    made.flags[i] = make(flag.filter, "BOOLEAN", flag.title, flag.description, field.size * 8, nil,
       flag.mask)
   end
   if #field.flags == 0 then return end
-  made.names = add(field.filter .. ".names", "STRING", title,
+  made.names = make(field.filter .. ".names", "STRING", title,
     "Names of the bits that are set: " .. about)
-  made.raised = add(group .. ".raised", kind, title .. " raised",
-    "Bits that rose since the source's previous good message: " .. about, HEX)
-  made.cleared = add(group .. ".cleared", kind, title .. " cleared",
-    "Bits that fell since the source's previous good message: " .. about, HEX)
+  for way, verb in pairs { raised = "rose", cleared = "fell" } do
+    made[way] = make(group .. "." .. way, kind, title .. " " .. way,
+      ("Bits that %s since the source's previous good message: %s"):format(verb, about), HEX)
+  end
 end
 
 -- What a kind of field is to Wireshark, where its name does not say it.
 local TYPES = { time = "RELATIVE_TIME", bool = "BOOLEAN", float = "DOUBLE", ieee = "DOUBLE" }
 
--- The type and the base of a field's own ProtoField.
+-- Return the type and the base of a field's own ProtoField.
 local function type_of(field)
-  local kind, bits = field.kind, field.size * 8
+  local kind, width = field.kind, field.size * 8
   if field.scale then return "DOUBLE" end
-  if kind == "flags" then return "UINT" .. bits, HEX end
-  if kind == "uint" then return "UINT" .. bits, field.values and HEX end
-  if kind == "int" then return "INT" .. bits end
+  if kind == "flags" then return "UINT" .. width, HEX end
+  if kind == "uint" then return "UINT" .. width, field.values and HEX end
+  if kind == "int" then return "INT" .. width end
   return TYPES[kind] or kind:upper()
 end
 
--- The ProtoFields of a field.
-local function make_field(field, add)
+-- Make the ProtoFields of a field.
+local function make_field(field, make)
   local title, about, made = field.array_title or field.title, field.description, {}
   local kind, shape = type_of(field)
   if field.kind == "flags" then
-    make_flags(field, made, kind, about, add)
+    make_flags(field, made, kind, make)
   elseif field.special then
-    made.special = add(field.special, "UINT8", title,
+    made.special = make(field.special, "UINT8", title,
       "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS)
   end
   local mask = not field.scale and field.mask or nil
-  made.pf = add(field.filter, kind, title, about, shape, field.values, mask)
+  made.pf = make(field.filter, kind, title, about, shape, field.values, mask)
   return made
 end
 
--- What belongs to a message as a whole; add_standing: adds what messages have that change nothing,
--- too.
-local function make_message(message, add, add_standing)
-  local filter, title = message.filter, message.title
+-- Call add(value, filter, type, title, description, base, values) for what the history's state says
+-- of a message; value(state, m) is nil where there is nothing.
+local function add_states(message, add)
   -- Where a flag of another field becomes a fault nothing gets another name.
-  local alarm = message.alarm or message.alarms[1]
-  local own = { pf = add(filter, "NONE", title, "A whole message: " .. title), differences = {} }
-  for i, difference in ipairs(message.differences) do
-    local about = ("%s, of %s"):format(difference.title, title)
-    own.differences[i] = add(difference.filter, "DOUBLE", difference.title, about)
-  end
+  local fault, filter = message.fault_field or message.alarms[1], message.filter
   if message.time then
-    own.drift = add_standing(filter .. ".clock_drift", "RELATIVE_TIME", "Clock drift",
+    add(function(state) return state.drift and M.relative_time(state.drift) end,
+      filter .. ".clock_drift", "RELATIVE_TIME", "Clock drift",
       "Controller's clock less the capture's since the source's first message or reboot")
   end
   if message.answers then
     local command = message.answers:gsub("^%l", string.upper):gsub("_", " ")
-    own.command_in = add_standing(("%s.%s_in"):format(filter, message.answers), "FRAMENUM",
-      ("Latest %s in"):format(command),
+    add(function(state) return state.command_in end,
+      ("%s.%s_in"):format(filter, message.answers), "FRAMENUM", ("Latest %s in"):format(command),
       ("The latest %s on this bus before the message"):format(command), nil, frametype.REQUEST)
   end
-  if not alarm then return own end
-  own.active_time = add_standing(alarm.group .. ".active_time", "RELATIVE_TIME",
-    "Time since the oldest of them was raised",
+  if not fault then return end
+  add(function(state, m)
+    local since = state.active_since
+    return since and M.relative_time(m.time - since)
+  end, fault.group .. ".active_time", "RELATIVE_TIME", "Time since the oldest of them was raised",
     "Since the oldest fault that is still set was raised")
   for _, way in ipairs { "previous", "next" } do
-    own[way] = add_standing(("%s.%s_change"):format(alarm.group, way), "FRAMENUM",
-      ("%s: %s change in"):format(alarm.title, way),
+    add(function(state) return state[way .. "_change"] end,
+      ("%s.%s_change"):format(fault.group, way), "FRAMENUM",
+      ("%s: %s change in"):format(fault.title, way),
       ("The source's %s message that changes a fault"):format(way))
   end
-  return own
 end
 
---- Makes the fields and expert items of the messages and hands them to the protocol.
--- taurus   Proto; catalogue: compiled
--- returns  { [message] = { pf, differences (list), drift, command_in, active_time, previous, next
---          } }, { [field] = { pf, special, flags (list), names, undefined, raised, cleared } },
---          where the elements of an array share theirs; { [filter without "taurus."] = ProtoExpert
---          }; and a list of the ProtoFields that the history has also for a message that changes
---          nothing
+--- Make the fields and expert items of the messages and hand them to the protocol.
+-- taurus     Proto
+-- catalogue  compiled
+-- returns    { [message] = { pf, generated = list of ProtoFields, states = list of { pf, value =
+--            function(state, m) } } }; { [field] = { pf, special, flags (list), names, undefined,
+--            raised, cleared } }, where the elements of an array share theirs
 function M.of_taurus(taurus, catalogue)
-  local list, standing, messages, fields, by_filter = {}, {}, {}, {}, {}
-  local function add(...)
-    list[#list + 1] = make(...)
-    return list[#list]
-  end
-  local function add_standing(...)
-    standing[#standing + 1] = add(...)
-    return standing[#standing]
-  end
+  local messages, fields, by_filter, make, list = {}, {}, {}, new_maker()
   for _, message in ipairs(catalogue.messages) do
-    messages[message] = make_message(message, add, add_standing)
+    local about = "A whole message: " .. message.title
+    local own = { generated = {}, states = {} }
+    own.pf = make(message.filter, "NONE", message.title, about)
+    for i, item in ipairs(message.generated) do
+      own.generated[i] = make(item.filter, "DOUBLE", item.title, item.description)
+    end
+    add_states(message, function(value, ...)
+      table.insert(own.states, { value = value, pf = make(...) })
+    end)
     for _, field in ipairs(message.fields) do
-      by_filter[field.filter] = by_filter[field.filter] or make_field(field, add)
+      by_filter[field.filter] = by_filter[field.filter] or make_field(field, make)
       fields[field] = by_filter[field.filter]
     end
+    messages[message] = own
   end
   taurus.fields = list
-  return messages, fields, make_experts(taurus, "taurus.", TAURUS_EXPERTS), standing
+  make_experts(taurus, "taurus.")
+  return messages, fields
 end
 
 -- Adding items ------------------------------------------------------------------------------------
@@ -244,19 +269,27 @@ M.add = add
 M.add_le = TreeItem.add_le
 M.append_text = TreeItem.append_text
 
---- Adds what no bytes of the packet say.
+--- Add what no bytes of the packet say.
 -- pf       ProtoField, or a text
 -- returns  the item
 function M.add_generated(item, pf, value)
   return set_generated(add(item, pf, value))
 end
 
---- Seconds, a double, as a time to the nanosecond.
+--- Add an expert item.
+-- name  its filter
+-- text  what there is to say of this packet: a generated item, so that the expert's own text is
+--       the same each time; nil where that says all
+function M.add_expert(item, name, text)
+  if text and item.visible then item = M.add_generated(item, text) end
+  item:add_proto_expert_info(experts[name])
+end
+
+--- Return seconds, a double, as a time to the nanosecond.
 function M.relative_time(seconds)
   local sign = seconds < 0 and -1 or 1
-  local size = sign * seconds
-  local whole = math.floor(size)
-  local rest = math.floor((size - whole) * 1e9 + 0.5)
+  local whole, rest = math.modf(sign * seconds)
+  rest = math.floor(rest * 1e9 + 0.5)
   if rest == 1e9 then whole, rest = whole + 1, 0 end
   return NSTime.new(sign * whole, sign * rest)
 end

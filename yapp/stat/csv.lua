@@ -5,11 +5,13 @@
 -- FOLDER/motor.csv ...  time, frame, bus, source, id, seq, then the columns of the message
 -- FOLDER/fields.json    what each column is
 
-local columns, output = require("yapp.message.columns"), require("yapp.stat.output")
+local columns = require("yapp.message.columns")
+local output = require("yapp.stat.output")
 
 local M = {}
 
-local UNTOLD = 21
+local WRITTEN = output.words("file rows")
+local KEYS = { json = WRITTEN, text = WRITTEN, window = WRITTEN }
 -- In front of a message's own.
 local COMMON = {
   { name = "time", type = "time", unit = "s" },
@@ -21,7 +23,7 @@ local COMMON = {
 }
 local CRC_GOOD = { { name = "crc_good", type = "bool" } }
 
-local Csv = {}
+local Csv = { wants_messages_only = true }
 Csv.__index = Csv
 
 -- All columns of a message, as message.columns has them.
@@ -66,7 +68,7 @@ local function begin_all(self)
   end
   local file, problem = create(self, "fields.json")
   self.fields = file
-  for _, message in ipairs(context.catalogue.messages) do
+  for _, message in ipairs(context.settings.catalogue.messages) do
     if file then
       file, problem = create(self, message.name .. ".csv")
     end
@@ -77,9 +79,8 @@ end
 
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =,
 --          all = booleans }
--- context  { clock = function(rel) -> seconds since 1970, nanoseconds, catalogue =, version = the
---          plugin's, make_folder = function(path) -> whether it is there; and what output.print
---          takes }
+-- context  { clock = function(rel) -> seconds since 1970, nanoseconds; settings = see stat.taps;
+--          make_folder = function(path) -> whether it is there; and what output.print takes }
 -- returns  the statistic; nil and what is wrong
 function M.new(options, context)
   local self = setmetatable({
@@ -109,17 +110,16 @@ local function cells_of(self, source)
   return cells
 end
 
-function Csv:message(record)
-  local all, source, is_good = self.options.all, record.source, record.kind == "message"
-  local to = record.fits and self.tables[source.message]
-  if not to or not (is_good or all and record.kind == "crc") then
-    return
-  end
-  local time = output.time_text(self.context.clock(record.rel))
+--- Take an event, see stat.queue.
+function Csv:event(event)
+  local all, source, is_good = self.options.all, event.source, event.kind == "message"
+  local to = event.raws and self.tables[source.message]
+  if not (to and (is_good or all)) then return end
+  local time = output.time_text(self.context.clock(event.time))
   local crc_good = all and (is_good and "1," or "0,") or ""
-  local row = columns.row(source.message, record.payload)
+  local row = columns.row(source.message, event.raws)
   to.file:write(("%s,%d,%s,%d,%s%s\n"):format(
-    time, record.frame, cells_of(self, source), record.seq, crc_good, row))
+    time, event.frame, cells_of(self, source), event.seq, crc_good, row))
   to.rows = to.rows + 1
 end
 
@@ -180,18 +180,19 @@ function M.describe(catalogue, version, list_of)
   }).json
 end
 
---- returns  the exit code, nil for 0, 21 where a file could not be written; and why
-function Csv:finish()
+--- End, see stat.queue.  A file that could not be written is EXIT_UNDECIDED.
+function Csv:finish(ending)
   if self.options.chosen then return end
-  local context, rows = self.context, {}
+  local context, settings, rows = self.context, self.context.settings, {}
   local function list_of(message) return columns_of(self, message) end
-  self.fields:write(M.describe(context.catalogue, context.version, list_of) .. "\n")
+  self.fields:write(M.describe(settings.catalogue, settings.version, list_of) .. "\n")
   local problem = output.finish(self.files)
-  if problem then return UNTOLD, "csv: " .. problem end
-  for i, message in ipairs(context.catalogue.messages) do
+  if problem then return output.EXIT_UNDECIDED, "csv: " .. problem end
+  for i, message in ipairs(settings.catalogue.messages) do
     rows[i] = { file = path_of(self, message.name .. ".csv"), rows = self.tables[message].rows }
   end
-  output.print(context, "YAPP csv: " .. output.count(#rows, "table"), { "file", "rows" }, rows)
+  local title = "YAPP csv: " .. output.count(#rows, "table")
+  output.print(context, title, KEYS, rows, ending.notes)
 end
 
 return M

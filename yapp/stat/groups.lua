@@ -2,28 +2,32 @@
 -- What a statistic gathers of each source: counts, times, gaps, values; and of the sources of one
 -- message, how far these lie apart.  Pure Lua, 5.2 to 5.5.
 
-local check, decode = require("yapp.message.check"), require("yapp.message.decode")
-local output, tell = require("yapp.stat.output"), require("yapp.stat.tell")
+local check = require("yapp.message.check")
+local decode = require("yapp.message.decode")
+local kinds = require("yapp.stat.kinds")
+local output = require("yapp.stat.output")
 
 local M = {}
 
+local span = kinds.span
 local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
-local NUMERIC = check.set("uint int float ieee")
+local NUMERIC = check.set("uint int float ieee derived")
 
 -- The number that a value is: in its unit, a time in seconds, flags and codes as they are sent; NaN
--- for a reserved count, nil where the message does not have the field.
-local function number_of(values, record, raws)
-  local field, value = values.field, raws[values.index]
+-- for a reserved value, nil where the message does not have the field.
+local function number_of(message, values, raws)
+  local field, raw = values.field, raws[values.index]
+  if field.kind == "derived" then return decode.derived(message, field, raws) end
+  if raw == nil then return nil end
   if field.kind == "time" then
-    local seconds, nanoseconds = decode.time(record.payload, field.offset)
+    local seconds, nanoseconds = decode.time(raw, 0)
     return seconds + nanoseconds / 1e9
   end
-  if value == nil then return nil end
   if not (field.values or field.flags) then
-    value = decode.value(field, value)
+    raw = decode.value(field, raw)
   end
-  return tonumber(value) or NO_NUMBER -- of 64 bits a text, where a double is not exact
+  return tonumber(raw) or NO_NUMBER -- of 64 bits a text, where a double is not exact
 end
 
 -- A number with the digits that people see.
@@ -36,11 +40,11 @@ end
 
 -- What is gathered of a field of a source: count, min, sum, max of its numbers; seen = of all of
 -- it, outside = of those beyond the limits, worst = the one that is beyond by most, and its frame;
--- where all sources are compared, spread = of all of them, latest = the number of late, at rel.
+-- where all sources are compared, spread = of all of them, latest = the latest number, at = when.
 local function new_values(message, want, spread)
   return {
     field = want.field,
-    index = message.index[want.field],
+    index = message.index[want.field] or false, -- a derived value has none
     low = want.low or -INFINITE,
     high = want.high or INFINITE,
     count = 0,
@@ -52,12 +56,11 @@ local function new_values(message, want, spread)
     by = 0,
     spread = spread,
     latest = NO_NUMBER,
+    at = nil,
   }
 end
 
-local function note_value(values, record, raws)
-  local value = number_of(values, record, raws)
-  if not value then return end
+local function note_value(values, value, frame)
   values.seen = values.seen + 1
   if value == value then
     values.count = values.count + 1
@@ -70,24 +73,23 @@ local function note_value(values, record, raws)
   end
   value = rounded(values.field, value)
   local by = math.max(values.low - value, value - values.high)
-  if value ~= value then by = INFINITE end -- a reserved count is beyond all
+  if value ~= value then by = INFINITE end -- a reserved value is beyond all
   if by <= 0 then return end
   values.outside = values.outside + 1
   if by > values.by then
-    values.by, values.worst, values.frame = by, value, record.frame
+    values.by, values.worst, values.frame = by, value, frame
   end
 end
 
--- How far the latest values of all sources lie apart: worst, frame and rel of the most, nil while
+-- How far the latest values of all sources lie apart: worst, and the event that shows it; nil while
 -- no two sources had a value at a time.
 -- longest  seconds for which a value is good
-local function note_spread(values, record, raws, longest)
+local function note_spread(values, value, event, now, longest)
   local spread, low, high, count = values.spread, INFINITE, -INFINITE, 0
-  local value = number_of(values, record, raws) or NO_NUMBER
-  values.latest, values.rel = rounded(values.field, value), record.rel
+  values.latest, values.at = rounded(values.field, value or NO_NUMBER), now
   for _, one in ipairs(spread.members) do
     local latest = one.latest
-    if latest == latest and tell.span(one.rel, record.rel) <= longest then
+    if latest == latest and span(one.at, now) <= longest then
       low = math.min(low, latest)
       high = math.max(high, latest)
       count = count + 1
@@ -96,7 +98,7 @@ local function note_spread(values, record, raws, longest)
   if count < 2 then return end
   local apart = tonumber(("%.7g"):format(high - low)) -- no 0.30000000000000004
   if apart > (spread.worst or -1) then
-    spread.worst, spread.frame, spread.rel = apart, record.frame, record.rel
+    spread.worst, spread.frame, spread.rel = apart, event.frame, event.time
   end
 end
 
@@ -104,14 +106,13 @@ end
 
 local Groups = {}
 
---- A class of statistics that gather by source.
--- class    its own methods, see stat.feed; wants, unless it wants the fields that can be averaged;
+--- Make a class of statistics that gather by source.
+-- class    its own methods, see stat.queue; wants, unless it wants the fields that can be averaged;
 --          compares = whether it wants their spreads, too
 -- returns  it, with class.new(options, context), which makes a statistic:
 --   options  of stat.options
---   context  { clock = function(rel) -> seconds since 1970, nanoseconds,
---            late = function() -> how many periods of a message a value is good for, and what
---            output.print takes }
+--   context  { clock = function(rel) -> seconds since 1970, nanoseconds; settings = see stat.taps;
+--            and what output.print takes }
 function M.class(class)
   class.__index = class
   function class.new(options, context)
@@ -120,7 +121,7 @@ function M.class(class)
       context = context,
       by_source = {},
       list = {},
-      absent = {}, -- sources that the user named, and that never came
+      of_capture = {}, -- by kind of event: a list of those of the whole capture
       buses = {}, -- how many sources were there before it
       wanted = {}, -- by message: list of { field, low, high, is_spread }
       spreads = {}, -- by what is wanted
@@ -129,12 +130,14 @@ function M.class(class)
   return setmetatable(class, { __index = Groups })
 end
 
---- What is gathered of a field of each source of a message: those that are no codes.
+--- Return what is gathered of each source of a message: the fields that are no codes.
 function Groups:wants(message)
   local list = {}
-  for _, field in ipairs(message.fields) do
-    if NUMERIC[field.kind] and not field.values then
-      list[#list + 1] = { field = field, is_spread = self.compares }
+  for _, fields in ipairs { message.fields, message.derived } do
+    for _, field in ipairs(fields) do
+      if NUMERIC[field.kind] and not field.values then
+        list[#list + 1] = { field = field, is_spread = self.compares }
+      end
     end
   end
   return list
@@ -154,10 +157,12 @@ local function add_values(self, group, message)
   end
 end
 
---- What is gathered of a source: {
---   source, message = the source's, counts = { [kind of event] = { seen, frame = of the first } },
---   count = of good messages; first, last = their times, last_frame; gap_min, gap_max = seconds,
---   gap_max_frame; is_unsure = whether it is not known what came before one of them;
+-- What is gathered of a source: {
+--   source, message = the source's
+--   counts = { [kind of event] = { seen, frame = of the first, note = of the first } }
+--   count = of good messages; first, last = their times, last_frame
+--   gap_min, gap_max = seconds, gap_max_frame
+--   is_unreliable = whether it is not known what came before one of them
 --   values = a list and, by what is wanted }
 local function group_of(self, source)
   local group = self.by_source[source]
@@ -178,85 +183,80 @@ local function group_of(self, source)
   return group
 end
 
-local function add(group, kind, record)
+-- amount  that it adds; nil for one, of a message that has several only once
+local function add(group, kind, event, cause, amount)
   local count = group.counts[kind]
   if not count then
-    count = { seen = 0, frame = record.frame }
+    count = { seen = 0, frame = event.frame, values = event.values }
     group.counts[kind] = count
   end
-  if count.record ~= record then
-    count.seen = count.seen + 1
+  if amount or count.cause ~= cause then
+    count.seen = count.seen + (amount or 1)
   end
-  count.record = record
+  count.cause = cause
 end
 
---- Counts an event: a message that has several of one kind once, and of faults those that rose.
-function Groups:event(event)
-  local kind, values, record = event.kind, event.values, event.record
-  if kind == "absent" then
-    return table.insert(self.absent, event.source)
+local function note_message(self, event, now)
+  local group = group_of(self, event.source)
+  if group.last then
+    local gap = span(group.last, now)
+    if gap > (group.gap_max or -INFINITE) then
+      group.gap_max, group.gap_max_frame = gap, event.frame
+    end
+    group.gap_min = math.min(gap, group.gap_min or gap)
+  else
+    group.first = now
+  end
+  group.last = now
+  group.last_frame = event.frame
+  group.count = group.count + 1
+  if event.values.is_unreliable then group.is_unreliable = true end
+  if not (event.raws and group.values[1]) then return end
+  local every = group.message.every
+  local longest = every and self.context.settings.late * every or INFINITE
+  for _, values in ipairs(group.values) do
+    local value = number_of(group.message, values, event.raws)
+    if value then note_value(values, value, event.frame) end
+    if values.spread then note_spread(values, value, event, now, longest) end
+  end
+end
+
+--- Take an event, see stat.queue.  Of faults those that rose count.
+function Groups:event(event, now, cause)
+  local kind, values = event.kind, event.values
+  local row = kinds.BY_NAME[kind]
+  if not row then return note_message(self, event, now) end
+  if row.scope == "capture" then
+    self.of_capture[kind] = self.of_capture[kind] or {}
+    return table.insert(self.of_capture[kind], event)
   end
   if kind == "fault" and values.event ~= "raised" then
     return
   end
   local group = group_of(self, event.source)
-  add(group, tell.KINDS[kind].counts_as or kind, record)
+  add(group, row.counts_as or kind, event, cause, values[row.amount])
   if kind == "silence" and not values.is_last then
-    add(group, "late", record)
+    add(group, "late", event, cause)
   end
 end
 
-local function note_values(self, group, record)
-  local message = group.message
-  local raws = decode.read(message, record.payload)
-  for _, values in ipairs(group.values) do
-    note_value(values, record, raws)
-  end
-  if not self.compares then return end
-  local longest = message.every and self.context.late() * message.every or INFINITE
-  for _, values in ipairs(group.values) do
-    if values.spread then
-      note_spread(values, record, raws, longest)
-    end
-  end
-end
-
---- Takes a record.
-function Groups:message(record)
-  local group = group_of(self, record.source)
-  if record.kind ~= "message" then return end
-  if group.last then
-    local gap = tell.span(group.last, record.rel)
-    if gap > (group.gap_max or -math.huge) then
-      group.gap_max, group.gap_max_frame = gap, record.frame
-    end
-    group.gap_min = math.min(gap, group.gap_min or gap)
-  else
-    group.first = record.rel
-  end
-  group.last = record.rel
-  group.last_frame = record.frame
-  group.count = group.count + 1
-  if record.is_unsure then group.is_unsure = true end
-  if record.fits then note_values(self, group, record) end
-end
-
---- How often something was, and first in which frame.
+--- Return how often something was, and first in which frame with which values.
 function M.seen(group, kind)
   local count = group.counts[kind]
   if not count then return 0 end
-  return count.seen, count.frame
+  return count.seen, count.frame, count.values
 end
 
---- The mean rate in Hz, nil where no two messages are at two times; and the mean gap in seconds.
+--- Return the mean rate in Hz, nil where no two messages are at two times; and the mean gap in
+-- seconds.
 function M.pace(group)
   local gaps = group.count - 1
   if gaps < 1 then return nil end
-  local length = tell.span(group.first, group.last)
+  local length = span(group.first, group.last)
   return length > 0 and gaps / length or nil, length / gaps
 end
 
---- A row of what is gathered of a field of a source.
+--- Return a row of what is gathered of a field of a source.
 function M.row(group, values)
   local field, count = values.field, values.count
   local row = output.row(group.source, { field = field.name, unit = field.unit, count = count })
@@ -268,7 +268,7 @@ function M.row(group, values)
   return row
 end
 
---- All groups: by bus as these showed, then by ID; a stream itself, which has none, first.
+--- Return all groups: by bus as these showed, then by ID; a stream itself, which has none, first.
 function Groups:sorted()
   table.sort(self.list, function(a, b)
     if a.bus_order ~= b.bus_order then

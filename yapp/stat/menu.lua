@@ -3,26 +3,14 @@
 -- Wireshark's API.
 
 local output = require("yapp.stat.output")
+local statistics = require("yapp.stat.statistics")
 
 local M = {}
 
--- ask = for what, which is behind the statistic's name then
-local MENU = {
-  { "summary", "Summary" },
-  { "faults", "Faults" },
-  { "events", "Events" },
-  { "compare", "Compare" },
-  { "check", "Check", ask = "Rules (none: all is well)" },
-  { "csv", "Export tables", ask = "New folder", file = "tables" },
-}
-local TITLES = {}
-for _, row in ipairs(MENU) do
-  TITLES[row[1]] = row[2]
-end
 -- Characters in a window as it opens, 620 pixels wide, beside its scroll bar: Lua cannot make it
 -- wider.
 local WIDTH = 73
-local MOST = 1000 -- frames in a display filter: more make Wireshark slow
+local MAX_FRAMES = 1000 -- in a display filter: more make Wireshark slow
 
 local HELP = [[
 YAPP, the packet protocol of Taurus motor controllers, on CAN, CAN FD,
@@ -43,13 +31,8 @@ no sensor, or out of range      taurus.value.special
 one controller                  yapp.source == "left"
 
 Tools > YAPP
-Summary        of each controller: rate, gaps, losses, its values
-Faults         when each fault rose and fell
-Events         these, reboots, silences, bad CRCs, losses, in order
-Compare        the values of all controllers beside each other
-Check          whether all is well, or rules hold:
-               fault=0,motor.rate=9,motor.dc_voltage=40..55
-Export tables  a CSV for each message, in a new folder
+%sA rule is fault=0, motor.rate=9..11 or motor.dc_voltage=40..55; several
+have commas between.
 
 In a window, Show frames makes a display filter of the frames that
 stand in it: a click on one in the packet list leads to it.  On the
@@ -61,7 +44,7 @@ All of a flight on one time axis, in the browser, makes the program
 yapp-tables, a Python package in the folder tools of the plugin's files:
 
     pip install "./tools[report]"
-    yapp-tables report flight.pcapng -o flight.html
+    yapp-tables report flight.pcapng --out flight.html
 
 Other IDs than the default, several controllers, names for them:
 Edit > Preferences > Protocols > YAPP.
@@ -91,8 +74,8 @@ local function show_frames(frames)
   if not frames[1] then
     return report_failure("YAPP: no frame stands in this window")
   end
-  local most = math.min(#frames, MOST)
-  set_filter(("frame.number in {%s}"):format(table.concat(frames, ", ", 1, most)))
+  local count = math.min(#frames, MAX_FRAMES)
+  set_filter(("frame.number in {%s}"):format(table.concat(frames, ", ", 1, count)))
   apply_filter()
 end
 
@@ -122,39 +105,42 @@ end
 local help
 
 local function open_help()
+  local lines = ""
+  for _, row in ipairs(statistics.LIST) do
+    lines = lines .. ("%-15s%s\n"):format(row.title, row.help)
+  end
   help = TextWindow.new("YAPP Help")
-  help:set(HELP)
+  help:set(HELP:format(lines))
 end
 
---- Makes the menus.
+--- Make the menus.
 -- stat     of stat.taps
--- returns  { show = function(text), which opens the window of an argument of -z }
+-- returns  function(text), which opens the window of an argument of -z
 function M.register(stat)
-  local menu = {}
-
-  -- The statistic runs when its window opens, and anew by its button: packets that have come since
+  -- The statistic runs when its window opens, and again by its button: packets that have come since
   -- count too.
-  function menu.show(argument)
-    local what = argument:match("^yapp,(%w+)") or ""
-    open_window(TITLES[what] or what, function() return stat:run(argument, WIDTH) end)
+  local function show(argument)
+    local row = statistics.BY_NAME[argument:match("^yapp,(%w+)")]
+    open_window(row and row.title or "", function() return stat:run(argument, WIDTH) end)
   end
 
-  for _, row in ipairs(MENU) do
-    local argument, title = "yapp," .. row[1], row[2]
+  for _, row in ipairs(statistics.LIST) do
+    local argument = "yapp," .. row.name
     local function answered(answer)
       if answer then
-        menu.show(answer == "" and argument or argument .. "," .. answer)
+        show(answer == "" and argument or argument .. "," .. answer)
       end
     end
     local function action()
-      if not row.ask then return menu.show(argument) end
-      ask(title, row.ask, row.file and default_path(row.file) or "", answered)
+      if not row.ask then return show(argument) end
+      ask(row.title, row.ask, row.file and default_path(row.file) or "", answered)
     end
-    register_menu("YAPP/" .. title, action, MENU_TOOLS_UNSORTED)
-    register_menu("YAPP " .. title, action, MENU_STAT_UNSORTED) -- 4.0 shows a slash there as it is
+    register_menu("YAPP/" .. row.title, action, MENU_TOOLS_UNSORTED)
+    -- 4.0 shows a slash there as it is
+    register_menu("YAPP " .. row.title, action, MENU_STAT_UNSORTED)
   end
   register_menu("YAPP/Help", open_help, MENU_TOOLS_UNSORTED)
-  return menu
+  return show
 end
 
 return M

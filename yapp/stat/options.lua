@@ -1,23 +1,19 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What stands behind -z yapp,...: from the text to options and rules.  Pure Lua, 5.2 to 5.5.
 
-local input, words = require("yapp.message.check"), require("yapp.stat.output").words
+local input = require("yapp.message.check")
+local kinds = require("yapp.stat.kinds")
+local statistics = require("yapp.stat.statistics")
 
 local M = {}
 
 local demand, set = input.demand, input.set
 
-M.WHATS = { "summary", "faults", "events", "compare", "csv", "check" }
-
--- The kinds of events that `check` alone judges, in this order; skipped bytes it does not: a shell
--- may write between the frames.
-local ILLS = "fault crc incomplete reboot stale silence invalid absent unknown"
--- What may happen N times; what of a message's coming has a limit.
-local COUNTED, MEASURES = set(ILLS .. " skipped"), set("count rate gap")
-local RULES = (ILLS .. " skipped"):gsub("%S+", "%0=N,") .. " MESSAGE.count=N, MESSAGE.rate=HZ, " ..
-  "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X, source=NAME, junit=FILE, json, " ..
-  "filter=EXPRESSION"
+local COUNTED = set(table.concat(kinds.RULES, " ")) -- what may happen N times
+local RULES = table.concat(kinds.RULES, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=A..B, " ..
+  "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X"
 local RANGE = "a range is A..B, A.. or ..B"
+local MAX_FILE = 2 ^ 20 -- bytes of a file of rules
 
 -- What has a name in a list; else nil and the names that there are.
 local function find(list, name)
@@ -29,12 +25,18 @@ local function find(list, name)
   return nil, table.concat(names, ", ")
 end
 
+local function trim(text)
+  return text:match("^%s*(.-)%s*$")
+end
+
 -- A number as people write it; nil for a hexadecimal one, nan, inf or a text.
 local function number(text)
   local value = text:find("^[+-]?[%d.]+[eE]?[+-]?%d*$") and tonumber(text)
   return input.is_finite(value) and value or nil
 end
 
+-- Rules -------------------------------------------------------------------------------------------
+--
 -- Functions from here on raise what is wrong.
 
 -- A number that is not below 0; without a fraction where it counts.
@@ -54,27 +56,50 @@ end
 local function add_range(rule, text)
   local low, high = text:match("^(.-)%.%.(.*)$")
   demand(low and text ~= "..", RANGE)
-  rule.kind = "range"
   rule.low, rule.high = end_of(low, -math.huge), end_of(high, math.huge)
   demand(rule.low <= rule.high, "nothing lies in this range")
+end
+
+-- What of a message's coming has a limit.
+local measures = {}
+
+function measures.count(rule, value)
+  rule.limit = limit_of(value, "count", true)
+end
+
+function measures.gap(rule, value)
+  rule.limit = limit_of(value, "gap")
+end
+
+-- A range, or its lower end.
+function measures.rate(rule, value)
+  if value:find("..", 1, true) then return add_range(rule, value) end
+  rule.limit = limit_of(value, "rate")
+  rule.low, rule.high = rule.limit, math.huge
 end
 
 -- MESSAGE.FIELD=A..B and MESSAGE.FIELD.spread=X
 local function add_field(rule, name, value)
   local message = rule.message
   local spread_of = name:match("^(.*)%.spread$")
-  local field, names = find(message.fields, spread_of or name)
-  demand(field, "%s has no field %q, but %s", message.name, spread_of or name, names)
+  name = spread_of or name
+  local field, names = find(message.fields, name)
+  field = field or find(message.derived, name)
+  demand(field, "%s has no field %q, but %s", message.name, name, names)
   demand(field.kind ~= "string" and field.kind ~= "bytes",
     "%s.%s is a text, which has no range", message.name, field.name)
   rule.field = field
-  if not spread_of then return add_range(rule, value) end
-  demand(not rule.source, "a spread is of all sources, not of one")
-  rule.kind, rule.is_spread, rule.limit = "spread", true, limit_of(value, "spread")
+  if spread_of then
+    demand(not rule.source, "a spread is of all sources, not of one")
+    rule.kind, rule.is_spread, rule.limit = "spread", true, limit_of(value, "spread")
+  else
+    rule.kind = "range"
+    add_range(rule, value)
+  end
 end
 
 -- "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55": { text, source, kind = one of COUNTED, of
--- MEASURES, "range" or "spread", limit = number, message, field, low, high }
+-- measures, "range" or "spread", limit = number, message, field, low, high }
 local function read_rule(text, catalogue, source)
   local name, value = text:match("^([^=]*)=(.*)$")
   local rule = { text = text, source = source, kind = name }
@@ -83,49 +108,61 @@ local function read_rule(text, catalogue, source)
     return rule
   end
   local message_name, rest = (name or ""):match("^([^.]+)%.(.+)$")
-  demand(message_name, "a rule is one of %s", RULES)
+  demand(message_name, "a rule is one of %s; options are %s, filter=EXPRESSION", RULES,
+    statistics.BY_NAME.check.options)
   local message, names = find(catalogue.messages, message_name)
   rule.message = demand(message, "there is no message %q, but %s", message_name, names)
-  if MEASURES[rest] then
-    rule.kind, rule.limit = rest, limit_of(value, rest, rest == "count")
+  if measures[rest] then
+    rule.kind = rest
+    measures[rest](rule, value)
   else
     add_field(rule, rest, value)
   end
   return rule
 end
 
-local OF_CSV = set("replace all json")
+-- Options -----------------------------------------------------------------------------------------
 
--- read.WHAT: takes an option; finish.WHAT, behind the last one: what they come to.
-local read, finish = {}, {}
+-- Calls what may raise what is wrong with a part.
+local function try(options, part, call)
+  local ok, why = pcall(call)
+  if ok then return end
+  if part == "" then part = "an empty option" end
+  table.insert(options.problems, ("%s%s: %s"):format(options.place, part, why))
+end
 
-function read.csv(options, part, catalogue)
-  if not options.folder then
-    options.folder = part
-  elseif OF_CSV[part] then
-    options[part] = true
-  else
-    demand(options.folder == "-" and not options.chosen,
-      "the options of csv are replace, all, json, filter=EXPRESSION")
-    options.chosen = find(catalogue.messages, part)
-    demand(options.chosen, "there is no such message in the catalogue")
+local read_check
+
+-- The rules of a file, one a line.  A # begins a comment, but for one in the name of a source.
+local function read_file(options, path, catalogue)
+  demand(options.place == "", "a file of rules names no other")
+  local file, problem = io.open(path, "rb")
+  demand(file, "%s", problem)
+  local text = file:read(MAX_FILE) or ""
+  file:close()
+  demand(#text < MAX_FILE, "the file is too long")
+  local count, number_of_line = #options.rules + #options.problems, 0
+  for line in (text:gsub("^\239\187\191", "") .. "\n"):gmatch("(.-)\r?\n") do
+    number_of_line = number_of_line + 1
+    local part = trim((" " .. line):gsub("%s#.*", ""))
+    if not part:find("^source%s*=") then part = trim((part:gsub("#.*", ""))) end
+    options.place = ("%s:%d: "):format(path, number_of_line)
+    if part ~= "" then
+      try(options, part, function() read_check(options, part, catalogue) end)
+    end
   end
+  options.place = ""
+  demand(#options.rules + #options.problems > count, "there is no rule in it")
 end
 
-function finish.csv(options)
-  local folder, chosen = options.folder or "", options.chosen
-  demand(folder ~= "" and (folder ~= "-" or chosen), "it is csv,FOLDER or csv,-,MESSAGE")
-  demand(not (chosen and options.json), "csv,- prints a table; json is for csv,FOLDER")
-end
-
-function read.check(options, part, catalogue)
+function read_check(options, part, catalogue)
+  part = part:gsub("%s*=%s*", "=", 1):gsub("%s*%.%.%s*", "..")
   local name, value = part:match("^(%w+)=(.*)$")
-  if part == "json" then
-    options.json = true
-  elseif name == "junit" or name == "source" then
+  if name == "junit" or name == "source" or name == "rules" then
     demand(value ~= "", "it is empty")
-    options[name] = value
     options.unused = name == "source" and part or options.unused
+    if name == "rules" then return read_file(options, value, catalogue) end
+    options[name] = value
   else
     options.unused = nil
     table.insert(options.rules, read_rule(part, catalogue, options.source))
@@ -133,7 +170,7 @@ function read.check(options, part, catalogue)
   end
 end
 
-function finish.check(options, catalogue)
+local function finish_check(options, catalogue)
   local rules = options.rules
   if rules[1] or options.problems[1] then
     -- What was not decoded was not checked.
@@ -143,49 +180,70 @@ function finish.check(options, catalogue)
     demand(not options.unused, "no rule follows %s: it is for those behind it", options.unused)
     return
   end
-  for i, kind in ipairs(words(ILLS)) do
-    rules[i] = read_rule(kind .. "=0", catalogue, options.source)
-    rules[i].is_default = true
+  for _, kind in ipairs(kinds.RULES) do
+    if kinds.BY_NAME[kind].is_default then
+      local rule = read_rule(kind .. "=0", catalogue, options.source)
+      rule.is_default, rules[#rules + 1] = true, rule
+    end
   end
 end
 
-function read.summary(options, part)
-  demand(part == "json", "the options of %s are json, filter=EXPRESSION", options.what)
-  options.json = true
+local function read_csv(options, part, catalogue)
+  if not options.folder then
+    options.folder = part
+    return
+  end
+  demand(options.folder == "-" and not options.chosen,
+    "the options of csv are %s, filter=EXPRESSION", statistics.BY_NAME.csv.options)
+  options.chosen = find(catalogue.messages, part)
+  demand(options.chosen, "there is no such message in the catalogue")
 end
 
-read.faults, read.events, read.compare = read.summary, read.summary, read.summary
-
--- Calls a function that raises what is wrong with a part.
-local function try(options, part, call, ...)
-  local ok, why = pcall(call, options, ...)
-  if ok then return end
-  if part == "" then part = "an empty option" end
-  table.insert(options.problems, part .. ": " .. why)
+local function finish_csv(options)
+  local folder, chosen = options.folder or "", options.chosen
+  demand(folder ~= "" and (folder ~= "-" or chosen), "it is csv,FOLDER or csv,-,MESSAGE")
+  demand(not (chosen and options.json), "csv,- prints a table; json is for csv,FOLDER")
 end
 
---- Reads the argument of -z.
+local function refuse(options)
+  local allowed = statistics.BY_NAME[options.what].options
+  demand(false, "the options of %s are %s, filter=EXPRESSION", options.what, allowed)
+end
+
+-- What reads an option that is no word of the statistic's row, and what ends the last one.
+local READ = { csv = read_csv, check = read_check }
+local FINISH = { csv = finish_csv, check = finish_check }
+
+--- Read the argument of -z.
 -- text       "yapp,check,fault=0,motor.rate=9,filter=can.bus_id == 1, or so"
 -- catalogue  compiled
 -- returns    { what =, json = true or nil, filter = or nil, folder =, chosen =, replace =, all =,
 --            rules =, junit =, problems = list of texts, each with the option that it is about }
 function M.read(text, catalogue)
-  local head, filter = text:match("^(.-),filter=(.*)$") -- a display filter, commas and all
-  local what, rest = (head or text):match("^yapp,([^,]*)(.*)$")
-  local problems = {}
-  local options = { what = what, filter = filter, rules = {}, problems = problems }
-  if not read[what] then
-    problems[1] = text .. ": it is yapp," .. table.concat(M.WHATS, " or yapp,")
+  local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all
+  local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")
+  what = trim(what or "")
+  local options = { what = what, filter = filter, rules = {}, problems = {}, place = "" }
+  if not statistics.BY_NAME[what] then
+    local _, names = find(statistics.LIST)
+    options.problems[1] = ("%s: it is yapp,%s"):format(text, (names:gsub(", ", " or yapp,")))
     return options
   end
+  local read, finish = READ[what] or refuse, FINISH[what]
+  local words = set((statistics.BY_NAME[what].options:gsub(",", "")))
   for part in rest:gmatch(",([^,]*)") do
-    try(options, part, read[what], part, catalogue)
+    part = trim(part)
+    if words[part] then
+      options[part] = true
+    else
+      try(options, part, function() read(options, part, catalogue) end)
+    end
   end
-  if finish[what] then
-    try(options, what, finish[what], catalogue)
+  if finish then
+    try(options, what, function() finish(options, catalogue) end)
   end
   if filter and not filter:find("%S") then
-    problems[#problems + 1] = "filter=: the display filter is missing"
+    table.insert(options.problems, "filter=: the display filter is missing")
   end
   return options
 end

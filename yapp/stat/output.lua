@@ -1,10 +1,14 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What statistics print and write: JSON lines, tables for people, files, whole or not there.
--- Pure Lua, 5.2 to 5.5.
+-- What statistics print and write: JSON lines, tables for people, files that are complete or not
+-- there; and the exit codes.  Pure Lua, 5.2 to 5.5.
 
 local utf8 = require("yapp.base.utf8")
 
 local M = {}
+
+M.EXIT_OK = 0
+M.EXIT_FAILED = 20 -- a rule does not hold
+M.EXIT_UNDECIDED = 21 -- something could not be judged, said or written
 
 local format = string.format
 
@@ -65,10 +69,10 @@ end
 
 -- Values ----------------------------------------------------------------------------------------
 --
--- A value of a row: a text, a number, nil, or { json, text } where people read something else, or
--- nothing.
+-- A value of a row: a text, a number, nil, or { json, text, short } where people read something
+-- else, or nothing; short is what a window has room for, nil where it is the text.
 
---- A time of the capture; people read it in UTC, to the microsecond.
+--- Return a time of the capture; people read it in UTC, to the microsecond.
 -- seconds, nanoseconds  since 1970
 function M.time(seconds, nanoseconds)
   local ok, date = pcall(os.date, "!%Y-%m-%d %H:%M:%S", seconds) -- on Windows from 1970 to 3000
@@ -79,35 +83,41 @@ function M.time(seconds, nanoseconds)
   }
 end
 
---- A span in seconds; nil for nil.
+--- Return a span of seconds; nil for nil.
 function M.seconds(value)
-  return value and { json = format("%.9f", value), text = format("%.6f", value) } or nil
+  if not value then return nil end
+  return {
+    json = format("%.9f", value),
+    text = format("%.6f", value),
+    short = format("%.3f", value),
+  }
 end
 
---- What people read of a value: of a fraction six digits.
-function M.text(value)
-  if type(value) == "table" then value = value.text end
+--- Return what people read of a value: of a fraction six digits.
+-- is_short  whether in a window
+function M.text(value, is_short)
+  if type(value) == "table" then value = is_short and value.short or value.text end
   if type(value) == "number" then
     return format(is_whole(value) and "%d" or "%.6g", value)
   end
   return value or ""
 end
 
---- A count of things: "1 message", "2 messages".
+--- Return a count of things: "1 message", "2 messages".
 function M.count(number, thing)
   return format("%d %s%s", number, thing, number == 1 and "" or "s")
 end
 
---- What a source is called where a column has room for one text: its name, or its bus and ID.
-function M.who(source)
-  if source.name then return source.name end
-  local bus = source.bus and source.bus .. " " or ""
-  return bus .. format("0x%x", source.id)
+--- Return where a source is: its bus and ID, "can0 0x210".
+function M.place(source)
+  local id = source.id and format("0x%x", source.id)
+  return source.bus and id and source.bus .. " " .. id or source.bus or id or ""
 end
 
---- A row of what says which source, which goes into a table of its other values.
+--- Add to a table of values which source they are of; returns it.
 function M.row(source, row)
   row.bus, row.source = source.bus, source.name
+  row.who = source.name or M.place(source) -- where one column says it
   if not source.id then return row end
   local message = source.message or { title = "unknown" }
   row.id = { json = format("%d", source.id), text = format("0x%x", source.id) }
@@ -120,9 +130,9 @@ end
 local TITLES = {
   time = "time (UTC)", rel = "since start/s", id = "ID", active = "active/s", rate = "rate/Hz",
   gap_min = "gap/s min", gap_mean = "mean", gap_max = "max", gap_max_frame = "in frame",
-  crc_bad = "bad CRC", ok = "check", kind = "event",
+  crc_bad = "bad CRC", ok = "check", kind = "event", who = "source",
 }
-local FOR_PEOPLE = { rel = true, note = true } -- in no JSON
+local SHORT_TITLES = { rel = "at/s", gap_max = "max gap/s" }
 
 --- A list of the words of a text.
 function M.words(text)
@@ -133,108 +143,79 @@ function M.words(text)
   return list
 end
 
--- The columns that a line has no room for, in the order in which they go.
-local SPARE = M.words("time help gap_min gap_mean late skipped gap_max_frame unit rel rate " ..
-  "crc_bad invalid reboots count message field id bus")
-
 -- How many places a text takes: characters, not bytes.
 local function width_of(text)
   return select(2, text:gsub("[^\128-\191]", ""))
 end
 
--- nil where no row has anything.
-local function new_column(key, rows, title)
-  local width, is_number = 0, true
-  for _, row in ipairs(rows) do
-    local text = M.text(row[key])
+--- Return a line, broken at blanks where it is wider than a width; nil for any width.
+local function wrap(line, width)
+  local lines = {}
+  while width and width_of(line) > width do
+    local head = line:match("^" .. ("[^\128-\191][\128-\191]*"):rep(width))
+    local stop = head:match("^.*%S()%s") or #head + 1
+    lines[#lines + 1] = line:sub(1, stop - 1)
+    line = "    " .. line:sub(stop):match("^%s*(.*)$")
+  end
+  lines[#lines + 1] = line .. "\n"
+  return table.concat(lines, "\n")
+end
+
+-- The column of a key: its cells, the title first, of one width, numbers to the right; nil where no
+-- row has anything.
+local function column_of(key, rows, is_short)
+  local title = is_short and SHORT_TITLES[key] or TITLES[key] or key
+  local cells, width, is_number, is_empty = { title }, width_of(title), true, true
+  for i, row in ipairs(rows) do
+    local text = M.text(row[key], is_short)
+    cells[i + 1] = text
     width = math.max(width, width_of(text))
     is_number = is_number and not text:find("[^%d.e+-]")
+    is_empty = is_empty and text == ""
   end
-  if width == 0 then return nil end
-  return {
-    key = key,
-    width = math.max(width, #title),
-    is_number = is_number,
-  }
+  if is_empty then return nil end
+  for i, text in ipairs(cells) do
+    local blanks = (" "):rep(width - width_of(text))
+    cells[i] = is_number and blanks .. text or text .. blanks
+  end
+  return cells
 end
 
--- Takes columns away until a line has room for them.
-local function fit(columns, width)
-  local total = -2
-  for _, column in ipairs(columns) do
-    total = total + column.width + 2
-  end
-  for _, key in ipairs(SPARE) do
-    for i = #columns, 1, -1 do
-      if total > width and columns[i].key == key then
-        total = total - table.remove(columns, i).width - 2
-      end
-    end
-  end
-end
-
-local function table_line(columns, row, width)
-  local cells = {}
-  for i, column in ipairs(columns) do
-    local text = M.text(row[column.key])
-    local blanks = (" "):rep(column.width - width_of(text))
-    cells[i] = column.is_number and blanks .. text or text .. blanks
-  end
-  local line = table.concat(cells, "  "):gsub("%s+$", "")
-  if not width or width_of(line) <= width then
-    return line .. "\n"
-  end
-  return line:match("^" .. ("[^\128-\191][\128-\191]*"):rep(width - 1)) .. "~\n"
-end
-
---- A table with aligned columns, numbers to the right, a line a row; a column in which no row has
--- anything is left out.
--- keys   a column each
+--- Return a table with aligned columns, a line a row.
+-- keys   { text = list of the columns, window = those that a window has room for }
 -- rows   tables by key
--- width  characters that a line has room for, nil for any number: then columns that one can spare
---        go until it fits, and what is still beyond is cut
+-- width  characters of a line in a window, nil for text of any width
 function M.table(keys, rows, width)
-  local columns, titles = {}, {}
-  for _, key in ipairs(keys) do
-    titles[key] = TITLES[key] or key
-    columns[#columns + 1] = new_column(key, rows, titles[key])
+  local columns, lines = {}, {}
+  for _, key in ipairs(width and keys.window or keys.text) do
+    columns[#columns + 1] = column_of(key, rows, width ~= nil)
   end
-  if width then fit(columns, width) end
-  local lines = { table_line(columns, titles, width) }
-  for _, row in ipairs(rows) do
-    lines[#lines + 1] = table_line(columns, row, width)
+  for i = 1, #rows + 1 do
+    local cells = {}
+    for j, column in ipairs(columns) do cells[j] = column[i] end
+    lines[i] = wrap(table.concat(cells, "  "):gsub("%s+$", ""), width)
   end
   return table.concat(lines)
 end
 
-local function print_json(context, keys, rows)
-  local in_json = {}
-  for _, key in ipairs(keys) do
-    if not FOR_PEOPLE[key] then
-      in_json[#in_json + 1] = key
-    end
-  end
-  for _, row in ipairs(rows) do
-    context.out(M.object(row.keys or in_json, row).json .. "\n")
-  end
-end
-
---- Prints rows: for people under a title, or as a JSON object a line.
+--- Print rows: for people under a title and what the answer leaves out, or as a JSON object a line.
 -- context  { out = function(text), json = whether so, width = see M.table, frames = a list that
---          gets the frames which stand in the table, or nil }
+--          gets the frames of the rows, or nil }
+-- keys     see M.table; json = those of a JSON line
 -- rows     tables by key; keys = those of its JSON, where these are others
-function M.print(context, title, keys, rows)
-  local frames = context.frames or {}
+-- notes    a list of texts
+function M.print(context, title, keys, rows, notes)
+  local frames, out = context.frames or {}, context.out
   for _, row in ipairs(rows) do
     frames[#frames + 1] = row.frame or row.gap_max_frame
+    if context.json then out(M.object(row.keys or keys.json, row).json .. "\n") end
   end
-  if context.json then
-    return print_json(context, keys, rows)
+  if context.json then return end
+  out(title .. "\n")
+  for _, note in ipairs(notes) do
+    out(wrap(note, context.width))
   end
-  context.out(title .. "\n")
-  if rows[1] then
-    context.out("\n" .. M.table(keys, rows, context.width))
-  end
+  if rows[1] then out("\n" .. M.table(keys, rows, context.width)) end
 end
 
 -- Files ---------------------------------------------------------------------------------------

@@ -2,16 +2,22 @@
 -- -z yapp,summary: each source with its rate, gaps, losses, and the range of its values; and
 -- -z yapp,compare: the values of all sources of a message beside each other.  Pure Lua, 5.2 to 5.5.
 --
--- Good messages are counted and make rates, gaps and values; beside them stand those with a bad CRC
--- and those that are incomplete.
+-- Good messages are counted and make rates, gaps and values.  Beside them stand those with a bad
+-- CRC and those that are incomplete.
 
-local groups, output = require("yapp.stat.groups"), require("yapp.stat.output")
+local groups = require("yapp.stat.groups")
+local output = require("yapp.stat.output")
 
 local M = {}
 
 local words = output.words
-local KEYS = words("bus id source message count rate gap_min gap_mean gap_max gap_max_frame " ..
-  "crc_bad incomplete late reboots values invalid skipped")
+local KEYS = {
+  json = words("bus id source message count rate gap_min gap_mean gap_max gap_max_frame " ..
+    "crc_bad incomplete late reboots values invalid skipped"),
+  text = words("bus id source message count rate gap_min gap_mean gap_max gap_max_frame " ..
+    "crc_bad incomplete late reboots invalid skipped"),
+  window = words("who message count rate gap_max crc_bad incomplete late"),
+}
 -- The kinds of events that are counted, by key.
 local COUNTS = {
   crc_bad = "crc",
@@ -22,9 +28,12 @@ local COUNTS = {
   skipped = "skipped",
 }
 local RANGE = words("min mean max")
-local VALUES = words("bus id source message field unit min mean max count")
+local VALUES = {
+  text = words("bus id source message field unit min mean max count"),
+  window = words("who field unit min mean max"),
+}
 
-local Summary = groups.class { tells_changes = true }
+local Summary = groups.class { follows_changes = true }
 
 --- See groups.class.
 M.new = Summary.new
@@ -45,8 +54,8 @@ local function row_of(group)
   return row
 end
 
---- last  { rel = } of the last packet of any kind; nil where there was none
-function Summary:finish(last)
+--- End, see stat.queue.
+function Summary:finish(ending)
   local rows, shown, context = {}, {}, self.context
   for i, group in ipairs(self:sorted()) do
     local names, ranges = {}, {}
@@ -59,8 +68,8 @@ function Summary:finish(last)
     rows[i].values = output.object(names, ranges)
   end
   local sources = output.count(#rows, "source")
-  local title = ("YAPP summary: %s in %.3f s"):format(sources, last and last.rel or 0)
-  output.print(context, title, KEYS, rows)
+  local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.rel or 0)
+  output.print(context, title, KEYS, rows, ending.notes)
   if shown[1] and not context.json then
     context.out("\n" .. output.table(VALUES, shown, context.width))
   end
@@ -68,24 +77,24 @@ end
 
 -- compare -----------------------------------------------------------------------------------------
 
-local COMPARED = words("message field unit spread time frame sources")
 local OF_SOURCE = words("bus id source count min mean max")
--- For people: a line for each field and source.
-local SHOWN = words("field unit source min mean max spread rel frame")
+local COMPARED = {
+  json = words("message field unit spread time frame sources"),
+  text = words("field unit who min mean max spread rel frame"), -- a line for each field and source
+  window = words("field unit who min mean max spread rel"),
+}
 
--- Of no event, so that records need not wait for their packets, see stat.feed.
-local Compare = groups.class { compares = true, event = false }
+local Compare = groups.class { compares = true, wants_messages_only = true }
 
 --- See groups.class.
 M.compare = Compare.new
 
 -- The row of a field; people see those of its sources, the first with what they have in common.
-local function compared_row(self, list, place, shown)
-  local spread, sources, first = list[1].values[place].spread, {}, #shown + 1
+local function compared_row(self, list, index, shown)
+  local spread, sources, first = list[1].values[index].spread, {}, #shown + 1
   for i, group in ipairs(list) do
-    local row = groups.row(group, group.values[place])
+    local row = groups.row(group, group.values[index])
     sources[i] = output.object(OF_SOURCE, row)
-    row.source = output.who(group.source)
     if i > 1 then row.field, row.unit = nil, nil end
     shown[#shown + 1] = row
   end
@@ -116,24 +125,21 @@ local function compared(self)
   return lists
 end
 
---- Prints a table for each message.
-function Compare:finish()
-  local context, lists = self.context, compared(self)
+--- End: print a table for each message.
+function Compare:finish(ending)
+  local context, lists, notes = self.context, compared(self), ending.notes
   for i, list in ipairs(lists) do
     local rows, shown = {}, {}
-    for place in ipairs(list[1].values) do
-      rows[place] = compared_row(self, list, place, shown)
+    for index in ipairs(list[1].values) do
+      rows[index] = compared_row(self, list, index, shown)
     end
     local title = ("YAPP compare: %d sources of %s"):format(#list, list[1].message.title)
-    if context.json then
-      output.print(context, title, COMPARED, rows)
-    else
-      if i > 1 then context.out("\n") end
-      output.print(context, title, SHOWN, shown)
-    end
+    if i > 1 and not context.json then context.out("\n") end
+    output.print(context, title, COMPARED, context.json and rows or shown, notes)
+    notes = {}
   end
-  if not (lists[1] or context.json) then
-    context.out("YAPP compare: no message has several sources\n")
+  if not lists[1] then
+    output.print(context, "YAPP compare: no message has several sources", COMPARED, {}, notes)
   end
 end
 

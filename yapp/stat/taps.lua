@@ -2,54 +2,48 @@
 -- Statistics in tshark (-z yapp,...): taps, output, exit codes.  Wireshark's windows are
 -- stat.menu's.  Wireshark's API.
 
-local csv, check = require("yapp.stat.csv"), require("yapp.stat.check")
-local events, summary = require("yapp.stat.events"), require("yapp.stat.summary")
-local feed_of, menu_of = require("yapp.stat.feed"), require("yapp.stat.menu")
+local menu = require("yapp.stat.menu")
 local options_of = require("yapp.stat.options")
+local output = require("yapp.stat.output")
+local queue = require("yapp.stat.queue")
+local statistics = require("yapp.stat.statistics")
 
 local M = {}
 
-local NEW = {
-  summary = summary.new,
-  compare = summary.compare,
-  faults = events.new,
-  events = events.new,
-  csv = csv.new,
-  check = check.new,
-}
-local FAILED = 21 -- what could not be done or told
+local EXTENDED = "can.id && can.flags.xtd == 1 && !(can.flags.rtr == 1)" -- data frames
+local MAX_TREES = 1000 -- frames
+local NO_NARROWING = "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
+local IS_TSHARK = not gui_enabled() -- in Wireshark all packets may come again
 
 local Stat = {}
 Stat.__index = Stat
 
---- The statistics of one plugin.
--- plugin  { version = text, catalogue = compiled,
---           late = function() -> how many periods of its message make a gap one,
---           named = function() -> list of the sources that the user named, see message.sources,
---           problems = function() -> list of texts: what the user asked for and did not get,
---           tapped = function(): tshark's taps see a packet; a first pass of two has no taps,
---           unfinished = function() -> records of the messages that the capture ends before }
--- Stat.wanted says whether anyone wants records: ask it before making one for Stat:offer.
--- Stat.wants_parts is the same for when parts of messages came.
-function M.new(plugin)
-  return setmetatable({
-    plugin = plugin,
-    wanted = false,
-    wants_parts = false,
-  }, Stat)
-end
-
---- A record of stat.tell, of the packet that is dissected.
--- visited  pinfo.visited
-function Stat:offer(record, visited)
-  if self.idle then
-    self.idle:remove()
-    self.idle = nil
-  end
-  self.feed:offer(record, visited)
+--- Make the statistics of one plugin.
+-- parts  {
+--   settings = { version = text, catalogue = compiled, late = how many periods of its message make
+--              a gap one, sources = a message.sources, sources_text = the preference, ids = by
+--              message name the list of those that a preference gives it, problems = list of texts:
+--              what the user asked for and did not get }, whose values change with the
+--              preferences
+--   intake     a stat.intake, reader = a message.reader, tree = a show.tree, buses = a host.buses
+--   drops      function() -> what the capture does not have, see host.buses
+--   unfinished function() -> the messages that the capture ends before: list of { source, seq,
+--              frame }
+--   watch      function(), from which on Intake:start is called }
+function M.new(parts)
+  return setmetatable(parts, Stat)
 end
 
 -- Output ----------------------------------------------------------------------------------------
+
+-- Whether tshark has a display filter.  The API does not say it; Linux does.
+local function has_display_filter()
+  local file = IS_TSHARK and io.open("/proc/self/cmdline", "rb")
+  if not file then return false end
+  local words = file:read("*a")
+  file:close()
+  return words:find("\0-Y", 1, true) or words:find("\0--display-filter", 1, true)
+end
 
 local function say(text)
   io.stderr:write("yapp: ", (text:gsub("\n", "\nyapp: ")), "\n")
@@ -72,49 +66,77 @@ local function listen(self, filter)
   return tap
 end
 
--- The tap that sees every packet; and one that asks for the field which has the time to the
--- nanosecond (pinfo.abs_ts has steps of 0.24 microseconds).  Asking builds trees, so in tshark it
--- goes when it knows.
-local function tap_packets(self)
-  local feed = self.feed
-  local tap, clock = listen(self), listen(self, "frame.time_epoch")
-  local is_exact = false
-  local is_waiting = not gui_enabled() -- there all packets may come again
-
+-- The tap that asks for the field which has the time to the nanosecond (pinfo.abs_ts has steps of
+-- 0.24 microseconds).
+local function tap_clock(self)
+  local clock = listen(self, "frame.time_epoch")
   function clock.packet(pinfo)
-    if is_exact then return end
+    if self.is_exact then return end
     for _, info in ipairs { all_field_infos() } do
       if info.name == "frame.time_epoch" then
-        feed:begins(info.value.secs, info.value.nsecs, pinfo.rel_ts)
-        is_exact = true
+        self.queue:begins(info.value.secs, info.value.nsecs, pinfo.rel_ts)
+        self.is_exact = true
       end
     end
   end
+  return clock
+end
+
+-- The tap that counts extended frames.  It builds trees, which say the CAN id of the first Starts
+-- that nobody dissects; in tshark it goes when messages of ours are there.
+local function tap_extended(self)
+  local tap = listen(self, EXTENDED)
+  function tap.packet()
+    self.extended = self.extended + 1
+    if self.extended == MAX_TREES and IS_TSHARK then self.intake:remove_later(tap) end
+  end
+end
+
+-- The tap that sees every packet.  The one of the clock builds trees, so in tshark it goes when it
+-- knows.
+local function tap_packets(self)
+  local tap, clock = listen(self), tap_clock(self)
+  local is_waiting = IS_TSHARK
 
   function tap.packet(pinfo)
-    if is_waiting and is_exact then
-      self.plugin.tapped()
+    if is_waiting and self.is_exact then
+      self.tree:only_pass()
       clock:remove()
       is_waiting = false
-      if feed:go_direct() then self.idle = tap end -- a tap cannot go while it is called
+      if self.queue:go_direct() then self.intake:remove_later(tap) end
     end
-    feed:packet(pinfo.number, pinfo.rel_ts)
+    self.queue:packet(pinfo.number, pinfo.rel_ts)
   end
 
   function tap.reset()
-    feed:reset()
-    is_exact = false
+    self.queue:reset()
+    self.is_exact, self.extended = false, 0
   end
 end
 
-function Stat:open()
-  self.feed, self.wanted, self.taps = feed_of.new(self.plugin), true, {}
+local function open(self)
+  local hint = has_display_filter() and NO_NARROWING or nil
+  self.queue, self.taps = queue.new(self.settings, hint), {}
+  self.is_exact, self.extended = false, 0
+  self.intake:open(self.queue, self.reader)
+  self.watch()
+  tap_extended(self)
   tap_packets(self)
 end
 
-function Stat:close()
+local function close(self)
   for _, tap in ipairs(self.taps) do tap:remove() end -- one that stayed would build trees for ever
-  self.feed, self.wanted, self.wants_parts = nil, false, false
+  self.intake:close()
+end
+
+-- Ends all statistics; returns the exit code, and a list of texts to say.
+local function finish(self)
+  return self.queue:finish {
+    unfinished = self.intake:unfinished(self.unfinished()),
+    drops = self.drops(),
+    lacks_times = self.buses.lacks_times and self.buses:lacks_times(),
+    extended = self.extended,
+  }
 end
 
 -- Functions from here on raise what is wrong.
@@ -128,39 +150,40 @@ end
 
 -- Begins a statistic.
 -- context  { out, width, frames } of output.print
-function Stat:begin(options, context)
-  local feed, filter = self.feed, options.filter and tap_filter(self, options.filter)
-  function context.clock(rel) return feed:time(rel) end
-  context.json, context.make_folder = options.json, make_folder
-  setmetatable(context, { __index = self.plugin })
-  local statistic, problem = NEW[options.what](options, context)
+local function begin(self, options, context)
+  local events, row = self.queue, statistics.BY_NAME[options.what]
+  local filter = options.filter and tap_filter(self, options.filter)
+  function context.clock(rel) return events:clock(rel) end
+  context.json, context.make_folder, context.settings = options.json, make_folder, self.settings
+  local statistic, problem = row.new(options, context)
   if not statistic then
     error(options.what .. ": " .. problem, 0)
   end
-  if statistic.event then self.wants_parts = true end
-  local entry = feed:add(statistic, filter ~= nil)
+  if not statistic.wants_messages_only then self.intake.wants_parts = true end
+  local has_notes = not (options.json or row.is_data)
+  local entry = events:add(statistic, { filter = options.filter, has_notes = has_notes })
   if filter then
-    function filter.packet(pinfo) feed:matched(entry, pinfo.number) end
+    function filter.packet(pinfo) entry.matched[pinfo.number] = true end
   end
 end
 
---- Runs a statistic over all packets, in Wireshark.
+--- Run a statistic over all packets, in Wireshark.
 -- text     as behind -z; width: of a line
 -- returns  what it says, and what is wrong, as one text; a list of the frames that stand in it
 function Stat:run(text, width)
-  local options = options_of.read(text, self.plugin.catalogue)
+  local options = options_of.read(text, self.settings.catalogue)
   local said, frames, problems = {}, {}, options.problems
   local function out(part) said[#said + 1] = part end
   local function run()
-    self:open()
-    self:begin(options, { out = out, width = width, frames = frames })
+    open(self)
+    begin(self, options, { out = out, width = width, frames = frames })
     retap_packets()
-    return select(2, self.feed:finish(self.plugin.unfinished()))
+    return select(2, finish(self))
   end
   if not problems[1] then
     local ok, texts = pcall(run)
     problems = ok and texts or { tostring(texts) }
-    self:close()
+    close(self)
   end
   for _, problem in ipairs(problems) do
     out(problem .. "\n")
@@ -171,55 +194,55 @@ end
 -- tshark ----------------------------------------------------------------------------------------
 
 -- All is seen: prints, says what is wrong, ends with a code where one is due.
-function Stat:conclude()
-  local ok, code, texts = pcall(self.feed.finish, self.feed, self.plugin.unfinished())
+local function conclude(self)
+  local ok, code, texts = pcall(finish, self)
   if not ok then
-    code, texts = FAILED, { tostring(code) }
+    code, texts = output.EXIT_UNDECIDED, { tostring(code) }
   end
   local is_flushed, problem = io.stdout:flush() -- a full disk may show only here
   problem = self.problem or not is_flushed and problem
   if problem then
     texts[#texts + 1] = "standard output: " .. problem
-    if code == 0 then code = FAILED end
+    if code == output.EXIT_OK then code = output.EXIT_UNDECIDED end
   end
   for _, text in ipairs(texts) do
     say(text)
   end
   -- What other statistics of this run would still print is lost: the exit code counts for more.
-  if code ~= 0 then os.exit(code) end
+  if code ~= output.EXIT_OK then os.exit(code) end
 end
 
 -- One -z argument.
-function Stat:argument(text)
-  local options = options_of.read(text, self.plugin.catalogue)
+local function read_argument(self, text)
+  local options = options_of.read(text, self.settings.catalogue)
   if options.problems[1] and options.what ~= "check" then -- check says them in its report, too
     error(table.concat(options.problems, "\n"), 0)
   end
-  if not self.feed then
-    self:open()
+  if not self.queue then
+    open(self)
     local tap = Listener.new("frame") -- for the end alone: the other may go
-    function tap.draw() self:conclude() end
+    function tap.draw() conclude(self) end
   end
-  self:begin(options, { out = function(part)
+  begin(self, options, { out = function(part)
     local ok, problem = io.stdout:write(part)
     if not ok then self.problem = problem end
   end })
 end
 
---- Registers -z yapp,... and, in Wireshark, the menus.
+--- Register -z yapp,... and, in Wireshark, the menus.
 function Stat:register()
-  local menu = gui_enabled() and menu_of.register(self)
+  local show = gui_enabled() and menu.register(self)
   -- Wireshark swallows an error here, so all that can fail ends with a message and a code.
   local function run(text)
-    if menu then return menu.show(text) end
-    local ok, problem = pcall(self.argument, self, text)
+    if show then return show(text) end
+    local ok, problem = pcall(read_argument, self, text)
     if not ok then
       say(tostring(problem))
-      os.exit(FAILED)
+      os.exit(output.EXIT_UNDECIDED)
     end
   end
-  for _, what in ipairs(options_of.WHATS) do
-    register_stat_cmd_arg("yapp," .. what, run)
+  for _, row in ipairs(statistics.LIST) do
+    register_stat_cmd_arg("yapp," .. row.name, run)
   end
   register_stat_cmd_arg("yapp", run) -- the longest name that fits is called: else this one
 end

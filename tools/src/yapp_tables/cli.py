@@ -1,41 +1,38 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The command: yapp-tables convert, report; install, check, uninstall."""
+"""The command: yapp-tables convert, report, prune; install, check, uninstall."""
 
 from __future__ import annotations
 
 import argparse
-import glob
-import os
-import re
+import logging
 import sys
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
-from . import fleet, install
-from .convert import KINDS, Job, made_by, writer
+from . import __version__, api, fleet, install
+from .config import Config, read_fleet
+from .convert import KINDS
 from .errors import SetupError, YappError, need
-from .fleet import Failure, Progress
-from .flight import read_flight
-from .results import Results
 from .tshark import Tshark
+from .undecoded import left_out
 
-FAILED, REFUSED = 1, 2
-# What -o of `report` takes for a preference, and not for the page.
-PREFERENCE = re.compile(r"[a-z0-9_-]+(\.[a-z0-9_.-]+)+:|uat:")
+FAILED, REFUSED, INCOMPLETE = 1, 2, 3
 CAPTURES = "files, patterns such as 'flights/**/*.pcapng', - for a list from stdin"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command. Returns its exit code: 0 all done, 1 a capture failed, 2 nothing could be done."""
+    """Run the command. Returns its exit code.
+
+    0 all done, 1 a capture failed, 2 nothing could be done, 3 done, but not all that looks like YAPP was decoded.
+    """
     given = _parser().parse_args(arguments)
     try:
         code: int = given.run(given)
         return code
     except SetupError as error:
-        print(f"yapp-tables: {error}", file=sys.stderr)
+        _say([str(error)])
         return REFUSED
     except (YappError, OSError) as error:
-        print(f"yapp-tables: {error}", file=sys.stderr)
+        _say([str(error)])
         return FAILED
     except KeyboardInterrupt:
         return 130
@@ -43,31 +40,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="yapp-tables", description="Captures of YAPP and Taurus as tables.")
+    parser.add_argument("--version", action="version", version=f"yapp-tables {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("captures", nargs="+", metavar="CAPTURE", help=CAPTURES)
     common.add_argument(
-        "-o", dest="options", action="append", default=[], metavar="NAME:VALUE", help="a preference for tshark"
+        "-o", dest="options", action="append", default=[], type=_preference, metavar="NAME:VALUE", help="a preference"
     )
+    common.add_argument("-C", dest="profile", metavar="PROFILE", help="a profile of Wireshark's")
+    common.add_argument("--fleet", metavar="fleet.toml", help="the settings of each aircraft")
     common.add_argument("--filter", metavar="EXPRESSION", help="a display filter: only these messages")
     common.add_argument("--plugin", metavar="PATH", help="yapp.lua, where the plugin is not installed")
     common.add_argument("--tshark", metavar="PATH", help="the program, where it is not in PATH")
+    common.add_argument("--strict", action="store_true", help="end with 1 where not all was decoded, not with 3")
 
     convert = commands.add_parser("convert", parents=[common], help="captures to a data set")
-    convert.add_argument("captures", nargs="+", metavar="CAPTURE", help=CAPTURES)
-    convert.add_argument("--to", choices=KINDS, required=True)
-    convert.add_argument("--out", type=Path, required=True, metavar="FOLDER")
     convert.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="work on this Dask cluster")
-    convert.add_argument(
-        "--jobs", type=_positive, default=os.cpu_count() or 1, metavar="N", help="captures at a time on this machine"
-    )
+    convert.add_argument("--jobs", type=_positive, metavar="N", help="captures at a time on this machine")
     convert.set_defaults(run=_convert)
+    prune = commands.add_parser("prune", help="flights out of a data set whose captures are gone")
+    prune.set_defaults(run=_prune)
+    for command in (convert, prune):
+        command.add_argument("--to", choices=KINDS, default="parquet")
+        command.add_argument("--out", required=True, metavar="FOLDER", help="or a URL, s3://bucket/folder")
 
-    report = commands.add_parser("report", parents=[common], help="one page of a capture, -o PAGE.html")
-    report.description = (
-        "One page of a capture that opens offline. -o PAGE.html names it, beside preferences given with -o."
-    )
-    report.add_argument("capture", type=Path, metavar="CAPTURE")
+    report = commands.add_parser("report", parents=[common], help="a page of a capture, pages of several")
+    report.add_argument("--out", metavar="PAGE.html", help="the page; of several captures the folder")
+    report.add_argument("--overlay", action="store_true", help="lay several flights over each other, on one page")
     report.set_defaults(run=_report)
 
     for what, text in (
@@ -81,34 +81,10 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _install(given: argparse.Namespace) -> int:
-    return install.run(given.what, given.purge, install.own_program())
-
-
-def _report(given: argparse.Namespace) -> int:
-    pages = [text for text in given.options if not PREFERENCE.match(text)]
-    if len(pages) > 1:
-        raise SetupError(f"one page at a time, not {' and '.join(pages)}")
-    given.options = [text for text in given.options if text not in pages]
-    page = Path(pages[0]) if pages else given.capture.with_suffix(".html")
-    if not page.parent.is_dir():
-        raise SetupError(f"{page} cannot be written: no folder {page.parent}")
-    write_report = need(f"{__package__}.report", "report").write_report
-    tshark = _tshark(given)
-    flight = read_flight(given.capture, tshark)
-    _say(flight.complaints)
-    try:
-        write_report(flight, page, tshark.begin(given.capture))
-    except OSError as error:
-        raise SetupError(f"{page} cannot be written: {error.strerror}") from error
-    if flight.partial:
-        print(f"yapp-tables: {given.capture}: read in part: {flight.partial}", file=sys.stderr)
-    return FAILED if flight.partial else 0
-
-
-def _say(complaints: Iterable[str]) -> None:
-    for text in complaints:
-        print(f"yapp-tables: {text}", file=sys.stderr)
+def _preference(text: str) -> str:
+    if ":" not in text:
+        raise argparse.ArgumentTypeError(f"{text} is no preference NAME:VALUE; --out names the page or the folder")
+    return text
 
 
 def _positive(text: str) -> int:
@@ -117,60 +93,64 @@ def _positive(text: str) -> int:
     return int(text)
 
 
-def _tshark(given: argparse.Namespace) -> Tshark:
-    return Tshark(given.tshark, given.plugin and os.path.abspath(given.plugin), tuple(given.options), given.filter)
+def _say(texts: Iterable[str]) -> None:
+    for text in texts:
+        print(f"yapp-tables: {text}", file=sys.stderr)
 
 
-def _captures(patterns: Iterable[str]) -> list[Path]:
-    """The files that are meant, absolute, in order, each once; SetupError where a pattern finds none."""
-    found: dict[Path, None] = {}
-    for pattern in patterns:
-        if pattern == "-":
-            names = [line for line in sys.stdin.read().splitlines() if line.strip()]
-        elif os.path.exists(pattern) or not glob.has_magic(pattern):
-            names = [pattern]
-        else:
-            names = sorted(name for name in glob.glob(pattern, recursive=True) if os.path.isfile(name))
-            if not names:
-                raise SetupError(f"no file matches {pattern}")
-        found |= dict.fromkeys(Path(os.path.abspath(name)) for name in names)
-    if not found:
-        raise SetupError("no captures: the list is empty")
-    return list(found)
+def _install(given: argparse.Namespace) -> int:
+    return install.run(given.what, given.purge, install.own_program())
+
+
+def _captures(patterns: list[str]) -> list[str]:
+    """Return what is named, and what stdin names for `-`."""
+    if "-" not in patterns:
+        return patterns
+    listed = [line for line in sys.stdin.read().splitlines() if line.strip()]
+    return [name for name in patterns if name != "-"] + listed
+
+
+def _config(given: argparse.Namespace) -> Config:
+    tshark = Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile)
+    return Config(str(given.out), getattr(given, "to", ""), tshark, read_fleet(given.fleet) if given.fleet else ())
 
 
 def _convert(given: argparse.Namespace) -> int:
-    captures = _captures(given.captures)
-    writer(given.to)
-    tshark = _tshark(given)
-    catalogue, complaints = tshark.catalogue()
-    _say(complaints)
-    made = made_by(tshark, catalogue)
-    results = Results(given.out.resolve(), given.to)
-    results.open(captures, made)
-    try:
-        jobs, failures = [], []
-        for capture, name in results.names(captures).items():
-            current = results.current(name, capture, made)
-            if current is None:
-                jobs.append(Job(capture, name, results, tshark, made))
-            elif current.partial:
-                failures.append(Failure(capture, f"read in part: {current.partial}"))
-        if len(jobs) < len(captures):
-            print(f"{len(captures) - len(jobs)} of {len(captures)} captures are up to date", file=sys.stderr)
-        with fleet.executor(given.scheduler, given.jobs) as pool:
-            failures += fleet.run(jobs, pool, Progress.of(jobs))
-    finally:
-        results.close()
-    return _tell(failures, len(captures), results.out / "failures.csv")
+    # The process is this command's own. What Dask has to say of lost workers it mends itself.
+    logging.disable(logging.CRITICAL)
+    results = fleet.convert(_captures(given.captures), _config(given), jobs=given.jobs, scheduler=given.scheduler)
+    lacking, failed = 0, 0
+    for result in results:
+        lacks = left_out(result.partial, "", result.lacks)
+        _say(f"{result.capture}: {text}" for text in ([result.failure] if result.failure else lacks))
+        failed += bool(result.failure or result.partial)
+        lacking += bool(result.lacks)
+    rows = sum(sum(result.messages.values()) for result in results)
+    _say([f"{len(results)} captures, {rows:,} rows in {given.out}"])
+    if failed:
+        _say([f"{failed} of {len(results)} captures failed: {given.out.rstrip('/')}.yapp-tables/failures.csv"])
+    if lacking:
+        _say([f"{lacking} of {len(results)} captures were not decoded completely: the lines above say what to set"])
+    return FAILED if failed or (lacking and given.strict) else INCOMPLETE if lacking else 0
 
 
-def _tell(failures: list[Failure], count: int, path: Path) -> int:
-    """List the captures that failed; returns the exit code."""
-    try:
-        fleet.write_failures(path, failures)
-    except OSError as error:
-        raise YappError(f"{path} cannot be written: {error.strerror}") from error
-    if failures:
-        print(f"yapp-tables: {len(failures)} of {count} captures failed: {path}", file=sys.stderr)
-    return FAILED if failures else 0
+def _prune(given: argparse.Namespace) -> int:
+    for result in fleet.prune(given.out, given.to):
+        print(f"removed   {result.capture}")
+    return 0
+
+
+def _report(given: argparse.Namespace) -> int:
+    write_reports = need(f"{__package__}.report", "report").write_reports
+    captures, config = fleet.find(_captures(given.captures)), _config(given)
+    flights = []
+    for capture in captures:
+        tshark, aircraft = config.of(capture)
+        flights.append(api.read_flight(capture, tshark, has_begin=True))
+        flights[-1].aircraft = aircraft
+    for flight in flights:
+        _say(f"{flight.name}: {text}" for text in flight.left_out)
+    write_reports(flights, captures, given.out, given.overlay)
+    if any(flight.partial for flight in flights):
+        return FAILED
+    return (FAILED if given.strict else INCOMPLETE) if any(flight.left_out for flight in flights) else 0

@@ -1,79 +1,116 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""One capture to its result: tshark writes aside, a writer makes files of that, they are renamed to their place."""
+"""One capture to its result: tshark writes aside, a writer makes files of that, they are moved to their place."""
 
 from __future__ import annotations
 
 import errno
-from dataclasses import dataclass
+import os
+from dataclasses import replace
 from pathlib import Path
 
+from .config import Config, StrPath
+from .dataset import DataSet, MadeBy, Result, plain_name
 from .errors import CaptureError, SetupError, YappError, need
-from .results import MadeBy, Result, Results, plain_name
-from .tables import digest, plugin_version, present
-from .tshark import Export, Tshark
-from .watch import PROGRESS, Watch
-from .writers import Writer
+from .tables import Origin, all_tables, digests, nothing_in, plugin_version, present
+from .tshark import Export, Tshark, check_file
+from .undecoded import left_out
+from .writers import Target, Writer
 
 # The module and the function that write a kind, and the extra that it needs: imported only when it is asked for.
 KINDS = {
     "parquet": ("writers", "write_parquet", ""),
     "csv": ("writers", "write_csv", ""),
+    "delta": ("delta", "write_delta", "delta"),
     "mf4": ("mf4", "write_mf4", "mdf"),
     "mcap": ("mcap_file", "write_mcap", "mcap"),
 }
 
 
-@dataclass(frozen=True)
-class Job:
-    """A capture to convert: all that another machine needs to know."""
-
-    capture: Path
-    name: str
-    results: Results
-    tshark: Tshark
-    made_by: MadeBy
-
-
 def writer(to: str) -> Writer:
-    """What writes this kind; SetupError where its library is missing."""
+    """Return what writes this kind; SetupError where its library is missing."""
+    if to not in KINDS:
+        raise SetupError(f"no kind {to!r}; known kinds: {', '.join(KINDS)}")
     module, function, extra = KINDS[to]
     found: Writer = getattr(need(f"{__package__}.{module}", extra), function)
     return found
 
 
 def made_by(tshark: Tshark, fields: dict[str, object]) -> MadeBy:
-    """What results of this tshark depend on, from its fields.json."""
-    return MadeBy(plugin_version(fields), digest(fields), tshark.options, tshark.filter)
+    """Return what results of this tshark depend on, from its fields.json."""
+    options = (*tshark.options, *((f"-C {tshark.profile}",) if tshark.profile else ()))
+    return MadeBy(plugin_version(fields), digests(fields), options, tshark.filter)
 
 
-def convert(job: Job) -> Result:
-    """Convert one capture; may run twice at once, and be killed at any point.
+def look_up(capture: Path, dataset: DataSet, made: MadeBy) -> tuple[str, str | None, Result | None]:
+    """Return the flight_id of a capture, that of what this path had before, and its result if that is up to date."""
+    check_file(capture)
+    flight, before = dataset.identify(capture)
+    known = dataset.find(flight)
+    if known is None or not known.is_current(made) or not dataset.has_files(known):
+        return flight, before, None
+    if known.capture != str(capture) and not os.path.exists(known.capture):  # it was moved
+        known = replace(known, capture=str(capture))
+        dataset.note(known)
+    return flight, before, known
 
-    Raises CaptureError where there is nothing to convert, SetupError, and YappError for what another try may mend.
+
+def convert_one(capture: StrPath, config: Config, made: MadeBy | None = None) -> Result:
+    """Convert one capture: a task for Dask, Prefect, Dagster or a loop.
+
+    It may run twice at once, and be killed at any point: the data set then has the flight once, or not yet.
+    made: what `made_by` says of the machine that gives the order, which must be so on this one.
+    Returns the Result, whose `failure` says why there is no data. Raises SetupError where no other capture would do
+    better on this machine, and YappError for what another try may mend.
     """
-    state = job.capture.stat() if job.capture.exists() else None
+    capture = Path(os.path.abspath(capture))
+    tshark, aircraft = config.of(capture)
+    made = made or made_by(tshark, tshark.fields()[0])
+    dataset = DataSet(config.out, config.to, config.run)
+    dataset.open()
+    flight = ""
     try:
-        with job.results.aside() as aside:
-            export = job.tshark.export(job.capture, aside / "export", watch=Watch(aside / PROGRESS, job.capture))
-            _check(job, export)
-            name = f"{job.name}.partial" if export.partial else job.name
-            # Captures of one name are told apart by their paths.
-            source_file = job.capture.name if job.name == plain_name(job.capture) else str(job.capture)
-            count = writer(job.results.to)(export, source_file, name, aside / "result")
-            assert state is not None
-            made = Result(str(job.capture), state.st_size, state.st_mtime_ns, job.made_by, (), count, export.partial)
-            return job.results.place(job.name, aside / "result", made)
+        flight, before, known = look_up(capture, dataset, made)
+        if known:
+            return known
+        result = _convert(capture, config, dataset, Origin(flight, capture, aircraft, tshark), made)
+        former = dataset.find(before) if before and before != flight else None
+        if former and former.capture == str(capture):  # the file has another content now
+            dataset.forget(former)
+        return result
+    except CaptureError as error:
+        failed = Result(flight, str(capture), made, failure=str(error).removeprefix(f"{capture}: "))
+        if flight:
+            dataset.place(capture.parent, failed)
+        return failed
     except OSError as error:
         if error.errno == errno.ENOSPC:
-            raise SetupError(f"{job.results.out}: the disk is full") from error
-        raise YappError(f"{job.results.out}: {error}") from error
+            raise SetupError(f"{config.out}: the disk is full") from error
+        raise YappError(f"{config.out}: {error}") from error
 
 
-def _check(job: Job, export: Export) -> None:
-    here = made_by(job.tshark, export.fields)
-    if here != job.made_by:
-        raise SetupError(f"the machine that works on it has another plugin or catalogue: {here}, not {job.made_by}")
+def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, made: MadeBy) -> Result:
+    with dataset.aside() as aside:
+        export = origin.tshark.export(capture, aside / "export")
+        _check(capture, origin.tshark, export, made)
+        tables = all_tables(export, origin)
+        name = f"{plain_name(capture)}-{origin.flight_id[:8]}{'.partial' if export.partial else ''}"
+        folder = aside / "result"
+        folder.mkdir()
+        before = dataset.find(origin.flight_id)
+        writer(config.to)(tables, Target(folder, name, dataset.url, origin.flight_id))
+        files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+        counts = {table.name: table.count for table in tables}
+        lacks = tuple(left_out(None, export.undecoded, export.complaints))
+        result = Result(origin.flight_id, str(capture), made, tuple(files), counts, export.partial, lacks)
+        dataset.place(folder, result)
+        if before and config.to == "delta" and (gone := before.messages.keys() - counts.keys()):
+            need(f"{__package__}.delta", "delta").delete(dataset.url, origin.flight_id, gone)
+        return result
+
+
+def _check(capture: Path, tshark: Tshark, export: Export, made: MadeBy) -> None:
+    here = made_by(tshark, export.fields)
+    if here != made:
+        raise SetupError(f"the machine that works on it has another plugin or catalogue: {here}, not {made}")
     if not present(export):
-        narrowed = f" that {job.tshark.filter} lets through" if job.tshark.filter else ""
-        damaged = f" (damaged: {export.partial})" if export.partial else ""
-        raise CaptureError(f"{job.capture}: no YAPP messages in it{narrowed}{damaged}")
+        raise CaptureError(nothing_in(capture, export, tshark.filter))

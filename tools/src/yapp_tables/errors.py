@@ -19,6 +19,14 @@ class CaptureError(YappError):
     """Something is wrong with this capture; another try would say the same."""
 
 
+class MessageError(CaptureError, KeyError):
+    """A flight has no rows of this message."""
+
+    def __str__(self) -> str:
+        """Return the sentence as it is: KeyError would quote it."""
+        return str(self.args[0])
+
+
 def need(module: str, extra: str) -> ModuleType:
     """Import a module that needs an optional library.
 

@@ -4,39 +4,120 @@
 from __future__ import annotations
 
 import csv
+import glob
 import io
-import logging
-import sys
-import time
-from collections.abc import Iterator, Sequence
+import os
+import uuid
+from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 
-from .convert import Job, convert
-from .errors import CaptureError, SetupError, need
-from .results import Result
-from .watch import NOWHERE, Position
-from .whole import write_whole
+from tqdm import tqdm
+
+from .config import Config, StrPath
+from .convert import convert_one, look_up, made_by, writer
+from .dataset import DataSet, MadeBy, Result
+from .errors import SetupError, YappError, need
+from .tshark import Tshark
 
 TRIES = 3
 SCHEDULER_SECONDS = 10
-LINE_SECONDS = 30
-BAR = 24
 
 
-@dataclass
-class Failure:
-    """A capture that gave no result, or only a part of one."""
+def convert(
+    captures: StrPath | Iterable[StrPath], config: Config, *, jobs: int | None = None, scheduler: str | None = None
+) -> list[Result]:
+    """Convert captures to a data set, what is up to date not again; one that fails holds nobody up.
 
-    capture: Path
-    reason: str
+    captures: paths, or patterns such as "flights/**/*.pcapng"; config: how, and where to;
+    jobs: how many at a time on this machine, None for its cores; scheduler: of a Dask cluster, "tcp://HOST:PORT".
+    Returns a Result for each, in the order of the captures; what failed says why in `failure`. Shows a progress bar
+    on a terminal. Raises SetupError where nothing can be done, or the cluster was lost: the same call does the rest.
+    """
+    found = find(captures)
+    writer(config.to)
+    config = replace(config, out=_absolute(config.out), run=uuid.uuid4().hex[:12])
+    dataset = DataSet(config.out, config.to, config.run)
+    made = _made(found, config)
+    dataset.open()
+    try:
+        done = _current(found, config, dataset, made)
+        waiting = {capture: made[config.of(capture)[0]] for capture in found if capture not in done}
+        with _executor(scheduler, jobs or os.cpu_count() or 1) as pool:
+            done |= _run(waiting, config, pool)
+        _write_failures(dataset, done)
+        if config.to == "parquet":
+            dataset.extend()
+        elif config.to == "delta" and waiting:
+            names = {name for result in done.values() for name in result.messages}
+            need(f"{__package__}.delta", "delta").compact(dataset.url, names)
+        return [done[capture] for capture in found]
+    finally:
+        dataset.clean()
+
+
+def prune(out: str, to: str) -> list[Result]:
+    """Remove the flights whose capture is no longer where it was. Returns what was removed.
+
+    Raises SetupError where no capture at all is there: a disk that is not mounted deletes nothing.
+    """
+    dataset = DataSet(out, to)
+    results = list(dataset.results())
+    gone = [result for result in results if not os.path.exists(result.capture)]
+    if gone and len(gone) == len(results):
+        raise SetupError(f"none of the {len(gone)} captures of {out} is there: is their disk mounted?")
+    for result in gone:
+        dataset.forget(result)
+    _write_failures(dataset, {})
+    return gone
+
+
+def find(patterns: StrPath | Iterable[StrPath]) -> list[Path]:
+    """Return the files that are meant, absolute, in order, each once; SetupError where a pattern finds none."""
+    found: dict[Path, None] = {}
+    for given in [patterns] if isinstance(patterns, str | os.PathLike) else patterns:
+        pattern = os.fspath(given)
+        names = [pattern]
+        if not os.path.exists(pattern) and glob.has_magic(pattern):
+            names = sorted(name for name in glob.glob(pattern, recursive=True) if os.path.isfile(name))
+            if not names:
+                raise SetupError(f"no file matches {pattern}")
+        found |= dict.fromkeys(Path(os.path.abspath(name)) for name in names)
+    if not found:
+        raise SetupError("no captures: the list is empty")
+    return list(found)
+
+
+def _absolute(out: str) -> str:
+    return out if "://" in out else os.path.abspath(out)
+
+
+def _made(captures: Iterable[Path], config: Config) -> dict[Tshark, MadeBy]:
+    """Ask tshark once for each way to decode."""
+    kinds = dict.fromkeys(config.of(capture)[0] for capture in captures)
+    return {tshark: made_by(tshark, tshark.fields()[0]) for tshark in kinds}
+
+
+def _current(
+    captures: Iterable[Path], config: Config, dataset: DataSet, made: dict[Tshark, MadeBy]
+) -> dict[Path, Result]:
+    """Return what is up to date; a second capture with the same content waits for nobody."""
+    done = {}
+    for capture in captures:
+        try:
+            result = look_up(capture, dataset, made[config.of(capture)[0]])[2]
+        except (YappError, OSError):  # said when it is converted
+            continue
+        if result:
+            done[capture] = result
+    return done
 
 
 @contextmanager
-def executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
-    """Where the work is done: `jobs` threads, each waiting for a tshark of its own, or the cluster at tcp://HOST:PORT."""
+def _executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
+    """Where the work is done: `jobs` threads, each waiting for a tshark of its own, or the cluster."""
     if scheduler is None:
         pool = ThreadPoolExecutor(jobs)
         try:
@@ -45,8 +126,6 @@ def executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
             pool.shutdown(cancel_futures=True)
         return
     distributed = need("distributed", "fleet")
-    # What it has to say of lost workers it mends itself; a lost scheduler is told by `run`.
-    logging.disable(logging.CRITICAL)
     try:
         client = distributed.Client(scheduler, timeout=SCHEDULER_SECONDS)
     except (OSError, ValueError) as error:
@@ -55,124 +134,49 @@ def executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
         yield client.get_executor(pure=False)
 
 
-def run(jobs: Sequence[Job], pool: Executor, progress: Progress) -> list[Failure]:
-    """Convert all, the largest first; returns what failed, after TRIES tries where another try may mend it.
-
-    Raises SetupError where the cluster is lost.
-    """
-    failures: list[Failure] = []
-    waiting: dict[Future[Result], tuple[Job, int]] = {}
-    for job in sorted(jobs, key=lambda job: _size(job.capture), reverse=True):
-        waiting[pool.submit(convert, job)] = job, 1
-    while waiting:
-        done, _ = wait(waiting, timeout=1, return_when=FIRST_COMPLETED)
-        for future in done:
-            job, tries = waiting.pop(future)
-            if future.cancelled():
-                raise SetupError("the Dask scheduler went away; what was done is kept, the same command does the rest")
-            error = future.exception()
-            if error is not None and tries < TRIES and not isinstance(error, CaptureError | SetupError):
-                waiting[pool.submit(convert, job)] = job, tries + 1
-                continue
-            result = None if error else future.result()
-            failure = _failure(job, result, error)
-            failures += [failure] if failure else []
-            progress.done(job.capture, result, failure)
-        if waiting:
-            progress.inside = jobs[0].results.position()
-            progress.show()
-    return sorted(failures, key=lambda failure: failure.capture)
+def _run(jobs: dict[Path, MadeBy], config: Config, pool: Executor) -> dict[Path, Result]:
+    """Convert all, the largest first, each at most TRIES times."""
+    done: dict[Path, Result] = {}
+    sizes = {capture: capture.stat().st_size if capture.exists() else 0 for capture in jobs}
+    waiting: dict[Future[Result], tuple[Path, int]] = {}
+    for capture in sorted(jobs, key=lambda capture: -sizes[capture]):
+        waiting[pool.submit(convert_one, capture, config, jobs[capture])] = capture, 1
+    with tqdm(total=sum(sizes.values()), unit="B", unit_scale=True, disable=None) as bar:
+        while waiting:
+            bar.refresh()
+            for future in wait(waiting, timeout=1, return_when=FIRST_COMPLETED)[0]:
+                capture, tries = waiting.pop(future)
+                if future.cancelled():
+                    raise SetupError("the Dask scheduler went away; the same command does the rest")
+                error = future.exception()
+                if error is not None and tries < TRIES and not isinstance(error, SetupError):
+                    waiting[pool.submit(convert_one, capture, config, jobs[capture])] = capture, tries + 1
+                    continue
+                done[capture] = _failure(capture, error, config, jobs[capture]) if error else future.result()
+                bar.set_postfix_str(f"{len(done)}/{len(jobs)} files", refresh=False)
+                bar.update(sizes[capture])
+    return done
 
 
-def _failure(job: Job, result: Result | None, error: BaseException | None) -> Failure | None:
-    if result:
-        return Failure(job.capture, f"read in part: {result.partial}") if result.partial else None
-    reason = str(error) or type(error).__name__
-    return Failure(job.capture, reason.removeprefix(f"{job.capture}: "))
+def _failure(capture: Path, error: BaseException, config: Config, made: MadeBy) -> Result:
+    """Return what failed at last; the data set remembers it where it is the capture's fault."""
+    why = str(error).removeprefix(f"{capture}: ") or type(error).__name__
+    result = Result("", str(capture), made, failure=why)
+    if capture.is_file() and not isinstance(error, SetupError):
+        dataset = DataSet(config.out, config.to, config.run)
+        result = replace(result, flight_id=dataset.identify(capture)[0])
+        dataset.place(capture.parent, result)
+    return result
 
 
-def _size(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0
-
-
-def write_failures(path: Path, failures: Sequence[Failure]) -> None:
-    """failures.csv: capture, reason; none where nothing failed. Raises OSError."""
-    if not failures:
-        path.unlink(missing_ok=True)
-        return
+def _write_failures(dataset: DataSet, done: dict[Path, Result]) -> None:
+    """Write failures.csv, beside the data: all captures of the data set that failed, or were read in part."""
+    known = {result.capture: result for result in dataset.results()}
+    known |= {result.capture: result for result in done.values() if not result.flight_id}
     text = io.StringIO(newline="")
     rows = csv.writer(text)
     rows.writerow(["capture", "reason"])
-    rows.writerows((str(failure.capture), failure.reason) for failure in failures)
-    write_whole(path, text.getvalue())
-
-
-@dataclass
-class Progress:
-    """On a terminal one line that is drawn again; elsewhere, as in CI, a line now and then. All of it on stderr."""
-
-    files: int
-    bytes: int
-    terminal: bool = field(default_factory=lambda: sys.stderr.isatty())
-    files_done: int = 0
-    bytes_done: int = 0
-    messages: int = 0
-    failed: int = 0
-    inside: Position = NOWHERE
-    started: float = field(default_factory=time.monotonic)
-    shown: float = field(default_factory=time.monotonic)
-
-    @classmethod
-    def of(cls, jobs: Sequence[Job]) -> Progress:
-        """The progress of these jobs, none of which has begun."""
-        return cls(len(jobs), sum(_size(job.capture) for job in jobs))
-
-    def done(self, capture: Path, result: Result | None, failure: Failure | None) -> None:
-        """Count a capture that came to its end."""
-        self.files_done += 1
-        self.inside = NOWHERE
-        self.bytes_done += _size(capture)
-        self.messages += result.messages if result else 0
-        if failure:
-            self.failed += 1
-            self._print(f"{capture}: {failure.reason}\n")
-        if self.files_done == self.files:
-            self.show(last=True)
-
-    def show(self, last: bool = False) -> None:
-        """Draw the line, where it is time to."""
-        now = time.monotonic()
-        if self.terminal:
-            self._print(f"{self._bar()} {self.text()}" + ("\n" if last else ""))
-        elif last or now - self.shown >= LINE_SECONDS:
-            self.shown = now
-            self._print(self.text() + "\n")
-
-    def text(self) -> str:
-        """Files, bytes, messages, failures and the time left."""
-        spent, read = time.monotonic() - self.started, self._read()
-        left = spent / read * (self.bytes - read) if read else None
-        parts = [
-            f"{self.files_done}/{self.files} files",
-            f"{read / 1e6:,.1f}/{self.bytes / 1e6:,.1f} MB",
-            f"{self.messages + self.inside.messages:,} messages",
-            f"{self.failed} failed" if self.failed else "",
-            f"{_clock(left)} left" if left else f"{_clock(spent)}",
-        ]
-        return ", ".join(part for part in parts if part)
-
-    def _read(self) -> int:
-        return min(self.bytes_done + self.inside.bytes, self.bytes)
-
-    def _bar(self) -> str:
-        full = round(BAR * self._read() / self.bytes) if self.bytes else BAR
-        return f"[{'#' * full}{'-' * (BAR - full)}]"
-
-    def _print(self, text: str) -> None:
-        print(f"\r\x1b[K{text}" if self.terminal else text, end="", file=sys.stderr, flush=True)
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+    for result in sorted(known.values(), key=lambda result: result.capture):
+        if reason := result.failure or (result.partial and f"read in part: {result.partial}"):
+            rows.writerow([result.capture, reason])
+    dataset.write("failures.csv", text.getvalue())

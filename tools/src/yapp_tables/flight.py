@@ -3,96 +3,128 @@
 
 from __future__ import annotations
 
-import tempfile
-import warnings
+import html
 from collections.abc import Iterator, Mapping, Sequence
-from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
-from .errors import CaptureError
-from .tables import EVENTS, SUMMARY, Message, Rows, plugin_version, present, statistics, table
-from .tshark import Export, Tshark
+from .dataset import flight_id
+from .errors import CaptureError, MessageError, need
+from .tables import (
+    EVENTS,
+    SUMMARY,
+    Message,
+    Origin,
+    Rows,
+    faults,
+    nothing_in,
+    plugin_version,
+    present,
+    statistics,
+    table,
+)
+from .tshark import Export
+from .undecoded import left_out
 
 
 class Flight(Mapping[str, pa.Table]):
     """The messages of one capture: `flight["motor"]` is a pyarrow.Table, `list(flight)` are their names.
 
-    name: the capture's file name; faults: flags raised and cleared; events: these and reboots, silences, CRC errors;
-    summary: a row for each bus and ID; statistics: minimum, mean and maximum of each of their fields;
-    messages: what the catalogue says of them; plugin: its version; partial: why not all could be read, or None;
-    complaints: what the plugin says is wrong with its preferences or the user's messages.
+    name, flight_id: the capture's file name, and a name of its content;
+    events: (n, kind, time, ...) faults, reboots, silences, bad CRCs, lost frames; times UTC in ns, lengths in seconds;
+    faults: of these the flags raised and cleared; summary: a row for each bus and ID, rates in Hz, gaps in seconds;
+    statistics: minimum, mean and maximum of each field of a source, in its unit;
+    messages: what the catalogue says of them; plugin: its version; left_out: sentences on all that is missing here,
+    of which `partial` is why a capture could not be read to its end, `undecoded` what was not decoded.
     """
 
-    def __init__(self, capture: Path, export: Export) -> None:
-        """Load the tables of an export of this capture."""
-        self.name = capture.name
-        self.partial = export.partial
-        self.complaints = export.complaints
+    def __init__(
+        self,
+        capture: Path,
+        export: Export,
+        messages: Sequence[str] | None = None,
+        columns: Sequence[str] | None = None,
+        begin: int | None = None,
+    ) -> None:
+        """Load the tables of an export of this capture; messages, columns: these only; begin: of the capture."""
+        self.name, self.flight_id, self.begin = capture.name, flight_id(capture), begin
+        self.partial, self.undecoded, self.complaints = export.partial, export.undecoded, export.complaints
         self.plugin = plugin_version(export.fields)
         self.events = table(export.records["events"], EVENTS)
-        self.faults = self.events.filter(pc.equal(self.events["kind"], "fault")).drop_columns(
-            ["kind", "length", "what", "value"]
-        )
+        self.faults = faults(self.events)
         self.summary = table(export.records["summary"], SUMMARY)
         self.statistics = statistics(export.records["summary"])
-        self.messages: dict[str, Message] = {message.name: message for message in present(export)}
-        if not self.messages:
-            raise CaptureError(f"{capture}: no YAPP messages in it")
-        self._tables = {name: _load(Rows(export, message, self.name)) for name, message in self.messages.items()}
+        self.aircraft: str | None = None
+        self.catalogue = list(export.fields["messages"])
+        found = present(export)
+        if not found:
+            raise CaptureError(nothing_in(capture, export))
+        self.messages: dict[str, Message] = {each.name: each for each in found if not messages or each.name in messages}
+        self._titles = {name: str(entry["title"] or name) for name, entry in export.fields["messages"].items()}
+        origin, self._tables = Origin(self.flight_id, capture), {}
+        for message in self.messages.values():
+            rows = Rows(export, message, origin, columns)
+            self._tables[message.name] = pa.Table.from_batches(rows, rows.schema)
+
+    @property
+    def left_out(self) -> list[str]:
+        """Sentences on all that the capture has and the tables do not; empty where they are complete."""
+        return left_out(self.partial, self.undecoded, self.complaints)
 
     def __getitem__(self, message: str) -> pa.Table:
-        """The rows of a message; KeyError where the capture has none."""
+        """Return the rows of a message; MessageError, a KeyError, where the capture has none."""
+        if message not in self._tables:
+            raise MessageError(self._why_not(message))
         return self._tables[message]
 
+    def _why_not(self, message: str) -> str:
+        if message not in self._titles:
+            return f"no message {message!r}; known messages: {', '.join(self._titles)}"
+        why = f": {self.undecoded}" if self.undecoded else f"; it has {', '.join(self)}"
+        return f"{self.name} has no decoded {self._titles[message]}{why}"
+
     def __iter__(self) -> Iterator[str]:
-        """The names of the messages that the capture has."""
+        """Return the names of the messages that the capture has."""
         return iter(self._tables)
 
     def __len__(self) -> int:
-        """How many kinds of messages the capture has."""
+        """Return how many kinds of messages the capture has."""
         return len(self._tables)
 
+    def plot(self, *fields: str) -> Any:
+        """Return a plotly Figure of fields, "motor.rpm_measured": a line for each source, over the time in UTC.
+
+        A line is broken where nothing came. Raises MessageError, and SetupError without plotly.
+        """
+        figure = need("plotly.graph_objects", "report").Figure()
+        series = need(f"{__package__}.series", "report")
+        for name in fields:
+            message, _, field = name.partition(".")
+            rows = self[message]
+            if field not in rows.schema.names:
+                raise MessageError(f"no field {field!r} in {message}; it has {', '.join(rows.schema.names)}")
+            about = self.messages[message].columns[field]
+            for source in series.sources(rows, self.messages[message].every, 0):
+                times, (values,) = series.with_gaps(source, [series.numbers(source.rows[field])])
+                figure.add_scatter(
+                    x=(times * 1e9).astype("datetime64[ns]"), y=values, name=f"{source.name} {about.title}"
+                )
+            figure.update_yaxes(title=about.unit)
+        return figure.update_layout(title=self.name, hovermode="x unified")
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: what is missing, and a row for each source."""
+        said = "".join(f"<p><b>{html.escape(text)}</b></p>" for text in self.left_out)
+        names = ("source", "bus", "id", "message", "count", "rate", "crc_bad", "incomplete", "late", "reboots")
+        cells = [[("" if row[name] is None else str(row[name])) for name in names] for row in self.summary.to_pylist()]
+        lines = ["".join(f"<td>{html.escape(text)}</td>" for text in row) for row in cells]
+        head = "".join(f"<th>{name}</th>" for name in names)
+        body = "".join(f"<tr>{line}</tr>" for line in (head, *lines))
+        return f"<h4>{html.escape(self.name)}</h4>{said}<p>{len(self.events)} events</p><table>{body}</table>"
+
     def __repr__(self) -> str:
-        """What is in it, on one line."""
+        """Return what is in it, on one line."""
         rows = ", ".join(f"{name}: {len(rows)}" for name, rows in self._tables.items())
         return f"<Flight {self.name} ({rows}; {len(self.events)} events)>"
-
-
-def _load(rows: Rows) -> pa.Table:
-    return pa.Table.from_batches(rows, rows.schema)
-
-
-def _text(path: str | PathLike[str] | None) -> str | None:
-    return None if path is None else str(path)
-
-
-def read(
-    capture: str | PathLike[str],
-    *,
-    options: Sequence[str] = (),
-    filter: str | None = None,  # noqa: A002
-    plugin: str | PathLike[str] | None = None,
-    tshark: str | PathLike[str] | None = None,
-) -> Flight:
-    """Read a capture with tshark and the plugin.
-
-    options: preferences for tshark, "yapp.motor_ids:0x210,0x211"; filter: a display filter that narrows what is taken;
-    plugin: yapp.lua where it is not installed; tshark: the program where it is not in PATH.
-    Of a damaged capture what can be read is returned, with a warning; what the plugin complains of is one too.
-    Raises YappError.
-    """
-    flight = read_flight(Path(capture), Tshark(_text(tshark), _text(plugin), tuple(options), filter))
-    if flight.partial:
-        warnings.warn(f"{capture}: read in part: {flight.partial}", stacklevel=2)
-    for text in flight.complaints:
-        warnings.warn(text, stacklevel=2)
-    return flight
-
-
-def read_flight(capture: Path, tshark: Tshark) -> Flight:
-    """`read` for who has a Tshark; without its warnings."""
-    with tempfile.TemporaryDirectory(prefix="yapp-tables-") as folder:
-        return Flight(capture, tshark.export(capture, Path(folder, "export"), ("events", "summary")))

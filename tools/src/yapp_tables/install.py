@@ -5,16 +5,11 @@
     install.py                      install, or bring an installation up to date, and check it
     install.py check                only check: what is there, and what is wrong with it
     install.py uninstall            remove what was installed and is unchanged
-    install.py uninstall --purge    remove all of it, what you changed and what Wireshark keeps in the profile included
+    install.py uninstall --purge    remove all of it, also what you changed
 
-`yapp-tables install`, `check` and `uninstall` are this program too.
-
-What you changed is never lost.  An upgrade leaves a changed catalogue (taurus_fields.lua) or profile file as it is and
-puts the new version beside it as NAME.new; changed code makes way for the new and stays beside it as NAME.edited.
-Uninstalling keeps both.  What was installed is known by the hashes in installed.json, in the plugin's folder; of the
-profile's files, which Wireshark writes anew when it likes, by what is in them.
-
-Python 3.7 or later, nothing but its standard library; Linux, macOS and Windows.
+The installer never loses a file that you edited. A catalogue (taurus_fields.lua) or profile file stays, and the new
+version lies beside it as NAME.new. Edited code stays as NAME.edited. installed.json, in the plugin's folder, has the
+hashes of what was installed. Python 3.7 or later without other packages; Linux, macOS and Windows.
 """
 
 from __future__ import annotations
@@ -30,32 +25,14 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
-# Files of earlier versions, by the first 8 digits of their SHA-256: those of 1.0.0, which left no list behind; of the
-# profile of 2.0.0, by what is in them.
-EARLIER = """
-02a131cf 02b7dbae 02ed48e0 039a1b24 04e74981 06ab1926 09929df2 0d003beb 0e80646d 11616164 1255330f 184c32d4 196fd349
-21560bc3 250675a7 2639de4b 26b978a4 295ddb25 2a9224e2 2c94f9c9 2d178ded 2fcf9b24 343c468e 364e11ed 37bf23e6 3a334311
-3de11da8 3e216626 43e85a9d 4431f416 45deb55b 4a66655c 51369fb6 52950e86 52ac04db 55bf60ec 58767335 5af7973a 6256b6c5
-6270ef85 63fd604a 668938b8 67b4b839 680d35c8 6ebaef24 71dc8b1c 778cc0be 79fa0c75 7bbbe7a0 7d1f6780 7deb33fd 800f5f1f
-80494c43 81efc0e1 836c088c 8396b192 848baec8 866b3858 88a9fd9b 8c6748b7 8fec3e4f 912d9b47 95b79550 95d02745 966a6aae
-976e7e7e 98c7d4c6 9a407302 9cf1d208 9e777c92 a073820e a388c88c a68e530e a955ab6e a9e35b5b aa139401 aefc6f44 b0fb5eaa
-b398c75b b8cf2eab b9c2f8bd bce38c2f bec73a66 c36bb9e5 c453260c c4605cc6 c6b72acc cc5fc6ad cd62550e d4c37483 d6dd83aa
-d84b8a74 d93b479b dcd8e03f dda48212 ddf59efc df805704 e9c81f20 ef8f3129 f1faf856 f4d52614 f5c91c6c fc6a40e1 fd1335a4
-ff395b6e
-2d330114 da941647 f1bf3b8b 2e49ab76 0cae8e72 55e79b49
-"""
-OLDEST = (4, 0)  # Wireshark
-SETTLED = (4, 4)  # from here on root runs no Lua plugins
+# The profile files of 2.0.0 as Wireshark rewrites them, by the first digits of their fingerprint.
+EARLIER = ("2d330114", "da941647", "f1bf3b8b", "2e49ab76", "0cae8e72", "55e79b49")
+OLDEST, NOT_AS_ROOT = (4, 0), (4, 4)  # Wireshark
 TRIED = ("5.2", "5.4", "5.5")  # Lua
-TO_EDIT = ("taurus_fields.lua",)  # and everything in the profile
-# Of the profile: tables, settings, what Wireshark keeps for itself, and settings that it makes itself.
-TABLES = ("io_graphs", "plots", "dfilter_buttons")
-SETTINGS = ("preferences", "profile_settings", "extcap.cfg")
-WIRESHARKS = ("recent", "extcap.cfg")
-ITS_SETTINGS = ("gui.qt.font_name",)
+TABLES, SETTINGS = ("io_graphs", "plots", "dfilter_buttons"), ("preferences", "profile_settings", "extcap.cfg")
 
 
 class Problem(Exception):  # noqa: N818
@@ -67,34 +44,26 @@ def say(what: str, text: object) -> None:
     print(f"{what:<9} {text}")
 
 
-# Wireshark ------------------------------------------------------------------------------------------------------------
-
-
-def find_tshark() -> str | None:
-    """Where tshark is."""
-    programs = [os.environ.get(name, "?") for name in ("ProgramW6432", "ProgramFiles", "ProgramFiles(x86)")]
-    places = [os.path.join(folder, "Wireshark", "tshark.exe") for folder in programs]
-    places.append("/Applications/Wireshark.app/Contents/MacOS/tshark")
-    return shutil.which("tshark") or next((path for path in places if os.path.exists(path)), None)
-
-
 def ask(*command: str) -> tuple[str, str]:
-    """What a program prints: stdout and stderr."""
-    pipe = subprocess.PIPE
-    done = subprocess.run(command, stdout=pipe, stderr=pipe, stdin=subprocess.DEVNULL, check=False, timeout=120)
+    """Return what a program prints: stdout and stderr."""
+    done = subprocess.run(command, stdout=-1, stderr=-1, stdin=subprocess.DEVNULL, check=False, timeout=120)
     return done.stdout.decode("utf-8", "replace"), done.stderr.decode("utf-8", "replace")
 
 
-class Wireshark:
-    """The installed Wireshark, as far as it is there.
+def is_there(path: Path) -> bool:
+    """Return whether a file, a folder or a link has this name."""
+    return os.path.lexists(str(path))
 
-    tshark: the program, version: (4, 0, 17), lua: "5.2.4", None where it was built without; the personal folders
-    config, plugins and extcap; plugin_folders: all that Lua plugins are loaded from.
-    """
+
+class Wireshark:
+    """The installed Wireshark: tshark and its version (4, 0, 17), lua "5.2.4" or None, and the personal folders."""
 
     def __init__(self) -> None:
         """Ask tshark, where there is one."""
-        self.tshark = find_tshark()
+        folders = [os.environ.get(name, "?") for name in ("ProgramW6432", "ProgramFiles", "ProgramFiles(x86)")]
+        usual = [os.path.join(folder, "Wireshark", "tshark.exe") for folder in folders]
+        usual.append("/Applications/Wireshark.app/Contents/MacOS/tshark")
+        self.tshark = shutil.which("tshark") or next(filter(os.path.exists, usual), None)
         self.version: tuple[int, ...] = ()
         self.lua: str | None = None
         named: dict[str, Path] = {}
@@ -103,52 +72,30 @@ class Wireshark:
             number = re.search(r"(\d+)\.(\d+)\.(\d+)", about)
             if not number:
                 raise Problem(f"{self.tshark} does not say its version: does it start?")
-            self.version = tuple(int(part) for part in number.groups())
+            self.version = tuple(map(int, number.groups()))
             lua = re.search(r"(?:with\s+|\+)Lua(?:\s+(\d+\.\d+(?:\.\d+)?))?", about)
             self.lua = lua and (lua[1] or "of a version that it does not say")
             lines = (line.partition(":") for line in ask(self.tshark, "-G", "folders")[0].splitlines())
             named = {name.strip(): Path(path.strip()) for name, _, path in lines if path.strip()}
-        self.config = named.get("Personal configuration") or self.usual_config()
-        local = self.config if os.name == "nt" else Path.home() / ".local/lib/wireshark"
-        self.plugins = named.get("Personal Lua Plugins") or local / "plugins"
-        # 4.0 does not name it, and has it in the configuration folder.
+        usual_config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "wireshark"
+        on_windows = os.name == "nt"
+        self.config = named.get("Personal configuration") or (
+            Path(os.environ["APPDATA"]) / "Wireshark" if on_windows else usual_config
+        )
+        local = self.config if on_windows else Path.home() / ".local/lib/wireshark"
+        plugins = named.get("Personal Lua Plugins") or local / "plugins"
+        # 4.0 does not name the folder of the live ports, and has it in the configuration folder.
         self.extcap = named.get("Personal Extcap path") or (self.config if self.tshark else local) / "extcap"
-        others = (named.get("Global Lua Plugins"), self.plugins, self.config / "plugins")
+        others = (named.get("Global Lua Plugins"), plugins, self.config / "plugins")
         self.plugin_folders = [folder for folder in others if folder]
-
-    @staticmethod
-    def usual_config() -> Path:
-        """Where the configuration is when there is no tshark to ask."""
-        if os.name == "nt":
-            return Path(os.environ["APPDATA"]) / "Wireshark"
-        return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "wireshark"
-
-    @property
-    def name(self) -> str:
-        """Such as Wireshark 4.0.17."""
-        return "Wireshark " + ".".join(map(str, self.version))
-
-    @property
-    def target(self) -> Path:
-        """The plugin's folder."""
-        return self.plugins / "yapp"
-
-    @property
-    def profile(self) -> Path:
-        """The profile's folder."""
-        return self.config / "profiles" / "YAPP"
-
-    @property
-    def note(self) -> Path:
-        """The file with one line, where yapp-tables is: the plugin's menu starts it."""
-        return self.config / "yapp_tables.path"
-
-
-# The files ------------------------------------------------------------------------------------------------------------
+        self.name = "Wireshark " + ".".join(map(str, self.version))
+        self.target, self.profile = plugins / "yapp", self.config / "profiles/YAPP"
+        # One line, where yapp-tables is.
+        self.note = self.config / "yapp_tables.path"
 
 
 def source_folder() -> Path:
-    """The folder that has the plugin: in the package, beside this program in the zip, in the repository the topmost."""
+    """Return the folder that has the plugin: in the package, beside this program in the zip, or the repository."""
     here = Path(__file__).resolve().parent
     for folder in (here / "plugin", here, *list(here.parents)[2:3]):
         if (folder / "yapp.lua").is_file() and (folder / "taurus_fields.lua").is_file():
@@ -157,29 +104,28 @@ def source_folder() -> Path:
 
 
 def plugin_version(path: Path) -> str | None:
-    """The version that a yapp.lua says."""
+    """Return the version that a yapp.lua says."""
     found = re.search(r'^local VERSION = "(.*)"', path.read_text(encoding="utf-8", errors="replace"), re.MULTILINE)
     return found[1] if found else None
 
 
 def own_program() -> str:
-    """Where the command yapp-tables of this Python is."""
+    """Return where the command yapp-tables of this Python is."""
     return shutil.which("yapp-tables", path=sysconfig.get_path("scripts")) or os.path.abspath(sys.argv[0])
 
 
 def wanted_files(source: Path, wireshark: Wireshark, program: str | None) -> dict[Path, bytes]:
-    """What belongs where; program: yapp-tables, when that installs."""
+    """Return {path: content} of an installation. program: yapp-tables, when that installs."""
     files = {wireshark.target / name: (source / name).read_bytes() for name in ("yapp.lua", "taurus_fields.lua")}
-    if (source / "yapp").is_dir():  # the repository: elsewhere they are in one file already
+    if (source / "yapp").is_dir():  # the repository: elsewhere the modules are in one file already
         sys.path.insert(0, str(source / "tools"))
         files[wireshark.target / "yapp.lua"] = importlib.import_module("bundle").bundle(source).encode()
-    places = ((source / "extcap", wireshark.extcap, "*.py"), (source / "profiles/YAPP", wireshark.profile, "*"))
-    for folder, to, pattern in places:
-        for path in sorted(folder.glob(pattern)):
-            files[to / path.name] = path.read_bytes()
-            if os.name == "nt" and path.suffix == ".py":  # Wireshark on Windows starts no scripts
-                start = f'@"{sys.executable}" "%~dp0{path.name}" %*\r\n'
-                files[to / (path.stem + ".bat")] = start.encode(sys.getfilesystemencoding())
+    for path in sorted(source.glob("extcap/*.py")):
+        files[wireshark.extcap / path.name] = path.read_bytes()
+        if os.name == "nt":  # Wireshark on Windows starts no scripts
+            start = f'@"{sys.executable}" "%~dp0{path.name}" %*\r\n'
+            files[wireshark.extcap / (path.stem + ".bat")] = start.encode(sys.getfilesystemencoding())
+    files.update((wireshark.profile / path.name, path.read_bytes()) for path in sorted(source.glob("profiles/YAPP/*")))
     if program:
         files[wireshark.note] = f"{program}\n".encode()
     elif wireshark.note.is_file():
@@ -188,60 +134,42 @@ def wanted_files(source: Path, wireshark: Wireshark, program: str | None) -> dic
 
 
 def cell(text: str) -> str:
-    """What a cell of one of Wireshark's tables says, in one of the ways to write it."""
-    text = re.sub(rb"\\x([0-9a-fA-F]{2})", lambda found: bytes([int(found[1], 16)]), text.encode()).decode(
-        "utf-8", "replace"
-    )
+    """Return what a cell of one of Wireshark's tables says, in one of the ways to write it."""
+    raw = re.sub(rb"\\x([0-9a-fA-F]{2})", lambda found: bytes([int(found[1], 16)]), text.encode())
+    text = raw.decode("utf-8", "replace")
     if re.fullmatch(r"#[0-9A-Fa-f]{6}", text):
         return text.lower()
-    if re.fullmatch(r"-?\d+(\.\d+)?", text):
-        return repr(float(text))
-    return {"Enabled": "TRUE", "Disabled": "FALSE"}.get(text, text)
-
-
-def table(lines: Sequence[str]) -> Iterator[str]:
-    """The rows of a table; a later version's further columns count where they are not at their default."""
-    for row in csv.reader(lines):
-        cells = [cell(text) for text in row]
-        while cells and cells[-1] in ("", "FALSE"):
-            cells.pop()
-        yield "\t".join(cells)
-
-
-def settings(lines: Sequence[str]) -> list[str]:
-    """Each setting with its value, in order of the names; those that Wireshark makes itself are none."""
-    entries = re.split(r"\n(?!\s)", "\n".join(lines))
-    pairs = (entry.partition(":") for entry in entries)
-    return sorted(
-        f"{key}:{' '.join(value.split())}" for key, _, value in pairs if value.strip() and key not in ITS_SETTINGS
-    )
+    is_number = re.fullmatch(r"-?\d+(\.\d+)?", text)
+    return repr(float(text)) if is_number else {"Enabled": "TRUE", "Disabled": "FALSE"}.get(text, text)
 
 
 def meaning(name: str, content: bytes) -> str:
-    """What is in a file of the profile, however Wireshark writes it."""
+    """Return what a file of the profile says, however Wireshark writes it."""
     text = content.decode("utf-8", "replace")
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if name in TABLES:
-        return "\n".join(table(lines))
-    return "\n".join(settings(lines) if name in SETTINGS else lines)
+    if name in TABLES:  # a later version's further columns count where they are not at their default
+        rows = ("\t".join(map(cell, row)) for row in csv.reader(lines))
+        lines = [re.sub(r"(\t(FALSE)?)+$", "", row) for row in rows]
+    elif name in SETTINGS:  # Wireshark sets its font itself
+        pairs = (entry.partition(":") for entry in re.split(r"\n(?!\s)", "\n".join(lines)))
+        set_ones = ((key, " ".join(value.split())) for key, _, value in pairs if key != "gui.qt.font_name")
+        lines = sorted(f"{key}:{value}" for key, value in set_ones if value)
+    return "\n".join(lines)
 
 
-def digest(data: bytes) -> str:
-    """SHA-256."""
-    return hashlib.sha256(data).hexdigest()
+def is_wiresharks(path: Path) -> bool:
+    """Return whether Wireshark alone wrote this profile file: positions of windows, or settings that are all unset."""
+    if path.name not in ("recent", "extcap.cfg") or path.is_symlink() or not path.is_file():
+        return False
+    return path.name == "recent" or not meaning(path.name, path.read_bytes())
 
 
 class Installation:
-    """What is installed, by the list that an installation leaves behind.
-
-    hashes: { path: what was installed there, or would have been had the user not changed it, as fingerprint() has it };
-    folders: those that were made for it.
-    """
+    """What is installed. hashes: {path: fingerprint of this version's file}; folders: those that were made for it."""
 
     def __init__(self, wireshark: Wireshark) -> None:
-        """Read the list, where there is one."""
-        self.wireshark = wireshark
-        self.target = wireshark.target
+        """Read the list that an installation leaves behind, where there is one."""
+        self.wireshark, self.target = wireshark, wireshark.target
         self.list = self.target / "installed.json"
         self.hashes: dict[Path, str] = {}
         self.folders: list[Path] = []
@@ -253,7 +181,7 @@ class Installation:
                 self.folders = [Path(path) for path in content["folders"]]
             except (ValueError, KeyError, AttributeError) as problem:
                 raise Problem(f"{self.list} is damaged; remove it, then every file counts as changed") from problem
-        self.contents = set(self.hashes.values())
+        self.known = set(self.hashes.values())
 
     def say(self, what: str, path: Path, why: str) -> None:
         """Print what becomes of a file that is not as it was installed."""
@@ -261,32 +189,23 @@ class Installation:
         self.said.add(path)
 
     def fingerprint(self, path: Path, content: bytes) -> str:
-        """What a file is known by: its bytes; of the profile's, which Wireshark rewrites, what is in it."""
-        if path.parent != self.wireshark.profile:
-            return digest(content)
-        return digest(meaning(path.stem if path.suffix == ".new" else path.name, content).encode())
+        """Return the hash of a file; of the profile's, which Wireshark rewrites, that of what it says."""
+        if path.parent == self.wireshark.profile:
+            content = meaning(path.stem if path.suffix == ".new" else path.name, content).encode()
+        return hashlib.sha256(content).hexdigest()
 
     def is_ours(self, path: Path) -> bool:
-        """Whether the file is as some installation left it, or as Wireshark wrote that anew."""
+        """Return whether the file is as some installation left it, or as Wireshark wrote that anew."""
         if path.is_symlink() or not path.is_file():
             return False
         content = path.read_bytes()
-        known = {digest(content), self.fingerprint(path, content)}
-        return not known.isdisjoint(self.contents) or any(each[:8] in EARLIER for each in known)
-
-    def is_module(self, path: Path) -> bool:
-        """Whether it is one of the modules of 1.0 and 2.0, by its name: today they are all in yapp.lua."""
-        return path.parent == self.target / "yapp" and path.match("yapp_*.lua")
-
-    def candidates(self) -> set[Path]:
-        """Paths of the earlier installation; those that may be, where it left no list."""
-        return set(self.hashes) or {*self.target.glob("*.lua"), *self.target.glob("yapp/*.lua")}
+        found = {hashlib.sha256(content).hexdigest(), self.fingerprint(path, content)}
+        return not found.isdisjoint(self.known) or any(each.startswith(EARLIER) for each in found)
 
     def write(self, path: Path, content: bytes) -> None:
         """Write a file of ours, whole or not at all."""
-        missing = [folder for folder in path.parents if not folder.exists()]
+        self.folders += [each for each in path.parents if not each.exists() and each not in self.folders]
         path.parent.mkdir(parents=True, exist_ok=True)
-        self.folders += [folder for folder in missing if folder not in self.folders]
         new = path.with_name(path.name + ".part")
         new.write_bytes(content)
         new.chmod(0o755 if path.parent == self.wireshark.extcap else 0o644)
@@ -294,61 +213,57 @@ class Installation:
         self.hashes[path] = self.fingerprint(path, content)
 
     def put(self, path: Path, content: bytes) -> None:
-        """Bring one file up to date; what the user changed stays, in its place or beside it."""
-        before, now = self.hashes.get(path), self.fingerprint(path, content)
-        beside = path.with_name(path.name + ".new")
-        there = os.path.lexists(str(path))
-        if (
-            not there
-            or self.is_ours(path)
-            or (path.is_file() and not path.is_symlink() and path.read_bytes() == content)
-        ):
+        """Bring one file up to date; an edited one stays, in its place or beside it."""
+        beside, now = path.with_name(path.name + ".new"), self.fingerprint(path, content)
+        is_same = path.is_file() and not path.is_symlink() and path.read_bytes() == content
+        if is_same or not is_there(path) or self.is_ours(path):
             self.write(path, content)
             self.remove(beside)
-        elif path.name not in TO_EDIT and path.parent != self.wireshark.profile:
+        elif path.name != "taurus_fields.lua" and path.parent != self.wireshark.profile:
             self.say("replaced", path, f"it was changed; your version is kept beside it, {self.set_aside(path).name}")
             self.write(path, content)
-        elif before == now:
+        elif self.hashes.get(path) == now:
             self.say("kept", path, "you changed it")
         else:
             self.hashes[path] = now
             self.say("kept", path, f"you changed it; this version's is beside it, {beside.name}")
-            if os.path.lexists(str(beside)) and not self.is_ours(beside):
+            if is_there(beside) and not self.is_ours(beside):
                 self.set_aside(beside)
             self.write(beside, content)
 
-    @staticmethod
-    def set_aside(path: Path) -> Path:
-        """Rename a file to a name that is free and that Wireshark does not run; returns the new path."""
-        count, aside = 1, path.with_name(path.name + ".edited")
-        while os.path.lexists(str(aside)):
-            count += 1
-            aside = path.with_name(f"{path.name}.edited{count}")
+    def set_aside(self, path: Path) -> Path:
+        """Rename a file to a free name that Wireshark does not run. Return the new path."""
+        names = (path.with_name(f"{path.name}.edited{number or ''}") for number in (0, *range(2, 1000)))
+        aside = next(name for name in names if not is_there(name))
         path.rename(aside)
-        if not aside.is_symlink():
-            aside.chmod(0o644)
         return aside
 
     def remove(self, path: Path) -> None:
         """Remove a file that is as it was installed, and say so of one that is not."""
+        is_module = path.parent == self.target / "yapp" and path.match("yapp_*.lua")  # those of 2.0
         if self.is_ours(path):
             path.unlink()
-        elif os.path.lexists(str(path)) and self.is_module(path):
+        elif is_there(path) and is_module:
             self.say("kept", self.set_aside(path), f"you changed it; Wireshark would run it as {path.name}")
-        elif path in self.hashes and os.path.lexists(str(path)) and not is_wiresharks(path):
+        elif path in self.hashes and is_there(path) and not is_wiresharks(path):
             self.say("kept", path, "you changed it")
         self.hashes.pop(path, None)
 
     def install(self, files: dict[Path, bytes]) -> None:
-        """Put the files in their places, and take those of an earlier version away."""
-        for path in sorted(self.candidates() - set(files)):
+        """Put the files in their places, and remove those of an earlier version."""
+        if (self.target / "yapp.lua").is_file() and not self.list.exists():  # 1.0, which left no list
+            before = self.wireshark.config / "yapp.before"
+            self.say("kept", self.target, f"it has no list of its files; all of it is now in {before}")
+            self.wireshark.config.mkdir(parents=True, exist_ok=True)
+            shutil.move(str(self.target), str(before))
+        for path in sorted(set(self.hashes) - set(files)):
             if path.suffix != ".new" or path.with_suffix("") not in files:
-                self.remove(path)  # of an earlier version, or of another Wireshark's folder
+                self.remove(path)
         for path, content in files.items():
-            # Where windows and columns were last Wireshark writes at every exit: ours is for the first time only.
+            # Wireshark writes the positions of windows at every exit: ours is for the first time only.
             if not (path.parent == self.wireshark.profile and is_wiresharks(path)):
                 self.put(path, content)
-        self.remove_folders([self.target / "yapp", *self.folders])
+        self.remove_folders()
         made = [str(folder) for folder in self.folders if folder.is_dir()]
         listed = {"files": {str(path): value for path, value in self.hashes.items()}, "folders": made}
         self.list.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
@@ -356,21 +271,21 @@ class Installation:
     def uninstall(self) -> None:
         """Remove what is as it was installed, and what Wireshark keeps in a profile that nothing else is in."""
         own = [self.target / "yapp", self.target, self.wireshark.profile]
-        for path in sorted(self.candidates()):
+        for path in sorted(self.hashes):
             self.remove(path)
         if self.list.exists():
             self.list.unlink()
         left = list(self.wireshark.profile.glob("*"))
-        if all(is_wiresharks(path) for path in left):
+        if all(map(is_wiresharks, left)):
             for path in left:
                 path.unlink()
-        self.remove_folders([*own, *self.folders])
+        self.remove_folders()
         for path in sorted(path for folder in own for path in folder.glob("*")):
             if path not in own and path not in self.said:
                 self.say("kept", path, "it is not as it was installed")
 
     def outside(self) -> list[Path]:
-        """What lies in folders that are not ours."""
+        """Return the files that lie in folders that are not ours."""
         own = (self.target, self.wireshark.profile)
         listed = [path for path in self.hashes if not any(folder in path.parents for folder in own)]
         found = [*self.wireshark.extcap.glob("yapp_extcap.*"), *self.wireshark.config.glob("yapp_tables.path*")]
@@ -378,60 +293,38 @@ class Installation:
 
     def purge(self) -> None:
         """Remove all of it, whoever wrote it."""
-        for path in self.outside():
-            if os.path.lexists(str(path)):
+        for path in (*self.outside(), self.wireshark.profile, self.target):
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(str(path))
+            elif is_there(path):
                 path.unlink()
-        for folder in (self.wireshark.profile, self.target):
-            if folder.is_symlink():
-                folder.unlink()
-            elif folder.is_dir():
-                shutil.rmtree(str(folder))
-        self.remove_folders(self.folders)
+        self.remove_folders()
 
-    @staticmethod
-    def remove_folders(folders: Iterable[Path]) -> None:
-        """Remove those that are empty, deepest first."""
-        for folder in sorted(set(folders), key=lambda folder: -len(folder.parts)):
+    def remove_folders(self) -> None:
+        """Remove the folders of ours that are empty, deepest first."""
+        own = {self.target / "yapp", self.target, self.wireshark.profile, *self.folders}
+        for folder in sorted(own, key=lambda folder: -len(folder.parts)):
             if folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir()):
                 folder.rmdir()
 
 
-def is_wiresharks(path: Path) -> bool:
-    """Whether Wireshark alone wrote this file of the profile: where windows were, or settings that are all unset."""
-    if path.name not in WIRESHARKS or path.is_symlink() or not path.is_file():
-        return False
-    return path.name == "recent" or not meaning(path.name, path.read_bytes())
-
-
-# What is wrong --------------------------------------------------------------------------------------------------------
-
-
 def real(path: object) -> str:
-    """The path without links, in the one way to write it."""
+    """Return the path without links, in the one way to write it."""
     return os.path.normcase(os.path.realpath(str(path)))
 
 
 def is_root() -> bool:
-    """Whether root runs this."""
+    """Return whether root runs this."""
     return hasattr(os, "geteuid") and os.geteuid() == 0
 
 
-def copies(wireshark: Wireshark) -> list[Path]:
-    """The folders with a yapp.lua from which Wireshark may load it."""
-    found = {real(path): path.parent for folder in wireshark.plugin_folders for path in folder.glob("**/yapp.lua")}
-    return list(found.values())
-
-
 def refuse_to_install(source: Path, wireshark: Wireshark) -> None:
-    """Raise where an installation would do harm."""
+    """Raise Problem where an installation would do harm."""
     if os.environ.get("SUDO_USER") and is_root():
         raise Problem("run it without sudo: everything goes into the home of the user who runs Wireshark")
     for folder in wireshark.plugin_folders:
-        if real(source) == real(folder) or real(source).startswith(real(folder) + os.sep):
-            raise Problem(
-                f"{source} is in Wireshark's plugin folder, from which it is loaded as it is: move it elsewhere "
-                "(your own changes with it), and run this again there"
-            )
+        if (real(source) + os.sep).startswith(real(folder) + os.sep):
+            raise Problem(f"{source} is in Wireshark's plugin folder, which loads it as it is: move it elsewhere first")
     for folder in (wireshark.target, wireshark.target / "yapp", wireshark.profile):
         if folder.is_symlink():
             raise Problem(f"{folder} is a link to {folder.resolve()}: remove the link first")
@@ -440,7 +333,8 @@ def refuse_to_install(source: Path, wireshark: Wireshark) -> None:
 def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
     """Say what there is, and give the sentences that say what is wrong with it."""
     entry = wireshark.target / "yapp.lua"
-    for folder in copies(wireshark):
+    copies = {real(path): path.parent for folder in wireshark.plugin_folders for path in folder.glob("**/yapp.lua")}
+    for folder in copies.values():
         if real(folder) != real(wireshark.target):
             yield f"another copy of the plugin is in {folder}: Wireshark loads only one; remove one of them"
     if not entry.is_file():
@@ -450,28 +344,24 @@ def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
         if installed != own:
             yield f"{entry} is version {installed or 'unknown'}, this is {own}: install it again"
     yield from sandboxes(wireshark)
-    if not wireshark.tshark:
-        print("tshark was not found, so whether Wireshark loads the plugin was not checked.")
-    else:
+    if wireshark.tshark:
         say("wireshark", f"{wireshark.name}, Lua {wireshark.lua or 'none'}: {wireshark.tshark}")
-        yield from unfit(wireshark)
-        if entry.is_file() and wireshark.lua and wireshark.version >= OLDEST:
-            yield from loading_problems(wireshark, wireshark.tshark, entry)
+        yield from loading_problems(wireshark, wireshark.tshark, entry)
+    else:
+        print("tshark was not found, so whether Wireshark loads the plugin was not checked.")
     live_ports(wireshark)
 
 
-def unfit(wireshark: Wireshark) -> Iterator[str]:
-    """What no installation helps against."""
+def loading_problems(wireshark: Wireshark, tshark: str, entry: Path) -> Iterator[str]:
+    """Give the sentences on why Wireshark does not load what is installed."""
     if wireshark.version < OLDEST:
         yield f"{wireshark.name} is too old: {OLDEST[0]}.{OLDEST[1]} or later is needed"
     if not wireshark.lua:
-        yield f"{wireshark.tshark} was built without Lua: install Wireshark's official package, or your distribution's"
+        yield f"{tshark} was built without Lua: install Wireshark's official package, or your distribution's"
     elif wireshark.lua[0].isdigit() and not wireshark.lua.startswith(TRIED):
         say("note", f"the plugin was tried with Lua {', '.join(TRIED)}, not with {wireshark.lua}")
-
-
-def loading_problems(wireshark: Wireshark, tshark: str, entry: Path) -> Iterator[str]:
-    """Whether Wireshark loads what is installed."""
+    if not (entry.is_file() and wireshark.lua and wireshark.version >= OLDEST):
+        return
     protocols, errors = ask(tshark, "-G", "protocols")
     if re.search(r"\tyapp\s", protocols):
         plugins = ask(tshark, "-G", "plugins")[0]
@@ -480,80 +370,48 @@ def loading_problems(wireshark: Wireshark, tshark: str, entry: Path) -> Iterator
             yield f"Wireshark loads {loaded[0]} instead of {entry}"
         else:
             say("checked", f"{wireshark.name} loads {entry}")
-    elif is_root() and wireshark.version >= SETTLED:
+    elif is_root() and wireshark.version >= NOT_AS_ROOT:
         yield f"as root, {wireshark.name} runs no Lua plugins: install and run it as an ordinary user"
     else:
-        said = [line for line in errors.splitlines() if "Lua" in line or "lua" in line]
-        yield f"{wireshark.name} does not load {entry}" + "".join(f"\n  {line}" for line in said[:5])
+        said = [line for line in errors.splitlines() if "lua" in line.lower()]
+        yield "\n  ".join([f"{wireshark.name} does not load {entry}", *said[:5]])
 
 
 def sandboxes(wireshark: Wireshark) -> Iterator[str]:
-    """A Wireshark of Flatpak or Snap: a problem where there is no other one."""
-    found = []
-    for folder in (Path.home() / ".local/share/flatpak", Path("/var/lib/flatpak")):
-        if (folder / "app/org.wireshark.Wireshark").is_dir():
-            found.append(("Flatpak", folder))
-    programs = [os.path.join(folder, "wireshark") for folder in os.environ.get("PATH", "").split(os.pathsep)]
-    programs.append(wireshark.tshark or "")
-    found += [("Snap", Path(path)) for path in programs if "/snap/" in path and os.path.exists(path)]
+    """Name a Wireshark of Flatpak or Snap: a problem where there is no other one."""
+    flatpaks = [Path.home() / ".local/share/flatpak", Path("/var/lib/flatpak")]
+    found = [f"Flatpak ({each})" for each in flatpaks if (each / "app/org.wireshark.Wireshark").is_dir()]
+    folders = os.environ.get("PATH", "").split(os.pathsep)
+    programs = [*(os.path.join(folder, "wireshark") for folder in folders), wireshark.tshark or ""]
+    found += [f"Snap ({path})" for path in programs if "/snap/" in path and os.path.exists(path)]
     if not found:
         return
-    kind, where = found[0]
-    text = (
-        f"the Wireshark of {kind} ({where}) sees no plugin folder and cannot capture: use your distribution's package"
-    )
+    text = f"the Wireshark of {found[0]} sees no plugin folder and cannot capture: use your distribution's package"
     if wireshark.tshark and "/snap/" not in wireshark.tshark:
         say("note", f"{text}, {wireshark.tshark}, which is there too")
     else:
         yield text
 
 
-def live_python(wireshark: Wireshark) -> str | None:
-    """The Python that runs the live ports: on Windows the one that installed, elsewhere the first in PATH."""
-    batch = wireshark.extcap / "yapp_extcap.bat"
-    if batch.is_file():
-        named = re.match(r'@"(.*?)"', batch.read_text(encoding=sys.getfilesystemencoding()))
-        return named[1] if named and os.path.exists(named[1]) else None
-    return shutil.which("python3")
-
-
 def live_ports(wireshark: Wireshark) -> None:
-    """Say what runs the live ports, and what it has."""
+    """Say which Python runs the live ports, and which modules it has."""
     if not (wireshark.extcap / "yapp_extcap.py").is_file():
         if wireshark.target.is_dir():
             say("note", f"no live ports in {wireshark.extcap}: install it again")
         return
-    python = live_python(wireshark)
+    python, batch = shutil.which("python3"), wireshark.extcap / "yapp_extcap.bat"
+    if batch.is_file():  # on Windows the Python that installed
+        python = shutil.which(batch.read_text(encoding=sys.getfilesystemencoding()).split('"')[1])
     if not python:
         say("note", "no python3 in PATH, so there are no live ports: they need Python 3.7 or later")
         return
     look = "import sys, importlib.util as u; print(sys.version.split()[0], *filter(u.find_spec, ('serial', 'can')))"
     version, *found = ask(python, "-c", look)[0].split() or ["(it does not start)"]
-    states = [
-        f"{'with' if module in found else 'without'} {name}"
-        for name, module in (("pyserial", "serial"), ("python-can", "can"))
-    ]
-    say("python", f"{python} {version} runs the live ports, {', '.join(states)}")
-    if len(found) < len(states):
+    modules = (("pyserial", "serial"), ("python-can", "can"))
+    states = ", ".join(f"{'with' if module in found else 'without'} {name}" for name, module in modules)
+    say("python", f"{python} {version} runs the live ports, {states}")
+    if len(found) < len(modules):
         say("note", f"pyserial is for ports on Windows, python-can for CAN adapters: {python} -m pip install NAME")
-
-
-# ----------------------------------------------------------------------------------------------------------------------
-
-
-def install(source: Path, wireshark: Wireshark, program: str | None) -> None:
-    """Install, and say where."""
-    refuse_to_install(source, wireshark)
-    Installation(wireshark).install(wanted_files(source, wireshark, program))
-    say("plugin", wireshark.target)
-    for name, there in (("extcap", wireshark.extcap), ("profile", wireshark.profile)):
-        if there.is_dir():
-            say(name, there)
-
-
-def contents(path: Path) -> list[Path]:
-    """What is there: the path, and those in it."""
-    return [each for each in (path, *path.rglob("*")) if os.path.lexists(str(each))]
 
 
 def uninstall(wireshark: Wireshark, purge: bool) -> None:
@@ -562,20 +420,18 @@ def uninstall(wireshark: Wireshark, purge: bool) -> None:
     if not (installation.target.exists() or purge):
         print(f"Nothing is installed in {installation.target}")
         return
-    there = {path: contents(path) for path in (*installation.outside(), wireshark.profile, installation.target)}
-    if purge:
-        installation.purge()
-    else:
-        installation.uninstall()
+    paths = (*installation.outside(), wireshark.profile, installation.target)
+    there = {path: [each for each in (path, *path.rglob("*")) if is_there(each)] for path in paths}
+    (installation.purge if purge else installation.uninstall)()
     for path, before in there.items():
-        if contents(path) != before:
+        if not all(map(is_there, before)):
             say("removed", f"{path}{', except what is kept' if path.exists() else ''}")
     if installation.said:
         say("note", "uninstall --purge removes what is kept, too")
 
 
 def run(what: str, purge: bool = False, program: str | None = None) -> int:
-    """Do one of install, check and uninstall; program: yapp-tables, for the plugin's menu.  Returns the exit code."""
+    """Do one of install, check and uninstall; program: where yapp-tables is. Return the exit code."""
     found = []
     try:
         wireshark = Wireshark()
@@ -584,7 +440,11 @@ def run(what: str, purge: bool = False, program: str | None = None) -> int:
         else:
             source = source_folder()
             if what == "install":
-                install(source, wireshark, program)
+                refuse_to_install(source, wireshark)
+                Installation(wireshark).install(wanted_files(source, wireshark, program))
+                places = {"plugin": wireshark.target, "extcap": wireshark.extcap, "profile": wireshark.profile}
+                for name, place in places.items():
+                    say(name, place)
             found = list(problems(source, wireshark))
     except (Problem, OSError, subprocess.SubprocessError) as problem:
         found = [str(problem)]

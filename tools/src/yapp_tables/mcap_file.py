@@ -4,55 +4,49 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from collections.abc import Sequence
+from importlib.metadata import version
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 from mcap.writer import Writer
 
-from .sources import by_source
-from .tables import Rows, plugin_version, present
-from .tshark import Export
+from .sources import begin, by_source, times_of
+from .tables import Table
+from .writers import Target
 
-# MCAP has the time itself; the file's name is in its metadata.
-LEFT_OUT = ("time", "source_file")
+# MCAP has the time itself; the rest stands once, in /flights.
+LEFT_OUT = ("time", "source_file", "flight_id")
 
 
-def write_mcap(export: Export, source_file: str, name: str, folder: Path) -> int:
-    """Write a capture.  A value that is absent, or no number that JSON has, is left out; `_special` says which."""
-    folder.mkdir()
-    total = 0
-    with (folder / f"{name}.mcap").open("wb") as file:
+def write_mcap(tables: Sequence[Table], target: Target) -> None:
+    """Write a capture. A value that is absent, or no number that JSON has, is left out; `_special` says which."""
+    start = begin(tables)
+    with (target.folder / f"{target.name}.mcap").open("wb") as file:
         writer: Any = Writer(file)
-        writer.start(library=f"yapp-tables, YAPP plugin {plugin_version(export.fields)}")
-        writer.add_metadata("yapp", {"source_file": source_file})
-        for message in present(export):
-            total += _write(writer, Rows(export, message, source_file))
+        writer.start(library=f"yapp-tables {version('yapp-tables')}")
+        for table in tables:
+            _write(writer, table, start)
         writer.finish()
-    return total
 
 
-def _write(writer: Any, rows: Rows) -> int:
-    schema = writer.register_schema(rows.message.name, "jsonschema", json.dumps(_schema(rows)).encode())
+def _write(writer: Any, table: Table, start: int) -> None:
+    schema = writer.register_schema(table.name, "jsonschema", json.dumps(_schema(table)).encode())
     channels: dict[str, int] = {}
-    total = 0
-    for source, batch in by_source(rows):
-        topic = "/".join(("", rows.message.name, *source))
+    for source, batch in by_source(table):
+        topic = "/".join(("", table.name, *source))
         if topic not in channels:
             channels[topic] = writer.register_channel(topic, "json", schema)
-        times = batch.column("time").cast(pa.int64()).to_pylist()
-        for time, text in zip(times, _json(batch).to_pylist(), strict=True):
+        for time, text in zip(times_of(batch, start).to_pylist(), _json(batch).to_pylist(), strict=True):
             writer.add_message(channels[topic], time, text, time)
-        total += len(times)
-    return total
 
 
-def _schema(rows: Rows) -> dict[str, Any]:
+def _schema(rows: Table) -> dict[str, Any]:
     """A JSON schema; each property names its title, with its unit."""
     properties = {}
     for field in rows.schema:
-        if field.name not in LEFT_OUT:
+        if field.name not in LEFT_OUT or rows.name == "flights":
             about = {key.decode(): text.decode() for key, text in (field.metadata or {}).items()}
             unit = f" [{about['unit']}]" if "unit" in about else ""
             properties[field.name] = {"type": _type(field.type), "description": about.get("title", field.name) + unit}
@@ -71,7 +65,7 @@ def _json(batch: pa.RecordBatch) -> pa.Array:
     """Each row as a JSON object, made column by column; absent values are left out."""
     pieces: list[Any] = []
     for field, column in zip(batch.schema, batch.columns, strict=True):
-        if field.name in LEFT_OUT or column.null_count == len(column):
+        if (field.name in LEFT_OUT and "capture" not in batch.schema.names) or column.null_count == len(column):
             continue
         comma = "," if pieces else "{"
         text = pc.binary_join_element_wise(f"{comma}{json.dumps(field.name)}:", _texts(column), "")
@@ -81,6 +75,8 @@ def _json(batch: pa.RecordBatch) -> pa.Array:
 
 def _texts(column: pa.Array) -> pa.Array:
     """A column's values as JSON writes them, null where there is none."""
+    if pa.types.is_timestamp(column.type):
+        column = column.cast(pa.string())
     if pa.types.is_string(column.type):
         coded = column.dictionary_encode()
         escaped = pa.array([json.dumps(text, ensure_ascii=False) for text in coded.dictionary.to_pylist()], pa.string())

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from pathlib import Path
+from importlib.metadata import version
 from typing import Any
 from xml.sax.saxutils import escape
 
@@ -13,44 +14,42 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from asammdf import MDF, Signal
 
-from .sources import by_source
-from .tables import Column, Rows, plugin_version, present
-from .tshark import Export
+from .sources import begin, by_source, times_of
+from .tables import TIME, Column, Rows, Table
+from .writers import Target
 
 # As the plugin numbers the reserved counts in `<field>.special`.
 SPECIAL = ("nan", "inf", "-inf", "above", "below")
 NANOSECONDS = 1_000_000_000
 
 
-def write_mf4(export: Export, source_file: str, name: str, folder: Path) -> int:
+def write_mf4(tables: Sequence[Table], target: Target) -> None:
     """Write a capture: units, meanings of numbers, invalidation bits where a value is absent, the time it began at."""
-    folder.mkdir()
-    total = 0
-    all_rows = [Rows(export, message, source_file) for message in present(export)]
-    start = min(rows.first_time() for rows in all_rows) // NANOSECONDS
-    with MDF(version="4.10", temporary_folder=str(folder.parent)) as mdf:
+    start = begin(tables) // NANOSECONDS
+    with MDF(version="4.10", temporary_folder=str(target.folder.parent)) as mdf:
         mdf.header.start_time = datetime.fromtimestamp(start, UTC)
-        mdf.header.comment = f"{source_file}, YAPP plugin {plugin_version(export.fields)}"
-        for rows in all_rows:
-            total += _Groups(mdf, rows, start).write()
-        mdf.save(folder / f"{name}.mf4", compression=2, overwrite=True)
-    return total
+        mdf.header.comment = f"flight {target.flight_id}, yapp-tables {version('yapp-tables')}"
+        for table in tables:
+            _Groups(mdf, table, start).write()
+        mdf.save(target.folder / f"{target.name}.mf4", compression=2, overwrite=True)
 
 
 class _Groups:
     """The channel groups of one message, one for each source."""
 
-    def __init__(self, mdf: Any, rows: Rows, start: int) -> None:
+    def __init__(self, mdf: Any, rows: Table, start: int) -> None:
         self.mdf, self.rows, self.start = mdf, rows, start
         self.groups: dict[tuple[str, ...], int] = {}
-        head = [Column(name, rows.schema.field(name).type, "value") for name in ("frame", "id", "seq")]
-        self.columns = head + [column for column in rows.columns if not self._is_meaning(column)]
+        names = ("frame", "id", "seq") if isinstance(rows, Rows) else ()
+        columns = [Column(name, rows.schema.field(name).type, "value") for name in names] + rows.columns
+        self.columns = [column for column in columns if column.type != TIME and not self._is_meaning(column)]
 
-    def write(self) -> int:
-        """Add all rows. Returns how many there are."""
-        total = 0
+    def write(self) -> None:
+        """Add all rows."""
         for source, batch in by_source(self.rows):
-            since = pc.subtract(batch.column("time").cast(pa.int64()), self.start * NANOSECONDS)
+            if not len(batch):
+                continue
+            since = pc.subtract(times_of(batch, self.start * NANOSECONDS), self.start * NANOSECONDS)
             times = since.to_numpy(zero_copy_only=False) / NANOSECONDS
             samples = [(column, *_samples(batch.column(column.name), column)) for column in self.columns]
             if source in self.groups:
@@ -64,8 +63,6 @@ class _Groups:
                 self.groups[source] = self.mdf.append(
                     signals, acq_name=name, comment=self.rows.message.title, common_timebase=True
                 )
-            total += len(times)
-        return total
 
     def _is_meaning(self, column: Column) -> bool:
         """An enum's text: the number's conversion says the same."""

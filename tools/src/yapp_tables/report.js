@@ -1,56 +1,88 @@
-// The page of one flight: tables, and pictures on one time axis that hold as many samples as the window has room for.
+// The page of a flight: tables, and pictures on one time axis that hold as many samples as the window has room for.
 "use strict";
-(() => {
-  const data = JSON.parse(document.getElementById("data").textContent);
+(async () => {
   const byId = (id) => document.getElementById(id);
-  // Distinct in colour and, printed in grey, in lightness; the fields of a panel differ by their dashes.
-  const COLOURS = { light: ["#1c56b0", "#e8590c", "#237032", "#e0a100", "#7b2cbf", "#e64980", "#0b7285", "#8f979f",
-    "#5c4813", "#74b816", "#212529", "#748ffc"],
-    dark: ["#74c0fc", "#ff922b", "#69db7c", "#ffe066", "#da77f2", "#faa2c1", "#66d9e8", "#ced4da",
-      "#e8cf9a", "#c0eb75", "#ffffff", "#748ffc"] };
-  // Plotly's names, and the lengths that it draws.
+  const data = JSON.parse(byId("data").textContent);
+  // Plotly's names of dashes, and the lengths that it draws: a dash is a field, a colour a controller.
   const DASHES = [["solid", ""], ["dot", "3"], ["dash", "9"], ["dashdot", "9 3 3 3"], ["longdash", "15"],
     ["longdashdot", "15 6 6 6"]];
-  const PANEL = 150, SPREAD = 56, ROW = 18, SPACE = 12, AXIS = 50;
-  const LETTER = 6.5; // how wide one is in a bar
-  const NARROW = innerWidth < 700, TOP = NARROW ? 24 : 44, PAPER = 700; // A4 and Letter, upright, in pixels
+  const HUES = [212, 22, 135, 48, 275, 335, 186, 0, 310, 175, 355, 255, 95, 35, 65, 230];
+  const PANEL = 150, SPREAD = 56, ROW = 18, SPACE = 14, AXIS = 50, LATE = 2.5;
+  const LETTER = 6.5, LEAST = 3; // pixels: of a letter in a bar, of the shortest bar
+  const NARROW = innerWidth < 700, TOP = NARROW ? 24 : 44, PAPER = 700; // A4 and Letter, upright
+  // These buttons and no others: one of plotly's own uploads the chart to a server.
+  const BUTTONS = [["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"]];
+  const CONFIG = { responsive: true, displaylogo: false, scrollZoom: false, displayModeBar: !NARROW,
+    modeBarButtons: BUTTONS, plotlyServerURL: "", showLink: false, showSendToCloud: false };
 
-  const isDark = () => {
-    const chosen = document.documentElement.dataset.theme;
-    return chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+  const unpack = async (text) => {
+    const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
   };
-  const colour = (source) => COLOURS[isDark() ? "dark" : "light"][source] ??
-    `hsl(${Math.round(source * 137.5) % 360} 65% ${isDark() ? 72 : 38}%)`;
-  const count = (n, one) => `${n} ${one}${n === 1 ? "" : "s"}`;
   const make = (tag, about = {}, ...children) => {
     const made = Object.assign(document.createElement(tag), about);
     made.append(...children);
     return made;
   };
+  const count = (n, one) => `${n} ${one}${n === 1 ? "" : "s"}`;
+
+  // ---- colours: at least 3:1 on either background
+
+  const isDark = () => {
+    const chosen = document.documentElement.dataset.theme;
+    return chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+  };
+
+  function luminance(hue, saturation, light) {
+    const a = saturation * Math.min(light, 1 - light);
+    const channel = (n) => {
+      const k = (n + hue / 30) % 12, c = light - a * Math.max(-1, Math.min(k - 3, 9 - k, 1));
+      return c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
+    };
+    return 0.2126 * channel(0) + 0.7152 * channel(8) + 0.0722 * channel(4);
+  }
+
+  const shades = {};
+  function colour(source) {
+    const number = data.sources[source].colour, dark = isDark(), key = `${number} ${dark}`;
+    if (shades[key]) return shades[key];
+    const hue = HUES[number], saturation = number < 8 ? 0.8 : 0.6;
+    let light = dark ? 0.45 : 0.55;
+    const contrast = () => {
+      const own = luminance(hue, saturation, light) + 0.05;
+      return dark ? own / 0.0583 : 1.05 / own; // #14171a, #fff
+    };
+    while (contrast() < (dark ? 5 : 3.5) * (number < 8 ? 1 : 2)) light += dark ? 0.01 : -0.01;
+    return shades[key] = `hsl(${hue} ${saturation * 100}% ${Math.round(light * 100)}%)`;
+  }
 
   // ---- numbers as text
 
   const plain = (value, digits) => typeof value === "number" ? String(Number(value.toPrecision(digits))) : value ?? "";
   const short = (value) => plain(value, 7);
   const brief = (value) => plain(value, 5);
-  // Times are exact: all their digits, down to the nanosecond.
-  const exact = (s) => Number(s.toFixed(9)).toString();
-  const digitsOf = (s) => (exact(s).split(".")[1] ?? "").length;
-  const duration = (s) => s < 60 ? `${exact(s)} s` : `${Math.floor(s / 60)} min ${exact(s % 60)} s`;
-
-  // Texts of a column of times: as many digits as the longest needs, that the points stand below each other.
-  function timesOf(rows, key) {
-    const digits = Math.max(0, ...rows.map((row) => typeof row[key] === "number" ? digitsOf(row[key]) : 0));
-    return (s) => typeof s === "number" ? s.toFixed(digits) : s ?? "";
-  }
+  const duration = (s) => {
+    if (s < 1) return `${plain(s * 1000, 6)} ms`;
+    if (s < 60) return `${Number(s.toFixed(3))} s`;
+    return `${Math.floor(s / 60)} min ${Number((s % 60).toFixed(3))} s`;
+  };
+  // 612.439 is 10:12.439.
+  const clock = (s) => {
+    const ms = Math.round(Math.abs(s) * 1000), rest = ((ms % 60000) / 1000).toFixed(3).padStart(6, "0");
+    return `${s < 0 ? "-" : ""}${Math.floor(ms / 60000)}:${rest}`;
+  };
+  const utc = (s) => new Date(Math.round((data.epoch + s) * 1000)).toISOString().slice(11, 23);
+  const seconds = (s) => `${Number(s.toFixed(3))} s`;
+  const when = (s) => `${clock(s)} (${seconds(s)}), ${utc(s)} UTC`;
 
   // ---- tables
 
-  // columns: [{name, unit, key, show, lead, long}]; click, if any, is told the row.  A column without a cell is left out.
-  function fill(table, columns, rows, click) {
+  // columns: [{name, unit, key, show, bad}]. A column without a cell is left out.
+  function fill(table, columns, rows) {
     table.closest(".scroll").hidden = !rows.length;
     columns = columns.filter(({ key }) => rows.some((row) => (row[key] ?? "") !== ""));
-    const isNumber = ({ key, right }) => right || rows.some((row) => typeof row[key] === "number");
+    const isNumber = ({ key }) => rows.some((row) => typeof row[key] === "number");
     const head = table.createTHead().insertRow();
     for (const column of columns) {
       head.append(make("th", { textContent: column.unit ? `${column.name}/${column.unit}` : column.name,
@@ -59,22 +91,13 @@
     const body = table.createTBody();
     for (const row of rows) {
       const line = body.insertRow();
-      columns.forEach((column, at) => {
+      for (const column of columns) {
         const cell = line.insertCell(), value = row[column.key];
         cell.textContent = (column.show ?? short)(value);
-        cell.className = [isNumber(column) ? "number" : "", at === 0 ? "lead" : "", column.long ? "long" : "", value === 0 ? "zero" : "",
-          column.bad && value > 0 ? "bad" : "", typeof value === "number" ? "" : "text"].join(" ").trim();
-        if (column.label) cell.dataset.label = column.label;
-        if (column.unit) cell.dataset.unit = column.unit;
-      });
-      if (click) clickable(line, () => click(row));
+        cell.className = [isNumber(column) ? "number" : "", value === 0 ? "zero" : "", column.long ? "long" : "",
+          column.bad && value > 0 ? "bad" : ""].join(" ").trim();
+      }
     }
-  }
-
-  function clickable(line, click) {
-    line.tabIndex = 0;
-    line.onclick = click;
-    line.onkeydown = (event) => { if (event.key === "Enter") click(); };
   }
 
   function zoomTo(begin, end) {
@@ -82,34 +105,76 @@
     Plotly.relayout(plot, { "xaxis.range": [begin - room, end + room], "xaxis.autorange": false });
     byId("sources").scrollIntoView({ block: "start" });
   }
-  const zoomToRow = (row) => zoomTo(row.begin, row.end ?? data.length);
+  const zooms = (textContent, begin, end) => make("button", { type: "button", className: "row", textContent,
+    onclick: () => zoomTo(begin, end ?? data.length) });
 
-  // What went wrong first, in a sentence.
+  // A row for each incident; its button zooms to it, another unfolds what it is made of.
+  function incidents() {
+    const table = byId("incidents");
+    table.closest(".scroll").hidden = !data.incidents.length;
+    const head = table.createTHead().insertRow();
+    for (const name of ["what", "source", "begin", "seconds", "UTC", "duration", "details"]) head.append(make("th", { textContent: name }));
+    const body = table.createTBody();
+    const cells = (line, lead, row, end) => {
+      const length = end === null ? `still active, ${duration(data.length - row.begin)}` : end > row.begin ? duration(end - row.begin) : "";
+      line.insertCell().append(lead);
+      const times = [clock(row.begin), seconds(row.begin), utc(row.begin), length];
+      [row.label ?? row.source, ...times].forEach((text, at) => {
+        const cell = line.insertCell();
+        cell.textContent = text;
+        cell.className = at ? "number" : "";
+        if (at === 1) Object.assign(cell.dataset, { begin: row.begin, end: end ?? "" });
+      });
+    };
+    for (const incident of data.incidents) {
+      const line = body.insertRow(), [first] = incident.rows;
+      line.className = incident.is_fault ? "fault" : "";
+      cells(line, zooms(incident.what, incident.begin, incident.until), incident, incident.until);
+      const details = line.insertCell();
+      details.className = "long";
+      const about = (row) => [row.count > 1 ? `${row.count} times` : "", row.bytes ? `${row.bytes} bytes` : "", row.message, row.help ?? ""]
+        .filter(Boolean).join(", ");
+      if (incident.rows.length === 1) { details.textContent = about(first); continue; }
+      const parts = incident.rows.map((row) => {
+        const part = body.insertRow();
+        part.className = "part";
+        part.hidden = true;
+        cells(part, zooms(row.what, row.begin, row.end), row, row.end);
+        part.insertCell().textContent = about(row);
+        return part;
+      });
+      const unfold = make("button", { type: "button", textContent: count(parts.length, "event") });
+      unfold.setAttribute("aria-expanded", "false");
+      unfold.onclick = () => {
+        parts.forEach((part) => { part.hidden = !part.hidden; });
+        unfold.setAttribute("aria-expanded", String(!parts[0].hidden));
+      };
+      details.append(unfold);
+    }
+  }
+
+  // What was not decoded, what went wrong first, and which controller is different.
   function verdict() {
-    const events = data.others.reduce((sum, row) => sum + row.count, 0), [first] = data.faults.length ? data.faults : data.others;
-    if (!first) return "Nothing.";
-    const said = [data.faults.length ? count(data.faults.length, "fault") : "", events ? `${count(events, data.faults.length ? "other event" : "event")}` : ""];
-    const length = first.end === null ? ", until the end" : first.length ? `, for ${duration(first.length)}` : "";
-    return [make("b", { className: "bad", textContent: first.what }), " on ", make("b", { textContent: first.source }),
-      ` at ${exact(first.begin)} s${length}. `, make("span", { className: "pale", textContent: `${said.filter(Boolean).join(", ")} in all. A click on a row zooms to it.` })];
+    const said = [], [first] = [...data.incidents.filter((each) => each.is_fault), ...data.incidents];
+    const bad = (textContent) => make("b", { className: "bad", textContent });
+    if (data.undecoded) said.push(bad(`${data.undecoded}.`), " ");
+    if (first) {
+      const length = first.until === null ? ", until the end" : first.until > first.begin ? `, for ${duration(first.until - first.begin)}` : "";
+      said.push(bad(first.what), " on ", make("b", { textContent: first.label }), ` at ${when(first.begin)}${length}. `,
+        make("span", { className: "pale", textContent: `${count(data.incidents.length, "incident")} in all.` }));
+    } else if (!data.differs.length) {
+      said.push(data.left_out.length ? "Nothing in what was decoded." : "Nothing.");
+    }
+    byId("verdict").append(...said);
+    byId("differs").append(...data.differs.map(({ label, text, at }) => make("li", {}, zooms(`${label}: ${text}`, at, data.length))));
   }
 
   function tables() {
-    byId("verdict").append(...[verdict()].flat());
-    const head = (rows) => [{ name: "what", key: "what" }, { name: "source", key: "source", label: "on" },
-      { name: "begin", unit: "s", key: "begin", show: timesOf(rows, "begin"), label: "at" }];
-    const still = data.faults.map((row) => ({ ...row, end: row.end ?? "still active" }));
-    fill(byId("faults"), [...head(still), { name: "end", unit: "s", key: "end", show: timesOf(still, "end"), right: true, label: "to" },
-      { name: "duration", unit: "s", key: "length", show: timesOf(still, "length"), label: "for" },
-      { name: "message", key: "message" }, { name: "help", key: "help", long: true }], still,
-    (row) => zoomTo(row.begin, typeof row.end === "number" ? row.end : data.length));
-    const others = data.others.map((row) => ({ ...row, end: row.end === row.begin ? null : row.end, count: row.count > 1 ? row.count : null }));
-    fill(byId("others"), [...head(others), { name: "end", unit: "s", key: "end", show: timesOf(others, "end"), label: "to" },
-      { name: "length", unit: "s", key: "length", show: timesOf(others, "length"), label: "for" }, { name: "times", key: "count", label: "times" },
-      { name: "bytes", key: "bytes", label: "bytes" }, { name: "message", key: "message" }], others, zoomToRow);
+    verdict();
+    incidents();
     const bad = (name, key) => ({ name, key, bad: true });
-    fill(byId("summary"), [{ name: "source", key: "source" }, { name: "message", key: "message" }, { name: "count", key: "count" },
-      { name: "rate", unit: "Hz", key: "rate", show: brief }, { name: "gap min", unit: "s", key: "gap_min" },
+    fill(byId("summary"), [{ name: "source", key: "source" }, { name: "bus", key: "bus" }, { name: "message", key: "message" },
+      { name: "count", key: "count" }, { name: "rate", unit: "Hz", key: "rate", show: brief }, { name: "gap min", unit: "s", key: "gap_min" },
       { name: "gap mean", unit: "s", key: "gap_mean" }, { name: "gap max", unit: "s", key: "gap_max" },
       { name: "at frame", key: "gap_max_frame" }, bad("crc bad", "crc_bad"), bad("incomplete", "incomplete"), bad("late", "late"),
       bad("reboots", "reboots"), bad("invalid", "invalid"), bad("skipped", "skipped")], data.summary);
@@ -119,44 +184,45 @@
     data.values.forEach(values);
   }
 
-  // A message's fields: minimum, mean and maximum of each source side by side, and the largest spread between them.
+  // Minimum, mean and maximum of each source; of several the largest spread, when, and between whom.
   function values({ message, sources, rows }) {
-    const table = make("table", { className: "values" });
-    const cell = (line, text, number, group) => line.append(make(line.parentNode === table.tHead ? "th" : "td",
-      { textContent: text, className: `${number ? "number" : ""} ${group ? "group" : ""}`.trim() }));
-    const names = table.createTHead().insertRow(), head = table.tHead.insertRow();
-    const hasSpread = rows.some((row) => row.spread), at = timesOf(rows, "at");
-    names.append(make("th"), make("th"));
-    ["field", "unit"].forEach((text) => cell(head, text));
-    if (hasSpread) {
-      names.append(make("th", { colSpan: 4, className: "group", textContent: "largest spread" }));
-      ["spread", "at/s", "highest", "lowest"].forEach((text, place) => cell(head, text, place < 2, place === 0));
-    }
-    for (const source of sources) {
-      names.append(make("th", { colSpan: 3, className: "group" }, patch(data.sources.indexOf(source)), ` ${source}`));
-      ["min", "mean", "max"].forEach((text, place) => cell(head, text, true, place === 0));
-    }
+    const table = make("table", { className: "values" }), head = table.createTHead(), several = sources.length > 1;
+    const names = head.insertRow(), under = head.insertRow();
+    const title = (row, textContent, span = 1, first = false) => {
+      row.append(make("th", { textContent, colSpan: span, className: first ? "group" : "" }));
+    };
+    title(names, "", 2);
+    if (several) title(names, "largest spread", 4, true);
+    for (const source of sources) title(names, data.sources[source].label, 3, true);
+    ["field", "unit"].forEach((name) => title(under, name));
+    if (several) ["spread", "at", "high", "low"].forEach((name, at) => title(under, name, 1, at === 0));
+    for (const _ of sources) ["min", "mean", "max"].forEach((name, at) => title(under, name, 1, at === 0));
     const body = table.createTBody();
     for (const row of rows) {
-      const line = body.insertRow();
-      cell(line, row.field);
-      cell(line, row.unit);
-      if (hasSpread) {
-        const about = row.spread ? [brief(row.spread), at(row.at), row.high, row.low] : [row.spread === 0 ? "0" : "", "", "", ""];
-        about.forEach((text, place) => cell(line, text, place < 2, place === 0));
-      }
-      for (const range of row.ranges) (range ?? ["", "", ""]).forEach((value, place) => cell(line, brief(value), true, place === 0));
-      if (row.spread) clickable(line, () => zoomTo(row.at, row.at));
+      const line = body.insertRow(), largest = spreads[`${message}, ${row.field}`];
+      const cell = (content, className) => { const made = line.insertCell(); made.className = className; made.append(content); };
+      cell(row.field, "");
+      cell(row.unit, "");
+      if (several && largest) {
+        cell(zooms(brief(largest.spread), largest.at, largest.at), "number group");
+        [clock(largest.at), ...[largest.high, largest.low].map((who) => data.sources[who].label)].forEach((text, at) => cell(text, at ? "" : "number"));
+      } else if (several) ["", "", "", ""].forEach((text, at) => cell(text, at ? "" : "group"));
+      for (const range of row.ranges) (range ?? ["", "", ""]).forEach((value, at) => cell(brief(value), at ? "number" : "number group"));
     }
     byId("values").append(make("h3", { textContent: message }), make("div", { className: "scroll" }, table));
   }
 
   // ---- samples
 
-  function numbers(text, Kind) {
-    const letters = atob(text), bytes = new Uint8Array(letters.length);
-    for (let i = 0; i < letters.length; i++) bytes[i] = letters.charCodeAt(i);
+  // Packed as all first bytes, then all second ones.
+  function unfold({ at, count: length }, Kind) {
+    const bytes = new Uint8Array(length * 4);
+    for (let plane = 0; plane < 4; plane++) for (let i = 0; i < length; i++) bytes[4 * i + plane] = blob[at + plane * length + i];
     return new Kind(bytes.buffer);
+  }
+  function unfoldTimes(about) {
+    let sum = 0;
+    return Float64Array.from(unfold(about, Int32Array), (step) => (sum += step) / 1e6);
   }
 
   // The first index whose time is not below t.
@@ -171,9 +237,9 @@
 
   // The samples from a to b: all of them where there is room, else the smallest and the largest of each stretch, in
   // the order they came; a gap (NaN) stays one.
-  function thin(times, values, [a, b], room) {
+  function thin(times, values, [a, b]) {
     const first = Math.max(0, indexOf(times, a) - 1), last = Math.min(times.length, indexOf(times, b) + 1);
-    const size = Math.ceil((last - first) / room);
+    const size = Math.ceil((last - first) / room());
     if (size <= 2) return [times.subarray(first, last), values.subarray(first, last)];
     const x = [], y = [];
     for (let from = first; from < last; from += size) {
@@ -192,31 +258,46 @@
     return [x, y];
   }
 
-  // ---- pictures
-
-  // Whether WebGL is drawn by a graphics card: where the processor has to, SVG is faster.  #webgl and #svg force either.
-  function hasGpu() {
-    if (location.hash) return location.hash === "#webgl";
-    const gl = document.createElement("canvas").getContext("webgl");
-    const about = gl?.getExtension("WEBGL_debug_renderer_info");
-    return Boolean(gl) && !/swiftshader|llvmpipe|software/i.test(about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : "");
+  // What lies between the largest and the smallest latest value of several lines, as long as these are not late.
+  function spreadOf(found, every) {
+    const all = Float64Array.from(found.flatMap((one) => Array.from(one.times))).sort();
+    const next = found.map(() => 0), latest = found.map(() => -1);
+    const out = new Float32Array(all.length).fill(NaN);
+    let largest = null;
+    all.forEach((t, at) => {
+      let low = -1, high = -1, known = 0;
+      found.forEach(({ times, values: own }, i) => {
+        while (next[i] < times.length && times[next[i]] <= t) latest[i] = next[i]++;
+        const value = latest[i] < 0 || t - times[latest[i]] > LATE * every ? NaN : own[latest[i]];
+        if (value !== value) return;
+        known++;
+        if (low < 0 || value < found[low].values[latest[low]]) low = i;
+        if (high < 0 || value > found[high].values[latest[high]]) high = i;
+      });
+      if (known < 2) return;
+      out[at] = found[high].values[latest[high]] - found[low].values[latest[low]];
+      if (!largest || out[at] > largest.spread) largest = { spread: out[at], at: t, high: found[high].source, low: found[low].source };
+    });
+    return { times: all, values: out, largest };
   }
 
-  const times = data.times.map((text) => numbers(text, Float64Array));
+  // ---- pictures
+
+  const blob = await unpack(data.blob);
+  const times = data.times.map(unfoldTimes);
   const whole = [0, Math.max(data.length, 0.001)];
-  const plot = byId("plot");
-  const LINE = hasGpu() ? "scattergl" : "scatter";
-  const HOVER_TIME = "%{x:.9~f} s";
+  const plot = byId("plot"), spreads = {};
+  const HOVER_TIME = "%{customdata}";
   // From the top: {head, height, axis}, a heading above a picture with a y axis of its own.
   const stack = [], lines = [], others = [];
-  let room = 0;
   let screen = null; // while the page is printed, what it is on the screen
+  const room = () => Math.max(300, plot.clientWidth || innerWidth);
 
   // Puts a heading and a picture below the others; returns the name of its y axis.
   function place(height, axis, ...about) {
-    const head = make("div", { className: "head" }, ...about);
-    byId("heads").append(head);
-    stack.push({ head, height, axis: { zeroline: false, automargin: true, ...axis } });
+    const head = make("div", { className: "head" }, ...about), readout = make("div", { className: "readout" });
+    byId("heads").append(head, readout);
+    stack.push({ head, readout, height, axis: { zeroline: false, automargin: true, ...axis } });
     return stack.length === 1 ? "y" : `y${stack.length}`;
   }
 
@@ -229,35 +310,37 @@
     return made;
   }
 
-  function line(trace, axis, about) {
-    lines.push({ times: times[trace.x], values: numbers(trace.y, Float32Array), trace: { type: LINE, mode: "lines", yaxis: axis, connectgaps: false,
-      ...about, line: { dash: DASHES[trace.field][0], width: 1.5 } } });
+  function line(axis, field, about) {
+    const own = { part: stack.at(-1), field, ...about };
+    own.trace = { type: "scatter", mode: "lines", yaxis: axis, connectgaps: false, name: about.name, source: about.source,
+      opacity: data.sources[about.source]?.flight ? 0.55 : 1, hoverinfo: "none", line: { dash: DASHES[field][0], width: 1.5 } };
+    lines.push(own);
+    return own;
   }
 
   function panel(about) {
-    const unit = about.unit ? ` ${about.unit}` : "";
     const fields = about.fields.map((title, field) => {
       const made = make("span", { innerHTML: dash(field) });
       made.append(title);
       return made;
     });
     const axis = place(PANEL, {}, make("b", { textContent: about.unit || about.message }), ...about.unit ? [pale(about.message)] : [], ...fields);
-    const first = lines.length;
-    for (const trace of about.traces) {
-      line(trace, axis, { source: trace.source, name: `${about.fields[trace.field]}, ${data.sources[trace.source]}`,
-        hovertemplate: `%{y:.6~g}${unit}<br>${HOVER_TIME}<extra>%{fullData.name}</extra>` });
-    }
-    const bottom = lines.slice(first).reduce((least, { values }) => values.reduce((low, value) => value < low ? value : low, least), Infinity);
+    const own = about.traces.map((trace) => line(axis, trace.field, { source: trace.source, unit: about.unit, title: about.fields[trace.field],
+      name: `${about.fields[trace.field]}, ${data.names[trace.source]}`, times: times[trace.x], values: unfold(trace.y, Float32Array) }));
+    const bottom = own.reduce((least, { values: each }) => each.reduce((low, value) => value < low ? value : low, least), Infinity);
     for (const marks of about.marks) {
-      others.push({ type: "scatter", mode: "markers", yaxis: axis, source: marks.source, x: marks.x, text: marks.what,
-        y: marks.x.map(() => Number.isFinite(bottom) ? bottom : 0), name: `${about.fields[marks.field]}, ${data.sources[marks.source]}`,
+      others.push({ type: "scatter", mode: "markers", yaxis: axis, source: marks.source, x: marks.x, text: marks.what, customdata: marks.x.map(when),
+        y: marks.x.map(() => Number.isFinite(bottom) ? bottom : 0), name: `${about.fields[marks.field]}, ${data.names[marks.source]}`,
         marker: { symbol: "x-thin-open", size: 9, line: { width: 2 } }, hovertemplate: `%{text}<br>${HOVER_TIME}<extra>%{fullData.name}</extra>` });
     }
-    if (!about.spread.length) return;
+    const found = about.fields.map((title, field) => ({ title, field, own: own.filter((one) => one.field === field) }))
+      .filter((each) => each.own.length > 1).map((each) => ({ ...each, ...spreadOf(each.own, about.every ?? 1) }))
+      .filter(({ largest }) => largest?.spread > 0);
+    if (!found.length) return;
     const below = place(SPREAD, { rangemode: "tozero", nticks: 3 }, pale(`spread between the sources${about.unit ? `, ${about.unit}` : ""}`));
-    for (const trace of about.spread) {
-      line(trace, below, { name: `${about.fields[trace.field]}, spread`,
-        hovertemplate: `%{y:.6~g}${unit}<br>${HOVER_TIME}<extra>%{fullData.name}</extra>` });
+    for (const { title, field, times: x, values: y, largest } of found) {
+      spreads[`${about.message}, ${title}`] = largest;
+      line(below, field, { name: `${title}, spread`, title, unit: about.unit, times: x, values: y });
     }
   }
 
@@ -265,32 +348,35 @@
   function bars({ title, message, kind, rows }) {
     const head = make("b", { textContent: title, className: kind === "fault" ? "bad" : "" });
     const axis = place(rows.length * ROW, { range: [rows.length - 0.5, -0.5], showticklabels: false, fixedrange: true, showgrid: false }, head, pale(message));
-    rows.forEach(({ source, begins, ends, texts }, row) => {
-      const about = { yaxis: axis, source, name: `${title}, ${data.sources[source]}` };
+    rows.forEach(({ source, begins, ends, texts: said }, row) => {
+      const about = { yaxis: axis, source, name: `${title}, ${data.names[source]}` };
       const held = begins.map((_, i) => i).filter((i) => ends[i] > begins[i]), moments = begins.filter((begin, i) => ends[i] === begin);
       if (held.length) {
-        others.push({ ...about, type: "bar", orientation: "h", base: held.map((i) => begins[i]), x: held.map((i) => ends[i] - begins[i]),
-          y: held.map(() => row), customdata: held.map((i) => [texts[i] ?? data.sources[source], ends[i]]), width: 0.88,
+        others.push({ ...about, type: "bar", orientation: "h", begins: held.map((i) => begins[i]), ends: held.map((i) => ends[i]),
+          y: held.map(() => row), said: held.map((i) => said[i] ?? data.names[source]), width: 0.88, isWide: kind === "fault" || kind === "event",
+          customdata: held.map((i) => [said[i] ?? data.names[source], `${when(begins[i])}<br>for ${duration(ends[i] - begins[i])}`]),
           marker: { line: { width: 1 } }, textposition: "inside", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
-          hovertemplate: "%{customdata[0]}<br>%{base:.9~f} to %{customdata[1]:.9~f} s<extra>%{fullData.name}</extra>" });
+          hovertemplate: "%{customdata[0]}<br>%{customdata[1]}<extra>%{fullData.name}</extra>" });
       }
       if (moments.length) {
         const late = moments.at(-1) > 0.75 * data.length;
-        others.push({ ...about, type: "scatter", mode: "markers+text", x: moments, y: moments.map(() => row),
-          text: moments.map((_, i) => i === moments.length - 1 && (i === 0 || !late) ? data.sources[source] : ""),
+        others.push({ ...about, type: "scatter", mode: "markers+text", x: moments, y: moments.map(() => row), customdata: moments.map(when),
+          text: moments.map((_, i) => i === moments.length - 1 && (i === 0 || !late) ? data.names[source] : ""),
           textposition: late ? "middle left" : "middle right", textfont: { size: 11 }, hovertemplate: `${HOVER_TIME}<extra>%{fullData.name}</extra>`,
           marker: { symbol: "diamond", size: 11, line: { width: 1 } } });
       }
     });
   }
 
-  // The texts of bars that have room for them.
-  function texts({ base, x, customdata }, [from, to]) {
-    const pixels = (plot.clientWidth || innerWidth) / (to - from);
-    return customdata.map(([text], i) => {
-      const seen = Math.min(to, base[i] + x[i]) - Math.max(from, base[i]);
-      return seen * pixels > text.length * LETTER + 8 ? text : "";
+  // Where bars are in this window: a fault or an event is never too short to be seen; texts stand where there is room.
+  function shown(bar, [from, to]) {
+    const pixel = (to - from) / room(), { begins, ends } = bar;
+    const least = bar.isWide ? (LEAST + 1) * pixel : 0;
+    const text = bar.said.map((said, i) => {
+      const seen = Math.min(to, ends[i]) - Math.max(from, begins[i]);
+      return seen > (said.length * LETTER + 8) * pixel ? said : "";
     });
+    return { base: begins, x: begins.map((begin, i) => Math.max(ends[i] - begin, least)), text };
   }
 
   // Where each picture is, from the top in pixels, with the headings as tall as they are at this width.
@@ -299,6 +385,7 @@
     for (const part of stack) {
       part.head.style.top = `${y}px`;
       part.from = y + part.head.offsetHeight + 2;
+      part.readout.style.top = `${part.from}px`;
       part.to = part.from + part.height;
       y = part.to + SPACE;
     }
@@ -308,23 +395,24 @@
   // The stretches in which there was a fault, of whatever kind.
   function faulty() {
     const found = [];
-    for (const { begin, end } of data.faults) { // in the order of their begin
-      const last = found.at(-1), until = end ?? data.length;
-      if (last && begin <= last[1]) last[1] = Math.max(last[1], until); else found.push([begin, until]);
+    for (const { begin, until, is_fault: isFault } of data.incidents) { // in the order of their begin
+      if (!isFault) continue;
+      const last = found.at(-1), end = until ?? data.length;
+      if (last && begin <= last[1]) last[1] = Math.max(last[1], end); else found.push([begin, end]);
     }
     return found;
   }
 
   function layout() {
-    if (screen) byId("heads").style.width = `${PAPER}px`; else byId("heads").style.width = "";
+    byId("heads").style.width = screen ? `${PAPER}px` : "";
     const style = getComputedStyle(document.body), ink = style.color, paper = style.backgroundColor;
     const grid = isDark() ? "#363c42" : "#d5d9dd", bottom = arrange(), inner = bottom - TOP;
     const x = { range: whole, gridcolor: grid, zeroline: false, ticksuffix: NARROW ? "" : " s" };
     const made = { height: bottom + AXIS, width: screen ? PAPER : undefined, autosize: !screen, showlegend: false, barmode: "overlay",
       hovermode: "closest", dragmode: NARROW ? false : "zoom", uirevision: "kept",
       paper_bgcolor: paper, plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink, family: style.fontFamily, size: 12 },
-      margin: { l: 36, r: 14, t: TOP, b: AXIS }, modebar: { remove: ["select2d", "lasso2d", "autoScale2d"] },
-      xaxis: { ...x, anchor: stack.length > 1 ? `y${stack.length}` : "y", title: { text: NARROW ? "seconds since the beginning" : `seconds since ${data.start}` } },
+      margin: { l: 36, r: 14, t: TOP, b: AXIS },
+      xaxis: { ...x, anchor: stack.length > 1 ? `y${stack.length}` : "y", title: { text: `seconds since ${NARROW ? "the beginning" : `${utc(0)} UTC`}` } },
       xaxis2: { ...x, anchor: "free", position: 1, side: "top", matches: "x", showgrid: false },
       shapes: faulty().map(([x0, x1]) => ({ type: "rect", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, line: { width: 0 },
         fillcolor: isDark() ? "#ff8a80" : "#b3261e", opacity: 0.12, layer: "below" })) };
@@ -334,25 +422,23 @@
     return made;
   }
 
-  const isFirst = ({ kind }) => kind === "fault" || kind === "event";
-
   function build() {
-    data.bars.filter((each) => each.kind === "fault").forEach(bars);
-    data.bars.filter((each) => each.kind === "event").forEach(bars);
+    const first = ({ kind }) => kind === "fault" || kind === "event";
+    data.bars.filter(first).forEach(bars);
     data.panels.forEach(panel);
-    data.bars.filter((each) => !isFirst(each)).forEach(bars);
+    data.bars.filter((each) => !first(each)).forEach(bars);
   }
 
   const hidden = new Set();
 
-  function traces(range) {
-    room = Math.max(300, plot.clientWidth || innerWidth);
+  function traces(window) {
     const { backgroundColor: paper, color: ink } = getComputedStyle(document.body);
     // A bar has an edge, so that one state can be told from the next; a mark is all edge.
-    const coloured = (trace) => ({ ...trace, ...trace.type === "bar" ? { text: texts(trace, range) } : {}, visible: !hidden.has(trace.source), marker: { ...trace.marker, color: colour(trace.source),
-      line: { ...trace.marker.line, color: trace.marker.symbol === "x-thin-open" ? colour(trace.source) : paper } } });
-    const drawn = lines.map(({ times: x, values, trace }) => {
-      const [shownX, shownY] = thin(x, values, range, room);
+    const coloured = (trace) => ({ ...trace, ...trace.type === "bar" ? shown(trace, window) : {}, visible: !hidden.has(trace.source),
+      marker: { ...trace.marker, color: colour(trace.source),
+        line: { ...trace.marker.line, color: trace.marker.symbol === "x-thin-open" || trace.isWide ? colour(trace.source) : paper } } });
+    const drawn = lines.map(({ times: x, values: own, trace }) => {
+      const [shownX, shownY] = thin(x, own, window);
       return { ...trace, x: shownX, y: shownY, visible: !hidden.has(trace.source),
         line: { ...trace.line, color: trace.source === undefined ? ink : colour(trace.source) } };
     });
@@ -365,22 +451,84 @@
   function draw() {
     const made = layout();
     if (plot.layout) made.xaxis.range = range();
-    return Plotly.react(plot, traces(made.xaxis.range), made, { responsive: true, displaylogo: false, scrollZoom: false, displayModeBar: !NARROW });
+    small();
+    return Plotly.react(plot, traces(made.xaxis.range), made, CONFIG);
   }
 
-  // After a zoom: other samples of the same lines.
+  // After a zoom: other samples of the same lines, and a link to what is seen.
   let waiting = false;
   function refine(change) {
     if (waiting || !Object.keys(change).some((key) => key.startsWith("xaxis"))) return;
     waiting = true;
     requestAnimationFrame(() => {
-      const shown = change["xaxis.autorange"] ? whole : range();
-      const found = lines.map(({ times: x, values }) => thin(x, values, shown, room));
-      const bars = others.map((_, i) => i).filter((i) => others[i].type === "bar");
+      const seen = change["xaxis.autorange"] ? whole : range();
+      history.replaceState(null, "", seen.every((t, i) => t === whole[i]) ? "#" : `#t=${seen.map((t) => t.toFixed(3)).join(",")}`);
+      const found = lines.map(({ times: x, values: own }) => thin(x, own, seen));
+      const held = others.map((_, i) => i).filter((i) => others[i].type === "bar"), now = held.map((i) => shown(others[i], seen));
+      const pick = (key) => now.map((each) => each[key]);
       Plotly.restyle(plot, { x: found.map((pair) => pair[0]), y: found.map((pair) => pair[1]) }, lines.map((_, i) => i))
-        .then(() => bars.length && Plotly.restyle(plot, { text: bars.map((i) => texts(others[i], shown)) }, bars.map((i) => lines.length + i)))
+        .then(() => held.length && Plotly.restyle(plot, { base: pick("base"), x: pick("x"), text: pick("text") }, held.map((i) => lines.length + i)))
         .finally(() => { waiting = false; });
     });
+  }
+
+  // #t=600,630 or #t=612.4 in the address.
+  function linked() {
+    const [from, to] = (/^#t=([\d.,-]+)$/.exec(location.hash)?.[1] ?? "").split(",").map(Number);
+    if (from || to) Plotly.relayout(plot, { "xaxis.range": to > from ? [from, to] : [from - 5, from + 5] });
+  }
+
+  // One cursor over all pictures, and in each what its lines were at that time.
+  function cursor(event) {
+    const { _offset: left, _length: width } = plot._fullLayout.xaxis, [from, to] = range();
+    const x = event.clientX - plot.getBoundingClientRect().left, t = from + (x - left) / width * (to - from);
+    const out = x < left || x > left + width || event.type === "mouseleave";
+    byId("cursor").hidden = out;
+    byId("cursor").style.left = `${x}px`;
+    byId("cursor").dataset.when = out ? "" : when(t);
+    for (const { readout } of stack) readout.replaceChildren();
+    const rows = new Map();
+    for (const { part, source, title, unit, times: own, values: held } of out ? [] : lines) {
+      const at = indexOf(own, t + 1e-6) - 1, value = held[at];
+      if (hidden.has(source) || at < 0 || value !== value) continue;
+      const key = `${title} ${stack.indexOf(part)}`;
+      if (!rows.has(key)) {
+        rows.set(key, make("div", {}, `${title}${unit ? `/${unit}` : ""} `));
+        part.readout.append(rows.get(key));
+      }
+      if (source !== undefined) rows.get(key).append(patch(source));
+      rows.get(key).append(` ${brief(value)} `);
+    }
+  }
+
+  // A small picture of each controller: what it was told, pale, and what it did.
+  function small() {
+    byId("small").replaceChildren(...data.small.map((about) => {
+      const x = times[about.x], both = [about.command, about.measured].map((one) => unfold(one, Float32Array));
+      const finite = both.flatMap((each) => Array.from(each).filter(Number.isFinite));
+      const low = finite.reduce((a, b) => Math.min(a, b), Infinity), high = finite.reduce((a, b) => Math.max(a, b), -Infinity);
+      const canvas = make("canvas", { width: 480, height: 160 }), pen = canvas.getContext("2d");
+      both.forEach((each, at) => {
+        const [px, py] = thin(x, each, whole);
+        pen.strokeStyle = at ? colour(about.source) : isDark() ? "#9aa3ab" : "#5b636b";
+        pen.lineWidth = at ? 2 : 5;
+        pen.globalAlpha = at ? 1 : 0.5;
+        pen.beginPath();
+        let isUp = true;
+        for (let i = 0; i < px.length; i++) {
+          if (py[i] !== py[i]) { isUp = true; continue; }
+          pen[isUp ? "moveTo" : "lineTo"](px[i] / whole[1] * 480, 154 - (py[i] - low) / (high - low || 1) * 148);
+          isUp = false;
+        }
+        pen.stroke();
+      });
+      const label = `${data.sources[about.source].label}, ${about.title}`;
+      const text = `${brief(low)} to ${brief(high)} ${about.unit}`;
+      canvas.setAttribute("role", "img");
+      canvas.setAttribute("aria-label", `${label}, commanded and measured: ${text}`);
+      return make("figure", {}, make("figcaption", {}, patch(about.source), ` ${label} `, pale(text)), canvas);
+    }));
+    byId("multiples").hidden = !data.small.length;
   }
 
   // The sources by name and colour; they stay in sight while the pictures pass.
@@ -391,7 +539,7 @@
       for (const source of sources) {
         const tick = make("input", { type: "checkbox", checked: true });
         tick.onchange = () => { if (tick.checked) hidden.delete(source); else hidden.add(source); draw(); };
-        box.append(make("label", {}, tick, " ", patch(source), ` ${data.sources[source]}`));
+        box.append(make("label", {}, tick, " ", patch(source), ` ${data.sources[source].label}`));
       }
     }
     box.append(make("button", { type: "button", textContent: "whole flight", onclick: () => Plotly.relayout(plot, { "xaxis.range": whole }) }));
@@ -404,17 +552,22 @@
 
   document.title = `${data.name}: YAPP report`;
   byId("name").textContent = data.name;
-  byId("when").textContent = `${data.start}, ${duration(data.length)}`;
-  byId("versions").textContent = data.versions;
-  const doubts = [data.partial ? `Read in part: ${data.partial}` : "", ...data.complaints].filter(Boolean);
+  byId("when").textContent = `${new Date(data.epoch * 1000).toISOString().slice(0, 10)} ${utc(0)} UTC, ${duration(data.length)}`;
+  byId("about").append(...data.about.map(([name, value]) => make("span", {}, pale(`${name} `), value)));
+  const doubts = data.left_out.filter((text) => text !== data.undecoded);
   byId("partial").hidden = !doubts.length;
   byId("partial").textContent = doubts.join(" · ");
-  tables();
+  const script = make("script", { textContent: new TextDecoder().decode(await unpack(byId("plotly").textContent)) });
+  document.head.append(script);
   build();
+  tables();
   chips();
   draw().then(() => {
     plot.on("plotly_relayout", refine);
     plot.on("plotly_doubleclick", () => { Plotly.relayout(plot, { "xaxis.range": whole }); return false; });
+    for (const name of ["mousemove", "mouseleave", "click"]) byId("picture").addEventListener(name, cursor);
+    addEventListener("hashchange", linked);
+    linked();
     document.documentElement.dataset.ready = "yes";
   });
   byId("theme").onclick = () => { document.documentElement.dataset.theme = isDark() ? "light" : "dark"; repaint(); };

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import html
 import json
-from datetime import UTC, datetime
+from collections.abc import Sequence
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -13,14 +14,27 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from plotly.offline import get_plotlyjs
 
+from .config import StrPath
+from .dataset import plain_name
+from .errors import SetupError
 from .flight import Flight
-from .pictures import MARKS, Pictures, Record
+from .pictures import MARKS, Pictures, Record, packed
 from .tables import Column
+from .undecoded import source_name
 from .whole import write_whole
 
 # What an event other than a fault means; those of the first kind are told one by one, the others counted for a source.
-SINGLE = {"reboot": "reboot", "silence": "silence", "absent": "never came"}
+SINGLE = {
+    "reboot": "reboot",
+    "silence": "silence",
+    "absent": "never came",
+    "shared": "two controllers share this ID: its other events are left out",
+    "jump": "the controller's clock jumped ahead",
+    "clock": "the capture's clock went back",
+}
 COUNTED = {
+    "missing": "messages missing by Seq No",
+    "dropped": "packets dropped while capturing",
     "stale": "the controller's time stood still",
     "crc": "bad CRC",
     "incomplete": "lost frames",
@@ -28,166 +42,265 @@ COUNTED = {
     "skipped": "bytes of no frame",
     "invalid": "undefined value",
 }
+# Events of one controller that are no further apart than this, in seconds, are one incident.
+TOGETHER = 2.0
+INCIDENT = ("fault", "reboot", "silence", "stale")
 
 
-def write_report(flight: Flight, path: Path, begin: int | None = None) -> None:
-    """Write the page of a flight to path.
+def write_reports(
+    flights: Sequence[Flight], captures: Sequence[Path], out: StrPath | None = None, overlay: bool = False
+) -> Path:
+    """Write the page of a flight, one page of several laid over each other, or a folder of pages with an index.
 
-    begin: the time of the capture's first packet, from which seconds count as in Wireshark; None for that of the first
-    message. Raises OSError.
+    Returns the page. Raises SetupError where it cannot be written.
     """
+    page = captures[0].with_suffix(".html") if out is None else Path(out)
+    try:
+        if len(flights) == 1 or overlay:
+            if not page.parent.is_dir():
+                raise SetupError(f"{page} cannot be written: no folder {page.parent}")
+            write_report(flights, page)
+            return page
+        folder = Path("report" if out is None else out)
+        folder.mkdir(parents=True, exist_ok=True)
+        pages = [
+            folder / f"{plain_name(each)}-{one.flight_id[:8]}.html" for each, one in zip(captures, flights, strict=True)
+        ]
+        rows = [write_report([flight], path) for flight, path in zip(flights, pages, strict=True)]
+        write_whole(folder / "index.html", _index(rows, pages))
+        return folder / "index.html"
+    except OSError as error:
+        raise SetupError(f"{page} cannot be written: {error.strerror}") from error
+
+
+def write_report(flights: Sequence[Flight], path: Path) -> Record:
+    """Write the page of a flight, or of several laid over each other, to path. Returns what it says. Raises OSError."""
     package = files(__package__)
     page = package.joinpath("report.html").read_text(encoding="utf-8")
-    data = json.dumps(_Page(flight, begin).data(), ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
-    parts = {"/*PLOTLY*/": get_plotlyjs(), "/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8")}
-    head, _, tail = page.partition("/*DATA*/")
+    found = Report(flights).data()
+    data = json.dumps(found, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
+    parts = {"/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8")}
+    parts |= {"/*PLOTLY*/": packed(get_plotlyjs().encode()), "/*DATA*/": data}
     for name, text in parts.items():
-        tail = tail.replace(name, text, 1)
-    write_whole(path, head + data + tail)
+        head, _, tail = page.partition(name)
+        page = head + text + tail
+    write_whole(path, page)
+    return found
 
 
-class _Page:
-    """What the page shows of a flight, as JSON that report.js reads."""
+class Report:
+    """What the page shows, as JSON that report.js reads. Of several flights, each begins at 0 s."""
 
-    def __init__(self, flight: Flight, begin: int | None) -> None:
-        self.flight = flight
-        times = [flight[name]["time"] for name in flight]
-        self.start: int = min(pc.min(column).value for column in times) if begin is None else begin
-        self.end = self._since(max(pc.max(column).value for column in times))
-        self.pictures = Pictures(self.start)
-        self.events = self._events()
+    def __init__(self, flights: Sequence[Flight]) -> None:
+        """flights: with `begin`, seconds count from the first packet as in Wireshark, else from the first message."""
+        self.flights, self.end = flights, 0.0
+        self.starts = [_start(flight) for flight in flights]
+        self.pictures = Pictures(0)
 
     def data(self) -> Record:
-        flight, pictures = self.flight, self.pictures
-        faults, others = self._faults(), self._others()
-        # First the message that says most.
-        for message in sorted(flight.messages.values(), key=lambda message: -len(message.columns)):
-            alarms = {column.name for event in self.events if (column := self._flag(event, message.name))}
-            pictures.add(message, flight[message.name], alarms)
-        marks = self._marks(others)
-        begin = datetime.fromtimestamp(self.start // 10**9, UTC)
+        """Return it."""
+        incidents: list[Record] = []
+        for flight, start in zip(self.flights, self.starts, strict=True):
+            incidents += self._add(flight, start, f"{flight.name}: " if len(self.flights) > 1 else "")
+            self.pictures.flight += 1
+        first, pictures = self.flights[0], self.pictures
+        names = [source["name"] for source in pictures.sources]
+        labels = {source["name"]: source["label"] for source in pictures.sources}
+        for row in [*incidents, *(part for incident in incidents for part in incident["rows"]), *pictures.differs]:
+            row["label"] = labels.get(row["source"], row["source"])
+        left_out = [text for flight in self.flights for text in flight.left_out]
         return {
-            "name": flight.name,
-            "start": f"{begin:%Y-%m-%d %H:%M:%S}{f'.{self.start % 10**9:09}'.rstrip('0').rstrip('.')} UTC",
+            "name": " and ".join(flight.name for flight in self.flights),
+            "epoch": self.starts[0] / 1e9,
             "length": self.end,
-            "partial": flight.partial,
-            "complaints": flight.complaints,
-            "versions": f"YAPP plugin {flight.plugin}, yapp-tables {version('yapp-tables')}",
-            "faults": faults,
-            "others": others,
+            "undecoded": next((flight.undecoded for flight in self.flights if flight.undecoded), ""),
+            "left_out": left_out,
+            "about": [["plugin", first.plugin], ["yapp-tables", version("yapp-tables")], *self._about()],
+            "incidents": sorted(incidents, key=lambda row: float(row["begin"])),
+            "differs": pictures.differs,
             "sources": pictures.sources,
+            "names": names,
             "legend": pictures.legend(),
             "times": pictures.times,
             "panels": pictures.panels,
-            "bars": marks + sorted(pictures.bars, key=lambda bars: ("fault", "enum", "flag").index(bars["kind"])),
-            "summary": self._summary(),
+            "small": pictures.small,
+            "bars": sorted(pictures.bars, key=lambda bars: ("fault", "event", "enum", "flag").index(bars["kind"])),
+            "summary": [row for flight in self.flights for row in _summary(flight)],
             "values": pictures.values,
             "constants": pictures.constants,
+            "blob": pictures.blob(),
         }
 
-    def _since(self, time: int) -> float:
-        return float(time - self.start) / 1e9
+    def _about(self) -> list[list[str]]:
+        """Return board revisions and the like: fields of a message that name a revision or a version."""
+        found = []
+        for row in self.pictures.constants:
+            if "revision" in row["field"].lower() or "version" in row["field"].lower():
+                found.append([row["field"].lower(), row["value"]])
+        first = self.flights[0]
+        catalogue = ", ".join(first.catalogue)
+        return [*found, ["catalogue", catalogue], *([["aircraft", first.aircraft]] if first.aircraft else [])]
 
-    def _events(self) -> list[Record]:
-        """The events, with `at` in seconds since the start and the source's name as in the pictures."""
-        events: list[Record] = self.flight.events.set_column(
-            0, "at", self.flight.events["time"].cast(pa.int64())
-        ).to_pylist()
-        return [
-            event
-            | {
-                "at": 0.0 if event["at"] is None else self._since(event["at"]),
-                "source": _source(event),
-                "title": self._title(event["message"]),
-            }
-            for event in events
-        ]
+    def _add(self, flight: Flight, start: int, prefix: str) -> list[Record]:
+        """Draw a flight; returns its incidents."""
+        self.pictures.start = start
+        self.end = max(self.end, max(pc.max(flight[name]["time"]).value - start for name in flight) / 1e9)
+        table = flight.events.set_column(0, "at", flight.events["time"].cast(pa.int64()))
+        events: list[Record] = table.to_pylist()
+        for event in events:
+            event["at"] = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
+            event["title"] = _title(flight, event["message"])
+            event["who"] = prefix + source_name(event)
+        # First the message that says most.
+        for message in sorted(flight.messages.values(), key=lambda message: -len(message.columns)):
+            flags = (_flag(flight, event) for event in events if event["message"] == message.name)
+            self.pictures.add(message, flight[message.name], {flag.name for flag in flags if flag}, prefix)
+        rows = _faults(flight, events, self.end) + _others(flight, events)
+        self._marks([row for row in rows if row["kind"] != "fault"])
+        return _incidents(rows)
 
-    def _title(self, message: str | None) -> str:
-        known = self.flight.messages.get(message or "")
-        return known.title if known else message or "unknown message"
-
-    def _faults(self) -> list[Record]:
-        """Each fault from raised to cleared, or to the end of the capture where `end` is None."""
-        rows: list[Record] = []
-        open_rows: dict[tuple[str, str, str], Record] = {}
-        for event in self.events:
-            if event["kind"] != "fault":
-                continue
-            key = event["source"], event["message"], event["flag"]
-            if event["event"] == "raised":
-                flag = self._flag(event, event["message"])
-                row = {"begin": event["at"], "end": None, "length": self.end - event["at"], "source": event["source"]}
-                row |= {"message": event["title"], "what": flag.title if flag else event["flag"], "help": event["help"]}
-                open_rows[key] = row
-                rows.append(row)
-            elif key in open_rows:
-                row = open_rows.pop(key)
-                row["end"] = event["at"] if event["event"] == "cleared" else None
-                row["length"] = event["active"]
-        return rows
-
-    def _flag(self, event: Record, message: str) -> Column | None:
-        """The column of the flag that an event is about, where it is one of this message."""
-        known = self.flight.messages.get(message)
-        if known is None or event["kind"] != "fault" or event["message"] != message:
-            return None
-        flags = (column for column in known.columns.values() if column.role == "flag")
-        return next((column for column in flags if column.name.endswith(f"_{event['flag']}")), None)
-
-    def _others(self) -> list[Record]:
-        """Reboots and silences one by one; what may come often as one row for each source, with its times in `at`."""
-        rows: dict[tuple[str, ...], Record] = {}
-        for number, event in enumerate(self.events):
-            kind, length = event["kind"], event["length"] or 0.0
-            if kind not in SINGLE and kind not in COUNTED:
-                continue
-            what = SINGLE.get(kind) or COUNTED[kind]
-            if kind == "invalid":
-                what = f"{what}: {self._value(event)}"
-            key = (kind, event["source"], what) if kind in COUNTED else (str(number),)
-            row = {"what": what, "source": event["source"], "begin": event["at"], "end": event["at"], "count": 0}
-            row |= {"length": None, "bytes": None, "message": event["title"], "at": []}
-            row = rows.setdefault(key, row)
-            row["count"] += 1
-            row["at"].append(event["at"])
-            row["end"] = event["at"]
-            if kind == "silence":
-                row["end"], row["length"] = event["at"] + length, length
-            if kind == "skipped":
-                row["bytes"] = (row["bytes"] or 0) + int(length)
-        return sorted(rows.values(), key=lambda row: row["begin"])
-
-    def _value(self, event: Record) -> str:
-        """What a field had that the catalogue does not define: "Key 0x11"."""
-        message = self.flight.messages.get(event["message"])
-        column = message.columns.get(event["field"]) if message else None
-        value = event["value"] or ""
-        return f"{column.title if column else event['field']} {int(value):#x}" if value.isdigit() else value
-
-    def _marks(self, others: list[Record]) -> list[Record]:
+    def _marks(self, others: list[Record]) -> None:
         """The events on the time axis: a line for each kind and source; one that does not last is a mark."""
         bars: dict[str, Record] = {}
         for row in others:
             bar = bars.setdefault(row["what"], {"title": row["what"], "message": "", "kind": "event", "rows": {}})
-            source = self.pictures.source(row["source"], row["message"])
+            source = self.pictures.source(row["source"], row["message"], row)
             marks = bar["rows"].setdefault(source, {"source": source, "texts": [], "begins": [], "ends": []})
             at = row["at"][:: -(-len(row["at"]) // MARKS)]
             marks["begins"] += at
             marks["ends"] += [row["end"]] if row["length"] else at
-        return [bar | {"rows": list(bar["rows"].values())} for bar in bars.values()]
+        self.pictures.bars += [bar | {"rows": list(bar["rows"].values())} for bar in bars.values()]
 
-    def _summary(self) -> list[Record]:
-        """A row for each source; what the plugin does not count is left out."""
-        rows: list[Record] = self.flight.summary.to_pylist()
-        names = [name for name in self.flight.summary.schema.names if any(row[name] is not None for row in rows)]
-        about = ({name: row[name] for name in names if name not in ("bus", "id")} for row in rows)
-        return [
-            row | {"source": _source(given), "message": self._title(given["message"])}
-            for row, given in zip(about, rows, strict=True)
+
+def _start(flight: Flight) -> int:
+    return flight.begin or min(pc.min(flight[name]["time"]).value for name in flight)
+
+
+def _title(flight: Flight, message: str | None) -> str:
+    known = flight.messages.get(message or "")
+    return known.title if known else message or "unknown message"
+
+
+def _flag(flight: Flight, event: Record) -> Column | None:
+    """The column of the flag that an event is about."""
+    known = flight.messages.get(event["message"])
+    if known is None or event["kind"] != "fault":
+        return None
+    flags = (column for column in known.columns.values() if column.role == "flag")
+    return next((column for column in flags if column.name.endswith(f"_{event['flag']}")), None)
+
+
+def _row(event: Record, what: str, **more: object) -> Record:
+    about = {"kind": event["kind"], "what": what, "source": event["who"], "bus": event["bus"], "id": event["id"]}
+    about |= {
+        "message": event["title"],
+        "begin": event["at"],
+        "end": event["at"],
+        "length": None,
+        "help": event["help"],
+    }
+    return about | {"count": 1, "bytes": None, "at": [event["at"]]} | more
+
+
+def _faults(flight: Flight, events: list[Record], end: float) -> list[Record]:
+    """Each fault from raised to cleared, or to the end of the capture where `end` is None."""
+    rows: list[Record] = []
+    open_rows: dict[tuple[str, str, str], Record] = {}
+    for event in events:
+        if event["kind"] != "fault":
+            continue
+        key = event["who"], event["message"], event["flag"]
+        if event["event"] == "raised":
+            flag = _flag(flight, event)
+            row = _row(event, flag.title if flag else event["flag"], end=None, length=end - event["at"])
+            open_rows[key] = row
+            rows.append(row)
+        elif key in open_rows:
+            row = open_rows.pop(key)
+            row["end"] = event["at"] if event["event"] == "cleared" else None
+            row["length"] = event["active"]
+    return rows
+
+
+def _others(flight: Flight, events: list[Record]) -> list[Record]:
+    """Reboots and silences one by one; what may come often as one row for each source and message."""
+    rows: dict[tuple[str, ...], Record] = {}
+    for number, event in enumerate(events):
+        kind, length = event["kind"], event["length"] or 0.0
+        if kind not in SINGLE and kind not in COUNTED:
+            continue
+        what = SINGLE.get(kind) or COUNTED[kind]
+        if kind == "invalid":
+            what = f"{what}: {_value(flight, event)}"
+        key = (kind, event["who"], event["title"], what) if kind in COUNTED else (str(number),)
+        row = rows.setdefault(key, _row(event, what, count=0, at=[]))
+        row["count"] += event["count"] or 1
+        row["at"].append(event["at"])
+        row["end"] = event["at"]
+        if kind == "silence":
+            row["end"], row["length"] = event["at"] + length, length
+        if kind == "skipped":
+            row["bytes"] = (row["bytes"] or 0) + int(length)
+    return list(rows.values())
+
+
+def _value(flight: Flight, event: Record) -> str:
+    """What a field had that the catalogue does not define: "Key 0x11"."""
+    message = flight.messages.get(event["message"])
+    column = message.columns.get(event["field"]) if message else None
+    value = event["value"] or ""
+    return f"{column.title if column else event['field']} {int(value):#x}" if value.isdigit() else value
+
+
+def _incidents(rows: list[Record]) -> list[Record]:
+    """Faults, silence and reboot of one controller that belong together, as one row with its details.
+
+    A controller's messages have IDs with the same last digit, on the same bus.
+    """
+    found: list[Record] = []
+    latest: dict[object, Record] = {}
+    for row in sorted(rows, key=lambda row: float(row["begin"])):
+        one = None if row["id"] is None else (row["bus"], row["id"] & 0xF)
+        last = latest.get(one) if row["kind"] in INCIDENT and one else None
+        if last and (last["until"] is None or row["begin"] <= last["until"] + TOGETHER):
+            last["rows"].append(row)
+            last["until"] = None if last["until"] is None or row["end"] is None else max(last["until"], row["end"])
+            continue
+        incident = {"begin": row["begin"], "until": row["end"], "source": row["source"], "rows": [row]}
+        found.append(incident)
+        if row["kind"] in INCIDENT and one:
+            latest[one] = incident
+    for incident in found:
+        whats = dict.fromkeys(row["what"] for row in incident["rows"])
+        incident["what"] = ", ".join(whats)
+        incident["is_fault"] = any(row["kind"] == "fault" for row in incident["rows"])
+        fault = next((row for row in incident["rows"] if row["kind"] == "fault"), incident["rows"][0])
+        incident["source"] = fault["source"]
+    return found
+
+
+def _summary(flight: Flight) -> list[Record]:
+    """A row for each source; what the plugin does not count is left out."""
+    rows: list[Record] = flight.summary.to_pylist()
+    names = [name for name in flight.summary.schema.names if any(row[name] is not None for row in rows)]
+    about = ({name: row[name] for name in names if name not in ("bus", "id")} for row in rows)
+    return [
+        row | {"source": source_name(given), "bus": given["bus"], "message": _title(flight, given["message"])}
+        for row, given in zip(about, rows, strict=True)
+    ]
+
+
+def _index(found: list[Record], pages: list[Path]) -> str:
+    """The page of a folder: a row for each flight, what went wrong first."""
+    lines = []
+    for data, page in sorted(zip(found, pages, strict=True), key=lambda pair: pair[0]["epoch"]):
+        said = [*data["left_out"], *(f"{row['what']} on {row['label']}" for row in data["incidents"][:3])]
+        said += [f"{row['label']}: {row['text']}" for row in data["differs"]]
+        cells = [
+            f"<td>{html.escape(text)}</td>" for text in (f"{len(data['incidents'])}", "; ".join(said) or "nothing")
         ]
-
-
-def _source(row: Record) -> str:
-    number = None if row["id"] is None else f"0x{row['id']:03x}"
-    return row["source"] or " ".join(part for part in (row["bus"], number) if part) or "stream"
+        link = f"<a href='{html.escape(page.name)}'>{html.escape(data['name'])}</a>"
+        time = f"<td data-epoch={data['epoch']} data-length={data['length']}></td>"
+        lines.append(f"<tr><td>{link}</td>{time}{''.join(cells)}</tr>")
+    template = files(__package__).joinpath("index.html").read_text(encoding="utf-8")
+    return template.replace("<!--ROWS-->", "\n".join(lines))

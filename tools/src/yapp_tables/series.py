@@ -70,6 +70,11 @@ def thin(source: Source, columns: list[Array], most: int) -> tuple[Array, list[A
     return np.insert(thinned, at, times[gaps] + source.every), [np.insert(column, at, np.nan) for column in columns]
 
 
+def with_gaps(source: Source, columns: list[Array]) -> tuple[Array, list[Array]]:
+    """Return times and values with a sample without a value in each gap, so that no line is drawn over it."""
+    return thin(source, columns, len(source.times) + 1)
+
+
 def _extremes(values: Array, starts: Array) -> Array:
     """Two values for each stretch: the one of smallest and largest that comes first, then the other."""
     low = np.fmin.reduceat(values, starts)
@@ -80,43 +85,6 @@ def _extremes(values: Array, starts: Array) -> Array:
     first_high = np.minimum.reduceat(np.where(values == high[stretch], places, len(values)), starts)
     falls = first_high < first_low
     return np.stack([np.where(falls, high, low), np.where(falls, low, high)], axis=1).ravel()
-
-
-@dataclass
-class Spread:
-    """What lies between the largest and the smallest latest value of several sources, each time one has a new one.
-
-    NaN where fewer than two have one.  high, low: whose these are, at each time.
-    """
-
-    times: Array
-    values: Array
-    high: Array
-    low: Array
-
-    def largest(self, names: list[str]) -> dict[str, Any]:
-        """The largest one, when it was, and between whom; empty where there was none."""
-        if not np.isfinite(self.values).any():
-            return {}
-        at = int(np.nanargmax(self.values))
-        about = {"spread": float(self.values[at]), "at": float(self.times[at])}
-        return about | {"high": names[self.high[at]], "low": names[self.low[at]]}
-
-
-def spread(sources: list[Source], columns: list[Array]) -> Spread:
-    """The spread of one field.  A latest value counts as long as its source is not silent."""
-    times = np.unique(np.concatenate([source.times for source in sources]))
-    latest = np.stack([_latest(source, column, times) for source, column in zip(sources, columns, strict=True)])
-    high, low = (np.argmax(np.where(np.isfinite(latest), sign * latest, -np.inf), axis=0) for sign in (1, -1))
-    every = np.arange(len(times))
-    several = np.isfinite(latest).sum(axis=0) > 1
-    return Spread(times, np.where(several, latest[high, every] - latest[low, every], np.nan), high, low)
-
-
-def _latest(source: Source, values: Array, times: Array) -> Array:
-    at = np.searchsorted(source.times, times, side="right") - 1
-    known = (at >= 0) & (times - source.times[at] <= LATE * source.every)
-    return np.where(known, values[at], np.nan)
 
 
 def spans(source: Source, values: Array, most: int) -> list[tuple[float, float, Any]]:

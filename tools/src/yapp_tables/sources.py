@@ -3,20 +3,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from .tables import Rows, Table
+from .undecoded import source_name
+
 KEY = ("bus", "id", "source")
 
 
-def by_source(batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[tuple[str, ...], pa.RecordBatch]]:
-    """Each batch's rows of one source, and what the source is called: its name, or its bus and ID ("can0", "0x210")."""
-    for batch in batches:
-        table = pa.Table.from_batches([batch])
-        for source in sorted(table.group_by(list(KEY)).aggregate([]).to_pylist(), key=_names):
-            yield _names(source), batch.filter(_is(batch, source))
+def by_source(table: Table) -> Iterator[tuple[tuple[str, ...], pa.RecordBatch]]:
+    """Return each batch's rows of one source, and what it is called: its name, or its bus and ID ("can0", "0x210").
+
+    Events, faults, the summary and the flight stay together, and are called nothing.
+    """
+    for batch in table:
+        if not isinstance(table, Rows):
+            yield (), batch
+            continue
+        found = pa.Table.from_batches([batch]).group_by(list(KEY)).aggregate([]).to_pylist()
+        for source in sorted(found, key=source_name):
+            yield (
+                (source["source"],) if source["source"] else tuple(source_name(source).split()),
+                batch.filter(_is(batch, source)),
+            )
+
+
+def begin(tables: Sequence[Table]) -> int:
+    """Return the time of the first message, in nanoseconds since 1970."""
+    return min(table.first_time() for table in tables if isinstance(table, Rows))
+
+
+def times_of(batch: pa.RecordBatch, start: int) -> pa.Array:
+    """Return the times of rows in nanoseconds since 1970; start where there is none."""
+    if "time" not in batch.schema.names:
+        return pa.array([start] * len(batch), pa.int64())
+    return pc.fill_null(batch.column("time").cast(pa.int64()), start)
 
 
 def _is(batch: pa.RecordBatch, source: dict[str, str | int | None]) -> pa.Array:
@@ -25,10 +49,3 @@ def _is(batch: pa.RecordBatch, source: dict[str, str | int | None]) -> pa.Array:
         column, value = batch.column(key), source[key]
         mask = pc.and_(mask, pc.is_null(column) if value is None else pc.equal(column, value))
     return pc.fill_null(mask, False)
-
-
-def _names(source: dict[str, str | int | None]) -> tuple[str, ...]:
-    if source["source"]:
-        return (str(source["source"]),)
-    number = f"0x{source['id']:03x}"
-    return (str(source["bus"]), number) if source["bus"] else (number,)

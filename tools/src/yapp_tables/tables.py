@@ -7,9 +7,10 @@ import csv
 import hashlib
 import json
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,11 @@ import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
 from .errors import SetupError
-from .tshark import Export, Record
+from .tshark import Export, Record, Tshark
+from .undecoded import left_out
 
 TIME = pa.timestamp("ns", tz="UTC")
-# Every message's first columns.  The CSV has no source_file: that is the capture's name.
+# Every message's first columns.  The CSV has no source_file, the capture's name, and no flight_id.
 HEAD = {
     "time": TIME,
     "source_file": pa.string(),
@@ -30,6 +32,7 @@ HEAD = {
     "source": pa.string(),
     "id": pa.uint32(),
     "seq": pa.uint8(),
+    "flight_id": pa.string(),
 }
 # The types of fields.json that need no second look, and their roles.  A time is the controller's own, in seconds.
 ROLES = {
@@ -83,10 +86,10 @@ def messages(fields: Record) -> dict[str, Message]:
     return {name: _message(name, entry) for name, entry in fields["messages"].items()}
 
 
-def digest(fields: Record) -> str:
-    """A short name of the catalogue's content; IDs, which are a matter of each aircraft, do not change it."""
-    content = {name: entry | {"id": None} for name, entry in fields["messages"].items()}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+def digests(fields: Record) -> dict[str, str]:
+    """Return a short name of each message's description."""
+    texts = {name: json.dumps(entry, sort_keys=True) for name, entry in fields["messages"].items()}
+    return {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in texts.items()}
 
 
 def plugin_version(fields: Record) -> str:
@@ -121,27 +124,84 @@ def _integer(entry: Record) -> pa.DataType:
     return getattr(pa, f"{sign}int{next(size for size in (8, 16, 32, 64) if size >= entry['bits'])}")()
 
 
-class Rows:
-    """The rows of one message in an export: their schema, and typed record batches, a few megabytes at a time."""
+@dataclass(frozen=True)
+class Origin:
+    """Where tables come from. flight_id: of the capture's content; aircraft: its name in the fleet file."""
 
-    def __init__(self, export: Export, message: Message, source_file: str) -> None:
-        """source_file: what the column of this name says."""
-        self.message, self.source_file = message, source_file
+    flight_id: str
+    capture: Path
+    aircraft: str | None = None
+    tshark: Tshark = field(default_factory=Tshark)
+
+
+class Table:
+    """Rows to write. columns: what is known of them; count: how many rows came of the latest iteration."""
+
+    def __init__(self, message: Message, schema: pa.Schema, columns: list[Column]) -> None:
+        """Keep the description."""
+        self.message, self.schema, self.columns = message, schema, columns
+        self.name, self.count = message.name, 0
+
+    def __iter__(self) -> Iterator[pa.RecordBatch]:
+        """Read the rows once more from their beginning."""
+        raise NotImplementedError
+
+
+class Records(Table):
+    """A table of events, faults, the summary or the flight itself. rows: what makes it, once it is wanted."""
+
+    def __init__(self, name: str, rows: Callable[[], pa.Table], origin: Origin, schema: pa.Schema) -> None:
+        """Add flight_id and source_file; a column `message` would be taken for the folder's: it is `message_name`."""
+        self.rows, self.origin = rows, origin
+        names = ["message_name" if each == "message" else each for each in schema.names]
+        fields = [pa.field(each, type_) for each, type_ in zip(names, schema.types, strict=True)]
+        head = [pa.field(each, pa.string()) for each in ("flight_id", "source_file")]
+        columns = [Column(each.name, each.type, _role(each.type)) for each in (*head, *fields)]
+        super().__init__(Message(name, name.title(), None, {}), pa.schema(head + fields), columns)
+
+    def __iter__(self) -> Iterator[pa.RecordBatch]:
+        """Return all rows at once: they are few."""
+        rows = self.rows()
+        self.count = len(rows)
+        same = [[text] * len(rows) for text in (self.origin.flight_id, self.origin.capture.name)]
+        yield from pa.table([*same, *rows.columns], schema=self.schema).combine_chunks().to_batches()
+
+
+def _role(type_: pa.DataType) -> str:
+    return "text" if pa.types.is_string(type_) else "value"
+
+
+class Rows(Table):
+    """The rows of one message in an export: their schema, and typed record batches, a few megabytes at a time.
+
+    span: the first and the last time in the batches that were read, in nanoseconds since 1970.
+    """
+
+    def __init__(self, export: Export, message: Message, origin: Origin, wanted: Sequence[str] | None = None) -> None:
+        """wanted: the columns to read besides the time, None for all."""
+        self.origin, self.wanted = origin, wanted
+        self.span: tuple[int, int] | None = None
         self._path = export.csv(message.name)
         with self._path.open(encoding="utf-8", newline="") as file:
             self._header = next(csv.reader(file), [])
         strange = set(self._header) - message.columns.keys() - HEAD.keys() - {CRC_GOOD}
+        head_names = [name for name in HEAD if wanted is None or name in wanted or name == "time"]
         if strange or "time" not in self._header:
             raise SetupError(
                 f"{self._path.name} has columns that the plugin's fields.json does not tell: {strange or 'none'}"
             )
-        self.columns = [message.columns[name] for name in self._header if name in message.columns]
+        given = [name for name in self._header if name in message.columns]
+        columns = [message.columns[name] for name in given if wanted is None or name in wanted]
         about = {"message": message.name, "title": message.title, "every": str(message.every or "")}
-        head = [pa.field(name, type_) for name, type_ in HEAD.items()]
-        self.schema = pa.schema(head + [column.arrow() for column in self.columns], metadata=about)
+        head = [pa.field(name, HEAD[name]) for name in head_names]
+        schema = pa.schema(head + [column.arrow() for column in columns], metadata=about)
+        super().__init__(message, schema, columns)
 
     def __iter__(self) -> Iterator[pa.RecordBatch]:
         """Read the file once more from its beginning."""
+        self.count = 0
+        special = [f"{name}_special" for name in self.schema.names]
+        included = [name for name in self._header if name in self.schema.names or name in special]
         types = {column.name: column.type for column in self.columns} | {
             name: t for name, t in HEAD.items() if t != TIME
         }
@@ -152,6 +212,7 @@ class Rows:
             parse_options=arrow_csv.ParseOptions(newlines_in_values=any(c.role == "text" for c in self.columns)),
             convert_options=arrow_csv.ConvertOptions(
                 column_types=types | {"time": pa.string()},
+                include_columns=included,
                 null_values=[""],
                 strings_can_be_null=True,
                 quoted_strings_can_be_null=False,
@@ -159,7 +220,12 @@ class Rows:
         )
         for batch in reader:
             if batch.num_rows:
-                yield self._typed(batch)
+                typed = self._typed(batch)
+                self.count += len(typed)
+                times = pc.min_max(typed.column("time").cast(pa.int64()))
+                low, high = times["min"].as_py(), times["max"].as_py()
+                self.span = min(low, (self.span or (low,))[0]), max(high, (self.span or (high,))[-1])
+                yield typed
 
     def first_time(self) -> int:
         """The first row's time in nanoseconds since 1970."""
@@ -169,7 +235,8 @@ class Rows:
     def _typed(self, batch: pa.RecordBatch) -> pa.RecordBatch:
         given = dict(zip(batch.schema.names, batch.columns, strict=True))
         given["time"] = _nanoseconds(given["time"])
-        given["source_file"] = _repeated(self.source_file, batch.num_rows)
+        given["source_file"] = _repeated(self.origin.capture.name, batch.num_rows)
+        given["flight_id"] = _repeated(self.origin.flight_id, batch.num_rows)
         for column in self.columns:
             special = given.get(f"{column.name}_special")
             if special is not None and special.null_count < len(special):
@@ -206,6 +273,13 @@ def present(export: Export) -> list[Message]:
     return [message for message in messages(export.fields).values() if _has_rows(export.csv(message.name))]
 
 
+def nothing_in(capture: Path, export: Export, filter_: str | None = None) -> str:
+    """Return why a capture gives no table."""
+    narrowed = f" that {filter_} lets through" if filter_ else ""
+    why = "; ".join(left_out(export.partial, export.undecoded, export.complaints))
+    return f"{capture}: no YAPP messages in it{narrowed}{': ' * bool(why)}{why}"
+
+
 def _has_rows(path: Path) -> bool:
     if not path.is_file():
         return False
@@ -213,57 +287,57 @@ def _has_rows(path: Path) -> bool:
         return len(list(zip(range(2), file, strict=False))) == 2
 
 
-EVENTS = pa.schema(
-    {
-        "time": TIME,
-        "kind": pa.string(),
-        "frame": pa.int64(),
-        "bus": pa.string(),
-        "id": pa.uint32(),
-        "source": pa.string(),
-        "message": pa.string(),
-        "field": pa.string(),
-        "flag": pa.string(),
-        "event": pa.string(),
-        "active": pa.float64(),
-        "length": pa.float64(),
-        "what": pa.string(),
-        "value": pa.string(),
-        "help": pa.string(),
-    }
+def _schema(columns: str) -> pa.Schema:
+    """Return a schema of "name:type" words; a name alone is text."""
+    pairs = (word.partition(":") for word in columns.split())
+    return pa.schema([(name, TIME if kind == "time" else getattr(pa, kind or "string")()) for name, _, kind in pairs])
+
+
+EVENTS = _schema(
+    "time:time kind frame:int64 bus id:uint32 source message field flag event active:float64 "
+    "length:float64 what value size:int64 count:int64 like help"
 )
-SUMMARY = pa.schema(
-    {
-        "bus": pa.string(),
-        "id": pa.uint32(),
-        "source": pa.string(),
-        "message": pa.string(),
-        "count": pa.int64(),
-        "rate": pa.float64(),
-        "gap_min": pa.float64(),
-        "gap_mean": pa.float64(),
-        "gap_max": pa.float64(),
-        "gap_max_frame": pa.int64(),
-        "crc_bad": pa.int64(),
-        "incomplete": pa.int64(),
-        "late": pa.int64(),
-        "reboots": pa.int64(),
-        "invalid": pa.int64(),
-        "skipped": pa.int64(),
-    }
+FAULT = ("time", "frame", "bus", "id", "source", "message", "field", "flag", "event", "active", "help")
+SUMMARY = _schema(
+    "bus id:uint32 source message count:int64 rate:float64 gap_min:float64 gap_mean:float64 "
+    "gap_max:float64 gap_max_frame:int64 crc_bad:int64 incomplete:int64 late:int64 reboots:int64 "
+    "invalid:int64 skipped:int64"
 )
-STATISTICS = pa.schema(
-    {
-        "bus": pa.string(),
-        "id": pa.uint32(),
-        "source": pa.string(),
-        "message": pa.string(),
-        "field": pa.string(),
-        "min": pa.float64(),
-        "mean": pa.float64(),
-        "max": pa.float64(),
-    }
+STATISTICS = _schema("bus id:uint32 source message field min:float64 mean:float64 max:float64")
+FLIGHTS = _schema(
+    "capture start:time length:float64 aircraft plugin tools options messages:int64 faults:int64 partial "
+    "undecoded left_out"
 )
+
+
+def faults(events: pa.Table) -> pa.Table:
+    """Return the flags that were raised and cleared, of all events."""
+    columns = [name for name in FAULT if name in events.schema.names]
+    return events.filter(pc.equal(events["kind"], "fault")).select(columns)
+
+
+def all_tables(export: Export, origin: Origin) -> list[Table]:
+    """Return the messages of an export, and its events, faults, summary and the flight itself."""
+    rows = [Rows(export, message, origin) for message in present(export)]
+    events = table(export.records["events"], EVENTS)
+
+    def flight() -> pa.Table:
+        """Asked last: the times are known then."""
+        spans = [each.span for each in rows if each.span]
+        start, end = min(span[0] for span in spans), max(span[1] for span in spans)
+        about = {"capture": str(origin.capture), "start": start, "length": (end - start) / 1e9}
+        about |= {"aircraft": origin.aircraft, "plugin": plugin_version(export.fields), "tools": version("yapp-tables")}
+        about |= {"options": " ".join(origin.tshark.options), "messages": sum(each.count for each in rows)}
+        about |= {"faults": pc.sum(pc.equal(events["event"], "raised")).as_py() or 0, "partial": export.partial}
+        about |= {"undecoded": export.undecoded or None, "left_out": "; ".join(export.complaints) or None}
+        return pa.Table.from_pylist([about], FLIGHTS)
+
+    parts = {
+        "events": (lambda: events, EVENTS),
+        "faults": (lambda: faults(events), faults(EVENTS.empty_table()).schema),
+    }
+    parts |= {"summary": (lambda: table(export.records["summary"], SUMMARY), SUMMARY), "flights": (flight, FLIGHTS)}
+    return [*rows, *(Records(name, make, origin, schema) for name, (make, schema) in parts.items())]
 
 
 def table(records: list[Record], schema: pa.Schema) -> pa.Table:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import CaptureError, SetupError, YappError
-from .watch import Watch
+from .undecoded import undecoded
 
 INSTALL_TSHARK = "install Wireshark (Debian, Ubuntu: apt-get install tshark) or name the program with --tshark PATH"
 INSTALL_PLUGIN = "install it (yapp-tables install) or name it with --plugin PATH/yapp.lua"
@@ -23,8 +23,12 @@ INSTALL_PLUGIN = "install it (yapp-tables install) or name it with --plugin PATH
 USUAL_PLACES = ("/Applications/Wireshark.app/Contents/MacOS/tshark", r"C:\Program Files\Wireshark\tshark.exe")
 # An empty capture: a pcap header (SocketCAN, 64 KB packets) and no packet.
 EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000")
-LOOK_SECONDS = 1
 PLUGIN_SAYS = "yapp: "
+STATISTICS = ("events", "summary")
+UNDECIDED = 21  # the exit code of a statistic that leaves something out
+UNRELIABLE = (
+    "two controllers share an ID, or buses cannot be told apart: their faults, reboots and silences are left out"
+)
 
 Record = dict[str, Any]
 
@@ -33,8 +37,8 @@ Record = dict[str, Any]
 class Export:
     """What one run left behind: `<message>.csv` and `fields.json` in folder, and the lines of the other statistics.
 
-    partial: tshark's reason where the capture is damaged; complaints: what the plugin said is wrong with its
-    preferences or the user's messages, which it goes on without.
+    partial: tshark's reason where the capture is damaged; undecoded: a sentence on the messages that were not decoded;
+    complaints: what the plugin leaves out for another reason: a preference that it cannot read, unreliable events.
     """
 
     folder: Path
@@ -42,6 +46,7 @@ class Export:
     records: dict[str, list[Record]] = field(default_factory=dict)
     partial: str | None = None
     complaints: tuple[str, ...] = ()
+    undecoded: str = ""
 
     def csv(self, message: str) -> Path:
         """Where the rows of a message are, whether or not there are any."""
@@ -53,40 +58,44 @@ class Tshark:
     """How tshark is called: everything that all captures of one command have in common.
 
     program: a path or a name in PATH, None for the usual places; plugin: yapp.lua where it is not installed;
-    options: preferences, each NAME:VALUE as after tshark's -o; filter: a display filter, None for all messages.
+    options: preferences, each NAME:VALUE as after tshark's -o; filter: a display filter, None for all messages;
+    profile: a profile of Wireshark's; catalogue: a file with the user's messages.
     """
 
     program: str | None = None
     plugin: str | None = None
     options: tuple[str, ...] = ()
     filter: str | None = None
+    profile: str | None = None
+    catalogue: str | None = None
 
-    def export(
-        self, capture: Path, folder: Path, statistics: tuple[str, ...] = (), watch: Watch | None = None
-    ) -> Export:
-        """Write a capture's messages to folder, which is made.
+    def export(self, capture: Path, folder: Path) -> Export:
+        """Write a capture's messages to folder, which is made; one that is there already has them.
 
-        statistics: what else to gather, "events" or "summary"; watch: who wants to know how far it is.
         Returns an Export.  Raises SetupError, CaptureError and, for what another try may mend, YappError.
         """
-        if not capture.is_file():
-            what = "no file: 'FOLDER/**/*.pcapng' takes those in it" if capture.is_dir() else "no such file"
-            raise CaptureError(f"{capture}: {what}")
-        if not os.access(capture, os.R_OK):
-            raise CaptureError(f"{capture} cannot be read: permission denied")
-        folder.mkdir(parents=True)
-        csv = folder / "csv"
+        check_file(capture)
+        csv, said = folder / "csv", folder / "said.json"
         # Relative to tshark's own folder: a comma in a path would end the option.
-        wanted = ["csv,csv", *(f"{name},json" for name in statistics)]
-        done = _run(self._command(capture, wanted), folder, watch)
+        wanted = ["csv,csv", *(f"{name},json" for name in STATISTICS)]
+        if said.is_file():
+            done = subprocess.CompletedProcess(**json.loads(said.read_text(encoding="utf-8")))
+        else:
+            folder.mkdir(parents=True)
+            done = _run(self._command(capture, wanted), folder, self._environment())
+            said.write_text(json.dumps(vars(done)), encoding="utf-8")
         partial = self._refusal(capture, done, written=(csv / "fields.json").is_file())
         fields: Record = json.loads((csv / "fields.json").read_text(encoding="utf-8"))
         if "plugin" not in fields:
             raise SetupError(f"the plugin is too old, its fields.json does not name its version: {INSTALL_PLUGIN}")
-        complaints = () if partial else _complaints(done.stderr)
-        return Export(csv, fields, _records(done.stdout, statistics), partial, complaints)
+        complaints = () if partial else _complaints(done)
+        records = _records(done.stdout)
+        titles = {name: entry["title"] or name for name, entry in fields["messages"].items()}
+        known = " ".join((*self.options, done.stderr))
+        lost = undecoded(records["events"], records["summary"], titles, known)
+        return Export(csv, fields, records, partial, complaints, lost)
 
-    def catalogue(self) -> tuple[Record, tuple[str, ...]]:
+    def fields(self) -> tuple[Record, tuple[str, ...]]:
         """fields.json of this plugin with these options, and complaints as in Export.
 
         Asked with an empty capture, it proves tshark and plugin.
@@ -104,13 +113,19 @@ class Tshark:
     def begin(self, capture: Path) -> int | None:
         """The time of a capture's first packet, whatever it is, in nanoseconds since 1970; None where none is told."""
         first = [*self._reading(capture), "-c", "1", "-T", "fields", "-e", "frame.time_epoch"]
-        text = subprocess.run(first, capture_output=True, text=True, check=False).stdout.strip()
+        environment = self._environment()
+        text = subprocess.run(first, capture_output=True, text=True, check=False, env=environment).stdout.strip()
         return int(Decimal(text).scaleb(9)) if re.fullmatch(r"\d+\.\d+", text) else None
+
+    def _environment(self) -> dict[str, str]:
+        return os.environ | ({"YAPP_MESSAGES": os.path.abspath(self.catalogue)} if self.catalogue else {})
 
     def _reading(self, capture: Path) -> list[str]:
         command = [self._program(), "-r", str(capture.resolve())]
         if self.plugin is not None:
             command += ["-X", f"lua_script:{self._plugin()}"]
+        if self.profile is not None:
+            command += ["-C", self.profile]
         for option in self.options:
             command += ["-o", option]
         return command
@@ -151,6 +166,8 @@ class Tshark:
             return None
         if done.returncode == 0:
             raise SetupError(f"the plugin wrote no fields.json{said and ': ' + said}: {INSTALL_PLUGIN}")
+        if written and done.returncode == UNDECIDED:
+            return None
         if written and done.returncode > 1:
             return said or f"tshark ended with {done.returncode}"
         if "reference" in said or "-o flag" in said:
@@ -171,25 +188,24 @@ class Tshark:
         return tuple(int(part) for part in found[0].split(".")) if found else ()
 
 
-def _run(command: list[str], folder: Path, watch: Watch | None) -> subprocess.CompletedProcess[str]:
+def _run(command: list[str], folder: Path, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
     pipe = subprocess.PIPE
     try:
-        process = subprocess.Popen(
-            command, cwd=folder, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, encoding="utf-8", errors="replace"
-        )
+        return subprocess.run(
+            command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe,
+            encoding="utf-8", errors="replace", check=False,
+        )  # fmt: skip
     except OSError as error:
         raise SetupError(f"{command[0]} cannot be run ({error.strerror}): {INSTALL_TSHARK}") from error
-    with process:
-        while True:
-            try:
-                stdout, stderr = process.communicate(timeout=LOOK_SECONDS)
-                return subprocess.CompletedProcess(command, process.returncode, stdout, stderr)
-            except subprocess.TimeoutExpired:
-                if watch:
-                    watch.look(process.pid, folder / "csv")
-            except BaseException:
-                process.kill()
-                raise
+
+
+def check_file(capture: Path) -> None:
+    """Raise CaptureError where there is no file that can be read."""
+    if not capture.is_file():
+        what = "no file: 'FOLDER/**/*.pcapng' takes those in it" if capture.is_dir() else "no such file"
+        raise CaptureError(f"{capture}: {what}")
+    if not os.access(capture, os.R_OK):
+        raise CaptureError(f"{capture} cannot be read: permission denied")
 
 
 def _complaint(stderr: str) -> str:
@@ -198,15 +214,16 @@ def _complaint(stderr: str) -> str:
     return " ".join(line.removeprefix("tshark: ") for line in lines if line and not line.startswith("Running as user"))
 
 
-def _complaints(stderr: str) -> tuple[str, ...]:
-    """The lines of the plugin: where all went well they are about its preferences and the user's messages."""
-    lines = [line.removeprefix(PLUGIN_SAYS) for line in stderr.splitlines() if line.startswith(PLUGIN_SAYS)]
-    return tuple(dict.fromkeys(lines))
+def _complaints(done: subprocess.CompletedProcess[str]) -> tuple[str, ...]:
+    """Return what the plugin says it leaves out, but for undecoded messages, which are events."""
+    lines = [line.removeprefix(PLUGIN_SAYS) for line in done.stderr.splitlines() if line.startswith(PLUGIN_SAYS)]
+    found = dict.fromkeys(line for line in lines if "not decoded" not in line and "decoded in part" not in line)
+    return tuple(found) or (UNRELIABLE,) * (done.returncode == UNDECIDED)
 
 
-def _records(stdout: str, statistics: tuple[str, ...]) -> dict[str, list[Record]]:
-    """The JSON lines of the statistics, told apart by their keys; numbers with a point stay exact."""
-    records: dict[str, list[Record]] = {name: [] for name in statistics}
+def _records(stdout: str) -> dict[str, list[Record]]:
+    """Return the JSON lines of the statistics, told apart by their keys; numbers with a point stay exact."""
+    records: dict[str, list[Record]] = {name: [] for name in STATISTICS}
     for line in stdout.splitlines():
         if line.startswith("{"):
             record = json.loads(line, parse_float=Decimal)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Nothing is left out in silence: undecoded messages in read, convert and report; with a stand-in for tshark."""
+
+import re
+
+import pytest
+import yapp_tables as yt
+from running import FAKE, motor_row
+from yapp_tables.undecoded import undecoded
+
+AT = {"time": 1700000000.000000001, "frame": 3, "bus": "can0", "source": None, "message": None}
+SENTENCE = (
+    "3 of 5 sources were not decoded (648 messages of 0x211, 0x212, 0x213 have the size of Motor Data): "
+    "set yapp.motor_ids:0x210-0x213"
+)
+
+
+def unknown(number, count=216, **more):
+    return AT | {"kind": "unknown", "id": number, "size": 32, "count": count, "like": "motor"} | more
+
+
+def source(number, message="motor"):
+    return AT | {"id": number, "message": message, "count": 1}
+
+
+EVENTS = [unknown(0x211), unknown(0x212), unknown(0x213)]
+SUMMARY = [source(0x210), source(0x200, "note"), *(source(number, None) for number in (0x211, 0x212, 0x213))]
+
+
+@pytest.fixture
+def capture(make_capture):
+    return make_capture("flight.pcapng", motor=[motor_row(0)], events=EVENTS, summary=SUMMARY)
+
+
+def test_read_warns(capture):
+    with pytest.warns(UserWarning, match=re.escape(SENTENCE)):
+        flight = yt.read(capture, tshark=FAKE)
+    assert flight.undecoded == SENTENCE
+    with pytest.raises(KeyError) as missing:
+        flight["note"]
+    assert str(missing.value) == f"flight.pcapng has no decoded Note: {SENTENCE}"
+    assert isinstance(missing.value, yt.YappError)
+    assert flight.get("note") is None
+    with pytest.raises(KeyError, match="no message 'moter'; known messages: motor, note"):
+        flight["moter"]
+
+
+def test_convert_says_it_each_time_and_does_not_end_with_0(capture, yapp_tables):
+    command = ["convert", capture, "--to", "parquet", "--out", "data"]
+    for _ in range(2):  # the second time the result is up to date
+        done = yapp_tables(*command)
+        assert done.returncode == 3
+        assert f"flight.pcapng: {SENTENCE}" in done.stderr
+        assert "1 of 1 captures were not decoded completely" in done.stderr.splitlines()[-1]
+    assert yapp_tables(*command, "--strict").returncode == 1
+
+
+def test_report_says_it_first(capture, yapp_tables, tmp_path):
+    done = yapp_tables("report", capture)
+    assert done.returncode == 3
+    assert SENTENCE in done.stderr
+    assert f'"undecoded": "{SENTENCE}"' in (tmp_path / "flight.html").read_text()
+
+
+def test_a_capture_without_a_decoded_message(make_capture, yapp_tables):
+    path = make_capture("flight.pcapng", events=EVENTS, summary=SUMMARY[2:])
+    with pytest.raises(yt.CaptureError, match=r"no YAPP messages in it: 3 of 3 sources were not decoded \(648"):
+        yt.read(path, tshark=FAKE)
+    for command in (["report", path], ["convert", path, "--to", "csv", "--out", "data"]):
+        done = yapp_tables(*command)
+        assert done.returncode == 1
+        assert "set yapp.motor_ids:0x211-0x213" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("events", "said", "sentence"),
+    [
+        ([unknown(0x211, 1)], "yapp.motor_ids:0x220,0x222",
+         "1 of 2 sources was not decoded (1 message of 0x211 has the size of Motor Data): "
+         "set yapp.motor_ids:0x210-0x211,0x220,0x222"),
+        ([unknown(0x211, 5, like="Motor Data")], "Try -o yapp.motor_ids:0x208-0x20a,0x210",
+         "1 of 2 sources was not decoded (5 messages of 0x211 have the size of Motor Data): "
+         "set yapp.motor_ids:0x208-0x20a,0x210-0x211"),
+        ([unknown(0x210, 7, like=None, size=28, message="motor")], "",
+         "1 of 1 source was not decoded (7 messages of 0x210 have 28 bytes, not the size of Motor Data)"),
+        ([unknown(None, 2, like=None, size=9, bus=None, source="ttyUSB0")], "",
+         "1 of 2 sources was not decoded (2 messages of ttyUSB0 have 9 bytes, which no message has)"),
+        ([], "", ""),
+    ],
+)  # fmt: skip
+def test_the_sentence(events, said, sentence):
+    assert undecoded(events, [source(0x210)], {"motor": "Motor Data"}, said) == sentence
+
+
+def test_what_was_decoded_in_part_is_called_so():
+    row = source(0x210) | {"values": {"rpm": {"min": 1.0, "mean": 1.0, "max": 1.0}}}
+    said = undecoded([unknown(0x210, 7, like=None, size=36, message="motor")], [row], {"motor": "Motor Data"}, "")
+    assert said == "1 of 1 source was decoded in part (7 messages of 0x210 have 36 bytes, not the size of Motor Data)"
+
+
+def test_events_that_nothing_could_be_told_of_are_no_damage(make_capture):
+    path = make_capture("flight.pcapng", motor=[motor_row(0)], does=["undecided"])
+    with pytest.warns(UserWarning, match="share an ID"):
+        flight = yt.read(path, tshark=FAKE)
+    assert flight.partial is None

@@ -1,0 +1,223 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- From the dissectors to the statistics: passes, filters, parts of one message, times.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local kinds = require("yapp.stat.kinds")
+local queue_of = require("yapp.stat.queue")
+
+local T = {}
+
+local SOURCE = { key = 1, id = 1 }
+local SETTINGS = { late = 2.5, ids = {}, sources_text = "", catalogue = { messages = {} },
+  sources = { list = function() return {} end } }
+
+local function new_queue()
+  return queue_of.new(SETTINGS)
+end
+
+local function add(queue, statistic, filter)
+  return queue:add(statistic, { filter = filter, has_notes = true })
+end
+
+local function finish(queue, unfinished)
+  return { queue:finish { unfinished = unfinished or {}, drops = {}, extended = 0 } }
+end
+
+-- A statistic that notes the payloads of what it gets; payloads are names here.
+local function notes(code, text)
+  local self = { got = {} }
+  function self.event(_, event) self.got[#self.got + 1] = event.payload end
+  function self.finish(_, ending)
+    self.last = ending.rel
+    return code, text
+  end
+  return self
+end
+
+local function event_of(frame, name, kind, values)
+  local at = { frame = frame, time = frame, seq = 0, payload = name, raws = {} }
+  return kinds.event(kind or "message", at, SOURCE, values)
+end
+
+local function offer(queue, frame, name, values, visited)
+  queue:offer(event_of(frame, name, "message", values), visited or false)
+end
+
+function T.test_messages_in_the_order_of_the_capture()
+  local queue, one = new_queue(), notes()
+  add(queue, one)
+  queue:packet(1, 1)
+  offer(queue, 2, "a")
+  offer(queue, 2, "b")
+  queue:packet(2, 2)
+  offer(queue, 3, "c")
+  queue:packet(3, 3)
+  queue:packet(4, 8)
+  queue:packet(5, 9)
+  lu.assertEquals(finish(queue, { event_of(3, "d", "unfinished") }), { 0, {} })
+  lu.assertEquals({ one.got, one.last }, { { "a", "b", "c", "d" }, 9 })
+end
+
+-- Where nothing has a filter or rests on what comes when, messages need not wait.
+function T.test_messages_that_do_not_wait()
+  local queue, one = new_queue(), notes()
+  one.wants_messages_only = true
+  add(queue, one)
+  offer(queue, 1, "a")
+  lu.assertTrue(queue:go_direct())
+  queue:packet(1, 1)
+  offer(queue, 2, "b")
+  offer(queue, 2, "c", { loss = {} })
+  offer(queue, 3, "d", { loss = { void = true } })
+  offer(queue, 3, "e")
+  lu.assertEquals(one.got, { "a", "b", "e" })
+  lu.assertEquals(finish(queue), { 0, {} })
+  lu.assertEquals(one.got, { "a", "b", "e", "c" })
+  local other = notes()
+  other.wants_messages_only = true
+  add(queue, other, "filter")
+  lu.assertFalse(queue:go_direct())
+  queue = new_queue()
+  add(queue, notes())
+  lu.assertFalse(queue:go_direct())
+end
+
+-- What is lost is sure at the end only; a lost message counts once, at the first frame that shows it.
+function T.test_losses()
+  local queue, one = new_queue(), notes()
+  add(queue, one)
+  local message, other = {}, {}
+  local rows = { { "a" }, { "b", { void = true }, message }, { "c", {}, message }, { "d" }, { "e", {}, message },
+    { "f", {}, other }, { "g", {} }, { "h", {} } }
+  for frame, row in ipairs(rows) do
+    local values = row[2] and { what = "incomplete", loss = row[2], lost = row[3] }
+    queue:offer(event_of(frame, row[1], row[2] and "incomplete", values), false)
+    queue:packet(frame, frame)
+  end
+  lu.assertEquals(finish(queue), { 0, {} })
+  lu.assertEquals(one.got, { "a", "d", "c", "f", "g", "h" })
+end
+
+function T.test_an_unreliable_history()
+  for follows, code in pairs { [true] = 21, [false] = 0 } do
+    local queue, one = new_queue(), notes()
+    one.follows_changes = follows
+    add(queue, one)
+    offer(queue, 1, "a", { is_unreliable = true })
+    queue:packet(1, 1)
+    local found = finish(queue)
+    lu.assertEquals({ found[1], #found[2], one.got }, { code, follows and 1 or 0, { "a" } })
+  end
+end
+
+function T.test_nothing()
+  local queue, one = new_queue(), notes()
+  add(queue, one)
+  lu.assertEquals(finish(queue), { 0, {} })
+  lu.assertEquals({ one.got, one.last }, { {} })
+end
+
+-- tshark -2 dissects all packets before the first tap runs; a capture may have a single one.
+function T.test_the_first_of_two_passes_does_not_count()
+  for count = 1, 3 do
+    local queue, one, expected = new_queue(), notes(), {}
+    add(queue, one)
+    for frame = 1, count do offer(queue, frame, "first", {}, false) end
+    for frame = 1, count do
+      offer(queue, frame, "second", {}, true)
+      queue:packet(frame, frame)
+      expected[frame] = "second"
+    end
+    finish(queue)
+    lu.assertEquals(one.got, expected)
+  end
+end
+
+-- A message that a read filter rejects, or that is looked at between two passes over the file.
+function T.test_packets_that_no_tap_sees()
+  local queue, one = new_queue(), notes()
+  add(queue, one)
+  offer(queue, 5, "rejected")
+  offer(queue, 6, "a")
+  queue:packet(6, 6)
+  offer(queue, 7, "rejected")
+  queue:packet(8, 8)
+  finish(queue)
+  lu.assertEquals(one.got, { "a" })
+end
+
+-- tshark -2 -R: the number of a rejected packet is another's in the second pass.
+function T.test_the_number_of_a_rejected_packet()
+  local queue, one = new_queue(), notes()
+  add(queue, one)
+  offer(queue, 1, "rejected")
+  queue:packet(1, 1.5)
+  finish(queue)
+  lu.assertEquals(one.got, {})
+end
+
+function T.test_all_packets_come_again()
+  local queue, one = new_queue(), notes()
+  add(queue, one)
+  offer(queue, 1, "clicked on", {}, true)
+  queue:reset()
+  offer(queue, 1, "a", {}, true)
+  queue:packet(1, 1)
+  finish(queue)
+  lu.assertEquals(one.got, { "a" })
+end
+
+-- The taps of a packet run in any order.
+function T.test_filters()
+  local queue, all, some, both = new_queue(), notes(), notes(), notes()
+  add(queue, all)
+  local entry, another = add(queue, some, "filter"), add(queue, both, "filter")
+  for frame = 30, 70 do
+    offer(queue, frame, tostring(frame))
+    if frame % 2 == 0 then entry.matched[frame] = true end
+    queue:packet(frame, frame)
+    if frame % 3 == 0 then
+      entry.matched[frame] = true
+      entry.matched[frame] = true
+    end
+    if frame == 64 then another.matched[frame] = true end
+  end
+  finish(queue, { event_of(33, "33 too", "unfinished"), event_of(31, "31 too", "unfinished") })
+  local expected = {}
+  for frame = 30, 70 do
+    if frame % 2 == 0 or frame % 3 == 0 then expected[#expected + 1] = tostring(frame) end
+  end
+  expected[#expected + 1] = "33 too"
+  lu.assertEquals(some.got, expected)
+  lu.assertEquals(#all.got, 43)
+  lu.assertEquals(both.got, { "64" })
+end
+
+function T.test_exact_times()
+  local queue = new_queue()
+  local function time(rel) return { queue:clock(rel) } end
+  queue:begins(1700000000, 999999999, 0)
+  lu.assertEquals(time(0), { 1700000000, 999999999 })
+  lu.assertEquals(time(0.000000001), { 1700000001, 0 })
+  lu.assertEquals(time(86400.123456789), { 1700086401, 123456788 })
+  lu.assertEquals(time(4194302.999999998), { 1704194303, 999999997 }) -- 48 days
+  lu.assertEquals(time(-2), { 1699999998, 999999999 }) -- an earlier packet behind a later one
+  queue:begins(1700000000, 5, 2.000000001) -- the first packet that a read filter left
+  lu.assertEquals(time(2.000000001), { 1700000000, 5 })
+  lu.assertEquals(time(0), { 1699999998, 4 })
+  queue:reset() -- packets may have no time: then it is that since the first one
+  lu.assertEquals(time(2.5), { 2, 500000000 })
+end
+
+function T.test_a_failure_comes_before_what_is_undecided()
+  local function end_of(...)
+    local queue = new_queue()
+    for _, code in ipairs { ... } do add(queue, notes(code ~= 0 and code or nil, "text " .. code)) end
+    return finish(queue)
+  end
+  lu.assertEquals(end_of(0, 21), { 21, { "text 0", "text 21" } })
+  lu.assertEquals(end_of(21, 20, 0)[1], 20)
+  lu.assertEquals(end_of(20, 21)[1], 20)
+end
+
+return T

@@ -1,0 +1,677 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Stream framing: each rule by itself, then random streams against a plain reading of the rules.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local crc = require("yapp.wire.crc")
+local framer = require("yapp.serial.framer")
+local levels = require("levels")
+local generator = require("stream_generator")
+
+local frame, header, little_endian = generator.frame, generator.header, generator.little_endian
+local GOOD = frame(5, "good")
+local BAD = frame(6, "bad"):sub(1, -2) .. "\255"
+local MOTOR = frame(0x210, ("motor data "):rep(3):sub(1, 32))
+local BAD_MOTOR = MOTOR:sub(1, -2) .. "\255"
+local LARGEST, PATIENCE = 65551, 4096
+
+local function size_of(id) return generator.known[id] end
+local function new() return framer.new(size_of) end
+
+-- An event in words: "good 0-20", "incomplete 4-16 +9".
+local function words(event)
+  local missing = event.missing and " +" .. event.missing or ""
+  return event.status .. " " .. event.from .. "-" .. event.to .. missing
+end
+
+local function in_words(events)
+  local list = {}
+  for i, event in ipairs(events) do list[i] = words(event) end
+  return table.concat(list, ", ")
+end
+
+local function feeds(s, bytes, expected) lu.assertEquals(in_words(s:feed(bytes)), expected) end
+local function finishes(s, expected) lu.assertEquals(in_words(s:finish()), expected) end
+
+-- The last byte of the bytes brings the expected events, no byte before it any.
+local function brings_at_last(bytes, expected)
+  local s = new()
+  for at = 1, #bytes - 1 do lu.assertEquals(in_words(s:feed(bytes:sub(at, at))), "", "byte " .. at) end
+  feeds(s, bytes:sub(-1), expected)
+  return s
+end
+
+local T = {}
+
+function T.test_document_example()
+  local hex = "5950000010020000200000 00FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000000" ..
+    "0E38CD23CE04E000005FFBBBE6FC7"
+  local bytes = hex:gsub("%s", ""):gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)
+  local events = new():feed(bytes)
+  lu.assertEquals(events, { { status = "good", from = 0, to = 48, bytes = bytes } })
+end
+
+function T.test_nothing()
+  local s = new()
+  feeds(s, "", "")
+  finishes(s, "")
+  lu.assertEquals(s:offset(), 0)
+  lu.assertNil(s:open_frame())
+end
+
+function T.test_frames_amid_text()
+  feeds(new(), "> ps\r\n" .. GOOD .. GOOD .. "ok\r\n" .. GOOD .. "ok",
+    "skipped 0-6, good 6-26, good 26-46, skipped 46-50, good 50-70, skipped 70-72")
+end
+
+function T.test_good_frame_comes_with_its_last_byte()
+  brings_at_last(GOOD, "good 0-20")
+  brings_at_last(frame(2047, ""), "good 0-16")
+end
+
+function T.test_text_does_not_wait_but_a_last_y_does()
+  local s = new()
+  feeds(s, "abc", "skipped 0-3")
+  feeds(s, "dY", "skipped 3-4")
+  feeds(s, "Y", "skipped 4-5")
+  feeds(s, GOOD:sub(2), "good 5-25")
+  feeds(s, "Y", "")
+  finishes(s, "skipped 25-26")
+end
+
+function T.test_y_at_the_end_of_a_frame_is_the_frames()
+  local bytes = ""
+  for n = 1, 10000 do
+    bytes = frame(5, "n" .. n)
+    if bytes:sub(-1) == "Y" then break end
+  end
+  local s = new()
+  feeds(s, bytes, "good 0-" .. #bytes)
+  feeds(s, "P" .. GOOD:sub(3), "skipped " .. #bytes .. "-" .. #bytes + 19)
+end
+
+-- IDs above 2047, reserved bytes that are not 0, a message of the catalogue with another size.
+local ODD = { "YPsc\0\8\0\0\3\0\0\0", "YPsc\255\255\255\255\3\0\0\0", "YPsc\5\0\1\0\3\0\0\0",
+  "YPsc\5\0\0\0\3\0\0\1", "YPsc\16\2\0\0\3\0\0\0", "YPsc\16\2\0\0\34\0\0\0" }
+
+function T.test_a_good_crc_counts_whatever_the_header_says()
+  for _, start in ipairs(ODD) do
+    local bytes = generator.sealed(start .. ("x"):rep(start:byte(9)))
+    local s = brings_at_last(bytes, "good 0-" .. #bytes)
+    s:feed(bytes)
+    feeds(s, bytes .. GOOD, ("good %d-%d, good %d-%d"):format(2 * #bytes, 3 * #bytes, 3 * #bytes, 3 * #bytes + #GOOD))
+  end
+end
+
+function T.test_an_odd_header_without_it_is_noise()
+  for _, start in ipairs(ODD) do
+    local bytes = start .. ("x"):rep(start:byte(9)) .. "crc."
+    brings_at_last(bytes, "skipped 0-" .. #bytes)
+    local s = new()
+    feeds(s, start, "")
+    lu.assertNil(s:open_frame())
+    finishes(s, "skipped 0-12")
+  end
+  feeds(new(), "HAPPY PUPPY lines of a shell\r\n" .. GOOD, "skipped 0-30, good 30-50")
+end
+
+-- A damaged message of the catalogue ends where the next frame begins.
+function T.test_a_message_that_lost_bytes()
+  local lost = MOTOR:sub(1, 30) .. MOTOR:sub(32)
+  feeds(new(), lost .. MOTOR, "incomplete 0-47 +1, good 47-95")
+  feeds(new(), lost .. GOOD, "incomplete 0-47 +1, good 47-67")
+  feeds(new(), lost .. lost .. lost .. MOTOR,
+    "incomplete 0-47 +1, incomplete 47-94 +1, incomplete 94-141 +1, good 141-189")
+  feeds(new(), MOTOR:sub(1, 12) .. MOTOR, "incomplete 0-12 +36, good 12-60")
+  feeds(new(), MOTOR:sub(1, 11) .. MOTOR, "skipped 0-11, good 11-59")
+  feeds(new(), lost .. "> ps\r\n" .. MOTOR, "bad 0-48, skipped 48-53, good 53-101")
+  feeds(new(), lost .. BAD_MOTOR .. "ok", "incomplete 0-47 +1, bad 47-95, skipped 95-97")
+  finishes(new(), "")
+  local s = new()
+  feeds(s, BAD_MOTOR .. lost, "bad 0-48")
+  finishes(s, "incomplete 48-95 +1")
+end
+
+-- Of an unknown ID only where nothing else explains its bytes.
+function T.test_an_unknown_id_that_lost_bytes_is_noise()
+  feeds(new(), BAD:sub(1, -2) .. GOOD, "skipped 0-18, good 18-38")
+  feeds(new(), header(5, 60) .. BAD_MOTOR .. ("x"):rep(60), "skipped 0-12, bad 12-60, skipped 60-120")
+end
+
+function T.test_every_seq_ctl_and_small_id_is_plausible()
+  for _, start in ipairs({ "YP\255\255\255\7\0\0\255\255\0\0", "YPYP\0\0\0\0\7\0\0\0" }) do
+    local s = new()
+    feeds(s, start, "")
+    lu.assertEquals(select(2, s:open_frame()), (start:byte(9) + 256 * start:byte(10)) + 4)
+  end
+end
+
+function T.test_bad_frame_comes_with_its_last_byte()
+  brings_at_last(BAD, "bad 0-19")
+end
+
+function T.test_search_goes_on_at_the_second_byte_of_a_failed_candidate()
+  feeds(new(), header(5, 30) .. GOOD .. ("x"):rep(14), "skipped 0-12, good 12-32, skipped 32-46")
+  feeds(new(), header(5, 13) .. "tail" .. GOOD .. "ok", "skipped 0-16, good 16-36, skipped 36-38")
+end
+
+function T.test_bad_frame_waits_for_a_candidate_that_starts_in_it()
+  local start = header(5, 20) .. ("x"):rep(10)
+  local s = brings_at_last(start .. GOOD, "skipped 0-22, good 22-42")
+  finishes(s, "")
+
+  s = new()
+  feeds(s, start .. header(6, 8) .. "xx", "")
+  feeds(s, ("x"):rep(10), "bad 0-36, skipped 36-46")
+end
+
+function T.test_bad_frame_waits_for_part_of_a_header_in_it()
+  local s = new()
+  feeds(s, header(5, 0) .. "crcY", "")
+  feeds(s, "x", "bad 0-16, skipped 16-17")
+end
+
+function T.test_good_frame_behind_a_damaged_size_comes_at_once()
+  local s = new()
+  feeds(s, header(5, 65535) .. "text", "")
+  lu.assertEquals(select(2, s:open_frame()), 65535)
+  feeds(s, GOOD, "skipped 0-16, good 16-36")
+  lu.assertNil(s:open_frame())
+  feeds(s, GOOD, "good 36-56")
+end
+
+function T.test_bad_frame_inside_a_waiting_candidate_is_kept_for_the_good_one()
+  local s = new()
+  feeds(s, header(5, 65535) .. BAD, "")
+  feeds(s, "ok" .. GOOD, "skipped 0-12, bad 12-31, skipped 31-33, good 33-53")
+end
+
+function T.test_of_overlapping_bad_frames_the_earliest_is_given_out()
+  -- 0-40, 20-60, 50-70: the first, and the third that only the second overlaps
+  local first, second = header(5, 24) .. ("x"):rep(8), header(5, 24) .. ("x"):rep(18)
+  feeds(new(), first .. second .. header(5, 4) .. ("x"):rep(8), "bad 0-40, skipped 40-50, bad 50-70")
+  -- the one inside ends first and starts later
+  feeds(new(), header(5, 30) .. BAD .. ("x"):rep(15), "bad 0-46")
+end
+
+function T.test_of_overlapping_good_frames_the_one_that_begins_first()
+  local second = header(7, 4)
+  local first = frame(5, second)
+  local bytes = first .. little_endian(crc.of(second .. first:sub(-4)), 4)
+  feeds(new(), bytes, "good 0-28, skipped 28-32")
+end
+
+function T.test_same_end()
+  feeds(new(), header(5, #GOOD - 4) .. GOOD, "skipped 0-12, good 12-32")
+  brings_at_last(generator.two_good_with_one_end(7, GOOD), "good 0-36")
+end
+
+function T.test_header_across_the_end_of_a_good_frame()
+  local first, tail = generator.header_across_the_end("", "rest")
+  local expected = ("good 0-%d, skipped %d-%d"):format(#first, #first, #first + #tail)
+  feeds(new(), first .. tail, expected)
+  local s = new()
+  feeds(s, first .. tail:sub(1, 6), (expected:gsub("%d+$", #first + 6)))
+end
+
+function T.test_candidates_in_a_good_frame_are_forgotten()
+  local s = new()
+  feeds(s, frame(5, header(7, 20) .. "x"), "good 0-29")
+  lu.assertNil(s:open_frame())
+  feeds(s, "text", "skipped 29-33")
+end
+
+function T.test_finish()
+  local s = new()
+  feeds(s, GOOD:sub(1, 12), "")
+  finishes(s, "incomplete 0-12 +8")
+  feeds(s, GOOD:sub(1, 11), "")
+  finishes(s, "skipped 12-23")
+  feeds(s, GOOD, "good 23-43")
+  feeds(s, header(5, 100) .. "x" .. BAD .. "x" .. header(6, 100) .. "Y", "")
+  finishes(s, "incomplete 43-89 +70")
+  feeds(s, header(5, 8) .. ("x"):rep(9) .. header(6, 100), "")
+  finishes(s, "bad 89-113, skipped 113-122")
+  lu.assertEquals(s:offset(), 122)
+end
+
+function T.test_good_frame_in_a_cut_one()
+  local s = new()
+  feeds(s, header(5, 500) .. GOOD .. BAD:sub(1, 14), "")
+  finishes(s, "skipped 0-12, good 12-32, incomplete 32-46 +5")
+end
+
+function T.test_one_frame_alone()
+  local sealed = generator.sealed
+  local rows = {
+    { GOOD, "good 0-20" }, { frame(0x7FF, ""), "good 0-16" }, { frame(0x210, ("m"):rep(32)), "good 0-48" },
+    { frame(0x123, ("x"):rep(65535)), "good 0-65551" }, { frame(5, "YP inside"), "good 0-25" },
+    { BAD, "bad 0-19" }, { GOOD:sub(1, -2), "incomplete 0-19 +1" }, { GOOD .. "Y", "good 0-20, skipped 20-21" },
+    { "x" .. GOOD, "skipped 0-1, good 1-21" }, { frame(0x210, "another size"), "good 0-28" },
+    { sealed("YQ\1\0\5\0\0\0\1\0\0\0x"), "skipped 0-17" },
+    { sealed("XP\1\0\5\0\0\0\1\0\0\0x"), "skipped 0-17" },
+  }
+  local function told(s, ...)
+    local events = {}
+    for _, bytes in ipairs { ... } do
+      for _, event in ipairs(s:feed(bytes)) do events[#events + 1] = event end
+    end
+    for _, event in ipairs(s:finish()) do events[#events + 1] = event end
+    for at = #events - 1, 1, -1 do -- skipped bytes that came in two pieces
+      if events[at].status == "skipped" and events[at + 1].status == "skipped" then
+        events[at].to = table.remove(events, at + 1).to
+      end
+    end
+    return in_words(events)
+  end
+  for at, row in ipairs(rows) do
+    local bytes = row[1]
+    lu.assertEquals(told(new(), bytes), row[2], "row " .. at)
+    lu.assertEquals(told(new(), bytes:sub(1, 1), bytes:sub(2)), row[2], "row " .. at .. ", the long way")
+  end
+end
+
+function T.test_frames_alone_and_others_in_turns()
+  local s = new()
+  feeds(s, GOOD, "good 0-20")
+  feeds(s, GOOD, "good 20-40")
+  lu.assertEquals(s:offset(), 40)
+  feeds(s, "> Y", "skipped 40-42")
+  feeds(s, GOOD, "skipped 42-43, good 43-63")
+  feeds(s, GOOD, "good 63-83")
+  feeds(s, header(5, 5000), "")
+  feeds(s, GOOD, "skipped 83-95, good 95-115")
+  feeds(s, GOOD .. "Y", "good 115-135")
+  finishes(s, "skipped 135-136")
+  feeds(s, GOOD, "good 136-156")
+  local event = s:feed(GOOD)[1]
+  lu.assertEquals({ event.bytes, s:offset(), s:open_frame() }, { GOOD, 176 })
+end
+
+function T.test_largest_frame_byte_by_byte()
+  local payload = ("largest frame "):rep(5000):sub(1, 65535)
+  local s = brings_at_last(frame(5, payload), "good 0-" .. LARGEST)
+  feeds(s, GOOD, "good " .. LARGEST .. "-" .. LARGEST + #GOOD)
+end
+
+-- The rules, read plainly ---------------------------------------------------------------------------
+
+-- What the 12 bytes of a header say, nil where they have not come.
+local function read_header(bytes, from)
+  local fields = { bytes:byte(from + 3, from + 12) }
+  if #fields < 10 then return nil end
+  local function number(at, count)
+    local value = 0
+    for i = count - 1, 0, -1 do value = value * 256 + fields[at + i] end
+    return value
+  end
+  local id, size, reserved = number(3, 4), number(7, 2), number(9, 2)
+  local known = generator.known[id]
+  local is_plausible = reserved == 0 and id <= 2047 and (known == nil or known == size)
+  return { from = from, to = from + 16 + size, is_plausible = is_plausible, is_known = is_plausible and known ~= nil }
+end
+
+local function has_good_crc(bytes, candidate)
+  local sent = bytes:sub(candidate.to - 3, candidate.to)
+  return little_endian(crc.of(bytes:sub(candidate.from + 1, candidate.to - 4)), 4) == sent
+end
+
+-- The candidates by start, and where those begin whose header is not complete, the last first.
+local function all_candidates(bytes)
+  local list, partial = {}, {}
+  for from = #bytes - 1, 0, -1 do
+    local start = bytes:sub(from + 1, from + 2)
+    if start == "YP" or start == "Y" then
+      local candidate = read_header(bytes, from)
+      if candidate then table.insert(list, 1, candidate) else partial[#partial + 1] = from end
+    end
+  end
+  return list, partial
+end
+
+local function overlap(a, b) return a.from < b.to and b.from < a.to end
+
+local function overlaps_another(list, c)
+  for _, other in ipairs(list) do
+    if other ~= c and overlap(other, c) then return true end
+  end
+  return false
+end
+
+-- The candidates that are whole and have a good CRC, by start.
+local function all_good(bytes, candidates)
+  local good = {}
+  for _, c in ipairs(candidates) do
+    if c.to <= #bytes and has_good_crc(bytes, c) then good[#good + 1] = c end
+  end
+  return good
+end
+
+-- The good frames that are given out, and the end of the last one: of those that overlap the one that begins first.
+-- While the stream goes on, frames wait for an open candidate that began before them.
+local function proven(bytes, candidates, is_over)
+  local list, behind = {}, 0
+  for _, c in ipairs(candidates) do
+    local is_open = c.to > #bytes
+    if c.from >= behind and is_open and not is_over and c.to - c.from <= PATIENCE then break end
+    if c.from >= behind and not is_open and has_good_crc(bytes, c) then
+      list[#list + 1], behind = c, c.to
+    end
+  end
+  return list, behind
+end
+
+-- The first offset from one on where a message of the catalogue begins, or the limit.
+local function next_known(candidates, from, limit)
+  for _, c in ipairs(candidates) do
+    if c.is_known and c.from >= from and c.from < limit then return c.from end
+  end
+  return limit
+end
+
+-- What lies between two offsets where no good frame is, as events.  Behind `limit` is a good frame ("good"), nothing
+-- ("end"), or what is open: then also how far it is decided.
+local function damaged(candidates, at, limit, how)
+  local events = {}
+  for _, c in ipairs(candidates) do
+    if c.is_plausible and c.from >= at and c.from < limit then
+      local stop = next_known(candidates, c.from + 1, limit)
+      local missing = c.to > stop and c.to - stop or nil
+      if missing and stop == limit and how == "open" then return events, c.from end
+      if not missing or c.is_known or stop == limit and how == "end" then
+        at = missing and stop or c.to
+        events[#events + 1] = { status = missing and "incomplete" or "bad", missing = missing, from = c.from, to = at }
+      end
+    end
+  end
+  return events, limit
+end
+
+-- All events of a stream that is over, in words.
+local function expected_events(bytes)
+  local candidates = all_candidates(bytes)
+  local good, chosen, at = proven(bytes, candidates, true), {}, 0
+  good[#good + 1] = { from = #bytes, to = #bytes }
+  for i, c in ipairs(good) do
+    for _, event in ipairs((damaged(candidates, at, c.from, i < #good and "good" or "end"))) do
+      chosen[#chosen + 1] = event
+    end
+    if i < #good then chosen[#chosen + 1] = { status = "good", from = c.from, to = c.to } end
+    at = c.to
+  end
+  local events
+  events, at = {}, 0
+  for _, event in ipairs(chosen) do
+    if event.from > at then events[#events + 1] = { status = "skipped", from = at, to = event.from } end
+    events[#events + 1], at = event, event.to
+  end
+  if at < #bytes then events[#events + 1] = { status = "skipped", from = at, to = #bytes } end
+  return in_words(events)
+end
+
+-- How far a stream that goes on has been given out.
+local function expected_offset(bytes)
+  local candidates, partial = all_candidates(bytes)
+  local _, at = proven(bytes, candidates)
+  local limit = #bytes
+  for _, from in ipairs(partial) do
+    if from >= at then limit = from end
+  end
+  for i = #candidates, 1, -1 do
+    local c = candidates[i]
+    if c.from >= at and c.to > #bytes then limit = c.from end
+  end
+  local _, offset = damaged(candidates, at, limit, "open")
+  return offset
+end
+
+-- Feeds the pieces; checks that the events hold every byte once, in order.
+-- Skipped ranges that only the cuts part are joined.
+local function run(pieces)
+  local s, at, joined = new(), 0, {}
+  local bytes = table.concat(pieces)
+  local function take(events)
+    for i, event in ipairs(events) do
+      lu.assertEquals(event.from, at)
+      lu.assertEquals(event.bytes, bytes:sub(event.from + 1, event.to))
+      at = event.to
+      local previous = joined[#joined]
+      if previous and previous.status == "skipped" and event.status == "skipped" then
+        lu.assertEquals(i, 1, "skipped ranges of one call are one")
+        previous.to = event.to
+      else
+        joined[#joined + 1] = event
+      end
+    end
+    lu.assertEquals(s:offset(), at)
+  end
+  for _, piece in ipairs(pieces) do take(s:feed(piece)) end
+  take(s:finish())
+  lu.assertEquals(at, #bytes)
+  return in_words(joined)
+end
+
+-- A good frame wins over what its payload contains, in any number of pieces.
+function T.test_frames_inside_of_frames()
+  local inner = frame(5, "echo" .. GOOD .. "tail")
+  local rows = {
+    { frame(5, "x" .. GOOD), "good 0-37" },
+    { frame(0x210, GOOD .. ("x"):rep(12)), "good 0-48" }, -- a message of the catalogue
+    { frame(0x210, GOOD .. GOOD), "good 0-56" },          -- one that grew
+    { frame(0x12345678, GOOD .. "x" .. MOTOR), "good 0-85" }, -- an ID that nobody has
+    { frame(5, inner), "good 0-60" },
+    { frame(6, frame(5, inner) .. MOTOR) .. GOOD, "good 0-124, good 124-144" },
+    { frame(5, GOOD .. ("x"):rep(PATIENCE - 36)), "good 0-4096" },
+    -- The outer one is bad: then those inside are.
+    { inner:sub(1, -2) .. "\255" .. GOOD, "skipped 0-16, good 16-36, skipped 36-44, good 44-64" },
+    { header(6, #inner) .. inner .. "bad!", "skipped 0-12, good 12-56, skipped 56-60" },
+    { BAD_MOTOR:sub(1, 12) .. GOOD .. BAD_MOTOR:sub(33) .. GOOD,
+      "incomplete 0-12 +36, good 12-32, skipped 32-48, good 48-68" },
+  }
+  for i, row in ipairs(rows) do
+    feeds(new(), row[1], row[2])
+    lu.assertEquals(run(generator.cut(nil, row[1], 1)), row[2], "row " .. i)
+    lu.assertEquals(run(generator.cut(generator.random(i), row[1], 30)), row[2], "row " .. i)
+  end
+  local s = new()
+  feeds(s, rows[1][1]:sub(1, -2), "")
+  finishes(s, "skipped 0-13, good 13-33, skipped 33-36")
+end
+
+-- The header of a large frame may be noise: then nothing may wait for 65,535 bytes.
+function T.test_frames_do_not_wait_for_a_large_one()
+  local s = new()
+  feeds(s, header(5, PATIENCE - 15) .. GOOD, "skipped 0-12, good 12-32")
+  feeds(s, header(5, PATIENCE - 16) .. GOOD, "")
+  feeds(s, ("x"):rep(PATIENCE - 33), "")
+  feeds(s, "x", "skipped 32-44, good 44-64, skipped 64-4128")
+  feeds(s, header(5, 65535) .. header(5, 60) .. GOOD .. GOOD, "")
+  feeds(s, ("x"):rep(24) .. MOTOR,
+    "skipped 4128-4152, good 4152-4172, good 4172-4192, skipped 4192-4216, good 4216-4264")
+end
+
+function T.test_a_large_frame_wins_if_all_its_bytes_are_there()
+  local large = frame(5, GOOD .. ("x"):rep(PATIENCE))
+  feeds(new(), large .. GOOD, "good 0-4132, good 4132-4152")
+  feeds(new(), large:sub(1, 1000), "skipped 0-12, good 12-32, skipped 32-1000")
+  local patient = framer.new(size_of, LARGEST)
+  feeds(patient, large:sub(1, 1000), "")
+  feeds(patient, large:sub(1001), "good 0-4132")
+end
+
+function T.test_random_streams_in_random_pieces()
+  for seed = 1, levels.size(60, 600) do
+    local random = generator.random(seed)
+    local bytes = generator.stream(random, random(16))
+    local expected = expected_events(bytes)
+    for _, longest in ipairs({ false, 1, 4, 40, 200 }) do
+      lu.assertEquals(run(generator.cut(random, bytes, longest)), expected, "seed " .. seed)
+    end
+  end
+end
+
+function T.test_random_streams_lose_no_intact_frame()
+  for seed = 1001, 1000 + levels.size(40, 200) do
+    local random = generator.random(seed)
+    local bytes = generator.stream(random, random(16))
+    local got = ", " .. run(generator.cut(random, bytes, 30)) .. ", "
+    local good = all_good(bytes, (all_candidates(bytes)))
+    for _, c in ipairs(good) do
+      if not overlaps_another(good, c) then
+        lu.assertStrContains(got, ", good " .. c.from .. "-" .. c.to .. ", ", false, "seed " .. seed)
+      end
+    end
+  end
+end
+
+function T.test_random_streams_give_out_all_that_is_final()
+  for seed = 2001, 2000 + levels.size(12, 80) do
+    local random = generator.random(seed)
+    local bytes, s = generator.stream(random, random(8)), new()
+    for at = 1, #bytes do
+      s:feed(bytes:sub(at, at))
+      local context = "seed " .. seed .. " byte " .. at
+      lu.assertEquals(s:offset(), expected_offset(bytes:sub(1, at)), context)
+    end
+  end
+end
+
+-- In a long wait the older bytes are put away: no header and no CRC may be torn by it.
+function T.test_good_frame_anywhere_in_a_long_wait()
+  for length = levels.size(1005, 985), levels.size(1030, 1045) do
+    local bytes = header(5, 65535) .. ("x"):rep(length) .. GOOD
+    local expected = ("skipped 0-%d, good %d-%d"):format(12 + length, 12 + length, #bytes)
+    lu.assertEquals(run(generator.cut(nil, bytes, 1)), expected)
+  end
+  local bytes = header(5, 5000) .. BAD .. ("0123456789"):rep(400) .. GOOD .. BAD
+  lu.assertEquals(run(generator.cut(nil, bytes, 1)),
+    "skipped 0-12, bad 12-31, skipped 31-4031, good 4031-4051, bad 4051-4070")
+end
+
+-- Work and memory -----------------------------------------------------------------------------------
+
+-- Bytes that make much work: candidates as dense as they come, most of them waiting long.
+local HARD = {
+  noise = function(random) return string.char(random(256) - 1, random(256) - 1, random(256) - 1) end,
+  yp = function() return "YPYP" end,
+  claims = function() return header(5, 65535) end,
+  mixed_claims = function(random) return header(5, 60000 + random(5000)) end,
+  falling_claims = function(_, at) return header(5, 65535 - at % 65000) end,
+  falling_ends = function(_, at) return header(5, 65535 - 2 * at % 65000) end,
+  small_claims = function(random) return header(5, random(40)) end,
+  dense_claims = function() return "YP\0\0\5\0\0\0" end, -- the next "YP" is the size
+  intact_in_claims = function(random) return random(100) == 1 and GOOD or header(5, 65535) end,
+}
+local HARDEST = { dense_claims = HARD.dense_claims, intact_in_claims = HARD.intact_in_claims,
+  falling_ends = HARD.falling_ends }
+
+local function hard(make, count)
+  local random, parts, length = generator.random(7), {}, 0
+  while length < count do
+    local part = make(random, length)
+    parts[#parts + 1], length = part, length + #part
+  end
+  return table.concat(parts):sub(1, count)
+end
+
+local function feed_in_pieces(s, bytes, length)
+  for at = 1, #bytes, length do s:feed(bytes:sub(at, at + length - 1)) end
+end
+
+-- Instructions of the Lua machine, in thousands.
+local function instructions(run_it)
+  local thousands = 0
+  debug.sethook(function() thousands = thousands + 1 end, "", 1000)
+  run_it()
+  debug.sethook()
+  return thousands
+end
+
+function T.test_work_is_linear()
+  for kind, make in pairs(levels.size(HARDEST, HARD)) do
+    local once, s = hard(make, 100000), new()
+    feed_in_pieces(s, once, 1400) -- the candidates that wait are now as many as ever
+    local first = instructions(function() feed_in_pieces(s, once, 1400) end)
+    local twice = instructions(function() feed_in_pieces(s, once .. once, 1400) end)
+    lu.assertTrue(twice <= 2 * first + first / 4 + 10, kind .. ": " .. first .. ", then " .. twice)
+    lu.assertTrue(first <= 100 * 200, kind .. ": " .. first .. " thousand instructions for 100,000 bytes")
+  end
+end
+
+-- A large bad frame holds back the many small ones in it, as long as a candidate that starts near its end waits.
+function T.test_a_long_queue_costs_nothing_for_each_piece()
+  local s = new()
+  feeds(s, header(5, 40000) .. header(5, 0):rep(3333) .. header(5, 65535) .. ("x"):rep(1000), "")
+  local thousands = instructions(function() feed_in_pieces(s, ("x"):rep(50000), 10) end)
+  lu.assertTrue(thousands <= 50 * 100, thousands .. " thousand instructions for 50,000 bytes")
+end
+
+function T.test_each_byte_is_in_few_crcs()
+  local update = crc.update
+  for kind, make in pairs(HARD) do
+    local updated, judged = 0, 0
+    function crc.update(register, data, from, to)
+      updated = updated + to - from + 1
+      return update(register, data, from, to)
+    end
+    local bytes = hard(make, levels.size(20000, 100000))
+    feed_in_pieces(framer.new(function(id)
+      judged = judged + 1
+      return size_of(id)
+    end), bytes, 1400)
+    crc.update = update
+    lu.assertTrue(judged <= 1.1 * #bytes / 2, kind .. ": " .. judged)
+    lu.assertTrue(updated <= 4 * #bytes + 16 * LARGEST, kind .. ": " .. updated)
+  end
+end
+
+-- Whatever the flood before it, a frame of usual size is found.
+function T.test_a_frame_behind_a_flood()
+  for kind, make in pairs(HARD) do
+    local s, flood = new(), hard(make, levels.size(70000, 200000))
+    feed_in_pieces(s, flood, 1400)
+    local found = in_words(s:feed(MOTOR .. ("x"):rep(PATIENCE))) -- it may wait for a candidate before it
+    lu.assertStrContains(found, ("good %d-%d"):format(#flood, #flood + #MOTOR), false, kind)
+  end
+end
+
+-- The CRCs of large candidates leave enough for the frames inside of them.
+function T.test_frames_in_a_flood_of_large_candidates()
+  local bytes = (header(5, 65535) .. MOTOR .. header(5, 20000) .. MOTOR):rep(600) .. ("x"):rep(65536)
+  for _, patience in ipairs { PATIENCE, LARGEST } do
+    local s, good = framer.new(size_of, patience), 0
+    for at = 1, #bytes, 65536 do
+      for _, event in ipairs(s:feed(bytes:sub(at, at + 65535))) do
+        if event.status == "good" then good = good + 1 end
+      end
+    end
+    lu.assertEquals(good, 1200)
+  end
+end
+
+function T.test_memory_is_bounded_by_the_largest_candidate()
+  for kind, make in pairs(HARD) do
+    local bytes, s, fed = hard(make, levels.size(70000, 200000)), new(), 0
+    collectgarbage()
+    local before = collectgarbage("count")
+    for at = 1, #bytes, 1000 do
+      s:feed(bytes:sub(at, at + 999))
+      fed = fed + math.min(1000, #bytes - at + 1)
+      -- a bad frame that waits, and the candidate that starts in its last byte
+      lu.assertTrue(fed - s:offset() <= 2 * LARGEST, kind .. " at " .. fed)
+    end
+    collectgarbage()
+    lu.assertTrue(collectgarbage("count") - before < 8192, kind)
+  end
+end
+
+function T.test_nothing_is_kept_of_what_was_given_out()
+  local s, bytes = new(), header(5, 65535) .. ("x"):rep(60000) .. GOOD
+  feed_in_pieces(s, bytes, 1000)
+  collectgarbage()
+  local before = collectgarbage("count")
+  for _ = 1, 20 do feed_in_pieces(s, bytes, 1000) end
+  collectgarbage()
+  lu.assertTrue(collectgarbage("count") - before < 100)
+end
+
+return T

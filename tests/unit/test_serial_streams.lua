@@ -1,0 +1,456 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The packets of byte streams, datagrams and TCP connections: what each holds when it comes, and when it is asked for
+-- again.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local framer = require("yapp.serial.framer")
+local generator = require("stream_generator")
+local levels = require("levels")
+local streams = require("yapp.serial.streams")
+
+local A, B = generator.frame(5, "message A"), generator.frame(6, "B")
+local BAD = generator.frame(7, "bad"):sub(1, -2) .. "\255"
+
+local function unknown() return nil end
+local function new_framer() return framer.new(unknown) end
+local function new() return streams.new(new_framer) end
+
+-- "good 5 @0", "bad 7 in 1,2", "skipped 4 @25", "incomplete 5 @0 -9"
+local function in_words(contents, bytes)
+  if not contents then return "nothing" end
+  local list = {}
+  for i, event in ipairs(contents.events) do
+    local text = event.bytes or bytes:sub(event.at + 1, event.at + event.to - event.from)
+    lu.assertEquals(#text, event.to - event.from)
+    local what = event.status == "skipped" and #text or text:byte(5)
+    local where = event.parts and "in " .. table.concat(event.parts, ",") or event.at and "@" .. event.at or "before"
+    local missing = event.missing and " -" .. event.missing or ""
+    list[i] = ("%s %s %s%s"):format(event.status, what, where, missing)
+  end
+  if contents.pending > 0 then
+    list[#list + 1] = ("%d %s%s%s"):format(contents.pending, contents.is_held and "held" or "wait",
+      contents.missing and " for " .. contents.missing or "", contents.leads_to and ", to " .. contents.leads_to or "")
+  end
+  return table.concat(list, ", ")
+end
+
+-- A row as a packet: key, bytes, what it holds, what it holds when all have come (the same if left out), other fields.
+local function packet_of(row, other)
+  local packet = { key = row[1], number = row[1], bytes = row[2], length = #row[2], time = row[1], stream = "" }
+  for _, fields in ipairs { other or {}, row } do
+    for name, value in pairs(fields) do
+      if type(name) == "string" then packet[name] = value end
+    end
+  end
+  return packet
+end
+
+local function take(self, rows, other)
+  for i, row in ipairs(rows) do
+    local packet = packet_of(row, other)
+    lu.assertEquals(in_words(self:take(packet, true), row[2]), row[3], "packet " .. i)
+  end
+end
+
+local function find(self, rows, other)
+  for i, row in ipairs(rows) do
+    lu.assertEquals(in_words(self:find(packet_of(row, other)), row[2]), row[4] or row[3], "packet " .. i)
+  end
+end
+
+-- Takes packets, then asks for them in another order.
+local function holds(rows, other)
+  local self = new()
+  take(self, rows, other)
+  find(self, rows, other)
+  local reversed = {}
+  for i, row in ipairs(rows) do reversed[#rows + 1 - i] = row end
+  find(self, reversed, other)
+  return self
+end
+
+local T = {}
+
+function T.test_frames_and_text_in_a_packet()
+  holds {
+    { 1, A, "good 5 @0" },
+    { 2, "ok> " .. A .. B .. "\r\n", "skipped 4 @0, good 5 @4, good 6 @29, skipped 2 @46" },
+    { 3, B, "good 6 @0" },
+    { 4, BAD, "bad 7 @0" },
+    { 5, A .. B .. A, "good 5 @0, good 6 @25, good 5 @42" },
+    { 6, generator.frame(9, "x" .. A .. "y"), "good 9 @0" },
+  }
+end
+
+function T.test_a_frame_in_several_packets()
+  holds {
+    { 1, A:sub(1, 5), "5 wait", "5 wait, to 4" },
+    { 3, A:sub(6, 20), "15 wait for 5", "15 wait for 5, to 4" },
+    { 4, A:sub(21) .. B .. B:sub(1, 13), "good 5 in 1,3,4, good 6 @5, 13 wait for 4",
+      "good 5 in 1,3,4, good 6 @5, 13 wait for 4, to 9" },
+    { 9, B:sub(14), "good 6 in 4,9" },
+  }
+end
+
+function T.test_skipped_bytes_that_came_before()
+  holds { { 1, "textY", "skipped 4 @0, 1 wait" }, { 2, "more", "skipped 5 before" } }
+end
+
+-- A bad frame waits for an open candidate that overlaps it: all packets lead to the one that decides.
+function T.test_a_bad_frame_that_had_to_wait()
+  local claim = generator.header(5, 5000)
+  holds {
+    { 1, claim .. BAD, "31 wait for 4985", "31 wait for 4985, to 3" },
+    { 2, ("x"):rep(30), "30 wait for 4955" },
+    { 3, A .. "rest", "skipped 12 before, bad 7 in 1, skipped 30 before, good 5 @0, skipped 4 @25" },
+  }
+end
+
+-- A good frame waits for an open candidate that it is inside of.
+function T.test_a_good_frame_that_had_to_wait()
+  local claim = generator.header(9, 60)
+  holds {
+    { 1, claim .. A, "37 wait for 39", "37 wait for 39, to 3" },
+    { 2, ("x"):rep(38), "38 wait for 1" },
+    { 3, "x" .. B, "skipped 12 before, good 5 in 1, skipped 39 before, good 6 @1" },
+  }
+end
+
+function T.test_what_the_capture_cut()
+  holds { { 1, A:sub(1, 20), "incomplete 5 @0 -5", truncated = true }, { 2, A, "good 5 @0" } }
+  local event = new():take(packet_of { 1, "ok" .. A:sub(1, 20), truncated = true }, true).events[2]
+  lu.assertTrue(event.truncated)
+end
+
+-- "a 5 of 3": stream, ID and last packet of each frame that the capture ends before.
+local function unfinished(self)
+  local list = {}
+  for i, open in ipairs(self:unfinished()) do
+    list[i] = ("%s %d of %d"):format(open.packet.stream, open.header:byte(5), open.packet.number)
+  end
+  table.sort(list)
+  return table.concat(list, ", ")
+end
+
+function T.test_the_capture_ends_before_a_frame()
+  local rows, found, self = { { 1, A:sub(1, 20), stream = "a" }, { 2, B, stream = "b" }, { 3, A:sub(21), stream = "a" },
+    { 4, "x" .. A:sub(1, 14), stream = "a" }, { 5, A:sub(15, 17), stream = "a" }, { 6, B:sub(1, 11), stream = "c" } },
+    {}, new()
+  for i, row in ipairs(rows) do self:take(packet_of(row), true) rows[i].packet = packet_of(row) end
+  lu.assertEquals(unfinished(self), "a 5 of 5")
+  for i, row in ipairs(rows) do found[i] = streams.is_unfinished(self:find(row.packet), row.packet) end
+  lu.assertEquals(found, { false, false, false, false, true, false })
+  self = holds({ { 1, A .. B:sub(1, 12), "good 5 @0, incomplete 6 @25 -5" } }, { is_datagram = true })
+  lu.assertEquals(unfinished(self), "")
+end
+
+-- Which of two that overlap it is nobody knows: the one that began first is shown when more comes.
+function T.test_the_capture_ends_before_one_of_two_frames()
+  local self = new()
+  take(self, { { 1, generator.header(7, 20) .. generator.header(8, 90) .. "12345678", "32 wait for 4" } })
+  lu.assertEquals(unfinished(self), " 7 of 1")
+  take(self, { { 2, "1234", "4 wait" } }) -- now that is a bad one, for which the other has to wait
+  lu.assertEquals(unfinished(self), " 7 of 2")
+end
+
+function T.test_streams_do_not_mix()
+  holds {
+    { 1, A:sub(1, 9), "9 wait", "9 wait, to 3", stream = "a" }, { 2, B, "good 6 @0", stream = "b" },
+    { 3, A:sub(10), "good 5 in 1,3", stream = "a" }, { 5, A, "good 5 @0", stream = "b" },
+  }
+end
+
+function T.test_datagrams()
+  holds({
+    { 1, A, "good 5 @0" },
+    { 2, "x" .. B .. A:sub(1, 20), "skipped 1 @0, good 6 @1, incomplete 5 @18 -5" },
+    { 3, A:sub(21), "skipped 5 @0" },
+    { 4, "YP", "skipped 2 @0" },
+    { 5, A .. A, "good 5 @0, good 5 @25" },
+    { 6, A:sub(1, 20), "incomplete 5 @0 -5", truncated = true },
+    { 7, generator.header(5, 500) .. A, "skipped 12 @0, good 5 @12" },
+  }, { is_datagram = true })
+end
+
+function T.test_bytes_by_themselves()
+  local self = new()
+  take(self, { { 1, A:sub(1, 9), "9 wait" } })
+  local bytes = "x" .. B .. A:sub(1, 20)
+  for _ = 1, 2 do
+    lu.assertEquals(in_words({ events = self:read(bytes), pending = 0 }, bytes),
+      "skipped 1 @0, good 6 @1, incomplete 5 @18 -5")
+  end
+  take(self, { { 2, A:sub(10), "good 5 in 1,2" } })
+end
+
+-- tshark -2 -R: a packet that was dropped has the number of the next one.
+function T.test_a_key_that_comes_again()
+  local self = new()
+  take(self, { { 1, A, "good 5 @0" }, { 1, "x" .. A, "skipped 1 @0, good 5 @1" }, { 1, B, "good 6 @0" },
+    { 2, "y", "skipped 1 @0" }, { 2, A, "good 5 @0" }, { 3, A:sub(1, 9), "9 wait" },
+    { 3, A:sub(10), "good 5 in 3,3" } })
+  find(self, { { 1, B, "good 6 @0" }, { 2, A, "good 5 @0" }, { 3, A:sub(10), "good 5 in 3,3" } })
+end
+
+function T.test_what_nobody_gave_is_not_there()
+  local self = new()
+  take(self, { { 2, A, "good 5 @0" } })
+  find(self, { { 1, A, "nothing" }, { 2, A, "good 5 @0" } })
+end
+
+-- Of a packet that is never asked for again nothing is kept; its stream goes on.
+function T.test_packets_that_are_not_stored()
+  local self = new()
+  for _, row in ipairs { { 1, A, "good 5 @0" }, { 2, B:sub(1, 5), "5 wait" }, { 3, B:sub(6), "good 6 in 2,3" } } do
+    lu.assertEquals(in_words(self:take(packet_of(row), false), row[2]), row[3])
+    lu.assertNil(self:find(packet_of(row)))
+  end
+end
+
+-- TCP --------------------------------------------------------------------------------------------------------------
+
+-- Messages by their ID: 1 to 9, 17 bytes each.
+local MESSAGE = {}
+for id = 1, 9 do MESSAGE[id] = generator.frame(id, "x") end
+local ALL = table.concat(MESSAGE)
+
+-- A row { key, first byte, last byte, says } of ALL as a segment; or { acknowledges =, is_syn =, follows = }.
+local function segments(rows, first_seq)
+  local self = new()
+  for i, row in ipairs(rows) do
+    if row[1] then
+      local bytes = ALL:sub(row[2], row[3])
+      local packet = packet_of({ row[1], bytes, seq = (first_seq + row[2]) % 0x100000000, epoch = 1000 + row[1],
+        bus_name = "eth0", time = row.time or row[1] / 100 })
+      lu.assertEquals(in_words(self:take(packet, true), bytes), row[4], "packet " .. i)
+    else
+      local header = { ack = row.acknowledges and (first_seq + row.acknowledges) % 0x100000000, is_syn = row.is_syn }
+      self:note_header(row.is_syn and "" or "other", "", header)
+    end
+  end
+  return self
+end
+
+-- "frame 3 at 1003 on eth0, 1" of each loss.
+local function drops(self)
+  local list = {}
+  for i, drop in ipairs(self:drops()) do
+    list[i] = ("frame %d at %d on %s, %d"):format(drop.frame, drop.time, drop.bus, drop.count)
+  end
+  return table.concat(list, "; ")
+end
+
+-- Each: its segments, and the losses.  Messages end at 17, 34, 51, 68 ...
+local FIRST_GAP = "frame 2 at 1002 on eth0, 1"
+local CONNECTIONS = {
+  { { { 1, 1, 34, "good 1 @0, good 2 @17" }, { 2, 1, 34, "" }, { 3, 35, 51, "good 3 @0" } }, "" },
+  { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 10, 40, "good 2 in 1,2, 6 wait" }, { 3, 12, 51, "good 3 in 2,3" } }, "" },
+  { { { 1, 1, 68, "good 1 @0, good 2 @17, good 3 @34, good 4 @51" }, { 2, 18, 34, "" }, { 3, 60, 85, "good 5 @9" } },
+    "" },
+  -- one late
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 3, 18, 34, "good 2 @0, good 3 in 2" } }, "" },
+  { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 40, 51, "12 held" }, { 3, 52, 68, "17 held" },
+    { 4, 21, 39, "good 2 in 1,4, good 3 in 4,2, good 4 in 3" } }, "" },
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 52, 68, "17 held" }, { 3, 35, 51, "17 held" },
+    { 4, 1, 34, "good 2 @17, good 3 in 3, good 4 in 2" } }, "" },
+  -- one that never comes: acknowledged, too long ago
+  { { { 1, 1, 20, "good 1 @0, 3 wait" }, { acknowledges = 35 }, { 2, 35, 51, "skipped 3 before, good 3 @0" } },
+    FIRST_GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { acknowledges = 18 }, { 2, 35, 51, "17 held" }, { 3, 52, 68, "17 held" },
+    { acknowledges = 19 }, { acknowledges = 5 }, { 4, 69, 85, "good 3 in 2, good 4 in 3, good 5 @0" } }, FIRST_GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 102, 52, 68, "17 held" },
+    { 103, 69, 85, "good 3 in 2, good 4 in 102, good 5 @0" }, { 104, 18, 34, "" } }, FIRST_GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 3, 69, 85, "17 held" },
+    { 4, 18, 34, "good 2 @0, good 3 in 2" }, { 5, 86, 102, "17 held" }, { acknowledges = 60 },
+    { 6, 103, 119, "good 5 in 3, good 6 in 5, good 7 @0" } }, "frame 4 at 1004 on eth0, 1" },
+  -- the capture ends
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" } }, FIRST_GAP },
+  -- a connection with the same addresses and numbers
+  { { { 1, 1, 34, "good 1 @0, good 2 @17" }, { is_syn = true }, { 2, 1, 17, "good 1 @0" },
+    { 3, 18, 51, "good 2 @0, good 3 @17" } }, "" },
+  { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 35, 51, "17 held" }, { is_syn = true },
+    { 3, 1, 17, "skipped 3 before, good 3 in 2, good 1 @0" } }, FIRST_GAP },
+}
+
+function T.test_segments()
+  for i, row in ipairs(CONNECTIONS) do
+    for _, first_seq in ipairs { 0, 999, 0x100000000 - 30, 0x80000000 - 40 } do
+      lu.assertEquals(drops(segments(row[1], first_seq)), row[2], "row " .. i)
+    end
+  end
+end
+
+function T.test_a_segment_far_ahead()
+  local self, payload = new(), ("x"):rep(1000)
+  local function says(key, seq, bytes, expected)
+    local packet = packet_of { key, bytes, seq = seq, time = 0 }
+    lu.assertEquals(in_words(self:take(packet, true), bytes), expected)
+  end
+  says(1, 1, A, "good 5 @0")
+  says(2, 1000, B, "17 held")
+  says(3, 26 + 65535, payload, "1000 held")
+  says(4, 26 + 65536, payload, "good 6 in 2, 1000 held")
+  says(5, 26, A, "")
+  says(6, 1, A, "")
+  says(7, 0x80000000, A, "skipped 1001 before, good 5 @0") -- another connection
+  says(8, 0x80000000 + 25, B, "good 6 @0")
+  lu.assertEquals(#self:drops(), 2)
+end
+
+function T.test_what_a_header_says_of_its_stream()
+  local self = new()
+  local function follows() return self:note_header("", "other", {}) and true or false end
+  lu.assertFalse(follows())
+  self:take(packet_of { 1, A }, true)
+  lu.assertFalse(follows()) -- TCP told no sequence number
+  self:take(packet_of { 2, A, seq = 5 }, true)
+  lu.assertTrue(follows())
+end
+
+-- The bytes of a stream in pieces that overlap, come late and come again, show what they show in order.
+function T.test_random_segments()
+  for seed = 1, levels.size(60, 600) do
+    local random = generator.random(seed)
+    local bytes, at, pieces, order, self = generator.stream(random, random(16)), 0, {}, {}, new()
+    while at < #bytes do
+      local to = math.min(#bytes, at + random(60))
+      pieces[#pieces + 1] = { math.max(0, at - (random(3) == 1 and random(70) or 0)), to }
+      at = to
+      if random(5) == 1 then
+        local from = random(to) - 1
+        pieces[#pieces + 1] = { from, math.min(to, from + random(90)) }
+      end
+    end
+    for i = 1, #pieces do order[i] = { pieces[i], i + (random(4) == 1 and random(6) or 0) + i / 1000 } end
+    table.sort(order, function(a, b) return a[2] < b[2] end)
+    local first_seq, shown = 0x100000000 - random(2000), {}
+    self:take(packet_of { 0, "", seq = first_seq, time = 0 }, true)
+    for i, one in ipairs(order) do
+      local from, to = one[1][1], one[1][2]
+      local packet = packet_of { i, bytes:sub(from + 1, to), seq = (first_seq + from) % 0x100000000, time = 0 }
+      for _, event in ipairs(self:take(packet, true).events) do shown[#shown + 1] = event end
+    end
+    local whole = new_framer()
+    local wanted = whole:feed(bytes)
+    local function skips_joined(events)
+      local list = {}
+      for _, event in ipairs(events) do
+        local last = list[#list]
+        if last and last[1] == "skipped" and event.status == "skipped" then
+          last[3] = event.to
+        else
+          list[#list + 1] = { event.status, event.from, event.to }
+        end
+      end
+      return list
+    end
+    lu.assertEquals(skips_joined(shown), skips_joined(wanted), "seed " .. seed)
+    lu.assertEquals(self:drops(), {}, "seed " .. seed)
+  end
+end
+
+-- Work and memory --------------------------------------------------------------------------------------------------
+
+local function kilobytes()
+  collectgarbage()
+  collectgarbage()
+  return collectgarbage("count")
+end
+
+function T.test_one_frame_a_packet_costs_little()
+  local before, self = kilobytes(), new()
+  for i = 1, 10000 do self:take(packet_of({ i, A, is_datagram = i % 2 == 0 }), true) end
+  lu.assertTrue(kilobytes() - before < 600) -- less than 60 bytes a packet
+  find(self, { { 5000, A, "good 5 @0" } })
+end
+
+-- Nor do packets with ends and beginnings of frames, when the stream has gone on: 40 frames of 48 bytes, 64 at a time.
+function T.test_parts_of_frames_cost_little()
+  local stream, pieces = {}, {}
+  for i = 1, 40 do stream[i] = generator.frame(5, ("%032d"):format(i)) end
+  stream = table.concat(stream)
+  for at = 1, #stream, 64 do pieces[#pieces + 1] = stream:sub(at, at + 63) end
+  local before, self = kilobytes(), new()
+  local function packet(number) return packet_of { number, pieces[(number - 1) % #pieces + 1] } end
+  for i = 1, 200 * #pieces do self:take(packet(i), true) end
+  lu.assertTrue((kilobytes() - before) * 1024 / (200 * #pieces) < 1500) -- bytes a packet
+  for _, number in ipairs { 2, 3002, 1502, 5999 } do
+    local expected = ("good 5 in %d,%d"):format(number - 1, number)
+    lu.assertEquals(in_words(self:find(packet(number)), packet(number).bytes):sub(1, #expected), expected)
+  end
+end
+
+-- A gap holds no more than what a sender may send ahead.
+function T.test_a_gap_holds_little()
+  local before, self, most = kilobytes(), new(), 0
+  self:take(packet_of { 1, A, seq = 0, time = 0 }, true)
+  for i = 2, 2000 do
+    self:take(packet_of { i, ("x"):rep(1000), seq = 2000 * i, time = 0 }, false)
+    most = math.max(most, i % 50 == 0 and kilobytes() - before or 0)
+  end
+  lu.assertTrue(most < 200 + 2000 / 4) -- a gap is kept, to be told
+end
+
+-- Whole frames, parts of frames and noise, in packets of any size.
+local function odd_packets(random)
+  local frames, rows, at = {}, {}, 1
+  for i = 1, 2000 do frames[i] = random(4) > 1 and generator.frame(5, ("%032d"):format(i)) or ("n"):rep(i % 40) end
+  local stream = table.concat(frames)
+  while at <= #stream do
+    local size = random(3) == 1 and 48 or random(90)
+    rows[#rows + 1] = { #rows + 1, stream:sub(at, at + size - 1) }
+    at = at + size
+  end
+  return rows
+end
+
+-- What each packet holds, read plainly from what the framing says of its stream: its events in words, and where the
+-- bytes that wait at its end lead.
+local function expected_of(rows)
+  local finder, at, said, ranges = new_framer(), 0, {}, {}
+  for i, row in ipairs(rows) do
+    local from, list = at, {}
+    at = at + #row[2]
+    ranges[i] = { from = from, to = at }
+    for n, event in ipairs(finder:feed(row[2])) do
+      local parts, is_frame = {}, event.status ~= "skipped"
+      for k, range in ipairs(ranges) do
+        if range.from < event.to and range.to > event.from then
+          parts[#parts + 1] = k
+          if is_frame and k < i and event.from < from then said[k].leads_to = i end
+        end
+      end
+      local where = event.from >= from and "@" .. event.from - from or
+        is_frame and "in " .. table.concat(parts, ",") or "before"
+      list[n] = ("%s %d %s"):format(event.status, is_frame and 5 or event.to - event.from, where)
+    end
+    said[i] = { events = table.concat(list, ", "), pending = at - math.max(finder:offset(), from) }
+  end
+  return said
+end
+
+function T.test_random_packets_in_any_order()
+  for seed = 1, levels.size(4, 40) do
+    local random = generator.random(seed)
+    local rows, self = odd_packets(random), new()
+    local said = expected_of(rows)
+    local function holds_what_it_should(i, contents, leads_to)
+      local events = in_words({ events = contents.events, pending = 0 }, rows[i][2])
+      local found = { events, contents.pending, contents.leads_to }
+      lu.assertEquals(found, { said[i].events, said[i].pending, leads_to }, "seed " .. seed .. " " .. i)
+    end
+    for i, row in ipairs(rows) do holds_what_it_should(i, self:take(packet_of(row), true)) end
+    for _ = 1, 500 do
+      local i = random(#rows)
+      holds_what_it_should(i, self:find(packet_of(rows[i])), said[i].leads_to)
+    end
+  end
+end
+
+function T.test_a_frame_of_two_large_packets()
+  local large = generator.frame(5, ("x"):rep(65000))
+  holds { { 300, large:sub(1, 1000), "1000 wait for 64016", "1000 wait for 64016, to 301" },
+    { 301, large:sub(1001), "good 5 in 300,301" } }
+end
+
+return T

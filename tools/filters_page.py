@@ -1,0 +1,120 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Write docs/filters.md, the reference of all filter names, from what tshark says of the plugin: filters_page.py [FILE]
+
+`tshark -G fields` has names, types, titles and descriptions, `-G values` the meanings of numbers,
+`-G currentprefs` the preferences. For -G tshark loads plugins from a plugin folder only, so the plugin is copied into an
+empty home.
+"""
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import textwrap
+
+TOP = pathlib.Path(__file__).resolve().parents[1]
+PLUGIN = ("yapp.lua", "taurus_fields.lua", "yapp")
+ROOT_IS_REFUSED = os.geteuid() == 0  # Wireshark 4.4 and later run no plugin as root
+HEAD = """# Filters
+
+Every name that the plugin adds to Wireshark's display filters. Published names never change.
+`make filters` writes this page from what `tshark -G fields` says of the plugin.
+
+- **flag**: a field of one bit; `NAME == 1` finds the messages in which the bit is set.
+- **expert item**: a remark on a packet; `NAME` alone finds the packets that have it.
+- `NAME.special`: why a field has no value: 0 NaN, 1 +infinity, 2 -infinity, 3 above range,
+  4 below range.
+- A field of your own messages (`yapp_messages.lua`) has a name after the same pattern.
+"""
+TYPES = {"FT_NONE": "-", "FT_BYTES": "bytes", "FT_STRING": "text", "FT_BOOLEAN": "flag", "FT_DOUBLE": "number",
+         "FT_FRAMENUM": "frame", "FT_RELATIVE_TIME": "time"}
+PROTOCOLS = {
+    "yapp": "YAPP on CAN: the IDs that the catalogue and the preferences name",
+    "yapp_all": "every extended CAN frame, by *Decode As* or `yapp.all_extended`",
+    "yapp_serial": "YAPP in a byte stream: UART, TCP, UDP",
+    "taurus": "the messages of Taurus controllers",
+}
+
+
+def ask(home, what):
+    """What `tshark -G WHAT` prints with the plugin installed in this home."""
+    user = {"user": 65534, "group": 65534, "extra_groups": []} if ROOT_IS_REFUSED else {}
+    environment = {"PATH": os.environ["PATH"], "HOME": str(home), "LC_ALL": "C.UTF-8"}
+    done = subprocess.run(["tshark", "-G", what], env=environment, stdout=subprocess.PIPE,
+                          stderr=subprocess.DEVNULL, check=True, **user)
+    return done.stdout.decode()
+
+
+def cell(text):
+    return text.replace("|", "\\|")
+
+
+def table(head, rows):
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(map(cell, row)) + " |" for row in lines) + "\n"
+
+
+def fields(text):
+    """-> [(name, type, mask, title, description)] of the plugin, in the order in which it makes them."""
+    rows = [line.split("\t") for line in text.splitlines() if line.startswith("F\t")]
+    return [(row[2], row[3], int(row[6] or "0", 16), row[1], row[7].strip())
+            for row in rows if row[4] in ("yapp", "taurus")]
+
+
+def meanings(text):
+    """-> { name: "0 Bad, 1 Good" }"""
+    found = {}
+    for row in (line.split("\t") for line in text.splitlines() if re.match(r"V\t(yapp|taurus)\.", line)):
+        found.setdefault(row[1], []).append(f"{int(row[2], 0)} {row[3]}")
+    return {name: ", ".join(texts) for name, texts in found.items()}
+
+
+def preferences(text):
+    """-> a section for each preference"""
+    found = re.findall(r"^# (.*)\n# .*\n#?(yapp\.\w+): ?(.*)$", text, re.M)
+    return [f"\n### `{name}`\n\nDefault: {f'`{value}`' if value else 'empty'}.\n\n"
+            f"{textwrap.fill(about, 100, break_on_hyphens=False)}\n" for about, name, value in found]
+
+
+def page(home):
+    known, values = fields(ask(home, "fields")), meanings(ask(home, "values"))
+    has_description = [row for row in known if row[4]]
+    experts = sorted((f"`{name}`", title) for name, kind, _, title, about in known if kind == "FT_NONE" and not about)
+    parts = [HEAD, "\n## Protocols\n\nA protocol is a filter, too.\n\n",
+             table(["filter", "what it is"], [(f"`{name}`", about) for name, about in PROTOCOLS.items()])]
+    groups = {}
+    for name, kind, mask, title, about in has_description:
+        if name.endswith(".special"):
+            continue
+        group = "yapp" if name.startswith("yapp.") else ".".join(name.split(".")[:2])
+        what = TYPES.get(kind) or kind[3:].lower()
+        text = f"{title} (0x{mask:x})" if kind == "FT_BOOLEAN" and mask else about
+        if name in values and kind != "FT_BOOLEAN" and name != "yapp.id":
+            text += f": {values[name]}"
+        groups.setdefault(group, []).append((f"`{name}`", what, text))
+    for group, rows in sorted(groups.items(), key=lambda one: (one[0] != "yapp", one[0])):
+        parts += [f"\n## Fields of {group}\n\n", table(["filter", "type", "meaning"], rows)]
+    parts += ["\n## Expert items\n\n`tshark -z expert` counts them.\n\n", table(["filter", "meaning"], experts)]
+    parts += ["\n## Preferences\n\n*Preferences > Protocols > YAPP*, or `-o NAME:VALUE`.\n",
+              *preferences(ask(home, "currentprefs"))]
+    return "".join(parts)
+
+
+def main(target):
+    with tempfile.TemporaryDirectory() as folder:
+        home = pathlib.Path(folder)
+        plugins = home / ".local/lib/wireshark/plugins/yapp"
+        plugins.mkdir(parents=True)
+        for name in PLUGIN:
+            source = TOP / name
+            (shutil.copytree if source.is_dir() else shutil.copy)(source, plugins / name)
+        for path in [home, *home.rglob("*")]:
+            path.chmod(0o755)
+        target.write_text(page(home), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(pathlib.Path(sys.argv[1]) if len(sys.argv) > 1 else TOP / "docs/filters.md")

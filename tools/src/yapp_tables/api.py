@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""What a program calls: read, read_many, convert, report. `how`, of each of them, says how captures are decoded:
+
+options: preferences for tshark, ["yapp.motor_ids:0x210,0x211"]; sources: names of controllers,
+{"can0/0x210": "motor:left"}; filter: a display filter, only these messages are taken; profile: one of Wireshark;
+plugin: yapp.lua where it is not installed; tshark: the program where it is not in PATH.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from . import fleet
+from .config import Config, StrPath, read_fleet, tshark_of
+from .convert import made_by
+from .dataset import Result, flight_id
+from .errors import YappError, need
+from .flight import Flight
+from .tshark import Tshark, check_file
+
+
+def read(
+    capture: StrPath, *, messages: Sequence[str] | None = None, columns: Sequence[str] | None = None, **how: Any
+) -> Flight:
+    """Read a capture with tshark and the plugin.
+
+    messages: of these only; columns: these only, besides the time. They are narrowed before they are read.
+    What is left out is a warning: the rest of a damaged capture, messages that were not decoded.
+    Returns a Flight. Raises YappError.
+    """
+    flight = read_flight(Path(capture), tshark_of(**how), messages, columns)
+    for text in flight.left_out:
+        warnings.warn(f"{capture}: {text}", stacklevel=2)
+    return flight
+
+
+def read_flight(
+    capture: Path,
+    tshark: Tshark,
+    messages: Sequence[str] | None = None,
+    columns: Sequence[str] | None = None,
+    cache: Path | None = None,
+    has_begin: bool = False,
+) -> Flight:
+    """Read as `read` does, without its warnings.
+
+    cache: a folder that keeps, or has, what tshark wrote; has_begin: whether the first packet's time is wanted, for
+    which tshark runs once more.
+    """
+    with tempfile.TemporaryDirectory(prefix="yapp-tables-", dir=cache and cache.parent) as folder:
+        export = tshark.export(capture, cache if cache and cache.is_dir() else Path(folder, "export"))
+        flight = Flight(capture, export, messages, columns, tshark.begin(capture) if has_begin else None)
+        if cache and not cache.is_dir():
+            Path(folder, "export").rename(cache)
+        return flight
+
+
+def read_many(
+    captures: StrPath | Iterable[StrPath],
+    *,
+    cache: StrPath | None = None,
+    messages: Sequence[str] | None = None,
+    columns: Sequence[str] | None = None,
+    **how: Any,
+) -> Iterator[Flight]:
+    """Read captures one after the other, each when it is asked for, with a progress bar on a terminal.
+
+    captures: paths or patterns; cache: a folder that keeps what tshark wrote (as much as a capture has bytes), so that
+    the next time no tshark runs. A capture that fails is a warning, and left out. Yields a Flight of each.
+    """
+    tshark = tshark_of(**how)
+    made = repr((tshark, made_by(tshark, tshark.fields()[0]))) if cache else ""
+    if cache:
+        os.makedirs(cache, exist_ok=True)
+    for capture in tqdm(fleet.find(captures), unit="flight", disable=None):
+        try:
+            check_file(capture)
+            key = hashlib.sha256(f"{flight_id(capture)} {made}".encode()).hexdigest()[:24]
+            flight = read_flight(capture, tshark, messages, columns, Path(cache, key).absolute() if cache else None)
+        except YappError as error:
+            warnings.warn(str(error), stacklevel=2)
+            continue
+        for text in flight.left_out:
+            warnings.warn(f"{capture}: {text}", stacklevel=2)
+        yield flight
+
+
+def convert(
+    captures: StrPath | Iterable[StrPath],
+    out: StrPath,
+    *,
+    to: str = "parquet",
+    fleet_file: StrPath | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    **how: Any,
+) -> list[Result]:
+    """Convert captures to a data set; what is up to date is not converted again.
+
+    captures: paths or patterns; out: a folder or a URL of fsspec, "s3://bucket/data"; to: "parquet", "csv", "delta",
+    "mf4" or "mcap"; fleet_file: fleet.toml, with the settings of each aircraft; jobs: captures at a time, None for a
+    core each; scheduler: of a Dask cluster, "tcp://HOST:PORT". Returns a Result for each capture. Raises SetupError.
+    """
+    aircraft = read_fleet(fleet_file) if fleet_file else ()
+    return fleet.convert(captures, Config(str(out), to, tshark_of(**how), aircraft), jobs=jobs, scheduler=scheduler)
+
+
+def report(
+    captures: StrPath | Iterable[StrPath], out: StrPath | None = None, *, overlay: bool = False, **how: Any
+) -> Path:
+    """Write the page of a capture, or a folder of pages with an index.html.
+
+    out: the page or the folder, None for one named as the capture; overlay: lay several flights over each other, on one
+    page. Returns the page. Raises YappError.
+    """
+    write = need(f"{__package__}.report", "report")
+    found, tshark = fleet.find(captures), tshark_of(**how)
+    page: Path = write.write_reports(
+        [read_flight(capture, tshark, has_begin=True) for capture in found], found, out, overlay
+    )
+    return page

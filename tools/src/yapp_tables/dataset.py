@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""A data set in a folder or a cloud: which flights it has, what is up to date, how a result gets its place at once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import fsspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from .errors import SetupError, need
+
+# Raised when files get other names, columns or types.
+LAYOUT = 3
+LEFTOVER_SECONDS = 86400
+NOTES = ".yapp-tables"
+SUFFIXES = (".gz", ".zst", ".lz4", ".pcapng", ".pcap", ".cap", ".log", ".txt", ".yapp", ".candump")
+
+
+@dataclass(frozen=True)
+class MadeBy:
+    """What a result depends on besides its capture. catalogue: {message: a short name of its description}."""
+
+    plugin: str
+    catalogue: dict[str, str]
+    options: tuple[str, ...] = ()
+    filter: str | None = None
+    layout: int = LAYOUT
+
+
+@dataclass(frozen=True)
+class Result:
+    """What is known of a converted capture.
+
+    flight_id: of the capture's content; capture: its absolute path; files: relative to the data set;
+    messages: {message: rows}; partial: why only a part could be read; lacks: sentences on what was not decoded;
+    failure: why there are no files.
+    """
+
+    flight_id: str
+    capture: str
+    made_by: MadeBy
+    files: tuple[str, ...] = ()
+    messages: dict[str, int] = field(default_factory=dict)
+    partial: str | None = None
+    lacks: tuple[str, ...] = ()
+    failure: str | None = None
+
+    def is_current(self, made_by: MadeBy) -> bool:
+        """Return whether it needs no other try: made by the same, but for messages that it does not have."""
+        ours, theirs = self.made_by, made_by
+        known = ours.catalogue.keys()
+        changed = {name for name, digest in theirs.catalogue.items() if ours.catalogue.get(name) != digest}
+        # A message that is new may be in any capture; one that changed only where it was, or where something was not
+        # decoded.
+        same = not (changed - known) and not (changed | (known - theirs.catalogue.keys())) & self.messages.keys()
+        rest = [(made.plugin, made.options, made.filter, made.layout) for made in (ours, theirs)]
+        return self.failure is None and rest[0] == rest[1] and same and not (changed and self.lacks)
+
+
+def flight_id(capture: Path) -> str:
+    """Return the name of a capture's content: the first 16 digits of its SHA-256."""
+    with capture.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+
+def plain_name(capture: Path) -> str:
+    """Return a capture's name without what tells its form: `flight` of flight.pcapng.gz."""
+    plain = capture.name
+    while Path(plain).suffix.lower() in SUFFIXES:
+        plain = Path(plain).stem
+    return plain
+
+
+class DataSet:
+    """The results of one kind. What is known of them lies beside the data, in `<out>.yapp-tables/<kind>`."""
+
+    def __init__(self, out: str, to: str, run: str = "") -> None:
+        """Find the place. Raises SetupError.
+
+        out: a folder or URL, "data" or "s3://bucket/data"; to: the kind; run: a name of this run, for `clean`.
+        """
+        self.to, self.run = to, run
+        try:
+            self.fs, path = fsspec.core.url_to_fs(out)
+        except (ImportError, ValueError) as error:
+            raise SetupError(f"{out}: {error}") from error
+        self.path: str = path.rstrip("/")
+        self.is_local = isinstance(self.fs, fsspec.implementations.local.LocalFileSystem)
+        if not self.is_local and "/" not in self.path:
+            raise SetupError(f"{out} names no folder: {out.rstrip('/')}/data")
+        self.beside = self.path + NOTES
+        self.notes = f"{self.beside}/{to}"
+        self.url: str = self.fs.unstrip_protocol(self.path)
+
+    def open(self) -> None:
+        """Make the folders; SetupError where they cannot be written, or hold results of an earlier version."""
+        try:
+            if self.fs.exists(f"{self.path}/{NOTES}"):
+                raise SetupError(f"{self.path} is of yapp-tables 2.1, which had no flight_id: choose another folder")
+            for folder in (self.path, f"{self.notes}/paths"):
+                self.fs.makedirs(folder, exist_ok=True)
+        except OSError as error:
+            raise SetupError(f"{self.path} cannot be written: {error.strerror or error}") from error
+
+    def identify(self, capture: Path) -> tuple[str, str | None]:
+        """Return the flight_id of a capture, and the one that this path had before, if another.
+
+        A capture of the same size and time of change is not read again.
+        """
+        state: list[int] = [capture.stat().st_size, capture.stat().st_mtime_ns]
+        note = f"paths/{hashlib.sha256(str(capture).encode()).hexdigest()[:16]}"
+        known = self._read(note) or {}
+        if known.get("state") == state:
+            return known["flight_id"], known.get("before")
+        flight, before = flight_id(capture), known.get("flight_id")
+        self._write(note, {"state": state, "flight_id": flight, "before": before})
+        return flight, before
+
+    def find(self, flight: str) -> Result | None:
+        """Return what is known of a flight."""
+        record = self._read(flight)
+        if record is None:
+            return None
+        made_by = record.pop("made_by")
+        made_by["options"] = tuple(made_by["options"])
+        lists = {name: tuple(record[name]) for name in ("files", "lacks")}
+        return Result(**{**record, **lists, "made_by": MadeBy(**made_by)})
+
+    def results(self) -> Iterator[Result]:
+        """Return what is known of all flights."""
+        for path in sorted(self.fs.glob(f"{self.notes}/*.json")):
+            if result := self.find(Path(path).stem):
+                yield result
+
+    def has_files(self, result: Result) -> bool:
+        """Return whether the files of a result are there."""
+        return all(self.fs.exists(f"{self.path}/{file}") for file in result.files)
+
+    @contextmanager
+    def aside(self) -> Iterator[Path]:
+        """A local folder to write to, of this task alone; on the file system of the data where that is local."""
+        with tempfile.TemporaryDirectory(
+            prefix=f"work-{self.run}-", dir=self.beside if self.is_local else None
+        ) as folder:
+            yield Path(folder)
+
+    def place(self, folder: Path, result: Result) -> None:
+        """Move all files in folder to their place, remove what an older result left, and note the result last."""
+        before = self.find(result.flight_id)
+        for file in result.files:
+            self._move(folder / file, f"{self.path}/{file}")
+        self._remove(set(before.files if before else ()) - set(result.files))
+        # A result that was cut off half-way is not known, and is made again.
+        self.note(result)
+
+    def note(self, result: Result) -> None:
+        """Remember a result."""
+        self._write(result.flight_id, asdict(result))
+
+    def forget(self, result: Result) -> None:
+        """Remove a flight."""
+        if self.to == "delta":
+            need(f"{__package__}.delta", "delta").delete(self.url, result.flight_id, result.messages)
+        self._remove(result.files)
+        self.fs.rm(f"{self.notes}/{result.flight_id}.json")
+
+    def extend(self) -> None:
+        """Give the Parquet files of each message the columns of all of them; a column that is new there is null."""
+        found: dict[str, list[str]] = {}
+        made: dict[str, set[str]] = {}
+        for result in self.results():
+            for file in result.files:
+                message = file.partition("/")[0].removeprefix("message=")
+                found.setdefault(message, []).append(file)
+                made.setdefault(message, set()).add(result.made_by.catalogue.get(message, ""))
+        for message, files in found.items():
+            if len(made[message]) > 1:
+                self._extend(files)
+
+    def _extend(self, files: list[str]) -> None:
+        with self.aside() as folder:
+            paths = {file: self._local(file, folder / f"{number}") for number, file in enumerate(files)}
+            schemas = {file: pq.read_schema(path) for file, path in paths.items()}
+            first = max(schemas.values(), key=len)
+            whole = pa.unify_schemas([first, *schemas.values()], promote_options="permissive")
+            for file, schema in schemas.items():
+                if schema.names == whole.names and schema.types == whole.types:
+                    continue
+                data, new = pq.read_table(paths[file], partitioning=None), folder / "new"
+                columns = [data[name] if name in data.schema.names else pa.nulls(len(data)) for name in whole.names]
+                cast = [column.cast(type_) for column, type_ in zip(columns, whole.types, strict=True)]
+                pq.write_table(pa.table(cast, schema=whole.with_metadata(schema.metadata)), new, compression="zstd")
+                self._move(new, f"{self.path}/{file}")
+
+    def _local(self, file: str, copy: Path) -> str:
+        if self.is_local:
+            return f"{self.path}/{file}"
+        self.fs.get_file(f"{self.path}/{file}", str(copy))
+        return str(copy)
+
+    def _move(self, file: Path, target: str) -> None:
+        if self.is_local:
+            Path(target).parent.mkdir(parents=True, exist_ok=True)
+            file.replace(target)
+        else:
+            self.fs.put_file(str(file), target)
+
+    def _remove(self, files: Iterable[str]) -> None:
+        for path in (f"{self.path}/{file}" for file in files):
+            if self.fs.exists(path):
+                self.fs.rm(path)
+
+    def write(self, path: str, text: str) -> None:
+        """Write a small file whole or not at all. path: in the folder beside the data."""
+        with self.aside() as folder:
+            (folder / "file").write_text(text, encoding="utf-8", newline="")
+            self._move(folder / "file", f"{self.beside}/{path}")
+
+    def _write(self, name: str, record: dict[str, Any]) -> None:
+        self.write(f"{self.notes.rpartition('/')[2]}/{name}.json", json.dumps(record, indent=1))
+
+    def _read(self, name: str) -> dict[str, Any] | None:
+        try:
+            record: dict[str, Any] = json.loads(self.fs.cat_file(f"{self.notes}/{name}.json"))
+            return record
+        except (OSError, ValueError):
+            return None
+
+    def clean(self) -> None:
+        """Remove what this run, or one that was killed more than a day ago, left aside."""
+        for work in Path(self.beside).glob("work-*") if self.is_local else ():
+            if work.name.startswith(f"work-{self.run}-") or time.time() - work.stat().st_mtime > LEFTOVER_SECONDS:
+                shutil.rmtree(work, ignore_errors=True)

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Delta Lake: a table for each message, `data/message=motor`, in which a transaction replaces the rows of a flight."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import pyarrow as pa
+from deltalake import DeltaTable, write_deltalake
+from deltalake.exceptions import DeltaError, TableNotFoundError
+
+from .errors import YappError
+from .tables import Table
+from .writers import Target
+
+# Several writers of one table: a transaction that another one overtook is tried again.
+TRIES = 50
+# Delta knows no unsigned integers, and microseconds only: time_ns has the nanoseconds.
+TYPES = {
+    pa.uint8(): pa.int16(),
+    pa.uint16(): pa.int32(),
+    pa.uint32(): pa.int64(),
+    pa.uint64(): pa.decimal128(20, 0),
+    pa.timestamp("ns", "UTC"): pa.timestamp("us", "UTC"),
+}
+
+
+def write_delta(tables: Sequence[Table], target: Target) -> None:
+    """Put the rows of a flight in place of those that are there; a column that is new extends the table."""
+    for table in tables:
+        schema = _schema(table.schema)
+
+        def write(table: Table = table, schema: pa.Schema = schema) -> None:
+            write_deltalake(
+                _url(target.url, table.name),
+                pa.RecordBatchReader.from_batches(schema, _rows(table, schema)),
+                mode="overwrite",
+                predicate=_is(target.flight_id),
+                schema_mode="merge",
+            )
+
+        _again(write)
+
+
+def delete(url: str, flight: str, messages: Iterable[str]) -> None:
+    """Remove the rows of a flight."""
+    for message in messages:
+        _again(lambda message=message: DeltaTable(_url(url, message)).delete(_is(flight)))  # type: ignore[misc]
+
+
+def compact(url: str, messages: Iterable[str]) -> None:
+    """Make few large files of many small ones; readers see no difference."""
+    for message in messages:
+        _again(lambda message=message: DeltaTable(_url(url, message)).optimize.compact())  # type: ignore[misc]
+
+
+def _again(work: Callable[[], object]) -> None:
+    for number in range(TRIES):
+        try:
+            work()
+            return
+        except TableNotFoundError:
+            return
+        except DeltaError as error:
+            if number == TRIES - 1:
+                raise YappError(f"Delta Lake: {error}") from error
+            time.sleep(random.uniform(0, 0.2))
+
+
+def _url(url: str, message: str) -> str:
+    return f"{url.removeprefix('file://')}/message={message}"
+
+
+def _is(flight: str) -> str:
+    return f"flight_id = '{flight}'"
+
+
+def _schema(schema: pa.Schema) -> pa.Schema:
+    fields = [field.with_type(TYPES.get(field.type, field.type)) for field in schema]
+    if "time" in schema.names:
+        fields.append(pa.field("time_ns", pa.int64()))
+    return pa.schema(fields)
+
+
+def _rows(table: Table, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
+    for batch in table:
+        columns = dict(zip(batch.schema.names, batch.columns, strict=True))
+        if "time" in columns:
+            columns["time_ns"] = columns["time"].cast(pa.int64())
+        cast = [columns[field.name].cast(field.type, safe=False) for field in schema]
+        yield pa.RecordBatch.from_arrays(cast, schema=schema)

@@ -1,0 +1,501 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The dissector of YAPP in byte streams and datagrams: UART captures, raw dumps, TCP and UDP.
+-- Wireshark's API.
+
+local crc = require("yapp.wire.crc")
+local frame = require("yapp.wire.frame")
+local frame_key = require("yapp.base.frame_key")
+local framer = require("yapp.serial.framer")
+local items = require("yapp.show.fields")
+local streams = require("yapp.serial.streams")
+local tcp = require("yapp.serial.tcp")
+local utf8 = require("yapp.base.utf8")
+
+local M = {}
+
+local min, sub = math.min, string.sub
+local add, add_le = items.add, items.add_le
+local add_generated, append_text = items.add_generated, items.append_text
+local number_of, PACKET = frame_key.number, frame_key.PACKET
+
+local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
+
+local TCP, UDP = 2, 3 -- pinfo.port_type
+local NO_ADDRESS = { [""] = true, NONE = true } -- as the API has it
+local MAX_IN_INFO = 10 -- frames of a packet
+local FIRST = math.huge -- seconds since the previous message, of a source's first one
+
+local Dissector = {}
+Dissector.__index = Dissector
+
+--- Make the dissector.
+-- tree        a show.tree
+-- reader      a message.reader
+-- buses       a host.buses
+-- tcp_header  Proto for the look at TCP's headers
+function M.new(tree, reader, buses, tcp_header)
+  return setmetatable({
+    tree = tree,
+    reader = reader,
+    buses = buses,
+    tcp_header = tcp_header,
+    streams = nil,   -- a serial.streams
+    history = nil,   -- a message.history
+    deltas = nil,    -- [frame key] = seconds since the source's previous good message, or FIRST
+    sources = nil,   -- [key of a stream][ID] = a source, see message.reader
+    damaged = nil,   -- [key of a stream, or frame key of its first packet] = the latest damaged
+                     -- datagram before it, see Dissector:accepts
+    has_tcp = false, -- whether a TCP connection is YAPP's
+  }, Dissector)
+end
+
+--- Forget the capture file.
+-- new_history  function() -> a message.history
+function Dissector:reset(new_history)
+  self.streams = streams.new(function() return self:new_framer() end)
+  self.history, self.deltas, self.sources, self.damaged = new_history(), {}, {}, {}
+  self.has_tcp = false
+  tcp.stop()
+end
+
+--- Make a framer.
+-- patience  of serial.framer; nil for the usual
+function Dissector:new_framer(patience)
+  return framer.new(function(id) return self.reader:size_of(id) end, patience)
+end
+
+-- Packets ----------------------------------------------------------------------------------------
+
+-- Returns sender and receiver of a packet.
+local function ends_of(pinfo)
+  return ("%s|%d"):format(tostring(pinfo.src), pinfo.src_port),
+    ("%s|%d"):format(tostring(pinfo.dst), pinfo.dst_port)
+end
+
+-- Returns the key of the stream from one end to another.
+-- bus  number, nil for none
+local function stream_key(kind, bus, here, there)
+  return ("%s|%d|%s|%s"):format(bus or "", kind, here, there)
+end
+
+-- Returns what is known of a packet: what serial.streams takes, and
+--   knows_bus    whether it is known where it was captured
+--   bus_key      by which a Command and what it commands know each other: both directions of a
+--                conversation; all of a UART
+--   line         text that tells its sources apart, nil if nothing does
+--   has_address  whether it has a sender
+--   wants        of show.tree
+-- tvb      its bytes; nil for a segment of which the capture has none
+-- segment  of serial.tcp, nil for other packets
+local function new_packet(self, tvb, pinfo, tree, segment)
+  local kind, number, bytes = pinfo.port_type, pinfo.number, tvb and tvb:raw() or ""
+  local is_ip = kind == UDP or kind == TCP
+  local here, there = ends_of(pinfo)
+  local bus, knows_bus, bus_key = nil, true, "serial"
+  if is_ip then
+    bus_key = here < there and here .. there or there .. here
+  else
+    bus, knows_bus = self.buses:of(pinfo, number)
+  end
+  local bus_name, has_address = self.buses:name(bus, is_ip), not NO_ADDRESS[tostring(pinfo.src)]
+  local line = bus and bus_name
+  if has_address then line = here:gsub("|", ":") end
+  local length = segment and segment.length or tvb:reported_len()
+  return {
+    key = number * PACKET + (segment and segment.offset or tvb:offset()),
+    number = number,
+    bytes = bytes,
+    length = length,
+    truncated = length > #bytes,
+    time = pinfo.rel_ts,
+    epoch = segment and pinfo.abs_ts,
+    visited = pinfo.visited,
+    is_datagram = kind == UDP,
+    stream = stream_key(kind, bus, here, there),
+    seq = segment and segment.seq,
+    knows_bus = knows_bus,
+    bus_key = bus_key,
+    bus_name = bus_name,
+    line = line,
+    has_address = has_address,
+    tvb = tvb,
+    tree = tree,
+    wants = self.tree:wants(tree, pinfo, pinfo.visited),
+  }
+end
+
+-- Returns the source of a message, see message.reader.
+local function source_of(self, packet, id)
+  local of_stream = self.sources[packet.stream] or {}
+  self.sources[packet.stream] = of_stream
+  local source = of_stream[id]
+  if not source then
+    local key = packet.stream .. "|" .. id
+    source = self.reader:new_source(key, id, packet.bus_key, packet.bus_name, packet.line)
+    of_stream[id] = source
+  end
+  return source
+end
+
+-- Heuristics -------------------------------------------------------------------------------------
+
+--- Whether bytes are YAPP: they hold a good frame, or they are nothing but messages of the
+-- catalogue, each with all its bytes, whose CRC may be bad.  Headers must be the document's:
+-- another ID or size may be somebody else's.
+-- length  number of bytes that the packet had
+-- returns  boolean, and the events of serial.streams
+function Dissector:is_yapp(bytes, length)
+  local events, is_catalogue, missing = self.streams:read(bytes), true, length - #bytes
+  local function fits(id, size) return self.reader:fits(id, size) ~= false end
+  for _, event in ipairs(events) do
+    local at = event.at + 1
+    if event.status == "good" and frame.judge(bytes, at, fits) then return true, events end
+    local is_complete = event.status == "bad" or event.missing == missing
+    is_catalogue = is_catalogue and is_complete and self.reader:size_of(frame.parse(bytes, at))
+  end
+  return is_catalogue, events
+end
+
+--- Whether a packet of an unknown conversation is YAPP.  If it is not, but may be a message that
+-- lost bytes, this is reported when another packet of the conversation is.
+function Dissector:accepts(tvb, pinfo, tree)
+  local bytes = tvb:len() > 0 and tvb:raw() or ""
+  if pinfo.in_error_pkt or not frame.find(bytes, 1) then return false end
+  local is_ours, events = self:is_yapp(bytes, tvb:reported_len())
+  local id, _, _, seq = frame.parse(bytes, 1)
+  local may_be = events[1].status == "incomplete" and self.reader:size_of(id)
+  if not is_ours and may_be and pinfo.port_type == UDP and not pinfo.visited then
+    local key = new_packet(self, tvb, pinfo, tree).stream
+    self.damaged[key] = { id = id, seq = seq, before = self.damaged[key] }
+  end
+  return is_ours
+end
+
+-- Returns the record of a message that is not there as a whole, for the statistics.
+-- packet  where this is noticed
+local function new_loss(self, packet, id, seq)
+  local source = source_of(self, packet, id)
+  return {
+    id = id,
+    seq = seq,
+    source = source.key,
+    bus = source.bus,
+    bus_name = source.bus_name,
+    stream = packet.stream,
+    frame = packet.number,
+    time = packet.time,
+    visited = packet.visited,
+  }
+end
+
+-- Reports the damaged datagrams before the first packet of a conversation.
+local function report_damaged(self, packet)
+  local damaged, waiting = self.damaged, self.damaged[packet.stream]
+  if waiting and not packet.visited then
+    damaged[packet.key], damaged[packet.stream] = waiting, nil
+  end
+  local one = self.reader.stat.wanted and damaged[packet.key]
+  while one do
+    local loss = new_loss(self, packet, one.id, one.seq)
+    self.reader.tell:faults(loss, { { expert = "fragment.incomplete" } })
+    one = one.before
+  end
+end
+
+-- Messages ---------------------------------------------------------------------------------------
+
+-- Returns the message in an event, as message.reader, message.history, show.tree and the statistics
+-- take it.  A packet's n-th event has the frame key of the packet + n - 1: a frame has 16 bytes at
+-- least, so no other packet has that key, also if a tunnel has several in one.
+local function new_message(self, packet, event, index)
+  local status, length = event.status, event.to - event.from
+  local bytes, from = event.bytes or packet.bytes, event.at and event.at + 1 or 1
+  local id, size, reserved, seq = frame.parse(bytes, from)
+  local source, is_bad, last = source_of(self, packet, id), status == "bad", from + length - 1
+  local number = packet.key + index - 1
+  local delta = packet.visited and self.deltas[number]
+  return {
+    id = id,
+    name = source.name,
+    text = source.text,
+    source = source.key,
+    bus = source.bus,
+    bus_name = source.bus_name,
+    stream = packet.stream,
+    number = number,
+    frame = packet.number,
+    time = packet.time,
+    visited = packet.visited,
+    delta = delta ~= FIRST and delta or false,
+    is_unsure = not packet.knows_bus or packet.visited and not delta,
+    seq = seq,
+    size = size,
+    reserved = reserved,
+    payload = sub(bytes, from + HEADER, from - 1 + min(HEADER + size, length)),
+    length = length,
+    status = status,
+    good = status == "good",
+    -- Nobody knows where in it bytes are missing, unless the capture cut it.
+    is_whole = status ~= "incomplete" or event.truncated or false,
+    missing = event.missing,
+    truncated = event.truncated,
+    parts = event.parts,
+    crc = is_bad and frame.crc(bytes, last) or nil,
+    calculated = is_bad and crc.update(crc.INITIAL, bytes, from, last - CRC_SIZE) or nil,
+    wants = packet.wants,
+    tree = packet.tree,
+    item = packet.tree,
+    tvb = false,
+    at = (event.at or 0) + HEADER,
+  }
+end
+
+local LABELS = { good = ", CRC good", bad = ", CRC BAD", incomplete = ", incomplete" }
+-- In the Info column:
+local MARKS = { good = "", bad = "  [BAD CRC]", incomplete = "  [INCOMPLETE]" }
+
+-- Adds YAPP's own item of a message.
+-- tvb  where the bytes of the frame are
+local function add_frame(self, m, tvb)
+  local builder, at = self.tree, m.at - HEADER
+  local fields = builder.fields
+  local item = add(m.tree, builder.yapp, tvb(at, m.length))
+  append_text(item, (", %s"):format(m.name))
+  add(item, fields.sync, tvb(at, 2))
+  add(item, fields.seq, tvb(at + 2, 1))
+  add(item, fields.ctl, tvb(at + 3, 1))
+  builder:add_id(item, tvb(at + 4, 4), m.id, m.bus_name)
+  append_text(add_le(item, fields.size, tvb(at + 8, 2)), " bytes")
+  add_le(item, fields.reserved, tvb(at + 10, 2))
+  builder:add_source(item, m)
+  if m.parts then
+    local numbers = {}
+    for i, key in ipairs(m.parts) do numbers[i] = number_of(key) end
+    local payload = #m.payload > 0 and tvb(m.at, #m.payload) or nil
+    add_generated(item, fields["reassembled.in"], m.frame)
+    builder:add_fragments(item, tvb(), numbers, #numbers, m.length, payload)
+  end
+  if m.status ~= "incomplete" then builder:add_crc(item, tvb(m.at + m.size, CRC_SIZE), m) end
+  append_text(item, LABELS[m.status])
+  return item
+end
+
+-- Says that a message lost bytes.
+local function say_incomplete(self, m)
+  local expert = m.truncated and "truncated" or "fragment.incomplete"
+  local text = ("%d of the frame's %d bytes are missing")
+    :format(m.missing, HEADER + m.size + CRC_SIZE)
+  self.tree:expert(m.item, expert, text)
+  if self.reader.stat.wanted then
+    self.reader.tell:faults(m, { { expert = expert } })
+  end
+end
+
+-- Shows a message; returns what the Info column says of it.
+local function show_message(self, m, tvb)
+  local builder = self.tree
+  self.reader:read(m, self.history)
+  if not m.good then m.delta = false end
+  if not m.visited and not m.is_unsure and not m.wants.is_only_pass then
+    self.deltas[m.number] = m.delta or FIRST
+  end
+  if m.wants.tree then m.item, m.tvb = add_frame(self, m, tvb), tvb end
+  if m.status == "bad" then builder:bad_crc(m.item, m) end
+  if m.status == "incomplete" then say_incomplete(self, m) end
+  if m.reserved ~= 0 then
+    local text = ("The reserved bytes are 0x%04x, not 0"):format(m.reserved)
+    builder:expert(m.item, "reserved.nonzero", text)
+  end
+  if m.is_whole or not m.message then return builder:payload(m) .. MARKS[m.status] end
+  if m.wants.yapp and #m.payload > 0 then
+    add(m.item, builder.fields.payload, tvb(m.at, #m.payload))
+  end
+  return m.name .. MARKS[m.status]
+end
+
+-- Bytes of no frame ------------------------------------------------------------------------------
+
+-- Control characters of a terminal, and how they are shown.
+local CONTROLS = {
+  ["\a"] = "\\a",
+  ["\b"] = "\\b",
+  ["\t"] = "\\t",
+  ["\n"] = "\\n",
+  ["\r"] = "\\r",
+  ["\27"] = "\\e",
+}
+
+-- Returns bytes as quoted text, nil if they are no text.
+local function quote(bytes)
+  if utf8.ascii(bytes):find("[^%g \a\b\t\n\r\27]") then return nil end
+  local text = bytes
+  if #bytes > 80 then
+    text = bytes:sub(1, 80):gsub("[\192-\255][\128-\191]*$", "") .. "..."
+  end
+  return '"' .. text:gsub("%c", CONTROLS) .. '"'
+end
+
+-- Shows skipped bytes; returns what the Info column says of them.
+local function show_skipped(self, packet, tvb, event)
+  local builder, item = self.tree, packet.tree
+  local length, at = event.to - event.from, event.at or 0
+  local text = quote(event.bytes or sub(packet.bytes, at + 1, at + length))
+  local size = builder.bytes(length)
+  if packet.wants.tree then
+    item = add(item, builder.yapp, tvb(at, length))
+    append_text(item, (", %s skipped"):format(size))
+    local skipped = add(item, builder.fields.skipped, tvb(at, length))
+    if text then append_text(skipped, " " .. text) end
+  end
+  local quoted = text and ": " .. text or ""
+  builder:expert(item, "stream.skipped", ("%s that belong to no frame%s"):format(size, quoted))
+  if self.reader.stat.wanted then
+    self.reader.tell:skipped {
+      frame = packet.number,
+      time = packet.time,
+      visited = packet.visited,
+      bus = packet.bus_key,
+      bus_name = packet.bus_name,
+      source = packet.stream,
+      length = length,
+    }
+  end
+  return ("Skipped %s%s"):format(size, text and " " .. text or "")
+end
+
+-- Returns what the Info column says of pending bytes.
+local function pending_text(contents, size, leads_to)
+  if leads_to then return ("[Reassembled in #%d]"):format(leads_to) end
+  if contents.is_held then return ("[%s behind a missing TCP segment]"):format(size) end
+  if contents.missing then return ("[%s of a frame, %d to come]"):format(size, contents.missing) end
+  return ("[%s wait for more]"):format(size)
+end
+
+-- Shows the pending bytes of a packet; returns what the Info column says of them.
+local function show_pending(self, packet, contents)
+  local builder, item, pending = self.tree, packet.tree, contents.pending
+  local leads_to = contents.leads_to and number_of(contents.leads_to)
+  if packet.wants.tree then
+    local range = packet.tvb(#packet.bytes - pending, pending)
+    item = add(item, builder.yapp, range)
+    append_text(item, ", part of a frame")
+    add(item, builder.fields["fragment.data"], range)
+    builder:generated(item, "reassembled.in", leads_to)
+  end
+  if packet.visited and streams.is_unfinished(contents, packet) then
+    builder:expert(item, "unfinished")
+  end
+  return pending_text(contents, builder.bytes(pending), leads_to)
+end
+
+-- Dissection -------------------------------------------------------------------------------------
+
+-- Shows what a packet holds.
+local function show(self, packet, pinfo, contents)
+  local wants, texts, source = packet.wants, {}, nil
+  if wants.names and not wants.tree then self.tree:bare(packet.tree, wants, true) end
+  for i, event in ipairs(contents.events) do
+    local tvb, m = packet.tvb, nil
+    if event.bytes and wants.tree then
+      tvb = ByteArray.new(event.bytes, true):tvb("Reassembled YAPP")
+    end
+    if event.status ~= "skipped" then
+      m = new_message(self, packet, event, i)
+      source = source or m.text
+    end
+    local text = m and show_message(self, m, tvb) or show_skipped(self, packet, tvb, event)
+    if i <= MAX_IN_INFO then texts[i] = text end
+  end
+  local more = #contents.events - MAX_IN_INFO
+  if more > 0 then texts[#texts + 1] = ("and %d more"):format(more) end
+  if contents.pending > 0 then texts[#texts + 1] = show_pending(self, packet, contents) end
+  if not wants.columns or not texts[1] then return end
+  local columns = pinfo.cols
+  columns.protocol, columns.info = "YAPP", table.concat(texts, " | ")
+  if source and not packet.has_address then columns.src = source end
+end
+
+-- Dissects a packet; returns whether it is YAPP's.
+local function dissect(self, packet, pinfo)
+  local contents
+  if packet.visited then
+    contents = self.streams:find(packet)
+    if not contents then return false end
+  else
+    contents = self.streams:take(packet, not packet.wants.is_only_pass)
+  end
+  report_damaged(self, packet)
+  show(self, packet, pinfo, contents)
+  local last = contents.events[#contents.events]
+  if packet.truncated and packet.tvb and not (last and last.status == "incomplete") then
+    local text = "The capture has %d of the packet's %d bytes"
+    self.tree:expert(packet.tree, "truncated", text:format(#packet.bytes, packet.length))
+  end
+  return true
+end
+
+-- Dissects a segment that TCP has shown.
+local function dissect_segment(self, segment, tvb, pinfo, tree)
+  self.has_tcp = self.has_tcp or segment.is_ours
+  if not self.has_tcp then return end
+  local here, there = ends_of(pinfo)
+  local key, opposite = stream_key(TCP, nil, here, there), stream_key(TCP, nil, there, here)
+  local is_known = pinfo.visited or self.streams:note_header(key, opposite, segment)
+  if segment.length == 0 or not (segment.is_ours or is_known) then return end
+  local bytes = tvb:len() > segment.start and tvb(segment.start):tvb() or nil
+  dissect(self, new_packet(self, bytes, pinfo, tree, segment), pinfo)
+end
+
+--- Watch TCP, to know the sequence numbers from the first segment on.
+function Dissector:watch_tcp()
+  tcp.watch(self.tcp_header, function(...) dissect_segment(self, ...) end)
+end
+
+--- Dissect the bytes of a packet.
+-- returns  the number of bytes that are ours
+function Dissector:dissect(tvb, pinfo, tree)
+  local size = tvb:len()
+  -- An ICMP error only quotes what was sent before.
+  if size == 0 or pinfo.in_error_pkt then return 0 end
+  if pinfo.port_type == TCP then
+    local segment = tcp.current(pinfo.number)
+    if segment then
+      segment.is_ours = true -- TCP may have joined it to others: it comes by itself
+      return size
+    end
+    self.has_tcp = true
+    self:watch_tcp()
+  end
+  return dissect(self, new_packet(self, tvb, pinfo, tree), pinfo) and size or 0
+end
+
+--- Dissect bytes of a raw dump that are of no frame.
+-- returns  the number of bytes that are ours
+function Dissector:skipped(tvb, pinfo, tree)
+  local size = tvb:len()
+  if size > 0 then
+    local event = { status = "skipped", from = 0, to = size, at = 0 }
+    show(self, new_packet(self, tvb, pinfo, tree), pinfo, { events = { event }, pending = 0 })
+  end
+  return size
+end
+
+--- Return the messages that the capture ends before, and report their last bytes to the statistics.
+-- returns  list of { id, seq, source = key, frame = number of the packet with its last bytes, time,
+--          bus, bus_name }
+function Dissector:unfinished()
+  local list = {}
+  for i, open in ipairs(self.streams:unfinished()) do
+    local id, _, _, seq = frame.parse(open.header, 1)
+    list[i] = new_loss(self, open.packet, id, seq)
+    self.reader.tell:part(list[i])
+  end
+  return list
+end
+
+--- Return the gaps in TCP connections, as host.buses returns the packets that a capture dropped.
+function Dissector:drops()
+  return self.streams:drops()
+end
+
+return M

@@ -1,0 +1,291 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Framing: finds YAPP frames in bytes that also hold noise, shell text and damaged frames.
+-- Pure Lua.
+--
+-- Each "YP" with a header behind it is a candidate.  Candidates are judged in the order of their
+-- starts: the first one with a good CRC is a frame, and all that overlap it are void.  So a frame
+-- wins over what its payload contains.  Bytes behind the start of an open candidate, whose end has
+-- not come, wait for it:
+--
+--   0         12                              69      bytes 12 to 60 hold a good frame; it is shown
+--   |YP header|  ...  |YP good frame|   ...   |       only if the CRC at 69 is bad
+--
+-- But a header of noise may claim 65,535 bytes.  So good frames do not wait for an open candidate
+-- of more than `patience` bytes; if one of them comes first, that candidate is void.
+--
+-- The header decides what a candidate without a good CRC is.  A message of the catalogue is that
+-- message, damaged, up to where the next one begins.  Another plausible ID is a bad frame if all
+-- its bytes came and no message of the catalogue begins in them.  Everything else is noise.
+
+local crc = require("yapp.wire.crc")
+local frame = require("yapp.wire.frame")
+
+local M = {}
+
+local byte, sub = string.byte, string.sub
+local floor, log, max, min = math.floor, math.log, math.max, math.min
+
+local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
+local Y = byte(frame.SYNC)
+
+-- The longest frame that good frames inside of it wait for: 7 s of a controller's messages.
+local PATIENCE = 4096
+
+-- Noise may be nothing but candidates.  So each byte of a stream brings a credit of bytes that a
+-- CRC may be computed over, which is saved up.  A candidate for which the credit does not suffice
+-- counts as damaged.  Candidates of 32 to 63 bytes have a credit, those of 64 to 127 bytes another
+-- one, and so on: large ones do not spend that of small ones.
+local CREDIT = 2
+local MAX_CREDIT = 4 * frame.LARGEST
+
+local Framer = {}
+Framer.__index = Framer
+
+--- Make the framer of a stream.
+-- size_of   function(id) -> payload size of the catalogue's message, nil for an unknown ID; and the
+--           smallest that it may have, nil for the same
+-- patience  bytes: the longest frame that good frames inside of it wait for; nil for the usual
+-- Document: "UART Stream Framing".
+function M.new(size_of, patience)
+  local self = setmetatable({
+    size_of = size_of,
+    patience = patience or PATIENCE,
+    spent = {},    -- [logarithm of a candidate's length] = bytes that CRCs were computed over
+    text = "",     -- the latest bytes
+    text_from = 0, -- their offset in the stream
+    to = 0,        -- the end of the stream so far
+    from = 0,      -- the first byte that is in no event yet
+    searched = 0,  -- every candidate that begins before this is known
+    found = nil,   -- the open candidate that the search waits at
+  }, Framer)
+  self:forget()
+  return self
+end
+
+-- Drops all candidates.
+function Framer:forget()
+  self.candidates = {} -- those that failed and those that are open, by start
+  self.first, self.last = 1, 0
+  self.first_open = 1  -- in `candidates`: all before it have failed
+  self.open_by_end = {} -- [offset] = the last open one that ends there
+  self.known = {}       -- the starts of those that are messages of the catalogue
+end
+
+-- Returns the next candidate whose header has come, nil where none has.
+function Framer:find()
+  local at = frame.find(self.text, self.searched - self.text_from + 1)
+  if not at then
+    local is_begun = self.to > self.searched and byte(self.text, -1) == Y
+    self.searched = is_begun and self.to - 1 or self.to
+    return nil
+  end
+  local from = self.text_from + at - 1
+  self.searched = from
+  local id, size, reserved = frame.parse(self.text, at)
+  if not id then return nil end
+  local known, smallest = self.size_of(id)
+  local fits = not known or size <= known and size >= (smallest or known)
+  local is_plausible = reserved == 0 and id <= frame.MAX_ID and fits
+  return {
+    from = from,
+    to = from + HEADER + size + CRC_SIZE,
+    is_plausible = is_plausible,
+    is_known = is_plausible and known ~= nil,
+    next_known = 0, -- index in `known`: the first one behind it
+    has_failed = false, -- whether its CRC is bad; false while it is open
+    same_end = nil, -- another open candidate that ends where this one does
+  }
+end
+
+-- Whether the CRC of a candidate is good.
+function Framer:is_good(candidate)
+  local length = candidate.to - candidate.from
+  local class, earned = floor(log(length, 2)), MAX_CREDIT + CREDIT * self.to
+  local spent = max(self.spent[class] or 0, earned - MAX_CREDIT) + length
+  if spent > earned then return false end
+  self.spent[class] = spent
+  local at, to = candidate.from - self.text_from + 1, candidate.to - self.text_from
+  return crc.update(crc.INITIAL, self.text, at, to - CRC_SIZE) == frame.crc(self.text, to)
+end
+
+-- Appends the bytes up to `to` as an event.
+function Framer:give(events, to, status, missing)
+  local from, at = self.from, self.from - self.text_from
+  self.from = to
+  events[#events + 1] = {
+    status = status,
+    missing = missing,
+    from = from,
+    to = to,
+    bytes = sub(self.text, at + 1, at + to - from),
+  }
+end
+
+function Framer:skip(events, to)
+  if to > self.from then self:give(events, to, "skipped") end
+end
+
+-- Returns what a candidate without a good CRC is, if nothing before `limit` is open.
+-- behind   what begins at the limit: "open", "good" (a frame) or "end" (nothing)
+-- returns  "bad" or "incomplete" and its end; nil for noise; "open" if that is not decided yet
+local function fate_of(self, candidate, limit, behind)
+  if candidate.from < self.from or not candidate.is_plausible then return nil end
+  local stop = min(limit, self.known[candidate.next_known] or limit)
+  if candidate.to <= stop then return "bad", candidate.to end
+  if stop == limit and behind == "open" then return "open" end
+  if candidate.is_known or stop == limit and behind == "end" then return "incomplete", stop end
+end
+
+-- Gives out what lies before `limit`: the damaged frames, the earliest start first, and the bytes
+-- between them.
+function Framer:settle(events, limit, behind)
+  while self.first <= self.last and self.candidates[self.first].from < limit do
+    local candidate = self.candidates[self.first]
+    local status, stop = fate_of(self, candidate, limit, behind)
+    if status == "open" then
+      limit = candidate.from
+      break
+    end
+    if status then
+      self:skip(events, candidate.from)
+      self:give(events, stop, status, candidate.to > stop and candidate.to - stop or nil)
+    end
+    self.candidates[self.first] = nil
+    self.first = self.first + 1
+  end
+  self:skip(events, limit)
+end
+
+-- Gives out a candidate if its CRC is good; returns whether it is.
+function Framer:accept(events, candidate)
+  if not self:is_good(candidate) then
+    candidate.has_failed = true
+    return false
+  end
+  self:settle(events, candidate.from, "good")
+  self:give(events, candidate.to, "good")
+  if self.last > 0 then self:forget() end
+  self.found, self.searched = nil, candidate.to
+  return true
+end
+
+-- Keeps a candidate that failed or is open.
+function Framer:keep(candidate)
+  self.last = self.last + 1
+  self.candidates[self.last] = candidate
+  if candidate.is_known then self.known[#self.known + 1] = candidate.from end
+  candidate.next_known = #self.known + 1
+  if not candidate.has_failed then
+    candidate.same_end = self.open_by_end[candidate.to]
+    self.open_by_end[candidate.to] = candidate
+  end
+end
+
+local function by_start(a, b) return a.from < b.from end
+
+-- Judges the open candidates whose end has come.
+-- before  the end of the stream before these bytes came
+function Framer:close(events, before)
+  if not next(self.open_by_end) then return end
+  local due = {}
+  for to = before + 1, self.to do
+    local candidate = self.open_by_end[to]
+    self.open_by_end[to] = nil
+    while candidate do
+      due[#due + 1], candidate = candidate, candidate.same_end
+    end
+  end
+  table.sort(due, by_start)
+  for _, candidate in ipairs(due) do
+    if self:accept(events, candidate) then return end -- it overlaps the others
+  end
+end
+
+-- Judges the candidates that begin in bytes that have not been searched.
+-- is_over  whether no more bytes come
+function Framer:search(events, is_over)
+  local candidate = self.found or self:find()
+  while candidate do
+    local is_open = candidate.to > self.to
+    if is_open and not is_over and candidate.to - candidate.from <= self.patience then
+      self.found = candidate
+      return
+    end
+    if is_open or not self:accept(events, candidate) then
+      self:keep(candidate)
+      self.found, self.searched = nil, candidate.from + #frame.SYNC
+    end
+    candidate = self:find()
+  end
+end
+
+-- Returns the first open candidate, by start, or nil.
+function Framer:first_waiting()
+  local candidate = self.candidates[self.first_open]
+  while candidate and candidate.has_failed do
+    self.first_open = self.first_open + 1
+    candidate = self.candidates[self.first_open]
+  end
+  return candidate or self.found
+end
+
+--- Take the next bytes of the stream.
+-- bytes    string of any length
+-- returns  list of the events that these bytes made final, in the stream's order; each byte of the
+--          stream is in one event: {
+--            status   "good"; "bad" (CRC); "incomplete", a frame that ends where the next begins;
+--                     "skipped", bytes of no frame
+--            missing  number of bytes, of an incomplete frame
+--            from     offset in the stream
+--            to       offset behind the last byte
+--            bytes    string }
+-- Document: "UART Stream Framing".
+function Framer:feed(bytes)
+  local events, before = {}, self.to
+  if self.from > self.text_from then
+    self.text, self.text_from = sub(self.text, self.from - self.text_from + 1), self.from
+  end
+  self.text, self.to = self.text .. bytes, before + #bytes
+  self:close(events, before)
+  self:search(events, false)
+  local waiting = self:first_waiting()
+  self:settle(events, waiting and waiting.from or self.searched, "open")
+  if self.last > 0 and self.first > self.last then self:forget() end
+  return events
+end
+
+--- End the stream: what waits becomes final.  Bytes fed later begin afresh.
+-- returns  events as from feed(); a frame whose end never came is "incomplete", too
+function Framer:finish()
+  local events = {}
+  self:search(events, true)
+  self:settle(events, self.to, "end")
+  self:forget()
+  self.searched = self.to
+  return events
+end
+
+--- Return the number of bytes that were fed.
+function Framer:length()
+  return self.to
+end
+
+--- Return the offset of the first byte that is in no event yet.
+function Framer:offset()
+  return self.from
+end
+
+--- Return the earliest frame that is not decided yet: a capture that ends here, ends before it.
+-- returns  its header, and the number of bytes to come (nil if its CRC is bad, but not yet final);
+--          nil if there is none, only a part of its header, or what is more likely noise
+function Framer:open_frame()
+  for i = self.first, self.last + 1 do
+    local candidate = self.candidates[i] or self.found
+    if candidate and candidate.is_plausible and candidate.from >= self.from then
+      local at, missing = candidate.from - self.text_from, candidate.to - self.to
+      return sub(self.text, at + 1, at + HEADER), missing > 0 and missing or nil
+    end
+  end
+end
+
+return M

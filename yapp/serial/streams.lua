@@ -1,0 +1,318 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- What the packets of byte streams and datagrams hold: frames, and bytes of none.  Pure Lua.
+--
+-- Packets are taken once, in the order of the capture.  Revisits ask by frame key.
+--
+--   packet 7   |end of A|good frame B|start of C|   events A (of packets 6 and 7) and B, and the
+--   packet 8   |end of C|                           pending bytes of C, which packet 8 shows
+--
+-- TCP segments bring their sequence numbers.  Bytes that came before are left out.  A segment
+-- behind a gap waits for the missing one, until it is clear that the capture does not have it.
+
+local M = {}
+
+local abs, max, sub = math.abs, math.max, string.sub
+
+-- How long segments wait for a missing one: seconds, and bytes of the stream.  A sender that hears
+-- nothing sends again within a second, as a rule, and few send 64 KB ahead.
+local MAX_WAIT, MAX_AHEAD = 1, 65535
+-- A sequence number further off is that of a new connection.
+local MAX_DISTANCE = 2 ^ 20
+
+-- The contents of a packet that holds good frames and nothing else: its own bytes tell them again.
+local PLAIN = { events = {}, pending = 0 }
+
+local Streams = {}
+Streams.__index = Streams
+
+local function new_stream(framer)
+  return {
+    framer = framer,
+    pieces = {},      -- contents with bytes that are in no event yet: pieces[first] to pieces[last]
+    first = 1,
+    last = 0,
+    latest = nil,     -- the latest packet
+    -- Of TCP:
+    next_seq = nil,   -- sequence number of the next byte
+    acked = nil,      -- what the other side has acknowledged
+    is_ended = false, -- whether a new connection has begun
+    held = {},        -- contents of the segments behind a gap, by sequence number
+    gap = nil,        -- see Streams:drops
+    gap_time = nil,   -- when it was noticed, in seconds since the first packet
+  }
+end
+
+--- Make the streams of a capture.
+-- new_framer  function() -> a serial.framer
+function M.new(new_framer)
+  return setmetatable({
+    new_framer = new_framer,
+    datagrams = new_stream(new_framer()), -- each is complete in itself: one stream does for all
+    by_key = {},
+    contents = {}, -- by frame key
+    gaps = {},     -- [gap that was not filled] = true
+  }, Streams)
+end
+
+-- Events -----------------------------------------------------------------------------------------
+
+-- Appends what a framer found; skipped bytes that follow skipped bytes are one event.
+local function append(events, found)
+  for _, event in ipairs(found) do
+    local last = events[#events]
+    if last and last.status == "skipped" and event.status == "skipped" then
+      last.to, last.bytes = event.to, last.bytes .. event.bytes
+    else
+      events[#events + 1] = event
+    end
+  end
+end
+
+-- Ends a stream: nothing follows the bytes that wait.
+local function finish(stream, events, is_truncated)
+  local rest = stream.framer:finish()
+  for _, event in ipairs(rest) do event.truncated = is_truncated end
+  append(events, rest)
+end
+
+-- Feeds the bytes of a packet to its stream.
+-- known  how many of them the stream has
+local function feed(stream, contents, known, events)
+  local framer, packet = stream.framer, contents.packet
+  contents.packet, contents.known, contents.from = nil, known, framer:length()
+  append(events, framer:feed(sub(packet.bytes, known + 1)))
+  contents.to = framer:length()
+  if packet.is_datagram or packet.truncated then finish(stream, events, packet.truncated) end
+  stream.last = stream.last + 1
+  stream.pieces[stream.last] = contents
+end
+
+-- Notes where the bytes of an event are.
+-- contents  of the packet that shows it
+local function locate(stream, event, contents)
+  local from = contents.from
+  if from and event.from >= from and event.to <= contents.to then
+    event.at, event.bytes = contents.known + event.from - from, nil
+    return
+  end
+  if event.status == "skipped" then return end
+  event.parts = {}
+  for i = stream.first, stream.last do
+    local piece = stream.pieces[i]
+    if piece.from < event.to and piece.to > event.from then
+      event.parts[#event.parts + 1] = piece.key
+      if piece ~= contents then piece.leads_to = contents.key end
+    end
+  end
+end
+
+-- Drops the contents whose bytes all come before an offset.
+local function drop_pieces(stream, offset)
+  while stream.first <= stream.last and stream.pieces[stream.first].to <= offset do
+    stream.pieces[stream.first] = nil
+    stream.first = stream.first + 1
+  end
+end
+
+-- TCP --------------------------------------------------------------------------------------------
+
+-- Returns how far one sequence number is ahead of another; they count modulo 2^32.
+local function distance(seq, other)
+  return (seq - other + 0x80000000) % 0x100000000 - 0x80000000
+end
+
+-- Keeps a segment in the order of the sequence numbers.
+local function hold(stream, contents)
+  local held, seq, index = stream.held, contents.packet.seq, #stream.held + 1
+  while index > 1 and distance(seq, held[index - 1].packet.seq) < 0 do index = index - 1 end
+  table.insert(held, index, contents)
+end
+
+-- Notes that a segment is missing before a packet.
+local function note_gap(self, stream, packet)
+  local gap = { time = packet.epoch, frame = packet.number, bus = packet.bus_name, count = 1 }
+  self.gaps[gap], stream.gap, stream.gap_time = true, gap, packet.time
+end
+
+-- Whether the capture does not have the segment that others wait for.
+local function is_lost(stream, packet)
+  return stream.acked and distance(stream.acked, stream.next_seq) > 0 or
+    distance(packet.seq, stream.next_seq) > MAX_AHEAD or
+    packet.time - stream.gap_time > MAX_WAIT
+end
+
+-- Feeds the segments that wait, as far as they are in order.
+-- packet    the current one
+-- gives_up  whether no missing segment will come
+local function feed_held(self, stream, packet, gives_up, events)
+  while stream.held[1] do
+    local contents = stream.held[1]
+    local seq, length = contents.packet.seq, contents.packet.length
+    local known = distance(stream.next_seq, seq)
+    if known < 0 then
+      if not stream.gap then note_gap(self, stream, packet) end
+      if not gives_up and not is_lost(stream, packet) then return end
+      finish(stream, events)
+      stream.gap, known = nil, 0
+    elseif known < length and stream.gap then
+      self.gaps[stream.gap], stream.gap = nil, nil
+    end
+    table.remove(stream.held, 1)
+    if known < length then
+      feed(stream, contents, known, events)
+      stream.next_seq = (seq + length) % 0x100000000
+    else
+      contents.packet = nil
+    end
+  end
+end
+
+-- Takes a segment, and those that waited for it.
+local function take_segment(self, stream, contents, events)
+  local packet = contents.packet
+  local next_seq = stream.next_seq or packet.seq
+  if stream.is_ended or abs(distance(packet.seq, next_seq)) > MAX_DISTANCE then
+    feed_held(self, stream, packet, true, events)
+    finish(stream, events)
+    next_seq, stream.is_ended = packet.seq, false
+  end
+  stream.next_seq = next_seq
+  hold(stream, contents)
+  feed_held(self, stream, packet, false, events)
+end
+
+--- Note what the header of a TCP segment says.
+-- key       of its stream
+-- opposite  key of the stream of the other direction
+-- segment   of serial.tcp
+-- returns   whether the segment can be taken in its place: its stream has been seen, and its
+--           sequence numbers are known
+function Streams:note_header(key, opposite, segment)
+  local stream, other, ack = self.by_key[key], self.by_key[opposite], segment.ack
+  if other and ack and distance(ack, other.acked or ack - 1) > 0 then other.acked = ack end
+  if stream and segment.is_syn then stream.is_ended, stream.acked = true, nil end
+  return stream and stream.next_seq
+end
+
+-- Packets ----------------------------------------------------------------------------------------
+
+-- Whether a packet holds good frames and nothing else.
+local function is_plain(events, bytes)
+  for _, event in ipairs(events) do
+    if event.status ~= "good" or not event.at then return false end
+  end
+  local first, last = events[1], events[#events]
+  return first and first.at == 0 and last.at + last.to - last.from == #bytes
+end
+
+-- Takes a packet into a stream; returns its contents.
+local function take(self, stream, packet)
+  local events, framer = {}, stream.framer
+  local contents = {
+    key = packet.key,
+    events = events,
+    pending = 0,
+    missing = nil,
+    leads_to = nil,
+    stream = stream,
+    is_held = false, -- whether it was behind a gap when it came
+    packet = packet, -- until its bytes are fed
+    known = 0,       -- number of bytes that had come before
+    from = nil,      -- offset in the stream of those that had not, once they are fed
+    to = nil,
+  }
+  if packet.seq then
+    take_segment(self, stream, contents, events)
+  else
+    feed(stream, contents, 0, events)
+  end
+  for _, event in ipairs(events) do
+    drop_pieces(stream, event.from)
+    locate(stream, event, contents)
+  end
+  drop_pieces(stream, framer:offset())
+  if contents.packet then
+    contents.is_held, contents.pending = true, #packet.bytes
+  elseif (contents.to or 0) > framer:offset() then
+    contents.pending = contents.to - max(contents.from, framer:offset())
+    contents.missing = select(2, framer:open_frame())
+  end
+  return contents
+end
+
+--- Take the next packet of the capture.
+-- packet  {
+--   key          frame key; a key that comes again replaces what was stored
+--   number       of the packet; bus_name = or nil
+--   time         seconds since the first packet; epoch = since 1970, or nil
+--   bytes        string: those that were captured
+--   truncated    whether the packet had more
+--   is_datagram  whether it is complete in itself
+--   stream       key of the stream
+--   seq          of TCP, if it is known: sequence number of the first byte
+--   length       number of bytes that it had }
+-- is_stored  whether Streams:find may ask for it
+-- returns  {
+--   events    as from serial.framer, and truncated = whether the capture cut the frame short;
+--             at = offset in the packet.  If not all its bytes are in this packet: bytes = string,
+--             and parts = keys of the packets they came in (none of skipped bytes)
+--   pending   number of bytes at the end that are in no event yet
+--   is_held   whether it is a segment that waits for a missing one: then all are pending
+--   missing   number of bytes to come of the frame that the pending ones begin, or nil
+--   leads_to  key of the packet that shows the pending bytes, nil until it has come }
+function Streams:take(packet, is_stored)
+  local stream = self.datagrams
+  if not packet.is_datagram then
+    stream = self.by_key[packet.stream] or new_stream(self.new_framer())
+    self.by_key[packet.stream] = stream
+  end
+  local contents = take(self, stream, packet)
+  stream.latest = packet
+  if is_stored then
+    self.contents[packet.key] = is_plain(contents.events, packet.bytes) and PLAIN or contents
+  end
+  return contents
+end
+
+--- Return the events of a packet that is complete in itself.
+-- bytes  string
+function Streams:read(bytes)
+  return take(self, self.datagrams, { bytes = bytes, is_datagram = true }).events
+end
+
+--- Return the contents of a packet that was taken before, nil if it was not.
+function Streams:find(packet)
+  local contents = self.contents[packet.key]
+  if contents ~= PLAIN then return contents end
+  return { events = self:read(packet.bytes), pending = 0 }
+end
+
+--- Whether the capture ends before the frame that a packet's pending bytes begin.
+function M.is_unfinished(contents, packet)
+  local stream = contents.stream
+  return contents.pending > 0 and not contents.leads_to and stream.latest.key == packet.key and
+    stream.framer:open_frame() ~= nil
+end
+
+--- Return the frames that the capture ends before.
+-- returns  list of { header = string, packet = the last one with bytes of it }
+function Streams:unfinished()
+  local list = {}
+  for _, stream in pairs(self.by_key) do
+    local header = stream.framer:open_frame()
+    if header then list[#list + 1] = { header = header, packet = stream.latest } end
+  end
+  return list
+end
+
+--- Return the gaps in TCP connections: segments that the capture does not have.
+-- returns  list of { time = seconds since 1970, frame = number of the packet behind the gap,
+--          bus = name or nil, count = 1 }
+function Streams:drops()
+  local list = {}
+  for gap in pairs(self.gaps) do list[#list + 1] = gap end
+  table.sort(list, function(a, b) return a.frame < b.frame end)
+  return list
+end
+
+return M

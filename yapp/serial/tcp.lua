@@ -1,0 +1,82 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The headers of TCP segments.  Wireshark's API.
+--
+-- Wireshark's TCP hands on bytes without their sequence numbers.  Which segments it keeps to itself
+-- or joins depends on its version and preferences.  So a watch stands in front of TCP, reads the
+-- header, and hands on the segment when TCP has shown it.  That costs a name in frame.protocols and
+-- about 1 µs a segment: so only in captures with YAPP on TCP.
+
+local band = require("yapp.base.bits").band
+
+local M = {}
+
+local TCP = 6 -- IP protocol
+local HEADER = 20
+local SYN, RST, ACK = 2, 4, 16 -- flags
+
+-- If the capture cut a segment of another protocol, its dissector may throw past Lua.  Each time
+-- Lua loses one of its 200 nested calls for good.  So after so many the watch ends.
+local MAX_THROWN = 24
+
+local protocols, tcp = DissectorTable.get("ip.proto"), Dissector.get("tcp")
+local is_watching, thrown, inside = false, 0, nil -- inside: number of the packet that TCP has
+local segment -- that TCP has, nil for none
+
+-- Reads a header; nil if it is not there or if an ICMP error only quotes it.
+local function read(tvb, pinfo)
+  if tvb:len() < HEADER or pinfo.in_error_pkt then return nil end
+  local seq, ack, size, flags = Struct.unpack(">I4I4BB", tvb:raw(4, 10))
+  local start, is_syn = band(size, 0xF0) / 4, band(flags, SYN) ~= 0
+  if start < HEADER or start > tvb:len() then return nil end
+  return {
+    start = start,
+    offset = tvb:offset() + start,
+    length = band(flags, RST) == 0 and tvb:reported_len() - start or 0,
+    seq = (seq + (is_syn and 1 or 0)) % 0x100000000,
+    ack = band(flags, ACK) ~= 0 and ack or nil,
+    is_syn = is_syn,
+    is_ours = false,
+  }
+end
+
+--- End the watch.
+function M.stop()
+  if is_watching then protocols:add(TCP, tcp) end
+  is_watching, inside, segment = false, nil, nil
+end
+
+--- Read the header of every segment from now on.
+-- proto    Proto for the watch
+-- hand_on  function(segment, tvb, pinfo, tree), called when TCP has shown a segment; see M.current
+function M.watch(proto, hand_on)
+  if is_watching or thrown >= MAX_THROWN then return end
+  is_watching = true
+  function proto.dissector(tvb, pinfo, tree)
+    if inside and inside ~= pinfo.number then
+      segment, thrown = nil, thrown + 1
+      if thrown >= MAX_THROWN then M.stop() end
+    end
+    local outer, current = segment, read(tvb, pinfo)
+    segment, inside = current, pinfo.number
+    local ok, length = pcall(tcp.call, tcp, tvb, pinfo, tree)
+    segment, inside = outer, outer and inside
+    if current then hand_on(current, tvb, pinfo, tree) end
+    return ok and length or tvb:len()
+  end
+  protocols:add(TCP, proto)
+end
+
+--- Return the segment that TCP has, nil for none.
+-- number   of the packet that is dissected
+-- returns  {
+--   start    offset of its bytes in TCP's; offset = in the packet
+--   length   number of bytes that it had
+--   seq      sequence number of the first one
+--   ack      sequence number that it acknowledges, or nil
+--   is_syn   whether it begins a connection
+--   is_ours  to be set if TCP hands it to YAPP }
+function M.current(number)
+  return inside == number and segment or nil -- else it was thrown past Lua
+end
+
+return M

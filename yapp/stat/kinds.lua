@@ -1,0 +1,161 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The kinds of event, one row each, and the event itself.  The lists of `events`, the keys of JSON,
+-- the rules of `check`, the errors of options, the help and the tests come from these rows.
+-- Pure Lua, 5.2 to 5.5.
+--
+-- A new kind is a row here and the code that makes its events.  A row with `change` needs no code.
+
+local M = {}
+
+-- name        in JSON and in rules
+-- text        for people: {key} is a value of the event; [...] is left out where a value is missing
+-- keys        in JSON, besides those of every event
+-- is_default  whether `check` alone judges it, as NAME=0
+-- counts_as   the kind whose rule counts it; without it NAME=N is a rule
+-- amount      the key whose values the rule adds up; without it a message counts once
+-- change      the key for what message.history says of the change of this name; true for no key
+-- scope       "capture": one verdict for the whole capture; "rare": one for each source that has
+--             such events; nil: one for each source that can have them
+-- about       what the message of such a source has in the catalogue; nil for any source with an ID
+-- needs_past  whether it takes a good message, and a reliable history
+-- needs_time  whether it takes packets with time stamps
+-- repeats     whether equal events of a source are one line for people
+M.LIST = {
+  {
+    name = "fault",
+    text = "{flag} {event}[ after {active} s]",
+    keys = "field flag event active",
+    is_default = true,
+    about = "alarms",
+    needs_past = true,
+  },
+  { name = "crc", text = "bad CRC", is_default = true },
+  { name = "incomplete", text = "{what}", keys = "what", is_default = true },
+  { name = "unfinished", text = "cut off by the end of the capture", counts_as = "incomplete" },
+  {
+    name = "missing",
+    text = "messages missing by Seq No: {count}",
+    keys = "count",
+    is_default = true,
+    amount = "count",
+    change = "count",
+    needs_past = true,
+  },
+  {
+    name = "reboot",
+    text = "controller rebooted[ (its clock went back by {length} s)]",
+    is_default = true,
+    change = "length",
+    about = "time",
+    needs_past = true,
+  },
+  {
+    name = "stale",
+    text = "controller clock did not advance",
+    is_default = true,
+    change = true,
+    about = "time",
+    needs_past = true,
+    needs_time = true,
+    repeats = true,
+  },
+  {
+    name = "jump",
+    text = "controller clock jumped ahead by {length} s",
+    keys = "length",
+    is_default = true,
+    change = "length",
+    about = "time",
+    needs_past = true,
+    needs_time = true,
+  },
+  {
+    name = "shared",
+    text = "two controllers appear to send this ID",
+    is_default = true,
+    change = true,
+    about = "time",
+    needs_past = true,
+  },
+  {
+    name = "silence",
+    text = "silent for {length} s",
+    keys = "length",
+    is_default = true,
+    about = "every",
+    needs_past = true,
+    needs_time = true,
+  },
+  {
+    name = "invalid",
+    text = "{field} {code} is not defined[ ({effect})]",
+    keys = "field value",
+    is_default = true,
+    about = "fields",
+    repeats = true,
+  },
+  {
+    name = "clock",
+    text = "the capture's own clock went back by {back} s",
+    keys = "length",
+    is_default = true,
+    scope = "capture",
+  },
+  {
+    name = "dropped",
+    text = "packets lost while capturing: {count}",
+    keys = "count",
+    is_default = true,
+    amount = "count",
+    scope = "capture",
+  },
+  { name = "absent", text = "no message of it came", is_default = true, scope = "capture" },
+  {
+    name = "unknown",
+    text = "{size} bytes, {count} times: {note}",
+    keys = "size count like",
+    is_default = true,
+    scope = "rare",
+  },
+  { name = "skipped", text = "{length} bytes of no frame", keys = "length", scope = "rare" },
+}
+
+--- The rows by name.
+M.BY_NAME = {}
+for _, row in ipairs(M.LIST) do M.BY_NAME[row.name] = row end
+
+--- The names of the rows that have a rule, in their order.
+M.RULES = {}
+for _, row in ipairs(M.LIST) do
+  if not row.counts_as then M.RULES[#M.RULES + 1] = row.name end
+end
+
+--- The values of an event that has none.
+M.NOTHING = {}
+
+--- Makes an event: what statistics list and count.
+-- kind    "message" for a good message, else the name of a row
+-- at      { time = seconds since the first packet, frame = number }, and of a message, too: seq,
+--         payload, raws = its raw values, nil where the catalogue does not decode it
+-- source  { key = of bus or stream and ID, bus_key, bus = its name or nil, name = that the user
+--         gave it or nil, id =, message = compiled or nil }: one table for all its events
+-- values  by the keys of its kind, and by those in its text; of a message see stat.intake
+function M.event(kind, at, source, values)
+  return {
+    kind = kind,
+    time = at.time,
+    frame = at.frame,
+    source = source,
+    values = values or M.NOTHING,
+    seq = at.seq,
+    payload = at.payload,
+    raws = at.raws,
+  }
+end
+
+--- Return the seconds between two times of a capture, to the nanosecond: 0.1 s is no more than 0.1.
+function M.span(from, to)
+  return math.floor((to - from) * 1e9 + 0.5) / 1e9
+end
+
+return M

@@ -1,0 +1,266 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- From the dissectors to the statistics: events in the order of the capture, each statistic those
+-- that its filter lets count; and exact times.  Pure Lua, 5.2 to 5.5.
+--
+-- A packet is dissected, and its events are offered.  Then the taps run: a filter's says that the
+-- packet matches, and the one that sees all packets says that it is there.  Nothing promises their
+-- order, so the events of a packet are handed on when the next packet comes.
+--
+-- A statistic has
+--   event(event, now, cause)  takes an event that counts: now = seconds of the capture without its
+--                             clock's steps back; cause = the event of the message that shows it
+--   finish(ending)            ends, see Queue:finish; returns the exit code, nil for 0, and a text
+--                             to say, nil for none
+--   follows_changes           whether it says what changed since the message before
+--   wants_messages_only       whether events that are derived from messages are of no use to it
+
+local derive = require("yapp.stat.derive")
+local kinds = require("yapp.stat.kinds")
+local output = require("yapp.stat.output")
+
+local M = {}
+
+local MAX_STEP = 0.001 -- seconds by which a capture's clock may go back: interfaces take turns
+
+local floor, span = math.floor, kinds.span
+
+local Queue = {}
+Queue.__index = Queue
+
+--- Make a queue for a run over the capture.
+-- settings  see stat.taps
+-- hint      a text for statistics without a filter, or nil
+function M.new(settings, hint)
+  local self = setmetatable({ settings = settings, hint = hint, entries = {} }, Queue)
+  self:reset()
+  return self
+end
+
+--- Forget what was offered and seen: all packets will come again.
+function Queue:reset()
+  self.offered, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
+  self.waiting = {}
+  self.last = nil -- time of the latest packet
+  self.packets = 0
+  self.stepped_back = 0 -- seconds that the capture's clock went back, in all
+  self:begins(0, 0, 0) -- packets may have no time
+  self.losses = {} -- events that may be taken back before the end
+  self.starts = {} -- events of messages that are not dissected: they count if others are
+  self.has_messages = false
+  self.is_direct = false
+  for _, entry in ipairs(self.entries) do
+    entry.matched = {}
+  end
+end
+
+--- Add a statistic.
+-- options  { filter = or nil, has_notes = whether its output has room for notes }
+-- returns  { matched = a set of the numbers of packets that its filter lets count: to be filled.
+--          Kept for all packets, as only the end shows that a message is not finished }
+function Queue:add(statistic, options)
+  local entry = {
+    statistic = statistic,
+    deriver = derive.new(self.settings, statistic),
+    has_filter = options.filter ~= nil,
+    has_notes = options.has_notes,
+    matched = {},
+  }
+  self.entries[#self.entries + 1] = entry
+  return entry
+end
+
+-- Whether the filter of a statistic lets an event count.
+local function counts(entry, event)
+  return not entry.has_filter or entry.matched[event.frame] == true
+end
+
+local function hand_on(self, event)
+  local now = event.time + self.stepped_back
+  if event.source.id then self.has_messages = true end
+  for _, entry in ipairs(self.entries) do
+    entry.deriver:take(event, now, counts(entry, event))
+  end
+end
+
+local function take(self, event)
+  if event.values.loss then
+    self.losses[#self.losses + 1] = event
+  elseif event.kind == "start" then
+    self.starts[#self.starts + 1] = event
+  else
+    hand_on(self, event)
+  end
+end
+
+local function flush(self)
+  local waiting = self.waiting
+  if not waiting[1] then return end
+  self.waiting = {}
+  for i = 1, #waiting do
+    take(self, waiting[i])
+  end
+end
+
+--- Take an event of the packet that is dissected.
+-- visited  of the packet: tshark -2 dissects all packets before the first tap runs
+function Queue:offer(event, visited)
+  if self.is_direct then
+    flush(self)
+    return take(self, event)
+  end
+  if event.frame ~= self.number or visited ~= self.visited then
+    self.number, self.visited, self.offered = event.frame, visited, {}
+  end
+  self.offered[#self.offered + 1] = event
+end
+
+--- Say when the first packet was captured.
+-- seconds, nanoseconds  integers
+-- rel                   the packet's time since the first one: not 0 where a filter rejected that
+function Queue:begins(seconds, nanoseconds, rel)
+  self.first = { seconds = seconds, nanoseconds = nanoseconds, rel = rel }
+end
+
+--- Return a time of the capture as seconds since 1970 and nanoseconds; exact for captures of up to
+-- 48 days, as a double has 2^22 s to half a nanosecond.
+-- rel  seconds since the first packet
+function Queue:clock(rel)
+  local first = self.first
+  local since = rel - first.rel
+  local nanoseconds = first.nanoseconds + floor(since % 1 * 1e9 + 0.5)
+  local seconds = first.seconds + floor(since) + floor(nanoseconds / 1e9)
+  return seconds, nanoseconds % 1e9
+end
+
+--- Let events no longer wait for the taps of their packets, where none is needed: a tenth of csv's
+-- time.  Call it from a tap, once all packets that come have their taps, in order.
+-- returns  whether it is so
+function Queue:go_direct()
+  for _, entry in ipairs(self.entries) do
+    if entry.has_filter or not entry.statistic.wants_messages_only then
+      return false
+    end
+  end
+  self.is_direct = true
+  return true
+end
+
+local function step_back(self, number, rel, step)
+  self.stepped_back = self.stepped_back - step
+  local values = { length = output.seconds(step), back = output.seconds(-step) }
+  local event = kinds.event("clock", { time = rel, frame = number }, {}, values)
+  for _, entry in ipairs(self.entries) do
+    entry.deriver:add(event)
+  end
+end
+
+--- Say that a packet of any kind has been dissected.
+-- number, rel  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a
+--              packet that the first pass rejected is another's in the second, with another time
+function Queue:packet(number, rel)
+  flush(self)
+  local last = self.last
+  self.last, self.packets = rel, self.packets + 1
+  if last and rel < last then
+    local step = span(last, rel)
+    if step < -MAX_STEP then step_back(self, number, rel, step) end
+  end
+  if number == self.number and self.offered[#self.offered].time == rel then
+    self.waiting, self.number = self.offered, nil
+  end
+end
+
+-- The end -----------------------------------------------------------------------------------------
+
+-- Losses that were not taken back; each message once, at the first frame that shows it.
+local function hand_on_losses(self)
+  local seen = {}
+  for _, event in ipairs(self.losses) do
+    local lost = event.values.lost
+    if not (event.values.loss.void or seen[lost or false]) then
+      if lost then seen[lost] = true end
+      hand_on(self, event)
+    end
+  end
+end
+
+-- Why nothing can be said of a capture; nil where a message came.
+local function nothing_found(self, extended)
+  if self.has_messages then return nil end
+  if extended > 0 then
+    local text = "no YAPP message found; %s not dissected: see yapp.motor_ids, yapp.all_extended"
+    local frames = output.count(extended, "extended CAN frame")
+    return text:format(frames .. (extended == 1 and " was" or " were"))
+  end
+  local packets = output.count(self.packets, "packet")
+  return ("no YAPP message found in %s: see yapp.search_all, yapp.user_dlt"):format(packets)
+end
+
+-- What the answer of a statistic leaves out; and whether it is undecided for that.
+local function notes_of(self, entry, nothing)
+  local deriver, notes = entry.deriver, { nothing }
+  if entry.has_filter and not (nothing or next(deriver.came)) then
+    notes[1] = "no message matches the filter"
+  end
+  local doubts = entry.statistic.follows_changes and deriver.doubts or {}
+  for _, texts in ipairs { deriver.undecoded:texts(), doubts } do
+    for _, text in ipairs(texts) do notes[#notes + 1] = text end
+  end
+  if not entry.has_filter then notes[#notes + 1] = self.hint end
+  return notes, doubts[1] ~= nil
+end
+
+-- Ends a statistic.
+-- returns  what its answer leaves out, whether it is undecided for that; its exit code and text
+local function finish_entry(self, entry, capture, nothing)
+  local deriver = entry.deriver
+  for _, event in ipairs(self.starts) do
+    if counts(entry, event) then deriver:start(event, nothing == nil) end
+  end
+  local ending = {
+    rel = self.last, -- of the last packet of any kind, nil where there was none
+    now = self.last and self.last + self.stepped_back,
+    reason = nothing, -- why there is nothing to say, nil for no reason
+    lacks_times = capture.lacks_times,
+    drops = capture.drops,
+    first = self.first,
+    notes = nil,
+  }
+  deriver:finish(ending)
+  local notes, is_undecided = notes_of(self, entry, nothing)
+  ending.notes = notes
+  return notes, is_undecided, entry.statistic:finish(ending)
+end
+
+--- End: all packets have come.
+-- capture  { unfinished = events of the messages that it ends before, drops = of host.buses,
+--          lacks_times = whether packets have no time stamps, extended = number of extended CAN
+--          frames, where no message was found }
+-- returns  the exit code, and a list of texts to say
+function Queue:finish(capture)
+  flush(self)
+  hand_on_losses(self)
+  for _, event in ipairs(capture.unfinished) do
+    hand_on(self, event)
+  end
+  local code, texts, said = output.EXIT_OK, {}, {}
+  local function say(text)
+    if text and not said[text] then
+      said[text], texts[#texts + 1] = true, text
+    end
+  end
+  local function worsen(other)
+    if other and (code == output.EXIT_OK or other < code) then code = other end
+  end
+  local nothing = nothing_found(self, capture.extended)
+  for _, entry in ipairs(self.entries) do
+    local notes, is_undecided, this, text = finish_entry(self, entry, capture, nothing)
+    worsen(this)
+    if is_undecided then worsen(output.EXIT_UNDECIDED) end
+    say(text)
+    for _, note in ipairs((is_undecided or not entry.has_notes) and notes or {}) do say(note) end
+  end
+  return code, texts
+end
+
+return M
