@@ -7,7 +7,7 @@ import re
 TOP = pathlib.Path(__file__).resolve().parent.parent
 
 # An arrow leads down this list, or stays in a folder.  Folders of one row know nothing of each other.
-ORDER = [["yapp.lua"], ["can", "serial"], ["stat"], ["show"], ["host"], ["file"], ["memory"], ["message"], ["wire"], ["base"]]
+ORDER = [["yapp.lua"], ["can", "serial"], ["stat"], ["show"], ["host"], ["file"], ["message"], ["wire"], ["base"]]
 REQUIRE = re.compile(r'\brequire\b\s*\(?\s*"([\w.]+)"')
 
 
@@ -16,7 +16,7 @@ def files(top=TOP):
 
 
 def folder(path, top=TOP):
-    """Of a module's file: "can" of yapp/can/memory.lua; "yapp.lua" of the way in."""
+    """Of a module's file: "can" of yapp/can/store.lua; "yapp.lua" of the way in."""
     return "yapp.lua" if path == top / "yapp.lua" else path.parent.relative_to(top / "yapp").as_posix()
 
 

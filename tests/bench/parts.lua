@@ -11,11 +11,11 @@ local can_id = require "yapp.wire.can_id"
 local catalogue_compiler = require "yapp.message.catalogue"
 local history = require "yapp.message.history"
 local info = require "yapp.message.info"
-local memory = require "yapp.can.memory"
 local message_reader = require "yapp.message.reader"
+local reassembly = require "yapp.can.reassembly"
 
 local catalogue = catalogue_compiler.compile(dofile(top .. "taurus_fields.lua"))
-local NO_HISTORY = { change = function() end }
+local NO_HISTORY = { note = function() end }
 local FILE_HEADER, RECORD, DATA = 24, 32, 24 -- bytes: of a pcap, of a CAN frame, before its data
 
 -- Calls see(number, data, 29-bit id) for each frame.
@@ -32,38 +32,35 @@ local function each_frame(path, see)
   file:close()
 end
 
-local function new_memory()
-  return memory.new {
-    source_of = function(id) return catalogue.by_id[id] or {} end,
-    claim = function() end,
-    new_history = function()
-      return history.new { late = 2.5, catalogue = catalogue, has_times = function() return true end }
-    end,
-  }
+-- A finished message, as can.dissector gives it to the reader.
+local function finished(frame, payload)
+  local fields = frame.can_id
+  return { id = fields.id, seq = fields.seq, ctl = fields.ctl, source = fields.id,
+    number = frame.key, frame = frame.key, time = frame.key / 5000, payload = payload, size = #payload,
+    is_whole = true, status = "good", good = true, is_unsure = false, wants = {} }
 end
 
--- A finished message, as can.carrier gives it to the reader.
-local function finished(frame, payload)
-  local address = frame.address
-  return { id = address.id, seq = address.seq, ctl = address.ctl, source = address.id,
-    frame = frame.number, time = frame.number / 5000, payload = payload, size = #payload,
-    is_whole = true, status = "good", good = true, wants = {} }
+local function new_history()
+  return history.new { late = 2.5, catalogue = catalogue, has_times = function() return true end }
 end
 
 -- How many good messages a capture has, by the steps up to one.
 local function run(path, step)
-  local known, reader = new_memory(), message_reader.new(catalogue, { wanted = false })
-  local frame, count = { place = 0, is_again = false, knows_bus = true, bus = false, is_wide = false }, 0
+  local known, reader = reassembly.new(), message_reader.new(catalogue, { wanted = false })
+  local of_capture = step == "values" and NO_HISTORY or new_history()
+  local frame, count = { bus = false, accepts_all = false }, 0
   each_frame(path, function(number, data, id)
     if step == "file" then return end
-    frame.address, frame.number = can_id.address[id], number
+    local fields = can_id.fields[id]
+    frame.can_id, frame.key, frame.slot = fields, number, fields.message_key
+    frame.source = catalogue.by_id[fields.id] or {}
     frame.data, frame.reported = data, #data
-    local message = known:look(frame)
-    if not message or message.last ~= frame.look then return end
+    local kind, message = known:take(frame)
+    if kind ~= "last" then return end
     if message.status == "good" then count = count + 1 end
     local m = finished(frame, message.payload)
     if step == "reassembly" then return end
-    reader:read(m, step == "values" and NO_HISTORY or known, frame)
+    reader:read(m, of_capture)
     if step == "info" then info.text(m.message, m.raws, m.payload, m.message.title, m.look) end
   end)
   return count
