@@ -449,7 +449,9 @@ class Flight:
                 message.cut = len(message.frames) < sent
 
     def bus_name(self, bus, form):
-        return None if form == "sll2" else self.names[bus]
+        if form != "sll2":
+            return self.names[bus]
+        return f"if0#{bus + 1}" if len({frame.bus for frame in self.frames}) > 1 else None
 
     def name(self, sender, form):
         """What the user called a source; where the capture names no bus, only what was said of every bus holds."""
