@@ -34,7 +34,7 @@ pcall(collectgarbage, "setstepmul", 1000)
 package.path = here .. "?.lua;" .. package.path
 
 local bus_finder = require "yapp.host.buses"
-local can_carrier = require "yapp.can.carrier"
+local can_dissector = require "yapp.can.dissector"
 local catalogue_files = require "yapp.message.catalogue_files"
 local compiler = require "yapp.message.catalogue"
 local decode = require "yapp.message.decode"
@@ -96,7 +96,7 @@ local tree = tree_builder.new {
 local by_can_id, is_registered = DissectorTable.get("can.extended_id"), {}
 
 -- Every CAN CTRL and Seq No of a message ID, with YAPP CTL 0.
-local function claim_id(id)
+local function register_id(id)
   if is_registered[id] then return end
   is_registered[id] = true
   for ctrl = 0, 3 do
@@ -105,8 +105,17 @@ local function claim_id(id)
   end
 end
 
-local frames = can_carrier.new(tree, reader, buses, claim_id)
+local frames = can_dissector.new(tree, reader, buses, register_id)
 local streams = serial_dissector.new(tree, reader, buses, tcp_header)
+
+-- What the capture does not have: packets that it says were dropped, and segments of TCP.
+local function drops()
+  local list = {}
+  for _, source in ipairs { buses, streams } do
+    for _, drop in ipairs(source:drops()) do list[#list + 1] = drop end
+  end
+  return list
+end
 
 -- What the statistics need of the preferences; see read_preferences.
 local settings = { version = VERSION, catalogue = catalogue }
@@ -171,11 +180,9 @@ end
 function taurus.dissector() return 0 end
 
 -- A conversation is YAPP's from its first packet on that holds a good frame, or nothing but
--- messages of the catalogue, which may be damaged.
+-- messages of the catalogue, whose CRC may be bad.
 local function found_by_content(tvb, pinfo, root)
-  if pinfo.in_error_pkt then return false end
-  local raw = tvb:len() > 0 and tvb:raw() or ""
-  if not raw:find("YP", 1, true) or not streams:is_yapp(raw) then return false end
+  if not streams:accepts(tvb, pinfo, root) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true
@@ -187,7 +194,8 @@ end
 local is_searching = false
 
 local function search_streams()
-  if buses:has_frames() then streams:watch_tcp() end
+  local head = buses:head()
+  if head and streams:is_yapp(head, #head) then streams:watch_tcp() end
   if is_searching or not (yapp.prefs.search_all or buses:may_have_frames()) then return end
   is_searching = true
   serial:register_heuristic("tcp", found_by_content)
@@ -212,6 +220,7 @@ local stat = stat_taps.new {
   tree = tree,
   buses = buses,
   unfinished = unfinished,
+  drops = drops,
   watch = watch_unclaimed,
 }
 
@@ -246,9 +255,9 @@ local function read_preferences()
   end
   preferences.check_messages_file(prefs.messages, chosen_file)
   reader:use(by_id, sources)
-  for id in pairs(by_id) do claim_id(id) end
+  for id in pairs(by_id) do register_id(id) end
   for _, row in ipairs(sources:list()) do
-    if row.message then claim_id(row.id) end
+    if row.message then register_id(row.id) end
   end
   takes_all = prefs.all_extended
   if takes_all then take_all() end
@@ -270,7 +279,7 @@ function yapp.init()
   reader:reset()
   intake:reset()
   tree:reset()
-  frames:reset(new_history)
+  frames:reset(new_history())
   streams:reset(new_history)
   search_streams()
 end

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 # Judges a capture in a CI job: yapp-gate.sh [--rules R] [--sources S] [--messages FILE] [--junit FILE] CAPTURE
 #
-#   --rules     as after -z yapp,check, such as fault=0,motor.rate=9; without them the whole set
+#   --rules     as after -z yapp,check, such as fault=0,motor.rate=9, or a file of rules; without them everything is checked
 #   --sources   the preference yapp.sources: "can0/0x210=motor:left,can1/0x210=motor:right"
 #   --messages  a file of your own messages
 #   --junit     where a test report is to be written
@@ -54,6 +54,10 @@ cp -r "$TOP/yapp.lua" "$TOP/taurus_fields.lua" "$work/plugin/"
 [ ! -d "$TOP/yapp" ] || cp -r "$TOP/yapp" "$work/plugin/"
 cp "$capture" "$work/capture/"
 [ -z "$messages" ] || cp "$messages" "$work/messages.lua"
+if [ -f "$rules" ]; then
+  cp "$rules" "$work/rules.txt"
+  rules=rules=rules.txt
+fi
 user=()
 if [ "$(id -u)" = 0 ]; then
   chown -R 65534:65534 "$work"

@@ -90,7 +90,7 @@ def without_forward_links(text):
         if link and link[1] != number:
             block = block.replace(link[0], "").replace(f"  [Reassembled in #{link[1]}]", "")
         if "\n    " in block:
-            kept.append(re.sub(r"(  part \d+) of \d+", r"\1", block))
+            kept.append(re.sub(r"(  fragment \d+) of \d+", r"\1", block))
     return "".join(kept)
 
 

@@ -35,7 +35,7 @@ function floor.dissector(tvb, pinfo, tree)
     bytes, length = bytes + tvb:offset() + tvb:len(), tvb:reported_len()
     columns.src = "0x210"
   end
-  columns.info = "Motor Data  part 2 of 5"
+  columns.info = "Motor Data  fragment 2 of 5"
   if id >= END then
     if level == "tree" then
       add_items(tree, tvb, number, #fields)

@@ -7,13 +7,16 @@
     can_generator.PREFERENCES           the message IDs that the captures use
 
 The truth is a strict state machine for each bus, written from the protocol's document and the rules of this project,
-not from the plugin: `Bus` below.  A capture consists of situations, each with message IDs of its own, one after the
-other or mixed.
+not from the plugin: tests/unit/can_oracle.lua.  A capture consists of situations, each with message IDs of its own, one
+after the other or mixed.
 """
 import dataclasses
 import itertools
+import pathlib
 import random
+import shutil
 import struct
+import subprocess
 
 from crc32k import crc32k
 
@@ -118,191 +121,68 @@ class Verdict:
     blurred: bool = False  # where the bus is not told: a message that broke may still be waiting under this key
 
 
-@dataclasses.dataclass
-class Open:
-    """A message whose Start has come."""
-    size: int
-    crc: int
-    reserved: int
-    members: list
-    chunks: list = dataclasses.field(default_factory=list)  # the frames behind the Start
-    received: int = 0
-    repeated: int = 0  # bytes of Middles that are the frame before them once more
-    snapped: bool = False
-    overrun: bool = False
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+LUA = next((lua for lua in ("lua5.4", "lua5.2") if shutil.which(lua)), None)
+KNOWN = {msg: SIZES[kind] for kind, default in DEFAULT_ID.items()
+         for msg in (default, *range(FIRST_ID[kind], FIRST_ID[kind] + SLOTS))}
 
 
-class Bus:
-    """One bus: says what each frame is, strictly by the rules."""
+def line_of(frame, accepts_all):
+    """A frame for the oracle."""
+    can_id = frame.can_id if frame.kind == "extended" and frame.data else "-"
+    return f"{frame.bus} {can_id} {int(accepts_all)} {len(frame.data)} x{frame.kept.hex()}\n"
 
-    def __init__(self, wide, claimed=None):
-        self.wide, self.open, self.verdicts = wide, {}, {}
-        self.claimed = set() if claimed is None else claimed  # unknown IDs that had a Start without a Seq, on any bus
-        self.cuts = {}  # key: Starts to come until a broken message, which may be another bus's, is forgotten
 
-    def frame(self, number, frame):
-        verdict = self.verdicts[number] = Verdict()
-        if frame.kind != "extended" or not frame.data:
-            return verdict
-        msg, ctrl, ctl, seq = frame.can_id >> 18, frame.can_id >> 14 & 15, frame.can_id >> 8 & 63, frame.can_id & 255
-        key, kind = (msg, ctl, seq), kind_of(msg)
-        verdict.blurred = self.cuts.get(key, 0) > 0
-        if not self.wide and not self.claims(key, ctrl, kind, frame):
-            return verdict
-        verdict.ours, verdict.ctrl = True, ctrl
-        if len(frame.kept) < len(frame.data):
-            verdict.experts.add("truncated")
-        if ctrl == SINGLE:
-            self.single(verdict, kind, frame)
-        elif ctrl == START:
-            self.start(verdict, number, key, kind, frame)
-        elif ctrl in (MIDDLE, END):
-            self.part(verdict, number, key, kind, ctrl == END, frame)
-        else:
-            verdict.experts.add("can.ctrl.invalid")
+def verdicts(frames, accepts_all):
+    """What each frame is, by its number, as the oracle says; buses are told apart."""
+    known = " ".join(f"{msg}={size}" for msg, size in KNOWN.items())
+    asked = known + "\n" + "".join(line_of(frame, accepts_all) for frame in frames)
+    said = subprocess.run([LUA, ROOT / "tests/unit/can_verdicts.lua", ROOT], input=asked, capture_output=True, text=True,
+                          check=True).stdout.splitlines()
+    assert len(said) == len(frames)
+    return {number: verdict_of(number, frames, line.split("\t")) for number, line in enumerate(said, 1)}
+
+
+def verdict_of(number, frames, said):
+    what, anomalies, in_number, members, padding, may_mix = said
+    frame = frames[number - 1]
+    ctrl, kind = frame.can_id >> 14 & 15, kind_of(frame.can_id >> 18)
+    verdict = Verdict(blurred=may_mix == "1")
+    if what == "-":
         return verdict
-
-    def claims(self, key, ctrl, kind, frame):
-        """By default: what is surely YAPP."""
-        if key[1] != 0 or ctrl > END:
-            return False
-        if ctrl == SINGLE:
-            return kind is not None and fits(frame, SIZES[kind]) is not None
-        if ctrl != START:
-            return kind is not None or key in self.open
-        if len(frame.data) != 8:
-            return False
-        if len(frame.kept) < 8:
-            return kind is not None
-        _, size, reserved = struct.unpack("<IHH", frame.data)
-        if kind is None and key[2] and key[0] not in self.claimed:
-            return False
-        return reserved == 0 and size > 8  # of a known ID whatever its size: a firmware that grew a field shows
-
-    @staticmethod
-    def single(verdict, kind, frame):
-        verdict.payload = frame.data
-        if kind is None:
-            verdict.experts.add("id.unknown")
-            return
-        verdict.padding = fits(frame, SIZES[kind])
-        if verdict.padding is None:
-            verdict.experts.add("size.mismatch")
-            verdict.padding = 0
-        else:
-            verdict.payload = frame.data[:SIZES[kind]]
-
-    def start(self, verdict, number, key, kind, frame):
-        if kind is None:
-            self.claimed.add(key[0])
-        self.cuts[key] = max(0, self.cuts.get(key, 0) - 1)
-        before = self.open.pop(key, None)
-        if before:
-            if not before.overrun:
-                verdict.experts.add("fragment.incomplete")
-            self.cuts[key] = 4
-            verdict.blurred = True
-        if len(frame.data) < 8:
-            verdict.experts.add("fragment.incomplete")
-            return
-        if len(frame.data) > 8:
-            verdict.experts.add("size.mismatch")
-        if len(frame.kept) < 8:
-            return
-        crc, size, reserved = struct.unpack("<IHH", frame.data[:8])
-        if reserved:
-            verdict.experts.add("reserved.nonzero")
-        if size == 0 or kind and size != SIZES[kind]:
-            verdict.experts.add("size.mismatch")
-        if size:
-            self.open[key] = Open(size, crc, reserved, [number])
-
-    def part(self, verdict, number, key, kind, is_end, frame):
-        message = self.open.get(key)
-        if not message:
-            verdict.experts.add("fragment.orphan")
-            return
-        # Of bytes that the capture does not have nobody can say that they are the same.
-        known = not message.overrun and not message.snapped
-        if known and message.chunks and message.chunks[-1].data == frame.kept:
-            message.repeated += len(frame.data)
-        message.members.append(number)
-        message.chunks.append(frame)
-        message.received += len(frame.data)
-        message.snapped = message.snapped or len(frame.kept) < len(frame.data)
-        if is_end:
-            del self.open[key]
-            self.end(verdict, number, key, kind, message)
-        elif message.overrun or message.received > message.size + min(message.repeated, 8 * len(frame.data)):
-            message.overrun = True
-            verdict.experts.add("fragment.overrun")
-
-    def end(self, verdict, number, key, kind, message):
-        """A message has one End: the bytes are right, or without frames that came twice, or the message is broken."""
-        before = message.received - len(message.chunks[-1].data)
-        padding = fits(message.chunks[-1], message.size - before)
-        if padding is None and not message.snapped and not message.overrun:
-            padding = self.without_repeated(key, message)
-        if padding is not None and not message.overrun:
-            verdict.padding = padding
-            return self.whole(verdict, number, key, kind, message)
-        self.cuts[key] = 4
-        verdict.experts.add("fragment.incomplete" if message.received < message.size else "fragment.overrun")
-
-    @staticmethod
-    def without_repeated(key, message):
-        """CAN may deliver a frame twice: leaves out those without which the CRC is right; returns the padding then."""
-        chunks = message.chunks
-        runs = runs_of([chunk.data for chunk in chunks[:-1]])
-        for count in range(1, sum(len(run) - 1 for run in runs) + 1):
-            for shares in shares_of([len(run) - 1 for run in runs], count):
-                # Which frames of a run go makes no difference to its bytes: the first stays.
-                out = {at for run, share in zip(runs, shares) for at in run[1:share + 1]}
-                needed = message.size - message.received + sum(len(chunks[at].data) for at in out) + len(chunks[-1].data)
-                padding = fits(chunks[-1], needed)
-                if padding is None:
-                    continue
-                kept = [chunk for at, chunk in enumerate(chunks) if at not in out]
-                data = b"".join(chunk.data for chunk in kept)[:message.size]
-                if message_crc(key[0], key[1], key[2], data, message.reserved) == message.crc:
-                    message.members = [message.members[0], *(member for at, member in enumerate(message.members[1:])
-                                                             if at not in out)]
-                    message.chunks = kept
-                    return padding
-        return None
-
-    def whole(self, verdict, number, key, kind, message):
-        msg, ctl, seq = key
-        data = b"".join(chunk.data for chunk in message.chunks)[:message.size]
-        good = message_crc(msg, ctl, seq, data, message.reserved) == message.crc
-        verdict.status = 2 if message.snapped else 1 if good else 0
-        verdict.payload, verdict.members = data, message.members
-        if verdict.status == 0:
+    verdict.ours, verdict.ctrl = True, ctrl
+    verdict.experts = set() if anomalies == "-" else set(anomalies.split(","))
+    if len(frame.kept) < len(frame.data):
+        verdict.experts.add("truncated")
+    verdict.padding = 0 if padding == "-" else int(float(padding))
+    if what == "single":
+        fits = padding != "-"
+        verdict.payload = frame.data[:SIZES[kind]] if fits else frame.data
+        size_is_wrong = not fits
+    elif members == "-":
+        return verdict
+    else:
+        verdict.members = [int(float(member)) for member in members.split(",")]
+        sent = [frames[member - 1] for member in verdict.members]
+        size = struct.unpack("<H", sent[0].data[4:6])[0]
+        verdict.payload = b"".join(one.data for one in sent[1:])[:size]
+        verdict.status = {"bad": 0, "good": 1, "unverified": 2}[what]
+        if what == "bad":
             verdict.experts.add("crc.bad")
-            self.cuts[key] = 4
-        if kind is None:
-            verdict.experts.add("id.unknown")
-        elif message.size != SIZES[kind]:
-            verdict.experts.add("size.mismatch")
-        for member in message.members:
-            self.verdicts[member].reassembled_in = number
+        size_is_wrong = size != SIZES.get(kind)
+    if kind is None:
+        verdict.experts.add("id.unknown")
+    elif size_is_wrong:
+        verdict.experts.add("size.mismatch")
+    return verdict
 
 
-def runs_of(items):
-    """The indices of neighbours that are the same, two or more: a list for each run."""
-    runs = [list(run) for _, run in itertools.groupby(range(len(items)), key=items.__getitem__)]
-    return [run for run in runs if len(run) > 1]
-
-
-def shares_of(limits, count):
-    """The ways to make up a number of one share for each limit, none above it; the largest first shares first."""
-    if not limits:
-        if count == 0:
-            yield ()
-        return
-    for first in range(min(limits[0], count), max(0, count - sum(limits[1:])) - 1, -1):
-        for rest in shares_of(limits[1:], count - first):
-            yield (first, *rest)
+def with_links(found):
+    """Adds to each frame of a message which frame shows it."""
+    for number, verdict in found.items():
+        for member in verdict.members:
+            found[member].reassembled_in = number
+    return found
 
 
 def fits(frame, needed):
@@ -565,10 +445,7 @@ class Capture:
 
     def __init__(self, frames, layout, wide):
         self.frames, self.layout, self.wide = frames, layout, wide
-        buses, claimed = {}, set()
-        for number, frame in enumerate(frames, 1):
-            buses.setdefault(frame.bus, Bus(wide, claimed)).frame(number, frame)
-        self.verdicts = {number: verdict for bus in buses.values() for number, verdict in bus.verdicts.items()}
+        self.verdicts = with_links(verdicts(frames, wide))
         self.numbers_of, self.status_of = {}, {}
         for number, frame in enumerate(frames, 1):
             if frame.kind == "extended" and frame.can_id >> 14 & 15 in (START, MIDDLE, END):

@@ -6,8 +6,7 @@
     flight.arguments(form)        the preferences that go with it
     flights.make(seed, True)      one in which nothing went wrong
     flights.shared(seed)          one in which several controllers share sources: two on one bus, or the buses were merged
-    flight.truth(form)            {"events": [...], "faults": [...], "summary": [...]}, as docs name the JSON lines; "added":
-                                  events of the kinds of 2.2, missing and jump
+    flight.truth(form)            {"events": [...], "faults": [...], "summary": [...]}, as docs name the JSON lines
     flight.rows(form)             the good messages of known IDs: what CSV has
 
 The truth is worked out from what was sent and what was planted, by the rules of the public names: nothing in it was ever
@@ -15,6 +14,7 @@ read from a capture.  What could be read in two ways is not planted: between two
 """
 import collections
 import dataclasses
+import operator
 import random
 import struct
 
@@ -27,6 +27,7 @@ LATE = 2.5
 MAX_BEHIND = 8  # a Seq so far behind is of a message that came late
 FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
 KIND = {name: ident for ident, (name, _, _) in model.MESSAGES.items()}
+OPERATORS = {"*": operator.mul, "-": operator.sub, "+": operator.add}
 FORMS = ["pcapng", "sll2", "candump"]
 LATE_PCAPNG = "late pcapng"  # the interfaces but the first one behind what the plugin looks at when it opens a file
 
@@ -158,7 +159,7 @@ class Truth:
 
     def __init__(self, flight, form):
         self.flight, self.form = flight, form
-        self.events, self.faults, self.summary, self.added = [], [], [], []
+        self.events, self.faults, self.summary = [], [], []
         for sender in flight.senders:
             if any(message.frames for message in sender.messages):
                 self.source(sender)
@@ -182,7 +183,7 @@ class Truth:
 
     def absent(self):
         """Sources that were named with a message and have no frame in the capture."""
-        for bus, ident, kind, name in self.flight.named():
+        for bus, ident, kind, name in self.flight.named(self.form):
             if kind and not any(sender.ident == ident and self.flight.name(sender, self.form) == name and
                                 bus in (None, self.flight.bus_name(sender.bus, self.form)) and
                                 any(message.frames for message in sender.messages) for sender in self.flight.senders):
@@ -207,6 +208,9 @@ class Truth:
             else:
                 lost += 1
                 self.lost(sender, message, sender.messages[index + 1:])
+        if good and sender.kind == "unknown":
+            size = len(good[0].payload)
+            self.event("unknown", sender, good[0].frames[-1], size=size, count=len(good), like=None)
         if good:
             for flag, since in state["set"].items():
                 last = good[-1].frames[-1]
@@ -231,7 +235,7 @@ class Truth:
             is_reboot = self.clock(sender, message, state, counts)
         missing = missing_before(message, state, is_reboot)
         if missing:
-            self.added.append({"kind": "missing", "time": last.at, "frame": last.number, **self.who(sender), "count": missing})
+            self.event("missing", sender, last, count=missing)
         if sender.kind == "motor":
             self.flags(sender, message, state)
 
@@ -241,7 +245,7 @@ class Truth:
         before, jump = state["clock"], jump_of(clock, last.at, state)
         state["clock"], state["at"] = clock, last.at
         if jump:
-            self.added.append({"kind": "jump", "time": last.at, "frame": last.number, **self.who(sender), "length": jump})
+            self.event("jump", sender, last, length=jump)
         if before is None or clock > before:
             return False
         kind = "reboot" if clock < before else "stale"
@@ -345,6 +349,9 @@ def numbers(sender, payload):
             found[field] = None if special else model.value(count, size, kind[0], kind[1])
         elif field == "board_revision":
             found[field] = count
+    for name in model.MESSAGES[KIND[sender.kind]].derived:
+        field, sign, other = model.MESSAGES[KIND[sender.kind]].generated[name]
+        found[name] = None if None in (found[field], found[other]) else OPERATORS[sign](found[field], found[other])
     return found
 
 
@@ -420,10 +427,10 @@ class Flight:
             self.anywhere[0x217] = ("motor:", "nowhere")
             self.by_bus[0, 0x207] = ("health:", "not here")
 
-    def named(self):
+    def named(self, form):
         """What the user said: (bus or None, ID, "motor:" or so, name)."""
         return [(None, ident, *row) for ident, row in self.anywhere.items()] + \
-            [(self.names[bus], ident, *row) for (bus, ident), row in self.by_bus.items()]
+            [(self.named_bus(bus, form), ident, *row) for (bus, ident), row in self.by_bus.items()]
 
     def collect(self):
         """All frames in the order of time, others' among them; cut at the end in the middle of a message, maybe."""
@@ -449,20 +456,25 @@ class Flight:
                 message.cut = len(message.frames) < sent
 
     def bus_name(self, bus, form):
-        if form != "sll2":
-            return self.names[bus]
-        return f"if0#{bus + 1}" if len({frame.bus for frame in self.frames}) > 1 else None
+        """The name of a bus: its interface's; one that stands for several has an index behind it.  The only one has none."""
+        if form == "sll2":
+            return f"if0#{bus + 1}" if len(self.names) > 1 else None
+        return self.names[bus]
+
+    def named_bus(self, bus, form):
+        """The bus that a preference names: one that never comes where the capture names none."""
+        return self.bus_name(bus, form) or self.names[bus]
 
     def name(self, sender, form):
-        """What the user called a source; where the capture names no bus, only what was said of every bus holds."""
+        """What the user called a source."""
         row = self.anywhere.get(sender.ident)
-        if form != "sll2":
+        if self.bus_name(sender.bus, form):
             row = self.by_bus.get((sender.bus, sender.ident), row)
         return row and row[1]
 
     def arguments(self, form):
         parts = [f"{ident:#x}={kind}{name}" for ident, (kind, name) in self.anywhere.items()]
-        parts += [f"{self.names[bus]}/{ident:#x}={kind}{name}" for (bus, ident), (kind, name) in self.by_bus.items()]
+        parts += [f"{self.named_bus(bus, form)}/{ident:#x}={kind}{name}" for (bus, ident), (kind, name) in self.by_bus.items()]
         ids = {kind: ",".join(sorted({f"{sender.ident:#x}" for sender in self.senders if sender.kind == kind}))
                for kind in ("motor", "health")}
         reader = ["-X", "read_format:yapp_candump"] if form == "candump" else []
@@ -471,7 +483,7 @@ class Flight:
 
     def truth(self, form):
         truth = Truth(self, form)
-        return {"events": truth.events, "faults": truth.faults, "summary": truth.summary, "added": truth.added}
+        return {"events": truth.events, "faults": truth.faults, "summary": truth.summary}
 
     def rows(self, form):
         """Of each known message the good ones in the order of the capture: (frame, bus, source, message)."""

@@ -5,6 +5,7 @@ The captures are what candump 2020.11 (2023.03 for *_raw_dlc) and log2long print
 hand: *_nanoseconds, *_broken_lines, *_low_ids, and the two candump_document files, which are lines of the protocol's document.
 """
 import os
+import re
 import subprocess
 from pathlib import Path
 
@@ -248,6 +249,45 @@ def test_names_of_buses_are_text(tmp_path):
 def test_lost_frames_are_shown(tmp_path):
     comments = run(tmp_path, ["-r", CAPTURES / "candump_screen_drops.txt", "-T", "fields", "-e", "frame.comment"])[1]
     assert "dropped 3 CAN frames on 'can0'" in comments.splitlines()[4]
+
+
+# What is known when all is read, where statistics ask for it.
+SHOW_WHAT_IS_LACKING = """
+local tap = Listener.new("frame")
+function tap.packet() end
+function tap.draw()
+  for _, drop in ipairs(reader.drops()) do
+    io.stderr:write(("drop %d %s %d %.3f\\n"):format(drop.count, drop.bus, drop.frame or 0, drop.time or 0))
+  end
+  io.stderr:write("lacks times: ", tostring(reader.lacks_times()), "\\n")
+end
+"""
+
+
+def what_is_lacking(tmp_path, *arguments):
+    errors = run(tmp_path, ["-q", *arguments], lua=REGISTER % ROOT + SHOW_WHAT_IS_LACKING)[2]
+    return [line for line in errors.splitlines() if line.startswith(("drop ", "lacks "))]
+
+
+@pytest.mark.parametrize("extra", [[], ["-2"], ["-2", "-R", "frame.number > 10"]], ids=" ".join)
+def test_what_a_capture_says_that_it_lacks(tmp_path, extra):
+    """candump's drop count, with the packet behind it; and that packets have no times."""
+    path, frames, drops = CAPTURES / "cases/g3_dropcount.txt", [], []
+    for line in path.read_text().splitlines():
+        drop = re.match(r"DROPCOUNT: dropped (\d+) CAN frames? on '(\w+)' socket \(total drops \d+\)$", line)
+        if drop:
+            drops.append((drop[1], drop[2], len(frames) + 1))
+        else:
+            frames.append(float(line.split()[0].strip("()")))
+    assert drops and len(drops) + len(frames) == len(path.read_text().splitlines())
+    assert what_is_lacking(tmp_path, *extra, "-r", path) == [
+        *(f"drop {count} {bus} {number} {frames[number - 1]:.3f}" for count, bus, number in drops), "lacks times: false"]
+    assert what_is_lacking(tmp_path, *extra, "-r", CAPTURES / "cases/g13_no_times_motor_dead.txt") == ["lacks times: true"]
+
+
+def test_other_captures_lack_nothing(tmp_path):
+    for name in ("candump_log_plain.log", "candump_screen_zero.txt", "other/motor.asc", "cases/g0_clean.pcapng"):
+        assert what_is_lacking(tmp_path, "-r", CAPTURES / name) == ["lacks times: false"], name
 
 
 @pytest.mark.parametrize("extra", [[], ["-2"], ["-2", "-R", "sll.ifindex == 1"]])

@@ -98,6 +98,14 @@ def test_the_whole_set(folder, project, flights):
     assert run([project / "ci/yapp-gate.sh", flights / "fault.pcapng"], folder).returncode == 20
 
 
+def test_rules_in_a_file(folder, project, flights):
+    """The job's folder is another one than the user's."""
+    for rules, code in (("fault=0 # none\nmotor.rate=8..12\n", 0), ("motor.rate=..1\n", 20)):
+        (folder / "my rules.txt").write_text(rules)
+        done = run([project / "ci/yapp-gate.sh", "--rules", "my rules.txt", flights / "clean.pcapng"], folder)
+        assert done.returncode == code, done.stdout + done.stderr
+
+
 def test_sources_and_messages(folder, project, flights):
     """They reach the plugin, and nobody else's settings do."""
     (folder / ".config/wireshark").mkdir(parents=True)

@@ -312,7 +312,7 @@ def test_the_capture_of_the_repository(folder):
                      bytes(bad), frame(0x210, at(MOTOR, 0.3)), frame(0x210, at(MOTOR, 0.4))[:40]])
     path = CAPTURES / "dump_document.yapp"
     assert path.read_bytes() == data
-    assert [event.kind for event in records(data)] == ["skipped", "good", "good", "skipped", "good", "bad", "good", "cut"]
+    assert [event.kind for event in records(data)] == ["skipped", "good", "good", "skipped", "good", "bad", "good", "incomplete"]
     assert_shown(path, folder, data, levels.size(["one pass", "-2", "written"], WAYS))
 
 

@@ -81,13 +81,13 @@ EXPERTS = [
     ("yapp.crc.bad", "bad_crc_can", [5], "Errors", "Bad CRC", "Received 0xc76fbe44, expected 0xc76fbebb"),
     ("yapp.crc.bad", "bad_crc_uart", [1], "Errors", "Bad CRC", "Received 0xc76fbe44, expected 0xc76fbebb"),
     ("yapp.fragment.orphan", "end_without_start", [1], "Warns", "Middle or End without a Start",
-     "End of a message whose Start is not here"),
+     "End fragment: no Start captured"),
     ("yapp.fragment.incomplete", "lost_middle", [4], "Warns", "Message with bytes missing",
      "The message that started in frame 1 ends with 24 of 32 bytes"),
     ("yapp.fragment.incomplete", "lost_end", [5], "Warns", "Message with bytes missing",
-     "A new Start cuts off the message that started in frame 1: 24 of 32 bytes"),
+     "A new Start supersedes the message that started in frame 1: 24 of 32 bytes came"),
     ("yapp.fragment.overrun", "overrun", [6], "Warns", "More bytes than the message's size",
-     "40 bytes for the 32 of the message that started in frame 1"),
+     "The message that started in frame 1 has 40 bytes instead of 32"),
     ("yapp.size.mismatch", "wrong_size", [1, 2, 3, 7, 8], "Warns", "Payload length is not the catalogue's",
      "Command has 6 bytes, the catalogue says 7"),
     ("yapp.id.unknown", "unknown_id", [1, 5], "Notes", "Message ID is not in the catalogue",
@@ -122,12 +122,40 @@ KNOWN_LATER = [("yapp.unfinished", "unfinished", [8], "Warns", "Message cut off 
                ("yapp.fragment.duplicate", "extra_middle", [4], "Notes", "Frame delivered twice")]
 
 
-# What the history says of a source: test_flight_fields.py.
-OF_FLIGHTS = {"taurus.jump", "yapp.source.shared"}
+MOTOR = "FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000"  # up to the fault flags; the clock is at byte 22
+
+
+def clocks(seconds):
+    """Motor Data every 0.1 s, with these times of the controller's clock."""
+    lines = [f"{number / 10:.1f} can0 fd [210 {MOTOR}0000{int(clock * 10**9).to_bytes(8, 'little').hex()}05FF]\n"
+             for number, clock in enumerate(seconds)]
+    return make.pcap(make.Source("".join(lines)))
+
+
+# Expert item, the controller's clock in each message, the frames, and the label, which has the numbers.
+CLOCKS = [
+    ("taurus.jump", [1.0, 1.1, 3601.2, 3601.3], [3], "Controller's clock jumped ahead by 3600.0 s"),
+    ("taurus.reboot", [10.0, 10.1, 0.5, 0.6], [3], "Controller rebooted (its clock went back by 9.6 s)"),
+    ("taurus.stale", [1.0, 1.1, 1.1, 1.2], [3], "Controller clock did not advance"),
+    ("yapp.source.shared", [time + 50 * (number % 2) for number, time in enumerate([one / 10 for one in range(10, 30)])], None,
+     "Two controllers send this ID on one bus: their clocks alternate"),
+]
+
+
+@levels.by_version
+@pytest.mark.parametrize("name, seconds, frames, label", CLOCKS, ids=[row[0] for row in CLOCKS])
+def test_what_the_clocks_say(folder, name, seconds, frames, label):
+    """Once, with the number in the label; the same in two passes."""
+    (folder / "clocks.pcap").write_bytes(clocks(seconds))
+    for passes in ((), ("-2",)):
+        shown = tshark.run(*passes, "-r", folder / "clocks.pcap", "-Y", name, "-O", "taurus").stdout
+        found = [int(number) for number in re.findall(r"(?m)^Frame (\d+):", shown)]
+        assert found == frames if frames else len(found) == 1
+        assert label in shown
 
 
 def test_every_expert_item_has_a_capture():
-    assert {row[0] for row in EXPERTS + KNOWN_LATER} == set(model.EXPERTS + model.EVENT_EXPERTS) - OF_FLIGHTS
+    assert {row[0] for row in EXPERTS + KNOWN_LATER} | {row[0] for row in CLOCKS} == set(model.EXPERTS + model.EVENT_EXPERTS)
 
 
 def found_and_listed(name, capture, *passes):

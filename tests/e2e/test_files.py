@@ -2,6 +2,7 @@
 """docs/files.md: each file of its table opens, or does not, as the table says for this Wireshark."""
 import os
 import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -77,6 +78,50 @@ def test_names_of_channels(name, passes):
     assert [row[1] for row in rows if row[0]] == ["CAN-1", "CAN-2"]
     left, right = [row[2] for row in rows if row[0]]
     assert left in ("0x210", "CAN-1 0x210") and right == "right"
+
+
+def cpu_seconds(*arguments, **options):
+    """What a run of tshark takes, and the run."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = tshark.run(*arguments, **options)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime, done
+
+
+@levels.by_version
+@pytest.mark.parametrize("name, said", [
+    ("h2_asc_blanks.asc", 'ASC reader: line 9: a line longer than 4096 bytes, skipped: "0.100000 1"'),
+    ("h3_asc_triggerblock.asc", "ASC reader: line 9: a line longer than 4096 bytes, skipped"),
+    ("h4_candump_blanks.log", "candump reader: line 151: text behind the frame, ignored")])
+def test_long_lines(folder, name, said):
+    """A long line is named, and costs no more than to read it; the frames in front of it are shown."""
+    path = tshark.CAPTURES / "cases" / name
+    lines = path.read_bytes().splitlines(keepends=True)
+    twice = folder / name
+    twice.write_bytes(b"".join(line[:-1] + line if len(line) > 4000 else line for line in lines))
+    plain, _ = cpu_seconds("-r", tshark.CAPTURES / "cases/g0_clean.pcapng", "-c", "1")
+    for file in (path, twice):
+        took, done = cpu_seconds("-r", file, "-T", "fields", "-e", "taurus.motor.dc_voltage")
+        assert took < plain + 1
+        assert said in done.stderr or file is twice and "a line longer than 4096 bytes" in done.stderr
+        assert any(line.strip() for line in done.stdout.splitlines())
+
+
+@levels.by_version
+def test_dates_that_do_not_exist(folder):
+    """No error in Lua; the line is named; times count from the date of the file, or from 0."""
+    path = tshark.CAPTURES / "cases/h7_asc_day_out_of_bound.asc"
+    text, bad = path.read_text(), "Tue Nov 99999999999 22:13:20.001 2023"
+    good = "Tue Nov 14 22:13:20.001 2023"
+    assert text.count(bad) == text.count(good) == 1
+    for content, line, start in [(text, 3, 1700000000.001), (text.replace(good, bad), 1, 0),
+                                 (text.replace(bad, "Wed Feb 30 10:00:00 2023"), 3, 1700000000.001)]:
+        (folder / "date.asc").write_text(content)
+        done = tshark.run("-r", folder / "date.asc", "-T", "fields", "-e", "frame.time_epoch", "-e", "taurus.motor.dc_voltage")
+        assert f"ASC reader: line {line}: no such date: times count from the date before, or from 0" in done.stderr
+        times, values = zip(*(row.split("\t") for row in done.stdout.splitlines()))
+        assert [float(time) for time in times] == pytest.approx([start + i / 1000 for i in range(5)], abs=1e-6)
+        assert values[-1] == "47.97314"
 
 
 def test_two_channels_of_asc_at_once(folder):

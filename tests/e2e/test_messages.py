@@ -268,6 +268,28 @@ def test_generated_values(folder):
                 assert (text == "") == (name not in values) and float(text or 0) == pytest.approx(values.get(name, 0), rel=1e-6, abs=1e-9)
 
 
+def test_derived_values_are_like_fields():
+    """In a table, in fields.json, in summary, and in a rule."""
+    path = tshark.CAPTURES / "info_column.pcap"
+    power = model.generated(model.MOTOR, make.read("info_column").messages[0]["payload"])["taurus.motor.dc_power"]
+    header, row = [line.split(",") for line in tshark.run("-q", "-r", path, "-z", "yapp,csv,-,motor").stdout.splitlines()]
+    assert header[-1] == "dc_power" and float(row[-1]) == pytest.approx(power, rel=1e-6)
+    summary = json.loads(tshark.run("-q", "-r", path, "-z", "yapp,summary,json").stdout)
+    assert summary["values"]["dc_power"]["max"] == pytest.approx(power, rel=1e-6)
+    for limit, code in (power + 1, 0), (power - 1, 20):
+        assert tshark.run("-q", "-r", path, "-z", f"yapp,check,motor.dc_power=..{limit}", check=False).returncode == code
+
+
+@pytest.mark.parametrize("case, said", [("c1_catalogue_keyed", 'the entry "battery" is not read: a message has its name inside'),
+                                        ("c2_catalogue_hole", "message 2 of the list is nil: a variable that is not defined")])
+def test_a_file_that_is_no_list(case, said):
+    """Nothing is left out without a word: an error that says which entry and what to do, and check cannot judge."""
+    path = tshark.CAPTURES / f"cases/{case}.lua"
+    done = tshark.run("-q", "-r", tshark.CAPTURES / "cases/c_battery.pcapng", "-z", "yapp,check", env={"YAPP_MESSAGES": str(path)},
+                      check=False)
+    assert f"yapp: {path}: {said}" in done.stderr and done.returncode == 21, done.stderr
+
+
 # Payloads of another size ------------------------------------------------------------------------------------------
 
 MOTOR = "FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000000E38CD23CE04E000005FF"

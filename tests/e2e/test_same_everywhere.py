@@ -144,10 +144,13 @@ def test_decode_as_leaves_others_alone_from_the_first_frame_on(first, passes, fo
     assert "YAPP" not in lines[0] and all("YAPP" in line for line in lines[1:])
 
 
-def test_decode_as_in_two_passes_has_the_first_message(folder):
-    path = written(folder, Sent(0x300, 2, 0, MOTOR).frames())
-    rows = shown(path, "yapp.crc.status", passes=("-2", "-d", "can.subdissector,yapp_all"))
-    assert rows == [[""], [""], [""], [""], ["1"]]
+def test_decode_as_in_two_passes_loses_the_first_message_and_says_so(folder):
+    """A first pass of two does not know the id of the first frame.  The preference has no such gap."""
+    path = written(folder, Sent(0x300, 2, 0, MOTOR).frames() * 2)
+    names = ["yapp.crc.status", "yapp.fragment.orphan"]
+    found = [(bool(crc), bool(orphan)) for crc, orphan in shown(path, *names, passes=("-2", "-d", "can.subdissector,yapp_all"))]
+    assert found[1:5] == [(False, True)] * 4 and found[5:] == [(False, False)] * 4 + [(True, False)]
+    assert [crc for crc, _ in shown(path, *names, passes=("-2", *can_generator.EVERY_EXTENDED))] == ["", "", "", "", "1"] * 2
 
 
 @pytest.mark.parametrize("filtered", [Frame(0x123, bytes.fromhex("BBBE6FC720000000"), kind="standard"),
@@ -159,7 +162,7 @@ def test_no_id_of_a_frame_that_a_read_filter_took_away(filtered, folder):
 
 
 INFO = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
-LINK = re.compile(r"  \[Reassembled in #\d+\]| part \d+( of \d+)?| started in frame \d+")
+LINK = re.compile(r"  \[Reassembled in #\d+\]| fragment \d+( of \d+)?| started in frame \d+")
 
 
 def traffic(seed):
@@ -340,7 +343,7 @@ def test_packets_of_several_frames_that_a_read_filter_rejects(folder):
     motor, other = Sent(0x210, 0, 0, MOTOR).frames(), Frame(0x123, bytes(8), kind="standard")
     path = acf_file(folder / "acf.pcap", [motor[:2], [other, motor[2]], [motor[3]], [motor[4]]])
     rows = shown(path, INFO, "yapp.fragment", passes=("-2", "-R", "not yapp.can.ctrl == 1"))
-    assert rows[0][0].startswith("Motor Data  part 3 of 5") and rows[2][1] == "1,2,3"
+    assert rows[0][0].startswith("Motor Data  fragment 3 of 5") and rows[2][1] == "1,2,3"
 
 
 @pytest.mark.parametrize("interface", [100, 200, 5000])

@@ -8,9 +8,11 @@ YAPP_SEED chooses other ones.  A failure says which carrier, seed and packet.
 """
 import collections
 import functools
+import json
 import os
 import re
 import shutil
+import struct
 import subprocess
 
 import pytest
@@ -294,10 +296,14 @@ SITUATIONS = {
         (b"text YP text", []), (ONE[:30], []), (ONE[30:], []), (TWO + THREE[:5], [("good", TWO)], THREE[:5]),
         (THREE[5:], [("good", THREE)])]),
     "a conversation is known by damaged messages": (UDP_FOUND, [
-        (DAMAGED, [("bad", DAMAGED)]), (LOST_BYTE + MOTOR[:40], [("incomplete", LOST_BYTE), ("incomplete", MOTOR[:40])]), (MOTOR, [("good", MOTOR)])]),
-    "a conversation is known by the start of a message, TCP": (TCP_FOUND, [
-        (MOTOR[:20], [], MOTOR[:20]), (MOTOR[20:], [("good", MOTOR)]), (DAMAGED, [("bad", DAMAGED)])]),
-    "text with a damaged message is nobody's": (UDP_FOUND, [(b"x" + DAMAGED, []), (DAMAGED + b"x", []), (ONE[:-1] + b"x", [])]),
+        (DAMAGED * 2, [("bad", DAMAGED)] * 2), (LOST_BYTE, [("incomplete", LOST_BYTE)]), (MOTOR, [("good", MOTOR)])]),
+    "a conversation is known by what the capture has of a message": (UDP_FOUND, [
+        ((MOTOR, 30), [("incomplete", MOTOR[:30])]), (DAMAGED, [("bad", DAMAGED)])]),
+    "a conversation is known by damaged messages, TCP": (TCP_FOUND, [
+        (DAMAGED, [("bad", DAMAGED)]), (MOTOR[:20], [], MOTOR[:20]), (MOTOR[20:], [("good", MOTOR)])]),
+    "what has more or less than damaged messages is nobody's": (UDP_FOUND, [
+        (b"x" + DAMAGED, []), (DAMAGED + b"x", []), (LOST_BYTE, []), (MOTOR[:12], []), (BAD, []), (GROWN[:-1] + b"?", []),
+        ((DAMAGED + b"x", 30), [])]),
     "empty datagrams": (UDP, [(b"", []), (ONE, [("good", ONE)]), (b"", [])]),
     "the snap length cuts a frame": (SERIAL, [
         (ONE + TWO[:10], [("good", ONE)], TWO[:10]), ((TWO[10:], 15), [("incomplete", TWO[:25])]), (THREE, [("good", THREE)])]),
@@ -471,6 +477,123 @@ def test_connections(preferences, folder):
         rows = shown(folder / "tcp.pcapng", *passes, *preferences)
         assert {number: row["yapp.seq"] for number, row in rows.items() if "yapp.seq" in row} == wanted
         assert all("yapp.skipped" not in row for row in rows.values())
+
+
+def segment(packet, ports=None, head=b""):
+    """A TCP segment of a packet, in IPv6, in a tunnel or whatever its `head` is: bytes, or what makes them of the segment."""
+    ports = ports or (50000, 20001)
+    data = struct.pack(">HHIIHHHH", *ports, packet.sequence, packet.acknowledged, 0x5018, 65535, 0, 0) + packet.data
+    return head(data) if callable(head) else head + data
+
+
+def ipv4(data, protocol=6):
+    return struct.pack(">BBHIBBH4s4s", 0x45, 0, 20 + len(data), 0, 64, protocol, 0, bytes([10, 0, 0, 1]), bytes([10, 0, 0, 2])) + data
+
+
+def ipv6(data):
+    return struct.pack(">IHBB16s16s", 6 << 28, len(data), 6, 64, bytes(15) + b"\1", bytes(15) + b"\2") + data
+
+
+# What the segments of a connection come in.
+NETWORKS = {
+    "IPv6": lambda data: bytes(12) + b"\x86\xdd" + ipv6(data),
+    "VLAN": lambda data: bytes(12) + b"\x81\0\0\1\x08\0" + ipv4(data),
+    "a tunnel": lambda data: bytes(12) + b"\x08\0" + ipv4(ipv4(data), 4),
+}
+
+
+def test_connections_in_other_networks(folder):
+    """Late and repeated segments; and what an ICMP error quotes of them."""
+    rows = [(0, 1, A), (.1, 97, C), (.2, 49, B), (.3, 49, B), (.4, 145, D)]
+    for name, network in NETWORKS.items():
+        packets = tcp_packets(rows)
+        quote = Packet(b"", Place(ETHERNET, 0, 1))
+        quote.time, quote.link = packets[-1].time + 1, lambda _, sent=packets[2]: bytes(12) + b"\x08\0" + ipv4(
+            bytes([3, 3, 0, 0, 0, 0, 0, 0]) + ipv4(segment(sent))[:48], 1)
+        for packet in packets:
+            packet.link = lambda packet, network=network: segment(packet, head=network)
+        stream_captures.Capture("", [*packets, quote], lambda packet: packet.link(packet), []).write(folder / "tcp.pcapng")
+        for passes in ([], ["-2"]):
+            found = shown(folder / "tcp.pcapng", *passes)
+            assert {number: row["yapp.seq"] for number, row in found.items() if "yapp.seq" in row} == \
+                {1: ["0"], 3: ["1", "2"], 5: ["3"]}, name
+
+
+@levels.by_version
+def test_cut_segments_of_others(folder):
+    """Dissectors of other protocols throw past Lua where the capture cut their bytes, a hundred times."""
+    others = {53: struct.pack(">7H", 200, 1, 0x100, 1, 0, 0, 0) + b"\7example\3com\0" + bytes(180),
+              80: b"GET / HTTP/1.1\r\nHost: x\r\nContent-Length: 500\r\n\r\n" + bytes(500),
+              443: bytes([22, 3, 1, 1, 0, 1, 0, 0, 252, 3, 3]) + bytes(250)}
+    packets = []
+    for number in range(40):
+        packets.append(Packet(frame(0x210, bytes(32), seq=number), Place(ETHERNET, 0, 0)))
+        packets[-1].sequence, packets[-1].ports = 1 + 48 * number, (49700, 49800)
+        for port, data in others.items():
+            packets.append(Packet(data, Place(ETHERNET, 0, 0), captured=16))
+            packets[-1].sequence, packets[-1].ports = 1, (40000 + number, port)
+    for number, packet in enumerate(packets):
+        packet.time = stream_captures.EPOCH + number * 1000
+    stream_captures.Capture("", packets, lambda packet: segment(packet, packet.ports, NETWORKS["IPv6"]), []).write(folder / "cut.pcapng")
+    for passes in ([], ["-2"]):
+        found = shown(folder / "cut.pcapng", *passes)
+        assert [row["yapp.seq"] for row in found.values() if "yapp.seq" in row] == [[str(number)] for number in range(40)]
+        assert not any("_ws.lua.error" in row for row in found.values())
+
+
+# Captures that showed a defect of 2.1.0, and what they must show: IDs by packet (few of them: all others have one of Motor
+# Data), the exit code of check, and what it says.
+SHOWN = {
+    "t1_tcp_retransmission.pcap": (30, {}, 0, []),
+    "t3_tcp_out_of_order_fault.pcap": (200, {103: [], 104: [0x210] * 2}, 20, [("fault", 1)]),
+    "t4_tcp_segment_missing.pcap": (199, {}, 20, [("silence", 1), ("dropped", 1)]),
+    "s1_nested.pcap": (3, {1: [0x210], 2: [0x123], 3: [0x210]}, 20, [("unknown", 1)]),
+    "s1_nested_udp.pcap": (2, {1: [0x210], 2: [0x123]}, 20, [("unknown", 1)]),
+    "g8_udp_first_bad.pcap": (200, {1: [0x210], 2: [0x210], 3: [0x210]}, 20, [("crc", 3)]),
+}
+
+
+def checked(path, *arguments):
+    """The IDs by packet, check's exit code, and what of its rules did not hold, with what it saw."""
+    names = ["frame.number", "yapp.id", "yapp.skipped", "_ws.lua.error"]
+    done = tshark.run(*arguments, "-r", path, "-T", "fields", "-E", "occurrence=a", "-E", "separator=;", "-Y", "yapp || _ws.lua.error",
+                      *[argument for name in names for argument in ("-e", name)], "-z", "yapp,check,json", check=False)
+    ids, failed = {}, []
+    for line in done.stdout.splitlines():
+        if line.startswith("{"):
+            row = json.loads(line)
+            failed += [(row["rule"].split("=")[0], row["seen"])] if row["ok"] is False else []
+        else:
+            number, found, skipped, error = line.split(";")
+            assert not error and not skipped
+            ids[int(number)] = [int(one, 16) for one in found.split(",")] if found else []
+    return ids, done.returncode, failed
+
+
+@levels.by_version
+@levels.each_once
+@pytest.mark.parametrize("passes", [[], ["-2"]], ids=["one pass", "two"])
+@pytest.mark.parametrize("name", SHOWN)
+def test_captures_that_showed_a_defect(name, passes):
+    count, some, code, failed = SHOWN[name]
+    for preferences in [[], stream_captures.OUT_OF_ORDER] if "tcp" in name else [[]]:
+        ids, returned, found = checked(tshark.CAPTURES / "cases" / name, *passes, *preferences)
+        assert (sum(map(len, ids.values())), returned, found) == (count, code, failed)
+        assert {number: ids[number] for number in some} == some
+
+
+def test_datagrams_that_lost_bytes_come_first(folder):
+    """They are incomplete as soon as the conversation is known to be YAPP's."""
+    messages = [frame(0x210, bytes(22) + number.to_bytes(8, "little") + bytes(2)) for number in range(1, 9)]
+    damaged = [messages[0][:40], messages[1][:20] + messages[1][23:]]
+    for first, wanted in ((damaged, [("incomplete", 2)]), ([b"text YP", messages[0]], []), ([MOTOR[:20], b"YP" * 30], [("incomplete", 1)])):
+        packets = [Packet(data, Place(ETHERNET, 0, 0)) for data in [*first, *messages[2:]]]
+        for number, packet in enumerate(packets):
+            packet.time = stream_captures.EPOCH + number * 100_000
+        stream_captures.Capture("", packets, stream_captures.udp, []).write(folder / "udp.pcapng")
+        for passes in ([], ["-2"]):
+            _, _, failed = checked(folder / "udp.pcapng", *passes)
+            assert [one for one in failed if one[0] in ("incomplete", "crc")] == wanted
 
 
 @pytest.mark.parametrize("arguments", [[], UDP_PORT, ["-o", "yapp.search_all:TRUE"]], ids=["found", "Decode As", "all"])

@@ -92,6 +92,12 @@ def test_the_sentence(events, said, sentence):
     assert undecoded(events, [source(0x210)], {"motor": "Motor Data"}, said) == sentence
 
 
+def test_what_was_decoded_in_part_is_called_so():
+    row = source(0x210) | {"values": {"rpm": {"min": 1.0, "mean": 1.0, "max": 1.0}}}
+    said = undecoded([unknown(0x210, 7, like=None, size=36, message="motor")], [row], {"motor": "Motor Data"}, "")
+    assert said == "1 of 1 source was decoded in part (7 messages of 0x210 have 36 bytes, not the size of Motor Data)"
+
+
 def test_events_that_nothing_could_be_told_of_are_no_damage(make_capture):
     path = make_capture("flight.pcapng", motor=[motor_row(0)], does=["undecided"])
     with pytest.warns(UserWarning, match="share an ID"):

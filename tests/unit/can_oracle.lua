@@ -1,13 +1,15 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What each CAN frame is, by the rules of the protocol's document, once more and as simply as they
--- can be said; of buses that are told apart, or of one.  And random frames of them.
+-- can be said; of buses that are told apart, or of one.
+--
+-- tests/e2e/can_generator.py asks it, too: tests/unit/can_verdicts.lua.
 local crc = require("yapp.wire.crc")
-local words = require("can_words")
 
 local M = {}
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local FD = { 8, 12, 16, 20, 24, 32, 48, 64 }
+M.KNOWN = { [0x000] = 7, [0x200] = 17, [0x210] = 32, [0x211] = 32 } -- sizes of known messages
 
 -- A number of that many bytes, little endian; nil where they are not there.
 local function number(data, at, count)
@@ -45,7 +47,7 @@ end
 -- Frames that came twice: a run of frames alike, of which some fewer are the message; the first
 -- ones stay.
 -- needed   bytes of the last frame if none came twice
--- returns  { [place] = true } of those too many
+-- returns  { [index] = true } of those too many; padding
 local function repeated(message, frame, needed)
   local chunks, at = message.chunks, 1
   while at < #chunks do
@@ -56,189 +58,151 @@ local function repeated(message, frame, needed)
       for i, chunk in ipairs(chunks) do
         if i > first and i <= first + count then out[i] = true else rest[#rest + 1] = chunk end
       end
-      if padding(frame, needed + count * #chunks[first]) and
-        is_good(message, table.concat(rest):sub(1, message.size)) then return out end
+      local zeros = padding(frame, needed + count * #chunks[first])
+      if zeros and is_good(message, table.concat(rest):sub(1, message.size)) then
+        return out, zeros
+      end
     end
     at = at + 1
   end
 end
 
+-- A message has ended: its frames lead to the last one.
+local function show(verdicts, message, out, zeros)
+  local last, members = message.frames[#message.frames], { message.start }
+  for i, frame in ipairs(message.frames) do
+    if out[i] then
+      verdicts[frame].anomalies[1] = "fragment.duplicate"
+    else
+      members[#members + 1] = frame
+    end
+    verdicts[frame].in_number = last
+  end
+  verdicts[message.start].in_number = last
+  verdicts[last].members, verdicts[last].padding = members, zeros
+end
+
 -- What an End makes of its message.
 local function finish(verdicts, message, frame, say)
-  local at, needed = frame.number, frame.reported - (message.received - message.size)
-  local zeros = padding(frame, needed)
-  if message.status then return say(at, "overrun", "fragment.overrun") end
+  local at, excess = frame.number, message.received - message.size
+  local needed, out = frame.reported - excess, {}
+  local zeros = not message.status and padding(frame, needed)
+  local status = message.is_cut and "unverified" or "good"
   if zeros then
-    local status = message.is_cut and "unverified" or
-      is_good(message, table.concat(message.chunks):sub(1, message.size)) and "good" or "bad"
-    return say(at, status)
+    local payload = table.concat(message.chunks):sub(1, message.size)
+    if not message.is_cut and not is_good(message, payload) then status = "bad" end
+  elseif not message.status and excess > 0 and not message.is_cut then
+    out, zeros = repeated(message, frame, needed)
   end
-  local excess = message.received - message.size
-  local out = excess > 0 and not message.is_cut and repeated(message, frame, needed)
-  if not out then
-    return say(at, excess < 0 and "short" or "overrun",
-      excess < 0 and "fragment.incomplete" or "fragment.overrun")
+  if zeros then
+    say(at, status)
+    return show(verdicts, message, out, zeros)
   end
-  for place in pairs(out) do verdicts[message.frames[place]].faults[1] = "fragment.duplicate" end
-  say(at, "good")
+  show(verdicts, message, {}, 0)
+  verdicts[at].members = nil
+  local is_short = excess < 0 and not message.status
+  say(at, is_short and "short" or "overrun",
+    is_short and "fragment.incomplete" or "fragment.overrun")
 end
 
 local function take_start(self, slot, frame, id, say)
-  local known, data = words.KNOWN[id.id], frame.data
+  local known, data = self.known[id.id], frame.data
   local size, reserved = number(data, 5, 2), number(data, 7, 2)
   local is_plausible = id.ctl == 0 and frame.reported == 8 and (not reserved and known or
-    reserved == 0 and size > 8 and (known or id.seq == 0 or self.claimed[id.id]))
-  if not (frame.is_wide or is_plausible) then return end
-  self.claimed[id.id] = true
-  local before, faults = self.open[slot], {}
-  if before and not before.status then faults[1] = "fragment.incomplete" end
+    reserved == 0 and size > 8 and (known or id.seq == 0 or self.accepted[id.id]))
+  if not (frame.accepts_all or is_plausible) then return end
+  self.accepted[id.id] = true
+  local before, anomalies = self.open[slot], {}
+  if before and not before.status then anomalies[1] = "fragment.incomplete" end
+  self.broken[slot] = before and 4 or math.max((self.broken[slot] or 0) - 1, 0)
+  self.verdicts[frame.number].may_mix = self.verdicts[frame.number].may_mix or before ~= nil
   self.open[slot] = nil
   if frame.reported ~= 8 then
-    faults[#faults + 1] = frame.reported > 8 and "size.mismatch" or "fragment.incomplete"
+    anomalies[#anomalies + 1] = frame.reported > 8 and "size.mismatch" or "fragment.incomplete"
   end
   if reserved then
-    if size == 0 or known and size ~= known then faults[#faults + 1] = "size.mismatch" end
-    if reserved ~= 0 then faults[#faults + 1] = "reserved.nonzero" end
+    if size == 0 or known and size ~= known then anomalies[#anomalies + 1] = "size.mismatch" end
+    if reserved ~= 0 then anomalies[#anomalies + 1] = "reserved.nonzero" end
   end
   local is_message = reserved and size > 0
-  say(frame.number, is_message and "part" or "start", unpack(faults))
+  say(frame.number, is_message and "." or "start", unpack(anomalies))
   if not is_message then return end
   self.open[slot] = { id = id.id, seq = id.seq, ctl = id.ctl, crc = number(data, 1, 4), size = size,
-    reserved = reserved,
+    reserved = reserved, start = frame.number,
     chunks = {}, frames = {}, received = 0, alike = 0 }
 end
 
-local function take_part(self, slot, frame, id, say, verdicts)
+local function take_fragment(self, slot, frame, id, say)
   local message, is_end = self.open[slot], id.ctrl == 3
   if not message then
-    if frame.is_wide or id.ctl == 0 and words.KNOWN[id.id] then
+    if frame.accepts_all or id.ctl == 0 and self.known[id.id] then
       say(frame.number, "orphan", "fragment.orphan")
     end
     return
   end
   local chunks = message.chunks
   message.received = message.received + frame.reported
+  message.frames[#message.frames + 1] = frame.number
   if not message.is_cut then
     if frame.data == chunks[#chunks] then message.alike = message.alike + frame.reported end
-    chunks[#chunks + 1], message.frames[#chunks + 1] = frame.data, frame.number
+    chunks[#chunks + 1] = frame.data
     message.is_cut = #frame.data < frame.reported
   end
   if is_end then
     self.open[slot] = nil
-    return finish(verdicts, message, frame, say)
+    finish(self.verdicts, message, frame, say)
+    local what = self.verdicts[frame.number].what
+    if what ~= "good" and what ~= "unverified" then self.broken[slot] = 4 end
+    return
   end
   local too_many = message.received - message.size
   if message.status or too_many > 0 and too_many > math.min(message.alike, 8 * frame.reported) then
     message.status = "overrun"
-    return say(frame.number, "part", "fragment.overrun")
+    return say(frame.number, ".", "fragment.overrun")
   end
-  say(frame.number, "part")
+  say(frame.number, ".")
 end
 
---- What each frame is, in the words of can_words.
-function M.verdicts(frames)
-  local self, verdicts = { open = {}, claimed = {} }, {}
-  local function say(at, what, ...) verdicts[at] = { what = what, faults = { ... } } end
+--- What each frame is.
+-- frames   list of { can_id =, data = captured bytes, reported = length, bus =, accepts_all =,
+--          number = from 1 on }; can_id is nil of one that is no extended data frame
+-- known    { [message ID] = size }; KNOWN if left out
+-- returns  list of { what = in the words of can_words, anomalies = list, text = of both; in_number =
+--          of the frame that shows its message; at the last frame of a message with all its bytes
+--          members = numbers of its frames, padding; may_mix = whether, on a bus that nobody tells, a
+--          broken message may still wait for frames of this key }
+function M.verdicts(frames, known)
+  local self = { open = {}, accepted = {}, broken = {}, verdicts = {}, known = known or M.KNOWN }
+  local verdicts = self.verdicts
+  local function say(at, what, ...)
+    verdicts[at].what, verdicts[at].anomalies = what, { ... }
+  end
   for at, frame in ipairs(frames) do
-    local rest = frame.can_id
-    local id = { seq = rest % 256, ctl = (rest - rest % 256) / 256 % 64,
-      ctrl = math.floor(rest / 2 ^ 14) % 16,
-      id = math.floor(rest / 2 ^ 18) }
+    verdicts[at] = { what = "-", anomalies = {}, may_mix = false }
+    local rest = frame.can_id or 0
+    local id = { seq = rest % 256, ctl = math.floor(rest / 256) % 64,
+      ctrl = math.floor(rest / 2 ^ 14) % 16, id = math.floor(rest / 2 ^ 18) }
     local slot = table.concat({ frame.bus or 0, id.id, id.ctl, id.seq }, " ")
-    say(at, "-")
-    local known = words.KNOWN[id.id]
-    if id.ctrl == 0 then
-      if frame.is_wide or known and id.ctl == 0 and padding(frame, known) then say(at, "single") end
+    verdicts[at].may_mix = (self.broken[slot] or 0) > 0
+    local size = self.known[id.id]
+    if not frame.can_id then
+      verdicts[at].may_mix = false
+    elseif id.ctrl == 0 then
+      verdicts[at].padding = size and padding(frame, size)
+      if frame.accepts_all or id.ctl == 0 and verdicts[at].padding then say(at, "single") end
     elseif id.ctrl == 1 then
       take_start(self, slot, frame, id, say)
     elseif id.ctrl < 4 then
-      take_part(self, slot, frame, id, say, verdicts)
-    elseif frame.is_wide then
+      take_fragment(self, slot, frame, id, say)
+    elseif frame.accepts_all then
       say(at, "invalid", "can.ctrl.invalid")
     end
   end
-  local texts = {}
-  for at, verdict in ipairs(verdicts) do
-    table.sort(verdict.faults)
-    texts[at] = table.concat({ verdict.what, unpack(verdict.faults) }, "+")
+  for _, verdict in ipairs(verdicts) do
+    table.sort(verdict.anomalies)
+    verdict.text = table.concat({ verdict.what, unpack(verdict.anomalies) }, "+")
   end
-  return texts
-end
-
--- Random frames -----------------------------------------------------------------------------------
-
-local IDS = { { 0x210, 32 }, { 0x200, 17 }, { 0x123, 40 }, { 0x210, 34 } } -- with a usual size
-
--- The frames of a message, { CAN CTRL, data }; some of CAN FD with padding.
-local function message_of(random, id, size)
-  local bytes, step = {}, random(6) == 1 and 64 or 8
-  for i = 1, size do
-    bytes[i] = string.char(random(12) == 1 and random(256) - 1 or 65 + random(2))
-  end
-  local payload = table.concat(bytes)
-  local frames = { { 1, words.start(id.id, payload,
-    { ctl = id.ctl, seq = id.seq, wrong = random(30) == 1,
-    reserved = random(30) == 1 and 5 or nil, size = random(40) == 1 and random(70) - 1 or nil }) } }
-  for at = 1, size, step do
-    local data = payload:sub(at, at + step - 1)
-    for _, length in ipairs(step == 64 and FD or {}) do
-      if length >= #data then
-        data = data .. ("\0"):rep(length - #data)
-        break
-      end
-    end
-    frames[#frames + 1] = { at + step > size and 3 or 2, data }
-  end
-  return frames
-end
-
-local DAMAGE = {
-  function(frames, at) table.remove(frames, at) end,                                -- lost
-  function(frames, at) table.insert(frames, at, frames[at]) end,                    -- came twice
-  function(frames, at) table.insert(frames, at, { 2, "strangers" }) end,            -- too many
-  function(frames, at) frames[at] = { frames[at][1], frames[at][2]:sub(1, 3) } end, -- short
-  -- cut by the capture
-  function(frames, at) frames[at] = { frames[at][1], frames[at][2], 3 } end,
-  function(frames, at) frames[at] = { frames[at][1], "?" .. frames[at][2]:sub(2) } end,
-  -- no CAN CTRL that is defined
-  function(frames, at) frames[at] = { 4 + at % 12, frames[at][2] } end,
-  function(frames, at) for _ = 1, at do table.insert(frames, 1, frames[1]) end end, -- new Starts
-  function(frames, at) for _ = at, #frames do table.remove(frames) end end,         -- cut off
-  function(frames) table.insert(frames, { 0, "single" }) end,
-}
-
---- Frames of one or several buses, some of them lost, damaged, twice.
--- returns  list of frames as can_words.look takes them
-function M.random_frames(random)
-  local streams, is_wide = {}, random(3) == 1
-  for bus = 1, random(3) do
-    streams[bus] = {}
-    for _ = 1, 2 + random(8) do
-      local kind = IDS[random(#IDS)]
-      local id = { id = kind[1], ctl = is_wide and random(9) == 1 and 7 or 0,
-        seq = random(9) == 1 and 3 or 0 }
-      local frames = message_of(random, id, random(4) == 1 and 8 + random(60) or kind[2])
-      if random(2) == 1 then DAMAGE[random(#DAMAGE)](frames, random(#frames)) end
-      for _, frame in ipairs(frames) do
-        table.insert(streams[bus], { can_id = words.can_id(id.id, frame[1], id.ctl, id.seq),
-          reported = #frame[2],
-          data = frame[2]:sub(1, frame[3] or -1), bus = bus, is_wide = is_wide })
-      end
-    end
-  end
-  local list = {}
-  while #streams > 0 do
-    local at = random(#streams)
-    for _ = 1, random(3) do
-      list[#list + 1] = table.remove(streams[at], 1)
-      list[#list].number = #list
-      if not streams[at][1] then
-        table.remove(streams, at)
-        break
-      end
-    end
-  end
-  return list
+  return verdicts
 end
 
 return M

@@ -1,6 +1,9 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- CAN frames in words, and what the memory says of them in words: "S32 M8 M8 M8 E8" is a good
+-- CAN frames in words, and what the reassembly says of them in words: "S32 M8 M8 M8 E8" is a good
 -- message of 32 bytes.
+--
+-- What is said: "." of a fragment, the status of a message at its last frame, "single", "-" of a frame
+-- that is not YAPP's, "start", "orphan" and "invalid" of others; and "+" before what is wrong.
 --
 -- A word is a frame: [sender a, b, ...] S M E (Start, Middle, End), X (CAN CTRL 9) or L (single), a
 -- number, marks.
@@ -11,40 +14,32 @@
 --        ~4 only 4 bytes captured, ? bytes that nobody sent, p12 zeros up to 12 bytes, = the frame
 --        before it once more
 -- Each sender has payloads of its own; all have the same key unless the test gives ids.
-local can_id = require("yapp.wire.can_id")
-local crc = require("yapp.wire.crc")
-local memory = require("yapp.can.memory")
-local little_endian = require("stream_generator").little_endian
+local can_id = require "yapp.wire.can_id"
+local crc = require "yapp.wire.crc"
+local frame_key = require "yapp.base.frame_key"
+local reassembly = require "yapp.can.reassembly"
+local KNOWN = require "can_oracle".KNOWN
+local little_endian = require "stream_generator".little_endian
 
 local M = {}
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local KIND = { L = 0, S = 1, M = 2, E = 3, X = 9 }
-M.KNOWN = { [0x000] = 7, [0x200] = 17, [0x210] = 32, [0x211] = 32 } -- sizes of known messages
 
--- A history that knows of each source when its message before came, and where.
-local function new_history()
-  local latest = {}
-  return {
-    note = function(_, m)
-      local before = latest[m.source]
-      latest[m.source] = m
-      local delta = before and m.time - before.time
-      return before and { delta = delta, command_in = before.number }, delta
-    end,
-    change = function(_, m) return m.delta and { delta = m.delta } end,
-  }
-end
-
---- A memory of the messages of KNOWN.
--- min_size  of all of them, nil where other sizes are wrong
-function M.new(min_size)
+--- The reassembly of a capture with the messages of KNOWN, and its sources.
+-- options  { min_size = of all known messages; max_open = messages }
+function M.new(options)
+  options = options or {}
   local sources = {}
-  local function source_of(id, bus)
-    local key = id + (bus or -1) * 0x800
-    sources[key] = sources[key] or { size = M.KNOWN[id], min_size = min_size, bus = bus }
-    return sources[key]
-  end
-  return memory.new { source_of = source_of, claim = function() end, new_history = new_history }
+  return {
+    reassembly = reassembly.new(options.max_open),
+    source_of = function(id, bus)
+      local key = id + (bus or -1) * 0x800
+      sources[key] = sources[key] or
+        { size = KNOWN[id], min_size = options.min_size, bus = bus, key = key }
+      return sources[key]
+    end,
+  }
 end
 
 function M.can_id(id, ctrl, ctl, seq)
@@ -63,37 +58,49 @@ function M.start(id, payload, options)
     little_endian(options.reserved or 0, 2)
 end
 
-local ALONE = { [0] = "single", "start", "orphan", "orphan" } -- by CAN CTRL
+--- Whether the tests take a message for one with a fault.
+function M.has_fault(payload)
+  return payload ~= "" and payload:byte() % 2 == 1
+end
 
---- A look at a frame, and all that is done with it: a message that ends is read.  It has a fault
--- where its first byte is odd.
--- frame    { can_id =, data =, number =, and what else can.memory takes }; of its own are place
---          (8), knows_bus (true)
--- returns  in words what it is, with what is wrong; the record
-function M.look(known, frame, is_again)
-  local record = { address = can_id.address[frame.can_id], number = frame.number,
-    place = frame.place or 8, is_again = is_again or false, data = frame.data,
-    reported = frame.reported or #frame.data, bus = frame.bus or false,
-    knows_bus = frame.knows_bus ~= false, is_wide = frame.is_wide or false,
-    is_only_pass = frame.is_only_pass }
-  local entry = known:look(record)
-  if not entry then return "-", record end
-  local is_last = entry.last == record.look
-  local text = is_last and entry.status or entry.size and "part" or
-    ALONE[record.address.ctrl] or "invalid"
-  if is_last or text == "single" then
-    local payload = is_last and entry.payload or record.data
-    local message = { source = record.address.id + (record.bus or -1) * 0x800,
-      time = record.number / 8, has_fault = payload ~= "" and payload:byte() % 2 == 1,
-      good = not is_last or text == "good" }
-    record.change = known:change(message, record)
-    record.delta = message.delta or nil
+local OTHER = { "start", "orphan", "orphan" } -- by CAN CTRL
+
+--- Send a frame, or ask for one that was sent; a message that ends is kept, with a fault where its
+-- first byte is odd.
+-- frame    { can_id =, data =, number =, and what else can.reassembly takes }; offset: 8 if left out
+-- visited  whether it was sent before
+-- returns  in words what it is, with what is wrong; and { message, payload = of a message that ends
+--          here, index, anomalies, in_number = of the packet that shows the message }
+function M.visit(known, frame, visited)
+  local fields, bus = can_id.fields[frame.can_id], frame.bus or false
+  local record = { key = frame.number * frame_key.PACKET + (frame.offset or 8), can_id = fields,
+    slot = can_id.slot(fields, frame.bus or 0), source = known.source_of(fields.id, bus), bus = bus,
+    data = frame.data, reported = frame.reported or #frame.data,
+    accepts_all = frame.accepts_all or false, is_only_pass = frame.is_only_pass or false }
+  local take = visited and known.reassembly.recall or known.reassembly.take
+  local kind, message, anomalies, index = take(known.reassembly, record)
+  if not kind then return "-", {} end
+  local text = kind == "last" and message.status or kind == "fragment" and "." or kind
+  if kind == "other" then text = OTHER[fields.ctrl] or "invalid" end
+  local found = { message = message, anomalies = anomalies or {}, index = index }
+  if kind == "last" then
+    found.payload = message.payload
+    if not visited and not frame.is_only_pass then
+      known.reassembly:keep(message, frame.number / 8, M.has_fault(message.payload))
+    end
   end
-  local faults = {}
-  for i, fault in ipairs(record.faults or {}) do faults[i] = fault.expert end
-  table.sort(faults)
-  if #faults > 0 then text = text .. "+" .. table.concat(faults, "+") end
-  return text, record
+  if message and message.payload then found.in_number = frame_key.number(message[#message]) end
+  local names = {}
+  for i, anomaly in ipairs(anomalies or {}) do names[i] = anomaly.expert end
+  table.sort(names)
+  return table.concat({ text, unpack(names) }, "+"), found
+end
+
+--- The numbers of the packets of a message.
+function M.numbers(message)
+  local numbers = {}
+  for i, key in ipairs(message) do numbers[i] = frame_key.number(key) end
+  return numbers
 end
 
 local function payload_of(sender, count, size)
@@ -121,7 +128,7 @@ local function data_of(sender, name, id, kind, number, marks)
 end
 
 --- The frames that words mean, numbered from 1 on.
--- options  ids = { [sender] = { id, ctl, seq } }, is_wide, buses (true: each sender has a bus of
+-- options  ids = { [sender] = { id, ctl, seq } }, accepts_all, buses (true: each sender has a bus of
 --          its own, which the capture tells)
 function M.frames(text, options)
   local senders, list, ids = {}, {}, options.ids or {}
@@ -135,26 +142,27 @@ function M.frames(text, options)
     local captured = marks:match("~(%d+)")
     list[#list + 1] = { can_id = M.can_id(id[1], KIND[kind], id[2], id[3]), number = #list + 1,
       reported = length,
-      data = captured and data:sub(1, captured) or data, is_wide = options.is_wide,
+      data = captured and data:sub(1, captured) or data, accepts_all = options.accepts_all,
       bus = options.buses and ("_" .. name):byte(-1) or nil }
   end
   return list
 end
 
---- Looks at frames, in order; returns what is said of each, in one text.
-function M.looks(known, frames, is_again)
+--- Send frames, or ask for them, in order; returns what is said of each, in one text.
+function M.visits(known, frames, visited)
   local list = {}
-  for i, frame in ipairs(frames) do list[i] = M.look(known, frame, is_again) end
+  for i, frame in ipairs(frames) do list[i] = M.visit(known, frame, visited) end
   return table.concat(list, " ")
 end
 
---- Sends frames; returns what each of them is at a later look, the memory, and the frames.
--- options  as for M.frames, and min_size
+--- Send frames; returns what each of them is when it is visited again, what M.new made, and the
+-- frames.
+-- options  as for M.frames and M.new
 function M.send(text, options)
   options = options or {}
-  local known, frames = M.new(options.min_size), M.frames(text, options)
-  M.looks(known, frames)
-  return M.looks(known, frames, true), known, frames
+  local known, frames = M.new(options), M.frames(text, options)
+  M.visits(known, frames)
+  return M.visits(known, frames, true), known, frames
 end
 
 return M

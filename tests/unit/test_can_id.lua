@@ -18,8 +18,8 @@ function T.test_ids()
     { 0x0003C000, 0, 15, 0, 0 },
     { 0x1FFC0000, 2047, 0, 0, 0 },
   } do
-    local address = can.address[row[1]]
-    lu.assertEquals({ address.id, address.ctrl, address.ctl, address.seq }, { row[2], row[3], row[4], row[5] })
+    local fields = can.fields[row[1]]
+    lu.assertEquals({ fields.id, fields.ctrl, fields.ctl, fields.seq }, { row[2], row[3], row[4], row[5] })
   end
 end
 
@@ -33,20 +33,20 @@ function T.test_what_a_start_says()
 end
 
 function T.test_the_key_is_all_but_the_can_ctrl()
-  local key = can.address[0x08404000].key
-  for ctrl = 0, 15 do lu.assertEquals(can.address[0x08400000 + ctrl * 0x4000].key, key) end
+  local key = can.fields[0x08404000].message_key
+  for ctrl = 0, 15 do lu.assertEquals(can.fields[0x08400000 + ctrl * 0x4000].message_key, key) end
   for _, other in ipairs { 0x08404001, 0x08404100, 0x08444000 } do
-    lu.assertNotEquals(can.address[other].key, key)
+    lu.assertNotEquals(can.fields[other].message_key, key)
   end
 end
 
 function T.test_many_ids_cost_no_more_than_some()
   collectgarbage()
   local before = collectgarbage("count")
-  for can_id = 0, 100000 do local _ = can.address[can_id] end
+  for can_id = 0, 100000 do local _ = can.fields[can_id] end
   collectgarbage()
   lu.assertTrue(collectgarbage("count") - before < 4096)
-  lu.assertEquals(can.address[0x08404000].id, 0x210)
+  lu.assertEquals(can.fields[0x08404000].id, 0x210)
 end
 
 local function bytes(count, zeros) return ("x"):rep(count) .. ("\0"):rep(zeros or 0) end

@@ -8,10 +8,10 @@ local T = {}
 local HEAD = "date Tue Nov 14 22:13:20.001 2023\r\nbase hex  timestamps absolute\r\ninternal events logged\r\n"
 
 local function shown(line, base)
-  local r = asc.parse(line, base or 16)
+  local r, stamp = asc.parse(line, base or 16)
   if not r then return nil end
   local kind = (r.fd and "fd " or "") .. (r.sent and "tx " or "")
-  return ("%d %d %08X %s%d %d %s"):format(r.stamp, r.number, r.id, kind, r.length, r.flags,
+  return ("%d %d %08X %s%d %d %s"):format(stamp, r.bus, r.id, kind, r.length, r.flags,
     r.data:gsub(".", function(byte) return ("%02X"):format(byte:byte()) end))
 end
 
@@ -71,9 +71,10 @@ local function file_of(text)
   }
 end
 
+-- The frames, and what was said of lines.
 local function frames(text)
-  local file, again, found = file_of(text), file_of(text), {}
-  local log = asc.open(file)
+  local file, again, found, said = file_of(text), file_of(text), {}, {}
+  local log = asc.open(file, function(message) said[#said + 1] = message end)
   if not log then return nil end
   while true do
     local record = { log:read(file) }
@@ -81,7 +82,7 @@ local function frames(text)
     lu.assertEquals({ log:seek_read(again, record[1]) }, record)
     found[#found + 1] = { bytes = record[2], seconds = record[3], nanoseconds = record[4], bus = record[5] }
   end
-  return found
+  return found, said
 end
 
 local function times(text)
@@ -113,14 +114,48 @@ function T.test_times()
   lu.assertEquals(times(HEAD .. frame .. "Begin Triggerblock Tue Nov 14 10:15:00.500 pm 2023\n100.5 1 123 Rx d 0\n"),
     "0.501000000 100.501000000")
   lu.assertEquals(times(HEAD:gsub("Tue Nov", "Die Nov") .. frame), "0.501000000")
-  lu.assertNil(frames(HEAD:gsub("Nov", "Xyz") .. frame)[1].seconds)
+end
+
+function T.test_months()
+  local names = "jan feb mar apr may jun jul aug sep oct nov dec"
+  local german = "jan feb mär apr mai jun jul aug sep okt nov dez"
+  for _, line in ipairs { names, german, "jän feb mrz" } do
+    local month = 0
+    for name in line:gmatch("%S+") do
+      month = month + 1
+      local start = os.time { year = 2023, month = month, day = 14, hour = 22, min = 13, sec = 20 }
+      lu.assertEquals(frames(HEAD:gsub("Nov", name) .. "1.0 1 123 Rx d 0\n")[1].seconds, start + 1, name)
+    end
+  end
+end
+
+-- Times count from the date before, or from 0, and the line is named.
+function T.test_dates_that_do_not_exist()
+  local good, frame = "Tue Nov 14 22:13:20.001 2023", "0.5 1 123 Rx d 0\n"
+  for _, date in ipairs { "Tue Nov 99999999999 22:13:20.001 2023", "Tue Nov 31 22:13:20 2023",
+    "Tue Nov 0 22:13:20 2023", "Wed Feb 29 10:00:00 2023", "Tue Nov 14 24:13:20 2023", "Tue Nov 14 22:60:20 2023",
+    "Tue Nov 14 22:13:61 2023",
+    "Tue Nov 14 99:13:20 2023", "Tue Nov 14 22:13:20 22", "Tue Xyz 14 22:13:20 2023", "2023-11-14 22:13:20", "x" } do
+    local found, said = frames(HEAD:gsub(good:gsub("%.", "%%."), date) .. frame)
+    lu.assertEquals({ found[1].seconds, found[1].nanoseconds, #said }, { 0, 500000000, 1 }, date)
+    lu.assertStrContains(said[1], "line 1: no such date: times count from the date before, or from 0.")
+    lu.assertStrContains(said[1], ('"%s"'):format(("date " .. date):sub(1, 50)))
+    found, said = frames(HEAD .. "Begin Triggerblock " .. date .. "\n" .. frame)
+    lu.assertEquals({ found[1].nanoseconds, #said }, { 501000000, 1 }, date)
+    lu.assertStrContains(said[1], "line 4: no such date")
+  end
+  for _, line in ipairs { "Begin Triggerblock", "Begin Triggerblock ", "Begin Triggerblock " .. good,
+    "date " .. good } do
+    local found, said = frames(HEAD .. line .. "\n" .. frame)
+    lu.assertEquals({ #found, #said }, { 1, 0 }, line)
+  end
 end
 
 function T.test_several_channels_in_the_first_lines()
   local function has_several(...)
     local lines = HEAD
     for i, channel in ipairs { ... } do lines = lines .. ("%d.5 %d 8404000x Rx d 0\n"):format(i, channel) end
-    return asc.open(file_of(lines)).has_several
+    return asc.open(file_of(lines), print).has_several
   end
   lu.assertEquals({ has_several(), has_several(2), has_several(2, 2), has_several(1, 2, 1), has_several(1, 1, 3) },
     { false, false, false, true, true })
@@ -140,17 +175,55 @@ function T.test_bases_and_halves_of_the_day()
   end
 end
 
-function T.test_long_lines_and_many_blocks()
+-- A line longer than 4096 bytes is skipped and named; no part of it is a frame.
+function T.test_long_lines()
+  for _, length in ipairs { 1000, 4096, 4097, 70000, 300000 } do
+    local long = "//" .. ("x"):rep(length - 19) .. " 0.4 1 123 Rx d 0\n"
+    local found, said = frames(HEAD .. long .. "0.5 1 123 Rx d 0\n" .. long)
+    lu.assertEquals({ #found, #said }, { 1, length > 4096 and 2 or 0 }, length)
+    if said[1] then
+      lu.assertStrContains(said[1], 'line 4: a line longer than 4096 bytes, skipped: "//xxxx')
+      lu.assertStrContains(said[2], "line 6: ")
+    end
+  end
+  local text = HEAD .. (("x"):rep(5000) .. "\n"):rep(1000) .. "0.5 1 123 Rx d 0\n"
+  local found, said = frames(text)
+  lu.assertEquals({ #found, #said }, { 1, 3 })
+  lu.assertStrContains(said[3], "further ones are not reported")
+end
+
+function T.test_many_lines_and_blocks()
   local text = {}
   for i = 1, 5000 do text[i] = ("%d.000000 1 8404000x Rx d 8 BB BE 6F C7 20 00 00 00"):format(i) end
   lu.assertEquals(#frames(HEAD .. table.concat(text, "\r\n")), 5000)
-  lu.assertEquals(#frames(HEAD .. ("x"):rep(300000) .. "\n0.5 1 123 Rx d 0\n"), 1)
-  for _, length in ipairs { 1000, 1024, 1025, 4097, 70000 } do -- no part of a long line is a frame
-    local long = "//" .. ("x"):rep(length - 2) .. " 0.4 1 123 Rx d 0\n"
-    lu.assertEquals(#frames(HEAD .. long .. "0.5 1 123 Rx d 0\n" .. long), 1, length)
-  end
-  lu.assertEquals(#frames(HEAD .. ("9"):rep(2000000) .. "\n0.5 1 123 Rx d 0\n"), 1)
   lu.assertTrue(#frames(HEAD .. ("Begin Triggerblock Tue Nov 14 22:13:20 2023\n0.1 1 123 Rx d 0\n"):rep(3000)) == 3000)
+end
+
+-- What a pattern might try again and again makes no line slow: at 4,000 characters one that is tried
+-- from each of them, and to the end, takes a hundred times as long.
+function T.test_no_line_is_slow()
+  local fronts = { "", "0.1 1 ", "0.1 CANFD 1 Rx ", "0.1 CANFD 1 Rx 123 ", "0.1 1 123 Rx d 8 ",
+    "0.1 CANFD 1 Rx 123 1 0 8 8 ", "Begin Triggerblock ", "Begin Triggerblock Tue Nov 14 22:13:20", "date Tue Nov 1" }
+  for _, front in ipairs(fronts) do
+    for _, unit in ipairs { " ", "0", "x", "a ", "1 ", "1  ", "Rx ", "CANFD ", ".", "0.1 " } do
+      local text = HEAD .. (front .. unit:rep(math.floor(4000 / #unit)) .. "!\n"):rep(20)
+      local start = os.clock()
+      frames(text)
+      lu.assertTrue(os.clock() - start < 0.2, ("%s%s: %g s"):format(front, unit, os.clock() - start))
+    end
+  end
+end
+
+-- A file that is asked for may be anybody's.
+function T.test_no_head_is_slow()
+  for _, front in ipairs { "", "date ", "date x\nbase hex timestamps absolute" } do
+    for _, unit in ipairs { "\n", " ", "\nbase", "\nbase hex ", "\n1 ", "\n1.1 1" } do
+      local text = front .. unit:rep(4000)
+      local start = os.clock()
+      for _ = 1, 20 do asc.open(file_of(text), print) end
+      lu.assertTrue(os.clock() - start < 0.2, ("%q%q: %g s"):format(front, unit, os.clock() - start))
+    end
+  end
 end
 
 return T

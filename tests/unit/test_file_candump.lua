@@ -118,13 +118,17 @@ function T.test_more_buses_than_any_file_has()
   local frames = frames_of(table.concat(lines))
   lu.assertEquals(#frames, 1000)
   lu.assertEquals({ #frames[1000].bytes, frames[1000].bus }, { 20 + 8 + 1, 999 })
+  for i = 1, 20000 do lines[i] = string.format("(1.000000) b%dx 123#11\n", i) end
+  local start = os.clock()
+  lu.assertEquals(frames_of(table.concat(lines))[20000].bus, 19999)
+  lu.assertTrue(os.clock() - start < 2, os.clock() - start)
 end
 
 function T.test_broken_lines_are_told_and_skipped()
   local text = HEAD .. "\n" .. HEAD .. "oh no\n" .. "(1.000000) can0 123#1\n" .. HEAD .. "# remark\n" .. HEAD
   local frames, told = frames_of(text)
   lu.assertEquals(#frames, 4)
-  lu.assertEquals(told, { "line 2: an empty line, skipped", 'line 4: not a candump line, skipped: "oh no"',
+  lu.assertEquals(told, { 'line 2: an empty line, skipped: ""', 'line 4: not a candump line, skipped: "oh no"',
     'line 5: the data bytes do not fit, line skipped: "(1.000000) can0 123#1"',
     'line 7: a comment, skipped: "# remark"' })
   lu.assertNil(frames[2].comment)
@@ -143,12 +147,42 @@ function T.test_several_buses_in_the_first_lines()
   lu.assertTrue(opened(HEAD .. HEAD:gsub("can0", "can1") .. HEAD, true).has_several)
 end
 
+-- candump -d says in its output, and in a log, how many frames the kernel dropped.
+function T.test_drops()
+  local drop = "DROPCOUNT: dropped %s on '%s' socket (total drops 12)\n"
+  lu.assertNil((opened(drop:format("9 CAN frames", "can1"):rep(3)))) -- no frame: another file
+  local text = HEAD .. HEAD .. drop:format("3 CAN frames", "can0") .. "# remark\n" .. ("x"):rep(5000) .. "\n" ..
+    drop:format("1 CAN frame", "any") .. " (1700000000.500000)  can0  123   [1]  11\n" .. HEAD ..
+    drop:format("99999999999999999999 CAN frames", "can1,123:7FF") .. HEAD:gsub("01%)", "02)") ..
+    "DROPCOUNT: dropped 7\n" .. drop:format("4294967295 CAN frames", "v\255")
+  local log, file = opened(text)
+  while log:read(file) do end
+  lu.assertEquals(log.drops, {
+    { count = 3, bus = "can0", frame = 3, time = 1700000000.5 }, { count = 1, frame = 3, time = 1700000000.5 },
+    { count = 4294967295, bus = "can1", frame = 5, time = 1700000000 + 2 / 1000000 },
+    { count = 7 }, { count = 4294967295, bus = "v\\xFF" },
+  })
+  for _ = 1, 2 do log:seek_read(file, 0) end
+  lu.assertEquals(#log.drops, 5)
+end
+
+-- The frame behind has the time that is shown of it, or none.
+function T.test_times_of_drops()
+  local drop = "DROPCOUNT: dropped 2 CAN frames\n"
+  local log, file = opened(screen({ "000.000000", "000.900000" }) .. drop .. screen({ "000.200000", "000.100000" }))
+  while log:read(file) do end
+  lu.assertEquals(log.drops, { { count = 2, frame = 3, time = 1.1 } }) -- deltas
+  log, file = opened("can0  123   [1]  11\n" .. drop .. "can0  123   [1]  11\n")
+  while log:read(file) do end
+  lu.assertEquals(log.drops, { { count = 2, frame = 2 } })
+end
+
 function T.test_many_broken_lines_do_not_flood()
   local frames, told = frames_of(HEAD:rep(1000) .. ("oh no\n\n"):rep(500) .. HEAD)
   lu.assertEquals(#frames, 1001)
   lu.assertEquals(#told, 6)
-  lu.assertEquals(told[5], 'line 1005: not a candump line, skipped: "oh no"; no more of these are told')
-  lu.assertEquals(told[6], "line 1006: an empty line, skipped; no more of these are told")
+  lu.assertEquals(told[5], 'line 1005: not a candump line, skipped: "oh no"; further ones are not reported')
+  lu.assertEquals(told[6], 'line 1006: an empty line, skipped: ""; further ones are not reported')
 end
 
 function T.test_a_line_without_end_costs_its_length_only()
@@ -156,8 +190,8 @@ function T.test_a_line_without_end_costs_its_length_only()
   local frames, told = frames_of(HEAD .. HEAD .. long .. "\n" .. HEAD:gsub("can0", "can1") .. long)
   lu.assertEquals(column(frames, "offset"), { 0, #HEAD, 2 * #HEAD + #long + 1 })
   lu.assertEquals(#told, 2)
-  lu.assertStrContains(told[1], "line 3: longer than any candump line")
-  lu.assertStrContains(told[2], "line 5: longer than any candump line")
+  lu.assertStrContains(told[1], "line 3: a line longer than 4096 bytes, skipped")
+  lu.assertStrContains(told[2], "line 5: a line longer than 4096 bytes, skipped")
 end
 
 function T.test_decimals()

@@ -3,6 +3,7 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local candump = require("yapp.file.candump_line")
+local levels = require("levels")
 local text = require("yapp.file.text")
 
 local function bytes(hex)
@@ -80,7 +81,10 @@ local OTHERS = {
   { " (1.000000)  can0  123   [9]  11 22 33 44 55 66 77 88 99", "data bytes" },
   { "  can0  123   [2]  11 22 and more", "not a candump line" },
   { "see 123 [1] for more", "not a candump line" }, { "(1.000000) can0 123#11.22", "data bytes" },
-  { ("x"):rep(5000), "longer" },
+  { " (2023-02-29 10:00:00.000000)  can0  123   [1]  11", "time" },
+  { " (2023-11-14 22:60:00.000000)  can0  123   [1]  11", "time" }, { " (-1.000000)  can0  123   [1]  11", "time" },
+  { "(1.000000)", "not a candump line" }, { "123#11", "not a candump line" }, { "can0 123", "not a candump line" },
+  { "#123 [1] 11", "comment" }, { "can0 123#11", "not a candump line" },
 }
 
 function T.test_lines_without_a_frame()
@@ -111,6 +115,22 @@ end
 function T.test_text_behind_a_frame_is_told()
   local record = candump.parse("(1.000000) can0 123#11 at the gate")
   lu.assertEquals({ record.data, record.note }, { "\17", "text behind the frame, ignored" })
+end
+
+-- What a pattern might try again and again makes no line slow: at 4,000 characters one that is tried
+-- from each of them, and to the end, takes 10 ms and more, others 0.1 ms.
+function T.test_no_line_is_slow()
+  for i = 1, #LINES, levels.size(3, 1) do
+    local line = LINES[i][1]
+    for _, unit in ipairs { " ", "0", "x", "\t", "`", "a ", "0 ", "0  ", "(", "\27[1", "0O", "$\\odot" } do
+      for _, at in ipairs { 1, line:find(")", 1, true) or 2, line:find("[#%[{]") + 1, #line + 1 } do
+        local long = line:sub(1, at - 1) .. unit:rep(math.floor(4000 / #unit)) .. line:sub(at)
+        local start = os.clock()
+        for _ = 1, 3 do candump.parse(long) end
+        lu.assertTrue(os.clock() - start < 0.03, ("%q at %d of %s: %g s"):format(unit, at, line, os.clock() - start))
+      end
+    end
+  end
 end
 
 function T.test_packet()

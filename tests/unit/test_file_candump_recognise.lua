@@ -126,6 +126,18 @@ function T.test_a_shell_in_front_of_the_frames()
   end
 end
 
+-- A file that is asked for may be anybody's.
+function T.test_no_head_is_slow()
+  for _, unit in ipairs { " ", "0", "\t", "`", "\n", "x\n", " \n", "\r\n", "(1", "#", "can0 123 [8] " } do
+    for _, last in ipairs { "", "x\n", "\n", "\n" .. HEAD .. HEAD } do
+      local text = unit:rep(math.floor(4000 / #unit)) .. last
+      local start = os.clock()
+      for _ = 1, 5 do opened(text) end
+      lu.assertTrue(os.clock() - start < 0.05, ("%q%q: %g s"):format(unit, last, os.clock() - start))
+    end
+  end
+end
+
 function T.test_only_the_start_of_other_text_is_read()
   local file = text_file(("some text\n"):rep(10000))
   lu.assertNil(candump.open(file, {}))

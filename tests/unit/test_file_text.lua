@@ -52,6 +52,43 @@ function T.test_going_to_an_offset()
   lu.assertTrue(file.moved > 0)
 end
 
+-- Of a line longer than 4096 bytes the begin stays, whatever its length; the lines behind it have their offsets.
+function T.test_a_long_line()
+  for _, length in ipairs { 4096, 4097, 65535, 65536, 65537, 1000000 } do
+    for _, at_once in ipairs { 1000, 65536 } do
+      local bytes = "first\n" .. ("x"):rep(length) .. "\nbehind\nlast"
+      local file, lines = file_of(bytes, at_once), text.lines("")
+      lu.assertEquals({ lines:next(file) }, { "first", 0 })
+      local long = lines:next(file)
+      lu.assertEquals(#long > 4096, length > 4096)
+      lu.assertTrue(#long <= 4097 + 65536)
+      lu.assertEquals(long, ("x"):rep(#long))
+      lu.assertTrue(#lines.text <= 4097 + 65536)
+      lu.assertEquals({ lines:next(file) }, { "behind", length + 7 })
+      lines:go_to(file, length + 7)
+      lu.assertEquals({ lines:next(file) }, { "behind", length + 7 })
+      lu.assertEquals({ lines:next(file) }, { "last", length + 14 })
+      lu.assertNil(lines:next(file))
+    end
+  end
+end
+
+-- A file that is one line of 100 MB costs the time of reading it, and no memory.
+function T.test_a_file_of_one_line()
+  local count, piece = 0, ("x"):rep(65536)
+  local lines, largest = text.lines(""), 0
+  local file = { read = function()
+    count = count + 1
+    largest = math.max(largest, #lines.text)
+    return count <= 1600 and piece or nil
+  end }
+  local start = os.clock()
+  lu.assertTrue(#lines:next(file) > 4096)
+  lu.assertNil(lines:next(file))
+  lu.assertTrue(largest <= 4097 + 65536, largest)
+  lu.assertTrue(os.clock() - start < 2, os.clock() - start)
+end
+
 -- What is named is where the line begins that is not there, or not whole.
 function T.test_a_file_that_cannot_be_read_on()
   for _, before in ipairs { "", "one\ntwo" } do

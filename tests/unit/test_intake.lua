@@ -42,7 +42,10 @@ function T.test_kinds_of_finished_messages()
     intake:message(message { status = row[1], good = row[2] or false })
   end
   local kinds = {}
-  for i, one in ipairs(offered) do kinds[i] = one[1].kind .. (one[1].values.what and " " .. one[1].values.what or "") end
+  for i, one in ipairs(offered) do
+    local what = one[1].values.what
+    kinds[i] = one[1].kind .. (what and " " .. what or "")
+  end
   lu.assertEquals(kinds, { "message", "crc", "incomplete incomplete", "message", "incomplete incomplete" })
 end
 
@@ -57,7 +60,8 @@ function T.test_a_message()
   lu.assertEquals(event.values, { change = change, is_unreliable = true })
   lu.assertIs(event.values.change, change)
   local source = event.source
-  lu.assertEquals({ source.key, source.bus_key, source.bus, source.name, source.id }, { "a", 1, "can0", "name 1", 1 })
+  lu.assertEquals({ source.key, source.bus_key, source.bus, source.name, source.id },
+    { "a", 1, "can0", "name 1", 1 })
   lu.assertIs(source.message, MESSAGE)
   lu.assertEquals({ offered[2][1].source.name, offered[2][1].source.message }, {})
 end
@@ -126,10 +130,10 @@ function T.test_bytes_of_no_frame()
   local intake, offered = new_intake()
   intake:skipped { frame = 3, time = 2, visited = false, bus = "serial", bus_name = "ttyA", source = "stream",
     length = 9 }
-  local record = offered[1][1]
-  lu.assertEquals({ record.kind, record.values.length, record.frame, record.time, record.source.key, record.source.bus },
+  local event = offered[1][1]
+  lu.assertEquals({ event.kind, event.values.length, event.frame, event.time, event.source.key, event.source.bus },
     { "skipped", 9, 3, 2, "stream", "ttyA" })
-  lu.assertNil(record.source.id)
+  lu.assertNil(event.source.id)
 end
 
 -- Text over several packets of one stream is one stretch, until a frame comes; a new run begins anew.
@@ -148,8 +152,8 @@ function T.test_bytes_of_several_packets()
     skipped("stream", 9)
     lu.assertEquals(#offered, run * 5)
   end
-  lu.assertEquals({ offered[1][1].frame, offered[1][1].values.length, offered[5][1].frame, offered[5][1].values.length },
-    { 3, 27, 9, 9 })
+  local first, last = offered[1][1], offered[5][1]
+  lu.assertEquals({ first.frame, first.values.length, last.frame, last.values.length }, { 3, 27, 9, 9 })
 end
 
 function T.test_messages_that_the_capture_ends_before()

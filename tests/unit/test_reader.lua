@@ -113,8 +113,7 @@ local function read(r, message, bytes, with)
   local m = { id = message.id, size = message.size, payload = payload, is_whole = true, good = true,
     wants = {} }
   for key, value in pairs(with or {}) do m[key] = value end
-  local memory = { change = function(_, _, what) return what end }
-  r:read(m, memory, "what changed")
+  r:read(m, { note = function() return { missing = 1 } end })
   return m
 end
 
@@ -124,7 +123,7 @@ function T.test_what_a_message_gets()
   local r = new()
   local m = read(r, HEALTH, { [at(HEALTH, "board_revision")] = 9 })
   lu.assertEquals({ m.message, m.raws[HEALTH.index[HEALTH.by_name.board_revision]], m.look, m.has_fault, m.change },
-    { HEALTH, 9, false, false, "what changed" })
+    { HEALTH, 9, false, false, { missing = 1 } })
   for _, with in ipairs { { id = 0x123 }, { size = 16 }, { is_whole = false }, { size = 18, good = false } } do
     m = read(r, HEALTH, {}, with)
     lu.assertEquals({ m.raws or "none", m.look or "none", m.has_fault or "none", m.undecoded or "none" },
@@ -154,7 +153,7 @@ function T.test_a_shorter_payload()
   for size = 29, 33 do
     local m = { id = 0x210, size = size, payload = ("\1"):rep(size), is_whole = true, good = size ~= 31,
       wants = {} }
-    r:read(m, { change = function() end })
+    r:read(m, { note = function() end })
     found[#found + 1] = ("%d %s %s %s"):format(size, m.raws and "read" or "bytes", tostring(r:fits(0x210, size)),
       m.undecoded or "-")
   end
@@ -168,7 +167,7 @@ end
 function T.test_nothing_new()
   local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true,
     wants = {} }
-  new():read(m, { change = function() end })
+  new():read(m, { note = function() end })
   lu.assertFalse(m.change)
 end
 
@@ -177,10 +176,9 @@ function T.test_an_unreliable_source()
   local function read_with(change)
     local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true,
       wants = { standing = true } }
-    local memory = { change = function(_, one) one.is_unsure = false return change end,
-      standing = function(_, one) return one.is_unsure and "nothing" or "something" end }
-    new():read(m, memory)
-    return { m.is_unsure, m.standing }
+    new():read(m, { note = function() return change end,
+      standing = function(_, one) return not one.is_unsure and { drift = 1 } or nil end })
+    return { m.is_unsure or false, m.standing and "something" or "nothing" }
   end
   lu.assertEquals(read_with { shared = true, unreliable = true }, { true, "nothing" })
   lu.assertEquals(read_with { unreliable = true }, { true, "nothing" })

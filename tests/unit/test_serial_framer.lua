@@ -119,7 +119,8 @@ function T.test_a_message_that_lost_bytes()
   local lost = MOTOR:sub(1, 30) .. MOTOR:sub(32)
   feeds(new(), lost .. MOTOR, "incomplete 0-47 +1, good 47-95")
   feeds(new(), lost .. GOOD, "incomplete 0-47 +1, good 47-67")
-  feeds(new(), lost .. lost .. lost .. MOTOR, "incomplete 0-47 +1, incomplete 47-94 +1, incomplete 94-141 +1, good 141-189")
+  feeds(new(), lost .. lost .. lost .. MOTOR,
+    "incomplete 0-47 +1, incomplete 47-94 +1, incomplete 94-141 +1, good 141-189")
   feeds(new(), MOTOR:sub(1, 12) .. MOTOR, "incomplete 0-12 +36, good 12-60")
   feeds(new(), MOTOR:sub(1, 11) .. MOTOR, "skipped 0-11, good 11-59")
   feeds(new(), lost .. "> ps\r\n" .. MOTOR, "bad 0-48, skipped 48-53, good 53-101")
@@ -463,7 +464,8 @@ function T.test_frames_inside_of_frames()
     -- The outer one is bad: then those inside are.
     { inner:sub(1, -2) .. "\255" .. GOOD, "skipped 0-16, good 16-36, skipped 36-44, good 44-64" },
     { header(6, #inner) .. inner .. "bad!", "skipped 0-12, good 12-56, skipped 56-60" },
-    { BAD_MOTOR:sub(1, 12) .. GOOD .. BAD_MOTOR:sub(33) .. GOOD, "incomplete 0-12 +36, good 12-32, skipped 32-48, good 48-68" },
+    { BAD_MOTOR:sub(1, 12) .. GOOD .. BAD_MOTOR:sub(33) .. GOOD,
+      "incomplete 0-12 +36, good 12-32, skipped 32-48, good 48-68" },
   }
   for i, row in ipairs(rows) do
     feeds(new(), row[1], row[2])
@@ -483,7 +485,8 @@ function T.test_frames_do_not_wait_for_a_large_one()
   feeds(s, ("x"):rep(PATIENCE - 33), "")
   feeds(s, "x", "skipped 32-44, good 44-64, skipped 64-4128")
   feeds(s, header(5, 65535) .. header(5, 60) .. GOOD .. GOOD, "")
-  feeds(s, ("x"):rep(24) .. MOTOR, "skipped 4128-4152, good 4152-4172, good 4172-4192, skipped 4192-4216, good 4216-4264")
+  feeds(s, ("x"):rep(24) .. MOTOR,
+    "skipped 4128-4152, good 4152-4172, good 4172-4192, skipped 4192-4216, good 4216-4264")
 end
 
 function T.test_a_large_frame_wins_if_all_its_bytes_are_there()
@@ -553,11 +556,13 @@ local HARD = {
   claims = function() return header(5, 65535) end,
   mixed_claims = function(random) return header(5, 60000 + random(5000)) end,
   falling_claims = function(_, at) return header(5, 65535 - at % 65000) end,
+  falling_ends = function(_, at) return header(5, 65535 - 2 * at % 65000) end,
   small_claims = function(random) return header(5, random(40)) end,
   dense_claims = function() return "YP\0\0\5\0\0\0" end, -- the next "YP" is the size
   intact_in_claims = function(random) return random(100) == 1 and GOOD or header(5, 65535) end,
 }
-local HARDEST = { dense_claims = HARD.dense_claims, intact_in_claims = HARD.intact_in_claims }
+local HARDEST = { dense_claims = HARD.dense_claims, intact_in_claims = HARD.intact_in_claims,
+  falling_ends = HARD.falling_ends }
 
 local function hard(make, count)
   local random, parts, length = generator.random(7), {}, 0
@@ -626,6 +631,20 @@ function T.test_a_frame_behind_a_flood()
     feed_in_pieces(s, flood, 1400)
     local found = in_words(s:feed(MOTOR .. ("x"):rep(PATIENCE))) -- it may wait for a candidate before it
     lu.assertStrContains(found, ("good %d-%d"):format(#flood, #flood + #MOTOR), false, kind)
+  end
+end
+
+-- The CRCs of large candidates leave enough for the frames inside of them.
+function T.test_frames_in_a_flood_of_large_candidates()
+  local bytes = (header(5, 65535) .. MOTOR .. header(5, 20000) .. MOTOR):rep(600) .. ("x"):rep(65536)
+  for _, patience in ipairs { PATIENCE, LARGEST } do
+    local s, good = framer.new(size_of, patience), 0
+    for at = 1, #bytes, 65536 do
+      for _, event in ipairs(s:feed(bytes:sub(at, at + 65535))) do
+        if event.status == "good" then good = good + 1 end
+      end
+    end
+    lu.assertEquals(good, 1200)
   end
 end
 

@@ -34,7 +34,7 @@ local function in_words(contents, bytes)
   return table.concat(list, ", ")
 end
 
--- A row { key, bytes, what it holds, what it holds when all have come (the same if left out), other fields } as a packet.
+-- A row as a packet: key, bytes, what it holds, what it holds when all have come (the same if left out), other fields.
 local function packet_of(row, other)
   local packet = { key = row[1], number = row[1], bytes = row[2], length = #row[2], time = row[1], stream = "" }
   for _, fields in ipairs { other or {}, row } do
@@ -177,7 +177,8 @@ function T.test_bytes_by_themselves()
   take(self, { { 1, A:sub(1, 9), "9 wait" } })
   local bytes = "x" .. B .. A:sub(1, 20)
   for _ = 1, 2 do
-    lu.assertEquals(in_words({ events = self:read(bytes), pending = 0 }, bytes), "skipped 1 @0, good 6 @1, incomplete 5 @18 -5")
+    lu.assertEquals(in_words({ events = self:read(bytes), pending = 0 }, bytes),
+      "skipped 1 @0, good 6 @1, incomplete 5 @18 -5")
   end
   take(self, { { 2, A:sub(10), "good 5 in 1,2" } })
 end
@@ -186,7 +187,8 @@ end
 function T.test_a_key_that_comes_again()
   local self = new()
   take(self, { { 1, A, "good 5 @0" }, { 1, "x" .. A, "skipped 1 @0, good 5 @1" }, { 1, B, "good 6 @0" },
-    { 2, "y", "skipped 1 @0" }, { 2, A, "good 5 @0" }, { 3, A:sub(1, 9), "9 wait" }, { 3, A:sub(10), "good 5 in 3,3" } })
+    { 2, "y", "skipped 1 @0" }, { 2, A, "good 5 @0" }, { 3, A:sub(1, 9), "9 wait" },
+    { 3, A:sub(10), "good 5 in 3,3" } })
   find(self, { { 1, B, "good 6 @0" }, { 2, A, "good 5 @0" }, { 3, A:sub(10), "good 5 in 3,3" } })
 end
 
@@ -211,7 +213,6 @@ end
 local MESSAGE = {}
 for id = 1, 9 do MESSAGE[id] = generator.frame(id, "x") end
 local ALL = table.concat(MESSAGE)
-local SIZE = #MESSAGE[1]
 
 -- A row { key, first byte, last byte, says } of ALL as a segment; or { acknowledges =, is_syn =, follows = }.
 local function segments(rows, first_seq)
@@ -240,33 +241,35 @@ local function drops(self)
 end
 
 -- Each: its segments, and the losses.  Messages end at 17, 34, 51, 68 ...
+local FIRST_GAP = "frame 2 at 1002 on eth0, 1"
 local CONNECTIONS = {
   { { { 1, 1, 34, "good 1 @0, good 2 @17" }, { 2, 1, 34, "" }, { 3, 35, 51, "good 3 @0" } }, "" },
   { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 10, 40, "good 2 in 1,2, 6 wait" }, { 3, 12, 51, "good 3 in 2,3" } }, "" },
-  { { { 1, 1, 68, "good 1 @0, good 2 @17, good 3 @34, good 4 @51" }, { 2, 18, 34, "" }, { 3, 60, 85, "good 5 @9" } }, "" },
+  { { { 1, 1, 68, "good 1 @0, good 2 @17, good 3 @34, good 4 @51" }, { 2, 18, 34, "" }, { 3, 60, 85, "good 5 @9" } },
+    "" },
   -- one late
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 3, 18, 34, "good 2 @0, good 3 in 2" } }, "" },
   { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 40, 51, "12 held" }, { 3, 52, 68, "17 held" },
     { 4, 21, 39, "good 2 in 1,4, good 3 in 4,2, good 4 in 3" } }, "" },
-  { { { 1, 1, 17, "good 1 @0" }, { 2, 52, 68, "17 held" }, { 3, 35, 51, "17 held" }, { 4, 1, 34, "good 2 @17, good 3 in 3, " ..
-    "good 4 in 2" } }, "" },
-  -- one that never comes: acknowledged, too long ago, too far behind
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 52, 68, "17 held" }, { 3, 35, 51, "17 held" },
+    { 4, 1, 34, "good 2 @17, good 3 in 3, good 4 in 2" } }, "" },
+  -- one that never comes: acknowledged, too long ago
   { { { 1, 1, 20, "good 1 @0, 3 wait" }, { acknowledges = 35 }, { 2, 35, 51, "skipped 3 before, good 3 @0" } },
-    "frame 2 at 1002 on eth0, 1" },
-  { { { 1, 1, 17, "good 1 @0" }, { acknowledges = 18 }, { 2, 35, 51, "17 held" }, { 3, 52, 68, "17 held" }, { acknowledges = 19 },
-    { acknowledges = 5 }, { 4, 69, 85, "good 3 in 2, good 4 in 3, good 5 @0" } }, "frame 2 at 1002 on eth0, 1" },
+    FIRST_GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { acknowledges = 18 }, { 2, 35, 51, "17 held" }, { 3, 52, 68, "17 held" },
+    { acknowledges = 19 }, { acknowledges = 5 }, { 4, 69, 85, "good 3 in 2, good 4 in 3, good 5 @0" } }, FIRST_GAP },
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 102, 52, 68, "17 held" },
-    { 103, 69, 85, "good 3 in 2, good 4 in 102, good 5 @0" }, { 104, 18, 34, "" } }, "frame 2 at 1002 on eth0, 1" },
-  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 3, 69, 85, "17 held" }, { 4, 18, 34, "good 2 @0, good 3 in 2" },
-    { 5, 86, 102, "17 held" }, { acknowledges = 60 }, { 6, 103, 119, "good 5 in 3, good 6 in 5, good 7 @0" } },
-    "frame 4 at 1004 on eth0, 1" },
+    { 103, 69, 85, "good 3 in 2, good 4 in 102, good 5 @0" }, { 104, 18, 34, "" } }, FIRST_GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 3, 69, 85, "17 held" },
+    { 4, 18, 34, "good 2 @0, good 3 in 2" }, { 5, 86, 102, "17 held" }, { acknowledges = 60 },
+    { 6, 103, 119, "good 5 in 3, good 6 in 5, good 7 @0" } }, "frame 4 at 1004 on eth0, 1" },
   -- the capture ends
-  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" } }, "frame 2 at 1002 on eth0, 1" },
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" } }, FIRST_GAP },
   -- a connection with the same addresses and numbers
-  { { { 1, 1, 34, "good 1 @0, good 2 @17" }, { is_syn = true }, { 2, 1, 17, "good 1 @0" }, { 3, 18, 51, "good 2 @0, good 3 @17" } },
-    "" },
-  { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 35, 51, "17 held" }, { is_syn = true }, { 3, 1, 17, "skipped 3 before, " ..
-    "good 3 in 2, good 1 @0" } }, "frame 2 at 1002 on eth0, 1" },
+  { { { 1, 1, 34, "good 1 @0, good 2 @17" }, { is_syn = true }, { 2, 1, 17, "good 1 @0" },
+    { 3, 18, 51, "good 2 @0, good 3 @17" } }, "" },
+  { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 35, 51, "17 held" }, { is_syn = true },
+    { 3, 1, 17, "skipped 3 before, good 3 in 2, good 1 @0" } }, FIRST_GAP },
 }
 
 function T.test_segments()
@@ -432,7 +435,8 @@ function T.test_random_packets_in_any_order()
     local rows, self = odd_packets(random), new()
     local said = expected_of(rows)
     local function holds_what_it_should(i, contents, leads_to)
-      local found = { in_words({ events = contents.events, pending = 0 }, rows[i][2]), contents.pending, contents.leads_to }
+      local events = in_words({ events = contents.events, pending = 0 }, rows[i][2])
+      local found = { events, contents.pending, contents.leads_to }
       lu.assertEquals(found, { said[i].events, said[i].pending, leads_to }, "seed " .. seed .. " " .. i)
     end
     for i, row in ipairs(rows) do holds_what_it_should(i, self:take(packet_of(row), true)) end

@@ -31,7 +31,8 @@ end
 function T.test_the_example()
   local s, problems = parse("0x210=motor:left_fore, 0x211=motor:left_aft, can1/0x210=motor:right_fore,528 = x ," ..
     "0x212=left_tail")
-  lu.assertEquals(problems, { 'yapp.sources: a bus and ID once more in "528 = x"; the first part that names them holds' })
+  lu.assertEquals(problems,
+    { 'yapp.sources: a bus and ID once more in "528 = x"; the first part that names them holds' })
   lu.assertEquals({ s:name("can0", 0x210), s:name(nil, 0x210), s:name("can1", 0x210) },
     { "left_fore", "left_fore", "right_fore" })
   lu.assertEquals({ s:name("can1", 0x211), s:name("can1", 0x212) }, { "left_aft", "left_tail" })

@@ -42,7 +42,8 @@ function T.test_rows_are_printed()
   output.print(context, "YAPP", keys, rows, { "what is left out" })
   context.json = true
   output.print(context, "YAPP", keys, rows, { "what is left out" })
-  lu.assertEquals(table.concat(said), "YAPP\nwhat is left out\n\nsince start/s  ID   frame\n     0.500000  0x9      3\n" ..
+  lu.assertEquals(table.concat(said), "YAPP\nwhat is left out\n\n" ..
+    "since start/s  ID   frame\n     0.500000  0x9      3\n" ..
     '{"id":9,"frame":3}\n')
 end
 

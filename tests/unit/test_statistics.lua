@@ -80,7 +80,7 @@ end
 local function run(arguments, records, with)
   with = with or {}
   local settings = settings_of(with)
-  local printed, queue, entry = {}, queue_of.new(settings, with.hint), nil
+  local printed, queue, matched = {}, queue_of.new(settings, with.hint), {}
   for _, argument in ipairs(arguments) do
     local options = options_of.read("yapp," .. argument, settings.catalogue)
     if not argument:find("^check") then lu.assertEquals(options.problems, {}) end
@@ -90,12 +90,12 @@ local function run(arguments, records, with)
     local row = statistics.BY_NAME[options.what]
     local statistic, problem = row.new(options, context)
     if not statistic then return nil, nil, { problem } end
-    entry = queue:add(statistic, { filter = with.matches, has_notes = not (options.json or row.is_data) })
+    matched = queue:add(statistic, { filter = with.matches, has_notes = not (options.json or row.is_data) }).matched
   end
   queue:begins(with.epoch or 1700000000, 5, 0)
   for _, one in ipairs(records) do
     queue:offer(one, false)
-    if with.matches and with.matches[one.frame] then queue:matched(entry, one.frame) end
+    if with.matches and with.matches[one.frame] then rawset(matched, one.frame, true) end
     queue:packet(one.frame, one.time)
   end
   if with.last then queue:packet(9999, with.last) end
@@ -734,7 +734,7 @@ local function said(records, with) return lines((run({ "faults" }, records, with
 function T.test_messages_that_were_not_decoded()
   local records = { unknown(1, "can1", 0x212, 11), unknown(2, "can0", 0x213, 11), unknown(3, "can1", 0x211, 11),
     unknown(4, "can1", 0x211, 11) }
-  local text = "4 messages were not decoded: can1 0x211, 0x212, can0 0x213 (11 bytes each, the size of Motor Data). " ..
+  local text = "4 messages were not decoded: can0 0x213, can1 0x211, 0x212 (11 bytes each, the size of Motor Data). " ..
     "Try -o yapp.motor_ids:0x210-0x213"
   lu.assertEquals(said(records), { "YAPP faults: 0", text })
   for _, what in ipairs { "faults,json", "summary,json", "events,json", "compare,json", "csv,-,motor" } do

@@ -1,26 +1,16 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- A line of what candump prints and logs: the CAN frame that it tells of.  Pure Lua.
+-- A line of what candump prints and logs: the CAN frame in it.  Pure Lua.
 --
--- Two forms, after can-utils (lib.c, candump.c), plus the same line pasted from a document:
---   log     (1700000000.000001) can0 08404000#BBBE6FC720000000 R
---   screen   (000.000499)  can0  RX - -  08404000   [8]  BB BE 6F C7 20 00 00 00   '..o. ...'
+-- Its forms, after can-utils (lib.c, candump.c), are rows of FORMS, or of OTHERS if it has no
+-- frame.  A line pasted from a document has these forms, too.
 local text = require("yapp.file.text")
 
-local char, find, gsub = string.char, string.find, string.gsub
-local match, rep, sub = string.match, string.rep, string.sub
+local match = string.match
 
 local M = {}
 
--- The longest line that candump prints has 64 bytes in binary digits, 700 characters in all.
-local LONGEST = 4096
-
 -- Why a line gives no frame.
-local EMPTY = "an empty line, skipped"
-local COMMENT = "a comment, skipped"
-local SAID = "a message of candump's, skipped"
-local DROPPED = "candump lost frames"
 local UNKNOWN = "not a candump line, skipped"
-local LONG = "longer than any candump line, skipped"
 local TIME = "no such time, line skipped"
 local ID = "no such CAN id, line skipped"
 local DATA = "the data bytes do not fit, line skipped"
@@ -28,31 +18,19 @@ local DATA = "the data bytes do not fit, line skipped"
 local BEHIND = "text behind the frame, ignored"
 local REPAIRED = "letters that look like hex digits, read as such"
 
---- Of no interest in the packet list, and no reason to doubt that a file is candump's.
-M.HARMLESS = { [EMPTY] = true, [COMMENT] = true, [SAID] = true }
-
--- Lines without a frame; candump -e prints what an error frame means, below it and behind a tab.
+-- Lines without a frame: a pattern, a reason, and whether they are harmless.  candump -e prints
+-- below an error frame, behind a tab, what it means.
 local OTHERS = {
-  { "^%s*$", EMPTY },
-  { "^%s*[#;/]", COMMENT },
-  { "^DROPCOUNT: ", DROPPED },
-  { "^Enabling Logfile '", SAID },
-  { "while logging[.!]?%s*$", SAID },
+  { "^%s*$", "an empty line, skipped", true },
+  { "^%s*[#;/]", "a comment, skipped", true },
+  { "^Enabling Logfile '", "a message of candump's, skipped", true },
+  { "while logging[.!]?%s*$", "a message of candump's, skipped", true },
+  { "^DROPCOUNT: ", "candump lost frames" },
   { "^\t%l+%-[%l-]+%f[{%s\0]" },
 }
 
--- Two hex digits, or the eight binary ones of candump -i, to a byte; nil for other texts.
-local BASES = { [2] = 16, [8] = 2 }
-local BYTES = setmetatable({}, { __index = function(bytes, digits)
-  local base = BASES[#digits]
-  local value = base and tonumber(digits, base)
-  if not value then return nil end
-  local byte = char(value)
-  bytes[digits] = byte
-  return byte
-end })
-
---- The id with SocketCAN's flags for 3 (standard) or 8 (extended, or error) hex digits, or nil.
+--- Return the id with SocketCAN's flags for 3 (standard) or 8 (extended, or error) hex digits, or
+-- nil.
 function M.id(digits)
   local id = tonumber(digits, 16)
   if #digits == 3 and id < 0x800 then return id end
@@ -60,71 +38,64 @@ function M.id(digits)
   return id < text.ERROR and id + text.EXTENDED or id
 end
 
--- A date, local time as Wireshark shows it: seconds since 1970, and the digits of the fraction.
-local function read_date(stamp)
-  local year, month, day, hour, min, sec, fraction =
-    match(stamp, "^(%d%d%d%d)%-(%d%d)%-(%d%d) (%d%d):(%d%d):(%d%d)%.(%d+)$")
-  if not year or year < "1970" or month > "12" then return nil end
-  local date = { year = year, month = month, day = day, hour = hour, min = min, sec = sec }
-  return os.time(date), fraction
+-- Times
+-- ---------------------------------------------------------------------------------------------
+
+local latest, latest_seconds = "", nil -- date: many frames are of one second
+
+-- Return the seconds since 1970 of a date, local time as Wireshark shows it; nil for another text.
+local function read_date(date)
+  if date == latest then return latest_seconds end
+  local parts = {}
+  parts.year, parts.month, parts.day, parts.hour, parts.min, parts.sec =
+    date:match("^(%d%d%d%d)%-(%d%d)%-(%d%d) (%d%d):(%d%d):(%d%d)$")
+  latest, latest_seconds = date, parts.year and text.seconds_of(parts)
+  return latest_seconds
 end
 
--- Fills in the time that stands in the parentheses, or returns why it cannot.  An absolute time has
--- ten digits at least: candump pads it.
+-- Fill in the time in the parentheses, or return why not.  An absolute time has ten digits at
+-- least: candump pads it.
 local function read_stamp(record, stamp)
-  local digits, fraction = match(stamp, "^(%d+)%.(%d+)$")
-  local seconds = tonumber(digits)
-  record.is_relative = digits ~= nil and #digits < 10
-  if not digits then seconds, fraction = read_date(stamp) end
-  if not seconds or digits and #digits > 12 then return TIME end
-  record.seconds = seconds
-  record.nanoseconds = tonumber(sub(fraction .. "00000000", 1, 9))
+  local whole, fraction = stamp:match("^%f[%d]([%d%-: ]*%d)%.(%d+)$")
+  if not whole then return TIME end
+  record.seconds = #whole <= 12 and tonumber(whole) or read_date(whole)
+  record.nanoseconds = tonumber((fraction .. "00000000"):sub(1, 9))
+  record.is_relative = #whole < 10
+  return not record.seconds and TIME or nil
 end
 
-local function make_remote(record, length)
+-- Data
+-- ---------------------------------------------------------------------------------------------
+
+local function fill_remote(record, length)
   record.id = record.id + text.REMOTE
   record.length = length
-  record.data = rep("\0", length)
+  record.data = ("\0"):rep(length)
 end
 
--- A log, what stands behind "#": ##<flags><data> of CAN FD, R<length>_<DLC>, <data>_<DLC>.
-local function read_log(record, data, behind)
-  local is_known = behind == "" or behind == "R" or behind == "T"
-  if not is_known then record.note = BEHIND end
-  record.sent = behind == "T"
+-- Fill in what a log has behind "#": ##<flags><data> of CAN FD, R<length>_<DLC>, <data>_<DLC>.
+local function read_log(record, data, way, stop, line)
+  local has_more = stop <= #line
+  if has_more then record.note = BEHIND end
+  record.sent = way == "T" and not has_more
   record.is_relative = false
-  local length, dlc = match(data, "^R(%d?)_?(%x?)$")
-  local flags, hex = match(data, "^#(%x)(%x*)$")
+  local length, dlc = data:match("^R(%d?)_?(%x?)$")
+  local flags, hex = data:match("^#(%x)(%x*)$")
   if flags then
     record.fd = true
     record.flags = tonumber(flags, 16)
   elseif not length then
-    hex, dlc = match(data, "^(%x*)_?(%x?)$")
+    hex, dlc = data:match("^(%x*)_?(%x?)$")
   end
   record.raw_dlc = tonumber(dlc or "", 16) or 0
-  if length then return make_remote(record, tonumber(length) or 0) end
+  if length then return fill_remote(record, tonumber(length) or 0) end
   if not hex or #hex % 2 ~= 0 then return DATA end
-  record.data, record.length = gsub(hex, "%x%x", BYTES)
+  record.data, record.length = hex:gsub("%x%x", text.BYTES)
 end
 
--- The data bytes on the screen.  Between them is a blank, or with -S, which turns them around, a
--- "`".  Behind them stands nothing, ERRORFRAME, or in quotes the bytes as ASCII.
-local function read_bytes(record, data)
-  local bytes, at = {}, 1
-  for i = 1, record.length do
-    local digits, stop = match(data, "^[%s`]+(%x+)()", at)
-    bytes[i] = BYTES[digits or ""]
-    if not bytes[i] then return DATA end
-    at = stop
-  end
-  local is_known = find(data, "^%s*$", at) or find(data, "^%s+['`E]", at)
-  if not is_known then return DATA end
-  record.data = table.concat(bytes)
-  if find(sub(data, 1, at - 1), "`", 1, true) then record.data = record.data:reverse() end
-end
-
--- The screen, what stands behind the id: [8] classic, [08] CAN FD, {E} classic with the raw DLC
--- (-8).
+-- Fill in what the screen has behind the id: [8] classic, [08] CAN FD, {E} classic with the raw DLC
+-- (-8).  Between the bytes is a blank, or with -S, which turns them around, a "`".  Behind them is
+-- nothing, ERRORFRAME, or in quotes the bytes as ASCII.
 local function read_screen(record, open, digits, data)
   local is_raw = open == "{"
   local length = tonumber(digits, is_raw and 16 or 10)
@@ -135,80 +106,89 @@ local function read_screen(record, open, digits, data)
   end
   record.fd = #digits == 2
   record.length = length
-  if find(data, "^%s+remote request%s*$") then return make_remote(record, length) end
-  return read_bytes(record, data)
-end
-
--- A line's time, and what is behind it: in a log, on the screen, and there with -x the direction
--- and the flags of CAN FD.
-local STAMP = "^%s*%(([^()]+)%)%s+(.*)$"
-local LOG = "^(%S+)%s+(%x+)#(%S*)%s*(.-)%s*$"
-local SCREEN = "^%s*(%S+)%s+(%x+)%s+([%[{])(%x%x?)[%]}](.*)$"
-local DIRECTION = "^(%s*%S+)%s+([RT])X ([B-]) ([E-])(%s.*)$"
-local FLAGS = { B = 1, E = 2 }
-
--- Fills in what stands behind the id, or returns why it cannot.
-local function fill(record, stamp, read, ...)
-  if not record.id then return ID end
-  local why = stamp and read_stamp(record, stamp) or read(record, ...)
-  if why then return why end
-  local most = record.fd and 64 or 8
-  return record.length > most and DATA or nil
-end
-
--- The frame in a line, or nil and why there is none.
-local function frame_of(line)
-  local stamp, rest = match(line, STAMP)
-  rest = rest or line
-  local front, way, brs, esi, back = match(rest, DIRECTION)
-  if front then rest = front .. back end
-  local read, bus, id, a, b, c = read_log, match(rest, LOG)
-  if not stamp or not bus then
-    read, bus, id, a, b, c = read_screen, match(rest, SCREEN)
+  if data:find("^%s+remote request%s*$") then return fill_remote(record, length) end
+  local bytes, stop = text.read_bytes(data, length, "^[%s`]+(%x+)()", text.BYTES)
+  if not bytes or not data:find("^%s*$", stop) and not data:find("^%s+['`E]", stop) then
+    return DATA
   end
-  if not bus then return nil, UNKNOWN end
-  local record = {
-    bus = bus,
-    id = M.id(id),
-    fd = false,
-    sent = way == "T",
-    flags = (FLAGS[brs] or 0) + (FLAGS[esi] or 0),
-    raw_dlc = 0,
-    is_relative = false,
-  }
-  local why = fill(record, stamp, read, a, b, c)
-  if not why then return record end
-  return nil, stamp and why or UNKNOWN
+  record.data = data:sub(1, stop - 1):find("`", 1, true) and bytes:reverse() or bytes
+end
+
+-- A line
+-- ---------------------------------------------------------------------------------------------
+
+-- Forms of a line with a frame: a pattern of what follows the id, and what reads it.  needs_time:
+-- without one it is another program's line.
+local FORMS = {
+  -- (1700000000.000001) can0 08404000#BBBE6FC720000000 R
+  { "^#(%S*)%s*([RT]?)%s*()", read = read_log, needs_time = true },
+  --  (000.000499)  can0  RX - -  08404000   [8]  BB BE 6F C7 20 00 00 00   '..o. ...'
+  { "^%s+([%[{])(%x%x?)[%]}](.*)$", read = read_screen },
+}
+
+-- Return what stands in front of an id: the time, the bus, with -x the direction and the flags of
+-- CAN FD; then the id and the index behind it.  Each may be nil.
+local function read_head(line)
+  local stamp, first = match(line, "^%s*%(([^()]+)%)%s+()")
+  local bus, second = match(line, "^%s*(%S+)%s+()", first)
+  if not bus then return nil end
+  local way, brs, esi, third = match(line, "^([RT])X ([B-]) ([E-])%s+()", second)
+  local id, behind = match(line, "^(%x+)()", third or second)
+  local flags = (brs == "B" and 1 or 0) + (esi == "E" and 2 or 0)
+  return stamp, bus, way == "T", flags, id, behind
+end
+
+-- Fill in time and data, or return why not.
+local function fill(record, stamp, form, line, a, b, c)
+  if not record.id then return ID end
+  local why = stamp and read_stamp(record, stamp) or form.read(record, a, b, c, line)
+  local max_length = record.fd and 64 or 8
+  return why or record.length > max_length and DATA or nil
+end
+
+-- Return the frame in a line, or nil and why there is none.
+local function frame_of(line)
+  local stamp, bus, sent, flags, id, behind = read_head(line)
+  for _, form in ipairs(FORMS) do
+    local a, b, c = match(line, form[1], behind)
+    if id and a and (stamp or not form.needs_time) then
+      local record = {
+        bus = bus, id = M.id(id), fd = false, sent = sent, flags = flags, raw_dlc = 0,
+        is_relative = false,
+      }
+      local why = fill(record, stamp, form, line, a, b, c)
+      if not why then return record end
+      return nil, stamp and why or UNKNOWN
+    end
+  end
+  return nil, UNKNOWN
 end
 
 -- What stands for digits in the candump lines of the vendor's document: three Greek and two
 -- Cyrillic letters, an O, and circles; and the space of a page that they were copied from.
-local LOOK_ALIKES = {
-  ["\206\146"] = "B",
-  ["\206\149"] = "E",
-  ["\206\152"] = "0",
-  ["\208\151"] = "3",
-  ["\208\177"] = "6",
-  ["\194\160"] = " ",
-}
-
--- The line with such letters as the digits they stand for.
-local function repaired(line)
-  line = gsub(line, "[\194\206\208][\128-\191]", LOOK_ALIKES)
-  line = gsub(line, "%$\\odot \\odot%$", "00")
-  return (gsub(line, "(%x)O%f[%s\0]", "%10"))
+local LOOK_ALIKES = {}
+for letter, digit in
+  ("\206\146B\206\149E\206\1520\208\1513\208\1776\194\160 "):gmatch("([\194-\208].)(.)") do
+  LOOK_ALIKES[letter] = digit
 end
 
---- Reads one line.
--- @param line text without its line end; colours are dropped
--- @return the frame: bus (its name), id (32 bits, flags as SocketCAN has them), fd, flags (CAN FD:
---   1 BRS, 2 ESI), length (bytes, or the DLC of a remote frame), data (a string of that length,
---   zero in a remote frame), raw_dlc (9 to 15 or 0), sent; seconds, nanoseconds and is_relative
---   unless there is no time; note (what is to say about the line, or nil).  Otherwise nil and a
---   reason, or nil alone for a line of -e below a frame.
+-- Return the line with such letters as the digits that they stand for.
+local function repaired(line)
+  line = line:gsub("[\194\206\208][\128-\191]", LOOK_ALIKES)
+  line = line:gsub("%$\\odot \\odot%$", "00")
+  return (line:gsub("(%x)O%f[%s\0]", "%10"))
+end
+
+--- Read one line.
+-- line     text without its line end; colours are dropped
+-- returns  the frame: { bus = name, id = with SocketCAN's flags, fd, flags = of CAN FD: 1 BRS, 2
+--          ESI; length = bytes, or the DLC of a remote frame; data = string, zero in a remote
+--          frame; raw_dlc = 9 to 15, or 0; sent; seconds, nanoseconds, is_relative = nil without a
+--          time; note = what is to be said of the line, or nil }.  For a line without a frame nil
+--          and a reason (nil for a line of -e below a frame), and true if the packet list need not
+--          say it and the file may still be candump's
 function M.parse(line)
-  if #line > LONGEST then return nil, LONG end
-  line = gsub(line, "\27%[[%d;]*m", "")
+  line = line:gsub("\27%[[%d;]*m", "")
   local record, why = frame_of(line)
   if record then return record end
   local readable = repaired(line)
@@ -218,23 +198,9 @@ function M.parse(line)
     return record
   end
   for _, other in ipairs(OTHERS) do
-    if find(line, other[1]) then return nil, other[2] end
+    if line:find(other[1]) then return nil, other[2], other[3] end
   end
   return nil, why
-end
-
---- Reads a line of the usual form in one step: a classic data frame in a log, nothing behind it.
---   (1700000000.000001) can0 08404000#BBBE6FC720000000
--- @param lines text with the line in it
--- @param at where the line begins
--- @return seconds and nanoseconds, the bus, the id's digits, the data bytes, and where the next
---   line begins; nil for any other line
-function M.usual(lines, at)
-  local seconds, fraction, bus, digits, hex, stop =
-    match(lines, "^%((%d+)%.(%d%d%d%d%d%d)%) (%S+) (%x+)#(%x*)\r?\n()", at)
-  if not stop or #hex > 16 or #hex % 2 ~= 0 or #seconds > 12 then return nil end
-  local data = gsub(hex, "%x%x", BYTES)
-  return tonumber(seconds), tonumber(fraction) * 1000, bus, digits, data, stop
 end
 
 return M

@@ -5,8 +5,7 @@ local M = {}
 
 local CHUNK = 65536
 local MAX_AHEAD = 1048576 -- bytes to search for a time stamp; they are kept
--- Bytes of no frame: to a record of so many, no more are added.  Wireshark takes four times that.
-local MAX_SKIPPED = 65536
+local MAX_SKIPPED = 65536 -- bytes of no frame in a record; Wireshark takes four times that
 
 -- A record is an exported PDU: it names its dissector, and a UDP port type says that it is complete
 -- in itself.  Bytes between frames may look like the start of a frame.  Only what follows shows
@@ -25,14 +24,14 @@ function Dump:fill(file)
   local bytes, events = self.head or file:read(CHUNK) or "", self.events
   self.head, self.is_over = nil, bytes == ""
   for _, event in ipairs(self.is_over and self.framer:finish() or self.framer:feed(bytes)) do
-    local last, is_skipped = events[self.last], event.status == "skipped"
-    if is_skipped and last and last.status == "skipped" and #last.bytes < MAX_SKIPPED then
+    local last = events[self.last]
+    if last and last.status == "skipped" and event.status == "skipped" then
       last.bytes = last.bytes .. event.bytes
     else
       self.last = self.last + 1
       events[self.last] = event
       self.has_frame = self.has_frame or event.status == "good"
-      self.time = self.time or self:stamp(event)
+      if self.is_opening then self.time = self.time or self:stamp(event) end
     end
   end
 end
@@ -60,6 +59,7 @@ function M.open(file, options, head)
     events = {}, -- that are no records yet: events[next] to events[last]
     next = 1,
     last = 0,
+    is_opening = true,
     is_over = false,
     has_frame = false,
     time = nil,   -- of the latest record; before, the first one that there is
@@ -69,7 +69,29 @@ function M.open(file, options, head)
     return self.has_frame and (self.time or self.framer:offset() >= MAX_AHEAD) or self.is_over
   end
   while not is_enough() do self:fill(file) end
+  self.is_opening = false
   return self.has_frame and self or nil
+end
+
+-- Takes the next event, nil at the end.  All bytes between two frames are one, as long as Wireshark
+-- takes them, however they were read.
+function Dump:next_event(file)
+  local event = self.events[self.next]
+  local function may_go_on()
+    return self.next == self.last and event.status == "skipped" and #event.bytes < MAX_SKIPPED
+  end
+  while not self.is_over and (not event or may_go_on()) do
+    self:fill(file)
+    event = self.events[self.next]
+  end
+  if event and event.status == "skipped" and #event.bytes > MAX_SKIPPED then
+    local from, bytes = event.from, event.bytes
+    event.from, event.bytes = from + MAX_SKIPPED, bytes:sub(MAX_SKIPPED + 1)
+    return { status = "skipped", from = from, bytes = bytes:sub(1, MAX_SKIPPED) }
+  end
+  self.events[self.next] = nil
+  self.next = self.next + 1
+  return event
 end
 
 -- Returns a record as Wireshark takes it.
@@ -83,15 +105,8 @@ end
 --          end.  The time is the controller's own if the message has a time stamp, else that of the
 --          record before.  In front of the first time it is that one if it comes soon, else nil
 function Dump:read(file)
-  local event = self.events[self.next]
-  local function may_go_on() return self.next == self.last and event.status == "skipped" end
-  while not self.is_over and (not event or may_go_on()) do
-    self:fill(file)
-    event = self.events[self.next]
-  end
+  local event = self:next_event(file)
   if not event then return nil end
-  self.events[self.next] = nil
-  self.next = self.next + 1
   self.time = self:stamp(event) or self.time
   local record = {
     length = #event.bytes,

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Wireshark's file readers of candump text, Vector's ASC and raw serial dumps, and the bus of the
--- record that one of them read last: thin, the modules of the formats do the work.
+-- Wireshark's file readers of candump text, Vector's ASC and raw serial dumps, and what the files
+-- say of the capture.  The modules of the formats do the work.
 local asc = require("yapp.file.asc")
 local candump = require("yapp.file.candump")
 local dump = require("yapp.file.dump")
@@ -10,100 +10,125 @@ local NSTime = NSTime
 
 local M = {}
 
--- Of the record read last; and of a log that Wireshark's own reader takes.
-local NO_BUS = {}
-local current, plain, several = NO_BUS, nil, false
+local NO_BUS, NO_LOG = {}, {}
+local bus -- of the record read last
+local latest -- the log of the record read last
+local several -- whether the log opened last has several buses
+local plain -- the bus of the log opened last, if Wireshark's own reader took it
 
---- Where the record that was read last came from.  A dissector can ask on a first pass, where
--- records are read and dissected in turns and fields may not be there.
--- @return the number of its bus, and the bus's name, fit to be printed; nil where it was read by no
---   reader of ours, or is of a dump
+--- Forget all files.  Call it before any reader sees a file: sharkd opens another file without
+-- closing the first.
+function M.forget()
+  bus, latest, several, plain = NO_BUS, NO_LOG, false, nil
+end
+M.forget()
+
+--- Return the bus of the record that was read last.  A dissector can ask on a first pass, where
+-- records are read and dissected in turns and fields may be absent.
+-- returns  its number and its name, fit to be printed; nil if no reader of ours read the record, or
+--          it is of a dump
 function M.current()
-  return current.number, current.name
+  return bus.number, bus.name
 end
 
---- The name of the one bus of the log that was opened last, where Wireshark's own reader took it:
--- of 4.0 and 4.4 that reader forgets the name.  Nil for any other file.
+--- Return the name of the one bus of the log that was opened last, if Wireshark's own reader took
+-- it: that of 4.0 and 4.4 forgets the name.  Nil for any other file.
 function M.plain_bus()
   return plain
 end
 
---- Whether the log that was opened last has several buses, by its first lines.
+--- Return whether the log that was opened last has several buses, by its first lines.
 function M.are_several()
   return several
 end
 
---- A file is looked at: nothing is known of it.  To be called before any reader sees it: sharkd
--- opens another file without closing the first.
-function M.forget()
-  current, plain, several = NO_BUS, nil, false
+--- Return the packets that were lost while capturing, as the file read last says.  The list is
+-- complete when the file has been read.
+-- returns  list of { count = packets, bus = name or nil, frame = number of the packet behind the
+--          loss or nil, time = that packet's seconds since 1970 or nil }
+function M.drops()
+  return latest.drops or {}
 end
 
--- Fills a record with what a log's read or seek_read returned.
-local function fill(frame, offset, bytes, seconds, nanoseconds, bus, comment)
+--- Return whether packets of the file read last have no time stamps.
+function M.lacks_times()
+  return latest.lacks_times or false
+end
+
+-- Fill a record with what a log's read or seek_read returned.
+-- returns  its offset; false at the end
+local function fill(log, frame, offset, bytes, seconds, nanoseconds, its_bus, comment)
+  latest = log
   if not offset then return false end
   frame.rec_type = PACKET
   frame.flags = seconds and HAS_TIME or 0
-  if seconds then frame.time = NSTime.new(seconds, nanoseconds) end
+  if seconds then
+    frame.time = NSTime.new(seconds, nanoseconds)
+  else
+    log.lacks_times = true
+  end
   if comment then frame.comment = comment end
   frame.data = bytes
-  current = bus or NO_BUS
+  bus = its_bus or NO_BUS
   return offset
 end
 
--- What all readers do alike; what is theirs is open(file), which returns a log or nil.  (No tail
--- calls: what a reader does not hold may be collected, and Wireshark writes into it when the reader
--- is back.)
-local function register(title, name, kind, row)
+-- Register a reader.  (No tail calls: what a reader does not hold may be collected, and Wireshark
+-- writes into it when the reader is back.)
+-- title, name  of the reader
+-- kind         "rs" is asked before Wireshark's own readers of text, "r" after them
+-- encap        link type of its packets
+-- open         function(file), which returns a log or nil
+-- extension    of the files that it is asked for first, or nil
+local function register(title, name, kind, encap, open, extension)
   local handler = FileHandler.new(title, name, title, kind)
-  handler.extensions = row.extension
+  handler.extensions = extension
 
   function handler.read_open(file, capture)
-    current = NO_BUS
-    local log = row.open(file)
+    bus = NO_BUS
+    local log = open(file)
     if not log then return false end
     several = log.has_several or false
-    capture.encap = row.encap
+    capture.encap = encap
     capture.time_precision = log.decimals == 9 and wtap_tsprecs.NSEC or wtap_tsprecs.USEC
     capture.private_table = log
     return true
   end
 
   function handler.read(file, capture, frame)
-    local offset = fill(frame, capture.private_table:read(file))
+    local log = capture.private_table
+    local offset = fill(log, frame, log:read(file))
     return offset
   end
 
   function handler.seek_read(file, capture, frame, offset)
-    return fill(frame, capture.private_table:seek_read(file, offset)) ~= false
+    local log = capture.private_table
+    return fill(log, frame, log:seek_read(file, offset)) ~= false
   end
 
-  function handler.read_close() current = NO_BUS end
+  function handler.read_close() bus = NO_BUS end
   register_filehandler(handler)
 end
 
--- Wireshark names no file here.
-local function report(text)
-  io.stderr:write("candump reader: ", text, "\n")
+-- Return what reports a text.  Wireshark names no file here.
+local function reporter(name)
+  return function(text) io.stderr:write(name, ": ", text, "\n") end
 end
 
--- Whether Wireshark's own reader takes 00000000 for a standard id.
-local function goes_by_value()
-  local major, minor = get_version():match("^(%d+)%.(%d+)")
-  return (tonumber(major) or 0) * 100 + (tonumber(minor) or 0) >= 405
-end
-
--- Two readers of one kind.  The first is asked before Wireshark's own and takes what that gets
--- wrong or not at all.  The second is asked last, so it serves who names it: -X
--- "read_format:yapp_candump" takes any candump text.
+-- Register a reader of candump text, all of it or what Wireshark's own reader gets wrong or not at
+-- all.  Whoever names it, -X "read_format:yapp_candump", gets all.
 local function register_candump(title, name, kind, takes_all)
-  local options = { all = takes_all, report = report, by_value = goes_by_value() }
-  local function open(file)
+  local options = {
+    all = takes_all,
+    report = reporter("candump reader"),
+    -- Wireshark's own reader goes by an id's value from 4.6 on.
+    by_value = not get_version():find("^4%.[0-4]%."),
+  }
+  register(title, name, kind, wtap_encaps.SLL2, function(file)
     local log
     log, plain = candump.open(file, options)
     return log
-  end
-  register(title, name, kind, { open = open, encap = wtap_encaps.SLL2 })
+  end)
 end
 
 -- A dump has no mark at its start, and files of others may hold YAPP frames: only what is named
@@ -117,14 +142,16 @@ local function register_dump(options)
   -- The first bytes of what has another name; and of what was refused for what it holds, as that is
   -- shown to the others next.
   local shown, refused
+  local report = reporter("yapp: not opened as a raw serial dump")
+  local encap = wtap_encaps.WIRESHARK_UPPER_PDU
 
-  local function note_name(file)
+  register("YAPP (tells other files from .yapp)", "yapp_name", "r", encap, function(file)
     local head = file:read(HEAD) or ""
     if head ~= refused then shown = head end
     refused = nil
-  end
+  end)
 
-  local function open(file)
+  register("YAPP raw serial dump", "yapp_dump", "r", encap, function(file)
     local head = file:read(HEAD) or ""
     local has_other_name = shown == head
     shown = nil
@@ -132,22 +159,19 @@ local function register_dump(options)
     local log = dump.open(file, options, head)
     if log then return log end
     refused = head
-    local why = head == "" and "the file is empty" or NO_FRAME
-    io.stderr:write("yapp: not opened as a raw serial dump: ", why, "\n")
-  end
-
-  register("YAPP (tells other files from .yapp)", "yapp_name", "r", { open = note_name })
-  register("YAPP raw serial dump", "yapp_dump", "r",
-    { open = open, encap = wtap_encaps.WIRESHARK_UPPER_PDU, extension = "yapp" })
+    report(head == "" and "the file is empty" or NO_FRAME)
+  end, "yapp")
 end
 
---- Makes the readers known to Wireshark.  To be called once.
--- @param options what dump.open needs
+--- Register the readers with Wireshark.  Call it once.
+-- options  what dump.open needs
 function M.register(options)
   register_candump("candump text (YAPP reader, automatic)", "yapp_candump_auto", "rs", false)
   register_candump("candump text (YAPP reader)", "yapp_candump", "r", true)
-  register("Vector ASC (YAPP reader)", "yapp_asc", "r",
-    { open = asc.open, encap = wtap_encaps.SLL2, extension = "asc" })
+  local report = reporter("ASC reader")
+  register("Vector ASC (YAPP reader)", "yapp_asc", "r", wtap_encaps.SLL2, function(file)
+    return asc.open(file, report)
+  end, "asc")
   register_dump(options)
 end
 

@@ -1,10 +1,17 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What readers of CAN logs share: a file's lines, a CAN frame as a packet.  Pure Lua.
-local char, find, sub = string.char, string.find, string.sub
+-- What the readers of text logs share: the lines of a file, a CAN frame as a packet, and a log that
+-- reads its frames in order and once more.  Pure Lua.
+local char, match = string.char, string.match
+local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
 local BLOCK = 65536 -- bytes read at once
+-- Bytes of a line.  The longest lines with a frame are candump's of 64 bytes in binary digits, 700
+-- characters.  What is longer is skipped, and never kept whole.
+local MAX_LINE = 4096
+local MAX_REPORTED = 3 -- lines for each reason
+local TOO_LONG = "a line longer than 4096 bytes, skipped"
 
 -- Lines
 -- ---------------------------------------------------------------------------------------------
@@ -12,14 +19,18 @@ local BLOCK = 65536 -- bytes read at once
 local Lines = {}
 Lines.__index = Lines
 
---- The lines of a file: `text` is the part of it from offset `base` on, the next line begins at
--- `pos`.
--- @param text the first bytes of the file, which is right behind them
+--- Make the lines of a file.
+-- text  string: the first bytes of the file, which is right behind them
 function M.lines(text)
-  return setmetatable({ text = text, base = 0, pos = 1, number = 0 }, Lines)
+  return setmetatable({
+    text = text, -- a part of the file
+    base = 0, -- the offset of the text
+    pos = 1, -- the index in the text at which the next line begins
+    number = 0, -- of the line read last
+  }, Lines)
 end
 
---- Goes to an offset, inside the text at hand when possible.
+--- Go to an offset, inside the text where possible.
 function Lines:go_to(file, offset)
   local pos = offset - self.base + 1
   if pos >= 1 and pos <= #self.text then
@@ -30,21 +41,23 @@ function Lines:go_to(file, offset)
   self.text, self.base, self.pos = "", offset, 1
 end
 
--- Reads on behind what is left of the text: more, the longer the line is.
+-- Read on behind the line that begins at pos.  Of a line that is too long only the begin stays.
 -- returns  false at the end of the file
 function Lines:read_on(file)
-  local rest = sub(self.text, self.pos)
-  local more, why = file:read(math.max(BLOCK, #rest))
-  self.base = self.base + self.pos - 1
-  if why then error("cannot read the line at offset " .. self.base .. ": " .. why, 0) end
-  self.text = rest .. (more or "")
+  local begin = self.text:sub(self.pos, self.pos + MAX_LINE)
+  local more, why = file:read(BLOCK)
+  if why then
+    error(("cannot read the line at offset %d: %s"):format(self.base + self.pos - 1, why), 0)
+  end
+  self.base = self.base + #self.text - #begin
+  self.text = begin .. (more or "")
   self.pos = 1
-  return #self.text > #rest
+  return #self.text > #begin
 end
 
---- Goes on behind a line that somebody else has read in the text.
--- @param pos where the next one begins
--- @return the offset of the line
+--- Go on behind a line of the text.
+-- pos      index in the text at which the next line begins
+-- returns  the offset of the line
 function Lines:skip_to(pos)
   local offset = self.base + self.pos - 1
   self.pos = pos
@@ -52,16 +65,53 @@ function Lines:skip_to(pos)
   return offset
 end
 
---- The next line.
--- @return the line without its "\n", and its offset; nil at the end
+--- Read the next line.
+-- returns  the line without its "\n", and its offset; nil at the end.  A line that is too long may
+--          have lost its end
 function Lines:next(file)
-  local stop = find(self.text, "\n", self.pos, true)
+  local stop = self.text:find("\n", self.pos, true)
   while not stop and self:read_on(file) do
-    stop = find(self.text, "\n", 1, true)
+    stop = self.text:find("\n", 1, true)
   end
   if not stop and self.pos > #self.text then return nil end
-  local line = sub(self.text, self.pos, (stop or 0) - 1)
+  local line = self.text:sub(self.pos, (stop or 0) - 1)
   return line, self:skip_to((stop or #self.text) + 1)
+end
+
+-- Bytes
+-- -------------------------------------------------------------------------------------------
+
+--- Make a table of bytes by their digits, filled as it is read; nil for other digits.
+-- value_of  function(digits), which returns a number or nil
+function M.byte_table(value_of)
+  return setmetatable({}, { __index = function(bytes, digits)
+    local value = value_of(digits)
+    if not value or value > 255 then return nil end
+    bytes[digits] = char(value)
+    return bytes[digits]
+  end })
+end
+
+-- Two hex digits, or the eight binary ones of candump -i, to a byte.
+local BASES = { [2] = 16, [8] = 2 }
+M.BYTES = M.byte_table(function(digits)
+  local base = BASES[#digits]
+  return base and tonumber(digits, base)
+end)
+
+--- Return so many data bytes, and the index behind them; nil if there are fewer.
+-- data     text that begins with them
+-- pattern  of a byte, which captures its digits and the index behind it
+-- bytes    from byte_table
+function M.read_bytes(data, count, pattern, bytes)
+  local found, index = {}, 1
+  for i = 1, count do
+    local digits, stop = match(data, pattern, index)
+    found[i] = bytes[digits or ""]
+    if not found[i] then return nil end
+    index = stop
+  end
+  return table.concat(found), index
 end
 
 -- Packets
@@ -73,19 +123,13 @@ M.REMOTE = 0x40000000
 M.ERROR = 0x20000000
 
 local function big_endian(number)
-  local bytes = ""
-  for _ = 1, 4 do
-    local low = number % 256
-    bytes = char(low) .. bytes
-    number = (number - low) / 256
-  end
-  return bytes
+  return (("%08X"):format(number):gsub("%x%x", M.BYTES))
 end
 
---- The bytes of a packet before the CAN frame's length: the same for all such frames on a bus.
--- (Wireshark takes the id in the host's order here, and this is the usual one.)
--- @param number of the bus
--- @param record id (32 bits, flags as SocketCAN has them), fd, sent
+--- Return the bytes of a packet before the CAN frame's length: the same for all such frames on a
+-- bus.  (Wireshark takes the id in the host's order here, and this is the usual one.)
+-- number  of the bus
+-- record  { id = 32 bits with SocketCAN's flags, fd, sent = booleans or nil }
 function M.head(number, record)
   local protocol = record.fd and "\0\13" or "\0\12"
   local sent = record.sent and "\4" or "\0"
@@ -95,13 +139,120 @@ function M.head(number, record)
     big_endian(record.id):reverse()
 end
 
---- A frame as a packet of link type LINUX_SLL2: the cooked header, the SocketCAN header, the data.
--- @param number of the bus
--- @param record what head needs, and length, flags, raw_dlc (9 to 15, or 0), data
--- @return the bytes, a string
+--- Return a frame as a packet of link type LINUX_SLL2: the cooked header, the SocketCAN header, the
+-- data.
+-- number  of the bus
+-- record  what head needs, and { length = bytes, flags = 4 FDF, 2 ESI, 1 BRS, raw_dlc = 9 to 15
+--         or 0, data = bytes }
 function M.packet(number, record)
   local lengths = char(record.length, record.flags, 0, record.raw_dlc)
   return M.head(number, record) .. lengths .. record.data
+end
+
+-- What stands in a line
+-- -------------------------------------------------------------------------------------------
+
+--- Return the seconds since 1970 of a local time, or nil if it does not exist.
+-- date  { year, month, day, hour, min, sec = numbers or their digits }, which os.time may change
+function M.seconds_of(date)
+  local written = ("%02d-%02d %02d:%02d"):format(date.month, date.day, date.min, date.sec)
+  local is_known, seconds = pcall(os.time, date)
+  -- 30 February is moved into March.  The hour may be moved, if summer time leaves it out.
+  return is_known and os.date("%m-%d %M:%S", seconds) == written and seconds or nil
+end
+
+-- Logs
+-- -------------------------------------------------------------------------------------------
+
+local Log = {}
+Log.__index = Log
+
+--- Make a log.
+-- head    string: the first bytes of the file, which is right behind them
+-- report  function(text), called with what is to be said of a line
+-- log     table: what the format has of its own, with
+--         record      function(log, line, offset), which returns the frame in a line, or nil: a
+--                     record as packet needs it, and { bus = key of buses; seconds, nanoseconds =
+--                     nil without a time }.  offset = of the line; nil if it has been read before
+--         per_second  unit of times
+function M.open(head, report, log)
+  log.report = report
+  log.lines = M.lines(head)
+  log.again = M.lines("") -- for the frames that are read once more
+  log.others = 0 -- number of lines without a frame
+  log.skipped = {} -- number of lines, by reason
+  log.pending = {} -- texts for the packet list, at the next frame
+  log.comments = {} -- texts of the packet list, by the frame's offset
+  log.buses = {} -- { number, name = fit to be printed }, by what the record calls them
+  log.times = {} -- by the frame's offset, if its line does not tell
+  return setmetatable(log, Log)
+end
+
+--- Report a line, at once and in the packet list at the next frame.  Of each reason only the first
+-- lines are reported.
+-- why          text
+-- is_harmless  true if the packet list need not say it
+function Log:skip(line, why, is_harmless)
+  local count = (self.skipped[why] or 0) + 1
+  self.skipped[why] = count
+  if count > MAX_REPORTED then return end
+  local shown = utf8.printable(line:sub(1, 50):match("^%s*(.-)%s*$"))
+  local message = ('line %d: %s: "%s"'):format(self.lines.number, why, shown)
+  if count == MAX_REPORTED then message = message .. "; further ones are not reported" end
+  self.report(message)
+  if not is_harmless then self.pending[#self.pending + 1] = message end
+end
+
+--- Return the seconds and nanoseconds of a frame, nil without a time.
+function Log:time_of(record, offset)
+  local time = self.times[offset]
+  if not time then return record.seconds, record.nanoseconds end
+  local rest = time % self.per_second
+  return math.floor((time - rest) / self.per_second), rest * (1000000000 / self.per_second)
+end
+
+--- Read the next frame.
+-- lines    of the log
+-- returns  as read
+function M.next(self, lines, file)
+  local line, offset = lines:next(file)
+  if not line then return nil end
+  local record
+  if #line > MAX_LINE then
+    self:skip(line, TOO_LONG)
+  else
+    record = self:record(line, lines == self.lines and offset)
+  end
+  if not record then
+    self.others = self.others + 1
+    return M.next(self, lines, file)
+  end
+  if #self.pending > 0 then
+    self.comments[offset] = table.concat(self.pending, "\n")
+    self.pending = {}
+  end
+  local bus, seconds, nanoseconds = self.buses[record.bus], self:time_of(record, offset)
+  return offset, M.packet(bus.number, record), seconds, nanoseconds, bus, self.comments[offset]
+end
+
+Log.next = M.next
+
+--- Read the next frame.
+-- file     the file that was opened
+-- returns  its offset, the packet's bytes (link type LINUX_SLL2), the seconds and nanoseconds since
+--          1970 or since the first frame (nil without a time), the bus { number, name }, a comment
+--          or nil.  Nil at the end
+function Log:read(file)
+  return self:next(self.lines, file)
+end
+
+--- Read a frame once more.
+-- file     a second handle of the same file, used for nothing else
+-- offset   of the frame, from read
+-- returns  the same as read
+function Log:seek_read(file, offset)
+  self.again:go_to(file, offset)
+  return self:next(self.again, file)
 end
 
 return M

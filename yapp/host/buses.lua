@@ -101,9 +101,9 @@ function Buses:may_have_frames()
   return self.found.may_have_frames
 end
 
---- Whether the first bytes of the file have YAPP frames, in TCP, UDP or whatever.
-function Buses:has_frames()
-  return self.found.has_frames
+--- Return the first bytes of the file if they may have YAPP frames and it has packets, else nil.
+function Buses:head()
+  return self.found.head
 end
 
 --- Return what the capture says of packets that were dropped: a list of { time = seconds since 1970

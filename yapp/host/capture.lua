@@ -376,8 +376,8 @@ end
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
 --   has_no_times  whether packets have no time stamps
 --   place         offset in each packet of a CAN frame's data; nil where it is not always the same
---   has_frames    whether its first packets have what may be YAPP frames, in TCP, UDP or whatever
---   may_have_frames  the same, or whether it has no packets yet }
+--   head          its first bytes, if they have what may be YAPP frames, in TCP, UDP or whatever
+--   may_have_frames  whether they have, or it has no packets yet }
 function M.read(head, more)
   local has_frame = has_header(head)
   local self = setmetatable({
@@ -411,7 +411,7 @@ function M.read(head, more)
     (self.carriers > 0 or #self.interfaces == 0)
   self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
   for number = 1, #self.buses do name_bus(self, number) end
-  self.has_frames = has_frame and has_packets
+  self.head = has_frame and has_packets and head or nil
   self.may_have_frames = has_frame or not has_packets
   complete_drops(self)
   if not self.has_several then self.entries = {} end

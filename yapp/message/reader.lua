@@ -187,8 +187,7 @@ end
 --          one; standing = how things stand, where wants.standing (see message.history)
 -- history  a message.history, which is asked by m.number, the frame key.  It is asked for nothing
 --          where m.is_unsure; of a visited message (m.visited) m.delta is known already.
---          Or, of CAN, what has change(m, ...) and standing(m, ...), with what they take besides
-function Reader:read(m, history, ...)
+function Reader:read(m, history)
   local message, raws, look = self:message_of(m.id, m.bus_name), nil, nil
   local is_longer = message and m.size > message.size
   if message and m.is_whole and m.size >= message.min_size and (m.good or not is_longer) then
@@ -197,13 +196,7 @@ function Reader:read(m, history, ...)
   m.message, m.raws, m.look = message, raws, look
   m.undecoded = raws and is_longer and m.size - message.size or nil
   m.has_fault = look and decode.has_alarm(message, raws)
-  if history.note then
-    ask(m, history)
-  else
-    m.change = history:change(m, ...) or false
-    if m.change and m.change.unreliable then m.is_unsure = true end
-    m.standing = m.wants.standing and history:standing(m, ...) or false
-  end
+  ask(m, history)
   if self.stat.wanted then self.tell:message(m) end
 end
 

@@ -43,6 +43,8 @@ function M.new(tree, reader, buses, tcp_header)
     history = nil,   -- a message.history
     deltas = nil,    -- [frame key] = seconds since the source's previous good message, or FIRST
     sources = nil,   -- [key of a stream][ID] = a source, see message.reader
+    damaged = nil,   -- [key of a stream, or frame key of its first packet] = the latest damaged
+                     -- datagram before it, see Dissector:accepts
     has_tcp = false, -- whether a TCP connection is YAPP's
   }, Dissector)
 end
@@ -51,7 +53,7 @@ end
 -- new_history  function() -> a message.history
 function Dissector:reset(new_history)
   self.streams = streams.new(function() return self:new_framer() end)
-  self.history, self.deltas, self.sources = new_history(), {}, {}
+  self.history, self.deltas, self.sources, self.damaged = new_history(), {}, {}, {}
   self.has_tcp = false
   tcp.stop()
 end
@@ -60,21 +62,6 @@ end
 -- patience  of serial.framer; nil for the usual
 function Dissector:new_framer(patience)
   return framer.new(function(id) return self.reader:size_of(id) end, patience)
-end
-
---- Whether bytes are YAPP, for a heuristic: they hold a good frame, or nothing but messages of the
--- catalogue, which may be damaged.  Headers must be the document's: another ID or size may be
--- somebody else's.
-function Dissector:is_yapp(bytes)
-  local is_catalogue = true
-  local function fits(id, size) return self.reader:fits(id, size) ~= false end
-  for _, event in ipairs(self.streams:read(bytes)) do
-    local at = event.at + 1
-    if event.status == "good" and frame.judge(bytes, at, fits) then return true end
-    local is_message = event.status ~= "skipped" and self.reader:size_of(frame.parse(bytes, at))
-    is_catalogue = is_catalogue and is_message
-  end
-  return is_catalogue
 end
 
 -- Packets ----------------------------------------------------------------------------------------
@@ -148,6 +135,71 @@ local function source_of(self, packet, id)
     of_stream[id] = source
   end
   return source
+end
+
+-- Heuristics -------------------------------------------------------------------------------------
+
+--- Whether bytes are YAPP: they hold a good frame, or they are nothing but messages of the
+-- catalogue, each with all its bytes, whose CRC may be bad.  Headers must be the document's:
+-- another ID or size may be somebody else's.
+-- length  number of bytes that the packet had
+-- returns  boolean, and the events of serial.streams
+function Dissector:is_yapp(bytes, length)
+  local events, is_catalogue, missing = self.streams:read(bytes), true, length - #bytes
+  local function fits(id, size) return self.reader:fits(id, size) ~= false end
+  for _, event in ipairs(events) do
+    local at = event.at + 1
+    if event.status == "good" and frame.judge(bytes, at, fits) then return true, events end
+    local is_complete = event.status == "bad" or event.missing == missing
+    is_catalogue = is_catalogue and is_complete and self.reader:size_of(frame.parse(bytes, at))
+  end
+  return is_catalogue, events
+end
+
+--- Whether a packet of an unknown conversation is YAPP.  If it is not, but may be a message that
+-- lost bytes, this is reported when another packet of the conversation is.
+function Dissector:accepts(tvb, pinfo, tree)
+  local bytes = tvb:len() > 0 and tvb:raw() or ""
+  if pinfo.in_error_pkt or not frame.find(bytes, 1) then return false end
+  local is_ours, events = self:is_yapp(bytes, tvb:reported_len())
+  local id, _, _, seq = frame.parse(bytes, 1)
+  local may_be = events[1].status == "incomplete" and self.reader:size_of(id)
+  if not is_ours and may_be and pinfo.port_type == UDP and not pinfo.visited then
+    local key = new_packet(self, tvb, pinfo, tree).stream
+    self.damaged[key] = { id = id, seq = seq, before = self.damaged[key] }
+  end
+  return is_ours
+end
+
+-- Returns the record of a message that is not there as a whole, for the statistics.
+-- packet  where this is noticed
+local function new_loss(self, packet, id, seq)
+  local source = source_of(self, packet, id)
+  return {
+    id = id,
+    seq = seq,
+    source = source.key,
+    bus = source.bus,
+    bus_name = source.bus_name,
+    stream = packet.stream,
+    frame = packet.number,
+    time = packet.time,
+    visited = packet.visited,
+  }
+end
+
+-- Reports the damaged datagrams before the first packet of a conversation.
+local function report_damaged(self, packet)
+  local damaged, waiting = self.damaged, self.damaged[packet.stream]
+  if waiting and not packet.visited then
+    damaged[packet.key], damaged[packet.stream] = waiting, nil
+  end
+  local one = self.reader.stat.wanted and damaged[packet.key]
+  while one do
+    local loss = new_loss(self, packet, one.id, one.seq)
+    self.reader.tell:faults(loss, { { expert = "fragment.incomplete" } })
+    one = one.before
+  end
 end
 
 -- Messages ---------------------------------------------------------------------------------------
@@ -372,6 +424,7 @@ local function dissect(self, packet, pinfo)
   else
     contents = self.streams:take(packet, not packet.wants.is_only_pass)
   end
+  report_damaged(self, packet)
   show(self, packet, pinfo, contents)
   local last = contents.events[#contents.events]
   if packet.truncated and packet.tvb and not (last and last.status == "incomplete") then
@@ -405,7 +458,7 @@ function Dissector:dissect(tvb, pinfo, tree)
   -- An ICMP error only quotes what was sent before.
   if size == 0 or pinfo.in_error_pkt then return 0 end
   if pinfo.port_type == TCP then
-    local segment = tcp.current()
+    local segment = tcp.current(pinfo.number)
     if segment then
       segment.is_ours = true -- TCP may have joined it to others: it comes by itself
       return size
@@ -433,16 +486,8 @@ end
 function Dissector:unfinished()
   local list = {}
   for i, open in ipairs(self.streams:unfinished()) do
-    local packet, id, _, _, seq = open.packet, frame.parse(open.header, 1)
-    list[i] = {
-      id = id,
-      seq = seq,
-      source = source_of(self, packet, id).key,
-      frame = packet.number,
-      time = packet.time,
-      bus = packet.bus_key,
-      bus_name = packet.bus_name,
-    }
+    local id, _, _, seq = frame.parse(open.header, 1)
+    list[i] = new_loss(self, open.packet, id, seq)
     self.reader.tell:part(list[i])
   end
   return list

@@ -22,7 +22,8 @@ local frame = require("yapp.wire.frame")
 
 local M = {}
 
-local byte, sub, min = string.byte, string.sub, math.min
+local byte, sub = string.byte, string.sub
+local floor, log, max, min = math.floor, math.log, math.max, math.min
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local Y = byte(frame.SYNC)
@@ -30,11 +31,12 @@ local Y = byte(frame.SYNC)
 -- The longest frame that good frames inside of it wait for: 7 s of a controller's messages.
 local PATIENCE = 4096
 
--- Noise may be nothing but candidates.  So each byte brings a credit of bytes that a CRC may be
--- computed over, which is saved up.  A candidate for which the credit does not suffice counts as
--- damaged.
-local CREDIT = 4
-local MAX_CREDIT = 16 * frame.LARGEST
+-- Noise may be nothing but candidates.  So each byte of a stream brings a credit of bytes that a
+-- CRC may be computed over, which is saved up.  A candidate for which the credit does not suffice
+-- counts as damaged.  Candidates of 32 to 63 bytes have a credit, those of 64 to 127 bytes another
+-- one, and so on: large ones do not spend that of small ones.
+local CREDIT = 2
+local MAX_CREDIT = 4 * frame.LARGEST
 
 local Framer = {}
 Framer.__index = Framer
@@ -48,7 +50,7 @@ function M.new(size_of, patience)
   local self = setmetatable({
     size_of = size_of,
     patience = patience or PATIENCE,
-    credit = MAX_CREDIT,
+    spent = {},    -- [logarithm of a candidate's length] = bytes that CRCs were computed over
     text = "",     -- the latest bytes
     text_from = 0, -- their offset in the stream
     to = 0,        -- the end of the stream so far
@@ -98,8 +100,10 @@ end
 -- Whether the CRC of a candidate is good.
 function Framer:is_good(candidate)
   local length = candidate.to - candidate.from
-  if length > self.credit then return false end
-  self.credit = self.credit - length
+  local class, earned = floor(log(length, 2)), MAX_CREDIT + CREDIT * self.to
+  local spent = max(self.spent[class] or 0, earned - MAX_CREDIT) + length
+  if spent > earned then return false end
+  self.spent[class] = spent
   local at, to = candidate.from - self.text_from + 1, candidate.to - self.text_from
   return crc.update(crc.INITIAL, self.text, at, to - CRC_SIZE) == frame.crc(self.text, to)
 end
@@ -242,7 +246,6 @@ function Framer:feed(bytes)
     self.text, self.text_from = sub(self.text, self.from - self.text_from + 1), self.from
   end
   self.text, self.to = self.text .. bytes, before + #bytes
-  self.credit = min(self.credit + CREDIT * #bytes, MAX_CREDIT)
   self:close(events, before)
   self:search(events, false)
   local waiting = self:first_waiting()

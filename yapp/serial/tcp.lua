@@ -52,8 +52,10 @@ function M.watch(proto, hand_on)
   if is_watching or thrown >= MAX_THROWN then return end
   is_watching = true
   function proto.dissector(tvb, pinfo, tree)
-    if inside and inside ~= pinfo.number then thrown = thrown + 1 end
-    if thrown >= MAX_THROWN then M.stop() end
+    if inside and inside ~= pinfo.number then
+      segment, thrown = nil, thrown + 1
+      if thrown >= MAX_THROWN then M.stop() end
+    end
     local outer, current = segment, read(tvb, pinfo)
     segment, inside = current, pinfo.number
     local ok, length = pcall(tcp.call, tcp, tvb, pinfo, tree)
@@ -64,15 +66,17 @@ function M.watch(proto, hand_on)
   protocols:add(TCP, proto)
 end
 
---- Return the segment that TCP has, nil for none: {
+--- Return the segment that TCP has, nil for none.
+-- number   of the packet that is dissected
+-- returns  {
 --   start    offset of its bytes in TCP's; offset = in the packet
 --   length   number of bytes that it had
 --   seq      sequence number of the first one
 --   ack      sequence number that it acknowledges, or nil
 --   is_syn   whether it begins a connection
 --   is_ours  to be set if TCP hands it to YAPP }
-function M.current()
-  return segment
+function M.current(number)
+  return inside == number and segment or nil -- else it was thrown past Lua
 end
 
 return M

@@ -10,27 +10,29 @@ local utf8 = require("yapp.base.utf8")
 local M = {}
 
 local words, span = output.words, kinds.span
--- Verdicts.
-local FAILED = { json = "false", text = "FAILED", case = "failure", code = output.EXIT_FAILED }
+-- Verdicts, in the order of the text.
+local FAILED = {
+  json = "false",
+  text = "FAILED",
+  title = "FAILED",
+  case = "failure",
+  code = output.EXIT_FAILED,
+}
 local UNJUDGED = {
   json = "null",
   text = "NOT JUDGED",
+  title = "not all of it could be judged",
   case = "error",
   code = output.EXIT_UNDECIDED,
 }
-local OK = { json = "true", text = "ok", code = output.EXIT_OK }
-local ORDER = { FAILED, UNJUDGED, OK } -- of the text
-local TITLES = {
-  [OK.code] = "all rules hold",
-  [FAILED.code] = "FAILED",
-  [UNJUDGED.code] = "not all of it could be judged",
-}
+local OK = { json = "true", text = "ok", title = "all rules hold", code = output.EXIT_OK }
 local KEYS = {
   json = words("ok rule bus id source message frame seen limit worst note"),
   text = words("ok rule bus id source message frame seen worst note"),
   window = words("ok rule who message seen worst note"),
 }
 local NO_TIMES = "packets of this capture have no time stamps"
+local NO_VALUE = "no good message of it came"
 local UNRELIABLE = "what came before its messages is not known: see -z yapp,events"
 -- The rules about time besides those of kinds.
 local RESTS_ON_TIME = { needs_time = true, needs_past = true }
@@ -57,8 +59,6 @@ end
 -- Each returns { seen, frame, holds = whether that is well, nil where it cannot be judged; worst =
 -- the value that is farthest outside, note }; where it cannot, the note says why.
 
-local NO_MESSAGE = { note = "no good message of it came" }
-
 local function is_its(rule, source)
   return not rule.source or source.name == rule.source
 end
@@ -79,7 +79,7 @@ function of_source.rate(rule, group)
 end
 
 function of_source.gap(rule, group, ending)
-  if group.count == 0 then return NO_MESSAGE end
+  if group.count == 0 then return { note = NO_VALUE } end
   local gap, frame = group.gap_max or 0, group.gap_max_frame
   local to_end = span(group.last, ending.now or group.last)
   if to_end > gap then gap, frame = to_end, nil end
@@ -88,7 +88,7 @@ end
 
 function of_source.range(rule, group)
   local values = group.values[rule]
-  if values.seen == 0 then return NO_MESSAGE end
+  if values.seen == 0 then return { note = NO_VALUE } end
   return {
     seen = values.outside,
     frame = values.frame,
@@ -100,7 +100,7 @@ end
 
 -- How many events of a kind there are.
 local function count_events(rule, group)
-  if kinds.BY_NAME[rule.kind].needs_past and group.count == 0 then return NO_MESSAGE end
+  if kinds.BY_NAME[rule.kind].needs_past and group.count == 0 then return { note = NO_VALUE } end
   local seen, frame, values = groups.seen(group, rule.kind)
   return { seen = seen, frame = frame, holds = seen <= rule.limit, note = values and values.note }
 end
@@ -178,24 +178,18 @@ local function reason_of(rule, group, ending, holds)
   return ending.reason
 end
 
--- Adds the row of a rule; the exit code follows from all of them.
+-- Adds the row of a rule; the verdict on the capture follows from all of them.
 -- group  nil for all sources
+-- row    of a measure
 local function add_row(self, rule, group, ending, row)
   local reason = reason_of(rule, group, ending, row.holds)
-  local ok = row.holds and OK or FAILED
-  if reason or row.holds == nil then ok = UNJUDGED end
-  if ok == FAILED or self.code == OK.code then
-    self.code = ok.code
-  end
-  self.rows[#self.rows + 1] = output.row(group and group.source or { name = rule.source }, {
-    ok = ok,
-    rule = rule.text,
-    seen = row.seen,
-    limit = { json = output.value(rule.limit or rule.text:match("=(.*)$")) },
-    frame = row.frame,
-    worst = row.worst,
-    note = reason or row.note,
-  })
+  row.ok = row.holds and OK or FAILED
+  if reason or row.holds == nil then row.ok = UNJUDGED end
+  if row.ok == FAILED or self.verdict == OK then self.verdict = row.ok end
+  row.rule, row.limit = rule.text, rule.limit or rule.text:match("=(.*)$")
+  row.note = reason or row.note
+  local source = group and group.source or { name = rule.source }
+  self.rows[#self.rows + 1] = output.row(source, row)
 end
 
 -- Adds the rows of a rule: one for each source that it is about, or one in all.
@@ -264,48 +258,46 @@ end
 
 -- The end ---------------------------------------------------------------------------------------
 
--- Prints what failed, what could not be judged, what holds, and how many of each.
-local function print_text(self, problems, notes)
-  local rows, counts = {}, {}
-  for _, ok in ipairs(ORDER) do
-    for _, row in ipairs(self.rows) do
-      if row.ok == ok then rows[#rows + 1] = row end
+-- The rows in the order of their verdicts, problems among them; and how many of each there are.
+local function sort(rows, problems)
+  local sorted, counts = {}, {}
+  for _, ok in ipairs { FAILED, UNJUDGED, OK } do
+    local before = #sorted
+    for _, row in ipairs(rows) do
+      if row.ok == ok then sorted[#sorted + 1] = row end
     end
     for _, problem in ipairs(ok == UNJUDGED and problems or {}) do
-      rows[#rows + 1] = { ok = ok, note = problem }
+      sorted[#sorted + 1] = { ok = ok, note = problem }
     end
-    counts[ok] = #rows
+    counts[ok] = #sorted - before
   end
-  output.print(self.context, "YAPP check: " .. TITLES[self.code], KEYS, rows, notes)
-  local failed = counts[FAILED]
-  local text = "\n%d of %d rules failed, %d not judged\n"
-  self.context.out(text:format(failed, #rows, counts[UNJUDGED] - failed))
+  return sorted, counts
 end
 
 --- End, see stat.queue.
 -- returns  the exit code, and a text that says what is wrong besides rules, nil for nothing
 function Check:finish(ending)
-  local options, problems = self.options, {}
-  self.rows, self.code = {}, OK.code
+  local options, context, problems = self.options, self.context, {}
+  self.rows, self.verdict = {}, OK
   for _, rule in ipairs(options.rules) do
     judge(self, rule, ending)
   end
-  for _, list in ipairs { self.context.settings.problems, options.problems } do
+  for _, list in ipairs { context.settings.problems, options.problems } do
     for _, problem in ipairs(list) do problems[#problems + 1] = problem end
   end
   local problem = options.junit and report(options.junit, self.rows, problems)
   if problem then
     problems[#problems + 1] = "the report is not written: " .. problem
   end
-  if self.code == OK.code and problems[1] then
-    self.code = UNJUDGED.code
+  if self.verdict == OK and problems[1] then self.verdict = UNJUDGED end
+  local rows, counts = sort(self.rows, problems)
+  local title = "YAPP check: " .. self.verdict.title
+  output.print(context, title, KEYS, options.json and self.rows or rows, ending.notes)
+  if not options.json then
+    local text = "\n%d of %d rules failed, %d not judged\n"
+    context.out(text:format(counts[FAILED], #rows, counts[UNJUDGED]))
   end
-  if options.json then
-    output.print(self.context, nil, KEYS, self.rows, {})
-  else
-    print_text(self, problems, ending.notes)
-  end
-  return self.code, problems[1] and "check: " .. table.concat(problems, "\ncheck: ") or nil
+  return self.verdict.code, problems[1] and "check: " .. table.concat(problems, "\ncheck: ")
 end
 
 return M

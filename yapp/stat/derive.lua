@@ -34,7 +34,7 @@ function M.new(settings, statistic)
     states = {}, -- of sources with good messages, in their order, and by_key
     by_key = {},
     came = {}, -- the sources of which something came that counts
-    doubts = {}, -- why a source is unreliable, in their order, and by source
+    doubts = {}, -- texts: why the history of a source is unreliable; and by source
   }, Deriver)
 end
 
@@ -50,17 +50,6 @@ end
 
 local function emit(self, kind, cause, now, values)
   self:add(new_event(kind, cause, cause.source, values), now, cause)
-end
-
-local function doubt(self, source, text)
-  if self.doubts[source] then return end
-  self.doubts[source] = true
-  self.doubts[#self.doubts + 1] = text
-end
-
---- Return why changes are not reported of some sources: a list of texts.
-function Deriver:unreliable()
-  return self.doubts
 end
 
 -- Faults ------------------------------------------------------------------------------------------
@@ -139,10 +128,10 @@ local function note_events(self, event, now, change)
   for _, values in ipairs(event.values.invalid or NOTHING) do
     emit(self, "invalid", event, now, values)
   end
-  if change.shared then
-    doubt(self, event.source, SHARED:format(output.place(event.source), event.frame))
-  elseif event.values.is_unreliable then
-    doubt(self, event.source, UNRELIABLE:format(output.place(event.source)))
+  local source, doubts = event.source, self.doubts
+  if event.values.is_unreliable and not doubts[source] then
+    local shape = change.shared and SHARED or UNRELIABLE
+    doubts[source], doubts[#doubts + 1] = true, shape:format(output.place(source), event.frame)
   end
 end
 

@@ -158,9 +158,7 @@ end
 function read_check(options, part, catalogue)
   part = part:gsub("%s*=%s*", "=", 1):gsub("%s*%.%.%s*", "..")
   local name, value = part:match("^(%w+)=(.*)$")
-  if part == "json" then
-    options.json = true
-  elseif name == "junit" or name == "source" or name == "rules" then
+  if name == "junit" or name == "source" or name == "rules" then
     demand(value ~= "", "it is empty")
     options.unused = name == "source" and part or options.unused
     if name == "rules" then return read_file(options, value, catalogue) end
@@ -190,19 +188,15 @@ local function finish_check(options, catalogue)
   end
 end
 
-local OF_CSV = set("replace all json")
-
 local function read_csv(options, part, catalogue)
   if not options.folder then
     options.folder = part
-  elseif OF_CSV[part] then
-    options[part] = true
-  else
-    demand(options.folder == "-" and not options.chosen,
-      "the options of csv are %s, filter=EXPRESSION", statistics.BY_NAME.csv.options)
-    options.chosen = find(catalogue.messages, part)
-    demand(options.chosen, "there is no such message in the catalogue")
+    return
   end
+  demand(options.folder == "-" and not options.chosen,
+    "the options of csv are %s, filter=EXPRESSION", statistics.BY_NAME.csv.options)
+  options.chosen = find(catalogue.messages, part)
+  demand(options.chosen, "there is no such message in the catalogue")
 end
 
 local function finish_csv(options)
@@ -211,13 +205,12 @@ local function finish_csv(options)
   demand(not (chosen and options.json), "csv,- prints a table; json is for csv,FOLDER")
 end
 
-local function read_json(options, part)
+local function refuse(options)
   local allowed = statistics.BY_NAME[options.what].options
-  demand(part == "json", "the options of %s are %s, filter=EXPRESSION", options.what, allowed)
-  options.json = true
+  demand(false, "the options of %s are %s, filter=EXPRESSION", options.what, allowed)
 end
 
--- Of statistics that take more than json: what reads an option, and what ends the last one.
+-- What reads an option that is no word of the statistic's row, and what ends the last one.
 local READ = { csv = read_csv, check = read_check }
 local FINISH = { csv = finish_csv, check = finish_check }
 
@@ -236,10 +229,15 @@ function M.read(text, catalogue)
     options.problems[1] = ("%s: it is yapp,%s"):format(text, (names:gsub(", ", " or yapp,")))
     return options
   end
-  local read, finish = READ[what] or read_json, FINISH[what]
+  local read, finish = READ[what] or refuse, FINISH[what]
+  local words = set((statistics.BY_NAME[what].options:gsub(",", "")))
   for part in rest:gmatch(",([^,]*)") do
     part = trim(part)
-    try(options, part, function() read(options, part, catalogue) end)
+    if words[part] then
+      options[part] = true
+    else
+      try(options, part, function() read(options, part, catalogue) end)
+    end
   end
   if finish then
     try(options, what, function() finish(options, catalogue) end)

@@ -55,7 +55,8 @@ end
 
 --- Add a statistic.
 -- options  { filter = or nil, has_notes = whether its output has room for notes }
--- returns  its entry, for Queue.matched
+-- returns  { matched = a set of the numbers of packets that its filter lets count: to be filled.
+--          Kept for all packets, as only the end shows that a message is not finished }
 function Queue:add(statistic, options)
   local entry = {
     statistic = statistic,
@@ -111,12 +112,6 @@ function Queue:offer(event, visited)
     self.number, self.visited, self.offered = event.frame, visited, {}
   end
   self.offered[#self.offered + 1] = event
-end
-
---- Say that the filter of a statistic lets a packet count.  Kept for all packets: only the end
--- shows that a message is not finished.
-function Queue.matched(_, entry, number)
-  entry.matched[number] = true
 end
 
 --- Say when the first packet was captured.
@@ -203,16 +198,38 @@ end
 
 -- What the answer of a statistic leaves out; and whether it is undecided for that.
 local function notes_of(self, entry, nothing)
-  local deriver, notes = entry.deriver, {}
-  notes[1] = nothing
-  if not nothing and entry.has_filter and not next(deriver.came) then
+  local deriver, notes = entry.deriver, { nothing }
+  if entry.has_filter and not (nothing or next(deriver.came)) then
     notes[1] = "no message matches the filter"
   end
-  for _, text in ipairs(deriver.undecoded:texts()) do notes[#notes + 1] = text end
-  local unreliable = entry.statistic.follows_changes and deriver:unreliable() or {}
-  for _, text in ipairs(unreliable) do notes[#notes + 1] = text end
+  local doubts = entry.statistic.follows_changes and deriver.doubts or {}
+  for _, texts in ipairs { deriver.undecoded:texts(), doubts } do
+    for _, text in ipairs(texts) do notes[#notes + 1] = text end
+  end
   if not entry.has_filter then notes[#notes + 1] = self.hint end
-  return notes, unreliable[1] ~= nil
+  return notes, doubts[1] ~= nil
+end
+
+-- Ends a statistic.
+-- returns  what its answer leaves out, whether it is undecided for that; its exit code and text
+local function finish_entry(self, entry, capture, nothing)
+  local deriver = entry.deriver
+  for _, event in ipairs(self.starts) do
+    if counts(entry, event) then deriver:start(event, nothing == nil) end
+  end
+  local ending = {
+    rel = self.last, -- of the last packet of any kind, nil where there was none
+    now = self.last and self.last + self.stepped_back,
+    reason = nothing, -- why there is nothing to say, nil for no reason
+    lacks_times = capture.lacks_times,
+    drops = capture.drops,
+    first = self.first,
+    notes = nil,
+  }
+  deriver:finish(ending)
+  local notes, is_undecided = notes_of(self, entry, nothing)
+  ending.notes = notes
+  return notes, is_undecided, entry.statistic:finish(ending)
 end
 
 --- End: all packets have come.
@@ -228,34 +245,20 @@ function Queue:finish(capture)
   end
   local code, texts, said = output.EXIT_OK, {}, {}
   local function say(text)
-    if not said[text] then texts[#texts + 1] = text end
-    said[text] = true
+    if text and not said[text] then
+      said[text], texts[#texts + 1] = true, text
+    end
   end
   local function worsen(other)
     if other and (code == output.EXIT_OK or other < code) then code = other end
   end
   local nothing = nothing_found(self, capture.extended)
   for _, entry in ipairs(self.entries) do
-    for _, event in ipairs(self.starts) do
-      if counts(entry, event) then entry.deriver:start(event, nothing == nil) end
-    end
-    local ending = {
-      rel = self.last, -- of the last packet of any kind, nil where there was none
-      now = self.last and self.last + self.stepped_back,
-      lacks_times = capture.lacks_times,
-      drops = capture.drops,
-      first = self.first,
-    }
-    entry.deriver:finish(ending)
-    local notes, is_undecided = notes_of(self, entry, nothing)
-    ending.notes, ending.reason = notes, nothing
-    local this, text = entry.statistic:finish(ending)
+    local notes, is_undecided, this, text = finish_entry(self, entry, capture, nothing)
     worsen(this)
     if is_undecided then worsen(output.EXIT_UNDECIDED) end
-    if text then say(text) end
-    for _, note in ipairs(notes) do
-      if is_undecided or not entry.has_notes then say(note) end
-    end
+    say(text)
+    for _, note in ipairs((is_undecided or not entry.has_notes) and notes or {}) do say(note) end
   end
   return code, texts
 end

@@ -26,6 +26,7 @@ Stat.__index = Stat
 --              what the user asked for and did not get }, whose values change with the
 --              preferences
 --   intake     a stat.intake, reader = a message.reader, tree = a show.tree, buses = a host.buses
+--   drops      function() -> what the capture does not have, see host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
 --              frame }
 --   watch      function(), from which on Intake:start is called }
@@ -132,7 +133,7 @@ end
 local function finish(self)
   return self.queue:finish {
     unfinished = self.intake:unfinished(self.unfinished()),
-    drops = self.buses.drops and self.buses:drops() or {},
+    drops = self.drops(),
     lacks_times = self.buses.lacks_times and self.buses:lacks_times(),
     extended = self.extended,
   }
@@ -162,7 +163,7 @@ local function begin(self, options, context)
   local has_notes = not (options.json or row.is_data)
   local entry = events:add(statistic, { filter = options.filter, has_notes = has_notes })
   if filter then
-    function filter.packet(pinfo) events:matched(entry, pinfo.number) end
+    function filter.packet(pinfo) entry.matched[pinfo.number] = true end
   end
 end
 

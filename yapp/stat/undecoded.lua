@@ -95,29 +95,39 @@ local function part_of(entry)
   return ("%s0x%x=%s:%s"):format(bus and bus .. "/" or "", source.id, message, name)
 end
 
+-- Whether a preference can decode an entry.
+local function is_decodable(entry)
+  return entry.likes[1] and not entry.is_part and entry.source.id <= MAX_ID
+end
+
+-- By ID the size of its messages; false if they have several, or if it is a message's already.
+local function sizes_of(entries)
+  local sizes = {}
+  for _, entry in ipairs(entries) do
+    local id, size = entry.source.id, entry.size
+    if is_decodable(entry) then
+      if sizes[id] == nil then sizes[id] = size end
+      if sizes[id] ~= size or entry.source.message then sizes[id] = false end
+    end
+  end
+  return sizes
+end
+
 -- What decodes entries: by message the IDs that can have it on all buses; and parts of yapp.sources
--- for IDs that have another message on another bus.
+-- for the others.
 local function plan(self)
-  local sizes, ids, parts, taken = {}, {}, {}, {}
+  local ids, parts, taken, sizes = {}, {}, {}, sizes_of(self.entries)
   for _, row in ipairs(self.settings.sources:list()) do
     if row.id then taken[place(row)] = true end -- the first part for a bus and ID holds
   end
-  local chosen = {}
   for _, entry in ipairs(self.entries) do
-    local id = entry.source.id
-    if entry.likes[1] and not entry.is_part and id <= MAX_ID then
-      local is_same = not entry.source.message and (sizes[id] or entry.size) == entry.size
-      sizes[id] = sizes[id] ~= false and is_same and entry.size
-      chosen[#chosen + 1] = entry
-    end
-  end
-  for _, entry in ipairs(chosen) do
     local id, key = entry.source.id, place(entry.source)
-    for _, message in ipairs(sizes[id] and entry.likes or {}) do
-      ids[message] = ids[message] or {}
-      table.insert(ids[message], id)
-    end
-    if not (sizes[id] or taken[key]) then
+    if sizes[id] and is_decodable(entry) then
+      for _, message in ipairs(entry.likes) do
+        ids[message] = ids[message] or {}
+        table.insert(ids[message], id)
+      end
+    elseif is_decodable(entry) and not taken[key] then
       taken[key], parts[#parts + 1] = true, part_of(entry)
     end
   end
@@ -154,15 +164,12 @@ local function join(texts, between)
   return ("%s%sand %d more"):format(table.concat(texts, between, 1, MAX_NAMED), between, more)
 end
 
--- "can1 0x211, 0x212 (32 bytes each, the size of Motor Data)": entries of one size.
+-- "can1 0x211, 0x212 (32 bytes each, the size of Motor Data)": entries of one size, which are
+-- sorted; and how many messages they are.
 local function group_text(entries)
-  local order, texts, count, bus = {}, {}, 0, nil
-  for i, entry in ipairs(entries) do
-    local name = entry.source.bus or ""
-    order[name] = order[name] or i
-  end
+  local texts, count, bus = {}, 0, nil
   table.sort(entries, function(a, b)
-    local one, other = order[a.source.bus or ""], order[b.source.bus or ""]
+    local one, other = a.source.bus or "", b.source.bus or ""
     if one ~= other then return one < other end
     return a.source.id < b.source.id
   end)

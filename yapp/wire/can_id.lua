@@ -21,29 +21,37 @@ do
   end
 end
 
-local function take_apart(addresses, can_id)
-  local seq = floor(can_id % 0x100)
-  local ctl = floor(can_id / 0x100) % 0x40
-  local ctrl = floor(can_id / 0x4000) % 0x10
-  local id = floor(can_id / 0x40000)
-  local address = {
-    id = id,
+local function split(fields_of, id)
+  local ctrl = floor(id / 0x4000) % 0x10
+  local fields = {
+    id = floor(id / 0x40000),
     ctrl = ctrl,
-    ctl = ctl,
-    seq = seq,
-    key = can_id - ctrl * 0x4000,
-    key_bytes = char((id - id % 0x100) / 0x100, id % 0x100, ctl, seq),
+    ctl = floor(id / 0x100) % 0x40,
+    seq = floor(id % 0x100),
+    message_key = id - ctrl * 0x4000,
   }
-  addresses[can_id] = address
-  return address
+  fields_of[id] = fields
+  return fields
 end
 
---- A 29-bit CAN id taken apart ("CAN Message IDs"): address[can_id], 0 .. 0x1FFFFFFF, is
---   { id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, key = what the frames of
---   a message share, key_bytes = the same as 4 bytes }
+--- The fields of a 29-bit CAN id ("CAN Message IDs"): fields[id], for 0 .. 0x1FFFFFFF, is
+--   { id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, message_key = what the frames of
+--   a
+--   message share: the id without CAN CTRL }
 -- Usually the same table for the same id: read only.  A bus has few, a hostile capture any number:
 -- those that nobody holds go with the next collection.
-M.address = setmetatable({}, { __mode = "v", __index = take_apart })
+M.fields = setmetatable({}, { __mode = "v", __index = split })
+
+--- Return the slot of a message: one number for its key and its bus.
+-- bus  number; 0 where it is not known
+function M.slot(fields, bus)
+  return fields.message_key + bus * 0x20000000
+end
+
+--- Return the bus of a slot.
+function M.bus(slot)
+  return floor(slot / 0x20000000)
+end
 
 --- How many bytes of CAN FD padding a last, or single, frame carries.
 -- data    its captured bytes; reported: its length on the bus; needed: what the message still lacks
@@ -68,22 +76,22 @@ end
 
 --- The 12 bytes that the CRC covers before the payload ("Computing the UART and Ethernet Frame IDs
 -- from the CAN ID").
--- address   { id, seq, ctl }
+-- fields    { id, seq, ctl }
 -- size      of the payload; reserved: number, 0 when left out
-function M.header(address, size, reserved)
-  local id = address.id
+function M.header(fields, size, reserved)
+  local id = fields.id
   reserved = reserved or 0
   local id_low, size_low, reserved_low = id % 0x100, size % 0x100, reserved % 0x100
-  return char(0x59, 0x50, address.seq, address.ctl, id_low, (id - id_low) / 0x100, 0, 0,
+  return char(0x59, 0x50, fields.seq, fields.ctl, id_low, (id - id_low) / 0x100, 0, 0,
     size_low, (size - size_low) / 0x100, reserved_low, (reserved - reserved_low) / 0x100)
 end
 
 --- The register of the CRC behind that header; kept for the next message of the same id and size,
--- in the address: seed, seed_size.
-function M.seed(address, size, reserved)
-  if address.seed_size == size and not reserved then return address.seed end
-  local seed = crc.of(M.header(address, size, reserved))
-  if not reserved then address.seed, address.seed_size = seed, size end
+-- in the fields: seed, seed_size.
+function M.seed(fields, size, reserved)
+  if fields.seed_size == size and not reserved then return fields.seed end
+  local seed = crc.of(M.header(fields, size, reserved))
+  if not reserved then fields.seed, fields.seed_size = seed, size end
   return seed
 end
 

@@ -106,7 +106,7 @@ class Report:
         first, pictures = self.flights[0], self.pictures
         names = [source["name"] for source in pictures.sources]
         labels = {source["name"]: source["label"] for source in pictures.sources}
-        for row in [*incidents, *(part for row in incidents for part in row["rows"]), *pictures.differs]:
+        for row in [*incidents, *(part for incident in incidents for part in incident["rows"]), *pictures.differs]:
             row["label"] = labels.get(row["source"], row["source"])
         left_out = [text for flight in self.flights for text in flight.left_out]
         return {

@@ -217,7 +217,7 @@ def _complaint(stderr: str) -> str:
 def _complaints(done: subprocess.CompletedProcess[str]) -> tuple[str, ...]:
     """Return what the plugin says it leaves out, but for undecoded messages, which are events."""
     lines = [line.removeprefix(PLUGIN_SAYS) for line in done.stderr.splitlines() if line.startswith(PLUGIN_SAYS)]
-    found = dict.fromkeys(line for line in lines if "not decoded" not in line)
+    found = dict.fromkeys(line for line in lines if "not decoded" not in line and "decoded in part" not in line)
     return tuple(found) or (UNRELIABLE,) * (done.returncode == UNDECIDED)
 
 

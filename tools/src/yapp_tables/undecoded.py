@@ -46,8 +46,14 @@ def undecoded(events: Sequence[Record], summary: Sequence[Record], titles: dict[
     lost = {source_name(event) for event in unknown}
     total = len(lost.union(map(source_name, summary)))
     advice = f": set {' and '.join(settings)}" if settings else ""
+    some = {
+        source_name(row)
+        for row in summary
+        if any(each["min"] is not None for each in (row.get("values") or {}).values())
+    }
+    how = "not decoded" if not lost & some else "decoded in part" if lost <= some else "not decoded, or in part"
     verb = "was" if len(lost) == 1 else "were"
-    return f"{len(lost)} of {total} source{'s' * (total != 1)} {verb} not decoded ({'; '.join(details)}){advice}"
+    return f"{len(lost)} of {total} source{'s' * (total != 1)} {verb} {how} ({'; '.join(details)}){advice}"
 
 
 def _ids(said: str, message: str) -> set[int]:

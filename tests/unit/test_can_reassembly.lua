@@ -1,0 +1,546 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The reassembly of CAN frames: each rule by itself, in the words of can_words; random frames against
+-- an oracle; visited frames, packets of several frames, read filters.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local crc = require("yapp.wire.crc")
+local can_id = require("yapp.wire.can_id")
+local levels = require("levels")
+local oracle = require("can_oracle")
+local random_can = require("can_random")
+local stream_generator = require("stream_generator")
+local words = require("can_words")
+
+local T = {}
+
+-- The rules ---------------------------------------------------------------------------------------
+
+local COMMAND, HEALTH = { [""] = { 0, 0, 0 } }, { [""] = { 0x200, 0, 0 } }
+local MOTOR = { [""] = { 0x210, 0, 0 } }
+
+local function check(rows, options)
+  for _, row in ipairs(rows) do
+    local all = { buses = true }
+    for _, more in ipairs { options or {}, row[3] or {} } do
+      for k, v in pairs(more) do all[k] = v end
+    end
+    local text, _, frames = words.send(row[1], all)
+    lu.assertEquals(text, row[2], row[1])
+    local texts = {}
+    for i, verdict in ipairs(oracle.verdicts(frames)) do texts[i] = verdict.text end
+    lu.assertEquals(table.concat(texts, " "), row[2], row[1])
+  end
+end
+
+function T.test_whole_messages()
+  check {
+    { "S32 M8 M8 M8 E8", ". . . . good" },
+    { "S9 M8 E1", ". . good" },
+    { "S9 E8 E1", ". short+fragment.incomplete -" },
+    { "S32 M8 M8 M8 E8 S32 M8 M8 M8 E8", ". . . . good . . . . good" },
+    { "S32 M4 M8 M8 M8 E4", ". . . . . good" }, -- any lengths that add up
+    { "S32! M8 M8 M8 E8", ". . . . bad" },
+    { "S65 M64 E1", ". . good" },
+    { "S73 M64 E9p12", ". . good" },
+    { "S40 E40p48", ". good" },
+    { "S40 E40p64", ". overrun+fragment.overrun" }, -- 48 would have done
+    { "S16 M8 E8/12", ". . overrun+fragment.overrun" },
+  }
+end
+
+function T.test_what_breaks_is_named()
+  check({
+    { "S32 M8 M8 M8 E8 E8", ". . . . good orphan+fragment.orphan" },
+    { "S32 S32 M8 M8 M8 E8", ". .+fragment.incomplete . . . good" },
+    { "S32 M8 S32 M8 M8 E8",
+      ". . .+fragment.incomplete . . short+fragment.incomplete" },
+    { "S32 M8 M8 E8", ". . . short+fragment.incomplete" },
+    { "S32 M8 M8 M8 M8 E8", ". . . . . overrun+fragment.overrun" },
+    { "S32 M8 M8 M8 M8 M8 E8",
+      ". . . . . .+fragment.overrun overrun+fragment.overrun" },
+    { "S32 M8 M8 M8 M8 M8 S32 M8 M8 M8 E8",
+      ". . . . . .+fragment.overrun . . . . good" },
+    { "M8 E8 S32 M8 M8 M8 E8",
+      "orphan+fragment.orphan orphan+fragment.orphan . . . . good" },
+    { "S32 M8 M8? M8 E8", ". . . . bad" },
+  }, { ids = MOTOR })
+end
+
+function T.test_malformed_starts()
+  check({
+    { "S32/7 M8", "start+fragment.incomplete orphan+fragment.orphan" },
+    { "S32/1 E8", "start+fragment.incomplete orphan+fragment.orphan" },
+    { "S32 M8 S32/7 M8",
+      ". . start+fragment.incomplete+fragment.incomplete orphan+fragment.orphan" },
+    { "S0 E8", "start+size.mismatch orphan+fragment.orphan" },
+    { "S32r M8 M8 M8 E8", ".+reserved.nonzero . . . good" },
+    { "S32/12 M8 M8 M8 E8", ".+size.mismatch . . . good" },
+    { "S32/12~4 M8", "start+size.mismatch orphan+fragment.orphan" },
+    { "S5 E5", ". good" },
+    { "X8", "invalid+can.ctrl.invalid" },
+    { "S32 X8? M8 M8 M8 E8", ". invalid+can.ctrl.invalid . . . good" },
+  }, { accepts_all = true })
+end
+
+-- A firmware that grew a field: what follows belongs to its Start.
+function T.test_sizes_that_are_not_the_catalogues()
+  check({
+    { "S34 M8 M8 M8 M8 E2", ".+size.mismatch . . . . good" },
+    { "S32 M8 S34 M8 M8 M8 M8 E2",
+      ". . .+fragment.incomplete+size.mismatch . . . . good" },
+    { "S30 M8 M8 M8 E6", ".+size.mismatch . . . good" },
+    { "S8 E8", "- orphan+fragment.orphan" }, -- would fit one frame
+    { "L32", "single" }, { "L34", "-" }, { "L34", "single", { accepts_all = true } },
+  }, { ids = MOTOR })
+end
+
+-- A catalogue may allow a range of sizes: those are as good as the full one.
+function T.test_sizes_from_min_size_on()
+  for text, expected in pairs {
+    ["L32"] = "single", ["L24"] = "single", ["L20"] = "single", ["L16"] = "-", ["L48"] = "-",
+    ["L33"] = "-", ["L32p48"] = "-", ["S24 M8 M8 E8"] = ". . . good",
+    ["S20 M8 M8 E4"] = ". . . good",
+    ["S16 M8 E8"] = ".+size.mismatch . good",
+    ["S33 M8 M8 M8 M8 E1"] = ".+size.mismatch . . . . good",
+  } do
+    lu.assertEquals((words.send(text, { ids = MOTOR, min_size = 20 })), expected, text)
+  end
+  for text, expected in pairs { ["L17p20"] = "single", ["L12"] = "single", ["L10p12"] = "single",
+    ["L17p24"] = "-", ["L8"] = "-" } do
+    lu.assertEquals((words.send(text, { ids = HEALTH, min_size = 10 })), expected, text)
+  end
+end
+
+function T.test_cut_by_the_snap_length()
+  check({
+    { "S32 M8~3 M8 M8 E8", ". . . . unverified" },
+    { "S32 M8 M8 M8 E8~0", ". . . . unverified" },
+    { "S32~4 M8", "start orphan+fragment.orphan" },
+    { "S32 M8 S32~4 M8", ". . start+fragment.incomplete orphan+fragment.orphan" },
+    { "S32 M8~3 M8 E8", ". . . short+fragment.incomplete" },
+    { "S32 M8~3 M8 M8 M8 M8", ". . . . . .+fragment.overrun" },
+  }, { ids = MOTOR })
+end
+
+function T.test_only_what_is_surely_yapp_is_claimed()
+  check {
+    { "L8", "-" }, { "X8", "-" }, { "M8", "-" }, { "E8", "-" }, { "S8 E8", "- -" }, { "S9/7", "-" },
+    { "S9/12", "-" }, { "S9~7", "-" }, { "S9r", "-" }, { "S0", "-" }, { "S65535", "." },
+    { "S9 M8 E1 E1", ". . good -" },
+    { "L7", "single", { ids = COMMAND } }, { "L8", "-", { ids = COMMAND } },
+    { "L6", "-", { ids = COMMAND } },
+    { "L8", "-", { ids = MOTOR } }, { "L17p20", "single", { ids = HEALTH } },
+    { "L17p24", "-", { ids = HEALTH } },
+    { "L7", "-", { ids = { [""] = { 0, 1, 0 } } } },
+    { "L7", "single", { ids = { [""] = { 0, 0, 255 } } } },
+    { "M8 E1", "orphan+fragment.orphan orphan+fragment.orphan", { ids = MOTOR } },
+    { "M8 E1", "- -", { ids = { [""] = { 0x210, 1, 0 } } } },
+    { "S9", "-", { ids = { [""] = { 0x123, 1, 0 } } } },
+    -- once the ID is known as YAPP's
+    { "aS9 aM8 aE1 bS9 bM8 bE1 aS9 aM8 aE1", "- - - . . good . . good",
+      { ids = { a = { 0x123, 0, 9 }, b = { 0x123, 0, 0 } }, buses = false } },
+    { "S32 M8", ". .", { ids = { [""] = { 0x210, 0, 9 } } } }, { "X8", "-", { ids = MOTOR } },
+  }
+  check({ -- the user says that all is YAPP
+    { "L8", "single" }, { "M8", "orphan+fragment.orphan" }, { "S9 M8 E1", ". . good" },
+    { "S9 M8 E1", ". . good", { ids = { [""] = { 0x123, 63, 255 } } } },
+  }, { accepts_all = true })
+end
+
+function T.test_keys()
+  for _, ids in ipairs {
+    { a = { 0x210, 0, 0 }, b = { 0x210, 0, 1 } },   -- Seq
+    { a = { 0x210, 0, 255 }, b = { 0x210, 1, 255 } }, -- YAPP CTL
+    { a = { 0x210, 0, 0 }, b = { 0x211, 0, 0 } },   -- Msg ID
+  } do
+    check({ { "aS32 bS32 aM8 bM8 aM8 bM8 bM8 bE8 aM8 aE8",
+      ". . . . . . . good . good" } },
+      { ids = ids, accepts_all = true, buses = false })
+  end
+  check { { "aS32 bM8 aM8 bE8 aM8 aM8 aE8", ". - . - . . good" } } -- two buses
+end
+
+-- CAN delivers a frame twice: proved by the CRC, on a bus that is told and on one that is not.
+function T.test_a_frame_delivered_twice()
+  for _, is_told in ipairs { true, false } do
+    check({
+      { "S32 M8 M8 M8= M8 E8", ". . . .+fragment.duplicate . good" },
+      -- of several runs
+      { "S32 M8 M8= M8 M8= M8 M8= E8",
+        ". . . . . . . overrun+fragment.overrun" },
+      { "S32 M8 M8= M8= M8 M8 E8",
+        ". . .+fragment.duplicate .+fragment.duplicate . . good" },
+      -- the CRC proves nothing
+      { "S32! M8 M8= M8 M8 E8", ". . . . . overrun+fragment.overrun" },
+      { "S32 M8 M8= M8? M8 E8", ". . . . . overrun+fragment.overrun" },
+      -- one lost, one twice: as long as it should be
+      { "S32 M8 M8 M8= E8", ". . . . bad" },
+    }, { ids = MOTOR, buses = is_told })
+    check({ -- CAN FD, whose last frame has padding
+      { "S41 M16 M16 M16= E9p12", ". . . .+fragment.duplicate good" },
+      { "S57 M16 M16= M16= M16 M16 E9p12",
+        ". . .+fragment.duplicate .+fragment.duplicate . . good" },
+      { "S37 M12 M12= M12 E13p16", ". . .+fragment.duplicate . good" },
+      { "S37 M12 M12= M12 E13p20", ". . . . overrun+fragment.overrun" },
+    }, { buses = is_told })
+    for text, padding in pairs { ["S41 M16 M16 M16= E9p12"] = 3, ["S32 M8 M8= M8 M8 E8"] = 0 } do
+      local _, known, frames = words.send(text, { buses = is_told })
+      local _, found = words.visit(known, frames[#frames], true)
+      lu.assertEquals(found.message.padding or 0, padding)
+    end
+  end
+end
+
+function T.test_anomalies_say_which_frames()
+  local _, known, frames = words.send("S32 M8 M8 E8 S32 M8 S32", { buses = true })
+  local function text(number)
+    return select(2, words.visit(known, frames[number], true)).anomalies[1].text
+  end
+  lu.assertStrContains(text(4), "started in frame 1 ends with 24 of 32 bytes")
+  lu.assertEquals(text(7),
+    "A new Start supersedes the message that started in frame 5: 8 of 32 bytes came")
+  _, known, frames = words.send("M8 E8", { ids = MOTOR })
+  lu.assertEquals({ text(1), text(2) }, { "Middle fragment: no Start captured",
+    "End fragment: no Start captured" })
+end
+
+-- Payloads may have frames alike by themselves: which of them came twice is looked for in eight of
+-- such runs, from the start of the message.
+function T.test_a_frame_delivered_twice_behind_others_alike()
+  for runs, expected in pairs { [7] = "good", [8] = "overrun+fragment.overrun" } do
+    local chunks = {}
+    for run = 1, runs do
+      local chunk = ("%d"):rep(8):format(run, run, run, run, run, run, run, run)
+      chunks[2 * run - 1], chunks[2 * run] = chunk, chunk
+    end
+    local twice = #chunks + 1
+    chunks[twice], chunks[twice + 1] = "twice...", "the end."
+    local sent = { { 1, words.start(0x123, table.concat(chunks)) } }
+    table.insert(chunks, twice, "twice...")
+    for i, chunk in ipairs(chunks) do sent[i + 1] = { i < #chunks and 2 or 3, chunk } end
+    local known, said = words.new(), nil
+    for i, one in ipairs(sent) do
+      said = words.visit(known, { can_id = words.can_id(0x123, one[1]), data = one[2], number = i,
+        bus = 1 })
+    end
+    lu.assertEquals(said, expected, runs)
+  end
+end
+
+-- Random frames -----------------------------------------------------------------------------------
+
+local function shuffled(list, random)
+  local copy = {}
+  for i, one in ipairs(list) do table.insert(copy, random(i), one) end
+  return copy
+end
+
+-- Every frame is what the oracle says; a visited one is what it was, in any order; every fragment of
+-- a message leads to the frame that shows it, and from there back.
+function T.test_random_frames()
+  local random = stream_generator.random(3)
+  for round = 1, levels.size(300, 3000) do
+    local frames, known = random_can.frames(random), words.new()
+    local verdicts, first = oracle.verdicts(frames), {}
+    for i, frame in ipairs(frames) do
+      local text, found = words.visit(known, frame)
+      first[i] = { text:match("^[^+]*"), found.payload }
+    end
+    for _, frame in ipairs(shuffled(frames, random)) do
+      local at = frame.number
+      local text, found = words.visit(known, frame, true)
+      local verdict = verdicts[at]
+      lu.assertEquals(text, verdict.text, ("round %d, frame %d"):format(round, at))
+      lu.assertEquals({ text:match("^[^+]*"), found.payload }, first[at])
+      lu.assertEquals(found.in_number, verdict.in_number)
+      if found.payload then
+        local message = found.message
+        lu.assertEquals({ message.delta, message.has_fault },
+          { at / 8, words.has_fault(message.payload) })
+        if verdict.members then
+          lu.assertEquals({ words.numbers(message), message.padding or 0 },
+            { verdict.members, verdict.padding })
+        end
+      end
+    end
+  end
+end
+
+-- Numbers and packets -----------------------------------------------------------------------------
+
+local WHOLE = words.frames("S32 M8 M8 M8 E8", { ids = MOTOR })
+
+-- The frames of WHOLE, or a Command ("C"), with numbers and offsets: { number, which, offset }.
+local function visits(known, rows, visited)
+  local list = {}
+  for i, row in ipairs(rows) do
+    local frame = row[2] == "C" and { can_id = 0, data = "1234567" } or WHOLE[row[2]]
+    local text, found = words.visit(known, { can_id = frame.can_id, data = frame.data,
+      number = row[1], offset = row[3] }, visited)
+    if text == "good" then
+      text = text .. ":" .. table.concat(words.numbers(found.message), ",")
+    elseif found.in_number then
+      text = text .. ">" .. found.in_number
+    end
+    list[i] = text
+  end
+  return table.concat(list, " ")
+end
+
+-- A packet of IEEE 1722 has several CAN frames.
+function T.test_several_frames_in_a_packet()
+  local known = words.new()
+  local rows = { { 1, 1, 30 }, { 1, 2, 60 }, { 1, 3, 90 }, { 2, 4, 30 }, { 2, 5, 60 },
+    { 2, "C", 90 } }
+  lu.assertEquals(visits(known, rows), ". . . . good:1,1,1,2,2 single")
+  lu.assertEquals(visits(known, rows, true), ".>2 .>2 .>2 .>2 good:1,1,1,2,2 single")
+  lu.assertEquals(visits(known, { rows[2], { 1, 1, 200 } }, true), ".>2 -")
+end
+
+function T.test_a_frame_that_never_came()
+  local known = words.new()
+  visits(known, { { 1, 1 }, { 2, 2 }, { 3, 3 }, { 4, 4 }, { 5, 5 } })
+  lu.assertEquals(visits(known, { { 6, 2 }, { 5, 5, 60 } }, true), "- -")
+end
+
+-- With -2 -R a packet that the filter drops has the number of the next one: its frame is forgotten.
+local function drop(known, number)
+  known.reassembly:drop(number * 2 ^ 17 + 8)
+end
+
+-- Frames 1, 2 and 5 come, and are called 1, 2 and 3 in the end; 3 and 4, a Middle and another message,
+-- are dropped, each with the number of the next.
+function T.test_a_read_filter()
+  local known = words.new()
+  visits(known, { { 1, 1 }, { 2, 2 }, { 3, 3 } })
+  drop(known, 3)
+  visits(known, { { 3, 4 }, { 4, 5 } })
+  lu.assertEquals(visits(known, { { 1, 1 }, { 3, 4 }, { 4, 5 } }, true), ".>4 .>4 good:1,2,3,3,4")
+  local _, found = words.visit(known, { can_id = WHOLE[5].can_id, data = WHOLE[5].data, number = 4 },
+    true)
+  lu.assertEquals(found.message[3] % 1, 0.5) -- no frame has this key
+end
+
+-- The last frame is dropped: nothing shows the message, and its number is another's.
+function T.test_a_read_filter_that_drops_the_last_frame()
+  local known = words.new()
+  visits(known, { { 1, 1 }, { 2, 2 }, { 3, 3 }, { 4, 4 }, { 5, 5 } })
+  drop(known, 5)
+  visits(known, { { 5, 1 }, { 6, 2 } })
+  local _, found = words.visit(known, { can_id = WHOLE[2].can_id, data = WHOLE[2].data, number = 2 },
+    true)
+  lu.assertEquals({ found.message[#found.message] % 1, found.message.has_fault }, { 0.5, false })
+  lu.assertEquals(visits(known, { { 5, 1 }, { 6, 2 } }, true), ". .")
+end
+
+-- What was wrong with a dropped frame is not said of the one that has its number.
+function T.test_a_read_filter_that_drops_an_anomaly()
+  local known = words.new()
+  lu.assertEquals(visits(known, { { 1, 2 } }), "orphan+fragment.orphan")
+  drop(known, 1)
+  lu.assertEquals(visits(known, { { 1, 1 }, { 2, 2 } }), ". .")
+  lu.assertEquals(visits(known, { { 1, 1 } }, true), ".")
+end
+
+-- The bus is known at one visit and not at another.
+function T.test_a_bus_that_is_known_here_and_there()
+  for _, buses in ipairs { { 7, nil }, { nil, 7 } } do
+    local known, frames = words.new(), words.frames("S32 M8 M8 M8 E8", { ids = MOTOR })
+    for _, frame in ipairs(frames) do frame.bus = buses[1] end
+    words.visits(known, frames)
+    for _, frame in ipairs(frames) do frame.bus = buses[2] end
+    lu.assertEquals(words.visits(known, frames, true), ". . . . good")
+    local _, found = words.visit(known, frames[5], true)
+    lu.assertEquals(found.message.source.bus, buses[1] or false)
+  end
+end
+
+-- What is kept ------------------------------------------------------------------------------------
+
+-- All that was known of a good message is known when it is visited again.
+function T.test_a_message_that_is_recalled()
+  for text, id in pairs { ["S32 M8 M8 M8 E8"] = 0x210, ["S9 M8 E1"] = 0x7FF,
+    ["S73 M64 E9p12"] = 0x210, ["S1000 " .. ("M8 "):rep(124) .. "E8"] = 5, ["S9 M8 L7? E1"] = 0x210,
+    ["S9r M8 E1"] = 0x210, ["S2400 " .. ("M8 "):rep(299) .. "E8"] = 5 } do
+    -- The second of two: it has a fault.
+    local known, all, frames = words.new(), words.frames(text .. " " .. text,
+      { ids = { [""] = { id, 0, 9 } }, accepts_all = true }), {}
+    words.visits(known, all)
+    for i = #all / 2 + 1, #all do frames[#frames + 1] = all[i] end
+    local message, fragments = select(2, words.visit(known, frames[#frames], true)).message, {}
+    for i, number in ipairs(words.numbers(message)) do fragments[i] = all[number].data end
+    lu.assertEquals(table.concat(fragments, "", 2):sub(1, message.size), message.payload)
+    lu.assertEquals({ #message.payload, message.status, message.delta, message.has_fault },
+      { message.size, "good", #all / 8, true })
+    local header = can_id.header({ id = id, seq = 9, ctl = 0 }, message.size, message.reserved)
+    lu.assertEquals(message.crc, crc.of(header .. message.payload))
+    for _, frame in ipairs { frames[1], frames[2], frames[#frames] } do
+      local _, found = words.visit(known, frame, true)
+      lu.assertTrue(found.message.has_fault)
+      _, found = words.visit(known, all[frame.number - #frames], true)
+      lu.assertFalse(found.message.has_fault)
+    end
+  end
+end
+
+-- And of one that is not good.
+function T.test_a_broken_message_that_is_recalled()
+  for text, row in pairs {
+    ["S32! M8 M8 M8 E8"] = { "bad", 32, nil, 5 }, ["S32 M8 M8 E8"] = { "short", 24, 24, 4 },
+    ["S32 M8 M8 M8 M8 E8"] = { "overrun", 40, 40, 6 }, ["S32 M8~3 M8 M8 E8"] = { "unverified", 3, nil, 5 },
+  } do
+    local _, known, frames = words.send(text, { ids = MOTOR, buses = true })
+    local _, found = words.visit(known, frames[#frames], true)
+    local message = found.message
+    lu.assertEquals({ message.status, #message.payload, #message, message.size },
+      { row[1], row[2], row[4], 32 }, text)
+    if row[3] then lu.assertEquals(message.received, row[3]) end
+    local payload = message.payload
+    local calculated = crc.of(can_id.header({ id = 0x210, seq = 0, ctl = 0 }, 32) .. payload)
+    lu.assertEquals(message.calculated, row[1] == "bad" and calculated or nil, text)
+  end
+end
+
+function T.test_unfinished()
+  local function unfinished(text, options)
+    local known, list = words.new(), {}
+    words.visits(known, words.frames(text, options or {}))
+    for i, message in ipairs(known.reassembly:unfinished()) do
+      lu.assertNil(message.payload)
+      list[i] = table.concat(words.numbers(message), ",")
+    end
+    return table.concat(list, " ")
+  end
+  lu.assertEquals(unfinished("S32 M8 L7"), "1,2")
+  lu.assertEquals(unfinished("S32 M8 S32 M8 M8 M8 E8"), "")
+  lu.assertEquals(unfinished("aS32 bS32 aM8 bM8", { buses = true }), "1,3 2,4")
+  -- A Start superseded the first: that is said there.
+  lu.assertEquals(unfinished("S32 M8 S32 M8", { buses = true }), "3,4")
+  lu.assertEquals(unfinished("S32 M8 S32 M8"), "3,4")
+  lu.assertEquals(unfinished("S32 M8 M8 M8 M8 M8"), "") -- it has too many bytes: that is said too
+end
+
+local function kilobytes()
+  collectgarbage()
+  collectgarbage()
+  return collectgarbage("count")
+end
+
+-- Bytes that are kept of each of so many rounds of frames, in the second half of them.
+-- number  of the frame before them, 0 when left out
+local function kept_bytes(known, rounds, frames, number)
+  local before
+  number = number or 0
+  for round = 1, rounds do
+    for _, frame in ipairs(frames) do
+      number = number + 1
+      frame.number = number
+      words.visit(known, frame)
+    end
+    if round == rounds / 2 then before = kilobytes() end
+  end
+  return (kilobytes() - before) * 1024 / (number / 2)
+end
+
+function T.test_good_messages_cost_little()
+  local bytes = kept_bytes(words.new(), levels.size(6000, 20000),
+    words.frames("S32 M8 M8 M8 E8", { ids = MOTOR }))
+  lu.assertTrue(bytes < 40, ("%.0f bytes a frame"):format(bytes))
+end
+
+-- Starts that another one supersedes, of random Seq.
+function T.test_starts_of_random_seq_cost_little()
+  local random, known, before = stream_generator.random(1), words.new(), nil
+  local count = levels.size(20000, 100000)
+  for number = 1, count do
+    words.visit(known, { can_id = words.can_id(0x210, 1, 0, random(256) - 1), number = number,
+      data = words.start(0x210, "", { size = 32, wrong = random(2) == 1 }) })
+    if number == count / 2 then before = kilobytes() end
+  end
+  local bytes = (kilobytes() - before) * 1024 / (count / 2)
+  lu.assertTrue(bytes < 900, ("%.0f bytes a frame"):format(bytes))
+end
+
+-- Where no frame is dissected again nothing is kept; what is open is reassembled as ever, and of what
+-- is not good is said what is wrong.
+function T.test_the_only_pass_keeps_nothing()
+  local function frames(text)
+    local list = words.frames(text, { ids = MOTOR })
+    for _, frame in ipairs(list) do frame.is_only_pass = true end
+    return list
+  end
+  for _, text in ipairs { "S32 M8 M8 M8 E8", "S32 S32 M8 M8 M8 E8 E8", "S32/7 M8 E8" } do
+    local bytes = kept_bytes(words.new(), levels.size(6000, 20000), frames(text))
+    lu.assertTrue(bytes < 40, ("%s: %.0f bytes a frame"):format(text, bytes))
+  end
+  local text = "S32 M8 M8 M8 E8 S32 M8 M8 E8 S32 M8 M8 M8 E8"
+  local known, some = words.new(), frames(text)
+  lu.assertEquals(words.visits(known, some),
+    words.visits(words.new(), words.frames(text, { ids = MOTOR })))
+  for at = 1, #some do lu.assertEquals(words.visit(known, some[at], true), "-") end
+end
+
+-- A frame of another message key with a number that is known is none of that message.
+function T.test_another_key()
+  local _, known, frames = words.send("S32 M8 M8 M8 E8", { ids = MOTOR })
+  for at = 1, 5 do
+    local other = { can_id = frames[at].can_id + 1, data = frames[at].data, number = at } -- its Seq
+    lu.assertEquals(words.visit(known, other, true), "-")
+  end
+end
+
+function T.test_a_message_that_never_ends()
+  for bus = 0, 1 do
+    local known = words.new()
+    local start = words.start(0x123, "", { size = 65535 })
+    for number = 1, 3 do
+      words.visit(known, { can_id = words.can_id(0x123, 1), data = start, number = number,
+        bus = bus > 0 and bus or nil })
+    end
+    local middle = { can_id = words.can_id(0x123, 2), data = "12345678",
+      bus = bus > 0 and bus or nil }
+    local bytes = kept_bytes(known, levels.size(30000, 120000), { middle }, 3)
+    -- each frame says that it is one too many
+    lu.assertTrue(bytes < 600, ("%.0f bytes a frame"):format(bytes))
+  end
+end
+
+-- An odd limit has a half, too.
+function T.test_a_flood_of_starts_leaves_few_open_and_the_newest()
+  local known, data, payload = words.new { max_open = 33 }, words.start(0x123, ("x"):rep(2000)),
+    ("y"):rep(16)
+  local function send(id, ctrl, bytes, number)
+    return words.visit(known, { can_id = words.can_id(id, ctrl), data = bytes, number = number,
+      bus = 1, accepts_all = true })
+  end
+  local said = {}
+  for id = 0, 200 do
+    local _, found = send(id + 1, 1, data, id + 1)
+    for _, anomaly in ipairs(found.anomalies) do said[anomaly.text] = anomaly.expert end
+    lu.assertTrue(#known.reassembly:unfinished() <= 33)
+  end
+  lu.assertEquals(said, { ["33 messages are open: the oldest 17 are given up"] = "fragment.incomplete" })
+  send(0x7FF, 1, words.start(0x7FF, payload), 1001)
+  for id = 300, 310 do send(id, 1, data, 800 + id) end
+  send(0x7FF, 2, payload:sub(1, 8), 1201)
+  lu.assertEquals((send(0x7FF, 3, payload:sub(9), 1202)), "good")
+end
+
+-- Such a message may be of several that interleave.
+function T.test_a_flood_gives_up_what_interleaves()
+  local known = words.new { max_open = 4 }
+  local function send(id, number)
+    return words.visit(known, { can_id = words.can_id(id, 1), number = number,
+      data = words.start(id, ("x"):rep(99)) })
+  end
+  for number = 1, 3 do send(5, number) end
+  for id = 11, 14 do send(id, id) end
+  for _, message in ipairs(known.reassembly:unfinished()) do
+    lu.assertTrue(words.numbers(message)[1] > 10)
+  end
+  local _, found = words.visit(known, { can_id = words.can_id(5, 1), number = 1,
+    data = words.start(5, ("x"):rep(99)) }, true)
+  lu.assertEquals(found.message.status, "superseded")
+end
+
+return T

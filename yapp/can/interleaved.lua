@@ -1,0 +1,269 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Messages of one key that interleave, where a capture does not tell its buses apart.  Pure Lua.
+--
+-- A Start that comes while a message with the same key is open may supersede it, or come from
+-- another bus.  From then on the frames of that key are pooled, and an End looks for the frames
+-- that,
+-- with it, make up one of the open messages: its size and its CRC decide.  Each frame brings some
+-- credit, which bounds the search; bytes that no open message can use end all of them.
+
+local can_id = require "yapp.wire.can_id"
+local crc = require "yapp.wire.crc"
+
+local M = {}
+
+local concat = table.concat
+
+local MAX_SUPERSEDED = 3 -- a message that more Starts than this superseded is given up
+local MAX_WASTE = 4096   -- bytes in the pool beyond what its messages can use
+local CREDIT_PER_FRAME, MAX_CREDIT = 32, 4096 -- steps of the search
+
+local Pool = {}
+Pool.__index = Pool
+
+--- Make the pool of a message that is open.
+-- reassembly  of can.reassembly, which is told what is wrong
+-- fields      of the CAN ids (wire.can_id)
+function M.new(reassembly, message, fields)
+  local chunks = message.chunks
+  local self = setmetatable({
+    reassembly = reassembly,
+    can_id = fields,
+    open = {}, -- see Pool:add; oldest Start first
+    frames = {}, -- { key, data, length on the bus, is_end, is_taken by a good message, orphan = its
+    -- anomaly }
+    credit = MAX_CREDIT,
+    reserve = 0, -- of the credit, what a search has to leave
+  }, Pool)
+  self:add(message)
+  for i, data in ipairs(chunks) do
+    self.frames[i] = { key = message[i + 1], data = data, length = #data, is_end = false }
+  end
+  self.bytes, self.since = chunks.received, chunks.received
+  return self
+end
+
+--- Open the message of a Start.
+function Pool:add(message)
+  message.chunks, self.since = nil, 0
+  table.insert(self.open, {
+    message = message,
+    from = #self.frames + 1, -- index of its first frame
+    age = 0, -- Starts that superseded it
+    anomalies = {}, -- to be withdrawn if it comes out good
+    is_retry = false, -- whether it was shown as broken already
+  })
+end
+
+--- Return the open messages, oldest Start first.
+function Pool:messages()
+  local list = {}
+  for i, candidate in ipairs(self.open) do list[i] = candidate.message end
+  return list
+end
+
+-- How many bytes no good message has taken, from a frame on; and the indexes of their frames.
+local function leftovers(self, from)
+  local indexes, length = {}, 0
+  for i = from, #self.frames do
+    local frame = self.frames[i]
+    if not frame.is_taken then
+      indexes[#indexes + 1] = i
+      length = length + frame.length
+    end
+  end
+  return length, indexes
+end
+
+local function give_up(self, candidate)
+  if not candidate.is_retry then self.reassembly:give_up(candidate.message) end
+end
+
+--- Take notice of a Start: it supersedes the open messages, and too old ones are given up.
+-- anomaly  that says so of the newest message, or nil
+-- returns  whether any is left
+function Pool:supersede(anomaly)
+  local rest = {}
+  table.insert(self.open[#self.open].anomalies, anomaly)
+  for _, candidate in ipairs(self.open) do
+    candidate.age, candidate.message.status = candidate.age + 1, "superseded"
+    if candidate.age > MAX_SUPERSEDED then
+      give_up(self, candidate)
+    else
+      rest[#rest + 1] = candidate
+    end
+  end
+  self.open = rest
+  if not rest[1] then return false end
+  -- What lies before the oldest message is nobody's any more.
+  local before, frames = rest[1].from - 1, {}
+  for i = before + 1, #self.frames do frames[i - before] = self.frames[i] end
+  self.frames = frames
+  for _, candidate in ipairs(rest) do candidate.from = candidate.from - before end
+  self.bytes = leftovers(self, 1)
+  return true
+end
+
+-- Searches depth first over the frames from `at` on; the newest frame has to be the last taken.
+-- goal     { crc = as sent, indexes = of the frames that are taken so far, padding = found }
+-- returns  whether these are a complete message
+local function search(self, goal, at, register, needed)
+  local frames, indexes = self.frames, goal.indexes
+  local last = #frames
+  while at <= last do
+    local frame = frames[at]
+    self.credit = self.credit - 1
+    if self.credit < self.reserve then return false end
+    -- What is truncated proves nothing.
+    local data, length = frame.data, frame.length
+    local is_complete = #data == length
+    if at == last then
+      goal.padding = is_complete and can_id.padding(data, length, needed)
+      indexes[#indexes + 1] = at
+      return goal.padding and crc.update(register, data, 1, needed) == goal.crc
+    end
+    if is_complete and length < needed and not frame.is_end and not frame.is_taken then
+      local count = #indexes
+      indexes[count + 1] = at
+      local next_register = crc.update(register, data)
+      if search(self, goal, at + 1, next_register, needed - length) then return true end
+      for i = #indexes, count + 1, -1 do indexes[i] = nil end
+    end
+    at = at + 1
+  end
+  return false
+end
+
+-- The padding of the newest frame if all that came since the newest Start is its message; nil if
+-- not.
+local function padding_since_start(self, message)
+  local last = self.frames[#self.frames]
+  return can_id.padding(last.data, last.length, message.size - self.since + last.length)
+end
+
+-- Whether all that came since the newest Start makes up its message; where bytes are truncated, by
+-- their number.
+-- returns  indexes of the frames, padding; nil where it does not
+local function all_since_start(self, candidate, register)
+  local padding = padding_since_start(self, candidate.message)
+  if not padding then return nil end
+  local _, indexes = leftovers(self, candidate.from)
+  for _, index in ipairs(indexes) do
+    local frame, is_last = self.frames[index], index == #self.frames
+    if frame.is_end and not is_last then return nil end
+    if #frame.data < frame.length then return indexes, padding end
+    register = crc.update(register, frame.data, 1, #frame.data - (is_last and padding or 0))
+  end
+  if register == candidate.message.crc then return indexes, padding end
+end
+
+-- Which message an End completes, and with which frames: the newest with all that came since its
+-- Start, else, oldest first, whatever fits.
+-- returns  the index of its candidate, indexes of frames, bytes of padding; nil if it completes
+-- none
+local function find_complete(self)
+  local open = self.open
+  local function seed_of(candidate)
+    return can_id.seed(self.can_id, candidate.message.size, candidate.message.reserved)
+  end
+  local newest = open[#open]
+  local indexes, padding = all_since_start(self, newest, seed_of(newest))
+  if indexes then return #open, indexes, padding end
+  for i, candidate in ipairs(open) do
+    -- The oldest is broken as a rule, and searched among most frames: each may use its share.
+    self.reserve = self.credit * (1 - 1 / (#open - i + 1))
+    local goal = { crc = candidate.message.crc, indexes = {}, padding = false }
+    if search(self, goal, candidate.from, seed_of(candidate), candidate.message.size) then
+      return i, goal.indexes, goal.padding
+    end
+  end
+end
+
+-- Gives frames to the message of a candidate and ends it: with a status if it is known, else the
+-- CRC
+-- decides.
+local function award(self, candidate, indexes, padding, status)
+  local message, chunks, is_truncated = candidate.message, {}, false
+  for i = #message, 2, -1 do message[i] = nil end
+  for i, index in ipairs(indexes) do
+    local frame = self.frames[index]
+    message[i + 1] = frame.key
+    if not is_truncated then chunks[i] = frame.data end
+    is_truncated = is_truncated or #frame.data < frame.length
+    if frame.orphan then frame.orphan.void = true end
+  end
+  local payload = concat(chunks)
+  if not status then payload = payload:sub(1, message.size) end
+  if is_truncated then status = status or "unverified" end
+  message.padding = padding and padding > 0 and padding or nil
+  self.reassembly:finish(message, self.can_id, payload, status)
+  if message.status ~= "good" then return end -- its frames may still be another's
+  for _, index in ipairs(indexes) do
+    self.frames[index].is_taken = true
+    self.bytes = self.bytes - self.frames[index].length
+  end
+  for _, anomaly in ipairs(candidate.anomalies) do anomaly.void = true end
+  local newest = self.open[#self.open]
+  self.since = newest and leftovers(self, newest.from) or 0
+end
+
+-- An End that completes nothing ends the newest message, as it seems.  But it may be another bus's.
+-- So where others are open, a copy of that message is tried again with what may come.
+local function end_newest(self)
+  local candidate = table.remove(self.open)
+  local message, status = candidate.message, nil
+  if self.open[1] then
+    local copy, since = { status = "superseded" }, self.since
+    for name, value in pairs(message) do copy[name] = value end
+    self:add(copy)
+    self.since, self.open[#self.open].from = since, candidate.from
+    self.open[#self.open].is_retry = true
+  end
+  local padding = padding_since_start(self, message)
+  if not padding then status = self.reassembly:misfit(message, self.since) end
+  local _, indexes = leftovers(self, candidate.from)
+  award(self, candidate, indexes, padding, status)
+end
+
+-- Whether the pool has more bytes than all open messages can use: none of them will come out good.
+local function is_full(self)
+  local limit = MAX_WASTE
+  for _, candidate in ipairs(self.open) do limit = limit + candidate.message.size end
+  return self.bytes > limit
+end
+
+--- Take a Middle or End.
+-- returns  as can.reassembly's take
+function Pool:take(frame)
+  local ctrl, newest, kind = frame.can_id.ctrl, self.open[#self.open].message, "fragment"
+  local is_end = ctrl == can_id.END
+  local pooled = { key = frame.key, data = frame.data, length = frame.reported, is_end = is_end }
+  table.insert(self.frames, pooled)
+  self.credit = math.min(math.max(self.credit, 0) + CREDIT_PER_FRAME, MAX_CREDIT)
+  self.bytes, self.since = self.bytes + frame.reported, self.since + frame.reported
+  if is_end then
+    local at, indexes, padding = find_complete(self)
+    if at then
+      local candidate = table.remove(self.open, at)
+      award(self, candidate, indexes, padding)
+      return "last", candidate.message
+    end
+  end
+  if newest.status then
+    kind, pooled.orphan = "other", self.reassembly:orphan(ctrl)
+  else
+    newest[#newest + 1] = frame.key -- as it seems
+    if is_end then
+      end_newest(self)
+      kind = "last"
+    end
+  end
+  if is_full(self) then
+    if kind == "fragment" then self.reassembly:misfit(newest, self.bytes) end
+    for _, candidate in ipairs(self.open) do give_up(self, candidate) end
+    self.open = {}
+  end
+  return kind, kind ~= "other" and newest or nil
+end
+
+return M

@@ -1,0 +1,430 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Reassembly: which CAN frames are YAPP, and which message their Start, Middle and End fragments
+-- make
+-- up ("Multi-Frame CAN YAPP").  Pure Lua.
+--
+-- A slot is a message key on a bus: usually one message at a time is open there.  A message is
+--   1 .. n     frame keys of its fragments (base.frame_key)
+--   slot, source, size, crc, reserved (nil for 0)    as its Start says; of whom it is
+--   chunks     while it is open: the bytes of the fragments behind the Start; received = how many
+--              these are; repeated = bytes of chunks that equal the one before, or nil;
+--              is_truncated
+--              = whether the capture has fewer bytes than were sent, or nil
+--   status     nil while it is open; "good", "bad" (CRC), "short", "overrun", "unverified"
+--              (truncated); "superseded" by a new Start, or given up
+--   payload    once its last fragment has come
+--   padding (nil for 0); received = bytes, of a short or overrun one; calculated = CRC, of a bad
+--   one
+--   duplicates { [frame key of a fragment that came twice] = of the one that it repeats }, or nil
+--   lost       its first anomaly, or nil
+
+local can_id = require "yapp.wire.can_id"
+local crc = require "yapp.wire.crc"
+local frame_key = require "yapp.base.frame_key"
+local interleaved = require "yapp.can.interleaved"
+local store = require "yapp.can.store"
+
+local M = {}
+
+local concat, floor, min = table.concat, math.floor, math.min
+local END, KINDS = can_id.END, can_id.KINDS
+
+local MAX_OPEN = 1024 -- an open message costs memory until something ends it
+local MAX_RUNS = 8 -- runs of equal fragments in which one that came twice is looked for
+
+local Reassembly = {}
+Reassembly.__index = Reassembly
+
+--- Make the reassembly of one capture.
+-- max_open  messages that may be open at once; 1024 if left out
+function M.new(max_open)
+  return setmetatable({
+    max_open = max_open or MAX_OPEN,
+    open = {}, -- [slot] = the message that is open there, or can.interleaved of several
+    open_count = 0,
+    accepted = {}, -- [message ID] = true once a Start of it was accepted
+    store = store.new(),
+    -- Of the newest frame; false for none (COMPAT 5.2: nil makes the table anew).
+    message = false,
+    anomalies = false,
+    keeps = true, -- whether it may be visited again
+  }, Reassembly)
+end
+
+--- Note that something is wrong at the newest frame.
+-- message  the one that is lost by it, or nil; text, ...: as for string.format
+-- returns  an anomaly: { expert = name of an expert item, text, message = the same table for all
+--          anomalies of one message, void = true once it is withdrawn }
+function Reassembly:note(expert, message, text, ...)
+  local anomaly = { expert = expert, text = text:format(...), message = nil, void = nil }
+  if message then
+    message.lost = message.lost or anomaly
+    anomaly.message = message.lost
+  end
+  if not self.anomalies then self.anomalies = {} end
+  table.insert(self.anomalies, anomaly)
+  return anomaly
+end
+
+--- Note that the message of a Middle or End is not known.
+function Reassembly:orphan(ctrl)
+  return self:note("fragment.orphan", nil, "%s fragment: no Start captured", KINDS[ctrl])
+end
+
+--- Note that a message has more or fewer bytes than its size.
+-- returns  its status
+function Reassembly:misfit(message, received)
+  local start = frame_key.number(message[1])
+  message.received = received
+  if received < message.size then
+    self:note("fragment.incomplete", message,
+      "The message that started in frame %d ends with %d of %d bytes", start, received,
+      message.size)
+    return "short"
+  end
+  self:note("fragment.overrun", message,
+    "The message that started in frame %d has %d bytes instead of %d", start, received,
+    message.size)
+  return "overrun"
+end
+
+--- End a message.
+-- fields  of its CAN ids (wire.can_id)
+-- status  where it is known; else the CRC decides between "good" and "bad"
+function Reassembly.finish(_, message, fields, payload, status)
+  message.payload, message.chunks, message.status = payload, nil, status
+  if status then return end
+  local seed = can_id.seed(fields, message.size, message.reserved)
+  local calculated = crc.update(seed, payload, 1, #payload)
+  message.status = calculated == message.crc and "good" or "bad"
+  -- COMPAT 5.2: only here, as to write nil under a name that has none makes the table anew.
+  if message.status == "bad" then message.calculated = calculated end
+end
+
+--- End a message that nothing will show.
+function Reassembly:give_up(message)
+  message.status, message.chunks = "superseded", nil
+  if self.keeps then self.store:keep(message, 0, false) end
+end
+
+-- Slots ------------------------------------------------------------------------------------------
+
+local function close(self, slot)
+  self.open[slot], self.open_count = nil, self.open_count - 1
+end
+
+-- The messages that are open in a slot, oldest Start first.
+local function open_in(self, slot)
+  local open = self.open[slot]
+  return open and (open.messages and open:messages() or { open }) or {}
+end
+
+-- Gives up the messages with the oldest Starts, to make room for one more.
+local function make_room(self)
+  local slots, started = {}, {}
+  for slot in pairs(self.open) do
+    local list = open_in(self, slot)
+    slots[#slots + 1], started[slot] = slot, list[#list][1]
+  end
+  table.sort(slots, function(a, b) return started[a] < started[b] end)
+  local count = #slots - floor(self.max_open / 2)
+  for i = 1, count do
+    for _, message in ipairs(open_in(self, slots[i])) do self:give_up(message) end
+    close(self, slots[i])
+  end
+  self:note("fragment.incomplete", nil,
+    "%d messages are open: the oldest %d are given up", #slots, count)
+end
+
+-- A Start came while a message is open in its slot.  On a known bus it supersedes that message.
+-- Else it may be another bus's, and what follows decides.
+-- returns  can.interleaved where the message stays open, else nil
+local function supersede(self, frame)
+  local open, list = self.open[frame.slot], open_in(self, frame.slot)
+  local newest, anomaly = list[#list], nil
+  local chunks = newest.chunks
+  if not newest.status then
+    anomaly = self:note("fragment.incomplete", newest,
+      "A new Start supersedes the message that started in frame %d: %d of %d bytes came",
+      frame_key.number(newest[1]), chunks and chunks.received or open.since, newest.size)
+  end
+  if open == newest then
+    if frame.bus or not chunks or chunks.is_truncated then
+      self:give_up(open)
+      return close(self, frame.slot)
+    end
+    for i = 2, self.keeps and #open or 0 do
+      self.store:keep_anomalies(open[i], frame.can_id, {})
+    end
+    open = interleaved.new(self, open, frame.can_id)
+    self.open[frame.slot] = open
+  end
+  if open:supersede(anomaly) then return open end
+  close(self, frame.slot)
+end
+
+-- Starts -----------------------------------------------------------------------------------------
+
+-- What is wrong with a Start, as far as it was captured.
+local function check_start(self, frame, size, reserved)
+  local known, least, length = frame.source.size, frame.source.min_size, frame.reported
+  if length > 8 then
+    self:note("size.mismatch", nil, "A Start has 8 bytes, this one has %d", length)
+  elseif length < 8 then
+    self:note("fragment.incomplete", nil,
+      "A Start has 8 bytes, this one has %d: its message cannot be reassembled", length)
+  end
+  if not reserved then return end
+  if size == 0 then
+    self:note("size.mismatch", nil, "The size of the message is 0")
+  elseif known and (size > known or size < (least or known)) then
+    self:note("size.mismatch", nil, "The size is %d bytes, the catalogue says %d", size, known)
+  end
+  if reserved ~= 0 then
+    self:note("reserved.nonzero", nil, "The reserved bytes are 0x%04x, not 0", reserved)
+  end
+end
+
+-- Whether a Start is surely YAPP's.  It must be plausible; and an unknown ID must have no Seq, or
+-- have had a Start without one before.  Of a known ID it may be truncated.
+local function is_plausible(self, frame, size, reserved)
+  local fields, is_known = frame.can_id, frame.source.size
+  if fields.ctl ~= 0 or frame.reported ~= 8 then return false end
+  if not reserved then return is_known end
+  if reserved ~= 0 or size <= 8 then return false end
+  return is_known or fields.seq == 0 or self.accepted[fields.id]
+end
+
+local function start(self, frame)
+  local sum, size, reserved = can_id.start(frame.data)
+  if not frame.accepts_all and not is_plausible(self, frame, size, reserved) then return nil end
+  local slot, source = frame.slot, frame.source
+  self.accepted[frame.can_id.id] = true
+  local several = self.open[slot] and supersede(self, frame)
+  if size ~= source.size or reserved ~= 0 or frame.reported ~= 8 then
+    check_start(self, frame, size, reserved)
+    if not reserved or size == 0 then return "other" end
+  end
+  local message = {
+    frame.key, nil, nil, nil, nil, -- with room for the usual message of five frames
+    slot = slot,
+    source = source,
+    size = size,
+    crc = sum,
+    reserved = reserved ~= 0 and reserved or nil,
+    chunks = { nil, nil, nil, nil, received = 0 },
+    status = nil,
+    payload = nil,
+  }
+  if several then
+    several:add(message)
+    return "fragment", message
+  end
+  if self.open_count >= self.max_open then make_room(self) end
+  self.open[slot], self.open_count = message, self.open_count + 1
+  return "fragment", message
+end
+
+-- Middles and Ends -------------------------------------------------------------------------------
+
+-- CAN may deliver a frame twice: its sender did not see the acknowledgement.  Where a message is
+-- too
+-- long by fragments of one run of equal ones, and its CRC is good without them, they are left out.
+-- frame    the last one; needed: the bytes that it should have, with nothing left out
+-- returns  whether it is so: then the message has ended
+local function leave_out(self, message, frame, needed)
+  local chunks, at, runs = message.chunks, 1, 0
+  while at < #chunks and runs < MAX_RUNS do
+    local first = at
+    -- An End is sent once.
+    while at + 1 < #chunks and chunks[at + 1] == chunks[first] do at = at + 1 end
+    for count = 1, at - first do
+      needed = needed + #chunks[first]
+      local padding = can_id.padding(frame.data, frame.reported, needed)
+      if padding then
+        runs = runs + 1
+        local rest = concat(chunks, "", at + 1, #chunks - 1) .. frame.data:sub(1, needed)
+        self:finish(message, frame.can_id, concat(chunks, "", 1, at - count) .. rest)
+        if message.status == "good" then
+          message.padding, message.duplicates = padding > 0 and padding or nil, {}
+          for _ = 1, count do
+            message.duplicates[table.remove(message, first + 2)] = message[first + 1]
+          end
+          return true
+        end
+      end
+    end
+    needed = needed - (at - first) * #chunks[first]
+    at = at + 1
+  end
+  return false
+end
+
+-- The End of a message that has not as many bytes as its size says.
+local function finish_unusual(self, message, frame)
+  local chunks, status = message.chunks
+  local needed = frame.reported + message.size - chunks.received
+  local padding = can_id.padding(frame.data, frame.reported, needed)
+  if padding then
+    message.padding = padding
+    chunks[#chunks] = frame.data:sub(1, needed)
+    status = chunks.is_truncated and "unverified" or nil
+  else
+    local may_be_twice = chunks.repeated and not chunks.is_truncated
+    if may_be_twice and leave_out(self, message, frame, needed) then return end
+    message.calculated = nil
+    status = self:misfit(message, chunks.received)
+  end
+  self:finish(message, frame.can_id, concat(chunks), status)
+end
+
+-- A chunk that equals the one before or is truncated.  Behind a truncated one the place of nothing
+-- is
+-- known.
+local function take_odd(chunks, index, data, reported)
+  if chunks.is_truncated then return end
+  if data == chunks[index - 1] then chunks.repeated = (chunks.repeated or 0) + reported end
+  chunks.is_truncated = #data < reported
+  chunks[index] = data
+end
+
+-- A Middle or End where no message is open that has come as it should.
+local function continue_other(self, frame, open)
+  local fields = frame.can_id
+  if not open then
+    if not frame.accepts_all and (fields.ctl ~= 0 or not frame.source.size) then return nil end
+    self:orphan(fields.ctrl)
+    return "other"
+  end
+  if open.messages then
+    local kind, message = open:take(frame)
+    if #open:messages() == 0 then close(self, frame.slot) end
+    return kind, message
+  end
+  open[#open + 1] = frame.key
+  self:misfit(open, open.received + frame.reported)
+  if fields.ctrl ~= END then return "fragment", open end
+  close(self, frame.slot)
+  self:finish(open, fields, "", open.status)
+  return "last", open
+end
+
+local function continue(self, frame)
+  local message = self.open[frame.slot]
+  local chunks = message and message.chunks
+  if not chunks then return continue_other(self, frame, message) end
+  local data, reported, index = frame.data, frame.reported, #message
+  local received = chunks.received + reported
+  message[index + 1] = frame.key
+  chunks.received = received
+  if data == chunks[index - 1] or #data < reported or chunks.is_truncated then
+    take_odd(chunks, index, data, reported)
+  else
+    chunks[index] = data
+  end
+  if frame.can_id.ctrl ~= END then
+    local excess = received - message.size
+    if excess > 0 and excess > min(chunks.repeated or 0, MAX_RUNS * reported) then
+      message.status, message.chunks = self:misfit(message, received), nil
+    end
+    return "fragment", message
+  end
+  close(self, frame.slot)
+  if received == message.size then
+    local status = chunks.is_truncated and "unverified" or nil
+    self:finish(message, frame.can_id, concat(chunks), status)
+  else
+    finish_unusual(self, message, frame)
+  end
+  return "last", message
+end
+
+-- Other frames -----------------------------------------------------------------------------------
+
+local function single(_, frame)
+  local size, least = frame.source.size, frame.source.min_size
+  if frame.accepts_all then return "single" end
+  if not size or frame.can_id.ctl ~= 0 then return nil end
+  return can_id.single_size(frame.data, frame.reported, least or size, size) and "single"
+end
+
+local function undefined(self, frame)
+  if not frame.accepts_all then return nil end
+  self:note("can.ctrl.invalid", nil, "CAN CTRL is %d; 0 to 3 are defined", frame.can_id.ctrl)
+  return "other"
+end
+
+-- By CAN CTRL: (reassembly, frame) -> kind, message.
+local TAKERS = { [0] = single, start, continue, continue }
+for ctrl = #TAKERS + 1, 15 do TAKERS[ctrl] = undefined end
+
+-- What a frame is ---------------------------------------------------------------------------------
+
+--- Take the next frame of the capture.
+-- frame    of can.dissector, its key to is_only_pass
+-- returns  nil for a frame that is not YAPP's, else its kind: "single"; "fragment", of a message;
+--          "last", with which its message ends; "other", which has no message, as the anomalies say
+--          the message of a fragment, else nil
+--          list of anomalies, or false
+function Reassembly:take(frame)
+  self.anomalies, self.keeps = false, not frame.is_only_pass
+  local kind, message = TAKERS[frame.can_id.ctrl](self, frame)
+  if self.keeps then
+    local kept = self.store
+    self.message = message or false
+    -- Which message has an interleaved fragment is not known yet; it may be none.
+    local is_other = kind == "other" or kind == "fragment" and not message.chunks
+    if self.anomalies or is_other then
+      kept:keep_anomalies(frame.key, frame.can_id, self.anomalies or {})
+    end
+  end
+  return kind, message, self.anomalies
+end
+
+--- Keep the message that the newest frame has ended, see can.store.
+function Reassembly:keep(message, delta, has_fault)
+  self.store:keep(message, delta, has_fault)
+end
+
+--- Forget the newest frame, as its key comes again: a read filter dropped its packet.
+function Reassembly:drop(key)
+  self.store:drop(key, self.message)
+end
+
+-- The message that is open and has a frame as a fragment, and the index of that.
+local function find_open(self, frame)
+  for _, message in ipairs(open_in(self, frame.slot)) do
+    local index = frame_key.last_until(message, frame.key)
+    if message[index] == frame.key then return message, index end
+  end
+end
+
+--- Say what a frame is that was taken before.
+-- returns  as Reassembly:take, and the index of the frame in its message; it is that of the one
+-- before
+--          for a fragment that came twice
+function Reassembly:recall(frame)
+  local message, index = self.store:find(frame)
+  if not message then message, index = find_open(self, frame) end
+  local anomalies = self.store:anomalies_of(frame)
+  if message then
+    local is_last = message.payload and message[#message] == frame.key
+    return is_last and "last" or "fragment", message, anomalies, index
+  end
+  if frame.can_id.ctrl == 0 then return single(self, frame), nil, anomalies end
+  return anomalies and "other", nil, anomalies
+end
+
+--- Return the messages that have neither ended nor been superseded, in the order of their Starts.
+function Reassembly:unfinished()
+  local list = {}
+  for slot in pairs(self.open) do
+    for _, message in ipairs(open_in(self, slot)) do
+      if not message.status then list[#list + 1] = message end
+    end
+  end
+  table.sort(list, function(a, b) return a[1] < b[1] end)
+  return list
+end
+
+return M
