@@ -325,6 +325,12 @@ function T.test_buses_by_fields()
   lu.assertEquals({ bus(1, 0, 3, nil, "any"), bus(1, 0, 4, nil, "any"), bus(1, 0, 3, nil, "any"),
     bus(2, 0, 0) }, { 1, 2, 1, "-" })
   lu.assertEquals({ found:name(1), found:name(2) }, { "any", "any#4" })
+  -- In a live capture the first name may stand for several, too.
+  found = read(section(le) .. interface(SLL2, le, option(2, "any", le)))
+  lu.assertEquals({ found.has_several, bus(1, 0, 3), bus(1, 0, 4) }, { true, 1, 2 })
+  lu.assertEquals({ found:name(1), found:name(2) }, { "any#3", "any#4" })
+  found = read(pcap(SLL2, { can_over_sll2(3), can_over_sll2(4) }, le)) -- as the head of a pipe
+  lu.assertEquals({ bus(1, 0, 4), bus(1, 0, 5), found:name(3) }, { 2, 3, "if0#5" })
   found = read("")
   lu.assertEquals({ bus(1, 0, 0, 1), bus(1, 0, 0, 2), bus(1, 0, 0, 3) }, { 1, 2, 1 })
 end

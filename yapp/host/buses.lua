@@ -16,7 +16,6 @@ local FIELDS = "frame.interface_id || frame.interface_name || frame.section_numb
   "sll.ifindex || rtacser.eventtype"
 local NAMES = {}
 for name in FIELDS:gmatch("[%w_.]+") do NAMES[name] = true end
-local RECENT = 60 -- seconds: a capture with such a packet may still go on
 local IN_TSHARK = not gui_enabled()
 local IS_WINDOWS = package.config:sub(1, 1) == "\\"
 
@@ -61,7 +60,8 @@ function M.watch()
       return file:read(count)
     end
     self.seen = capture.read(head, more)
-    self.is_cut = #head == capture.HEAD and not is_file
+    self.is_short = #head < capture.HEAD
+    self.is_cut = not (self.is_short or is_file)
     readers.forget()
     return false
   end
@@ -79,8 +79,9 @@ function Buses:init()
   self.found, self.is_shifted = found, false
   self.plain_bus = readers.plain_bus()
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
-  local is_recent = os.time() - found.latest < RECENT
-  local needs_fields = found.is_live or is_recent or self.is_cut and found.carriers > 0
+  -- A short file may be a live capture's that had packets when it was opened.
+  local may_go_on = self.is_short and found.has_several or found.is_live
+  local needs_fields = may_go_on or self.is_cut and found.carriers > 0
   self.asks = needs_fields or found.has_several or not (found.is_told or self.plain_bus)
   if needs_fields then
     self.tap = self.tap or Listener.new("frame", FIELDS)

@@ -105,13 +105,14 @@ end
 local Capture = {}
 Capture.__index = Capture
 
--- Gives a bus a name that no other has.  If the name of its interface stands for several, "#" and
--- what tells them apart follow.
+-- Gives a bus a name that no other has.  If the name of its interface stands for several, or may
+-- do so in a live capture, "#" and what tells them apart follow.
 local function name_bus(self, number)
   local bus = self.buses[number]
-  local name = bus.name
-  if self.uses[name] > 1 then name = name .. "#" .. bus.suffix end
-  while self.is_taken[name] do name = name .. "#" .. bus.suffix end
+  local name, has_index = bus.name, bus.index ~= 0
+  local suffix = "#" .. (has_index and bus.index or bus.interface.number)
+  if self.uses[name] > 1 or has_index and self.is_live then name = name .. suffix end
+  while self.is_taken[name] do name = name .. suffix end
   self.is_taken[name], self.names[number] = true, name
 end
 
@@ -123,11 +124,7 @@ local function bus_number(self, interface, index)
     local name = interface.name or "if" .. interface.number
     number = #self.buses + 1
     interface.buses[index] = number
-    self.buses[number] = {
-      interface = interface,
-      name = name,
-      suffix = index ~= 0 and index or interface.number,
-    }
+    self.buses[number] = { interface = interface, index = index, name = name }
     self.uses[name] = (self.uses[name] or 0) + 1
   end
   return number
@@ -142,7 +139,6 @@ local function keep_bus(self, window, interface, offset, seconds)
     local index = INDEX_OF[interface.linktype](window:bytes(offset, 16))
     bus = index and bus_number(self, interface, index) or 0
   end
-  self.latest = seconds
   self.entries[self.count] = bus * TIMES + floor(seconds * 1e6) % TIMES
 end
 
@@ -207,6 +203,7 @@ local function read_interface(self, window, offset, length)
   interface.bus = not is_mixed and bus_number(self, interface, 0) or nil
   if not self.keeps then self.early = self.count end
   self.keeps = is_mixed or self.carriers > 1
+  self.has_indexes = self.has_indexes or linktype == COOKED_2
 end
 
 -- Reads the options of an enhanced block: how many packets were dropped in front of its own.
@@ -315,7 +312,8 @@ local function read_pcap(self, window, is_little, fractions)
   self.place = linktype == SOCKETCAN and 8 or nil
   self.has_packets = window:has(24, 16)
   if linktype ~= COOKED_2 and linktype ~= RTAC then return end
-  local interface = { number = 0, linktype = linktype, buses = {} }
+  local interface = { number = 0, linktype = linktype, buses = {}, dropped = 0, accounted = 0 }
+  self.interfaces[1] = interface
   self.carriers = 1
   local offset = 24
   while window:has(offset, 16) do
@@ -368,13 +366,11 @@ end
 --       nil at the end, and where a pipe must be left alone
 -- returns a capture: {
 --   carriers      number of interfaces that may carry YAPP
---   has_several   whether it tells several buses apart
+--   has_several   whether it tells several buses apart, or will do so in a live capture
 --   is_live       whether it is pcapng without a packet yet, as when a capture begins
 --   is_told       whether it is of a format that this module reads
 --   is_unknown    whether it has buses that this module cannot tell: a file of Vector BLF
 --   count         how many packets were read
---   latest        when the last one was captured, if it tells several buses apart: seconds since
---                 1970
 --   names         [bus] = its name
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
@@ -389,12 +385,12 @@ function M.read(head, more)
     count = 0,
     early = 0, -- packets in front of the second interface: those that may be YAPP's are of bus 1
     keeps = false, -- whether the buses of packets are wanted
-    latest = 0,
+    has_indexes = false, -- whether Linux cooked v2 is among the interfaces
     entries = {}, -- [number of a packet] = its bus * TIMES + when it was captured
     interfaces = {}, -- of the file
     first = 0, -- number of interfaces in the sections before
     firsts = {}, -- by section
-    buses = {}, -- list of { interface, name = of it, suffix = to tell it from others of this name }
+    buses = {}, -- list of { interface, index, name = of the interface }
     uses = {}, -- by name: how many buses have it
     names = {},
     is_taken = {}, -- by name
@@ -408,13 +404,13 @@ function M.read(head, more)
   end
   local reader = READERS[sub(head, 1, 4)]
   if reader then reader(self, window) end
-  for number = 1, #self.buses do name_bus(self, number) end
   local has_packets = self.has_packets or self.count > 0
   self.is_told = reader ~= nil
   self.is_unknown = sub(head, 1, 4) == "LOGG"
-  self.has_several = #self.buses > 1
   self.is_live = reader == read_pcapng and not has_packets and
     (self.carriers > 0 or #self.interfaces == 0)
+  self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
+  for number = 1, #self.buses do name_bus(self, number) end
   self.head = has_frame and has_packets and head or nil
   self.may_have_frames = has_frame or not has_packets
   complete_drops(self)
