@@ -2,7 +2,7 @@
 -- YAPP for Wireshark: the packet protocol of Taurus motor controllers on CAN, UART, TCP and UDP.
 -- The way in: protocols, preferences, dissectors, registration.  README.md says how to use it.
 
-local VERSION = "2.1.0"
+local VERSION = "2.2.0"
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 
 -- Installed in the plugin folder and given by -X, or given twice: the first one loads.

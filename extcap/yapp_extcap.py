@@ -27,7 +27,7 @@ try:
 except ImportError:  # Windows
     termios = None
 
-VERSION = "2.1.0"
+VERSION = "2.2.0"
 LINK_EXPORTED_PDU, LINK_CAN = 252, 227
 PAUSE = 0.002  # seconds: bytes with no longer pause between them are one packet,
 LONGEST = 0.02  # of no more seconds than this,
