@@ -186,10 +186,11 @@ end
 local function read(self, frame, m)
   self.reader:read(m, self.history)
   if frame.visited or frame.is_only_pass then return end
-  local delta = m.is_unsure and UNKNOWN or m.delta or FIRST
+  -- Of a source that two controllers share the history says so itself, on a revisit, too.
+  local delta = frame.knows_bus and (m.delta or FIRST) or UNKNOWN
   if frame.message then
     self.reassembly:keep(frame.message, delta, m.has_fault)
-  elseif not m.is_unsure then
+  elseif frame.knows_bus then
     self.deltas[frame.key] = delta
   end
 end
