@@ -293,10 +293,10 @@ end
 
 -- Shows a message; returns what the Info column says of it.
 local function show_message(self, m, tvb)
-  local builder = self.tree
+  local builder, knows_bus = self.tree, not m.is_unsure
   self.reader:read(m, self.history)
   if not m.good then m.delta = false end
-  if not m.visited and not m.is_unsure and not m.wants.is_only_pass then
+  if knows_bus and not m.visited and not m.wants.is_only_pass then
     self.deltas[m.number] = m.delta or FIRST
   end
   if m.wants.tree then m.item, m.tvb = add_frame(self, m, tvb), tvb end
