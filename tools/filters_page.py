@@ -96,7 +96,7 @@ def page(home):
             text += f": {values[name]}"
         groups.setdefault(group, []).append((f"`{name}`", what, text))
     for group, rows in sorted(groups.items(), key=lambda one: (one[0] != "yapp", one[0])):
-        parts += [f"\n## Fields of {group}\n\n", table(["filter", "type", "meaning"], rows)]
+        parts += [f"\n## Fields of {group}\n\n", table(["filter", "type", "meaning"], sorted(rows))]
     parts += ["\n## Expert items\n\n`tshark -z expert` counts them.\n\n", table(["filter", "meaning"], experts)]
     parts += ["\n## Preferences\n\n*Preferences > Protocols > YAPP*, or `-o NAME:VALUE`.\n",
               *preferences(ask(home, "currentprefs"))]
