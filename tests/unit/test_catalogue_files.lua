@@ -114,10 +114,9 @@ function T.test_a_list_without_an_end()
     "local t = {} for i = 1, 100000 do t['x' .. i] = %s end return t",
     "return setmetatable({}, { __index = function() return %s end, __len = function() return 1e9 end })",
   } do
-    local start = os.clock()
     local names, problems = load("return {" .. entry("a", 1) .. "}", text:format(entry("b", 2):sub(1, -2)))
     lu.assertStrContains(names, "a 1 uint8")
-    lu.assertTrue(#problems <= 20 and os.clock() - start < 2, text)
+    lu.assertTrue(#problems <= 20, text)
   end
 end
 

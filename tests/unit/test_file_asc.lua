@@ -208,8 +208,7 @@ function T.test_no_line_is_slow()
   for _, front in ipairs(fronts) do
     for _, unit in ipairs { " ", "0", "x", "a ", "1 ", "1  ", "Rx ", "CANFD ", ".", "0.1 " } do
       local text = HEAD .. front .. unit:rep(math.floor(4000 / #unit)) .. "!\n"
-      local seconds = cpu.seconds(function() frames(text) end)
-      lu.assertTrue(seconds < 0.005, ("%s%s: %g s"):format(front, unit, seconds))
+      lu.assertFalse(cpu.is_quadratic(function() frames(text) end), ("%s%s"):format(front, unit))
     end
   end
 end
@@ -219,8 +218,7 @@ function T.test_no_head_is_slow()
   for _, front in ipairs { "", "date ", "date x\nbase hex timestamps absolute" } do
     for _, unit in ipairs { "\n", " ", "\nbase", "\nbase hex ", "\n1 ", "\n1.1 1" } do
       local text = front .. unit:rep(4000)
-      local seconds = cpu.seconds(function() asc.open(file_of(text), print) end)
-      lu.assertTrue(seconds < 0.005, ("%q%q: %g s"):format(front, unit, seconds))
+      lu.assertFalse(cpu.is_quadratic(function() asc.open(file_of(text), print) end), ("%q%q"):format(front, unit))
     end
   end
 end

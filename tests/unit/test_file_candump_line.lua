@@ -119,15 +119,14 @@ function T.test_text_behind_a_frame_is_told()
 end
 
 -- What a pattern might try again and again makes no line slow: at 4,000 characters one that is tried
--- from each of them, and to the end, takes 10 ms and more, others at most 0.3 ms.
+-- from each of them, and to the end, takes 10 ms and more, others at most 0.6 ms.
 function T.test_no_line_is_slow()
   for i = 1, #LINES, levels.size(3, 1) do
     local line = LINES[i][1]
     for _, unit in ipairs { " ", "0", "x", "\t", "`", "a ", "0 ", "0  ", "(", "\27[1", "0O", "$\\odot" } do
       for _, at in ipairs { 1, line:find(")", 1, true) or 2, line:find("[#%[{]") + 1, #line + 1 } do
         local long = line:sub(1, at - 1) .. unit:rep(math.floor(4000 / #unit)) .. line:sub(at) .. " !"
-        local seconds = cpu.seconds(function() candump.parse(long) end)
-        lu.assertTrue(seconds < 0.005, ("%q at %d of %s: %g s"):format(unit, at, line, seconds))
+        lu.assertFalse(cpu.is_quadratic(function() candump.parse(long) end), ("%q at %d of %s"):format(unit, at, line))
       end
     end
   end
