@@ -107,17 +107,20 @@ end
 -- Returns what is known of a packet, as serial.streams takes it, and
 --   line          of line_of
 --   is_bus_known  whether it is known where it was captured
---   tvb, tree     its bytes, and where they are shown
+--   tvb           where its bytes are, if a tree is wanted
+--   tree          where they are shown
 --   wants         of show.tree
--- tvb      its bytes; nil for a segment of which the capture has none
--- segment  of serial.tcp, nil for other packets
+-- tvb      its bytes; of a segment with the header of TCP
+-- segment  of serial.tcp, with its line; nil for other packets
 local function new_packet(self, tvb, pinfo, tree, segment)
-  local line, is_bus_known = line_of(self, pinfo)
-  local number, visited = pinfo.number, pinfo.visited
-  local bytes = tvb and tvb:raw() or ""
-  local length = segment and segment.length or tvb:reported_len()
+  local start, line, is_bus_known = segment and segment.start or 0, segment and segment.line, true
+  if not line then line, is_bus_known = line_of(self, pinfo) end
+  local bytes = tvb:len() > start and tvb:raw(start) or ""
+  local number, visited, length = pinfo.number, pinfo.visited, tvb:reported_len() - start
+  local wants, key = self.tree:wants(tree, pinfo, visited), number * PACKET + tvb:offset() + start
+  if wants.tree and segment and bytes ~= "" then tvb = tvb(start):tvb() end
   return {
-    key = number * PACKET + (segment and segment.offset or tvb:offset()),
+    key = key,
     number = number,
     bytes = bytes,
     length = length,
@@ -133,7 +136,7 @@ local function new_packet(self, tvb, pinfo, tree, segment)
     is_bus_known = is_bus_known,
     tvb = tvb,
     tree = tree,
-    wants = self.tree:wants(tree, pinfo, visited),
+    wants = wants,
   }
 end
 
@@ -449,7 +452,7 @@ local function dissect(self, packet, pinfo)
   report_damaged(self, packet)
   show(self, packet, pinfo, contents)
   local last = contents.events[#contents.events]
-  if packet.truncated and packet.tvb and not (last and last.status == "incomplete") then
+  if packet.truncated and packet.bytes ~= "" and not (last and last.status == "incomplete") then
     local text = "The capture has %d of the packet's %d bytes"
     self.tree:expert(packet.tree, "truncated", text:format(#packet.bytes, packet.length))
   end
@@ -461,10 +464,10 @@ local function dissect_segment(self, segment, tvb, pinfo, tree)
   self.has_tcp = self.has_tcp or segment.is_ours
   if not self.has_tcp then return end
   local line = line_of(self, pinfo)
+  segment.line = line
   local is_known = pinfo.visited or self.streams:note_header(line.key, line.opposite, segment)
   if segment.length == 0 or not (segment.is_ours or is_known) then return end
-  local bytes = tvb:len() > segment.start and tvb(segment.start):tvb() or nil
-  dissect(self, new_packet(self, bytes, pinfo, tree, segment), pinfo)
+  dissect(self, new_packet(self, tvb, pinfo, tree, segment), pinfo)
 end
 
 --- Watch TCP, to know the sequence numbers from the first segment on.
