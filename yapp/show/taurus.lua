@@ -154,7 +154,7 @@ local function make_plan(self, message, tree, is_shown)
     plan[#plan + 1] = wanted and {
       field = field,
       index = index,
-      parent = message.index[field.inside or false],
+      parent = field.inside and field.inside.index,
       add = add_field(field, wanted, unit_of(field), is_shown),
       title = is_shown and field.element and field.title,
     }
