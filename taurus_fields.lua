@@ -1,19 +1,27 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The catalogue of Taurus messages: data only, the file to edit when a firmware adds or changes a
--- message.
+-- The catalogue of Taurus messages: data only.
 --
--- Your own messages, and your own versions of these, belong in a file of the same form,
--- yapp_messages.lua in Wireshark's personal configuration folder: docs/messages.md shows it, and no
--- new version of the plugin touches it.
+-- How to add a message: append an entry to the list at the end of this file.  That is all: filters,
+-- tree, preference, Info column and CSV follow from it.
 --
--- A message is one entry of the list at the end; adding an entry is all it takes.  An entry has
+--   {
+--     name = "battery", title = "Battery", id = 0x340, size = 3, info = "{level:%.0f} %",
+--     { "level", "uint16", "Level", scale = 0.1, unit = "%" },
+--     { "mode", "uint8", "Mode", values = { [0] = "Off", [1] = "Charging" } },
+--   },
+--
+-- Messages of your own belong in a file of the same form, yapp_messages.lua in Wireshark's personal
+-- configuration folder, which a new version of the plugin leaves alone: see docs/messages.md.
+--
+-- An entry has
 --   name     its filter name: taurus.<name>
 --   title    what the packet list and the tree call it
---   section  the part of a document that defines it, for descriptions; a row may have its own
 --   id       its default message ID, 0 .. 2047
 --   size     its payload in bytes, checked against the rows
+-- and, where wanted,
 --   min_size   the fewest bytes, where older firmware sends fewer; they end with a field.  Fields
 --            that a shorter payload does not have are absent
+--   section  the part of a document that defines it, for descriptions; a row may have its own
 --   info     what the Info column says: {field} or {field:format}, format as in string.format
 --   every    its period in seconds, 0.1 for 10 Hz: a gap of several periods gets the expert item
 --            yapp.late
@@ -34,7 +42,7 @@
 --   padding with length                                  bytes that say nothing; no title
 --   variants with by and cases                           what lies there depends on the earlier
 --            field `by`: cases = { [its value] = { rows }, ... }, the largest counts
--- and options:
+-- Options of a row:
 --   unit     appended to the value
 --   scale, offset   of an integer: value = count * scale + offset,
 --            { "t", "int16", "Air", scale = 0.1, unit = "°C" }
