@@ -136,7 +136,8 @@ def expected(packet):
             add(payload=payload.hex())
         if event.delta is not None:
             add(time_delta=model.time_text(event.delta))
-    if 0 < packet.captured < len(packet.data) and not any(event.kind == "incomplete" for event in packet.events):
+    is_ours, is_incomplete = packet.events or packet.pending, any(event.kind == "incomplete" for event in packet.events)
+    if is_ours and packet.captured < len(packet.data) and not is_incomplete:
         add(truncated="")
     if packet.pending:
         add(fragment__data=packet.pending.hex())
