@@ -108,10 +108,10 @@ def options_of(body, at):
 
 
 class Pcapng:
-    """What a capture has: interfaces [(link type, name)], packets [(interface, seconds, data, direction)]."""
+    """What a capture has: interfaces [(link type, name)], packets [(interface, seconds, data, direction)], dropped [count]."""
 
     def __init__(self, data):
-        self.interfaces, self.packets = [], []
+        self.interfaces, self.packets, self.dropped = [], [], []
         for kind, body in blocks(data):
             if kind == 1:
                 values = dict(options_of(body, 8))
@@ -120,7 +120,9 @@ class Pcapng:
             elif kind == 6:
                 interface, high, low, size, whole = struct.unpack_from("=5I", body)
                 assert size == whole
-                flags = dict(options_of(body, 20 + (size + 3) // 4 * 4)).get(2, bytes(4))
+                options = dict(options_of(body, 20 + (size + 3) // 4 * 4))
+                flags = options.get(2, bytes(4))
+                self.dropped += struct.unpack("=Q", options[4]) if 4 in options else ()
                 self.packets.append((interface, ((high << 32) + low) / 1e9, body[20:20 + size], flags[0] & 3))
 
     def bytes_of(self, interface=0):
@@ -359,8 +361,8 @@ def test_not_a_port(folder, path):
 
 
 @pytest.mark.parametrize("flag, value, said", [
-    ("--baud", "fast", "the baud rate is a number, not 'fast'"), ("--parity", "mark", "parity is none, even or odd, not 'mark'"),
-    ("--stopbits", "3", "the number of stop bits is 1 or 2, not '3'")])
+    ("--baud", "fast", "baud rate: a number from 50 to 20000000, not 'fast'"), ("--parity", "mark", "parity: none, even or odd, not 'mark'"),
+    ("--stopbits", "3", "stop bits: 1 or 2, not '3'")])
 def test_a_setting_that_is_none(folder, port, flag, value, said):
     assert said in refused(folder, "--port", port.name, flag, value)
 
@@ -396,8 +398,14 @@ def test_port_that_is_not_permitted(folder, port):
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become somebody else")
-def test_port_of_root(folder, port):
-    os.chmod(port.name, 0o600)
+@pytest.mark.parametrize("group, mode, advice", [
+    (20, 0o660, r"belongs to the group (\w+): sudo usermod -aG \1 \$USER"),
+    (20, 0o600, r"sudo chown \$USER /dev"),  # the group may not, either
+    (0, 0o660, r"sudo chown \$USER /dev"),  # nobody is to join the group of root
+])
+def test_port_of_somebody_else(folder, port, group, mode, advice):
+    os.chown(port.name, 0, group)
+    os.chmod(port.name, mode)
     os.chmod(folder, 0o777)
     os.mkfifo(folder / "fifo")
     os.chmod(folder / "fifo", 0o666)
@@ -406,8 +414,83 @@ def test_port_of_root(folder, port):
                                 port.name, "--fifo", folder / "fifo"], stderr=subprocess.PIPE, text=True, user=65534,
                                group=65534, extra_groups=[])
     (folder / "fifo").read_bytes()
-    assert re.search(r"belongs to the group (\w+): sudo usermod -aG \1 \$USER", process.communicate(timeout=10)[1])
-    assert stat.S_IMODE(os.stat(port.name).st_mode) == 0o600
+    errors = process.communicate(timeout=10)[1]
+    assert re.search(advice, errors) and "root" not in errors
+    assert stat.S_IMODE(os.stat(port.name).st_mode) == mode
+
+
+@pytest.mark.parametrize("value", ["0", "49", "99999999999", "1" * 30, "-1", ""])
+def test_a_rate_that_is_none(folder, port, value):
+    assert "baud rate: a number from 50 to 20000000, not '" in refused(folder, "--port", port.name, f"--baud={value}")
+
+
+def unread(*arguments):
+    """An extcap whose fifo nobody has opened."""
+    return subprocess.Popen([PYTHON, EXTCAP, "--capture", "--extcap-interface", "yapp-serial", *map(str, arguments)],
+                            stderr=subprocess.PIPE, text=True)
+
+
+def test_a_fifo_that_cannot_be_opened(folder, port):
+    process = unread("--port", port.name, "--fifo", folder / "nowhere/fifo")
+    errors = process.communicate(timeout=10)[1]
+    assert process.returncode == 1 and errors.count("\n") == 1
+    assert f"{folder}/nowhere/fifo cannot be written: No such file" in errors and "Start the capture from" in errors
+
+
+def test_a_signal_ends_it_before_the_fifo_is_opened(folder, port):
+    os.mkfifo(folder / "fifo")
+    process = unread("--port", port.name, "--fifo", folder / "fifo")
+    # It blocks signals until Python has started; its second thread waits for a reader.
+    wait_for(lambda: len(os.listdir(f"/proc/{process.pid}/task")) == 2)
+    process.send_signal(signal.SIGTERM)
+    assert process.communicate(timeout=10)[1] == "" and process.returncode == 0
+
+
+def test_a_signal_ends_it_when_nobody_reads_on(folder, port):
+    """And what is not in the capture is said."""
+    extcap = Extcap(folder, "--port", port.name, start=False)
+    port.wait_until_open()
+    for _ in range(60):  # a pipe holds 64 KB
+        port.write(FRAME * 60)
+        wait_for(lambda: not queued(port))
+    _, errors = extcap.end()
+    assert re.fullmatch(r"YAPP: Wireshark did not read in time: \d+ packets are not in the capture\. .*\n", errors)
+
+
+def queued(port):
+    """Bytes that the port has and nobody has read."""
+    import fcntl
+    return struct.unpack("i", fcntl.ioctl(port.near, termios.FIONREAD, bytes(4)))[0]
+
+
+def test_a_slow_reader_costs_no_memory(folder, port):
+    """Packets beyond the limit are dropped, and the next packet says how many."""
+    program = folder / "small.py"
+    program.write_text(f"import os, sys\nsys.path.insert(0, {str(EXTCAP.parent)!r})\nimport yapp_extcap\n"
+                       "yapp_extcap.MAX_WAITING = 20000\nos._exit(yapp_extcap.main())\n")
+    extcap = Extcap(folder, "--port", port.name, program=program, start=False)
+    port.wait_until_open()
+    for _ in range(60):
+        port.write(FRAME * 60)
+        wait_for(lambda: not queued(port))
+    extcap.read()
+    wait_for(lambda: extcap.data.count(FRAME) > 1000)  # what was waiting
+    time.sleep(0.1)
+    port.write(b"later")
+    wait_for(lambda: b"later" in extcap.data)
+    capture, errors = extcap.end()
+    assert sum(capture.dropped) > 0 and len(extcap.data) < 60 * 60 * len(FRAME)
+    assert f"{sum(capture.dropped)} packets are not in the capture" in errors
+
+
+@pytest.mark.skipif(not shutil.which("apt"), reason="no apt here")
+def test_the_systems_own_package_is_named():
+    script = ("import sys; sys.path.insert(0, sys.argv[1]); import yapp_extcap; sys.executable = sys.argv[2]\n"
+              "print(yapp_extcap.needed('pyserial', 'python3-serial'))")
+    for python, command in (("/usr/bin/python3", "sudo apt install python3-serial"),
+                            ("/opt/x/bin/python3", "/opt/x/bin/python3 -m pip install pyserial")):
+        done = subprocess.run([PYTHON, "-c", script, EXTCAP.parent, python], capture_output=True, text=True, check=True)
+        assert done.stdout == f"pyserial is needed: {command}\n"
 
 
 def test_unplugged(folder, port):
@@ -541,7 +624,7 @@ def test_tshark_says_what_is_wrong(home):
     out, errors = ends(run_tshark(home, "-i", "yapp-serial", "-o", "extcap.yapp_serial.port:/dev/ttyNOPE"))
     assert out == "" and "there is no port /dev/ttyNOPE" in errors
     out, errors = ends(run_tshark(home, "-i", "yapp-serial", "-o", "extcap.yapp_serial.baud:fast"))
-    assert out == "" and "the baud rate is a number" in errors
+    assert out == "" and "baud rate: a number from 50" in errors
 
 
 def test_tshark_and_a_port_that_goes(home, port):
@@ -620,7 +703,7 @@ VIRTUAL = """
 
     def send():
         bus = can.Bus(interface="virtual", channel="bench")
-        while not any(thread.name.endswith("(forward)") for thread in threading.enumerate()):
+        while not any(thread.name.endswith("(read)") for thread in threading.enumerate()):
             time.sleep(0.01)
         motor = bytes.fromhex("{motor}")
         bus.send(can.Message(arbitration_id=0x210 << 18 | 1 << 14, data=bytes.fromhex("BBBE6FC720000000")))
@@ -701,7 +784,7 @@ def test_the_way_of_windows(folder, port):
     """pyserial, on the same pseudo terminal."""
     program = folder / "windows.py"
     program.write_text(f"import os, sys\nsys.path.insert(0, {str(EXTCAP.parent)!r})\nimport yapp_extcap\n"
-                       "yapp_extcap.pieces = yapp_extcap.pieces_by_pyserial\nos._exit(yapp_extcap.main())\n")
+                       "yapp_extcap.open_by_termios = yapp_extcap.open_by_pyserial\nos._exit(yapp_extcap.main())\n")
     extcap = Extcap(folder, "--port", port.name, program=program)
     port.wait_until_open()
     for count in range(1, 11):
