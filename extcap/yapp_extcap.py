@@ -155,10 +155,10 @@ def set_line(fd, port, options):
         attributes = termios.tcgetattr(fd)
         attributes[:6] = [0, 0, control, 0, *[rate or termios.B38400] * 2]
         attributes[6][termios.VMIN], attributes[6][termios.VTIME] = 1, 0
+        termios.tcflush(fd, termios.TCIFLUSH)
         termios.tcsetattr(fd, termios.TCSANOW, attributes)
         if not rate:
             set_unusual_rate(fd, options.baud)
-        termios.tcflush(fd, termios.TCIFLUSH)
     except (OSError, termios.error) as problem:
         line = f"{options.baud} baud, parity {options.parity}, {options.stopbits} stop bits"
         raise Problem(f"{port} cannot be set to {line}: {problem.args[-1]}. Choose what the adapter can do") from problem
