@@ -448,6 +448,9 @@ function Capture:bus_by_fields(section, interface, index, event, name)
   if event then index = DIRECTIONS[event] or "tx" end
   local bus = bus_number(self, record, index)
   if not self.names[bus] then name_bus(self, bus) end
+  -- An index may be followed by others, as in a file whose interface was read.
+  local is_first = self.is_live and bus == 1 and index ~= 0 and not event
+  self.has_several = self.has_several or is_first
   return bus
 end
 
