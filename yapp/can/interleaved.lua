@@ -190,7 +190,7 @@ local function award(self, candidate, indexes, padding, status)
     message[i + 1] = frame.key
     if not is_truncated then chunks[i] = frame.data end
     is_truncated = is_truncated or #frame.data < frame.length
-    if frame.orphan then frame.orphan.void = true end
+    if frame.orphan then frame.orphan.is_withdrawn = true end
   end
   local payload = concat(chunks)
   if not status then payload = payload:sub(1, message.size) end
@@ -202,7 +202,7 @@ local function award(self, candidate, indexes, padding, status)
     self.frames[index].is_taken = true
     self.bytes = self.bytes - self.frames[index].length
   end
-  for _, anomaly in ipairs(candidate.anomalies) do anomaly.void = true end
+  for _, anomaly in ipairs(candidate.anomalies) do anomaly.is_withdrawn = true end
   local newest = self.open[#self.open]
   self.since = newest and leftovers(self, newest.from) or 0
 end

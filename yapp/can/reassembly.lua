@@ -16,7 +16,6 @@
 --   padding (nil for 0); received = bytes, of a short or overrun one; calculated = CRC, of a bad
 --   one
 --   duplicates { [frame key of a fragment that came twice] = of the one that it repeats }, or nil
---   lost       its first anomaly, or nil
 
 local can_id = require "yapp.wire.can_id"
 local crc = require "yapp.wire.crc"
@@ -52,15 +51,17 @@ function M.new(max_open)
 end
 
 --- Note that something is wrong at the newest frame.
--- message  the one that is lost by it, or nil; text, ...: as for string.format
--- returns  an anomaly: { expert = name of an expert item, text, message = the same table for all
---          anomalies of one message, void = true once it is withdrawn }
+-- message    the one that is lost by it, or nil
+-- text, ...  as for string.format
+-- returns    an anomaly: { expert = name of an expert item, text, lost = frame key of the Start of
+--            the message that is lost or nil, is_withdrawn = true once nothing is wrong after all }
 function Reassembly:note(expert, message, text, ...)
-  local anomaly = { expert = expert, text = text:format(...), message = nil, void = nil }
-  if message then
-    message.lost = message.lost or anomaly
-    anomaly.message = message.lost
-  end
+  local anomaly = {
+    expert = expert,
+    text = text:format(...),
+    lost = message and message[1],
+    is_withdrawn = nil,
+  }
   if not self.anomalies then self.anomalies = {} end
   table.insert(self.anomalies, anomaly)
   return anomaly
@@ -101,10 +102,14 @@ function Reassembly.finish(_, message, fields, payload, status)
   if message.status == "bad" then message.calculated = calculated end
 end
 
---- End a message that nothing will show.
+--- End a message that nothing will show.  A copy of what its fragments need is a third as large.
 function Reassembly:give_up(message)
   message.status, message.chunks = "superseded", nil
-  if self.keeps then self.store:keep(message, 0, false) end
+  if not self.keeps then return end
+  local copy = { slot = message.slot, source = message.source, size = message.size,
+    status = "superseded" }
+  for i, key in ipairs(message) do copy[i] = key end
+  self.store:keep(copy, 0, false)
 end
 
 -- Slots ------------------------------------------------------------------------------------------
@@ -154,7 +159,7 @@ local function supersede(self, frame)
       return close(self, frame.slot)
     end
     for i = 2, self.keeps and #open or 0 do
-      self.store:keep_anomalies(open[i], frame.can_id, {})
+      self.store:keep_anomalies(open[i], {})
     end
     open = interleaved.new(self, open, frame.can_id)
     self.open[frame.slot] = open
@@ -375,7 +380,7 @@ function Reassembly:take(frame)
     -- Which message has an interleaved fragment is not known yet; it may be none.
     local is_other = kind == "other" or kind == "fragment" and not message.chunks
     if self.anomalies or is_other then
-      kept:keep_anomalies(frame.key, frame.can_id, self.anomalies or {})
+      kept:keep_anomalies(frame.key, self.anomalies or {})
     end
   end
   return kind, message, self.anomalies
@@ -406,7 +411,7 @@ end
 function Reassembly:recall(frame)
   local message, index = self.store:find(frame)
   if not message then message, index = find_open(self, frame) end
-  local anomalies = self.store:anomalies_of(frame)
+  local anomalies = self.store:anomalies_of(frame.key)
   if message then
     local is_last = message.payload and message[#message] == frame.key
     return is_last and "last" or "fragment", message, anomalies, index
