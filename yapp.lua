@@ -126,10 +126,16 @@ local function unfinished()
 end
 -- Dissectors --------------------------------------------------------------------------------------
 
--- Decode As on CAN: every extended data frame is YAPP's.
-function all.dissector(tvb, pinfo, root)
+-- Return the CAN id of a frame that no table of ids found, as socketcan.find_id does.
+local function find_id(pinfo)
   local can_id, is_unknown = socketcan.find_id(pinfo)
   socketcan.wrap(header) -- from the next frame on the id is known
+  return can_id, is_unknown
+end
+
+-- Decode As on CAN: every extended data frame is YAPP's.
+function all.dissector(tvb, pinfo, root)
+  local can_id, is_unknown = find_id(pinfo)
   if can_id then return frames:dissect(tvb, pinfo, root, can_id, true) end
   return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
 end
@@ -140,11 +146,7 @@ local takes_all, is_heuristic = false, false -- takes_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
   if takes_all then return all.dissector(tvb, pinfo, root) > 0 end
-  if intake.wanted and frames:is_start(tvb) then
-    local can_id = socketcan.find_id(pinfo)
-    socketcan.wrap(header) -- from the next frame on the id is known
-    if can_id then frames:report_start(tvb, pinfo, can_id) end
-  end
+  if intake.wanted then frames:report_start(tvb, pinfo, find_id) end
   return false
 end
 

@@ -51,17 +51,22 @@ function M.new(tree, reader, buses, register_id)
   }, Dissector)
 end
 
+-- Make the table of the sources on a bus.
+local function new_bus(sources, bus)
+  sources[bus] = {}
+  return sources[bus]
+end
+
 --- Forget the capture file.
 -- history  a message.history
 function Dissector:reset(history)
   self.history = history
   self.reassembly = reassembly.new()
-  self.sources = {} -- [bus or false][message ID] = of message.reader
-  self.registered = {} -- [message ID] = true
+  self.sources = setmetatable({}, { __index = new_bus }) -- [bus or false][ID] = a source
   self.deltas = {} -- [frame key of a single frame] = seconds, or FIRST; nil: UNKNOWN
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
   self.lost_bus = false -- whether the bus of any frame was not known
-  self.offset = self.buses.found.place -- of the bytes of all frames in their packets, or nil
+  self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
   self.asks = self.buses.asks -- whether the bus of a frame has to be asked for
   -- The frame of now, used again for the next one: a tenth of a packet list.
   -- COMPAT 5.2: where there is nothing, false: to write nil under a name that has none makes the
@@ -73,17 +78,17 @@ function Dissector:reset(history)
     data = "", reported = 0, -- captured bytes; length on the bus
     accepts_all = false, -- whether the user says that every extended frame is YAPP
     is_only_pass = false, -- whether it is never dissected again
-    number = 0, visited = false, knows_bus = true, -- of its packet; whether its bus is known
+    number = 0, visited = false, is_bus_known = true, -- of its packet; whether its bus is known
     message = false, anomalies = false, index = 0, -- as can.reassembly says
     tvb = false, pinfo = false, tree = false, range = false, -- of Wireshark
   }
 end
 
--- The record of a frame for the statistics; of the last, or only, one of a message also for
--- message.reader.
+-- The record of a frame for the statistics.  If the frame ends a message, it is for
+-- message.reader, too, and the arguments behind wants are given.
 local function new_record(self, frame, wants, item, status, payload, size)
   local fields, source, delta = frame.can_id, frame.source, false
-  local is_unsure = not frame.knows_bus
+  local is_unsure = not frame.is_bus_known
   if frame.visited then
     delta = frame.message and frame.message.delta or self.deltas[frame.key] or UNKNOWN
     is_unsure = delta == UNKNOWN
@@ -187,10 +192,10 @@ local function read(self, frame, m)
   self.reader:read(m, self.history)
   if frame.visited or frame.is_only_pass then return end
   -- Of a source that two controllers share the history says so itself, on a revisit, too.
-  local delta = frame.knows_bus and (m.delta or FIRST) or UNKNOWN
+  local delta = frame.is_bus_known and (m.delta or FIRST) or UNKNOWN
   if frame.message then
     self.reassembly:keep(frame.message, delta, m.has_fault)
-  elseif frame.knows_bus then
+  elseif frame.is_bus_known then
     self.deltas[frame.key] = delta
   end
 end
@@ -236,9 +241,8 @@ end
 
 -- Fragments ---------------------------------------------------------------------------------------
 
--- The texts of the fragments of a message of a size, in frames of classic CAN: "Motor Data
--- fragment
--- 2 of 5".
+-- Make the texts of the fragments of a message in frames of classic CAN: "Motor Data fragment 2 of
+-- 5".
 local function new_texts(source, size)
   local usual = math.ceil(size / 8) + 1
   local texts = { source.name .. ("  Start of %d bytes"):format(size), size = size, usual = usual }
@@ -318,30 +322,26 @@ local function show(self, frame, kind)
   columns.info = info
 end
 
--- The source of a frame, which is the first one of it.
+-- Return the source of a message ID on a bus, the first time that it is asked for.
+-- bus  number or false
 local function new_source(self, id, bus)
   local key = (bus or -1) * 0x800 + id
   local source = self.reader:new_source(key, id, bus, self.buses:name(bus))
-  self.sources[bus] = self.sources[bus] or {}
   self.sources[bus][id] = source
   return source
 end
 
--- Says what a frame is that comes for the first time.
+-- Say what a frame is that Wireshark dissects for the first time.
 -- returns  its kind, see can.reassembly; nil for a frame that is not YAPP's
 local function take(self, frame)
   local kind, message, anomalies = self.reassembly:take(frame)
-  local id = frame.can_id.id
   frame.message, frame.anomalies, frame.index = message, anomalies, message and #message
-  if kind and not self.registered[id] then
-    self.registered[id] = true
-    self.register_id(id)
-  end
-  if not frame.knows_bus then self.lost_bus = true end
+  if kind then self.register_id(frame.can_id.id) end
+  if not frame.is_bus_known then self.lost_bus = true end
   return kind
 end
 
--- Says what a visited frame is.
+-- Say what a visited frame is.
 -- returns  as take
 local function recall(self, frame)
   local kind, message, anomalies, index = self.reassembly:recall(frame)
@@ -351,6 +351,19 @@ local function recall(self, frame)
   return not (may_be_remote and socketcan.is_remote(frame.pinfo)) and kind
 end
 
+local function find_bus(self, frame, pinfo)
+  local bus, is_known = self.buses:of(pinfo, pinfo.number)
+  frame.bus, frame.is_bus_known = bus or false, is_known
+end
+
+-- Return whether Wireshark dissects a frame again whose key is not new.  If not, a read filter (-R)
+-- dropped the packet before, and its number comes twice.
+local function is_revisit(self, pinfo, key)
+  local visited = pinfo.visited
+  if not visited then self.reassembly:drop(key) end
+  return visited
+end
+
 --- Dissect one frame.
 -- id           29-bit CAN id
 -- accepts_all  whether the user says that every extended frame is YAPP
@@ -358,28 +371,23 @@ end
 function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   local frame, number, reported = self.frame, pinfo.number, reported_of(tvb)
   if reported == 0 then return 0 end
-  local fields, bus, visited = fields_of[id], false, false
-  if self.asks then
-    bus, frame.knows_bus = self.buses:of(pinfo, number)
-    bus = bus or false
-    frame.bus = bus
-  end
-  local key, sources = number * PACKET + (self.offset or offset_of(tvb)), self.sources[bus]
+  if self.asks then find_bus(self, frame, pinfo) end
+  local fields, bus = fields_of[id], frame.bus
+  local key = number * PACKET + (self.offset or offset_of(tvb))
   -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
   local data = length_of(tvb) > 0 and raw_of(tvb) or ""
-  if key <= self.newest_key then
-    visited = pinfo.visited
-    if not visited then self.reassembly:drop(key) end -- with -R numbers come twice
+  local visited = key <= self.newest_key and is_revisit(self, pinfo, key)
+  if not visited then
+    self.newest_key = key
+    -- YAPP has no remote frames; what is not known to be one is data.
+    if ZEROS[data] and socketcan.is_remote(pinfo) then return 0 end
   end
-  if not visited then self.newest_key = key end
-  -- YAPP has no remote frames; what is not known to be one is data.
-  if ZEROS[data] and not visited and socketcan.is_remote(pinfo) then return 0 end
   frame.key = key
   frame.number = number
   frame.visited = visited
   frame.can_id = fields
-  frame.source = sources and sources[fields.id] or new_source(self, fields.id, bus)
-  frame.slot = bus and slot_of(fields, bus) or fields.message_key
+  frame.source = self.sources[bus][fields.id] or new_source(self, fields.id, bus)
+  frame.slot = slot_of(fields, bus)
   frame.data = data
   frame.reported = reported
   frame.accepts_all = accepts_all
@@ -393,9 +401,8 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   return reported
 end
 
---- Show a frame that is YAPP's by the user's word, but whose CAN id nothing says, as bytes: Decode
--- As
---- on its first frame, on a pass that builds no tree.
+--- Show a frame that is YAPP's by the user's word, but whose CAN id nothing says, as bytes: the
+-- first frame of Decode As, on a pass that builds no tree.
 function Dissector:without_id(tvb, pinfo, tree)
   local builder, item = self.tree, tree
   if builder:wants(tree, pinfo, true).yapp then
@@ -407,21 +414,16 @@ function Dissector:without_id(tvb, pinfo, tree)
   return tvb:reported_len()
 end
 
---- Return whether a frame that nobody dissects may be a Start: it has the bytes of one.
-function Dissector.is_start(_, tvb)
-  if length_of(tvb) ~= 8 then return false end
+--- Report to the statistics what may be a Start that nothing dissects: it has the bytes of one.
+-- find_id  function(pinfo) -> 29-bit CAN id, or nil
+function Dissector:report_start(tvb, pinfo, find_id)
+  if length_of(tvb) ~= 8 then return end
   local _, size, reserved = can_id.start(raw_of(tvb))
-  return reserved == 0 and size > 8
-end
-
---- Report it to the statistics, if its CAN id is that of a Start.
--- id  29-bit CAN id
-function Dissector:report_start(tvb, pinfo, id)
-  local fields, number, bus = fields_of[id], pinfo.number, self.buses:of(pinfo, pinfo.number)
-  if fields.ctrl ~= START or fields.ctl ~= 0 then return end
-  local _, size = can_id.start(raw_of(tvb))
-  local of_bus = self.sources[bus or false]
-  local source = of_bus and of_bus[fields.id] or new_source(self, fields.id, bus or false)
+  local id = reserved == 0 and size > 8 and find_id(pinfo)
+  local fields = id and fields_of[id]
+  if not fields or fields.ctrl ~= START or fields.ctl ~= 0 then return end
+  local bus = self.buses:of(pinfo, pinfo.number) or false
+  local source = self.sources[bus][fields.id] or new_source(self, fields.id, bus)
   self.reader.tell:start {
     id = fields.id,
     seq = fields.seq,
@@ -429,7 +431,7 @@ function Dissector:report_start(tvb, pinfo, id)
     source = source.key,
     bus = source.bus,
     bus_name = source.bus_name,
-    frame = number,
+    frame = pinfo.number,
     time = pinfo.rel_ts,
     visited = pinfo.visited,
   }

@@ -1,20 +1,18 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Reassembly: which CAN frames are YAPP, and which message their Start, Middle and End fragments
--- make
--- up ("Multi-Frame CAN YAPP").  Pure Lua.
+-- make up ("Multi-Frame CAN YAPP").  Pure Lua.
 --
 -- A slot is a message key on a bus: usually one message at a time is open there.  A message is
 --   1 .. n     frame keys of its fragments (base.frame_key)
 --   slot, source, size, crc, reserved (nil for 0)    as its Start says; of whom it is
 --   chunks     while it is open: the bytes of the fragments behind the Start; received = how many
 --              these are; repeated = bytes of chunks that equal the one before, or nil;
---              is_truncated
---              = whether the capture has fewer bytes than were sent, or nil
+--              is_truncated = whether the capture has fewer bytes than were sent, or nil
 --   status     nil while it is open; "good", "bad" (CRC), "short", "overrun", "unverified"
 --              (truncated); "superseded" by a new Start, or given up
 --   payload    once its last fragment has come
---   padding (nil for 0); received = bytes, of a short or overrun one; calculated = CRC, of a bad
---   one
+--   padding    of CAN FD, nil for 0
+--   received   bytes, of a short or overrun message; calculated = CRC, of a bad one
 --   duplicates { [frame key of a fragment that came twice] = of the one that it repeats }, or nil
 
 local can_id = require "yapp.wire.can_id"
@@ -124,21 +122,28 @@ local function open_in(self, slot)
   return open and (open.messages and open:messages() or { open }) or {}
 end
 
--- Gives up the messages with the oldest Starts, to make room for one more.
-local function make_room(self)
-  local slots, started = {}, {}
+-- Return the newest message of each slot, in the order of their Starts.
+local function newest_messages(self)
+  local list = {}
   for slot in pairs(self.open) do
-    local list = open_in(self, slot)
-    slots[#slots + 1], started[slot] = slot, list[#list][1]
+    local messages = open_in(self, slot)
+    list[#list + 1] = messages[#messages]
   end
-  table.sort(slots, function(a, b) return started[a] < started[b] end)
-  local count = #slots - floor(self.max_open / 2)
+  table.sort(list, function(a, b) return a[1] < b[1] end)
+  return list
+end
+
+-- Give up the messages with the oldest Starts, to make room for one more.
+local function make_room(self)
+  local list = newest_messages(self)
+  local count = #list - floor(self.max_open / 2)
   for i = 1, count do
-    for _, message in ipairs(open_in(self, slots[i])) do self:give_up(message) end
-    close(self, slots[i])
+    local slot = list[i].slot
+    for _, message in ipairs(open_in(self, slot)) do self:give_up(message) end
+    close(self, slot)
   end
   self:note("fragment.incomplete", nil,
-    "%d messages are open: the oldest %d are given up", #slots, count)
+    "%d messages are open: the oldest %d are given up", #list, count)
 end
 
 -- A Start came while a message is open in its slot.  On a known bus it supersedes that message.
@@ -232,10 +237,10 @@ end
 
 -- Middles and Ends -------------------------------------------------------------------------------
 
--- CAN may deliver a frame twice: its sender did not see the acknowledgement.  Where a message is
--- too
--- long by fragments of one run of equal ones, and its CRC is good without them, they are left out.
--- frame    the last one; needed: the bytes that it should have, with nothing left out
+-- CAN may deliver a frame twice: its sender did not see the acknowledgement.  A message may be too
+-- long by fragments of one run of equal ones.  If its CRC is good without them, leave them out.
+-- frame   the last one
+-- needed  the bytes that it should have, with nothing left out
 -- returns  whether it is so: then the message has ended
 local function leave_out(self, message, frame, needed)
   local chunks, at, runs = message.chunks, 1, 0
@@ -283,9 +288,8 @@ local function finish_unusual(self, message, frame)
   self:finish(message, frame.can_id, concat(chunks), status)
 end
 
--- A chunk that equals the one before or is truncated.  Behind a truncated one the place of nothing
--- is
--- known.
+-- Take a chunk that equals the one before, or is truncated.  Behind a truncated one nobody knows
+-- which chunk is which.
 local function take_odd(chunks, index, data, reported)
   if chunks.is_truncated then return end
   if data == chunks[index - 1] then chunks.repeated = (chunks.repeated or 0) + reported end
@@ -375,12 +379,11 @@ function Reassembly:take(frame)
   self.anomalies, self.keeps = false, not frame.is_only_pass
   local kind, message = TAKERS[frame.can_id.ctrl](self, frame)
   if self.keeps then
-    local kept = self.store
     self.message = message or false
     -- Which message has an interleaved fragment is not known yet; it may be none.
     local is_other = kind == "other" or kind == "fragment" and not message.chunks
     if self.anomalies or is_other then
-      kept:keep_anomalies(frame.key, self.anomalies or {})
+      self.store:keep_anomalies(frame.key, self.anomalies or {})
     end
   end
   return kind, message, self.anomalies
@@ -405,9 +408,8 @@ local function find_open(self, frame)
 end
 
 --- Say what a frame is that was taken before.
--- returns  as Reassembly:take, and the index of the frame in its message; it is that of the one
--- before
---          for a fragment that came twice
+-- returns  as Reassembly:take, and the index of the frame in its message; of a fragment that came
+--          twice, the index of the one before
 function Reassembly:recall(frame)
   local message, index = self.store:find(frame)
   if not message then message, index = find_open(self, frame) end
@@ -423,12 +425,9 @@ end
 --- Return the messages that have neither ended nor been superseded, in the order of their Starts.
 function Reassembly:unfinished()
   local list = {}
-  for slot in pairs(self.open) do
-    for _, message in ipairs(open_in(self, slot)) do
-      if not message.status then list[#list + 1] = message end
-    end
+  for _, message in ipairs(newest_messages(self)) do
+    if not message.status then list[#list + 1] = message end
   end
-  table.sort(list, function(a, b) return a[1] < b[1] end)
   return list
 end
 

@@ -309,7 +309,7 @@ local function read_pcap(self, window, is_little, fractions)
   window.is_little = is_little
   if not window:has(0, 24) then return end
   local linktype = window:number(20, 4) % 0x10000 -- above it, what is said of check sequences
-  self.place = linktype == SOCKETCAN and 8 or nil
+  self.offset = linktype == SOCKETCAN and 8 or nil
   self.has_packets = window:has(24, 16)
   if linktype ~= COOKED_2 and linktype ~= RTAC then return end
   local interface = { number = 0, linktype = linktype, buses = {}, dropped = 0, accounted = 0 }
@@ -375,7 +375,7 @@ end
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
 --   has_no_times  whether packets have no time stamps
---   place         offset in each packet of a CAN frame's data; nil where it is not always the same
+--   offset        each packet of a CAN frame's data; nil where it is not always the same
 --   head          its first bytes, if they have what may be YAPP frames, in TCP, UDP or whatever
 --   may_have_frames  whether they have, or it has no packets yet }
 function M.read(head, more)
