@@ -3,14 +3,14 @@
 
 local can_id = require "yapp.wire.can_id"
 local frame_key = require "yapp.base.frame_key"
-local items = require "yapp.show.fields"
 local reassembly = require "yapp.can.reassembly"
+local show_fields = require "yapp.show.fields"
 local socketcan = require "yapp.host.socketcan"
 
 local M = {}
 
 local KINDS, START, END = can_id.KINDS, can_id.START, can_id.END
-local add, add_le, append_text = items.add, items.add_le, items.append_text
+local add, add_le, append_text = show_fields.add, show_fields.add_le, show_fields.append_text
 local fields_of, slot_of = can_id.fields, can_id.slot
 local number_of, PACKET = frame_key.number, frame_key.PACKET
 -- A method that Lua has to look up in a Tvb costs more than what it does.
@@ -31,6 +31,11 @@ local FIRST, UNKNOWN = 1e99, -1e99
 -- What a remote frame looks like where nothing says that it is one.
 local ZEROS = {}
 for length = 0, 8 do ZEROS[("\0"):rep(length)] = true end
+
+-- YAPP has no remote frames; what is not known to be one is data.
+local function is_remote(frame)
+  return ZEROS[frame.data] and socketcan.is_remote(frame.pinfo)
+end
 
 local Dissector = {}
 Dissector.__index = Dissector
@@ -347,8 +352,7 @@ local function recall(self, frame)
   local kind, message, anomalies, index = self.reassembly:recall(frame)
   if message then frame.source = message.source end
   frame.message, frame.anomalies, frame.index = message, anomalies, index
-  local may_be_remote = kind == "single" and ZEROS[frame.data]
-  return not (may_be_remote and socketcan.is_remote(frame.pinfo)) and kind
+  return not (kind == "single" and is_remote(frame)) and kind
 end
 
 local function find_bus(self, frame, pinfo)
@@ -364,41 +368,45 @@ local function is_revisit(self, pinfo, key)
   return visited
 end
 
---- Dissect one frame.
--- id           29-bit CAN id
--- accepts_all  whether the user says that every extended frame is YAPP
--- returns      the number of bytes that are ours, 0 for a frame that is not
-function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
-  local frame, number, reported = self.frame, pinfo.number, reported_of(tvb)
-  if reported == 0 then return 0 end
+-- Return the record of a frame, which is used again for the next frame.
+local function new_frame(self, tvb, pinfo, tree, id, accepts_all)
+  local frame, number = self.frame, pinfo.number
   if self.asks then find_bus(self, frame, pinfo) end
   local fields, bus = fields_of[id], frame.bus
   local key = number * PACKET + (self.offset or offset_of(tvb))
-  -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
-  local data = length_of(tvb) > 0 and raw_of(tvb) or ""
   local visited = key <= self.newest_key and is_revisit(self, pinfo, key)
-  if not visited then
-    self.newest_key = key
-    -- YAPP has no remote frames; what is not known to be one is data.
-    if ZEROS[data] and socketcan.is_remote(pinfo) then return 0 end
-  end
+  if not visited then self.newest_key = key end
   frame.key = key
   frame.number = number
   frame.visited = visited
   frame.can_id = fields
   frame.source = self.sources[bus][fields.id] or new_source(self, fields.id, bus)
   frame.slot = slot_of(fields, bus)
-  frame.data = data
-  frame.reported = reported
+  -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
+  frame.data = length_of(tvb) > 0 and raw_of(tvb) or ""
+  frame.reported = reported_of(tvb)
   frame.accepts_all = accepts_all
   frame.tvb = tvb
   frame.pinfo = pinfo
   frame.tree = tree
-  local kind
-  if visited then kind = recall(self, frame) else kind = take(self, frame) end
+  return frame
+end
+
+--- Dissect one frame.
+-- id           29-bit CAN id
+-- accepts_all  whether the user says that every extended frame is YAPP
+-- returns      the number of bytes that are ours, 0 for a frame that is not
+function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
+  if reported_of(tvb) == 0 then return 0 end
+  local frame, kind = new_frame(self, tvb, pinfo, tree, id, accepts_all), nil
+  if frame.visited then
+    kind = recall(self, frame)
+  elseif not is_remote(frame) then
+    kind = take(self, frame)
+  end
   if not kind then return 0 end
   show(self, frame, kind)
-  return reported
+  return frame.reported
 end
 
 --- Show a frame that is YAPP's by the user's word, but whose CAN id nothing says, as bytes: the
@@ -422,19 +430,8 @@ function Dissector:report_start(tvb, pinfo, find_id)
   local id = reserved == 0 and size > 8 and find_id(pinfo)
   local fields = id and fields_of[id]
   if not fields or fields.ctrl ~= START or fields.ctl ~= 0 then return end
-  local bus = self.buses:of(pinfo, pinfo.number) or false
-  local source = self.sources[bus][fields.id] or new_source(self, fields.id, bus)
-  self.reader.tell:start {
-    id = fields.id,
-    seq = fields.seq,
-    size = size,
-    source = source.key,
-    bus = source.bus,
-    bus_name = source.bus_name,
-    frame = pinfo.number,
-    time = pinfo.rel_ts,
-    visited = pinfo.visited,
-  }
+  local frame = new_frame(self, tvb, pinfo, nil, id, false)
+  self.reader.tell:start(new_record(self, frame, nil, nil, nil, nil, size))
 end
 
 --- Return the messages that the capture ends before.
