@@ -108,22 +108,21 @@ end
 local frames = can_dissector.new(tree, reader, buses, register_id)
 local streams = serial_dissector.new(tree, reader, buses, tcp_header)
 
--- What the capture does not have: packets that it says were dropped, and segments of TCP.
-local function drops()
-  local list = {}
-  for _, source in ipairs { buses, streams } do
-    for _, drop in ipairs(source:drops()) do list[#list + 1] = drop end
+local function joined(...)
+  local joint = {}
+  for _, list in ipairs { ... } do
+    for _, item in ipairs(list) do joint[#joint + 1] = item end
   end
-  return list
+  return joint
 end
+
+-- What the capture does not have: packets that it says were dropped, and segments of TCP.
+local function drops() return joined(buses:drops(), streams:drops()) end
+local function unfinished() return joined(frames:unfinished(), streams:unfinished()) end
 
 -- What the statistics need of the preferences; see read_preferences.
 local settings = { version = VERSION, catalogue = catalogue }
-local function unfinished()
-  local messages = frames:unfinished()
-  for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end
-  return messages
-end
+
 -- Dissectors --------------------------------------------------------------------------------------
 
 -- Return the CAN id of a frame that no table of ids found, as socketcan.find_id does.

@@ -24,9 +24,7 @@ local STATUS_TEXT = {
 }
 local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 local REASSEMBLED = "Reassembled YAPP" -- what Wireshark's bytes pane calls it
-local MAX_TEXTS = 64 -- of the fragments of a message, that are kept
--- Seconds since a source's previous message, for its first one, and where nobody knows.
-local FIRST, UNKNOWN = 1e99, -1e99
+local FIRST = 1e99 -- seconds since a source's previous message, of its first one
 
 -- What a remote frame looks like where nothing says that it is one.
 local ZEROS = {}
@@ -68,7 +66,7 @@ function Dissector:reset(history)
   self.history = history
   self.reassembly = reassembly.new()
   self.sources = setmetatable({}, { __index = new_bus }) -- [bus or false][ID] = a source
-  self.deltas = {} -- [frame key of a single frame] = seconds, or FIRST; nil: UNKNOWN
+  self.deltas = {} -- [frame key of a single frame] = seconds, or FIRST; nil: not known
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
   self.lost_bus = false -- whether the bus of any frame was not known
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
@@ -95,9 +93,9 @@ local function new_record(self, frame, wants, item, status, payload, size)
   local fields, source, delta = frame.can_id, frame.source, false
   local is_unsure = not frame.is_bus_known
   if frame.visited then
-    delta = frame.message and frame.message.delta or self.deltas[frame.key] or UNKNOWN
-    is_unsure = delta == UNKNOWN
-    if is_unsure or delta == FIRST then delta = false end
+    delta = frame.message and frame.message.delta or self.deltas[frame.key] or false
+    is_unsure = not delta
+    if delta == FIRST then delta = false end
   end
   return {
     id = fields.id,
@@ -141,14 +139,17 @@ end
 
 -- YAPP's own item ---------------------------------------------------------------------------------
 
--- With what the CAN id says.
+-- Add it with what the CAN id says, all of that generated.
 local function add_item(self, frame)
-  local fields, source = frame.can_id, frame.source
-  local kind = KINDS[fields.ctrl] or "undefined frame"
+  local builder, address, source = self.tree, frame.can_id, frame.source
+  local kind = KINDS[address.ctrl] or "undefined frame"
   frame.range = frame.tvb()
-  local title = self.title .. source.name .. ", " .. kind
-  local item = add(frame.tree, self.tree.yapp, frame.range, title)
-  self.tree:add_address(item, fields, source)
+  local item = add(frame.tree, builder.yapp, frame.range, self.title .. source.name .. ", " .. kind)
+  builder:add_id(item, nil, address.id, source.bus_name)
+  builder:generated(item, "ctl", address.ctl)
+  builder:generated(item, "seq", address.seq)
+  builder:generated(item, "can.ctrl", address.ctrl)
+  builder:add_source(item, source)
   return item
 end
 
@@ -197,10 +198,10 @@ local function read(self, frame, m)
   self.reader:read(m, self.history)
   if frame.visited or frame.is_only_pass then return end
   -- Of a source that two controllers share the history says so itself, on a revisit, too.
-  local delta = frame.is_bus_known and (m.delta or FIRST) or UNKNOWN
+  local delta = frame.is_bus_known and (m.delta or FIRST)
   if frame.message then
     self.reassembly:keep(frame.message, delta, m.has_fault)
-  elseif frame.is_bus_known then
+  elseif delta then
     self.deltas[frame.key] = delta
   end
 end
@@ -246,30 +247,25 @@ end
 
 -- Fragments ---------------------------------------------------------------------------------------
 
--- Make the texts of the fragments of a message in frames of classic CAN: "Motor Data fragment 2 of
--- 5".
-local function new_texts(source, size)
-  local usual = math.ceil(size / 8) + 1
-  local texts = { source.name .. ("  Start of %d bytes"):format(size), size = size, usual = usual }
-  for i = 2, math.min(usual, MAX_TEXTS) do
-    texts[i] = ("%s  fragment %d of %d"):format(source.name, i, usual)
-  end
-  source.texts = texts
-  return texts
-end
-
--- How many fragments a message has is sure once it is good; before that, it is what classic CAN
--- needs.
+-- Return the text of a fragment.  How many fragments a message has is sure once it is good; before
+-- that, it is what classic CAN needs.  A source keeps the texts for messages of one size.
 local function fragment_text(frame)
   local source, message, index = frame.source, frame.message, frame.index
-  local texts = source.texts
-  if texts.size ~= message.size then texts = new_texts(source, message.size) end
-  local count = #frame.data == 8 and texts.usual or 0
+  local name, size, texts = source.name, message.size, source.texts
+  if message[index] ~= frame.key then return name .. "  duplicate fragment" end
+  if texts.size ~= size then
+    texts = { name .. ("  Start of %d bytes"):format(size) }
+    texts.size, texts.usual = size, math.ceil(size / 8) + 1
+    source.texts = texts
+  end
+  local usual = texts.usual
+  local count = #frame.data == 8 and usual or 0
   if message.status == "good" then count = #message end
-  if message[index] ~= frame.key then return source.name .. "  duplicate fragment" end
-  if index == 1 or count == texts.usual and texts[index] then return texts[index] end
-  if index > count then return ("%s  fragment %d"):format(source.name, index) end
-  return ("%s  fragment %d of %d"):format(source.name, index, count)
+  if index == 1 or count == usual and texts[index] then return texts[index] end
+  if index > count then return ("%s  fragment %d"):format(name, index) end
+  local text = ("%s  fragment %d of %d"):format(name, index, count)
+  if count == usual then texts[index] = text end
+  return text
 end
 
 local function show_fragment(self, frame, wants, item)

@@ -74,7 +74,7 @@ local function pack(message)
 end
 
 --- Keep a message that has ended.
--- delta      number, which its message gets as delta when it is found
+-- delta      number or false, which the message gets as delta when it is found
 -- has_fault  whether it has a fault flag set
 function Store:keep(message, delta, has_fault)
   local slot = self.slots[message.slot]

@@ -152,18 +152,6 @@ function Tree:generated(item, name, value)
   return value and add_generated(item, self.fields[name], value)
 end
 
---- Add what the CAN id says, all of it generated.
--- address  wire.can_id's
--- source   of message.reader
-function Tree:add_address(item, address, source)
-  self:add_id(item, nil, address.id, source.bus_name)
-  local fields = self.fields
-  add_generated(item, fields.ctl, address.ctl)
-  add_generated(item, fields.seq, address.seq)
-  add_generated(item, fields["can.ctrl"], address.ctrl)
-  self:add_source(item, source)
-end
-
 --- Add the id, with the name that the user's mapping gives it.
 -- range  TvbRange, nil where the CAN id has it
 function Tree:add_id(item, range, id, bus_name)
