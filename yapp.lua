@@ -160,12 +160,9 @@ local function take_all()
   watch_unclaimed()
 end
 
--- Called from the table of ids, where match_uint is the CAN id; and by Decode As of TCP and UDP
--- under the name that version 1 had for it, where match_uint is the port.
+-- Called from the table of ids, where match_uint is the CAN id.
 function yapp.dissector(tvb, pinfo, root)
-  local can_id = pinfo.match_uint
-  if can_id <= 0xFFFF and pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
-  return frames:dissect(tvb, pinfo, root, can_id, takes_all)
+  return frames:dissect(tvb, pinfo, root, pinfo.match_uint, takes_all)
 end
 
 function serial.dissector(tvb, pinfo, root)
@@ -290,13 +287,13 @@ end
 -- Starts of unknown messages, of those that do not number themselves.
 for id = 0, MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
 stat:register()
-for name, protos in pairs {
-  ["can.subdissector"] = { all },
-  ["tcp.port"] = { serial, yapp },
-  ["udp.port"] = { serial, yapp },
-  ["rtacser.data"] = { serial },
+for name, proto in pairs {
+  ["can.subdissector"] = all,
+  ["tcp.port"] = serial,
+  ["udp.port"] = serial,
+  ["rtacser.data"] = serial,
 } do
-  for _, proto in ipairs(protos) do DissectorTable.get(name):add_for_decode_as(proto) end
+  DissectorTable.get(name):add_for_decode_as(proto)
 end
 file_readers.register {
   new_framer = function() return streams:new_framer(frame.LARGEST) end,
