@@ -196,10 +196,11 @@ local function check_start(self, frame, size, reserved)
   end
 end
 
--- Whether a Start is surely YAPP's.  It must be plausible; and an unknown ID must have no Seq, or
+-- Whether a Start is YAPP's.  If the user does not say so, it must be plausible; and an unknown ID must have no Seq, or
 -- have had a Start without one before.  Of a known ID it may be truncated.
 local function is_plausible(self, frame, size, reserved)
   local fields, is_known = frame.can_id, frame.source.size
+  if frame.accepts_all then return true end
   if fields.ctl ~= 0 or frame.reported ~= 8 then return false end
   if not reserved then return is_known end
   if reserved ~= 0 or size <= 8 then return false end
@@ -208,7 +209,7 @@ end
 
 local function start(self, frame)
   local sum, size, reserved = can_id.start(frame.data)
-  if not frame.accepts_all and not is_plausible(self, frame, size, reserved) then return nil end
+  if not is_plausible(self, frame, size, reserved) then return nil end
   local slot, source = frame.slot, frame.source
   self.accepted[frame.can_id.id] = true
   if frame.bus then self.buses[frame.bus] = true end
