@@ -496,10 +496,8 @@ CARRIERS = {
     "several kinds of link": (mixed, joined_by_us, None, [*UAT, *AS_SERIAL]),
     "UDP": (on_one(ETHERNET), datagrams, udp, []),
     "UDP, Decode As": (on_one(ETHERNET), datagrams, udp, ["-d", "udp.port==20001,yapp_serial"]),
-    "UDP, Decode As yapp": (on_one(ETHERNET), datagrams, udp, ["-d", "udp.port==20001,yapp"]),
     "TCP": (on_one(ETHERNET), segments, tcp, []),
     "TCP, Decode As": (on_one(ETHERNET), segments, tcp, ["-d", "tcp.port==20001,yapp_serial"]),
-    "TCP, Decode As yapp": (on_one(ETHERNET), segments, tcp, ["-d", "tcp.port==20001,yapp"]),
     "TCP, segments missing": (on_one(ETHERNET), segments_lost, tcp, []),
     "TCP, segments repeated": (on_one(ETHERNET), segments_repeated, tcp, []),
     "TCP, segments repeated, analysis off": (on_one(ETHERNET), segments_repeated, tcp, [

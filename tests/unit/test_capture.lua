@@ -458,9 +458,9 @@ function T.test_other_peoples_files_are_left_alone()
     lu.assertEquals({ asked, found.has_several, buses(found) }, { 0, false, "" })
   end
   local blf, plain = read("LOGG" .. long), read(pcap(CAN, { "x" }, le))
-  lu.assertEquals({ blf.is_told, plain.is_told, plain.place }, { false, true, 8 })
-  lu.assertNil(read(pcap(SLL2, { can_over_sll2(1) }, le)).place)
-  lu.assertEquals(read(pcap(CAN, {}, le)).place, 8) -- before its first packet
+  lu.assertEquals({ blf.is_told, plain.is_told, plain.offset }, { false, true, 8 })
+  lu.assertNil(read(pcap(SLL2, { can_over_sll2(1) }, le)).offset)
+  lu.assertEquals(read(pcap(CAN, {}, le)).offset, 8) -- before its first packet
 end
 
 -- It must not raise, nor run for ever, and what it says of the packets in front stays right.
