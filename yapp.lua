@@ -180,7 +180,7 @@ function taurus.dissector() return 0 end
 -- A conversation is YAPP's from its first packet on that holds a good frame, or nothing but
 -- messages of the catalogue, whose CRC may be bad.
 local function found_by_content(tvb, pinfo, root)
-  if not streams:accepts(tvb, pinfo, root) then return false end
+  if not streams:accepts(tvb, pinfo) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true

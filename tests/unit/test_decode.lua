@@ -113,8 +113,8 @@ local EXAMPLE = bytes("FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000000E38CD23CE04E0
 
 function T.test_the_document_s_example()
   local raws = decode.read(MOTOR, EXAMPLE)
-  lu.assertEquals(raws[MOTOR.index[MOTOR.by_name.dc_voltage]], 0xAFF5)
-  lu.assertEquals(raws[MOTOR.index[MOTOR.by_name.status_flags]], 0x40010000)
+  lu.assertEquals(raws[MOTOR.by_name.dc_voltage.index], 0xAFF5)
+  lu.assertEquals(raws[MOTOR.by_name.status_flags.index], 0x40010000)
   lu.assertEquals(decode.flag_names(MOTOR.by_name.status_flags, 0x40010000), "stopped, mpos_update")
   lu.assertEquals(decode_info.text(MOTOR, raws), "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A")
   local remarks = decode.remarks(MOTOR, raws)

@@ -33,8 +33,8 @@ local function motor(number, time, with)
   local clock = with.clock or time
   return { source = with.source or 0x210, bus = with.bus, message = MOTOR, id = 0x210, seq = with.seq or 0,
     number = number, time = time, good = with.good ~= false, payload = around(int64(math.floor(clock * 1e9 + 0.5))),
-    raws = { [MOTOR.index[STATUS]] = with.status or 0, [MOTOR.index[FAULT]] = with.fault or 0,
-      [MOTOR.index[STATE]] = with.state or 0 } }
+    raws = { [STATUS.index] = with.status or 0, [FAULT.index] = with.fault or 0,
+      [STATE.index] = with.state or 0 } }
 end
 
 local function command(number, time, bus, seq)

@@ -122,7 +122,7 @@ local function at(message, field) return message.by_name[field].offset end
 function T.test_what_a_message_gets()
   local r = new()
   local m = read(r, HEALTH, { [at(HEALTH, "board_revision")] = 9 })
-  lu.assertEquals({ m.message, m.raws[HEALTH.index[HEALTH.by_name.board_revision]], m.look, m.has_fault, m.change },
+  lu.assertEquals({ m.message, m.raws[HEALTH.by_name.board_revision.index], m.look, m.has_fault, m.change },
     { HEALTH, 9, false, false, { missing = 1 } })
   for _, with in ipairs { { id = 0x123 }, { size = 16 }, { is_whole = false }, { size = 18, good = false } } do
     m = read(r, HEALTH, {}, with)
@@ -135,7 +135,7 @@ end
 function T.test_a_longer_payload()
   local r, fault = new(), at(MOTOR, "fault_flags")
   local m = read(r, MOTOR, { [fault] = 1 }, { size = 36 })
-  lu.assertEquals({ m.raws[MOTOR.index[MOTOR.by_name.fault_flags]], m.has_fault, m.undecoded }, { 1, true, 4 })
+  lu.assertEquals({ m.raws[MOTOR.by_name.fault_flags.index], m.has_fault, m.undecoded }, { 1, true, 4 })
   m = read(r, MOTOR, {}, { undecoded = 4 })
   lu.assertNil(m.undecoded)
 end

@@ -29,13 +29,13 @@ local function in_words(events)
   return table.concat(list, ", ")
 end
 
-local function feeds(s, bytes, expected) lu.assertEquals(in_words(s:feed(bytes)), expected) end
-local function finishes(s, expected) lu.assertEquals(in_words(s:finish()), expected) end
+local function feeds(s, bytes, expected) lu.assertEquals(in_words(s:add(bytes)), expected) end
+local function finishes(s, expected) lu.assertEquals(in_words(s:add("", true)), expected) end
 
 -- The last byte of the bytes brings the expected events, no byte before it any.
 local function brings_at_last(bytes, expected)
   local s = new()
-  for at = 1, #bytes - 1 do lu.assertEquals(in_words(s:feed(bytes:sub(at, at))), "", "byte " .. at) end
+  for at = 1, #bytes - 1 do lu.assertEquals(in_words(s:add(bytes:sub(at, at))), "", "byte " .. at) end
   feeds(s, bytes:sub(-1), expected)
   return s
 end
@@ -46,7 +46,7 @@ function T.test_document_example()
   local hex = "5950000010020000200000 00FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000000" ..
     "0E38CD23CE04E000005FFBBBE6FC7"
   local bytes = hex:gsub("%s", ""):gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)
-  local events = new():feed(bytes)
+  local events = new():add(bytes)
   lu.assertEquals(events, { { status = "good", from = 0, to = 48, bytes = bytes } })
 end
 
@@ -97,7 +97,7 @@ function T.test_a_good_crc_counts_whatever_the_header_says()
   for _, start in ipairs(ODD) do
     local bytes = generator.sealed(start .. ("x"):rep(start:byte(9)))
     local s = brings_at_last(bytes, "good 0-" .. #bytes)
-    s:feed(bytes)
+    s:add(bytes)
     feeds(s, bytes .. GOOD, ("good %d-%d, good %d-%d"):format(2 * #bytes, 3 * #bytes, 3 * #bytes, 3 * #bytes + #GOOD))
   end
 end
@@ -253,9 +253,9 @@ function T.test_one_frame_alone()
   local function told(s, ...)
     local events = {}
     for _, bytes in ipairs { ... } do
-      for _, event in ipairs(s:feed(bytes)) do events[#events + 1] = event end
+      for _, event in ipairs(s:add(bytes)) do events[#events + 1] = event end
     end
-    for _, event in ipairs(s:finish()) do events[#events + 1] = event end
+    for _, event in ipairs(s:add("", true)) do events[#events + 1] = event end
     for at = #events - 1, 1, -1 do -- skipped bytes that came in two pieces
       if events[at].status == "skipped" and events[at + 1].status == "skipped" then
         events[at].to = table.remove(events, at + 1).to
@@ -283,7 +283,7 @@ function T.test_frames_alone_and_others_in_turns()
   feeds(s, GOOD .. "Y", "good 115-135")
   finishes(s, "skipped 135-136")
   feeds(s, GOOD, "good 136-156")
-  local event = s:feed(GOOD)[1]
+  local event = s:add(GOOD)[1]
   lu.assertEquals({ event.bytes, s:offset(), s:open_frame() }, { GOOD, 176 })
 end
 
@@ -444,8 +444,8 @@ local function run(pieces)
     end
     lu.assertEquals(s:offset(), at)
   end
-  for _, piece in ipairs(pieces) do take(s:feed(piece)) end
-  take(s:finish())
+  for _, piece in ipairs(pieces) do take(s:add(piece)) end
+  take(s:add("", true))
   lu.assertEquals(at, #bytes)
   return in_words(joined)
 end
@@ -528,7 +528,7 @@ function T.test_random_streams_give_out_all_that_is_final()
     local random = generator.random(seed)
     local bytes, s = generator.stream(random, random(8)), new()
     for at = 1, #bytes do
-      s:feed(bytes:sub(at, at))
+      s:add(bytes:sub(at, at))
       local context = "seed " .. seed .. " byte " .. at
       lu.assertEquals(s:offset(), expected_offset(bytes:sub(1, at)), context)
     end
@@ -574,7 +574,7 @@ local function hard(make, count)
 end
 
 local function feed_in_pieces(s, bytes, length)
-  for at = 1, #bytes, length do s:feed(bytes:sub(at, at + length - 1)) end
+  for at = 1, #bytes, length do s:add(bytes:sub(at, at + length - 1)) end
 end
 
 -- Instructions of the Lua machine, in thousands.
@@ -629,7 +629,7 @@ function T.test_a_frame_behind_a_flood()
   for kind, make in pairs(HARD) do
     local s, flood = new(), hard(make, levels.size(70000, 200000))
     feed_in_pieces(s, flood, 1400)
-    local found = in_words(s:feed(MOTOR .. ("x"):rep(PATIENCE))) -- it may wait for a candidate before it
+    local found = in_words(s:add(MOTOR .. ("x"):rep(PATIENCE))) -- it may wait for a candidate before it
     lu.assertStrContains(found, ("good %d-%d"):format(#flood, #flood + #MOTOR), false, kind)
   end
 end
@@ -640,7 +640,7 @@ function T.test_frames_in_a_flood_of_large_candidates()
   for _, patience in ipairs { PATIENCE, LARGEST } do
     local s, good = framer.new(size_of, patience), 0
     for at = 1, #bytes, 65536 do
-      for _, event in ipairs(s:feed(bytes:sub(at, at + 65535))) do
+      for _, event in ipairs(s:add(bytes:sub(at, at + 65535))) do
         if event.status == "good" then good = good + 1 end
       end
     end
@@ -654,7 +654,7 @@ function T.test_memory_is_bounded_by_the_largest_candidate()
     collectgarbage()
     local before = collectgarbage("count")
     for at = 1, #bytes, 1000 do
-      s:feed(bytes:sub(at, at + 999))
+      s:add(bytes:sub(at, at + 999))
       fed = fed + math.min(1000, #bytes - at + 1)
       -- a bad frame that waits, and the candidate that starts in its last byte
       lu.assertTrue(fed - s:offset() <= 2 * LARGEST, kind .. " at " .. fed)

@@ -36,7 +36,7 @@ end
 
 -- A row as a packet: key, bytes, what it holds, what it holds when all have come (the same if left out), other fields.
 local function packet_of(row, other)
-  local packet = { key = row[1], number = row[1], bytes = row[2], length = #row[2], time = row[1], stream = "" }
+  local packet = { key = row[1], number = row[1], bytes = row[2], length = #row[2], epoch = 0, stream = "" }
   for _, fields in ipairs { other or {}, row } do
     for name, value in pairs(fields) do
       if type(name) == "string" then packet[name] = value end
@@ -220,8 +220,9 @@ local function segments(rows, first_seq)
   for i, row in ipairs(rows) do
     if row[1] then
       local bytes = ALL:sub(row[2], row[3])
-      local packet = packet_of({ row[1], bytes, seq = (first_seq + row[2]) % 0x100000000, epoch = 1000 + row[1],
-        bus_name = "eth0", time = row.time or row[1] / 100 })
+      local epoch = 1000 + (row.time or row[1] / 100)
+      local packet = packet_of({ row[1], bytes, seq = (first_seq + row[2]) % 0x100000000, epoch = epoch,
+        bus_name = "eth0" })
       lu.assertEquals(in_words(self:take(packet, true), bytes), row[4], "packet " .. i)
     else
       local header = { ack = row.acknowledges and (first_seq + row.acknowledges) % 0x100000000, is_syn = row.is_syn }
@@ -231,17 +232,17 @@ local function segments(rows, first_seq)
   return self
 end
 
--- "frame 3 at 1003 on eth0, 1" of each loss.
+-- "frame 3 at 1000.03 on eth0, 1" of each loss.
 local function drops(self)
   local list = {}
   for i, drop in ipairs(self:drops()) do
-    list[i] = ("frame %d at %d on %s, %d"):format(drop.frame, drop.time, drop.bus, drop.count)
+    list[i] = ("frame %d at %.2f on %s, %d"):format(drop.frame, drop.time, drop.bus, drop.count)
   end
   return table.concat(list, "; ")
 end
 
 -- Each: its segments, and the losses.  Messages end at 17, 34, 51, 68 ...
-local FIRST_GAP = "frame 2 at 1002 on eth0, 1"
+local FIRST_GAP = "frame 2 at 1000.02 on eth0, 1"
 local CONNECTIONS = {
   { { { 1, 1, 34, "good 1 @0, good 2 @17" }, { 2, 1, 34, "" }, { 3, 35, 51, "good 3 @0" } }, "" },
   { { { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 10, 40, "good 2 in 1,2, 6 wait" }, { 3, 12, 51, "good 3 in 2,3" } }, "" },
@@ -262,7 +263,7 @@ local CONNECTIONS = {
     { 103, 69, 85, "good 3 in 2, good 4 in 102, good 5 @0" }, { 104, 18, 34, "" } }, FIRST_GAP },
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 3, 69, 85, "17 held" },
     { 4, 18, 34, "good 2 @0, good 3 in 2" }, { 5, 86, 102, "17 held" }, { acknowledges = 60 },
-    { 6, 103, 119, "good 5 in 3, good 6 in 5, good 7 @0" } }, "frame 4 at 1004 on eth0, 1" },
+    { 6, 103, 119, "good 5 in 3, good 6 in 5, good 7 @0" } }, "frame 4 at 1000.04 on eth0, 1" },
   -- the capture ends
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" } }, FIRST_GAP },
   -- a connection with the same addresses and numbers
@@ -283,7 +284,7 @@ end
 function T.test_a_segment_far_ahead()
   local self, payload = new(), ("x"):rep(1000)
   local function says(key, seq, bytes, expected)
-    local packet = packet_of { key, bytes, seq = seq, time = 0 }
+    local packet = packet_of { key, bytes, seq = seq }
     lu.assertEquals(in_words(self:take(packet, true), bytes), expected)
   end
   says(1, 1, A, "good 5 @0")
@@ -324,14 +325,14 @@ function T.test_random_segments()
     for i = 1, #pieces do order[i] = { pieces[i], i + (random(4) == 1 and random(6) or 0) + i / 1000 } end
     table.sort(order, function(a, b) return a[2] < b[2] end)
     local first_seq, shown = 0x100000000 - random(2000), {}
-    self:take(packet_of { 0, "", seq = first_seq, time = 0 }, true)
+    self:take(packet_of { 0, "", seq = first_seq }, true)
     for i, one in ipairs(order) do
       local from, to = one[1][1], one[1][2]
-      local packet = packet_of { i, bytes:sub(from + 1, to), seq = (first_seq + from) % 0x100000000, time = 0 }
+      local packet = packet_of { i, bytes:sub(from + 1, to), seq = (first_seq + from) % 0x100000000 }
       for _, event in ipairs(self:take(packet, true).events) do shown[#shown + 1] = event end
     end
     local whole = new_framer()
-    local wanted = whole:feed(bytes)
+    local wanted = whole:add(bytes)
     local function skips_joined(events)
       local list = {}
       for _, event in ipairs(events) do
@@ -383,9 +384,9 @@ end
 -- A gap holds no more than what a sender may send ahead.
 function T.test_a_gap_holds_little()
   local before, self, most = kilobytes(), new(), 0
-  self:take(packet_of { 1, A, seq = 0, time = 0 }, true)
+  self:take(packet_of { 1, A, seq = 0 }, true)
   for i = 2, 2000 do
-    self:take(packet_of { i, ("x"):rep(1000), seq = 2000 * i, time = 0 }, false)
+    self:take(packet_of { i, ("x"):rep(1000), seq = 2000 * i }, false)
     most = math.max(most, i % 50 == 0 and kilobytes() - before or 0)
   end
   lu.assertTrue(most < 200 + 2000 / 4) -- a gap is kept, to be told
@@ -412,7 +413,7 @@ local function expected_of(rows)
     local from, list = at, {}
     at = at + #row[2]
     ranges[i] = { from = from, to = at }
-    for n, event in ipairs(finder:feed(row[2])) do
+    for n, event in ipairs(finder:add(row[2])) do
       local parts, is_frame = {}, event.status ~= "skipped"
       for k, range in ipairs(ranges) do
         if range.from < event.to and range.to > event.from then

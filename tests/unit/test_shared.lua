@@ -11,7 +11,7 @@ local T = {}
 
 local TAURUS = catalogue.compile(dofile("taurus_fields.lua"))
 local MOTOR, HEALTH, COMMAND = TAURUS.by_id[0x210], TAURUS.by_id[0x200], TAURUS.by_id[0]
-local FAULTS = MOTOR.index[MOTOR.by_name.fault_flags]
+local FAULTS = MOTOR.by_name.fault_flags.index
 
 -- Eight bytes, little endian, of a number of nanoseconds.
 local function int64(n)

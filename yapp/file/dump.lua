@@ -19,21 +19,12 @@ local UNKNOWN = {} -- a time
 local Dump = {}
 Dump.__index = Dump
 
--- Reads on.
+-- Reads on: appends to the events that are no records yet.
 function Dump:fill(file)
-  local bytes, events = self.head or file:read(CHUNK) or "", self.events
+  local bytes, rest = self.head or file:read(CHUNK) or "", {}
+  for i = self.next, #self.events do rest[#rest + 1] = self.events[i] end
   self.head, self.is_over = nil, bytes == ""
-  for _, event in ipairs(self.is_over and self.framer:finish() or self.framer:feed(bytes)) do
-    local last = events[self.last]
-    if last and last.status == "skipped" and event.status == "skipped" then
-      last.bytes = last.bytes .. event.bytes
-    else
-      self.last = self.last + 1
-      events[self.last] = event
-      self.has_frame = self.has_frame or event.status == "good"
-      if self.is_opening then self.time = self.time or self:stamp(event) end
-    end
-  end
+  self.events, self.next = self.framer:add(bytes, self.is_over, rest), 1
 end
 
 -- Returns the controller's own time of a frame, nil for none.
@@ -56,40 +47,40 @@ function M.open(file, options, head)
     time_of = options.time_of,
     head = head ~= "" and head or nil,
     decimals = 9,
-    events = {}, -- that are no records yet: events[next] to events[last]
+    events = {}, -- those from the index `next` on are no records yet
     next = 1,
-    last = 0,
-    is_opening = true,
     is_over = false,
-    has_frame = false,
     time = nil,   -- of the latest record; before, the first one that there is
     records = {}, -- [offset] = { length, time, is_skipped }
   }, Dump)
-  local function is_enough()
-    return self.has_frame and (self.time or self.framer:offset() >= MAX_AHEAD) or self.is_over
+  local has_frame, index = false, 1
+  while not (self.is_over or has_frame and (self.time or self.framer:offset() >= MAX_AHEAD)) do
+    self:fill(file)
+    for i = index, #self.events do
+      local event = self.events[i]
+      has_frame = has_frame or event.status == "good"
+      self.time = self.time or self:stamp(event)
+    end
+    index = #self.events + 1
   end
-  while not is_enough() do self:fill(file) end
-  self.is_opening = false
-  return self.has_frame and self or nil
+  return has_frame and self or nil
 end
 
 -- Takes the next event, nil at the end.  All bytes between two frames are one, as long as Wireshark
 -- takes them, however they were read.
 function Dump:next_event(file)
+  local function is_complete()
+    local event = self.events[self.next]
+    return event and (event.status ~= "skipped" or self.events[self.next + 1] or
+      #event.bytes >= MAX_SKIPPED)
+  end
+  while not (self.is_over or is_complete()) do self:fill(file) end
   local event = self.events[self.next]
-  local function may_go_on()
-    return self.next == self.last and event.status == "skipped" and #event.bytes < MAX_SKIPPED
-  end
-  while not self.is_over and (not event or may_go_on()) do
-    self:fill(file)
-    event = self.events[self.next]
-  end
   if event and event.status == "skipped" and #event.bytes > MAX_SKIPPED then
     local from, bytes = event.from, event.bytes
     event.from, event.bytes = from + MAX_SKIPPED, bytes:sub(MAX_SKIPPED + 1)
     return { status = "skipped", from = from, bytes = bytes:sub(1, MAX_SKIPPED) }
   end
-  self.events[self.next] = nil
   self.next = self.next + 1
   return event
 end

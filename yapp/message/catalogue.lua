@@ -11,7 +11,7 @@ local demand, shown = check.demand, check.shown
 local is_name, is_text = check.is_name, check.is_text
 
 -- Bytes of a message's title: over a preference with a longer one Wireshark ends at once.
-local MOST_OF_TITLE = 200
+local MAX_TITLE = 200
 
 local M = {}
 
@@ -72,7 +72,7 @@ local function number_index(message, what, name)
   local is_number = field and (field.special or
     (field.kind == "uint" or field.kind == "int") and not field.values)
   demand(is_number, "%s: %s is no field of numbers", what, shown(name))
-  return message.index[field]
+  return field.index
 end
 
 -- Add a value that is worked out from two fields.
@@ -112,7 +112,7 @@ local function check_head(entry)
   local every, answers = entry.every, entry.answers
   demand(is_text(entry.title), "the title is missing")
   check.options(entry, "a message", OPTIONS, math.huge)
-  demand(#entry.title <= MOST_OF_TITLE, "the title has more than %d bytes", MOST_OF_TITLE)
+  demand(#entry.title <= MAX_TITLE, "the title has more than %d bytes", MAX_TITLE)
   check.within("id", entry.id, 0, M.MAX_ID)
   check.within("size", entry.size, 1, MAX_SIZE)
   check.within("min_size", entry.min_size or entry.size, 1, entry.size)
@@ -138,7 +138,6 @@ local function compile_message(entry, reserved, context)
     filter = "taurus." .. entry.name,
     fields = {},
     by_name = {},
-    index = {},
     alarms = {},
     generated = {},
     derived = {},
@@ -178,14 +177,15 @@ end
 --   name, title, id, filter ("taurus.motor"); section of a document, every (period in seconds) and
 --   answers (a message's name), or nil
 --   size, min_size (bytes: a shorter payload is not this message)
---   fields, by_name, index ([field] = its index in fields), time (its first field of kind time)
+--   fields, by_name, time (its first field of kind time)
 --   alarms (its fields with fault flags), fault_field (the first of them that has nothing else)
 --   generated { name, title, filter, unit, description, kind = "derived", operator ("*", "-" or
 --   "+"), a, b (indexes of fields) }: values worked out from two fields, see decode.derived
 --   derived: those of them that tables and statistics have, too
 --   read (see decode.new_reader), write_info (see info.compile)
--- A field has name, title, filter, offset, size in bytes, type, unit and section or nil,
--- description (what a person reads of it beyond its title), and kind, with what its kind needs:
+-- A field has name, title, filter, index (in fields), offset, size in bytes, type, unit and section
+-- or nil, description (what a person reads of it beyond its title), and kind, with what its kind
+-- needs:
 --   uint, int  bottom, top; values, invalid, cases (a set); scale and zero: value = count * scale +
 --              zero; mask, low, inside: a part of the bits of another field
 --   flags      flags { name, mask, title, filter, help or nil, description }, group, undefined and

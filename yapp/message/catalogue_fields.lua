@@ -156,8 +156,8 @@ local function add_field(build, field)
     min_size)
   field.offset, field.when = offset, build.when
   table.insert(message.fields, field)
+  field.index = #message.fields
   message.by_name[name] = field
-  message.index[field] = #message.fields
   if field.kind == "time" and not build.when then message.time = message.time or field end
 end
 
@@ -271,7 +271,7 @@ local function add_variants(build, row)
   for _, value in ipairs(values) do
     by.cases[value] = true
     build.offset = start
-    build.when = { index = build.message.index[by], value = value }
+    build.when = { index = by.index, value = value }
     add_rows(build, row.cases[value])
     longest = math.max(longest, build.offset)
   end
@@ -311,7 +311,7 @@ function add_rows(build, rows)
   end
 end
 
---- Compile the rows of a message into its fields, by_name, index, time and alarms.
+--- Compile the rows of a message into its fields, by_name, time and alarms.
 -- message  compiled as far as its head, with these tables, empty
 -- context  gets field = the name, or else the number, of the row that is looked at: what an error
 --          is about

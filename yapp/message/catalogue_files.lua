@@ -8,8 +8,7 @@ local check = require("yapp.message.check")
 local M = {}
 
 local DENIED = 13 -- EACCES
-local MOST_BYTES = 500 -- of an error of the file's own
-local MOST_ENTRIES = catalogue.MAX_ID + 1 -- there are no more IDs
+local MAX_ERROR = 500 -- of an error of the file's own
 
 local function run(path)
   return assert(loadfile(path))()
@@ -26,7 +25,7 @@ local function read(path)
   file:close()
   local ok, entries = pcall(run, path)
   if not ok then
-    return nil, "the catalogue cannot be read: " .. tostring(entries):sub(1, MOST_BYTES)
+    return nil, "the catalogue cannot be read: " .. tostring(entries):sub(1, MAX_ERROR)
   end
   if type(entries) ~= "table" then
     return nil, "the file must return a list of messages, not " .. check.shown(entries)
@@ -50,11 +49,6 @@ local function list_of(entries, path, problems)
     else
       add_problem("the entry %s is not read: a message has its name inside, " ..
         "{ { name = ... }, { name = ... } }, and no key in front", check.shown(key))
-    end
-    if #list + #problems > MOST_ENTRIES then
-      add_problem("the file has more than %d entries, and no messages are read behind these",
-        MOST_ENTRIES)
-      break
     end
   end
   table.sort(list, function(a, b) return a.number < b.number end)

@@ -6,9 +6,9 @@ local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
-local MOST_PROBLEMS = 20 -- of a list that somebody reads
-local MOST_BYTES = 1000 -- of a text
-local MOST_OF_NAME = 64 -- bytes
+local MAX_PROBLEMS = 20 -- of a list that somebody reads
+local MAX_TEXT = 1000 -- of a text
+local MAX_NAME = 64 -- bytes
 
 --- Raises a text like string.format's where a condition does not hold; returns the condition.
 function M.demand(condition, format, ...)
@@ -38,13 +38,13 @@ end
 
 --- Whether it is a filter name, or a part of one.
 function M.is_name(v)
-  if type(v) ~= "string" or #v > MOST_OF_NAME then return false end
+  if type(v) ~= "string" or #v > MAX_NAME then return false end
   return v:find("^[a-z][a-z0-9_]*$") ~= nil
 end
 
 --- Whether it is a text, UTF-8 without control characters: over some others Wireshark ends at once.
 function M.is_text(v)
-  if type(v) ~= "string" or v == "" or #v > MOST_BYTES then return false end
+  if type(v) ~= "string" or v == "" or #v > MAX_TEXT then return false end
   return utf8.is_printable(v)
 end
 
@@ -110,7 +110,7 @@ end
 --- A list of problems as far as somebody reads it.
 function M.few(problems)
   local few = {}
-  for i = 1, math.min(#problems, MOST_PROBLEMS) do
+  for i = 1, math.min(#problems, MAX_PROBLEMS) do
     few[i] = problems[i]
   end
   if #problems > #few then

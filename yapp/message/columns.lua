@@ -145,9 +145,9 @@ local function new_row(message)
     if pieces[1] then pieces[#pieces + 1] = "," end
     pieces[#pieces + 1] = {
       field = field,
-      index = message.index[field],
+      index = field.index,
       shape = writer.takes_shape(field) and decode.format_of(field) .. "," or nil,
-      write = message.index[field] and kept(write) or write,
+      write = field.index and kept(write) or write,
       absent = (","):rep(#columns - 1),
     }
   end)

@@ -394,7 +394,7 @@ end
 --- Return whether a fault flag is set in a message.
 function M.has_alarm(message, raws)
   for _, field in ipairs(message.alarms) do
-    if M.faults(field, raws[message.index[field]]) ~= 0 then return true end
+    if M.faults(field, raws[field.index]) ~= 0 then return true end
   end
   return false
 end

@@ -33,7 +33,7 @@ local function new_piece(message, name, shape)
   if shape == "" then shape = "%.4g" end
   return {
     field = field,
-    index = message.index[field],
+    index = field.index,
     shape = writer.takes_shape(field) and shape or nil,
     write = function(raw) return text_of(field, shape, raw) end,
     absent = "-",
@@ -63,7 +63,7 @@ function M.text(message, raws, name, is_remarkable)
   if is_remarkable == false then return text end
   local word
   for _, field in ipairs(message.alarms) do
-    local faults = decode.faults(field, raws[message.index[field]])
+    local faults = decode.faults(field, raws[field.index])
     if faults ~= 0 then
       local before = ", "
       if field.fault_word ~= word then before = "  " .. field.fault_word .. " " end

@@ -23,7 +23,6 @@ local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local TCP, UDP = 2, 3 -- pinfo.port_type
 local NO_ADDRESS = { [""] = true, NONE = true } -- as the API has it
 local MAX_IN_INFO = 10 -- frames of a packet
-local FIRST = math.huge -- seconds since the previous message, of a source's first one
 
 local Dissector = {}
 Dissector.__index = Dissector
@@ -41,10 +40,9 @@ function M.new(tree, reader, buses, tcp_header)
     tcp_header = tcp_header,
     streams = nil,   -- a serial.streams
     history = nil,   -- a message.history
-    deltas = nil,    -- [frame key] = seconds since the source's previous good message, or FIRST
-    sources = nil,   -- [key of a stream][ID] = a source, see message.reader
-    damaged = nil,   -- [key of a stream, or frame key of its first packet] = the latest damaged
-                     -- datagram before it, see Dissector:accepts
+    deltas = nil,    -- [frame key] = seconds since the source's previous good message, false for
+                     -- the first one
+    lines = nil,     -- by key, see line_of
     has_tcp = false, -- whether a TCP connection is YAPP's
   }, Dissector)
 end
@@ -53,7 +51,7 @@ end
 -- new_history  function() -> a message.history
 function Dissector:reset(new_history)
   self.streams = streams.new(function() return self:new_framer() end)
-  self.history, self.deltas, self.sources, self.damaged = new_history(), {}, {}, {}
+  self.history, self.deltas, self.lines = new_history(), {}, {}
   self.has_tcp = false
   tcp.stop()
 end
@@ -66,73 +64,89 @@ end
 
 -- Packets ----------------------------------------------------------------------------------------
 
--- Returns sender and receiver of a packet.
-local function ends_of(pinfo)
-  return ("%s|%d"):format(tostring(pinfo.src), pinfo.src_port),
-    ("%s|%d"):format(tostring(pinfo.dst), pinfo.dst_port)
-end
-
--- Returns the key of the stream from one end to another.
--- bus  number, nil for none
-local function stream_key(kind, bus, here, there)
-  return ("%s|%d|%s|%s"):format(bus or "", kind, here, there)
-end
-
--- Returns what is known of a packet: what serial.streams takes, and
---   knows_bus    whether it is known where it was captured
---   bus_key      by which a Command and what it commands know each other: both directions of a
+-- Returns the line of a packet, one direction of a conversation or of a UART: {
+--   key          of its stream
+--   opposite     key of the other direction
+--   bus          by which a Command and what it commands know each other: both directions of a
 --                conversation; all of a UART
---   line         text that tells its sources apart, nil if nothing does
---   has_address  whether it has a sender
---   wants        of show.tree
--- tvb      its bytes; nil for a segment of which the capture has none
--- segment  of serial.tcp, nil for other packets
-local function new_packet(self, tvb, pinfo, tree, segment)
-  local kind, number, bytes = pinfo.port_type, pinfo.number, tvb and tvb:raw() or ""
+--   bus_name     or nil
+--   label        text that tells its sources apart, nil if nothing does
+--   has_address  whether its packets have a sender
+--   sources      [ID] = a source, see message.reader
+--   damaged      list of the damaged datagrams before its first packet, see Dissector:accepts
+--   reporter     frame key of that packet, nil until it has come }
+-- and whether it is known where the packet was captured.
+local function line_of(self, pinfo)
+  local kind, bus, is_known = pinfo.port_type, nil, true
   local is_ip = kind == UDP or kind == TCP
-  local here, there = ends_of(pinfo)
-  local bus, knows_bus, bus_key = nil, true, "serial"
-  if is_ip then
-    bus_key = here < there and here .. there or there .. here
-  else
-    bus, knows_bus = self.buses:of(pinfo, number)
-  end
-  local bus_name, has_address = self.buses:name(bus, is_ip), not NO_ADDRESS[tostring(pinfo.src)]
-  local line = bus and bus_name
-  if has_address then line = here:gsub("|", ":") end
-  local length = segment and segment.length or tvb:reported_len()
+  if not is_ip then bus, is_known = self.buses:of(pinfo, pinfo.number) end
+  local address = tostring(pinfo.src)
+  local here = address .. ":" .. pinfo.src_port
+  local there = tostring(pinfo.dst) .. ":" .. pinfo.dst_port
+  local before = (bus or "") .. "|" .. kind .. "|"
+  local key = before .. here .. "|" .. there
+  local line = self.lines[key]
+  if line then return line, is_known end
+  local bus_name, has_address = self.buses:name(bus, is_ip), not NO_ADDRESS[address]
+  line = {
+    key = key,
+    opposite = before .. there .. "|" .. here,
+    bus = "serial",
+    bus_name = bus_name,
+    label = has_address and here or bus and bus_name,
+    has_address = has_address,
+    sources = {},
+    damaged = {},
+    reporter = nil,
+  }
+  if is_ip then line.bus = here < there and here .. there or there .. here end
+  self.lines[key] = line
+  return line, is_known
+end
+
+-- Returns what is known of a packet, as serial.streams takes it, and
+--   line          of line_of
+--   is_bus_known  whether it is known where it was captured
+--   tvb           where its bytes are, if a tree is wanted
+--   tree          where they are shown
+--   wants         of show.tree
+-- tvb      its bytes; of a segment with the header of TCP
+-- segment  of serial.tcp, with its line; nil for other packets
+local function new_packet(self, tvb, pinfo, tree, segment)
+  local start, line, is_bus_known = segment and segment.start or 0, segment and segment.line, true
+  if not line then line, is_bus_known = line_of(self, pinfo) end
+  local bytes = tvb:len() > start and tvb:raw(start) or ""
+  local number, visited, length = pinfo.number, pinfo.visited, tvb:reported_len() - start
+  local wants, key = self.tree:wants(tree, pinfo, visited), number * PACKET + tvb:offset() + start
+  if wants.tree and segment and bytes ~= "" then tvb = tvb(start):tvb() end
   return {
-    key = number * PACKET + (segment and segment.offset or tvb:offset()),
+    key = key,
     number = number,
     bytes = bytes,
     length = length,
     truncated = length > #bytes,
     time = pinfo.rel_ts,
     epoch = segment and pinfo.abs_ts,
-    visited = pinfo.visited,
-    is_datagram = kind == UDP,
-    stream = stream_key(kind, bus, here, there),
+    visited = visited,
+    is_datagram = pinfo.port_type == UDP,
+    stream = line.key,
     seq = segment and segment.seq,
-    knows_bus = knows_bus,
-    bus_key = bus_key,
-    bus_name = bus_name,
+    bus_name = line.bus_name,
     line = line,
-    has_address = has_address,
+    is_bus_known = is_bus_known,
     tvb = tvb,
     tree = tree,
-    wants = self.tree:wants(tree, pinfo, pinfo.visited),
+    wants = wants,
   }
 end
 
 -- Returns the source of a message, see message.reader.
-local function source_of(self, packet, id)
-  local of_stream = self.sources[packet.stream] or {}
-  self.sources[packet.stream] = of_stream
-  local source = of_stream[id]
+local function source_of(self, line, id)
+  local source = line.sources[id]
   if not source then
-    local key = packet.stream .. "|" .. id
-    source = self.reader:new_source(key, id, packet.bus_key, packet.bus_name, packet.line)
-    of_stream[id] = source
+    local key = line.key .. "|" .. id
+    source = self.reader:new_source(key, id, line.bus, line.bus_name, line.label)
+    line.sources[id] = source
   end
   return source
 end
@@ -158,23 +172,22 @@ end
 
 --- Whether a packet of an unknown conversation is YAPP.  If it is not, but may be a message that
 -- lost bytes, this is reported when another packet of the conversation is.
-function Dissector:accepts(tvb, pinfo, tree)
+function Dissector:accepts(tvb, pinfo)
   local bytes = tvb:len() > 0 and tvb:raw() or ""
   if pinfo.in_error_pkt or not frame.find(bytes, 1) then return false end
   local is_ours, events = self:is_yapp(bytes, tvb:reported_len())
   local id, _, _, seq = frame.parse(bytes, 1)
   local may_be = events[1].status == "incomplete" and self.reader:size_of(id)
   if not is_ours and may_be and pinfo.port_type == UDP and not pinfo.visited then
-    local key = new_packet(self, tvb, pinfo, tree).stream
-    self.damaged[key] = { id = id, seq = seq, before = self.damaged[key] }
+    table.insert(line_of(self, pinfo).damaged, { id = id, seq = seq })
   end
   return is_ours
 end
 
--- Returns the record of a message that is not there as a whole, for the statistics.
+-- Returns what the statistics need of a message that is not complete.
 -- packet  where this is noticed
 local function new_loss(self, packet, id, seq)
-  local source = source_of(self, packet, id)
+  local source = source_of(self, packet.line, id)
   return {
     id = id,
     seq = seq,
@@ -190,15 +203,12 @@ end
 
 -- Reports the damaged datagrams before the first packet of a conversation.
 local function report_damaged(self, packet)
-  local damaged, waiting = self.damaged, self.damaged[packet.stream]
-  if waiting and not packet.visited then
-    damaged[packet.key], damaged[packet.stream] = waiting, nil
-  end
-  local one = self.reader.stat.wanted and damaged[packet.key]
-  while one do
-    local loss = new_loss(self, packet, one.id, one.seq)
+  local line = packet.line
+  line.reporter = line.reporter or packet.key
+  if line.reporter ~= packet.key or not self.reader.stat.wanted then return end
+  for _, damaged in ipairs(line.damaged) do
+    local loss = new_loss(self, packet, damaged.id, damaged.seq)
     self.reader.tell:faults(loss, { { expert = "fragment.incomplete" } })
-    one = one.before
   end
 end
 
@@ -208,13 +218,13 @@ end
 -- take it.  A packet's n-th event has the frame key of the packet + n - 1: a frame has 16 bytes at
 -- least, so no other packet has that key, also if a tunnel has several in one.
 local function new_message(self, packet, event, index)
-  local status, length = event.status, event.to - event.from
-  local bytes, from = event.bytes or packet.bytes, event.at and event.at + 1 or 1
-  local id, size, reserved, seq = frame.parse(bytes, from)
-  local source, is_bad, last = source_of(self, packet, id), status == "bad", from + length - 1
-  local number = packet.key + index - 1
-  local delta = packet.visited and self.deltas[number]
-  return {
+  local status, length, number = event.status, event.to - event.from, packet.key + index - 1
+  local bytes, at, delta = event.bytes, 0, nil
+  if event.at then bytes, at = packet.bytes, event.at end
+  if packet.visited then delta = self.deltas[number] end
+  local id, size, reserved, seq = frame.parse(bytes, at + 1)
+  local source, last = source_of(self, packet.line, id), at + length
+  local m = {
     id = id,
     name = source.name,
     text = source.text,
@@ -226,12 +236,12 @@ local function new_message(self, packet, event, index)
     frame = packet.number,
     time = packet.time,
     visited = packet.visited,
-    delta = delta ~= FIRST and delta or false,
-    is_unsure = not packet.knows_bus or packet.visited and not delta,
+    delta = delta or false,
+    is_unsure = not packet.is_bus_known or packet.visited and delta == nil,
     seq = seq,
     size = size,
     reserved = reserved,
-    payload = sub(bytes, from + HEADER, from - 1 + min(HEADER + size, length)),
+    payload = sub(bytes, at + HEADER + 1, at + min(HEADER + size, length)),
     length = length,
     status = status,
     good = status == "good",
@@ -240,14 +250,19 @@ local function new_message(self, packet, event, index)
     missing = event.missing,
     truncated = event.truncated,
     parts = event.parts,
-    crc = is_bad and frame.crc(bytes, last) or nil,
-    calculated = is_bad and crc.update(crc.INITIAL, bytes, from, last - CRC_SIZE) or nil,
+    crc = nil,
+    calculated = nil,
     wants = packet.wants,
     tree = packet.tree,
     item = packet.tree,
     tvb = false,
-    at = (event.at or 0) + HEADER,
+    at = at + HEADER,
   }
+  if status == "bad" then
+    m.crc = frame.crc(bytes, last)
+    m.calculated = crc.update(crc.INITIAL, bytes, at + 1, last - CRC_SIZE)
+  end
+  return m
 end
 
 local LABELS = { good = ", CRC good", bad = ", CRC BAD", incomplete = ", incomplete" }
@@ -291,21 +306,27 @@ local function say_incomplete(self, m)
   end
 end
 
--- Shows a message; returns what the Info column says of it.
-local function show_message(self, m, tvb)
-  local builder, knows_bus = self.tree, not m.is_unsure
-  self.reader:read(m, self.history)
-  if not m.good then m.delta = false end
-  if knows_bus and not m.visited and not m.wants.is_only_pass then
-    self.deltas[m.number] = m.delta or FIRST
-  end
-  if m.wants.tree then m.item, m.tvb = add_frame(self, m, tvb), tvb end
+-- Shows what is wrong with a message.
+local function show_anomalies(self, m)
+  local builder = self.tree
   if m.status == "bad" then builder:bad_crc(m.item, m) end
   if m.status == "incomplete" then say_incomplete(self, m) end
   if m.reserved ~= 0 then
     local text = ("The reserved bytes are 0x%04x, not 0"):format(m.reserved)
     builder:expert(m.item, "reserved.nonzero", text)
   end
+end
+
+-- Shows a message; returns what the Info column says of it.
+local function show_message(self, m, tvb)
+  local builder, is_known = self.tree, not m.is_unsure
+  self.reader:read(m, self.history)
+  if not m.good then m.delta = false end
+  if is_known and not m.visited and not m.wants.is_only_pass then
+    self.deltas[m.number] = m.delta
+  end
+  if m.wants.tree then m.item, m.tvb = add_frame(self, m, tvb), tvb end
+  show_anomalies(self, m)
   if m.is_whole or not m.message then return builder:payload(m) .. MARKS[m.status] end
   if m.wants.yapp and #m.payload > 0 then
     add(m.item, builder.fields.payload, tvb(m.at, #m.payload))
@@ -354,7 +375,7 @@ local function show_skipped(self, packet, tvb, event)
       frame = packet.number,
       time = packet.time,
       visited = packet.visited,
-      bus = packet.bus_key,
+      bus = packet.line.bus,
       bus_name = packet.bus_name,
       source = packet.stream,
       length = length,
@@ -390,20 +411,24 @@ end
 
 -- Dissection -------------------------------------------------------------------------------------
 
+-- Shows an event of a packet; returns what the Info column says of it, and the name of its source.
+local function show_event(self, packet, event, index)
+  local tvb = packet.tvb
+  if event.bytes and packet.wants.tree then
+    tvb = ByteArray.new(event.bytes, true):tvb("Reassembled YAPP")
+  end
+  if event.status == "skipped" then return show_skipped(self, packet, tvb, event) end
+  local m = new_message(self, packet, event, index)
+  return show_message(self, m, tvb), m.text
+end
+
 -- Shows what a packet holds.
 local function show(self, packet, pinfo, contents)
   local wants, texts, source = packet.wants, {}, nil
   if wants.names and not wants.tree then self.tree:bare(packet.tree, wants, true) end
   for i, event in ipairs(contents.events) do
-    local tvb, m = packet.tvb, nil
-    if event.bytes and wants.tree then
-      tvb = ByteArray.new(event.bytes, true):tvb("Reassembled YAPP")
-    end
-    if event.status ~= "skipped" then
-      m = new_message(self, packet, event, i)
-      source = source or m.text
-    end
-    local text = m and show_message(self, m, tvb) or show_skipped(self, packet, tvb, event)
+    local text, name = show_event(self, packet, event, i)
+    source = source or name
     if i <= MAX_IN_INFO then texts[i] = text end
   end
   local more = #contents.events - MAX_IN_INFO
@@ -412,7 +437,7 @@ local function show(self, packet, pinfo, contents)
   if not wants.columns or not texts[1] then return end
   local columns = pinfo.cols
   columns.protocol, columns.info = "YAPP", table.concat(texts, " | ")
-  if source and not packet.has_address then columns.src = source end
+  if source and not packet.line.has_address then columns.src = source end
 end
 
 -- Dissects a packet; returns whether it is YAPP's.
@@ -427,7 +452,7 @@ local function dissect(self, packet, pinfo)
   report_damaged(self, packet)
   show(self, packet, pinfo, contents)
   local last = contents.events[#contents.events]
-  if packet.truncated and packet.tvb and not (last and last.status == "incomplete") then
+  if packet.truncated and packet.bytes ~= "" and not (last and last.status == "incomplete") then
     local text = "The capture has %d of the packet's %d bytes"
     self.tree:expert(packet.tree, "truncated", text:format(#packet.bytes, packet.length))
   end
@@ -438,12 +463,11 @@ end
 local function dissect_segment(self, segment, tvb, pinfo, tree)
   self.has_tcp = self.has_tcp or segment.is_ours
   if not self.has_tcp then return end
-  local here, there = ends_of(pinfo)
-  local key, opposite = stream_key(TCP, nil, here, there), stream_key(TCP, nil, there, here)
-  local is_known = pinfo.visited or self.streams:note_header(key, opposite, segment)
+  local line = line_of(self, pinfo)
+  segment.line = line
+  local is_known = pinfo.visited or self.streams:note_header(line.key, line.opposite, segment)
   if segment.length == 0 or not (segment.is_ours or is_known) then return end
-  local bytes = tvb:len() > segment.start and tvb(segment.start):tvb() or nil
-  dissect(self, new_packet(self, bytes, pinfo, tree, segment), pinfo)
+  dissect(self, new_packet(self, tvb, pinfo, tree, segment), pinfo)
 end
 
 --- Watch TCP, to know the sequence numbers from the first segment on.

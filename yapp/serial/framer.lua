@@ -3,15 +3,15 @@
 -- Pure Lua.
 --
 -- Each "YP" with a header behind it is a candidate.  Candidates are judged in the order of their
--- starts: the first one with a good CRC is a frame, and all that overlap it are void.  So a frame
--- wins over what its payload contains.  Bytes behind the start of an open candidate, whose end has
--- not come, wait for it:
+-- starts: the first one with a good CRC is a frame, and all that overlap it are dropped.  So a
+-- frame wins over what its payload contains.  Bytes behind the start of an open candidate, whose
+-- end has not come, wait for it:
 --
 --   0         12                              69      bytes 12 to 60 hold a good frame; it is shown
 --   |YP header|  ...  |YP good frame|   ...   |       only if the CRC at 69 is bad
 --
 -- But a header of noise may claim 65,535 bytes.  So good frames do not wait for an open candidate
--- of more than `patience` bytes; if one of them comes first, that candidate is void.
+-- of more than `patience` bytes; if one of them comes first, that candidate is dropped.
 --
 -- The header decides what a candidate without a good CRC is.  A message of the catalogue is that
 -- message, damaged, up to where the next one begins.  Another plausible ID is a bad frame if all
@@ -51,6 +51,7 @@ function M.new(size_of, patience)
     size_of = size_of,
     patience = patience or PATIENCE,
     spent = {},    -- [logarithm of a candidate's length] = bytes that CRCs were computed over
+    events = nil,  -- the list that events are appended to, see Framer:add
     text = "",     -- the latest bytes
     text_from = 0, -- their offset in the stream
     to = 0,        -- the end of the stream so far
@@ -108,21 +109,26 @@ function Framer:is_good(candidate)
   return crc.update(crc.INITIAL, self.text, at, to - CRC_SIZE) == frame.crc(self.text, to)
 end
 
--- Appends the bytes up to `to` as an event.
-function Framer:give(events, to, status, missing)
+-- Appends the bytes up to an offset as an event.
+function Framer:give(to, status, missing)
   local from, at = self.from, self.from - self.text_from
   self.from = to
-  events[#events + 1] = {
+  table.insert(self.events, {
     status = status,
     missing = missing,
     from = from,
     to = to,
     bytes = sub(self.text, at + 1, at + to - from),
-  }
+  })
 end
 
-function Framer:skip(events, to)
-  if to > self.from then self:give(events, to, "skipped") end
+-- Skips the bytes up to an offset.  They go to the latest event if it is of skipped bytes, too.
+function Framer:skip(to)
+  if to <= self.from then return end
+  local latest = self.events[#self.events]
+  if not (latest and latest.status == "skipped") then return self:give(to, "skipped") end
+  latest.bytes = latest.bytes .. sub(self.text, self.from - self.text_from + 1, to - self.text_from)
+  latest.to, self.from = to, to
 end
 
 -- Returns what a candidate without a good CRC is, if nothing before `limit` is open.
@@ -138,7 +144,7 @@ end
 
 -- Gives out what lies before `limit`: the damaged frames, the earliest start first, and the bytes
 -- between them.
-function Framer:settle(events, limit, behind)
+function Framer:settle(limit, behind)
   while self.first <= self.last and self.candidates[self.first].from < limit do
     local candidate = self.candidates[self.first]
     local status, stop = fate_of(self, candidate, limit, behind)
@@ -147,23 +153,23 @@ function Framer:settle(events, limit, behind)
       break
     end
     if status then
-      self:skip(events, candidate.from)
-      self:give(events, stop, status, candidate.to > stop and candidate.to - stop or nil)
+      self:skip(candidate.from)
+      self:give(stop, status, candidate.to > stop and candidate.to - stop or nil)
     end
     self.candidates[self.first] = nil
     self.first = self.first + 1
   end
-  self:skip(events, limit)
+  self:skip(limit)
 end
 
 -- Gives out a candidate if its CRC is good; returns whether it is.
-function Framer:accept(events, candidate)
+function Framer:accept(candidate)
   if not self:is_good(candidate) then
     candidate.has_failed = true
     return false
   end
-  self:settle(events, candidate.from, "good")
-  self:give(events, candidate.to, "good")
+  self:settle(candidate.from, "good")
+  self:give(candidate.to, "good")
   if self.last > 0 then self:forget() end
   self.found, self.searched = nil, candidate.to
   return true
@@ -185,7 +191,7 @@ local function by_start(a, b) return a.from < b.from end
 
 -- Judges the open candidates whose end has come.
 -- before  the end of the stream before these bytes came
-function Framer:close(events, before)
+function Framer:close(before)
   if not next(self.open_by_end) then return end
   local due = {}
   for to = before + 1, self.to do
@@ -197,21 +203,21 @@ function Framer:close(events, before)
   end
   table.sort(due, by_start)
   for _, candidate in ipairs(due) do
-    if self:accept(events, candidate) then return end -- it overlaps the others
+    if self:accept(candidate) then return end -- it overlaps the others
   end
 end
 
 -- Judges the candidates that begin in bytes that have not been searched.
--- is_over  whether no more bytes come
-function Framer:search(events, is_over)
+-- is_end  whether no more bytes come
+function Framer:search(is_end)
   local candidate = self.found or self:find()
   while candidate do
     local is_open = candidate.to > self.to
-    if is_open and not is_over and candidate.to - candidate.from <= self.patience then
+    if is_open and not is_end and candidate.to - candidate.from <= self.patience then
       self.found = candidate
       return
     end
-    if is_open or not self:accept(events, candidate) then
+    if is_open or not self:accept(candidate) then
       self:keep(candidate)
       self.found, self.searched = nil, candidate.from + #frame.SYNC
     end
@@ -231,7 +237,10 @@ end
 
 --- Take the next bytes of the stream.
 -- bytes    string of any length
--- returns  list of the events that these bytes made final, in the stream's order; each byte of the
+-- is_end   whether the stream ends behind them.  Then what waits becomes final: a frame whose end
+--          has not come is "incomplete", too.  Bytes that come later begin afresh
+-- events   list that the new events are appended to; nil for a new one
+-- returns  the list, with the events that are final now, in the stream's order; each byte of the
 --          stream is in one event: {
 --            status   "good"; "bad" (CRC); "incomplete", a frame that ends where the next begins;
 --                     "skipped", bytes of no frame
@@ -240,32 +249,28 @@ end
 --            to       offset behind the last byte
 --            bytes    string }
 -- Document: "UART Stream Framing".
-function Framer:feed(bytes)
-  local events, before = {}, self.to
+function Framer:add(bytes, is_end, events)
+  local before = self.to
+  self.events = events or {}
   if self.from > self.text_from then
     self.text, self.text_from = sub(self.text, self.from - self.text_from + 1), self.from
   end
   self.text, self.to = self.text .. bytes, before + #bytes
-  self:close(events, before)
-  self:search(events, false)
-  local waiting = self:first_waiting()
-  self:settle(events, waiting and waiting.from or self.searched, "open")
-  if self.last > 0 and self.first > self.last then self:forget() end
-  return events
+  self:close(before)
+  self:search(is_end)
+  if is_end then
+    self:settle(self.to, "end")
+    self:forget()
+    self.searched = self.to
+  else
+    local waiting = self:first_waiting()
+    self:settle(waiting and waiting.from or self.searched, "open")
+    if self.last > 0 and self.first > self.last then self:forget() end
+  end
+  return self.events
 end
 
---- End the stream: what waits becomes final.  Bytes fed later begin afresh.
--- returns  events as from feed(); a frame whose end never came is "incomplete", too
-function Framer:finish()
-  local events = {}
-  self:search(events, true)
-  self:settle(events, self.to, "end")
-  self:forget()
-  self.searched = self.to
-  return events
-end
-
---- Return the number of bytes that were fed.
+--- Return the number of bytes that have come.
 function Framer:length()
   return self.to
 end

@@ -37,8 +37,7 @@ local function new_stream(framer)
     acked = nil,      -- what the other side has acknowledged
     is_ended = false, -- whether a new connection has begun
     held = {},        -- contents of the segments behind a gap, by sequence number
-    gap = nil,        -- see Streams:drops
-    gap_time = nil,   -- when it was noticed, in seconds since the first packet
+    gap = nil,        -- the gap before them, see Streams:drops
   }
 end
 
@@ -50,39 +49,21 @@ function M.new(new_framer)
     datagrams = new_stream(new_framer()), -- each is complete in itself: one stream does for all
     by_key = {},
     contents = {}, -- by frame key
-    gaps = {},     -- [gap that was not filled] = true
+    gaps = {},     -- those that were not filled, see Streams:drops
   }, Streams)
 end
 
 -- Events -----------------------------------------------------------------------------------------
 
--- Appends what a framer found; skipped bytes that follow skipped bytes are one event.
-local function append(events, found)
-  for _, event in ipairs(found) do
-    local last = events[#events]
-    if last and last.status == "skipped" and event.status == "skipped" then
-      last.to, last.bytes = event.to, last.bytes .. event.bytes
-    else
-      events[#events + 1] = event
-    end
-  end
-end
-
--- Ends a stream: nothing follows the bytes that wait.
-local function finish(stream, events, is_truncated)
-  local rest = stream.framer:finish()
-  for _, event in ipairs(rest) do event.truncated = is_truncated end
-  append(events, rest)
-end
-
--- Feeds the bytes of a packet to its stream.
+-- Adds the bytes of a packet to its stream.
 -- known  how many of them the stream has
-local function feed(stream, contents, known, events)
+local function add_bytes(stream, contents, known, events)
   local framer, packet = stream.framer, contents.packet
   contents.packet, contents.known, contents.from = nil, known, framer:length()
-  append(events, framer:feed(sub(packet.bytes, known + 1)))
+  framer:add(sub(packet.bytes, known + 1), packet.is_datagram or packet.truncated, events)
   contents.to = framer:length()
-  if packet.is_datagram or packet.truncated then finish(stream, events, packet.truncated) end
+  local last = events[#events]
+  if packet.truncated and last and last.to == contents.to then last.truncated = true end
   stream.last = stream.last + 1
   stream.pieces[stream.last] = contents
 end
@@ -128,39 +109,43 @@ local function hold(stream, contents)
   table.insert(held, index, contents)
 end
 
--- Notes that a segment is missing before a packet.
-local function note_gap(self, stream, packet)
-  local gap = { time = packet.epoch, frame = packet.number, bus = packet.bus_name, count = 1 }
-  self.gaps[gap], stream.gap, stream.gap_time = true, gap, packet.time
-end
-
 -- Whether the capture does not have the segment that others wait for.
 local function is_lost(stream, packet)
   return stream.acked and distance(stream.acked, stream.next_seq) > 0 or
     distance(packet.seq, stream.next_seq) > MAX_AHEAD or
-    packet.time - stream.gap_time > MAX_WAIT
+    packet.epoch - stream.gap.time > MAX_WAIT
 end
 
--- Feeds the segments that wait, as far as they are in order.
--- packet    the current one
--- gives_up  whether no missing segment will come
-local function feed_held(self, stream, packet, gives_up, events)
+-- Goes on behind a gap if its segment is lost.
+-- packet   the current one
+-- returns  whether it is
+local function end_gap(self, stream, packet, is_over, events)
+  local gap = stream.gap or
+    { time = packet.epoch, frame = packet.number, bus = packet.bus_name, count = 1 }
+  stream.gap = gap
+  if not is_over and not is_lost(stream, packet) then return false end
+  stream.framer:add("", true, events)
+  stream.gap = nil
+  table.insert(self.gaps, gap)
+  return true
+end
+
+-- Adds the segments that wait, as far as they are in order.
+-- packet   the current one
+-- is_over  whether no missing segment will come
+local function add_held(self, stream, packet, is_over, events)
   while stream.held[1] do
     local contents = stream.held[1]
     local seq, length = contents.packet.seq, contents.packet.length
     local known = distance(stream.next_seq, seq)
     if known < 0 then
-      if not stream.gap then note_gap(self, stream, packet) end
-      if not gives_up and not is_lost(stream, packet) then return end
-      finish(stream, events)
-      stream.gap, known = nil, 0
-    elseif known < length and stream.gap then
-      self.gaps[stream.gap], stream.gap = nil, nil
+      if not end_gap(self, stream, packet, is_over, events) then return end
+      known = 0
     end
     table.remove(stream.held, 1)
     if known < length then
-      feed(stream, contents, known, events)
-      stream.next_seq = (seq + length) % 0x100000000
+      add_bytes(stream, contents, known, events)
+      stream.next_seq, stream.gap = (seq + length) % 0x100000000, nil
     else
       contents.packet = nil
     end
@@ -172,13 +157,13 @@ local function take_segment(self, stream, contents, events)
   local packet = contents.packet
   local next_seq = stream.next_seq or packet.seq
   if stream.is_ended or abs(distance(packet.seq, next_seq)) > MAX_DISTANCE then
-    feed_held(self, stream, packet, true, events)
-    finish(stream, events)
+    add_held(self, stream, packet, true, events)
+    stream.framer:add("", true, events)
     next_seq, stream.is_ended = packet.seq, false
   end
   stream.next_seq = next_seq
   hold(stream, contents)
-  feed_held(self, stream, packet, false, events)
+  add_held(self, stream, packet, false, events)
 end
 
 --- Note what the header of a TCP segment says.
@@ -216,15 +201,15 @@ local function take(self, stream, packet)
     leads_to = nil,
     stream = stream,
     is_held = false, -- whether it was behind a gap when it came
-    packet = packet, -- until its bytes are fed
+    packet = packet, -- until its bytes are added
     known = 0,       -- number of bytes that had come before
-    from = nil,      -- offset in the stream of those that had not, once they are fed
+    from = nil,      -- offset in the stream of those that had not, once they are added
     to = nil,
   }
   if packet.seq then
     take_segment(self, stream, contents, events)
   else
-    feed(stream, contents, 0, events)
+    add_bytes(stream, contents, 0, events)
   end
   for _, event in ipairs(events) do
     drop_pieces(stream, event.from)
@@ -244,7 +229,7 @@ end
 -- packet  {
 --   key          frame key; a key that comes again replaces what was stored
 --   number       of the packet; bus_name = or nil
---   time         seconds since the first packet; epoch = since 1970, or nil
+--   epoch        of a segment: seconds since 1970
 --   bytes        string: those that were captured
 --   truncated    whether the packet had more
 --   is_datagram  whether it is complete in itself
@@ -310,7 +295,8 @@ end
 --          bus = name or nil, count = 1 }
 function Streams:drops()
   local list = {}
-  for gap in pairs(self.gaps) do list[#list + 1] = gap end
+  for _, gap in ipairs(self.gaps) do list[#list + 1] = gap end
+  for _, stream in pairs(self.by_key) do list[#list + 1] = stream.gap end
   table.sort(list, function(a, b) return a.frame < b.frame end)
   return list
 end

@@ -30,12 +30,12 @@ local function read(tvb, pinfo)
   if start < HEADER or start > tvb:len() then return nil end
   return {
     start = start,
-    offset = tvb:offset() + start,
     length = band(flags, RST) == 0 and tvb:reported_len() - start or 0,
     seq = (seq + (is_syn and 1 or 0)) % 0x100000000,
     ack = band(flags, ACK) ~= 0 and ack or nil,
     is_syn = is_syn,
     is_ours = false,
+    line = nil,
   }
 end
 
@@ -69,12 +69,13 @@ end
 --- Return the segment that TCP has, nil for none.
 -- number   of the packet that is dissected
 -- returns  {
---   start    offset of its bytes in TCP's; offset = in the packet
+--   start    offset of its bytes, behind TCP's header
 --   length   number of bytes that it had
 --   seq      sequence number of the first one
 --   ack      sequence number that it acknowledges, or nil
 --   is_syn   whether it begins a connection
---   is_ours  to be set if TCP hands it to YAPP }
+--   is_ours  to be set if TCP hands it to YAPP
+--   line     for whoever takes it }
 function M.current(number)
   return inside == number and segment or nil -- else it was thrown past Lua
 end

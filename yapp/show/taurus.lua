@@ -147,15 +147,14 @@ end
 
 -- Return how a field is added to a tree: { field, index, parent = index of the field that it is a
 -- part of, add, title = of an array's element }; nil where nobody wants it.
-local function make_step(self, message, index, tree, is_shown)
-  local field = message.fields[index]
+local function make_step(self, field, index, tree, is_shown)
   local wanted = wanted_of(self.fields[field], tree)
   if not wanted then return nil end
   local new_adder = field.scale and ADD.float or ADD[field.kind]
   return {
     field = field,
     index = index,
-    parent = message.index[field.inside or false],
+    parent = field.inside and field.inside.index,
     add = new_adder(field, wanted, unit_of(field, is_shown), is_shown),
     title = is_shown and field.element and field.title,
   }
@@ -166,8 +165,8 @@ end
 local function make_plan(self, message, tree, is_shown)
   local own, plan = self.messages[message], { title = "Taurus " .. message.title, generated = {} }
   plan.own = referenced(tree, own.pf) and own.pf
-  for index = 1, #message.fields do
-    plan[#plan + 1] = make_step(self, message, index, tree, is_shown)
+  for index, field in ipairs(message.fields) do
+    plan[#plan + 1] = make_step(self, field, index, tree, is_shown)
   end
   for i, item in ipairs(message.generated) do
     local pf, generated = own.generated[i], plan.generated

@@ -41,10 +41,10 @@ end
 -- What is gathered of a field of a source: count, min, sum, max of its numbers; seen = of all of
 -- it, outside = of those beyond the limits, worst = the one that is beyond by most, and its frame;
 -- where all sources are compared, spread = of all of them, latest = the latest number, at = when.
-local function new_values(message, want, spread)
+local function new_values(want, spread)
   return {
     field = want.field,
-    index = message.index[want.field] or false, -- a derived value has none
+    index = want.field.index or false, -- a derived value has none
     low = want.low or -INFINITE,
     high = want.high or INFINITE,
     count = 0,
@@ -148,7 +148,7 @@ local function add_values(self, group, message)
   self.wanted[message] = wanted
   for i, want in ipairs(wanted) do
     local spread = want.is_spread and (self.spreads[want] or { members = {} })
-    local values = new_values(message, want, spread)
+    local values = new_values(want, spread)
     self.spreads[want] = spread
     if spread then
       table.insert(spread.members, values)
