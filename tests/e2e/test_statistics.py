@@ -201,6 +201,29 @@ def test_csv_alone(results, seed, form, passes):
         assert (alone / path.name).read_text() == path.read_text()
 
 
+@pytest.mark.parametrize("seed", [2, 3])
+def test_shared_sources(seed):
+    """Where controllers share a source, that is told once, and nothing that depends on what came before: the exit code is 21."""
+    flight, form = flights.shared(seed), flights.FORMS[seed % 3]
+    capture = flight.write(tshark.writable_folder() / ("run.log" if form == "candump" else "run.pcapng"), form)
+    lines, notes = [], []
+    for what in ("events", "faults", "summary"):
+        done = tshark.run(*flight.arguments(form), "-q", "-r", capture, "-z", f"yapp,{what},json", check=False)
+        notes += re.findall(r"yapp: two controllers appear to send (?:\S+ )?(0x\w+): from frame (\d+) on", done.stderr)
+        assert done.returncode == 21, what
+        lines += [json.loads(line) for line in done.stdout.splitlines()] if what == "events" else []
+    shared = {(line["bus"], line["id"]): line["frame"] for line in lines if line["kind"] == "shared"}
+    clocked = {(flight.bus_name(sender.bus, form), sender.ident) for sender, messages, is_shared in flight.sources()
+               if is_shared and sender.kind in ("motor", "health") and len(messages) > 30}
+    assert clocked and clocked <= set(shared)
+    assert sorted(notes) == sorted(3 * [(f"{ident:#x}", str(frame)) for (_, ident), frame in shared.items()])
+    for line in lines:
+        if line["kind"] in ("reboot", "stale", "jump", "silence", "missing") or line.get("event") in ("raised", "cleared"):
+            assert line["frame"] < shared.get((line["bus"], line["id"]), 1 << 40), line
+    done = tshark.run(*flight.arguments(form), "-q", "-r", capture, "-z", "yapp,check,shared=0", check=False)
+    assert done.returncode == 20
+
+
 # The rules of kinds of event, and the kinds that some of them count; those that are of the whole capture.
 RULES = ["fault", "crc", "incomplete", "missing", "reboot", "stale", "jump", "shared", "silence", "invalid", "clock", "dropped",
          "absent", "unknown"]

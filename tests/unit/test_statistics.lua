@@ -860,6 +860,9 @@ function T.test_a_source_that_two_controllers_share()
     lu.assertEquals(select(2, run({ what .. ",json" }, records)), 21)
   end
   lu.assertEquals(found("events,json", "kind", records, { last = 9 }), { '{"kind":"shared",}' }) -- no silence
+  local faulty = { record(1, 0, { change = raised(1, 1) }), record(2, 0.1), records[3] }
+  lu.assertEquals(found("faults,json", "active\"", faulty)[2], -- up to the last message of which that is known
+    '{,"field":"fault_flags","flag":"hot","event":"active","active":0.100000000,"help":null}')
   lu.assertEquals(verdicts("shared=0,fault=0,motor.gap=9,motor.rate=1,crc=0", records), { "shared=0 left false 1 2",
     "fault=0 left null 0 null", "motor.gap=9 left null 0.1 2", "motor.rate=1 left null 10 3", "crc=0 left true 0 null",
     "unknown=0 null true 0 null" })

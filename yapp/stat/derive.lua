@@ -137,7 +137,8 @@ end
 
 -- How a source stands: last = its latest message, at = its time, counts = whether it does; faults =
 -- those that are set, in the order in which they rose, { field, flag, help, since } each;
--- counted_faults = those that were set at counted, the latest message that counts, at counted_at.
+-- counted_faults = those that were set at counted, the latest reliable message that counts, at
+-- counted_at.
 local function state_of(self, source)
   local state = self.by_key[source.key]
   if not state then
@@ -167,7 +168,7 @@ local function note_message(self, event, now, counts)
   for _, flags in ipairs(change.flags or NOTHING) do
     note_faults(self, state, event, now, flags)
   end
-  if counts then
+  if counts and not values.is_unreliable then
     state.counted, state.counted_at, state.counted_faults = event, now, state.faults
   end
 end
