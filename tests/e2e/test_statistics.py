@@ -331,7 +331,7 @@ local function list(rows, keys)
   end
 end
 if arg[2] == "kinds" then
-  list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_default", "counts_as", "scope" })
+  list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_optional", "counts_as", "scope" })
 else
   list(require("yapp.stat.statistics").LIST, { "name" })
 end
@@ -359,7 +359,7 @@ def test_the_document_has_every_kind_of_event():
     assert {name: more.strip("` ") for name, more in keys.items() if name in [row[0] for row in kinds]} == \
         {name: more for name, more, *_ in kinds}
     assert rules == {name for name, _, _, counts_as, _ in kinds if not counts_as}
-    assert re.findall(r"\w+", alone) == [name for name, _, is_default, _, _ in kinds if is_default] == RULES
+    assert re.findall(r"\w+", alone) == [name for name, _, is_optional, counts_as, _ in kinds if not (is_optional or counts_as)] == RULES
     assert OF_CAPTURE == [name for name, *_, scope in kinds if scope == "capture"]
 
 

@@ -55,13 +55,14 @@ end
 -- Faults ------------------------------------------------------------------------------------------
 
 local function emit_fault(self, cause, now, fault, name)
-  local is_over = name ~= "raised" and fault.since
+  local active = output.seconds(name ~= "raised" and span(fault.since, now))
   emit(self, "fault", cause, now, {
     field = fault.field,
     flag = fault.flag,
     help = fault.help,
     event = name,
-    active = output.seconds(is_over and span(fault.since, now)),
+    active = active,
+    after = active and (" after %s s"):format(active.short),
   })
 end
 
@@ -115,7 +116,7 @@ end
 -- Messages ----------------------------------------------------------------------------------------
 
 local function values_of(row, value)
-  if type(value) ~= "number" then return NOTHING end
+  if row.change == true then return NOTHING end
   return { [row.change] = row.change == "length" and output.seconds(value) or value }
 end
 
@@ -150,9 +151,8 @@ local function state_of(self, source)
       counted_faults = NOTHING,
       counted = { frame = 0 },
       counted_at = nil,
-      order = #self.states + 1,
     }
-    self.by_key[source.key], self.states[state.order] = state, state
+    self.by_key[source.key], self.states[#self.states + 1] = state, state
   end
   return state
 end
@@ -217,12 +217,7 @@ end
 
 -- The faults that are still set at the last message of their source that counts.
 local function end_faults(self)
-  table.sort(self.states, function(a, b)
-    if a.counted.frame ~= b.counted.frame then
-      return a.counted.frame < b.counted.frame
-    end
-    return a.order < b.order
-  end)
+  output.sort(self.states, function(state) return state.counted.frame, 0 end)
   for _, state in ipairs(self.states) do
     for _, fault in ipairs(state.counted_faults) do
       emit_fault(self, state.counted, state.counted_at, fault, "active")

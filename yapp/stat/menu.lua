@@ -7,9 +7,6 @@ local statistics = require("yapp.stat.statistics")
 
 local M = {}
 
--- Characters in a window as it opens, 620 pixels wide, beside its scroll bar: Lua cannot make it
--- wider.
-local WIDTH = 73
 local MAX_FRAMES = 1000 -- in a display filter: more make Wireshark slow
 
 local HELP = [[
@@ -121,7 +118,7 @@ function M.register(stat)
   -- count too.
   local function show(argument)
     local row = statistics.BY_NAME[argument:match("^yapp,(%w+)")]
-    open_window(row and row.title or "", function() return stat:run(argument, WIDTH) end)
+    open_window(row and row.title or "", function() return stat:run(argument) end)
   end
 
   for _, row in ipairs(statistics.LIST) do

@@ -181,7 +181,7 @@ local function finish_check(options, catalogue)
     return
   end
   for _, kind in ipairs(kinds.RULES) do
-    if kinds.BY_NAME[kind].is_default then
+    if not kinds.BY_NAME[kind].is_optional then
       local rule = read_rule(kind .. "=0", catalogue, options.source)
       rule.is_default, rules[#rules + 1] = true, rule
     end

@@ -149,7 +149,7 @@ local function tap_filter(self, filter)
 end
 
 -- Begins a statistic.
--- context  { out, width, frames } of output.print
+-- context  { out, frames } of output.print
 local function begin(self, options, context)
   local events, row = self.queue, statistics.BY_NAME[options.what]
   local filter = options.filter and tap_filter(self, options.filter)
@@ -168,15 +168,15 @@ local function begin(self, options, context)
 end
 
 --- Run a statistic over all packets, in Wireshark.
--- text     as behind -z; width: of a line
+-- text     as behind -z
 -- returns  what it says, and what is wrong, as one text; a list of the frames that stand in it
-function Stat:run(text, width)
+function Stat:run(text)
   local options = options_of.read(text, self.settings.catalogue)
   local said, frames, problems = {}, {}, options.problems
   local function out(part) said[#said + 1] = part end
   local function run()
     open(self)
-    begin(self, options, { out = out, width = width, frames = frames })
+    begin(self, options, { out = out, frames = frames })
     retap_packets()
     return select(2, finish(self))
   end
