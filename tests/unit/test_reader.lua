@@ -234,9 +234,9 @@ end
 
 function T.test_statistics_are_told_while_they_want_it()
   local told, stat = {}, { wanted = false }
+  function stat.message(_, m) told[#told + 1] = m.id end
   local r = reader.new(TAURUS, stat)
   r:use(catalogue.assign(TAURUS, {}), (sources.parse("", TAURUS)))
-  r:tell_to { message = function(_, m) told[#told + 1] = m.id end }
   read(r, MOTOR, {})
   stat.wanted = true
   read(r, HEALTH, {})

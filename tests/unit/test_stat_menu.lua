@@ -28,7 +28,8 @@ function T.test_a_table_of_a_window()
     rel = output.seconds(1) } }
   lu.assertEquals(output.table(keys, rows, false),
     "bus   frame  source  event\ncan0      7  left    what it says at length\ncan1     12  ö\n")
-  lu.assertEquals(output.table(keys, rows, true), " at/s  source  event\n0.500  left    what it says at length\n1.000  ö\n")
+  lu.assertEquals(output.table(keys, rows, true),
+    " at/s  source  event\n0.500  left    what it says at length\n1.000  ö\n")
 end
 
 function T.test_rows_are_printed()

@@ -126,7 +126,7 @@ local function show_anomalies(self, frame, item)
   end
   if not frame.anomalies then return end
   for _, one in ipairs(frame.anomalies) do self.tree:expert(item, one.expert, one.text) end
-  if self.stat.wanted then self.reader.tell:faults(new_record(self, frame), frame.anomalies) end
+  if self.stat.wanted then self.reader.stat:faults(new_record(self, frame), frame.anomalies) end
 end
 
 -- YAPP's own item ---------------------------------------------------------------------------------
@@ -278,7 +278,7 @@ local function show_fragment(self, frame, wants, item)
     builder:generated(item, "reassembled.in", in_number)
     builder:generated(item, "message.fault", message.has_fault)
   end
-  if self.stat.wants_parts then self.reader.tell:part(new_record(self, frame)) end
+  if self.stat.wants_parts then self.reader.stat:part(new_record(self, frame)) end
   if not wants.columns then return end
   local text = fragment_text(frame)
   return in_number and ("%s  [Reassembled in #%d]"):format(text, in_number) or text
@@ -422,7 +422,7 @@ function Dissector:report_start(tvb, pinfo, id)
   local _, size = can_id.start(raw_of(tvb))
   local of_bus = self.sources[bus or false]
   local source = of_bus and of_bus[fields.id] or new_source(self, fields.id, bus or false)
-  self.reader.tell:start {
+  self.reader.stat:start {
     id = fields.id,
     seq = fields.seq,
     size = size,

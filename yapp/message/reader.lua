@@ -14,7 +14,7 @@ Reader.__index = Reader
 
 --- Make a reader.
 -- catalogue  compiled
--- stat       { wanted = whether a statistic wants messages }
+-- stat       a stat.intake, which gets messages while it is wanted
 function M.new(catalogue, stat)
   return setmetatable({
     messages = catalogue.messages,
@@ -25,14 +25,7 @@ function M.new(catalogue, stat)
     is_by_id = true, -- whether no bus has messages of its own
     has_several = false, -- whether the capture has several buses
     hinted = {}, -- [id of an unknown message] = the frame whose Info has the whole advice
-    tell = nil, -- a stat.tell
   }, Reader)
-end
-
---- Tell a statistic of messages, of losses, and of fragments, while stat.wanted.
--- tell  a stat.tell
-function Reader:tell_to(tell)
-  self.tell = tell
 end
 
 --- Forget the capture file.
@@ -193,7 +186,7 @@ function Reader:read(m, history)
   m.undecoded = raws and is_longer and m.size - message.size or nil
   m.has_fault = look and decode.has_alarm(message, raws)
   ask(m, history)
-  if self.stat.wanted then self.tell:message(m) end
+  if self.stat.wanted then self.stat:message(m) end
 end
 
 return M

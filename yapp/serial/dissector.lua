@@ -197,7 +197,7 @@ local function report_damaged(self, packet)
   local one = self.reader.stat.wanted and damaged[packet.key]
   while one do
     local loss = new_loss(self, packet, one.id, one.seq)
-    self.reader.tell:faults(loss, { { expert = "fragment.incomplete" } })
+    self.reader.stat:faults(loss, { { expert = "fragment.incomplete" } })
     one = one.before
   end
 end
@@ -287,7 +287,7 @@ local function say_incomplete(self, m)
     :format(m.missing, HEADER + m.size + CRC_SIZE)
   self.tree:expert(m.item, expert, text)
   if self.reader.stat.wanted then
-    self.reader.tell:faults(m, { { expert = expert } })
+    self.reader.stat:faults(m, { { expert = expert } })
   end
 end
 
@@ -350,7 +350,7 @@ local function show_skipped(self, packet, tvb, event)
   local quoted = text and ": " .. text or ""
   builder:expert(item, "stream.skipped", ("%s that belong to no frame%s"):format(size, quoted))
   if self.reader.stat.wanted then
-    self.reader.tell:skipped {
+    self.reader.stat:skipped {
       frame = packet.number,
       time = packet.time,
       visited = packet.visited,
@@ -488,7 +488,7 @@ function Dissector:unfinished()
   for i, open in ipairs(self.streams:unfinished()) do
     local id, _, _, seq = frame.parse(open.header, 1)
     list[i] = new_loss(self, open.packet, id, seq)
-    self.reader.tell:part(list[i])
+    self.reader.stat:part(list[i])
   end
   return list
 end
