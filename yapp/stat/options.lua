@@ -7,27 +7,13 @@ local statistics = require("yapp.stat.statistics")
 
 local M = {}
 
-local demand, set = input.demand, input.set
+local demand, find, set, trim = input.demand, input.find, input.set, input.trim
 
 local COUNTED = set(table.concat(kinds.RULES, " ")) -- what may happen N times
 local RULES = table.concat(kinds.RULES, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=A..B, " ..
   "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X"
 local RANGE = "a range is A..B, A.. or ..B"
 local MAX_FILE = 2 ^ 20 -- bytes of a file of rules
-
--- What has a name in a list; else nil and the names that there are.
-local function find(list, name)
-  local names = {}
-  for i, one in ipairs(list) do
-    if one.name == name then return one end
-    names[i] = one.name
-  end
-  return nil, table.concat(names, ", ")
-end
-
-local function trim(text)
-  return text:match("^%s*(.-)%s*$")
-end
 
 -- A number as people write it; nil for a hexadecimal one, nan, inf or a text.
 local function number(text)
