@@ -333,7 +333,7 @@ end
 if arg[2] == "kinds" then
   list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_optional", "counts_as", "scope" })
 else
-  list(require("yapp.stat.statistics").LIST, { "name" })
+  list(require("yapp.stat.options").LIST, { "name" })
 end
 """
 
@@ -344,7 +344,7 @@ def rows_of(what):
     return [line.split("|") for line in done.stdout.splitlines()]
 
 
-WHATS = [row[0] for row in rows_of("statistics")]
+WHATS = [row[0] for row in rows_of("options")]
 PAGE = (tshark.ROOT / "docs/statistics.md").read_text("utf-8")
 
 

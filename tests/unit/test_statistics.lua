@@ -9,7 +9,6 @@ local kinds_of = require("yapp.stat.kinds")
 local options_of = require("yapp.stat.options")
 local queue_of = require("yapp.stat.queue")
 local sources_of = require("yapp.message.sources")
-local statistics = require("yapp.stat.statistics")
 
 local T = {}
 
@@ -87,7 +86,7 @@ local function run(arguments, records, with)
     local context = { out = function(text) printed[#printed + 1] = text end, settings = settings,
       clock = function(rel) return queue:clock(rel) end, frames = with.frames, make_folder = with.make_folder,
       json = options.json }
-    local row = statistics.BY_NAME[options.what]
+    local row = options_of.BY_NAME[options.what]
     local statistic, problem = row.new(options, context)
     if not statistic then return nil, nil, { problem } end
     matched = queue:add(statistic, { filter = with.matches, has_notes = not (options.json or row.is_data) }).matched

@@ -2,8 +2,8 @@
 -- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, and help.
 -- Wireshark's API.
 
+local options_of = require("yapp.stat.options")
 local output = require("yapp.stat.output")
-local statistics = require("yapp.stat.statistics")
 
 local M = {}
 
@@ -103,7 +103,7 @@ local help
 
 local function open_help()
   local lines = ""
-  for _, row in ipairs(statistics.LIST) do
+  for _, row in ipairs(options_of.LIST) do
     lines = lines .. ("%-15s%s\n"):format(row.title, row.help)
   end
   help = TextWindow.new("YAPP Help")
@@ -117,11 +117,11 @@ function M.register(stat)
   -- The statistic runs when its window opens, and again by its button: packets that have come since
   -- count too.
   local function show(argument)
-    local row = statistics.BY_NAME[argument:match("^yapp,(%w+)")]
+    local row = options_of.BY_NAME[argument:match("^yapp,(%w+)")]
     open_window(row and row.title or "", function() return stat:run(argument) end)
   end
 
-  for _, row in ipairs(statistics.LIST) do
+  for _, row in ipairs(options_of.LIST) do
     local argument = "yapp," .. row.name
     local function answered(answer)
       if answer then

@@ -6,7 +6,6 @@ local menu = require("yapp.stat.menu")
 local options_of = require("yapp.stat.options")
 local output = require("yapp.stat.output")
 local queue = require("yapp.stat.queue")
-local statistics = require("yapp.stat.statistics")
 
 local M = {}
 
@@ -151,7 +150,7 @@ end
 -- Begins a statistic.
 -- context  { out, frames } of output.print
 local function begin(self, options, context)
-  local events, row = self.queue, statistics.BY_NAME[options.what]
+  local events, row = self.queue, options_of.BY_NAME[options.what]
   local filter = options.filter and tap_filter(self, options.filter)
   function context.clock(rel) return events:clock(rel) end
   context.json, context.make_folder, context.settings = options.json, make_folder, self.settings
@@ -241,7 +240,7 @@ function Stat:register()
       os.exit(output.EXIT_UNDECIDED)
     end
   end
-  for _, row in ipairs(statistics.LIST) do
+  for _, row in ipairs(options_of.LIST) do
     register_stat_cmd_arg("yapp," .. row.name, run)
   end
   register_stat_cmd_arg("yapp", run) -- the longest name that fits is called: else this one
