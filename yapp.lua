@@ -84,7 +84,6 @@ preferences.define(yapp, catalogue, decode, MAX_ID)
 local buses = bus_finder.watch()
 local intake = stat_intake.new()
 local reader = message_reader.new(catalogue, intake)
-reader:tell_to(intake)
 local tree = tree_builder.new {
   yapp = yapp,
   taurus = taurus,

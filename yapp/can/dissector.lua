@@ -134,7 +134,7 @@ local function show_anomalies(self, frame, item)
   end
   if not frame.anomalies then return end
   for _, one in ipairs(frame.anomalies) do self.tree:expert(item, one.expert, one.text) end
-  if self.stat.wanted then self.reader.tell:faults(new_record(self, frame), frame.anomalies) end
+  if self.stat.wanted then self.reader.stat:faults(new_record(self, frame), frame.anomalies) end
 end
 
 -- YAPP's own item ---------------------------------------------------------------------------------
@@ -283,7 +283,7 @@ local function show_fragment(self, frame, wants, item)
     builder:generated(item, "reassembled.in", in_number)
     builder:generated(item, "message.fault", message.has_fault)
   end
-  if self.stat.wants_parts then self.reader.tell:part(new_record(self, frame)) end
+  if self.stat.wants_parts then self.reader.stat:part(new_record(self, frame)) end
   if not wants.columns then return end
   local text = fragment_text(frame)
   return in_number and ("%s  [Reassembled in #%d]"):format(text, in_number) or text
@@ -427,7 +427,7 @@ function Dissector:report_start(tvb, pinfo, find_id)
   local fields = id and fields_of[id]
   if not fields or fields.ctrl ~= START or fields.ctl ~= 0 then return end
   local frame = new_frame(self, tvb, pinfo, nil, id, false)
-  self.reader.tell:start(new_record(self, frame, nil, nil, nil, nil, size))
+  self.reader.stat:start(new_record(self, frame, nil, nil, nil, nil, size))
 end
 
 --- Return the messages that the capture ends before.

@@ -28,7 +28,7 @@ local LOSSES = {
 local KIND_OF = { bad = "crc", unverified = "incomplete", single = "incomplete" }
 local INCOMPLETE = { what = "incomplete" }
 local DEFINED = { ["value.special"] = true, ["fault.active"] = true } -- remarks on defined values
-local EFFECTS = { ["command.key.invalid"] = "the controller ignores this command" }
+local EFFECTS = { ["command.key.invalid"] = " (the controller ignores this command)" }
 
 local Intake = {}
 Intake.__index = Intake

@@ -2,14 +2,11 @@
 -- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, and help.
 -- Wireshark's API.
 
+local options_of = require("yapp.stat.options")
 local output = require("yapp.stat.output")
-local statistics = require("yapp.stat.statistics")
 
 local M = {}
 
--- Characters in a window as it opens, 620 pixels wide, beside its scroll bar: Lua cannot make it
--- wider.
-local WIDTH = 73
 local MAX_FRAMES = 1000 -- in a display filter: more make Wireshark slow
 
 local HELP = [[
@@ -106,7 +103,7 @@ local help
 
 local function open_help()
   local lines = ""
-  for _, row in ipairs(statistics.LIST) do
+  for _, row in ipairs(options_of.LIST) do
     lines = lines .. ("%-15s%s\n"):format(row.title, row.help)
   end
   help = TextWindow.new("YAPP Help")
@@ -120,11 +117,11 @@ function M.register(stat)
   -- The statistic runs when its window opens, and again by its button: packets that have come since
   -- count too.
   local function show(argument)
-    local row = statistics.BY_NAME[argument:match("^yapp,(%w+)")]
-    open_window(row and row.title or "", function() return stat:run(argument, WIDTH) end)
+    local row = options_of.BY_NAME[argument:match("^yapp,(%w+)")]
+    open_window(row and row.title or "", function() return stat:run(argument) end)
   end
 
-  for _, row in ipairs(statistics.LIST) do
+  for _, row in ipairs(options_of.LIST) do
     local argument = "yapp," .. row.name
     local function answered(answer)
       if answer then
