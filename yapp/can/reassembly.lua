@@ -196,8 +196,9 @@ local function check_start(self, frame, size, reserved)
   end
 end
 
--- Whether a Start is YAPP's.  If the user does not say so, it must be plausible; and an unknown ID must have no Seq, or
--- have had a Start without one before.  Of a known ID it may be truncated.
+-- Return whether a Start is YAPP's.  If the user does not say so, it must be plausible, and an
+-- unknown ID must have no Seq, or have had a Start without one before.  That of a known ID may be
+-- truncated.
 local function is_plausible(self, frame, size, reserved)
   local fields, is_known = frame.can_id, frame.source.size
   if frame.accepts_all then return true end
