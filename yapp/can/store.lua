@@ -8,7 +8,8 @@
 --   texts[1] = "|\3\1\2" and the payload: "!" where a fault is set; number of fragments;
 --              distances of their packets
 --
--- Any other message is kept as it is, in broken[starts[i]]: its text is "|" or "!" alone.
+-- A Start of 32 bytes without any fragment behind it is "-32".  Any other message is kept as it is,
+-- in broken[1]: its text is "|" or "!" alone.
 
 local can_id = require "yapp.wire.can_id"
 local crc = require "yapp.wire.crc"
@@ -25,7 +26,7 @@ local PACKET = frame_key.PACKET
 local CHARS = {}
 for packets = 1, 255 do CHARS[packets * PACKET] = string.char(packets) end
 
-local FAULT = byte("!")
+local FAULT, LONE = byte("!"), byte("-")
 local MAX_BEFORE = 8 -- messages of a slot that may begin behind one and before it ends
 
 local DUPLICATE = {
@@ -41,7 +42,6 @@ function M.new()
   return setmetatable({
     slots = {}, -- [slot] = see new_slot
     buses = {}, -- [bus] = true where it has slots
-    broken = {}, -- [frame key of a Start] = its message, if that is not packed
     anomalies = {}, -- [frame key] = list
     originals = {}, -- [frame key of a fragment that came twice] = that of the fragment it repeats
   }, Store)
@@ -52,6 +52,7 @@ local function new_slot(source)
     source = source,
     starts = {}, -- frame keys, which ascend
     texts = {},
+    broken = {}, -- messages, false for one that is packed
     deltas = {},
     latest = {}, -- the message that was found last
     at = 0, -- its index
@@ -59,18 +60,18 @@ local function new_slot(source)
   }
 end
 
--- Return what a text has behind its first character; nil for a message that is not packed.
-local function pack(message)
-  local count = CHARS[#message * PACKET]
-  if message.status ~= "good" or message.reserved or message.padding then return nil end
-  if not count then return nil end
-  local distances = ""
+-- Return the text of a message; nil for one that is not packed.
+local function pack(message, has_fault)
+  local count, distances = CHARS[#message * PACKET], ""
+  if message.reserved or message.padding or not count then return nil end
+  if message.status == "superseded" and #message == 1 then return "-" .. message.size end
+  if message.status ~= "good" then return nil end
   for i = 2, #message do
     local distance = CHARS[message[i] - message[i - 1]]
     if not distance then return nil end
     distances = distances .. distance
   end
-  return count .. distances .. message.payload
+  return (has_fault and "!" or "|") .. count .. distances .. message.payload
 end
 
 --- Keep a message that has ended.
@@ -83,11 +84,11 @@ function Store:keep(message, delta, has_fault)
     self.slots[message.slot] = slot
     self.buses[can_id.bus(message.slot)] = true
   end
-  local start, packed = message[1], pack(message)
-  if not packed then self.broken[start] = message end
+  local start, text = message[1], pack(message, has_fault)
   local at = last_until(slot.starts, start, #slot.starts) + 1
   insert(slot.starts, at, start)
-  insert(slot.texts, at, (has_fault and "!" or "|") .. (packed or ""))
+  insert(slot.texts, at, text or has_fault and "!" or "|")
+  insert(slot.broken, at, not text and message)
   insert(slot.deltas, at, delta)
   for key, original in pairs(message.duplicates or NONE) do self.originals[key] = original end
 end
@@ -121,18 +122,21 @@ function Store:drop(key, message)
     if number_of(message[i]) == number_of(key) then message[i] = message[i] - 0.5 end
   end
   if not slot then return end
-  self.broken[message[1]] = message
-  slot.starts[at], slot.texts[at] = message[1], sub(slot.texts[at], 1, 1)
+  slot.starts[at], slot.texts[at], slot.broken[at] = message[1], sub(slot.texts[at], 1, 1), message
 end
 
 -- Return the message of a slot with this index.
-local function message_at(self, slot, at, fields)
+local function message_at(slot, at, fields)
   local text, key, delta = slot.texts[at], slot.starts[at], slot.deltas[at]
   local has_fault = byte(text) == FAULT
   if #text == 1 then
-    local message = self.broken[key]
+    local message = slot.broken[at]
     message.delta, message.has_fault = delta, has_fault
     return message
+  end
+  if byte(text) == LONE then
+    return { key, source = slot.source, delta = delta, has_fault = false, status = "superseded",
+      size = tonumber(sub(text, 2)) }
   end
   local count = byte(text, 2)
   local payload = sub(text, count + 2)
@@ -155,7 +159,7 @@ end
 
 -- Return the message of a slot that has a frame as a fragment, and the index of the fragment; nil
 -- for none.  A good message has the frame; a broken one only seemed to have it.
-local function find_in(self, slot, key, fields)
+local function find_in(slot, key, fields)
   local latest, found = slot.latest, nil
   local index = last_until(latest, key, slot.index + 1)
   if latest[index] == key and latest.status == "good" then
@@ -164,7 +168,7 @@ local function find_in(self, slot, key, fields)
   end
   local last = last_until(slot.starts, key, slot.at + 1)
   for at = last, max(last - MAX_BEFORE, 1), -1 do
-    local message = message_at(self, slot, at, fields)
+    local message = message_at(slot, at, fields)
     local is_good = message.status == "good"
     index = last_until(message, key)
     if message[index] == key and (is_good or not found) then
@@ -181,12 +185,12 @@ function Store:find(frame)
   local slots, fields, key = self.slots, frame.can_id, self.originals[frame.key] or frame.key
   local slot = slots[frame.slot]
   local found, index
-  if slot then found, index = find_in(self, slot, key, fields) end
+  if slot then found, index = find_in(slot, key, fields) end
   if found then return found, index end
   -- Behind a packet that a read filter dropped no bus is known.
   for bus in pairs(self.buses) do
     slot = slots[can_id.slot(fields, bus)]
-    if slot then found, index = find_in(self, slot, key, fields) end
+    if slot then found, index = find_in(slot, key, fields) end
     if found then return found, index end
   end
 end
