@@ -110,6 +110,31 @@ local function open_help()
   help:set(HELP:format(lines))
 end
 
+-- Items in the menu of a packet, Wireshark 4.4 and later: title, a field that the packet must have,
+-- and the display filter that its values make.
+local PACKET_ITEMS = {
+  { "Only this controller", "yapp.source", "yapp.source in {%s}" },
+  { "Faults of this controller", "yapp.source",
+    "yapp.source in {%s} && (taurus.fault.raised || taurus.fault.cleared)" },
+  { "Whole message", "yapp.reassembled.in", "yapp.reassembled.in in {%s}" },
+}
+
+-- Adds an item to the menu of a packet.
+local function register_packet_item(title, name, filter)
+  register_packet_menu("YAPP/" .. title, function(...)
+    local values = {}
+    for _, field in ipairs { ... } do
+      if field.name == name then
+        local text = tostring(field.value)
+        local is_string = type(field.value) == "string"
+        values[#values + 1] = is_string and '"' .. text:gsub('[\\"]', "\\%0") .. '"' or text
+      end
+    end
+    set_filter(filter:format(table.concat(values, ", ")))
+    apply_filter()
+  end, name)
+end
+
 --- Make the menus.
 -- stat     of stat.taps
 -- returns  function(text), which opens the window of an argument of -z
@@ -137,6 +162,9 @@ function M.register(stat)
     register_menu("YAPP " .. row.title, action, MENU_STAT_UNSORTED)
   end
   register_menu("YAPP/Help", open_help, MENU_TOOLS_UNSORTED)
+  if register_packet_menu then
+    for _, item in ipairs(PACKET_ITEMS) do register_packet_item(item[1], item[2], item[3]) end
+  end
   return show
 end
 
