@@ -17,14 +17,12 @@ define install-missing
 	@missing=; for command in $(1); do command -v $$command >/dev/null || missing=1; done; \
 	$(or $(3),true) || missing=1; \
 	if [ -n "$$missing" ]; then \
-	  if ! command -v apt-get >/dev/null || ! command -v $(or $(SUDO),true) >/dev/null; then \
-	    echo "Something is missing of: $(2)"; \
-	    echo "Install it as root, on Debian and Ubuntu by: apt-get install --no-install-recommends $(2)"; \
-	    exit 1; \
-	  fi; \
-	  echo "Installing: $(2)"; \
+	  command -v apt-get >/dev/null && command -v $(or $(SUDO),true) >/dev/null && echo "Installing: $(2)" && \
 	  $(SUDO) apt-get update -qq && $(SUDO) env DEBIAN_FRONTEND=noninteractive \
-	    apt-get install -y -qq --no-install-recommends $(2) >/dev/null; \
+	    apt-get install -y -qq --no-install-recommends $(2) >/dev/null || { \
+	      echo "This could not be installed: $(2)"; \
+	      echo "Install it as root, on Debian and Ubuntu by: apt-get install --no-install-recommends $(2)"; \
+	      exit 1; }; \
 	fi
 endef
 
@@ -58,8 +56,10 @@ test-all:
 	tests/matrix --rest
 	$(MAKE) fuzz FRAMES=$(or $(FRAMES),20000)
 
+## The code, and the pages: lengths, plain words, links
 lint: needs-tests
 	luacheck -q .
+	pytest-3 -q -p no:cacheprovider tests/lint
 
 # Wireshark has Lua 5.2 or 5.4; 5.5, which will come, is tried where it is.
 unit: needs-tests
@@ -122,9 +122,12 @@ filters: needs-tshark needs-python
 screenshots:
 	tests/screenshots
 
-## For the user who runs it: plugin, live ports, profile; what was changed is kept.  And out of it
-install uninstall: needs-tshark needs-python
-	@/usr/bin/env python3 tools/install.py $@
+## For the user who runs it: plugin, live ports, profile; what was changed is kept.  And out of it; PURGE=1: what was changed, too
+install: needs-tshark needs-python
+	@/usr/bin/env python3 tools/install.py install
+
+uninstall: needs-python
+	@/usr/bin/env python3 tools/install.py uninstall $(if $(PURGE),--purge)
 
 ## What a release has: the zip for every desktop, the profile's, the samples', the wheel of yapp-tables, their sums
 dist: needs-hatchling

@@ -84,7 +84,6 @@ preferences.define(yapp, catalogue, decode, MAX_ID)
 local buses = bus_finder.watch()
 local intake = stat_intake.new()
 local reader = message_reader.new(catalogue, intake)
-reader:tell_to(intake)
 local tree = tree_builder.new {
   yapp = yapp,
   taurus = taurus,
@@ -108,28 +107,33 @@ end
 local frames = can_dissector.new(tree, reader, buses, register_id)
 local streams = serial_dissector.new(tree, reader, buses, tcp_header)
 
--- What the capture does not have: packets that it says were dropped, and segments of TCP.
-local function drops()
-  local list = {}
-  for _, source in ipairs { buses, streams } do
-    for _, drop in ipairs(source:drops()) do list[#list + 1] = drop end
+local function joined(...)
+  local joint = {}
+  for _, list in ipairs { ... } do
+    for _, item in ipairs(list) do joint[#joint + 1] = item end
   end
-  return list
+  return joint
 end
+
+-- What the capture does not have: packets that it says were dropped, and segments of TCP.
+local function drops() return joined(buses:drops(), streams:drops()) end
+local function unfinished() return joined(frames:unfinished(), streams:unfinished()) end
 
 -- What the statistics need of the preferences; see read_preferences.
 local settings = { version = VERSION, catalogue = catalogue }
-local function unfinished()
-  local messages = frames:unfinished()
-  for _, message in ipairs(streams:unfinished()) do messages[#messages + 1] = message end
-  return messages
-end
+
 -- Dissectors --------------------------------------------------------------------------------------
+
+-- Return the CAN id of a frame that no table of ids found, as socketcan.find_id does.
+local function find_id(pinfo)
+  local can_id, is_unknown = socketcan.find_id(pinfo)
+  socketcan.wrap(header) -- from the next frame on the id is known
+  return can_id, is_unknown
+end
 
 -- Decode As on CAN: every extended data frame is YAPP's.
 function all.dissector(tvb, pinfo, root)
-  local can_id, is_unknown = socketcan.find_id(pinfo)
-  socketcan.wrap(header) -- from the next frame on the id is known
+  local can_id, is_unknown = find_id(pinfo)
   if can_id then return frames:dissect(tvb, pinfo, root, can_id, true) end
   return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
 end
@@ -140,11 +144,7 @@ local takes_all, is_heuristic = false, false -- takes_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
   if takes_all then return all.dissector(tvb, pinfo, root) > 0 end
-  if intake.wanted and frames:is_start(tvb) then
-    local can_id = socketcan.find_id(pinfo)
-    socketcan.wrap(header) -- from the next frame on the id is known
-    if can_id then frames:report_start(tvb, pinfo, can_id) end
-  end
+  if intake.wanted then frames:report_start(tvb, pinfo, find_id) end
   return false
 end
 
@@ -159,12 +159,9 @@ local function take_all()
   watch_unclaimed()
 end
 
--- Called from the table of ids, where match_uint is the CAN id; and by Decode As of TCP and UDP
--- under the name that version 1 had for it, where match_uint is the port.
+-- Called from the table of ids, where match_uint is the CAN id.
 function yapp.dissector(tvb, pinfo, root)
-  local can_id = pinfo.match_uint
-  if can_id <= 0xFFFF and pinfo.port_type ~= 0 then return streams:dissect(tvb, pinfo, root) end
-  return frames:dissect(tvb, pinfo, root, can_id, takes_all)
+  return frames:dissect(tvb, pinfo, root, pinfo.match_uint, takes_all)
 end
 
 function serial.dissector(tvb, pinfo, root)
@@ -289,13 +286,13 @@ end
 -- Starts of unknown messages, of those that do not number themselves.
 for id = 0, MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
 stat:register()
-for name, protos in pairs {
-  ["can.subdissector"] = { all },
-  ["tcp.port"] = { serial, yapp },
-  ["udp.port"] = { serial, yapp },
-  ["rtacser.data"] = { serial },
+for name, proto in pairs {
+  ["can.subdissector"] = all,
+  ["tcp.port"] = serial,
+  ["udp.port"] = serial,
+  ["rtacser.data"] = serial,
 } do
-  for _, proto in ipairs(protos) do DissectorTable.get(name):add_for_decode_as(proto) end
+  DissectorTable.get(name):add_for_decode_as(proto)
 end
 file_readers.register {
   new_framer = function() return streams:new_framer(frame.LARGEST) end,

@@ -10,11 +10,14 @@ Wireshark runs this file by itself, once it lies in the extcap folder; docs/live
 Python 3.7 or later.  Serial ports need nothing else on Linux and macOS, and pyserial on Windows; CAN needs python-can.
 """
 import argparse
+import collections
+import contextlib
 import glob
 import importlib.util
 import os
 import queue
 import select
+import shutil
 import signal
 import struct
 import sys
@@ -28,15 +31,24 @@ except ImportError:  # Windows
     termios = None
 
 VERSION = "2.2.0"
-LINK_EXPORTED_PDU, LINK_CAN = 252, 227
 PAUSE = 0.002  # seconds: bytes with no longer pause between them are one packet,
 LONGEST = 0.02  # of no more seconds than this,
 LARGEST = 4096  # and no more bytes
+EXPORTED_PDU = struct.pack(">HH", 12, 12) + b"yapp_serial\0" + bytes(4)  # the dissector's name, in front of its bytes
 WAIT = 0.2  # seconds, after which a source looks whether it is to stop
+STUCK = 2  # seconds in which a reader that is not stuck reads a packet
+MAX_WAITING = 1 << 25  # bytes that a reader may be behind: 100 s of the fastest serial line
 
 
 class Problem(Exception):
-    """What ends a capture, as a sentence that says what to do."""
+    """What ends a capture, as a sentence that says what was wrong, where, and what to do."""
+
+
+def needed(name, package):
+    """A Python package is missing: says what installs it.  Debian's own Python takes it from apt."""
+    is_debians = sys.executable.startswith("/usr/bin/") and shutil.which("apt")
+    command = f"sudo apt install {package}" if is_debians else f"{sys.executable} -m pip install {name}"
+    return Problem(f"{name} is needed: {command}")
 
 
 # pcapng ---------------------------------------------------------------------------------------------------------------
@@ -63,10 +75,12 @@ def head_of_file(link, names):
     return b"".join(blocks)
 
 
-def packet(interface, nanoseconds, data, outbound):
+def packet(interface, nanoseconds, data, lost):
+    """A packet; the second interface is the other direction.  lost: number of packets dropped in front of it."""
     high, low = divmod(nanoseconds, 1 << 32)
-    flags = option(2, struct.pack("=I", 2 if outbound else 1)) + option(0, b"")
-    return block(6, struct.pack("=5I", interface, high, low, len(data), len(data)) + padded(data) + flags)
+    options = option(2, struct.pack("=I", 2 if interface else 1))  # epb_flags: direction
+    options += option(4, struct.pack("=Q", lost)) if lost else b""  # epb_dropcount
+    return block(6, struct.pack("=5I", interface, high, low, *[len(data)] * 2) + padded(data) + options + option(0, b""))
 
 
 # Serial ports ---------------------------------------------------------------------------------------------------------
@@ -75,49 +89,43 @@ def serial_ports():
     """The ports there are, by name; none is opened."""
     if termios is None:
         import winreg  # pylint: disable=import-outside-toplevel,import-error
-        try:
-            with winreg.OpenKey(winreg.HKEY_LOCAL_MACHINE, r"HARDWARE\DEVICEMAP\SERIALCOMM") as key:
-                return sorted(winreg.EnumValue(key, i)[1] for i in range(winreg.QueryInfoKey(key)[1]))
-        except OSError:
-            return []
-    found = [path for pattern in ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyS*", "ttyTHS*", "ttymxc*", "rfcomm*", "cu.*")
-             for path in glob.glob("/dev/" + pattern)]
+        key = r"HARDWARE\DEVICEMAP\SERIALCOMM"
+        with contextlib.suppress(OSError), winreg.OpenKey(winreg.HKEY_LOCAL_MACHINE, key) as key:
+            return sorted(winreg.EnumValue(key, i)[1] for i in range(winreg.QueryInfoKey(key)[1]))
+        return []
+    patterns = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyS*", "ttyTHS*", "ttymxc*", "rfcomm*", "cu.*")
+    found = [path for pattern in patterns for path in glob.glob("/dev/" + pattern)]
     return sorted(path for path in found if not is_empty_slot(path))
 
 
 def is_empty_slot(path):
     """Whether a ttyS of Linux has no hardware behind it."""
-    try:
-        with open(f"/sys/class/tty/{os.path.basename(path)}/type", encoding="ascii") as file:
-            return "/ttyS" in path and file.read().strip() == "0"
-    except OSError:
-        return False
+    with contextlib.suppress(OSError), open(f"/sys/class/tty/{os.path.basename(path)}/type", encoding="ascii") as file:
+        return "/ttyS" in path and file.read().strip() == "0"
+    return False
 
 
-def owner_of_lock(port):
-    """The number of the process that took the port in the old way, a file in /var/lock, as minicom and pppd do."""
-    try:
-        with open("/var/lock/LCK.." + os.path.basename(port), encoding="ascii") as file:
-            number = int(file.read())
-        os.kill(number, 0)
-    except PermissionError:
-        return number
-    except (OSError, ValueError):
-        return None
-    return number
+def is_locked(port):
+    """Whether a program that runs took the port by a file with its number in /var/lock, as minicom and pppd do."""
+    lock = "/var/lock/LCK.." + os.path.basename(port)
+    with contextlib.suppress(OSError, ValueError), open(lock, encoding="ascii") as file:
+        return os.path.exists(f"/proc/{int(file.read())}")
+    return False
 
 
 def not_permitted(port):
     import grp  # pylint: disable=import-outside-toplevel
-    group = grp.getgrgid(os.stat(port).st_gid).gr_name
-    return Problem(f"{port} may not be read by this user. It belongs to the group {group}: "
-                   f"sudo usermod -aG {group} $USER, then log out and in again")
+    status, advice = os.stat(port), f"Until it is plugged in again, this permits it: sudo chown $USER {port}"
+    for group in grp.getgrall():
+        if group.gr_gid == status.st_gid != 0 and status.st_mode & 0o040:  # never into the group of root
+            advice = f"It belongs to the group {group.gr_name}: sudo usermod -aG {group.gr_name} $USER, then log out and in again"
+    return Problem(f"{port} may not be read by this user. {advice}")
 
 
 def open_port(port):
     """A file descriptor of the port, ours alone."""
     busy = Problem(f"{port} is in use by another program: close that one, then start again")
-    if owner_of_lock(port):
+    if is_locked(port):
         raise busy
     try:
         fd = os.open(port, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
@@ -137,24 +145,23 @@ def open_port(port):
     return fd
 
 
-def set_line(fd, options):
+def set_line(fd, port, options):
     """8 data bits, as they come: no flow control, no translation."""
     rate = getattr(termios, f"B{options.baud}", None)
     control = termios.CS8 | termios.CREAD | termios.CLOCAL
     control |= {"none": 0, "even": termios.PARENB, "odd": termios.PARENB | termios.PARODD}[options.parity]
     control |= termios.CSTOPB if options.stopbits == "2" else 0
-    attributes = termios.tcgetattr(fd)
-    attributes[:4] = [0, 0, control, 0]
-    attributes[4:6] = [rate or termios.B38400] * 2
-    attributes[6][termios.VMIN], attributes[6][termios.VTIME] = 1, 0
     try:
+        attributes = termios.tcgetattr(fd)
+        attributes[:6] = [0, 0, control, 0, *[rate or termios.B38400] * 2]
+        attributes[6][termios.VMIN], attributes[6][termios.VTIME] = 1, 0
+        termios.tcflush(fd, termios.TCIFLUSH)
         termios.tcsetattr(fd, termios.TCSANOW, attributes)
         if not rate:
             set_unusual_rate(fd, options.baud)
-        termios.tcflush(fd, termios.TCIFLUSH)
     except (OSError, termios.error) as problem:
-        raise Problem(f"{options.port} cannot be set to {options.baud} baud, parity {options.parity}, {options.stopbits} stop "
-                      f"bits: {problem.args[-1]}") from problem
+        line = f"{options.baud} baud, parity {options.parity}, {options.stopbits} stop bits"
+        raise Problem(f"{port} cannot be set to {line}: {problem.args[-1]}. Choose what the adapter can do") from problem
 
 
 def set_unusual_rate(fd, baud):
@@ -170,89 +177,71 @@ def set_unusual_rate(fd, baud):
         fcntl.ioctl(fd, 0x402C542B, settings)  # TCSETS2
 
 
-def pieces(port, options):
-    """Yields nothing once, when the port is open; then (time in ns, bytes) of what comes, until the port is gone."""
+def open_by_termios(port, options):
+    """Opens a port; returns how to read so many bytes, waiting so many seconds for the first, and how to close it."""
     fd = open_port(port)
-    try:
-        set_line(fd, options)
-        yield None
-        while not options.stop.is_set():
-            if select.select([fd], [], [], WAIT)[0]:
-                yield from piece(fd, port)
-    finally:
-        try:
+    set_line(fd, port, options)
+
+    def read(count, seconds):
+        data = select.select([fd], [], [], seconds)[0] and os.read(fd, count)
+        if data == b"":
+            raise OSError("hung up")
+        return data or b""
+
+    def close():
+        with contextlib.suppress(OSError):  # gone
             fcntl.ioctl(fd, termios.TIOCNXCL)  # somebody else may have it open
-        except OSError:
-            pass  # gone
         os.close(fd)
+    return read, close
 
 
-def piece(fd, port):
-    """What comes now, up to a pause."""
-    data, now, end = b"", time.time_ns(), time.monotonic() + LONGEST
-    try:
-        while len(data) < LARGEST and time.monotonic() < end and select.select([fd], [], [], PAUSE)[0]:
-            more = os.read(fd, LARGEST - len(data))
-            if not more:
-                raise OSError("hung up")
-            data += more
-    except OSError as problem:
-        if data:
-            yield now, data
-        raise gone(port) from problem
-    if data:
-        yield now, data
-
-
-def gone(port):
-    return Problem(f"{port} is gone: was it unplugged? What was captured is kept. Plug it in and start again")
-
-
-def pieces_by_pyserial(port, options):
+def open_by_pyserial(port, options):
     """The same on Windows."""
     try:
         import serial  # pylint: disable=import-outside-toplevel
     except ImportError as problem:
-        raise Problem(f"pyserial is needed: {sys.executable} -m pip install pyserial") from problem
+        raise needed("pyserial", "python3-serial") from problem
     try:
-        line = serial.Serial(port, options.baud, parity=options.parity[0].upper(), stopbits=int(options.stopbits), timeout=WAIT)
+        line = serial.Serial(port, options.baud, parity=options.parity[0].upper(), stopbits=int(options.stopbits))
     except (OSError, ValueError) as problem:
-        raise Problem(f"{port} cannot be opened: {problem}. Is it plugged in, or open in another program? Ports: "
-                      f"{', '.join(serial_ports()) or 'none'}") from problem
-    yield None
-    while not options.stop.is_set():
-        try:
-            data, now, end = line.read(1), time.time_ns(), time.monotonic() + LONGEST
-            while data and time.monotonic() < end:
-                time.sleep(PAUSE)
-                if not line.in_waiting:
-                    break
-                data += line.read(line.in_waiting)
-        except OSError as problem:
-            raise gone(port) from problem
-        if data:
-            yield now, data
+        raise Problem(f"{port} cannot be opened: {problem}. Plug it in, or close the program that has it open") from problem
 
-
-def exported_pdu(data, dissector=b"yapp_serial"):
-    """A packet of link type 252: the dissector's name, then its bytes."""
-    return struct.pack(">HH", 12, len(padded(dissector))) + padded(dissector) + bytes(4) + data
+    def read(count, seconds):
+        line.timeout = seconds
+        return line.read(1) + line.read(min(line.in_waiting, count - 1))
+    return read, line.close
 
 
 def serial_packets(port, options):
-    """Yields nothing once, when the port is open; then (time in ns, packet) of what comes."""
+    """Yields nothing once, when the port is open; then (time in ns, packet) of what comes up to a pause."""
     if not port:
-        raise Problem("no port was chosen. In Wireshark: the wheel beside the interface; tshark: -o extcap.yapp_serial.port:"
-                      f"{(serial_ports() or ['/dev/ttyUSB0'])[0]}")
+        name = (serial_ports() or ["/dev/ttyUSB0"])[0]
+        raise Problem(f"no port was chosen: click the wheel beside the interface, or use -o extcap.yapp_serial.port:{name}")
     if options.port == options.second:
         raise Problem(f"{port} is both ports: choose the one with the other direction as the second, or none")
-    for got in (pieces if termios else pieces_by_pyserial)(port, options):
-        yield got and (got[0], exported_pdu(got[1]))
+    read, close = (open_by_termios if termios else open_by_pyserial)(port, options)
+    yield None
+    gone = None
+    while not gone and not options.stop.is_set():
+        data = b""
+        try:
+            data = more = read(LARGEST, WAIT)
+            now, end = time.time_ns(), time.monotonic() + LONGEST
+            while more and len(data) < LARGEST and time.monotonic() < end:
+                more = read(LARGEST - len(data), PAUSE)
+                data += more
+        except OSError as problem:
+            gone = problem
+        if data:
+            yield now, EXPORTED_PDU + data
+    close()
+    if gone:
+        raise Problem(f"{port} is gone: was it unplugged? What was captured is kept. Plug it in and start again") from gone
 
 
 def serial_sources(options):
-    """The name of each source, and what it gives; the second is the other direction."""
-    return [(port, serial_packets(port, options)) for port in [options.port, *filter(None, [options.second])]]
+    port, second = ("" if port == "none" else port for port in (options.port, options.second))
+    return [(name, serial_packets(name, options)) for name in [port, *filter(None, [second])]]
 
 
 # CAN ------------------------------------------------------------------------------------------------------------------
@@ -269,17 +258,14 @@ def can_packet(message):
 def can_frames(options):
     """Yields nothing once, when the adapter is open; then (time in ns, packet) of what comes."""
     if not options.adapter:
-        raise Problem("no adapter was chosen. In Wireshark: the wheel beside the interface; tshark: -o "
-                      "extcap.yapp_can.adapter:pcan -o extcap.yapp_can.channel:PCAN_USBBUS1")
+        raise Problem("no adapter was chosen: click the wheel beside the interface, or use -o extcap.yapp_can.adapter:pcan")
     try:
         import can  # pylint: disable=import-outside-toplevel
     except ImportError as problem:
-        raise Problem(f"python-can is needed: {sys.executable} -m pip install python-can") from problem
-    settings = {"bitrate": options.bitrate}
-    if options.fd:
-        settings.update(fd=True, data_bitrate=options.data_bitrate)
+        raise needed("python-can", "python3-can") from problem
+    data = {"fd": True, "data_bitrate": options.data_bitrate} if options.fd.lower() == "true" else {}
     try:
-        bus = can.Bus(interface=options.adapter, channel=options.channel or None, **settings)
+        bus = can.Bus(interface=options.adapter, channel=options.channel or None, bitrate=options.bitrate, **data)
     except Exception as problem:  # each adapter's library has its own
         raise Problem(f"{options.adapter} {options.channel} cannot be opened: {problem}") from problem
     yield None
@@ -301,72 +287,108 @@ def can_sources(options):
 
 # Capture --------------------------------------------------------------------------------------------------------------
 
-def forward(number, source, put):
-    """In a thread of its own: a source's packets, and what ends it.  The second source is the other direction."""
-    try:
-        for now, data in source:
-            put(packet(number, now, data, number > 0))
-    except Problem as problem:
-        put(problem)
+def read_settings(interface, options):
+    """Turns the texts of the settings into values; raises what is wrong with one."""
+    for argument in interface.arguments():
+        name, title = argument["call"].lstrip("-").replace("-", "_"), argument["display"].lower()
+        text, values = getattr(options, name), argument.get("values")
+        if "range" in argument:
+            low, high = map(int, argument["range"].split(","))
+            if not text.isdecimal() or len(text) > 11 or not low <= int(text) <= high:
+                raise Problem(f"{title}: a number from {low} to {high}, not {text[:20]!r}")
+            setattr(options, name, int(text))
+        elif name in ("parity", "stopbits") and text not in values:
+            raise Problem(f"{title}: {', '.join(values[:-1])} or {values[-1]}, not {text[:20]!r}")
 
 
-def is_left(fifo, parent):
-    """Whether nobody reads any more, or Wireshark has died: dumpcap would read on."""
-    if not hasattr(select, "poll"):
-        return False
-    poll = select.poll()
-    poll.register(fifo, 0)
-    return os.getppid() != parent or bool(poll.poll(0))
+class Capture:
+    """A capture into a fifo.  Threads read the sources and write the fifo, as both may block for ever."""
 
+    def __init__(self, interface, options):
+        options.stop = threading.Event()
+        self.interface, self.options, self.sources = interface, options, interface.sources(options)
+        self.waiting, self.written, self.fifo, self.problem = queue.Queue(), 0, None, None
+        self.queued = [0] * len(self.sources)  # bytes of each source that were queued, as written counts those written
+        self.lost = [0] * len(self.sources)  # packets of each source for which there was no room
+        self.readers = [threading.Thread(target=self.read, args=(number, source), daemon=True)
+                        for number, (_, source) in enumerate(self.sources)]
+        self.writer = threading.Thread(target=self.write, daemon=True)
 
-def capture(interface, options):
-    """Writes what comes into the fifo, until told to stop or nobody reads."""
-    events, parent = queue.SimpleQueue(), os.getppid()
-    for name in ("SIGTERM", "SIGINT"):
-        signal.signal(getattr(signal, name), lambda *_: events.put(None))
-    options.stop = threading.Event()
-    sources = interface.sources(options)
-    threads = [threading.Thread(target=forward, args=(number, source, events.put), daemon=True)
-               for number, (_, source) in enumerate(sources)]
-    with open(options.fifo, "wb", buffering=0) as fifo:  # first: what ends before that leaves dumpcap waiting
-        fifo.write(head_of_file(interface.link, [name or interface.title for name, _ in sources]))
-        for value in vars(options).values():
-            if isinstance(value, Problem):
-                raise value
-        for _, source in sources:
-            next(source)
-        for thread in threads:
-            thread.start()
+    def read(self, number, source):
+        """Queues a source's packets, and at its end None or what ended it."""
+        said, end = 0, None
         try:
-            write_packets(fifo, events, lambda: is_left(fifo, parent))
-        finally:
-            options.stop.set()
-            for thread in threads:
-                thread.join(2 * WAIT)
+            for now, data in source:
+                if sum(self.queued) - self.written > MAX_WAITING:
+                    self.lost[number] += 1
+                    continue
+                event = packet(number, now, data, self.lost[number] - said)
+                said = self.lost[number]
+                self.queued[number] += len(event)
+                self.waiting.put(event)
+        except Problem as problem:
+            end = problem
+        self.waiting.put(end)
 
-
-def write_packets(fifo, events, is_over):
-    while True:
+    def write(self):
         try:
-            event = events.get(timeout=0.5)
-        except queue.Empty:
-            if is_over():
-                return
-            continue
-        if event is None:
-            return
+            with open(self.options.fifo, "wb") as self.fifo:  # first: what ends before that leaves dumpcap waiting
+                self.put(head_of_file(self.interface.link, [name or self.interface.title for name, _ in self.sources]))
+                read_settings(self.interface, self.options)
+                for _, source in self.sources:
+                    next(source)
+                for reader in self.readers:
+                    reader.start()
+                for _ in self.sources:  # each ends with None
+                    for event in iter(self.waiting.get, None):
+                        self.put(event)
+        except BrokenPipeError:
+            pass  # Wireshark is gone: that is how captures end, too
+        except OSError as problem:
+            self.problem = Problem(f"{self.options.fifo} cannot be written: {problem.strerror}. "
+                                   "Start the capture from Wireshark or tshark")
+        except Problem as problem:
+            self.problem = problem
+
+    def put(self, event):
         if isinstance(event, Problem):
             raise event
-        fifo.write(event)
+        self.fifo.write(event)
+        self.fifo.flush()
+        self.written += len(event)
+
+    def is_left(self):
+        """Whether nobody reads the fifo any more."""
+        if not self.fifo or self.fifo.closed or not hasattr(select, "poll"):
+            return False
+        poll = select.poll()
+        poll.register(self.fifo, 0)
+        return bool(poll.poll(0))
+
+    def run(self):
+        """Captures until a signal or a problem ends it, or Wireshark is gone; if that was killed, dumpcap would read on."""
+        stop, before, parent = self.options.stop, None, os.getppid()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: stop.set())
+        self.writer.start()
+        while self.writer.is_alive() and self.written != before and os.getppid() == parent and not self.is_left():
+            before = self.written if stop.is_set() else None
+            self.writer.join(STUCK if before is not None else WAIT)
+        stop.set()
+        for thread in filter(threading.Thread.is_alive, [*self.readers, self.writer]):
+            thread.join(2 * WAIT)  # so that a port is closed, and a problem is known
+        count = sum(self.lost) + (self.waiting.qsize() if self.written == before else 0)
+        if count:
+            print(f"YAPP: Wireshark did not read in time: {count} packets are not in the capture. Close other programs, "
+                  "or use a faster disk", file=sys.stderr, flush=True)
+        if self.problem:
+            raise self.problem
 
 
 # What Wireshark asks --------------------------------------------------------------------------------------------------
 
-class Interface:
-    """One of Wireshark's interfaces: its link type, its settings as arguments of Wireshark's dialog, and its sources."""
-
-    def __init__(self, title, link, link_name, arguments, sources):
-        self.title, self.link, self.link_name, self.arguments, self.sources = title, link, link_name, arguments, sources
+# arguments: the settings, as Wireshark's dialog has them; sources: gives (name, packets) of each port.
+Interface = collections.namedtuple("Interface", "title link link_name arguments sources")
 
 
 def serial_arguments():
@@ -375,8 +397,7 @@ def serial_arguments():
     return [
         {"call": "--port", "display": "Port", "type": "selector", "required": "true", "reload": "true",
          "placeholder": "Look again", "tooltip": "The port with the controller's data", "values": ports or ["none"]},
-        {"call": "--baud", "display": "Baud rate", "type": "unsigned", "default": "500000", "range": "50,20000000",
-         "tooltip": "Taurus: 500000"},
+        {"call": "--baud", "display": "Baud rate", "type": "unsigned", "default": "500000", "range": "50,20000000"},
         {"call": "--parity", "display": "Parity", "type": "selector", "values": ["none", "even", "odd"], "default": "none"},
         {"call": "--stopbits", "display": "Stop bits", "type": "selector", "values": ["1", "2"], "default": "1"},
         {"call": "--second", "display": "Second port", "type": "selector", "values": ["none", *ports], "default": "none",
@@ -388,19 +409,18 @@ def can_arguments():
     adapters = ["pcan", "vector", "kvaser", "ixxat", "slcan", "gs_usb", "canalystii", "usb2can", "seeedstudio", "nixnet",
                 "socketcan", "virtual"]
     return [
-        {"call": "--adapter", "display": "Adapter", "type": "selector", "required": "true", "values": adapters,
-         "tooltip": "python-can's name of it ('interface')"},
-        {"call": "--channel", "display": "Channel", "type": "string",
-         "tooltip": "As python-can has it: PCAN_USBBUS1, 0, COM5, can0"},
-        {"call": "--bitrate", "display": "Bit rate", "type": "unsigned", "default": "1000000"},
+        {"call": "--adapter", "display": "Adapter", "type": "selector", "required": "true", "values": adapters},
+        {"call": "--channel", "display": "Channel", "type": "string", "tooltip": "python-can's: PCAN_USBBUS1, 0, can0"},
+        {"call": "--bitrate", "display": "Bit rate", "type": "unsigned", "default": "1000000", "range": "1,100000000"},
         {"call": "--fd", "display": "CAN FD", "type": "boolflag", "default": "false"},
-        {"call": "--data-bitrate", "display": "Bit rate of CAN FD data", "type": "unsigned", "default": "5000000"},
+        {"call": "--data-bitrate", "display": "Bit rate of CAN FD data", "type": "unsigned", "default": "5000000",
+         "range": "1,100000000"},
     ]
 
 
 INTERFACES = {
-    "yapp-serial": Interface("YAPP serial port", LINK_EXPORTED_PDU, "WIRESHARK_UPPER_PDU", serial_arguments, serial_sources),
-    "yapp-can": Interface("YAPP CAN adapter", LINK_CAN, "CAN_SOCKETCAN", can_arguments, can_sources),
+    "yapp-serial": Interface("YAPP serial port", 252, "WIRESHARK_UPPER_PDU", serial_arguments, serial_sources),
+    "yapp-can": Interface("YAPP CAN adapter", 227, "CAN_SOCKETCAN", can_arguments, can_sources),
 }
 
 
@@ -415,42 +435,24 @@ def list_settings(interface, only=None):
     """The arguments of the dialog; or, asked again, only the values of one."""
     for number, argument in enumerate(interface.arguments()):
         values = argument.pop("values", [])
-        if only in (None, argument["call"].lstrip("-"), argument["call"]):
-            if only is None:
+        if not only or only.lstrip("-") == argument["call"].lstrip("-"):
+            if not only:
                 print(f"arg {{number={number}}}" + "".join(f"{{{key}={value}}}" for key, value in argument.items()))
             for value in values:
                 default = "true" if value == argument.get("default") else "false"
                 print(f"value {{arg={number}}}{{value={value}}}{{display={value}}}{{default={default}}}")
 
 
-def number(name):
-    """Reads a setting; what is wrong with it is told when the fifo is open: what ends before that leaves dumpcap waiting."""
-    return lambda text: int(text) if text.isdecimal() else Problem(f"{name} is a number, not {text!r}")
-
-
-def one_of(name, *values):
-    return lambda text: text if text in values else Problem(f"{name} is {', '.join(values[:-1])} or {values[-1]}, not {text!r}")
-
-
 def parse(arguments):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
                                      allow_abbrev=False)
-    for flag in ("interfaces", "dlts", "config"):
-        parser.add_argument("--extcap-" + flag, action="store_true")
-    parser.add_argument("--extcap-interface", default="")
-    parser.add_argument("--extcap-reload-option")
-    parser.add_argument("--capture", action="store_true")
-    parser.add_argument("--fifo")
-    for name in ("adapter", "channel"):
-        parser.add_argument("--" + name, default="")
-    for name in ("port", "second"):
-        parser.add_argument("--" + name, default="", type=lambda text: "" if text == "none" else text)
-    parser.add_argument("--baud", type=number("the baud rate"), default=500000)
-    parser.add_argument("--parity", type=one_of("parity", "none", "even", "odd"), default="none")
-    parser.add_argument("--stopbits", type=one_of("the number of stop bits", "1", "2"), default="1")
-    parser.add_argument("--bitrate", type=number("the bit rate"), default=1000000)
-    parser.add_argument("--fd", nargs="?", const=True, default=False, type=lambda text: text.lower() == "true")
-    parser.add_argument("--data-bitrate", type=number("the bit rate of data"), default=5000000)
+    for flag in ("--extcap-interfaces", "--extcap-dlts", "--extcap-config", "--capture"):
+        parser.add_argument(flag, action="store_true")
+    for name in ("--extcap-interface", "--extcap-reload-option", "--fifo"):
+        parser.add_argument(name)
+    for interface in INTERFACES.values():
+        for argument in interface.arguments():
+            parser.add_argument(argument["call"], nargs="?", const="true", default=argument.get("default", ""))
     return parser.parse_known_args(arguments)[0]
 
 
@@ -465,15 +467,13 @@ def answer(options):
     if options.extcap_config or options.extcap_reload_option:
         return list_settings(interface, options.extcap_reload_option)
     if options.capture and options.fifo:
-        return capture(interface, options)
+        return Capture(interface, options).run()
     raise Problem("run by Wireshark; --help tells more")
 
 
 def main(arguments=None):
     try:
         answer(parse(arguments))
-    except BrokenPipeError:
-        pass  # Wireshark is gone: that is how captures end, too
     except Problem as problem:
         print(f"YAPP: {problem}", file=sys.stderr, flush=True)
         return 1

@@ -51,6 +51,7 @@ def documents():
 def whole():
     files = {**documents(), **bundle.installed(TOP)}
     files["install.py"] = files["tools/src/yapp_tables/install.py"]
+    files["README.md"] = (TOP / "tools/zip_readme.md").read_bytes()
     del files["tools/install.py"]  # for the repository
     return {f"yapp/{name}": content for name, content in files.items()}
 

@@ -21,17 +21,7 @@ def pytest_configure(config):
         config.addinivalue_line("markers", line)
 
 
-def known_failures():
-    """The names of tests in known_failures.txt."""
-    lines = (HERE / "known_failures.txt").read_text(encoding="utf-8").splitlines()
-    return {line for line in lines if line and not line.startswith("#")}
-
-
 def pytest_collection_modifyitems(config, items):
-    known = known_failures()
-    for item in items:
-        if item.nodeid.split("@")[0] in known:
-            item.add_marker(pytest.mark.xfail(reason="see known_failures.txt", strict=False))
     if not any("::" in argument for argument in config.args):  # a test that is asked for by name runs
         chosen = levels.chosen(items)
         config.hook.pytest_deselected(items=sorted(set(items) - set(chosen), key=items.index))

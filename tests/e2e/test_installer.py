@@ -489,6 +489,41 @@ def test_which_wireshark_and_which_lua(home, folder, about, lua):
     assert not any("tried" in line for line in lines)
 
 
+@pytest.mark.parametrize("version, warned", [("4.4.18", True), ("4.6.8", True), ("4.6.9", False), ("5.0.0", False)])
+def test_a_wireshark_that_runs_code_of_profiles(home, folder, version, warned):
+    """As SECURITY.md says."""
+    oldest = re.search(r"Wireshark before ([\d.]+) can run code", (tshark.ROOT / "SECURITY.md").read_text())[1]
+    run(home)
+    path = other_tshark(folder, f"TShark (Wireshark) {version}.\nwith Lua 5.4.7", protocols="Yet Another\tYAPP\tyapp\tT")
+    lines = run(home, "check", path=path)
+    assert any(line.startswith(f"note      before {oldest}, Wireshark can run code") for line in lines) == warned
+
+
+def test_what_to_do_next(home, folder, source):
+    """The command opens a capture that is there; none is named beside a problem."""
+    path = other_tshark(folder, "TShark (Wireshark) 4.6.9.\nwith Lua 5.4.7", protocols="Yet Another\tYAPP\tyapp\tT")
+    assert run(home, path=path)[-1] == f"next      wireshark -C YAPP {tshark.ROOT / 'docs/flight.pcapng'}"
+    assert run(home, source=source, path=path)[-1] == "next      wireshark -C YAPP CAPTURE.pcapng"
+    assert not any(line.startswith("next") for line in run(home, "check", path=path))
+    lines = run(home, code=1, path=other_tshark(folder, "TShark (Wireshark) 3.6.2.\nwith Lua 5.2"))
+    assert not any(line.startswith("next") for line in lines)
+
+
+def test_make_uninstalls(home):
+    environment = {**os.environ, "HOME": str(home)}
+    environment.pop("XDG_CONFIG_HOME", None)
+
+    def make(*words):
+        subprocess.run(["make", "-C", tshark.ROOT, *words], env=environment, check=True, capture_output=True, **tshark._user())
+
+    run(home)
+    edit(home / YAPP / "taurus_fields.lua")
+    make("uninstall")
+    assert (home / YAPP / "taurus_fields.lua").exists()
+    make("uninstall", "PURGE=1")
+    assert not any(path.is_file() for path in home.rglob("*"))
+
+
 def test_a_lua_that_nobody_tried(home, folder):
     about = "TShark (Wireshark) 4.4.0.\nwith Lua 5.3.6, with GnuTLS"
     lines = run(home, code=1, path=other_tshark(folder, about))
@@ -506,7 +541,8 @@ def test_which_python_runs_the_live_ports(home, folder, has, part):
     lines = run(home, "check", path=str(python.parent))
     line_of(lines, "python", f"{python} {has.split()[0] if has else '(it'}")
     line_of(lines, "python", part)
-    assert ("with pyserial, with python-can" in part) != any("pip install" in line for line in lines)
+    missing = [name for name in ("pyserial", "python-can") if f"without {name}" in part or has == ""]
+    assert [line.rpartition(" ")[2] for line in lines if f"{python} -m pip install" in line] == missing
 
 
 def test_the_python_of_this_machine(home):
@@ -641,9 +677,24 @@ def test_the_zip_has_what_its_readme_leads_to(zips):
     names = set(zipfile.ZipFile(zips[0]).namelist())
     assert {"yapp/install.py", "yapp/docs/fault.md", "yapp/docs/flight.pcapng", "yapp/tools/pyproject.toml"} <= names
     assert any(name.startswith("yapp/tools/src/yapp_tables/") for name in names)
-    readme = (tshark.ROOT / "README.md").read_text()
-    for target in re.findall(r"\]\((?!https?:|#)([^)#]*)", readme):
-        assert f"yapp/{target}" in names, target
+    for page in ["README.md", *(name[5:] for name in names if name.startswith("yapp/docs/") and name.endswith(".md"))]:
+        text = zipfile.ZipFile(zips[0]).read(f"yapp/{page}").decode()
+        for target in re.findall(r"\]\((?!https?:|#)([^)#]*)", text):
+            assert os.path.normpath(pathlib.Path("yapp", page).parent / target) in names, (page, target)
+
+
+def test_the_readme_of_the_zip(home, folder, zips):
+    """Its commands need nothing but what is in it, and every file that it names is there."""
+    zipfile.ZipFile(zips[0]).extractall(folder)
+    text = (folder / "yapp/README.md").read_text()
+    rows = re.findall(r"`([^`]+)`", "".join(re.findall(r"^\| `.*?\|", text, re.MULTILINE)))
+    assert len(rows) > 7 and all((folder / "yapp" / name).exists() for name in rows)
+    commands = re.findall(r"^    (.*)", text, re.MULTILINE)
+    assert [command.split()[0] for command in commands] == ["python3", "python", "tshark", "wireshark"]
+    assert "make " not in text
+    run(home, source=folder / "yapp")
+    done = tshark.run(*commands[2].split()[1:], plugin=False, env={"HOME": str(home)}, cwd=folder / "yapp")
+    assert "motor_overcurrent" in done.stdout
 
 
 def test_the_zip_unpacked_in_the_plugin_folder(home, zips):

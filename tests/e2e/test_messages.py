@@ -157,16 +157,14 @@ def test_a_filter_alone(name, text, frames):
     assert [int(line.split()[0]) for line in found.splitlines()] == frames
 
 
-def test_every_type_is_in_the_captures_and_in_the_head_of_the_catalogue():
+def test_every_type_is_in_the_captures():
     done = subprocess.run(["lua5.4", "-e", "package.path = './?.lua' print(require('yapp.message.catalogue_fields').TYPE_NAMES)"],
                           capture_output=True, text=True, check=True, cwd=tshark.ROOT)
-    used, head = CATALOGUE.read_text(), (tshark.ROOT / "taurus_fields.lua").read_text().split("\nlocal ")[0]
+    used = CATALOGUE.read_text() + (tshark.ROOT / "taurus_fields.lua").read_text()
     types = done.stdout.strip().split(", ")
     assert len(types) > 20
     for name in types:
-        assert f'"{name}"' in used + (tshark.ROOT / "taurus_fields.lua").read_text(), name
-        family = re.sub(r"\d+$", "", name)
-        assert re.search(rf"\b{family}", head), name
+        assert f'"{name}"' in used, name
 
 
 # Where they are loaded from --------------------------------------------------------------------------------------

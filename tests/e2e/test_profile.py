@@ -81,9 +81,10 @@ def test_shape_of_the_tables():
 def test_columns(home):
     done = run(home, "-r", tshark.CAPTURES / "document_uart.pcap", "-T", "psml")
     titles = re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[0])
-    assert titles == ["No.", "Time", "Source", "RPM", "Voltage", "Current", "State", "Faults", "Protocol", "Info"]
+    assert titles == ["No.", "Time", "Source", "RPM", "Voltage", "Current", "Power", "State", "Faults", "Protocol", "Info"]
     values = dict(zip(titles, re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[1])))
     assert (values["Voltage"], values["RPM"], values["Protocol"]) == ("47.97314", "0", "YAPP")
+    assert float(values["Power"]) == pytest.approx(float(values["Voltage"]) * float(values["Current"]), rel=1e-5)
     assert values["Source"].endswith("0x210") and (values["State"], values["Faults"]) == ("ready, stopped", "")
 
 
@@ -91,7 +92,7 @@ def columns(home, *arguments):
     """The columns Source, State and Faults of each packet that has a state."""
     done = run(home, *arguments, "-T", "psml")
     rows = [re.findall(r"<section>(.*?)</section>", row) for row in done.stdout.split("<packet>")[1:]]
-    return [(row[2], row[6], row[7]) for row in rows if row[6]]
+    return [(row[2], row[7], row[8]) for row in rows if row[7]]
 
 
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
@@ -132,6 +133,12 @@ def test_every_column_has_a_width():
     formats = [name.removesuffix(":0:R") for name in re.findall(r'"(%[^"]+)"', text)]
     widths = re.search(r"(?m)^column.width: (.*)", (PROFILE / "recent").read_text())[1].split(", ")
     assert widths[::2] == formats and all(int(width) >= 50 for width in widths[1::2])
+
+
+def test_a_motor_that_stops_is_seen():
+    """The highest value of a second hides it."""
+    shown = {(row[5], row[6]) for row in uat("io_graphs") if row[0] == "Enabled"}
+    assert {("MIN(Y Field)", "taurus.motor.rpm_measured"), ("MAX(Y Field)", "taurus.motor.rpm_measured")} <= shown
 
 
 def test_several_controllers_are_no_average_and_no_zigzag():

@@ -201,6 +201,29 @@ def test_csv_alone(results, seed, form, passes):
         assert (alone / path.name).read_text() == path.read_text()
 
 
+@pytest.mark.parametrize("seed", [2, 3])
+def test_shared_sources(seed):
+    """Where controllers share a source, that is told once, and nothing that depends on what came before: the exit code is 21."""
+    flight, form = flights.shared(seed), flights.FORMS[seed % 3]
+    capture = flight.write(tshark.writable_folder() / ("run.log" if form == "candump" else "run.pcapng"), form)
+    lines, notes = [], []
+    for what in ("events", "faults", "summary"):
+        done = tshark.run(*flight.arguments(form), "-q", "-r", capture, "-z", f"yapp,{what},json", check=False)
+        notes += re.findall(r"yapp: two controllers appear to send (?:\S+ )?(0x\w+): from frame (\d+) on", done.stderr)
+        assert done.returncode == 21, what
+        lines += [json.loads(line) for line in done.stdout.splitlines()] if what == "events" else []
+    shared = {(line["bus"], line["id"]): line["frame"] for line in lines if line["kind"] == "shared"}
+    clocked = {(flight.bus_name(sender.bus, form), sender.ident) for sender, messages, is_shared in flight.sources()
+               if is_shared and sender.kind in ("motor", "health") and len(messages) > 30}
+    assert clocked and clocked <= set(shared)
+    assert sorted(notes) == sorted(3 * [(f"{ident:#x}", str(frame)) for (_, ident), frame in shared.items()])
+    for line in lines:
+        if line["kind"] in ("reboot", "stale", "jump", "silence", "missing") or line.get("event") in ("raised", "cleared"):
+            assert line["frame"] < shared.get((line["bus"], line["id"]), 1 << 40), line
+    done = tshark.run(*flight.arguments(form), "-q", "-r", capture, "-z", "yapp,check,shared=0", check=False)
+    assert done.returncode == 20
+
+
 # The rules of kinds of event, and the kinds that some of them count; those that are of the whole capture.
 RULES = ["fault", "crc", "incomplete", "missing", "reboot", "stale", "jump", "shared", "silence", "invalid", "clock", "dropped",
          "absent", "unknown"]
@@ -308,9 +331,9 @@ local function list(rows, keys)
   end
 end
 if arg[2] == "kinds" then
-  list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_default", "counts_as", "scope" })
+  list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_optional", "counts_as", "scope" })
 else
-  list(require("yapp.stat.statistics").LIST, { "name" })
+  list(require("yapp.stat.options").LIST, { "name" })
 end
 """
 
@@ -321,7 +344,7 @@ def rows_of(what):
     return [line.split("|") for line in done.stdout.splitlines()]
 
 
-WHATS = [row[0] for row in rows_of("statistics")]
+WHATS = [row[0] for row in rows_of("options")]
 PAGE = (tshark.ROOT / "docs/statistics.md").read_text("utf-8")
 
 
@@ -336,7 +359,7 @@ def test_the_document_has_every_kind_of_event():
     assert {name: more.strip("` ") for name, more in keys.items() if name in [row[0] for row in kinds]} == \
         {name: more for name, more, *_ in kinds}
     assert rules == {name for name, _, _, counts_as, _ in kinds if not counts_as}
-    assert re.findall(r"\w+", alone) == [name for name, _, is_default, _, _ in kinds if is_default] == RULES
+    assert re.findall(r"\w+", alone) == [name for name, _, is_optional, counts_as, _ in kinds if not (is_optional or counts_as)] == RULES
     assert OF_CAPTURE == [name for name, *_, scope in kinds if scope == "capture"]
 
 

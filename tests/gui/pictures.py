@@ -94,7 +94,8 @@ def graph(wireshark, folder):
     show(wireshark, "")
     wireshark.press("alt+s", "i", until=lambda: any("I/O Graphs" in title for title in wireshark.windows().values()))
     wireshark.wait_for_window("I/O Graphs")
-    wireshark.click("sec")
+    wireshark.xdotool("mousemove", 766, 595, "click", "1")  # Interval
+    time.sleep(1)
     wireshark.keys("Up", "Up", "Return")  # 200 ms
     window(wireshark, "I/O Graphs", folder / "fault_graph.png", (900, 560))
 
@@ -106,7 +107,7 @@ def main(folder):
             "-C", "YAPP", *options, "-r", gui.FLIGHT, profile=profile(pathlib.Path(name)), recent=recent) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
         time.sleep(2)
-        for picture in (graph, whole_window, buttons, transition, events):  # the graph first: its texts are read off the screen
+        for picture in (graph, whole_window, buttons, transition, events):
             picture(wireshark, folder)
 
 

@@ -62,7 +62,7 @@ def test_graphs(capture):
         wireshark.press("alt+s", "i", until=lambda: any("I/O Graphs" in title for title in wireshark.windows().values()))
         wireshark.wait_for_window("I/O Graphs")
         wait_for_words(wireshark, ["RPM measured", "RPM commanded", "Faults raised"], scale=200)
-        for colour in ("#0072b2", "#56b4e9"):
+        for colour in ("#0072b2", "#003050", "#56b4e9"):
             assert wireshark.pixels(colour) > 100, colour
 
 
@@ -85,6 +85,29 @@ def test_plots(capture):
         wireshark.wait_for_window("Plots")
         wait_for_words(wireshark, ["RPM measured", "RPM commanded", "Voltage", "Current"], scale=200)
         assert wireshark.pixels("#0072b2") > 100
+
+
+@pytest.mark.skipif(VERSION < (4, 4), reason="from 4.4 on")
+def test_menu_of_a_packet(capture):
+    """Each item makes a display filter, in which any name of a controller is quoted."""
+    expected = [r'yapp.source in {"a \\\"b"}', r'yapp.source in {"a \\\"b"} && (taurus.fault.raised || taurus.fault.cleared)',
+                "yapp.reassembled.in in {719}"]
+    name = r'yapp.sources:can1/0x210=motor:a \"b'
+    with gui.Wireshark("-C", "YAPP", "-o", name, "-r", capture, profile=PROFILE) as wireshark:
+        wireshark.wait_for_window("flight.pcapng")
+        for number, text in enumerate(expected):
+            wireshark.filter("frame.number == 719")
+            wireshark.keys("Escape")
+            wireshark.xdotool("mousemove", 200, 100, "click", "3")  # its only row
+            time.sleep(1)
+            wireshark.keys(*["Down"] * 6, "Right", *["Down"] * number, "Return")
+            time.sleep(1)
+
+            def shown():
+                wireshark.clipboard("-i")
+                wireshark.keys("ctrl+slash", "ctrl+a", "ctrl+c")
+                return wireshark.clipboard()
+            gui.wait_for(lambda: shown() == text, 15)
 
 
 def installer(wireshark):

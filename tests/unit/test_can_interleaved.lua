@@ -105,17 +105,17 @@ function T.test_visited_frames_know_their_message()
   end
 end
 
--- Whoever was given an anomaly sees that it is void.
+-- Whoever was given an anomaly sees that it is withdrawn.
 function T.test_what_is_withdrawn_is_void()
   local known, anomaly = words.new(), nil
   for i, frame in ipairs(words.frames("aS32 aM8 bS32 aM8 aM8 aE8 bM8 bM8 bM8 bE8", {})) do
     local _, found = words.visit(known, frame)
     if i == 3 then
       anomaly = found.anomalies[1]
-      lu.assertEquals({ anomaly.expert, anomaly.void or false }, { "fragment.incomplete", false })
+      lu.assertEquals({ anomaly.expert, anomaly.is_withdrawn or false }, { "fragment.incomplete", false })
     end
   end
-  lu.assertTrue(anomaly.void)
+  lu.assertTrue(anomaly.is_withdrawn)
 end
 
 -- A fragment that no message got in the end is still YAPP's.

@@ -329,6 +329,11 @@ function T.test_buses_by_fields()
   found = read(section(le) .. interface(SLL2, le, option(2, "any", le)))
   lu.assertEquals({ found.has_several, bus(1, 0, 3), bus(1, 0, 4) }, { true, 1, 2 })
   lu.assertEquals({ found:name(1), found:name(2) }, { "any#3", "any#4" })
+  found = read(section(le)) -- before its interface is there
+  lu.assertEquals({ bus(1, 0, 3, nil, "any"), found.has_several, bus(1, 0, 4, nil, "any") }, { 1, true, 2 })
+  lu.assertEquals({ found:name(1), found:name(2) }, { "any#3", "any#4" })
+  found = read(section(le))
+  lu.assertEquals({ bus(1, 0, 0, nil, "can0"), bus(1, 1, 7, nil, "any"), found.has_several }, { 1, 2, false })
   found = read(pcap(SLL2, { can_over_sll2(3), can_over_sll2(4) }, le)) -- as the head of a pipe
   lu.assertEquals({ bus(1, 0, 4), bus(1, 0, 5), found:name(3) }, { 2, 3, "if0#5" })
   found = read("")
@@ -453,9 +458,9 @@ function T.test_other_peoples_files_are_left_alone()
     lu.assertEquals({ asked, found.has_several, buses(found) }, { 0, false, "" })
   end
   local blf, plain = read("LOGG" .. long), read(pcap(CAN, { "x" }, le))
-  lu.assertEquals({ blf.is_told, plain.is_told, plain.place }, { false, true, 8 })
-  lu.assertNil(read(pcap(SLL2, { can_over_sll2(1) }, le)).place)
-  lu.assertEquals(read(pcap(CAN, {}, le)).place, 8) -- before its first packet
+  lu.assertEquals({ blf.is_told, plain.is_told, plain.offset }, { false, true, 8 })
+  lu.assertNil(read(pcap(SLL2, { can_over_sll2(1) }, le)).offset)
+  lu.assertEquals(read(pcap(CAN, {}, le)).offset, 8) -- before its first packet
 end
 
 -- It must not raise, nor run for ever, and what it says of the packets in front stays right.

@@ -91,9 +91,9 @@ function T.test_losses_carry_their_message()
   local lost = {}
   for frame = 1, 3 do
     intake:faults(part { frame = frame },
-      { { expert = "fragment.overrun", message = lost }, { expert = "size.mismatch" } })
+      { { expert = "fragment.overrun", lost = lost }, { expert = "size.mismatch" } })
   end
-  intake:faults(part { frame = 4 }, { { expert = "fragment.incomplete", message = {} }, { expert = "truncated" } })
+  intake:faults(part { frame = 4 }, { { expert = "fragment.incomplete", lost = {} }, { expert = "truncated" } })
   local whats = {}
   for i, one in ipairs(offered) do
     lu.assertEquals(one[1].kind, "incomplete")
@@ -122,7 +122,7 @@ function T.test_orphans_of_one_message()
     orphan("g1", { seq = 8 }), orphan("g2", { seq = 8, is_end = true }), orphan("h1", { seq = 8 }) },
     { "d1", "e1", "f1", "g1", "g1", "h1" })
   orphan "i1"
-  intake:faults(part(), { { expert = "fragment.incomplete", message = {} } }) -- of another message
+  intake:faults(part(), { { expert = "fragment.incomplete", lost = {} } }) -- of another message
   lu.assertEquals({ orphan "j1", orphan "j2" }, { "j1", "j1" })
 end
 

@@ -68,7 +68,7 @@ function T.test_messages_that_do_not_wait()
   queue:packet(1, 1)
   offer(queue, 2, "b")
   offer(queue, 2, "c", { loss = {} })
-  offer(queue, 3, "d", { loss = { void = true } })
+  offer(queue, 3, "d", { loss = { is_withdrawn = true } })
   offer(queue, 3, "e")
   lu.assertEquals(one.got, { "a", "b", "e" })
   lu.assertEquals(finish(queue), { 0, {} })
@@ -87,7 +87,8 @@ function T.test_losses()
   local queue, one = new_queue(), notes()
   add(queue, one)
   local message, other = {}, {}
-  local rows = { { "a" }, { "b", { void = true }, message }, { "c", {}, message }, { "d" }, { "e", {}, message },
+  local rows = { { "a" },
+    { "b", { is_withdrawn = true }, message }, { "c", {}, message }, { "d" }, { "e", {}, message },
     { "f", {}, other }, { "g", {} }, { "h", {} } }
   for frame, row in ipairs(rows) do
     local values = row[2] and { what = "incomplete", loss = row[2], lost = row[3] }

@@ -3,6 +3,7 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
+local frame_key = require("yapp.base.frame_key")
 local reader = require("yapp.message.reader")
 local sources = require("yapp.message.sources")
 
@@ -171,20 +172,53 @@ function T.test_nothing_new()
   lu.assertFalse(m.change)
 end
 
+-- Reads Health in order, or once more, with a history that answers this; returns the message and what the history was
+-- asked.
+local function read_with(answer, with)
+  local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true, is_unsure = false,
+    number = frame_key.PACKET * 7, visited = false, delta = "known", wants = { standing = true } }
+  for key, value in pairs(with or {}) do m[key] = value end
+  local asked, h = {}, {}
+  for _, method in ipairs { "note", "change", "standing" } do
+    h[method] = function(_, one)
+      lu.assertEquals(one, m)
+      asked[#asked + 1] = method
+      return answer[method], method == "note" and answer.delta or nil
+    end
+  end
+  new():read(m, h)
+  return m, table.concat(asked, " ")
+end
+
+function T.test_what_the_history_is_asked()
+  local m, asked = read_with { note = { reboot = 3 }, delta = 0.5 }
+  lu.assertEquals({ m.change, m.delta, m.standing, asked }, { { reboot = 3 }, 0.5, false, "note standing" })
+  m, asked = read_with({}, { wants = {} })
+  lu.assertEquals({ m.change, m.delta, m.standing, asked }, { false, false, false, "note" })
+  m, asked = read_with({ change = { late = 1 } }, { visited = true })
+  lu.assertEquals({ m.change, m.delta, m.standing, asked }, { { late = 1 }, "known", false, "change standing" })
+  m, asked = read_with({ note = { late = 1 } }, { is_unsure = true }) -- nothing tells its bus
+  lu.assertEquals({ m.change, m.standing, m.is_unsure, asked }, { false, false, true, "" })
+end
+
+-- The history knows frame keys; links are to numbers of packets.
+function T.test_how_things_stand_is_told_with_numbers_of_packets()
+  local key = frame_key.PACKET
+  local m = read_with { standing = { drift = 1, active_since = 2, command_in = 5 * key + 20,
+    previous_change = 6 * key } }
+  lu.assertEquals(m.standing, { drift = 1, active_since = 2, command_in = 5, previous_change = 6 })
+end
+
 -- Several controllers share its source: the history says so, in order and on a revisit.
 function T.test_an_unreliable_source()
-  local function read_with(change, visited)
-    local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true, is_unsure = false,
-      visited = visited, wants = {} }
-    local function answer() return change end
-    new():read(m, visited and { note = true, change = answer } or { note = answer })
-    return m.is_unsure
-  end
   for _, visited in ipairs { false, true } do
-    lu.assertTrue(read_with({ shared = true, unreliable = true }, visited))
-    lu.assertTrue(read_with({ unreliable = true }, visited))
-    lu.assertFalse(read_with({ reboot = 3 }, visited))
-    lu.assertFalse(read_with(nil, visited))
+    local function is_unsure(change)
+      return read_with({ note = change, change = change }, { visited = visited }).is_unsure
+    end
+    lu.assertTrue(is_unsure { shared = true, unreliable = true })
+    lu.assertTrue(is_unsure { unreliable = true })
+    lu.assertFalse(is_unsure { reboot = 3 })
+    lu.assertFalse(is_unsure(nil))
   end
 end
 
@@ -200,9 +234,9 @@ end
 
 function T.test_statistics_are_told_while_they_want_it()
   local told, stat = {}, { wanted = false }
+  function stat.message(_, m) told[#told + 1] = m.id end
   local r = reader.new(TAURUS, stat)
   r:use(catalogue.assign(TAURUS, {}), (sources.parse("", TAURUS)))
-  r:tell_to { message = function(_, m) told[#told + 1] = m.id end }
   read(r, MOTOR, {})
   stat.wanted = true
   read(r, HEALTH, {})

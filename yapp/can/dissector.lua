@@ -3,14 +3,14 @@
 
 local can_id = require "yapp.wire.can_id"
 local frame_key = require "yapp.base.frame_key"
-local items = require "yapp.show.fields"
 local reassembly = require "yapp.can.reassembly"
+local show_fields = require "yapp.show.fields"
 local socketcan = require "yapp.host.socketcan"
 
 local M = {}
 
 local KINDS, START, END = can_id.KINDS, can_id.START, can_id.END
-local add, add_le, append_text = items.add, items.add_le, items.append_text
+local add, add_le, append_text = show_fields.add, show_fields.add_le, show_fields.append_text
 local fields_of, slot_of = can_id.fields, can_id.slot
 local number_of, PACKET = frame_key.number, frame_key.PACKET
 -- A method that Lua has to look up in a Tvb costs more than what it does.
@@ -24,13 +24,16 @@ local STATUS_TEXT = {
 }
 local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 local REASSEMBLED = "Reassembled YAPP" -- what Wireshark's bytes pane calls it
-local MAX_TEXTS = 64 -- of the fragments of a message, that are kept
--- Seconds since a source's previous message, for its first one, and where nobody knows.
-local FIRST, UNKNOWN = 1e99, -1e99
+local FIRST = 1e99 -- seconds since a source's previous message, of its first one
 
 -- What a remote frame looks like where nothing says that it is one.
 local ZEROS = {}
 for length = 0, 8 do ZEROS[("\0"):rep(length)] = true end
+
+-- YAPP has no remote frames; what is not known to be one is data.
+local function is_remote(frame)
+  return ZEROS[frame.data] and socketcan.is_remote(frame.pinfo)
+end
 
 local Dissector = {}
 Dissector.__index = Dissector
@@ -51,17 +54,22 @@ function M.new(tree, reader, buses, register_id)
   }, Dissector)
 end
 
+-- Make the table of the sources on a bus.
+local function new_bus(sources, bus)
+  sources[bus] = {}
+  return sources[bus]
+end
+
 --- Forget the capture file.
 -- history  a message.history
 function Dissector:reset(history)
   self.history = history
   self.reassembly = reassembly.new()
-  self.sources = {} -- [bus or false][message ID] = of message.reader
-  self.registered = {} -- [message ID] = true
-  self.deltas = {} -- [frame key of a single frame] = seconds, or FIRST; nil: UNKNOWN
+  self.sources = setmetatable({}, { __index = new_bus }) -- [bus or false][ID] = a source
+  self.deltas = {} -- [frame key of a single frame] = seconds, or FIRST; nil: not known
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
   self.lost_bus = false -- whether the bus of any frame was not known
-  self.offset = self.buses.found.place -- of the bytes of all frames in their packets, or nil
+  self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
   self.asks = self.buses.asks -- whether the bus of a frame has to be asked for
   -- The frame of now, used again for the next one: a tenth of a packet list.
   -- COMPAT 5.2: where there is nothing, false: to write nil under a name that has none makes the
@@ -73,21 +81,21 @@ function Dissector:reset(history)
     data = "", reported = 0, -- captured bytes; length on the bus
     accepts_all = false, -- whether the user says that every extended frame is YAPP
     is_only_pass = false, -- whether it is never dissected again
-    number = 0, visited = false, knows_bus = true, -- of its packet; whether its bus is known
+    number = 0, visited = false, is_bus_known = true, -- of its packet; whether its bus is known
     message = false, anomalies = false, index = 0, -- as can.reassembly says
     tvb = false, pinfo = false, tree = false, range = false, -- of Wireshark
   }
 end
 
--- The record of a frame for the statistics; of the last, or only, one of a message also for
--- message.reader.
+-- The record of a frame for the statistics.  If the frame ends a message, it is for
+-- message.reader, too, and the arguments behind wants are given.
 local function new_record(self, frame, wants, item, status, payload, size)
   local fields, source, delta = frame.can_id, frame.source, false
-  local is_unsure = not frame.knows_bus
+  local is_unsure = not frame.is_bus_known
   if frame.visited then
-    delta = frame.message and frame.message.delta or self.deltas[frame.key] or UNKNOWN
-    is_unsure = delta == UNKNOWN
-    if is_unsure or delta == FIRST then delta = false end
+    delta = frame.message and frame.message.delta or self.deltas[frame.key] or false
+    is_unsure = not delta
+    if delta == FIRST then delta = false end
   end
   return {
     id = fields.id,
@@ -126,19 +134,22 @@ local function show_anomalies(self, frame, item)
   end
   if not frame.anomalies then return end
   for _, one in ipairs(frame.anomalies) do self.tree:expert(item, one.expert, one.text) end
-  if self.stat.wanted then self.reader.tell:faults(new_record(self, frame), frame.anomalies) end
+  if self.stat.wanted then self.reader.stat:faults(new_record(self, frame), frame.anomalies) end
 end
 
 -- YAPP's own item ---------------------------------------------------------------------------------
 
--- With what the CAN id says.
+-- Add it with what the CAN id says, all of that generated.
 local function add_item(self, frame)
-  local fields, source = frame.can_id, frame.source
-  local kind = KINDS[fields.ctrl] or "undefined frame"
+  local builder, address, source = self.tree, frame.can_id, frame.source
+  local kind = KINDS[address.ctrl] or "undefined frame"
   frame.range = frame.tvb()
-  local title = self.title .. source.name .. ", " .. kind
-  local item = add(frame.tree, self.tree.yapp, frame.range, title)
-  self.tree:add_address(item, fields, source)
+  local item = add(frame.tree, builder.yapp, frame.range, self.title .. source.name .. ", " .. kind)
+  builder:add_id(item, nil, address.id, source.bus_name)
+  builder:generated(item, "ctl", address.ctl)
+  builder:generated(item, "seq", address.seq)
+  builder:generated(item, "can.ctrl", address.ctrl)
+  builder:add_source(item, source)
   return item
 end
 
@@ -187,10 +198,10 @@ local function read(self, frame, m)
   self.reader:read(m, self.history)
   if frame.visited or frame.is_only_pass then return end
   -- Of a source that two controllers share the history says so itself, on a revisit, too.
-  local delta = frame.knows_bus and (m.delta or FIRST) or UNKNOWN
+  local delta = frame.is_bus_known and (m.delta or FIRST)
   if frame.message then
     self.reassembly:keep(frame.message, delta, m.has_fault)
-  elseif frame.knows_bus then
+  elseif delta then
     self.deltas[frame.key] = delta
   end
 end
@@ -236,31 +247,25 @@ end
 
 -- Fragments ---------------------------------------------------------------------------------------
 
--- The texts of the fragments of a message of a size, in frames of classic CAN: "Motor Data
--- fragment
--- 2 of 5".
-local function new_texts(source, size)
-  local usual = math.ceil(size / 8) + 1
-  local texts = { source.name .. ("  Start of %d bytes"):format(size), size = size, usual = usual }
-  for i = 2, math.min(usual, MAX_TEXTS) do
-    texts[i] = ("%s  fragment %d of %d"):format(source.name, i, usual)
-  end
-  source.texts = texts
-  return texts
-end
-
--- How many fragments a message has is sure once it is good; before that, it is what classic CAN
--- needs.
+-- Return the text of a fragment.  How many fragments a message has is sure once it is good; before
+-- that, it is what classic CAN needs.  A source keeps the texts for messages of one size.
 local function fragment_text(frame)
   local source, message, index = frame.source, frame.message, frame.index
-  local texts = source.texts
-  if texts.size ~= message.size then texts = new_texts(source, message.size) end
-  local count = #frame.data == 8 and texts.usual or 0
+  local name, size, texts = source.name, message.size, source.texts
+  if message[index] ~= frame.key then return name .. "  duplicate fragment" end
+  if texts.size ~= size then
+    texts = { name .. ("  Start of %d bytes"):format(size) }
+    texts.size, texts.usual = size, math.ceil(size / 8) + 1
+    source.texts = texts
+  end
+  local usual = texts.usual
+  local count = #frame.data == 8 and usual or 0
   if message.status == "good" then count = #message end
-  if message[index] ~= frame.key then return source.name .. "  duplicate fragment" end
-  if index == 1 or count == texts.usual and texts[index] then return texts[index] end
-  if index > count then return ("%s  fragment %d"):format(source.name, index) end
-  return ("%s  fragment %d of %d"):format(source.name, index, count)
+  if index == 1 or count == usual and texts[index] then return texts[index] end
+  if index > count then return ("%s  fragment %d"):format(name, index) end
+  local text = ("%s  fragment %d of %d"):format(name, index, count)
+  if count == usual then texts[index] = text end
+  return text
 end
 
 local function show_fragment(self, frame, wants, item)
@@ -278,7 +283,7 @@ local function show_fragment(self, frame, wants, item)
     builder:generated(item, "reassembled.in", in_number)
     builder:generated(item, "message.fault", message.has_fault)
   end
-  if self.stat.wants_parts then self.reader.tell:part(new_record(self, frame)) end
+  if self.stat.wants_parts then self.reader.stat:part(new_record(self, frame)) end
   if not wants.columns then return end
   local text = fragment_text(frame)
   return in_number and ("%s  [Reassembled in #%d]"):format(text, in_number) or text
@@ -318,37 +323,69 @@ local function show(self, frame, kind)
   columns.info = info
 end
 
--- The source of a frame, which is the first one of it.
+-- Return the source of a message ID on a bus, the first time that it is asked for.
+-- bus  number or false
 local function new_source(self, id, bus)
   local key = (bus or -1) * 0x800 + id
   local source = self.reader:new_source(key, id, bus, self.buses:name(bus))
-  self.sources[bus] = self.sources[bus] or {}
   self.sources[bus][id] = source
   return source
 end
 
--- Says what a frame is that comes for the first time.
+-- Say what a frame is that Wireshark dissects for the first time.
 -- returns  its kind, see can.reassembly; nil for a frame that is not YAPP's
 local function take(self, frame)
   local kind, message, anomalies = self.reassembly:take(frame)
-  local id = frame.can_id.id
   frame.message, frame.anomalies, frame.index = message, anomalies, message and #message
-  if kind and not self.registered[id] then
-    self.registered[id] = true
-    self.register_id(id)
-  end
-  if not frame.knows_bus then self.lost_bus = true end
+  if kind then self.register_id(frame.can_id.id) end
+  if not frame.is_bus_known then self.lost_bus = true end
   return kind
 end
 
--- Says what a visited frame is.
+-- Say what a visited frame is.
 -- returns  as take
 local function recall(self, frame)
   local kind, message, anomalies, index = self.reassembly:recall(frame)
   if message then frame.source = message.source end
   frame.message, frame.anomalies, frame.index = message, anomalies, index
-  local may_be_remote = kind == "single" and ZEROS[frame.data]
-  return not (may_be_remote and socketcan.is_remote(frame.pinfo)) and kind
+  return not (kind == "single" and is_remote(frame)) and kind
+end
+
+local function find_bus(self, frame, pinfo)
+  local bus, is_known = self.buses:of(pinfo, pinfo.number)
+  frame.bus, frame.is_bus_known = bus or false, is_known
+end
+
+-- Return whether Wireshark dissects a frame again whose key is not new.  If not, a read filter (-R)
+-- dropped the packet before, and its number comes twice.
+local function is_revisit(self, pinfo, key)
+  local visited = pinfo.visited
+  if not visited then self.reassembly:drop(key) end
+  return visited
+end
+
+-- Return the record of a frame, which is used again for the next frame.
+local function new_frame(self, tvb, pinfo, tree, id, accepts_all)
+  local frame, number = self.frame, pinfo.number
+  if self.asks then find_bus(self, frame, pinfo) end
+  local fields, bus = fields_of[id], frame.bus
+  local key = number * PACKET + (self.offset or offset_of(tvb))
+  local visited = key <= self.newest_key and is_revisit(self, pinfo, key)
+  if not visited then self.newest_key = key end
+  frame.key = key
+  frame.number = number
+  frame.visited = visited
+  frame.can_id = fields
+  frame.source = self.sources[bus][fields.id] or new_source(self, fields.id, bus)
+  frame.slot = slot_of(fields, bus)
+  -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
+  frame.data = length_of(tvb) > 0 and raw_of(tvb) or ""
+  frame.reported = reported_of(tvb)
+  frame.accepts_all = accepts_all
+  frame.tvb = tvb
+  frame.pinfo = pinfo
+  frame.tree = tree
+  return frame
 end
 
 --- Dissect one frame.
@@ -356,46 +393,20 @@ end
 -- accepts_all  whether the user says that every extended frame is YAPP
 -- returns      the number of bytes that are ours, 0 for a frame that is not
 function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
-  local frame, number, reported = self.frame, pinfo.number, reported_of(tvb)
-  if reported == 0 then return 0 end
-  local fields, bus, visited = fields_of[id], false, false
-  if self.asks then
-    bus, frame.knows_bus = self.buses:of(pinfo, number)
-    bus = bus or false
-    frame.bus = bus
+  if reported_of(tvb) == 0 then return 0 end
+  local frame, kind = new_frame(self, tvb, pinfo, tree, id, accepts_all), nil
+  if frame.visited then
+    kind = recall(self, frame)
+  elseif not is_remote(frame) then
+    kind = take(self, frame)
   end
-  local key, sources = number * PACKET + (self.offset or offset_of(tvb)), self.sources[bus]
-  -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
-  local data = length_of(tvb) > 0 and raw_of(tvb) or ""
-  if key <= self.newest_key then
-    visited = pinfo.visited
-    if not visited then self.reassembly:drop(key) end -- with -R numbers come twice
-  end
-  if not visited then self.newest_key = key end
-  -- YAPP has no remote frames; what is not known to be one is data.
-  if ZEROS[data] and not visited and socketcan.is_remote(pinfo) then return 0 end
-  frame.key = key
-  frame.number = number
-  frame.visited = visited
-  frame.can_id = fields
-  frame.source = sources and sources[fields.id] or new_source(self, fields.id, bus)
-  frame.slot = bus and slot_of(fields, bus) or fields.message_key
-  frame.data = data
-  frame.reported = reported
-  frame.accepts_all = accepts_all
-  frame.tvb = tvb
-  frame.pinfo = pinfo
-  frame.tree = tree
-  local kind
-  if visited then kind = recall(self, frame) else kind = take(self, frame) end
   if not kind then return 0 end
   show(self, frame, kind)
-  return reported
+  return frame.reported
 end
 
---- Show a frame that is YAPP's by the user's word, but whose CAN id nothing says, as bytes: Decode
--- As
---- on its first frame, on a pass that builds no tree.
+--- Show a frame that is YAPP's by the user's word, but whose CAN id nothing says, as bytes: the
+-- first frame of Decode As, on a pass that builds no tree.
 function Dissector:without_id(tvb, pinfo, tree)
   local builder, item = self.tree, tree
   if builder:wants(tree, pinfo, true).yapp then
@@ -407,32 +418,16 @@ function Dissector:without_id(tvb, pinfo, tree)
   return tvb:reported_len()
 end
 
---- Return whether a frame that nobody dissects may be a Start: it has the bytes of one.
-function Dissector.is_start(_, tvb)
-  if length_of(tvb) ~= 8 then return false end
+--- Report to the statistics what may be a Start that nothing dissects: it has the bytes of one.
+-- find_id  function(pinfo) -> 29-bit CAN id, or nil
+function Dissector:report_start(tvb, pinfo, find_id)
+  if length_of(tvb) ~= 8 then return end
   local _, size, reserved = can_id.start(raw_of(tvb))
-  return reserved == 0 and size > 8
-end
-
---- Report it to the statistics, if its CAN id is that of a Start.
--- id  29-bit CAN id
-function Dissector:report_start(tvb, pinfo, id)
-  local fields, number, bus = fields_of[id], pinfo.number, self.buses:of(pinfo, pinfo.number)
-  if fields.ctrl ~= START or fields.ctl ~= 0 then return end
-  local _, size = can_id.start(raw_of(tvb))
-  local of_bus = self.sources[bus or false]
-  local source = of_bus and of_bus[fields.id] or new_source(self, fields.id, bus or false)
-  self.reader.tell:start {
-    id = fields.id,
-    seq = fields.seq,
-    size = size,
-    source = source.key,
-    bus = source.bus,
-    bus_name = source.bus_name,
-    frame = number,
-    time = pinfo.rel_ts,
-    visited = pinfo.visited,
-  }
+  local id = reserved == 0 and size > 8 and find_id(pinfo)
+  local fields = id and fields_of[id]
+  if not fields or fields.ctrl ~= START or fields.ctl ~= 0 then return end
+  local frame = new_frame(self, tvb, pinfo, nil, id, false)
+  self.reader.stat:start(new_record(self, frame, nil, nil, nil, nil, size))
 end
 
 --- Return the messages that the capture ends before.

@@ -2,8 +2,7 @@
 -- Messages of one key that interleave, where a capture does not tell its buses apart.  Pure Lua.
 --
 -- A Start that comes while a message with the same key is open may supersede it, or come from
--- another bus.  From then on the frames of that key are pooled, and an End looks for the frames
--- that,
+-- another bus.  From then on the frames of that key are pooled.  An End looks for the frames that,
 -- with it, make up one of the open messages: its size and its CRC decide.  Each frame brings some
 -- credit, which bounds the search; bytes that no open message can use end all of them.
 
@@ -30,17 +29,30 @@ function M.new(reassembly, message, fields)
     reassembly = reassembly,
     can_id = fields,
     open = {}, -- see Pool:add; oldest Start first
-    frames = {}, -- { key, data, length on the bus, is_end, is_taken by a good message, orphan = its
-    -- anomaly }
+    frames = {}, -- see Pool:add_frame
     credit = MAX_CREDIT,
     reserve = 0, -- of the credit, what a search has to leave
   }, Pool)
   self:add(message)
-  for i, data in ipairs(chunks) do
-    self.frames[i] = { key = message[i + 1], data = data, length = #data, is_end = false }
-  end
+  for i, data in ipairs(chunks) do self:add_frame(message[i + 1], data, #data, false) end
   self.bytes, self.since = chunks.received, chunks.received
   return self
+end
+
+--- Add a Middle or End.
+-- length   on the bus
+-- returns  the record of the frame
+function Pool:add_frame(key, data, length, is_end)
+  local frame = {
+    key = key,
+    data = data,
+    length = length,
+    is_end = is_end,
+    is_taken = false, -- by a good message
+    orphan = nil, -- its anomaly
+  }
+  table.insert(self.frames, frame)
+  return frame
 end
 
 --- Open the message of a Start.
@@ -179,30 +191,36 @@ local function find_complete(self)
   end
 end
 
--- Gives frames to the message of a candidate and ends it: with a status if it is known, else the
--- CRC
--- decides.
-local function award(self, candidate, indexes, padding, status)
-  local message, chunks, is_truncated = candidate.message, {}, false
+-- Give frames to a message, and return its payload, up to where bytes are truncated, and whether
+-- any are.
+local function assign_frames(self, message, indexes)
+  local chunks, is_truncated = {}, false
   for i = #message, 2, -1 do message[i] = nil end
   for i, index in ipairs(indexes) do
     local frame = self.frames[index]
     message[i + 1] = frame.key
     if not is_truncated then chunks[i] = frame.data end
     is_truncated = is_truncated or #frame.data < frame.length
-    if frame.orphan then frame.orphan.void = true end
+    if frame.orphan then frame.orphan.is_withdrawn = true end
   end
-  local payload = concat(chunks)
+  return concat(chunks), is_truncated
+end
+
+-- End the message of a candidate with these frames: with a status if it is known, else the CRC
+-- decides.
+local function award(self, candidate, indexes, padding, status)
+  local message = candidate.message
+  local payload, is_truncated = assign_frames(self, message, indexes)
   if not status then payload = payload:sub(1, message.size) end
   if is_truncated then status = status or "unverified" end
-  message.padding = padding and padding > 0 and padding or nil
+  message.padding = padding ~= 0 and padding or nil
   self.reassembly:finish(message, self.can_id, payload, status)
   if message.status ~= "good" then return end -- its frames may still be another's
   for _, index in ipairs(indexes) do
     self.frames[index].is_taken = true
     self.bytes = self.bytes - self.frames[index].length
   end
-  for _, anomaly in ipairs(candidate.anomalies) do anomaly.void = true end
+  for _, anomaly in ipairs(candidate.anomalies) do anomaly.is_withdrawn = true end
   local newest = self.open[#self.open]
   self.since = newest and leftovers(self, newest.from) or 0
 end
@@ -237,8 +255,7 @@ end
 function Pool:take(frame)
   local ctrl, newest, kind = frame.can_id.ctrl, self.open[#self.open].message, "fragment"
   local is_end = ctrl == can_id.END
-  local pooled = { key = frame.key, data = frame.data, length = frame.reported, is_end = is_end }
-  table.insert(self.frames, pooled)
+  local pooled = self:add_frame(frame.key, frame.data, frame.reported, is_end)
   self.credit = math.min(math.max(self.credit, 0) + CREDIT_PER_FRAME, MAX_CREDIT)
   self.bytes, self.since = self.bytes + frame.reported, self.since + frame.reported
   if is_end then

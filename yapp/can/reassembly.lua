@@ -1,22 +1,19 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Reassembly: which CAN frames are YAPP, and which message their Start, Middle and End fragments
--- make
--- up ("Multi-Frame CAN YAPP").  Pure Lua.
+-- make up ("Multi-Frame CAN YAPP").  Pure Lua.
 --
 -- A slot is a message key on a bus: usually one message at a time is open there.  A message is
 --   1 .. n     frame keys of its fragments (base.frame_key)
 --   slot, source, size, crc, reserved (nil for 0)    as its Start says; of whom it is
 --   chunks     while it is open: the bytes of the fragments behind the Start; received = how many
 --              these are; repeated = bytes of chunks that equal the one before, or nil;
---              is_truncated
---              = whether the capture has fewer bytes than were sent, or nil
+--              is_truncated = whether the capture has fewer bytes than were sent, or nil
 --   status     nil while it is open; "good", "bad" (CRC), "short", "overrun", "unverified"
 --              (truncated); "superseded" by a new Start, or given up
 --   payload    once its last fragment has come
---   padding (nil for 0); received = bytes, of a short or overrun one; calculated = CRC, of a bad
---   one
+--   padding    of CAN FD, nil for 0
+--   received   bytes, of a short or overrun message; calculated = CRC, of a bad one
 --   duplicates { [frame key of a fragment that came twice] = of the one that it repeats }, or nil
---   lost       its first anomaly, or nil
 
 local can_id = require "yapp.wire.can_id"
 local crc = require "yapp.wire.crc"
@@ -43,6 +40,7 @@ function M.new(max_open)
     open = {}, -- [slot] = the message that is open there, or can.interleaved of several
     open_count = 0,
     accepted = {}, -- [message ID] = true once a Start of it was accepted
+    buses = {}, -- [bus] = true once a Start came there
     store = store.new(),
     -- Of the newest frame; false for none (COMPAT 5.2: nil makes the table anew).
     message = false,
@@ -52,15 +50,17 @@ function M.new(max_open)
 end
 
 --- Note that something is wrong at the newest frame.
--- message  the one that is lost by it, or nil; text, ...: as for string.format
--- returns  an anomaly: { expert = name of an expert item, text, message = the same table for all
---          anomalies of one message, void = true once it is withdrawn }
+-- message    the one that is lost by it, or nil
+-- text, ...  as for string.format
+-- returns    an anomaly: { expert = name of an expert item, text, lost = frame key of the Start of
+--            the message that is lost or nil, is_withdrawn = true once nothing is wrong after all }
 function Reassembly:note(expert, message, text, ...)
-  local anomaly = { expert = expert, text = text:format(...), message = nil, void = nil }
-  if message then
-    message.lost = message.lost or anomaly
-    anomaly.message = message.lost
-  end
+  local anomaly = {
+    expert = expert,
+    text = text:format(...),
+    lost = message and message[1],
+    is_withdrawn = nil,
+  }
   if not self.anomalies then self.anomalies = {} end
   table.insert(self.anomalies, anomaly)
   return anomaly
@@ -101,10 +101,14 @@ function Reassembly.finish(_, message, fields, payload, status)
   if message.status == "bad" then message.calculated = calculated end
 end
 
---- End a message that nothing will show.
+--- End a message that nothing will show.  A copy of what its fragments need is a third as large.
 function Reassembly:give_up(message)
   message.status, message.chunks = "superseded", nil
-  if self.keeps then self.store:keep(message, 0, false) end
+  if not self.keeps then return end
+  local copy = { slot = message.slot, source = message.source, size = message.size,
+    status = "superseded" }
+  for i, key in ipairs(message) do copy[i] = key end
+  self.store:keep(copy, 0, false)
 end
 
 -- Slots ------------------------------------------------------------------------------------------
@@ -119,21 +123,28 @@ local function open_in(self, slot)
   return open and (open.messages and open:messages() or { open }) or {}
 end
 
--- Gives up the messages with the oldest Starts, to make room for one more.
-local function make_room(self)
-  local slots, started = {}, {}
+-- Return the newest message of each slot, in the order of their Starts.
+local function newest_messages(self)
+  local list = {}
   for slot in pairs(self.open) do
-    local list = open_in(self, slot)
-    slots[#slots + 1], started[slot] = slot, list[#list][1]
+    local messages = open_in(self, slot)
+    list[#list + 1] = messages[#messages]
   end
-  table.sort(slots, function(a, b) return started[a] < started[b] end)
-  local count = #slots - floor(self.max_open / 2)
+  table.sort(list, function(a, b) return a[1] < b[1] end)
+  return list
+end
+
+-- Give up the messages with the oldest Starts, to make room for one more.
+local function make_room(self)
+  local list = newest_messages(self)
+  local count = #list - floor(self.max_open / 2)
   for i = 1, count do
-    for _, message in ipairs(open_in(self, slots[i])) do self:give_up(message) end
-    close(self, slots[i])
+    local slot = list[i].slot
+    for _, message in ipairs(open_in(self, slot)) do self:give_up(message) end
+    close(self, slot)
   end
   self:note("fragment.incomplete", nil,
-    "%d messages are open: the oldest %d are given up", #slots, count)
+    "%d messages are open: the oldest %d are given up", #list, count)
 end
 
 -- A Start came while a message is open in its slot.  On a known bus it supersedes that message.
@@ -154,7 +165,7 @@ local function supersede(self, frame)
       return close(self, frame.slot)
     end
     for i = 2, self.keeps and #open or 0 do
-      self.store:keep_anomalies(open[i], frame.can_id, {})
+      self.store:keep_anomalies(open[i], {})
     end
     open = interleaved.new(self, open, frame.can_id)
     self.open[frame.slot] = open
@@ -185,10 +196,12 @@ local function check_start(self, frame, size, reserved)
   end
 end
 
--- Whether a Start is surely YAPP's.  It must be plausible; and an unknown ID must have no Seq, or
--- have had a Start without one before.  Of a known ID it may be truncated.
+-- Return whether a Start is YAPP's.  If the user does not say so, it must be plausible, and an
+-- unknown ID must have no Seq, or have had a Start without one before.  That of a known ID may be
+-- truncated.
 local function is_plausible(self, frame, size, reserved)
   local fields, is_known = frame.can_id, frame.source.size
+  if frame.accepts_all then return true end
   if fields.ctl ~= 0 or frame.reported ~= 8 then return false end
   if not reserved then return is_known end
   if reserved ~= 0 or size <= 8 then return false end
@@ -197,9 +210,10 @@ end
 
 local function start(self, frame)
   local sum, size, reserved = can_id.start(frame.data)
-  if not frame.accepts_all and not is_plausible(self, frame, size, reserved) then return nil end
+  if not is_plausible(self, frame, size, reserved) then return nil end
   local slot, source = frame.slot, frame.source
   self.accepted[frame.can_id.id] = true
+  if frame.bus then self.buses[frame.bus] = true end
   local several = self.open[slot] and supersede(self, frame)
   if size ~= source.size or reserved ~= 0 or frame.reported ~= 8 then
     check_start(self, frame, size, reserved)
@@ -227,10 +241,10 @@ end
 
 -- Middles and Ends -------------------------------------------------------------------------------
 
--- CAN may deliver a frame twice: its sender did not see the acknowledgement.  Where a message is
--- too
--- long by fragments of one run of equal ones, and its CRC is good without them, they are left out.
--- frame    the last one; needed: the bytes that it should have, with nothing left out
+-- CAN may deliver a frame twice: its sender did not see the acknowledgement.  A message may be too
+-- long by fragments of one run of equal ones.  If its CRC is good without them, leave them out.
+-- frame   the last one
+-- needed  the bytes that it should have, with nothing left out
 -- returns  whether it is so: then the message has ended
 local function leave_out(self, message, frame, needed)
   local chunks, at, runs = message.chunks, 1, 0
@@ -278,9 +292,8 @@ local function finish_unusual(self, message, frame)
   self:finish(message, frame.can_id, concat(chunks), status)
 end
 
--- A chunk that equals the one before or is truncated.  Behind a truncated one the place of nothing
--- is
--- known.
+-- Take a chunk that equals the one before, or is truncated.  Behind a truncated one nobody knows
+-- which chunk is which.
 local function take_odd(chunks, index, data, reported)
   if chunks.is_truncated then return end
   if data == chunks[index - 1] then chunks.repeated = (chunks.repeated or 0) + reported end
@@ -370,12 +383,11 @@ function Reassembly:take(frame)
   self.anomalies, self.keeps = false, not frame.is_only_pass
   local kind, message = TAKERS[frame.can_id.ctrl](self, frame)
   if self.keeps then
-    local kept = self.store
     self.message = message or false
     -- Which message has an interleaved fragment is not known yet; it may be none.
     local is_other = kind == "other" or kind == "fragment" and not message.chunks
     if self.anomalies or is_other then
-      kept:keep_anomalies(frame.key, frame.can_id, self.anomalies or {})
+      self.store:keep_anomalies(frame.key, self.anomalies or {})
     end
   end
   return kind, message, self.anomalies
@@ -391,22 +403,31 @@ function Reassembly:drop(key)
   self.store:drop(key, self.message)
 end
 
--- The message that is open and has a frame as a fragment, and the index of that.
-local function find_open(self, frame)
-  for _, message in ipairs(open_in(self, frame.slot)) do
-    local index = frame_key.last_until(message, frame.key)
-    if message[index] == frame.key then return message, index end
+-- Return the message that is open in a slot and has a frame as a fragment, and the index of that.
+local function find_open_in(self, slot, key)
+  for _, message in ipairs(open_in(self, slot)) do
+    local index = frame_key.last_until(message, key)
+    if message[index] == key then return message, index end
   end
 end
 
+-- The same for all slots: once a read filter has dropped a packet, no bus is known on revisits.
+local function find_open(self, frame)
+  local found, index = find_open_in(self, frame.slot, frame.key)
+  for bus in pairs(found and {} or self.buses) do
+    found, index = find_open_in(self, can_id.slot(frame.can_id, bus), frame.key)
+    if found then break end
+  end
+  return found, index
+end
+
 --- Say what a frame is that was taken before.
--- returns  as Reassembly:take, and the index of the frame in its message; it is that of the one
--- before
---          for a fragment that came twice
+-- returns  as Reassembly:take, and the index of the frame in its message; of a fragment that came
+--          twice, the index of the one before
 function Reassembly:recall(frame)
   local message, index = self.store:find(frame)
   if not message then message, index = find_open(self, frame) end
-  local anomalies = self.store:anomalies_of(frame)
+  local anomalies = self.store:anomalies_of(frame.key)
   if message then
     local is_last = message.payload and message[#message] == frame.key
     return is_last and "last" or "fragment", message, anomalies, index
@@ -418,12 +439,9 @@ end
 --- Return the messages that have neither ended nor been superseded, in the order of their Starts.
 function Reassembly:unfinished()
   local list = {}
-  for slot in pairs(self.open) do
-    for _, message in ipairs(open_in(self, slot)) do
-      if not message.status then list[#list + 1] = message end
-    end
+  for _, message in ipairs(newest_messages(self)) do
+    if not message.status then list[#list + 1] = message end
   end
-  table.sort(list, function(a, b) return a[1] < b[1] end)
   return list
 end
 

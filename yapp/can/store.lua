@@ -1,20 +1,15 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What is kept of CAN frames for when Wireshark dissects them again.  Pure Lua.
 --
--- Messages that have ended are kept as text, by slot in the order of their Starts; so nothing is
--- kept
--- of a fragment.  Frames 7, 8 and 10 with offset 16 make a good message of 9 bytes:
+-- A good message is packed into a string, so nothing is kept of its fragments.  Frames 7, 8 and 10
+-- with offset 16 make a good message of 9 bytes:
 --
 --   starts[1] = 7 * 2^17 + 16
---   texts[1] = "|\3\1\2" and the payload: "!" where a fault is set; number of fragments; distances
---   of
---     their packets
+--   texts[1] = "|\3\1\2" and the payload: "!" where a fault is set; number of fragments;
+--              distances of their packets
 --
--- Another message, so if it is broken, has padding or more than 255 fragments:
---
---   texts[2] = "bad 0 9 3341729467 0 0 0 131072 262144\n" and the payload: status; 1 where a fault
---   is
---     set; size; CRC; reserved bytes; padding; bytes received; distances of the frame keys
+-- A Start of 32 bytes without any fragment behind it is "-32".  Any other message is kept as it is,
+-- in broken[1]: its text is "|" or "!" alone.
 
 local can_id = require "yapp.wire.can_id"
 local crc = require "yapp.wire.crc"
@@ -23,7 +18,7 @@ local frame_key = require "yapp.base.frame_key"
 local M = {}
 
 local NONE = {}
-local byte, concat, insert, max, sub = string.byte, table.concat, table.insert, math.max, string.sub
+local byte, insert, max, sub = string.byte, table.insert, math.max, string.sub
 local last_until, number_of = frame_key.last_until, frame_key.number
 local PACKET = frame_key.PACKET
 
@@ -31,7 +26,7 @@ local PACKET = frame_key.PACKET
 local CHARS = {}
 for packets = 1, 255 do CHARS[packets * PACKET] = string.char(packets) end
 
-local FAULT = byte("!")
+local FAULT, LONE = byte("!"), byte("-")
 local MAX_BEFORE = 8 -- messages of a slot that may begin behind one and before it ends
 
 local DUPLICATE = {
@@ -45,22 +40,32 @@ Store.__index = Store
 --- Make the store of one capture.
 function M.new()
   return setmetatable({
-    -- [slot] = { source, starts = frame keys, texts, deltas, latest = message that was found last,
-    -- at
-    -- = index of its text, index = of the fragment }
-    slots = {},
+    slots = {}, -- [slot] = see new_slot
     buses = {}, -- [bus] = true where it has slots
-    anomalies = {}, -- [frame key] = list, with message_key of the frame
+    anomalies = {}, -- [frame key] = list
     originals = {}, -- [frame key of a fragment that came twice] = that of the fragment it repeats
   }, Store)
 end
 
--- The text of a usual message; nil of another one.
-local function short_text(message, has_fault)
-  local count = CHARS[#message * PACKET]
-  if message.status ~= "good" or message.reserved or message.padding then return nil end
-  if not count then return nil end
-  local distances = ""
+local function new_slot(source)
+  return {
+    source = source,
+    starts = {}, -- frame keys, which ascend
+    texts = {},
+    broken = {}, -- messages, false for one that is packed
+    deltas = {},
+    latest = {}, -- the message that was found last
+    at = 0, -- its index
+    index = 0, -- of its fragment that was found
+  }
+end
+
+-- Return the text of a message; nil for one that is not packed.
+local function pack(message, has_fault)
+  local count, distances = CHARS[#message * PACKET], ""
+  if message.reserved or message.padding or not count then return nil end
+  if message.status == "superseded" and #message == 1 then return "-" .. message.size end
+  if message.status ~= "good" then return nil end
   for i = 2, #message do
     local distance = CHARS[message[i] - message[i - 1]]
     if not distance then return nil end
@@ -69,100 +74,91 @@ local function short_text(message, has_fault)
   return (has_fault and "!" or "|") .. count .. distances .. message.payload
 end
 
-local function long_text(message, has_fault)
-  local words = { message.status, has_fault and 1 or 0, message.size, message.crc,
-    message.reserved or 0, message.padding or 0, message.received or 0 }
-  for i = 2, #message do words[#words + 1] = message[i] - message[i - 1] end
-  return concat(words, " ") .. "\n" .. (message.payload or "")
-end
-
 --- Keep a message that has ended.
--- delta      number, which its message gets as delta when it is found
+-- delta      number or false, which the message gets as delta when it is found
 -- has_fault  whether it has a fault flag set
 function Store:keep(message, delta, has_fault)
   local slot = self.slots[message.slot]
   if not slot then
-    slot = { source = message.source, starts = {}, texts = {}, deltas = {}, latest = {}, at = 0,
-      index = 0 }
+    slot = new_slot(message.source)
     self.slots[message.slot] = slot
     self.buses[can_id.bus(message.slot)] = true
   end
-  local at = last_until(slot.starts, message[1], #slot.starts) + 1
-  insert(slot.starts, at, message[1])
-  insert(slot.texts, at, short_text(message, has_fault) or long_text(message, has_fault))
+  local start, text = message[1], pack(message, has_fault)
+  local at = last_until(slot.starts, start, #slot.starts) + 1
+  insert(slot.starts, at, start)
+  insert(slot.texts, at, text or has_fault and "!" or "|")
+  insert(slot.broken, at, not text and message)
   insert(slot.deltas, at, delta)
   for key, original in pairs(message.duplicates or NONE) do self.originals[key] = original end
 end
 
---- Keep the anomalies of a frame; of one whose message is not sure, also an empty list.
--- fields  of its CAN id
-function Store:keep_anomalies(key, fields, list)
-  list.message_key = fields.message_key
+--- Keep the anomalies of a frame.  If its message is not known yet, the list may be empty.
+function Store:keep_anomalies(key, list)
   self.anomalies[key] = list
 end
 
 --- Return the anomalies of a frame that still hold; nil where none were kept.
-function Store:anomalies_of(frame)
-  if self.originals[frame.key] then return { DUPLICATE } end
-  local kept = self.anomalies[frame.key]
-  if not kept or kept.message_key ~= frame.can_id.message_key then return nil end
-  local list = {}
+function Store:anomalies_of(key)
+  if self.originals[key] then return { DUPLICATE } end
+  local kept, list = self.anomalies[key], {}
+  if not kept then return nil end
   for _, anomaly in ipairs(kept) do
-    if not anomaly.void then list[#list + 1] = anomaly end
+    if not anomaly.is_withdrawn then list[#list + 1] = anomaly end
   end
   return list
 end
 
---- Forget the newest packet, as its number comes again: a read filter dropped it.  The keys of its
--- frames become such as no frame has.
--- key      of the first frame of the packet that has the number now
+--- Forget the newest packet: a read filter dropped it, and the next packet has its number.  Its
+-- frames get keys that no frame has.
+-- key      of the first frame of the next packet
 -- message  of the newest frame, or false
 function Store:drop(key, message)
   self.anomalies[key], self.originals[key] = nil, nil
   if not message or number_of(message[#message]) ~= number_of(key) then return end
+  local slot = message.payload and self.slots[message.slot]
+  local at = slot and last_until(slot.starts, message[1])
   for i = #message, 1, -1 do
     if number_of(message[i]) == number_of(key) then message[i] = message[i] - 0.5 end
   end
-  if not message.payload then return end
-  local slot = self.slots[message.slot]
-  local at = last_until(slot.starts, message[1] + 0.5)
-  slot.starts[at], slot.texts[at] = message[1], long_text(message, slot.texts[at]:find("^!"))
+  if not slot then return end
+  slot.starts[at], slot.texts[at], slot.broken[at] = message[1], sub(slot.texts[at], 1, 1), message
 end
 
--- Makes a message from its text.
-local function read(slot, at, fields)
-  local text, key = slot.texts[at], slot.starts[at]
-  local message = { key, nil, nil, nil, nil, source = slot.source, delta = slot.deltas[at],
-    has_fault = false, status = "good", size = 0, crc = 0, payload = nil }
-  if text:find("^[|!]") then
-    local count = byte(text, 2)
-    message.has_fault, message.payload = byte(text) == FAULT, sub(text, count + 2)
-    message.size = #message.payload
-    message.crc = crc.update(can_id.seed(fields, message.size), message.payload)
-    for i = 2, count do
-      key = key + byte(text, i + 1) * PACKET
-      message[i] = key
-    end
+-- Return the message of a slot with this index.
+local function message_at(slot, at, fields)
+  local text, key, delta = slot.texts[at], slot.starts[at], slot.deltas[at]
+  local has_fault = byte(text) == FAULT
+  if #text == 1 then
+    local message = slot.broken[at]
+    message.delta, message.has_fault = delta, has_fault
     return message
   end
-  local words, head, payload = {}, text:match("^(.-)\n(.*)$")
-  for word in head:gmatch("%S+") do words[#words + 1] = tonumber(word) or word end
-  message.status, message.has_fault = words[1], words[2] == 1
-  message.size, message.crc = words[3], words[4]
-  message.reserved, message.padding, message.received = words[5], words[6], words[7]
-  message.payload = message.status ~= "superseded" and payload or nil
-  for i = 8, #words do
-    key = key + words[i]
-    message[i - 6] = key
+  if byte(text) == LONE then
+    return { key, source = slot.source, delta = delta, has_fault = false, status = "superseded",
+      size = tonumber(sub(text, 2)) }
   end
-  if message.status == "bad" then
-    local seed = can_id.seed(fields, message.size, message.reserved)
-    message.calculated = crc.update(seed, payload)
+  local count = byte(text, 2)
+  local payload = sub(text, count + 2)
+  local message = {
+    key, nil, nil, nil, nil,
+    source = slot.source,
+    delta = delta,
+    has_fault = has_fault,
+    status = "good",
+    size = #payload,
+    crc = crc.update(can_id.seed(fields, #payload), payload),
+    payload = payload,
+  }
+  for i = 2, count do
+    key = key + byte(text, i + 1) * PACKET
+    message[i] = key
   end
   return message
 end
 
--- The message of a slot that has a frame as a fragment, and the index of that; nil for none.
+-- Return the message of a slot that has a frame as a fragment, and the index of the fragment; nil
+-- for none.  A good message has the frame; a broken one only seemed to have it.
 local function find_in(slot, key, fields)
   local latest, found = slot.latest, nil
   local index = last_until(latest, key, slot.index + 1)
@@ -172,24 +168,23 @@ local function find_in(slot, key, fields)
   end
   local last = last_until(slot.starts, key, slot.at + 1)
   for at = last, max(last - MAX_BEFORE, 1), -1 do
-    local message = read(slot, at, fields)
+    local message = message_at(slot, at, fields)
+    local is_good = message.status == "good"
     index = last_until(message, key)
-    local has_it, is_good = message[index] == key, message.status == "good"
-    -- A good one has the frame; a broken one only seemed to have it.
-    if has_it and (is_good or not found) then
+    if message[index] == key and (is_good or not found) then
       found, slot.latest, slot.at, slot.index = message, message, at, index
+      if is_good then break end
     end
-    if has_it and is_good then break end
   end
   return found, slot.index
 end
 
---- Return the message that has a frame as a fragment, and the index of that; nil for none.
+--- Return the message that has a frame as a fragment, and the index of the fragment; nil for none.
 -- frame  as can.reassembly takes it
 function Store:find(frame)
   local slots, fields, key = self.slots, frame.can_id, self.originals[frame.key] or frame.key
   local slot = slots[frame.slot]
-  local found, index = nil, nil
+  local found, index
   if slot then found, index = find_in(slot, key, fields) end
   if found then return found, index end
   -- Behind a packet that a read filter dropped no bus is known.

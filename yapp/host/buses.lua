@@ -129,6 +129,16 @@ local function bus_by_fields(found)
   return found:bus_by_fields(section, interface or 0, index or 0, event, name)
 end
 
+-- Find the bus of a packet behind those that were read when the file was opened.
+-- returns  as Buses:of
+local function find_later(self, number)
+  local bus = self.kept[number] or bus_by_fields(self.found)
+  -- What was the only bus when the file was opened goes on without a number.
+  if not self.found.has_several and (bus or 1) == 1 then return nil, true end
+  self.kept[number] = bus
+  return bus, bus ~= nil
+end
+
 --- Return where the current packet was captured.
 -- number   of the packet, which Wireshark need not be asked for again
 -- returns  its bus, a number, nil where the capture has one or nothing says it; and whether this is
@@ -141,11 +151,7 @@ function Buses:of(pinfo, number)
     return bus, true
   end
   if number > found.count and (self.tap or found.has_several) then
-    bus = self.kept[number] or bus_by_fields(found)
-    -- What was the only bus when the file was opened goes on without a number.
-    if not found.has_several and (bus or 1) == 1 then return nil, true end
-    self.kept[number] = bus
-    return bus, bus ~= nil
+    return find_later(self, number)
   end
   if not found.has_several then return nil, not found.is_unknown end
   bus = not self.is_shifted and found:bus(number, IN_TSHARK and pinfo.abs_ts or nil)

@@ -180,25 +180,36 @@ end
 -- The functions from here on read a block, which is there as far as it is no longer than CHUNK.
 -- They return true if what follows is not to be read.
 
-local function read_interface(self, window, offset, length)
-  if length < 20 then return true end
-  local linktype = window:number(offset + 8, 2)
-  local options = read_options(window, offset + 16, offset + length - 4)
-  local name = (options[2] or ""):match("^[^\0]*")
+-- Add an interface to those of the file.
+-- name  nil for none
+local function new_interface(self, linktype, name)
   local interface = {
     number = #self.interfaces, -- in the file
     linktype = linktype,
-    name = name ~= "" and utf8.name(name) or nil,
-    per_second = units_per_second(options[9]),
-    shift = option_number(window, options[14]), -- seconds to add to its times
+    name = name and utf8.name(name),
+    per_second = 1e6, -- time units
+    shift = 0, -- seconds to add to its times
     buses = {}, -- by index
-    bus = 0, -- of its packets; nil if each tells it
+    bus = nil, -- of its packets, 0 if they carry no YAPP; nil if each tells it
     dropped = 0, -- packets, as the statistics say
     accounted = 0, -- of them, as packets say
   }
   self.interfaces[#self.interfaces + 1] = interface
+  return interface
+end
+
+local function read_interface(self, window, offset, length)
+  if length < 20 then return true end
+  local linktype = window:number(offset + 8, 2)
+  local options = read_options(window, offset + 16, offset + length - 4)
+  local interface = new_interface(self, linktype, (options[2] or ""):match("^[^\0]+"))
+  interface.per_second = units_per_second(options[9])
+  interface.shift = option_number(window, options[14])
   local is_mixed = INDEX_OF[linktype] ~= nil
-  if not (is_mixed or CARRIERS[linktype]) then return end
+  if not (is_mixed or CARRIERS[linktype]) then
+    interface.bus = 0
+    return
+  end
   self.carriers = self.carriers + 1
   interface.bus = not is_mixed and bus_number(self, interface, 0) or nil
   if not self.keeps then self.early = self.count end
@@ -309,11 +320,10 @@ local function read_pcap(self, window, is_little, fractions)
   window.is_little = is_little
   if not window:has(0, 24) then return end
   local linktype = window:number(20, 4) % 0x10000 -- above it, what is said of check sequences
-  self.place = linktype == SOCKETCAN and 8 or nil
+  self.offset = linktype == SOCKETCAN and 8 or nil
   self.has_packets = window:has(24, 16)
   if linktype ~= COOKED_2 and linktype ~= RTAC then return end
-  local interface = { number = 0, linktype = linktype, buses = {}, dropped = 0, accounted = 0 }
-  self.interfaces[1] = interface
+  local interface = new_interface(self, linktype)
   self.carriers = 1
   local offset = 24
   while window:has(offset, 16) do
@@ -347,7 +357,7 @@ local function has_header(bytes)
   return false
 end
 
--- Completes the list of drops: what statistics say beyond what packets say, and names of buses.
+-- Complete the list of drops: what statistics say beyond what packets say, and names of buses.
 local function complete_drops(self)
   local drops = self.drops
   for _, interface in ipairs(self.interfaces) do
@@ -360,27 +370,19 @@ local function complete_drops(self)
   end
 end
 
---- Read a file as far as it may have YAPP: of somebody else's no more than its first bytes.
--- head  its first bytes, M.HEAD at most
--- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
---       nil at the end, and where a pipe must be left alone
--- returns a capture: {
---   carriers      number of interfaces that may carry YAPP
---   has_several   whether it tells several buses apart, or will do so in a live capture
---   is_live       whether it is pcapng without a packet yet, as when a capture begins
---   is_told       whether it is of a format that this module reads
---   is_unknown    whether it has buses that this module cannot tell: a file of Vector BLF
---   count         how many packets were read
---   names         [bus] = its name
---   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
---                 the loss or nil, bus = name or nil, count = packets that were dropped }
---   has_no_times  whether packets have no time stamps
---   place         offset in each packet of a CAN frame's data; nil where it is not always the same
---   head          its first bytes, if they have what may be YAPP frames, in TCP, UDP or whatever
---   may_have_frames  whether they have, or it has no packets yet }
-function M.read(head, more)
-  local has_frame = has_header(head)
-  local self = setmetatable({
+-- Set what is known once all packets have been read.
+local function conclude(self, is_pcapng)
+  self.has_packets = self.has_packets or self.count > 0
+  local may_have_more = self.carriers > 0 or #self.interfaces == 0
+  self.is_live = is_pcapng and not self.has_packets and may_have_more
+  self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
+  for number = 1, #self.buses do name_bus(self, number) end
+  complete_drops(self)
+  if not self.has_several then self.entries = {} end
+end
+
+local function new_capture()
+  return setmetatable({
     carriers = 0,
     count = 0,
     early = 0, -- packets in front of the second interface: those that may be YAPP's are of bus 1
@@ -398,23 +400,39 @@ function M.read(head, more)
     has_no_times = false,
     has_packets = false,
   }, Capture)
+end
+
+--- Read a file as far as it may have YAPP: of somebody else's no more than its first bytes.
+-- head  its first bytes, M.HEAD at most
+-- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
+--       nil at the end, and where a pipe must be left alone
+-- returns a capture: {
+--   carriers      number of interfaces that may carry YAPP
+--   has_several   whether it tells several buses apart, or will do so in a live capture
+--   is_live       whether it is pcapng without a packet yet, as when a capture begins
+--   is_told       whether it is of a format that this module reads
+--   is_unknown    whether it has buses that this module cannot tell: a file of Vector BLF
+--   count         how many packets were read
+--   names         [bus] = its name
+--   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
+--                 the loss or nil, bus = name or nil, count = packets that were dropped }
+--   has_no_times  whether packets have no time stamps
+--   offset        each packet of a CAN frame's data; nil where it is not always the same
+--   head          its first bytes, if they have what may be YAPP frames, in TCP, UDP or whatever
+--   may_have_frames  whether they have, or it has no packets yet }
+function M.read(head, more)
+  local self, has_frame = new_capture(), has_header(head)
   local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
   function window.more(skip, count)
     if self.carriers > 0 or has_frame then return more(skip, count) end
   end
   local reader = READERS[sub(head, 1, 4)]
   if reader then reader(self, window) end
-  local has_packets = self.has_packets or self.count > 0
   self.is_told = reader ~= nil
   self.is_unknown = sub(head, 1, 4) == "LOGG"
-  self.is_live = reader == read_pcapng and not has_packets and
-    (self.carriers > 0 or #self.interfaces == 0)
-  self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
-  for number = 1, #self.buses do name_bus(self, number) end
-  self.head = has_frame and has_packets and head or nil
-  self.may_have_frames = has_frame or not has_packets
-  complete_drops(self)
-  if not self.has_several then self.entries = {} end
+  conclude(self, reader == read_pcapng)
+  self.head = has_frame and self.has_packets and head or nil
+  self.may_have_frames = has_frame or not self.has_packets
   return self
 end
 
@@ -448,6 +466,9 @@ function Capture:bus_by_fields(section, interface, index, event, name)
   if event then index = DIRECTIONS[event] or "tx" end
   local bus = bus_number(self, record, index)
   if not self.names[bus] then name_bus(self, bus) end
+  -- An index may be followed by others, as in a file whose interface was read.
+  local is_first = self.is_live and bus == 1 and index ~= 0 and not event
+  self.has_several = self.has_several or is_first
   return bus
 end
 

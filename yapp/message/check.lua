@@ -55,6 +55,23 @@ function M.within(what, v, low, high)
   demand(is_within, "%s %s is not one of %d .. %d", what, M.shown(v), low, high)
 end
 
+-- Texts and lists -------------------------------------------------------------------------------
+
+--- Return a text without blanks around it.
+function M.trim(text)
+  return text:match("^%s*(.-)%s*$")
+end
+
+--- Return the row of a list that has a name; nil, and the names that there are, if none has it.
+function M.find(list, name)
+  local names = {}
+  for i, one in ipairs(list) do
+    if one.name == name then return one end
+    names[i] = one.name
+  end
+  return nil, table.concat(names, ", ")
+end
+
 -- Sets, rows and their options -------------------------------------------------------------------
 
 --- The names in a text as a set: { [name] = true }.

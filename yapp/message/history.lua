@@ -6,11 +6,12 @@
 -- Commands and reboots, not with messages.
 
 local band = require("yapp.base.bits").band
+local last_until = require("yapp.base.frame_key").last_until
 local decode = require("yapp.message.decode")
 
 local M = {}
 
-local abs, floor, huge, max, min = math.abs, math.floor, math.huge, math.max, math.min
+local abs, huge, max, min = math.abs, math.huge, math.max, math.min
 local insert = table.insert
 
 local HALF_NANOSECOND = 5e-10 -- what rounding may add to a difference of two times
@@ -99,20 +100,6 @@ local function new_source(self, m)
     commands = commands_of(self, message.answers, bus), -- ascending: what its messages answer
     own = commands_of(self, message.name, bus), -- ascending: its own, if others answer them
   }
-end
-
--- Return the index of the last of these ascending numbers that is at most `limit`, 0 for none.
-local function last_until(numbers, limit)
-  local low, high = 0, #numbers
-  while low < high do
-    local middle = floor((low + high + 1) / 2)
-    if numbers[middle] <= limit then
-      low = middle
-    else
-      high = middle - 1
-    end
-  end
-  return low
 end
 
 -- Clocks -----------------------------------------------------------------------------------------

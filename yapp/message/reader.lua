@@ -14,7 +14,7 @@ Reader.__index = Reader
 
 --- Make a reader.
 -- catalogue  compiled
--- stat       { wanted = whether a statistic wants messages }
+-- stat       a stat.intake, which gets messages while it is wanted
 function M.new(catalogue, stat)
   return setmetatable({
     messages = catalogue.messages,
@@ -25,14 +25,7 @@ function M.new(catalogue, stat)
     is_by_id = true, -- whether no bus has messages of its own
     has_several = false, -- whether the capture has several buses
     hinted = {}, -- [id of an unknown message] = the frame whose Info has the whole advice
-    tell = nil, -- a stat.tell
   }, Reader)
-end
-
---- Tell a statistic of messages, of losses, and of fragments, while stat.wanted.
--- tell  a stat.tell
-function Reader:tell_to(tell)
-  self.tell = tell
 end
 
 --- Forget the capture file.
@@ -74,14 +67,14 @@ function Reader:message_of(id, bus)
   return self.sources:message(bus, id) or self.by_id[id]
 end
 
---- The payload size of that message and the smallest that it may have, nil for none.
+--- Return the payload size of that message and the smallest that it may have, nil for none.
 function Reader:size_of(id, bus)
   local message = self:message_of(id, bus)
   if message then return message.size, message.min_size end
 end
 
---- Whether a good payload of so many bytes is decoded as the message that an ID carries; nil for an
--- unknown ID.
+--- Return whether a good payload of this size is decoded as the message that an ID carries; nil for
+-- an unknown ID.
 function Reader:fits(id, size, bus)
   local message = self:message_of(id, bus)
   return message and size >= message.min_size
@@ -106,16 +99,14 @@ function Reader:label(id, bus)
   return bus and ("%s (%s)"):format(label, bus) or label
 end
 
---- A source, a bus or a stream and an ID, and what is worked out of it once.
+--- Make a source, which is a bus or stream, and an ID.
 -- key       of the source; id: message ID; bus: key of the bus or stream, or false
--- bus_name  or nil where the capture names none
--- line      what tells the source apart besides its ID, where nothing else does; nil for the bus
---           in a capture of several
+-- bus_name  nil if the capture names none
+-- line      what else tells sources apart; nil for the bus, if the capture has several
 -- returns   { key, bus, bus_name, size, min_size = of its messages or nil, name = of them in Info
---           (see Reader:label), text = what the source is called, the column Source: the name that
---           the user gave, or line and ID; texts = of the parts of its messages, of can.carrier;
---           message = a record for Reader:read: nobody keeps one, so the next one is told in the
---           same table, as a new one took a tenth of a packet list }
+--           (see Reader:label), text = the column Source: the name that the user gave, or line and
+--           ID; texts = of the fragments of its messages; message = a record for Reader:read, used
+--           again for the next message of the source: a new one took a tenth of a packet list }
 function Reader:new_source(key, id, bus, bus_name, line)
   local name, text = self:label(id, bus_name), self:name_of(id, bus_name)
   local size, min_size = self:size_of(id, bus_name)
@@ -151,7 +142,7 @@ function Reader:hint(m)
   return text, ", " .. size .. advice
 end
 
--- Asks the history what is new in a message, and how things stand there.
+-- Ask the history what changes with a message, and how things stand there.
 local function ask(m, history)
   m.change, m.standing = false, false
   if m.is_unsure then return end
@@ -170,21 +161,21 @@ local function ask(m, history)
   m.standing = standing
 end
 
---- Reads a finished message.  The record is what message.history, show.tree and stat.tell take it
--- as.
--- m        { id, seq, ctl, size, payload, status, good = whether it is proved whole, is_whole =
+--- Read a finished message, for show.tree and stat.intake.
+-- m        { id, seq, ctl, size, payload, status, good = whether it is proved complete, is_whole =
 --          whether the payload has all its bytes; source = key of bus or stream and ID, bus = key
---          of the bus or stream, or nil, bus_name = or nil, frame = number, time = seconds since
---          the first packet, ... }: gets
---          message = of the catalogue, where the ID is known
---          raws and look = from decode.read, where the size fits too: min_size of the message at
+--          of the bus or stream, or nil, bus_name = or nil, frame = number, number = frame key,
+--          time = seconds since the first packet, visited, is_unsure = whether the history is
+--          unreliable, as nothing tells the bus; delta, if visited; wants, ... }; gets
+--          message = of the catalogue, if the ID is known
+--          raws and look = from decode.read, if the size fits, too: min_size of the message at
 --          least, and more than its size only of a good one
 --          undecoded = number of payload bytes behind the message's size, nil for none
 --          has_fault = whether a fault flag is set
---          change = what is new in it, or false; delta = seconds since the source's previous good
---          one; standing = how things stand, where wants.standing (see message.history)
--- history  a message.history, which is asked by m.number, the frame key.  It is asked for nothing
---          where m.is_unsure; of a visited message (m.visited) m.delta is known already.
+--          change = what changes with it, or false; delta = seconds since the source's previous
+--          good one; standing = how things stand, or false (see message.history); is_unsure = true
+--          if controllers share its source
+-- history  a message.history
 function Reader:read(m, history)
   local message, raws, look = self:message_of(m.id, m.bus_name), nil, nil
   local is_longer = message and m.size > message.size
@@ -195,7 +186,7 @@ function Reader:read(m, history)
   m.undecoded = raws and is_longer and m.size - message.size or nil
   m.has_fault = look and decode.has_alarm(message, raws)
   ask(m, history)
-  if self.stat.wanted then self.tell:message(m) end
+  if self.stat.wanted then self.stat:message(m) end
 end
 
 return M

@@ -17,6 +17,8 @@ local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
+local trim = check.trim
+
 local MAX_ID = 2047
 local MAX_NAME = 64 -- bytes
 local SHAPE = "write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME"
@@ -24,10 +26,6 @@ local EVERY = { "every" } -- ID of a bus
 
 local Sources = {}
 Sources.__index = Sources
-
-local function trim(text)
-  return text:match("^%s*(.-)%s*$")
-end
 
 -- Splits a text at the commas outside of quotes; what is blank is no part.
 local function split(text)
@@ -85,16 +83,6 @@ local function read_ids(text)
   return ids
 end
 
-local function find_message(catalogue, name)
-  local names = {}
-  for i, message in ipairs(catalogue.messages) do
-    if message.name == name then return message end
-    names[i] = message.name
-  end
-  local known = "known messages: " .. table.concat(names, ", ")
-  demand(false, ('no message "%s"'):format(name), known)
-end
-
 -- Reads a part.
 -- returns  the bus, the IDs, the compiled message and the name: nil for each that it does not say
 local function read_part(part, catalogue)
@@ -110,7 +98,9 @@ local function read_part(part, catalogue)
     return bus, ids, nil, name
   end
   demand(ids, "a message for a whole bus", "name its ID, too")
-  local message = find_message(catalogue, trim(message_name))
+  message_name = trim(message_name)
+  local message, known = check.find(catalogue.messages, message_name)
+  demand(message, ('no message "%s"'):format(message_name), "known messages: " .. (known or ""))
   return bus, ids, message, name ~= "" and name or nil
 end
 

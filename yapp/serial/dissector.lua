@@ -208,7 +208,7 @@ local function report_damaged(self, packet)
   if line.reporter ~= packet.key or not self.reader.stat.wanted then return end
   for _, damaged in ipairs(line.damaged) do
     local loss = new_loss(self, packet, damaged.id, damaged.seq)
-    self.reader.tell:faults(loss, { { expert = "fragment.incomplete" } })
+    self.reader.stat:faults(loss, { { expert = "fragment.incomplete" } })
   end
 end
 
@@ -302,7 +302,7 @@ local function say_incomplete(self, m)
     :format(m.missing, HEADER + m.size + CRC_SIZE)
   self.tree:expert(m.item, expert, text)
   if self.reader.stat.wanted then
-    self.reader.tell:faults(m, { { expert = expert } })
+    self.reader.stat:faults(m, { { expert = expert } })
   end
 end
 
@@ -371,7 +371,7 @@ local function show_skipped(self, packet, tvb, event)
   local quoted = text and ": " .. text or ""
   builder:expert(item, "stream.skipped", ("%s that belong to no frame%s"):format(size, quoted))
   if self.reader.stat.wanted then
-    self.reader.tell:skipped {
+    self.reader.stat:skipped {
       frame = packet.number,
       time = packet.time,
       visited = packet.visited,
@@ -512,7 +512,7 @@ function Dissector:unfinished()
   for i, open in ipairs(self.streams:unfinished()) do
     local id, _, _, seq = frame.parse(open.header, 1)
     list[i] = new_loss(self, open.packet, id, seq)
-    self.reader.tell:part(list[i])
+    self.reader.stat:part(list[i])
   end
   return list
 end

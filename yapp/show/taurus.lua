@@ -4,15 +4,15 @@
 
 local bit_operations = require("yapp.base.bits")
 local decode = require("yapp.message.decode")
-local fields = require("yapp.show.fields")
+local show_fields = require("yapp.show.fields")
 
 local M = {}
 
-local add = fields.add
-local add_expert = fields.add_expert
-local add_generated = fields.add_generated
-local add_le = fields.add_le
-local append_text = fields.append_text
+local add = show_fields.add
+local add_expert = show_fields.add_expert
+local add_generated = show_fields.add_generated
+local add_le = show_fields.add_le
+local append_text = show_fields.append_text
 local band, common = bit_operations.band, bit_operations.common
 local flag_names = decode.flag_names
 local format = string.format
@@ -36,7 +36,7 @@ function M.new(taurus, catalogue)
     plans_of_shown = {}, -- by message, see plan_of
     plans_of_pass = {},
   }, Taurus)
-  self.messages, self.fields = fields.of_taurus(taurus, catalogue)
+  self.messages, self.fields = show_fields.of_taurus(taurus, catalogue)
   return self
 end
 
@@ -141,28 +141,38 @@ local function wanted_of(made, tree)
   return (found.pf or found.names or found.undefined or flags[1]) and found
 end
 
--- Return how the tree of a message is built: a list of { field, index, parent = index of the field
--- that it is a part of, add, title = of an array's element }; own = the message's ProtoField, where
+local function unit_of(field, is_shown)
+  return is_shown and field.unit and " " .. field.unit or ""
+end
+
+-- Return how a field is added to a tree: { field, index, parent = index of the field that it is a
+-- part of, add, title = of an array's element }; nil where nobody wants it.
+local function make_step(self, field, index, tree, is_shown)
+  local wanted = wanted_of(self.fields[field], tree)
+  if not wanted then return nil end
+  local new_adder = field.scale and ADD.float or ADD[field.kind]
+  return {
+    field = field,
+    index = index,
+    parent = field.inside and field.inside.index,
+    add = new_adder(field, wanted, unit_of(field, is_shown), is_shown),
+    title = is_shown and field.element and field.title,
+  }
+end
+
+-- Return how the tree of a message is built: a list of steps; own = the message's ProtoField, where
 -- it is wanted; generated = a list of { item, pf, unit }.
 local function make_plan(self, message, tree, is_shown)
-  local function unit_of(field) return is_shown and field.unit and " " .. field.unit or "" end
   local own, plan = self.messages[message], { title = "Taurus " .. message.title, generated = {} }
   plan.own = referenced(tree, own.pf) and own.pf
   for index, field in ipairs(message.fields) do
-    local wanted = wanted_of(self.fields[field], tree)
-    local add_field = wanted and (field.scale and ADD.float or ADD[field.kind])
-    plan[#plan + 1] = wanted and {
-      field = field,
-      index = index,
-      parent = field.inside and field.inside.index,
-      add = add_field(field, wanted, unit_of(field), is_shown),
-      title = is_shown and field.element and field.title,
-    }
+    plan[#plan + 1] = make_step(self, field, index, tree, is_shown)
   end
   for i, item in ipairs(message.generated) do
-    local pf = own.generated[i]
-    plan.generated[#plan.generated + 1] = referenced(tree, pf) and
-      { item = item, pf = pf, unit = unit_of(item) } or nil
+    local pf, generated = own.generated[i], plan.generated
+    if referenced(tree, pf) then
+      generated[#generated + 1] = { item = item, pf = pf, unit = unit_of(item, is_shown) }
+    end
   end
   return plan
 end
@@ -244,7 +254,7 @@ local CHANGES = {
   { "jump", "taurus.jump", "Controller's clock jumped ahead by %.1f s", "  JUMP" },
 }
 
--- Add a generated field where somebody wants it; nil or false for a value that is not there.
+-- Add a generated field, if the value is there and somebody wants it.
 local function add_wanted(item, pf, value)
   return pf and value and referenced(item, pf) and add_generated(item, pf, value)
 end
@@ -263,26 +273,31 @@ local function add_flags_change(self, item, one, way, is_tree)
   return flag_names(field, faults)
 end
 
+-- Add what changed in the flags; return what the Info column says of it.
+local function add_flags_changes(self, item, changes, is_tree)
+  local cleared = {}
+  for _, one in ipairs(changes) do
+    add_flags_change(self, item, one, "raised", is_tree)
+    cleared[#cleared + 1] = add_flags_change(self, item, one, "cleared", is_tree)
+  end
+  return cleared[1] and "  cleared " .. table.concat(cleared, ", ") or ""
+end
+
 --- Add what the history says of a message, all of it generated, with its expert items.
 -- m        a message of message.reader
 -- top      the Taurus item; nil or false where nobody wants a tree: then there are expert items
 --          only
 -- returns  what the Info column says of it: "  cleared motor_overcurrent, hall_timeout  REBOOT"
 function Taurus:add_change(m, top)
-  local change, cleared, item, info = m.change or NONE, {}, top or m.item, ""
-  for _, one in ipairs(change.flags or NONE) do
-    add_flags_change(self, item, one, "raised", top)
-    cleared[#cleared + 1] = add_flags_change(self, item, one, "cleared", top)
-  end
+  local change, item = m.change or NONE, top or m.item
+  local info = add_flags_changes(self, item, change.flags or NONE, top)
   for _, one in ipairs(top and m.standing and self.messages[m.message].states or NONE) do
     add_wanted(item, one.pf, one.value(m.standing, m))
   end
-  if cleared[1] then info = "  cleared " .. table.concat(cleared, ", ") end
   for _, row in ipairs(CHANGES) do
     local value, name, label, word = change[row[1]], row[2], row[3], row[4]
     if value then
-      label = label and type(value) == "number" and label:format(value) or nil
-      add_expert(item, name, label)
+      add_expert(item, name, label and label:format(value))
       info = info .. (word or "")
     end
   end

@@ -3,16 +3,16 @@
 -- show.taurus.  Wireshark's API; what is shown comes in finished, from the reassembly or the
 -- framing.
 
-local fields_of = require("yapp.show.fields")
+local show_fields = require("yapp.show.fields")
 local info_of = require("yapp.message.info")
 local messages_of = require("yapp.show.taurus")
 
 local M = {}
 
-local add = fields_of.add
-local add_le = fields_of.add_le
-local add_generated = fields_of.add_generated
-local append_text = fields_of.append_text
+local add = show_fields.add
+local add_le = show_fields.add_le
+local add_generated = show_fields.add_generated
+local append_text = show_fields.append_text
 
 local STATUS_CODE = { bad = 0, good = 1 } -- any other is unverified
 local UNVERIFIED = 2
@@ -35,7 +35,7 @@ function M.new(options)
     is_only_pass = false, -- whether it is known that there is one pass
   }, Tree)
   for id, message in pairs(options.catalogue.by_id) do self.default_names[id] = message.title end
-  self.fields = fields_of.of_yapp(self.yapp, self.default_names)
+  self.fields = show_fields.of_yapp(self.yapp, self.default_names)
   return self
 end
 
@@ -141,7 +141,7 @@ end
 -- name  its filter without "yapp."
 -- text  see show.fields, add_expert
 function Tree.expert(_, item, name, text)
-  fields_of.add_expert(item, "yapp." .. name, text)
+  show_fields.add_expert(item, "yapp." .. name, text)
 end
 
 --- Add a field of YAPP's that no bytes of the packet say, where it has a value.
@@ -150,18 +150,6 @@ end
 -- returns  the item; nil or false without one
 function Tree:generated(item, name, value)
   return value and add_generated(item, self.fields[name], value)
-end
-
---- Add what the CAN id says, all of it generated.
--- address  wire.can_id's
--- source   of message.reader
-function Tree:add_address(item, address, source)
-  self:add_id(item, nil, address.id, source.bus_name)
-  local fields = self.fields
-  add_generated(item, fields.ctl, address.ctl)
-  add_generated(item, fields.seq, address.seq)
-  add_generated(item, fields["can.ctrl"], address.ctrl)
-  self:add_source(item, source)
 end
 
 --- Add the id, with the name that the user's mapping gives it.
@@ -219,7 +207,7 @@ end
 -- message  of message.reader
 function Tree:add_delta(item, message)
   local delta, change = message.delta, message.change
-  self:generated(item, "time_delta", delta and fields_of.relative_time(delta))
+  self:generated(item, "time_delta", delta and show_fields.relative_time(delta))
   self:generated(item, "seq.missing", change and change.missing)
   self:generated(item, "message.fault", message.has_fault)
 end

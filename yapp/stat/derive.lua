@@ -55,13 +55,14 @@ end
 -- Faults ------------------------------------------------------------------------------------------
 
 local function emit_fault(self, cause, now, fault, name)
-  local is_over = name ~= "raised" and fault.since
+  local active = output.seconds(name ~= "raised" and span(fault.since, now))
   emit(self, "fault", cause, now, {
     field = fault.field,
     flag = fault.flag,
     help = fault.help,
     event = name,
-    active = output.seconds(is_over and span(fault.since, now)),
+    active = active,
+    after = active and (" after %s s"):format(active.short),
   })
 end
 
@@ -115,7 +116,7 @@ end
 -- Messages ----------------------------------------------------------------------------------------
 
 local function values_of(row, value)
-  if type(value) ~= "number" then return NOTHING end
+  if row.change == true then return NOTHING end
   return { [row.change] = row.change == "length" and output.seconds(value) or value }
 end
 
@@ -137,7 +138,8 @@ end
 
 -- How a source stands: last = its latest message, at = its time, counts = whether it does; faults =
 -- those that are set, in the order in which they rose, { field, flag, help, since } each;
--- counted_faults = those that were set at counted, the latest message that counts, at counted_at.
+-- counted_faults = those that were set at counted, the latest reliable message that counts, at
+-- counted_at.
 local function state_of(self, source)
   local state = self.by_key[source.key]
   if not state then
@@ -149,9 +151,8 @@ local function state_of(self, source)
       counted_faults = NOTHING,
       counted = { frame = 0 },
       counted_at = nil,
-      order = #self.states + 1,
     }
-    self.by_key[source.key], self.states[state.order] = state, state
+    self.by_key[source.key], self.states[#self.states + 1] = state, state
   end
   return state
 end
@@ -167,7 +168,7 @@ local function note_message(self, event, now, counts)
   for _, flags in ipairs(change.flags or NOTHING) do
     note_faults(self, state, event, now, flags)
   end
-  if counts then
+  if counts and not values.is_unreliable then
     state.counted, state.counted_at, state.counted_faults = event, now, state.faults
   end
 end
@@ -216,12 +217,7 @@ end
 
 -- The faults that are still set at the last message of their source that counts.
 local function end_faults(self)
-  table.sort(self.states, function(a, b)
-    if a.counted.frame ~= b.counted.frame then
-      return a.counted.frame < b.counted.frame
-    end
-    return a.order < b.order
-  end)
+  output.sort(self.states, function(state) return state.counted.frame, 0 end)
   for _, state in ipairs(self.states) do
     for _, fault in ipairs(state.counted_faults) do
       emit_fault(self, state.counted, state.counted_at, fault, "active")

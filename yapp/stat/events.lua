@@ -15,8 +15,8 @@ local KEYS = {
     window = words("rel who flag event active"),
   },
   events = {
-    text = words("time rel frame bus id source message kind details times"),
-    window = words("rel who message details times"),
+    text = words("time rel frame bus id source message kind details"),
+    window = words("rel who message details"),
   },
 }
 -- Of a line of events in JSON, by kind.
@@ -46,27 +46,14 @@ function Events:event(event)
   end
 end
 
--- The text of an event: its kind's, with the values of a row; an optional part without one is left
--- out.
+-- The text of an event's kind, with the values of a row.
 local function details_of(row)
-  local is_filled
-  local function fill(key)
-    local text = output.text(row[key], true)
-    is_filled = is_filled and text ~= ""
-    return text
-  end
-  local function fill_part(part)
-    is_filled = true
-    local text = part:sub(2, -2):gsub("{(%w+)}", fill)
-    return is_filled and text or ""
-  end
-  local text = kinds.BY_NAME[row.kind].text:gsub("%b[]", fill_part):gsub("{(%w+)}", fill)
-  return text
+  local function fill(key) return output.text(row[key], true) end
+  return (kinds.BY_NAME[row.kind].text:gsub("{(%w+)}", fill))
 end
 
--- order  among all events
-local function row_of(self, event, order)
-  local row = { kind = event.kind, frame = event.frame, of = event, order = order }
+local function row_of(self, event)
+  local row = { kind = event.kind, frame = event.frame, of = event }
   for key, value in pairs(event.values) do
     row[key] = value
   end
@@ -79,29 +66,8 @@ local function row_of(self, event, order)
 end
 
 -- In time; at one time by frame; without one behind all others.
-local function is_before(a, b)
-  local one, other = a.of.time or math.huge, b.of.time or math.huge
-  if one ~= other then return one < other end
-  one, other = a.frame or math.huge, b.frame or math.huge
-  if one ~= other then return one < other end
-  return a.order < b.order
-end
-
--- The rows for people: equal ones of a source, of a kind that repeats, are one line.
-local function merge(rows)
-  local lines, by_name = {}, {}
-  for _, row in ipairs(rows) do
-    local key = row.of.source.key
-    local name = kinds.BY_NAME[row.kind].repeats and ("%s|%s"):format(key, row.details)
-    local line = by_name[name]
-    if line then
-      line.times = (line.times or 1) + 1
-    else
-      lines[#lines + 1] = row
-      if name then by_name[name] = row end
-    end
-  end
-  return lines
+local function order_of(row)
+  return row.of.time or math.huge, row.frame or math.huge
 end
 
 --- End, see stat.queue.  It always ends well.
@@ -110,12 +76,12 @@ function Events:finish(ending)
   for _, event in ipairs(self.list) do
     local needs_time = kinds.BY_NAME[event.kind].needs_time
     if not (needs_time and ending.lacks_times) then
-      rows[#rows + 1] = row_of(self, event, #rows)
+      rows[#rows + 1] = row_of(self, event)
     end
   end
-  if what == "events" then table.sort(rows, is_before) end
+  if what == "events" then output.sort(rows, order_of) end
   local title = ("YAPP %s: %d"):format(what, #rows)
-  output.print(context, title, KEYS[what], context.json and rows or merge(rows), ending.notes)
+  output.print(context, title, KEYS[what], rows, ending.notes)
 end
 
 return M

@@ -270,12 +270,7 @@ end
 
 --- Return all groups: by bus as these showed, then by ID; a stream itself, which has none, first.
 function Groups:sorted()
-  table.sort(self.list, function(a, b)
-    if a.bus_order ~= b.bus_order then
-      return a.bus_order < b.bus_order
-    end
-    return (a.source.id or -1) < (b.source.id or -1)
-  end)
+  output.sort(self.list, function(group) return group.bus_order, group.source.id or -1 end)
   return self.list
 end
 

@@ -8,8 +8,8 @@
 --   is_unreliable  whether what came before the message is not known }
 -- The values of a loss are {
 --   what  "incomplete", "orphan" or "overrun"
---   lost  the message, a table that all its losses have, or nil
---   loss  { void = whether nothing is lost after all }, or nil where that is sure }
+--   lost  what all losses of the message have in common, or nil
+--   loss  { is_withdrawn = whether nothing is lost after all }, or nil where that is sure }
 
 local decode = require("yapp.message.decode")
 local kinds = require("yapp.stat.kinds")
@@ -28,7 +28,7 @@ local LOSSES = {
 local KIND_OF = { bad = "crc", unverified = "incomplete", single = "incomplete" }
 local INCOMPLETE = { what = "incomplete" }
 local DEFINED = { ["value.special"] = true, ["fault.active"] = true } -- remarks on defined values
-local EFFECTS = { ["command.key.invalid"] = "the controller ignores this command" }
+local EFFECTS = { ["command.key.invalid"] = " (the controller ignores this command)" }
 
 local Intake = {}
 Intake.__index = Intake
@@ -164,12 +164,13 @@ end
 --- Report the anomalies of a frame.  Those that lose a message, or a part of one, are events.
 -- m          { id, seq, source, bus, bus_name, stream, frame, time, visited, is_end = whether it is
 --            an End }
--- anomalies  list of { expert, message = the one that is lost, void = whether it was taken back }
+-- anomalies  list of { expert, lost = frame key of the Start of the message that is lost or nil,
+--            is_withdrawn = whether nothing is wrong after all }
 function Intake:faults(m, anomalies)
   for _, anomaly in ipairs(anomalies) do
     local what = LOSSES[anomaly.expert]
     if what then
-      local source, lost = source_of(self, m), anomaly.message
+      local source, lost = source_of(self, m), anomaly.lost
       if what == "orphan" then
         lost = orphaned(source, m)
       else

@@ -10,7 +10,7 @@ local M = {}
 -- name        in JSON and in rules
 -- text        for people: {key} is a value of the event; [...] is left out where a value is missing
 -- keys        in JSON, besides those of every event
--- is_default  whether `check` alone judges it, as NAME=0
+-- is_optional whether `check` alone does not judge it, as NAME=0
 -- counts_as   the kind whose rule counts it; without it NAME=N is a rule
 -- amount      the key whose values the rule adds up; without it a message counts once
 -- change      the key for what message.history says of the change of this name; true for no key
@@ -19,32 +19,28 @@ local M = {}
 -- about       what the message of such a source has in the catalogue; nil for any source with an ID
 -- needs_past  whether it takes a good message, and a reliable history
 -- needs_time  whether it takes packets with time stamps
--- repeats     whether equal events of a source are one line for people
 M.LIST = {
   {
     name = "fault",
-    text = "{flag} {event}[ after {active} s]",
+    text = "{flag} {event}{after}",
     keys = "field flag event active",
-    is_default = true,
     about = "alarms",
     needs_past = true,
   },
-  { name = "crc", text = "bad CRC", is_default = true },
-  { name = "incomplete", text = "{what}", keys = "what", is_default = true },
+  { name = "crc", text = "bad CRC" },
+  { name = "incomplete", text = "{what}", keys = "what" },
   { name = "unfinished", text = "cut off by the end of the capture", counts_as = "incomplete" },
   {
     name = "missing",
     text = "messages missing by Seq No: {count}",
     keys = "count",
-    is_default = true,
     amount = "count",
     change = "count",
     needs_past = true,
   },
   {
     name = "reboot",
-    text = "controller rebooted[ (its clock went back by {length} s)]",
-    is_default = true,
+    text = "controller rebooted (its clock went back by {length} s)",
     change = "length",
     about = "time",
     needs_past = true,
@@ -52,18 +48,15 @@ M.LIST = {
   {
     name = "stale",
     text = "controller clock did not advance",
-    is_default = true,
     change = true,
     about = "time",
     needs_past = true,
     needs_time = true,
-    repeats = true,
   },
   {
     name = "jump",
     text = "controller clock jumped ahead by {length} s",
     keys = "length",
-    is_default = true,
     change = "length",
     about = "time",
     needs_past = true,
@@ -72,7 +65,6 @@ M.LIST = {
   {
     name = "shared",
     text = "two controllers appear to send this ID",
-    is_default = true,
     change = true,
     about = "time",
     needs_past = true,
@@ -81,52 +73,51 @@ M.LIST = {
     name = "silence",
     text = "silent for {length} s",
     keys = "length",
-    is_default = true,
     about = "every",
     needs_past = true,
     needs_time = true,
   },
   {
     name = "invalid",
-    text = "{field} {code} is not defined[ ({effect})]",
+    text = "{field} {code} is not defined{effect}",
     keys = "field value",
-    is_default = true,
     about = "fields",
-    repeats = true,
   },
   {
     name = "clock",
     text = "the capture's own clock went back by {back} s",
     keys = "length",
-    is_default = true,
     scope = "capture",
   },
   {
     name = "dropped",
     text = "packets lost while capturing: {count}",
     keys = "count",
-    is_default = true,
     amount = "count",
     scope = "capture",
   },
-  { name = "absent", text = "no message of it came", is_default = true, scope = "capture" },
+  { name = "absent", text = "no message of it came", scope = "capture" },
   {
     name = "unknown",
     text = "{size} bytes, {count} times: {note}",
     keys = "size count like",
-    is_default = true,
     scope = "rare",
   },
-  { name = "skipped", text = "{length} bytes of no frame", keys = "length", scope = "rare" },
+  {
+    name = "skipped",
+    text = "{length} bytes of no frame",
+    keys = "length",
+    scope = "rare",
+    is_optional = true,
+  },
 }
 
 --- The rows by name.
 M.BY_NAME = {}
-for _, row in ipairs(M.LIST) do M.BY_NAME[row.name] = row end
-
 --- The names of the rows that have a rule, in their order.
 M.RULES = {}
 for _, row in ipairs(M.LIST) do
+  M.BY_NAME[row.name] = row
   if not row.counts_as then M.RULES[#M.RULES + 1] = row.name end
 end
 

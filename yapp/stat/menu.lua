@@ -2,14 +2,11 @@
 -- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, and help.
 -- Wireshark's API.
 
+local options_of = require("yapp.stat.options")
 local output = require("yapp.stat.output")
-local statistics = require("yapp.stat.statistics")
 
 local M = {}
 
--- Characters in a window as it opens, 620 pixels wide, beside its scroll bar: Lua cannot make it
--- wider.
-local WIDTH = 73
 local MAX_FRAMES = 1000 -- in a display filter: more make Wireshark slow
 
 local HELP = [[
@@ -106,11 +103,36 @@ local help
 
 local function open_help()
   local lines = ""
-  for _, row in ipairs(statistics.LIST) do
+  for _, row in ipairs(options_of.LIST) do
     lines = lines .. ("%-15s%s\n"):format(row.title, row.help)
   end
   help = TextWindow.new("YAPP Help")
   help:set(HELP:format(lines))
+end
+
+-- Items in the menu of a packet, Wireshark 4.4 and later: title, a field that the packet must have,
+-- and the display filter that its values make.
+local PACKET_ITEMS = {
+  { "Only this controller", "yapp.source", "yapp.source in {%s}" },
+  { "Faults of this controller", "yapp.source",
+    "yapp.source in {%s} && (taurus.fault.raised || taurus.fault.cleared)" },
+  { "Whole message", "yapp.reassembled.in", "yapp.reassembled.in in {%s}" },
+}
+
+-- Adds an item to the menu of a packet.
+local function register_packet_item(title, name, filter)
+  register_packet_menu("YAPP/" .. title, function(...)
+    local values = {}
+    for _, field in ipairs { ... } do
+      if field.name == name then
+        local text = tostring(field.value)
+        local is_string = type(field.value) == "string"
+        values[#values + 1] = is_string and '"' .. text:gsub('[\\"]', "\\%0") .. '"' or text
+      end
+    end
+    set_filter(filter:format(table.concat(values, ", ")))
+    apply_filter()
+  end, name)
 end
 
 --- Make the menus.
@@ -120,11 +142,11 @@ function M.register(stat)
   -- The statistic runs when its window opens, and again by its button: packets that have come since
   -- count too.
   local function show(argument)
-    local row = statistics.BY_NAME[argument:match("^yapp,(%w+)")]
-    open_window(row and row.title or "", function() return stat:run(argument, WIDTH) end)
+    local row = options_of.BY_NAME[argument:match("^yapp,(%w+)")]
+    open_window(row and row.title or "", function() return stat:run(argument) end)
   end
 
-  for _, row in ipairs(statistics.LIST) do
+  for _, row in ipairs(options_of.LIST) do
     local argument = "yapp," .. row.name
     local function answered(answer)
       if answer then
@@ -140,6 +162,9 @@ function M.register(stat)
     register_menu("YAPP " .. row.title, action, MENU_STAT_UNSORTED)
   end
   register_menu("YAPP/Help", open_help, MENU_TOOLS_UNSORTED)
+  if register_packet_menu then
+    for _, item in ipairs(PACKET_ITEMS) do register_packet_item(item[1], item[2], item[3]) end
+  end
   return show
 end
 

@@ -1,33 +1,86 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What stands behind -z yapp,...: from the text to options and rules.  Pure Lua, 5.2 to 5.5.
+-- The statistics, one row each; and the argument of -z yapp,...: options and rules.  The errors of
+-- options, Wireshark's menus and their help, and the tests come from the rows.  Pure Lua.
+--
+-- A new statistic is a row here and its module.
 
+local check = require("yapp.stat.check")
+local csv = require("yapp.stat.csv")
+local events = require("yapp.stat.events")
 local input = require("yapp.message.check")
 local kinds = require("yapp.stat.kinds")
-local statistics = require("yapp.stat.statistics")
+local summary = require("yapp.stat.summary")
 
 local M = {}
 
-local demand, set = input.demand, input.set
+-- name     behind -z yapp,
+-- title    in menus
+-- new      function(options, context), makes it: see stat.queue
+-- options  what it takes besides filter=EXPRESSION, for errors
+-- help     what it says, for people
+-- ask      what a menu asks for; the answer goes behind the name
+-- file     the name of a new file that a menu suggests
+-- is_data  whether its output has no room for notes
+M.LIST = {
+  {
+    name = "summary",
+    title = "Summary",
+    new = summary.new,
+    options = "json",
+    help = "of each controller: rate, gaps, losses, its values",
+  },
+  {
+    name = "faults",
+    title = "Faults",
+    new = events.new,
+    options = "json",
+    help = "when each fault rose and fell",
+  },
+  {
+    name = "events",
+    title = "Events",
+    new = events.new,
+    options = "json",
+    help = "these, reboots, silences, bad CRCs, losses, in order",
+  },
+  {
+    name = "compare",
+    title = "Compare",
+    new = summary.compare,
+    options = "json",
+    help = "the values of all controllers beside each other",
+  },
+  {
+    name = "csv",
+    title = "Export tables",
+    new = csv.new,
+    options = "replace, all, json",
+    help = "a CSV for each message, in a new folder",
+    ask = "New folder",
+    file = "tables",
+    is_data = true,
+  },
+  {
+    name = "check",
+    title = "Check",
+    new = check.new,
+    options = "json, junit=FILE, source=NAME, rules=FILE",
+    help = "whether all is well, or rules hold",
+    ask = "Rules (empty: check everything)",
+  },
+}
+
+--- The rows by name.
+M.BY_NAME = {}
+for _, row in ipairs(M.LIST) do M.BY_NAME[row.name] = row end
+
+local demand, find, set, trim = input.demand, input.find, input.set, input.trim
 
 local COUNTED = set(table.concat(kinds.RULES, " ")) -- what may happen N times
 local RULES = table.concat(kinds.RULES, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=A..B, " ..
   "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X"
 local RANGE = "a range is A..B, A.. or ..B"
 local MAX_FILE = 2 ^ 20 -- bytes of a file of rules
-
--- What has a name in a list; else nil and the names that there are.
-local function find(list, name)
-  local names = {}
-  for i, one in ipairs(list) do
-    if one.name == name then return one end
-    names[i] = one.name
-  end
-  return nil, table.concat(names, ", ")
-end
-
-local function trim(text)
-  return text:match("^%s*(.-)%s*$")
-end
 
 -- A number as people write it; nil for a hexadecimal one, nan, inf or a text.
 local function number(text)
@@ -109,7 +162,7 @@ local function read_rule(text, catalogue, source)
   end
   local message_name, rest = (name or ""):match("^([^.]+)%.(.+)$")
   demand(message_name, "a rule is one of %s; options are %s, filter=EXPRESSION", RULES,
-    statistics.BY_NAME.check.options)
+    M.BY_NAME.check.options)
   local message, names = find(catalogue.messages, message_name)
   rule.message = demand(message, "there is no message %q, but %s", message_name, names)
   if measures[rest] then
@@ -181,7 +234,7 @@ local function finish_check(options, catalogue)
     return
   end
   for _, kind in ipairs(kinds.RULES) do
-    if kinds.BY_NAME[kind].is_default then
+    if not kinds.BY_NAME[kind].is_optional then
       local rule = read_rule(kind .. "=0", catalogue, options.source)
       rule.is_default, rules[#rules + 1] = true, rule
     end
@@ -194,7 +247,7 @@ local function read_csv(options, part, catalogue)
     return
   end
   demand(options.folder == "-" and not options.chosen,
-    "the options of csv are %s, filter=EXPRESSION", statistics.BY_NAME.csv.options)
+    "the options of csv are %s, filter=EXPRESSION", M.BY_NAME.csv.options)
   options.chosen = find(catalogue.messages, part)
   demand(options.chosen, "there is no such message in the catalogue")
 end
@@ -206,7 +259,7 @@ local function finish_csv(options)
 end
 
 local function refuse(options)
-  local allowed = statistics.BY_NAME[options.what].options
+  local allowed = M.BY_NAME[options.what].options
   demand(false, "the options of %s are %s, filter=EXPRESSION", options.what, allowed)
 end
 
@@ -224,13 +277,13 @@ function M.read(text, catalogue)
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")
   what = trim(what or "")
   local options = { what = what, filter = filter, rules = {}, problems = {}, place = "" }
-  if not statistics.BY_NAME[what] then
-    local _, names = find(statistics.LIST)
+  if not M.BY_NAME[what] then
+    local _, names = find(M.LIST)
     options.problems[1] = ("%s: it is yapp,%s"):format(text, (names:gsub(", ", " or yapp,")))
     return options
   end
   local read, finish = READ[what] or refuse, FINISH[what]
-  local words = set((statistics.BY_NAME[what].options:gsub(",", "")))
+  local words = set((M.BY_NAME[what].options:gsub(",", "")))
   for part in rest:gmatch(",([^,]*)") do
     part = trim(part)
     if words[part] then

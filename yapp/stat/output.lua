@@ -132,7 +132,7 @@ local TITLES = {
   gap_min = "gap/s min", gap_mean = "mean", gap_max = "max", gap_max_frame = "in frame",
   crc_bad = "bad CRC", ok = "check", kind = "event", who = "source",
 }
-local SHORT_TITLES = { rel = "at/s", gap_max = "max gap/s" }
+local SHORT_TITLES = { rel = "at/s", gap_max = "max gap/s", incomplete = "lost" }
 
 --- A list of the words of a text.
 function M.words(text)
@@ -146,19 +146,6 @@ end
 -- How many places a text takes: characters, not bytes.
 local function width_of(text)
   return select(2, text:gsub("[^\128-\191]", ""))
-end
-
---- Return a line, broken at blanks where it is wider than a width; nil for any width.
-local function wrap(line, width)
-  local lines = {}
-  while width and width_of(line) > width do
-    local head = line:match("^" .. ("[^\128-\191][\128-\191]*"):rep(width))
-    local stop = head:match("^.*%S()%s") or #head + 1
-    lines[#lines + 1] = line:sub(1, stop - 1)
-    line = "    " .. line:sub(stop):match("^%s*(.*)$")
-  end
-  lines[#lines + 1] = line .. "\n"
-  return table.concat(lines, "\n")
 end
 
 -- The column of a key: its cells, the title first, of one width, numbers to the right; nil where no
@@ -181,26 +168,41 @@ local function column_of(key, rows, is_short)
   return cells
 end
 
+--- Sort a list, which keeps its order where these values are equal.
+-- order_of  function(one) -> two values to sort by
+function M.sort(list, order_of)
+  local orders = {}
+  for i, one in ipairs(list) do
+    local first, second = order_of(one)
+    orders[one] = { first, second, i }
+  end
+  table.sort(list, function(a, b)
+    local one, other, i = orders[a], orders[b], 1
+    while i < 3 and one[i] == other[i] do i = i + 1 end
+    return one[i] < other[i]
+  end)
+end
+
 --- Return a table with aligned columns, a line a row.
 -- keys   { text = list of the columns, window = those that a window has room for }
 -- rows   tables by key
--- width  characters of a line in a window, nil for text of any width
-function M.table(keys, rows, width)
+-- is_window  whether it is for a window
+function M.table(keys, rows, is_window)
   local columns, lines = {}, {}
-  for _, key in ipairs(width and keys.window or keys.text) do
-    columns[#columns + 1] = column_of(key, rows, width ~= nil)
+  for _, key in ipairs(is_window and keys.window or keys.text) do
+    columns[#columns + 1] = column_of(key, rows, is_window)
   end
   for i = 1, #rows + 1 do
     local cells = {}
     for j, column in ipairs(columns) do cells[j] = column[i] end
-    lines[i] = wrap(table.concat(cells, "  "):gsub("%s+$", ""), width)
+    lines[i] = table.concat(cells, "  "):gsub("%s*$", "\n", 1)
   end
   return table.concat(lines)
 end
 
 --- Print rows: for people under a title and what the answer leaves out, or as a JSON object a line.
--- context  { out = function(text), json = whether so, width = see M.table, frames = a list that
---          gets the frames of the rows, or nil }
+-- context  { out = function(text), json = whether so, frames = in a window a list that gets the
+--          frames of the rows, else nil }
 -- keys     see M.table; json = those of a JSON line
 -- rows     tables by key; keys = those of its JSON, where these are others
 -- notes    a list of texts
@@ -213,9 +215,9 @@ function M.print(context, title, keys, rows, notes)
   if context.json then return end
   out(title .. "\n")
   for _, note in ipairs(notes) do
-    out(wrap(note, context.width))
+    out(note .. "\n")
   end
-  if rows[1] then out("\n" .. M.table(keys, rows, context.width)) end
+  if rows[1] then out("\n" .. M.table(keys, rows, context.frames ~= nil)) end
 end
 
 -- Files ---------------------------------------------------------------------------------------

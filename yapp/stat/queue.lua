@@ -177,7 +177,7 @@ local function hand_on_losses(self)
   local seen = {}
   for _, event in ipairs(self.losses) do
     local lost = event.values.lost
-    if not (event.values.loss.void or seen[lost or false]) then
+    if not (event.values.loss.is_withdrawn or seen[lost or false]) then
       if lost then seen[lost] = true end
       hand_on(self, event)
     end

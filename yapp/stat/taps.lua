@@ -6,7 +6,6 @@ local menu = require("yapp.stat.menu")
 local options_of = require("yapp.stat.options")
 local output = require("yapp.stat.output")
 local queue = require("yapp.stat.queue")
-local statistics = require("yapp.stat.statistics")
 
 local M = {}
 
@@ -149,9 +148,9 @@ local function tap_filter(self, filter)
 end
 
 -- Begins a statistic.
--- context  { out, width, frames } of output.print
+-- context  { out, frames } of output.print
 local function begin(self, options, context)
-  local events, row = self.queue, statistics.BY_NAME[options.what]
+  local events, row = self.queue, options_of.BY_NAME[options.what]
   local filter = options.filter and tap_filter(self, options.filter)
   function context.clock(rel) return events:clock(rel) end
   context.json, context.make_folder, context.settings = options.json, make_folder, self.settings
@@ -168,15 +167,15 @@ local function begin(self, options, context)
 end
 
 --- Run a statistic over all packets, in Wireshark.
--- text     as behind -z; width: of a line
+-- text     as behind -z
 -- returns  what it says, and what is wrong, as one text; a list of the frames that stand in it
-function Stat:run(text, width)
+function Stat:run(text)
   local options = options_of.read(text, self.settings.catalogue)
   local said, frames, problems = {}, {}, options.problems
   local function out(part) said[#said + 1] = part end
   local function run()
     open(self)
-    begin(self, options, { out = out, width = width, frames = frames })
+    begin(self, options, { out = out, frames = frames })
     retap_packets()
     return select(2, finish(self))
   end
@@ -241,7 +240,7 @@ function Stat:register()
       os.exit(output.EXIT_UNDECIDED)
     end
   end
-  for _, row in ipairs(statistics.LIST) do
+  for _, row in ipairs(options_of.LIST) do
     register_stat_cmd_arg("yapp," .. row.name, run)
   end
   register_stat_cmd_arg("yapp", run) -- the longest name that fits is called: else this one

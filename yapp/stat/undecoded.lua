@@ -168,11 +168,7 @@ end
 -- sorted; and how many messages they are.
 local function group_text(entries)
   local texts, count, bus = {}, 0, nil
-  table.sort(entries, function(a, b)
-    local one, other = a.source.bus or "", b.source.bus or ""
-    if one ~= other then return one < other end
-    return a.source.id < b.source.id
-  end)
+  output.sort(entries, function(entry) return entry.source.bus or "", entry.source.id end)
   for i, entry in ipairs(entries) do
     local source = entry.source
     texts[i] = source.bus == bus and ("0x%x"):format(source.id) or place(source)

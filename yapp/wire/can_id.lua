@@ -43,9 +43,9 @@ end
 M.fields = setmetatable({}, { __mode = "v", __index = split })
 
 --- Return the slot of a message: one number for its key and its bus.
--- bus  number; 0 where it is not known
+-- bus  number; false where it is not known
 function M.slot(fields, bus)
-  return fields.message_key + bus * 0x20000000
+  return fields.message_key + (bus or 0) * 0x20000000
 end
 
 --- Return the bus of a slot.

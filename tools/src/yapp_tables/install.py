@@ -31,7 +31,9 @@ from pathlib import Path
 # The profile files of 2.0.0 as Wireshark rewrites them, by the first digits of their fingerprint.
 EARLIER = ("2d330114", "da941647", "f1bf3b8b", "2e49ab76", "0cae8e72", "55e79b49")
 OLDEST, NOT_AS_ROOT = (4, 0), (4, 4)  # Wireshark
+SAFE_PROFILES = (4, 6, 9)  # Wireshark that runs no code of a profile that is imported
 TRIED = ("5.2", "5.4", "5.5")  # Lua
+PURPOSE = {"serial": "serial ports on Windows", "can": "CAN adapters of Windows and macOS"}
 TABLES, SETTINGS = ("io_graphs", "plots", "dfilter_buttons"), ("preferences", "profile_settings", "extcap.cfg")
 
 
@@ -362,6 +364,9 @@ def loading_problems(wireshark: Wireshark, tshark: str, entry: Path) -> Iterator
         say("note", f"the plugin was tried with Lua {', '.join(TRIED)}, not with {wireshark.lua}")
     if not (entry.is_file() and wireshark.lua and wireshark.version >= OLDEST):
         return
+    if wireshark.version < SAFE_PROFILES:
+        safe = ".".join(map(str, SAFE_PROFILES))
+        say("note", f"before {safe}, Wireshark can run code of a profile: import none that you do not trust, or update")
     protocols, errors = ask(tshark, "-G", "protocols")
     if re.search(r"\tyapp\s", protocols):
         plugins = ask(tshark, "-G", "plugins")[0]
@@ -410,8 +415,12 @@ def live_ports(wireshark: Wireshark) -> None:
     modules = (("pyserial", "serial"), ("python-can", "can"))
     states = ", ".join(f"{'with' if module in found else 'without'} {name}" for name, module in modules)
     say("python", f"{python} {version} runs the live ports, {states}")
-    if len(found) < len(modules):
-        say("note", f"pyserial is for ports on Windows, python-can for CAN adapters: {python} -m pip install NAME")
+    # Debian's own Python takes packages from apt.
+    packages = python.startswith("/usr/bin/") and shutil.which("apt")
+    for name, module in modules:
+        if module not in found:
+            command = f"sudo apt install python3-{module}" if packages else f"{python} -m pip install {name}"
+            say("note", f"{PURPOSE[module]} need {name}: {command}")
 
 
 def uninstall(wireshark: Wireshark, purge: bool) -> None:
@@ -446,6 +455,9 @@ def run(what: str, purge: bool = False, program: str | None = None) -> int:
                 for name, place in places.items():
                     say(name, place)
             found = list(problems(source, wireshark))
+            if what == "install" and not found:
+                flight = source / "docs/flight.pcapng"
+                say("next", f"wireshark -C YAPP {flight if flight.is_file() else 'CAPTURE.pcapng'}")
     except (Problem, OSError, subprocess.SubprocessError) as problem:
         found = [str(problem)]
     sys.stdout.flush()  # what is wrong comes last, in a log too
