@@ -21,7 +21,7 @@ local Pool = {}
 Pool.__index = Pool
 
 --- Make the pool of a message that is open.
--- reassembly  of can.reassembly, which is told what is wrong
+-- reassembly  of can.reassembly, which notes what is wrong
 -- fields      of the CAN ids (wire.can_id)
 function M.new(reassembly, message, fields)
   local chunks = message.chunks
@@ -107,7 +107,7 @@ function Pool:supersede(anomaly)
   end
   self.open = rest
   if not rest[1] then return false end
-  -- What lies before the oldest message is nobody's any more.
+  -- No open message can use what lies before the oldest one.
   local before, frames = rest[1].from - 1, {}
   for i = before + 1, #self.frames do frames[i - before] = self.frames[i] end
   self.frames = frames

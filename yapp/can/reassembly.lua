@@ -176,7 +176,7 @@ end
 
 -- Starts -----------------------------------------------------------------------------------------
 
--- What is wrong with a Start, as far as it was captured.
+-- Note what is wrong with the captured bytes of a Start.
 local function check_start(self, frame, size, reserved)
   local known, least, length = frame.source.size, frame.source.min_size, frame.reported
   if length > 8 then
@@ -398,7 +398,7 @@ function Reassembly:keep(message, delta, has_fault)
   self.store:keep(message, delta, has_fault)
 end
 
---- Forget the newest frame, as its key comes again: a read filter dropped its packet.
+--- Forget the newest frame: a read filter dropped its packet, so the next one has its key.
 function Reassembly:drop(key)
   self.store:drop(key, self.message)
 end
