@@ -201,7 +201,7 @@ local function assign_frames(self, message, indexes)
     message[i + 1] = frame.key
     if not is_truncated then chunks[i] = frame.data end
     is_truncated = is_truncated or #frame.data < frame.length
-    if frame.orphan then frame.orphan.is_withdrawn = true end
+    if frame.orphan then self.reassembly:withdraw(frame.orphan) end
   end
   return concat(chunks), is_truncated
 end
@@ -220,7 +220,7 @@ local function award(self, candidate, indexes, padding, status)
     self.frames[index].is_taken = true
     self.bytes = self.bytes - self.frames[index].length
   end
-  for _, anomaly in ipairs(candidate.anomalies) do anomaly.is_withdrawn = true end
+  for _, anomaly in ipairs(candidate.anomalies) do self.reassembly:withdraw(anomaly) end
   local newest = self.open[#self.open]
   self.since = newest and leftovers(self, newest.from) or 0
 end
