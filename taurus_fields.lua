@@ -1,14 +1,20 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The catalogue of Taurus messages: data only, the file to edit when a firmware adds or changes a
--- message.
+-- The catalogue of Taurus messages: data only.
 --
--- Your own messages, and your own versions of these, belong in a file of the same form,
--- yapp_messages.lua in Wireshark's personal configuration folder: docs/messages.md shows it, and no
--- new version of the plugin touches it.
+-- How to add a message: append an entry to the list at the end of this file.  That is all: filters,
+-- tree, preference, Info column and CSV follow from it.
 --
--- A message is one entry of the list at the end; adding an entry is all it takes.  An entry has
--- options, and a row { filter name, type, title, options } for each field in the order of the
--- payload.  docs/catalogue.md names all options and types.
+--   {
+--     name = "battery", title = "Battery", id = 0x340, size = 3, info = "{level:%.0f} %",
+--     { "level", "uint16", "Level", scale = 0.1, unit = "%" },
+--     { "mode", "uint8", "Mode", values = { [0] = "Off", [1] = "Charging" } },
+--   },
+--
+-- An entry has options, and a row { filter name, type, title, options } for each field in the order
+-- of the payload.  docs/catalogue.md names all options and types.
+--
+-- Messages of your own belong in a file of the same form, yapp_messages.lua in Wireshark's personal
+-- configuration folder, which a new version of the plugin leaves alone: see docs/messages.md.
 --
 -- Sections in quotes are those of the vendor's document, 600-0055-000 Rev A.
 
