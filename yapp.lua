@@ -77,8 +77,8 @@ local all = Proto("yapp_all", "YAPP (all extended frames)")
 local serial = Proto("yapp_serial", "YAPP serial stream")
 local skipped = Proto("yapp_skipped", "YAPP, bytes between the frames of a serial dump")
 local taurus = Proto("taurus", "Taurus motor controller")
-local header = Proto("yapp_socketcan", "YAPP's look at CAN headers")
-local tcp_header = Proto("yapp_tcp", "YAPP's look at TCP headers")
+local header = Proto("yapp_socketcan", "YAPP reads CAN headers")
+local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local buses = bus_finder.watch()
@@ -139,7 +139,7 @@ function all.dissector(tvb, pinfo, root)
 end
 
 -- With the preference "all extended": what no table claims.  A heuristic is called for every CAN
--- frame of every capture that nobody else takes, so there is none before somebody wants it.
+-- frame of every capture that no other dissector takes, so it is registered when it is needed.
 local takes_all, is_heuristic = false, false -- takes_all: the preference
 
 local function unclaimed(tvb, pinfo, root)

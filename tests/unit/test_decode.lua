@@ -169,9 +169,9 @@ function T.test_faults_in_the_info_column()
     ["00000800/05"] = "  FAULT undefined 0x80000" } do
     local fault, state = changed:match("(.*)/(.*)")
     local payload = EXAMPLE:sub(1, 18) .. bytes(fault) .. EXAMPLE:sub(23, 30) .. bytes(state) .. "\0"
-    local raws, look = decode.read(MOTOR, payload)
-    lu.assertEquals(look, expected ~= "")
-    lu.assertEquals(decode_info.text(MOTOR, raws, nil, look), usual .. expected)
+    local raws, is_remarkable = decode.read(MOTOR, payload)
+    lu.assertEquals(is_remarkable, expected ~= "")
+    lu.assertEquals(decode_info.text(MOTOR, raws, nil, is_remarkable), usual .. expected)
     lu.assertEquals(decode_info.text(MOTOR, raws), usual .. expected)
   end
   local own = catalogue.compile { { name = "m", title = "M", id = 1, size = 2,

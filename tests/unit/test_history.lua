@@ -56,7 +56,7 @@ local function run(messages, key, options)
     local change, delta = h:note(m)
     local all = { delta = delta }
     for name, value in pairs(change or {}) do all[name] = value end
-    for name, value in pairs(h:standing(m) or {}) do all[name] = value end
+    for name, value in pairs(h:state(m) or {}) do all[name] = value end
     found[i] = all
     if key then found[i] = all[key] or "-" end
   end
@@ -66,7 +66,7 @@ end
 function T.test_the_first_message_has_nothing_but_its_clock()
   local h = new()
   lu.assertNil(h:note(motor(1, 0)))
-  lu.assertEquals(h:standing(motor(1, 0)), { drift = 0 })
+  lu.assertEquals(h:state(motor(1, 0)), { drift = 0 })
   lu.assertNil(h:note { source = 5, id = 5, seq = 0, number = 2, time = 1, good = true, payload = "" })
   lu.assertNil(h:note { source = 6, id = 6, seq = 0, number = 3, time = 1, good = false, payload = "" })
 end
@@ -264,9 +264,9 @@ function T.test_links_to_the_changes_before_and_after()
   local previous, h = run(messages, "previous_change")
   lu.assertEquals(previous, { "-", "-", 20, 20, 40, "-", 50 })
   local following = {}
-  for i, m in ipairs(messages) do following[i] = h:standing(m).next_change or "-" end
+  for i, m in ipairs(messages) do following[i] = h:state(m).next_change or "-" end
   lu.assertEquals(following, { "-", 40, 40, 50, 70, "-", "-" })
-  lu.assertNil(h:standing(motor(20, 2, { source = "nobody" })))
+  lu.assertNil(h:state(motor(20, 2, { source = "nobody" })))
 end
 
 function T.test_the_latest_command_on_the_bus()
@@ -275,7 +275,7 @@ function T.test_the_latest_command_on_the_bus()
     motor(8, 7, { bus = 2, source = 2 }), motor(9, 8, { source = 3 }) }
   local found, h = run(messages, "command_in")
   lu.assertEquals(found, { "-", "-", 2, "-", "-", "-", 2, 5, 6 })
-  for i, m in ipairs(messages) do lu.assertEquals(h:standing(m).command_in or "-", found[i]) end
+  for i, m in ipairs(messages) do lu.assertEquals(h:state(m).command_in or "-", found[i]) end
   local bad = command(2, 2)
   bad.good = false
   lu.assertEquals(run({ bad, motor(3, 3) }, "command_in"), { "-", "-" })
@@ -288,7 +288,7 @@ function T.test_the_catalogue_says_which_messages_others_answer()
     local m = { source = message.name, message = message, id = 1, seq = 0, number = number,
       time = number, good = true, raws = {}, payload = "" }
     h:note(m)
-    return h:standing(m).command_in
+    return h:state(m).command_in
   end
   for i, message in ipairs(answering.messages) do
     message.fields = {}
@@ -309,7 +309,7 @@ function T.test_a_flag_that_is_an_alarm_beside_others()
   local since = {}
   for i, one in ipairs(changes) do since[i] = one.active_since or "-" end
   lu.assertEquals(since, { "-", 2, 2, "-" })
-  lu.assertEquals({ changes[4].previous_change, h:standing(messages[2]).next_change }, { 2, 4 })
+  lu.assertEquals({ changes[4].previous_change, h:state(messages[2]).next_change }, { 2, 4 })
 end
 
 -- A number in some bits of a field with faults is no flag: it neither rises nor falls.

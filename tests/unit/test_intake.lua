@@ -31,7 +31,7 @@ local function message(with)
   local m = { id = 1, seq = 0, source = "a", bus = 1, bus_name = "can0", frame = 1, time = 0.5, visited = false,
     status = "good", good = true, payload = "\0\0\0", message = MESSAGE }
   for key, value in pairs(with or {}) do m[key] = value end
-  if m.payload then m.raws, m.look = decode.read(MESSAGE, m.payload) end
+  if m.payload then m.raws, m.is_remarkable = decode.read(MESSAGE, m.payload) end
   return m
 end
 
@@ -52,7 +52,7 @@ end
 function T.test_a_message()
   local intake, offered = new_intake()
   local change = { missing = 1 }
-  intake:message(message { visited = true, change = change, is_unsure = true })
+  intake:message(message { visited = true, change = change, is_unreliable = true })
   intake:message(message { source = "b", id = 7, bus_name = "can1", frame = 2 })
   local event = offered[1][1]
   lu.assertEquals({ event.frame, event.time, event.seq, event.payload, event.raws ~= nil, offered[1][2] },
@@ -81,7 +81,7 @@ end
 
 local function part(with)
   local m = message(with)
-  m.status, m.good, m.payload, m.raws, m.look = nil, nil, nil, nil, nil
+  m.status, m.good, m.payload, m.raws, m.is_remarkable = nil, nil, nil, nil, nil
   return m
 end
 

@@ -123,11 +123,11 @@ local function at(message, field) return message.by_name[field].offset end
 function T.test_what_a_message_gets()
   local r = new()
   local m = read(r, HEALTH, { [at(HEALTH, "board_revision")] = 9 })
-  lu.assertEquals({ m.message, m.raws[HEALTH.by_name.board_revision.index], m.look, m.has_fault, m.change },
+  lu.assertEquals({ m.message, m.raws[HEALTH.by_name.board_revision.index], m.is_remarkable, m.has_fault, m.change },
     { HEALTH, 9, false, false, { missing = 1 } })
   for _, with in ipairs { { id = 0x123 }, { size = 16 }, { is_whole = false }, { size = 18, good = false } } do
     m = read(r, HEALTH, {}, with)
-    lu.assertEquals({ m.raws or "none", m.look or "none", m.has_fault or "none", m.undecoded or "none" },
+    lu.assertEquals({ m.raws or "none", m.is_remarkable or "none", m.has_fault or "none", m.undecoded or "none" },
       { "none", "none", "none", "none" })
   end
 end
@@ -175,11 +175,11 @@ end
 -- Reads Health in order, or once more, with a history that answers this; returns the message and what the history was
 -- asked.
 local function read_with(answer, with)
-  local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true, is_unsure = false,
-    number = frame_key.PACKET * 7, visited = false, delta = "known", wants = { standing = true } }
+  local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true, is_unreliable = false,
+    number = frame_key.PACKET * 7, visited = false, delta = "known", wants = { state = true } }
   for key, value in pairs(with or {}) do m[key] = value end
   local asked, h = {}, {}
-  for _, method in ipairs { "note", "change", "standing" } do
+  for _, method in ipairs { "note", "change", "state" } do
     h[method] = function(_, one)
       lu.assertEquals(one, m)
       asked[#asked + 1] = method
@@ -192,33 +192,33 @@ end
 
 function T.test_what_the_history_is_asked()
   local m, asked = read_with { note = { reboot = 3 }, delta = 0.5 }
-  lu.assertEquals({ m.change, m.delta, m.standing, asked }, { { reboot = 3 }, 0.5, false, "note standing" })
+  lu.assertEquals({ m.change, m.delta, m.state, asked }, { { reboot = 3 }, 0.5, false, "note state" })
   m, asked = read_with({}, { wants = {} })
-  lu.assertEquals({ m.change, m.delta, m.standing, asked }, { false, false, false, "note" })
+  lu.assertEquals({ m.change, m.delta, m.state, asked }, { false, false, false, "note" })
   m, asked = read_with({ change = { late = 1 } }, { visited = true })
-  lu.assertEquals({ m.change, m.delta, m.standing, asked }, { { late = 1 }, "known", false, "change standing" })
-  m, asked = read_with({ note = { late = 1 } }, { is_unsure = true }) -- nothing tells its bus
-  lu.assertEquals({ m.change, m.standing, m.is_unsure, asked }, { false, false, true, "" })
+  lu.assertEquals({ m.change, m.delta, m.state, asked }, { { late = 1 }, "known", false, "change state" })
+  m, asked = read_with({ note = { late = 1 } }, { is_unreliable = true }) -- nothing tells its bus
+  lu.assertEquals({ m.change, m.state, m.is_unreliable, asked }, { false, false, true, "" })
 end
 
 -- The history knows frame keys; links are to numbers of packets.
 function T.test_how_things_stand_is_told_with_numbers_of_packets()
   local key = frame_key.PACKET
-  local m = read_with { standing = { drift = 1, active_since = 2, command_in = 5 * key + 20,
+  local m = read_with { state = { drift = 1, active_since = 2, command_in = 5 * key + 20,
     previous_change = 6 * key } }
-  lu.assertEquals(m.standing, { drift = 1, active_since = 2, command_in = 5, previous_change = 6 })
+  lu.assertEquals(m.state, { drift = 1, active_since = 2, command_in = 5, previous_change = 6 })
 end
 
 -- Several controllers share its source: the history says so, in order and on a revisit.
 function T.test_an_unreliable_source()
   for _, visited in ipairs { false, true } do
-    local function is_unsure(change)
-      return read_with({ note = change, change = change }, { visited = visited }).is_unsure
+    local function is_unreliable(change)
+      return read_with({ note = change, change = change }, { visited = visited }).is_unreliable
     end
-    lu.assertTrue(is_unsure { shared = true, unreliable = true })
-    lu.assertTrue(is_unsure { unreliable = true })
-    lu.assertFalse(is_unsure { reboot = 3 })
-    lu.assertFalse(is_unsure(nil))
+    lu.assertTrue(is_unreliable { shared = true, unreliable = true })
+    lu.assertTrue(is_unreliable { unreliable = true })
+    lu.assertFalse(is_unreliable { reboot = 3 })
+    lu.assertFalse(is_unreliable(nil))
   end
 end
 

@@ -142,7 +142,7 @@ function T.test_the_history_is_silent_from_there_on()
       counts[name] = (counts[name] or 0) + 1
       if change.shared then counts.shared = counts.shared + 1 end
     end
-    lu.assertEquals(h:standing(m) == nil, is_unreliable)
+    lu.assertEquals(h:state(m) == nil, is_unreliable)
   end
   lu.assertEquals(counts, {
     shared = 1,

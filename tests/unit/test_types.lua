@@ -26,8 +26,8 @@ end
 
 -- The row of CSV of a payload, and the experts of its remarks.
 local function shown(m, hex)
-  local raws, look = decode.read(m, bytes(hex))
-  lu.assertEquals(look, decode.remarks(m, raws) ~= nil, hex)
+  local raws, is_remarkable = decode.read(m, bytes(hex))
+  lu.assertEquals(is_remarkable, decode.remarks(m, raws) ~= nil, hex)
   local experts = {}
   for _, remark in ipairs(decode.remarks(m, raws) or {}) do
     experts[#experts + 1] = m.fields[remark[1]].name .. " " .. remark[2]

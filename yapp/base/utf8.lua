@@ -12,7 +12,7 @@ local CHARACTERS = {
 }
 for i, character in ipairs(CHARACTERS) do CHARACTERS[i] = character:gsub("C", "[\128-\191]") end
 
--- Characters that nobody sees, or that turn the direction of the text around them: U+061C, U+200B
+-- Invisible characters, and those that turn the direction of the text around them: U+061C, U+200B
 -- to U+200F, U+2028 to U+202E, U+2060 to U+206F, U+FEFF
 local INVISIBLE = {
   "\216\156", "\226\128[\139-\143]", "\226\128[\168-\174]", "\226\129[\160-\175]", "\239\187\191",

@@ -91,10 +91,10 @@ end
 -- message.reader, too, and the arguments behind wants are given.
 local function new_record(self, frame, wants, item, status, payload, size)
   local fields, source, delta = frame.can_id, frame.source, false
-  local is_unsure = not frame.is_bus_known
+  local is_unreliable = not frame.is_bus_known
   if frame.visited then
     delta = frame.message and frame.message.delta or self.deltas[frame.key] or false
-    is_unsure = not delta
+    is_unreliable = not delta
     if delta == FIRST then delta = false end
   end
   return {
@@ -109,7 +109,7 @@ local function new_record(self, frame, wants, item, status, payload, size)
     time = frame.pinfo.rel_ts,
     visited = frame.visited,
     is_end = fields.ctrl == END,
-    is_unsure = is_unsure,
+    is_unreliable = is_unreliable,
     delta = delta,
     payload = payload,
     size = size,
@@ -122,7 +122,7 @@ local function new_record(self, frame, wants, item, status, payload, size)
     tvb = false,
     at = 0,
     -- Of the reader:
-    message = nil, raws = nil, look = nil, has_fault = nil, change = nil, standing = nil,
+    message = nil, raws = nil, is_remarkable = nil, has_fault = nil, change = nil, state = nil,
     undecoded = nil,
   }
 end
@@ -153,7 +153,7 @@ local function add_item(self, frame)
   return item
 end
 
--- What the bytes of a fragment are: in a Start its fields, as far as they were captured.
+-- What the bytes of a fragment are: in a Start the fields that were captured.
 local function add_fragment(self, frame, item)
   local fields, length = self.tree.fields, #frame.data
   if frame.can_id.ctrl ~= START then

@@ -21,7 +21,7 @@ local Pool = {}
 Pool.__index = Pool
 
 --- Make the pool of a message that is open.
--- reassembly  of can.reassembly, which is told what is wrong
+-- reassembly  of can.reassembly, which notes what is wrong
 -- fields      of the CAN ids (wire.can_id)
 function M.new(reassembly, message, fields)
   local chunks = message.chunks
@@ -107,7 +107,7 @@ function Pool:supersede(anomaly)
   end
   self.open = rest
   if not rest[1] then return false end
-  -- What lies before the oldest message is nobody's any more.
+  -- No open message can use what lies before the oldest one.
   local before, frames = rest[1].from - 1, {}
   for i = before + 1, #self.frames do frames[i - before] = self.frames[i] end
   self.frames = frames
@@ -201,7 +201,7 @@ local function assign_frames(self, message, indexes)
     message[i + 1] = frame.key
     if not is_truncated then chunks[i] = frame.data end
     is_truncated = is_truncated or #frame.data < frame.length
-    if frame.orphan then frame.orphan.is_withdrawn = true end
+    if frame.orphan then self.reassembly:withdraw(frame.orphan) end
   end
   return concat(chunks), is_truncated
 end
@@ -220,7 +220,7 @@ local function award(self, candidate, indexes, padding, status)
     self.frames[index].is_taken = true
     self.bytes = self.bytes - self.frames[index].length
   end
-  for _, anomaly in ipairs(candidate.anomalies) do anomaly.is_withdrawn = true end
+  for _, anomaly in ipairs(candidate.anomalies) do self.reassembly:withdraw(anomaly) end
   local newest = self.open[#self.open]
   self.since = newest and leftovers(self, newest.from) or 0
 end

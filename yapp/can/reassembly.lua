@@ -43,6 +43,7 @@ function M.new(max_open)
     buses = {}, -- [bus] = true once a Start came there
     store = store.new(),
     -- Of the newest frame; false for none (COMPAT 5.2: nil makes the table anew).
+    key = false,
     message = false,
     anomalies = false,
     keeps = true, -- whether it may be visited again
@@ -52,10 +53,11 @@ end
 --- Note that something is wrong at the newest frame.
 -- message    the one that is lost by it, or nil
 -- text, ...  as for string.format
--- returns    an anomaly: { expert = name of an expert item, text, lost = frame key of the Start of
---            the message that is lost or nil, is_withdrawn = true once nothing is wrong after all }
+-- returns    an anomaly: { key = of the frame, expert = name of an expert item, text, lost = key of
+--            the Start of the message that is lost, or nil, is_withdrawn = see withdraw }
 function Reassembly:note(expert, message, text, ...)
   local anomaly = {
+    key = self.key,
     expert = expert,
     text = text:format(...),
     lost = message and message[1],
@@ -64,6 +66,12 @@ function Reassembly:note(expert, message, text, ...)
   if not self.anomalies then self.anomalies = {} end
   table.insert(self.anomalies, anomaly)
   return anomaly
+end
+
+--- Withdraw an anomaly, as nothing is wrong after all: a later frame has proved it.
+function Reassembly:withdraw(anomaly)
+  anomaly.is_withdrawn = true
+  self.store:withdraw(anomaly.key, anomaly)
 end
 
 --- Note that the message of a Middle or End is not known.
@@ -176,7 +184,7 @@ end
 
 -- Starts -----------------------------------------------------------------------------------------
 
--- What is wrong with a Start, as far as it was captured.
+-- Note what is wrong with the captured bytes of a Start.
 local function check_start(self, frame, size, reserved)
   local known, least, length = frame.source.size, frame.source.min_size, frame.reported
   if length > 8 then
@@ -380,7 +388,7 @@ for ctrl = #TAKERS + 1, 15 do TAKERS[ctrl] = undefined end
 --          the message of a fragment, else nil
 --          list of anomalies, or false
 function Reassembly:take(frame)
-  self.anomalies, self.keeps = false, not frame.is_only_pass
+  self.key, self.anomalies, self.keeps = frame.key, false, not frame.is_only_pass
   local kind, message = TAKERS[frame.can_id.ctrl](self, frame)
   if self.keeps then
     self.message = message or false
@@ -398,7 +406,7 @@ function Reassembly:keep(message, delta, has_fault)
   self.store:keep(message, delta, has_fault)
 end
 
---- Forget the newest frame, as its key comes again: a read filter dropped its packet.
+--- Forget the newest frame: a read filter dropped its packet, so the next one has its key.
 function Reassembly:drop(key)
   self.store:drop(key, self.message)
 end

@@ -42,7 +42,7 @@ function M.new()
   return setmetatable({
     slots = {}, -- [slot] = see new_slot
     buses = {}, -- [bus] = true where it has slots
-    anomalies = {}, -- [frame key] = list
+    anomalies = {}, -- [frame key] = a line for each: expert item and text
     originals = {}, -- [frame key of a fragment that came twice] = that of the fragment it repeats
   }, Store)
 end
@@ -93,18 +93,33 @@ function Store:keep(message, delta, has_fault)
   for key, original in pairs(message.duplicates or NONE) do self.originals[key] = original end
 end
 
+local function line_of(anomaly)
+  return anomaly.expert .. " " .. anomaly.text .. "\n"
+end
+
 --- Keep the anomalies of a frame.  If its message is not known yet, the list may be empty.
 function Store:keep_anomalies(key, list)
-  self.anomalies[key] = list
+  local lines = ""
+  for _, anomaly in ipairs(list) do
+    if not anomaly.is_withdrawn then lines = lines .. line_of(anomaly) end
+  end
+  self.anomalies[key] = lines
+end
+
+--- Forget an anomaly of a frame, as nothing is wrong after all.
+function Store:withdraw(key, anomaly)
+  local lines, line = self.anomalies[key] or "", line_of(anomaly)
+  local from, to = lines:find(line, 1, true)
+  if from then self.anomalies[key] = sub(lines, 1, from - 1) .. sub(lines, to + 1) end
 end
 
 --- Return the anomalies of a frame that still hold; nil where none were kept.
 function Store:anomalies_of(key)
   if self.originals[key] then return { DUPLICATE } end
-  local kept, list = self.anomalies[key], {}
-  if not kept then return nil end
-  for _, anomaly in ipairs(kept) do
-    if not anomaly.is_withdrawn then list[#list + 1] = anomaly end
+  local lines, list = self.anomalies[key], {}
+  if not lines then return nil end
+  for expert, text in lines:gmatch("(%S+) ([^\n]*)\n") do
+    list[#list + 1] = { expert = expert, text = text }
   end
   return list
 end

@@ -118,7 +118,8 @@ local function recognise(lines)
 end
 
 -- Look behind a plain start for a line that needs this reader.  A file that cannot be rewound is a
--- pipe: nobody else could read it any more, so it is taken.  All text is kept until that is known.
+-- pipe: no other reader could read it any more, so it is taken.  All text is kept until that is
+-- known.
 -- returns  the text read from the start of the file, which is right behind it; nil if the whole
 --          file is plain
 local function text_that_needs_us(file, head, is_plain)

@@ -131,10 +131,10 @@ local function register_candump(title, name, kind, takes_all)
   end)
 end
 
--- A dump has no mark at its start, and files of others may hold YAPP frames: only what is named
--- .yapp is taken, or what the user says is a dump.  No reader is told the name.  But a file with
--- another name is shown to the readers for any name before it is shown to those for .yapp; so one
--- of the former, which takes nothing, notes what it was shown.
+-- A dump has no mark at its start, and other files may hold YAPP frames: a file is a dump if its
+-- name ends with .yapp, or if the user says so.  Wireshark does not give readers the name.  But it
+-- asks readers for any name before those for .yapp.  So one of the former, which takes nothing,
+-- notes which file it saw.
 local NO_FRAME = "no YAPP frame with a good CRC, and the size that its ID has, in the whole file"
 local HEAD = 256 -- bytes by which a file is known again
 

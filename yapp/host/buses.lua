@@ -50,7 +50,7 @@ function M.watch()
   -- A reader that never reads: the only place where the API shows a file.  It names both arguments:
   -- what a reader does not hold may be collected while it reads, and Wireshark writes into both
   -- when it is back.
-  local handler = FileHandler.new("YAPP's look at files (opens none)", "yapp_look",
+  local handler = FileHandler.new("YAPP reads heads of files (opens none)", "yapp_head",
     "Looks at the headers", "rms")
   function handler.read_open(file, _)
     local head, is_file = read_head(file)
@@ -91,7 +91,7 @@ function Buses:init()
   end
 end
 
---- Whether the capture tells several buses apart, as far as is known.
+--- Return whether the capture is known to have several buses.
 function Buses:are_several()
   return self.found.has_several or readers.are_several()
 end

@@ -46,7 +46,7 @@ local INDEX_OF = {
   end,
 }
 
-local TIMES = 2 ^ 40 -- microseconds that are told apart: 12 days, see Capture:bus
+local TIMES = 2 ^ 40 -- microseconds, 12 days: see Capture:bus
 
 -- The bytes of a file -----------------------------------------------------------------------------
 
@@ -177,7 +177,7 @@ local function seconds_of(interface, high, low)
   return (high * 2 ^ 32 + low) / interface.per_second + interface.shift
 end
 
--- The functions from here on read a block, which is there as far as it is no longer than CHUNK.
+-- The functions from here on read a block, of which the first CHUNK bytes are there.
 -- They return true if what follows is not to be read.
 
 -- Add an interface to those of the file.
@@ -319,7 +319,7 @@ end
 local function read_pcap(self, window, is_little, fractions)
   window.is_little = is_little
   if not window:has(0, 24) then return end
-  local linktype = window:number(20, 4) % 0x10000 -- above it, what is said of check sequences
+  local linktype = window:number(20, 4) % 0x10000 -- above it: the length of check sequences
   self.offset = linktype == SOCKETCAN and 8 or nil
   self.has_packets = window:has(24, 16)
   if linktype ~= COOKED_2 and linktype ~= RTAC then return end
@@ -402,7 +402,7 @@ local function new_capture()
   }, Capture)
 end
 
---- Read a file as far as it may have YAPP: of somebody else's no more than its first bytes.
+--- Read what a file says of its buses.  Of a file without YAPP only the first bytes are read.
 -- head  its first bytes, M.HEAD at most
 -- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
 --       nil at the end, and where a pipe must be left alone

@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What fields of other protocols say of the current packet, as far as there is a tree.  Wireshark's
+-- What fields of other protocols say of the current packet, if there is a tree.  Wireshark's
 -- API.
 
 local M = {}

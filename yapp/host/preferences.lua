@@ -69,7 +69,7 @@ function M.define(proto, catalogue, decode, max_id)
   prefs.search_all = Pref.bool("Look for YAPP in all TCP and UDP traffic", false,
     "The plugin detects YAPP in TCP and UDP automatically in live captures, and if a frame is " ..
     "among the first 64 KB of a file. Switch it on if YAPP comes later in your files. It costs " ..
-    "about 1 µs for each packet that nobody else takes.")
+    "about 1 µs for each packet that no other dissector takes.")
   prefs.user_dlt = Pref.range("Link types that carry a serial stream", "",
     "147 to 162, the numbers of DLT_USER0 to DLT_USER15. Set it for serial captures with such a " ..
     "link type, if the protocol's own DLT_USER table is not convenient: it takes the link type " ..

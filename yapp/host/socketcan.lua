@@ -38,7 +38,7 @@ function M.find_id(pinfo)
   return tonumber(text:match("Ext%. ID: (%d+)"))
 end
 
---- Say whether a frame of zeros is a remote frame, as far as a header, a field or a column says it:
+--- Return whether a header, a field or a column says that a frame of zeros is a remote frame:
 -- remote frames have no data, but captures give them zeros.
 function M.is_remote(pinfo)
   if header.number == pinfo.number then return header.can_id == nil end

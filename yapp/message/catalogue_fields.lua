@@ -312,7 +312,7 @@ function add_rows(build, rows)
 end
 
 --- Compile the rows of a message into its fields, by_name, time and alarms.
--- message  compiled as far as its head, with these tables, empty
+-- message  its compiled head, with these tables, empty
 -- context  gets field = the name, or else the number, of the row that is looked at: what an error
 --          is about
 -- returns  the sum of the sizes in bytes.  Raises what is wrong.

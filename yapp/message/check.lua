@@ -6,7 +6,7 @@ local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
-local MAX_PROBLEMS = 20 -- of a list that somebody reads
+local MAX_PROBLEMS = 20 -- of a list
 local MAX_TEXT = 1000 -- of a text
 local MAX_NAME = 64 -- bytes
 
@@ -124,7 +124,7 @@ function M.row(row, what, i, title_at, options)
   return what
 end
 
---- A list of problems as far as somebody reads it.
+--- A list of problems, cut at a length that a person reads.
 function M.few(problems)
   local few = {}
   for i = 1, math.min(#problems, MAX_PROBLEMS) do

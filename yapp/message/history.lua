@@ -317,7 +317,7 @@ end
 --   active_since  time at which the oldest fault that is still set was raised
 --   previous_change, next_change  numbers of the messages before and behind it that changed a
 --                 fault, if one is set or changes }
-function History:standing(m)
+function History:state(m)
   local source, number = self.by_key[m.source], m.number
   if not source or not m.good or number >= source.shared_at then return nil end
   local base = source.bases[last_until(source.base_numbers, number)]

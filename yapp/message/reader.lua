@@ -144,47 +144,47 @@ end
 
 -- Ask the history what changes with a message, and how things stand there.
 local function ask(m, history)
-  m.change, m.standing = false, false
-  if m.is_unsure then return end
+  m.change, m.state = false, false
+  if m.is_unreliable then return end
   if m.visited then
     m.change = history:change(m) or false
   else
     local change, delta = history:note(m)
     m.change, m.delta = change or false, delta or false
   end
-  if m.change and m.change.unreliable then m.is_unsure = true end
-  local standing = m.wants.standing and history:standing(m)
-  if not standing then return end
+  if m.change and m.change.unreliable then m.is_unreliable = true end
+  local state = m.wants.state and history:state(m)
+  if not state then return end
   for _, name in ipairs(FRAMES) do
-    standing[name] = standing[name] and frame_key.number(standing[name])
+    state[name] = state[name] and frame_key.number(state[name])
   end
-  m.standing = standing
+  m.state = state
 end
 
 --- Read a finished message, for show.tree and stat.intake.
 -- m        { id, seq, ctl, size, payload, status, good = whether it is proved complete, is_whole =
 --          whether the payload has all its bytes; source = key of bus or stream and ID, bus = key
 --          of the bus or stream, or nil, bus_name = or nil, frame = number, number = frame key,
---          time = seconds since the first packet, visited, is_unsure = whether the history is
+--          time = seconds since the first packet, visited, is_unreliable = whether the history is
 --          unreliable, as nothing tells the bus; delta, if visited; wants, ... }; gets
 --          message = of the catalogue, if the ID is known
---          raws and look = from decode.read, if the size fits, too: min_size of the message at
+--          raws and is_remarkable = from decode.read, if the size fits: min_size of the message at
 --          least, and more than its size only of a good one
 --          undecoded = number of payload bytes behind the message's size, nil for none
 --          has_fault = whether a fault flag is set
 --          change = what changes with it, or false; delta = seconds since the source's previous
---          good one; standing = how things stand, or false (see message.history); is_unsure = true
+--          good one; state = how things stand, or false (see message.history); is_unreliable = true
 --          if controllers share its source
 -- history  a message.history
 function Reader:read(m, history)
-  local message, raws, look = self:message_of(m.id, m.bus_name), nil, nil
+  local message, raws, is_remarkable = self:message_of(m.id, m.bus_name), nil, nil
   local is_longer = message and m.size > message.size
   if message and m.is_whole and m.size >= message.min_size and (m.good or not is_longer) then
-    raws, look = decode.read(message, m.payload)
+    raws, is_remarkable = decode.read(message, m.payload)
   end
-  m.message, m.raws, m.look = message, raws, look
+  m.message, m.raws, m.is_remarkable = message, raws, is_remarkable
   m.undecoded = raws and is_longer and m.size - message.size or nil
-  m.has_fault = look and decode.has_alarm(message, raws)
+  m.has_fault = is_remarkable and decode.has_alarm(message, raws)
   ask(m, history)
   if self.stat.wanted then self.stat:message(m) end
 end

@@ -31,7 +31,7 @@ Dissector.__index = Dissector
 -- tree        a show.tree
 -- reader      a message.reader
 -- buses       a host.buses
--- tcp_header  Proto for the look at TCP's headers
+-- tcp_header  Proto that reads TCP's headers
 function M.new(tree, reader, buses, tcp_header)
   return setmetatable({
     tree = tree,
@@ -155,7 +155,7 @@ end
 
 --- Whether bytes are YAPP: they hold a good frame, or they are nothing but messages of the
 -- catalogue, each with all its bytes, whose CRC may be bad.  Headers must be the document's:
--- another ID or size may be somebody else's.
+-- another ID or size may be of another protocol.
 -- length  number of bytes that the packet had
 -- returns  boolean, and the events of serial.streams
 function Dissector:is_yapp(bytes, length)
@@ -237,7 +237,7 @@ local function new_message(self, packet, event, index)
     time = packet.time,
     visited = packet.visited,
     delta = delta or false,
-    is_unsure = not packet.is_bus_known or packet.visited and delta == nil,
+    is_unreliable = not packet.is_bus_known or packet.visited and delta == nil,
     seq = seq,
     size = size,
     reserved = reserved,
@@ -319,7 +319,7 @@ end
 
 -- Shows a message; returns what the Info column says of it.
 local function show_message(self, m, tvb)
-  local builder, is_known = self.tree, not m.is_unsure
+  local builder, is_known = self.tree, not m.is_unreliable
   self.reader:read(m, self.history)
   if not m.good then m.delta = false end
   if is_known and not m.visited and not m.wants.is_only_pass then

@@ -130,7 +130,7 @@ local function end_gap(self, stream, packet, is_over, events)
   return true
 end
 
--- Adds the segments that wait, as far as they are in order.
+-- Adds the waiting segments that are in order.
 -- packet   the current one
 -- is_over  whether no missing segment will come
 local function add_held(self, stream, packet, is_over, events)
@@ -227,7 +227,7 @@ end
 
 --- Take the next packet of the capture.
 -- packet  {
---   key          frame key; a key that comes again replaces what was stored
+--   key          frame key; a second frame with this key replaces the first
 --   number       of the packet; bus_name = or nil
 --   epoch        of a segment: seconds since 1970
 --   bytes        string: those that were captured

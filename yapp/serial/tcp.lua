@@ -75,7 +75,7 @@ end
 --   ack      sequence number that it acknowledges, or nil
 --   is_syn   whether it begins a connection
 --   is_ours  to be set if TCP hands it to YAPP
---   line     for whoever takes it }
+--   line     for the caller's use }
 function M.current(number)
   return inside == number and segment or nil -- else it was thrown past Lua
 end

@@ -50,7 +50,7 @@ end
 -- How a field is added, by kind: function(field, its ProtoFields, unit, is_shown), which returns a
 -- function(parent, range, raw) -> item.
 -- unit      the text behind the value, "" for none
--- is_shown  whether somebody reads the tree
+-- is_shown  whether the tree is shown
 local ADD = {}
 
 -- What Wireshark reads itself.
@@ -146,7 +146,7 @@ local function unit_of(field, is_shown)
 end
 
 -- Return how a field is added to a tree: { field, index, parent = index of the field that it is a
--- part of, add, title = of an array's element }; nil where nobody wants it.
+-- part of, add, title = of an array's element }; nil if it is not wanted.
 local function make_step(self, field, index, tree, is_shown)
   local wanted = wanted_of(self.fields[field], tree)
   if not wanted then return nil end
@@ -230,7 +230,7 @@ end
 function Taurus:show(m)
   local top, items = nil, NONE
   if m.tvb and m.payload ~= "" then top, items = build(self, m) end
-  for _, remark in ipairs(m.look and decode.remarks(m.message, m.raws) or NONE) do
+  for _, remark in ipairs(m.is_remarkable and decode.remarks(m.message, m.raws) or NONE) do
     local index, name = remark[1], remark[2]
     local item = items[index]
     if item and name == "fault.active" then
@@ -254,7 +254,7 @@ local CHANGES = {
   { "jump", "taurus.jump", "Controller's clock jumped ahead by %.1f s", "  JUMP" },
 }
 
--- Add a generated field, if the value is there and somebody wants it.
+-- Add a generated field, if the value is there and wanted.
 local function add_wanted(item, pf, value)
   return pf and value and referenced(item, pf) and add_generated(item, pf, value)
 end
@@ -285,14 +285,14 @@ end
 
 --- Add what the history says of a message, all of it generated, with its expert items.
 -- m        a message of message.reader
--- top      the Taurus item; nil or false where nobody wants a tree: then there are expert items
+-- top      the Taurus item; nil or false if no tree is wanted: then there are expert items
 --          only
 -- returns  what the Info column says of it: "  cleared motor_overcurrent, hall_timeout  REBOOT"
 function Taurus:add_change(m, top)
   local change, item = m.change or NONE, top or m.item
   local info = add_flags_changes(self, item, change.flags or NONE, top)
-  for _, one in ipairs(top and m.standing and self.messages[m.message].states or NONE) do
-    add_wanted(item, one.pf, one.value(m.standing, m))
+  for _, one in ipairs(top and m.state and self.messages[m.message].states or NONE) do
+    add_wanted(item, one.pf, one.value(m.state, m))
   end
   for _, row in ipairs(CHANGES) do
     local value, name, label, word = change[row[1]], row[2], row[3], row[4]

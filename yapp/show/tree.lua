@@ -52,7 +52,7 @@ end
 
 -- What is wanted ----------------------------------------------------------------------------------
 
--- Where nobody wants a tree, tree.hidden is false; of a tree, shown or not, it is true.
+-- If no tree is wanted, tree.hidden is false; of a tree, shown or not, it is true.
 local IS_TSHARK = not gui_enabled()
 local NO_COLUMN = "(info)" -- what the API calls it where there are no columns at all
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
@@ -66,7 +66,7 @@ local function is_only_pass(tree, has_columns)
   return tree.visible or has_columns and not (FILTERS_COLUMNS and pcall(all_field_infos))
 end
 
--- Return what is wanted of a packet where nobody wants a tree.
+-- Return what is wanted of a packet without a tree.
 local function without_tree(has_columns, is_only)
   return {
     columns = has_columns,
@@ -74,7 +74,7 @@ local function without_tree(has_columns, is_only)
     yapp = false,
     taurus = false,
     tree = false,
-    standing = false,
+    state = false,
     names = false,
   }
 end
@@ -87,7 +87,7 @@ local function ask(self, tree)
   wants.yapp = tree:referenced(Dissector.get("yapp"))
   wants.taurus = tree:referenced(Dissector.get("taurus"))
   wants.tree = wants.yapp or wants.taurus
-  wants.standing = wants.taurus
+  wants.state = wants.taurus
   wants.names = not SAYS_PROTOCOLS and not self.reader.stat.wanted
   return wants
 end
@@ -99,17 +99,17 @@ local function ask_first(self, tree, pinfo)
   if tree.hidden then wants = ask(self, tree) end
   wants.columns = has_columns
   wants.is_only_pass = self.is_only_pass or is_only_pass(tree, has_columns)
-  wants.standing = wants.taurus and self.messages:wants_state(tree)
+  wants.state = wants.taurus and self.messages:wants_state(tree)
   return wants
 end
 
---- Return what anyone wants of a packet.
--- is_again  whether the packet was shown before
+--- Return what is wanted of a packet.
+-- visited   whether the packet was shown before
 -- returns   {
 --   yapp          whether YAPP's own items are shown, filtered or printed
 --   taurus        whether those of messages are
 --   tree          whether any of both are
---   standing      whether the state of messages that change nothing is wanted, too
+--   state         whether the state of messages that change nothing is wanted, too
 --   names         whether, without all these, the names of protocols are, see Tree:bare
 --   columns       whether there are columns: tshark has them for a packet list, and not with -V,
 --                 -q, most of -T or in a first pass of two
@@ -117,16 +117,15 @@ end
 --                 tenth of a packet list }
 -- In tshark's first pass the answer is the same for all packets, so it is asked once; in Wireshark,
 -- and in later passes, it may change.
-function Tree:wants(tree, pinfo, is_again)
-  if IS_TSHARK and not is_again then
+function Tree:wants(tree, pinfo, visited)
+  if IS_TSHARK and not visited then
     self.wanted = self.wanted or ask_first(self, tree, pinfo)
     return self.wanted
   end
   return tree.hidden and ask(self, tree) or LIST
 end
 
---- Add the names of the protocols, for who asks for them (-z io,phs), where nobody wants YAPP's own
--- items, but there is a tree.
+--- Add the names of the protocols to a tree in which no field of YAPP is wanted, for -z io,phs.
 -- wants       of the tree
 -- is_message  whether there is a message's name too
 -- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
@@ -248,17 +247,17 @@ end
 
 --- Show a finished message: the message of the catalogue, or bytes.
 -- m        of message.reader, with { tree = where the Taurus tree goes, item = YAPP's own item or
---          the tree, tvb and at = where the payload lies, tvb nil where nobody wants a tree, wants
+--          the tree, tvb and at = where the payload lies, tvb nil if no tree is wanted, wants
 --          = of Tree:wants }
--- returns  what the Info column says of it, or a part of that where nobody sees it
+-- returns  what the Info column says of it, or a part of that if no column shows it
 function Tree:payload(m)
   local top, info = nil, ""
   if m.wants.yapp then self:add_delta(m.item, m) end
   if not m.raws then
     info = show_bytes(self, m)
   else
-    top = (m.tvb or m.look) and self.messages:show(m)
-    if m.wants.columns then info = info_of.text(m.message, m.raws, m.name, m.look) end
+    top = (m.tvb or m.is_remarkable) and self.messages:show(m)
+    if m.wants.columns then info = info_of.text(m.message, m.raws, m.name, m.is_remarkable) end
   end
   if m.change or top then info = info .. self.messages:add_change(m, top) end
   if m.undecoded then

@@ -192,7 +192,7 @@ local function add_row(self, rule, group, ending, row)
   self.rows[#self.rows + 1] = output.row(source, row)
 end
 
--- Adds the rows of a rule: one for each source that it is about, or one in all.
+-- Adds the rows of a rule: one for each of its sources, or one in all.
 local function judge(self, rule, ending)
   local kind, is_about_any = kinds.BY_NAME[rule.kind], false
   local measure = of_capture[rule.kind] or kind and kind.scope == "capture" and count_all

@@ -124,13 +124,13 @@ local function invalid_of(m)
 end
 
 local function values_of(m)
-  local invalid = m.look and invalid_of(m)
-  if not (m.change or invalid or m.undecoded or m.is_unsure) then return NOTHING end
+  local invalid = m.is_remarkable and invalid_of(m)
+  if not (m.change or invalid or m.undecoded or m.is_unreliable) then return NOTHING end
   return {
     change = m.change or nil,
     invalid = invalid or nil,
     undecoded = m.undecoded,
-    is_unreliable = m.is_unsure,
+    is_unreliable = m.is_unreliable,
   }
 end
 

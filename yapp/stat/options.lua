@@ -271,7 +271,7 @@ local FINISH = { csv = finish_csv, check = finish_check }
 -- text       "yapp,check,fault=0,motor.rate=9,filter=can.bus_id == 1, or so"
 -- catalogue  compiled
 -- returns    { what =, json = true or nil, filter = or nil, folder =, chosen =, replace =, all =,
---            rules =, junit =, problems = list of texts, each with the option that it is about }
+--            rules =, junit =, problems = list of texts, each names its option }
 function M.read(text, catalogue)
   local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")

@@ -225,7 +225,7 @@ end
 local File = {}
 File.__index = File
 
---- Begins a file: written aside, so that nobody ever reads half of it.  A device is written as it
+--- Begins a file, under another name until it is complete.  A device is written as it
 -- is: a file in its place would be the end of it.
 -- advice   what to do where the file is there already, which is not overwritten then; nil for
 --          nothing: it is

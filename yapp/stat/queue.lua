@@ -36,7 +36,7 @@ function M.new(settings, hint)
   return self
 end
 
---- Forget what was offered and seen: all packets will come again.
+--- Forget what was offered and seen, as all packets will be revisited.
 function Queue:reset()
   self.offered, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
   self.waiting = {}

@@ -12,7 +12,7 @@ local M = {}
 local EXTENDED = "can.id && can.flags.xtd == 1 && !(can.flags.rtr == 1)" -- data frames
 local MAX_TREES = 1000 -- frames
 local NO_NARROWING = "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
-local IS_TSHARK = not gui_enabled() -- in Wireshark all packets may come again
+local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
 
 local Stat = {}
 Stat.__index = Stat
@@ -82,7 +82,7 @@ local function tap_clock(self)
 end
 
 -- The tap that counts extended frames.  It builds trees, which say the CAN id of the first Starts
--- that nobody dissects; in tshark it goes when messages of ours are there.
+-- that no dissector takes; in tshark it goes once there is a message of ours.
 local function tap_extended(self)
   local tap = listen(self, EXTENDED)
   function tap.packet()

@@ -39,7 +39,7 @@ end
 --   a
 --   message share: the id without CAN CTRL }
 -- Usually the same table for the same id: read only.  A bus has few, a hostile capture any number:
--- those that nobody holds go with the next collection.
+-- those without a reference go with the next collection.
 M.fields = setmetatable({}, { __mode = "v", __index = split })
 
 --- Return the slot of a message: one number for its key and its bus.
