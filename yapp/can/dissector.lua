@@ -337,7 +337,7 @@ end
 local function take(self, frame)
   local kind, message, anomalies = self.reassembly:take(frame)
   frame.message, frame.anomalies, frame.index = message, anomalies, message and #message
-  if kind then self.register_id(frame.can_id.id) end
+  if kind and frame.can_id.ctrl == START then self.register_id(frame.can_id.id) end
   if not frame.is_bus_known then self.lost_bus = true end
   return kind
 end
@@ -365,7 +365,8 @@ local function is_revisit(self, pinfo, key)
 end
 
 -- Return the record of a frame, which is used again for the next frame.
-local function new_frame(self, tvb, pinfo, tree, id, accepts_all)
+-- reported  its length on the bus
+local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   local frame, number = self.frame, pinfo.number
   if self.asks then find_bus(self, frame, pinfo) end
   local fields, bus = fields_of[id], frame.bus
@@ -380,7 +381,7 @@ local function new_frame(self, tvb, pinfo, tree, id, accepts_all)
   frame.slot = slot_of(fields, bus)
   -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
   frame.data = length_of(tvb) > 0 and raw_of(tvb) or ""
-  frame.reported = reported_of(tvb)
+  frame.reported = reported
   frame.accepts_all = accepts_all
   frame.tvb = tvb
   frame.pinfo = pinfo
@@ -393,8 +394,9 @@ end
 -- accepts_all  whether the user says that every extended frame is YAPP
 -- returns      the number of bytes that are ours, 0 for a frame that is not
 function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
-  if reported_of(tvb) == 0 then return 0 end
-  local frame, kind = new_frame(self, tvb, pinfo, tree, id, accepts_all), nil
+  local reported, kind = reported_of(tvb), nil
+  if reported == 0 then return 0 end
+  local frame = new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   if frame.visited then
     kind = recall(self, frame)
   elseif not is_remote(frame) then
@@ -402,7 +404,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   end
   if not kind then return 0 end
   show(self, frame, kind)
-  return frame.reported
+  return reported
 end
 
 --- Show a frame that is YAPP's by the user's word, but whose CAN id nothing says, as bytes: the
@@ -426,7 +428,7 @@ function Dissector:report_start(tvb, pinfo, find_id)
   local id = reserved == 0 and size > 8 and find_id(pinfo)
   local fields = id and fields_of[id]
   if not fields or fields.ctrl ~= START or fields.ctl ~= 0 then return end
-  local frame = new_frame(self, tvb, pinfo, nil, id, false)
+  local frame = new_frame(self, tvb, 8, pinfo, nil, id, false)
   self.reader.stat:start(new_record(self, frame, nil, nil, nil, nil, size))
 end
 
