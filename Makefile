@@ -56,8 +56,10 @@ test-all:
 	tests/matrix --rest
 	$(MAKE) fuzz FRAMES=$(or $(FRAMES),20000)
 
+## The code, and the pages: lengths, plain words, links
 lint: needs-tests
 	luacheck -q .
+	pytest-3 -q -p no:cacheprovider tests/lint
 
 # Wireshark has Lua 5.2 or 5.4; 5.5, which will come, is tried where it is.
 unit: needs-tests

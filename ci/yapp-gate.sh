@@ -65,7 +65,9 @@ if [ "$(id -u)" = 0 ]; then
 fi
 
 statistic=yapp,check${rules:+,$rules}${junit:+,junit=report.xml}
-command=(tshark -q -X "lua_script:$work/plugin/yapp.lua" -r "$work/capture/$(basename "$capture")" -z "$statistic")
+# TCP may deliver segments late; the plugin reads sequence numbers, and this makes Wireshark's own tree of them right, too.
+command=(tshark -q -X "lua_script:$work/plugin/yapp.lua" -o tcp.reassemble_out_of_order:TRUE
+  -r "$work/capture/$(basename "$capture")" -z "$statistic")
 [ -z "$sources" ] || command+=(-o "yapp.sources:$sources")
 code=0
 (

@@ -2,16 +2,32 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Print docs/api.md, which is made of the docstrings of yapp_tables: api_page.py >docs/api.md"""
 import inspect
+import re
+import textwrap
 
 import yapp_tables as yt
+
+
+def wrapped(text):
+    """A docstring in lines of at most 100 columns; a paragraph of "name: meaning; name: meaning" as a list."""
+    paragraphs = []
+    for paragraph in re.split(r"\n\s*\n", text):
+        if paragraph.startswith("    "):
+            paragraphs.append(paragraph)
+            continue
+        paragraph = " ".join(paragraph.split())
+        items = re.split(r"; (?=[a-z_]+(?:, [a-z_]+)*: )", paragraph) if re.match(r"[a-z_]+(?:, [a-z_]+)*: ", paragraph) else []
+        lines = [re.sub(r"^([a-z_]+(?:, [a-z_]+)*):", r"- `\1`:", item) for item in items] or [paragraph]
+        paragraphs.append("\n".join(textwrap.fill(line, 100, subsequent_indent="  " * bool(items)) for line in lines))
+    return "\n\n".join(paragraphs)
 
 
 def entry(name, thing):
     """A heading, the signature and the docstring."""
     signature = "" if inspect.isclass(thing) and issubclass(thing, Exception) else inspect.signature(thing)
-    return f"## yt.{name}\n\n    {name}{signature}\n\n{inspect.getdoc(thing)}\n"
+    return f"## yt.{name}\n\n    {name}{signature}\n\n{wrapped(inspect.getdoc(thing))}\n"
 
 
 print("# yapp_tables in Python\n\nMade of the docstrings by `tools/api_page.py`. How to use it: [tables.md](tables.md).\n")
-print(inspect.getdoc(yt.api), "\n")
+print(wrapped(inspect.getdoc(yt.api)), "\n")
 print("\n".join(entry(name, getattr(yt, name)) for name in yt.__all__).rstrip())

@@ -266,6 +266,7 @@ class Packet:
         self.events, self.pending, self.leads_to, self.held = [], b"", set(), False
         self.time = self.number = self.sequence = None
         self.acknowledged = 1
+        self.bus = ""
         self.link = lambda packet: packet.data
 
 
@@ -416,6 +417,7 @@ class Place:
     def __init__(self, linktype, interface, number, address=None):
         self.linktype, self.interface, self.number, self.address = linktype, interface, number, address
         self.direction, self.pair = number % 2, number // 2
+        self.bus_direction = (linktype == RTAC) * ("tx", "rx")[self.direction]
 
 
 def addresses(place):
@@ -524,6 +526,16 @@ class Capture:
         self.packets = packets
         places = {packet.place.interface: packet.place.linktype for packet in packets}
         self.linktypes = [places.get(interface, USER0) for interface in range(max(places, default=0) + 1)]
+        self.buses = {(packet.place.interface, packet.place.bus_direction) for packet in packets}
+        for packet in packets:
+            packet.bus = self.bus_name(packet.place)
+
+    def bus_name(self, place):
+        """The name that tells the bus of a packet from others, "" where the capture has one bus."""
+        if len(self.buses) < 2:
+            return ""
+        has_both = {(place.interface, "rx"), (place.interface, "tx")} <= self.buses
+        return f"if{place.interface}" + has_both * f"#{place.bus_direction}"
 
     def write(self, path):
         blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]

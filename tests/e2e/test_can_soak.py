@@ -49,7 +49,7 @@ TAURUS = {
                "taurus_status": "B", "board_revision": "B"},
 }
 FIELDS = (["frame.number", "yapp.id", "yapp.can.ctrl", "yapp.crc.status", "yapp.reassembled.in", "yapp.fragment",
-           "yapp.padding", "yapp.payload"] + [f"yapp.{name}" for name in EXPERTS] +
+           "yapp.padding", "yapp.payload", "yapp.undecoded"] + [f"yapp.{name}" for name in EXPERTS] +
           [f"taurus.{kind}.{name}" for kind, names in TAURUS.items() for name in names])
 
 
@@ -174,8 +174,10 @@ class Comparison:
 
     def payload(self, number, payload, row):
         kind = can_generator.kind_of(self.capture.frames[number - 1].can_id >> 18)
-        if kind and len(payload) == can_generator.SIZES[kind]:
+        size = can_generator.SIZES[kind] if kind else 0
+        if kind and len(payload) >= size:
             expected = taurus_values(kind, payload)
+            self.expect(number, "undecoded", payload[size:].hex(), row["yapp.undecoded"])
             for name in FIELDS:
                 if name.startswith("taurus."):
                     text = row[name]

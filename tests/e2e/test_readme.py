@@ -17,8 +17,6 @@ pytestmark = levels.together("readme")
 README = (tshark.ROOT / "README.md").read_text()
 STATISTICS = (tshark.ROOT / "docs/statistics.md").read_text()
 MAP = (tshark.ROOT / "CONTRIBUTING.md").read_text()
-PAGES = [path.relative_to(tshark.ROOT) for path in (tshark.ROOT / "README.md", tshark.ROOT / "CONTRIBUTING.md",
-                                                    *sorted((tshark.ROOT / "docs").glob("*.md")))]
 FLIGHT = flights.make(3)
 CODES = {"check": 20}  # the flight has faults
 
@@ -140,43 +138,7 @@ def test_the_filters_of_the_help():
     tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
 
 
-# How they are made -------------------------------------------------------------------------------------------------
-
-def test_it_is_short_and_in_this_order():
-    assert len(README.splitlines()) <= 150 and len(README.split()) <= 900
-    titles = re.findall(r"^## (.*)", README, re.M)
-    assert titles == ["Install", "A first result", "Several controllers", "Filters", "A gate for CI", "Nothing is decoded?",
-                      "More", "Tests"]
-    links = re.findall(r"\]\(([^)]*)\)", README)
-    assert len(links) == len(set(links))
-
-
-# Lines that no reader has to scroll, sentences that nobody has to read twice.
-MAX_COLUMNS, MAX_CELL, MAX_WORDS = 100, 120, 25
-WIDER = {"api", "reliability", "statistics", "tables", "CONTRIBUTING"}  # pages that are yet to be written by task
-
-
-@pytest.mark.parametrize("page", [page for page in PAGES if page.stem not in WIDER], ids=str)
-def test_lengths(page):
-    text = re.sub(r"```.*?```", "", (tshark.ROOT / page).read_text(), flags=re.S)
-    lines = [line for line in text.splitlines() if not line.startswith(("    ", "!["))]
-    assert [line for line in lines if len(line) > MAX_COLUMNS and not line.startswith("|")] == []
-    cells = [cell.strip() for line in lines if line.startswith("|") for cell in re.split(r"(?<!\\)\|", line)]
-    assert [cell for cell in cells if len(cell) > MAX_CELL] == []
-    prose = " ".join(line for line in lines if not re.match(r"[|#<]|- |\d+\. ", line))
-    assert [one for one in re.split(r"(?<=[.!?:])\s+", prose) if len(one.split()) > MAX_WORDS] == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=str)
-def test_links(page):
-    text = (tshark.ROOT / page).read_text()
-    for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)", text):
-        path = (tshark.ROOT / page).parent / target if target else tshark.ROOT / page
-        assert path.exists(), target
-        titles = [re.sub(r"[^\w -]", "", title).strip().lower().replace(" ", "-")
-                  for title in re.findall(r"^#+ (.*)", path.read_text(), re.M)] if anchor else []
-        assert not anchor or anchor in titles, anchor
-
+# What they name ----------------------------------------------------------------------------------------------------
 
 def test_the_map_names_what_there_is():
     """Files and targets that CONTRIBUTING.md names are there."""

@@ -84,13 +84,15 @@ def is_longer(event):
     return event.kind == "good" and len(event.payload) > stream_captures.KNOWN.get(event.ident, 65535)
 
 
-def info(event):
+def info(event, bus):
     if event.kind == "skipped":
         return f"Skipped {counted(event.data)}{quoted(event.data)}"
+    source = f" ({bus})" if bus else ""
     known = model.MESSAGES.get(event.ident)
     if known:
-        return known[1] if fits(event) or is_longer(event) else f"{known[1]}, {counted(event.payload)}, the catalogue says"
-    return f"ID 0x{event.ident:x}  {counted(event.payload)}{ENDS[event.kind]}"
+        name = f"{known[1]} 0x{event.ident:x}{source}" if bus else known[1]
+        return name if fits(event) or is_longer(event) else f"{name}, {counted(event.payload)}, the catalogue says"
+    return f"ID 0x{event.ident:x}{source}  {counted(event.payload)}{ENDS[event.kind]}"
 
 
 def label(event):
@@ -134,7 +136,8 @@ def expected(packet):
             add(payload=payload.hex())
         if event.delta is not None:
             add(time_delta=model.time_text(event.delta))
-    if 0 < packet.captured < len(packet.data) and not any(event.kind == "incomplete" for event in packet.events):
+    is_ours, is_incomplete = packet.events or packet.pending, any(event.kind == "incomplete" for event in packet.events)
+    if is_ours and packet.captured < len(packet.data) and not is_incomplete:
         add(truncated="")
     if packet.pending:
         add(fragment__data=packet.pending.hex())
@@ -193,7 +196,7 @@ class Comparison:
         self.expect("a link to a later packet", bool(later), len(links) > len(joined))
 
     def info(self):
-        texts = [info(event) for event in self.packet.events]
+        texts = [info(event, self.packet.bus) for event in self.packet.events]
         if len(texts) > 10:
             texts[10:] = [f"and {len(texts) - 10} more"]
         parts = re.sub(r"^(\[TCP [^]]*\] ?)*", "", self.row.get("info", "")).split(" | ")

@@ -148,4 +148,25 @@ function T.test_a_preference_in_its_file()
   lu.assertNil(files.preference(write("") .. ".no", "yapp.messages"))
 end
 
+-- docs/catalogue.md names every option and type: an unknown one is answered with the list of those there are.
+function T.test_the_page_names_every_option_and_type()
+  local file = assert(io.open("docs/catalogue.md"))
+  local page = file:read("*a")
+  file:close()
+  local entries = {}
+  for _, row in ipairs { "'uint8', 'X', z = 1", "'uint9', 'X'", "'float16', 'X', z = 1", "'bytes', 'X', z = 1",
+    "'variants', z = 1", "'uint8', 'X', group = 'g', flags = {{'a', 1, 'A', z = 1}}",
+    "'uint8', 'X', bits = {{'a', 3, 'A', z = 1}}" } do
+    entries[#entries + 1] = "{ name = 'm', title = 'M', id = 1, size = 1, { 'x', " .. row .. " } }"
+  end
+  for _, option in ipairs { "z = 1", "derived = {{'d', 'x * x', 'D', z = 1}}" } do
+    entries[#entries + 1] = "{ name = 'm', title = 'M', id = 1, size = 1, " .. option .. ", { 'x', 'uint8', 'X' } }"
+  end
+  for _, entry_text in ipairs(entries) do
+    local _, problems = load("return {" .. entry_text .. "}")
+    local list = problems[1]:match("has ([%w_, ]+);") or problems[1]:match("the types are ([%w_, ]+);")
+    for name in list:gmatch("[%w_]+") do lu.assertStrContains(page, "`" .. name .. "`") end
+  end
+end
+
 return T

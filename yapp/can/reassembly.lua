@@ -43,6 +43,7 @@ function M.new(max_open)
     open = {}, -- [slot] = the message that is open there, or can.interleaved of several
     open_count = 0,
     accepted = {}, -- [message ID] = true once a Start of it was accepted
+    buses = {}, -- [bus] = true once a Start came there
     store = store.new(),
     -- Of the newest frame; false for none (COMPAT 5.2: nil makes the table anew).
     message = false,
@@ -200,6 +201,7 @@ local function start(self, frame)
   if not frame.accepts_all and not is_plausible(self, frame, size, reserved) then return nil end
   local slot, source = frame.slot, frame.source
   self.accepted[frame.can_id.id] = true
+  if frame.bus then self.buses[frame.bus] = true end
   local several = self.open[slot] and supersede(self, frame)
   if size ~= source.size or reserved ~= 0 or frame.reported ~= 8 then
     check_start(self, frame, size, reserved)
@@ -391,12 +393,22 @@ function Reassembly:drop(key)
   self.store:drop(key, self.message)
 end
 
--- The message that is open and has a frame as a fragment, and the index of that.
-local function find_open(self, frame)
-  for _, message in ipairs(open_in(self, frame.slot)) do
-    local index = frame_key.last_until(message, frame.key)
-    if message[index] == frame.key then return message, index end
+-- Return the message that is open in a slot and has a frame as a fragment, and the index of that.
+local function find_open_in(self, slot, key)
+  for _, message in ipairs(open_in(self, slot)) do
+    local index = frame_key.last_until(message, key)
+    if message[index] == key then return message, index end
   end
+end
+
+-- The same for all slots: once a read filter has dropped a packet, no bus is known on revisits.
+local function find_open(self, frame)
+  local found, index = find_open_in(self, frame.slot, frame.key)
+  for bus in pairs(found and {} or self.buses) do
+    found, index = find_open_in(self, can_id.slot(frame.can_id, bus), frame.key)
+    if found then break end
+  end
+  return found, index
 end
 
 --- Say what a frame is that was taken before.

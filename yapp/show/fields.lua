@@ -17,7 +17,7 @@ local CRC_STATUS = { [0] = "Bad", "Good", "Unverified" }
 -- filter, type, title, description, base, values
 local YAPP = {
   { "id", "UINT32", "Message ID",
-    "Which message it is, and of which controller", HEX },
+    "Message ID: which message it is, and which controller sent it", HEX },
   { "ctl", "UINT8", "Control (CTL)",
     "YAPP's control byte" },
   { "seq", "UINT8", "Sequence number",

@@ -36,8 +36,8 @@ class Flight(Mapping[str, pa.Table]):
     events: (n, kind, time, ...) faults, reboots, silences, bad CRCs, lost frames; times UTC in ns, lengths in seconds;
     faults: of these the flags raised and cleared; summary: a row for each bus and ID, rates in Hz, gaps in seconds;
     statistics: minimum, mean and maximum of each field of a source, in its unit;
-    messages: what the catalogue says of them; plugin: its version; left_out: sentences on all that is missing here,
-    of which `partial` is why a capture could not be read to its end, `undecoded` what was not decoded.
+    messages: what the catalogue says of them; plugin: its version; left_out: sentences on all that is missing here;
+    partial: why a capture could not be read to its end; undecoded: what was not decoded.
     """
 
     def __init__(

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""README and the pages of docs: short lines and sentences, plain words, links that lead somewhere."""
+import pathlib
+import re
+
+import pytest
+
+TOP = pathlib.Path(__file__).resolve().parents[2]
+README = (TOP / "README.md").read_text()
+PAGES = [path.relative_to(TOP) for path in (TOP / "README.md", TOP / "CONTRIBUTING.md", *sorted((TOP / "docs").glob("*.md")))]
+
+# Lines that no reader has to scroll, sentences that nobody has to read twice.
+MAX_COLUMNS, MAX_CELL, MAX_WORDS = 100, 120, 25
+VAGUE = re.compile(r"\b(that it is about|of which|what is said|as far as|is told|are told|comes? again|came again|thereof|"
+                   r"therein|reserved count|stood still|ordinary number|cut short|tells? of)\b", re.I)
+
+
+def lines_of(page):
+    """The lines of a page that are no code and no picture."""
+    text = re.sub(r"```.*?```", "", (TOP / page).read_text(), flags=re.S)
+    return [line for line in text.splitlines() if not line.startswith(("    ", "!["))]
+
+
+def test_readme_is_short_and_in_this_order():
+    assert len(README.splitlines()) <= 150 and len(README.split()) <= 900
+    titles = re.findall(r"^## (.*)", README, re.M)
+    assert titles == ["Install", "A first result", "Several controllers", "Filters", "A gate for CI", "Nothing is decoded?",
+                      "More", "Tests"]
+    links = re.findall(r"\]\(([^)]*)\)", README)
+    assert len(links) == len(set(links))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_lengths(page):
+    lines = lines_of(page)
+    assert [line for line in lines if len(line) > MAX_COLUMNS and not line.startswith("|")] == []
+    cells = [cell.strip() for line in lines if line.startswith("|") for cell in re.split(r"(?<!\\)\|", line)]
+    assert [cell for cell in cells if len(cell) > MAX_CELL] == []
+    prose = " ".join(line for line in lines if not re.match(r"[|#<]|- |\d+\. ", line))
+    assert [one for one in re.split(r"(?<=[.!?:])\s+", prose) if len(one.split()) > MAX_WORDS] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_words(page):
+    assert [line for line in lines_of(page) if VAGUE.search(line)] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_links(page):
+    text = (TOP / page).read_text()
+    for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)", text):
+        path = (TOP / page).parent / target if target else TOP / page
+        assert path.exists(), target
+        titles = [re.sub(r"[^\w -]", "", title).strip().lower().replace(" ", "-")
+                  for title in re.findall(r"^#+ (.*)", path.read_text(), re.M)] if anchor else []
+        assert not anchor or anchor in titles, anchor
