@@ -28,7 +28,7 @@ import bundle  # noqa: E402
 
 OLDEST = "946684800"  # the year 2000: a zip knows no time before 1980
 TOP = pathlib.Path(__file__).resolve().parents[1]
-DOCUMENTS = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "SECURITY.md", "docs/*", "ci/*", "action.yml",
+DOCUMENTS = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "SECURITY.md", "docs/*", "tests/RUNS.md", "ci/*", "action.yml",
              "tools/*.py", "tools/pyproject.toml", "tools/README.md", "tools/LICENSE", "tools/src/*/*")
 
 

@@ -622,7 +622,7 @@ def repository(top):
     for name in names:
         if (tshark.ROOT / name).is_dir():
             shutil.copytree(tshark.ROOT / name, top / name)
-        elif (tshark.ROOT / name).exists() and not name.startswith("tests/"):
+        elif (tshark.ROOT / name).exists() and (not name.startswith("tests/") or name == "tests/RUNS.md"):
             (top / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(tshark.ROOT / name, top / name)
     return top

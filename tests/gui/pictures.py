@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The pictures of README.md and docs/fault.md: the profile YAPP on docs/flight.pcapng.  pictures.py FOLDER"""
 import pathlib
+import re
 import shutil
 import sys
 import tempfile
@@ -18,7 +19,8 @@ def profile(folder):
     path = folder / "YAPP"
     shutil.copytree(gui.ROOT / "profiles/YAPP", path)
     graphs = path / "io_graphs"
-    graphs.write_text(graphs.read_text().replace('","",', '","yapp.source == \\x22right\\x22",'))
+    filtered = re.sub(r'(?m)^("\w+","[^"]*"),"",', r'\1,"yapp.source == \\x22right\\x22",', graphs.read_text())
+    graphs.write_text(filtered)
     return path
 
 
