@@ -42,7 +42,7 @@ function M.new()
   return setmetatable({
     slots = {}, -- [slot] = see new_slot
     buses = {}, -- [bus] = true where it has slots
-    anomalies = {}, -- [frame key] = a line for each: expert item and text
+    anomalies = {}, -- [frame key] = a line for each: expert item, lost (-1 for nil), text
     originals = {}, -- [frame key of a fragment that came twice] = that of the fragment it repeats
   }, Store)
 end
@@ -94,7 +94,7 @@ function Store:keep(message, delta, has_fault)
 end
 
 local function line_of(anomaly)
-  return anomaly.expert .. " " .. anomaly.text .. "\n"
+  return ("%s %.1f %s\n"):format(anomaly.expert, anomaly.lost or -1, anomaly.text)
 end
 
 --- Keep the anomalies of a frame.  If its message is not known yet, the list may be empty.
@@ -118,8 +118,9 @@ function Store:anomalies_of(key)
   if self.originals[key] then return { DUPLICATE } end
   local lines, list = self.anomalies[key], {}
   if not lines then return nil end
-  for expert, text in lines:gmatch("(%S+) ([^\n]*)\n") do
-    list[#list + 1] = { expert = expert, text = text }
+  for expert, lost, text in lines:gmatch("(%S+) (%S+) ([^\n]*)\n") do
+    lost = tonumber(lost)
+    list[#list + 1] = { expert = expert, lost = lost >= 0 and lost or nil, text = text }
   end
   return list
 end
