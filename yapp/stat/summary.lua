@@ -81,7 +81,7 @@ local OF_SOURCE = words("bus id source count min mean max")
 local COMPARED = {
   json = words("message field unit spread time frame sources"),
   text = words("field unit who min mean max spread rel frame"), -- a line for each field and source
-  window = words("field unit who min mean max spread rel"),
+  window = words("field unit who min mean max spread"),
 }
 
 local Compare = groups.class { compares = true, wants_messages_only = true }
