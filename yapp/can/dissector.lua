@@ -351,8 +351,8 @@ local function recall(self, frame)
   return not (kind == "single" and is_remote(frame)) and kind
 end
 
-local function find_bus(self, frame, pinfo)
-  local bus, is_known = self.buses:of(pinfo, pinfo.number)
+local function find_bus(self, frame, pinfo, number)
+  local bus, is_known = self.buses:of(pinfo, number)
   frame.bus, frame.is_bus_known = bus or false, is_known
 end
 
@@ -368,7 +368,7 @@ end
 -- reported  its length on the bus
 local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   local frame, number = self.frame, pinfo.number
-  if self.asks then find_bus(self, frame, pinfo) end
+  if self.asks then find_bus(self, frame, pinfo, number) end
   local fields, bus = fields_of[id], frame.bus
   local key = number * PACKET + (self.offset or offset_of(tvb))
   local visited = key <= self.newest_key and is_revisit(self, pinfo, key)
