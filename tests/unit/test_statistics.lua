@@ -801,7 +801,7 @@ function T.test_nothing_to_judge_by()
   lu.assertEquals(note("", {}, { extended = 1 }),
     "no YAPP message found; 1 extended CAN frame was not dissected: see yapp.motor_ids, yapp.all_extended")
   lu.assertStrContains(note(",note.count=1", { record(1, 0) }), "no Note came: see yapp.note_ids")
-  lu.assertStrContains(note(",source=who,crc=0", { record(1, 0) }), "no message of who came: see yapp.sources")
+  lu.assertStrContains(note(",source=who,crc=0", { record(1, 0) }), "no message of a source that yapp.sources calls who came")
   lu.assertStrContains(note(",absent=0", { record(1, 0) }), "no source is named with a message: see yapp.sources")
   lu.assertStrContains(note(",motor.volts.spread=1", { record(1, 0) }), "no two sources of it have a value at one time")
   lu.assertStrContains(note(",motor.rate=1", { record(1, 0), record(2, 0) }), "no two messages at different times")

@@ -67,7 +67,7 @@ local YAPP = {
   { "message.fault", "BOOLEAN", "Message has a fault flag set",
     "In every frame of it" },
   { "seq.missing", "UINT8", "Messages missing before this one",
-    "By its sequence number" },
+    "How many messages are missing before this one, by sequence number" },
 }
 
 -- Expert items: filter, text, group, severity.  The text is the same each time, so that `-z expert`
