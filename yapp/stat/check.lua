@@ -163,7 +163,9 @@ local function measure_none(self, rule, ending)
     end
   end
   if ending.reason then return { note = ending.reason } end
-  if source then return { note = ("no message of a source that yapp.sources calls %s came"):format(source) } end
+  if source then
+    return { note = ("no message of a source that yapp.sources calls %s came"):format(source) }
+  end
   if not message then return { note = "no message came that it is about" } end
   return { note = ("no %s came: see yapp.%s_ids"):format(message.title, message.name) }
 end
