@@ -217,7 +217,7 @@ def in_ethernet(packets):
 def decode_as(rng, table, ports):
     if rng.random() < 0.4:
         return []  # the heuristic
-    return [["-d", f"{table}=={rng.choice(ports)},{rng.choice(('yapp_serial', 'yapp'))}"]]
+    return [["-d", f"{table}=={rng.choice(ports)},yapp_serial"]]
 
 
 def udp(rng, count):
