@@ -162,7 +162,10 @@ def test_what_the_plugin_complains_of_is_passed_on(flight, tmp_path, monkeypatch
     ):
         done = run_tables(tmp_path, *arguments, *options)
         assert done.returncode == 3
-        for text in ("bad.lua: message m: size is 3, but the fields add up to 1 byte", 'yapp.late: no number above 0 in "abc"'):
+        for text in (
+            "bad.lua: message m: size is 3, but the fields add up to 1 byte",
+            'yapp.late: no number above 0 in "abc"',
+        ):
             assert done.stderr.count(text) == 1
     with pytest.warns(UserWarning, match="the fields add up to 1 byte"):
         yt.read(flight[0], options=flights.OPTIONS, plugin=PLUGIN)
