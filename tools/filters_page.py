@@ -33,7 +33,7 @@ TYPES = {"FT_NONE": "-", "FT_BYTES": "bytes", "FT_STRING": "text", "FT_BOOLEAN":
          "FT_FRAMENUM": "frame", "FT_RELATIVE_TIME": "time"}
 PROTOCOLS = {
     "yapp": "YAPP on CAN: the IDs that the catalogue and the preferences name",
-    "yapp_all": "every extended CAN frame, by *Decode As* or `yapp.all_extended`",
+    "yapp_all": "every other extended CAN frame, by *Decode As* or `yapp.all_extended`",
     "yapp_serial": "YAPP in a byte stream: UART, TCP, UDP",
     "taurus": "the messages of Taurus controllers",
 }
@@ -83,8 +83,8 @@ def page(home):
     known, values = fields(ask(home, "fields")), meanings(ask(home, "values"))
     has_description = [row for row in known if row[4]]
     experts = sorted((f"`{name}`", title) for name, kind, _, title, about in known if kind == "FT_NONE" and not about)
-    parts = [HEAD, "\n## Protocols\n\nA protocol is a filter, too.\n\n",
-             table(["filter", "what it is"], [(f"`{name}`", about) for name, about in PROTOCOLS.items()])]
+    parts = [HEAD, "\n## Protocols\n\n`yapp` finds YAPP of all three dissectors. `yapp_all` and `yapp_serial` are names for\n*Decode As* and `frame.protocols`, no filters.\n\n",
+             table(["protocol", "what it is"], [(f"`{name}`", about) for name, about in PROTOCOLS.items()])]
     groups = {}
     for name, kind, mask, title, about in has_description:
         if name.endswith(".special"):

@@ -65,7 +65,7 @@ local YAPP = {
   { "source", "STRING", "Source",
     "Name of this bus and ID, else both as they are" },
   { "message.fault", "BOOLEAN", "Message has a fault flag set",
-    "In every frame of it" },
+    "Set in every frame of a message that has a fault" },
   { "seq.missing", "UINT8", "Messages missing before this one",
     "How many messages are missing before this one, by sequence number" },
 }
