@@ -21,4 +21,14 @@ function M.is_quadratic(call)
   return true
 end
 
+--- Return whether a call costs less than 8 times as much at four times the size, where quadratic work costs 16 times.
+-- call  function(size)
+function M.is_linear(call, size)
+  for _ = 1, 3 do
+    local least = cpu_seconds(function() call(size) end)
+    if cpu_seconds(function() call(4 * size) end) < 8 * least then return true end
+  end
+  return false
+end
+
 return M

@@ -40,7 +40,7 @@ function M.new(max_open)
     open = {}, -- [slot] = the message that is open there, or can.interleaved of several
     open_count = 0,
     accepted = {}, -- [message ID] = true once a Start of it was accepted
-    buses = {}, -- [bus] = true once a Start came there
+    buses = {}, -- [bus, 0 for an unknown one] = true once a Start came there
     store = store.new(),
     -- Of the newest frame; false for none (COMPAT 5.2: nil makes the table anew).
     key = false,
@@ -221,7 +221,7 @@ local function start(self, frame)
   if not is_plausible(self, frame, size, reserved) then return nil end
   local slot, source = frame.slot, frame.source
   self.accepted[frame.can_id.id] = true
-  if frame.bus then self.buses[frame.bus] = true end
+  self.buses[frame.bus or 0] = true
   local several = self.open[slot] and supersede(self, frame)
   if size ~= source.size or reserved ~= 0 or frame.reported ~= 8 then
     check_start(self, frame, size, reserved)
@@ -433,7 +433,7 @@ end
 -- returns  as Reassembly:take, and the index of the frame in its message; of a fragment that came
 --          twice, the index of the one before
 function Reassembly:recall(frame)
-  local message, index = self.store:find(frame)
+  local message, index = self.store:find(frame, self.buses)
   if not message then message, index = find_open(self, frame) end
   local anomalies = self.store:anomalies_of(frame.key)
   if message then

@@ -41,7 +41,6 @@ Store.__index = Store
 function M.new()
   return setmetatable({
     slots = {}, -- [slot] = see new_slot
-    buses = {}, -- [bus] = true where it has slots
     anomalies = {}, -- [frame key] = a line for each: expert item, lost (-1 for nil), text
     originals = {}, -- [frame key of a fragment that came twice] = that of the fragment it repeats
   }, Store)
@@ -82,7 +81,6 @@ function Store:keep(message, delta, has_fault)
   if not slot then
     slot = new_slot(message.source)
     self.slots[message.slot] = slot
-    self.buses[can_id.bus(message.slot)] = true
   end
   local start, text = message[1], pack(message, has_fault)
   local at = last_until(slot.starts, start, #slot.starts) + 1
@@ -197,14 +195,15 @@ end
 
 --- Return the message that has a frame as a fragment, and the index of the fragment; nil for none.
 -- frame  as can.reassembly takes it
-function Store:find(frame)
+-- buses  [bus] = true where messages began, 0 for an unknown bus
+function Store:find(frame, buses)
   local slots, fields, key = self.slots, frame.can_id, self.originals[frame.key] or frame.key
   local slot = slots[frame.slot]
   local found, index
   if slot then found, index = find_in(slot, key, fields) end
   if found then return found, index end
   -- Behind a packet that a read filter dropped no bus is known.
-  for bus in pairs(self.buses) do
+  for bus in pairs(buses) do
     slot = slots[can_id.slot(fields, bus)]
     if slot then found, index = find_in(slot, key, fields) end
     if found then return found, index end

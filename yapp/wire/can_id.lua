@@ -48,11 +48,6 @@ function M.slot(fields, bus)
   return fields.message_key + (bus or 0) * 0x20000000
 end
 
---- Return the bus of a slot.
-function M.bus(slot)
-  return floor(slot / 0x20000000)
-end
-
 --- How many bytes of CAN FD padding a last, or single, frame carries.
 -- data    its captured bytes; reported: its length on the bus; needed: what the message still lacks
 -- returns 0 when it fits exactly, the number of zero bytes when it is padded as CAN FD is, else nil
