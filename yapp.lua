@@ -213,7 +213,6 @@ end
 local stat = stat_taps.new {
   settings = settings,
   intake = intake,
-  reader = reader,
   tree = tree,
   buses = buses,
   unfinished = unfinished,

@@ -13,6 +13,7 @@ local history = require "yapp.message.history"
 local info = require "yapp.message.info"
 local message_reader = require "yapp.message.reader"
 local reassembly = require "yapp.can.reassembly"
+local source_names = require "yapp.message.sources"
 
 local catalogue = catalogue_compiler.compile(dofile(top .. "taurus_fields.lua"))
 local NO_HISTORY = { note = function() end }
@@ -34,10 +35,8 @@ end
 
 -- A finished message, as can.dissector gives it to the reader.
 local function finished(frame, payload)
-  local fields = frame.can_id
-  return { id = fields.id, seq = fields.seq, ctl = fields.ctl, source = fields.id,
-    number = frame.key, frame = frame.key, time = frame.key / 5000, payload = payload, size = #payload,
-    is_whole = true, status = "good", good = true, is_unsure = false, wants = {} }
+  return { source = frame.source, seq = frame.can_id.seq, number = frame.key, time = frame.key / 5000,
+    payload = payload, size = #payload, status = "good", is_unreliable = false }
 end
 
 local function new_history()
@@ -48,12 +47,14 @@ end
 local function run(path, step)
   local known, reader = reassembly.new(), message_reader.new(catalogue, { wanted = false })
   local of_capture = step == "values" and NO_HISTORY or new_history()
-  local frame, count = { bus = false, accepts_all = false }, 0
+  local frame, count, sources = { bus = false, accepts_all = false }, 0, {}
+  reader:use(catalogue.by_id, source_names.parse("", catalogue))
   each_frame(path, function(number, data, id)
     if step == "file" then return end
     local fields = can_id.fields[id]
     frame.can_id, frame.key, frame.slot = fields, number, fields.message_key
-    frame.source = catalogue.by_id[fields.id] or {}
+    sources[fields.id] = sources[fields.id] or reader:new_source(fields.id, false)
+    frame.source = sources[fields.id]
     frame.data, frame.reported = data, #data
     local kind, message = known:take(frame)
     if kind ~= "last" then return end
@@ -61,7 +62,7 @@ local function run(path, step)
     local m = finished(frame, message.payload)
     if step == "reassembly" then return end
     reader:read(m, of_capture)
-    if step == "info" then info.text(m.message, m.raws, m.payload, m.message.title, m.look) end
+    if step == "info" then info.text(m.source.message, m.raws, m.source.label, m.is_remarkable) end
   end)
   return count
 end

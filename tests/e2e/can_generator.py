@@ -166,7 +166,7 @@ def verdict_of(number, frames, said):
         sent = [frames[member - 1] for member in verdict.members]
         size = struct.unpack("<H", sent[0].data[4:6])[0]
         verdict.payload = b"".join(one.data for one in sent[1:])[:size]
-        verdict.status = {"bad": 0, "good": 1, "unverified": 2}[what]
+        verdict.status = {"bad": 0, "good": 1, "truncated": 2}[what]
         if what == "bad":
             verdict.experts.add("crc.bad")
         size_is_wrong = size != SIZES.get(kind)

@@ -87,7 +87,7 @@ local function finish(verdicts, message, frame, say)
   local at, excess = frame.number, message.received - message.size
   local needed, out = frame.reported - excess, {}
   local zeros = not message.status and padding(frame, needed)
-  local status = message.is_cut and "unverified" or "good"
+  local status = message.is_cut and "truncated" or "good"
   if zeros then
     local payload = table.concat(message.chunks):sub(1, message.size)
     if not message.is_cut and not is_good(message, payload) then status = "bad" end
@@ -101,7 +101,7 @@ local function finish(verdicts, message, frame, say)
   show(verdicts, message, {}, 0)
   verdicts[at].members = nil
   local is_short = excess < 0 and not message.status
-  say(at, is_short and "short" or "overrun",
+  say(at, is_short and "incomplete" or "overrun",
     is_short and "fragment.incomplete" or "fragment.overrun")
 end
 
@@ -152,7 +152,7 @@ local function take_fragment(self, slot, frame, id, say)
     self.open[slot] = nil
     finish(self.verdicts, message, frame, say)
     local what = self.verdicts[frame.number].what
-    if what ~= "good" and what ~= "unverified" then self.broken[slot] = 4 end
+    if what ~= "good" and what ~= "truncated" then self.broken[slot] = 4 end
     return
   end
   local too_many = message.received - message.size

@@ -37,11 +37,11 @@ function T.test_one_bus_that_loses_frames()
     { "S32 M8 S32 M8 M8 M8 E8 E8",
       ". . .+fragment.incomplete . . . good orphan+fragment.orphan" },
     { "S32 S32! M8 M8 M8 E8", ". .+fragment.incomplete . . . bad" },
-    { "S32 S32 M8 M8 E8", ". .+fragment.incomplete . . short+fragment.incomplete" },
+    { "S32 S32 M8 M8 E8", ". .+fragment.incomplete . . incomplete+fragment.incomplete" },
     { "S32 M8 S32 M8 M8 M8 M8 E8",
       ". . .+fragment.incomplete . . . . overrun+fragment.overrun" },
-    { "S32 S32 M8~3 M8 M8 E8", ". .+fragment.incomplete . . . unverified" },
-    { "S32 S32 M8 M8 M8 E8~0", ". .+fragment.incomplete . . . unverified" },
+    { "S32 S32 M8~3 M8 M8 E8", ". .+fragment.incomplete . . . truncated" },
+    { "S32 S32 M8 M8 M8 E8~0", ". .+fragment.incomplete . . . truncated" },
     { "S17 S17! E17p20", ". .+fragment.incomplete bad" },
   }
 end
@@ -56,7 +56,7 @@ function T.test_four_open_messages()
     { before .. "eS32 eM8 eM8? eM8 eM8 eE8", shown ..
       ". . . . . overrun+fragment.overrun" },
     { before .. "eS32 eM8 eM8 eE8? eM8 eE8", shown ..
-      ". . . short+fragment.incomplete - -" },
+      ". . . incomplete+fragment.incomplete - -" },
   }
 end
 
@@ -64,7 +64,7 @@ end
 -- whole the bytes since its own Start count.
 function T.test_frames_of_a_message_that_was_given_up()
   local text = words.send("aS32 aM8 bS32 cS9 dS9 eS9 cM8 cE1 dM8 dE1 eM8 eE1 bM8 bM8~3 bM8 bE8")
-  lu.assertStrMatches(text, ".* %. good .* good %. %. %. unverified")
+  lu.assertStrMatches(text, ".* %. good .* good %. %. %. truncated")
 end
 
 -- A message has one End, and a frame one message; an End of a broken message on the other bus says

@@ -36,7 +36,7 @@ function T.test_whole_messages()
   check {
     { "S32 M8 M8 M8 E8", ". . . . good" },
     { "S9 M8 E1", ". . good" },
-    { "S9 E8 E1", ". short+fragment.incomplete -" },
+    { "S9 E8 E1", ". incomplete+fragment.incomplete -" },
     { "S32 M8 M8 M8 E8 S32 M8 M8 M8 E8", ". . . . good . . . . good" },
     { "S32 M4 M8 M8 M8 E4", ". . . . . good" }, -- any lengths that add up
     { "S32! M8 M8 M8 E8", ". . . . bad" },
@@ -53,8 +53,8 @@ function T.test_what_breaks_is_named()
     { "S32 M8 M8 M8 E8 E8", ". . . . good orphan+fragment.orphan" },
     { "S32 S32 M8 M8 M8 E8", ". .+fragment.incomplete . . . good" },
     { "S32 M8 S32 M8 M8 E8",
-      ". . .+fragment.incomplete . . short+fragment.incomplete" },
-    { "S32 M8 M8 E8", ". . . short+fragment.incomplete" },
+      ". . .+fragment.incomplete . . incomplete+fragment.incomplete" },
+    { "S32 M8 M8 E8", ". . . incomplete+fragment.incomplete" },
     { "S32 M8 M8 M8 M8 E8", ". . . . . overrun+fragment.overrun" },
     { "S32 M8 M8 M8 M8 M8 E8",
       ". . . . . .+fragment.overrun overrun+fragment.overrun" },
@@ -113,11 +113,11 @@ end
 
 function T.test_cut_by_the_snap_length()
   check({
-    { "S32 M8~3 M8 M8 E8", ". . . . unverified" },
-    { "S32 M8 M8 M8 E8~0", ". . . . unverified" },
+    { "S32 M8~3 M8 M8 E8", ". . . . truncated" },
+    { "S32 M8 M8 M8 E8~0", ". . . . truncated" },
     { "S32~4 M8", "start orphan+fragment.orphan" },
     { "S32 M8 S32~4 M8", ". . start+fragment.incomplete orphan+fragment.orphan" },
-    { "S32 M8~3 M8 E8", ". . . short+fragment.incomplete" },
+    { "S32 M8~3 M8 E8", ". . . incomplete+fragment.incomplete" },
     { "S32 M8~3 M8 M8 M8 M8", ". . . . . .+fragment.overrun" },
   }, { ids = MOTOR })
 end
@@ -386,8 +386,8 @@ end
 -- And of one that is not good.
 function T.test_a_broken_message_that_is_recalled()
   for text, row in pairs {
-    ["S32! M8 M8 M8 E8"] = { "bad", 32, nil, 5 }, ["S32 M8 M8 E8"] = { "short", 24, 24, 4 },
-    ["S32 M8 M8 M8 M8 E8"] = { "overrun", 40, 40, 6 }, ["S32 M8~3 M8 M8 E8"] = { "unverified", 3, nil, 5 },
+    ["S32! M8 M8 M8 E8"] = { "bad", 32, nil, 5 }, ["S32 M8 M8 E8"] = { "incomplete", 24, 24, 4 },
+    ["S32 M8 M8 M8 M8 E8"] = { "overrun", 40, 40, 6 }, ["S32 M8~3 M8 M8 E8"] = { "truncated", 3, nil, 5 },
   } do
     local _, known, frames = words.send(text, { ids = MOTOR, buses = true })
     local _, found = words.visit(known, frames[#frames], true)

@@ -27,19 +27,28 @@ local function around(clock)
   return ("a"):rep(MOTOR.time.offset) .. clock .. ("b"):rep(MOTOR.size - MOTOR.time.offset - 8)
 end
 
+-- The same source for the same name, message and bus.
+local sources = {}
+local function source_of(name, message, bus)
+  local key = ("%s of %s on %s"):format(name, message.name, tostring(bus))
+  sources[key] = sources[key] or { message = message, bus_key = bus }
+  return sources[key]
+end
+
 -- A Motor Data message at a time; clock in seconds.
 local function motor(number, time, with)
   with = with or {}
   local clock = with.clock or time
-  return { source = with.source or 0x210, bus = with.bus, message = MOTOR, id = 0x210, seq = with.seq or 0,
-    number = number, time = time, good = with.good ~= false, payload = around(int64(math.floor(clock * 1e9 + 0.5))),
+  return { source = source_of(with.source or 0x210, MOTOR, with.bus), seq = with.seq or 0,
+    number = number, time = time, status = with.ends or "good",
+    payload = around(int64(math.floor(clock * 1e9 + 0.5))),
     raws = { [STATUS.index] = with.status or 0, [FAULT.index] = with.fault or 0,
       [STATE.index] = with.state or 0 } }
 end
 
 local function command(number, time, bus, seq)
-  return { source = "command" .. tostring(bus), bus = bus, message = COMMAND, id = 0, seq = seq or 0, number = number,
-    time = time, good = true, raws = {}, payload = "" }
+  return { source = source_of("command" .. tostring(bus), COMMAND, bus), seq = seq or 0, number = number,
+    time = time, status = "good", raws = {}, payload = "" }
 end
 
 local function new(options)
@@ -67,8 +76,8 @@ function T.test_the_first_message_has_nothing_but_its_clock()
   local h = new()
   lu.assertNil(h:note(motor(1, 0)))
   lu.assertEquals(h:state(motor(1, 0)), { drift = 0 })
-  lu.assertNil(h:note { source = 5, id = 5, seq = 0, number = 2, time = 1, good = true, payload = "" })
-  lu.assertNil(h:note { source = 6, id = 6, seq = 0, number = 3, time = 1, good = false, payload = "" })
+  lu.assertNil(h:note { source = {}, seq = 0, number = 2, time = 1, status = "good", payload = "" })
+  lu.assertNil(h:note { source = {}, seq = 0, number = 3, time = 1, status = "bad", payload = "" })
 end
 
 -- What changed in a field; of the fault flags each bit is an alarm.
@@ -90,7 +99,7 @@ function T.test_changes_of_several_fields()
 end
 
 function T.test_deltas_are_from_the_previous_good_message_of_the_source()
-  lu.assertEquals(run({ motor(1, 1), motor(2, 1.5, { source = "other" }), motor(3, 3), motor(4, 4, { good = false }),
+  lu.assertEquals(run({ motor(1, 1), motor(2, 1.5, { source = "other" }), motor(3, 3), motor(4, 4, { ends = "bad" }),
     motor(5, 7), command(6, 8), command(7, 8.5) }, "delta"), { "-", "-", 2, 1, 4, "-", 0.5 })
 end
 
@@ -150,7 +159,7 @@ function T.test_a_reboot_begins_a_new_numbering_and_a_new_drift()
 end
 
 function T.test_a_clock_that_stands_still()
-  local messages = { motor(1, 1, { clock = 5 }), motor(2, 2, { clock = 5 }), motor(3, 3, { clock = 5, good = false }),
+  local messages = { motor(1, 1, { clock = 5 }), motor(2, 2, { clock = 5 }), motor(3, 3, { clock = 5, ends = "bad" }),
     motor(4, 4, { clock = 5 }), motor(5, 5, { clock = 6 }), motor(6, 6, { clock = 6 }) }
   lu.assertEquals(run(messages, "stale"), { "-", true, "-", true, "-", true })
   lu.assertEquals(run(messages, "reboot"), { "-", "-", "-", "-", "-", "-" })
@@ -241,7 +250,7 @@ function T.test_since_when_the_oldest_alarm_is_set()
 end
 
 function T.test_a_message_that_is_not_good_changes_nothing()
-  local messages = { motor(1, 1), motor(2, 2, { fault = 1, seq = 9, clock = 0, good = false }), motor(3, 3),
+  local messages = { motor(1, 1), motor(2, 2, { fault = 1, seq = 9, clock = 0, ends = "bad" }), motor(3, 3),
     motor(4, 4, { fault = 1 }) }
   local changes = run(messages)
   lu.assertEquals(changes[2], { delta = 1 }) -- and nothing stands there
@@ -277,7 +286,7 @@ function T.test_the_latest_command_on_the_bus()
   lu.assertEquals(found, { "-", "-", 2, "-", "-", "-", 2, 5, 6 })
   for i, m in ipairs(messages) do lu.assertEquals(h:state(m).command_in or "-", found[i]) end
   local bad = command(2, 2)
-  bad.good = false
+  bad.status = "bad"
   lu.assertEquals(run({ bad, motor(3, 3) }, "command_in"), { "-", "-" })
 end
 
@@ -285,8 +294,8 @@ function T.test_the_catalogue_says_which_messages_others_answer()
   local answering = { messages = { { name = "a", answers = "b" }, { name = "b" }, { name = "command" } } }
   local h = new { catalogue = answering }
   local function note(number, message)
-    local m = { source = message.name, message = message, id = 1, seq = 0, number = number,
-      time = number, good = true, raws = {}, payload = "" }
+    local m = { source = source_of("", message), seq = 0, number = number,
+      time = number, status = "good", raws = {}, payload = "" }
     h:note(m)
     return h:state(m).command_in
   end
@@ -318,7 +327,7 @@ function T.test_a_part_of_bits_beside_alarms()
     alarm = "ALARM", flags = { { "hot", 0x80, "Hot" } }, bits = { { "gear", 0x7, "Gear" } } } } }
   local message, h, found = own.by_id[1], new(), {}
   for i, raw in ipairs { 0x01, 0x02, 0x82, 0x83, 0x03 } do
-    found[i] = h:note { source = 1, message = message, seq = 0, number = i, time = i, good = true, raws = { raw },
+    found[i] = h:note { source = source_of("", message), seq = 0, number = i, time = i, status = "good", raws = { raw },
       payload = "" }
   end
   for _, i in ipairs { 1, 2, 4 } do lu.assertNil(found[i] and found[i].flags) end
@@ -344,7 +353,7 @@ local function random_messages(seed, count)
       now[who] = step == 0 and 0 or step == 1 and now[who] or now[who] + step
       if random(4) == 0 then faults[who] = random(8) end
       messages[i] = motor(i * 3, time, { source = who, bus = who % 2, clock = now[who], fault = faults[who],
-        status = random(10) == 0 and 1 or 0, seq = random(3), good = random(8) > 0 })
+        status = random(10) == 0 and 1 or 0, seq = random(3), ends = random(8) > 0 and "good" or "bad" })
       if random(30) == 0 then messages[i].raws = nil end
     end
   end

@@ -35,8 +35,8 @@ local function notes(code, text)
 end
 
 local function event_of(frame, name, kind, values)
-  local at = { frame = frame, time = frame, seq = 0, payload = name, raws = {} }
-  return kinds.event(kind or "message", at, SOURCE, values)
+  local m = { seq = 0, payload = name, raws = {} }
+  return kinds.event(kind or "message", frame, frame, SOURCE, values, m)
 end
 
 local function offer(queue, frame, name, values, visited)

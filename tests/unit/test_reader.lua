@@ -63,46 +63,48 @@ function T.test_what_a_source_is_called()
     { "0x211=motor:", false, 0x200, "can0", "0x200", "Health" },
   } do
     local r = new(row[1], nil, row[2])
-    local source = r:new_source("key", row[3], false, row[4])
-    lu.assertEquals({ source.text, source.name }, { row[5], row[6] },
+    local source = r:new_source(row[3], false, row[4])
+    lu.assertEquals({ source.text, source.label }, { row[5], row[6] },
       ("%s, 0x%x on %s"):format(row[1], row[3], tostring(row[4])))
   end
 end
 
 -- A serial line is told apart by port or conversation, unless the user gave a name.
 function T.test_what_a_source_of_a_stream_is_called()
-  local line = "10.0.0.1:14550"
-  local function text(r, id) return r:new_source("key", id, false, nil, line).text end
+  local line = { label = "10.0.0.1:14550" }
+  local function text(r, id) return r:new_source(id, false, nil, line).text end
   lu.assertEquals(text(new("0x200=left", nil, true), 0x210), "10.0.0.1:14550 0x210")
   lu.assertEquals(text(new("0x200=left", nil, true), 0x200), "left")
 end
 
 function T.test_the_id_is_told_where_it_is_not_the_default()
   local r = new("", { health = { 0x205 }, motor = { 0x210, 0x211 } })
-  lu.assertEquals({ r:label(0x205), r:label(0x205, "can0"), r:label(0x210), r:label(0) },
+  local function label(id, bus) return r:new_source(id, false, bus).label end
+  lu.assertEquals({ label(0x205), label(0x205, "can0"), label(0x210), label(0) },
     { "Health 0x205", "Health 0x205 (can0)", "Motor Data 0x210", "Command" })
 end
 
 function T.test_the_name_that_the_user_gave()
   local r = new("can0=left")
-  lu.assertEquals(r:name_of(5, "can0"), "left")
-  lu.assertNil(r:name_of(5, "can1"))
+  lu.assertEquals(r:new_source(5, 1, "can0").name, "left")
+  lu.assertNil(r:new_source(5, 2, "can1").name)
 end
 
 function T.test_the_hint_of_an_unknown_id()
   local r = new()
   local advice = ': see the preference "Motor Data message IDs"'
-  local m = { id = 0x123, size = 32, status = "good", frame = 7 }
+  local m = { source = r:new_source(0x123, false), size = 32, status = "good", number = 7 }
   local text = "Message ID 0x123 is not in the catalogue; 32 bytes, the size of Motor Data" .. advice
   lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice })
   lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice }) -- a later look
-  m.frame = 8
+  m.number = 8
   lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" })
   r:reset()
   lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice })
   local unknown = { "Message ID 0x124 is not in the catalogue" }
-  lu.assertEquals({ r:hint { id = 0x124, size = 5, status = "good", frame = 1 } }, unknown)
-  lu.assertEquals({ r:hint { id = 0x124, size = 32, status = "bad", frame = 1 } }, unknown)
+  local source = r:new_source(0x124, false)
+  lu.assertEquals({ r:hint { source = source, size = 5, status = "good", number = 1 } }, unknown)
+  lu.assertEquals({ r:hint { source = source, size = 32, status = "bad", number = 1 } }, unknown)
 end
 
 -- A message that is read, of a payload of zeros with some bytes changed.
@@ -111,9 +113,10 @@ local function read(r, message, bytes, with)
   for offset, byte in pairs(bytes) do
     payload = payload:sub(1, offset) .. string.char(byte) .. payload:sub(offset + 2)
   end
-  local m = { id = message.id, size = message.size, payload = payload, is_whole = true, good = true,
-    wants = {} }
-  for key, value in pairs(with or {}) do m[key] = value end
+  with = with or {}
+  local m = { source = r:new_source(with.id or message.id, false), size = message.size, payload = payload,
+    status = "good" }
+  for key, value in pairs(with) do m[key] = value end
   r:read(m, { note = function() return { missing = 1 } end })
   return m
 end
@@ -123,9 +126,11 @@ local function at(message, field) return message.by_name[field].offset end
 function T.test_what_a_message_gets()
   local r = new()
   local m = read(r, HEALTH, { [at(HEALTH, "board_revision")] = 9 })
-  lu.assertEquals({ m.message, m.raws[HEALTH.by_name.board_revision.index], m.is_remarkable, m.has_fault, m.change },
+  local revision = m.raws[HEALTH.by_name.board_revision.index]
+  lu.assertEquals({ m.source.message, revision, m.is_remarkable, m.has_fault, m.change },
     { HEALTH, 9, false, false, { missing = 1 } })
-  for _, with in ipairs { { id = 0x123 }, { size = 16 }, { is_whole = false }, { size = 18, good = false } } do
+  for _, with in ipairs { { id = 0x123 }, { size = 16 }, { status = "incomplete" },
+    { status = "overrun" }, { size = 18, status = "bad" } } do
     m = read(r, HEALTH, {}, with)
     lu.assertEquals({ m.raws or "none", m.is_remarkable or "none", m.has_fault or "none", m.undecoded or "none" },
       { "none", "none", "none", "none" })
@@ -152,8 +157,8 @@ function T.test_a_shorter_payload()
   r:use(catalogue.assign(compiled, {}), (sources.parse("", compiled)))
   local found = {}
   for size = 29, 33 do
-    local m = { id = 0x210, size = size, payload = ("\1"):rep(size), is_whole = true, good = size ~= 31,
-      wants = {} }
+    local m = { source = r:new_source(0x210, false), size = size, payload = ("\1"):rep(size),
+      status = size == 31 and "bad" or "good" }
     r:read(m, { note = function() end })
     found[#found + 1] = ("%d %s %s %s"):format(size, m.raws and "read" or "bytes", tostring(r:fits(0x210, size)),
       m.undecoded or "-")
@@ -161,22 +166,23 @@ function T.test_a_shorter_payload()
   lu.assertEquals(found, { "29 bytes false -", "30 read true -", "31 read true -", "32 read true -",
     "33 read true 1" })
   lu.assertEquals({ r:size_of(0x210) }, { 32, 30 })
-  local source = r:new_source("key", 0x210, false)
+  local source = r:new_source(0x210, false)
   lu.assertEquals({ source.size, source.min_size }, { 32, 30 })
 end
 
 function T.test_nothing_new()
-  local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true,
-    wants = {} }
-  new():read(m, { note = function() end })
+  local r = new()
+  local m = { source = r:new_source(0x200, false), size = 17, payload = ("\0"):rep(17), status = "good" }
+  r:read(m, { note = function() end })
   lu.assertFalse(m.change)
 end
 
 -- Reads Health in order, or once more, with a history that answers this; returns the message and what the history was
 -- asked.
-local function read_with(answer, with)
-  local m = { id = 0x200, size = 17, payload = ("\0"):rep(17), is_whole = true, good = true, is_unreliable = false,
-    number = frame_key.PACKET * 7, visited = false, delta = "known", wants = { state = true } }
+local function read_with(answer, with, without_state)
+  local r = new()
+  local m = { source = r:new_source(0x200, false), size = 17, payload = ("\0"):rep(17), status = "good",
+    is_unreliable = false, number = frame_key.PACKET * 7, visited = false, delta = "known" }
   for key, value in pairs(with or {}) do m[key] = value end
   local asked, h = {}, {}
   for _, method in ipairs { "note", "change", "state" } do
@@ -186,14 +192,14 @@ local function read_with(answer, with)
       return answer[method], method == "note" and answer.delta or nil
     end
   end
-  new():read(m, h)
+  r:read(m, h, not without_state)
   return m, table.concat(asked, " ")
 end
 
 function T.test_what_the_history_is_asked()
   local m, asked = read_with { note = { reboot = 3 }, delta = 0.5 }
   lu.assertEquals({ m.change, m.delta, m.state, asked }, { { reboot = 3 }, 0.5, false, "note state" })
-  m, asked = read_with({}, { wants = {} })
+  m, asked = read_with({}, {}, true)
   lu.assertEquals({ m.change, m.delta, m.state, asked }, { false, false, false, "note" })
   m, asked = read_with({ change = { late = 1 } }, { visited = true })
   lu.assertEquals({ m.change, m.delta, m.state, asked }, { { late = 1 }, "known", false, "change state" })
@@ -234,7 +240,7 @@ end
 
 function T.test_statistics_are_told_while_they_want_it()
   local told, stat = {}, { wanted = false }
-  function stat.message(_, m) told[#told + 1] = m.id end
+  function stat.message(_, m) told[#told + 1] = m.source.id end
   local r = reader.new(TAURUS, stat)
   r:use(catalogue.assign(TAURUS, {}), (sources.parse("", TAURUS)))
   read(r, MOTOR, {})

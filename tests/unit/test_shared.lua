@@ -23,6 +23,14 @@ local function int64(n)
   return table.concat(bytes)
 end
 
+-- The same source for the same name and message.
+local sources = {}
+local function source_of(name, message)
+  local key = ("%s of %s"):format(name, message.name)
+  sources[key] = sources[key] or { name = name, message = message }
+  return sources[key]
+end
+
 -- A message at a time of the capture, clock in seconds.
 -- with  { kind, rest = of its payload, source, seq, fault }
 local function message(number, time, clock, with)
@@ -30,12 +38,11 @@ local function message(number, time, clock, with)
   local kind = with.kind or MOTOR
   local nanoseconds = int64(math.floor(clock * 1e9 + 0.5))
   return {
-    source = with.source or kind.id,
-    message = kind,
+    source = source_of(with.source or kind.id, kind),
     seq = with.seq or 0,
     number = number,
     time = time,
-    good = true,
+    status = "good",
     payload = ("a"):rep(kind.time.offset) .. nanoseconds .. (with.rest or number),
     raws = { [FAULTS] = with.fault or 0 },
   }
@@ -119,12 +126,11 @@ function T.test_the_history_is_silent_from_there_on()
     note(message(next_number(), time + 0.05, 7 + time, { fault = fault, seq = i * 3 % 256 }))
     note(message(next_number(), time + 0.06, 50 + time, { source = "other", fault = other_fault }))
     note {
-      source = "commands",
-      message = COMMAND,
+      source = source_of("commands", COMMAND),
       number = next_number(),
       seq = i > 30 and i + 1 or i, -- 31 is missing
       time = time + 0.07,
-      good = true,
+      status = "good",
       payload = "",
       raws = {},
     }
@@ -138,7 +144,7 @@ function T.test_the_history_is_silent_from_there_on()
       is_unreliable = change.unreliable or false
       local what = change.unreliable and "unreliable" or change.flags and "flags"
         or change.missing and "missing" or "else"
-      local name = m.source .. " " .. what
+      local name = m.source.name .. " " .. what
       counts[name] = (counts[name] or 0) + 1
       if change.shared then counts.shared = counts.shared + 1 end
     end

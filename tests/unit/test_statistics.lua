@@ -33,9 +33,9 @@ local function payload(volts, flags, mode)
   return string.char(volts, flags or 0, mode or 3) .. "\0\x8d\x38\x0c\1\0\0\0"
 end
 
-local LEFT = { key = "a", bus_key = 1, bus = "can0", name = "left", id = 0x210, message = MOTOR }
-local RIGHT = { key = "b", bus_key = 2, bus = 'can"1', id = 0x210, message = MOTOR }
-local ODD = { key = "c", bus_key = 1, bus = "can0", id = 0x300 }
+local LEFT = { bus_key = 1, bus = "can0", name = "left", id = 0x210, message = MOTOR }
+local RIGHT = { bus_key = 2, bus = 'can"1', id = 0x210, message = MOTOR }
+local ODD = { bus_key = 1, bus = "can0", id = 0x300 }
 
 local NAMED_RIGHT = { { id = 0x210, bus = 'can"9', name = "right", message = MOTOR } }
 
@@ -43,11 +43,11 @@ local NAMED_RIGHT = { { id = 0x210, bus = 'can"9', name = "right", message = MOT
 local function record(frame, rel, with)
   with = with or {}
   local source, content = with.source or LEFT, with.payload or payload(10)
-  local at = { time = rel, frame = frame, seq = with.seq or 0, payload = content }
-  if with.fits ~= false then at.raws = decode.read(source.message, content) end
+  local m = { seq = with.seq or 0, payload = content }
+  if with.fits ~= false then m.raws = decode.read(source.message, content) end
   local values = with.values or { change = with.change, invalid = with.invalid, undecoded = with.undecoded,
     is_unreliable = with.is_unreliable }
-  return kinds_of.event(with.kind or "message", at, source, values)
+  return kinds_of.event(with.kind or "message", frame, rel, source, values, m)
 end
 
 local function lost(frame, rel, what, source)

@@ -11,29 +11,18 @@ local M = {}
 
 local KINDS, START, END = can_id.KINDS, can_id.START, can_id.END
 local add, add_le, append_text = show_fields.add, show_fields.add_le, show_fields.append_text
-local fields_of, slot_of = can_id.fields, can_id.slot
+local fields_of, BUS = can_id.fields, can_id.BUS
 local number_of, PACKET = frame_key.number, frame_key.PACKET
 -- A method that Lua has to look up in a Tvb costs more than what it does.
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
 
-local STATUS_TEXT = {
-  bad = "  [BAD CRC]",
-  short = "  [INCOMPLETE]",
-  overrun = "  [OVERRUN]",
-  unverified = "  [TRUNCATED]",
-}
-local CRC_TEXT = { good = ", CRC good", bad = ", CRC BAD" }
 local REASSEMBLED = "Reassembled YAPP" -- what Wireshark's bytes pane calls it
 local FIRST = 1e99 -- seconds since a source's previous message, of its first one
 
--- What a remote frame looks like where nothing says that it is one.
+-- YAPP has no remote frames.  Of data bytes like these it is asked whether they are of one; what is
+-- not known to be one is data.
 local ZEROS = {}
 for length = 0, 8 do ZEROS[("\0"):rep(length)] = true end
-
--- YAPP has no remote frames; what is not known to be one is data.
-local function is_remote(frame)
-  return ZEROS[frame.data] and socketcan.is_remote(frame.pinfo)
-end
 
 local Dissector = {}
 Dissector.__index = Dissector
@@ -82,80 +71,71 @@ function Dissector:reset(history)
     accepts_all = false, -- whether the user says that every extended frame is YAPP
     is_only_pass = false, -- whether it is never dissected again
     number = 0, visited = false, is_bus_known = true, -- of its packet; whether its bus is known
-    message = false, anomalies = false, index = 0, -- as can.reassembly says
+    -- As can.reassembly says; index = in the message, of one that comes again.
+    message = false, anomalies = false, index = false,
     tvb = false, pinfo = false, tree = false, range = false, -- of Wireshark
+    wants = false, item = false, payload_tvb = false, payload_at = 0, -- see Tree:payload
   }
 end
 
--- The record of a frame for the statistics.  If the frame ends a message, it is for
--- message.reader, too, and the arguments behind wants are given.
-local function new_record(self, frame, wants, item, status, payload, size)
-  local fields, source, delta = frame.can_id, frame.source, false
-  local is_unreliable = not frame.is_bus_known
+-- Return the record of a message that a frame ends, for message.reader.  For the statistics it is
+-- that of any frame, without the arguments behind it.
+local function new_message(self, frame, status, payload, size)
+  local delta, is_unreliable = false, not frame.is_bus_known
   if frame.visited then
     delta = frame.message and frame.message.delta or self.deltas[frame.key] or false
     is_unreliable = not delta
     if delta == FIRST then delta = false end
   end
   return {
-    id = fields.id,
-    seq = fields.seq,
-    name = source.name,
-    source = source.key,
-    bus = source.bus,
-    bus_name = source.bus_name,
+    source = frame.source,
+    seq = frame.can_id.seq,
     number = frame.key,
-    frame = frame.number,
     time = frame.pinfo.rel_ts,
     visited = frame.visited,
-    is_end = fields.ctrl == END,
     is_unreliable = is_unreliable,
     delta = delta,
     payload = payload,
     size = size,
     status = status,
-    good = status == "good",
-    is_whole = status ~= "short" and status ~= "overrun",
-    wants = wants,
-    tree = frame.tree,
-    item = item,
-    tvb = false,
-    at = 0,
     -- Of the reader:
-    message = nil, raws = nil, is_remarkable = nil, has_fault = nil, change = nil, state = nil,
-    undecoded = nil,
+    raws = nil, is_remarkable = nil, has_fault = nil, change = nil, state = nil, undecoded = nil,
   }
 end
 
-local function show_anomalies(self, frame, item)
+local function show_anomalies(self, frame)
+  local item, anomalies = frame.item, frame.anomalies
   if #frame.data < frame.reported then
     local text = "The capture has %d of the frame's %d bytes"
     self.tree:expert(item, "truncated", text:format(#frame.data, frame.reported))
   end
-  if not frame.anomalies then return end
-  for _, one in ipairs(frame.anomalies) do self.tree:expert(item, one.expert, one.text) end
-  if self.stat.wanted then self.reader.stat:faults(new_record(self, frame), frame.anomalies) end
+  if not anomalies then return end
+  for _, one in ipairs(anomalies) do self.tree:expert(item, one.expert, one.text) end
+  if self.stat.wanted then
+    self.stat:anomalies(new_message(self, frame), anomalies, frame.can_id.ctrl == END)
+  end
 end
 
 -- YAPP's own item ---------------------------------------------------------------------------------
 
 -- Add it with what the CAN id says, all of that generated.
 local function add_item(self, frame)
-  local builder, address, source = self.tree, frame.can_id, frame.source
-  local kind = KINDS[address.ctrl] or "undefined frame"
+  local builder, fields, source = self.tree, frame.can_id, frame.source
+  local kind = KINDS[fields.ctrl] or "undefined frame"
   frame.range = frame.tvb()
-  local item = add(frame.tree, builder.yapp, frame.range, self.title .. source.name .. ", " .. kind)
-  builder:add_id(item, nil, address.id, source.bus_name)
-  builder:generated(item, "ctl", address.ctl)
-  builder:generated(item, "seq", address.seq)
-  builder:generated(item, "can.ctrl", address.ctrl)
+  local text = self.title .. source.label .. ", " .. kind
+  local item = add(frame.tree, builder.yapp, frame.range, text)
+  builder:add_id(item, nil, source)
+  builder:generated(item, "ctl", fields.ctl)
+  builder:generated(item, "seq", fields.seq)
+  builder:generated(item, "can.ctrl", fields.ctrl)
   builder:add_source(item, source)
   return item
 end
 
 -- What the bytes of a fragment are: in a Start the fields that were captured.
-local function add_fragment(self, frame, item)
-  local fields, length = self.tree.fields, #frame.data
+local function add_fragment(self, frame)
+  local fields, length, item = self.tree.fields, #frame.data, frame.item
   if frame.can_id.ctrl ~= START then
     if length > 0 then add(item, fields["fragment.data"], frame.range) end
     return
@@ -176,9 +156,9 @@ local function numbers_of(message)
 end
 
 -- What is reassembled in a message's last frame.
-local function add_message(self, frame, item, tvb)
-  local builder, message, data = self.tree, frame.message, frame.data
-  local payload, padding = tvb and tvb(), message.padding or 0
+local function add_message(self, frame)
+  local builder, message, data, item = self.tree, frame.message, frame.data, frame.item
+  local payload, padding = frame.payload_tvb and frame.payload_tvb(), message.padding or 0
   builder:generated(item, "reassembled.in", frame.number)
   append_text(builder:generated(item, "size", message.size), " bytes")
   builder:generated(item, "reserved", message.reserved or 0)
@@ -188,15 +168,15 @@ local function add_message(self, frame, item, tvb)
   if padding > 0 and padding <= #data then
     add(item, builder.fields.padding, frame.tvb(#data - padding))
   end
-  append_text(item, CRC_TEXT[message.status] or ", CRC unverified")
 end
 
 -- Messages ----------------------------------------------------------------------------------------
 
--- Reads the message of a record, and keeps what the history says.
+-- Read a message, and keep what the history says.
+-- returns  as Reader:read
 local function read(self, frame, m)
-  self.reader:read(m, self.history)
-  if frame.visited or frame.is_only_pass then return end
+  local is_whole = self.reader:read(m, self.history, frame.wants.state)
+  if frame.visited or frame.is_only_pass then return is_whole end
   -- Of a source that two controllers share the history says so itself, on a revisit, too.
   local delta = frame.is_bus_known and (m.delta or FIRST)
   if frame.message then
@@ -204,45 +184,40 @@ local function read(self, frame, m)
   elseif delta then
     self.deltas[frame.key] = delta
   end
+  return is_whole
 end
 
-local function show_single(self, frame, wants, item)
+local function show_single(self, frame)
   local data, reported, source = frame.data, frame.reported, frame.source
-  local most = source.size
-  local least = source.min_size or most
-  local size = most and can_id.single_size(data, reported, least, most) or reported
-  local m = new_record(self, frame, wants, item, "single", data:sub(1, size), size)
-  m.good = #data == reported
-  if wants.tree then m.tvb = frame.tvb end
+  local size = source.size and
+    can_id.single_size(data, reported, source.min_size or source.size, source.size) or reported
+  local status = #data == reported and "good" or "truncated"
+  local m = new_message(self, frame, status, data:sub(1, size), size)
+  frame.payload_tvb = frame.wants.tree and frame.tvb
   read(self, frame, m)
-  local info = self.tree:payload(m)
-  if wants.yapp and #data > size then
-    add(item, self.tree.fields.padding, frame.tvb(size))
+  local info = self.tree:payload(m, frame)
+  if frame.wants.yapp and #data > size then
+    add(frame.item, self.tree.fields.padding, frame.tvb(size))
   end
   return info
 end
 
 -- The last frame of a message: what was reassembled.
-local function show_last(self, frame, wants, item)
-  local builder, message = self.tree, frame.message
+local function show_last(self, frame)
+  local builder, message, wants, item = self.tree, frame.message, frame.wants, frame.item
   local status, payload = message.status, message.payload
-  local m = new_record(self, frame, wants, item, status, payload, message.size)
-  if wants.tree and payload ~= "" then
-    m.tvb = ByteArray.new(payload, true):tvb(REASSEMBLED)
-  end
-  if wants.yapp then add_message(self, frame, item, m.tvb) end
+  local m = new_message(self, frame, status, payload, message.size)
+  local tvb = wants.tree and payload ~= "" and ByteArray.new(payload, true):tvb(REASSEMBLED)
+  frame.payload_tvb = tvb
+  if wants.yapp then add_message(self, frame) end
   if status == "bad" then builder:bad_crc(item, message) end
-  read(self, frame, m)
-  if m.is_whole then
-    local info = builder:payload(m)
-    return m.good and info or info .. STATUS_TEXT[status]
-  end
+  if read(self, frame, m) then return builder:payload(m, frame) .. builder.MARKS[status] end
   if wants.yapp then
-    if m.tvb then add(item, builder.fields.payload, m.tvb()) end
+    if tvb then add(item, builder.fields.payload, tvb()) end
     builder:add_delta(item, m)
   end
   local text = "%s  %d of %d bytes%s"
-  return text:format(m.name, message.received, message.size, STATUS_TEXT[status])
+  return text:format(m.source.label, message.received, message.size, builder.MARKS[status])
 end
 
 -- Fragments ---------------------------------------------------------------------------------------
@@ -250,27 +225,27 @@ end
 -- Return the text of a fragment.  How many fragments a message has is sure once it is good; before
 -- that, it is what classic CAN needs.  A source keeps the texts for messages of one size.
 local function fragment_text(frame)
-  local source, message, index = frame.source, frame.message, frame.index
-  local name, size, texts = source.name, message.size, source.texts
-  if message[index] ~= frame.key then return name .. "  duplicate fragment" end
+  local source, message = frame.source, frame.message
+  local index, texts, size = frame.index or #message, source.texts, message.size
   if texts.size ~= size then
-    texts = { name .. ("  Start of %d bytes"):format(size) }
+    texts = { source.label .. ("  Start of %d bytes"):format(size) }
     texts.size, texts.usual = size, math.ceil(size / 8) + 1
     source.texts = texts
   end
-  local usual = texts.usual
-  local count = #frame.data == 8 and usual or 0
+  local count = #frame.data == 8 and texts.usual or 0
   if message.status == "good" then count = #message end
-  if index == 1 or count == usual and texts[index] then return texts[index] end
-  if index > count then return ("%s  fragment %d"):format(name, index) end
-  local text = ("%s  fragment %d of %d"):format(name, index, count)
-  if count == usual then texts[index] = text end
+  if message[index] ~= frame.key then return source.label .. "  duplicate fragment" end
+  local is_usual = index <= count and count == texts.usual
+  if index == 1 or is_usual and texts[index] then return texts[index] end
+  local of = index <= count and " of " .. count or ""
+  local text = ("%s  fragment %d%s"):format(source.label, index, of)
+  if is_usual then texts[index] = text end
   return text
 end
 
-local function show_fragment(self, frame, wants, item)
-  local builder, message, in_number = self.tree, frame.message, nil
-  local last = message[#message]
+local function show_fragment(self, frame)
+  local builder, message, item, in_number = self.tree, frame.message, frame.item, nil
+  local last, wants = message[#message], frame.wants
   if frame.visited then
     if message.payload then
       in_number = last % 1 == 0 and number_of(last)
@@ -279,20 +254,20 @@ local function show_fragment(self, frame, wants, item)
     end
   end
   if wants.yapp then
-    add_fragment(self, frame, item)
+    add_fragment(self, frame)
     builder:generated(item, "reassembled.in", in_number)
     builder:generated(item, "message.fault", message.has_fault)
   end
-  if self.stat.wants_parts then self.reader.stat:part(new_record(self, frame)) end
+  if self.stat.wants_parts then self.stat:part(new_message(self, frame)) end
   if not wants.columns then return end
   local text = fragment_text(frame)
   return in_number and ("%s  [Reassembled in #%d]"):format(text, in_number) or text
 end
 
 -- A frame that belongs to no message.
-local function show_other(self, frame, wants, item)
-  local ctrl, name = frame.can_id.ctrl, frame.source.name
-  if wants.yapp then add_fragment(self, frame, item) end
+local function show_other(self, frame)
+  local ctrl, name = frame.can_id.ctrl, frame.source.label
+  if frame.wants.yapp then add_fragment(self, frame) end
   if not KINDS[ctrl] then return ("%s  CAN CTRL %d"):format(name, ctrl) end
   local text = ("%s  %s"):format(name, KINDS[ctrl])
   return ctrl ~= START and text .. " without a Start" or text
@@ -306,16 +281,17 @@ local SHOW = { -- by kind, see can.reassembly
 
 -- Shows a frame of ours.
 local function show(self, frame, kind)
-  local builder, pinfo, item, visited = self.tree, frame.pinfo, frame.tree, frame.visited
-  local wants = not visited and builder.wanted or builder:wants(item, pinfo, visited)
+  local builder, pinfo, tree, visited = self.tree, frame.pinfo, frame.tree, frame.visited
+  local wants = not visited and builder.wanted or builder:wants(tree, pinfo, visited)
+  frame.wants, frame.item = wants, tree
   frame.is_only_pass = wants.is_only_pass -- and those that follow
   if wants.yapp then
-    item = add_item(self, frame)
+    frame.item = add_item(self, frame)
   elseif wants.names then
-    builder:bare(item, wants, kind == "last" or kind == "single")
+    builder:bare(tree, wants, kind == "last" or kind == "single")
   end
-  local info = SHOW[kind](self, frame, wants, item)
-  if frame.anomalies or #frame.data < frame.reported then show_anomalies(self, frame, item) end
+  local info = SHOW[kind](self, frame)
+  if frame.anomalies or #frame.data < frame.reported then show_anomalies(self, frame) end
   if not wants.columns then return end
   local columns = pinfo.cols
   columns.protocol = "YAPP"
@@ -326,34 +302,15 @@ end
 -- Return the source of a message ID on a bus, the first time that it is asked for.
 -- bus  number or false
 local function new_source(self, id, bus)
-  local key = (bus or -1) * 0x800 + id
-  local source = self.reader:new_source(key, id, bus, self.buses:name(bus))
+  local source = self.reader:new_source(id, bus, self.buses:name(bus))
   self.sources[bus][id] = source
   return source
-end
-
--- Say what a frame is that Wireshark dissects for the first time.
--- returns  its kind, see can.reassembly; nil for a frame that is not YAPP's
-local function take(self, frame)
-  local kind, message, anomalies = self.reassembly:take(frame)
-  frame.message, frame.anomalies, frame.index = message, anomalies, message and #message
-  if kind and frame.can_id.ctrl == START then self.register_id(frame.can_id.id) end
-  if not frame.is_bus_known then self.lost_bus = true end
-  return kind
-end
-
--- Say what a visited frame is.
--- returns  as take
-local function recall(self, frame)
-  local kind, message, anomalies, index = self.reassembly:recall(frame)
-  if message then frame.source = message.source end
-  frame.message, frame.anomalies, frame.index = message, anomalies, index
-  return not (kind == "single" and is_remote(frame)) and kind
 end
 
 local function find_bus(self, frame, pinfo, number)
   local bus, is_known = self.buses:of(pinfo, number)
   frame.bus, frame.is_bus_known = bus or false, is_known
+  self.lost_bus = self.lost_bus or not is_known
 end
 
 -- Return whether Wireshark dissects a frame again whose key is not new.  If not, a read filter (-R)
@@ -378,7 +335,7 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   frame.visited = visited
   frame.can_id = fields
   frame.source = self.sources[bus][fields.id] or new_source(self, fields.id, bus)
-  frame.slot = slot_of(fields, bus)
+  frame.slot = fields.message_key + (bus or 0) * BUS
   -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
   frame.data = length_of(tvb) > 0 and raw_of(tvb) or ""
   frame.reported = reported
@@ -394,15 +351,20 @@ end
 -- accepts_all  whether the user says that every extended frame is YAPP
 -- returns      the number of bytes that are ours, 0 for a frame that is not
 function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
-  local reported, kind = reported_of(tvb), nil
+  local reported = reported_of(tvb)
   if reported == 0 then return 0 end
-  local frame = new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
+  local frame, known = new_frame(self, tvb, reported, pinfo, tree, id, accepts_all), self.reassembly
+  local may_be_remote, kind, message, anomalies, index = ZEROS[frame.data], nil, nil, nil, nil
   if frame.visited then
-    kind = recall(self, frame)
-  elseif not is_remote(frame) then
-    kind = take(self, frame)
+    kind, message, anomalies, index = known:recall(frame)
+    may_be_remote = may_be_remote and kind == "single"
+    if message then frame.source = message.source end
   end
+  if may_be_remote and socketcan.is_remote(pinfo) then return 0 end
+  if not frame.visited then kind, message, anomalies = known:take(frame) end
   if not kind then return 0 end
+  if frame.can_id.ctrl == START then self.register_id(frame.source.id) end
+  frame.message, frame.anomalies, frame.index = message or false, anomalies, index or false
   show(self, frame, kind)
   return reported
 end
@@ -429,20 +391,20 @@ function Dissector:report_start(tvb, pinfo, find_id)
   local fields = id and fields_of[id]
   if not fields or fields.ctrl ~= START or fields.ctl ~= 0 then return end
   local frame = new_frame(self, tvb, 8, pinfo, nil, id, false)
-  self.reader.stat:start(new_record(self, frame, nil, nil, nil, nil, size))
+  self.stat:start(new_message(self, frame, nil, nil, size))
 end
 
 --- Return the messages that the capture ends before.
--- returns  list of { source, seq, frame = number of their last packet }
+-- returns  list of { source, seq, number = key of their last frame }
 function Dissector:unfinished()
   local list = {}
   for _, message in ipairs(self.reassembly:unfinished()) do
     -- It may have gone on behind a frame from which on the buses were not known.
-    if not (self.lost_bus and message.source.bus) then
+    if not (self.lost_bus and message.source.bus_key) then
       list[#list + 1] = {
-        source = message.source.key,
+        source = message.source,
         seq = message.slot % 0x100,
-        frame = number_of(message[#message]),
+        number = message[#message],
       }
     end
   end

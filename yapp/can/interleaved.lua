@@ -212,7 +212,7 @@ local function award(self, candidate, indexes, padding, status)
   local message = candidate.message
   local payload, is_truncated = assign_frames(self, message, indexes)
   if not status then payload = payload:sub(1, message.size) end
-  if is_truncated then status = status or "unverified" end
+  if is_truncated then status = status or "truncated" end
   message.padding = padding ~= 0 and padding or nil
   self.reassembly:finish(message, self.can_id, payload, status)
   if message.status ~= "good" then return end -- its frames may still be another's

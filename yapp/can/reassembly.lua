@@ -8,11 +8,11 @@
 --   chunks     while it is open: the bytes of the fragments behind the Start; received = how many
 --              these are; repeated = bytes of chunks that equal the one before, or nil;
 --              is_truncated = whether the capture has fewer bytes than were sent, or nil
---   status     nil while it is open; "good", "bad" (CRC), "short", "overrun", "unverified"
---              (truncated); "superseded" by a new Start, or given up
+--   status     nil while it is open; "good", "bad" (CRC), "incomplete", "overrun", "truncated"
+--              (by the capture); "superseded" by a new Start, or given up
 --   payload    once its last fragment has come
 --   padding    of CAN FD, nil for 0
---   received   bytes, of a short or overrun message; calculated = CRC, of a bad one
+--   received   bytes, of an incomplete or overrun message; calculated = CRC, of a bad one
 --   duplicates { [frame key of a fragment that came twice] = of the one that it repeats }, or nil
 
 local can_id = require "yapp.wire.can_id"
@@ -88,7 +88,7 @@ function Reassembly:misfit(message, received)
     self:note("fragment.incomplete", message,
       "The message that started in frame %d ends with %d of %d bytes", start, received,
       message.size)
-    return "short"
+    return "incomplete"
   end
   self:note("fragment.overrun", message,
     "The message that started in frame %d has %d bytes instead of %d", start, received,
@@ -290,7 +290,7 @@ local function finish_unusual(self, message, frame)
   if padding then
     message.padding = padding
     chunks[#chunks] = frame.data:sub(1, needed)
-    status = chunks.is_truncated and "unverified" or nil
+    status = chunks.is_truncated and "truncated" or nil
   else
     local may_be_twice = chunks.repeated and not chunks.is_truncated
     if may_be_twice and leave_out(self, message, frame, needed) then return end
@@ -352,7 +352,7 @@ local function continue(self, frame)
   end
   close(self, frame.slot)
   if received == message.size then
-    local status = chunks.is_truncated and "unverified" or nil
+    local status = chunks.is_truncated and "truncated" or nil
     self:finish(message, frame.can_id, concat(chunks), status)
   else
     finish_unusual(self, message, frame)

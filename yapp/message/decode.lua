@@ -227,7 +227,7 @@ end]]
 local function remark_source(field, i)
   if field.kind == "float" and field.size <= 6 then return format("a > %.0f", field.ordinary) end
   if field.kind == "flags" then
-    return format("common(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
+    return format("a ~= 0 and common(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
   end
   return field.remark and format("FIELDS[%d]:remark(a)", i) or "false"
 end

@@ -41,7 +41,7 @@ function M.new(options)
   local self = setmetatable({
     late = options.late,
     has_times = options.has_times,
-    by_key = {}, -- [key of a source] = see new_source
+    by_source = {}, -- [source] = see new_source
     commands = {}, -- [name of a message that others answer][bus or false] = numbers, ascending
   }, History)
   for _, message in ipairs(options.catalogue.messages) do
@@ -68,7 +68,7 @@ local function flags_of(message)
 end
 
 local function new_source(self, m)
-  local message, bus = m.message or { fields = {} }, m.bus or false
+  local message, bus = m.source.message or { fields = {} }, m.source.bus_key or false
   local has_times = self.has_times()
   return {
     -- Its kind of message:
@@ -107,7 +107,7 @@ end
 -- Return the controller's clock in nanoseconds, exact up to 104 days (2^53 ns); nil for a message
 -- without one.
 local function clock_of(m)
-  local field = m.raws and m.message.time
+  local field = m.raws and m.source.message.time
   if not field or #m.payload < field.offset + 8 then return nil end
   local seconds, nanoseconds = decode.time(m.payload, field.offset)
   return seconds * 1e9 + nanoseconds
@@ -221,7 +221,7 @@ local function flag_changes(source, m)
     local now, before = raws[index], flags[index]
     if now and now ~= before then
       flags[index] = now
-      local change = flag_change(m.message.fields[index], before, now)
+      local change = flag_change(m.source.message.fields[index], before, now)
       if change then
         changes = changes or {}
         insert(changes, change)
@@ -270,11 +270,9 @@ local function update(source, m, delta)
 end
 
 --- Take the next message, in the order of the capture.
--- m        { source = key of bus or stream and ID, bus = key of the bus or nil, message = compiled
---          or nil, the same for all of a source; raws = by index of field, nil if the payload does
---          not fit; payload, seq; number = frame key, which never falls: a message replaces one
---          with its key; time = seconds of the capture; good = whether the CRC, or the lack of
---          one, says that it is complete }
+-- m        { source = of message.reader; raws = by index of field, nil if the payload does not fit;
+--          payload, seq, status; number = frame key, which never falls: a message replaces one
+--          with its key; time = seconds of the capture }
 -- returns  what changes with it, nil if it is not good or nothing does: {
 --   missing  how many messages are missing before it by Seq
 --   late     seconds since the previous one, if that is more than a lost message or two
@@ -287,13 +285,13 @@ end
 --   unreliable  true from there on, and then there is nothing else }
 --          and the seconds since the source's previous good message, nil for the first
 function History:note(m)
-  local source = self.by_key[m.source]
+  local source = self.by_source[m.source]
   if not source then
     source = new_source(self, m)
-    self.by_key[m.source] = source
+    self.by_source[m.source] = source
   end
   local delta = source.time and m.time - source.time
-  if not m.good then return nil, delta end
+  if m.status ~= "good" then return nil, delta end
   source.time = m.time
   if source.own then insert(source.own, m.number) end
   if m.number > source.shared_at then return UNRELIABLE, delta end
@@ -303,8 +301,8 @@ end
 --- Return the change that History:note returned, at any later time and in any order.
 -- m  as it was given to note
 function History:change(m)
-  local source, number = self.by_key[m.source], m.number
-  if not source or not m.good then return nil end
+  local source, number = self.by_source[m.source], m.number
+  if not source or m.status ~= "good" then return nil end
   return number > source.shared_at and UNRELIABLE or source.changes[number]
 end
 
@@ -318,8 +316,8 @@ end
 --   previous_change, next_change  numbers of the messages before and behind it that changed a
 --                 fault, if one is set or changes }
 function History:state(m)
-  local source, number = self.by_key[m.source], m.number
-  if not source or not m.good or number >= source.shared_at then return nil end
+  local source, number = self.by_source[m.source], m.number
+  if not source or m.status ~= "good" or number >= source.shared_at then return nil end
   local base = source.bases[last_until(source.base_numbers, number)]
   local clock, commands, faults = base and clock_of(m), source.commands, source.fault_numbers
   local last = last_until(faults, number)

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a finished message means: its message of the catalogue, its values, its source and what
--- changed there.  Pure Lua.  Dissectors bring messages; the tree and the statistics get them here.
+-- What a finished message means: its values, and what changed in its source.  Pure Lua.  Dissectors
+-- bring messages; the tree and the statistics get them here.
 
 local decode = require("yapp.message.decode")
 local frame_key = require("yapp.base.frame_key")
@@ -8,6 +8,8 @@ local frame_key = require("yapp.base.frame_key")
 local M = {}
 
 local FRAMES = { "command_in", "previous_change", "next_change" } -- of how things stand
+-- Of such a message nobody knows where bytes are missing.
+local IS_BROKEN = { incomplete = true, overrun = true }
 
 local Reader = {}
 Reader.__index = Reader
@@ -24,7 +26,7 @@ function M.new(catalogue, stat)
     several_ids = nil, -- [message] = whether more than one ID carries it
     is_by_id = true, -- whether no bus has messages of its own
     has_several = false, -- whether the capture has several buses
-    hinted = {}, -- [id of an unknown message] = the frame whose Info has the whole advice
+    hinted = {}, -- [id of an unknown message] = the frame key whose Info has the whole advice
   }, Reader)
 end
 
@@ -80,16 +82,10 @@ function Reader:fits(id, size, bus)
   return message and size >= message.min_size
 end
 
---- Return the name that the user gave to a source, nil for none.
-function Reader:name_of(id, bus)
-  return self.sources:name(bus, id)
-end
-
---- Return the name of a message in a line of its own.  It is the title, and the name of the source.
+-- Return the name of a message in a line of its own.  It is the title, and the name of the source.
 -- A source without a name adds its ID or bus, if they tell it from others: "Motor Data left",
 -- "Motor Data 0x212 (can1)", "Motor Data", "ID 0x123".
-function Reader:label(id, bus)
-  local message, name = self:message_of(id, bus), self:name_of(id, bus)
+local function label_of(self, message, name, id, bus)
   local number, needs_bus = ("0x%x"):format(id), self.has_several and bus
   local title = message and message.title or "ID " .. number
   if name then return title .. " " .. name end
@@ -100,28 +96,31 @@ function Reader:label(id, bus)
 end
 
 --- Make a source, which is a bus or stream, and an ID.
--- key       of the source; id: message ID; bus: key of the bus or stream, or false
--- bus_name  nil if the capture names none
--- line      what else tells sources apart; nil for the bus, if the capture has several
--- returns   { key, bus, bus_name, size, min_size = of its messages or nil, name = of them in Info
---           (see Reader:label), text = the column Source: the name that the user gave, or line and
---           ID; texts = of the fragments of its messages; message = a record for Reader:read, used
---           again for the next message of the source: a new one took a tenth of a packet list }
-function Reader:new_source(key, id, bus, bus_name, line)
-  local name, text = self:label(id, bus_name), self:name_of(id, bus_name)
-  local size, min_size = self:size_of(id, bus_name)
-  line = line or self.has_several and bus_name
-  text = text or (line and line .. " " or "") .. ("0x%x"):format(id)
+-- bus_key  of the bus or stream, or false
+-- bus      its name, nil if the capture names none
+-- line     of a stream, see serial.dissector; nil on CAN
+-- returns  {
+--   id, bus, bus_key, line
+--   name      that the user gave it, or nil
+--   message   that it carries, compiled, or nil; size, min_size = of its payload, or nil
+--   label     what its messages are called in Info
+--   text      for the column Source: the name, else what tells the source from others, and the ID
+--   texts     of the fragments of its messages, see can.dissector }
+function Reader:new_source(id, bus_key, bus, line)
+  local message, name = self:message_of(id, bus), self.sources:name(bus, id)
+  local before = line and line.label or not line and self.has_several and bus
   return {
-    key = key,
+    id = id,
     bus = bus,
-    bus_name = bus_name,
-    size = size,
-    min_size = min_size,
+    bus_key = bus_key,
+    line = line,
     name = name,
-    text = text,
+    message = message,
+    size = message and message.size,
+    min_size = message and message.min_size,
+    label = label_of(self, message, name, id, bus),
+    text = name or (before and before .. " " or "") .. ("0x%x"):format(id),
     texts = {},
-    message = { id = id, name = name, source = key, bus = bus, bus_name = bus_name, at = 0 },
   }
 end
 
@@ -129,7 +128,8 @@ end
 -- m        a message, as for Reader:read
 -- returns  a text for the packet, and what the Info column adds or nil
 function Reader:hint(m)
-  local text, same = ("Message ID 0x%x is not in the catalogue"):format(m.id), nil
+  local id = m.source.id
+  local text, same = ("Message ID 0x%x is not in the catalogue"):format(id), nil
   for _, message in ipairs(m.status == "good" and self.messages or {}) do
     if message.size == m.size then same = same or message.title end
   end
@@ -137,13 +137,13 @@ function Reader:hint(m)
   local size = ("the size of %s"):format(same)
   local advice = (': see the preference "%s message IDs"'):format(same)
   text = ("%s; %d bytes, %s%s"):format(text, m.size, size, advice)
-  if self.hinted[m.id] and self.hinted[m.id] ~= m.frame then return text, ", " .. size end
-  self.hinted[m.id] = m.frame
+  if self.hinted[id] and self.hinted[id] ~= m.number then return text, ", " .. size end
+  self.hinted[id] = m.number
   return text, ", " .. size .. advice
 end
 
 -- Ask the history what changes with a message, and how things stand there.
-local function ask(m, history)
+local function ask(m, history, wants_state)
   m.change, m.state = false, false
   if m.is_unreliable then return end
   if m.visited then
@@ -153,7 +153,7 @@ local function ask(m, history)
     m.change, m.delta = change or false, delta or false
   end
   if m.change and m.change.unreliable then m.is_unreliable = true end
-  local state = m.wants.state and history:state(m)
+  local state = wants_state and history:state(m)
   if not state then return end
   for _, name in ipairs(FRAMES) do
     state[name] = state[name] and frame_key.number(state[name])
@@ -162,31 +162,38 @@ local function ask(m, history)
 end
 
 --- Read a finished message, for show.tree and stat.intake.
--- m        { id, seq, ctl, size, payload, status, good = whether it is proved complete, is_whole =
---          whether the payload has all its bytes; source = key of bus or stream and ID, bus = key
---          of the bus or stream, or nil, bus_name = or nil, frame = number, number = frame key,
---          time = seconds since the first packet, visited, is_unreliable = whether the history is
---          unreliable, as nothing tells the bus; delta, if visited; wants, ... }; gets
---          message = of the catalogue, if the ID is known
---          raws and is_remarkable = from decode.read, if the size fits: min_size of the message at
---          least, and more than its size only of a good one
---          undecoded = number of payload bytes behind the message's size, nil for none
---          has_fault = whether a fault flag is set
---          change = what changes with it, or false; delta = seconds since the source's previous
---          good one; state = how things stand, or false (see message.history); is_unreliable = true
---          if controllers share its source
--- history  a message.history
-function Reader:read(m, history)
-  local message, raws, is_remarkable = self:message_of(m.id, m.bus_name), nil, nil
+-- m  {
+--   source         of Reader:new_source
+--   seq, size      as its header says; payload = what there is of it
+--   number         frame key; time = seconds since the first packet; visited
+--   status         "good" if it is proved complete; "bad" (CRC); "truncated" by the capture;
+--                  "incomplete"; "overrun"
+--   is_unreliable  whether its history is not known, as nothing tells the bus
+--   delta          of a visited one, see below }, and gets
+--   raws, is_remarkable  from decode.read, if the size fits: min_size of the message at least, and
+--                  more than its size only of a good one
+--   undecoded      number of payload bytes behind the message's size, nil for none
+--   has_fault      whether a fault flag is set
+--   change         what changes with it, or false (see message.history)
+--   delta          seconds since the source's previous good one
+--   state          how things stand, or false (see message.history)
+--   is_unreliable  true if controllers share its source
+-- history      a message.history
+-- wants_state  whether the state is wanted
+-- returns      whether all of its bytes that were captured are in their places
+function Reader:read(m, history, wants_state)
+  local message, is_broken, raws, is_remarkable = m.source.message, IS_BROKEN[m.status], nil, nil
   local is_longer = message and m.size > message.size
-  if message and m.is_whole and m.size >= message.min_size and (m.good or not is_longer) then
+  if message and not is_broken and m.size >= message.min_size and
+    (m.status == "good" or not is_longer) then
     raws, is_remarkable = decode.read(message, m.payload)
   end
-  m.message, m.raws, m.is_remarkable = message, raws, is_remarkable
+  m.raws, m.is_remarkable = raws, is_remarkable
   m.undecoded = raws and is_longer and m.size - message.size or nil
   m.has_fault = is_remarkable and decode.has_alarm(message, raws)
-  ask(m, history)
+  ask(m, history, wants_state)
   if self.stat.wanted then self.stat:message(m) end
+  return not is_broken
 end
 
 return M

@@ -15,7 +15,7 @@ local M = {}
 
 local min, sub = math.min, string.sub
 local add, add_le = items.add, items.add_le
-local add_generated, append_text = items.add_generated, items.append_text
+local append_text = items.append_text
 local number_of, PACKET = frame_key.number, frame_key.PACKET
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
@@ -67,9 +67,9 @@ end
 -- Returns the line of a packet, one direction of a conversation or of a UART: {
 --   key          of its stream
 --   opposite     key of the other direction
---   bus          by which a Command and what it commands know each other: both directions of a
+--   bus_key      by which a Command and what it commands know each other: both directions of a
 --                conversation; all of a UART
---   bus_name     or nil
+--   bus          name or nil
 --   label        text that tells its sources apart, nil if nothing does
 --   has_address  whether its packets have a sender
 --   sources      [ID] = a source, see message.reader
@@ -87,19 +87,19 @@ local function line_of(self, pinfo)
   local key = before .. here .. "|" .. there
   local line = self.lines[key]
   if line then return line, is_known end
-  local bus_name, has_address = self.buses:name(bus, is_ip), not NO_ADDRESS[address]
+  local name, has_address = self.buses:name(bus, is_ip), not NO_ADDRESS[address]
   line = {
     key = key,
     opposite = before .. there .. "|" .. here,
-    bus = "serial",
-    bus_name = bus_name,
-    label = has_address and here or bus and bus_name,
+    bus_key = "serial",
+    bus = name,
+    label = has_address and here or bus and name,
     has_address = has_address,
     sources = {},
     damaged = {},
     reporter = nil,
   }
-  if is_ip then line.bus = here < there and here .. there or there .. here end
+  if is_ip then line.bus_key = here < there and here .. there or there .. here end
   self.lines[key] = line
   return line, is_known
 end
@@ -131,7 +131,7 @@ local function new_packet(self, tvb, pinfo, tree, segment)
     is_datagram = pinfo.port_type == UDP,
     stream = line.key,
     seq = segment and segment.seq,
-    bus_name = line.bus_name,
+    bus_name = line.bus,
     line = line,
     is_bus_known = is_bus_known,
     tvb = tvb,
@@ -144,8 +144,7 @@ end
 local function source_of(self, line, id)
   local source = line.sources[id]
   if not source then
-    local key = line.key .. "|" .. id
-    source = self.reader:new_source(key, id, line.bus, line.bus_name, line.label)
+    source = self.reader:new_source(id, line.bus_key, line.bus, line)
     line.sources[id] = source
   end
   return source
@@ -187,15 +186,10 @@ end
 -- Returns what the statistics need of a message that is not complete.
 -- packet  where this is noticed
 local function new_loss(self, packet, id, seq)
-  local source = source_of(self, packet.line, id)
   return {
-    id = id,
+    source = source_of(self, packet.line, id),
     seq = seq,
-    source = source.key,
-    bus = source.bus,
-    bus_name = source.bus_name,
-    stream = packet.stream,
-    frame = packet.number,
+    number = packet.key,
     time = packet.time,
     visited = packet.visited,
   }
@@ -208,109 +202,95 @@ local function report_damaged(self, packet)
   if line.reporter ~= packet.key or not self.reader.stat.wanted then return end
   for _, damaged in ipairs(line.damaged) do
     local loss = new_loss(self, packet, damaged.id, damaged.seq)
-    self.reader.stat:faults(loss, { { expert = "fragment.incomplete" } })
+    self.reader.stat:anomalies(loss, { { expert = "fragment.incomplete" } })
   end
 end
 
 -- Messages ---------------------------------------------------------------------------------------
 
--- Returns the message in an event, as message.reader, message.history, show.tree and the statistics
--- take it.  A packet's n-th event has the frame key of the packet + n - 1: a frame has 16 bytes at
--- least, so no other packet has that key, also if a tunnel has several in one.
+-- Returns the message in an event, for message.reader, and
+--   length      number of bytes of its frame
+--   missing     number of bytes, of one that is not complete
+--   crc, calculated  of a bad one
+-- and what its view has, see Tree:payload.  A packet's n-th event has the frame key of the packet +
+-- n - 1: a frame has 16 bytes at least, so no other packet has that key, also if a tunnel has
+-- several in one.
 local function new_message(self, packet, event, index)
   local status, length, number = event.status, event.to - event.from, packet.key + index - 1
   local bytes, at, delta = event.bytes, 0, nil
   if event.at then bytes, at = packet.bytes, event.at end
   if packet.visited then delta = self.deltas[number] end
   local id, size, reserved, seq = frame.parse(bytes, at + 1)
-  local source, last = source_of(self, packet.line, id), at + length
   local m = {
-    id = id,
-    name = source.name,
-    text = source.text,
-    source = source.key,
-    bus = source.bus,
-    bus_name = source.bus_name,
-    stream = packet.stream,
+    source = source_of(self, packet.line, id),
+    seq = seq,
     number = number,
-    frame = packet.number,
     time = packet.time,
     visited = packet.visited,
     delta = delta or false,
     is_unreliable = not packet.is_bus_known or packet.visited and delta == nil,
-    seq = seq,
     size = size,
     reserved = reserved,
     payload = sub(bytes, at + HEADER + 1, at + min(HEADER + size, length)),
     length = length,
-    status = status,
-    good = status == "good",
-    -- Nobody knows where in it bytes are missing, unless the capture cut it.
-    is_whole = status ~= "incomplete" or event.truncated or false,
+    status = status == "incomplete" and event.truncated and "truncated" or status,
     missing = event.missing,
-    truncated = event.truncated,
     parts = event.parts,
     crc = nil,
     calculated = nil,
     wants = packet.wants,
     tree = packet.tree,
     item = packet.tree,
-    tvb = false,
-    at = at + HEADER,
+    payload_tvb = false,
+    payload_at = at + HEADER,
   }
   if status == "bad" then
+    local last = at + length
     m.crc = frame.crc(bytes, last)
     m.calculated = crc.update(crc.INITIAL, bytes, at + 1, last - CRC_SIZE)
   end
   return m
 end
 
-local LABELS = { good = ", CRC good", bad = ", CRC BAD", incomplete = ", incomplete" }
--- In the Info column:
-local MARKS = { good = "", bad = "  [BAD CRC]", incomplete = "  [INCOMPLETE]" }
-
 -- Adds YAPP's own item of a message.
 -- tvb  where the bytes of the frame are
 local function add_frame(self, m, tvb)
-  local builder, at = self.tree, m.at - HEADER
+  local builder, at, source = self.tree, m.payload_at - HEADER, m.source
   local fields = builder.fields
   local item = add(m.tree, builder.yapp, tvb(at, m.length))
-  append_text(item, (", %s"):format(m.name))
+  append_text(item, (", %s"):format(source.label))
   add(item, fields.sync, tvb(at, 2))
   add(item, fields.seq, tvb(at + 2, 1))
   add(item, fields.ctl, tvb(at + 3, 1))
-  builder:add_id(item, tvb(at + 4, 4), m.id, m.bus_name)
+  builder:add_id(item, tvb(at + 4, 4), source)
   append_text(add_le(item, fields.size, tvb(at + 8, 2)), " bytes")
   add_le(item, fields.reserved, tvb(at + 10, 2))
-  builder:add_source(item, m)
+  builder:add_source(item, source)
   if m.parts then
     local numbers = {}
     for i, key in ipairs(m.parts) do numbers[i] = number_of(key) end
-    local payload = #m.payload > 0 and tvb(m.at, #m.payload) or nil
-    add_generated(item, fields["reassembled.in"], m.frame)
+    local payload = #m.payload > 0 and tvb(m.payload_at, #m.payload) or nil
+    builder:generated(item, "reassembled.in", number_of(m.number))
     builder:add_fragments(item, tvb(), numbers, #numbers, m.length, payload)
   end
-  if m.status ~= "incomplete" then builder:add_crc(item, tvb(m.at + m.size, CRC_SIZE), m) end
-  append_text(item, LABELS[m.status])
-  return item
-end
-
--- Says that a message lost bytes.
-local function say_incomplete(self, m)
-  local expert = m.truncated and "truncated" or "fragment.incomplete"
-  local text = ("%d of the frame's %d bytes are missing")
-    :format(m.missing, HEADER + m.size + CRC_SIZE)
-  self.tree:expert(m.item, expert, text)
-  if self.reader.stat.wanted then
-    self.reader.stat:faults(m, { { expert = expert } })
+  if m.missing then
+    append_text(item, ", incomplete")
+  else
+    builder:add_crc(item, tvb(m.payload_at + m.size, CRC_SIZE), m)
   end
+  return item
 end
 
 -- Shows what is wrong with a message.
 local function show_anomalies(self, m)
   local builder = self.tree
   if m.status == "bad" then builder:bad_crc(m.item, m) end
-  if m.status == "incomplete" then say_incomplete(self, m) end
+  if m.missing then
+    local expert = m.status == "truncated" and "truncated" or "fragment.incomplete"
+    local text = "%d of the frame's %d bytes are missing"
+    builder:expert(m.item, expert, text:format(m.missing, HEADER + m.size + CRC_SIZE))
+    if self.reader.stat.wanted then self.reader.stat:anomalies(m, { { expert = expert } }) end
+  end
   if m.reserved ~= 0 then
     local text = ("The reserved bytes are 0x%04x, not 0"):format(m.reserved)
     builder:expert(m.item, "reserved.nonzero", text)
@@ -319,19 +299,20 @@ end
 
 -- Shows a message; returns what the Info column says of it.
 local function show_message(self, m, tvb)
-  local builder, is_known = self.tree, not m.is_unreliable
-  self.reader:read(m, self.history)
-  if not m.good then m.delta = false end
+  local builder, is_known, source = self.tree, not m.is_unreliable, m.source
+  local is_whole = self.reader:read(m, self.history, m.wants.state)
+  if m.status ~= "good" then m.delta = false end
   if is_known and not m.visited and not m.wants.is_only_pass then
     self.deltas[m.number] = m.delta
   end
-  if m.wants.tree then m.item, m.tvb = add_frame(self, m, tvb), tvb end
+  if m.wants.tree then m.item, m.payload_tvb = add_frame(self, m, tvb), tvb end
   show_anomalies(self, m)
-  if m.is_whole or not m.message then return builder:payload(m) .. MARKS[m.status] end
+  local mark = builder.MARKS[m.missing and "incomplete" or m.status]
+  if is_whole or not source.message then return builder:payload(m, m) .. mark end
   if m.wants.yapp and #m.payload > 0 then
-    add(m.item, builder.fields.payload, tvb(m.at, #m.payload))
+    add(m.item, builder.fields.payload, tvb(m.payload_at, #m.payload))
   end
-  return m.name .. MARKS[m.status]
+  return source.label .. mark
 end
 
 -- Bytes of no frame ------------------------------------------------------------------------------
@@ -371,15 +352,12 @@ local function show_skipped(self, packet, tvb, event)
   local quoted = text and ": " .. text or ""
   builder:expert(item, "stream.skipped", ("%s that belong to no frame%s"):format(size, quoted))
   if self.reader.stat.wanted then
-    self.reader.stat:skipped {
-      frame = packet.number,
+    self.reader.stat:skipped({
+      source = packet.line,
+      number = packet.key,
       time = packet.time,
       visited = packet.visited,
-      bus = packet.line.bus,
-      bus_name = packet.bus_name,
-      source = packet.stream,
-      length = length,
-    }
+    }, length)
   end
   return ("Skipped %s%s"):format(size, text and " " .. text or "")
 end
@@ -419,7 +397,7 @@ local function show_event(self, packet, event, index)
   end
   if event.status == "skipped" then return show_skipped(self, packet, tvb, event) end
   local m = new_message(self, packet, event, index)
-  return show_message(self, m, tvb), m.text
+  return show_message(self, m, tvb), m.source.text
 end
 
 -- Shows what a packet holds.
@@ -505,8 +483,7 @@ function Dissector:skipped(tvb, pinfo, tree)
 end
 
 --- Return the messages that the capture ends before, and report their last bytes to the statistics.
--- returns  list of { id, seq, source = key, frame = number of the packet with its last bytes, time,
---          bus, bus_name }
+-- returns  list of { source, seq, number = frame key of the packet with its last bytes, ... }
 function Dissector:unfinished()
   local list = {}
   for i, open in ipairs(self.streams:unfinished()) do

@@ -181,21 +181,22 @@ end
 -- once where the answer cannot change, on the first pass of tshark, else each time: without it a
 -- filter for one fault takes 1.9 times as long.
 local function plan_of(self, m, tree)
-  local is_shown = tree.visible
+  local is_shown, message = tree.visible, m.source.message
   local plans = is_shown and self.plans_of_shown or
     IS_TSHARK and not m.visited and self.plans_of_pass or {}
-  local plan = plans[m.message] or make_plan(self, m.message, tree, is_shown)
-  plans[m.message] = plan
+  local plan = plans[message] or make_plan(self, message, tree, is_shown)
+  plans[message] = plan
   return plan
 end
 
 -- The tree of a message ---------------------------------------------------------------------------
 
 -- Build it; return it, and the items by index of field, for the expert items.
-local function build(self, m)
-  local plan, raws, tvb, at, items = plan_of(self, m, m.tree), m.raws, m.tvb, m.at, {}
-  local whole = range_of(tvb, at, math.min(m.message.size, #m.payload))
-  local top = add(m.tree, self.taurus, whole, plan.title)
+local function build(self, m, view)
+  local plan, raws, items = plan_of(self, m, view.tree), m.raws, {}
+  local tvb, at, message = view.payload_tvb, view.payload_at, m.source.message
+  local whole = range_of(tvb, at, math.min(message.size, #m.payload))
+  local top = add(view.tree, self.taurus, whole, plan.title)
   if plan.own then set_hidden(add(top, plan.own, whole)) end
   for i = 1, #plan do
     local step = plan[i]
@@ -209,7 +210,7 @@ local function build(self, m)
     end
   end
   for _, step in ipairs(plan.generated) do
-    local value = decode.derived(m.message, step.item, raws)
+    local value = decode.derived(message, step.item, raws)
     if value then append_text(add_generated(top, step.pf, value), step.unit) end
   end
   return top, items
@@ -225,19 +226,20 @@ local function append_help(item, field, raw)
 end
 
 --- Show a message, and its expert items.
--- m        of message.reader, as Tree:payload takes it
+-- m, view  as Tree:payload takes them
 -- returns  the Taurus item; nil without a tree
-function Taurus:show(m)
-  local top, items = nil, NONE
-  if m.tvb and m.payload ~= "" then top, items = build(self, m) end
-  for _, remark in ipairs(m.is_remarkable and decode.remarks(m.message, m.raws) or NONE) do
+function Taurus:show(m, view)
+  local top, items, source = nil, NONE, m.source
+  local message = source.message
+  if view.payload_tvb and m.payload ~= "" then top, items = build(self, m, view) end
+  for _, remark in ipairs(m.is_remarkable and decode.remarks(message, m.raws) or NONE) do
     local index, name = remark[1], remark[2]
     local item = items[index]
     if item and name == "fault.active" then
-      if m.name ~= m.message.title then append_text(item, " of " .. m.name) end
-      append_help(item, m.message.fields[index], m.raws[index])
+      if source.label ~= message.title then append_text(item, " of " .. source.label) end
+      append_help(item, message.fields[index], m.raws[index])
     end
-    add_expert(item or top or m.item, "taurus." .. name)
+    add_expert(item or top or view.item, "taurus." .. name)
   end
   return top
 end
@@ -285,13 +287,13 @@ end
 
 --- Add what the history says of a message, all of it generated, with its expert items.
 -- m        a message of message.reader
--- top      the Taurus item; nil or false if no tree is wanted: then there are expert items
---          only
+-- top      the Taurus item; nil if no tree is wanted: then there are expert items only, below
+-- other    another item
 -- returns  what the Info column says of it: "  cleared motor_overcurrent, hall_timeout  REBOOT"
-function Taurus:add_change(m, top)
-  local change, item = m.change or NONE, top or m.item
+function Taurus:add_change(m, top, other)
+  local change, item = m.change or NONE, top or other
   local info = add_flags_changes(self, item, change.flags or NONE, top)
-  for _, one in ipairs(top and m.state and self.messages[m.message].states or NONE) do
+  for _, one in ipairs(top and m.state and self.messages[m.source.message].states or NONE) do
     add_wanted(item, one.pf, one.value(m.state, m))
   end
   for _, row in ipairs(CHANGES) do

@@ -17,9 +17,19 @@ local append_text = show_fields.append_text
 local STATUS_CODE = { bad = 0, good = 1 } -- any other is unverified
 local UNVERIFIED = 2
 local CRC_TEXT = { good = " [correct]", bad = " [incorrect, should be 0x%08x]" }
+local CRC_LABEL = { good = ", CRC good", bad = ", CRC BAD" }
 
 local Tree = {}
 Tree.__index = Tree
+
+--- What the Info column adds to a message, by its status.
+Tree.MARKS = {
+  good = "",
+  bad = "  [BAD CRC]",
+  incomplete = "  [INCOMPLETE]",
+  overrun = "  [OVERRUN]",
+  truncated = "  [TRUNCATED]",
+}
 
 --- Make fields and expert items and hand them to the two protocols.
 -- options  { yapp =, taurus = Proto, catalogue = compiled, reader = a message.reader }
@@ -152,11 +162,11 @@ function Tree:generated(item, name, value)
 end
 
 --- Add the id, with the name that the user's mapping gives it.
--- range  TvbRange, nil where the CAN id has it
-function Tree:add_id(item, range, id, bus_name)
+-- range   TvbRange, nil where the CAN id has it
+-- source  of message.reader
+function Tree:add_id(item, range, source)
+  local id, title = source.id, source.message and source.message.title
   local added = range and add(item, self.fields.id, range, id) or self:generated(item, "id", id)
-  local message = self.reader:message_of(id, bus_name)
-  local title = message and message.title
   if title == self.default_names[id] then return end
   added:set_text(("Message ID: %s (0x%08x)"):format(title or "Unknown", id))
 end
@@ -164,7 +174,7 @@ end
 --- Add the bus, where there is one, and the source.
 -- source  of message.reader
 function Tree:add_source(item, source)
-  self:generated(item, "bus", source.bus_name)
+  self:generated(item, "bus", source.bus)
   add_generated(item, self.fields.source, source.text)
 end
 
@@ -183,7 +193,7 @@ function Tree:add_fragments(item, whole, numbers, count, length, payload)
   self:generated(list, "reassembled.data", payload)
 end
 
---- Add a CRC with its status.
+--- Add a CRC with its status, which the item says, too.
 -- range    TvbRange of the CRC or nil where it was sent in another frame
 -- message  { crc, status, calculated }
 function Tree:add_crc(item, range, message)
@@ -193,6 +203,7 @@ function Tree:add_crc(item, range, message)
   append_text(crc, (CRC_TEXT[status] or " [unverified]"):format(calculated))
   self:generated(item, "crc.status", STATUS_CODE[status] or UNVERIFIED)
   if status == "bad" then self:generated(item, "crc.calculated", calculated) end
+  append_text(item, CRC_LABEL[status] or ", CRC unverified")
 end
 
 --- Say that a CRC is bad, with what was received and expected.
@@ -219,50 +230,54 @@ end
 -- Messages ----------------------------------------------------------------------------------------
 
 -- Add the bytes of a payload from an offset on.
-local function add_bytes(self, m, name, offset)
-  local length = #m.payload - offset
-  if m.wants.yapp and m.tvb and length > 0 then
-    add(m.item, self.fields[name], m.tvb(m.at + offset, length))
+local function add_bytes(self, m, view, name, offset)
+  local length, tvb = #m.payload - offset, view.payload_tvb
+  if view.wants.yapp and tvb and length > 0 then
+    add(view.item, self.fields[name], tvb(view.payload_at + offset, length))
   end
 end
 
 -- Say that a payload has not the catalogue's size.
 -- returns  what the Info column says
-local function add_mismatch(self, m)
-  local least, most = m.message.min_size, m.message.size
+local function add_mismatch(self, m, view)
+  local source = m.source
+  local least, most = source.min_size, source.size
   local known = least < most and ("%d to %d"):format(least, most) or most
   local text = ("%s, the catalogue says %s"):format(Tree.bytes(m.size), known)
-  self:expert(m.item, "size.mismatch", ("%s has %s"):format(m.name, text))
-  return ("%s, %s"):format(m.name, text)
+  self:expert(view.item, "size.mismatch", ("%s has %s"):format(source.label, text))
+  return ("%s, %s"):format(source.label, text)
 end
 
 -- Show a message that is not in the catalogue, or not as it is there: bytes.
-local function show_bytes(self, m)
-  add_bytes(self, m, "payload", 0)
-  if m.message then return add_mismatch(self, m) end
+local function show_bytes(self, m, view)
+  add_bytes(self, m, view, "payload", 0)
+  if m.source.message then return add_mismatch(self, m, view) end
   local text, info = self.reader:hint(m)
-  self:expert(m.item, "id.unknown", text)
-  return ("%s  %s%s"):format(m.name, Tree.bytes(#m.payload), info or "")
+  self:expert(view.item, "id.unknown", text)
+  return ("%s  %s%s"):format(m.source.label, Tree.bytes(#m.payload), info or "")
 end
 
 --- Show a finished message: the message of the catalogue, or bytes.
--- m        of message.reader, with { tree = where the Taurus tree goes, item = YAPP's own item or
---          the tree, tvb and at = where the payload lies, tvb nil if no tree is wanted, wants
---          = of Tree:wants }
+-- m        of message.reader, as read
+-- view     { wants = of Tree:wants; tree = where the Taurus tree goes; item = YAPP's own item, or
+--          the tree; payload_tvb and payload_at = where the payload lies, payload_tvb false if no
+--          tree is wanted }
 -- returns  what the Info column says of it, or a part of that if no column shows it
-function Tree:payload(m)
-  local top, info = nil, ""
-  if m.wants.yapp then self:add_delta(m.item, m) end
+function Tree:payload(m, view)
+  local top, info, source = nil, "", m.source
+  if view.wants.yapp then self:add_delta(view.item, m) end
   if not m.raws then
-    info = show_bytes(self, m)
+    info = show_bytes(self, m, view)
   else
-    top = (m.tvb or m.is_remarkable) and self.messages:show(m)
-    if m.wants.columns then info = info_of.text(m.message, m.raws, m.name, m.is_remarkable) end
+    top = (view.payload_tvb or m.is_remarkable) and self.messages:show(m, view)
+    if view.wants.columns then
+      info = info_of.text(source.message, m.raws, source.label, m.is_remarkable)
+    end
   end
-  if m.change or top then info = info .. self.messages:add_change(m, top) end
+  if m.change or top then info = info .. self.messages:add_change(m, top or nil, view.item) end
   if m.undecoded then
-    add_bytes(self, m, "undecoded", m.message.size)
-    add_mismatch(self, m)
+    add_bytes(self, m, view, "undecoded", source.size)
+    add_mismatch(self, m, view)
     info = ("%s  [%s, %d not decoded]"):format(info, Tree.bytes(m.size), m.undecoded)
   end
   return info

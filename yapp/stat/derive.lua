@@ -31,8 +31,8 @@ function M.new(settings, statistic)
     settings = settings,
     statistic = statistic,
     undecoded = undecoded.new(settings),
-    states = {}, -- of sources with good messages, in their order, and by_key
-    by_key = {},
+    states = {}, -- of sources with good messages, in their order, and by source
+    by_source = {},
     came = {}, -- the sources of which something came that counts
     doubts = {}, -- texts: why the history of a source is unreliable; and by source
   }, Deriver)
@@ -49,7 +49,7 @@ function Deriver:add(event, now, cause)
 end
 
 local function emit(self, kind, cause, now, values)
-  self:add(new_event(kind, cause, cause.source, values), now, cause)
+  self:add(new_event(kind, cause.frame, cause.time, cause.source, values), now, cause)
 end
 
 -- Faults ------------------------------------------------------------------------------------------
@@ -141,7 +141,7 @@ end
 -- counted_faults = those that were set at counted, the latest reliable message that counts, at
 -- counted_at.
 local function state_of(self, source)
-  local state = self.by_key[source.key]
+  local state = self.by_source[source]
   if not state then
     state = {
       last = nil,
@@ -152,7 +152,7 @@ local function state_of(self, source)
       counted = { frame = 0 },
       counted_at = nil,
     }
-    self.by_key[source.key], self.states[#self.states + 1] = state, state
+    self.by_source[source], self.states[#self.states + 1] = state, state
   end
   return state
 end
@@ -238,7 +238,7 @@ end
 local function end_absences(self, ending)
   for _, row in ipairs(self.settings.sources:list()) do
     if row.message and not has_come(self, row) then
-      self:add(new_event("absent", { time = ending.rel }, row))
+      self:add(new_event("absent", nil, ending.rel, row))
     end
   end
 end
@@ -249,8 +249,8 @@ local function end_drops(self, ending)
   local begin = first.seconds + first.nanoseconds / 1e9 - first.rel
   for _, drop in ipairs(ending.drops) do
     local microseconds = drop.time and math.floor((drop.time - begin) * 1e6 + 0.5)
-    local at = { time = microseconds and microseconds / 1e6, frame = drop.frame }
-    self:add(new_event("dropped", at, { bus = drop.bus }, { count = drop.count }))
+    local time, values = microseconds and microseconds / 1e6, { count = drop.count }
+    self:add(new_event("dropped", drop.frame, time, { bus = drop.bus }, values))
   end
 end
 

@@ -12,20 +12,21 @@
 --   loss  { is_withdrawn = whether nothing is lost after all }, or nil where that is sure }
 
 local decode = require("yapp.message.decode")
+local frame_key = require("yapp.base.frame_key")
 local kinds = require("yapp.stat.kinds")
 
 local M = {}
 
-local new_event, NOTHING = kinds.event, kinds.NOTHING
+local NOTHING, number_of = kinds.NOTHING, frame_key.number
 
 local LOSSES = {
   ["fragment.incomplete"] = "incomplete",
   ["fragment.orphan"] = "orphan",
   ["fragment.overrun"] = "overrun",
-  truncated = "incomplete", -- by the capture: what was not decoded was not checked
 }
--- The kind of a message without a good CRC, by its status; the others are no events.
-local KIND_OF = { bad = "crc", unverified = "incomplete", single = "incomplete" }
+-- The kind of a message by its status.  One that the capture cut was not checked.  The other ones
+-- are no events: their anomalies are.
+local KIND_OF = { good = "message", bad = "crc", truncated = "incomplete" }
 local INCOMPLETE = { what = "incomplete" }
 local DEFINED = { ["value.special"] = true, ["fault.active"] = true } -- remarks on defined values
 local EFFECTS = { ["command.key.invalid"] = " (the controller ignores this command)" }
@@ -40,26 +41,27 @@ function M.new()
     wanted = false,
     wants_parts = false,
     queue = nil, -- a stat.queue, while it is open
-    reader = nil, -- a message.reader, while it is open
+    messages = nil, -- of the catalogue, while it is open
     leaving = {}, -- taps, see Intake:remove_later
-    sources = {}, -- by key
-    stretches = {}, -- by stream: skipped bytes, while nothing else comes
+    states = {}, -- by source, see state_of
+    stretches = {}, -- by line: skipped bytes, while nothing else comes
   }, Intake)
 end
 
 --- Begin to take reports.
-function Intake:open(queue, reader)
-  self.queue, self.reader, self.wanted = queue, reader, true
+-- messages  of the catalogue
+function Intake:open(queue, messages)
+  self.queue, self.messages, self.wanted = queue, messages, true
 end
 
 --- Take no more reports.
 function Intake:close()
-  self.queue, self.reader, self.wanted, self.wants_parts = nil, nil, false, false
+  self.queue, self.messages, self.wanted, self.wants_parts = nil, nil, false, false
 end
 
 --- Forget the capture file.
 function Intake:reset()
-  self.sources, self.stretches = {}, {}
+  self.states, self.stretches = {}, {}
 end
 
 --- Remove a tap when the next event of a message comes: a tap cannot go while it is called.
@@ -67,34 +69,34 @@ function Intake:remove_later(tap)
   table.insert(self.leaving, tap)
 end
 
-local function source_of(self, m)
-  local source = self.sources[m.source]
-  if not source then
-    local id, bus = m.id, m.bus_name
-    source = {
-      key = m.source,
-      bus_key = m.bus,
-      bus = bus,
-      id = id,
-      name = id and self.reader:name_of(id, bus),
-      message = id and self.reader:message_of(id, bus),
+local function state_of(self, source)
+  local state = self.states[source]
+  if not state then
+    state = {
       parts = {}, -- by Seq: see Intake:part
       orphan = false, -- or { seq }: the message that lost its Start, while its frames come
       start_seq = nil, -- see Intake:start
     }
-    self.sources[m.source] = source
+    self.states[source] = state
   end
-  return source
+  return state
 end
 
-local function offer(self, event, m)
-  local stream, leaving = m.stream or false, self.leaving
-  if self.stretches[stream] then self.stretches[stream] = nil end -- in Lua 5.2 costly if it is nil
+-- Return the event of a message or frame.
+-- m  as all reports have it: a message of message.reader, or of that { source, seq, number, time,
+--    visited }
+local function new_event(kind, m, values)
+  return kinds.event(kind, number_of(m.number), m.time, m.source, values, m)
+end
+
+local function offer(self, kind, m, values)
+  local line, leaving = m.source.line or false, self.leaving
+  if self.stretches[line] then self.stretches[line] = nil end -- in Lua 5.2 costly if it is nil
   if leaving[1] then
     self.leaving = {}
     for _, tap in ipairs(leaving) do tap:remove() end
   end
-  self.queue:offer(event, m.visited)
+  self.queue:offer(new_event(kind, m, values), m.visited)
 end
 
 -- Messages ----------------------------------------------------------------------------------------
@@ -106,14 +108,14 @@ end
 
 -- The values of a message that the catalogue does not define; nil for none.
 local function invalid_of(m)
-  local list
-  for _, remark in ipairs(decode.remarks(m.message, m.raws) or NOTHING) do
+  local message, list = m.source.message, nil
+  for _, remark in ipairs(decode.remarks(message, m.raws) or NOTHING) do
     local index, expert = remark[1], remark[2]
     if not DEFINED[expert] then
       local raw = m.raws[index]
       list = list or {}
       list[#list + 1] = {
-        field = m.message.fields[index].name,
+        field = message.fields[index].name,
         value = raw,
         code = code_of(raw),
         effect = EFFECTS[expert],
@@ -135,98 +137,92 @@ local function values_of(m)
 end
 
 --- Report a message that has ended.
--- m  of message.reader, as read; stream = key of its stream, nil on CAN
 function Intake:message(m)
-  local kind = m.good and "message" or KIND_OF[m.status]
+  local kind, values = KIND_OF[m.status], nil
   if not kind then return end
-  local source, values = source_of(self, m), nil
-  source.orphan = false
+  if self.wants_parts then state_of(self, m.source).orphan = false end
   if kind == "message" then
     values = values_of(m)
   elseif kind == "incomplete" then
     values = INCOMPLETE
   end
-  offer(self, new_event(kind, m, source, values), m)
+  offer(self, kind, m, values)
 end
 
 -- Losses ------------------------------------------------------------------------------------------
 
 -- What the orphaned frames of one message have in common: those in a row of one Seq, to its End.
-local function orphaned(source, m)
-  local orphan = source.orphan
-  if not orphan or orphan.seq ~= m.seq then
-    orphan = { seq = m.seq }
+local function orphaned(state, seq, is_end)
+  local orphan = state.orphan
+  if not orphan or orphan.seq ~= seq then
+    orphan = { seq = seq }
   end
-  source.orphan = not m.is_end and orphan
+  state.orphan = not is_end and orphan
   return orphan
 end
 
 --- Report the anomalies of a frame.  Those that lose a message, or a part of one, are events.
--- m          { id, seq, source, bus, bus_name, stream, frame, time, visited, is_end = whether it is
---            an End }
 -- anomalies  list of { expert, lost = frame key of the Start of the message that is lost or nil,
 --            is_withdrawn = whether nothing is wrong after all }
-function Intake:faults(m, anomalies)
+-- is_end     whether it is an End
+function Intake:anomalies(m, anomalies, is_end)
+  local state = state_of(self, m.source)
   for _, anomaly in ipairs(anomalies) do
-    local what = LOSSES[anomaly.expert]
-    if what then
-      local source, lost = source_of(self, m), anomaly.lost
-      if what == "orphan" then
-        lost = orphaned(source, m)
-      else
-        source.orphan = false
-      end
-      local values = { what = what, lost = lost, loss = anomaly }
-      offer(self, new_event("incomplete", m, source, values), m)
+    local what, lost = LOSSES[anomaly.expert], anomaly.lost
+    if what == "orphan" then
+      lost = orphaned(state, m.seq, is_end)
+    elseif what then
+      state.orphan = false
     end
+    if what then offer(self, "incomplete", m, { what = what, lost = lost, loss = anomaly }) end
   end
 end
 
 --- Report bytes of a stream that belong to no frame.  Over several packets in a row they are one
 -- stretch, and one event, whose length grows.
--- m  { id = nil, frame, time, visited, bus, bus_name, source = key of the stream, length = bytes }
-function Intake:skipped(m)
-  local stretch = self.stretches[m.source]
-  if stretch and m.frame > stretch.last_frame then -- else the capture is read anew
-    stretch.last_frame = m.frame
-    stretch.values.length = stretch.values.length + m.length
+-- m  its source is the line
+function Intake:skipped(m, length)
+  local stretch, number = self.stretches[m.source], m.number
+  if stretch and number > stretch.last_number then -- else the capture is read anew
+    stretch.last_number = number
+    stretch.values.length = stretch.values.length + length
     return
   end
-  local values = { length = m.length }
-  self.stretches[m.source] = { last_frame = m.frame, values = values }
-  self.queue:offer(new_event("skipped", m, source_of(self, m), values), m.visited)
+  local values = { length = length }
+  self.stretches[m.source] = { last_number = number, values = values }
+  self.queue:offer(new_event("skipped", m, values), m.visited)
 end
 
 --- Report a frame of a message that has not ended, in case the capture ends before the message.
--- m  as for Intake:faults; its frame, time and visited may change later: those of the latest count
+-- Those of the latest count.
 function Intake:part(m)
-  source_of(self, m).parts[m.seq] = m
+  state_of(self, m.source).parts[m.seq] = m
 end
 
 --- Report what may be the Start of a message that is not dissected: its ID is unknown, and it has a
 -- Seq No.  It is one if a message of the catalogue has its size, or if its Seq No is the next one.
--- m  { id, seq, size, source, bus, bus_name, frame, time, visited }
+-- m  with size
 function Intake:start(m)
-  local source = source_of(self, m)
-  local is_message = source.start_seq and (source.start_seq + 1) % 256 == m.seq
-  for _, message in ipairs(self.reader.messages) do
+  local state = state_of(self, m.source)
+  local is_message = state.start_seq and (state.start_seq + 1) % 256 == m.seq
+  for _, message in ipairs(self.messages) do
     is_message = is_message or m.size == message.size
   end
-  source.start_seq = m.seq
+  state.start_seq = m.seq
   if is_message then
-    self.queue:offer(new_event("start", m, source, { size = m.size }), m.visited)
+    self.queue:offer(new_event("start", m, { size = m.size }), m.visited)
   end
 end
 
 --- Return the events of the messages that the capture ends before, in the order of their frames.
--- messages  list of { source = key, seq, frame = number of their last frame }
+-- messages  list of { source, seq, number = frame key of their last frame }
 function Intake:unfinished(messages)
   local events = {}
   for _, message in ipairs(messages) do
-    local source = self.sources[message.source]
-    local part = source and source.parts[message.seq]
-    if part and part.frame == message.frame then
-      events[#events + 1] = new_event("unfinished", part, source)
+    local state = self.states[message.source]
+    local part = state and state.parts[message.seq]
+    if part and number_of(part.number) == number_of(message.number) then
+      events[#events + 1] = new_event("unfinished", part)
     end
   end
   table.sort(events, function(a, b) return a.frame < b.frame end)

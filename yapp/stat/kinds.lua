@@ -126,21 +126,22 @@ M.NOTHING = {}
 
 --- Makes an event: what statistics list and count.
 -- kind    "message" for a good message, else the name of a row
--- at      { time = seconds since the first packet, frame = number }, and of a message, too: seq,
---         payload, raws = its raw values, nil where the catalogue does not decode it
--- source  { key = of bus or stream and ID, bus_key, bus = its name or nil, name = that the user
---         gave it or nil, id =, message = compiled or nil }: one table for all its events
+-- frame   number of the packet; time = seconds since the first one
+-- source  of message.reader, one table for all its events; for events of a bus, or of the capture,
+--         with its bus and name alone, or with nothing
 -- values  by the keys of its kind, and by those in its text; of a message see stat.intake
-function M.event(kind, at, source, values)
+-- m       of a message: { seq, payload, raws = its raw values, nil where the catalogue does not
+--         decode it }
+function M.event(kind, frame, time, source, values, m)
   return {
     kind = kind,
-    time = at.time,
-    frame = at.frame,
+    time = time,
+    frame = frame,
     source = source,
     values = values or M.NOTHING,
-    seq = at.seq,
-    payload = at.payload,
-    raws = at.raws,
+    seq = m and m.seq,
+    payload = m and m.payload,
+    raws = m and m.raws,
   }
 end
 

@@ -148,7 +148,7 @@ end
 local function step_back(self, number, rel, step)
   self.stepped_back = self.stepped_back - step
   local values = { length = output.seconds(step), back = output.seconds(-step) }
-  local event = kinds.event("clock", { time = rel, frame = number }, {}, values)
+  local event = kinds.event("clock", number, rel, {}, values)
   for _, entry in ipairs(self.entries) do
     entry.deriver:add(event)
   end

@@ -24,7 +24,7 @@ Stat.__index = Stat
 --              message name the list of those that a preference gives it, problems = list of texts:
 --              what the user asked for and did not get }, whose values change with the
 --              preferences
---   intake     a stat.intake, reader = a message.reader, tree = a show.tree, buses = a host.buses
+--   intake     a stat.intake, tree = a show.tree, buses = a host.buses
 --   drops      function() -> what the capture does not have, see host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
 --              frame }
@@ -117,7 +117,7 @@ local function open(self)
   local hint = has_display_filter() and NO_NARROWING or nil
   self.queue, self.taps = queue.new(self.settings, hint), {}
   self.is_exact, self.extended = false, 0
-  self.intake:open(self.queue, self.reader)
+  self.intake:open(self.queue, self.settings.catalogue.messages)
   self.watch()
   tap_extended(self)
   tap_packets(self)

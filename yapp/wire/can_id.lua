@@ -8,6 +8,9 @@ local M = {}
 
 local char, floor = string.char, math.floor
 
+--- How far the slots of two buses lie apart, see M.slot.
+M.BUS = 0x20000000
+
 -- CAN CTRL: 0 is a single frame, 2 a Middle.
 M.START, M.END = 1, 3
 M.KINDS = { [0] = "Single", "Start", "Middle", "End" }
@@ -36,8 +39,7 @@ end
 
 --- The fields of a 29-bit CAN id ("CAN Message IDs"): fields[id], for 0 .. 0x1FFFFFFF, is
 --   { id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, message_key = what the frames of
---   a
---   message share: the id without CAN CTRL }
+--   a message share: the id without CAN CTRL }
 -- Usually the same table for the same id: read only.  A bus has few, a hostile capture any number:
 -- those without a reference go with the next collection.
 M.fields = setmetatable({}, { __mode = "v", __index = split })
@@ -45,7 +47,7 @@ M.fields = setmetatable({}, { __mode = "v", __index = split })
 --- Return the slot of a message: one number for its key and its bus.
 -- bus  number; false where it is not known
 function M.slot(fields, bus)
-  return fields.message_key + (bus or 0) * 0x20000000
+  return fields.message_key + (bus or 0) * M.BUS
 end
 
 --- How many bytes of CAN FD padding a last, or single, frame carries.
