@@ -144,7 +144,7 @@ local takes_all, is_heuristic = false, false -- takes_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
   if takes_all then return all.dissector(tvb, pinfo, root) > 0 end
-  if intake.wanted then frames:report_start(tvb, pinfo, find_id) end
+  if intake.wanted then frames:report_unknown(tvb, pinfo, find_id) end
   return false
 end
 

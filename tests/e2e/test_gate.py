@@ -508,6 +508,28 @@ def test_a_firmware_that_appended_bytes(folder):
     assert (one["frame"], one["message"], one["size"], one["count"], one["like"]) == (6, "motor", 36, 30, None)
 
 
+def command_payload(index):
+    return bytes([1, 0xA5 if index % 2 else 0x5A, 1, index, 0x7F, 0xFD, 0x7F])
+
+
+def test_single_frames_of_an_unknown_id(folder):
+    """Commands of an ID that is not listed look like Commands: said, with the preference.  Other programs' frames do not."""
+    placed = list(CLEAN)
+    for index in range(20):
+        command, at = command_payload(index), BEGIN + 50_000_000 + index * 100_000_000
+        other = bytearray(command)
+        other[index % 3] = 9
+        placed += [(at, Frame(0x005 << 18, command, bus=1)), (at + 300_000, Frame(0x006 << 18, bytes(other), bus=1))]
+    (folder / "run.pcapng").write_bytes(pcapng(sorted(placed, key=lambda one: one[0]), ("can0", "can1")))
+    text = "20 messages were not decoded: can1 0x5 (7 bytes each, the size of Command). Try -o yapp.command_ids:0x0,0x5"
+    for passes in (), ("-2",):
+        done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults")
+        assert done.stdout.splitlines()[1:] == [text]
+    assert tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,check", check=False).returncode == 20
+    done = tshark.run(*advice(text), "-q", "-r", folder / "run.pcapng", "-z", "yapp,check,unknown=0,command.count=20")
+    assert "not decoded" not in done.stdout
+
+
 def test_csv_in_a_folder_says_what_was_not_decoded(folder):
     (folder / "run.pcapng").write_bytes(controllers(EIGHT))
     done = tshark.run("-q", "-r", folder / "run.pcapng", "-z", f"yapp,csv,{folder}/tables")

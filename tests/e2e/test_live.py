@@ -679,15 +679,16 @@ def test_commands_of_the_document(home, folder, port, second, command):
     process = run_tshark(home, *tshark.load(), "-l", "-i", "yapp-serial", *command.split())
     port.wait_until_open()
     port.write(FRAME[:42] + FRAME)  # the first is cut off
+    both = folder / "both.pcapng"
     if "both" in command:
-        wait_for(lambda: FRAME in (folder / "both.pcapng").read_bytes())
+        wait_for(lambda: both.exists() and FRAME in both.read_bytes())
     else:
         wait_for(lambda: any(FRAME in path.read_bytes() for path in opened_captures()))
     process.send_signal(signal.SIGINT)
     out, errors = ends(process)
     assert "captured" in errors
     if "both" in command:
-        assert (folder / "both.pcapng").read_bytes().count(FRAME) == 1
+        assert both.read_bytes().count(FRAME) == 1
     else:
         assert ("Motor Data" in out) == ("fault.active" not in command)
 

@@ -37,6 +37,19 @@ function T.test_the_ends_and_the_middle_are_exact()
   lu.assertTrue(decode.float(f, 0) == -10 and decode.float(f, 65530) == 5)
 end
 
+-- A message is recognised by its values only if enough of them can be wrong.
+function T.test_what_bytes_look_like()
+  local taurus = catalogue.compile(dofile("taurus_fields.lua"))
+  local command, health = taurus.by_id[0], taurus.by_id[0x200]
+  for bytes, expected in pairs {
+    ["\1\165\1\0\0\0\0"] = true, ["\0\90\0\255\255\0\0"] = true, -- a reserved count is defined
+    ["\2\165\1\0\0\0\0"] = false, ["\1\0\1\0\0\0\0"] = false, ["\1\165\2\0\0\0\0"] = false,
+  } do
+    lu.assertEquals(decode.is_plausible(command, bytes), expected)
+  end
+  lu.assertFalse(decode.is_plausible(health, ("\0"):rep(17))) -- one of its fields has bits that nothing defines
+end
+
 -- The value nearest to 0 V is at 43,687 counts, as the table says.
 function T.test_zero_is_at_43687_counts()
   local f, best = field("float16", -10, 5), nil

@@ -785,7 +785,7 @@ function T.test_preferences_that_decode()
 end
 
 function T.test_messages_that_are_not_dissected()
-  local records = { record(1, 0), record(2, 1, { kind = "start", source = ODD, values = { size = 11 }, fits = false }) }
+  local records = { record(1, 0), record(2, 1, { kind = "undissected", source = ODD, values = { size = 11 }, fits = false }) }
   lu.assertStrContains(said(records)[2], "1 message was not decoded: can0 0x300 (11 bytes, the size of Motor Data). Try")
   lu.assertEquals(verdicts("unknown=0", records)[1], "unknown=0 null false 1 2")
   local printed, code = run({ "check" }, { records[2] }, { extended = 5 })

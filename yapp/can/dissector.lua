@@ -2,6 +2,7 @@
 -- The dissector of YAPP on CAN: shows what a frame is.  Wireshark's API.
 
 local can_id = require "yapp.wire.can_id"
+local decode = require "yapp.message.decode"
 local frame_key = require "yapp.base.frame_key"
 local reassembly = require "yapp.can.reassembly"
 local show_fields = require "yapp.show.fields"
@@ -12,7 +13,7 @@ local M = {}
 local KINDS, START, END = can_id.KINDS, can_id.START, can_id.END
 local add, add_le, append_text = show_fields.add, show_fields.add_le, show_fields.append_text
 local fields_of, BUS = can_id.fields, can_id.BUS
-local number_of, PACKET = frame_key.number, frame_key.PACKET
+local number_of, PACKET, sub = frame_key.number, frame_key.PACKET, string.sub
 -- A method that Lua has to look up in a Tvb costs more than what it does.
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
 
@@ -192,7 +193,7 @@ local function show_single(self, frame)
   local size = source.size and
     can_id.single_size(data, reported, source.min_size or source.size, source.size) or reported
   local status = #data == reported and "good" or "truncated"
-  local m = new_message(self, frame, status, data:sub(1, size), size)
+  local m = new_message(self, frame, status, sub(data, 1, size), size)
   frame.payload_tvb = frame.wants.tree and frame.tvb
   read(self, frame, m)
   local info = self.tree:payload(m, frame)
@@ -382,16 +383,28 @@ function Dissector:without_id(tvb, pinfo, tree)
   return tvb:reported_len()
 end
 
---- Report to the statistics what may be a Start that nothing dissects: it has the bytes of one.
+-- Return the payload sizes of the messages that a frame may be: { [CAN CTRL] = size }.  It has the
+-- bytes of a Start, or values of a message of the catalogue that fits into one frame.
+local function possible_sizes(self, data)
+  local sizes, _, size, reserved = {}, can_id.start(data)
+  if #data == 8 and reserved == 0 and size > 8 then sizes[START] = size end
+  for _, message in ipairs(self.reader.messages) do
+    size = can_id.single_size(data, #data, message.size, message.size)
+    if size and decode.is_plausible(message, sub(data, 1, size)) then sizes[0] = size end
+  end
+  return sizes
+end
+
+--- Report to the statistics what may be a Start or a single frame that nothing dissects.
 -- find_id  function(pinfo) -> 29-bit CAN id, or nil
-function Dissector:report_start(tvb, pinfo, find_id)
-  if length_of(tvb) ~= 8 then return end
-  local _, size, reserved = can_id.start(raw_of(tvb))
-  local id = reserved == 0 and size > 8 and find_id(pinfo)
+function Dissector:report_unknown(tvb, pinfo, find_id)
+  local length = length_of(tvb)
+  local sizes = possible_sizes(self, length > 0 and raw_of(tvb) or "")
+  local id = next(sizes) and find_id(pinfo)
   local fields = id and fields_of[id]
-  if not fields or fields.ctrl ~= START or fields.ctl ~= 0 then return end
-  local frame = new_frame(self, tvb, 8, pinfo, nil, id, false)
-  self.stat:start(new_message(self, frame, nil, nil, size))
+  if not fields or fields.ctl ~= 0 or not sizes[fields.ctrl] then return end
+  local frame = new_frame(self, tvb, length, pinfo, nil, id, false)
+  self.stat:unknown(new_message(self, frame, nil, nil, sizes[fields.ctrl]))
 end
 
 --- Return the messages that the capture ends before.

@@ -415,4 +415,24 @@ function M.remarks(message, raws)
   return remarks[1] and remarks or nil
 end
 
+local IS_DEFINED = { ["value.special"] = true, ["fault.active"] = true } -- remarks on defined values
+
+--- Return whether a remark is on a value that the catalogue does not define.
+function M.is_undefined(remark)
+  return not IS_DEFINED[remark[2]]
+end
+
+--- Return whether bytes look like a message: all its values are defined, and two of its fields at
+-- least have values that are not.  Random bytes of Command's size do in one of two million cases.
+function M.is_plausible(message, payload)
+  local checked = 0
+  for _, remark in ipairs(M.remarks(message, (M.read(message, payload))) or {}) do
+    if M.is_undefined(remark) then return false end
+  end
+  for _, field in ipairs(message.fields) do
+    if field.invalid or field.undefined and field.undefined ~= 0 then checked = checked + 1 end
+  end
+  return checked >= 2
+end
+
 return M

@@ -192,9 +192,9 @@ function Deriver:take(event, now, counts)
   if counts then self:add(event, now) end
 end
 
---- Take what may be the Start of a message that is not dissected.
+--- Take what may be a message that is not dissected.
 -- is_sure  whether other messages came: then it is an `unknown` event
-function Deriver:start(event, is_sure)
+function Deriver:take_undissected(event, is_sure)
   local values = self.undecoded:note(event.source, event.values.size)
   if is_sure then emit(self, "unknown", event, event.time, values) end
 end

@@ -28,7 +28,6 @@ local LOSSES = {
 -- are no events: their anomalies are.
 local KIND_OF = { good = "message", bad = "crc", truncated = "incomplete" }
 local INCOMPLETE = { what = "incomplete" }
-local DEFINED = { ["value.special"] = true, ["fault.active"] = true } -- remarks on defined values
 local EFFECTS = { ["command.key.invalid"] = " (the controller ignores this command)" }
 
 local Intake = {}
@@ -75,7 +74,7 @@ local function state_of(self, source)
     state = {
       parts = {}, -- by Seq: see Intake:part
       orphan = false, -- or { seq }: the message that lost its Start, while its frames come
-      start_seq = nil, -- see Intake:start
+      unknown_seq = nil, -- the latest, see Intake:unknown
     }
     self.states[source] = state
   end
@@ -110,15 +109,15 @@ end
 local function invalid_of(m)
   local message, list = m.source.message, nil
   for _, remark in ipairs(decode.remarks(message, m.raws) or NOTHING) do
-    local index, expert = remark[1], remark[2]
-    if not DEFINED[expert] then
+    local index = remark[1]
+    if decode.is_undefined(remark) then
       local raw = m.raws[index]
       list = list or {}
       list[#list + 1] = {
         field = message.fields[index].name,
         value = raw,
         code = code_of(raw),
-        effect = EFFECTS[expert],
+        effect = EFFECTS[remark[2]],
       }
     end
   end
@@ -199,18 +198,18 @@ function Intake:part(m)
   state_of(self, m.source).parts[m.seq] = m
 end
 
---- Report what may be the Start of a message that is not dissected: its ID is unknown, and it has a
--- Seq No.  It is one if a message of the catalogue has its size, or if its Seq No is the next one.
+--- Report what may be a message that is not dissected, or the Start of one: its ID is unknown.  It is
+-- one if a message of the catalogue has its size, or if its Seq No is the next one.
 -- m  with size
-function Intake:start(m)
+function Intake:unknown(m)
   local state = state_of(self, m.source)
-  local is_message = state.start_seq and (state.start_seq + 1) % 256 == m.seq
+  local is_message = state.unknown_seq and (state.unknown_seq + 1) % 256 == m.seq
   for _, message in ipairs(self.messages) do
     is_message = is_message or m.size == message.size
   end
-  state.start_seq = m.seq
+  state.unknown_seq = m.seq
   if is_message then
-    self.queue:offer(new_event("start", m, { size = m.size }), m.visited)
+    self.queue:offer(new_event("undissected", m, { size = m.size }), m.visited)
   end
 end
 

@@ -45,7 +45,7 @@ function Queue:reset()
   self.stepped_back = 0 -- seconds that the capture's clock went back, in all
   self:begins(0, 0, 0) -- packets may have no time
   self.losses = {} -- events that may be taken back before the end
-  self.starts = {} -- events of messages that are not dissected: they count if others are
+  self.undissected = {} -- events of messages: they count if others are dissected
   self.has_messages = false
   self.is_direct = false
   for _, entry in ipairs(self.entries) do
@@ -85,8 +85,8 @@ end
 local function take(self, event)
   if event.values.loss then
     self.losses[#self.losses + 1] = event
-  elseif event.kind == "start" then
-    self.starts[#self.starts + 1] = event
+  elseif event.kind == "undissected" then
+    self.undissected[#self.undissected + 1] = event
   else
     hand_on(self, event)
   end
@@ -214,8 +214,8 @@ end
 -- returns  what its answer leaves out, whether it is undecided for that; its exit code and text
 local function finish_entry(self, entry, capture, nothing)
   local deriver = entry.deriver
-  for _, event in ipairs(self.starts) do
-    if counts(entry, event) then deriver:start(event, nothing == nil) end
+  for _, event in ipairs(self.undissected) do
+    if counts(entry, event) then deriver:take_undissected(event, nothing == nil) end
   end
   local ending = {
     rel = self.last, -- of the last packet of any kind, nil where there was none

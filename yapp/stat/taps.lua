@@ -28,7 +28,7 @@ Stat.__index = Stat
 --   drops      function() -> what the capture does not have, see host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
 --              frame }
---   watch      function(), from which on Intake:start is called }
+--   watch      function(), from which on Intake:unknown is called }
 function M.new(parts)
   return setmetatable(parts, Stat)
 end
@@ -81,7 +81,7 @@ local function tap_clock(self)
   return clock
 end
 
--- The tap that counts extended frames.  It builds trees, which say the CAN id of the first Starts
+-- The tap that counts extended frames.  It builds trees, which say the CAN id of the first frames
 -- that no dissector takes; in tshark it goes once there is a message of ours.
 local function tap_extended(self)
   local tap = listen(self, EXTENDED)
