@@ -422,8 +422,8 @@ function M.is_undefined(remark)
   return not IS_DEFINED[remark[2]]
 end
 
---- Return whether bytes look like a message: all its values are defined, and two of its fields at
--- least have values that are not.  Random bytes of Command's size do in one of two million cases.
+--- Return whether bytes look like a message: all its values are defined, and at least two of its
+-- fields have values that are not.  Random bytes of Command's size do in one of two million cases.
 function M.is_plausible(message, payload)
   local checked = 0
   for _, remark in ipairs(M.remarks(message, (M.read(message, payload))) or {}) do

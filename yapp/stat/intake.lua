@@ -198,8 +198,8 @@ function Intake:part(m)
   state_of(self, m.source).parts[m.seq] = m
 end
 
---- Report what may be a message that is not dissected, or the Start of one: its ID is unknown.  It is
--- one if a message of the catalogue has its size, or if its Seq No is the next one.
+--- Report what may be a message that is not dissected, or the Start of one: its ID is unknown.  It
+-- is one if a message of the catalogue has its size, or if its Seq No is the next one.
 -- m  with size
 function Intake:unknown(m)
   local state = state_of(self, m.source)
