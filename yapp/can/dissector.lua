@@ -236,11 +236,10 @@ local function fragment_text(frame)
   local count = #frame.data == 8 and texts.usual or 0
   if message.status == "good" then count = #message end
   if message[index] ~= frame.key then return source.label .. "  duplicate fragment" end
-  local is_usual = index <= count and count == texts.usual
-  if index == 1 or is_usual and texts[index] then return texts[index] end
-  local of = index <= count and " of " .. count or ""
-  local text = ("%s  fragment %d%s"):format(source.label, index, of)
-  if is_usual then texts[index] = text end
+  if index == 1 or count == texts.usual and texts[index] then return texts[index] end
+  if index > count then return ("%s  fragment %d"):format(source.label, index) end
+  local text = ("%s  fragment %d of %d"):format(source.label, index, count)
+  if count == texts.usual then texts[index] = text end
   return text
 end
 

@@ -415,7 +415,8 @@ function M.remarks(message, raws)
   return remarks[1] and remarks or nil
 end
 
-local IS_DEFINED = { ["value.special"] = true, ["fault.active"] = true } -- remarks on defined values
+-- Remarks on values that are defined.
+local IS_DEFINED = { ["value.special"] = true, ["fault.active"] = true }
 
 --- Return whether a remark is on a value that the catalogue does not define.
 function M.is_undefined(remark)
