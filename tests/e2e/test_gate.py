@@ -530,6 +530,42 @@ def test_single_frames_of_an_unknown_id(folder):
     assert "not decoded" not in done.stdout
 
 
+@pytest.mark.parametrize("payload", [overheated, command_payload])
+def test_a_yapp_ctl_other_than_0(folder, payload):
+    """The vendor plans to use it: such messages are not dissected, but said.  The preference decodes them."""
+    size = len(payload(0))
+    ident, title = (0x210, "Motor Data") if size == 32 else (0, "Command")
+    placed = list(CLEAN)
+    for index in range(20):
+        at = BEGIN + 40_000_000 + index * 100_000_000
+        frames = Sent(ident, 1, index, payload(index)).frames() if size > 8 else [Frame(ident << 18 | 1 << 8 | index, payload(index))]
+        for place, frame in enumerate(frames):
+            frame.bus = 1
+            placed.append((at + place * 300_000, frame))
+    (folder / "run.pcapng").write_bytes(pcapng(sorted(placed, key=lambda one: one[0]), ("can0", "can1")))
+    text = f"20 messages were not decoded: can1 {ident:#x} ({size} bytes each, {title} with a YAPP CTL other than 0). " \
+        "Try -o yapp.all_extended:TRUE"
+    for passes in (), ("-2",):
+        done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults")
+        assert done.stdout.splitlines()[1:] == [text]
+    done = tshark.run(*advice(text), "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults")
+    assert "not decoded" not in done.stdout and ("motor_overcurrent" in done.stdout) == (payload is overheated)
+
+
+def test_a_single_frame_of_another_size(folder):
+    """A firmware that appended a byte to Command: not dissected, but said; a remote frame is no message."""
+    placed = list(CLEAN)
+    for index in range(20):
+        at = BEGIN + 40_000_000 + index * 100_000_000
+        placed.append((at, Frame(index, command_payload(index) + b"x", bus=1)))
+        placed.append((at + 300_000, Frame(index, bytes(8), kind="remote", bus=1)))
+    (folder / "run.pcapng").write_bytes(pcapng(sorted(placed, key=lambda one: one[0]), ("can0", "can1")))
+    text = "20 messages were not decoded: can1 0x0 (8 bytes each, Command has 7)"
+    for passes in (), ("-2",):
+        done = tshark.run(*passes, "-q", "-r", folder / "run.pcapng", "-z", "yapp,faults")
+        assert done.stdout.splitlines()[1:] == [text]
+
+
 def test_csv_in_a_folder_says_what_was_not_decoded(folder):
     (folder / "run.pcapng").write_bytes(controllers(EIGHT))
     done = tshark.run("-q", "-r", folder / "run.pcapng", "-z", f"yapp,csv,{folder}/tables")

@@ -346,6 +346,18 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   return frame
 end
 
+-- Report to the statistics a single frame that has the ID of a message, but another size.  One of
+-- zeros may be a remote frame.
+-- returns  0, as it is not dissected
+local function refuse(self, frame)
+  local fields = frame.can_id
+  local is_single = fields.ctrl == 0 and fields.ctl == 0 and not ZEROS[frame.data]
+  if self.stat.wanted and is_single and frame.source.size then
+    self.stat:unknown(new_message(self, frame, nil, nil, frame.reported))
+  end
+  return 0
+end
+
 --- Dissect one frame.
 -- id           29-bit CAN id
 -- accepts_all  whether the user says that every extended frame is YAPP
@@ -362,7 +374,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   end
   if may_be_remote and socketcan.is_remote(pinfo) then return 0 end
   if not frame.visited then kind, message, anomalies = known:take(frame) end
-  if not kind then return 0 end
+  if not kind then return refuse(self, frame) end
   if frame.can_id.ctrl == START then self.register_id(frame.source.id) end
   frame.message, frame.anomalies, frame.index = message or false, anomalies, index or false
   show(self, frame, kind)
@@ -394,16 +406,20 @@ local function possible_sizes(self, data)
   return sizes
 end
 
---- Report to the statistics what may be a Start or a single frame that nothing dissects.
+--- Report to the statistics what may be a Start or a single frame that nothing dissects: of an
+-- unknown ID, or with a YAPP CTL other than 0.
 -- find_id  function(pinfo) -> 29-bit CAN id, or nil
 function Dissector:report_unknown(tvb, pinfo, find_id)
   local length = length_of(tvb)
   local sizes = possible_sizes(self, length > 0 and raw_of(tvb) or "")
   local id = next(sizes) and find_id(pinfo)
   local fields = id and fields_of[id]
-  if not fields or fields.ctl ~= 0 or not sizes[fields.ctrl] then return end
+  local size = fields and sizes[fields.ctrl]
+  if not size then return end
   local frame = new_frame(self, tvb, length, pinfo, nil, id, false)
-  self.stat:unknown(new_message(self, frame, nil, nil, sizes[fields.ctrl]))
+  -- With another YAPP CTL than 0, it is YAPP's only if ID and size are of one message.
+  if fields.ctl ~= 0 and size ~= frame.source.size then return end
+  self.stat:unknown(new_message(self, frame, nil, nil, size))
 end
 
 --- Return the messages that the capture ends before.

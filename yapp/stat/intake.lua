@@ -198,12 +198,13 @@ function Intake:part(m)
   state_of(self, m.source).parts[m.seq] = m
 end
 
---- Report what may be a message that is not dissected, or the Start of one: its ID is unknown.  It
--- is one if a message of the catalogue has its size, or if its Seq No is the next one.
+--- Report what may be a message that is not dissected, or the Start of one.  It is one if its ID is
+-- known, if a message of the catalogue has its size, or if its Seq No is the next one.
 -- m  with size
 function Intake:unknown(m)
   local state = state_of(self, m.source)
-  local is_message = state.unknown_seq and (state.unknown_seq + 1) % 256 == m.seq
+  local is_next = state.unknown_seq and (state.unknown_seq + 1) % 256 == m.seq
+  local is_message = is_next or m.source.message
   for _, message in ipairs(self.messages) do
     is_message = is_message or m.size == message.size
   end

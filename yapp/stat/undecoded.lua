@@ -19,29 +19,33 @@ Undecoded.__index = Undecoded
 function M.new(settings)
   return setmetatable({
     settings = settings,
-    -- { source, size, is_part = whether the first bytes were decoded, likes = messages of this
-    -- size, about = a text, values = of its events } each
+    -- { source, size, is_part = whether the first bytes were decoded, is_own = whether the size is
+    -- that of the source's message, likes = messages of this size, about = a text, values = of its
+    -- events } each
     entries = {},
     by_source = {}, -- by source, by size
   }, Undecoded)
 end
 
 -- What there is to say of a size.
-local function describe(source, likes)
+-- is_own  whether it is that of the source's message
+local function describe(source, likes, is_own)
   local titles, own = {}, source.message
+  if is_own then return ("%s with a YAPP CTL other than 0"):format(own.title) end
   for i, message in ipairs(likes) do titles[i] = message.title end
   if likes[1] then return "the size of " .. table.concat(titles, " and of ") end
   return own and ("%s has %d"):format(own.title, own.size) or "the size of no known message"
 end
 
 local function new_entry(self, source, size, rest)
-  local likes = {}
+  local likes, is_own = {}, false
   for _, message in ipairs(self.settings.catalogue.messages) do
     if size <= message.size and size >= (message.min_size or message.size) then
       likes[#likes + 1] = message
+      is_own = is_own or message == source.message
     end
   end
-  local about = describe(source, likes)
+  local about = describe(source, likes, is_own)
   local note = rest and ("the last %d not decoded, "):format(rest) or "not decoded, "
   local values = { size = size, count = 0, note = note .. about }
   if likes[1] then values.like = likes[1].name end
@@ -49,6 +53,7 @@ local function new_entry(self, source, size, rest)
     source = source,
     size = size,
     is_part = rest ~= nil,
+    is_own = is_own,
     likes = likes,
     about = about,
     values = values,
@@ -95,9 +100,10 @@ local function part_of(entry)
   return ("%s0x%x=%s:%s"):format(bus and bus .. "/" or "", source.id, message, name)
 end
 
--- Whether a preference can decode an entry.
+-- Whether a preference of IDs can decode an entry.
 local function is_decodable(entry)
-  return entry.likes[1] and not entry.is_part and entry.source.id <= MAX_ID
+  local is_other = not (entry.is_part or entry.is_own)
+  return is_other and entry.likes[1] and entry.source.id <= MAX_ID
 end
 
 -- By ID the size of its messages; false if they have several, or if it is a message's already.
@@ -138,6 +144,9 @@ end
 local function advice_of(self)
   local settings, texts, sizes = self.settings, {}, {}
   local ids, parts = plan(self)
+  for _, entry in ipairs(self.entries) do
+    if entry.is_own then texts[1] = "-o yapp.all_extended:TRUE" end
+  end
   for _, message in ipairs(settings.catalogue.messages) do
     local list = ids[message]
     if list then
