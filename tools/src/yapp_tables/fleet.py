@@ -48,7 +48,7 @@ def convert(
         with _executor(scheduler, jobs or os.cpu_count() or 1) as pool:
             done |= _run(waiting, config, pool)
         _write_failures(dataset, done)
-        if config.to == "parquet":
+        if config.to in ("parquet", "csv"):
             dataset.extend()
         elif config.to == "delta" and waiting:
             names = {name for result in done.values() for name in result.messages}

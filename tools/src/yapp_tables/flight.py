@@ -18,6 +18,7 @@ from .tables import (
     Message,
     Origin,
     Rows,
+    catalogue_version,
     faults,
     nothing_in,
     plugin_version,
@@ -57,7 +58,7 @@ class Flight(Mapping[str, pa.Table]):
         self.summary = table(export.records["summary"], SUMMARY)
         self.statistics = statistics(export.records["summary"])
         self.aircraft: str | None = None
-        self.catalogue = list(export.fields["messages"])
+        self.catalogue = catalogue_version(export.fields)
         found = present(export)
         if not found:
             raise CaptureError(nothing_in(capture, export))

@@ -138,8 +138,7 @@ class Report:
             if "revision" in row["field"].lower() or "version" in row["field"].lower():
                 found.append([row["field"].lower(), row["value"]])
         first = self.flights[0]
-        catalogue = ", ".join(first.catalogue)
-        return [*found, ["catalogue", catalogue], *([["aircraft", first.aircraft]] if first.aircraft else [])]
+        return [*found, ["catalogue", first.catalogue], *([["aircraft", first.aircraft]] if first.aircraft else [])]
 
     def _add(self, flight: Flight, start: int, prefix: str) -> list[Record]:
         """Draw a flight; returns its incidents."""

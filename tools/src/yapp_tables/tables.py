@@ -92,6 +92,12 @@ def digests(fields: Record) -> dict[str, str]:
     return {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in texts.items()}
 
 
+def catalogue_version(fields: Record) -> str:
+    """Return the messages of the catalogue, and a short name of what it says of all of them."""
+    whole = hashlib.sha256(json.dumps(digests(fields), sort_keys=True).encode()).hexdigest()[:8]
+    return f"{', '.join(fields['messages'])} ({whole})"
+
+
 def plugin_version(fields: Record) -> str:
     """The version of the plugin that wrote fields.json."""
     return str(fields["plugin"])
