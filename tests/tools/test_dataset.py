@@ -156,6 +156,13 @@ def test_results_of_2_1_are_not_mixed_with_these(make_capture, tmp_path):
     assert "choose another folder" in convert(tmp_path, "flight.pcapng", code=2)
 
 
+def test_a_url_with_a_slip_is_no_folder(make_capture, tmp_path):
+    assert "s3:/bucket is neither a folder nor a URL" in convert(
+        tmp_path, flight(make_capture), out="s3:/bucket", code=2
+    )
+    assert not (tmp_path / "s3:").exists()
+
+
 def test_a_cloud(make_capture, tmp_path, monkeypatch):
     moto = pytest.importorskip("moto.server")
     server = moto.ThreadedMotoServer(port=0)
