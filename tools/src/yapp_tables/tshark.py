@@ -93,8 +93,7 @@ class Tshark:
         complaints = () if partial else _complaints(done)
         records = _records(done.stdout)
         titles = {name: entry["title"] or name for name, entry in fields["messages"].items()}
-        known = " ".join((*self.options, done.stderr))
-        lost = undecoded(records["events"], records["summary"], titles, known)
+        lost = undecoded(records["events"], records["summary"], titles, done.stderr)
         return Export(csv, fields, records, partial, complaints, lost)
 
     def ask(self, capture: Path, folder: str, statistics: Sequence[str]) -> tuple[list[Record], list[str]]:
