@@ -98,11 +98,6 @@ def catalogue_version(fields: Record) -> str:
     return f"{', '.join(fields['messages'])} ({whole})"
 
 
-def plugin_version(fields: Record) -> str:
-    """The version of the plugin that wrote fields.json."""
-    return str(fields["plugin"])
-
-
 def _message(name: str, entry: Record) -> Message:
     own = [column for column in entry["columns"] if column["name"] not in HEAD and column["name"] != CRC_GOOD]
     return Message(
@@ -332,7 +327,7 @@ def all_tables(export: Export, origin: Origin) -> list[Table]:
         spans = [each.span for each in rows if each.span]
         start, end = min(span[0] for span in spans), max(span[1] for span in spans)
         about = {"capture": str(origin.capture), "start": start, "length": (end - start) / 1e9}
-        about |= {"aircraft": origin.aircraft, "plugin": plugin_version(export.fields), "tools": version("yapp-tables")}
+        about |= {"aircraft": origin.aircraft, "plugin": export.fields["plugin"], "tools": version("yapp-tables")}
         about |= {"options": " ".join(origin.tshark.options), "messages": sum(each.count for each in rows)}
         about |= {"faults": pc.sum(pc.equal(events["event"], "raised")).as_py() or 0, "partial": export.partial}
         about |= {"undecoded": export.undecoded or None, "left_out": "; ".join(export.complaints) or None}
