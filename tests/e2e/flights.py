@@ -349,7 +349,7 @@ def numbers(sender, payload):
             found[field] = None if special else model.value(count, size, kind[0], kind[1])
         elif field == "board_revision":
             found[field] = count
-    for name in model.MESSAGES[KIND[sender.kind]].derived:
+    for name in model.MESSAGES[KIND[sender.kind]].generated:
         field, sign, other = model.MESSAGES[KIND[sender.kind]].generated[name]
         found[name] = None if None in (found[field], found[other]) else OPERATORS[sign](found[field], found[other])
     return found

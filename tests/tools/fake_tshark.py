@@ -3,7 +3,7 @@
 """A stand-in for tshark with the plugin, for what the real one does not do on demand: it crashes, refuses, hangs.
 
 Its captures are JSON: {"motor": [row, ...], "events": [...], "summary": [...], "does": [what the 1st, 2nd, ... run
-does]}; a row is {column: text}.
+does], "says": on stderr}; a row is {column: text}.
 """
 
 import itertools
@@ -59,6 +59,7 @@ def main(arguments):
         with capture.with_suffix(".asked").open("a") as file:
             file.write(json.dumps(asked) + "\n")
     flight = json.loads(content) if content.startswith(b"{") else {}
+    print(flight.get("says", ""), file=sys.stderr)
     code = behave(capture, flight.get("does", []))
     for name, what, *rest in wanted:
         assert name == "yapp", name

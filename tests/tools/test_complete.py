@@ -23,13 +23,14 @@ def source(number, message="motor"):
     return AT | {"id": number, "message": message, "count": 1}
 
 
+SAYS = "yapp: 648 messages were not decoded: can0 0x211, 0x212, 0x213 (32 bytes). Try -o yapp.motor_ids:0x210-0x213"
 EVENTS = [unknown(0x211), unknown(0x212), unknown(0x213)]
 SUMMARY = [source(0x210), source(0x200, "note"), *(source(number, None) for number in (0x211, 0x212, 0x213))]
 
 
 @pytest.fixture
 def capture(make_capture):
-    return make_capture("flight.pcapng", motor=[motor_row(0)], events=EVENTS, summary=SUMMARY)
+    return make_capture("flight.pcapng", motor=[motor_row(0)], events=EVENTS, summary=SUMMARY, says=SAYS)
 
 
 def test_read_warns(capture):
@@ -63,24 +64,24 @@ def test_report_says_it_first(capture, yapp_tables, tmp_path):
 
 
 def test_a_capture_without_a_decoded_message(make_capture, yapp_tables):
-    path = make_capture("flight.pcapng", events=EVENTS, summary=SUMMARY[2:])
+    path = make_capture("flight.pcapng", events=EVENTS, summary=SUMMARY[2:], says=SAYS)
     with pytest.raises(yt.CaptureError, match=r"no YAPP messages in it: 3 of 3 sources were not decoded \(648"):
         yt.read(path, tshark=FAKE)
     for command in (["report", path], ["convert", path, "--to", "csv", "--out", "data"]):
         done = yapp_tables(*command)
         assert done.returncode == 1
-        assert "set yapp.motor_ids:0x211-0x213" in done.stderr
+        assert "set yapp.motor_ids:0x210-0x213" in done.stderr
 
 
 @pytest.mark.parametrize(
     ("events", "said", "sentence"),
     [
-        ([unknown(0x211, 1)], "yapp.motor_ids:0x220,0x222",
+        ([unknown(0x211, 1)], "yapp: 1 message was not decoded: x. Try -o yapp.motor_ids:0x210-0x211,0x220,0x222\nmore",
          "1 of 2 sources was not decoded (1 message of 0x211 has the size of Motor Data): "
          "set yapp.motor_ids:0x210-0x211,0x220,0x222"),
-        ([unknown(0x211, 5, like="Motor Data")], "Try -o yapp.motor_ids:0x208-0x20a,0x210",
+        ([unknown(0x211, 5, like="Motor Data")], "x. Try -o yapp.motor_ids:0x211 -o yapp.a_ids:1 or -o yapp.b_ids:1",
          "1 of 2 sources was not decoded (5 messages of 0x211 have the size of Motor Data): "
-         "set yapp.motor_ids:0x208-0x20a,0x210-0x211"),
+         "set yapp.motor_ids:0x211 and yapp.a_ids:1 or yapp.b_ids:1"),
         ([unknown(0x210, 7, like=None, size=28, message="motor")], "",
          "1 of 1 source was not decoded (7 messages of 0x210 have 28 bytes, not the size of Motor Data)"),
         ([unknown(None, 2, like=None, size=9, bus=None, source="ttyUSB0")], "",

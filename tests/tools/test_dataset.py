@@ -124,18 +124,25 @@ def test_prune_of_an_unmounted_disk_removes_nothing(make_capture, tmp_path):
     assert len(motor(tmp_path)) == 3
 
 
-@pytest.mark.parametrize("to", ["parquet", "delta"])
+@pytest.mark.parametrize("to", ["parquet", "csv", "delta"])
 def test_a_catalogue_that_grew(make_capture, tmp_path, to):
     """What it changed is converted again; what is not there any more gets the new column, without a value."""
     old, new = flight(make_capture, "old.pcapng"), flight(make_capture, "new.pcapng", 20, added="7")
     note = make_capture("note.pcapng", note=[motor_row(0, text="x")])
     convert(tmp_path, "old.pcapng", "note.pcapng", to=to)
     old.unlink()
-    paths = list((tmp_path / "data/message=note").glob("*.parquet"))
+    paths = list((tmp_path / "data/message=note").glob(f"*.{to}"))
     times = [path.stat().st_mtime_ns for path in paths]
     grown = os.environ | {"FAKE_COLUMN": json.dumps(GROWN)}
     convert(tmp_path, new, note, to=to, env=grown)
-    table = motor(tmp_path) if to == "parquet" else DeltaTable(tmp_path / "data/message=motor").to_pyarrow_table()
+    assert len(paths) == (to != "delta")
+    if to == "delta":
+        table = DeltaTable(tmp_path / "data/message=motor").to_pyarrow_table()
+    else:
+        table = ds.dataset(tmp_path / "data/message=motor", format=to).to_table()
+        assert len({path.read_text().count(",") for path in (tmp_path / "data/message=motor").glob("*.csv")}) == (
+            to == "csv"
+        )
     assert sorted(table["added"].to_pylist(), key=str) == [7, 7, 7, None, None, None]
     assert [path.stat().st_mtime_ns for path in paths] == times
     if to == "parquet":
@@ -147,6 +154,13 @@ def test_results_of_2_1_are_not_mixed_with_these(make_capture, tmp_path):
     (tmp_path / "data/.yapp-tables").mkdir(parents=True)
     flight(make_capture)
     assert "choose another folder" in convert(tmp_path, "flight.pcapng", code=2)
+
+
+def test_a_url_with_a_slip_is_no_folder(make_capture, tmp_path):
+    assert "s3:/bucket is neither a folder nor a URL" in convert(
+        tmp_path, flight(make_capture), out="s3:/bucket", code=2
+    )
+    assert not (tmp_path / "s3:").exists()
 
 
 def test_a_cloud(make_capture, tmp_path, monkeypatch):

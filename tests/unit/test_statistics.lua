@@ -922,12 +922,14 @@ end
 
 function T.test_derived_values()
   local catalogue = catalogue_of.compile { { name = "m", title = "M", id = 1, size = 2, { "u", "uint8", "U" },
-    { "i", "uint8", "I" }, derived = { { "p", "u * i", "P", unit = "W" } } } }
+    { "i", "uint8", "I" }, derived = { { "p", "u * i", "P", unit = "W" } },
+    differences = { { "e", "i", "u", "E" } } } }
   local source = { key = 1, id = 1, message = catalogue.messages[1] }
   local records = { record(1, 0, { source = source, payload = "\3\4" }), record(2, 1, { source = source, payload = "\5\6" }) }
   local with = { catalogue = catalogue }
-  lu.assertStrContains(run({ "summary,json" }, records, with), '"p":{"min":12,"mean":21,"max":30}}')
-  lu.assertEquals(verdicts("m.p=13..,m.p=..30", records, with), { "m.p=13.. null false 1 1", "m.p=..30 null true 0 null",
+  lu.assertStrContains(run({ "summary,json" }, records, with), '"e":{"min":1,"mean":1,"max":1},"p":{"min":12,"mean":21,"max":30}}')
+  lu.assertEquals(verdicts("m.p=13..,m.p=..30,m.e=2..", records, with),
+    { "m.p=13.. null false 1 1", "m.p=..30 null true 0 null", "m.e=2.. null false 2 1",
     "unknown=0 null true 0 null" })
 end
 

@@ -181,7 +181,7 @@ end
 --   alarms (its fields with fault flags), fault_field (the first of them that has nothing else)
 --   generated { name, title, filter, unit, description, kind = "derived", operator ("*", "-" or
 --   "+"), a, b (indexes of fields) }: values worked out from two fields, see decode.derived
---   derived: those of them that tables and statistics have, too
+--   derived: those of them that tables have, too
 --   read (see decode.new_reader), write_info (see info.compile)
 -- A field has name, title, filter, index (in fields), offset, size in bytes, type, unit and section
 -- or nil, description (what a person reads of it beyond its title), and kind, with what its kind

@@ -133,7 +133,7 @@ end
 --- Return what is gathered of each source of a message: the fields that are no codes.
 function Groups:wants(message)
   local list = {}
-  for _, fields in ipairs { message.fields, message.derived } do
+  for _, fields in ipairs { message.fields, message.generated } do
     for _, field in ipairs(fields) do
       if NUMERIC[field.kind] and not field.values then
         list[#list + 1] = { field = field, is_spread = self.compares }

@@ -137,7 +137,7 @@ local function add_field(rule, name, value)
   local spread_of = name:match("^(.*)%.spread$")
   name = spread_of or name
   local field, names = find(message.fields, name)
-  field = field or find(message.derived, name)
+  field = field or find(message.generated, name)
   demand(field, "%s has no field %q, but %s", message.name, name, names)
   demand(field.kind ~= "string" and field.kind ~= "bytes",
     "%s.%s is a text, which has no range", message.name, field.name)

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The command: yapp-tables convert, report, prune; install, check, uninstall."""
+"""The command: yapp-tables convert, report, baseline, prune; install, check, uninstall."""
 
 from __future__ import annotations
 
 import argparse
 import logging
+import re
 import sys
 from collections.abc import Iterable, Sequence
+from decimal import Decimal
+from pathlib import Path
 
-from . import __version__, api, fleet, install
+from . import __version__, api, baseline, fleet, install
 from .config import Config, read_fleet
 from .convert import KINDS
 from .errors import SetupError, YappError, need
@@ -70,6 +73,11 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("--overlay", action="store_true", help="lay several flights over each other, on one page")
     report.set_defaults(run=_report)
 
+    learn = commands.add_parser("baseline", parents=[common], help="good flights to rules for -z yapp,check")
+    learn.add_argument("--out", required=True, metavar="flight.rules", help="the file of rules")
+    learn.add_argument("--margin", type=_share, default="10%", metavar="10%", help="beyond what good flights show")
+    learn.set_defaults(run=_baseline)
+
     for what, text in (
         ("install", "the plugin, live ports and profile into Wireshark"),
         ("check", "what is installed in Wireshark, and what is wrong with it"),
@@ -91,6 +99,12 @@ def _positive(text: str) -> int:
     if not text.isdigit() or int(text) == 0:
         raise argparse.ArgumentTypeError(f"{text} is not a number from 1 on")
     return int(text)
+
+
+def _share(text: str) -> Decimal:
+    if not re.fullmatch(r"\d+(\.\d+)?%", text):
+        raise argparse.ArgumentTypeError(f"{text} is not a share such as 10%")
+    return Decimal(text.rstrip("%")) / 100
 
 
 def _say(texts: Iterable[str]) -> None:
@@ -154,3 +168,11 @@ def _report(given: argparse.Namespace) -> int:
     if any(flight.partial for flight in flights):
         return FAILED
     return (FAILED if given.strict else INCOMPLETE) if any(flight.left_out for flight in flights) else 0
+
+
+def _baseline(given: argparse.Namespace) -> int:
+    captures = fleet.find(_captures(given.captures))
+    text, left = baseline.learn(captures, _config(given), given.margin)
+    Path(given.out).write_text(text, encoding="utf-8")
+    _say([*left, f"{len(captures)} flights in {given.out}"])
+    return (FAILED if given.strict else INCOMPLETE) if left else 0

@@ -11,7 +11,7 @@ from pathlib import Path
 from .config import Config, StrPath
 from .dataset import DataSet, MadeBy, Result, plain_name
 from .errors import CaptureError, SetupError, YappError, need
-from .tables import Origin, all_tables, digests, nothing_in, plugin_version, present
+from .tables import Origin, all_tables, digests, nothing_in, present
 from .tshark import Export, Tshark, check_file
 from .undecoded import left_out
 from .writers import Target, Writer
@@ -38,7 +38,7 @@ def writer(to: str) -> Writer:
 def made_by(tshark: Tshark, fields: dict[str, object]) -> MadeBy:
     """Return what results of this tshark depend on, from its fields.json."""
     options = (*tshark.options, *((f"-C {tshark.profile}",) if tshark.profile else ()))
-    return MadeBy(plugin_version(fields), digests(fields), options, tshark.filter)
+    return MadeBy(str(fields["plugin"]), digests(fields), options, tshark.filter)
 
 
 def look_up(capture: Path, dataset: DataSet, made: MadeBy) -> tuple[str, str | None, Result | None]:

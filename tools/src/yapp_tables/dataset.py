@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import shutil
@@ -176,7 +177,7 @@ class DataSet:
         self.fs.rm(f"{self.notes}/{result.flight_id}.json")
 
     def extend(self) -> None:
-        """Give the Parquet files of each message the columns of all of them; a column that is new there is null."""
+        """Give the files of each message, Parquet or CSV, the columns of all of them; what is new there is null."""
         found: dict[str, list[str]] = {}
         made: dict[str, set[str]] = {}
         for result in self.results():
@@ -186,22 +187,11 @@ class DataSet:
                 made.setdefault(message, set()).add(result.made_by.catalogue.get(message, ""))
         for message, files in found.items():
             if len(made[message]) > 1:
-                self._extend(files)
-
-    def _extend(self, files: list[str]) -> None:
-        with self.aside() as folder:
-            paths = {file: self._local(file, folder / f"{number}") for number, file in enumerate(files)}
-            schemas = {file: pq.read_schema(path) for file, path in paths.items()}
-            first = max(schemas.values(), key=len)
-            whole = pa.unify_schemas([first, *schemas.values()], promote_options="permissive")
-            for file, schema in schemas.items():
-                if schema.names == whole.names and schema.types == whole.types:
-                    continue
-                data, new = pq.read_table(paths[file], partitioning=None), folder / "new"
-                columns = [data[name] if name in data.schema.names else pa.nulls(len(data)) for name in whole.names]
-                cast = [column.cast(type_) for column, type_ in zip(columns, whole.types, strict=True)]
-                pq.write_table(pa.table(cast, schema=whole.with_metadata(schema.metadata)), new, compression="zstd")
-                self._move(new, f"{self.path}/{file}")
+                with self.aside() as folder:
+                    paths = {file: self._local(file, folder / f"{number}") for number, file in enumerate(files)}
+                    extended = _extended_parquet if self.to == "parquet" else _extended_csv
+                    for file in extended(paths, folder / "new"):
+                        self._move(folder / "new", f"{self.path}/{file}")
 
     def _local(self, file: str, copy: Path) -> str:
         if self.is_local:
@@ -242,3 +232,36 @@ class DataSet:
         for work in Path(self.beside).glob("work-*") if self.is_local else ():
             if work.name.startswith(f"work-{self.run}-") or time.time() - work.stat().st_mtime > LEFTOVER_SECONDS:
                 shutil.rmtree(work, ignore_errors=True)
+
+
+def _extended_parquet(paths: dict[str, str], new: Path) -> Iterator[str]:
+    """Write each file that lacks columns of the others once more, to new, and yield which one that is."""
+    schemas = {file: pq.read_schema(path) for file, path in paths.items()}
+    first = max(schemas.values(), key=len)
+    whole = pa.unify_schemas([first, *schemas.values()], promote_options="permissive")
+    for file, schema in schemas.items():
+        if schema.names != whole.names or schema.types != whole.types:
+            data = pq.read_table(paths[file], partitioning=None)
+            columns = [data[name] if name in data.schema.names else pa.nulls(len(data)) for name in whole.names]
+            cast = [column.cast(type_) for column, type_ in zip(columns, whole.types, strict=True)]
+            pq.write_table(pa.table(cast, schema=whole.with_metadata(schema.metadata)), new, compression="zstd")
+            yield file
+
+
+def _extended_csv(paths: dict[str, str], new: Path) -> Iterator[str]:
+    """Do as _extended_parquet does."""
+    heads = {}
+    for file, path in paths.items():
+        with open(path, encoding="utf-8", newline="") as old:
+            heads[file] = next(csv.reader(old))
+    whole = dict.fromkeys(name for head in sorted(heads.values(), key=len, reverse=True) for name in head)
+    for file, head in heads.items():
+        if head != list(whole):
+            with (
+                open(paths[file], encoding="utf-8", newline="") as old,
+                new.open("w", encoding="utf-8", newline="") as out,
+            ):
+                writer = csv.DictWriter(out, whole, lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(csv.DictReader(old))
+            yield file

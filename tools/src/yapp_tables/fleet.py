@@ -7,6 +7,7 @@ import csv
 import glob
 import io
 import os
+import re
 import uuid
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
@@ -48,7 +49,7 @@ def convert(
         with _executor(scheduler, jobs or os.cpu_count() or 1) as pool:
             done |= _run(waiting, config, pool)
         _write_failures(dataset, done)
-        if config.to == "parquet":
+        if config.to in ("parquet", "csv"):
             dataset.extend()
         elif config.to == "delta" and waiting:
             names = {name for result in done.values() for name in result.messages}
@@ -91,6 +92,8 @@ def find(patterns: StrPath | Iterable[StrPath]) -> list[Path]:
 
 
 def _absolute(out: str) -> str:
+    if re.match(r"\w{2,}:(?!//)", out):  # C: is a drive
+        raise SetupError(f"{out} is neither a folder nor a URL such as s3://bucket/folder")
     return out if "://" in out else os.path.abspath(out)
 
 

@@ -18,9 +18,9 @@ from .tables import (
     Message,
     Origin,
     Rows,
+    catalogue_version,
     faults,
     nothing_in,
-    plugin_version,
     present,
     statistics,
     table,
@@ -51,13 +51,13 @@ class Flight(Mapping[str, pa.Table]):
         """Load the tables of an export of this capture; messages, columns: these only; begin: of the capture."""
         self.name, self.flight_id, self.begin = capture.name, flight_id(capture), begin
         self.partial, self.undecoded, self.complaints = export.partial, export.undecoded, export.complaints
-        self.plugin = plugin_version(export.fields)
+        self.plugin = str(export.fields["plugin"])
         self.events = table(export.records["events"], EVENTS)
         self.faults = faults(self.events)
         self.summary = table(export.records["summary"], SUMMARY)
         self.statistics = statistics(export.records["summary"])
         self.aircraft: str | None = None
-        self.catalogue = list(export.fields["messages"])
+        self.catalogue = catalogue_version(export.fields)
         found = present(export)
         if not found:
             raise CaptureError(nothing_in(capture, export))

@@ -30,10 +30,11 @@ from pathlib import Path
 
 # The profile files of 2.0.0 as Wireshark rewrites them, by the first digits of their fingerprint.
 EARLIER = ("2d330114", "da941647", "f1bf3b8b", "2e49ab76", "0cae8e72", "55e79b49")
+IS_ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
 OLDEST, NOT_AS_ROOT = (4, 0), (4, 4)  # Wireshark
 SAFE_PROFILES = (4, 6, 9)  # Wireshark that runs no code of a profile that is imported
 TRIED = ("5.2", "5.4", "5.5")  # Lua
-PURPOSE = {"serial": "serial ports on Windows", "can": "CAN adapters of Windows and macOS"}
+LIVE = {"serial": ("pyserial", "serial ports on Windows"), "can": ("python-can", "CAN adapters of Windows and macOS")}
 TABLES, SETTINGS = ("io_graphs", "plots", "dfilter_buttons"), ("preferences", "profile_settings", "extcap.cfg")
 
 
@@ -52,19 +53,13 @@ def ask(*command: str) -> tuple[str, str]:
     return done.stdout.decode("utf-8", "replace"), done.stderr.decode("utf-8", "replace")
 
 
-def is_there(path: Path) -> bool:
-    """Return whether a file, a folder or a link has this name."""
-    return os.path.lexists(str(path))
-
-
 class Wireshark:
     """The installed Wireshark: tshark and its version (4, 0, 17), lua "5.2.4" or None, and the personal folders."""
 
     def __init__(self) -> None:
         """Ask tshark, where there is one."""
-        folders = [os.environ.get(name, "?") for name in ("ProgramW6432", "ProgramFiles", "ProgramFiles(x86)")]
-        usual = [os.path.join(folder, "Wireshark", "tshark.exe") for folder in folders]
-        usual.append("/Applications/Wireshark.app/Contents/MacOS/tshark")
+        programs = os.environ.get("PROGRAMFILES", "/Applications/Wireshark.app")
+        usual = (os.path.join(programs, part) for part in ("Wireshark/tshark.exe", "Contents/MacOS/tshark"))
         self.tshark = shutil.which("tshark") or next(filter(os.path.exists, usual), None)
         self.version: tuple[int, ...] = ()
         self.lua: str | None = None
@@ -79,12 +74,11 @@ class Wireshark:
             self.lua = lua and (lua[1] or "of a version that it does not say")
             lines = (line.partition(":") for line in ask(self.tshark, "-G", "folders")[0].splitlines())
             named = {name.strip(): Path(path.strip()) for name, _, path in lines if path.strip()}
-        usual_config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "wireshark"
-        on_windows = os.name == "nt"
-        self.config = named.get("Personal configuration") or (
-            Path(os.environ["APPDATA"]) / "Wireshark" if on_windows else usual_config
-        )
-        local = self.config if on_windows else Path.home() / ".local/lib/wireshark"
+        config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "wireshark"
+        local = Path.home() / ".local/lib/wireshark"
+        if os.name == "nt":
+            config = local = Path(os.environ["APPDATA"]) / "Wireshark"
+        self.config = named.get("Personal configuration") or config
         plugins = named.get("Personal Lua Plugins") or local / "plugins"
         # 4.0 does not name the folder of the live ports, and has it in the configuration folder.
         self.extcap = named.get("Personal Extcap path") or (self.config if self.tshark else local) / "extcap"
@@ -92,8 +86,7 @@ class Wireshark:
         self.plugin_folders = [folder for folder in others if folder]
         self.name = "Wireshark " + ".".join(map(str, self.version))
         self.target, self.profile = plugins / "yapp", self.config / "profiles/YAPP"
-        # One line, where yapp-tables is.
-        self.note = self.config / "yapp_tables.path"
+        self.note = self.config / "yapp_tables.path"  # one line, where yapp-tables is
 
 
 def source_folder() -> Path:
@@ -105,10 +98,10 @@ def source_folder() -> Path:
     raise Problem(f"{here} has no yapp.lua: unpack the whole zip, and run install.py where it lies")
 
 
-def plugin_version(path: Path) -> str | None:
+def plugin_version(path: Path) -> str:
     """Return the version that a yapp.lua says."""
     found = re.search(r'^local VERSION = "(.*)"', path.read_text(encoding="utf-8", errors="replace"), re.MULTILINE)
-    return found[1] if found else None
+    return found[1] if found else "unknown"
 
 
 def own_program() -> str:
@@ -128,10 +121,8 @@ def wanted_files(source: Path, wireshark: Wireshark, program: str | None) -> dic
             start = f'@"{sys.executable}" "%~dp0{path.name}" %*\r\n'
             files[wireshark.extcap / (path.stem + ".bat")] = start.encode(sys.getfilesystemencoding())
     files.update((wireshark.profile / path.name, path.read_bytes()) for path in sorted(source.glob("profiles/YAPP/*")))
-    if program:
-        files[wireshark.note] = f"{program}\n".encode()
-    elif wireshark.note.is_file():
-        files[wireshark.note] = wireshark.note.read_bytes()
+    if program or wireshark.note.is_file():
+        files[wireshark.note] = f"{program}\n".encode() if program else wireshark.note.read_bytes()
     return files
 
 
@@ -161,9 +152,7 @@ def meaning(name: str, content: bytes) -> str:
 
 def is_wiresharks(path: Path) -> bool:
     """Return whether Wireshark alone wrote this profile file: positions of windows, or settings that are all unset."""
-    if path.name not in ("recent", "extcap.cfg") or path.is_symlink() or not path.is_file():
-        return False
-    return path.name == "recent" or not meaning(path.name, path.read_bytes())
+    return path.name == "recent" or (path.name == "extcap.cfg" and not meaning(path.name, path.read_bytes()))
 
 
 class Installation:
@@ -171,11 +160,11 @@ class Installation:
 
     def __init__(self, wireshark: Wireshark) -> None:
         """Read the list that an installation leaves behind, where there is one."""
-        self.wireshark, self.target = wireshark, wireshark.target
+        self.wireshark, self.target, self.profile = wireshark, wireshark.target, wireshark.profile
         self.list = self.target / "installed.json"
         self.hashes: dict[Path, str] = {}
         self.folders: list[Path] = []
-        self.said: set[Path] = set()
+        self.kept: set[Path] = set()
         if self.list.is_file():
             try:
                 content = json.loads(self.list.read_text(encoding="utf-8"))
@@ -185,14 +174,14 @@ class Installation:
                 raise Problem(f"{self.list} is damaged; remove it, then every file counts as changed") from problem
         self.known = set(self.hashes.values())
 
-    def say(self, what: str, path: Path, why: str) -> None:
-        """Print what becomes of a file that is not as it was installed."""
-        say(what, f"{path}: {why}")
-        self.said.add(path)
+    def keep(self, path: Path, why: str = "you changed it") -> None:
+        """Say that a file is not as it was installed."""
+        say("kept", f"{path}: {why}")
+        self.kept.add(path)
 
     def fingerprint(self, path: Path, content: bytes) -> str:
         """Return the hash of a file; of the profile's, which Wireshark rewrites, that of what it says."""
-        if path.parent == self.wireshark.profile:
+        if path.parent == self.profile:
             content = meaning(path.stem if path.suffix == ".new" else path.name, content).encode()
         return hashlib.sha256(content).hexdigest()
 
@@ -217,45 +206,43 @@ class Installation:
     def put(self, path: Path, content: bytes) -> None:
         """Bring one file up to date; an edited one stays, in its place or beside it."""
         beside, now = path.with_name(path.name + ".new"), self.fingerprint(path, content)
-        is_same = path.is_file() and not path.is_symlink() and path.read_bytes() == content
-        if is_same or not is_there(path) or self.is_ours(path):
-            self.write(path, content)
-            self.remove(beside)
-        elif path.name != "taurus_fields.lua" and path.parent != self.wireshark.profile:
-            self.say("replaced", path, f"it was changed; your version is kept beside it, {self.set_aside(path).name}")
-            self.write(path, content)
-        elif self.hashes.get(path) == now:
-            self.say("kept", path, "you changed it")
-        else:
-            self.hashes[path] = now
-            self.say("kept", path, f"you changed it; this version's is beside it, {beside.name}")
-            if is_there(beside) and not self.is_ours(beside):
-                self.set_aside(beside)
-            self.write(beside, content)
+        self.known.add(now)
+        is_edited, is_settings = os.path.lexists(path) and not self.is_ours(path), path.parent == self.profile
+        if is_edited and (is_settings or path.name == "taurus_fields.lua"):
+            is_new = self.hashes.get(path) != now
+            self.keep(path, f"you changed it{f'; the new one is beside it, {beside.name}' if is_new else ''}")
+            if is_new:
+                self.write(beside, content)
+                self.hashes[path] = now
+            return
+        if is_edited:
+            say("replaced", f"{path}: it was changed; your version is kept beside it, {self.set_aside(path).name}")
+        self.write(path, content)
+        self.remove(beside)
 
     def set_aside(self, path: Path) -> Path:
         """Rename a file to a free name that Wireshark does not run. Return the new path."""
         names = (path.with_name(f"{path.name}.edited{number or ''}") for number in (0, *range(2, 1000)))
-        aside = next(name for name in names if not is_there(name))
+        aside = next(name for name in names if not os.path.lexists(name))
         path.rename(aside)
         return aside
 
     def remove(self, path: Path) -> None:
         """Remove a file that is as it was installed, and say so of one that is not."""
-        is_module = path.parent == self.target / "yapp" and path.match("yapp_*.lua")  # those of 2.0
         if self.is_ours(path):
             path.unlink()
-        elif is_there(path) and is_module:
-            self.say("kept", self.set_aside(path), f"you changed it; Wireshark would run it as {path.name}")
-        elif path in self.hashes and is_there(path) and not is_wiresharks(path):
-            self.say("kept", path, "you changed it")
+        elif path in self.hashes and os.path.lexists(path):
+            if path.parent == self.target / "yapp":  # a module of 2.0
+                self.keep(self.set_aside(path), f"you changed it; Wireshark would run it as {path.name}")
+            elif not is_wiresharks(path):
+                self.keep(path)
         self.hashes.pop(path, None)
 
     def install(self, files: dict[Path, bytes]) -> None:
         """Put the files in their places, and remove those of an earlier version."""
         if (self.target / "yapp.lua").is_file() and not self.list.exists():  # 1.0, which left no list
             before = self.wireshark.config / "yapp.before"
-            self.say("kept", self.target, f"it has no list of its files; all of it is now in {before}")
+            self.keep(self.target, f"it has no list of its files; all of it is now in {before}")
             self.wireshark.config.mkdir(parents=True, exist_ok=True)
             shutil.move(str(self.target), str(before))
         for path in sorted(set(self.hashes) - set(files)):
@@ -263,48 +250,44 @@ class Installation:
                 self.remove(path)
         for path, content in files.items():
             # Wireshark writes the positions of windows at every exit: ours is for the first time only.
-            if not (path.parent == self.wireshark.profile and is_wiresharks(path)):
+            if not (path.parent == self.profile and os.path.lexists(path) and is_wiresharks(path)):
                 self.put(path, content)
         self.remove_folders()
         made = [str(folder) for folder in self.folders if folder.is_dir()]
         listed = {"files": {str(path): value for path, value in self.hashes.items()}, "folders": made}
         self.list.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
 
-    def uninstall(self) -> None:
-        """Remove what is as it was installed, and what Wireshark keeps in a profile that nothing else is in."""
-        own = [self.target / "yapp", self.target, self.wireshark.profile]
-        for path in sorted(self.hashes):
+    def uninstall(self, purge: bool) -> None:
+        """Remove what is as it was installed, or all of it, and say what is gone."""
+        own = (self.profile, self.target)
+        outside = {path for path in self.hashes if own[0] not in path.parents and own[1] not in path.parents}
+        outside |= {*self.wireshark.extcap.glob("yapp_extcap.*"), *self.wireshark.config.glob("yapp_tables.path*")}
+        before = {path: {path, *path.rglob("*")} for path in (*sorted(outside), *own) if os.path.lexists(path)}
+        for path in sorted(self.hashes) if not purge else ():
             self.remove(path)
-        if self.list.exists():
-            self.list.unlink()
-        left = list(self.wireshark.profile.glob("*"))
-        if all(map(is_wiresharks, left)):
-            for path in left:
+        # What Wireshark keeps in a profile that nothing else is in.
+        left = list(self.profile.glob("*"))
+        for path in [self.list, *(left if all(map(is_wiresharks, left)) else ())]:
+            if path.is_file():
                 path.unlink()
-        self.remove_folders()
-        for path in sorted(path for folder in own for path in folder.glob("*")):
-            if path not in own and path not in self.said:
-                self.say("kept", path, "it is not as it was installed")
-
-    def outside(self) -> list[Path]:
-        """Return the files that lie in folders that are not ours."""
-        own = (self.target, self.wireshark.profile)
-        listed = [path for path in self.hashes if not any(folder in path.parents for folder in own)]
-        found = [*self.wireshark.extcap.glob("yapp_extcap.*"), *self.wireshark.config.glob("yapp_tables.path*")]
-        return sorted({*listed, *found})
-
-    def purge(self) -> None:
-        """Remove all of it, whoever wrote it."""
-        for path in (*self.outside(), self.wireshark.profile, self.target):
+        for path in before if purge else ():
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(str(path))
-            elif is_there(path):
+            elif os.path.lexists(path):
                 path.unlink()
         self.remove_folders()
+        for path in sorted(path for folder in own for path in folder.rglob("*") if not path.is_dir()):
+            if path not in self.kept:
+                self.keep(path, "it is not as it was installed")
+        for path, content in before.items():
+            if not all(map(os.path.lexists, content)):
+                say("removed", f"{path}{', except what is kept' if path.exists() else ''}")
+        if self.kept:
+            say("note", "uninstall --purge removes what is kept, too")
 
     def remove_folders(self) -> None:
         """Remove the folders of ours that are empty, deepest first."""
-        own = {self.target / "yapp", self.target, self.wireshark.profile, *self.folders}
+        own = {self.target / "yapp", self.target, self.profile, *self.folders}
         for folder in sorted(own, key=lambda folder: -len(folder.parts)):
             if folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir()):
                 folder.rmdir()
@@ -315,128 +298,102 @@ def real(path: object) -> str:
     return os.path.normcase(os.path.realpath(str(path)))
 
 
-def is_root() -> bool:
-    """Return whether root runs this."""
-    return hasattr(os, "geteuid") and os.geteuid() == 0
-
-
 def refuse_to_install(source: Path, wireshark: Wireshark) -> None:
     """Raise Problem where an installation would do harm."""
-    if os.environ.get("SUDO_USER") and is_root():
+    if os.environ.get("SUDO_USER") and IS_ROOT:
         raise Problem("run it without sudo: everything goes into the home of the user who runs Wireshark")
     for folder in wireshark.plugin_folders:
         if (real(source) + os.sep).startswith(real(folder) + os.sep):
             raise Problem(f"{source} is in Wireshark's plugin folder, which loads it as it is: move it elsewhere first")
-    for folder in (wireshark.target, wireshark.target / "yapp", wireshark.profile):
+    for folder in (wireshark.target, wireshark.profile):
         if folder.is_symlink():
             raise Problem(f"{folder} is a link to {folder.resolve()}: remove the link first")
 
 
 def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
     """Say what there is, and give the sentences that say what is wrong with it."""
-    entry = wireshark.target / "yapp.lua"
+    entry, tshark, name = wireshark.target / "yapp.lua", wireshark.tshark, wireshark.name
     copies = {real(path): path.parent for folder in wireshark.plugin_folders for path in folder.glob("**/yapp.lua")}
-    for folder in copies.values():
-        if real(folder) != real(wireshark.target):
+    for path, folder in copies.items():
+        if path != real(entry):
             yield f"another copy of the plugin is in {folder}: Wireshark loads only one; remove one of them"
     if not entry.is_file():
         yield f"nothing is installed in {wireshark.target}"
-    else:
-        installed, own = plugin_version(entry), plugin_version(source / "yapp.lua")
-        if installed != own:
-            yield f"{entry} is version {installed or 'unknown'}, this is {own}: install it again"
-    yield from sandboxes(wireshark)
-    if wireshark.tshark:
-        say("wireshark", f"{wireshark.name}, Lua {wireshark.lua or 'none'}: {wireshark.tshark}")
-        yield from loading_problems(wireshark, wireshark.tshark, entry)
-    else:
-        print("tshark was not found, so whether Wireshark loads the plugin was not checked.")
+    elif plugin_version(entry) != plugin_version(source / "yapp.lua"):
+        own = plugin_version(source / "yapp.lua")
+        yield f"{entry} is version {plugin_version(entry)}, this is {own}: install it again"
+    yield from sandboxes(tshark or "")
     live_ports(wireshark)
+    if not tshark:
+        print("tshark was not found, so whether Wireshark loads the plugin was not checked.")
+        return
+    say("wireshark", f"{name}, Lua {wireshark.lua or 'none'}: {tshark}")
+    if wireshark.version < OLDEST:
+        yield f"{name} is too old: {'.'.join(map(str, OLDEST))} or later is needed"
+    elif not wireshark.lua:
+        yield f"{tshark} was built without Lua: install Wireshark's official package, or your distribution's"
+    elif entry.is_file():
+        yield from loading_problems(wireshark, tshark, entry)
 
 
 def loading_problems(wireshark: Wireshark, tshark: str, entry: Path) -> Iterator[str]:
     """Give the sentences on why Wireshark does not load what is installed."""
-    if wireshark.version < OLDEST:
-        yield f"{wireshark.name} is too old: {OLDEST[0]}.{OLDEST[1]} or later is needed"
-    if not wireshark.lua:
-        yield f"{tshark} was built without Lua: install Wireshark's official package, or your distribution's"
-    elif wireshark.lua[0].isdigit() and not wireshark.lua.startswith(TRIED):
+    if str(wireshark.lua)[0].isdigit() and not str(wireshark.lua).startswith(TRIED):
         say("note", f"the plugin was tried with Lua {', '.join(TRIED)}, not with {wireshark.lua}")
-    if not (entry.is_file() and wireshark.lua and wireshark.version >= OLDEST):
-        return
     if wireshark.version < SAFE_PROFILES:
         safe = ".".join(map(str, SAFE_PROFILES))
         say("note", f"before {safe}, Wireshark can run code of a profile: import none that you do not trust, or update")
     protocols, errors = ask(tshark, "-G", "protocols")
-    if re.search(r"\tyapp\s", protocols):
-        plugins = ask(tshark, "-G", "plugins")[0]
-        loaded = [line.split("\t")[-1].strip() for line in plugins.splitlines() if line.startswith("yapp.lua\t")]
-        if loaded and real(loaded[0]) != real(entry):
-            yield f"Wireshark loads {loaded[0]} instead of {entry}"
-        else:
-            say("checked", f"{wireshark.name} loads {entry}")
-    elif is_root() and wireshark.version >= NOT_AS_ROOT:
+    loaded = re.findall(r"^yapp\.lua\t.*\t(.*\S)", ask(tshark, "-G", "plugins")[0], re.MULTILINE)
+    if loaded and real(loaded[0]) != real(entry):
+        yield f"Wireshark loads {loaded[0]} instead of {entry}"
+    elif re.search(r"\tyapp\s", protocols):
+        say("checked", f"{wireshark.name} loads {entry}")
+    elif IS_ROOT and wireshark.version >= NOT_AS_ROOT:
         yield f"as root, {wireshark.name} runs no Lua plugins: install and run it as an ordinary user"
     else:
         said = [line for line in errors.splitlines() if "lua" in line.lower()]
         yield "\n  ".join([f"{wireshark.name} does not load {entry}", *said[:5]])
 
 
-def sandboxes(wireshark: Wireshark) -> Iterator[str]:
+def sandboxes(tshark: str) -> Iterator[str]:
     """Name a Wireshark of Flatpak or Snap: a problem where there is no other one."""
     flatpaks = [Path.home() / ".local/share/flatpak", Path("/var/lib/flatpak")]
     found = [f"Flatpak ({each})" for each in flatpaks if (each / "app/org.wireshark.Wireshark").is_dir()]
-    folders = os.environ.get("PATH", "").split(os.pathsep)
-    programs = [*(os.path.join(folder, "wireshark") for folder in folders), wireshark.tshark or ""]
+    programs = (tshark, shutil.which("wireshark") or "", "/snap/bin/wireshark")
     found += [f"Snap ({path})" for path in programs if "/snap/" in path and os.path.exists(path)]
-    if not found:
-        return
-    text = f"the Wireshark of {found[0]} sees no plugin folder and cannot capture: use your distribution's package"
-    if wireshark.tshark and "/snap/" not in wireshark.tshark:
-        say("note", f"{text}, {wireshark.tshark}, which is there too")
-    else:
+    text = (
+        f"the Wireshark of {found[0]} sees no plugin folder and cannot capture: use your distribution's package"
+        if found
+        else ""
+    )
+    if found and tshark and "/snap/" not in tshark:
+        say("note", f"{text}, {tshark}, which is there too")
+    elif found:
         yield text
 
 
 def live_ports(wireshark: Wireshark) -> None:
     """Say which Python runs the live ports, and which modules it has."""
-    if not (wireshark.extcap / "yapp_extcap.py").is_file():
-        if wireshark.target.is_dir():
-            say("note", f"no live ports in {wireshark.extcap}: install it again")
+    if not wireshark.target.is_dir():
         return
-    python, batch = shutil.which("python3"), wireshark.extcap / "yapp_extcap.bat"
-    if batch.is_file():  # on Windows the Python that installed
-        python = shutil.which(batch.read_text(encoding=sys.getfilesystemencoding()).split('"')[1])
+    python = sys.executable if os.name == "nt" else shutil.which("python3")
+    if not (wireshark.extcap / "yapp_extcap.py").is_file():
+        say("note", f"no live ports in {wireshark.extcap}: install it again")
+        return
     if not python:
         say("note", "no python3 in PATH, so there are no live ports: they need Python 3.7 or later")
         return
     look = "import sys, importlib.util as u; print(sys.version.split()[0], *filter(u.find_spec, ('serial', 'can')))"
     version, *found = ask(python, "-c", look)[0].split() or ["(it does not start)"]
-    modules = (("pyserial", "serial"), ("python-can", "can"))
-    states = ", ".join(f"{'with' if module in found else 'without'} {name}" for name, module in modules)
+    states = ", ".join(f"{'with' if module in found else 'without'} {name}" for module, (name, _) in LIVE.items())
     say("python", f"{python} {version} runs the live ports, {states}")
     # Debian's own Python takes packages from apt.
-    packages = python.startswith("/usr/bin/") and shutil.which("apt")
-    for name, module in modules:
+    is_debians = python.startswith("/usr/bin/") and shutil.which("apt")
+    for module, (name, purpose) in LIVE.items():
         if module not in found:
-            command = f"sudo apt install python3-{module}" if packages else f"{python} -m pip install {name}"
-            say("note", f"{PURPOSE[module]} need {name}: {command}")
-
-
-def uninstall(wireshark: Wireshark, purge: bool) -> None:
-    """Uninstall, and say what is gone."""
-    installation = Installation(wireshark)
-    if not (installation.target.exists() or purge):
-        print(f"Nothing is installed in {installation.target}")
-        return
-    paths = (*installation.outside(), wireshark.profile, installation.target)
-    there = {path: [each for each in (path, *path.rglob("*")) if is_there(each)] for path in paths}
-    (installation.purge if purge else installation.uninstall)()
-    for path, before in there.items():
-        if not all(map(is_there, before)):
-            say("removed", f"{path}{', except what is kept' if path.exists() else ''}")
-    if installation.said:
-        say("note", "uninstall --purge removes what is kept, too")
+            command = f"sudo apt install python3-{module}" if is_debians else f"{python} -m pip install {name}"
+            say("note", f"{purpose} need {name}: {command}")
 
 
 def run(what: str, purge: bool = False, program: str | None = None) -> int:
@@ -444,15 +401,20 @@ def run(what: str, purge: bool = False, program: str | None = None) -> int:
     found = []
     try:
         wireshark = Wireshark()
-        if what == "uninstall":
-            uninstall(wireshark, purge)
+        if what == "uninstall" and not (wireshark.target.exists() or purge):
+            print(f"Nothing is installed in {wireshark.target}")
+        elif what == "uninstall":
+            Installation(wireshark).uninstall(purge)
         else:
             source = source_folder()
             if what == "install":
                 refuse_to_install(source, wireshark)
                 Installation(wireshark).install(wanted_files(source, wireshark, program))
-                places = {"plugin": wireshark.target, "extcap": wireshark.extcap, "profile": wireshark.profile}
-                for name, place in places.items():
+                for name, place in (
+                    ("plugin", wireshark.target),
+                    ("extcap", wireshark.extcap),
+                    ("profile", wireshark.profile),
+                ):
                     say(name, place)
             found = list(problems(source, wireshark))
             if what == "install" and not found:

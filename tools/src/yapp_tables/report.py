@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import html
 import json
+import os
 from collections.abc import Sequence
 from importlib.metadata import version
 from importlib.resources import files
@@ -21,7 +22,6 @@ from .flight import Flight
 from .pictures import MARKS, Pictures, Record, packed
 from .tables import Column
 from .undecoded import source_name
-from .whole import write_whole
 
 # What an event other than a fault means; those of the first kind are told one by one, the others counted for a source.
 SINGLE = {
@@ -138,8 +138,7 @@ class Report:
             if "revision" in row["field"].lower() or "version" in row["field"].lower():
                 found.append([row["field"].lower(), row["value"]])
         first = self.flights[0]
-        catalogue = ", ".join(first.catalogue)
-        return [*found, ["catalogue", catalogue], *([["aircraft", first.aircraft]] if first.aircraft else [])]
+        return [*found, ["catalogue", first.catalogue], *([["aircraft", first.aircraft]] if first.aircraft else [])]
 
     def _add(self, flight: Flight, start: int, prefix: str) -> list[Record]:
         """Draw a flight; returns its incidents."""
@@ -288,6 +287,16 @@ def _summary(flight: Flight) -> list[Record]:
         row | {"source": source_name(given), "bus": given["bus"], "message": _title(flight, given["message"])}
         for row, given in zip(about, rows, strict=True)
     ]
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file, in place of one that is there: nobody ever reads half of it. Raises OSError."""
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        aside.write_text(text, encoding="utf-8", newline="")
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
 
 
 def _index(found: list[Record], pages: list[Path]) -> str:

@@ -92,9 +92,10 @@ def digests(fields: Record) -> dict[str, str]:
     return {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in texts.items()}
 
 
-def plugin_version(fields: Record) -> str:
-    """The version of the plugin that wrote fields.json."""
-    return str(fields["plugin"])
+def catalogue_version(fields: Record) -> str:
+    """Return the messages of the catalogue, and a short name of what it says of all of them."""
+    whole = hashlib.sha256(json.dumps(digests(fields), sort_keys=True).encode()).hexdigest()[:8]
+    return f"{', '.join(fields['messages'])} ({whole})"
 
 
 def _message(name: str, entry: Record) -> Message:
@@ -326,7 +327,7 @@ def all_tables(export: Export, origin: Origin) -> list[Table]:
         spans = [each.span for each in rows if each.span]
         start, end = min(span[0] for span in spans), max(span[1] for span in spans)
         about = {"capture": str(origin.capture), "start": start, "length": (end - start) / 1e9}
-        about |= {"aircraft": origin.aircraft, "plugin": plugin_version(export.fields), "tools": version("yapp-tables")}
+        about |= {"aircraft": origin.aircraft, "plugin": export.fields["plugin"], "tools": version("yapp-tables")}
         about |= {"options": " ".join(origin.tshark.options), "messages": sum(each.count for each in rows)}
         about |= {"faults": pc.sum(pc.equal(events["event"], "raised")).as_py() or 0, "partial": export.partial}
         about |= {"undecoded": export.undecoded or None, "left_out": "; ".join(export.complaints) or None}

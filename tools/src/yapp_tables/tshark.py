@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
@@ -25,7 +26,8 @@ USUAL_PLACES = ("/Applications/Wireshark.app/Contents/MacOS/tshark", r"C:\Progra
 EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000")
 PLUGIN_SAYS = "yapp: "
 STATISTICS = ("events", "summary")
-UNDECIDED = 21  # the exit code of a statistic that leaves something out
+# Exit codes: a rule does not hold; a statistic leaves something out.
+BROKEN, UNDECIDED = 20, 21
 UNRELIABLE = (
     "two controllers share an ID, or buses cannot be told apart: their faults, reboots and silences are left out"
 )
@@ -91,9 +93,19 @@ class Tshark:
         complaints = () if partial else _complaints(done)
         records = _records(done.stdout)
         titles = {name: entry["title"] or name for name, entry in fields["messages"].items()}
-        known = " ".join((*self.options, done.stderr))
-        lost = undecoded(records["events"], records["summary"], titles, known)
+        lost = undecoded(records["events"], records["summary"], titles, done.stderr)
         return Export(csv, fields, records, partial, complaints, lost)
+
+    def ask(self, capture: Path, folder: str, statistics: Sequence[str]) -> tuple[list[Record], list[str]]:
+        """Return the JSON lines of statistics, and what the plugin says they leave out. tshark runs in folder.
+
+        Raises as export does, and CaptureError where only a part of the capture can be read.
+        """
+        check_file(capture)
+        done = _run(self._command(capture, statistics), Path(folder), self._environment())
+        if done.returncode != BROKEN and (why := self._refusal(capture, done, written=True)):
+            raise CaptureError(f"{capture}: {why}")
+        return list(_json_lines(done.stdout)), list(dict.fromkeys(_said(done)))
 
     def fields(self) -> tuple[Record, tuple[str, ...]]:
         """fields.json of this plugin with these options, and complaints as in Export.
@@ -130,7 +142,7 @@ class Tshark:
             command += ["-o", option]
         return command
 
-    def _command(self, capture: Path, wanted: list[str]) -> list[str]:
+    def _command(self, capture: Path, wanted: Sequence[str]) -> list[str]:
         command = [*self._reading(capture), "-q"]
         narrowed = f",filter={self.filter}" if self.filter else ""
         for what in wanted:
@@ -216,16 +228,22 @@ def _complaint(stderr: str) -> str:
 
 def _complaints(done: subprocess.CompletedProcess[str]) -> tuple[str, ...]:
     """Return what the plugin says it leaves out, but for undecoded messages, which are events."""
-    lines = [line.removeprefix(PLUGIN_SAYS) for line in done.stderr.splitlines() if line.startswith(PLUGIN_SAYS)]
-    found = dict.fromkeys(line for line in lines if "not decoded" not in line and "decoded in part" not in line)
+    found = dict.fromkeys(line for line in _said(done) if "not decoded" not in line and "decoded in part" not in line)
     return tuple(found) or (UNRELIABLE,) * (done.returncode == UNDECIDED)
 
 
+def _said(done: subprocess.CompletedProcess[str]) -> list[str]:
+    return [line.removeprefix(PLUGIN_SAYS) for line in done.stderr.splitlines() if line.startswith(PLUGIN_SAYS)]
+
+
+def _json_lines(stdout: str) -> Iterator[Record]:
+    """Yield what statistics printed; numbers with a point stay exact."""
+    return (json.loads(line, parse_float=Decimal) for line in stdout.splitlines() if line.startswith("{"))
+
+
 def _records(stdout: str) -> dict[str, list[Record]]:
-    """Return the JSON lines of the statistics, told apart by their keys; numbers with a point stay exact."""
+    """Return the JSON lines of the statistics, told apart by their keys."""
     records: dict[str, list[Record]] = {name: [] for name in STATISTICS}
-    for line in stdout.splitlines():
-        if line.startswith("{"):
-            record = json.loads(line, parse_float=Decimal)
-            records["events" if "kind" in record else "summary"].append(record)
+    for record in _json_lines(stdout):
+        records["events" if "kind" in record else "summary"].append(record)
     return records

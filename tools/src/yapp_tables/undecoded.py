@@ -19,8 +19,8 @@ def source_name(row: Record) -> str:
 def undecoded(events: Sequence[Record], summary: Sequence[Record], titles: dict[str, str], said: str) -> str:
     """Return a sentence on the events of kind `unknown`, empty where there are none.
 
-    summary: the lines of the statistic `summary`; titles: {message: title}; said: the preferences of this run and what
-    the plugin suggested on stderr, for IDs that are set already.
+    summary: the lines of the statistic `summary`; titles: {message: title}; said: stderr, on which the plugin suggests
+    what to set: `Try -o yapp.motor_ids:0x210-0x213`.
     """
     unknown = [event for event in events if event["kind"] == "unknown"]
     if not unknown:
@@ -30,22 +30,20 @@ def undecoded(events: Sequence[Record], summary: Sequence[Record], titles: dict[
     for event in unknown:
         like = names.get(event.get("like") or "", event.get("like") or "")
         kinds.setdefault((like, 0 if like else event["size"]), []).append(event)
-    details, settings = [], []
-    for (like, size), found in kinds.items():
-        count = sum(event["count"] for event in found)
-        ids = sorted({event["id"] for event in found if event["id"] is not None})
-        who = ", ".join(f"0x{number:03x}" for number in ids) or ", ".join(sorted(set(map(source_name, found))))
+    details = []
+    for (like, size), group in kinds.items():
+        count = sum(event["count"] for event in group)
+        ids = sorted({event["id"] for event in group if event["id"] is not None})
+        who = ", ".join(f"0x{number:03x}" for number in ids) or ", ".join(sorted(set(map(source_name, group))))
         verb = "has" if count == 1 else "have"
-        known = titles.get(found[0].get("message") or "")
+        known = titles.get(group[0].get("message") or "")
         what = f"{size} bytes, not the size of {known}" if known else f"{size} bytes, which no message has"
         what = f"the size of {titles.get(like, like)}" if like else what
         details.append(f"{count} message{'s' * (count != 1)} of {who} {verb} {what}")
-        if like and ids:
-            own = {row["id"] for row in summary if row.get("message") == like and row.get("id") is not None}
-            settings.append(f"yapp.{like}_ids:{_ranges(own.union(ids, _ids(said, like)))}")
     lost = {source_name(event) for event in unknown}
     total = len(lost.union(map(source_name, summary)))
-    advice = f": set {' and '.join(settings)}" if settings else ""
+    found = re.search(r"\. Try -o (.*)", said)
+    advice = f": set {found[1].replace(' or -o ', ' or ').replace(' -o ', ' and ')}" if found else ""
     some = {
         source_name(row)
         for row in summary
@@ -54,25 +52,6 @@ def undecoded(events: Sequence[Record], summary: Sequence[Record], titles: dict[
     how = "not decoded" if not lost & some else "decoded in part" if lost <= some else "not decoded, or in part"
     verb = "was" if len(lost) == 1 else "were"
     return f"{len(lost)} of {total} source{'s' * (total != 1)} {verb} {how} ({'; '.join(details)}){advice}"
-
-
-def _ids(said: str, message: str) -> set[int]:
-    """Return the IDs that a preference in a text names: `yapp.motor_ids:0x210-0x213,0x220`."""
-    found: set[int] = set()
-    for text in re.findall(rf"yapp\.{re.escape(message)}_ids:([\dxXa-fA-F,-]+)", said):
-        for first, last in re.findall(r"(0[xX][\da-fA-F]+|\d+)(?:-(0[xX][\da-fA-F]+|\d+))?", text):
-            found.update(range(int(first, 0), int(last or first, 0) + 1))
-    return found
-
-
-def _ranges(ids: Iterable[int]) -> str:
-    parts: list[list[int]] = []
-    for number in sorted(ids):
-        if parts and parts[-1][-1] == number - 1:
-            parts[-1].append(number)
-        else:
-            parts.append([number])
-    return ",".join(f"0x{part[0]:03x}" + (f"-0x{part[-1]:03x}" if len(part) > 1 else "") for part in parts)
 
 
 def left_out(partial: str | None, lost: str, complaints: Iterable[str]) -> list[str]:

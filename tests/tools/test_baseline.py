@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Limits learnt from good flights: other good flights keep them, each flight with a planted deviation does not.
+
+test_baseline.py FOLDER judges 20 of each after 10 good ones.
+"""
+
+import json
+import math
+import random
+import re
+import struct
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import flights
+import pytest
+from running import PLUGIN, run_tables
+
+NAMES = {("can0", 0x210): "fl", ("can0", 0x211): "fr", ("can1", 0x210): "rl", ("can1", 0x211): "rr"}
+SOURCES = ",".join(
+    f"{bus}/{ident:#x}=motor:{name},{bus}/{ident - 16:#x}=health:{name}" for (bus, ident), name in NAMES.items()
+)
+OPTIONS = ("-o", "yapp.motor_ids:0x210,0x211", "-o", "yapp.health_ids:0x200,0x201", "-o", f"yapp.sources:{SOURCES}")
+# A motor 12 °C hotter, a battery 4 V lower, a controller's voltage 1.2 V lower, 8.5 messages a second, half the speed
+# in following the command.
+DEVIATIONS = ("hot", "battery", "voltage", "slow", "lag")
+
+
+def write(path, seed, deviation=None):
+    """Write a flight of about a minute with four controllers, each a bit in its own way; one of them may deviate."""
+    rng, pcap, length = random.Random(seed), flights.Pcapng(path), random.Random(f"length {seed}").uniform(40, 70)
+    ambient, battery, phases = rng.gauss(18, 3), rng.gauss(50.2, 0.15), [rng.uniform(0, 6) for _ in range(3)]
+    packets = []
+    for number in range(4):
+        packets += _controller(random.Random(f"{seed} {number}"), number, length, ambient, battery, phases,
+                               deviation if number == seed % 4 or deviation == "battery" else None)  # fmt: skip
+    for time, bus, message, payload in sorted(packets):
+        flights.send(pcap, time, bus, message, payload)
+    pcap.file.close()
+    return path
+
+
+def _controller(rng, number, length, ambient, battery, phases, deviation):
+    own, speed, time, share = rng.gauss(0, 0.6), 0.0, rng.uniform(0, 0.1), rng.uniform(0.55, 0.65)
+    load, health, boot = rng.uniform(0.97, 1.03), 0.0, rng.randrange(10**12)
+    while time < length:
+        flown = min(max(time - 3, 0) / 2, 1)
+        wave = 300 * math.sin(time / 6 + phases[0]) + 200 * math.sin(time / 2.5 + phases[1])
+        command = flown * (3600 + wave + 60 * math.sin(time / 7 + number + phases[2]))
+        speed += (command - speed) * (share / 2.5 if deviation == "lag" else share)
+        measured = speed + rng.gauss(0, 8) * (speed > 0)
+        current = (1 + (measured / 4000) ** 2 * 12 * load) + rng.gauss(0, 0.15)
+        lower = {"battery": 4, "voltage": 1.2}.get(deviation, 0)
+        voltage = battery - time * 0.05 - current * 0.04 - lower + rng.gauss(0, 0.02)
+        heat = ambient + own + 25 * (1 - math.exp(-time / 20)) * load
+        motor = heat + 4 + (12 * (1 - math.exp(-time / 8)) if deviation == "hot" else 0) + rng.gauss(0, 0.3)
+        amperes = flights.count(current, -128, 128, 65530)
+        payload = struct.pack(
+            "<6HBBIIqBB", amperes, amperes, flights.count(command, -60000, 60000, 65530),
+            flights.count(measured, -60000, 60000, 65530), flights.count(voltage, -128, 128, 65530), amperes,
+            flights.count(motor, -40, 210, 250), 1, 0x12_0000, 0, boot + int(time * 1e9), 2,
+            flights.count(heat, -40, 210, 250),
+        )  # fmt: skip
+        at = flights.START + int(time * 1e9)
+        yield at, number // 2, 0x210 + number % 2, payload
+        if time >= health:
+            board = struct.pack("<q9B", boot + int(time * 1e9), 40 + rng.randrange(4), 50, 80, 85, 90, 3, 9, 1, 2)
+            yield at + 2_000_000, number // 2, 0x200 + number % 2, board
+            health += 0.5
+        time += (0.1 / 0.85 if deviation == "slow" else 0.1) + rng.uniform(-0.003, 0.003)
+
+
+def judge(path, rules):
+    """Return the exit code, and the names of the rules that do not hold."""
+    command = [
+        "tshark",
+        "-q",
+        "-r",
+        path,
+        "-X",
+        f"lua_script:{PLUGIN}",
+        *OPTIONS,
+        "-z",
+        f"yapp,check,rules={rules},json",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    assert rows, done.stderr
+    return done.returncode, [f"{row['source'] or ''} {row['rule']}" for row in rows if row["ok"] is not True]
+
+
+def learn(folder, *arguments, code=0, options=OPTIONS):
+    done = run_tables(folder, "baseline", *arguments, "--out", "flight.rules", "--plugin", PLUGIN, *options)
+    assert done.returncode == code, done.stderr
+    return done.stderr
+
+
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory):
+    """A folder with ten good flights, and what was learnt from them."""
+    folder = tmp_path_factory.mktemp("good")
+    for seed in range(10):
+        write(folder / f"good{seed}.pcapng", seed)
+    learn(folder, *(f"good{seed}.pcapng" for seed in range(10)))
+    return folder
+
+
+def test_good_flights_keep_them(learnt, tmp_path):
+    for seed in range(10):
+        assert judge(learnt / f"good{seed}.pcapng", learnt / "flight.rules") == (0, [])
+    for seed in range(100, 104):
+        assert judge(write(tmp_path / "other.pcapng", seed), learnt / "flight.rules") == (0, []), seed
+
+
+@pytest.mark.parametrize("deviation", DEVIATIONS)
+def test_a_deviation_does_not(learnt, tmp_path, deviation):
+    code, broken = judge(write(tmp_path / "bad.pcapng", 202, deviation), learnt / "flight.rules")
+    expected = {"hot": "motor_temperature", "battery": "dc_voltage", "voltage": "dc_voltage", "slow": "rate",
+                "lag": "rpm_error"}[deviation]  # fmt: skip
+    assert code == 20
+    assert any(expected in rule for rule in broken), broken
+
+
+def test_what_stands_in_the_file(learnt):
+    """A controller has its own limits, and each says whose the extremes are."""
+    text = (learnt / "flight.rules").read_text()
+    assert all(f"\nsource={name}\n" in text for name in NAMES.values())
+    assert "absent=0 " in text
+    low, high, lowest, at_low, highest, at_high = re.search(
+        r"motor\.dc_voltage=(.*)\.\.(.*?) +# (.*) in (good\d\.pcapng), (.*) in (good\d\.pcapng)", text
+    ).groups()
+    assert float(low) < float(lowest) < float(highest) < float(high)
+    export = ["tshark", "-q", "-r", learnt / at_low, "-X", f"lua_script:{PLUGIN}", *OPTIONS, "-z", "yapp,summary,json"]
+    done = subprocess.run(export, capture_output=True, text=True, check=True)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert float(lowest) in {row["values"].get("dc_voltage", {}).get("min") for row in rows}
+    assert at_high != at_low
+
+
+def test_without_names(learnt, tmp_path):
+    """Rules are about all controllers then; a wider margin is wider."""
+    options = OPTIONS[:4]
+    learn(tmp_path, learnt / "good0.pcapng", learnt / "good1.pcapng", options=options)
+    narrow = (tmp_path / "flight.rules").read_text()
+    assert "source=" not in narrow
+    assert "# absent=0: good1.pcapng does not keep it (no source is named" in narrow
+    learn(tmp_path, learnt / "good0.pcapng", learnt / "good1.pcapng", "--margin", "50%", options=options)
+    limits = [
+        float(re.search(r"motor_temperature=.*\.\.(\S+)", text)[1])
+        for text in (narrow, (tmp_path / "flight.rules").read_text())
+    ]
+    assert limits[0] < limits[1]
+
+
+def test_a_rule_that_good_flights_do_not_keep(tmp_path):
+    """Now and then this flight has no value: no range holds then, and a line says why there is no rule."""
+    flights.write(tmp_path / "a.pcapng", 5, 60)
+    learn(tmp_path, "a.pcapng", options=OPTIONS[:4])
+    text = (tmp_path / "flight.rules").read_text()
+    assert re.search(
+        r"^# motor\.rpm_measured=.*: a\.pcapng does not keep it \(\d+ of \d+ values\)$", text, re.MULTILINE
+    )
+    assert judge(tmp_path / "a.pcapng", tmp_path / "flight.rules") == (0, [])
+
+
+def test_what_is_left_out_is_said(tmp_path):
+    flights.write(tmp_path / "a.pcapng", 5, 20)
+    said = learn(tmp_path, "a.pcapng", options=(), code=3)
+    assert "a.pcapng: " in said
+    assert "not decoded" in said
+    assert "yapp.motor_ids" in said
+
+
+@pytest.mark.parametrize(
+    ("cut", "code", "text"), [(40_000, 1, "cut short"), (24, 1, "no message was decoded"), (0, 1, "no such file")]
+)
+def test_what_no_limits_can_be_learnt_from(learnt, tmp_path, cut, code, text):
+    content = (learnt / "good0.pcapng").read_bytes()
+    if cut == 24:
+        (tmp_path / "a.pcapng").write_bytes(bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000"))
+    elif cut:
+        (tmp_path / "a.pcapng").write_bytes(content[:cut])
+    assert text in learn(tmp_path, "a.pcapng", code=code)
+    assert not (tmp_path / "flight.rules").exists()
+
+
+def test_a_margin_that_is_none(learnt):
+    assert "10 is not a share such as 10%" in learn(learnt, "good0.pcapng", "--margin", "10", code=2)
+
+
+def trial(folder):
+    """Judge held-out flights."""
+    learn(folder, *(write(folder / f"good{seed}.pcapng", seed) for seed in range(10)))
+    broken, found = Counter(), Counter()
+    for seed in range(1000, 1020):
+        code, rules = judge(write(folder / "clean.pcapng", seed), folder / "flight.rules")
+        print("clean", seed, code, rules)
+        broken[code] += 1
+    for seed in range(2000, 2020):
+        deviation = DEVIATIONS[seed % len(DEVIATIONS)]
+        code, rules = judge(write(folder / "bad.pcapng", seed, deviation), folder / "flight.rules")
+        print(deviation, seed, code, rules)
+        found[deviation, code] += 1
+    print("clean:", dict(broken), "planted:", dict(found))
+
+
+if __name__ == "__main__":
+    trial(Path(sys.argv[1]))
