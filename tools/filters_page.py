@@ -27,7 +27,7 @@ Every name that the plugin adds to Wireshark's display filters. Published names 
 - **expert item**: a remark on a packet; `NAME` alone finds the packets that have it.
 - `NAME.special`: why a field has no value: 0 NaN, 1 +infinity, 2 -infinity, 3 above range,
   4 below range.
-- A field of your own messages (`yapp_messages.lua`) has a name after the same pattern.
+- Fields of your own messages (`yapp_messages.lua`) are `taurus.MESSAGE.FIELD`.
 """
 TYPES = {"FT_NONE": "-", "FT_BYTES": "bytes", "FT_STRING": "text", "FT_BOOLEAN": "flag", "FT_DOUBLE": "number",
          "FT_FRAMENUM": "frame", "FT_RELATIVE_TIME": "time"}
