@@ -1,18 +1,20 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- YAPP for Wireshark: the packet protocol of Taurus motor controllers on CAN, UART, TCP and UDP.
--- The way in: protocols, preferences, dissectors, registration.  README.md says how to use it.
+-- The entry point: makes the protocols, preferences and dissectors and registers them.  README.md
+-- says how to use the plugin.
 
 local VERSION = "2.2.0"
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 
--- Installed in the plugin folder and given by -X, or given twice: the first one loads.
+-- If there are two copies, in the plugin folder and by -X, or by -X twice, only the first one
+-- loads.
 local loaded = package.loaded["yapp.plugin"]
 if loaded then
   io.stderr:write(("yapp: %syapp.lua (%s) is not loaded: %s (%s) is already there\n")
     :format(here, VERSION, loaded.path, loaded.version))
   return loaded
 end
--- Installed, all modules are in this file.
+-- An installed plugin has all modules in this file (package.preload); a clone has them in a folder.
 if not package.preload["yapp.wire.crc"] and here:find(Dir.personal_plugins_path(), 1, true) then
   local text = "yapp: %s is a clone in a plugin folder, where Wireshark runs every file: " ..
     "move it elsewhere, and run make install or tools/install.py there\n"
@@ -21,13 +23,13 @@ end
 set_plugin_info { version = VERSION, author = "the YAPP for Wireshark project",
   description = "YAPP, the packet protocol of Taurus motor controllers, on CAN, UART, TCP and UDP" }
 
--- A number has a point, as in Wireshark's own times and filters, whatever the user's locale has:
--- with a comma "%.1f" writes text that no program reads, Lua 5.2 reads no "2.5", and Lua that is
--- made from numbers is none.
+-- Set the decimal point, as in Wireshark's own times and filters, whatever the user's locale has.
+-- With a decimal comma "%.1f" writes text that no program reads, Lua 5.2 cannot read "2.5", and Lua
+-- source made from numbers does not compile.
 os.setlocale("C", "numeric")
 
--- What the frames of a long capture leave behind is let go of early and without dawdling: it takes
--- less memory and no more time.  (COMPAT 5.5: not called so there.)
+-- Collect garbage earlier and faster than Lua does by default: a long capture takes less memory and
+-- no more time.  (COMPAT 5.5: these options have other names there, hence pcall.)
 pcall(collectgarbage, "setpause", 150)
 pcall(collectgarbage, "setstepmul", 1000)
 
@@ -51,9 +53,10 @@ local stat_intake = require "yapp.stat.intake"
 local stat_taps = require "yapp.stat.taps"
 local tree_builder = require "yapp.show.tree"
 
--- The user's own messages come behind ours: from Wireshark's personal configuration folder, and
--- from where a preference or the environment says.  Fields can be registered only while a plugin
--- loads, when no preference is known: that of the default profile is read from its file.
+-- The user's own messages follow the plugin's.  They come from yapp_messages.lua in Wireshark's
+-- personal configuration folder, and from the files that a preference and the environment name.
+-- Fields can be registered only while a plugin loads, and then the API tells no preference.  So the
+-- default profile's preference is read from its file.
 local default_profile = Dir.personal_config_path("preferences")
 local chosen_file = catalogue_files.preference(default_profile, "yapp.messages")
 
@@ -91,10 +94,11 @@ local tree = tree_builder.new {
   reader = reader,
 }
 
--- SocketCAN's table of ids finds the frames of a message: no other frame costs anything.
+-- SocketCAN's table of ids calls YAPP for the ids registered in it alone, so other frames cost
+-- nothing.
 local by_can_id, is_registered = DissectorTable.get("can.extended_id"), {}
 
--- Every CAN CTRL and Seq No of a message ID, with YAPP CTL 0.
+-- Register the CAN ids of a message ID: CAN CTRL 0 to 3 and every Seq No, with YAPP CTL 0.
 local function register_id(id)
   if is_registered[id] then return end
   is_registered[id] = true
@@ -115,16 +119,18 @@ local function joined(...)
   return joint
 end
 
--- What the capture does not have: packets that it says were dropped, and segments of TCP.
+-- drops: packets that the file says were dropped, and TCP segments that it lacks.  unfinished:
+-- messages that the capture ends before.
 local function drops() return joined(buses:drops(), streams:drops()) end
 local function unfinished() return joined(frames:unfinished(), streams:unfinished()) end
 
--- What the statistics need of the preferences; see read_preferences.
+-- What the statistics need of the preferences; read_preferences fills it.
 local settings = { version = VERSION, catalogue = catalogue }
 
 -- Dissectors --------------------------------------------------------------------------------------
 
--- Return the CAN id of a frame that no table of ids found, as socketcan.find_id does.
+-- Return the CAN id of a frame that did not come through the table of ids, as socketcan.find_id
+-- does.
 local function find_id(pinfo)
   local can_id, is_unknown = socketcan.find_id(pinfo)
   socketcan.wrap(header) -- from the next frame on the id is known
@@ -138,8 +144,9 @@ function all.dissector(tvb, pinfo, root)
   return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
 end
 
--- With the preference "all extended": what no table claims.  A heuristic is called for every CAN
--- frame of every capture that no other dissector takes, so it is registered when it is needed.
+-- The heuristic takes every frame that no other dissector takes, if the preference
+-- yapp.all_extended is set.  It costs time for each such CAN frame of every capture, so it is
+-- registered only when it is needed.
 local takes_all, is_heuristic = false, false -- takes_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
@@ -172,12 +179,12 @@ function skipped.dissector(tvb, pinfo, root)
   return streams:skipped(tvb, pinfo, root)
 end
 
--- Taurus messages arrive through YAPP alone; the handle is what "is this protocol wanted" is asked
--- by.
+-- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the API
+-- asks by dissector whether a protocol is wanted (see show.tree).
 function taurus.dissector() return 0 end
 
--- A conversation is YAPP's from its first packet on that holds a good frame, or nothing but
--- messages of the catalogue, whose CRC may be bad.
+-- A conversation becomes YAPP's with its first packet that holds a good frame, or nothing but
+-- messages of the catalogue, even with bad CRCs.
 local function found_by_content(tvb, pinfo, root)
   if not streams:accepts(tvb, pinfo) then return false end
   pinfo.conversation = serial
@@ -185,8 +192,8 @@ local function found_by_content(tvb, pinfo, root)
   return true
 end
 
--- Every call from a heuristic costs, and TCP and UDP are most of other people's captures: so the
--- search begins where the first bytes of a file have what may be a frame, or nothing yet, as in a
+-- Each call of a heuristic costs time, and most captures are full of other TCP and UDP.  So search
+-- only if the first bytes of a file may have a YAPP frame, or if there are no packets yet, as in a
 -- live capture.
 local is_searching = false
 
@@ -199,7 +206,8 @@ local function search_streams()
   serial:register_heuristic("udp", found_by_content)
 end
 
--- The controller's own time of a frame in a raw dump, "Nanoseconds since boot".
+-- Return the controller's own time of a frame in a raw dump ("Nanoseconds since boot"), nil for
+-- none.
 local function controller_time(bytes)
   local id, size = frame.parse(bytes, 1)
   local message = reader:message_of(id)
@@ -222,8 +230,8 @@ local stat = stat_taps.new {
 
 -- Preferences and files ---------------------------------------------------------------------------
 
--- What is wrong with the preferences, and what the user asked for and did not get: such an answer
--- is not the whole one.
+-- List what makes the answer of a statistic incomplete: a catalogue or preferences with mistakes,
+-- and a file with messages that was not read.
 local function list_problems(...)
   local problems, file = {}, yapp.prefs.messages
   if not is_whole then problems[1] = "the catalogue did not load whole" end
@@ -282,7 +290,7 @@ end
 
 -- Registration ------------------------------------------------------------------------------------
 
--- Starts of unknown messages, of those that do not number themselves.
+-- Register the Starts with Seq No 0 of all IDs: so begin unknown messages that are not numbered.
 for id = 0, MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
 stat:register()
 for name, proto in pairs {

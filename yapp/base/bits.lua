@@ -11,15 +11,14 @@ local native = load([[
 ]], "=base.bits native")
 
 --- Lua 5.2's library, nil where there are native operators: BitOp in Wireshark (signed results),
--- bit32 in plain Lua (unsigned).  For loops that cannot afford a call more; either result is right
--- after % 0x100000000.
+-- bit32 in plain Lua (unsigned).  Loops that cannot afford one more call use it, and take each
+-- result modulo 0x100000000.
 M.library = not native and (rawget(_G, "bit") or require("bit32")) or nil
 
---- As band, but the sign is not sure: whether it is 0 can be asked of it, in loops.
+--- A faster band for loops, whose result may be negative: compare it with 0 only.
 M.common = native and native() or M.library.band
 
---- band(a, b): the bits that both have.  bor(a, b): those that any has.  bxor(a, b): those that one
--- of them has.
+--- band(a, b): the bits set in both.  bor(a, b): in at least one.  bxor(a, b): in exactly one.
 -- a, b     integers, 0 .. 0xFFFFFFFF
 -- returns  the same
 if native then

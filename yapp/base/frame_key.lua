@@ -1,17 +1,14 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The frame key: one number for a frame, by which it is known when Wireshark dissects it again.
--- Pure
--- Lua.
+-- The frame key: one number that identifies a frame, also when Wireshark revisits it.  Pure Lua.
 --
--- It is the packet's number and, in the lowest 17 bits, the offset of the frame's bytes in the
--- packet,
--- as a packet may have several frames.  Keys ascend in the order of the capture.
+-- It is the packet's number times 2^17 plus the offset of the frame's bytes in the packet, as a
+-- packet may have several frames.  Keys ascend in the order of the capture.
 
 local M = {}
 
 local floor, huge = math.floor, math.huge
 
---- What the number of a packet is multiplied by.
+--- The factor of the packet's number in a key.
 M.PACKET = 0x20000
 
 --- Return the number of the packet of a frame key.
@@ -19,8 +16,9 @@ function M.number(key)
   return floor(key / 0x20000)
 end
 
---- Return the index of the last of ascending numbers that is not above a limit, 0 for none.
--- guess  an index that it may be, or nil
+--- Return the index of the last number <= limit in an ascending list, 0 for none: 2 for { 3, 5, 9 }
+-- and 8.
+-- guess  an index to try first, or nil
 function M.last_until(numbers, limit, guess)
   local low, high, guessed = 0, #numbers, numbers[guess or 0]
   if guessed and guessed <= limit and limit < (numbers[guess + 1] or huge) then return guess end

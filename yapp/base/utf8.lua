@@ -3,8 +3,8 @@
 
 local M = {}
 
--- Characters beyond ASCII (Unicode, "Well-Formed UTF-8 Byte Sequences"; C: a byte that goes on), no
--- control characters
+-- Patterns of the characters beyond ASCII, without control characters (Unicode, "Well-Formed UTF-8
+-- Byte Sequences").  C stands for a continuation byte.
 local CHARACTERS = {
   "\194[\160-\191]", "[\195-\223]C",
   "\224[\160-\191]C", "[\225-\236\238\239]CC", "\237[\128-\159]C",
@@ -12,14 +12,14 @@ local CHARACTERS = {
 }
 for i, character in ipairs(CHARACTERS) do CHARACTERS[i] = character:gsub("C", "[\128-\191]") end
 
--- Invisible characters, and those that turn the direction of the text around them: U+061C, U+200B
--- to U+200F, U+2028 to U+202E, U+2060 to U+206F, U+FEFF
+-- Characters that are invisible or change the direction of the text around them: U+061C, U+200B to
+-- U+200F, U+2028 to U+202E, U+2060 to U+206F, U+FEFF
 local INVISIBLE = {
   "\216\156", "\226\128[\139-\143]", "\226\128[\168-\174]", "\226\129[\160-\175]", "\239\187\191",
 }
 
---- The text with a "?" for each character beyond ASCII; bytes that are no UTF-8, or a control
--- character's, stay.
+--- Return the text with a "?" for each character beyond ASCII.  Bytes that are not UTF-8 stay, as
+-- do those of control characters.
 function M.ascii(text)
   if not text:find("[\128-\255]") then return text end
   for _, character in ipairs(CHARACTERS) do text = text:gsub(character, "?") end
@@ -40,7 +40,7 @@ function M.is_printable(text)
   return not M.ascii(text):find("[%c\128-\255]") and not has_any(text, INVISIBLE)
 end
 
--- The character that may be printed at an index, or several of ASCII; nil for none.
+-- Return the printable character at an index, or a run of ASCII; nil for none.
 local function printable_at(text, index)
   local ascii = text:match("^[^%c\128-\255]+", index)
   if ascii then return ascii end
@@ -50,8 +50,8 @@ local function printable_at(text, index)
   end
 end
 
---- Return the text fit to be printed: "\xNN" for each byte of a control character, of an invisible
--- one, and of what is no UTF-8.
+--- Return the text fit to be printed, with "\xNN" for each byte of a control or invisible
+-- character, and for bytes that are not UTF-8.
 function M.printable(text)
   if M.is_printable(text) then return text end
   local parts, index = {}, 1
@@ -63,8 +63,8 @@ function M.printable(text)
   return table.concat(parts)
 end
 
---- Return a name fit to be printed, so that different names stay different: a backslash that would
--- read as one of printable's stands as "\x5C" ("a\x01" of five letters is "a\x5Cx01").
+--- Return a name fit to be printed.  Different names stay different: a backslash that looks like
+-- one of M.printable's becomes "\x5C".  The five characters a\x01 become a\x5Cx01.
 function M.name(text)
   return M.printable((text:gsub("\\(x%x%x)", "\\x5C%1")))
 end

@@ -18,10 +18,10 @@ local number_of, PACKET, sub = frame_key.number, frame_key.PACKET, string.sub
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
 
 local REASSEMBLED = "Reassembled YAPP" -- what Wireshark's bytes pane calls it
-local FIRST = 1e99 -- seconds since a source's previous message, of its first one
+local FIRST = 1e99 -- in deltas, for a message whose source has no previous one
 
--- YAPP has no remote frames.  Of data bytes like these it is asked whether they are of one; what is
--- not known to be one is data.
+-- YAPP has no remote frames, but captures give a remote frame zeros as data.  So ask of a frame of
+-- zeros whether it is remote; if nothing says so, it is a data frame.
 local ZEROS = {}
 for length = 0, 8 do ZEROS[("\0"):rep(length)] = true end
 
@@ -32,7 +32,7 @@ Dissector.__index = Dissector
 -- tree         a tree builder (show.tree)
 -- reader       a message.reader: what a finished message means
 -- buses        a host.buses
--- register_id  function(id): frames of this message ID are YAPP's
+-- register_id  function(id), which makes Wireshark call YAPP for frames of this message ID
 function M.new(tree, reader, buses, register_id)
   return setmetatable({
     tree = tree,
@@ -58,12 +58,11 @@ function Dissector:reset(history)
   self.sources = setmetatable({}, { __index = new_bus }) -- [bus or false][ID] = a source
   self.deltas = {} -- [frame key of a single frame] = seconds, or FIRST; nil: not known
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
-  self.lost_bus = false -- whether the bus of any frame was not known
+  self.lost_bus = false -- whether a frame came whose bus is not known
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
   self.asks = self.buses.asks -- whether the bus of a frame has to be asked for
-  -- The frame of now, used again for the next one: a tenth of a packet list.
-  -- COMPAT 5.2: where there is nothing, false: to write nil under a name that has none makes the
-  -- table anew.
+  -- The current frame.  The next frame reuses the table, which saves a tenth of a packet list.
+  -- COMPAT 5.2: false stands for nothing, as writing nil to a missing key rebuilds the table.
   self.frame = {
     key = 0, -- see base.frame_key
     can_id = false, -- the fields of its CAN id (wire.can_id)
@@ -72,15 +71,15 @@ function Dissector:reset(history)
     accepts_all = false, -- whether the user says that every extended frame is YAPP
     is_only_pass = false, -- whether it is never dissected again
     number = 0, visited = false, is_bus_known = true, -- of its packet; whether its bus is known
-    -- As can.reassembly says; index = in the message, of one that comes again.
+    -- From can.reassembly; on a revisit index = of the fragment in its message.
     message = false, anomalies = false, index = false,
     tvb = false, pinfo = false, tree = false, range = false, -- of Wireshark
     wants = false, item = false, payload_tvb = false, payload_at = 0, -- see Tree:payload
   }
 end
 
--- Return the record of a message that a frame ends, for message.reader.  For the statistics it is
--- that of any frame, without the arguments behind it.
+-- Return the message that a frame ends, for message.reader.  For the statistics make one of any
+-- frame, where status, payload and size may be missing.
 local function new_message(self, frame, status, payload, size)
   local delta, is_unreliable = false, not frame.is_bus_known
   if frame.visited then
@@ -119,7 +118,7 @@ end
 
 -- YAPP's own item ---------------------------------------------------------------------------------
 
--- Add it with what the CAN id says, all of that generated.
+-- Add YAPP's own item, with the fields of the CAN id as generated items.
 local function add_item(self, frame)
   local builder, fields, source = self.tree, frame.can_id, frame.source
   local kind = KINDS[fields.ctrl] or "undefined frame"
@@ -134,7 +133,7 @@ local function add_item(self, frame)
   return item
 end
 
--- What the bytes of a fragment are: in a Start the fields that were captured.
+-- Add what the bytes of a fragment are.  A truncated Start has only the fields that were captured.
 local function add_fragment(self, frame)
   local fields, length, item = self.tree.fields, #frame.data, frame.item
   if frame.can_id.ctrl ~= START then
@@ -147,7 +146,8 @@ local function add_fragment(self, frame)
   if frame.message then append_text(item, (" of %d bytes"):format(frame.message.size)) end
 end
 
--- The numbers of the packets of a message, without those that a read filter dropped.
+-- Return the numbers of a message's packets.  Leave out those that a read filter dropped, whose
+-- keys have a fraction (see Store:drop).
 local function numbers_of(message)
   local numbers = {}
   for _, key in ipairs(message) do
@@ -156,7 +156,7 @@ local function numbers_of(message)
   return numbers
 end
 
--- What is reassembled in a message's last frame.
+-- Add what a message's last frame completes: size, CRC, fragments and padding.
 local function add_message(self, frame)
   local builder, message, data, item = self.tree, frame.message, frame.data, frame.item
   local payload, padding = frame.payload_tvb and frame.payload_tvb(), message.padding or 0
@@ -173,12 +173,12 @@ end
 
 -- Messages ----------------------------------------------------------------------------------------
 
--- Read a message, and keep what the history says.
+-- Read a message, and keep its delta for revisits.
 -- returns  as Reader:read
 local function read(self, frame, m)
   local is_whole = self.reader:read(m, self.history, frame.wants.state)
   if frame.visited or frame.is_only_pass then return is_whole end
-  -- Of a source that two controllers share the history says so itself, on a revisit, too.
+  -- That controllers share a source is not kept: on a revisit the history says it again.
   local delta = frame.is_bus_known and (m.delta or FIRST)
   if frame.message then
     self.reassembly:keep(frame.message, delta, m.has_fault)
@@ -203,7 +203,7 @@ local function show_single(self, frame)
   return info
 end
 
--- The last frame of a message: what was reassembled.
+-- Show the last frame of a message, and the message that it completes.
 local function show_last(self, frame)
   local builder, message, wants, item = self.tree, frame.message, frame.wants, frame.item
   local status, payload = message.status, message.payload
@@ -223,8 +223,8 @@ end
 
 -- Fragments ---------------------------------------------------------------------------------------
 
--- Return the text of a fragment.  How many fragments a message has is sure once it is good; before
--- that, it is what classic CAN needs.  A source keeps the texts for messages of one size.
+-- Return the text of a fragment.  A good message has a known number of fragments; for another one
+-- assume the number that classic CAN needs.  The source caches the texts for messages of one size.
 local function fragment_text(frame)
   local source, message = frame.source, frame.message
   local index, texts, size = frame.index or #message, source.texts, message.size
@@ -284,7 +284,7 @@ local function show(self, frame, kind)
   local builder, pinfo, tree, visited = self.tree, frame.pinfo, frame.tree, frame.visited
   local wants = not visited and builder.wanted or builder:wants(tree, pinfo, visited)
   frame.wants, frame.item = wants, tree
-  frame.is_only_pass = wants.is_only_pass -- and those that follow
+  frame.is_only_pass = wants.is_only_pass -- for the next frames: this one was taken already
   if wants.yapp then
     frame.item = add_item(self, frame)
   elseif wants.names then
@@ -299,7 +299,7 @@ local function show(self, frame, kind)
   columns.info = info
 end
 
--- Return the source of a message ID on a bus, the first time that it is asked for.
+-- Make and keep the source of a message ID on a bus.
 -- bus  number or false
 local function new_source(self, id, bus)
   local source = self.reader:new_source(id, bus, self.buses:name(bus))
@@ -313,8 +313,8 @@ local function find_bus(self, frame, pinfo, number)
   self.lost_bus = self.lost_bus or not is_known
 end
 
--- Return whether Wireshark dissects a frame again whose key is not new.  If not, a read filter (-R)
--- dropped the packet before, and its number comes twice.
+-- Return whether a frame whose key is not new is a revisit.  If not, a read filter (-R) dropped the
+-- packet before, and this packet has its number.
 local function is_revisit(self, pinfo, key)
   local visited = pinfo.visited
   if not visited then self.reassembly:drop(key) end
@@ -336,7 +336,7 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   frame.can_id = fields
   frame.source = self.sources[bus][fields.id] or new_source(self, fields.id, bus)
   frame.slot = fields.message_key + (bus or 0) * BUS
-  -- raw() of nothing would throw past Lua, to Wireshark: what no Lua can catch.
+  -- raw() of an empty Tvb would throw past Lua: not even pcall catches that.
   frame.data = length_of(tvb) > 0 and raw_of(tvb) or ""
   frame.reported = reported
   frame.accepts_all = accepts_all
@@ -381,7 +381,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   return reported
 end
 
---- Show a frame that is YAPP's by the user's word, but whose CAN id nothing says, as bytes: the
+--- Show as bytes a frame that the user calls YAPP, but whose CAN id is not known.  That is the
 -- first frame of Decode As, on a pass that builds no tree.
 function Dissector:without_id(tvb, pinfo, tree)
   local builder, item = self.tree, tree
@@ -394,8 +394,8 @@ function Dissector:without_id(tvb, pinfo, tree)
   return tvb:reported_len()
 end
 
--- Return the payload sizes of the messages that a frame may be: { [CAN CTRL] = size }.  It has the
--- bytes of a Start, or values of a message of the catalogue that fits into one frame.
+-- Return what a frame may be by its data, as { [CAN CTRL] = payload size of the message }: a Start,
+-- or a message of the catalogue that fits into a single frame.
 local function possible_sizes(self, data)
   local sizes, _, size, reserved = {}, can_id.start(data)
   if #data == 8 and reserved == 0 and size > 8 then sizes[START] = size end
@@ -406,8 +406,8 @@ local function possible_sizes(self, data)
   return sizes
 end
 
---- Report to the statistics what may be a Start or a single frame that nothing dissects: of an
--- unknown ID, or with a YAPP CTL other than 0.
+--- Report a frame that no dissector takes to the statistics, if it may be a Start or a single frame
+-- of an unknown ID, or one with a YAPP CTL other than 0.
 -- find_id  function(pinfo) -> 29-bit CAN id, or nil
 function Dissector:report_unknown(tvb, pinfo, find_id)
   local length = length_of(tvb)
@@ -427,7 +427,7 @@ end
 function Dissector:unfinished()
   local list = {}
   for _, message in ipairs(self.reassembly:unfinished()) do
-    -- It may have gone on behind a frame from which on the buses were not known.
+    -- Where buses are not known any more, a message of a known bus may have gone on unseen.
     if not (self.lost_bus and message.source.bus_key) then
       list[#list + 1] = {
         source = message.source,

@@ -3,8 +3,9 @@
 --
 -- A Start that comes while a message with the same key is open may supersede it, or come from
 -- another bus.  From then on the frames of that key are pooled.  An End looks for the frames that,
--- with it, make up one of the open messages: its size and its CRC decide.  Each frame brings some
--- credit, which bounds the search; bytes that no open message can use end all of them.
+-- with it, make up one of the open messages: its size and its CRC decide.  Each frame adds credit,
+-- which limits the steps of the search.  If the pool has more bytes than its open messages can use,
+-- all of them are given up.
 
 local can_id = require "yapp.wire.can_id"
 local crc = require "yapp.wire.crc"
@@ -31,7 +32,7 @@ function M.new(reassembly, message, fields)
     open = {}, -- see Pool:add; oldest Start first
     frames = {}, -- see Pool:add_frame
     credit = MAX_CREDIT,
-    reserve = 0, -- of the credit, what a search has to leave
+    reserve = 0, -- credit that the search must leave for other messages
   }, Pool)
   self:add(message)
   for i, data in ipairs(chunks) do self:add_frame(message[i + 1], data, #data, false) end
@@ -62,7 +63,7 @@ function Pool:add(message)
     message = message,
     from = #self.frames + 1, -- index of its first frame
     age = 0, -- Starts that superseded it
-    anomalies = {}, -- to be withdrawn if it comes out good
+    anomalies = {}, -- to be withdrawn if it turns out good
     is_retry = false, -- whether it was shown as broken already
   })
 end
@@ -74,7 +75,8 @@ function Pool:messages()
   return list
 end
 
--- How many bytes no good message has taken, from a frame on; and the indexes of their frames.
+-- Return how many bytes, from a frame on, no good message has taken; and the indexes of their
+-- frames.
 local function leftovers(self, from)
   local indexes, length = {}, 0
   for i = from, #self.frames do
@@ -91,8 +93,8 @@ local function give_up(self, candidate)
   if not candidate.is_retry then self.reassembly:give_up(candidate.message) end
 end
 
---- Take notice of a Start: it supersedes the open messages, and too old ones are given up.
--- anomaly  that says so of the newest message, or nil
+--- Note a Start: it supersedes the open messages; give up those that are too old.
+-- anomaly  the one that notes this of the newest message, or nil
 -- returns  whether any is left
 function Pool:supersede(anomaly)
   local rest = {}
@@ -153,8 +155,8 @@ local function padding_since_start(self, message)
   return can_id.padding(last.data, last.length, message.size - self.since + last.length)
 end
 
--- Whether all that came since the newest Start makes up its message; where bytes are truncated, by
--- their number.
+-- Return the frames since the newest Start if together they are its message.  The CRC decides;
+-- where bytes are truncated, their number does.
 -- returns  indexes of the frames, padding; nil where it does not
 local function all_since_start(self, candidate, register)
   local padding = padding_since_start(self, candidate.message)
@@ -182,7 +184,8 @@ local function find_complete(self)
   local indexes, padding = all_since_start(self, newest, seed_of(newest))
   if indexes then return #open, indexes, padding end
   for i, candidate in ipairs(open) do
-    -- The oldest is broken as a rule, and searched among most frames: each may use its share.
+    -- Let each message use its share of the credit: the oldest is usually broken, and searches most
+    -- frames.
     self.reserve = self.credit * (1 - 1 / (#open - i + 1))
     local goal = { crc = candidate.message.crc, indexes = {}, padding = false }
     if search(self, goal, candidate.from, seed_of(candidate), candidate.message.size) then
@@ -191,8 +194,8 @@ local function find_complete(self)
   end
 end
 
--- Give frames to a message, and return its payload, up to where bytes are truncated, and whether
--- any are.
+-- Give frames to a message.  Return its payload, which ends with the first truncated frame, and
+-- whether there is such a frame.
 local function assign_frames(self, message, indexes)
   local chunks, is_truncated = {}, false
   for i = #message, 2, -1 do message[i] = nil end
@@ -225,8 +228,8 @@ local function award(self, candidate, indexes, padding, status)
   self.since = newest and leftovers(self, newest.from) or 0
 end
 
--- An End that completes nothing ends the newest message, as it seems.  But it may be another bus's.
--- So where others are open, a copy of that message is tried again with what may come.
+-- An End that completes no message seems to end the newest.  But the End may be of another bus.  So
+-- if other messages are open, a copy of the newest stays open for later frames.
 local function end_newest(self)
   local candidate = table.remove(self.open)
   local message, status = candidate.message, nil
@@ -243,7 +246,7 @@ local function end_newest(self)
   award(self, candidate, indexes, padding, status)
 end
 
--- Whether the pool has more bytes than all open messages can use: none of them will come out good.
+-- Whether the pool has more bytes than all open messages can use: then none of them will be good.
 local function is_full(self)
   local limit = MAX_WASTE
   for _, candidate in ipairs(self.open) do limit = limit + candidate.message.size end

@@ -4,10 +4,10 @@
 --
 -- A slot is a message key on a bus: usually one message at a time is open there.  A message is
 --   1 .. n     frame keys of its fragments (base.frame_key)
---   slot, source, size, crc, reserved (nil for 0)    as its Start says; of whom it is
---   chunks     while it is open: the bytes of the fragments behind the Start; received = how many
---              these are; repeated = bytes of chunks that equal the one before, or nil;
---              is_truncated = whether the capture has fewer bytes than were sent, or nil
+--   slot, source; size, crc, reserved (nil for 0) as its Start says
+--   chunks     while it is open: the bytes of the fragments behind the Start; received = their sum;
+--              repeated = bytes of chunks that equal the one before, or nil; is_truncated = whether
+--              the capture has fewer bytes than were sent, or nil
 --   status     nil while it is open; "good", "bad" (CRC), "incomplete", "overrun", "truncated"
 --              (by the capture); "superseded" by a new Start, or given up
 --   payload    once its last fragment has come
@@ -27,7 +27,7 @@ local concat, floor, min = table.concat, math.floor, math.min
 local END, KINDS = can_id.END, can_id.KINDS
 
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it
-local MAX_RUNS = 8 -- runs of equal fragments in which one that came twice is looked for
+local MAX_RUNS = 8 -- runs of equal fragments that are searched for duplicates
 
 local Reassembly = {}
 Reassembly.__index = Reassembly
@@ -68,7 +68,7 @@ function Reassembly:note(expert, message, text, ...)
   return anomaly
 end
 
---- Withdraw an anomaly, as nothing is wrong after all: a later frame has proved it.
+--- Withdraw an anomaly: a later frame has proved that nothing is wrong.
 function Reassembly:withdraw(anomaly)
   anomaly.is_withdrawn = true
   self.store:withdraw(anomaly.key, anomaly)
@@ -109,7 +109,8 @@ function Reassembly.finish(_, message, fields, payload, status)
   if message.status == "bad" then message.calculated = calculated end
 end
 
---- End a message that nothing will show.  A copy of what its fragments need is a third as large.
+--- End a message that no last frame will show.  Keep a copy of what revisits of its fragments need:
+-- it is a third as large.
 function Reassembly:give_up(message)
   message.status, message.chunks = "superseded", nil
   if not self.keeps then return end
@@ -156,8 +157,8 @@ local function make_room(self)
 end
 
 -- A Start came while a message is open in its slot.  On a known bus it supersedes that message.
--- Else it may be another bus's, and what follows decides.
--- returns  can.interleaved where the message stays open, else nil
+-- Else the Start may be of another bus, and later frames decide.
+-- returns  a pool of can.interleaved if the message stays open, else nil
 local function supersede(self, frame)
   local open, list = self.open[frame.slot], open_in(self, frame.slot)
   local newest, anomaly = list[#list], nil
@@ -204,9 +205,9 @@ local function check_start(self, frame, size, reserved)
   end
 end
 
--- Return whether a Start is YAPP's.  If the user does not say so, it must be plausible, and an
--- unknown ID must have no Seq, or have had a Start without one before.  That of a known ID may be
--- truncated.
+-- Return whether a Start is YAPP's.  Unless the user says that every frame is, it must be
+-- plausible.  An unknown ID needs Seq No 0, or an earlier Start that was accepted.  The Start of a
+-- known ID may be truncated.
 local function is_plausible(self, frame, size, reserved)
   local fields, is_known = frame.can_id, frame.source.size
   if frame.accepts_all then return true end
@@ -249,16 +250,17 @@ end
 
 -- Middles and Ends -------------------------------------------------------------------------------
 
--- CAN may deliver a frame twice: its sender did not see the acknowledgement.  A message may be too
--- long by fragments of one run of equal ones.  If its CRC is good without them, leave them out.
+-- CAN delivers a frame twice if its sender missed the acknowledgement.  So a message that is too
+-- long may have duplicates in one run of equal fragments.  If its CRC is good without them, leave
+-- them out.
 -- frame   the last one
--- needed  the bytes that it should have, with nothing left out
--- returns  whether it is so: then the message has ended
+-- needed  the bytes that this frame should have if nothing is left out
+-- returns  whether the CRC was good without some: then the message has ended
 local function leave_out(self, message, frame, needed)
   local chunks, at, runs = message.chunks, 1, 0
   while at < #chunks and runs < MAX_RUNS do
     local first = at
-    -- An End is sent once.
+    -- The last chunk is the End: a second End would follow a message that has ended.
     while at + 1 < #chunks and chunks[at + 1] == chunks[first] do at = at + 1 end
     for count = 1, at - first do
       needed = needed + #chunks[first]
@@ -282,7 +284,7 @@ local function leave_out(self, message, frame, needed)
   return false
 end
 
--- The End of a message that has not as many bytes as its size says.
+-- End a message whose bytes are not as many as its size: padding, duplicates, or a misfit.
 local function finish_unusual(self, message, frame)
   local chunks, status = message.chunks
   local needed = frame.reported + message.size - chunks.received
@@ -300,8 +302,8 @@ local function finish_unusual(self, message, frame)
   self:finish(message, frame.can_id, concat(chunks), status)
 end
 
--- Take a chunk that equals the one before, or is truncated.  Behind a truncated one nobody knows
--- which chunk is which.
+-- Take a chunk that equals the one before, or is truncated.  Keep none behind a truncated chunk:
+-- the payload ends there.
 local function take_odd(chunks, index, data, reported)
   if chunks.is_truncated then return end
   if data == chunks[index - 1] then chunks.repeated = (chunks.repeated or 0) + reported end
@@ -309,7 +311,8 @@ local function take_odd(chunks, index, data, reported)
   chunks[index] = data
 end
 
--- A Middle or End where no message is open that has come as it should.
+-- Take a Middle or End whose slot has no regular message: none, several that interleave, or one
+-- that is too long.
 local function continue_other(self, frame, open)
   local fields = frame.can_id
   if not open then
@@ -386,13 +389,13 @@ for ctrl = #TAKERS + 1, 15 do TAKERS[ctrl] = undefined end
 -- returns  nil for a frame that is not YAPP's, else its kind: "single"; "fragment", of a message;
 --          "last", with which its message ends; "other", which has no message, as the anomalies say
 --          the message of a fragment, else nil
---          list of anomalies, or false
+--          its list of anomalies, or false
 function Reassembly:take(frame)
   self.key, self.anomalies, self.keeps = frame.key, false, not frame.is_only_pass
   local kind, message = TAKERS[frame.can_id.ctrl](self, frame)
   if self.keeps then
     self.message = message or false
-    -- Which message has an interleaved fragment is not known yet; it may be none.
+    -- It is not known yet which message an interleaved fragment belongs to, if any.
     local is_other = kind == "other" or kind == "fragment" and not message.chunks
     if self.anomalies or is_other then
       self.store:keep_anomalies(frame.key, self.anomalies or {})
@@ -419,7 +422,8 @@ local function find_open_in(self, slot, key)
   end
 end
 
--- The same for all slots: once a read filter has dropped a packet, no bus is known on revisits.
+-- The same for the frame's slot, then for those of all buses: once a read filter has dropped a
+-- packet, no bus is known on revisits.
 local function find_open(self, frame)
   local found, index = find_open_in(self, frame.slot, frame.key)
   for bus in pairs(found and {} or self.buses) do
@@ -429,7 +433,7 @@ local function find_open(self, frame)
   return found, index
 end
 
---- Say what a frame is that was taken before.
+--- Say what a frame is that Reassembly:take took before.
 -- returns  as Reassembly:take, and the index of the frame in its message; of a fragment that came
 --          twice, the index of the one before
 function Reassembly:recall(frame)

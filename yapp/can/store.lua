@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What is kept of CAN frames for when Wireshark dissects them again.  Pure Lua.
+-- What revisits need to know of CAN frames.  Pure Lua.
 --
 -- A good message is packed into a string, so nothing is kept of its fragments.  Frames 7, 8 and 10
 -- with offset 16 make a good message of 9 bytes:
@@ -27,7 +27,7 @@ local CHARS = {}
 for packets = 1, 255 do CHARS[packets * PACKET] = string.char(packets) end
 
 local FAULT, LONE = byte("!"), byte("-")
-local MAX_BEFORE = 8 -- messages of a slot that may begin behind one and before it ends
+local MAX_BEFORE = 8 -- so many messages of a slot may begin inside another one
 
 local DUPLICATE = {
   expert = "fragment.duplicate",
@@ -74,7 +74,7 @@ local function pack(message, has_fault)
 end
 
 --- Keep a message that has ended.
--- delta      number or false, which the message gets as delta when it is found
+-- delta      number or false: delta of the message, once Store:find returns it
 -- has_fault  whether it has a fault flag set
 function Store:keep(message, delta, has_fault)
   local slot = self.slots[message.slot]
@@ -124,7 +124,7 @@ function Store:anomalies_of(key)
 end
 
 --- Forget the newest packet: a read filter dropped it, and the next packet has its number.  Its
--- frames get keys that no frame has.
+-- frames get keys that no frame has (key - 0.5).
 -- key      of the first frame of the next packet
 -- message  of the newest frame, or false
 function Store:drop(key, message)
@@ -172,7 +172,7 @@ local function message_at(slot, at, fields)
 end
 
 -- Return the message of a slot that has a frame as a fragment, and the index of the fragment; nil
--- for none.  A good message has the frame; a broken one only seemed to have it.
+-- for none.  A good message wins: a broken one only seemed to have the frame.
 local function find_in(slot, key, fields)
   local latest, found = slot.latest, nil
   local index = last_until(latest, key, slot.index + 1)
@@ -202,7 +202,7 @@ function Store:find(frame, buses)
   local found, index
   if slot then found, index = find_in(slot, key, fields) end
   if found then return found, index end
-  -- Behind a packet that a read filter dropped no bus is known.
+  -- Once a read filter has dropped a packet, no bus is known.
   for bus in pairs(buses) do
     slot = slots[can_id.slot(fields, bus)]
     if slot then found, index = find_in(slot, key, fields) end

@@ -96,7 +96,7 @@ local function read_flexible(record, rest, base)
   end
 end
 
--- What stands in front of the channel, and how to read what follows the id.
+-- By the word in front of the channel: what reads the text behind the id.
 local FORMS = { [""] = read_classic, CANFD = read_flexible }
 
 --- Read one line.
@@ -132,7 +132,7 @@ end
 
 local CHANNEL = "\n[ \t]*[%d.]+[ \t]+(%d+)[ \t]+%x+x%s"
 
--- Lines with a date, and the field of the log that it is.
+-- Patterns of lines with a date, by the field of the log that gets the date.
 local DATES = {
   date = "^%s*date%f[%s\0](.*)",
   began = "^%s*[Bb]egin%s+[Tt]riggerblock%s+(%S.*)",
@@ -188,7 +188,7 @@ function M.open(file, report)
     base = BASES[base],
     is_relative = stamps == "relative",
     date = 0, -- of the file
-    began = nil, -- the date of the block whose first stamp is to come
+    began = nil, -- the date of a block until its first stamp comes
     start = nil, -- what stamps count from, if not from the date
     clock = 0, -- the last stamp; if they are relative, the sum of all
   })

@@ -8,8 +8,8 @@ local parse = candump_line.parse
 
 local M = {}
 
--- Sizes, in bytes.  A pipe can be rewound inside Wireshark's own buffer only, which is never less
--- than HEAD and never as much as SURE (less than 256 KB on 4.0, than 8 MB on 4.4 and 4.6).
+-- Sizes, in bytes.  A pipe can be rewound only inside Wireshark's own buffer, which has at least
+-- HEAD and less than SURE bytes (less than 256 KB on 4.0, than 8 MB on 4.4 and 4.6).
 local HEAD = 4096
 local SURE = 16 * 1024 * 1024
 local PIECE = 1024 * 1024
@@ -21,8 +21,7 @@ local NO_BUS = { [""] = true, any = true }
 -- Which files are candump's
 -- -------------------------------------------------------------------------
 
--- The numbers of digits that Wireshark's own reader takes behind "#", by what comes first: data,
--- remote, CAN FD.
+-- How many digits Wireshark's own reader takes behind "#", for data, remote and CAN FD frames.
 local PLAIN_DIGITS = {
   [""] = "0 2 4 6 8 10 12 14 16", R = "0 1", ["#"] = "1 3 5 7 9 11 13 15 17 25 33 41 49 65 97 129",
 }
@@ -35,8 +34,8 @@ end
 -- Return a test for text of whole lines: whether all are log lines of this bus that Wireshark's own
 -- reader gets right in every version.  It takes one space, six decimals, a number of digits that
 -- fits, and nothing more; it does not tell two buses apart before 4.6, and an empty line ends the
--- file for it on 4.6.  From 4.6 on it goes by an id's value, not by its digits: 00000000 is a
--- standard id to it, and an error frame's an extended one (by_value).
+-- file for it on 4.6.  From 4.6 on it goes by an id's value, not by its digits (by_value): it takes
+-- 00000000 for a standard id, and the id of an error frame for an extended one.
 local function plain_test(bus, by_value)
   local name = bus:gsub("%W", "%%%0")
   local pattern = "%(%d+%.%d%d%d%d%d%d%) " .. name .. " ([0-7]%x+)#([#R]?)()%x*()\r?\n"
@@ -48,14 +47,15 @@ local function plain_test(bus, by_value)
   return function(lines) return lines:gsub(pattern, erase) == "" end
 end
 
--- Return the time of a record in nanoseconds, 0 without one that is relative.
+-- Return the relative time of a record in nanoseconds, 0 if it has none.
 local function relative_time(record)
   return record.is_relative and record.seconds * SECOND + record.nanoseconds or 0
 end
 
 -- Return whether the times are those since the frame before (candump -t d), not those since the
--- first one (-t z).  On one bus the latter climb, or stay if an adapter stamps several frames at
--- once; the former go up and down, or repeat.  (Of several buses two frames may change places.)
+-- first one (-t z).  On one bus, times since the first frame climb, or stay if an adapter stamps
+-- several frames at once.  Times since the frame before go up and down, or repeat.  (Of several
+-- buses two frames may change places.)
 local function are_deltas(records)
   local last, falls, repeats, rises = {}, 0, 0, 0
   for _, record in ipairs(records) do
@@ -81,7 +81,7 @@ local function whole_lines(piece, at_end)
   return lines, rest
 end
 
--- What the rest of a line has whose start was cut off: an id and "#", a length, data bytes alone.
+-- Patterns of a line whose start was cut off: an id and "#", a length, data bytes alone.
 local RESTS = { "%x#", "[%[{]%x+[%]}]", "^#?[%x%s`]*$", "^#?[%x%s`]*[RT]%s*$" }
 
 -- Return whether candump text may start with these lines without a frame: the rest of a line, in a
@@ -161,7 +161,7 @@ local function add_bus(log, name)
   log.pending[#log.pending + 1] = ("Interface index %d is %s"):format(number, shown)
 end
 
--- Add what candump says of packets that it lost.
+-- Note the packets that candump says it lost.
 local function add_drop(log, line)
   local count, bus = line:match("^DROPCOUNT: dropped (%d+)[^']*'?([^',]*)")
   if not count then return end
@@ -239,7 +239,7 @@ function M.open(file, options)
   log.record, log.next = read_record, next_frame
   log.per_second = SECOND
   log.drops = {}
-  log.clock = 0 -- of deltas: nanoseconds so far
+  log.clock = 0 -- sum of the deltas in nanoseconds
   log.taken = {} -- by number: whether a bus has it
   log.free = 0 -- all numbers below are taken
   return text.open(head, options.report, log)

@@ -14,7 +14,7 @@ local UNKNOWN = "not a candump line, skipped"
 local TIME = "no such time, line skipped"
 local ID = "no such CAN id, line skipped"
 local DATA = "the data bytes do not fit, line skipped"
--- What there is to say about a line with a frame.
+-- Notes about a line with a frame.
 local BEHIND = "text behind the frame, ignored"
 local REPAIRED = "letters that look like hex digits, read as such"
 
@@ -73,7 +73,8 @@ local function fill_remote(record, length)
   record.data = ("\0"):rep(length)
 end
 
--- Fill in what a log has behind "#": ##<flags><data> of CAN FD, R<length>_<DLC>, <data>_<DLC>.
+-- Fill in the data that a log has behind "#": ##<flags><data> of CAN FD, R<length>_<DLC>,
+-- <data>_<DLC>.
 local function read_log(record, data, way, stop, line)
   local has_more = stop <= #line
   if has_more then record.note = BEHIND end
@@ -117,8 +118,8 @@ end
 -- A line
 -- ---------------------------------------------------------------------------------------------
 
--- Forms of a line with a frame: a pattern of what follows the id, and what reads it.  needs_time:
--- without one it is another program's line.
+-- Forms of a line with a frame: a pattern of what follows the id, and what reads it.  needs_time: a
+-- line without a time is of another program.
 local FORMS = {
   -- (1700000000.000001) can0 08404000#BBBE6FC720000000 R
   { "^#(%S*)%s*([RT]?)%s*()", read = read_log, needs_time = true },
@@ -164,8 +165,8 @@ local function frame_of(line)
   return nil, UNKNOWN
 end
 
--- What stands for digits in the candump lines of the vendor's document: three Greek and two
--- Cyrillic letters, an O, and circles; and the space of a page that they were copied from.
+-- Characters that stand for digits in the candump lines of the vendor's document: three Greek and
+-- two Cyrillic letters, an O, and circles; and the space of a page that they were copied from.
 local LOOK_ALIKES = {}
 for letter, digit in
   ("\206\146B\206\149E\206\1520\208\1513\208\1776\194\160 "):gmatch("([\194-\208].)(.)") do
@@ -184,9 +185,9 @@ end
 -- returns  the frame: { bus = name, id = with SocketCAN's flags, fd, flags = of CAN FD: 1 BRS, 2
 --          ESI; length = bytes, or the DLC of a remote frame; data = string, zero in a remote
 --          frame; raw_dlc = 9 to 15, or 0; sent; seconds, nanoseconds, is_relative = nil without a
---          time; note = what is to be said of the line, or nil }.  For a line without a frame nil
---          and a reason (nil for a line of -e below a frame), and true if the packet list need not
---          say it and the file may still be candump's
+--          time; note = what is to be said of the line, or nil }.  For a line without a frame: nil;
+--          a reason, nil for what -e prints below a frame; true if the line is harmless: the packet
+--          list need not report it, and the file may still be candump's
 function M.parse(line)
   line = line:gsub("\27%[[%d;]*m", "")
   local record, why = frame_of(line)

@@ -8,8 +8,8 @@ local MAX_AHEAD = 1048576 -- bytes to search for a time stamp; they are kept
 local MAX_SKIPPED = 65536 -- bytes of no frame in a record; Wireshark takes four times that
 
 -- A record is an exported PDU: it names its dissector, and a UDP port type says that it is complete
--- in itself.  Bytes between frames may look like the start of a frame.  Only what follows shows
--- that they are not, so they have a dissector of their own.
+-- in itself.  Bytes between frames may look like the start of a frame.  Only the bytes behind them
+-- prove that they are not, so they have a dissector of their own.
 local DISSECTOR, UDP = "\0\12\0\12", "\0\24\0\4\0\0\0\3\0\0\0\0" -- tags, each with its length
 local FRAME = DISSECTOR .. "yapp_serial\0" .. UDP
 local SKIPPED = DISSECTOR .. "yapp_skipped" .. UDP
@@ -19,7 +19,7 @@ local UNKNOWN = {} -- a time
 local Dump = {}
 Dump.__index = Dump
 
--- Reads on: appends to the events that are no records yet.
+-- Reads more bytes, and appends their events to those that are no records yet.
 function Dump:fill(file)
   local bytes, rest = self.head or file:read(CHUNK) or "", {}
   for i = self.next, #self.events do rest[#rest + 1] = self.events[i] end
@@ -47,10 +47,10 @@ function M.open(file, options, head)
     time_of = options.time_of,
     head = head ~= "" and head or nil,
     decimals = 9,
-    events = {}, -- those from the index `next` on are no records yet
+    events = {}, -- from the index `next` on they are no records yet
     next = 1,
     is_over = false,
-    time = nil,   -- of the latest record; before, the first one that there is
+    time = nil,   -- of the latest record; before that, the first time stamp of the file
     records = {}, -- [offset] = { length, time, is_skipped }
   }, Dump)
   local has_frame, index = false, 1
@@ -66,8 +66,8 @@ function M.open(file, options, head)
   return has_frame and self or nil
 end
 
--- Takes the next event, nil at the end.  All bytes between two frames are one, as long as Wireshark
--- takes them, however they were read.
+-- Takes the next event, nil at the end.  All bytes between two frames are one event of at most
+-- MAX_SKIPPED bytes, however they were read.
 function Dump:next_event(file)
   local function is_complete()
     local event = self.events[self.next]
@@ -94,7 +94,8 @@ end
 --- Read the next record: a frame, or bytes of no frame.
 -- returns  its offset, the packet's bytes (an exported PDU), seconds and nanoseconds; nil at the
 --          end.  The time is the controller's own if the message has a time stamp, else that of the
---          record before.  In front of the first time it is that one if it comes soon, else nil
+--          record before.  Records before the first time stamp get that one if it comes within
+--          MAX_AHEAD bytes, else nil
 function Dump:read(file)
   local event = self:next_event(file)
   if not event then return nil end

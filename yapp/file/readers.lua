@@ -31,8 +31,8 @@ function M.current()
   return bus.number, bus.name
 end
 
---- Return the name of the one bus of the log that was opened last, if Wireshark's own reader took
--- it: that of 4.0 and 4.4 forgets the name.  Nil for any other file.
+--- Return the name of the only bus of the log that was opened last, nil for other files.  This is
+-- for logs that Wireshark's own reader took: on 4.0 and 4.4 it forgets the name.
 function M.plain_bus()
   return plain
 end
@@ -42,8 +42,8 @@ function M.are_several()
   return several
 end
 
---- Return the packets that were lost while capturing, as the file read last says.  The list is
--- complete when the file has been read.
+--- Return the packets that were lost while capturing, as the file that was read last tells.  The
+-- list is complete when the file has been read.
 -- returns  list of { count = packets, bus = name or nil, frame = number of the packet behind the
 --          loss or nil, time = that packet's seconds since 1970 or nil }
 function M.drops()
@@ -79,7 +79,7 @@ end
 -- kind         "rs" is asked before Wireshark's own readers of text, "r" after them
 -- encap        link type of its packets
 -- open         function(file), which returns a log or nil
--- extension    of the files that it is asked for first, or nil
+-- extension    of the files that Wireshark offers to it first, or nil
 local function register(title, name, kind, encap, open, extension)
   local handler = FileHandler.new(title, name, title, kind)
   handler.extensions = extension
@@ -116,7 +116,7 @@ local function reporter(name)
 end
 
 -- Register a reader of candump text, all of it or what Wireshark's own reader gets wrong or not at
--- all.  Whoever names it, -X "read_format:yapp_candump", gets all.
+-- all.  A user who names it, -X "read_format:yapp_candump", gets all.
 local function register_candump(title, name, kind, takes_all)
   local options = {
     all = takes_all,
@@ -139,8 +139,8 @@ local NO_FRAME = "no YAPP frame with a good CRC, and the size that its ID has, i
 local HEAD = 256 -- bytes by which a file is known again
 
 local function register_dump(options)
-  -- The first bytes of what has another name; and of what was refused for what it holds, as that is
-  -- shown to the others next.
+  -- shown: first bytes of a file with another name.  refused: first bytes of a .yapp file without a
+  -- frame, as Wireshark shows that to the other reader next.
   local shown, refused
   local report = reporter("yapp: not opened as a raw serial dump")
   local encap = wtap_encaps.WIRESHARK_UPPER_PDU

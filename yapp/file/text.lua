@@ -41,7 +41,8 @@ function Lines:go_to(file, offset)
   self.text, self.base, self.pos = "", offset, 1
 end
 
--- Read on behind the line that begins at pos.  Of a line that is too long only the begin stays.
+-- Read more bytes behind the line that begins at pos.  Keep only the beginning of a line
+-- that is too long.
 -- returns  false at the end of the file
 function Lines:read_on(file)
   local begin = self.text:sub(self.pos, self.pos + MAX_LINE)
@@ -126,8 +127,8 @@ local function big_endian(number)
   return (("%08X"):format(number):gsub("%x%x", M.BYTES))
 end
 
---- Return the bytes of a packet before the CAN frame's length: the same for all such frames on a
--- bus.  (Wireshark takes the id in the host's order here, and this is the usual one.)
+--- Return the bytes of a packet before the CAN frame's length: the same for all frames with this id
+-- on a bus.  (Wireshark takes the id in the host's order here, and this is the usual one.)
 -- number  of the bus
 -- record  { id = 32 bits with SocketCAN's flags, fd, sent = booleans or nil }
 function M.head(number, record)
@@ -170,7 +171,7 @@ Log.__index = Log
 --- Make a log.
 -- head    string: the first bytes of the file, which is right behind them
 -- report  function(text), called with what is to be said of a line
--- log     table: what the format has of its own, with
+-- log     table: the state of the format, with
 --         record      function(log, line, offset), which returns the frame in a line, or nil: a
 --                     record as packet needs it, and { bus = key of buses; seconds, nanoseconds =
 --                     nil without a time }.  offset = of the line; nil if it has been read before
@@ -183,8 +184,8 @@ function M.open(head, report, log)
   log.skipped = {} -- number of lines, by reason
   log.pending = {} -- texts for the packet list, at the next frame
   log.comments = {} -- texts of the packet list, by the frame's offset
-  log.buses = {} -- { number, name = fit to be printed }, by what the record calls them
-  log.times = {} -- by the frame's offset, if its line does not tell
+  log.buses = {} -- { number, name = fit to be printed }, by the record's bus
+  log.times = {} -- by the frame's offset, if its record has none
   return setmetatable(log, Log)
 end
 

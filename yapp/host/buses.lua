@@ -2,9 +2,9 @@
 -- The bus on which a packet was captured, and what the capture says of packets that were dropped.
 -- Wireshark's API.
 --
--- The file says it (host.capture), or the reader of ours that it came through.  Of a live capture,
--- and of a pipe behind its first bytes, fields of the packet say it; a tap makes Wireshark build
--- the tree that has them.
+-- The file tells it (host.capture), or the reader of ours that reads the file.  In a live capture,
+-- and in a pipe behind its first bytes, fields of the packet tell it: a tap makes Wireshark build
+-- the tree that has these.
 
 local capture = require "yapp.host.capture"
 local fields_of = require "yapp.host.fields".of
@@ -22,8 +22,8 @@ local IS_WINDOWS = package.config:sub(1, 1) == "\\"
 local Buses = {}
 Buses.__index = Buses
 
--- How far each open file of this process was read, as one text: Linux says it, and on macOS
--- /dev/fd/N is the open file itself.
+-- Return the read positions of all open files of this process, as one text.  Linux tells them; on
+-- macOS /dev/fd/N is the open file itself.
 local function positions()
   local list = {}
   for number = 3, 63 do
@@ -36,15 +36,15 @@ local function positions()
 end
 
 -- Reads the first bytes of a capture.
--- returns  them; and whether more may be read: of a pipe Wireshark can rewind no more.  A file
---          is what the process has read further by now, if this can be seen.
+-- returns  them, and whether more may be read, which Wireshark cannot rewind in a pipe.  In tshark
+--          it is a file if the read moved the position of an open file.
 local function read_head(file)
   local before = positions()
   local head = file:read(capture.HEAD) or ""
   return head, not IN_TSHARK or IS_WINDOWS or positions() ~= before
 end
 
---- Looks at files from now on.  Call it once.
+--- Look at the head of each file from now on.  Call it once.
 function M.watch()
   local self = setmetatable({ seen = capture.read("", function() end) }, Buses)
   -- A reader that never reads: the only place where the API shows a file.  It names both arguments:
@@ -72,14 +72,14 @@ function M.watch()
   return self
 end
 
---- A new file is about to be dissected.  What was seen since the last one may be of others, which
--- did not open or were only looked at in a file dialog: nothing of it counts before.
+--- Use the file that was seen last: it is about to be dissected.  Files seen before it did not
+-- open, or were only previewed in a file dialog.
 function Buses:init()
   local found = self.seen
   self.found, self.is_shifted = found, false
   self.plain_bus = readers.plain_bus()
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
-  -- A short file may be a live capture's that had packets when it was opened.
+  -- A short file may be of a live capture that already had packets when it was opened.
   local may_go_on = self.is_short and found.has_several or found.is_live
   local needs_fields = may_go_on or self.is_cut and found.carriers > 0
   self.asks = needs_fields or found.has_several or not (found.is_told or self.plain_bus)
@@ -133,7 +133,7 @@ end
 -- returns  as Buses:of
 local function find_later(self, number)
   local bus = self.kept[number] or bus_by_fields(self.found)
-  -- What was the only bus when the file was opened goes on without a number.
+  -- The bus that was the only one when the file was opened stays without a number.
   if not self.found.has_several and (bus or 1) == 1 then return nil, true end
   self.kept[number] = bus
   return bus, bus ~= nil
@@ -141,8 +141,8 @@ end
 
 --- Return where the current packet was captured.
 -- number   of the packet, which Wireshark need not be asked for again
--- returns  its bus, a number, nil where the capture has one or nothing says it; and whether this is
---          known
+-- returns  the number of its bus, nil if the capture has only one or nothing tells it; and whether
+--          the bus is known
 function Buses:of(pinfo, number)
   local bus, name = readers.current()
   local found = self.found

@@ -27,13 +27,13 @@ local SOCKETCAN = 227
 local CARRIERS = { [SOCKETCAN] = true, [252] = true }
 for linktype = 147, 162 do CARRIERS[linktype] = true end
 
--- Link types of which each packet tells its bus: RTAC serial, Linux cooked captures.
+-- Link types whose packets each tell their bus: RTAC serial, Linux cooked captures.
 local RTAC, COOKED, COOKED_2 = 250, 113, 276
 local IS_CAN = { ["\0\12"] = true, ["\0\13"] = true } -- protocols: CAN and CAN FD
 local DIRECTIONS = { "tx", "rx", "tx", "rx" } -- of an RTAC packet by its event
 
--- By link type: function(head) -> what tells a packet's bus from others of its interface, by its
--- first 16 bytes; nil for a packet that carries no YAPP.
+-- By link type: function(head) -> what tells a packet's bus from others of its interface; nil for a
+-- packet that carries no YAPP.  head: the first 16 bytes of the packet.
 local INDEX_OF = {
   [RTAC] = function(head) return DIRECTIONS[byte(head, 9)] or "tx" end,
   [COOKED] = function(head)
@@ -46,7 +46,7 @@ local INDEX_OF = {
   end,
 }
 
-local TIMES = 2 ^ 40 -- microseconds, 12 days: see Capture:bus
+local TIMES = 2 ^ 40 -- microseconds: times are kept modulo 12 days, see Capture:bus
 
 -- The bytes of a file -----------------------------------------------------------------------------
 
@@ -105,8 +105,8 @@ end
 local Capture = {}
 Capture.__index = Capture
 
--- Gives a bus a name that no other has.  If the name of its interface stands for several, or may
--- do so in a live capture, "#" and what tells them apart follow.
+-- Give a bus a name that no other has.  If several buses have the name of its interface, or may
+-- have it in a live capture, append "#" and what tells them apart.
 local function name_bus(self, number)
   local bus = self.buses[number]
   local name, has_index = bus.name, bus.index ~= 0
@@ -117,7 +117,7 @@ local function name_bus(self, number)
 end
 
 -- The number of a bus, which may be new.
--- index  what tells it from others of its interface, 0 if nothing does
+-- index  what tells it from other buses of its interface, 0 if it is the only one
 local function bus_number(self, interface, index)
   local number = interface.buses[index]
   if not number then
@@ -177,8 +177,8 @@ local function seconds_of(interface, high, low)
   return (high * 2 ^ 32 + low) / interface.per_second + interface.shift
 end
 
--- The functions from here on read a block, of which the first CHUNK bytes are there.
--- They return true if what follows is not to be read.
+-- The functions from here on read a block, whose first CHUNK bytes are available.  They return true
+-- to read no further.
 
 -- Add an interface to those of the file.
 -- name  nil for none
@@ -192,7 +192,7 @@ local function new_interface(self, linktype, name)
     buses = {}, -- by index
     bus = nil, -- of its packets, 0 if they carry no YAPP; nil if each tells it
     dropped = 0, -- packets, as the statistics say
-    accounted = 0, -- of them, as packets say
+    accounted = 0, -- dropped packets, as options of packets say
   }
   self.interfaces[#self.interfaces + 1] = interface
   return interface
@@ -357,7 +357,7 @@ local function has_header(bytes)
   return false
 end
 
--- Complete the list of drops: what statistics say beyond what packets say, and names of buses.
+-- Complete the list of drops: add drops that only statistics say, and set the names of buses.
 local function complete_drops(self)
   local drops = self.drops
   for _, interface in ipairs(self.interfaces) do
@@ -385,7 +385,7 @@ local function new_capture()
   return setmetatable({
     carriers = 0,
     count = 0,
-    early = 0, -- packets in front of the second interface: those that may be YAPP's are of bus 1
+    early = 0, -- packets before the second interface: all that may be YAPP are of bus 1
     keeps = false, -- whether the buses of packets are wanted
     has_indexes = false, -- whether Linux cooked v2 is among the interfaces
     entries = {}, -- [number of a packet] = its bus * TIMES + when it was captured
@@ -411,15 +411,17 @@ end
 --   has_several   whether it tells several buses apart, or will do so in a live capture
 --   is_live       whether it is pcapng without a packet yet, as when a capture begins
 --   is_told       whether it is of a format that this module reads
---   is_unknown    whether it has buses that this module cannot tell: a file of Vector BLF
+--   is_unknown    whether it may have buses that this module cannot tell apart: a file of Vector
+--                 BLF
 --   count         how many packets were read
 --   names         [bus] = its name
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
 --   has_no_times  whether packets have no time stamps
---   offset        each packet of a CAN frame's data; nil where it is not always the same
---   head          its first bytes, if they have what may be YAPP frames, in TCP, UDP or whatever
---   may_have_frames  whether they have, or it has no packets yet }
+--   offset        of the CAN frame's data in each packet; nil where it is not always the same
+--   head          its first bytes, if it has packets and these may have YAPP frames, in TCP, UDP or
+--                 others
+--   may_have_frames  whether its first bytes may have YAPP frames, or it has no packets yet }
 function M.read(head, more)
   local self, has_frame = new_capture(), has_header(head)
   local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
@@ -466,7 +468,7 @@ function Capture:bus_by_fields(section, interface, index, event, name)
   if event then index = DIRECTIONS[event] or "tx" end
   local bus = bus_number(self, record, index)
   if not self.names[bus] then name_bus(self, bus) end
-  -- An index may be followed by others, as in a file whose interface was read.
+  -- In a live capture further indexes may follow, so a bus with an index is one of several at once.
   local is_first = self.is_live and bus == 1 and index ~= 0 and not event
   self.has_several = self.has_several or is_first
   return bus

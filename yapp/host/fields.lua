@@ -1,11 +1,10 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What fields of other protocols say of the current packet, if there is a tree.  Wireshark's
--- API.
+-- The values of other protocols' fields in the current packet, if it has a tree.  Wireshark's API.
 
 local M = {}
 
--- On 4.0 the value of an item without bytes, such as a packet comment, throws past Lua: only what
--- is wanted is asked for its value.
+-- Read the values of the wanted fields alone: on 4.0 the value of an item without bytes, such as a
+-- packet comment, throws past Lua.
 local function by_name(names, ok, ...)
   local found = {}
   for _, info in ipairs(ok and { ... } or {}) do
@@ -14,8 +13,8 @@ local function by_name(names, ok, ...)
   return found
 end
 
---- The fields that are there so far; none on a pass that builds no tree.
--- names    { [filter name] = true } of those that are wanted
+--- Return the wanted fields that the tree has so far; none if no tree is built.
+-- names    { [filter name] = true } of the wanted fields
 -- returns  { [filter name] = value }
 function M.of(names)
   return by_name(names, pcall(all_field_infos))

@@ -5,7 +5,7 @@ local M = {}
 
 local FIRST_DLT, LAST_DLT = 147, 162 -- DLT_USER0 .. DLT_USER15
 
---- Say what is wrong where the user sees it: one dialog in Wireshark, stderr in tshark.
+--- Show problems to the user: in one dialog in Wireshark, on stderr in tshark.
 -- texts  list
 function M.complain(texts)
   if #texts == 0 then return end
@@ -18,7 +18,7 @@ end
 
 local is_said = {} -- by text
 
---- Say what is wrong in the preferences, each text once: they are read again with each file.
+--- Say what is wrong in the preferences, each text once, although they are read with each file.
 -- texts  list
 function M.complain_once(texts)
   local new = {}
@@ -91,7 +91,7 @@ function M.range(text)
 end
 
 --- Return how many periods a gap may last, a number above 0; and a list of what is wrong.
--- text  of the preference: what is no such number counts as 2.5
+-- text  of the preference; anything else counts as 2.5
 function M.late(text)
   local late = tonumber(text)
   if late and late > 0 and late < math.huge then return late, {} end
@@ -99,8 +99,8 @@ function M.late(text)
   return 2.5, { problem:format(text) }
 end
 
---- Say so if the file with the user's own messages is not the one that was read when Wireshark
--- started.
+--- Complain if the file with the user's own messages is not the one that Wireshark read at its
+-- start.
 -- file  of the preference
 -- read  path that was read, or nil
 function M.check_messages_file(file, read)
@@ -111,8 +111,8 @@ end
 
 local before_us = {} -- [encapsulation] = its dissector before it was ours, or false
 
---- Give link types for users to the serial dissector, and give back those that the preference names
--- no more.
+--- Give user link types to the serial dissector.  Give back those that the preference no longer
+-- names.
 -- text     of the preference
 -- proto    of the serial dissector
 -- returns  a list of what is wrong

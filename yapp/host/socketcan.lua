@@ -1,11 +1,11 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What SocketCAN says of a frame besides its data: the id of a frame that comes by Decode As or by
--- the heuristics, and whether it is a remote frame.  Wireshark's API.
+-- The header of a CAN frame, which SocketCAN does not hand on: the id of a frame that comes by
+-- Decode As or a heuristic, and whether it is a remote frame.  Wireshark's API.
 --
 -- A dissector gets the data alone.  In SocketCAN's table of ids, by which our messages are found,
--- pinfo.match_uint is the id.  For all other frames the header is read in front of SocketCAN: it is
--- exact on every pass, and costs a name in frame.protocols and about 1 µs a CAN frame.  So this
--- begins only when a frame without an id is wanted.
+-- pinfo.match_uint is the id.  For all other frames a wrapper in front of SocketCAN reads the
+-- header.  That is exact on every pass, but costs a name in frame.protocols and about 1 µs a CAN
+-- frame.  So it begins only when the id of such a frame is needed.
 
 local fields_of = require "yapp.host.fields".of
 
@@ -15,8 +15,8 @@ local EXTENDED, MASK = 0x80000000, 0x20000000
 local HEADER = 8 -- bytes that have the id
 local MAX_THROWN = 24
 
--- Of the latest frame whose header was read: { number = of its packet, can_id = 29 bits, nil for
--- one that is no extended data frame }.
+-- The latest header that was read: { number = of its packet, can_id = 29 bits, nil if it is not of
+-- an extended data frame }.
 local header = {}
 
 -- Fields ------------------------------------------------------------------------------------------
@@ -79,7 +79,7 @@ local function hand_on(inner, can_id, tvb, pinfo, tree)
     tvb, is_whole = tvb(0, length):tvb(), true
   end
   if not is_whole then thrown = thrown + 1 end
-  -- If this fails, the frame has an item that says so.
+  -- If this fails, Wireshark has added an item that says so.
   local ok, taken = pcall(inner.call, inner, tvb, pinfo, tree)
   if not is_whole then thrown = thrown - 1 end
   return ok and taken or length
@@ -104,7 +104,7 @@ function M.wrap(proto)
     local value = pinfo.match_uint
     local origin = origins[value]
     if not origin then return 0 end
-    -- Records that a little endian machine wrote as they were.
+    -- The user says that a little endian machine wrote the records in its own byte order.
     local is_swapped = value == wtap.SOCKETCAN and get_preference("can.byte_swap")
     local can_id = header_id(tvb, origin.is_little or is_swapped)
     header.number = pinfo.number

@@ -10,7 +10,7 @@ local info = require("yapp.message.info")
 local demand, shown = check.demand, check.shown
 local is_name, is_text = check.is_name, check.is_text
 
--- Bytes of a message's title: over a preference with a longer one Wireshark ends at once.
+-- Bytes of a message's title: Wireshark aborts at a preference with a longer one.
 local MAX_TITLE = 200
 
 local M = {}
@@ -23,7 +23,7 @@ local OPTIONS =
 
 -- Filter names -----------------------------------------------------------------------------------
 
--- What a flags field has below its group.
+-- The filters of a flags field below its group's.
 local BELOW = {
   "undefined",
   "raised",
@@ -33,7 +33,7 @@ local BELOW = {
   "next_change",
 }
 
--- The names under a field that follow from it.
+-- Return the filter names that a field has.
 local function filters_of(field)
   local names = { field.filter, field.special }
   if not field.flags then return names end
@@ -43,7 +43,7 @@ local function filters_of(field)
   return names
 end
 
--- Raises which filter name of a message is there twice, or is reserved.
+-- Raise that a filter name of a message is there twice or is reserved.
 local function check_filters(message, reserved, context)
   local taken = {}
   local function take(name)
@@ -184,17 +184,17 @@ end
 --   derived: those of them that tables have, too
 --   read (see decode.new_reader), write_info (see info.compile)
 -- A field has name, title, filter, index (in fields), offset, size in bytes, type, unit and section
--- or nil, description (what a person reads of it beyond its title), and kind, with what its kind
--- needs:
+-- or nil, description (what a person reads besides its title), and kind, with what its kind needs:
 --   uint, int  bottom, top; values, invalid, cases (a set); scale and zero: value = count * scale +
 --              zero; mask, low, inside: a part of the bits of another field
 --   flags      flags { name, mask, title, filter, help or nil, description }, group, undefined and
---              watched (masks: bits that nothing defines; bits of no part, which rise and fall),
---              alarm_bits (mask: bits that are faults), fault_word (in Info, before their names)
+--              watched (masks: bits that nothing defines; bits outside of parts, whose changes are
+--              reported), alarm_bits (mask: bits that are faults), fault_word (in Info, before
+--              their names)
 --   float      compressed: min, max, top, ordinary (the highest count that is not reserved)
 --   ieee, bool, string, bytes, time
--- and, where it is one of an array, element (1 ..) and array_title; in a case of variants, when = {
--- index, value }.
+-- An element of an array has element (1 ..) and array_title; a field in a case of variants has when
+-- = { index, value }.
 function M.compile(entries, origins, reserved)
   local catalogue, problems = { messages = {}, by_id = {}, names = {} }, {}
   for i = 1, #entries do

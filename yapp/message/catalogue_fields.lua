@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- From the rows of a message to its fields: types and options checked, offsets worked out.
--- Pure Lua.  What is wrong with a row is raised as a text; who compiles the message says which
--- message and field it is about.
+-- Pure Lua.  A mistake in a row is raised as a text; message.catalogue adds the message and the
+-- field.
 
 local band = require("yapp.base.bits").band
 local check = require("yapp.message.check")
@@ -26,7 +26,7 @@ local FLOAT = "section min max unit count"
 local PART_OPTIONS = set("section values invalid unit scale offset")
 local FLAG_OPTIONS = set("alarm help")
 
--- [name] = { size (bytes; nil: the row says it), kind, options, top, bottom (highest and lowest
+-- [name] = { size in bytes (nil: from the row), kind, options, top and bottom (highest and lowest
 -- count) }
 local TYPES = {
   int64_ns = { kind = "time", size = 8, options = set("section") },
@@ -102,11 +102,12 @@ local function add_range(field, row)
   local is_range = is_finite(min) and is_finite(max) and min < max
   demand(is_range, "%s needs min and max, min below max", field.type)
   field.min, field.max = min + 0.0, max + 0.0 -- COMPAT 5.4: products of integers wrap around
-  -- A double holds the counts of six bytes; longer ones are read with the reserved ones set apart.
+  -- A double holds counts of six bytes.  Of longer ones, reserved values are read as negative
+  -- numbers.
   field.ordinary = size > 6 and field.top or field.top - 5
 end
 
---- Say what a person reads of a field, a flag or a generated value beyond its title.
+--- Return the description of a field, a flag or a generated value.
 function M.describe(title, unit, message, section)
   local text = title
   if unit then text = text .. " in " .. unit end
@@ -164,7 +165,7 @@ end
 -- Flags and parts of bits ------------------------------------------------------------------------
 
 -- Check the i-th flag, or part, { name, mask, title }, and take its bits of the field.
--- returns  what it is called, "flag stopped"
+-- returns  its name in errors: "flag stopped"
 local function take_bits(field, row, what, i, options)
   what = check.row(row, what, i, 3, options)
   local mask = row[2]
@@ -205,7 +206,7 @@ local function new_part(message, field, row, i)
   return part
 end
 
--- Make a field that has its offset one of flags, parts, or both.
+-- Turn a field that is at its offset already into one of flags, of parts, or of both.
 local function add_bits(build, field, row)
   local message, word = build.message, row.alarm
   local group = row.group or not row.flags and field.name

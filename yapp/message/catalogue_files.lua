@@ -14,11 +14,11 @@ local function run(path)
   return assert(loadfile(path))()
 end
 
--- What a file returns; nil and why there is nothing.
+-- Return what a file returns, or nil and an error.
 local function read(path)
   local file, problem, code = io.open(path)
   if not file then
-    -- The system's own words have the path in front, and are the user's language; "not found" is
+    -- The system's message begins with the path and is in the user's language, so "not found" is
     -- ours.
     return nil, code == DENIED and "cannot be read: " .. problem or "not found"
   end
@@ -81,8 +81,8 @@ local function merge(all, list, path)
 end
 
 --- Reads the files of the catalogue and compiles them as one.
--- files    list of { path =, optional = whether it is no error that it is not there }, in order: a
---          message of a later file with the name of one of an earlier takes its place
+-- files    list of { path =, optional = whether the file may be missing }, in order: a message of a
+--          later file replaces one of the same name
 -- reserved  optional { [filter name] = true } that no message may use
 -- returns  the compiled catalogue and a list of texts, each with the file, the message and the
 --          field that is wrong, see message.catalogue.compile
@@ -105,7 +105,7 @@ function M.load(files, reserved)
 end
 
 --- The value of a preference in a file of Wireshark's preferences, nil where it has none.
--- The API tells no preference while a plugin loads, and fields can be registered at no other time.
+-- While a plugin loads, the API tells no preference; but only then can fields be registered.
 function M.preference(path, name)
   local file = io.open(path)
   if not file then return nil end

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What the parts of a catalogue, and of a preference, have to be, and how it is said that one is
--- not.  Pure Lua.
+-- Checks of catalogues, preferences and options: what values must be, and the texts of errors.
+-- Pure Lua.
 
 local utf8 = require("yapp.base.utf8")
 
@@ -10,7 +10,7 @@ local MAX_PROBLEMS = 20 -- of a list
 local MAX_TEXT = 1000 -- of a text
 local MAX_NAME = 64 -- bytes
 
---- Raises a text like string.format's where a condition does not hold; returns the condition.
+--- If a condition does not hold, raise a text, made as by string.format.  Return the condition.
 function M.demand(condition, format, ...)
   if condition then return condition end
   error(format:format(...), 0)
@@ -18,7 +18,7 @@ end
 
 local demand = M.demand
 
---- A value in an error: a text in quotes and not too long.
+--- Return a value as errors show it: a text in quotes, at most 40 bytes of it.
 function M.shown(v)
   local kind = type(v)
   if kind == "string" then return ("%q"):format(v:sub(1, 40)) end
@@ -42,7 +42,7 @@ function M.is_name(v)
   return v:find("^[a-z][a-z0-9_]*$") ~= nil
 end
 
---- Whether it is a text, UTF-8 without control characters: over some others Wireshark ends at once.
+--- Whether it is a text, UTF-8 without control characters: Wireshark aborts at some others.
 function M.is_text(v)
   if type(v) ~= "string" or v == "" or #v > MAX_TEXT then return false end
   return utf8.is_printable(v)
@@ -89,13 +89,13 @@ function M.names(t)
   return table.concat(names, ", ")
 end
 
--- What these options have to be, whose ever they are; of the others their users know it.
+-- Options that are texts or tables wherever they stand.  The code that uses the others checks them.
 local TEXTS = M.set("section unit help info")
 local TABLES = M.set("values flags bits cases differences derived")
 
 --- Raises what is wrong with the options of a row, or of a message.
 -- what        "flag stopped", "type uint8": whose options they are
--- options     { [name] = true } of those that there are
+-- options     { [name] = true } of the options that are allowed
 -- positional  how many values without a name it has
 function M.options(t, what, options, positional)
   for key, value in pairs(t) do
@@ -108,11 +108,11 @@ function M.options(t, what, options, positional)
   end
 end
 
---- Raises what is wrong with a row { name, ..., title } of a list, but for what is between these.
--- what      "flag": whose list it is, in which it is the i-th
--- title_at  the place of its title
+--- Raise what is wrong with the name, title or options of a row { name, ..., title }.
+-- what      "flag": what its list has; i = its index in that
+-- title_at  the index of its title
 -- options   see M.options
--- returns   what it is called: "flag stopped"
+-- returns   its name in errors: "flag stopped"
 function M.row(row, what, i, title_at, options)
   local number = what .. " " .. i
   demand(type(row) == "table", "%s: %s is not { name, ..., title }", number, M.shown(row))
@@ -124,7 +124,7 @@ function M.row(row, what, i, title_at, options)
   return what
 end
 
---- A list of problems, cut at a length that a person reads.
+--- Return the first of many problems, and how many there are.
 function M.few(problems)
   local few = {}
   for i = 1, math.min(#problems, MAX_PROBLEMS) do

@@ -2,7 +2,7 @@
 -- A message as a row of CSV: its columns, and the cells of its values.  Pure Lua.
 --
 -- An enum is its number and, in NAME_text, its meaning; flags are the integer and, in GROUP_FLAG, 0
--- or 1; a float with a reserved value is an empty cell and what it is in NAME_special.
+-- or 1; a float with a reserved value is an empty cell, and NAME_special names the value.
 
 local common = require("yapp.base.bits").common
 local decode = require("yapp.message.decode")
@@ -12,9 +12,9 @@ local M = {}
 
 local format = string.format
 
--- What the rows of every message begin with, and a name that a reader may add.
+-- Columns in front of those of a message, see stat.csv; crc_good only with its option all.
 local TAKEN = { "time", "frame", "bus", "source", "id", "seq", "crc_good" }
--- An empty cell, and the one beside it.
+-- The cells of a reserved value: no number, and its name.
 local SPECIALS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
 
 --- Return a text as a cell of CSV: in quotes where it must be.
@@ -25,8 +25,8 @@ end
 
 -- Kinds of fields --------------------------------------------------------------------------------
 
--- function(field) -> its columns, { name, type, the flag that it is } each, and
--- function(raw) -> their cells as a text
+-- function(field) -> its columns, { name, type, flag or nil } each, and function(raw) -> their
+-- cells as a text
 local KINDS = {}
 
 local function of_float(field)
@@ -105,8 +105,8 @@ end
 
 --- List the columns of a message, in order.
 -- returns  a list of { name =, unit = or nil, type = "float", "integer", "bool", "string" or "time"
---          (seconds), field = or item of message.derived, flag = of one of flags }; a name that
---          another column has already ("time", "id") gets "_2" behind it
+--          (seconds), field = or item of message.derived, flag = for the column of a flag }; a name
+--          that another column has already ("time", "id") gets "_2" behind it
 function M.columns(message)
   local columns, taken = {}, {}
   for _, name in ipairs(TAKEN) do taken[name] = true end

@@ -1,15 +1,15 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- From the payload of a message to its values, by the compiled catalogue: raw values, little endian
--- ("YAPP Data Types", "YAPP Float Compression", "Time"), what they mean, and what is remarkable in
--- them.  Pure Lua.
+-- ("YAPP Data Types", "YAPP Float Compression", "Time"), their meaning, and which of them are
+-- remarkable.  Pure Lua.
 
 local bits = require("yapp.base.bits")
 local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
---- The reserved counts of compressed floats, from the top down ("YAPP Float Compression"): the
--- index is what <field>.special says.
+--- The reserved values of compressed floats, from the highest count down ("YAPP Float
+-- Compression").  The index is the value of <field>.special.
 M.SPECIALS = {
   [0] = "Not a Number",
   "Positive Infinity",
@@ -26,7 +26,7 @@ local MAX_KEPT = 100 -- bytes of a payload in local variables: a function has up
 
 -- Numbers ----------------------------------------------------------------------------------------
 
--- Return the little endian number of so many bytes, as near as a double comes.
+-- Return the little endian number of so many bytes, rounded to a double.
 -- at  1-based index in the payload
 local function count_of(payload, at, size)
   local count = size > 6 and 0.0 or 0 -- COMPAT 5.4: integers of eight bytes wrap around
@@ -65,7 +65,7 @@ local function divide(payload, at, is_signed)
     local rest = number % BILLION
     return (number - rest) / BILLION, rest
   end
-  -- Long division, a byte a step.  Of a negative number the highest byte is below 0.
+  -- Long division, a byte a step.  The highest byte of a negative number counts as negative.
   local quotient, rest = 0, is_signed and h >= 0x80 and h - 0x100 or h
   for i = at + 6, at, -1 do
     local dividend = rest * 0x100 + byte(payload, i)
@@ -91,9 +91,9 @@ function M.time(payload, offset)
   return divide(payload, offset + 1, true)
 end
 
--- Compressed floats: floatN <min; max> has counts 0 .. top, top = 2^N - 1.  The five highest are
--- reserved; the others map linearly:  value = min + count * (max - min) / (top - 5).  The
--- document's worked examples divide by top - 4; its mapping table and the 0 A of the captured
+-- Compressed floats: floatN <min; max> has counts 0 .. top, top = 2^N - 1.  The five highest counts
+-- are reserved values; the others map linearly:  value = min + count * (max - min) / (top - 5).
+-- The document's worked examples divide by top - 4; its mapping table and the 0 A of the captured
 -- example prove top - 5.
 M.MAPPING = 5
 M.WORKED_EXAMPLES = 4
@@ -108,7 +108,7 @@ function M.use_divisor(divisor)
 end
 
 --- Return the value of a compressed float, unrounded; nil and which special (0 .. 4) for a reserved
--- count.
+-- value.
 function M.float(field, raw)
   if raw > field.ordinary then return nil, field.top - raw end
   if raw < 0 then return nil, -1 - raw end -- of seven or eight bytes
@@ -117,14 +117,16 @@ function M.float(field, raw)
   return (field.min * steps + raw * (field.max - field.min)) / steps
 end
 
--- Return the nearest number that four bytes can hold: what a sum with a large one leaves of it.
+-- Round to a number that four bytes can hold: adding and subtracting a large number rounds off what
+-- is below.
 local function to_float32(value)
   local large = 1.5 * 2 ^ -97
   if abs(value) >= 2 ^ -126 then large = value * (2 ^ 29 + 1) end
   return large - (large - value)
 end
 
---- Return the number with the fewest digits that is the same in four bytes: 0.1 for the nearest.
+--- Return the number with the fewest digits that is equal as a float of four bytes: 0.1 for
+-- 0.10000000149.
 -- value  finite
 function M.shortest(value)
   if value == 0 then return value end -- COMPAT 5.4: the text "-0" is an integer there
@@ -213,7 +215,7 @@ local function prepare(field)
 end
 
 -- The reader of a message is made from Lua source: a loop over the fields takes 5 % more of a
--- packet list.  The first bytes of a payload are in b1, b2, ...; one that is not there is nil.
+-- packet list.  The first bytes of a payload are in b1, b2, ...; a missing one is nil.
 local READER = [[
 local FIELDS, byte, common = ...
 return function(payload)
@@ -268,10 +270,10 @@ end
 -- payload  string; where it is shorter than the message, only fields that are whole are read; what
 --          is behind the message is not read
 -- returns  { [index of field] = raw }, without missing fields and cases that are not chosen; and
---          whether M.remarks has something to say
--- A raw is the integer or the count as sent, but for ieee the number, for a 64 bit integer beyond
--- 2^53 its decimal digits, for times (see M.time), strings and bytes the bytes; of a compressed
--- float of seven or eight bytes -1 - n is the reserved count n.
+--          whether M.remarks returns a list
+-- A raw is the integer or the count as sent.  Exceptions: the number of ieee; the decimal digits of
+-- a 64 bit integer beyond 2^53; the bytes of times (see M.time), strings and bytes; -1 - n for
+-- special n of a compressed float of seven or eight bytes.
 function M.read(message, payload)
   return message.read(payload)
 end
@@ -290,8 +292,8 @@ local function escape(char)
   return format("\\x%02x", byte(char))
 end
 
---- Return the text of a string field: up to its first NUL; where that is no UTF-8, or has control
--- characters, what is not printable ASCII is \xNN.
+--- Return the text of a string field, up to its first NUL.  If that is not UTF-8 or has control
+-- characters, write each byte that is not printable ASCII as \xNN.
 function M.text(raw)
   local text = raw:match("^%Z*")
   if utf8.is_printable(text) then return text end
@@ -302,12 +304,12 @@ local function hex_digits(char)
   return format("%02x", byte(char))
 end
 
---- Return an integer as a text; beyond 2^53 it is one.
+--- Return an integer as a text; beyond 2^53 it is a text already.
 function M.digits(value)
   return type(value) == "number" and format("%.0f", value) or value -- tostring has 14 in Lua 5.2
 end
 
--- The value of a raw by kind, and where there is none which special.
+-- By kind: function(field, raw), which returns its value, or nil and which special.
 local VALUES = {
   float = M.float,
   string = function(_, raw) return M.text(raw) end,
@@ -335,7 +337,7 @@ end
 local DIGITS = { 7, 7, 10, 10, 15, 15, 15, 15 }
 
 --- Return the format of a value with as many digits as its count can carry: "%.7g"; nil for ieee
--- and what is no fraction.
+-- and for integers.
 function M.format_of(field)
   if field.kind == "derived" then return "%.7g" end
   if field.kind == "float" then return "%." .. DIGITS[field.size] .. "g" end
@@ -374,7 +376,7 @@ end
 --- Return the filter names of the flags that are set, undefined bits as one number:
 -- "motor_overcurrent, hall_timeout, undefined 0x80000".
 function M.flag_names(field, raw)
-  if raw == field.named then return field.names end -- most do not change
+  if raw == field.named then return field.names end -- cached: they seldom change
   local names = {}
   for _, flag in ipairs(field.flags) do
     if common(raw, flag.mask) ~= 0 then names[#names + 1] = flag.name end
@@ -399,7 +401,7 @@ function M.has_alarm(message, raws)
   return false
 end
 
---- List what is remarkable in the values: one entry an expert item.
+--- List the remarkable values: an entry for each expert item.
 -- message  compiled
 -- raws     from M.read
 -- returns  a list of { index of field, expert }, nil when there is nothing

@@ -14,14 +14,14 @@ local M = {}
 local abs, huge, max, min = math.abs, math.huge, math.max, math.min
 local insert = table.insert
 
-local HALF_NANOSECOND = 5e-10 -- what rounding may add to a difference of two times
+local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_JUMP = 1 + HALF_NANOSECOND -- seconds; the capture's clock may jitter by less
-local MAX_BEHIND = 8 -- a Seq so far behind came late: 248 messages or more did not get lost
+local MAX_BEHIND = 8 -- a Seq up to 8 behind came late; it does not mean 248 missing
 
 -- Evidence that several controllers share a source, see is_shared.
 local LARGE_FALL = 2 -- seconds; a message that came late makes the clock fall by less
-local LARGE_RETURN = 50 -- from a large fall; a return from another one counts 1
-local FADE = 0.85 -- what each message leaves of the evidence: of 50, enough for 22 messages
+local LARGE_RETURN = 50 -- evidence of a return from a large fall; from a small one it is 1
+local FADE = 0.85 -- each message leaves this share of the evidence: 50 is ENOUGH for 22 messages
 local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 
 -- Changes that many messages have in common: to be read only.
@@ -97,8 +97,8 @@ local function new_source(self, m)
     bases = {}, -- of each: seconds of the controller's clock less the capture's
     fault_numbers = {}, -- ascending: where faults change
     active_since = {}, -- of each: when the oldest fault that is still set was raised, or false
-    commands = commands_of(self, message.answers, bus), -- ascending: what its messages answer
-    own = commands_of(self, message.name, bus), -- ascending: its own, if others answer them
+    commands = commands_of(self, message.answers, bus), -- ascending: what they answer
+    own = commands_of(self, message.name, bus), -- ascending: if others answer them
   }
 end
 
@@ -147,7 +147,7 @@ local function is_shared(source, m, advance, elapsed)
   return source.evidence > ENOUGH
 end
 
--- Return what a clock says of its message: a change, nil for nothing.
+-- Return the change that the clock of a message shows, nil for none.
 local function clock_change(source, m, clock)
   local advance = (clock - source.clock) / 1e9
   -- Without time stamps, take a message to come a period after the one before.
@@ -271,18 +271,18 @@ end
 
 --- Take the next message, in the order of the capture.
 -- m        { source = of message.reader; raws = by index of field, nil if the payload does not fit;
---          payload, seq, status; number = frame key, which never falls: a message replaces one
---          with its key; time = seconds of the capture }
+--          payload, seq, status; number = frame key: never falls; an equal one replaces a message;
+--          time = seconds of the capture }
 -- returns  what changes with it, nil if it is not good or nothing does: {
 --   missing  how many messages are missing before it by Seq
---   late     seconds since the previous one, if that is more than a lost message or two
+--   late     seconds since the previous one, if that is more than options.late periods
 --   reboot   seconds by which the controller's clock went back
 --   jump     seconds by which it advanced more than the capture's, if more than one
 --   stale    true if it did not advance
 --   flags    list of { field, value, raised, cleared, alarm_raised, alarm_cleared } of the fields
 --            whose flags changed: masks, alarm_* of the faults alone
 --   shared   true at the message that proves that several controllers share the source
---   unreliable  true from there on, and then there is nothing else }
+--   unreliable  true at the messages behind that one, which get nothing else }
 --          and the seconds since the source's previous good message, nil for the first
 function History:note(m)
   local source = self.by_source[m.source]
@@ -306,7 +306,7 @@ function History:change(m)
   return number > source.shared_at and UNRELIABLE or source.changes[number]
 end
 
---- Return how things stand at a message, whether it changes them or not.
+--- Return the state at a message, whether the message changes it or not.
 -- m        as it was given to note
 -- returns  nil if m is not good or its source is unreliable, else {
 --   drift         seconds: controller's clock less the capture's, since the source's first message

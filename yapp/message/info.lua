@@ -57,7 +57,7 @@ end
 --- Return what the Info column says of a message.
 -- raws           of decode.read
 -- name           what the message is called; its title when left out
--- is_remarkable  false where nothing in the values is
+-- is_remarkable  false if no value is remarkable: then no fault is set
 function M.text(message, raws, name, is_remarkable)
   local text = (name or message.title) .. "  " .. message.write_info(raws)
   if is_remarkable == false then return text end

@@ -7,7 +7,7 @@ local frame_key = require("yapp.base.frame_key")
 
 local M = {}
 
-local FRAMES = { "command_in", "previous_change", "next_change" } -- of how things stand
+local FRAMES = { "command_in", "previous_change", "next_change" } -- frame keys in a state
 -- Of such a message nobody knows where bytes are missing.
 local IS_BROKEN = { incomplete = true, overrun = true }
 
@@ -21,10 +21,10 @@ function M.new(catalogue, stat)
   return setmetatable({
     messages = catalogue.messages,
     stat = stat,
-    by_id = catalogue.by_id, -- [id] = message, see Reader:use; file readers ask before that
+    by_id = catalogue.by_id, -- [id] = message, see Reader:use; file readers may ask before
     sources = nil, -- the names that the user gave, see Reader:use
     several_ids = nil, -- [message] = whether more than one ID carries it
-    is_by_id = true, -- whether no bus has messages of its own
+    is_by_id = true, -- whether an ID carries the same message on all buses
     has_several = false, -- whether the capture has several buses
     hinted = {}, -- [id of an unknown message] = the frame key whose Info has the whole advice
   }, Reader)
@@ -82,9 +82,9 @@ function Reader:fits(id, size, bus)
   return message and size >= message.min_size
 end
 
--- Return the name of a message in a line of its own.  It is the title, and the name of the source.
--- A source without a name adds its ID or bus, if they tell it from others: "Motor Data left",
--- "Motor Data 0x212 (can1)", "Motor Data", "ID 0x123".
+-- Return what a message is called: its title and the name of its source.  Without a name, the ID or
+-- bus follows if it tells the source from others: "Motor Data left", "Motor Data 0x212 (can1)",
+-- "Motor Data", "ID 0x123".
 local function label_of(self, message, name, id, bus)
   local number, needs_bus = ("0x%x"):format(id), self.has_several and bus
   local title = message and message.title or "ID " .. number
@@ -124,9 +124,10 @@ function Reader:new_source(id, bus_key, bus, line)
   }
 end
 
---- Return what to do about a message that is not in the catalogue, if one of its size is.
+--- Return what to say of a message that is not in the catalogue; if one of its size is, also which
+-- preference decodes it.
 -- m        a message, as for Reader:read
--- returns  a text for the packet, and what the Info column adds or nil
+-- returns  a text for the packet, and what the Info column adds, or nil
 function Reader:hint(m)
   local id = m.source.id
   local text, same = ("Message ID 0x%x is not in the catalogue"):format(id), nil
@@ -142,7 +143,7 @@ function Reader:hint(m)
   return text, ", " .. size .. advice
 end
 
--- Ask the history what changes with a message, and how things stand there.
+-- Set the change and the state of a message, from the history.
 local function ask(m, history, wants_state)
   m.change, m.state = false, false
   if m.is_unreliable then return end
@@ -176,11 +177,12 @@ end
 --   has_fault      whether a fault flag is set
 --   change         what changes with it, or false (see message.history)
 --   delta          seconds since the source's previous good one
---   state          how things stand, or false (see message.history)
+--   state          state at the message, or false (see message.history)
 --   is_unreliable  true if controllers share its source
 -- history      a message.history
 -- wants_state  whether the state is wanted
--- returns      whether all of its bytes that were captured are in their places
+-- returns      whether its captured bytes are at their offsets: false of incomplete and overrun
+--              ones
 function Reader:read(m, history, wants_state)
   local message, is_broken, raws, is_remarkable = m.source.message, IS_BROKEN[m.status], nil, nil
   local is_longer = message and m.size > message.size

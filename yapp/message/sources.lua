@@ -6,8 +6,8 @@
 --
 -- A part is [BUS/]ID[+ID...]=[MESSAGE:]NAME, or BUS=NAME for every ID of a bus.  BUS is the name
 -- that the capture gives a bus.  ID is decimal, or 0x and hexadecimal.  MESSAGE is the catalogue's
--- short name of what the ID carries.  A part without BUS is for every bus that has no part of its
--- own.  Spaces around each do not count.
+-- short name of what the ID carries.  A part without BUS is for each bus without a part of its own.
+-- Spaces around each do not count.
 -- A bus stands in quotes if its name has a comma, "=" or a quote, or if it begins with a digit and
 -- no ID follows.  Its own quotes are doubled: "USB, left"/0x210=motor:a.
 -- The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
@@ -27,7 +27,7 @@ local EVERY = { "every" } -- ID of a bus
 local Sources = {}
 Sources.__index = Sources
 
--- Splits a text at the commas outside of quotes; what is blank is no part.
+-- Splits a text at the commas outside of quotes, and drops blank parts.
 local function split(text)
   local parts = {}
   local hidden = text:gsub('"[^"]*"', function(quoted) return (quoted:gsub(",", "\0")) end)
@@ -38,13 +38,13 @@ local function split(text)
   return parts
 end
 
--- Raises what is wrong with a part, and what to do, unless a condition holds.
+-- Raise a problem and an advice unless a condition holds.
 local function demand(condition, problem, advice)
   if not condition then error({ problem = problem, advice = advice }, 0) end
 end
 
--- The offset behind a quoted text at the start of a part.  One with quotes in it is several quoted
--- texts in a row: "a ""b""" is "a ", "b" and "".
+-- Return the index behind a quoted text at the start of a part.  Doubled quotes make it several
+-- quoted texts in a row: "a ""b""" is "a ", "b" and "".
 local function end_of_quotes(part)
   local stop, more = nil, 1
   while more do
@@ -54,7 +54,7 @@ local function end_of_quotes(part)
 end
 
 -- Takes a part apart at its "=".
--- returns  the bus and the text of the IDs, nil for one that is not there; and what follows
+-- returns  the bus or nil, the text of the IDs or nil, and the text behind the "="
 local function take_address(part)
   if part:sub(1, 1) == '"' then
     local stop = end_of_quotes(part)
@@ -104,7 +104,7 @@ local function read_part(part, catalogue)
   return bus, ids, message, name ~= "" and name or nil
 end
 
--- Adds a row for each ID of a part that is new.
+-- Add a row for each ID of a part; raise if an earlier part has one.
 local function add_part(self, part, catalogue)
   local bus, ids, message, name = read_part(part, catalogue)
   local of_bus = self.by_bus[bus or false] or {}

@@ -2,7 +2,7 @@
 -- Writes the values of a message as one text: the Info column, a row of CSV.  Pure Lua.
 --
 -- A usual message, all fields present and no value reserved, is written by a function made from Lua
--- source: a loop over the pieces takes 6 % of a packet list and 13 % of a table more.
+-- source: a loop over the pieces would make a packet list 6 % slower, and a table 13 %.
 
 local decode = require("yapp.message.decode")
 

@@ -21,7 +21,7 @@ local number_of, PACKET = frame_key.number, frame_key.PACKET
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 
 local TCP, UDP = 2, 3 -- pinfo.port_type
-local NO_ADDRESS = { [""] = true, NONE = true } -- as the API has it
+local NO_ADDRESS = { [""] = true, NONE = true } -- pinfo.src of a packet without one
 local MAX_IN_INFO = 10 -- frames of a packet
 
 local Dissector = {}
@@ -67,14 +67,14 @@ end
 -- Returns the line of a packet, one direction of a conversation or of a UART: {
 --   key          of its stream
 --   opposite     key of the other direction
---   bus_key      by which a Command and what it commands know each other: both directions of a
---                conversation; all of a UART
+--   bus_key      what a Command and its answers have in common: one key for both directions of a
+--                conversation, one for all of a UART
 --   bus          name or nil
 --   label        text that tells its sources apart, nil if nothing does
 --   has_address  whether its packets have a sender
 --   sources      [ID] = a source, see message.reader
 --   damaged      list of the damaged datagrams before its first packet, see Dissector:accepts
---   reporter     frame key of that packet, nil until it has come }
+--   reporter     frame key of its first packet, which reports them; nil until it has come }
 -- and whether it is known where the packet was captured.
 local function line_of(self, pinfo)
   local kind, bus, is_known = pinfo.port_type, nil, true
@@ -152,9 +152,9 @@ end
 
 -- Heuristics -------------------------------------------------------------------------------------
 
---- Whether bytes are YAPP: they hold a good frame, or they are nothing but messages of the
--- catalogue, each with all its bytes, whose CRC may be bad.  Headers must be the document's:
--- another ID or size may be of another protocol.
+--- Return whether bytes are YAPP.  They are if they hold a good frame, or nothing but complete
+-- messages of the catalogue, even with bad CRCs.  Headers must be the document's: another ID or
+-- size may be of another protocol.
 -- length  number of bytes that the packet had
 -- returns  boolean, and the events of serial.streams
 function Dissector:is_yapp(bytes, length)
@@ -169,8 +169,9 @@ function Dissector:is_yapp(bytes, length)
   return is_catalogue, events
 end
 
---- Whether a packet of an unknown conversation is YAPP.  If it is not, but may be a message that
--- lost bytes, this is reported when another packet of the conversation is.
+--- Return whether a packet of an unknown conversation is YAPP.  One that is not, but may be a
+-- message with bytes missing, is reported with the first YAPP packet of the conversation, if one
+-- comes.
 function Dissector:accepts(tvb, pinfo)
   local bytes = tvb:len() > 0 and tvb:raw() or ""
   if pinfo.in_error_pkt or not frame.find(bytes, 1) then return false end
@@ -183,7 +184,7 @@ function Dissector:accepts(tvb, pinfo)
   return is_ours
 end
 
--- Returns what the statistics need of a message that is not complete.
+-- Returns what the statistics take of an incomplete message.
 -- packet  where this is noticed
 local function new_loss(self, packet, id, seq)
   return {
@@ -208,13 +209,13 @@ end
 
 -- Messages ---------------------------------------------------------------------------------------
 
--- Returns the message in an event, for message.reader, and
+-- Returns the message of an event, for message.reader, and
 --   length      number of bytes of its frame
 --   missing     number of bytes, of one that is not complete
 --   crc, calculated  of a bad one
--- and what its view has, see Tree:payload.  A packet's n-th event has the frame key of the packet +
--- n - 1: a frame has 16 bytes at least, so no other packet has that key, also if a tunnel has
--- several in one.
+-- and the keys of its view, see Tree:payload.  The n-th event of a packet has the frame key of the
+-- packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even in a
+-- tunnel that puts several packets into one.
 local function new_message(self, packet, event, index)
   local status, length, number = event.status, event.to - event.from, packet.key + index - 1
   local bytes, at, delta = event.bytes, 0, nil
@@ -337,7 +338,7 @@ local function quote(bytes)
   return '"' .. text:gsub("%c", CONTROLS) .. '"'
 end
 
--- Shows skipped bytes; returns what the Info column says of them.
+-- Shows skipped bytes; returns their text for the Info column.
 local function show_skipped(self, packet, tvb, event)
   local builder, item = self.tree, packet.tree
   local length, at = event.to - event.from, event.at or 0
@@ -462,7 +463,7 @@ function Dissector:dissect(tvb, pinfo, tree)
   if pinfo.port_type == TCP then
     local segment = tcp.current(pinfo.number)
     if segment then
-      segment.is_ours = true -- TCP may have joined it to others: it comes by itself
+      segment.is_ours = true -- these bytes may be of several: dissect_segment shows it
       return size
     end
     self.has_tcp = true
@@ -494,7 +495,7 @@ function Dissector:unfinished()
   return list
 end
 
---- Return the gaps in TCP connections, as host.buses returns the packets that a capture dropped.
+--- Return the gaps in TCP connections, in the form of Buses:drops.
 function Dissector:drops()
   return self.streams:drops()
 end

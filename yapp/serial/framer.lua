@@ -28,13 +28,13 @@ local floor, log, max, min = math.floor, math.log, math.max, math.min
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local Y = byte(frame.SYNC)
 
--- The longest frame that good frames inside of it wait for: 7 s of a controller's messages.
+-- The longest open candidate that good frames inside it wait for: 7 s of a controller's messages.
 local PATIENCE = 4096
 
--- Noise may be nothing but candidates.  So each byte of a stream brings a credit of bytes that a
--- CRC may be computed over, which is saved up.  A candidate for which the credit does not suffice
--- counts as damaged.  Candidates of 32 to 63 bytes have a credit, those of 64 to 127 bytes another
--- one, and so on: large ones do not spend that of small ones.
+-- Noise may be full of candidates.  So each byte of a stream earns credit for CREDIT bytes of CRC,
+-- saved up to MAX_CREDIT.  A candidate that costs more than the credit counts as damaged.
+-- Candidates of 32 to 63 bytes have one credit, those of 64 to 127 bytes another, and so on: large
+-- ones cannot spend the credit of small ones.
 local CREDIT = 2
 local MAX_CREDIT = 4 * frame.LARGEST
 
@@ -42,9 +42,9 @@ local Framer = {}
 Framer.__index = Framer
 
 --- Make the framer of a stream.
--- size_of   function(id) -> payload size of the catalogue's message, nil for an unknown ID; and the
---           smallest that it may have, nil for the same
--- patience  bytes: the longest frame that good frames inside of it wait for; nil for the usual
+-- size_of   function(id) -> payload size of the catalogue's message, nil for an unknown ID; and its
+--           smallest size, nil if that is the same
+-- patience  bytes: the longest open candidate that good frames inside it wait for; nil for PATIENCE
 -- Document: "UART Stream Framing".
 function M.new(size_of, patience)
   local self = setmetatable({
@@ -142,8 +142,8 @@ local function fate_of(self, candidate, limit, behind)
   if candidate.is_known or stop == limit and behind == "end" then return "incomplete", stop end
 end
 
--- Gives out what lies before `limit`: the damaged frames, the earliest start first, and the bytes
--- between them.
+-- Appends what lies before `limit` as events: the damaged frames, the earliest start first, and the
+-- bytes between them.
 function Framer:settle(limit, behind)
   while self.first <= self.last and self.candidates[self.first].from < limit do
     local candidate = self.candidates[self.first]
@@ -162,7 +162,7 @@ function Framer:settle(limit, behind)
   self:skip(limit)
 end
 
--- Gives out a candidate if its CRC is good; returns whether it is.
+-- Appends a candidate as an event if its CRC is good; returns whether it is good.
 function Framer:accept(candidate)
   if not self:is_good(candidate) then
     candidate.has_failed = true
@@ -237,8 +237,8 @@ end
 
 --- Take the next bytes of the stream.
 -- bytes    string of any length
--- is_end   whether the stream ends behind them.  Then what waits becomes final: a frame whose end
---          has not come is "incomplete", too.  Bytes that come later begin afresh
+-- is_end   whether the stream ends behind them.  Then all events become final: a frame whose end
+--          has not come is "incomplete", too.  Later bytes begin a new stream
 -- events   list that the new events are appended to; nil for a new one
 -- returns  the list, with the events that are final now, in the stream's order; each byte of the
 --          stream is in one event: {
@@ -280,9 +280,9 @@ function Framer:offset()
   return self.from
 end
 
---- Return the earliest frame that is not decided yet: a capture that ends here, ends before it.
--- returns  its header, and the number of bytes to come (nil if its CRC is bad, but not yet final);
---          nil if there is none, only a part of its header, or what is more likely noise
+--- Return the earliest frame that is not final yet: a capture that ends here ends before the frame.
+-- returns  its header, and the number of bytes to come, nil if all came; nil if there is no such
+--          frame, only a part of its header, or more likely noise
 function Framer:open_frame()
   for i = self.first, self.last + 1 do
     local candidate = self.candidates[i] or self.found

@@ -13,13 +13,13 @@ local M = {}
 
 local abs, max, sub = math.abs, math.max, string.sub
 
--- How long segments wait for a missing one: seconds, and bytes of the stream.  A sender that hears
--- nothing sends again within a second, as a rule, and few send 64 KB ahead.
+-- How long segments wait for a missing one: seconds, and bytes of the stream behind it.  A sender
+-- usually repeats a segment within a second, and few send 64 KB ahead.
 local MAX_WAIT, MAX_AHEAD = 1, 65535
--- A sequence number further off is that of a new connection.
+-- A sequence number that differs by more is of a new connection.
 local MAX_DISTANCE = 2 ^ 20
 
--- The contents of a packet that holds good frames and nothing else: its own bytes tell them again.
+-- Stands for the contents of a packet of good frames alone: Streams:find reads its bytes anew.
 local PLAIN = { events = {}, pending = 0 }
 
 local Streams = {}
@@ -46,7 +46,7 @@ end
 function M.new(new_framer)
   return setmetatable({
     new_framer = new_framer,
-    datagrams = new_stream(new_framer()), -- each is complete in itself: one stream does for all
+    datagrams = new_stream(new_framer()), -- each is complete in itself, so all share one stream
     by_key = {},
     contents = {}, -- by frame key
     gaps = {},     -- those that were not filled, see Streams:drops
@@ -56,7 +56,7 @@ end
 -- Events -----------------------------------------------------------------------------------------
 
 -- Adds the bytes of a packet to its stream.
--- known  how many of them the stream has
+-- known  how many of them the stream has already
 local function add_bytes(stream, contents, known, events)
   local framer, packet = stream.framer, contents.packet
   contents.packet, contents.known, contents.from = nil, known, framer:length()
@@ -170,8 +170,8 @@ end
 -- key       of its stream
 -- opposite  key of the stream of the other direction
 -- segment   of serial.tcp
--- returns   whether the segment can be taken in its place: its stream has been seen, and its
---           sequence numbers are known
+-- returns   whether the segment can be put in order: its stream and its next sequence number are
+--           known
 function Streams:note_header(key, opposite, segment)
   local stream, other, ack = self.by_key[key], self.by_key[opposite], segment.ack
   if other and ack and distance(ack, other.acked or ack - 1) > 0 then other.acked = ack end
@@ -203,7 +203,7 @@ local function take(self, stream, packet)
     is_held = false, -- whether it was behind a gap when it came
     packet = packet, -- until its bytes are added
     known = 0,       -- number of bytes that had come before
-    from = nil,      -- offset in the stream of those that had not, once they are added
+    from = nil,      -- offset in the stream of the others, once they are added
     to = nil,
   }
   if packet.seq then
@@ -238,9 +238,9 @@ end
 --   length       number of bytes that it had }
 -- is_stored  whether Streams:find may ask for it
 -- returns  {
---   events    as from serial.framer, and truncated = whether the capture cut the frame short;
---             at = offset in the packet.  If not all its bytes are in this packet: bytes = string,
---             and parts = keys of the packets they came in (none of skipped bytes)
+--   events    as from serial.framer, and truncated = whether the capture has only a part of the
+--             frame; at = offset in the packet.  If not all its bytes are in this packet: bytes =
+--             string, and parts = keys of the packets they came in (none of skipped bytes)
 --   pending   number of bytes at the end that are in no event yet
 --   is_held   whether it is a segment that waits for a missing one: then all are pending
 --   missing   number of bytes to come of the frame that the pending ones begin, or nil

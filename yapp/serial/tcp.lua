@@ -2,9 +2,9 @@
 -- The headers of TCP segments.  Wireshark's API.
 --
 -- Wireshark's TCP hands on bytes without their sequence numbers.  Which segments it keeps to itself
--- or joins depends on its version and preferences.  So a watch stands in front of TCP, reads the
--- header, and hands on the segment when TCP has shown it.  That costs a name in frame.protocols and
--- about 1 µs a segment: so only in captures with YAPP on TCP.
+-- or joins depends on its version and preferences.  So a watch in front of TCP reads the header,
+-- and hands on the segment when TCP has shown it.  That costs a name in frame.protocols and about 1
+-- µs a segment, so it runs only in captures with YAPP on TCP.
 
 local band = require("yapp.base.bits").band
 
@@ -14,13 +14,13 @@ local TCP = 6 -- IP protocol
 local HEADER = 20
 local SYN, RST, ACK = 2, 4, 16 -- flags
 
--- If the capture cut a segment of another protocol, its dissector may throw past Lua.  Each time
--- Lua loses one of its 200 nested calls for good.  So after so many the watch ends.
+-- A dissector of another protocol may throw past Lua at a truncated segment.  Each time Lua loses
+-- one of its 200 nested calls for good.  So the watch ends after this many.
 local MAX_THROWN = 24
 
 local protocols, tcp = DissectorTable.get("ip.proto"), Dissector.get("tcp")
 local is_watching, thrown, inside = false, 0, nil -- inside: number of the packet that TCP has
-local segment -- that TCP has, nil for none
+local segment -- that TCP is dissecting, nil for none
 
 -- Reads a header; nil if it is not there or if an ICMP error only quotes it.
 local function read(tvb, pinfo)
@@ -66,18 +66,18 @@ function M.watch(proto, hand_on)
   protocols:add(TCP, proto)
 end
 
---- Return the segment that TCP has, nil for none.
+--- Return the segment that TCP is dissecting, nil for none.
 -- number   of the packet that is dissected
 -- returns  {
 --   start    offset of its bytes, behind TCP's header
---   length   number of bytes that it had
+--   length   number of data bytes that were sent; 0 for a reset
 --   seq      sequence number of the first one
 --   ack      sequence number that it acknowledges, or nil
 --   is_syn   whether it begins a connection
 --   is_ours  to be set if TCP hands it to YAPP
 --   line     for the caller's use }
 function M.current(number)
-  return inside == number and segment or nil -- else it was thrown past Lua
+  return inside == number and segment or nil -- else a dissector threw past Lua
 end
 
 return M

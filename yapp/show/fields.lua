@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The fields and expert items, YAPP's own from rows and those of the messages from the compiled
--- catalogue; and how they are added to a tree.  Wireshark's API.
+-- Makes the fields and expert items, YAPP's own from the rows below, those of messages from the
+-- compiled catalogue; and adds them to a tree.  Wireshark's API.
 --
 -- A field of YAPP's is a row of YAPP, an expert item a row of EXPERTS, a value of the history a row
 -- of add_states.
@@ -109,7 +109,7 @@ for _, row in ipairs(EXPERTS) do M.EXPERT_NAMES[row[1]] = true end
 
 -- Return a function(filter, type, title, description, base, values, mask) -> ProtoField, and the
 -- list of all that it makes.
--- base: of a number, the width of a boolean's field; values: or a frametype
+-- base: of a number; or the width in bits of a boolean's field.  values: a table, or a frametype
 local function new_maker()
   local list = {}
   return function(filter, kind, title, about, shape, values, mask)
@@ -172,7 +172,7 @@ local function make_flags(field, made, kind, make)
   end
 end
 
--- What a kind of field is to Wireshark, where its name does not say it.
+-- Wireshark's types of the kinds whose name is not a type.
 local TYPES = { time = "RELATIVE_TIME", bool = "BOOLEAN", float = "DOUBLE", ieee = "DOUBLE" }
 
 -- Return the type and the base of a field's own ProtoField.
@@ -200,10 +200,11 @@ local function make_field(field, make)
   return made
 end
 
--- Call add(value, filter, type, title, description, base, values) for what the history's state says
--- of a message; value(state, m) is nil where there is nothing.
+-- Call add(value, filter, type, title, description, base, values) for each field that shows a
+-- message's state; value(state, m) returns what to show, or nil.
 local function add_states(message, add)
-  -- Where a flag of another field becomes a fault nothing gets another name.
+  -- Prefer a field of nothing but faults: so filters keep their names if a flag of another field
+  -- becomes a fault.
   local fault, filter = message.fault_field or message.alarms[1], message.filter
   if message.time then
     add(function(state) return state.drift and M.relative_time(state.drift) end,
@@ -269,7 +270,7 @@ M.add = add
 M.add_le = TreeItem.add_le
 M.append_text = TreeItem.append_text
 
---- Add what no bytes of the packet say.
+--- Add a generated item: no bytes of the packet hold its value.
 -- pf       ProtoField, or a text
 -- returns  the item
 function M.add_generated(item, pf, value)
@@ -278,8 +279,8 @@ end
 
 --- Add an expert item.
 -- name  its filter
--- text  what there is to say of this packet: a generated item, so that the expert's own text is
---       the same each time; nil where that says all
+-- text  about this packet, or nil.  It becomes a generated item, as the expert item's own text
+--       stays the same for all packets
 function M.add_expert(item, name, text)
   if text and item.visible then item = M.add_generated(item, text) end
   item:add_proto_expert_info(experts[name])

@@ -119,8 +119,7 @@ end
 
 -- What is wanted ----------------------------------------------------------------------------------
 
---- Return whether a tree wants what the history's state says of every message, not only of one that
--- changes something.
+--- Return whether a tree wants a field that comes from the history's state, which each message has.
 function Taurus:wants_state(tree)
   for _, own in pairs(self.messages) do
     for _, one in ipairs(own.states) do
@@ -130,7 +129,7 @@ function Taurus:wants_state(tree)
   return false
 end
 
--- Return those of a field's ProtoFields that a tree wants, nil for none.
+-- Return a field's ProtoFields that a tree wants, nil or false for none.
 local function wanted_of(made, tree)
   local function wanted(pf) return pf and referenced(tree, pf) and pf or nil end
   if not made.flags then return (wanted(made.pf) or wanted(made.special)) and made end
@@ -177,9 +176,9 @@ local function make_plan(self, message, tree, is_shown)
   return plan
 end
 
--- Return the plan for a tree.  Of one that is shown everything is wanted; of another it is asked
--- once where the answer cannot change, on the first pass of tshark, else each time: without it a
--- filter for one fault takes 1.9 times as long.
+-- Return the plan for a tree.  A tree that is shown wants all fields.  For any other, ask
+-- Wireshark: once on the first pass of tshark, where the answer cannot change, else for each
+-- packet.  Without plans a filter for one fault takes 1.9 times as long.
 local function plan_of(self, m, tree)
   local is_shown, message = tree.visible, m.source.message
   local plans = is_shown and self.plans_of_shown or
@@ -287,8 +286,8 @@ end
 
 --- Add what the history says of a message, all of it generated, with its expert items.
 -- m        a message of message.reader
--- top      the Taurus item; nil if no tree is wanted: then there are expert items only, below
--- other    another item
+-- top      the Taurus item; nil if no tree is wanted: then add expert items only
+-- other    the item for these if top is nil
 -- returns  what the Info column says of it: "  cleared motor_overcurrent, hall_timeout  REBOOT"
 function Taurus:add_change(m, top, other)
   local change, item = m.change or NONE, top or other

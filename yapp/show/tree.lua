@@ -1,7 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a user sees of YAPP: the tree, the expert items, the Info column.  The messages:
--- show.taurus.  Wireshark's API; what is shown comes in finished, from the reassembly or the
--- framing.
+-- What a user sees of YAPP: the tree, the expert items, the Info column.  show.taurus shows the
+-- messages.  Wireshark's API; the reassembly or the framing has finished what is shown.
 
 local show_fields = require("yapp.show.fields")
 local info_of = require("yapp.message.info")
@@ -41,7 +40,7 @@ function M.new(options)
     messages = messages_of.new(options.taurus, options.catalogue),
     fields = nil,
     default_names = {}, -- titles by ID
-    wanted = nil, -- what is wanted in the first pass of tshark, once it is known
+    wanted = nil, -- of Tree:wants, in the first pass of tshark
     is_only_pass = false, -- whether it is known that there is one pass
   }, Tree)
   for id, message in pairs(options.catalogue.by_id) do self.default_names[id] = message.title end
@@ -55,22 +54,22 @@ function Tree:reset()
   self.messages:reset()
 end
 
---- Say that tshark shows none again of the packets that it shows now for the first time.
+--- Say that this first pass of tshark is its only one: no packet is revisited.
 function Tree:only_pass()
   self.wanted, self.is_only_pass = nil, true
 end
 
 -- What is wanted ----------------------------------------------------------------------------------
 
--- If no tree is wanted, tree.hidden is false; of a tree, shown or not, it is true.
+-- tree.hidden is false if no tree is wanted, and true of every tree, shown or not.
 local IS_TSHARK = not gui_enabled()
-local NO_COLUMN = "(info)" -- what the API calls it where there are no columns at all
+local NO_COLUMN = "(info)" -- the text of a column if there are no columns
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
 -- COMPAT 4.0: no filter can name a column there.
 local FILTERS_COLUMNS = not get_version():find("^4%.0%.")
 
--- Return whether tshark, in its first pass, shows no packet again.  The first pass of two shows no
--- tree; and it has columns only where a filter names one, which needs a tree.
+-- Return whether tshark's first pass is its only one.  The first pass of two shows no tree.  It has
+-- columns only if a filter names a column, and then it builds a tree.
 local function is_only_pass(tree, has_columns)
   if not tree.hidden then return has_columns end
   return tree.visible or has_columns and not (FILTERS_COLUMNS and pcall(all_field_infos))
@@ -88,11 +87,11 @@ local function without_tree(has_columns, is_only)
     names = false,
   }
 end
-local LIST = without_tree(true, false) -- of Wireshark, and of a second pass
+local LIST = without_tree(true, false) -- a packet list of Wireshark, or of later passes
 
 -- Ask Wireshark what is wanted of a packet.
 local function ask(self, tree)
-  -- The API asks by dissector, and those exist only when loading has ended.
+  -- The API takes a dissector here, and ours exist only after loading.
   local wants = without_tree(true, false)
   wants.yapp = tree:referenced(Dissector.get("yapp"))
   wants.taurus = tree:referenced(Dissector.get("taurus"))
@@ -102,7 +101,7 @@ local function ask(self, tree)
   return wants
 end
 
--- Ask it in tshark's first pass.
+-- Ask Wireshark in tshark's first pass, where the answer is the same for all packets.
 local function ask_first(self, tree, pinfo)
   local has_columns = tostring(pinfo.cols.info) ~= NO_COLUMN
   local wants = without_tree()
@@ -118,9 +117,10 @@ end
 -- returns   {
 --   yapp          whether YAPP's own items are shown, filtered or printed
 --   taurus        whether those of messages are
---   tree          whether any of both are
+--   tree          whether one of the two is
 --   state         whether the state of messages that change nothing is wanted, too
---   names         whether, without all these, the names of protocols are, see Tree:bare
+--   names         whether the names of the protocols are wanted although the above are not, see
+--                 Tree:bare
 --   columns       whether there are columns: tshark has them for a packet list, and not with -V,
 --                 -q, most of -T or in a first pass of two
 --   is_only_pass  whether it is sure that no packet is shown again, so that nothing need be kept: a
@@ -153,7 +153,7 @@ function Tree.expert(_, item, name, text)
   show_fields.add_expert(item, "yapp." .. name, text)
 end
 
---- Add a field of YAPP's that no bytes of the packet say, where it has a value.
+--- Add a generated field of YAPP's if it has a value.
 -- name     its filter without "yapp."
 -- value    nil or false for none
 -- returns  the item; nil or false without one
@@ -181,7 +181,7 @@ end
 --- Add the frames that a message was put together from.
 -- whole    TvbRange
 -- numbers  of its frames
--- count    of them, with any that a read filter rejected
+-- count    of its frames, with those that a read filter dropped
 -- length   in bytes
 -- payload  TvbRange of the message's payload, nil where it has none
 function Tree:add_fragments(item, whole, numbers, count, length, payload)
@@ -193,7 +193,7 @@ function Tree:add_fragments(item, whole, numbers, count, length, payload)
   self:generated(list, "reassembled.data", payload)
 end
 
---- Add a CRC with its status, which the item says, too.
+--- Add a CRC with its status, and append the status to the item's text.
 -- range    TvbRange of the CRC or nil where it was sent in another frame
 -- message  { crc, status, calculated }
 function Tree:add_crc(item, range, message)
@@ -237,7 +237,7 @@ local function add_bytes(self, m, view, name, offset)
   end
 end
 
--- Say that a payload has not the catalogue's size.
+-- Say that a payload does not have the catalogue's size.
 -- returns  what the Info column says
 local function add_mismatch(self, m, view)
   local source = m.source
@@ -262,7 +262,7 @@ end
 -- view     { wants = of Tree:wants; tree = where the Taurus tree goes; item = YAPP's own item, or
 --          the tree; payload_tvb and payload_at = where the payload lies, payload_tvb false if no
 --          tree is wanted }
--- returns  what the Info column says of it, or a part of that if no column shows it
+-- returns  what the Info column says of it; only a part of that if there are no columns
 function Tree:payload(m, view)
   local top, info, source = nil, "", m.source
   if view.wants.yapp then self:add_delta(view.item, m) end

@@ -34,7 +34,7 @@ local KEYS = {
 local NO_TIMES = "packets of this capture have no time stamps"
 local NO_VALUE = "no good message of it came"
 local UNRELIABLE = "what came before its messages is not known: see -z yapp,events"
--- The rules about time besides those of kinds.
+-- Rules about time that no kind of event has.
 local RESTS_ON_TIME = { needs_time = true, needs_past = true }
 local TIMED = { rate = RESTS_ON_TIME, gap = RESTS_ON_TIME, spread = RESTS_ON_TIME }
 
@@ -56,8 +56,8 @@ end
 
 -- Measures ----------------------------------------------------------------------------------------
 --
--- Each returns { seen, frame, holds = whether that is well, nil where it cannot be judged; worst =
--- the value that is farthest outside, note }; where it cannot, the note says why.
+-- Each returns { seen, frame, holds = whether the rule holds, nil where it cannot be judged; worst
+-- = the value that is farthest outside, note }; where it cannot, the note says why.
 
 local function is_its(rule, source)
   return not rule.source or source.name == rule.source
@@ -153,7 +153,8 @@ local function is_about(rule, group)
   return has and (type(has) ~= "table" or next(has) ~= nil)
 end
 
--- Of a rule that is about nothing that came.  Some hold where a message of their source came.
+-- Judge a rule that no group is about.  A default rule, or one of rare events, holds if a message
+-- of its source came.
 local function measure_none(self, rule, ending)
   local kind, message, source = kinds.BY_NAME[rule.kind], rule.message, rule.source
   if rule.is_default or kind and kind.scope == "rare" then
@@ -218,7 +219,7 @@ local REPORT = '<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="yapp.ch
   'failures="%d" errors="%d">\n%s</testsuite>\n'
 local NAME, MESSAGE = words("rule bus id source"), words("seen worst note frame")
 
--- XML has no control characters, not even as entities.
+-- XML allows no control characters, not even as entities.
 local function escape(text)
   return (utf8.printable(text):gsub('[<>&"]', ENTITIES))
 end
@@ -230,7 +231,7 @@ local function case_of(name, kind, text)
   return ('%s><%s message="%s"/></testcase>\n'):format(case, kind, escape(text))
 end
 
--- "seen 1, frame 7": what a row has of these, as people read it.
+-- Return the values that a row has of these keys, as people read them: "seen 1, frame 7".
 local function texts_of(row, keys, with_key, between)
   local texts = {}
   for _, key in ipairs(keys) do

@@ -12,7 +12,7 @@ local M = {}
 
 local WRITTEN = output.words("file rows")
 local KEYS = { json = WRITTEN, text = WRITTEN, window = WRITTEN }
--- In front of a message's own.
+-- The columns in front of a message's own.
 local COMMON = {
   { name = "time", type = "time", unit = "s" },
   { name = "frame", type = "integer" },
@@ -52,7 +52,7 @@ local function path_of(self, name)
   return self.options.folder .. "/" .. name
 end
 
--- A new file of the folder; no file in it is overwritten unasked.
+-- Create a file in the folder.  Overwrite one only with the option replace.
 local function create(self, name)
   local advice = not self.options.replace and "add the option replace to write it anew"
   local file, problem = output.create(path_of(self, name), advice)
@@ -99,7 +99,7 @@ function M.new(options, context)
   return not problem and self or nil, problem
 end
 
--- "can0,left,528": the same in each row of a source, and a twentieth of the time.
+-- "can0,left,528": cached by source, which saves a twentieth of the time.
 local function cells_of(self, source)
   local cells = self.cells[source]
   if not cells then
@@ -134,11 +134,11 @@ local function meanings(values)
   return output.object(keys, texts)
 end
 
--- The last three are an integer's: what it fits in and what its numbers mean.
+-- kind, bits and values are for integers only: the type, and what its numbers mean.
 local COLUMN_KEYS = output.words("name unit type filter title kind bits values")
 
 local function describe_column(column)
-  local field = column.field or {} -- of the common ones none
+  local field = column.field or {} -- common columns have none
   local about = column.flag or field
   local row = {
     name = column.name,

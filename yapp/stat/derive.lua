@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The events that follow from messages: faults, reboots, silences and what else changed, messages
--- that were not decoded; at the end faults that are still active, and sources that never came.
--- Pure Lua, 5.2 to 5.5.
+-- Derives events from messages: faults, reboots, silences and other changes, and messages that were
+-- not decoded.  At the end: faults that are still active, and sources that never came.  Pure Lua,
+-- 5.2 to 5.5.
 
 local band = require("yapp.base.bits").band
 local kinds = require("yapp.stat.kinds")
@@ -11,7 +11,7 @@ local undecoded = require("yapp.stat.undecoded")
 local M = {}
 
 local new_event, span, NOTHING = kinds.event, kinds.span, kinds.NOTHING
--- The kinds that message.history's changes are.
+-- The kinds of events that are changes of message.history.
 local CHANGES = {}
 for _, row in ipairs(kinds.LIST) do
   if row.change then CHANGES[#CHANGES + 1] = row end
@@ -33,7 +33,7 @@ function M.new(settings, statistic)
     undecoded = undecoded.new(settings),
     states = {}, -- of sources with good messages, in their order, and by source
     by_source = {},
-    came = {}, -- the sources of which something came that counts
+    came = {}, -- sources with an event that counts
     doubts = {}, -- texts: why the history of a source is unreliable; and by source
   }, Deriver)
 end
@@ -66,7 +66,7 @@ local function emit_fault(self, cause, now, fault, name)
   })
 end
 
--- The flags of a field that are faults, those that no table defines too.
+-- Return the flags of a field that are faults, with those that no table defines.
 local function faults_of(field)
   local list = {}
   for _, flag in ipairs(field.flags) do
@@ -82,7 +82,7 @@ local function faults_of(field)
   return list
 end
 
--- Keeps that a fault rose or fell.  The list is replaced, never written: another one may be it.
+-- Keeps that a fault rose or fell.  Make a new list: state.counted_faults may be the old one.
 local function note_fault(self, state, cause, now, fault, is_set)
   local faults = {}
   for _, one in ipairs(state.faults) do
@@ -101,7 +101,7 @@ local function note_fault(self, state, cause, now, fault, is_set)
   end
 end
 
--- The faults that rise and fall with a change of the flags of a field.
+-- Note the faults that rise or fall with a change of a flags field.
 local function note_faults(self, state, cause, now, change)
   local before = change.value - change.raised + change.cleared
   for _, flag in ipairs(faults_of(change.field)) do
@@ -120,7 +120,7 @@ local function values_of(row, value)
   return { [row.change] = row.change == "length" and output.seconds(value) or value }
 end
 
--- What a message that counts says besides faults.
+-- Emit the events of a message that counts, but for its faults.
 local function note_events(self, event, now, change)
   for _, row in ipairs(CHANGES) do
     local value = change[row.name]
@@ -136,8 +136,8 @@ local function note_events(self, event, now, change)
   end
 end
 
--- How a source stands: last = its latest message, at = its time, counts = whether it does; faults =
--- those that are set, in the order in which they rose, { field, flag, help, since } each;
+-- The state of a source: last = its latest message, at = its time, counts = whether it counts;
+-- faults = those that are set, in the order in which they rose, { field, flag, help, since } each;
 -- counted_faults = those that were set at counted, the latest reliable message that counts, at
 -- counted_at.
 local function state_of(self, source)
@@ -175,7 +175,7 @@ end
 
 --- Take an event, in the order of the capture.
 -- now     seconds of the capture, see stat.queue
--- counts  whether the filter of the statistic lets it count: of others it is kept what they change
+-- counts  whether the filter of the statistic lets it count; other events still update the states
 function Deriver:take(event, now, counts)
   local is_message = event.kind == "message"
   if counts then

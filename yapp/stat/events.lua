@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- -z yapp,events: what happened, in the order of time; and -z yapp,faults: of this the faults, when
--- each flag rose and fell, on which source, for how long.  Pure Lua, 5.2 to 5.5.
+-- -z yapp,events: what happened, in the order of time; and -z yapp,faults: the faults among these,
+-- when each flag rose and fell, on which source, for how long.  Pure Lua, 5.2 to 5.5.
 
 local kinds = require("yapp.stat.kinds")
 local output = require("yapp.stat.output")
@@ -36,8 +36,8 @@ function M.new(options, context)
   return setmetatable({ what = options.what, context = context, list = {} }, Events)
 end
 
---- Take an event, see stat.queue.  Of messages that were not decoded the first one of a source and
--- size stands for all.
+--- Take an event, see stat.queue.  Of messages that were not decoded, keep the first event of each
+-- source and size alone.
 function Events:event(event)
   local is_wanted = self.what == "events" and kinds.BY_NAME[event.kind] or event.kind == "fault"
   local is_repeated = event.kind == "unknown" and event.values.count > 1
@@ -65,7 +65,7 @@ local function row_of(self, event)
   return row
 end
 
--- In time; at one time by frame; without one behind all others.
+-- By time, then by frame; events without a time come last.
 local function order_of(row)
   return row.of.time or math.huge, row.frame or math.huge
 end

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a statistic gathers of each source: counts, times, gaps, values; and of the sources of one
--- message, how far these lie apart.  Pure Lua, 5.2 to 5.5.
+-- What a statistic gathers: of each source counts, times, gaps and values; of all sources of one
+-- message, how far their values lie apart.  Pure Lua, 5.2 to 5.5.
 
 local check = require("yapp.message.check")
 local decode = require("yapp.message.decode")
@@ -14,7 +14,7 @@ local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
 local NUMERIC = check.set("uint int float ieee derived")
 
--- The number that a value is: in its unit, a time in seconds, flags and codes as they are sent; NaN
+-- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent; NaN
 -- for a reserved value, nil where the message does not have the field.
 local function number_of(message, values, raws)
   local field, raw = values.field, raws[values.index]
@@ -38,9 +38,10 @@ end
 
 -- Values ----------------------------------------------------------------------------------------
 
--- What is gathered of a field of a source: count, min, sum, max of its numbers; seen = of all of
--- it, outside = of those beyond the limits, worst = the one that is beyond by most, and its frame;
--- where all sources are compared, spread = of all of them, latest = the latest number, at = when.
+-- What is gathered of a field of a source: count, min, sum, max of its numbers; seen = of all
+-- values, outside = of those beyond the limits, worst = the one that is farthest beyond, and its
+-- frame; where all sources are compared, spread = of all of them, latest = the latest number, at =
+-- when.
 local function new_values(want, spread)
   return {
     field = want.field,
@@ -81,9 +82,9 @@ local function note_value(values, value, frame)
   end
 end
 
--- How far the latest values of all sources lie apart: worst, and the event that shows it; nil while
--- no two sources had a value at a time.
--- longest  seconds for which a value is good
+-- Note how far the latest values of all sources lie apart: the largest spread so far, and the event
+-- that shows it.  Needs values of two sources at one time.
+-- longest  seconds for which a value stays valid
 local function note_spread(values, value, event, now, longest)
   local spread, low, high, count = values.spread, INFINITE, -INFINITE, 0
   values.latest, values.at = rounded(values.field, value or NO_NUMBER), now
@@ -122,15 +123,15 @@ function M.class(class)
       by_source = {},
       list = {},
       of_capture = {}, -- by kind of event: a list of those of the whole capture
-      buses = {}, -- how many sources were there before it
+      buses = {}, -- [bus] = how many groups came before it
       wanted = {}, -- by message: list of { field, low, high, is_spread }
-      spreads = {}, -- by what is wanted
+      spreads = {}, -- by entry of Groups:wants
     }, class)
   end
   return setmetatable(class, { __index = Groups })
 end
 
---- Return what is gathered of each source of a message: the fields that are no codes.
+--- Return the fields of a message that are gathered: numbers that are no codes.
 function Groups:wants(message)
   local list = {}
   for _, fields in ipairs { message.fields, message.generated } do
@@ -162,8 +163,8 @@ end
 --   counts = { [kind of event] = { seen, frame = of the first, note = of the first } }
 --   count = of good messages; first, last = their times, last_frame
 --   gap_min, gap_max = seconds, gap_max_frame
---   is_unreliable = whether it is not known what came before one of them
---   values = a list and, by what is wanted }
+--   is_unreliable = whether one of them had an unreliable history
+--   values = a list, also by entry of Groups:wants }
 local function group_of(self, source)
   local group = self.by_source[source]
   if group then return group end
@@ -183,7 +184,7 @@ local function group_of(self, source)
   return group
 end
 
--- amount  that it adds; nil for one, of a message that has several only once
+-- amount  to add; nil for 1, but only once for all events of one cause
 local function add(group, kind, event, cause, amount)
   local count = group.counts[kind]
   if not count then
@@ -240,7 +241,7 @@ function Groups:event(event, now, cause)
   end
 end
 
---- Return how often something was, and first in which frame with which values.
+--- Return how many events of a kind a source has, and the frame and values of the first.
 function M.seen(group, kind)
   local count = group.counts[kind]
   if not count then return 0 end
@@ -256,7 +257,7 @@ function M.pace(group)
   return length > 0 and gaps / length or nil, length / gaps
 end
 
---- Return a row of what is gathered of a field of a source.
+--- Return a row with the range of a field of a source.
 function M.row(group, values)
   local field, count = values.field, values.count
   local row = output.row(group.source, { field = field.name, unit = field.unit, count = count })
@@ -268,7 +269,8 @@ function M.row(group, values)
   return row
 end
 
---- Return all groups: by bus as these showed, then by ID; a stream itself, which has none, first.
+--- Return all groups by bus in the order in which buses showed, then by ID.  A stream itself has no
+-- ID and comes first.
 function Groups:sorted()
   output.sort(self.list, function(group) return group.bus_order, group.source.id or -1 end)
   return self.list

@@ -8,7 +8,7 @@
 --   is_unreliable  whether what came before the message is not known }
 -- The values of a loss are {
 --   what  "incomplete", "orphan" or "overrun"
---   lost  what all losses of the message have in common, or nil
+--   lost  a value that all losses of one message share, or nil
 --   loss  { is_withdrawn = whether nothing is lost after all }, or nil where that is sure }
 
 local decode = require("yapp.message.decode")
@@ -24,8 +24,8 @@ local LOSSES = {
   ["fragment.orphan"] = "orphan",
   ["fragment.overrun"] = "overrun",
 }
--- The kind of a message by its status.  One that the capture cut was not checked.  The other ones
--- are no events: their anomalies are.
+-- The kind of a message by its status.  A truncated message could not be checked.  A message of
+-- another status makes no event: its anomalies do.
 local KIND_OF = { good = "message", bad = "crc", truncated = "incomplete" }
 local INCOMPLETE = { what = "incomplete" }
 local EFFECTS = { ["command.key.invalid"] = " (the controller ignores this command)" }
@@ -34,7 +34,7 @@ local Intake = {}
 Intake.__index = Intake
 
 --- Make an intake, which is closed.  `wanted` says whether anyone wants events: ask it before
--- reporting.  `wants_parts` is the same for parts of messages.
+-- reporting.  `wants_parts` is the same for fragments of messages.
 function M.new()
   return setmetatable({
     wanted = false,
@@ -90,7 +90,7 @@ end
 
 local function offer(self, kind, m, values)
   local line, leaving = m.source.line or false, self.leaving
-  if self.stretches[line] then self.stretches[line] = nil end -- in Lua 5.2 costly if it is nil
+  if self.stretches[line] then self.stretches[line] = nil end -- a needless nil costs in 5.2
   if leaving[1] then
     self.leaving = {}
     for _, tap in ipairs(leaving) do tap:remove() end
@@ -100,7 +100,7 @@ end
 
 -- Messages ----------------------------------------------------------------------------------------
 
--- A value as the document writes a code.
+-- Return a value as the vendor's document writes codes: 0x0a.
 local function code_of(raw)
   return type(raw) == "number" and ("0x%02x"):format(raw) or raw
 end
@@ -150,7 +150,8 @@ end
 
 -- Losses ------------------------------------------------------------------------------------------
 
--- What the orphaned frames of one message have in common: those in a row of one Seq, to its End.
+-- Return a table that stands for one orphaned message: its frames in a row with one Seq No, up to
+-- its End, share the table.
 local function orphaned(state, seq, is_end)
   local orphan = state.orphan
   if not orphan or orphan.seq ~= seq then
@@ -192,14 +193,15 @@ function Intake:skipped(m, length)
   self.queue:offer(new_event("skipped", m, values), m.visited)
 end
 
---- Report a frame of a message that has not ended, in case the capture ends before the message.
--- Those of the latest count.
+--- Report a frame of a message that has not ended, in case the capture ends before the message
+-- does.  Only the latest frame of a message counts.
 function Intake:part(m)
   state_of(self, m.source).parts[m.seq] = m
 end
 
---- Report what may be a message that is not dissected, or the Start of one.  It is one if its ID is
--- known, if a message of the catalogue has its size, or if its Seq No is the next one.
+--- Report a frame that may be a message that is not dissected, or the Start of one.  It counts as
+-- one if its ID is known, if a message of the catalogue has its size, or if its Seq No follows that
+-- of the source's previous such frame.
 -- m  with size
 function Intake:unknown(m)
   local state = state_of(self, m.source)

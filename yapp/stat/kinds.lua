@@ -10,15 +10,17 @@ local M = {}
 -- name        in JSON and in rules
 -- text        for people: {key} is a value of the event; [...] is left out where a value is missing
 -- keys        in JSON, besides those of every event
--- is_optional whether `check` alone does not judge it, as NAME=0
--- counts_as   the kind whose rule counts it; without it NAME=N is a rule
--- amount      the key whose values the rule adds up; without it a message counts once
--- change      the key for what message.history says of the change of this name; true for no key
+-- is_optional whether `check` without rules does not judge it (others as NAME=0)
+-- counts_as   the kind whose rule counts it; nil if it has a rule NAME=N of its own
+-- amount      the key whose values the rule adds up; nil: each message counts once
+-- change      the key for the value of message.history's change of this name; true if it has no
+--             value
 -- scope       "capture": one verdict for the whole capture; "rare": one for each source that has
 --             such events; nil: one for each source that can have them
--- about       what the message of such a source has in the catalogue; nil for any source with an ID
--- needs_past  whether it takes a good message, and a reliable history
--- needs_time  whether it takes packets with time stamps
+-- about       what the message of a source must have in the catalogue; nil for any source with an
+--             ID
+-- needs_past  whether it can be judged only with a good message and a reliable history
+-- needs_time  whether it can be judged only if packets have time stamps
 M.LIST = {
   {
     name = "fault",
@@ -145,7 +147,8 @@ function M.event(kind, frame, time, source, values, m)
   }
 end
 
---- Return the seconds between two times of a capture, to the nanosecond: 0.1 s is no more than 0.1.
+--- Return the seconds between two times of a capture, rounded to the nanosecond, so that a gap of
+-- 0.1 s does not exceed 0.1.
 function M.span(from, to)
   return math.floor((to - from) * 1e9 + 0.5) / 1e9
 end

@@ -55,7 +55,7 @@ local function ask(title, label, default, answered)
   new_dialog("YAPP " .. title, answered, { name = label, value = default })
 end
 
--- Where a file of the user's goes: Lua is not told where the capture is.
+-- Return a path for a file of the user's: Lua does not know the folder of the capture.
 local function default_path(name)
   return (os.getenv("HOME") or os.getenv("USERPROFILE") or ".") .. "/yapp-" .. name
 end
@@ -98,7 +98,8 @@ local function open_window(title, make)
   refresh()
 end
 
--- Wireshark closes a window when Lua collects it: this one has no button that holds it.
+-- Hold the help window: Wireshark closes a window that Lua collects, and no button refers to this
+-- one.
 local help
 
 local function open_help()
@@ -158,7 +159,7 @@ function M.register(stat)
       ask(row.title, row.ask, row.file and default_path(row.file) or "", answered)
     end
     register_menu("YAPP/" .. row.title, action, MENU_TOOLS_UNSORTED)
-    -- 4.0 shows a slash there as it is
+    -- On 4.0 a slash makes no submenu there.
     register_menu("YAPP " .. row.title, action, MENU_STAT_UNSORTED)
   end
   register_menu("YAPP/Help", open_help, MENU_TOOLS_UNSORTED)

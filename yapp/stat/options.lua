@@ -18,7 +18,7 @@ local M = {}
 -- new      function(options, context), makes it: see stat.queue
 -- options  what it takes besides filter=EXPRESSION, for errors
 -- help     what it says, for people
--- ask      what a menu asks for; the answer goes behind the name
+-- ask      what a menu asks for; the answer follows the name
 -- file     the name of a new file that a menu suggests
 -- is_data  whether its output has no room for notes
 M.LIST = {
@@ -82,7 +82,7 @@ local RULES = table.concat(kinds.RULES, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE
 local RANGE = "a range is A..B, A.. or ..B"
 local MAX_FILE = 2 ^ 20 -- bytes of a file of rules
 
--- A number as people write it; nil for a hexadecimal one, nan, inf or a text.
+-- Return a decimal number; nil for hexadecimal, nan, inf and other texts.
 local function number(text)
   local value = text:find("^[+-]?[%d.]+[eE]?[+-]?%d*$") and tonumber(text)
   return input.is_finite(value) and value or nil
@@ -92,7 +92,7 @@ end
 --
 -- Functions from here on raise what is wrong.
 
--- A number that is not below 0; without a fraction where it counts.
+-- Return a number that is not below 0; for a count one without a fraction.
 local function limit_of(text, what, is_count)
   local value = number(text)
   local is_good = value and value >= 0 and not (is_count and text:find("%D"))
@@ -113,7 +113,7 @@ local function add_range(rule, text)
   demand(rule.low <= rule.high, "nothing lies in this range")
 end
 
--- What of a message's coming has a limit.
+-- Rules about how often messages come: function(rule, value) sets the limits of a rule.
 local measures = {}
 
 function measures.count(rule, value)
@@ -176,7 +176,7 @@ end
 
 -- Options -----------------------------------------------------------------------------------------
 
--- Calls what may raise what is wrong with a part.
+-- Call a function.  If it raises a text, note it as a problem of this part.
 local function try(options, part, call)
   local ok, why = pcall(call)
   if ok then return end
@@ -186,7 +186,7 @@ end
 
 local read_check
 
--- The rules of a file, one a line.  A # begins a comment, but for one in the name of a source.
+-- The rules of a file, one a line.  A # begins a comment, unless it stands in the name of a source.
 local function read_file(options, path, catalogue)
   demand(options.place == "", "a file of rules names no other")
   local file, problem = io.open(path, "rb")
@@ -226,7 +226,7 @@ end
 local function finish_check(options, catalogue)
   local rules = options.rules
   if rules[1] or options.problems[1] then
-    -- What was not decoded was not checked.
+    -- No rule can check a message that was not decoded.
     if not options.judges_unknown then
       rules[#rules + 1] = read_rule("unknown=0", catalogue)
     end
@@ -263,7 +263,8 @@ local function refuse(options)
   demand(false, "the options of %s are %s, filter=EXPRESSION", options.what, allowed)
 end
 
--- What reads an option that is no word of the statistic's row, and what ends the last one.
+-- By statistic: what reads an option that is not a word of its row, and what checks all options at
+-- the end.
 local READ = { csv = read_csv, check = read_check }
 local FINISH = { csv = finish_csv, check = finish_check }
 

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What statistics print and write: JSON lines, tables for people, files that are complete or not
--- there; and the exit codes.  Pure Lua, 5.2 to 5.5.
+-- What statistics print and write: JSON lines, tables for people, and files, which exist only if
+-- they are complete; and the exit codes.  Pure Lua, 5.2 to 5.5.
 
 local utf8 = require("yapp.base.utf8")
 
@@ -14,7 +14,7 @@ local format = string.format
 
 -- JSON ----------------------------------------------------------------------------------------
 
--- What cannot be printed is written \xNN: bytes that are no UTF-8 would make a line unreadable.
+-- Write what is not printable as \xNN: JSON must be UTF-8.
 local function text_value(text)
   return '"' .. utf8.printable(text):gsub('["\\]', "\\%0") .. '"'
 end
@@ -23,7 +23,7 @@ local function is_whole(value)
   return value % 1 == 0 and math.abs(value) < 2 ^ 53
 end
 
--- The shortest text that reads back as the same number; null for what JSON has no number for.
+-- Return the shortest text that reads back as the same number; null for NaN and infinity.
 local function number_value(value)
   if value - value ~= 0 then return "null" end
   if is_whole(value) then return format("%d", value) end
@@ -39,8 +39,8 @@ function M.value(value)
   return value and text_value(value) or "null"
 end
 
---- An object of these keys, in this order, with the values that a table has under them; what it
--- has not is null.
+--- An object of these keys, in this order, with the values that a table has under them; a missing
+-- value is null.
 function M.object(keys, values)
   local parts = {}
   for i, key in ipairs(keys) do
@@ -61,7 +61,7 @@ end
 --- A time of the capture with nine digits, as text.
 -- seconds, nanoseconds  integers, nanoseconds 0 .. 999,999,999
 function M.time_text(seconds, nanoseconds)
-  if seconds < 0 and nanoseconds > 0 then -- -1 s and 9e8 ns are -0.1 s
+  if seconds < 0 and nanoseconds > 0 then -- -1 s plus 9e8 ns is -0.1 s
     return format("-%d.%09d", -seconds - 1, 1000000000 - nanoseconds)
   end
   return format("%d.%09d", seconds, nanoseconds)
@@ -70,7 +70,8 @@ end
 -- Values ----------------------------------------------------------------------------------------
 --
 -- A value of a row: a text, a number, nil, or { json, text, short } where people read something
--- else, or nothing; short is what a window has room for, nil where it is the text.
+-- else than JSON has, or nothing (no text); short is what a window has room for, if that is not the
+-- text.
 
 --- Return a time of the capture; people read it in UTC, to the microsecond.
 -- seconds, nanoseconds  since 1970
@@ -114,10 +115,10 @@ function M.place(source)
   return source.bus and id and source.bus .. " " .. id or source.bus or id or ""
 end
 
---- Add to a table of values which source they are of; returns it.
+--- Add the columns of a source to a row of values; returns the row.
 function M.row(source, row)
   row.bus, row.source = source.bus, source.name
-  row.who = source.name or M.place(source) -- where one column says it
+  row.who = source.name or M.place(source) -- bus, ID and name in one column
   if not source.id then return row end
   local message = source.message or { title = "unknown" }
   row.id = { json = format("%d", source.id), text = format("0x%x", source.id) }
@@ -143,7 +144,7 @@ function M.words(text)
   return list
 end
 
--- How many places a text takes: characters, not bytes.
+-- Return the width of a text: in characters, not bytes.
 local function width_of(text)
   return select(2, text:gsub("[^\128-\191]", ""))
 end
@@ -168,7 +169,7 @@ local function column_of(key, rows, is_short)
   return cells
 end
 
---- Sort a list, which keeps its order where these values are equal.
+--- Sort a list.  Entries with equal values keep their order.
 -- order_of  function(one) -> two values to sort by
 function M.sort(list, order_of)
   local orders = {}
@@ -204,7 +205,7 @@ end
 -- context  { out = function(text), json = whether so, frames = in a window a list that gets the
 --          frames of the rows, else nil }
 -- keys     see M.table; json = those of a JSON line
--- rows     tables by key; keys = those of its JSON, where these are others
+-- rows     tables by key; row.keys = the keys of its JSON line, if not keys.json
 -- notes    a list of texts
 function M.print(context, title, keys, rows, notes)
   local frames, out = context.frames or {}, context.out
@@ -225,10 +226,9 @@ end
 local File = {}
 File.__index = File
 
---- Begins a file, under another name until it is complete.  A device is written as it
--- is: a file in its place would be the end of it.
--- advice   what to do where the file is there already, which is not overwritten then; nil for
---          nothing: it is
+--- Begin a file, under another name until it is complete.  A device is written directly, as a
+-- rename would replace the device by a file.
+-- advice   if the file exists: the error, which says what to do; nil to overwrite it
 -- returns  the file, with File:write(text); nil and why not
 function M.create(path, advice)
   local there = advice and io.open(path, "rb")
@@ -248,7 +248,7 @@ function File:write(text)
   if not ok then self.problem = problem end
 end
 
---- Ends files and gives them their names, all or, where one could not be written, none.
+--- Close files and give them their names.  If one could not be written, remove all of them.
 -- problem  what went wrong before, nil for nothing
 -- returns  what went wrong, nil for nothing
 function M.finish(list, problem)
@@ -266,7 +266,7 @@ function M.finish(list, problem)
     if problem and aside ~= path then
       os.remove(aside)
     elseif aside ~= path and not os.rename(aside, path) then
-      os.remove(path) -- Windows puts no file in the place of another
+      os.remove(path) -- on Windows a rename does not replace a file
       note(file, os.rename(aside, path))
     end
   end

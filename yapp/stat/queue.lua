@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- From the dissectors to the statistics: events in the order of the capture, each statistic those
--- that its filter lets count; and exact times.  Pure Lua, 5.2 to 5.5.
+-- From the dissectors to the statistics: hands on events in the order of the capture, to each
+-- statistic those that its filter lets count.  Knows exact times.  Pure Lua, 5.2 to 5.5.
 --
 -- A packet is dissected, and its events are offered.  Then the taps run: a filter's says that the
 -- packet matches, and the one that sees all packets says that it is there.  Nothing promises their
@@ -20,7 +20,7 @@ local output = require("yapp.stat.output")
 
 local M = {}
 
-local MAX_STEP = 0.001 -- seconds by which a capture's clock may go back: interfaces take turns
+local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
 
 local floor, span = math.floor, kinds.span
 
@@ -42,10 +42,10 @@ function Queue:reset()
   self.waiting = {}
   self.last = nil -- time of the latest packet
   self.packets = 0
-  self.stepped_back = 0 -- seconds that the capture's clock went back, in all
-  self:begins(0, 0, 0) -- packets may have no time
+  self.stepped_back = 0 -- sum of the seconds that the capture's clock went back
+  self:begins(0, 0, 0) -- until a time is known, if ever
   self.losses = {} -- events that may be taken back before the end
-  self.undissected = {} -- events of messages: they count if others are dissected
+  self.undissected = {} -- events of such messages: they count if others are dissected
   self.has_messages = false
   self.is_direct = false
   for _, entry in ipairs(self.entries) do
@@ -55,8 +55,8 @@ end
 
 --- Add a statistic.
 -- options  { filter = or nil, has_notes = whether its output has room for notes }
--- returns  { matched = a set of the numbers of packets that its filter lets count: to be filled.
---          Kept for all packets, as only the end shows that a message is not finished }
+-- returns  { matched = a set of the numbers of packets that its filter lets count: its tap fills
+--          it.  It keeps all packets, as only the end shows which messages are unfinished }
 function Queue:add(statistic, options)
   local entry = {
     statistic = statistic,
@@ -116,7 +116,7 @@ end
 
 --- Say when the first packet was captured.
 -- seconds, nanoseconds  integers
--- rel                   the packet's time since the first one: not 0 where a filter rejected that
+-- rel                   the packet's time since the first one: not 0 if a filter rejected the first
 function Queue:begins(seconds, nanoseconds, rel)
   self.first = { seconds = seconds, nanoseconds = nanoseconds, rel = rel }
 end
@@ -132,9 +132,9 @@ function Queue:clock(rel)
   return seconds, nanoseconds % 1e9
 end
 
---- Let events no longer wait for the taps of their packets, where none is needed: a tenth of csv's
--- time.  Call it from a tap, once all packets that come have their taps, in order.
--- returns  whether it is so
+--- Hand on events at once from now on, if no statistic needs the taps of packets.  This saves a
+-- tenth of csv's time.  Call it from a tap, when no other packet still waits for its taps.
+-- returns  whether events are handed on at once
 function Queue:go_direct()
   for _, entry in ipairs(self.entries) do
     if entry.has_filter or not entry.statistic.wants_messages_only then
@@ -172,7 +172,8 @@ end
 
 -- The end -----------------------------------------------------------------------------------------
 
--- Losses that were not taken back; each message once, at the first frame that shows it.
+-- Hand on the losses that were not withdrawn: each lost message once, at the first frame that shows
+-- the loss.
 local function hand_on_losses(self)
   local seen = {}
   for _, event in ipairs(self.losses) do
@@ -184,7 +185,7 @@ local function hand_on_losses(self)
   end
 end
 
--- Why nothing can be said of a capture; nil where a message came.
+-- Return why a capture has no message; nil if it has one.
 local function nothing_found(self, extended)
   if self.has_messages then return nil end
   if extended > 0 then
@@ -196,7 +197,7 @@ local function nothing_found(self, extended)
   return ("no YAPP message found in %s: see yapp.search_all, yapp.user_dlt"):format(packets)
 end
 
--- What the answer of a statistic leaves out; and whether it is undecided for that.
+-- Return what the answer of a statistic leaves out, and whether that makes it undecided.
 local function notes_of(self, entry, nothing)
   local deriver, notes = entry.deriver, { nothing }
   if entry.has_filter and not (nothing or next(deriver.came)) then
@@ -211,7 +212,7 @@ local function notes_of(self, entry, nothing)
 end
 
 -- Ends a statistic.
--- returns  what its answer leaves out, whether it is undecided for that; its exit code and text
+-- returns  what its answer leaves out, whether that makes it undecided; its exit code and text
 local function finish_entry(self, entry, capture, nothing)
   local deriver = entry.deriver
   for _, event in ipairs(self.undissected) do
@@ -220,7 +221,7 @@ local function finish_entry(self, entry, capture, nothing)
   local ending = {
     rel = self.last, -- of the last packet of any kind, nil where there was none
     now = self.last and self.last + self.stepped_back,
-    reason = nothing, -- why there is nothing to say, nil for no reason
+    reason = nothing, -- why no message was found, nil if one was
     lacks_times = capture.lacks_times,
     drops = capture.drops,
     first = self.first,

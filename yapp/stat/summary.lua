@@ -2,8 +2,8 @@
 -- -z yapp,summary: each source with its rate, gaps, losses, and the range of its values; and
 -- -z yapp,compare: the values of all sources of a message beside each other.  Pure Lua, 5.2 to 5.5.
 --
--- Good messages are counted and make rates, gaps and values.  Beside them stand those with a bad
--- CRC and those that are incomplete.
+-- Good messages are counted and make rates, gaps and values.  Messages with a bad CRC and
+-- incomplete ones are counted separately.
 
 local groups = require("yapp.stat.groups")
 local output = require("yapp.stat.output")
@@ -89,7 +89,8 @@ local Compare = groups.class { compares = true, wants_messages_only = true }
 --- See groups.class.
 M.compare = Compare.new
 
--- The row of a field; people see those of its sources, the first with what they have in common.
+-- Return the JSON row of a field, and append the rows that people see: one for each source, the
+-- first with the spread of all.
 local function compared_row(self, list, index, shown)
   local spread, sources, first = list[1].values[index].spread, {}, #shown + 1
   for i, group in ipairs(list) do
@@ -111,7 +112,8 @@ local function compared_row(self, list, index, shown)
   }
 end
 
--- The groups of each message that has several, in the order of the second ones.
+-- Return the groups of each message that has several, in the order in which their second groups
+-- come.
 local function compared(self)
   local by_message, lists = {}, {}
   for _, group in ipairs(self:sorted()) do

@@ -19,8 +19,8 @@ Stat.__index = Stat
 
 --- Make the statistics of one plugin.
 -- parts  {
---   settings = { version = text, catalogue = compiled, late = how many periods of its message make
---              a gap one, sources = a message.sources, sources_text = the preference, ids = by
+--   settings = { version = text, catalogue = compiled, late = periods of its message that a gap
+--   must exceed to count, sources = a message.sources, sources_text = the preference, ids = by
 --              message name the list of those that a preference gives it, problems = list of texts:
 --              what the user asked for and did not get }, whose values change with the
 --              preferences
@@ -28,7 +28,7 @@ Stat.__index = Stat
 --   drops      function() -> what the capture does not have, see host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
 --              frame }
---   watch      function(), from which on Intake:unknown is called }
+--   watch      function(), called when statistics begin: from then on Intake:unknown is called }
 function M.new(parts)
   return setmetatable(parts, Stat)
 end
@@ -81,8 +81,8 @@ local function tap_clock(self)
   return clock
 end
 
--- The tap that counts extended frames.  It builds trees, which say the CAN id of the first frames
--- that no dissector takes; in tshark it goes once there is a message of ours.
+-- The tap that counts extended frames.  Its trees tell the CAN ids of the first frames that no
+-- dissector takes.  In tshark, after MAX_TREES frames, it is removed with YAPP's next message.
 local function tap_extended(self)
   local tap = listen(self, EXTENDED)
   function tap.packet()
@@ -91,8 +91,8 @@ local function tap_extended(self)
   end
 end
 
--- The tap that sees every packet.  The one of the clock builds trees, so in tshark it goes when it
--- knows.
+-- The tap that sees every packet.  In tshark it removes the tap of the clock, which builds trees,
+-- once the exact time is known.
 local function tap_packets(self)
   local tap, clock = listen(self), tap_clock(self)
   local is_waiting = IS_TSHARK
@@ -124,7 +124,7 @@ local function open(self)
 end
 
 local function close(self)
-  for _, tap in ipairs(self.taps) do tap:remove() end -- one that stayed would build trees for ever
+  for _, tap in ipairs(self.taps) do tap:remove() end -- a tap that stays would build trees for ever
   self.intake:close()
 end
 
@@ -143,7 +143,7 @@ end
 local function tap_filter(self, filter)
   local ok, tap = pcall(listen, self, filter)
   if ok then return tap end
-  local why = tostring(tap):match("is invalid %- (.*)$") or tap -- before that a place in this file
+  local why = tostring(tap):match("is invalid %- (.*)$") or tap -- before that a line in this file
   error(("the filter %s is not one: %s"):format(filter, why), 0)
 end
 
@@ -168,7 +168,7 @@ end
 
 --- Run a statistic over all packets, in Wireshark.
 -- text     as behind -z
--- returns  what it says, and what is wrong, as one text; a list of the frames that stand in it
+-- returns  its output and the problems, as one text; a list of the frames in it
 function Stat:run(text)
   local options = options_of.read(text, self.settings.catalogue)
   local said, frames, problems = {}, {}, options.problems
@@ -192,7 +192,7 @@ end
 
 -- tshark ----------------------------------------------------------------------------------------
 
--- All is seen: prints, says what is wrong, ends with a code where one is due.
+-- All packets have come: print, say what is wrong, and exit if the code is not 0.
 local function conclude(self)
   local ok, code, texts = pcall(finish, self)
   if not ok then
@@ -207,7 +207,7 @@ local function conclude(self)
   for _, text in ipairs(texts) do
     say(text)
   end
-  -- What other statistics of this run would still print is lost: the exit code counts for more.
+  -- Other -z statistics of this run lose what they would still print: the exit code matters more.
   if code ~= output.EXIT_OK then os.exit(code) end
 end
 
@@ -219,7 +219,7 @@ local function read_argument(self, text)
   end
   if not self.queue then
     open(self)
-    local tap = Listener.new("frame") -- for the end alone: the other may go
+    local tap = Listener.new("frame") -- for the end alone: tap_packets may remove its own
     function tap.draw() conclude(self) end
   end
   begin(self, options, { out = function(part)

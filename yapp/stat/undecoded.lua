@@ -6,7 +6,7 @@ local output = require("yapp.stat.output")
 
 local M = {}
 
-local MAX_ID = 2047 -- that a preference takes
+local MAX_ID = 2047 -- the highest that a preference takes
 local MAX_NAMED = 30 -- sources, or sizes, in a text
 
 local place = output.place
@@ -27,8 +27,8 @@ function M.new(settings)
   }, Undecoded)
 end
 
--- What there is to say of a size.
--- is_own  whether it is that of the source's message
+-- Return what to say of a size: which messages have it.
+-- is_own  whether it is the size of the source's message
 local function describe(source, likes, is_own)
   local titles, own = {}, source.message
   if is_own then return ("%s with a YAPP CTL other than 0"):format(own.title) end
@@ -106,7 +106,8 @@ local function is_decodable(entry)
   return is_other and entry.likes[1] and entry.source.id <= MAX_ID
 end
 
--- By ID the size of its messages; false if they have several, or if it is a message's already.
+-- Return by ID the size of its messages; false if these have several sizes, or if the ID has a
+-- message already.
 local function sizes_of(entries)
   local sizes = {}
   for _, entry in ipairs(entries) do
@@ -119,8 +120,8 @@ local function sizes_of(entries)
   return sizes
 end
 
--- What decodes entries: by message the IDs that can have it on all buses; and parts of yapp.sources
--- for the others.
+-- Return what decodes the entries: by message the IDs that can carry it on all buses, and parts of
+-- yapp.sources for other IDs.
 local function plan(self)
   local ids, parts, taken, sizes = {}, {}, {}, sizes_of(self.entries)
   for _, row in ipairs(self.settings.sources:list()) do

@@ -8,14 +8,15 @@ local M = {}
 
 local char, floor = string.char, math.floor
 
---- How far the slots of two buses lie apart, see M.slot.
+--- The slots of bus n begin at n * M.BUS, see M.slot.
 M.BUS = 0x20000000
 
 -- CAN CTRL: 0 is a single frame, 2 a Middle.
 M.START, M.END = 1, 3
 M.KINDS = { [0] = "Single", "Start", "Middle", "End" }
 
--- CAN FD has these lengths above 8: FD_LENGTH[n] is the shortest that holds n bytes.
+-- A CAN FD frame above 8 bytes has one of these lengths.  FD_LENGTH[n] is the shortest that holds n
+-- bytes.
 local FD_LENGTH = {}
 do
   local n = 0
@@ -40,8 +41,8 @@ end
 --- The fields of a 29-bit CAN id ("CAN Message IDs"): fields[id], for 0 .. 0x1FFFFFFF, is
 --   { id = Msg ID, ctrl = CAN CTRL, ctl = YAPP CTL, seq = Seq No, message_key = what the frames of
 --   a message share: the id without CAN CTRL }
--- Usually the same table for the same id: read only.  A bus has few, a hostile capture any number:
--- those without a reference go with the next collection.
+-- The same id usually gets the same table, which only M.seed writes to.  The cache is weak: a bus
+-- has few ids, but a hostile capture may have any number.
 M.fields = setmetatable({}, { __mode = "v", __index = split })
 
 --- Return the slot of a message: one number for its key and its bus.
@@ -50,9 +51,9 @@ function M.slot(fields, bus)
   return fields.message_key + (bus or 0) * M.BUS
 end
 
---- How many bytes of CAN FD padding a last, or single, frame carries.
+--- Return how many bytes of CAN FD padding the last or only frame of a message has.
 -- data    its captured bytes; reported: its length on the bus; needed: what the message still lacks
--- returns 0 when it fits exactly, the number of zero bytes when it is padded as CAN FD is, else nil
+-- returns 0 if it fits exactly, the number of zero bytes if it is padded as CAN FD is, else nil
 function M.padding(data, reported, needed)
   if reported == needed then return 0 end
   if reported > 8 and needed > 0 and needed < reported and FD_LENGTH[needed] == reported and
@@ -61,8 +62,8 @@ function M.padding(data, reported, needed)
   end
 end
 
---- How long the payload of a single frame is whose message may have from `least` to `most` bytes.
--- The largest that fits counts. With 9 to 17 bytes allowed, a frame of 12 bytes has 12, though it
+--- Return the payload size of a single frame whose message has `least` to `most` bytes: the largest
+-- size that fits.  If 9 to 17 bytes are allowed, a frame of 12 bytes has a payload of 12, though it
 -- may be 9 and padding; a frame of 20 bytes has 17 and padding.
 -- data, reported  as for M.padding
 -- returns         number; nil when it does not fit
@@ -83,8 +84,8 @@ function M.header(fields, size, reserved)
     size_low, (size - size_low) / 0x100, reserved_low, (reserved - reserved_low) / 0x100)
 end
 
---- The register of the CRC behind that header; kept for the next message of the same id and size,
--- in the fields: seed, seed_size.
+--- Return the CRC register behind that header.  The fields cache it, as seed and seed_size, for the
+-- next message of the same id and size.
 function M.seed(fields, size, reserved)
   if fields.seed_size == size and not reserved then return fields.seed end
   local seed = crc.of(M.header(fields, size, reserved))

@@ -45,8 +45,9 @@ local NATIVE = [[
   end
 ]]
 
--- For Lua 5.2.  A call costs more than a table look-up here: eight bytes a step, each through its
--- own table, and so the register's, which arithmetic takes apart.
+-- For Lua 5.2, where a call costs more than a table look-up.  A step takes eight bytes, each
+-- through a table of its own.  Arithmetic splits the register into its four bytes, which go through
+-- tables, too.
 local function with_library(library)
   local bxor, lshift, rshift = library.bxor, library.lshift, library.rshift
   local NEXT = { [0] = TABLE }
@@ -90,8 +91,8 @@ else
   run = load(NATIVE, "=wire.crc native")(TABLE, byte)
 end
 
---- Runs the register over data[from .. to].
--- register  number 0 .. 0xFFFFFFFF, M.INITIAL to begin with
+--- Return the CRC register behind data[from .. to].
+-- register  before these bytes, 0 .. 0xFFFFFFFF; M.INITIAL to begin with
 -- data      string
 -- from, to  1-based, inclusive; the whole string when left out
 -- returns   the new register, 0 .. 0xFFFFFFFF.  Document: "CRC Calculation".

@@ -9,8 +9,7 @@ local M = {}
 
 local byte, find = string.byte, string.find
 
---- What a frame begins with; the bytes before and behind the payload; the length of the largest
--- frame.
+--- The first bytes of a frame; the sizes of header, CRC and the largest frame.
 M.SYNC = "YP"
 M.HEADER, M.CRC_SIZE = 12, 4
 M.LARGEST = M.HEADER + 65535 + M.CRC_SIZE
@@ -18,10 +17,10 @@ M.LARGEST = M.HEADER + 65535 + M.CRC_SIZE
 --- The highest id that a message of the document has.
 M.MAX_ID = 2047
 
-local HIGHEST_ID_BYTE = 7 -- the second one of such an id
+local HIGHEST_ID_BYTE = 7 -- of the second byte of such an id
 
 --- The fields of a header.
--- bytes    string; at: 1-based, where its "YP" is, which is not looked at
+-- bytes    string; at: 1-based index of its "YP", which is not checked
 -- returns  id, size, reserved, seq, ctl: as they stand there, plausible or not; nil where fewer
 --          than 12 bytes are left
 function M.parse(bytes, at)
@@ -38,12 +37,12 @@ function M.crc(bytes, to)
   return a + b * 0x100 + c * 0x10000 + d * 0x1000000
 end
 
---- Whether a header may be one.  This runs for each "YP" in a stream, most of them in noise, so it
--- stops early.
+--- Return whether a frame may begin at a "YP".  It is called for each "YP" in a stream, most of
+-- them in noise, so it stops early.
 -- bytes    string; at: 1-based, where its "YP" is
 -- accepts  function(id, size) -> boolean
--- returns  the payload size; nil when it is ruled out, by what is there; false when its end is yet
---          to come
+-- returns  the payload size if the header is plausible; nil if the bytes that are there rule it
+--          out; false if the end of the header is still to come
 function M.judge(bytes, at, accepts)
   if (byte(bytes, at + 5) or 0) > HIGHEST_ID_BYTE then return nil end
   local id0, id1, id2, id3, size0, size1, reserved0, reserved1 = byte(bytes, at + 4, at + 11)
@@ -54,7 +53,7 @@ function M.judge(bytes, at, accepts)
   return reserved1 and size or false
 end
 
---- Where the next "YP" is, from a 1-based place on; nil without one.
+--- Return the index of the next "YP" from a 1-based index on; nil without one.
 function M.find(bytes, from)
   return find(bytes, "YP", from, true)
 end
