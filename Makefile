@@ -8,7 +8,7 @@ DEMO := docs/flight.pcapng
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
-.PHONY: demo test test-all unit unit-5.2 unit-5.4 unit-5.5 map hostile e2e lint install uninstall dist release soak matrix \
+.PHONY: demo test test-all unit coverage unit-5.2 unit-5.4 unit-5.5 map hostile e2e lint install uninstall dist release soak matrix \
   fuzz mutate valgrind bench screenshots filters \
   needs-tshark needs-python needs-hatchling needs-tests needs-bench
 
@@ -71,6 +71,10 @@ unit-5.2 unit-5.4: unit-%:
 unit-5.5:
 	@if command -v lua5.5 >/dev/null; then lua5.5 tests/unit/run.lua tests/unit/test_*.lua; \
 	else echo "Lua 5.5: left out, there is no lua5.5"; fi
+
+## Which lines of the pure modules the unit tests run; fails below 98 %
+coverage: needs-tests
+	lua5.4 tests/unit/coverage.lua
 
 ## Which folder of modules requires which: the picture of CONTRIBUTING.md
 map: needs-python

@@ -453,6 +453,8 @@ CONNECTIONS = {
     "three in reverse": ([(0, 1, A), (.1, 145, D), (.2, 97, C), (.3, 49, B)], {1: "0", 4: "1;2;3"}),
     "late and in pieces": ([(0, 1, A + B[:9]), (.1, 70, B[21:] + C), (.2, 145, D), (.3, 58, B[9:21])], {1: "0", 4: "1;2;3"}),
     "a second behind a late one": ([(0, 1, A), (.9, 97, C), (1.8, 145, D), (1.9, 49, B)], {1: "0", 4: "1;2;3"}),
+    "it begins with part of a message": ([(0, 1, A[:30]), (.1, 31, A[30:] + B), (.2, 97, C)], {2: "0;1", 3: "2"}),
+    "others' bytes come twice": ([(0, 1, b"hello"), (.1, 1, b"he"), (.2, 6, A), (.3, 54, B)], {3: "0", 4: "1"}),
     "a segment is missing": ([(0, 1, A), (.1, 97, C), (.2, 145, D), (1.2, 193, E)], {1: "0", 4: "2;3;4"}),
     "it comes after all": ([(0, 1, A), (.1, 97, C), (1.2, 145, D), (1.3, 49, B), (1.4, 193, E)], {1: "0", 3: "2;3", 5: "4"}),
     "missing and acknowledged": ([(0, 1, A), (.1, 97), (.2, 97, C), (.3, 97), (.4, 145, D)], {1: "0", 3: "2", 5: "3"}),
@@ -463,6 +465,16 @@ CONNECTIONS = {
 }
 PREFERENCES = [[], stream_captures.OUT_OF_ORDER, ["-o", "tcp.desegment_tcp_streams:FALSE"],
                ["-o", "tcp.analyze_sequence_numbers:FALSE"], ["-o", "tcp.no_subdissector_on_error:FALSE"]]
+
+
+def test_the_first_segments_are_missing(folder):
+    """What is missing between the last bytes of others and the first message counts as a gap."""
+    for first, dropped in (([(0, 1, b"hello")], 1), ([(0, 1, b"hello"), (.01, 6, A)], 0)):
+        packets = tcp_packets([*first, *((.1 * at, 6 + 48 * at, data) for at, data in enumerate((B, C, D, E), 1))])
+        stream_captures.Capture("", packets, stream_captures.tcp, []).write(folder / "tcp.pcapng")
+        for passes in PASSES.values():
+            failed = dict(checked(folder / "tcp.pcapng", *passes)[2])
+            assert failed.get("dropped", 0) == dropped
 
 
 @levels.by_version

@@ -1,8 +1,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- luacheck: globals arg debug.sethook os.exit
--- Which lines of the pure modules the unit tests run: lua5.4 tests/unit/coverage.lua, from the repository's top.
--- (LuaCov does that too, but Debian has no package of it.)  Prints each module with the lines that no test runs, and how
--- much of all is run; ends with 1 below 98 %.
+-- Which lines of the pure modules the unit tests run; from the top of the repository: make coverage.
+-- (LuaCov does that too, but Debian has no package of it.)  Prints each module with the lines that no test runs, and
+-- how much of all is run; ends with 1 below 98 %.
 if not arg then return end -- run by Wireshark, see run.lua
 
 local MIN = 98 -- percent

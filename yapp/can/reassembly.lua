@@ -23,7 +23,7 @@ local store = require "yapp.can.store"
 
 local M = {}
 
-local concat, floor, min = table.concat, math.floor, math.min
+local concat = table.concat
 local END, KINDS = can_id.END, can_id.KINDS
 
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it
@@ -146,7 +146,7 @@ end
 -- Give up the messages with the oldest Starts, to make room for one more.
 local function make_room(self)
   local list = newest_messages(self)
-  local count = #list - floor(self.max_open / 2)
+  local count = #list - math.floor(self.max_open / 2)
   for i = 1, count do
     local slot = list[i].slot
     for _, message in ipairs(open_in(self, slot)) do self:give_up(message) end
@@ -348,7 +348,7 @@ local function continue(self, frame)
   end
   if frame.can_id.ctrl ~= END then
     local excess = received - message.size
-    if excess > 0 and excess > min(chunks.repeated or 0, MAX_RUNS * reported) then
+    if excess > 0 and excess > math.min(chunks.repeated or 0, MAX_RUNS * reported) then
       message.status, message.chunks = self:misfit(message, received), nil
     end
     return "fragment", message

@@ -18,7 +18,7 @@ local frame_key = require "yapp.base.frame_key"
 local M = {}
 
 local NONE = {}
-local byte, insert, max, sub = string.byte, table.insert, math.max, string.sub
+local byte, insert, sub = string.byte, table.insert, string.sub
 local last_until, number_of = frame_key.last_until, frame_key.number
 local PACKET = frame_key.PACKET
 
@@ -181,7 +181,7 @@ local function find_in(slot, key, fields)
     return latest, index
   end
   local last = last_until(slot.starts, key, slot.at + 1)
-  for at = last, max(last - MAX_BEFORE, 1), -1 do
+  for at = last, math.max(last - MAX_BEFORE, 1), -1 do
     local message = message_at(slot, at, fields)
     local is_good = message.status == "good"
     index = last_until(message, key)

@@ -13,7 +13,7 @@ local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
-local min, sub = math.min, string.sub
+local sub = string.sub
 local add, add_le = items.add, items.add_le
 local append_text = items.append_text
 local number_of, PACKET = frame_key.number, frame_key.PACKET
@@ -43,7 +43,6 @@ function M.new(tree, reader, buses, tcp_header)
     deltas = nil,    -- [frame key] = seconds since the source's previous good message, false for
                      -- the first one
     lines = nil,     -- by key, see line_of
-    has_tcp = false, -- whether a TCP connection is YAPP's
   }, Dissector)
 end
 
@@ -52,7 +51,6 @@ end
 function Dissector:reset(new_history)
   self.streams = streams.new(function() return self:new_framer() end)
   self.history, self.deltas, self.lines = new_history(), {}, {}
-  self.has_tcp = false
   tcp.stop()
 end
 
@@ -169,19 +167,20 @@ function Dissector:is_yapp(bytes, length)
   return is_catalogue, events
 end
 
---- Return whether a packet of an unknown conversation is YAPP.  One that is not, but may be a
--- message with bytes missing, is reported with the first YAPP packet of the conversation, if one
--- comes.
+--- Return whether a packet of an unknown conversation is YAPP.  A segment that begins a message of
+-- the catalogue is: the next one has the rest.  A datagram that begins one has lost bytes.  This is
+-- reported with the first YAPP packet of the conversation, if one comes.
 function Dissector:accepts(tvb, pinfo)
   local bytes = tvb:len() > 0 and tvb:raw() or ""
   if pinfo.in_error_pkt or not frame.find(bytes, 1) then return false end
   local is_ours, events = self:is_yapp(bytes, tvb:reported_len())
   local id, _, _, seq = frame.parse(bytes, 1)
   local may_be = events[1].status == "incomplete" and self.reader:size_of(id)
-  if not is_ours and may_be and pinfo.port_type == UDP and not pinfo.visited then
+  if is_ours or not may_be or pinfo.port_type == TCP then return is_ours or may_be end
+  if not pinfo.visited then
     table.insert(line_of(self, pinfo).damaged, { id = id, seq = seq })
   end
-  return is_ours
+  return false
 end
 
 -- Returns what the statistics take of an incomplete message.
@@ -232,7 +231,7 @@ local function new_message(self, packet, event, index)
     is_unreliable = not packet.is_bus_known or packet.visited and delta == nil,
     size = size,
     reserved = reserved,
-    payload = sub(bytes, at + HEADER + 1, at + min(HEADER + size, length)),
+    payload = sub(bytes, at + HEADER + 1, at + math.min(HEADER + size, length)),
     length = length,
     status = status == "incomplete" and event.truncated and "truncated" or status,
     missing = event.missing,
@@ -440,8 +439,6 @@ end
 
 -- Dissects a segment that TCP has shown.
 local function dissect_segment(self, segment, tvb, pinfo, tree)
-  self.has_tcp = self.has_tcp or segment.is_ours
-  if not self.has_tcp then return end
   local line = line_of(self, pinfo)
   segment.line = line
   local is_known = pinfo.visited or self.streams:note_header(line.key, line.opposite, segment)
@@ -466,7 +463,6 @@ function Dissector:dissect(tvb, pinfo, tree)
       segment.is_ours = true -- these bytes may be of several: dissect_segment shows it
       return size
     end
-    self.has_tcp = true
     self:watch_tcp()
   end
   return dissect(self, new_packet(self, tvb, pinfo, tree), pinfo) and size or 0

@@ -23,7 +23,6 @@ local frame = require("yapp.wire.frame")
 local M = {}
 
 local byte, sub = string.byte, string.sub
-local floor, log, max, min = math.floor, math.log, math.max, math.min
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local Y = byte(frame.SYNC)
@@ -101,8 +100,8 @@ end
 -- Whether the CRC of a candidate is good.
 function Framer:is_good(candidate)
   local length = candidate.to - candidate.from
-  local class, earned = floor(log(length, 2)), MAX_CREDIT + CREDIT * self.to
-  local spent = max(self.spent[class] or 0, earned - MAX_CREDIT) + length
+  local class, earned = math.floor(math.log(length, 2)), MAX_CREDIT + CREDIT * self.to
+  local spent = math.max(self.spent[class] or 0, earned - MAX_CREDIT) + length
   if spent > earned then return false end
   self.spent[class] = spent
   local at, to = candidate.from - self.text_from + 1, candidate.to - self.text_from
@@ -136,7 +135,7 @@ end
 -- returns  "bad" or "incomplete" and its end; nil for noise; "open" if that is not decided yet
 local function fate_of(self, candidate, limit, behind)
   if candidate.from < self.from or not candidate.is_plausible then return nil end
-  local stop = min(limit, self.known[candidate.next_known] or limit)
+  local stop = math.min(limit, self.known[candidate.next_known] or limit)
   if candidate.to <= stop then return "bad", candidate.to end
   if stop == limit and behind == "open" then return "open" end
   if candidate.is_known or stop == limit and behind == "end" then return "incomplete", stop end

@@ -11,8 +11,6 @@
 
 local M = {}
 
-local abs, max, sub = math.abs, math.max, string.sub
-
 -- How long segments wait for a missing one: seconds, and bytes of the stream behind it.  A sender
 -- usually repeats a segment within a second, and few send 64 KB ahead.
 local MAX_WAIT, MAX_AHEAD = 1, 65535
@@ -49,6 +47,7 @@ function M.new(new_framer)
     datagrams = new_stream(new_framer()), -- each is complete in itself, so all share one stream
     by_key = {},
     contents = {}, -- by frame key
+    seqs = {},     -- by key, of TCP: the sequence number that follows others' bytes
     gaps = {},     -- those that were not filled, see Streams:drops
   }, Streams)
 end
@@ -60,7 +59,7 @@ end
 local function add_bytes(stream, contents, known, events)
   local framer, packet = stream.framer, contents.packet
   contents.packet, contents.known, contents.from = nil, known, framer:length()
-  framer:add(sub(packet.bytes, known + 1), packet.is_datagram or packet.truncated, events)
+  framer:add(packet.bytes:sub(known + 1), packet.is_datagram or packet.truncated, events)
   contents.to = framer:length()
   local last = events[#events]
   if packet.truncated and last and last.to == contents.to then last.truncated = true end
@@ -155,8 +154,8 @@ end
 -- Takes a segment, and those that waited for it.
 local function take_segment(self, stream, contents, events)
   local packet = contents.packet
-  local next_seq = stream.next_seq or packet.seq
-  if stream.is_ended or abs(distance(packet.seq, next_seq)) > MAX_DISTANCE then
+  local next_seq = stream.next_seq or self.seqs[packet.stream] or packet.seq
+  if stream.is_ended or math.abs(distance(packet.seq, next_seq)) > MAX_DISTANCE then
     add_held(self, stream, packet, true, events)
     stream.framer:add("", true, events)
     next_seq, stream.is_ended = packet.seq, false
@@ -176,7 +175,12 @@ function Streams:note_header(key, opposite, segment)
   local stream, other, ack = self.by_key[key], self.by_key[opposite], segment.ack
   if other and ack and distance(ack, other.acked or ack - 1) > 0 then other.acked = ack end
   if stream and segment.is_syn then stream.is_ended, stream.acked = true, nil end
-  return stream and stream.next_seq
+  if stream then return stream.next_seq end
+  local seq, length = segment.seq, segment.length
+  local known = distance(self.seqs[key] or seq, seq)
+  if not segment.is_ours and known >= 0 and known <= length then
+    self.seqs[key] = (seq + length) % 0x100000000
+  end
 end
 
 -- Packets ----------------------------------------------------------------------------------------
@@ -219,7 +223,7 @@ local function take(self, stream, packet)
   if contents.packet then
     contents.is_held, contents.pending = true, #packet.bytes
   elseif (contents.to or 0) > framer:offset() then
-    contents.pending = contents.to - max(contents.from, framer:offset())
+    contents.pending = contents.to - math.max(contents.from, framer:offset())
     contents.missing = select(2, framer:open_frame())
   end
   return contents
