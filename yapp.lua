@@ -232,15 +232,14 @@ local stat = stat_taps.new {
 
 -- List what makes the answer of a statistic incomplete: a catalogue or preferences with mistakes,
 -- and a file with messages that was not read.
-local function list_problems(...)
+-- wrong  list of texts: what is wrong with preferences
+local function list_problems(wrong)
   local problems, file = {}, yapp.prefs.messages
   if not is_whole then problems[1] = "the catalogue did not load whole" end
   if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
     problems[#problems + 1] = file .. ", the file with your own messages, was not read"
   end
-  for _, texts in ipairs { ... } do
-    for _, text in ipairs(texts) do problems[#problems + 1] = "preferences: " .. text end
-  end
+  for _, text in ipairs(wrong) do problems[#problems + 1] = "preferences: " .. text end
   return problems
 end
 
@@ -254,9 +253,8 @@ local function read_preferences()
   local sources, unread = source_names.parse(prefs.sources, catalogue)
   local late, no_number = preferences.late(prefs.late)
   local link_types = preferences.take_link_types(prefs.user_dlt, serial)
-  for _, texts in ipairs { clashes, unread, no_number, link_types } do
-    preferences.complain_once(texts)
-  end
+  local wrong = joined(clashes, unread, no_number, link_types)
+  preferences.complain_once(wrong)
   preferences.check_messages_file(prefs.messages, chosen_file)
   reader:use(by_id, sources)
   for id in pairs(by_id) do register_id(id) end
@@ -267,7 +265,7 @@ local function read_preferences()
   if takes_all then take_all() end
   settings.late, settings.ids = late, chosen
   settings.sources, settings.sources_text = sources, prefs.sources
-  settings.problems = list_problems(clashes, unread, no_number, link_types)
+  settings.problems = list_problems(wrong)
 end
 yapp.prefs_changed = read_preferences
 
@@ -276,7 +274,7 @@ function yapp.init()
   buses:init()
   reader:use_buses(buses:are_several())
   socketcan.init()
-  local function has_times() return not (buses.lacks_times and buses:lacks_times()) end
+  local function has_times() return not buses:lacks_times() end
   local function new_history()
     return history.new { late = settings.late, catalogue = catalogue, has_times = has_times }
   end

@@ -75,24 +75,12 @@ local function is_only_pass(tree, has_columns)
   return tree.visible or has_columns and not (FILTERS_COLUMNS and pcall(all_field_infos))
 end
 
--- Return what is wanted of a packet without a tree.
-local function without_tree(has_columns, is_only)
-  return {
-    columns = has_columns,
-    is_only_pass = is_only,
-    yapp = false,
-    taurus = false,
-    tree = false,
-    state = false,
-    names = false,
-  }
-end
-local LIST = without_tree(true, false) -- a packet list of Wireshark, or of later passes
+local LIST = { columns = true } -- a packet list of Wireshark, or of later passes
 
 -- Ask Wireshark what is wanted of a packet.
 local function ask(self, tree)
   -- The API takes a dissector here, and ours exist only after loading.
-  local wants = without_tree(true, false)
+  local wants = { columns = true }
   wants.yapp = tree:referenced(Dissector.get("yapp"))
   wants.taurus = tree:referenced(Dissector.get("taurus"))
   wants.tree = wants.yapp or wants.taurus
@@ -104,8 +92,7 @@ end
 -- Ask Wireshark in tshark's first pass, where the answer is the same for all packets.
 local function ask_first(self, tree, pinfo)
   local has_columns = tostring(pinfo.cols.info) ~= NO_COLUMN
-  local wants = without_tree()
-  if tree.hidden then wants = ask(self, tree) end
+  local wants = tree.hidden and ask(self, tree) or {}
   wants.columns = has_columns
   wants.is_only_pass = self.is_only_pass or is_only_pass(tree, has_columns)
   wants.state = wants.taurus and self.messages:wants_state(tree)
