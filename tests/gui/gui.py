@@ -92,7 +92,7 @@ class Wireshark:
         self.environment.pop("XDG_CONFIG_HOME", None)
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         read, write = os.pipe()
-        self.start(["Xvfb", "-displayfd", str(write), "-ac", "-nolisten", "tcp", "-screen", "0",
+        self.start(["Xvfb", "-displayfd", str(write), "-ac", "-nolisten", "tcp", "-nolisten", "local", "-screen", "0",
                     f"{WIDTH}x{HEIGHT}x24"], pass_fds=[write], **quiet)
         os.close(write)
         with os.fdopen(read) as display:
