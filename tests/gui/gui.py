@@ -75,7 +75,7 @@ class Wireshark:
             shutil.copytree(profile, config / "profiles" / profile.name)
             with open(config / "profiles" / profile.name / "recent", "a", encoding="utf-8") as file:
                 file.write("gui.toolbar_main_show: FALSE\n" + recent)
-        self.stderr_path = self.home / "stderr"
+        self.stderr_path, self.front = self.home / "stderr", None  # the window that was last brought to the front
         self.user = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}
         if self.user:
             for path in [self.home, *self.home.rglob("*")]:
@@ -134,6 +134,7 @@ class Wireshark:
         except AssertionError as error:
             raise AssertionError(f"no window {part!r}: {self.windows()}\n{self.stderr()}") from error
         self.xdotool("windowactivate", "--sync", window)
+        self.front = window
         time.sleep(2)
         return window
 
@@ -151,10 +152,18 @@ class Wireshark:
         self.keys("Return")
         time.sleep(1)
 
-    def press(self, *keys, until):
-        """Presses keys until something has come of it: a busy Wireshark may pass over some, and leave a menu open."""
+    def press(self, *keys, until, menu_of=None):
+        """Presses keys until something has come of it: a busy Wireshark may pass over some, and leave a menu open, or the
+        window may have lost the focus.
+        menu_of: (x, y), where a right click opens the menu for the keys"""
         for attempt in range(4):
-            self.keys(*(["Escape"] * 3 if attempt else []), *keys)
+            if attempt:
+                self.keys(*["Escape"] * 3)
+                self.xdotool("windowactivate", "--sync", self.front)
+            if menu_of:
+                self.xdotool("mousemove", *menu_of, "click", "3")
+                time.sleep(1)
+            self.keys(*keys)
             try:
                 return wait_for(until, 15)
             except AssertionError:

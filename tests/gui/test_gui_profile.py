@@ -92,14 +92,19 @@ ITEMS = ["Only this controller", "Faults", "Previous fault", "Next fault", "Whol
 from_4_4 = pytest.mark.skipif(VERSION < (4, 4), reason="from 4.4 on")
 
 
-def choose(wireshark, frame, number):
-    """Chooses an item of the submenu for a frame, which is then the only row."""
+def choose(wireshark, frame, number, until):
+    """Chooses an item of the submenu for a frame, which is then the only row; returns what comes of it."""
     wireshark.filter(f"frame.number == {frame}")
     wireshark.keys("Escape")
     wireshark.tree(f"Frame {frame}:")
-    wireshark.xdotool("mousemove", 200, 100, "click", "3")
-    time.sleep(1)
-    wireshark.keys(*["Down"] * 6, "Right", *["Down"] * number, "Return")
+    return wireshark.press(*["Down"] * 6, "Right", *["Down"] * number, "Return", until=until, menu_of=(200, 100))
+
+
+def name(wireshark, frame, text):
+    """Gives the controller of a frame a name by the menu, which opens a dialog."""
+    choose(wireshark, frame, ITEMS.index("Name"), lambda: any("YAPP Name" in title for title in wireshark.windows().values()))
+    answer(wireshark, "YAPP Name", text)
+    wireshark.wait_for_window("flight.pcapng")
 
 
 def answer(wireshark, title, text):
@@ -118,17 +123,15 @@ def test_menu_of_a_packet(capture):
     source = r'yapp.source in {"a \\\"b"}'
     faults = f"{source} && (taurus.fault.raised || taurus.fault.cleared)"
     expected = [source, faults, f"{faults} && frame.number < 908", f"{faults} && frame.number > 908", "yapp.reassembled.in in {908}"]
-    name = r'yapp.sources:can1/0x210=motor:a \"b'
-    with gui.Wireshark("-C", "YAPP", "-o", name, "-r", capture, profile=PROFILE) as wireshark:
+    sources = r'yapp.sources:can1/0x210=motor:a \"b'
+    with gui.Wireshark("-C", "YAPP", "-o", sources, "-r", capture, profile=PROFILE) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
         for number, text in enumerate(expected):
-            choose(wireshark, 908, number)
-
-            def shown():
+            def is_shown():
                 wireshark.clipboard("-i")
                 wireshark.keys("ctrl+slash", "ctrl+a", "ctrl+c")
-                return wireshark.clipboard()
-            gui.wait_for(lambda: shown() == text, 15)
+                return wireshark.clipboard() == text
+            choose(wireshark, 908, number, is_shown)
             if ITEMS[number] == "Previous fault":
                 wireshark.tree("Frame 719:")  # is selected
 
@@ -137,9 +140,9 @@ def test_menu_of_a_packet(capture):
 def test_an_unknown_id_is_decoded_by_its_menu(capture):
     with gui.Wireshark("-C", "YAPP", "-o", "yapp.motor_ids:0x300", "-r", capture, profile=PROFILE) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
-        choose(wireshark, 719, 5)  # behind "Whole message"
+        preferences = wireshark.home / ".config/wireshark/profiles/YAPP/preferences"
+        choose(wireshark, 719, 5, lambda: "yapp.motor_ids: 768,528\n" in preferences.read_text())  # behind "Whole message"
         wireshark.tree("Frame 719:", "Taurus Motor Data")
-        assert "yapp.motor_ids: 768,528\n" in (wireshark.home / ".config/wireshark/profiles/YAPP/preferences").read_text()
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
 
 
@@ -148,11 +151,9 @@ def test_a_controller_is_named_by_its_menu(capture):
     with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
         preferences = wireshark.home / ".config/wireshark/profiles/YAPP/preferences"
         wireshark.wait_for_window("flight.pcapng")
-        choose(wireshark, 719, ITEMS.index("Name"))
-        answer(wireshark, "YAPP Name", "right")
+        name(wireshark, 719, "right")
         gui.wait_for(lambda: "yapp.sources: can1/0x210=right\n" in preferences.read_text())
-        choose(wireshark, 5, ITEMS.index("Name"))
-        answer(wireshark, "YAPP Name", "left")
+        name(wireshark, 5, "left")
         gui.wait_for(lambda: "yapp.sources: can1/0x210=right, can0/0x210=left\n" in preferences.read_text())
         wait_for_words(wireshark, ["left"], f"{gui.WIDTH}x60+0+60")
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
@@ -163,8 +164,8 @@ def test_a_message_is_copied_as_candump(capture):
     """What is copied is read as the same message."""
     with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
-        choose(wireshark, 717, ITEMS.index("Copy"))
-        lines = gui.wait_for(wireshark.clipboard, 30)
+        wireshark.clipboard("-i")
+        lines = choose(wireshark, 717, ITEMS.index("Copy"), lambda: wireshark.clipboard().startswith("(") and wireshark.clipboard())
         assert lines.startswith("(1700000005.613000) can1 08404000#AC222F4520000000\n") and lines.count("\n") == 5
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
     copied = capture.with_name("copied.log")
