@@ -154,7 +154,8 @@ class Wireshark:
 
     def press(self, *keys, until, menu_of=None):
         """Presses keys until something has come of it: a busy Wireshark may pass over some, and leave a menu open, or the
-        window may have lost the focus.
+        window may have lost the focus.  Each attempt waits longer, as the next one begins with Escape, which closes what a
+        busy machine shows late.
         menu_of: (x, y), where a right click opens the menu for the keys"""
         for attempt in range(4):
             if attempt:
@@ -165,7 +166,7 @@ class Wireshark:
                 time.sleep(1)
             self.keys(*keys)
             try:
-                return wait_for(until, 15)
+                return wait_for(until, 20 * (attempt + 1))
             except AssertionError:
                 pass
         raise AssertionError(f"nothing came of {keys}: {self.windows()}, exit code {self.wireshark.poll()}\n{self.stderr()}")
@@ -190,7 +191,7 @@ class Wireshark:
             shown[:] = self.clipboard().splitlines()
             return all(any(part in line for line in shown) for part in parts)
         try:
-            wait_for(found, 30)
+            wait_for(found)
         except AssertionError as error:
             raise AssertionError(f"no tree with {parts}: {shown}") from error
 

@@ -192,7 +192,7 @@ def text_of(wireshark, title, part=""):
         wireshark.keys("Tab", "ctrl+a", "ctrl+c")
         text = wireshark.clipboard()
         return part in text and text
-    return gui.wait_for(read, 20)
+    return gui.wait_for(read)
 
 
 def test_a_statistic_in_a_window(captures):
