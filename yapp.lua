@@ -44,6 +44,7 @@ local file_readers = require "yapp.file.readers"
 local frame = require "yapp.wire.frame"
 local history = require "yapp.message.history"
 local message_reader = require "yapp.message.reader"
+local packet_menu = require "yapp.host.packet_menu"
 local preferences = require "yapp.host.preferences"
 local serial_dissector = require "yapp.serial.dissector"
 local show_fields = require "yapp.show.fields"
@@ -256,7 +257,7 @@ local function read_preferences()
   local wrong = joined(clashes, unread, no_number, link_types)
   preferences.complain_once(wrong)
   preferences.check_messages_file(prefs.messages, chosen_file)
-  reader:use(by_id, sources)
+  reader:use(by_id, sources, prefs.hide_source)
   for id in pairs(by_id) do register_id(id) end
   for _, row in ipairs(sources:list()) do
     if row.message then register_id(row.id) end
@@ -291,6 +292,7 @@ end
 -- Register the Starts with Seq No 0 of all IDs: so begin unknown messages that are not numbered.
 for id = 0, MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
 stat:register()
+if register_packet_menu and gui_enabled() then packet_menu.register(yapp.prefs, catalogue) end
 for name, proto in pairs {
   ["can.subdissector"] = all,
   ["tcp.port"] = serial,

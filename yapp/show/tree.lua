@@ -44,7 +44,7 @@ function M.new(options)
     is_only_pass = false, -- whether it is known that there is one pass
   }, Tree)
   for id, message in pairs(options.catalogue.by_id) do self.default_names[id] = message.title end
-  self.fields = show_fields.of_yapp(self.yapp, self.default_names)
+  self.fields = show_fields.of_yapp(self.yapp, self.default_names, options.catalogue.messages)
   return self
 end
 
@@ -239,7 +239,8 @@ end
 local function show_bytes(self, m, view)
   add_bytes(self, m, view, "payload", 0)
   if m.source.message then return add_mismatch(self, m, view) end
-  local text, info = self.reader:hint(m)
+  local text, info, like = self.reader:hint(m)
+  if like and view.wants.yapp then self:generated(view.item, "like." .. like, m.source.id) end
   self:expert(view.item, "id.unknown", text)
   return ("%s  %s%s"):format(m.source.label, Tree.bytes(#m.payload), info or "")
 end
