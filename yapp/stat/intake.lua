@@ -28,7 +28,7 @@ local LOSSES = {
 -- another status makes no event: its anomalies do.
 local KIND_OF = { good = "message", bad = "crc", truncated = "incomplete" }
 local INCOMPLETE = { what = "incomplete" }
-local EFFECTS = { ["command.key.invalid"] = " (ignored)" }
+local EFFECTS = { ["command.key.invalid"] = " (the controller ignores this command)" }
 
 local Intake = {}
 Intake.__index = Intake
