@@ -335,13 +335,14 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   return frame
 end
 
--- Report to the statistics a single frame that has the ID of a message, but another size.  One of
--- zeros may be a remote frame.
+-- Report to the statistics a single frame that has the ID of a message, and its values in front of
+-- more bytes.
 -- returns  0, as it is not dissected
 local function refuse(self, frame)
-  local fields = frame.can_id
-  local is_single = fields.ctrl == 0 and fields.ctl == 0 and not ZEROS[frame.data]
-  if self.stat.wanted and is_single and frame.source.size then
+  local fields, message, data = frame.can_id, frame.source.message, frame.data
+  local is_single = fields.ctrl == 0 and fields.ctl == 0
+  if self.stat.wanted and is_single and message and #data > message.size and
+    decode.is_plausible(message, sub(data, 1, message.size)) then
     self.stat:unknown(new_message(self, frame, nil, nil, frame.reported))
   end
   return 0

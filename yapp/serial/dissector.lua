@@ -161,16 +161,18 @@ function Dissector:is_yapp(bytes, length)
   return is_catalogue, events
 end
 
---- Return whether a packet of an unknown conversation is YAPP.  A segment that begins a message of
--- the catalogue is: the next one has the rest.  A datagram that begins one has lost bytes.  This is
--- reported with the first YAPP packet of the conversation, if one comes.
+--- Return whether a packet of an unknown conversation is YAPP.  In a capture with YAPP on TCP, a
+-- segment that begins a message of the catalogue is: the next one has the rest.  Any other packet
+-- that begins one has lost bytes.  This is reported with the first YAPP packet of the conversation,
+-- if one comes.
 function Dissector:accepts(tvb, pinfo)
   local bytes = tvb:len() > 0 and tvb:raw() or ""
   if pinfo.in_error_pkt or not frame.find(bytes, 1) then return false end
   local is_ours, events = self:is_yapp(bytes, tvb:reported_len())
   local id, _, _, seq = frame.parse(bytes, 1)
   local may_be = events[1].status == "incomplete" and self.reader:size_of(id)
-  if is_ours or not may_be or pinfo.port_type == TCP then return is_ours or may_be end
+  if is_ours or not may_be then return is_ours end
+  if tcp.current(pinfo.number) then return true end
   if not pinfo.visited then
     table.insert(line_of(self, pinfo).damaged, { id = id, seq = seq })
   end
