@@ -209,8 +209,8 @@ end
 --   missing     number of bytes, of one that is not complete
 --   crc, calculated  of a bad one
 -- and the keys of its view, see Tree:show_message.  The n-th event of a packet has the frame key of
--- the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even in a
--- tunnel that puts several packets into one.
+-- the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even in
+-- a tunnel that puts several packets into one.
 local function new_message(self, packet, event, index)
   local status, length, number = event.status, event.to - event.from, packet.key + index - 1
   local bytes, at, delta = event.bytes, 0, nil
