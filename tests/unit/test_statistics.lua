@@ -975,7 +975,7 @@ function T.test_wrong_options_are_named()
     ["check,motor.volts=5..4"] = "motor.volts=5..4: nothing lies in this range",
     ["check,motor.volts=0x5..9"] = "motor.volts=0x5..9: a range is A..B, A.. or ..B",
     ["check,fault=0,source=x"] = "source=x: no rule follows it: it is for those behind it",
-    ["check,fault=0,source=x,source=y,crc=0"] = "source=y: no rule follows it: it is for those behind it",
+    ["check,fault=0,source=x,source=y,crc=0"] = "source=y: no rule follows source=x: it is for those behind it",
     ["check,source=x,motor.volts.spread=1"] = "motor.volts.spread=1: a spread is of all sources, not of one",
     ["check,motor.volts.spread=-1"] = 'motor.volts.spread=-1: "-1" is not a spread',
     ["check,motor.volt.spread=1"] = 'motor.volt.spread=1: motor has no field "volt", but volts, fault_flags, level, mode, clock',
