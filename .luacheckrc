@@ -3,11 +3,11 @@
 std = "min"
 max_line_length = 120 -- of tests; the plugin's own, below
 read_globals = {
-  "all_field_infos", "apply_filter", "ByteArray", "base", "bit", "browser_open_url", "copy_to_clipboard", "Dir",
+  "all_field_infos", "apply_filter", "apply_preferences", "ByteArray", "base", "bit", "browser_open_url", "copy_to_clipboard", "Dir",
   "Dissector", "DissectorTable", "expert", "FileHandler", "frametype", "ftypes", "get_preference", "get_version",
   "gui_enabled", "Int64", "Listener", "MENU_STAT_UNSORTED", "MENU_TOOLS_UNSORTED", "new_dialog", "NSTime", "Pref",
-  "Proto", "ProtoExpert", "ProtoField", "register_filehandler", "register_menu", "register_packet_menu", "register_stat_cmd_arg",
-  "report_failure", "retap_packets", "set_filter", "set_plugin_info", "Struct", "TextWindow", "TreeItem", "Tvb",
+  "Proto", "ProtoExpert", "ProtoField", "redissect_packets", "register_filehandler", "register_menu", "register_packet_menu", "register_stat_cmd_arg",
+  "report_failure", "retap_packets", "set_filter", "set_plugin_info", "set_preference", "Struct", "TextWindow", "TreeItem", "Tvb",
   "UInt64", "wtap", "wtap_encaps", "wtap_presence_flags", "wtap_rec_types", "wtap_tsprecs",
 }
 files["tests/unit"] = { read_globals = { "arg" } }

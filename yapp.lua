@@ -44,6 +44,7 @@ local file_readers = require "yapp.file.readers"
 local frame = require "yapp.wire.frame"
 local history = require "yapp.message.history"
 local message_reader = require "yapp.message.reader"
+local packet_menu = require "yapp.host.packet_menu"
 local preferences = require "yapp.host.preferences"
 local serial_dissector = require "yapp.serial.dissector"
 local show_fields = require "yapp.show.fields"
@@ -232,15 +233,14 @@ local stat = stat_taps.new {
 
 -- List what makes the answer of a statistic incomplete: a catalogue or preferences with mistakes,
 -- and a file with messages that was not read.
-local function list_problems(...)
+-- wrong  list of texts: what is wrong with preferences
+local function list_problems(wrong)
   local problems, file = {}, yapp.prefs.messages
   if not is_whole then problems[1] = "the catalogue did not load whole" end
   if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
     problems[#problems + 1] = file .. ", the file with your own messages, was not read"
   end
-  for _, texts in ipairs { ... } do
-    for _, text in ipairs(texts) do problems[#problems + 1] = "preferences: " .. text end
-  end
+  for _, text in ipairs(wrong) do problems[#problems + 1] = "preferences: " .. text end
   return problems
 end
 
@@ -254,11 +254,10 @@ local function read_preferences()
   local sources, unread = source_names.parse(prefs.sources, catalogue)
   local late, no_number = preferences.late(prefs.late)
   local link_types = preferences.take_link_types(prefs.user_dlt, serial)
-  for _, texts in ipairs { clashes, unread, no_number, link_types } do
-    preferences.complain_once(texts)
-  end
+  local wrong = joined(clashes, unread, no_number, link_types)
+  preferences.complain_once(wrong)
   preferences.check_messages_file(prefs.messages, chosen_file)
-  reader:use(by_id, sources)
+  reader:use(by_id, sources, prefs.hide_source)
   for id in pairs(by_id) do register_id(id) end
   for _, row in ipairs(sources:list()) do
     if row.message then register_id(row.id) end
@@ -267,7 +266,7 @@ local function read_preferences()
   if takes_all then take_all() end
   settings.late, settings.ids = late, chosen
   settings.sources, settings.sources_text = sources, prefs.sources
-  settings.problems = list_problems(clashes, unread, no_number, link_types)
+  settings.problems = list_problems(wrong)
 end
 yapp.prefs_changed = read_preferences
 
@@ -276,7 +275,7 @@ function yapp.init()
   buses:init()
   reader:use_buses(buses:are_several())
   socketcan.init()
-  local function has_times() return not (buses.lacks_times and buses:lacks_times()) end
+  local function has_times() return not buses:lacks_times() end
   local function new_history()
     return history.new { late = settings.late, catalogue = catalogue, has_times = has_times }
   end
@@ -293,6 +292,7 @@ end
 -- Register the Starts with Seq No 0 of all IDs: so begin unknown messages that are not numbered.
 for id = 0, MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
 stat:register()
+if register_packet_menu and gui_enabled() then packet_menu.register(yapp.prefs, catalogue) end
 for name, proto in pairs {
   ["can.subdissector"] = all,
   ["tcp.port"] = serial,

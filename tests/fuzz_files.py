@@ -12,10 +12,11 @@ import struct
 import subprocess
 import tempfile
 
+import model
 from crc32k import crc32k
 
 CAPTURES = pathlib.Path(__file__).resolve().parents[1] / "test_captures"
-MESSAGES = [(0x000, 7), (0x210, 32), (0x200, 17)]
+MESSAGES = [(ident, message.size) for ident, message in model.MESSAGES.items()]
 OTHER_IDS = [0x001, 0x100, 0x211, 0x300, 0x301, 0x7FF]
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000

@@ -8,9 +8,10 @@ has to show is its list of events.
 import random
 import struct
 
+import model
 from crc32k import crc32k
 
-KNOWN = {0x000: 7, 0x200: 17, 0x210: 32}  # payload sizes of the catalogue
+KNOWN = {ident: model.MESSAGES[ident].size for ident in sorted(model.MESSAGES)}  # payload sizes
 HEADER, CRC = 12, 4
 PATIENCE = 4096  # the largest frame that a stream waits for, with good frames inside of it
 EPOCH = 1_700_000_000_000_000

@@ -553,12 +553,14 @@ def test_a_yapp_ctl_other_than_0(folder, payload):
 
 
 def test_a_single_frame_of_another_size(folder):
-    """A firmware that appended a byte to Command: not dissected, but said; a remote frame is no message."""
+    """A firmware that appended a byte to Command: not dissected, but said.  Other frames of its ID are no message."""
     placed = list(CLEAN)
     for index in range(20):
         at = BEGIN + 40_000_000 + index * 100_000_000
         placed.append((at, Frame(index, command_payload(index) + b"x", bus=1)))
         placed.append((at + 300_000, Frame(index, bytes(8), kind="remote", bus=1)))
+        placed.append((at + 600_000, Frame(index, bytes([index % 2, index, 2, 0, 0, 0, 0, 0]), bus=1)))
+        placed.append((at + 900_000, Frame(index, command_payload(index)[:6], bus=1)))
     (folder / "run.pcapng").write_bytes(pcapng(sorted(placed, key=lambda one: one[0]), ("can0", "can1")))
     text = "20 messages were not decoded: can1 0x0 (8 bytes each, Command has 7)"
     for passes in (), ("-2",):

@@ -103,6 +103,15 @@ def test_names_of_state_and_faults(home, passes):
     assert all(source.endswith("0x210") for source, _, _ in rows)
 
 
+def test_info_does_not_repeat_the_column(home):
+    info = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
+    done = run(home, "-o", "yapp.sources:0x210=motor:nose", "-r", tshark.CAPTURES / "document_motor.pcap", "-T", "fields", "-e",
+               "yapp.source", "-e", info)
+    rows = [line.split("\t") for line in done.stdout.splitlines()]
+    assert {source for source, _ in rows} == {"nose"}
+    assert all(info.startswith("Motor Data  ") for _, info in rows), rows
+
+
 def test_a_column_for_each_controller(home):
     """By the options that docs/profile.md shows."""
     page = (tshark.ROOT / "docs/profile.md").read_text()

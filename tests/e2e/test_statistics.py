@@ -178,7 +178,8 @@ def check_fields(described):
 @CHECKED
 def test_csv(results, seed, form, passes):
     table = results(seed, form, passes)[1]
-    assert sorted(path.name for path in table.iterdir()) == ["command.csv", "fields.json", "health.csv", "motor.csv"]
+    names = [f"{message[0]}.csv" for message in model.MESSAGES.values()]
+    assert sorted(path.name for path in table.iterdir()) == sorted(["fields.json", *names])
     described = json.loads((table / "fields.json").read_text())["messages"]
     check_fields(described)
     for kind, expected in flight_of(seed).rows(form).items():

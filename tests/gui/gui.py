@@ -75,7 +75,7 @@ class Wireshark:
             shutil.copytree(profile, config / "profiles" / profile.name)
             with open(config / "profiles" / profile.name / "recent", "a", encoding="utf-8") as file:
                 file.write("gui.toolbar_main_show: FALSE\n" + recent)
-        self.stderr_path = self.home / "stderr"
+        self.stderr_path, self.front = self.home / "stderr", None  # the window that was last brought to the front
         self.user = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}
         if self.user:
             for path in [self.home, *self.home.rglob("*")]:
@@ -92,7 +92,7 @@ class Wireshark:
         self.environment.pop("XDG_CONFIG_HOME", None)
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         read, write = os.pipe()
-        self.start(["Xvfb", "-displayfd", str(write), "-ac", "-nolisten", "tcp", "-screen", "0",
+        self.start(["Xvfb", "-displayfd", str(write), "-ac", "-nolisten", "tcp", "-nolisten", "local", "-screen", "0",
                     f"{WIDTH}x{HEIGHT}x24"], pass_fds=[write], **quiet)
         os.close(write)
         with os.fdopen(read) as display:
@@ -134,6 +134,7 @@ class Wireshark:
         except AssertionError as error:
             raise AssertionError(f"no window {part!r}: {self.windows()}\n{self.stderr()}") from error
         self.xdotool("windowactivate", "--sync", window)
+        self.front = window
         time.sleep(2)
         return window
 
@@ -151,12 +152,21 @@ class Wireshark:
         self.keys("Return")
         time.sleep(1)
 
-    def press(self, *keys, until):
-        """Presses keys until something has come of it: a busy Wireshark may pass over some, and leave a menu open."""
+    def press(self, *keys, until, menu_of=None):
+        """Presses keys until something has come of it: a busy Wireshark may pass over some, and leave a menu open, or the
+        window may have lost the focus.  Each attempt waits longer, as the next one begins with Escape, which closes what a
+        busy machine shows late.
+        menu_of: (x, y), where a right click opens the menu for the keys"""
         for attempt in range(4):
-            self.keys(*(["Escape"] * 3 if attempt else []), *keys)
+            if attempt:
+                self.keys(*["Escape"] * 3)
+                self.xdotool("windowactivate", "--sync", self.front)
+            if menu_of:
+                self.xdotool("mousemove", *menu_of, "click", "3")
+                time.sleep(1)
+            self.keys(*keys)
             try:
-                return wait_for(until, 15)
+                return wait_for(until, 20 * (attempt + 1))
             except AssertionError:
                 pass
         raise AssertionError(f"nothing came of {keys}: {self.windows()}, exit code {self.wireshark.poll()}\n{self.stderr()}")
@@ -181,7 +191,7 @@ class Wireshark:
             shown[:] = self.clipboard().splitlines()
             return all(any(part in line for line in shown) for part in parts)
         try:
-            wait_for(found, 30)
+            wait_for(found)
         except AssertionError as error:
             raise AssertionError(f"no tree with {parts}: {shown}") from error
 

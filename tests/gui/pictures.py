@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The pictures of README.md and docs/fault.md: the profile YAPP on docs/flight.pcapng.  pictures.py FOLDER"""
+"""The pictures of README.md and docs/fault.md: the profile YAPP on docs/flight.pcapng, in Wireshark 4.6, where a mouse knows the
+places.  pictures.py FOLDER"""
 import pathlib
 import re
 import shutil
@@ -89,7 +90,7 @@ def window(wireshark, title, path, size):
 def events(wireshark, folder):
     wireshark.press("alt+t", "Up", "Right", "Down", "Down", "Return",  # Tools, YAPP, Events
                     until=lambda: any("YAPP Events" in title for title in wireshark.windows().values()))
-    window(wireshark, "YAPP Events", folder / "fault_events.png", (1090, 260))
+    window(wireshark, "YAPP Events", folder / "fault_events.png", (760, 440))
 
 
 def graph(wireshark, folder):

@@ -23,7 +23,7 @@ VERSION = gui.tshark.version()
 @pytest.fixture
 def capture():
     folder = gui.tshark.writable_folder()
-    yield shutil.copy(gui.FLIGHT, folder / "flight.pcapng")
+    yield pathlib.Path(shutil.copy(gui.FLIGHT, folder / "flight.pcapng"))
     shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -87,27 +87,92 @@ def test_plots(capture):
         assert wireshark.pixels("#0072b2") > 100
 
 
-@pytest.mark.skipif(VERSION < (4, 4), reason="from 4.4 on")
+# The submenu YAPP of a packet's menu, which has what the packet has.
+ITEMS = ["Only this controller", "Faults", "Previous fault", "Next fault", "Whole message", "Name", "Copy"]
+from_4_4 = pytest.mark.skipif(VERSION < (4, 4), reason="from 4.4 on")
+
+
+def choose(wireshark, frame, number, until):
+    """Chooses an item of the submenu for a frame, which is then the only row; returns what comes of it."""
+    wireshark.filter(f"frame.number == {frame}")
+    wireshark.keys("Escape")
+    wireshark.tree(f"Frame {frame}:")
+    return wireshark.press(*["Down"] * 6, "Right", *["Down"] * number, "Return", until=until, menu_of=(200, 100))
+
+
+def name(wireshark, frame, text):
+    """Gives the controller of a frame a name by the menu, which opens a dialog."""
+    choose(wireshark, frame, ITEMS.index("Name"), lambda: any("YAPP Name" in title for title in wireshark.windows().values()))
+    answer(wireshark, "YAPP Name", text)
+    wireshark.wait_for_window("flight.pcapng")
+
+
+def answer(wireshark, title, text):
+    """Types into a dialog with one line, and presses its button."""
+    dialog = wireshark.wait_for_window(title)
+    wireshark.xdotool("mousemove", "--window", dialog, 250, 25, "click", "1")  # the focus is on OK
+    wireshark.keys("End")
+    wireshark.type(text)
+    wireshark.keys("Return")
+    gui.wait_for(lambda: dialog not in wireshark.windows())
+
+
+@from_4_4
 def test_menu_of_a_packet(capture):
-    """Each item makes a display filter, in which any name of a controller is quoted."""
-    expected = [r'yapp.source in {"a \\\"b"}', r'yapp.source in {"a \\\"b"} && (taurus.fault.raised || taurus.fault.cleared)',
-                "yapp.reassembled.in in {719}"]
-    name = r'yapp.sources:can1/0x210=motor:a \"b'
-    with gui.Wireshark("-C", "YAPP", "-o", name, "-r", capture, profile=PROFILE) as wireshark:
+    """An item that filters quotes any name of a controller."""
+    source = r'yapp.source in {"a \\\"b"}'
+    faults = f"{source} && (taurus.fault.raised || taurus.fault.cleared)"
+    expected = [source, faults, f"{faults} && frame.number < 908", f"{faults} && frame.number > 908", "yapp.reassembled.in in {908}"]
+    sources = r'yapp.sources:can1/0x210=motor:a \"b'
+    with gui.Wireshark("-C", "YAPP", "-o", sources, "-r", capture, profile=PROFILE) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
         for number, text in enumerate(expected):
-            wireshark.filter("frame.number == 719")
-            wireshark.keys("Escape")
-            wireshark.xdotool("mousemove", 200, 100, "click", "3")  # its only row
-            time.sleep(1)
-            wireshark.keys(*["Down"] * 6, "Right", *["Down"] * number, "Return")
-            time.sleep(1)
-
-            def shown():
+            def is_shown():
                 wireshark.clipboard("-i")
                 wireshark.keys("ctrl+slash", "ctrl+a", "ctrl+c")
-                return wireshark.clipboard()
-            gui.wait_for(lambda: shown() == text, 15)
+                return wireshark.clipboard() == text
+            choose(wireshark, 908, number, is_shown)
+            if ITEMS[number] == "Previous fault":
+                wireshark.tree("Frame 719:")  # is selected
+
+
+@from_4_4
+def test_an_unknown_id_is_decoded_by_its_menu(capture):
+    with gui.Wireshark("-C", "YAPP", "-o", "yapp.motor_ids:0x300", "-r", capture, profile=PROFILE) as wireshark:
+        wireshark.wait_for_window("flight.pcapng")
+        preferences = wireshark.home / ".config/wireshark/profiles/YAPP/preferences"
+        choose(wireshark, 719, 5, lambda: "yapp.motor_ids: 768,528\n" in preferences.read_text())  # behind "Whole message"
+        wireshark.tree("Frame 719:", "Taurus Motor Data")
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+@from_4_4
+def test_a_controller_is_named_by_its_menu(capture):
+    with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
+        preferences = wireshark.home / ".config/wireshark/profiles/YAPP/preferences"
+        wireshark.wait_for_window("flight.pcapng")
+        name(wireshark, 719, "right")
+        gui.wait_for(lambda: "yapp.sources: can1/0x210=right\n" in preferences.read_text())
+        name(wireshark, 5, "left")
+        gui.wait_for(lambda: "yapp.sources: can1/0x210=right, can0/0x210=left\n" in preferences.read_text())
+        wait_for_words(wireshark, ["left"], f"{gui.WIDTH}x60+0+60")
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+@from_4_4
+def test_a_message_is_copied_as_candump(capture):
+    """What is copied is read as the same message."""
+    with gui.Wireshark("-C", "YAPP", "-r", capture, profile=PROFILE) as wireshark:
+        wireshark.wait_for_window("flight.pcapng")
+        wireshark.clipboard("-i")
+        lines = choose(wireshark, 717, ITEMS.index("Copy"), lambda: wireshark.clipboard().startswith("(") and wireshark.clipboard())
+        assert lines.startswith("(1700000005.613000) can1 08404000#AC222F4520000000\n") and lines.count("\n") == 5
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+    copied = capture.with_name("copied.log")
+    copied.write_text(lines)
+    fields = ["yapp.reassembled.data", "yapp.crc.status"]
+    original = gui.tshark.fields(capture, fields, "-Y", "frame.number == 719")
+    assert gui.tshark.fields(copied, fields, "-Y", "taurus.motor") == original != []
 
 
 def installer(wireshark):

@@ -69,6 +69,15 @@ function T.test_what_a_source_is_called()
   end
 end
 
+function T.test_info_leaves_out_what_a_column_says()
+  local r = new("0x210=left, 0x300=tail", { motor = { 0x210, 0x211 } }, true)
+  r:use(r.by_id, r.sources, true)
+  local names = { [0x210] = "Motor Data", [0x211] = "Motor Data", [0x200] = "Health", [0x300] = "ID 0x300" }
+  for id, said in pairs(names) do
+    lu.assertEquals(r:new_source(id, false, "can1").label, said)
+  end
+end
+
 -- A serial line is told apart by port or conversation, unless the user gave a name.
 function T.test_what_a_source_of_a_stream_is_called()
   local line = { label = "10.0.0.1:14550" }
@@ -95,12 +104,12 @@ function T.test_the_hint_of_an_unknown_id()
   local advice = ': see the preference "Motor Data message IDs"'
   local m = { source = r:new_source(0x123, false), size = 32, status = "good", number = 7 }
   local text = "Message ID 0x123 is not in the catalogue; 32 bytes, the size of Motor Data" .. advice
-  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice })
-  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice }) -- a later look
+  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice, "motor" })
+  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice, "motor" }) -- a later look
   m.number = 8
-  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" })
+  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data", "motor" })
   r:reset()
-  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice })
+  lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice, "motor" })
   local unknown = { "Message ID 0x124 is not in the catalogue" }
   local source = r:new_source(0x124, false)
   lu.assertEquals({ r:hint { source = source, size = 5, status = "good", number = 1 } }, unknown)

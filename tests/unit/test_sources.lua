@@ -14,6 +14,8 @@ local function message_name(s, bus, id)
 end
 
 local CATALOGUE = catalogue.compile(dofile("taurus_fields.lua"))
+local NAMES = {}
+for i, message in ipairs(CATALOGUE.messages) do NAMES[i] = message.name end
 
 local function parse(text)
   return sources.parse(text, CATALOGUE)
@@ -54,6 +56,14 @@ function T.test_the_highest_id()
   lu.assertEquals({ problems, s:name(nil, 2047) }, { {}, "a" })
 end
 
+function T.test_a_name_of_nothing()
+  for _, part in ipairs { "=left", "/0x210=left" } do
+    local _, problems = parse(part)
+    lu.assertEquals(problems, {
+      ('yapp.sources: no bus or ID in "%s"; write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME'):format(part) })
+  end
+end
+
 function T.test_another_sign_between_sources()
   local s, problems = parse("0x210=motor:left;can1/0x210=right, 0x211=a;b")
   lu.assertEquals(problems, {
@@ -85,7 +95,7 @@ function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()
     'yapp.sources: no "=" in "0x210"; write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME',
     'yapp.sources: no ID "0x800" in "0x800=a"; IDs are 0 to 0x7FF',
     'yapp.sources: no ID "x" in "left/x=b"; IDs are 0 to 0x7FF',
-    'yapp.sources: no message "moter" in "0x210=moter:c"; known messages: command, motor, health',
+    'yapp.sources: no message "moter" in "0x210=moter:c"; known messages: ' .. table.concat(NAMES, ", "),
     'yapp.sources: no name in "0x211="; write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME',
     'yapp.sources: no "/" or "=" behind the quotes in ""x"0x1=d"; write [BUS/]ID=[MESSAGE:]NAME or ' ..
       "BUS=NAME",

@@ -20,8 +20,10 @@ function T.test_frames_that_stand_in_a_window()
   lu.assertEquals(context.frames, { 7, 9, 165 })
 end
 
--- A window has columns of its own, and times of three digits.
+-- A window has columns of its own, times of three digits and numbers of five.
 function T.test_a_table_of_a_window()
+  lu.assertEquals({ output.text(-0.1015723, true), output.text(5200.671, true) }, { "-0.10157", "5200.7" })
+  lu.assertEquals(output.text(-0.1015723), "-0.101572")
   local keys = { text = { "bus", "frame", "source", "kind", "help" }, window = { "rel", "who", "kind" } }
   local rows = { { bus = "can0", frame = 7, source = "left", who = "left", kind = "what it says at length", help = "",
     rel = output.seconds(0.5) }, { bus = "can1", frame = 12, source = "ö", who = "ö", id = { json = "1", text = "" },

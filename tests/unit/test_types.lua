@@ -240,7 +240,10 @@ end
 -- The generated values of a payload, "-" for none.
 local function generated(m, hex)
   local raws, values = decode.read(m, bytes(hex)), {}
-  for i, item in ipairs(m.generated) do values[i] = decode.derived(m, item, raws) or "-" end
+  for i, item in ipairs(m.generated) do
+    local value = decode.derived(m, item, raws)
+    values[i] = value and decode.rounded(item, value) or "-"
+  end
   return values
 end
 

@@ -4,6 +4,7 @@
 local can_id = require "yapp.wire.can_id"
 local decode = require "yapp.message.decode"
 local frame_key = require "yapp.base.frame_key"
+local memo = require "yapp.base.memo"
 local reassembly = require "yapp.can.reassembly"
 local show_fields = require "yapp.show.fields"
 local socketcan = require "yapp.host.socketcan"
@@ -44,18 +45,14 @@ function M.new(tree, reader, buses, register_id)
   }, Dissector)
 end
 
--- Make the table of the sources on a bus.
-local function new_bus(sources, bus)
-  sources[bus] = {}
-  return sources[bus]
-end
-
 --- Forget the capture file.
 -- history  a message.history
 function Dissector:reset(history)
   self.history = history
   self.reassembly = reassembly.new()
-  self.sources = setmetatable({}, { __index = new_bus }) -- [bus or false][ID] = a source
+  self.sources = memo(function(bus) -- [bus or false][ID] = a source
+    return memo(function(id) return self.reader:new_source(id, bus, self.buses:name(bus)) end)
+  end)
   self.deltas = {} -- [frame key of a single frame] = seconds, or FIRST; nil: not known
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
   self.lost_bus = false -- whether a frame came whose bus is not known
@@ -299,14 +296,6 @@ local function show(self, frame, kind)
   columns.info = info
 end
 
--- Make and keep the source of a message ID on a bus.
--- bus  number or false
-local function new_source(self, id, bus)
-  local source = self.reader:new_source(id, bus, self.buses:name(bus))
-  self.sources[bus][id] = source
-  return source
-end
-
 local function find_bus(self, frame, pinfo, number)
   local bus, is_known = self.buses:of(pinfo, number)
   frame.bus, frame.is_bus_known = bus or false, is_known
@@ -334,7 +323,7 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   frame.number = number
   frame.visited = visited
   frame.can_id = fields
-  frame.source = self.sources[bus][fields.id] or new_source(self, fields.id, bus)
+  frame.source = self.sources[bus][fields.id]
   frame.slot = fields.message_key + (bus or 0) * BUS
   -- raw() of an empty Tvb would throw past Lua: not even pcall catches that.
   frame.data = length_of(tvb) > 0 and raw_of(tvb) or ""
@@ -346,13 +335,14 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   return frame
 end
 
--- Report to the statistics a single frame that has the ID of a message, but another size.  One of
--- zeros may be a remote frame.
+-- Report to the statistics a single frame that has the ID of a message, and its values in front of
+-- more bytes.
 -- returns  0, as it is not dissected
 local function refuse(self, frame)
-  local fields = frame.can_id
-  local is_single = fields.ctrl == 0 and fields.ctl == 0 and not ZEROS[frame.data]
-  if self.stat.wanted and is_single and frame.source.size then
+  local fields, message, data = frame.can_id, frame.source.message, frame.data
+  local is_single = fields.ctrl == 0 and fields.ctl == 0
+  if self.stat.wanted and is_single and message and #data > message.size and
+    decode.is_plausible(message, sub(data, 1, message.size)) then
     self.stat:unknown(new_message(self, frame, nil, nil, frame.reported))
   end
   return 0

@@ -416,31 +416,31 @@ function Reassembly:drop(key)
   self.store:drop(key, self.message)
 end
 
--- Return the message that is open in a slot and has a frame as a fragment, and the index of that.
-local function find_open_in(self, slot, key)
+-- Return the message in a slot that has a frame as a fragment, and the index of that; nil for none.
+local function find_in(self, slot, frame)
+  local found, at = self.store:find(slot, frame)
+  if found then return found, at end
   for _, message in ipairs(open_in(self, slot)) do
-    local index = frame_key.last_until(message, key)
-    if message[index] == key then return message, index end
+    local index = frame_key.last_until(message, frame.key)
+    if message[index] == frame.key then return message, index end
   end
 end
 
--- The same for the frame's slot, then for those of all buses: once a read filter has dropped a
--- packet, no bus is known on revisits.
-local function find_open(self, frame)
-  local found, index = find_open_in(self, frame.slot, frame.key)
-  for bus in pairs(found and {} or self.buses) do
-    found, index = find_open_in(self, can_id.slot(frame.can_id, bus), frame.key)
-    if found then break end
+-- The same for all buses: once a read filter has dropped a packet, no bus is known on revisits.
+local function find(self, frame)
+  local message, index = find_in(self, frame.slot, frame)
+  for bus in pairs(message and {} or self.buses) do
+    message, index = find_in(self, can_id.slot(frame.can_id, bus), frame)
+    if message then break end
   end
-  return found, index
+  return message, index
 end
 
 --- Say what a frame is that Reassembly:take took before.
 -- returns  as Reassembly:take, and the index of the frame in its message; of a fragment that came
 --          twice, the index of the one before
 function Reassembly:recall(frame)
-  local message, index = self.store:find(frame, self.buses)
-  if not message then message, index = find_open(self, frame) end
+  local message, index = find(self, frame)
   local anomalies = self.store:anomalies_of(frame.key)
   if message then
     local is_last = message.payload and message[#message] == frame.key

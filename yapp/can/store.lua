@@ -193,21 +193,12 @@ local function find_in(slot, key, fields)
   return found, slot.index
 end
 
---- Return the message that has a frame as a fragment, and the index of the fragment; nil for none.
+--- Return the message in a slot that has a frame as a fragment, and the index of the fragment; nil
+-- for none.
 -- frame  as can.reassembly takes it
--- buses  [bus] = true where messages began, 0 for an unknown bus
-function Store:find(frame, buses)
-  local slots, fields, key = self.slots, frame.can_id, self.originals[frame.key] or frame.key
-  local slot = slots[frame.slot]
-  local found, index
-  if slot then found, index = find_in(slot, key, fields) end
-  if found then return found, index end
-  -- Once a read filter has dropped a packet, no bus is known.
-  for bus in pairs(buses) do
-    slot = slots[can_id.slot(fields, bus)]
-    if slot then found, index = find_in(slot, key, fields) end
-    if found then return found, index end
-  end
+function Store:find(slot, frame)
+  local of_slot, key = self.slots[slot], self.originals[frame.key] or frame.key
+  if of_slot then return find_in(of_slot, key, frame.can_id) end
 end
 
 return M

@@ -2,7 +2,8 @@
 -- A line of what candump prints and logs: the CAN frame in it.  Pure Lua.
 --
 -- Its forms, after can-utils (lib.c, candump.c), are rows of FORMS, or of OTHERS if it has no
--- frame.  A line pasted from a document has these forms, too.
+-- frame.  A row of FORMS begins behind the CAN id; read_head reads what stands in front.  A line
+-- pasted from a document has these forms, too.
 local text = require("yapp.file.text")
 
 local match = string.match

@@ -110,12 +110,12 @@ end
 -- or nil, frame = number of the packet behind the loss or nil, bus = name or nil, count }.
 function Buses:drops()
   local drops = self.found.drops
-  return not drops[1] and readers.drops and readers.drops() or drops
+  return drops[1] and drops or readers.drops()
 end
 
 --- Whether packets of the capture have no time stamps.
 function Buses:lacks_times()
-  return self.found.has_no_times or readers.lacks_times and readers.lacks_times()
+  return self.found.has_no_times or readers.lacks_times()
 end
 
 -- The bus by the fields of the current packet; nil where they do not tell it.

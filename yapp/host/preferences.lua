@@ -45,8 +45,9 @@ function M.define(proto, catalogue, decode, max_id)
     })
   for _, message in ipairs(catalogue.messages) do
     local title, id, period = message.title, ("0x%x"):format(message.id), message.every
-    local about = ("The IDs that carry %s; %s by default. Change it if a controller has other " ..
-      "IDs, or if several controllers share a bus: 0x210,0x211,0x300-0x303."):format(title, id)
+    local about = ("The IDs that carry %s; %s by default, which Wireshark shows as %d. Change " ..
+      "it if a controller has other IDs, or if several controllers share a bus: " ..
+      "0x210,0x211,0x300-0x303."):format(title, id, message.id)
     prefs[message.name .. "_ids"] = Pref.range(title .. " message IDs", id, about, max_id)
     if period then periods[#periods + 1] = ("%s %g s"):format(title, period) end
   end
@@ -60,6 +61,9 @@ function M.define(proto, catalogue, decode, max_id)
     "0x210=motor:left_fore, can1/0x210=motor:right_fore, 0x212=left_tail. Several IDs have " ..
     "one name with a plus between them: can0/0x000+0x200+0x210=left. A bus alone names all of " ..
     "its IDs: can2=tail. An interface without a name is if0 or if1, its number in the file.")
+  prefs.hide_source = Pref.bool("Leave the source out of Info", false,
+    "Switch it on if a column shows yapp.source, as in the profile YAPP: Info and the tree then " ..
+    "say Motor Data instead of Motor Data left.")
   prefs.late = Pref.string("Report a gap longer than ... periods", "2.5",
     "A longer gap between two messages of a source is a warning, yapp.late. At 2.5 a single " ..
     "lost message is none. Periods: " .. table.concat(periods, ", ") .. ".")

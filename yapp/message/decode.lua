@@ -359,16 +359,14 @@ local OPERATORS = {
 
 --- Work out a generated value from its two fields.
 -- item     of message.generated
--- returns  a number with seven digits, so that a filter with == matches; nil where one of the two
---          fields has no value
+-- returns  a number, unrounded; nil where one of the two fields has no value
 function M.derived(message, item, raws)
   local a = M.value(message.fields[item.a], raws[item.a])
   local b = M.value(message.fields[item.b], raws[item.b])
   if not (a and b) then return nil end
   -- COMPAT 5.4: products of integers wrap around
   local value = OPERATORS[item.operator](a + 0.0, b + 0.0)
-  if value - value ~= 0 then return nil end -- too large
-  return tonumber(format("%.7g", value))
+  return value - value == 0 and value or nil -- it may be too large
 end
 
 -- Flags ------------------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ function M.new(catalogue, stat)
     sources = nil, -- the names that the user gave, see Reader:use
     several_ids = nil, -- [message] = whether more than one ID carries it
     is_by_id = true, -- whether an ID carries the same message on all buses
+    hides_source = nil, -- see Reader:use
     has_several = false, -- whether the capture has several buses
     hinted = {}, -- [id of an unknown message] = the frame key whose Info has the whole advice
   }, Reader)
@@ -41,9 +42,11 @@ function Reader:use_buses(has_several)
 end
 
 --- Use the user's choice of IDs and names.
--- by_id    { [id] = compiled message }
--- sources  a message.sources
-function Reader:use(by_id, sources)
+-- by_id         { [id] = compiled message }
+-- sources       a message.sources
+-- hides_source  whether a label leaves out the source
+function Reader:use(by_id, sources, hides_source)
+  self.hides_source = hides_source
   self.by_id, self.sources, self.is_by_id, self.several_ids = {}, sources, true, {}
   local first = {}
   local function count(message, id)
@@ -84,15 +87,15 @@ end
 
 -- Return what a message is called: its title and the name of its source.  Without a name, the ID or
 -- bus follows if it tells the source from others: "Motor Data left", "Motor Data 0x212 (can1)",
--- "Motor Data", "ID 0x123".
+-- "Motor Data", "ID 0x123".  With hides_source it is the title.
 local function label_of(self, message, name, id, bus)
   local number, needs_bus = ("0x%x"):format(id), self.has_several and bus
-  local title = message and message.title or "ID " .. number
-  if name then return title .. " " .. name end
+  local title, suffix = "ID " .. number, ""
+  if message then title, suffix = message.title, " " .. number end
   local is_usual = not message or id == message.id and not self.several_ids[message]
-  if is_usual and not needs_bus then return title end
-  local label = message and title .. " " .. number or title
-  return bus and ("%s (%s)"):format(label, bus) or label
+  if self.hides_source or is_usual and not (name or needs_bus) then return title end
+  if name then return title .. " " .. name end
+  return title .. suffix .. (bus and (" (%s)"):format(bus) or "")
 end
 
 --- Make a source, which is a bus or stream, and an ID.
@@ -127,20 +130,20 @@ end
 --- Return what to say of a message that is not in the catalogue; if one of its size is, also which
 -- preference decodes it.
 -- m        a message, as for Reader:read
--- returns  a text for the packet, and what the Info column adds, or nil
+-- returns  a text for the packet; and, if one is, what the Info column adds, and its name
 function Reader:hint(m)
   local id = m.source.id
   local text, same = ("Message ID 0x%x is not in the catalogue"):format(id), nil
   for _, message in ipairs(m.status == "good" and self.messages or {}) do
-    if message.size == m.size then same = same or message.title end
+    if message.size == m.size then same = same or message end
   end
   if not same then return text end
-  local size = ("the size of %s"):format(same)
-  local advice = (': see the preference "%s message IDs"'):format(same)
+  local size = "the size of " .. same.title
+  local advice = (': see the preference "%s message IDs"'):format(same.title)
   text = ("%s; %d bytes, %s%s"):format(text, m.size, size, advice)
-  if self.hinted[id] and self.hinted[id] ~= m.number then return text, ", " .. size end
-  self.hinted[id] = m.number
-  return text, ", " .. size .. advice
+  self.hinted[id] = self.hinted[id] or m.number
+  if self.hinted[id] ~= m.number then advice = "" end
+  return text, ", " .. size .. advice, same.name
 end
 
 -- Set the change and the state of a message, from the history.

@@ -66,10 +66,11 @@ local function take_address(part)
   end
   local address, value = part:match("^(.-)%s*=(.*)$")
   demand(address, 'no "="', SHAPE)
+  if address:find("^[%d+-][^/]*$") then return nil, address, value end
   local bus, ids = address:match("^(.*)/([^/]*)$")
-  if bus then return trim(bus), ids, value end
-  if address:find("^[%d+-]") then return nil, address, value end
-  return address, nil, value
+  bus = trim(bus or address)
+  demand(bus ~= "", "no bus or ID", SHAPE)
+  return bus, ids, value
 end
 
 local function read_ids(text)

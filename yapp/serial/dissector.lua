@@ -7,6 +7,7 @@ local frame = require("yapp.wire.frame")
 local frame_key = require("yapp.base.frame_key")
 local framer = require("yapp.serial.framer")
 local items = require("yapp.show.fields")
+local memo = require("yapp.base.memo")
 local streams = require("yapp.serial.streams")
 local tcp = require("yapp.serial.tcp")
 local utf8 = require("yapp.base.utf8")
@@ -93,11 +94,14 @@ local function line_of(self, pinfo)
     bus = name,
     label = has_address and here or bus and name,
     has_address = has_address,
-    sources = {},
+    sources = nil,
     damaged = {},
     reporter = nil,
   }
   if is_ip then line.bus_key = here < there and here .. there or there .. here end
+  line.sources = memo(function(id)
+    return self.reader:new_source(id, line.bus_key, line.bus, line)
+  end)
   self.lines[key] = line
   return line, is_known
 end
@@ -138,16 +142,6 @@ local function new_packet(self, tvb, pinfo, tree, segment)
   }
 end
 
--- Returns the source of a message, see message.reader.
-local function source_of(self, line, id)
-  local source = line.sources[id]
-  if not source then
-    source = self.reader:new_source(id, line.bus_key, line.bus, line)
-    line.sources[id] = source
-  end
-  return source
-end
-
 -- Heuristics -------------------------------------------------------------------------------------
 
 --- Return whether bytes are YAPP.  They are if they hold a good frame, or nothing but complete
@@ -167,16 +161,18 @@ function Dissector:is_yapp(bytes, length)
   return is_catalogue, events
 end
 
---- Return whether a packet of an unknown conversation is YAPP.  A segment that begins a message of
--- the catalogue is: the next one has the rest.  A datagram that begins one has lost bytes.  This is
--- reported with the first YAPP packet of the conversation, if one comes.
+--- Return whether a packet of an unknown conversation is YAPP.  In a capture with YAPP on TCP, a
+-- segment that begins a message of the catalogue is: the next one has the rest.  Any other packet
+-- that begins one has lost bytes.  This is reported with the first YAPP packet of the conversation,
+-- if one comes.
 function Dissector:accepts(tvb, pinfo)
   local bytes = tvb:len() > 0 and tvb:raw() or ""
   if pinfo.in_error_pkt or not frame.find(bytes, 1) then return false end
   local is_ours, events = self:is_yapp(bytes, tvb:reported_len())
   local id, _, _, seq = frame.parse(bytes, 1)
   local may_be = events[1].status == "incomplete" and self.reader:size_of(id)
-  if is_ours or not may_be or pinfo.port_type == TCP then return is_ours or may_be end
+  if is_ours or not may_be then return is_ours end
+  if tcp.current(pinfo.number) then return true end
   if not pinfo.visited then
     table.insert(line_of(self, pinfo).damaged, { id = id, seq = seq })
   end
@@ -185,9 +181,9 @@ end
 
 -- Returns what the statistics take of an incomplete message.
 -- packet  where this is noticed
-local function new_loss(self, packet, id, seq)
+local function new_loss(packet, id, seq)
   return {
-    source = source_of(self, packet.line, id),
+    source = packet.line.sources[id],
     seq = seq,
     number = packet.key,
     time = packet.time,
@@ -201,7 +197,7 @@ local function report_damaged(self, packet)
   line.reporter = line.reporter or packet.key
   if line.reporter ~= packet.key or not self.reader.stat.wanted then return end
   for _, damaged in ipairs(line.damaged) do
-    local loss = new_loss(self, packet, damaged.id, damaged.seq)
+    local loss = new_loss(packet, damaged.id, damaged.seq)
     self.reader.stat:anomalies(loss, { { expert = "fragment.incomplete" } })
   end
 end
@@ -222,7 +218,7 @@ local function new_message(self, packet, event, index)
   if packet.visited then delta = self.deltas[number] end
   local id, size, reserved, seq = frame.parse(bytes, at + 1)
   local m = {
-    source = source_of(self, packet.line, id),
+    source = packet.line.sources[id],
     seq = seq,
     number = number,
     time = packet.time,
@@ -485,7 +481,7 @@ function Dissector:unfinished()
   local list = {}
   for i, open in ipairs(self.streams:unfinished()) do
     local id, _, _, seq = frame.parse(open.header, 1)
-    list[i] = new_loss(self, open.packet, id, seq)
+    list[i] = new_loss(open.packet, id, seq)
     self.reader.stat:part(list[i])
   end
   return list

@@ -138,13 +138,19 @@ end
 --- Make YAPP's own fields and expert items and hand them to the protocol.
 -- yapp     Proto
 -- names    { [id] = title } of the messages that are known
+-- messages of the catalogue
 -- returns  { [filter without "yapp."] = ProtoField }
-function M.of_yapp(yapp, names)
+function M.of_yapp(yapp, names, messages)
   local fields, make, list = {}, new_maker()
   for _, row in ipairs(YAPP) do
     local name, kind, title, about, shape, values = unpack(row, 1, 6)
     if name == "id" then values = names end
     fields[name] = make("yapp." .. name, kind, title, about, shape, values)
+  end
+  for _, message in ipairs(messages) do
+    local name = "like." .. message.name
+    fields[name] = make("yapp." .. name, "UINT32", "Could be " .. message.title,
+      "ID that is not in the catalogue, of a message with the size of " .. message.title, HEX)
   end
   yapp.fields = list
   make_experts(yapp, "yapp.")

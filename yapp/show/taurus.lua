@@ -210,7 +210,9 @@ local function build(self, m, view)
   end
   for _, step in ipairs(plan.generated) do
     local value = decode.derived(message, step.item, raws)
-    if value then append_text(add_generated(top, step.pf, value), step.unit) end
+    if value then
+      append_text(add_generated(top, step.pf, decode.rounded(step.item, value)), step.unit)
+    end
   end
   return top, items
 end

@@ -44,7 +44,7 @@ function M.new(options)
     is_only_pass = false, -- whether it is known that there is one pass
   }, Tree)
   for id, message in pairs(options.catalogue.by_id) do self.default_names[id] = message.title end
-  self.fields = show_fields.of_yapp(self.yapp, self.default_names)
+  self.fields = show_fields.of_yapp(self.yapp, self.default_names, options.catalogue.messages)
   return self
 end
 
@@ -75,24 +75,12 @@ local function is_only_pass(tree, has_columns)
   return tree.visible or has_columns and not (FILTERS_COLUMNS and pcall(all_field_infos))
 end
 
--- Return what is wanted of a packet without a tree.
-local function without_tree(has_columns, is_only)
-  return {
-    columns = has_columns,
-    is_only_pass = is_only,
-    yapp = false,
-    taurus = false,
-    tree = false,
-    state = false,
-    names = false,
-  }
-end
-local LIST = without_tree(true, false) -- a packet list of Wireshark, or of later passes
+local LIST = { columns = true } -- a packet list of Wireshark, or of later passes
 
 -- Ask Wireshark what is wanted of a packet.
 local function ask(self, tree)
   -- The API takes a dissector here, and ours exist only after loading.
-  local wants = without_tree(true, false)
+  local wants = { columns = true }
   wants.yapp = tree:referenced(Dissector.get("yapp"))
   wants.taurus = tree:referenced(Dissector.get("taurus"))
   wants.tree = wants.yapp or wants.taurus
@@ -104,8 +92,7 @@ end
 -- Ask Wireshark in tshark's first pass, where the answer is the same for all packets.
 local function ask_first(self, tree, pinfo)
   local has_columns = tostring(pinfo.cols.info) ~= NO_COLUMN
-  local wants = without_tree()
-  if tree.hidden then wants = ask(self, tree) end
+  local wants = tree.hidden and ask(self, tree) or {}
   wants.columns = has_columns
   wants.is_only_pass = self.is_only_pass or is_only_pass(tree, has_columns)
   wants.state = wants.taurus and self.messages:wants_state(tree)
@@ -252,7 +239,8 @@ end
 local function show_bytes(self, m, view)
   add_bytes(self, m, view, "payload", 0)
   if m.source.message then return add_mismatch(self, m, view) end
-  local text, info = self.reader:hint(m)
+  local text, info, like = self.reader:hint(m)
+  if like and view.wants.yapp then self:generated(view.item, "like." .. like, m.source.id) end
   self:expert(view.item, "id.unknown", text)
   return ("%s  %s%s"):format(m.source.label, Tree.bytes(#m.payload), info or "")
 end

@@ -3,7 +3,8 @@
 -- the rules of `check`, the errors of options, the help and the tests come from these rows.
 -- Pure Lua, 5.2 to 5.5.
 --
--- A new kind is a row here and the code that makes its events.  A row with `change` needs no code.
+-- A new kind is a row here and the code that makes its events.  Of a row with `change`, stat.derive
+-- makes them: if a change of message.history has the row's name.
 
 local M = {}
 

@@ -71,8 +71,13 @@ local function show_frames(frames)
   if not frames[1] then
     return report_failure("YAPP: no frame stands in this window")
   end
-  local count = math.min(#frames, MAX_FRAMES)
-  set_filter(("frame.number in {%s}"):format(table.concat(frames, ", ", 1, count)))
+  local numbers, is_there = {}, {}
+  for _, frame in ipairs(frames) do
+    if not is_there[frame] then numbers[#numbers + 1] = frame end
+    is_there[frame] = true
+  end
+  local count = math.min(#numbers, MAX_FRAMES)
+  set_filter(("frame.number in {%s}"):format(table.concat(numbers, ", ", 1, count)))
   apply_filter()
 end
 
@@ -111,31 +116,6 @@ local function open_help()
   help:set(HELP:format(lines))
 end
 
--- Items in the menu of a packet, Wireshark 4.4 and later: title, a field that the packet must have,
--- and the display filter that its values make.
-local PACKET_ITEMS = {
-  { "Only this controller", "yapp.source", "yapp.source in {%s}" },
-  { "Faults of this controller", "yapp.source",
-    "yapp.source in {%s} && (taurus.fault.raised || taurus.fault.cleared)" },
-  { "Whole message", "yapp.reassembled.in", "yapp.reassembled.in in {%s}" },
-}
-
--- Adds an item to the menu of a packet.
-local function register_packet_item(title, name, filter)
-  register_packet_menu("YAPP/" .. title, function(...)
-    local values = {}
-    for _, field in ipairs { ... } do
-      if field.name == name then
-        local text = tostring(field.value)
-        local is_string = type(field.value) == "string"
-        values[#values + 1] = is_string and '"' .. text:gsub('[\\"]', "\\%0") .. '"' or text
-      end
-    end
-    set_filter(filter:format(table.concat(values, ", ")))
-    apply_filter()
-  end, name)
-end
-
 --- Make the menus.
 -- stat     of stat.taps
 -- returns  function(text), which opens the window of an argument of -z
@@ -159,13 +139,11 @@ function M.register(stat)
       ask(row.title, row.ask, row.file and default_path(row.file) or "", answered)
     end
     register_menu("YAPP/" .. row.title, action, MENU_TOOLS_UNSORTED)
-    -- On 4.0 a slash makes no submenu there.
-    register_menu("YAPP " .. row.title, action, MENU_STAT_UNSORTED)
   end
   register_menu("YAPP/Help", open_help, MENU_TOOLS_UNSORTED)
-  if register_packet_menu then
-    for _, item in ipairs(PACKET_ITEMS) do register_packet_item(item[1], item[2], item[3]) end
-  end
+  -- Wireshark has submenus of plugins in Tools alone: elsewhere it shows a slash as it is.
+  local function summary() show("yapp,summary") end
+  register_menu("YAPP Summary (more: Tools > YAPP)", summary, MENU_STAT_UNSORTED)
   return show
 end
 

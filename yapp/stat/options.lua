@@ -16,7 +16,7 @@ local M = {}
 -- name     behind -z yapp,
 -- title    in menus
 -- new      function(options, context), makes it: see stat.queue
--- options  what it takes besides filter=EXPRESSION, for errors
+-- options  the words that it takes besides filter=EXPRESSION: M.read knows them by this text
 -- help     what it says, for people
 -- ask      what a menu asks for; the answer follows the name
 -- file     the name of a new file that a menu suggests

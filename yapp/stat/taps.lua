@@ -133,7 +133,7 @@ local function finish(self)
   return self.queue:finish {
     unfinished = self.intake:unfinished(self.unfinished()),
     drops = self.drops(),
-    lacks_times = self.buses.lacks_times and self.buses:lacks_times(),
+    lacks_times = self.buses:lacks_times(),
     extended = self.extended,
   }
 end

@@ -120,10 +120,10 @@ local function sizes_of(entries)
   return sizes
 end
 
--- Return what decodes the entries: by message the IDs that can carry it on all buses, and parts of
--- yapp.sources for other IDs.
+-- Return what decodes the entries: by message the IDs that can carry it on all buses, parts of
+-- yapp.sources for other IDs, and a list of other options.
 local function plan(self)
-  local ids, parts, taken, sizes = {}, {}, {}, sizes_of(self.entries)
+  local ids, parts, options, taken, sizes = {}, {}, {}, {}, sizes_of(self.entries)
   for _, row in ipairs(self.settings.sources:list()) do
     if row.id then taken[place(row)] = true end -- the first part for a bus and ID holds
   end
@@ -136,18 +136,17 @@ local function plan(self)
       end
     elseif is_decodable(entry) and not taken[key] then
       taken[key], parts[#parts + 1] = true, part_of(entry)
+    elseif entry.is_own then
+      options[1] = "-o yapp.all_extended:TRUE"
     end
   end
-  return ids, parts
+  return ids, parts, options
 end
 
 -- The preferences that decode what can be decoded, complete: a text, "" for none.
 local function advice_of(self)
-  local settings, texts, sizes = self.settings, {}, {}
-  local ids, parts = plan(self)
-  for _, entry in ipairs(self.entries) do
-    if entry.is_own then texts[1] = "-o yapp.all_extended:TRUE" end
-  end
+  local settings, sizes = self.settings, {}
+  local ids, parts, texts = plan(self)
   for _, message in ipairs(settings.catalogue.messages) do
     local list = ids[message]
     if list then

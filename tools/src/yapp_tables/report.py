@@ -23,7 +23,8 @@ from .pictures import MARKS, Pictures, Record, packed
 from .tables import Column
 from .undecoded import source_name
 
-# What an event other than a fault means; those of the first kind are told one by one, the others counted for a source.
+# What an event other than a fault means; those of the first kind are told one by one, the others counted for a source, under
+# their own name where none stands here.
 SINGLE = {
     "reboot": "reboot",
     "silence": "silence",
@@ -42,6 +43,7 @@ COUNTED = {
     "skipped": "bytes of no frame",
     "invalid": "undefined value",
 }
+ELSEWHERE = ("fault", "unknown")  # these have rows of their own
 # Events of one controller that are no further apart than this, in seconds, are one incident.
 TOGETHER = 2.0
 INCIDENT = ("fault", "reboot", "silence", "stale")
@@ -226,12 +228,12 @@ def _others(flight: Flight, events: list[Record]) -> list[Record]:
     rows: dict[tuple[str, ...], Record] = {}
     for number, event in enumerate(events):
         kind, length = event["kind"], event["length"] or 0.0
-        if kind not in SINGLE and kind not in COUNTED:
+        if kind in ELSEWHERE:
             continue
-        what = SINGLE.get(kind) or COUNTED[kind]
+        what = SINGLE.get(kind) or COUNTED.get(kind, kind)
         if kind == "invalid":
             what = f"{what}: {_value(flight, event)}"
-        key = (kind, event["who"], event["title"], what) if kind in COUNTED else (str(number),)
+        key = (kind, event["who"], event["title"], what) if kind not in SINGLE else (str(number),)
         row = rows.setdefault(key, _row(event, what, count=0, at=[]))
         row["count"] += event["count"] or 1
         row["at"].append(event["at"])

@@ -1,0 +1,100 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The submenu YAPP in the menu of a packet, from Wireshark 4.4 on.  Wireshark's API.
+
+local M = {}
+
+local FAULTS = "yapp.source in {%s} && (taurus.fault.raised || taurus.fault.cleared)"
+-- Title, a field that the packet must have, and the display filter that its values and the packet's
+-- number make.  Wireshark selects the packet that is nearest to the one that was.
+local FILTERS = {
+  { "Only this controller", "yapp.source", "yapp.source in {%s}" },
+  { "Faults of this controller", "yapp.source", FAULTS },
+  { "Previous fault of this controller", "yapp.source", FAULTS .. " && frame.number < %d" },
+  { "Next fault of this controller", "yapp.source", FAULTS .. " && frame.number > %d" },
+  { "Whole message", "yapp.reassembled.in", "yapp.reassembled.in in {%s}" },
+}
+
+-- Add an item.
+-- name  of a field that the packet must have
+-- act   function(values): by name those of YAPP's fields, and of frame.number, as a display filter
+--       writes them, with commas between
+local function add(title, name, act)
+  register_packet_menu("YAPP/" .. title, function(...)
+    local values = {}
+    for _, field in ipairs { ... } do
+      local key = field.name
+      if key:find("^yapp%.") or key == "frame.number" then
+        local value = field.value
+        if type(value) == "string" then value = '"' .. value:gsub('[\\"]', "\\%0") .. '"' end
+        values[key] = (values[key] and values[key] .. "," or "") .. tostring(value)
+      end
+    end
+    act(values)
+  end, name)
+end
+
+local function set(name, value)
+  set_preference("yapp." .. name, value)
+  apply_preferences()
+  redissect_packets()
+end
+
+-- Return the bus of a packet.
+local function bus_of(values)
+  return (values["yapp.bus"] or ""):match('"(.-)"')
+end
+
+-- Copy the frames of a message as `candump -l` writes them.
+local function copy_as_candump(values)
+  local bus, lines = bus_of(values) or "can0", {}
+  local tap = Listener.new("frame", "can.id && (frame.number == " .. values["frame.number"] ..
+    " || yapp.reassembled.in == " .. (values["yapp.reassembled.in"] or 0) .. ")")
+  function tap.packet(pinfo, tvb)
+    for _, info in ipairs { all_field_infos() } do
+      if info.name == "can.id" then
+        local at = info.offset -- behind the ID: length, flags, two bytes, data
+        local length, flags = tvb(at + 4, 1):uint(), tvb(at + 5, 1):uint()
+        local fd = (length > 8 or flags > 3) and "#" .. flags % 4 or ""
+        lines[#lines + 1] = ("(%.6f) %s %08X#%s%s\n"):format(pinfo.abs_ts, bus, info.value, fd,
+          tostring(tvb(at + 8, length):bytes()))
+      end
+    end
+  end
+  retap_packets()
+  tap:remove()
+  copy_to_clipboard(table.concat(lines))
+end
+
+-- Ask for a name, in the text of the whole preference: what it says can be changed.
+local function ask_name(values, sources)
+  local bus, id = bus_of(values), values["yapp.id"]:match("%d+")
+  local part = ("%s0x%x="):format(bus and bus .. "/" or "", id)
+  if not sources:find(part, 1, true) then
+    sources = sources .. (sources == "" and "" or ", ") .. part
+  end
+  new_dialog("YAPP Name this controller", function(answer)
+    if not answer:find("=%s*$") then set("sources", answer) end
+  end, { name = "Names of sources", value = sources })
+end
+
+--- Make the menu.
+-- prefs      of yapp
+-- catalogue  compiled
+function M.register(prefs, catalogue)
+  for _, row in ipairs(FILTERS) do
+    add(row[1], row[2], function(values)
+      set_filter(row[3]:format(values[row[2]], values["frame.number"]))
+      apply_filter()
+    end)
+  end
+  for _, message in ipairs(catalogue.messages) do
+    local ids, like = message.name .. "_ids", "yapp.like." .. message.name
+    add("Decode this ID as " .. message.title, like, function(values)
+      set(ids, prefs[ids] .. "," .. values[like])
+    end)
+  end
+  add("Name this controller ...", "yapp.id", function(values) ask_name(values, prefs.sources) end)
+  add("Copy message as candump", "can.id", copy_as_candump)
+end
+
+return M
