@@ -168,8 +168,7 @@ function Queue:go_direct()
   return true
 end
 
-local function step_back(self, number, rel, step)
-  self.stepped_back = self.stepped_back - step
+local function note_step(self, number, rel, step)
   local values = { length = output.seconds(step), back = output.seconds(-step) }
   local event = kinds.event("clock", number, rel, {}, values)
   for _, entry in ipairs(self.entries) do
@@ -180,13 +179,17 @@ end
 --- Say that a packet of any kind has been dissected.
 -- number, rel  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a
 --              packet that the first pass rejected is another's in the second, with another time
-function Queue:packet(number, rel)
+-- lacks_clock  whether rel is the time of a controller: to go back is no event then
+function Queue:packet(number, rel, lacks_clock)
   flush(self)
   local last = self.last
   self.last, self.packets = rel, self.packets + 1
   if last and rel < last then
     local step = span(last, rel)
-    if step < -MAX_STEP then step_back(self, number, rel, step) end
+    if step < -MAX_STEP then
+      self.stepped_back = self.stepped_back - step
+      if not lacks_clock then note_step(self, number, rel, step) end
+    end
   end
   if number == self.number and self.offered[#self.offered].time == rel then
     self.waiting, self.number = self.offered, nil
