@@ -150,13 +150,17 @@ local function is_shared(source, m, advance, elapsed)
   return source.evidence > ENOUGH
 end
 
+-- Return the seconds of the capture's clock since source.clock.  If it has none, trust the
+-- controller's clock unless that jumps: then take the message to come after a period.
+local function elapsed_since(source, m, advance)
+  if source.has_clock then return m.time - source.clock_time end
+  return advance > 0 and advance <= MAX_JUMP and advance or source.period
+end
+
 -- Return the change that the clock of a message shows, nil for none.
 local function clock_change(source, m, clock)
   local advance = (clock - source.clock) / 1e9
-  -- Without a clock of the capture, trust the controller's unless it jumps: then take the message
-  -- to come a period after the one before.
-  local usual = advance > 0 and advance <= MAX_JUMP and advance or source.period
-  local elapsed = source.has_clock and m.time - source.clock_time or usual
+  local elapsed = elapsed_since(source, m, advance)
   local may_be_shared = advance <= 0 or source.lead ~= 0
   if may_be_shared and is_shared(source, m, advance, max(elapsed, 0)) then return SHARED end
   if advance < 0 then return { reboot = -advance } end
