@@ -148,10 +148,10 @@ end
 -- The heuristic takes every frame that no other dissector takes, if the preference
 -- yapp.all_extended is set.  It costs time for each such CAN frame of every capture, so it is
 -- registered only when it is needed.
-local takes_all, is_heuristic = false, false -- takes_all: the preference
+local accepts_all, is_heuristic = false, false -- accepts_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
-  if takes_all then return all.dissector(tvb, pinfo, root) > 0 end
+  if accepts_all then return all.dissector(tvb, pinfo, root) > 0 end
   if intake.wanted then frames:report_unknown(tvb, pinfo, find_id) end
   return false
 end
@@ -162,14 +162,14 @@ local function watch_unclaimed()
   all:register_heuristic("can", unclaimed)
 end
 
-local function take_all()
+local function accept_all()
   socketcan.wrap(header)
   watch_unclaimed()
 end
 
 -- Called from the table of ids, where match_uint is the CAN id.
 function yapp.dissector(tvb, pinfo, root)
-  return frames:dissect(tvb, pinfo, root, pinfo.match_uint, takes_all)
+  return frames:dissect(tvb, pinfo, root, pinfo.match_uint, accepts_all)
 end
 
 function serial.dissector(tvb, pinfo, root)
@@ -262,8 +262,8 @@ local function read_preferences()
   for _, row in ipairs(sources:list()) do
     if row.message then register_id(row.id) end
   end
-  takes_all = prefs.all_extended
-  if takes_all then take_all() end
+  accepts_all = prefs.all_extended
+  if accepts_all then accept_all() end
   settings.late, settings.ids = late, chosen
   settings.sources, settings.sources_text = sources, prefs.sources
   settings.problems = list_problems(wrong)

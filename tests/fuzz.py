@@ -152,7 +152,7 @@ WAYS = [
 COUNTS = ("-q", "-z", "expert", "-z", "io,stat,0,frame,yapp")
 STATISTICS = ("yapp,summary", "yapp,summary,json", "yapp,faults", "yapp,faults,json", "yapp,events", "yapp,events,json",
               "yapp,csv,WRITE,replace,all", "yapp,check,fault=0,crc=0,motor.gap=0.1,motor.dc_voltage=20..60")
-CHECK_CODES = (20, 21)  # a rule does not hold, could not be judged
+OUR_CODES = (20, 21)  # a rule of check does not hold; something could not be judged, in other statistics too
 
 
 def limits(frames, size):
@@ -242,7 +242,7 @@ class Run:
         found = re.search(r"Lua:.*", self.err)
         if found:
             return found[0]
-        is_verdict = self.code in CHECK_CODES and any("yapp,check" in word for word in self.command)
+        is_verdict = self.code in OUR_CODES and any("yapp," in word for word in self.command)
         if self.code and not is_verdict and not DAMAGED_FILE.search(self.err):
             return f"exit code {self.code}: {self.err.strip().splitlines()[-1:]}"
         return None

@@ -17,8 +17,12 @@ def wrapped(text):
             continue
         paragraph = " ".join(paragraph.split())
         items = re.split(r"; (?=[a-z_]+(?:, [a-z_]+)*: )", paragraph) if re.match(r"[a-z_]+(?:, [a-z_]+)*: ", paragraph) else []
+        rest = []
+        if items:
+            items[-1], *rest = re.split(r"(?<=\.) (?=(?:Returns|Raises|Yields|What|A) )", items[-1], maxsplit=1)
         lines = [re.sub(r"^([a-z_]+(?:, [a-z_]+)*):", r"- `\1`:", item) for item in items] or [paragraph]
         paragraphs.append("\n".join(textwrap.fill(line, 100, subsequent_indent="  " * bool(items)) for line in lines))
+        paragraphs += [textwrap.fill(text, 100) for text in rest]
     return "\n\n".join(paragraphs)
 
 

@@ -11,7 +11,7 @@ local socketcan = require "yapp.host.socketcan"
 
 local M = {}
 
-local KINDS, START, END = can_id.KINDS, can_id.START, can_id.END
+local CTRL_NAMES, START, END = can_id.CTRL_NAMES, can_id.START, can_id.END
 local add, add_le, append_text = show_fields.add, show_fields.add_le, show_fields.append_text
 local fields_of, BUS = can_id.fields, can_id.BUS
 local number_of, PACKET, sub = frame_key.number, frame_key.PACKET, string.sub
@@ -71,7 +71,7 @@ function Dissector:reset(history)
     -- From can.reassembly; on a revisit index = of the fragment in its message.
     message = false, anomalies = false, index = false,
     tvb = false, pinfo = false, tree = false, range = false, -- of Wireshark
-    wants = false, item = false, payload_tvb = false, payload_at = 0, -- see Tree:payload
+    wants = false, item = false, payload_tvb = false, payload_at = 0, -- see Tree:show_message
   }
 end
 
@@ -118,7 +118,7 @@ end
 -- Add YAPP's own item, with the fields of the CAN id as generated items.
 local function add_item(self, frame)
   local builder, fields, source = self.tree, frame.can_id, frame.source
-  local kind = KINDS[fields.ctrl] or "undefined frame"
+  local kind = CTRL_NAMES[fields.ctrl] or "undefined frame"
   frame.range = frame.tvb()
   local text = self.title .. source.label .. ", " .. kind
   local item = add(frame.tree, builder.yapp, frame.range, text)
@@ -193,7 +193,7 @@ local function show_single(self, frame)
   local m = new_message(self, frame, status, sub(data, 1, size), size)
   frame.payload_tvb = frame.wants.tree and frame.tvb
   read(self, frame, m)
-  local info = self.tree:payload(m, frame)
+  local info = self.tree:show_message(m, frame)
   if frame.wants.yapp and #data > size then
     add(frame.item, self.tree.fields.padding, frame.tvb(size))
   end
@@ -209,7 +209,7 @@ local function show_last(self, frame)
   frame.payload_tvb = tvb
   if wants.yapp then add_message(self, frame) end
   if status == "bad" then builder:bad_crc(item, message) end
-  if read(self, frame, m) then return builder:payload(m, frame) .. builder.MARKS[status] end
+  if read(self, frame, m) then return builder:show_message(m, frame) .. builder.MARKS[status] end
   if wants.yapp then
     if tvb then add(item, builder.fields.payload, tvb()) end
     builder:add_delta(item, m)
@@ -265,8 +265,8 @@ end
 local function show_other(self, frame)
   local ctrl, name = frame.can_id.ctrl, frame.source.label
   if frame.wants.yapp then add_fragment(self, frame) end
-  if not KINDS[ctrl] then return ("%s  CAN CTRL %d"):format(name, ctrl) end
-  local text = ("%s  %s"):format(name, KINDS[ctrl])
+  if not CTRL_NAMES[ctrl] then return ("%s  CAN CTRL %d"):format(name, ctrl) end
+  local text = ("%s  %s"):format(name, CTRL_NAMES[ctrl])
   return ctrl ~= START and text .. " without a Start" or text
 end
 
@@ -285,7 +285,7 @@ local function show(self, frame, kind)
   if wants.yapp then
     frame.item = add_item(self, frame)
   elseif wants.names then
-    builder:bare(tree, wants, kind == "last" or kind == "single")
+    builder:add_protocol_names(tree, wants, kind == "last" or kind == "single")
   end
   local info = SHOW[kind](self, frame)
   if frame.anomalies or #frame.data < frame.reported then show_anomalies(self, frame) end

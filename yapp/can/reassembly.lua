@@ -24,7 +24,7 @@ local store = require "yapp.can.store"
 local M = {}
 
 local concat = table.concat
-local END, KINDS = can_id.END, can_id.KINDS
+local END, CTRL_NAMES = can_id.END, can_id.CTRL_NAMES
 
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it
 local MAX_RUNS = 8 -- runs of equal fragments that are searched for duplicates
@@ -78,7 +78,7 @@ end
 
 --- Note that the message of a Middle or End is not known.
 function Reassembly:orphan(ctrl)
-  return self:note("fragment.orphan", nil, "%s fragment: no Start captured", KINDS[ctrl])
+  return self:note("fragment.orphan", nil, "%s fragment: no Start captured", CTRL_NAMES[ctrl])
 end
 
 --- Note that a message has more or fewer bytes than its size.

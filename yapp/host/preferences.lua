@@ -66,7 +66,7 @@ function M.define(proto, catalogue, decode, max_id)
     "say Motor Data instead of Motor Data left.")
   prefs.late = Pref.string("Report a gap longer than ... periods", "2.5",
     "A longer gap between two messages of a source is a warning, yapp.late. At 2.5 a single " ..
-    "lost message is none. Periods: " .. table.concat(periods, ", ") .. ".")
+    "lost message causes no warning. Periods: " .. table.concat(periods, ", ") .. ".")
   prefs.all_extended = Pref.bool("All extended CAN frames are YAPP", false,
     "Switch it on for a bus that carries nothing but YAPP: you see unknown IDs, other YAPP CTL " ..
     "values and malformed frames, too. By default the plugin takes only what is surely YAPP.")
@@ -76,8 +76,8 @@ function M.define(proto, catalogue, decode, max_id)
     "about 1 µs for each packet that no other dissector takes.")
   prefs.user_dlt = Pref.range("Link types that carry a serial stream", "",
     "147 to 162, the numbers of DLT_USER0 to DLT_USER15. Set it for serial captures with such a " ..
-    "link type, if the protocol's own DLT_USER table is not convenient: it takes the link type " ..
-    "over from that table. Usually empty.",
+    "link type, if Wireshark's DLT_USER table is not convenient: it takes the link type over " ..
+    "from that table. Usually empty.",
     LAST_DLT)
 end
 

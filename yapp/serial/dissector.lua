@@ -208,9 +208,9 @@ end
 --   length      number of bytes of its frame
 --   missing     number of bytes, of one that is not complete
 --   crc, calculated  of a bad one
--- and the keys of its view, see Tree:payload.  The n-th event of a packet has the frame key of the
--- packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even in a
--- tunnel that puts several packets into one.
+-- and the keys of its view, see Tree:show_message.  The n-th event of a packet has the frame key of
+-- the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even in
+-- a tunnel that puts several packets into one.
 local function new_message(self, packet, event, index)
   local status, length, number = event.status, event.to - event.from, packet.key + index - 1
   local bytes, at, delta = event.bytes, 0, nil
@@ -304,7 +304,7 @@ local function show_message(self, m, tvb)
   if m.wants.tree then m.item, m.payload_tvb = add_frame(self, m, tvb), tvb end
   show_anomalies(self, m)
   local mark = builder.MARKS[m.missing and "incomplete" or m.status]
-  if is_whole or not source.message then return builder:payload(m, m) .. mark end
+  if is_whole or not source.message then return builder:show_message(m, m) .. mark end
   if m.wants.yapp and #m.payload > 0 then
     add(m.item, builder.fields.payload, tvb(m.payload_at, #m.payload))
   end
@@ -399,7 +399,7 @@ end
 -- Shows what a packet holds.
 local function show(self, packet, pinfo, contents)
   local wants, texts, source = packet.wants, {}, nil
-  if wants.names and not wants.tree then self.tree:bare(packet.tree, wants, true) end
+  if wants.names and not wants.tree then self.tree:add_protocol_names(packet.tree, wants, true) end
   for i, event in ipairs(contents.events) do
     local text, name = show_event(self, packet, event, i)
     source = source or name

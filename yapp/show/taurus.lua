@@ -227,7 +227,7 @@ local function append_help(item, field, raw)
 end
 
 --- Show a message, and its expert items.
--- m, view  as Tree:payload takes them
+-- m, view  as Tree:show_message takes them
 -- returns  the Taurus item; nil without a tree
 function Taurus:show(m, view)
   local top, items, source = nil, NONE, m.source

@@ -107,7 +107,7 @@ end
 --   tree          whether one of the two is
 --   state         whether the state of messages that change nothing is wanted, too
 --   names         whether the names of the protocols are wanted although the above are not, see
---                 Tree:bare
+--                 Tree:add_protocol_names
 --   columns       whether there are columns: tshark has them for a packet list, and not with -V,
 --                 -q, most of -T or in a first pass of two
 --   is_only_pass  whether it is sure that no packet is shown again, so that nothing need be kept: a
@@ -126,7 +126,7 @@ end
 -- wants       of the tree
 -- is_message  whether there is a message's name too
 -- COMPAT 4.0, 4.4: from 4.6 on `referenced` tells.
-function Tree:bare(tree, wants, is_message)
+function Tree:add_protocol_names(tree, wants, is_message)
   add(tree, self.yapp)
   if is_message and not wants.taurus then add(tree, self.taurus) end
 end
@@ -251,7 +251,7 @@ end
 --          the tree; payload_tvb and payload_at = where the payload lies, payload_tvb false if no
 --          tree is wanted }
 -- returns  what the Info column says of it; only a part of that if there are no columns
-function Tree:payload(m, view)
+function Tree:show_message(m, view)
   local top, info, source = nil, "", m.source
   if view.wants.yapp then self:add_delta(view.item, m) end
   if not m.raws then

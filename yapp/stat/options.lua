@@ -79,6 +79,7 @@ local demand, find, set, trim = input.demand, input.find, input.set, input.trim
 local COUNTED = set(table.concat(kinds.RULES, " ")) -- what may happen N times
 local RULES = table.concat(kinds.RULES, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=A..B, " ..
   "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X"
+local NO_RULE = "no rule follows %s: it is for those behind it"
 local RANGE = "a range is A..B, A.. or ..B"
 local MAX_FILE = 2 ^ 20 -- bytes of a file of rules
 
@@ -213,7 +214,10 @@ function read_check(options, part, catalogue)
   local name, value = part:match("^(%w+)=(.*)$")
   if name == "junit" or name == "source" or name == "rules" then
     demand(value ~= "", "it is empty")
-    options.unused = name == "source" and part or options.unused
+    if name == "source" then
+      demand(not options.unused, NO_RULE, options.unused)
+      options.unused = part
+    end
     if name == "rules" then return read_file(options, value, catalogue) end
     options[name] = value
   else
@@ -230,7 +234,7 @@ local function finish_check(options, catalogue)
     if not options.judges_unknown then
       rules[#rules + 1] = read_rule("unknown=0", catalogue)
     end
-    demand(not options.unused, "no rule follows %s: it is for those behind it", options.unused)
+    demand(not options.unused, NO_RULE, "it")
     return
   end
   for _, kind in ipairs(kinds.RULES) do
@@ -294,7 +298,7 @@ function M.read(text, catalogue)
     end
   end
   if finish then
-    try(options, what, function() finish(options, catalogue) end)
+    try(options, options.unused or what, function() finish(options, catalogue) end)
   end
   if filter and not filter:find("%S") then
     table.insert(options.problems, "filter=: the display filter is missing")

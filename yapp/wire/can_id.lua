@@ -13,7 +13,7 @@ M.BUS = 0x20000000
 
 -- CAN CTRL: 0 is a single frame, 2 a Middle.
 M.START, M.END = 1, 3
-M.KINDS = { [0] = "Single", "Start", "Middle", "End" }
+M.CTRL_NAMES = { [0] = "Single", "Start", "Middle", "End" }
 
 -- A CAN FD frame above 8 bytes has one of these lengths.  FD_LENGTH[n] is the shortest that holds n
 -- bytes.

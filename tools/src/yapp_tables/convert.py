@@ -58,7 +58,9 @@ def convert_one(capture: StrPath, config: Config, made: MadeBy | None = None) ->
     """Convert one capture: a task for Dask, Prefect, Dagster or a loop.
 
     It may run twice at once, and be killed at any point: the data set then has the flight once, or not yet.
-    made: what `made_by` says of the machine that gives the order, which must be so on this one.
+
+    made: made_by() of the machine that gives the order; this one must give the same.
+
     Returns the Result, whose `failure` says why there is no data. Raises SetupError where no other capture would do
     better on this machine, and YappError for what another try may mend.
     """
