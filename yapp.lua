@@ -277,7 +277,12 @@ function yapp.init()
   socketcan.init()
   local function has_times() return not buses:lacks_times() end
   local function new_history()
-    return history.new { late = settings.late, catalogue = catalogue, has_times = has_times }
+    return history.new {
+      late = settings.late,
+      catalogue = catalogue,
+      has_times = has_times,
+      has_clock = function() return not buses:lacks_clock() end,
+    }
   end
   reader:reset()
   intake:reset()

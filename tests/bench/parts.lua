@@ -40,7 +40,8 @@ local function finished(frame, payload)
 end
 
 local function new_history()
-  return history.new { late = 2.5, catalogue = catalogue, has_times = function() return true end }
+  local function yes() return true end
+  return history.new { late = 2.5, catalogue = catalogue, has_times = yes, has_clock = yes }
 end
 
 -- How many good messages a capture has, by the steps up to one.

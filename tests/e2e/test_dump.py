@@ -231,6 +231,24 @@ def test_times(folder):
     assert times(folder / "out.pcapng") == wanted
 
 
+ALTERNATING = [clock + turn / 10 for turn in range(50) for clock in (5, 800)]
+REBOOTED = [turn / 10 for turn in (*range(500, 550), *range(1, 50))]
+
+
+@pytest.mark.parametrize("clocks, kinds, codes", [
+    (ALTERNATING, {"shared", "silence", "reboot"}, {"events": 21, "faults": 21, "summary": 21, "check": 20}),
+    (REBOOTED, {"reboot"}, {"events": 0, "faults": 0, "summary": 0, "check": 20})], ids=["two controllers", "a reboot"])
+def test_clocks(clocks, kinds, codes, folder):
+    """Times are the controllers' own: two with one ID are found, and a step back of one is no step of the capture's clock."""
+    path = dump(folder, b"".join(frame(0x210, bytes(22) + round(clock * 1e9).to_bytes(8, "little") + bytes(2)) for clock in clocks))
+    for passes in ([], ["-2"]):
+        said = tshark.run(*passes, "-q", "-r", path, "-z", "yapp,events,json", check=False).stdout
+        found = [json.loads(line)["kind"] for line in said.splitlines()]
+        assert set(found) == kinds and len(found) <= 5 and found.count("shared") <= 1
+        for what, code in codes.items():
+            assert tshark.run(*passes, "-q", "-r", path, "-z", f"yapp,{what}", check=False).returncode == code
+
+
 def test_without_time_stamps(folder):
     path = dump(folder, b"> " + message(0, 0, random.Random(SEED)) * 3)
     for passes in ([], ["-2"]):

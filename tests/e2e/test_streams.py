@@ -477,6 +477,16 @@ def test_the_first_segments_are_missing(folder):
             assert failed.get("dropped", 0) == dropped
 
 
+def test_the_last_segment_is_missing(folder):
+    """Only what the other side acknowledges shows that it was sent."""
+    for acknowledged, dropped in ((97, 0), (98, 0), (145, 1)):  # 98: with the end of the connection
+        stream_captures.Capture("", tcp_packets([(0, 1, A), (.1, 49, B), (.2, acknowledged)]), stream_captures.tcp, []).write(
+            folder / "tcp.pcapng")
+        for passes in PASSES.values():
+            _, code, failed = checked(folder / "tcp.pcapng", *passes)
+            assert dict(failed).get("dropped", 0) == dropped and code == 20
+
+
 @levels.by_version
 @pytest.mark.parametrize("preferences", levels.few(PREFERENCES, PREFERENCES[:2]))
 def test_connections(preferences, folder):

@@ -46,6 +46,27 @@ function T.test_one_bus_that_loses_frames()
   }
 end
 
+-- The statistics keep each loss that may be withdrawn.
+function T.test_few_anomalies_may_be_withdrawn()
+  for text, most in pairs {
+    [("S32 "):rep(50)] = 3,
+    [("S32 "):rep(4) .. ("M8? "):rep(9) .. ("E8? "):rep(9) .. ("S32 "):rep(5)] = 3,
+    ["S32 S32 " .. ("E8? "):rep(600)] = 0,
+  } do
+    local known, noted, open = words.new(), {}, 0
+    local reassembly = known.reassembly
+    local note = reassembly.note
+    function reassembly.note(...)
+      noted[#noted + 1] = note(...)
+      return noted[#noted]
+    end
+    words.visits(known, words.frames(text, {}))
+    for _, anomaly in ipairs(noted) do open = open + (anomaly.is_open and 1 or 0) end
+    lu.assertTrue(#noted > 10)
+    lu.assertEquals(open, most, text)
+  end
+end
+
 -- A message that more than three Starts overtook is given up; after that every frame counts again.
 function T.test_four_open_messages()
   local before = "aS9 bS9 bM8 bE1 cS9 cM8 cE1 dS9 dM8 dE1 "

@@ -162,7 +162,47 @@ function T.test_sections_and_interfaces_that_come_late()
     packet(0, "x", be) .. packet(1, "x", be) .. section(le) .. packet(0, "x", le))
   lu.assertEquals({ buses(found), found.names }, { "1 2 1 0 3 -", { "can0", "can1", "can2" } })
   found = read(first .. first) -- as when two files are put one behind the other
-  lu.assertEquals(buses(found), "1 2")
+  lu.assertEquals({ buses(found), found:name() }, { "", "can0" })
+end
+
+-- Interfaces with one name and link type are one bus in all sections, if no section has two.
+function T.test_interfaces_of_several_sections()
+  local three, four = can_over_sll2(3), can_over_sll2(4)
+  local can = { { CAN, "can0" }, { CAN, "can1" } }
+  local swapped, double = { can[2], can[1] }, { can[1], can[1] }
+  local each = { { 0, "x" }, { 1, "y" } }
+  local any = { { SLL2, "any" } }
+  for i, row in ipairs {
+    { { can, each, swapped, each }, "1 2 2 1", { "can0", "can1" } },
+    { { can, each, swapped, each, can, each }, "1 2 2 1 1 2", { "can0", "can1" } },
+    { { can, each, { can[2] }, { { 0, "x" } } }, "1 2 2", { "can0", "can1" } },
+    { { { can[1] }, { { 0, "x" } }, can, each }, "1 1 3", { "can0", [3] = "can1" } },
+    { { can, each, double, each }, "1 2 3 4", { "can0#0", "can1", "can0#2", "can0#3" } },
+    { { double, each, { can[1] }, { { 0, "x" } } }, "1 2 3", { "can0#0", "can0#1", "can0#2" } },
+    { { { { CAN } }, { { 0, "x" } }, { { CAN } }, { { 0, "x" } } }, "1 2", { "if0", "if1" } },
+    { { { can[1] }, { { 0, "x" } }, { { 147, "can0" } }, { { 0, "x" } } }, "1 2", { "can0#0", "can0#1" } },
+    { { any, { { 0, three }, { 0, four } }, any, { { 0, four }, { 0, three } } }, "1 2 2 1", { "any#3", "any#4" } },
+    { { any, { { 0, three } }, any, { { 0, four }, { 0, three } } }, "1 2 1", { "any#3", "any#4" } },
+    { { any, { { 0, three } }, any, { { 0, three } } }, "", { "any" } },
+  } do
+    local file = {}
+    for part = 1, #row[1], 2 do
+      local number = part % 4 == 1 and le or be
+      file[#file + 1] = section(number)
+      for _, one in ipairs(row[1][part]) do
+        file[#file + 1] = interface(one[1], number, one[2] and option(2, one[2], number))
+      end
+      for _, one in ipairs(row[1][part + 1]) do file[#file + 1] = packet(one[1], one[2], number) end
+    end
+    local found = read(table.concat(file))
+    lu.assertEquals({ buses(found), found.names }, { row[2], row[3] }, "row " .. i)
+    -- As fields tell it, behind what was read.
+    local by_fields = row[1][4][1][1]
+    local index = row[1][3][1][1] == SLL2 and (row[1][4][1][2] == three and 3 or 4) or 0
+    if found.has_several then
+      lu.assertEquals(found:bus_by_fields(2, by_fields, index), found:bus(#row[1][2] + 1), "row " .. i)
+    end
+  end
 end
 
 -- Which blocks have a frame number is that of Wireshark 4.0, 4.4 and 4.6.

@@ -54,7 +54,8 @@ end
 local function new(options)
   options = options or {}
   return history.new { late = options.late or 2.5, catalogue = options.catalogue or TAURUS,
-    has_times = options.has_times or function() return true end }
+    has_times = options.has_times or function() return true end,
+    has_clock = options.has_times or function() return true end }
 end
 
 -- What a list of messages gives in order, what is new and how things stand in one table, delta with it;

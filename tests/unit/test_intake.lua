@@ -92,7 +92,7 @@ function T.test_losses_carry_their_message()
   local whats = {}
   for i, one in ipairs(offered) do
     lu.assertEquals(one[1].kind, "incomplete")
-    whats[i] = one[1].values.what .. (one[1].values.lost == lost and " of one" or "")
+    whats[i] = one[1].values.shown.what .. (one[1].values.lost == lost and " of one" or "")
   end
   lu.assertEquals(whats, { "overrun of one", "overrun of one", "overrun of one", "incomplete", "incomplete" })
   lu.assertNil(offered[5][1].values.lost)

@@ -67,7 +67,7 @@ function T.test_messages_that_do_not_wait()
   lu.assertTrue(queue:go_direct())
   queue:packet(1, 1)
   offer(queue, 2, "b")
-  offer(queue, 2, "c", { loss = {} })
+  offer(queue, 2, "c", { loss = {}, shown = {} })
   offer(queue, 3, "d", { loss = { is_withdrawn = true } })
   offer(queue, 3, "e")
   lu.assertEquals(one.got, { "a", "b", "e" })
@@ -91,12 +91,27 @@ function T.test_losses()
     { "b", { is_withdrawn = true }, message }, { "c", {}, message }, { "d" }, { "e", {}, message },
     { "f", {}, other }, { "g", {} }, { "h", {} } }
   for frame, row in ipairs(rows) do
-    local values = row[2] and { what = "incomplete", loss = row[2], lost = row[3] }
+    local values = row[2] and { shown = { what = "incomplete" }, loss = row[2], lost = row[3] }
     queue:offer(event_of(frame, row[1], row[2] and "incomplete", values), false)
     queue:packet(frame, frame)
   end
   lu.assertEquals(finish(queue), { 0, {} })
   lu.assertEquals(one.got, { "a", "d", "c", "f", "g", "h" })
+end
+
+-- Losses that are sure do not wait for the end, which would cost memory for each.
+function T.test_many_losses()
+  local queue, one, open = new_queue(), notes(), { is_open = true }
+  add(queue, one)
+  for frame = 1, 5000 do
+    local values = { shown = {}, loss = frame == 7 and open or {} }
+    queue:offer(event_of(frame, frame, "incomplete", values), false)
+    queue:packet(frame, frame)
+  end
+  lu.assertTrue(#one.got > 2000)
+  open.is_withdrawn = true
+  lu.assertEquals(finish(queue), { 0, {} })
+  lu.assertEquals({ #one.got, one.got[7] }, { 4999, 8 })
 end
 
 function T.test_an_unreliable_history()

@@ -214,7 +214,7 @@ local MESSAGE = {}
 for id = 1, 9 do MESSAGE[id] = generator.frame(id, "x") end
 local ALL = table.concat(MESSAGE)
 
--- A row { key, first byte, last byte, says } of ALL as a segment; or { acknowledges =, is_syn =, follows = }.
+-- A row { key, first byte, last byte, says } of ALL as a segment; or { acknowledges =, is_syn =, is_sent = }.
 local function segments(rows, first_seq)
   local self = new()
   for i, row in ipairs(rows) do
@@ -226,8 +226,10 @@ local function segments(rows, first_seq)
       lu.assertEquals(in_words(self:take(packet, true), bytes), row[4], "packet " .. i)
     else
       local ack = row.acknowledges and (first_seq + row.acknowledges) % 0x100000000
-      local header = { ack = ack, is_syn = row.is_syn, seq = 0, length = 0 }
-      self:note_header(row.is_syn and "" or "other", "", header)
+      local header = { ack = ack, is_syn = row.is_syn, seq = (first_seq + (row.is_sent or 1)) % 0x100000000, length = 0,
+        number = i, epoch = 1000 + i / 100 }
+      local is_opposite = ack and not row.is_sent
+      self:note_header(is_opposite and "other" or "", is_opposite and "" or "other", header)
     end
   end
   return self
@@ -267,6 +269,14 @@ local CONNECTIONS = {
     { 6, 103, 119, "good 5 in 3, good 6 in 5, good 7 @0" } }, "frame 4 at 1000.04 on eth0, 1" },
   -- the capture ends
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" } }, FIRST_GAP },
+  -- the last one never comes: the end of the connection shows that, or an acknowledgement
+  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { acknowledges = 36 } }, FIRST_GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { acknowledges = 36 }, { is_sent = 35 }, { acknowledges = 20 } }, FIRST_GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 18 }, { acknowledges = 19 } }, "" },
+  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { 2, 18, 34, "good 2 @0" }, { acknowledges = 36 } }, "" },
+  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 17 }, { is_sent = 2 ^ 21 } }, "" }, -- of another connection
+  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { is_syn = true, is_sent = 50 }, { acknowledges = 52 },
+    { 3, 1, 17, "good 1 @0" }, { is_sent = 18 } }, FIRST_GAP },
   -- a connection with the same addresses and numbers
   { { { 1, 1, 34, "good 1 @0, good 2 @17" }, { is_syn = true }, { 2, 1, 17, "good 1 @0" },
     { 3, 18, 51, "good 2 @0, good 3 @17" } }, "" },

@@ -51,7 +51,8 @@ end
 local function new(options)
   options = options or {}
   local has_times = options.has_times or function() return true end
-  return history.new { late = 2.5, catalogue = TAURUS, has_times = has_times }
+  return history.new { late = 2.5, catalogue = TAURUS, has_times = has_times,
+    has_clock = options.has_clock or has_times }
 end
 
 -- The number of the message at which it shows that these are of several controllers, nil for never.
@@ -87,6 +88,30 @@ function T.test_when_it_shows()
     { nil, clocks(0.01, { 5.0, 5.0, 5.1, 5.2, 5.3, 5.4, 5.5 }, { rest = "same" }), "once more" },
   } do
     lu.assertEquals(shared_at(row[2]) or "never", row[1] or "never", row[3])
+  end
+end
+
+-- In a raw dump the time of a message is its controller's clock.
+function T.test_dumps()
+  local function looped(uptime, step, count)
+    local list = {}
+    for i = 0, count do list[i + 1] = i * step % uptime end
+    return list
+  end
+  for _, row in ipairs {
+    { 5, { 5.0, 800.0, 5.1, 800.1, 5.2, 800.2 } },
+    { 4, { 800.0, 5.0, 800.1, 5.1, 800.2 } },
+    { 7, { 5.0, 60.0, 800.0, 5.1, 60.1, 800.1, 5.2 } },
+    { nil, { 800.0, 800.1, 0.1, 0.2, 0.3, 0.4 }, "a reboot" },
+    { nil, { 5.0, 5.1, 800.0, 800.1, 800.2 }, "silence" },
+    { nil, { 5.0, 5.1, 0.1, 0.2, 900.0, 900.1 }, "a reboot, then silence" },
+    { nil, looped(4, 0.1, 400), "reboots all the time" },
+    { nil, looped(4, 1, 400), "the same, and few messages" },
+  } do
+    local messages = {}
+    for i, clock in ipairs(row[2]) do messages[i] = message(i, clock, clock) end
+    local found = shared_at(messages, { has_clock = function() return false end })
+    lu.assertEquals(found or "never", row[1] or "never", row[3])
   end
 end
 

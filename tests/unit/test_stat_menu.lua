@@ -28,9 +28,14 @@ function T.test_a_table_of_a_window()
   local rows = { { bus = "can0", frame = 7, source = "left", who = "left", kind = "what it says at length", help = "",
     rel = output.seconds(0.5) }, { bus = "can1", frame = 12, source = "ö", who = "ö", id = { json = "1", text = "" },
     rel = output.seconds(1) } }
-  lu.assertEquals(output.table(keys, rows, false),
+  local function table_of(frames)
+    local context, said = new_context(frames)
+    output.table(context, keys, rows)
+    return table.concat(said)
+  end
+  lu.assertEquals(table_of(),
     "bus   frame  source  event\ncan0      7  left    what it says at length\ncan1     12  ö\n")
-  lu.assertEquals(output.table(keys, rows, true),
+  lu.assertEquals(table_of({}),
     " at/s  source  event\n0.500  left    what it says at length\n1.000  ö\n")
 end
 

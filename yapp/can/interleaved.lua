@@ -89,7 +89,21 @@ local function leftovers(self, from)
   return length, indexes
 end
 
+-- Drops the first frames, which no open message can use.
+local function drop_frames(self, count)
+  local rest = {}
+  for i, frame in ipairs(self.frames) do
+    if i > count then
+      rest[i - count] = frame
+    elseif frame.orphan then
+      frame.orphan.is_open = false
+    end
+  end
+  self.frames = rest
+end
+
 local function give_up(self, candidate)
+  for _, anomaly in ipairs(candidate.anomalies) do anomaly.is_open = false end
   if not candidate.is_retry then self.reassembly:give_up(candidate.message) end
 end
 
@@ -98,7 +112,10 @@ end
 -- returns  whether any is left
 function Pool:supersede(anomaly)
   local rest = {}
-  table.insert(self.open[#self.open].anomalies, anomaly)
+  if anomaly then
+    anomaly.is_open = true
+    table.insert(self.open[#self.open].anomalies, anomaly)
+  end
   for _, candidate in ipairs(self.open) do
     candidate.age, candidate.message.status = candidate.age + 1, "superseded"
     if candidate.age > MAX_SUPERSEDED then
@@ -108,11 +125,9 @@ function Pool:supersede(anomaly)
     end
   end
   self.open = rest
+  local before = rest[1] and rest[1].from - 1 or #self.frames
+  drop_frames(self, before)
   if not rest[1] then return false end
-  -- No open message can use what lies before the oldest one.
-  local before, frames = rest[1].from - 1, {}
-  for i = before + 1, #self.frames do frames[i - before] = self.frames[i] end
-  self.frames = frames
   for _, candidate in ipairs(rest) do candidate.from = candidate.from - before end
   self.bytes = leftovers(self, 1)
   return true
@@ -271,6 +286,7 @@ function Pool:take(frame)
   end
   if newest.status then
     kind, pooled.orphan = "other", self.reassembly:orphan(ctrl)
+    pooled.orphan.is_open = true
   else
     newest[#newest + 1] = frame.key -- as it seems
     if is_end then
@@ -282,6 +298,7 @@ function Pool:take(frame)
     if kind == "fragment" then self.reassembly:misfit(newest, self.bytes) end
     for _, candidate in ipairs(self.open) do give_up(self, candidate) end
     self.open = {}
+    drop_frames(self, #self.frames)
   end
   return kind, kind ~= "other" and newest or nil
 end

@@ -54,7 +54,8 @@ end
 -- message    the one that is lost by it, or nil
 -- text, ...  as for string.format
 -- returns    an anomaly: { key = of the frame, expert = name of an expert item, text, lost = key of
---            the Start of the message that is lost, or nil, is_withdrawn = see withdraw }
+--            the Start of the message that is lost, or nil, is_withdrawn = see withdraw,
+--            is_open = whether it may still be withdrawn }
 function Reassembly:note(expert, message, text, ...)
   local anomaly = {
     key = self.key,
@@ -62,6 +63,7 @@ function Reassembly:note(expert, message, text, ...)
     text = text:format(...),
     lost = message and message[1],
     is_withdrawn = nil,
+    is_open = nil,
   }
   if not self.anomalies then self.anomalies = {} end
   table.insert(self.anomalies, anomaly)
@@ -70,7 +72,7 @@ end
 
 --- Withdraw an anomaly: a later frame has proved that nothing is wrong.
 function Reassembly:withdraw(anomaly)
-  anomaly.is_withdrawn = true
+  anomaly.is_withdrawn, anomaly.is_open = true, false
   self.store:withdraw(anomaly.key, anomaly)
 end
 

@@ -47,6 +47,7 @@ function M.open(file, options, head)
     time_of = options.time_of,
     head = head ~= "" and head or nil,
     decimals = 9,
+    lacks_clock = true, -- its times are those of controllers
     events = {}, -- from the index `next` on they are no records yet
     next = 1,
     is_over = false,

@@ -55,6 +55,11 @@ function M.lacks_times()
   return latest.lacks_times or false
 end
 
+--- Return whether times in the file read last are the controllers' own: those of a raw dump are.
+function M.lacks_clock()
+  return latest.lacks_clock or false
+end
+
 -- Fill a record with what a log's read or seek_read returned.
 -- returns  its offset; false at the end
 local function fill(log, frame, offset, bytes, seconds, nanoseconds, its_bus, comment)

@@ -118,6 +118,11 @@ function Buses:lacks_times()
   return self.found.has_no_times or readers.lacks_times()
 end
 
+--- Whether nothing tells when packets were captured: they have no times, or those of controllers.
+function Buses:lacks_clock()
+  return self:lacks_times() or readers.lacks_clock()
+end
+
 -- The bus by the fields of the current packet; nil where they do not tell it.
 local function bus_by_fields(found)
   local fields = fields_of(NAMES)

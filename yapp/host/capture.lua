@@ -5,8 +5,9 @@
 -- Wireshark does not tell a dissector the interface of a packet.  The file does: this module reads
 -- the headers of the blocks of pcapng and of the records of pcap.
 --
--- A bus is an interface, an index in it (Linux cooked v2), or a direction in it (RTAC).  Buses that
--- may carry YAPP are numbered from 1 in the order in which they show.
+-- A bus is an interface, an index in it (Linux cooked v2), or a direction in it (RTAC).  An
+-- interface of another section with the same name and link type is the same.  Buses that may carry
+-- YAPP are numbered from 1 in the order in which they show.
 
 local frame = require "yapp.wire.frame"
 local utf8 = require "yapp.base.utf8"
@@ -185,6 +186,7 @@ end
 local function new_interface(self, linktype, name)
   local interface = {
     number = #self.interfaces, -- in the file
+    section = #self.firsts,
     linktype = linktype,
     name = name and utf8.name(name),
     per_second = 1e6, -- time units
@@ -370,13 +372,50 @@ local function complete_drops(self)
   end
 end
 
+-- Make one of an interface and that of an earlier section which is the same.
+local function merge(self, interface, earlier)
+  for index, number in pairs(interface.buses) do
+    local same = earlier.buses[index] or number
+    earlier.buses[index], self.merged[number] = same, same
+    if same ~= number then self.uses[interface.name] = self.uses[interface.name] - 1 end
+  end
+  interface.bus, interface.buses = earlier.bus, earlier.buses
+end
+
+-- Make one of the interfaces of different sections that have one name and link type.  If a section
+-- has two of them, nothing tells which is which.
+local function merge_sections(self)
+  local sections, is_unclear, first = {}, {}, {}
+  local function key_of(interface)
+    return interface.linktype .. "/" .. (interface.name or "")
+  end
+  for _, interface in ipairs(self.interfaces) do
+    local key, section = key_of(interface), interface.section
+    is_unclear[key] = is_unclear[key] or not interface.name or sections[key] == section
+    sections[key] = section
+  end
+  for _, interface in ipairs(self.interfaces) do
+    local key = key_of(interface)
+    if first[key] and not is_unclear[key] then merge(self, interface, first[key]) end
+    first[key] = first[key] or interface
+  end
+end
+
 -- Set what is known once all packets have been read.
 local function conclude(self, is_pcapng)
+  merge_sections(self)
   self.has_packets = self.has_packets or self.count > 0
   local may_have_more = self.carriers > 0 or #self.interfaces == 0
   self.is_live = is_pcapng and not self.has_packets and may_have_more
-  self.has_several = #self.buses > 1 or self.is_live and self.has_indexes
-  for number = 1, #self.buses do name_bus(self, number) end
+  local count = 0
+  for number = 1, #self.buses do
+    local is_merged = self.merged[number] and self.merged[number] < number
+    if not is_merged then
+      name_bus(self, number)
+      count = count + 1
+    end
+  end
+  self.has_several = count > 1 or self.is_live and self.has_indexes
   complete_drops(self)
   if not self.has_several then self.entries = {} end
 end
@@ -393,6 +432,7 @@ local function new_capture()
     first = 0, -- number of interfaces in the sections before
     firsts = {}, -- by section
     buses = {}, -- list of { interface, index, name = of the interface }
+    merged = {}, -- [bus] = the one that it is, of an earlier section
     uses = {}, -- by name: how many buses have it
     names = {},
     is_taken = {}, -- by name
@@ -449,7 +489,8 @@ function Capture:bus(number, captured)
   if not entry then return nil end
   local difference = captured and (captured * 1e6 - entry) % TIMES or 0
   if difference > 2 and difference < TIMES - 2 then return nil end
-  return floor(entry / TIMES)
+  local bus = floor(entry / TIMES)
+  return self.merged[bus] or bus
 end
 
 --- Return the bus of a packet that was not read, by what Wireshark's fields say.

@@ -36,11 +36,13 @@ History.__index = History
 --- Make the history of one pass over one capture.
 -- options  { catalogue = compiled,
 --            late = periods of a message that a gap must exceed to be late,
---            has_times = function() -> whether the packets have time stamps }
+--            has_times = function() -> whether the packets have time stamps
+--            has_clock = function() -> whether these are of the capture, not of controllers }
 function M.new(options)
   local self = setmetatable({
     late = options.late,
     has_times = options.has_times,
+    has_clock = options.has_clock,
     by_source = {}, -- [source] = see new_source
     commands = {}, -- [name of a message that others answer][bus or false] = numbers, ascending
   }, History)
@@ -76,6 +78,7 @@ local function new_source(self, m)
     period = message.every or 0,
     longest = has_times and self.late * (message.every or huge) + HALF_NANOSECOND or huge,
     has_times = has_times,
+    has_clock = self.has_clock(),
     -- The previous good message:
     time = nil, -- seconds of the capture
     seq = nil, -- the newest
@@ -147,18 +150,24 @@ local function is_shared(source, m, advance, elapsed)
   return source.evidence > ENOUGH
 end
 
+-- Return the seconds of the capture's clock since source.clock.  If it has none, trust the
+-- controller's clock unless that jumps: then take the message to come after a period.
+local function elapsed_since(source, m, advance)
+  if source.has_clock then return m.time - source.clock_time end
+  return advance > 0 and advance <= MAX_JUMP and advance or source.period
+end
+
 -- Return the change that the clock of a message shows, nil for none.
 local function clock_change(source, m, clock)
   local advance = (clock - source.clock) / 1e9
-  -- Without time stamps, take a message to come a period after the one before.
-  local elapsed = source.has_times and m.time - source.clock_time or source.period
+  local elapsed = elapsed_since(source, m, advance)
   local may_be_shared = advance <= 0 or source.lead ~= 0
   if may_be_shared and is_shared(source, m, advance, max(elapsed, 0)) then return SHARED end
   if advance < 0 then return { reboot = -advance } end
   if advance == 0 then return STALE end
   local jump = advance - elapsed
   -- If the capture's own clock went back, it is no measure of the controller's.
-  if jump > MAX_JUMP and elapsed >= 0 and source.has_times then return { jump = jump } end
+  if jump > MAX_JUMP and elapsed >= 0 and source.has_clock then return { jump = jump } end
 end
 
 -- Keep the clock of a message; return what it says of the message.

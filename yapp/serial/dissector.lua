@@ -128,7 +128,7 @@ local function new_packet(self, tvb, pinfo, tree, segment)
     length = length,
     truncated = length > #bytes,
     time = pinfo.rel_ts,
-    epoch = segment and pinfo.abs_ts,
+    epoch = segment and segment.epoch,
     visited = visited,
     is_datagram = pinfo.port_type == UDP,
     stream = line.key,

@@ -33,6 +33,8 @@ local function new_stream(framer)
     -- Of TCP:
     next_seq = nil,   -- sequence number of the next byte
     acked = nil,      -- what the other side has acknowledged
+    sent_seq = nil,   -- all bytes before it were sent
+    sent_by = nil,    -- as the header of this segment shows
     is_ended = false, -- whether a new connection has begun
     held = {},        -- contents of the segments behind a gap, by sequence number
     gap = nil,        -- the gap before them, see Streams:drops
@@ -115,12 +117,16 @@ local function is_lost(stream, packet)
     packet.epoch - stream.gap.time > MAX_WAIT
 end
 
+-- Returns the gap that a packet shows, see Streams:drops.
+local function new_gap(packet, bus_name)
+  return { time = packet.epoch, frame = packet.number, bus = bus_name, count = 1 }
+end
+
 -- Goes on behind a gap if its segment is lost.
 -- packet   the current one
 -- returns  whether it is
 local function end_gap(self, stream, packet, is_over, events)
-  local gap = stream.gap or
-    { time = packet.epoch, frame = packet.number, bus = packet.bus_name, count = 1 }
+  local gap = stream.gap or new_gap(packet, packet.bus_name)
   stream.gap = gap
   if not is_over and not is_lost(stream, packet) then return false end
   stream.framer:add("", true, events)
@@ -151,6 +157,23 @@ local function add_held(self, stream, packet, is_over, events)
   end
 end
 
+-- Returns the gap at the end of a connection, nil for none.
+local function last_gap(stream)
+  local sent_seq = stream.sent_seq
+  if sent_seq and distance(sent_seq, stream.next_seq) > 0 then
+    return new_gap(stream.sent_by, stream.latest.bus_name)
+  end
+end
+
+-- Notes that a segment's header shows that all bytes before a sequence number were sent.
+local function note_sent(stream, seq, segment)
+  local next_seq = not stream.is_ended and stream.next_seq
+  if not next_seq or distance(seq, next_seq) > MAX_DISTANCE then return end
+  if distance(seq, stream.sent_seq or next_seq) > 0 then
+    stream.sent_seq, stream.sent_by = seq, segment
+  end
+end
+
 -- Takes a segment, and those that waited for it.
 local function take_segment(self, stream, contents, events)
   local packet = contents.packet
@@ -158,7 +181,8 @@ local function take_segment(self, stream, contents, events)
   if stream.is_ended or math.abs(distance(packet.seq, next_seq)) > MAX_DISTANCE then
     add_held(self, stream, packet, true, events)
     stream.framer:add("", true, events)
-    next_seq, stream.is_ended = packet.seq, false
+    self.gaps[#self.gaps + 1] = last_gap(stream)
+    next_seq, stream.is_ended, stream.sent_seq = packet.seq, false, nil
   end
   stream.next_seq = next_seq
   hold(stream, contents)
@@ -173,9 +197,15 @@ end
 --           known
 function Streams:note_header(key, opposite, segment)
   local stream, other, ack = self.by_key[key], self.by_key[opposite], segment.ack
-  if other and ack and distance(ack, other.acked or ack - 1) > 0 then other.acked = ack end
-  if stream and segment.is_syn then stream.is_ended, stream.acked = true, nil end
-  if stream then return stream.next_seq end
+  if other and ack then
+    if distance(ack, other.acked or ack - 1) > 0 then other.acked = ack end
+    note_sent(other, ack - 1, segment) -- the end of a connection is acknowledged as one more byte
+  end
+  if stream then
+    if segment.is_syn then stream.is_ended, stream.acked = true, nil end
+    note_sent(stream, segment.seq, segment)
+    return stream.next_seq
+  end
   local seq, length = segment.seq, segment.length
   local known = distance(self.seqs[key] or seq, seq)
   if not segment.is_ours and known >= 0 and known <= length then
@@ -300,7 +330,7 @@ end
 function Streams:drops()
   local list = {}
   for _, gap in ipairs(self.gaps) do list[#list + 1] = gap end
-  for _, stream in pairs(self.by_key) do list[#list + 1] = stream.gap end
+  for _, stream in pairs(self.by_key) do list[#list + 1] = stream.gap or last_gap(stream) end
   table.sort(list, function(a, b) return a.frame < b.frame end)
   return list
 end

@@ -34,6 +34,8 @@ local function read(tvb, pinfo)
     seq = (seq + (is_syn and 1 or 0)) % 0x100000000,
     ack = band(flags, ACK) ~= 0 and ack or nil,
     is_syn = is_syn,
+    number = pinfo.number,
+    epoch = pinfo.abs_ts,
     is_ours = false,
     line = nil,
   }
@@ -74,6 +76,7 @@ end
 --   seq      sequence number of the first one
 --   ack      sequence number that it acknowledges, or nil
 --   is_syn   whether it begins a connection
+--   number, epoch  of its packet: epoch = seconds since 1970
 --   is_ours  to be set if TCP hands it to YAPP
 --   line     for the caller's use }
 function M.current(number)

@@ -53,7 +53,7 @@ local function details_of(row)
 end
 
 local function row_of(self, event)
-  local row = { kind = event.kind, frame = event.frame, of = event }
+  local row = { kind = event.kind, frame = event.frame }
   for key, value in pairs(event.values) do
     row[key] = value
   end
@@ -66,22 +66,21 @@ local function row_of(self, event)
 end
 
 -- By time, then by frame; events without a time come last.
-local function order_of(row)
-  return row.of.time or math.huge, row.frame or math.huge
+local function order_of(event)
+  return event.time or math.huge, event.frame or math.huge
 end
 
 --- End, see stat.queue.  It always ends well.
 function Events:finish(ending)
-  local context, what, rows = self.context, self.what, {}
-  for _, event in ipairs(self.list) do
-    local needs_time = kinds.BY_NAME[event.kind].needs_time
-    if not (needs_time and ending.lacks_times) then
-      rows[#rows + 1] = row_of(self, event)
-    end
+  local what, list = self.what, ending.lacks_times and {} or self.list
+  for _, event in ipairs(ending.lacks_times and self.list or {}) do
+    if not kinds.BY_NAME[event.kind].needs_time then list[#list + 1] = event end
   end
-  if what == "events" then output.sort(rows, order_of) end
-  local title = ("YAPP %s: %d"):format(what, #rows)
-  output.print(context, title, KEYS[what], rows, ending.notes)
+  if what == "events" then output.sort(list, order_of) end
+  local title = ("YAPP %s: %d"):format(what, #list)
+  output.print(self.context, title, KEYS[what], list, ending.notes, function(event)
+    return row_of(self, event)
+  end)
 end
 
 return M

@@ -191,6 +191,7 @@ local function add(group, kind, event, cause, amount)
     count = { seen = 0, frame = event.frame, values = event.values }
     group.counts[kind] = count
   end
+  if event.frame < count.frame then count.frame, count.values = event.frame, event.values end
   if amount or count.cause ~= cause then
     count.seen = count.seen + (amount or 1)
   end

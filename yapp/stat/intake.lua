@@ -7,9 +7,10 @@
 --   undecoded      number of bytes behind those that the catalogue has, or nil
 --   is_unreliable  whether what came before the message is not known }
 -- The values of a loss are {
---   what  "incomplete", "orphan" or "overrun"
---   lost  a value that all losses of one message share, or nil
---   loss  { is_withdrawn = whether nothing is lost after all }, or nil where that is sure }
+--   shown  { what = "incomplete", "orphan" or "overrun" }: its values once it is handed on
+--   lost   a value that all losses of one message share, or nil
+--   loss   { is_withdrawn = whether nothing is lost after all, is_open = whether that may change }
+-- }
 
 local decode = require("yapp.message.decode")
 local frame_key = require("yapp.base.frame_key")
@@ -20,14 +21,13 @@ local M = {}
 local NOTHING, number_of = kinds.NOTHING, frame_key.number
 
 local LOSSES = {
-  ["fragment.incomplete"] = "incomplete",
-  ["fragment.orphan"] = "orphan",
-  ["fragment.overrun"] = "overrun",
+  ["fragment.incomplete"] = { what = "incomplete" },
+  ["fragment.orphan"] = { what = "orphan" },
+  ["fragment.overrun"] = { what = "overrun" },
 }
 -- The kind of a message by its status.  A truncated message could not be checked.  A message of
 -- another status makes no event: its anomalies do.
 local KIND_OF = { good = "message", bad = "crc", truncated = "incomplete" }
-local INCOMPLETE = { what = "incomplete" }
 local EFFECTS = { ["command.key.invalid"] = " (the controller ignores this command)" }
 
 local Intake = {}
@@ -143,7 +143,7 @@ function Intake:message(m)
   if kind == "message" then
     values = values_of(m)
   elseif kind == "incomplete" then
-    values = INCOMPLETE
+    values = LOSSES["fragment.incomplete"]
   end
   offer(self, kind, m, values)
 end
@@ -163,18 +163,18 @@ end
 
 --- Report the anomalies of a frame.  Those that lose a message, or a part of one, are events.
 -- anomalies  list of { expert, lost = frame key of the Start of the message that is lost or nil,
---            is_withdrawn = whether nothing is wrong after all }
+--            is_withdrawn = whether nothing is wrong after all, is_open = whether that may change }
 -- is_end     whether it is an End
 function Intake:anomalies(m, anomalies, is_end)
   local state = state_of(self, m.source)
   for _, anomaly in ipairs(anomalies) do
-    local what, lost = LOSSES[anomaly.expert], anomaly.lost
-    if what == "orphan" then
+    local shown, lost = LOSSES[anomaly.expert], anomaly.lost
+    if shown and shown.what == "orphan" then
       lost = orphaned(state, m.seq, is_end)
-    elseif what then
+    elseif shown then
       state.orphan = false
     end
-    if what then offer(self, "incomplete", m, { what = what, lost = lost, loss = anomaly }) end
+    if shown then offer(self, "incomplete", m, { shown = shown, lost = lost, loss = anomaly }) end
   end
 end
 

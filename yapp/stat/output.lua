@@ -149,56 +149,71 @@ local function width_of(text)
   return select(2, text:gsub("[^\128-\191]", ""))
 end
 
--- The column of a key: its cells, the title first, of one width, numbers to the right; nil where no
--- row has anything.
-local function column_of(key, rows, is_short)
+-- Return the column of a key.
+local function new_column(key, is_short)
   local title = is_short and SHORT_TITLES[key] or TITLES[key] or key
-  local cells, width, is_number, is_empty = { title }, width_of(title), true, true
-  for i, row in ipairs(rows) do
-    local text = M.text(row[key], is_short)
-    cells[i + 1] = text
-    width = math.max(width, width_of(text))
-    is_number = is_number and not text:find("[^%d.e+-]")
-    is_empty = is_empty and text == ""
+  return { key = key, title = title, width = width_of(title), is_number = true, is_empty = true }
+end
+
+-- Make room in a column for a text.
+local function fit(column, text)
+  column.width = math.max(column.width, width_of(text))
+  column.is_number = column.is_number and not text:find("[^%d.e+-]")
+  column.is_empty = column.is_empty and text == ""
+end
+
+-- Return a line of cells: of one width in each column, numbers to the right, without columns where
+-- no row has anything.
+-- text_of  function(column) -> text
+local function line_of(columns, text_of)
+  local cells = {}
+  for _, column in ipairs(columns) do
+    local text = text_of(column)
+    local blanks = (" "):rep(column.width - width_of(text))
+    local cell = column.is_number and blanks .. text or text .. blanks
+    if not column.is_empty then cells[#cells + 1] = cell end
   end
-  if is_empty then return nil end
-  for i, text in ipairs(cells) do
-    local blanks = (" "):rep(width - width_of(text))
-    cells[i] = is_number and blanks .. text or text .. blanks
-  end
-  return cells
+  return (table.concat(cells, "  "):gsub("%s*$", "\n", 1))
 end
 
 --- Sort a list.  Entries with equal values keep their order.
 -- order_of  function(one) -> two values to sort by
 function M.sort(list, order_of)
-  local orders = {}
+  local indexes, firsts, seconds, copy = {}, {}, {}, {}
   for i, one in ipairs(list) do
-    local first, second = order_of(one)
-    orders[one] = { first, second, i }
+    indexes[i], copy[i] = i, one
+    firsts[i], seconds[i] = order_of(one)
   end
-  table.sort(list, function(a, b)
-    local one, other, i = orders[a], orders[b], 1
-    while i < 3 and one[i] == other[i] do i = i + 1 end
-    return one[i] < other[i]
+  table.sort(indexes, function(a, b)
+    if firsts[a] ~= firsts[b] then return firsts[a] < firsts[b] end
+    if seconds[a] ~= seconds[b] then return seconds[a] < seconds[b] end
+    return a < b
   end)
+  for i, index in ipairs(indexes) do list[i] = copy[index] end
 end
 
---- Return a table with aligned columns, a line a row.
--- keys   { text = list of the columns, window = those that a window has room for }
--- rows   tables by key
--- is_window  whether it is for a window
-function M.table(keys, rows, is_window)
-  local columns, lines = {}, {}
-  for _, key in ipairs(is_window and keys.window or keys.text) do
-    columns[#columns + 1] = column_of(key, rows, is_window)
+local function itself(row)
+  return row
+end
+
+--- Print a table with aligned columns, a line a row.
+-- context, keys, rows, row_of  see M.print; keys.text = list of the columns, keys.window = those
+--                              that a window has room for
+function M.table(context, keys, rows, row_of)
+  local is_window, columns, row = context.frames ~= nil, {}, nil
+  for i, key in ipairs(is_window and keys.window or keys.text) do
+    columns[i] = new_column(key, is_window)
   end
-  for i = 1, #rows + 1 do
-    local cells = {}
-    for j, column in ipairs(columns) do cells[j] = column[i] end
-    lines[i] = table.concat(cells, "  "):gsub("%s*$", "\n", 1)
+  local function text_of(column) return M.text(row[column.key], is_window) end
+  for _, one in ipairs(rows) do
+    row = (row_of or itself)(one)
+    for _, column in ipairs(columns) do fit(column, text_of(column)) end
   end
-  return table.concat(lines)
+  context.out(line_of(columns, function(column) return column.title end))
+  for _, one in ipairs(rows) do
+    row = (row_of or itself)(one)
+    context.out(line_of(columns, text_of))
+  end
 end
 
 --- Print rows: for people under a title and what the answer leaves out, or as a JSON object a line.
@@ -207,9 +222,11 @@ end
 -- keys     see M.table; json = those of a JSON line
 -- rows     tables by key; row.keys = the keys of its JSON line, if not keys.json
 -- notes    a list of texts
-function M.print(context, title, keys, rows, notes)
+-- row_of   if rows are no such tables: function(one) -> its row.  It saves to keep many rows
+function M.print(context, title, keys, rows, notes, row_of)
   local frames, out = context.frames or {}, context.out
-  for _, row in ipairs(rows) do
+  for _, one in ipairs(rows) do
+    local row = (row_of or itself)(one)
     frames[#frames + 1] = row.frame or row.gap_max_frame
     if context.json then out(M.object(row.keys or keys.json, row).json .. "\n") end
   end
@@ -218,7 +235,9 @@ function M.print(context, title, keys, rows, notes)
   for _, note in ipairs(notes) do
     out(note .. "\n")
   end
-  if rows[1] then out("\n" .. M.table(keys, rows, context.frames ~= nil)) end
+  if not rows[1] then return end
+  out("\n")
+  M.table(context, keys, rows, row_of)
 end
 
 -- Files ---------------------------------------------------------------------------------------

@@ -20,9 +20,10 @@ local output = require("yapp.stat.output")
 
 local M = {}
 
+local MAX_LOSSES = 1000 -- so many events of losses wait at least, see hand_on_losses
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
 
-local floor, span = math.floor, kinds.span
+local floor, max, span = math.floor, math.max, kinds.span
 
 local Queue = {}
 Queue.__index = Queue
@@ -44,7 +45,8 @@ function Queue:reset()
   self.packets = 0
   self.stepped_back = 0 -- sum of the seconds that the capture's clock went back
   self:begins(0, 0, 0) -- until a time is known, if ever
-  self.losses = {} -- events that may be taken back before the end
+  self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see hand_on_losses
+  self.seen = {} -- [value that all losses of one message share] = true once one was handed on
   self.undissected = {} -- events of such messages: they count if others are dissected
   self.has_messages = false
   self.is_direct = false
@@ -82,9 +84,30 @@ local function hand_on(self, event)
   end
 end
 
+-- Hand on the losses that were not withdrawn: each lost message once.  Those that may still be
+-- withdrawn wait.  They are few, so all losses wait until they are twice as many: it costs little
+-- to look at them then.
+-- is_end  whether none of them will be withdrawn any more
+local function hand_on_losses(self, is_end)
+  local losses, seen = self.losses, self.seen
+  self.losses = {}
+  for _, event in ipairs(losses) do
+    local lost, loss = event.values.lost, event.values.loss
+    if loss.is_open and not is_end then
+      self.losses[#self.losses + 1] = event
+    elseif not (loss.is_withdrawn or seen[lost or false]) then
+      if lost then seen[lost] = true end
+      event.values = event.values.shown
+      hand_on(self, event)
+    end
+  end
+  self.max_losses = max(MAX_LOSSES, 2 * #self.losses)
+end
+
 local function take(self, event)
   if event.values.loss then
     self.losses[#self.losses + 1] = event
+    if #self.losses > self.max_losses then hand_on_losses(self) end
   elseif event.kind == "undissected" then
     self.undissected[#self.undissected + 1] = event
   else
@@ -145,8 +168,7 @@ function Queue:go_direct()
   return true
 end
 
-local function step_back(self, number, rel, step)
-  self.stepped_back = self.stepped_back - step
+local function note_step(self, number, rel, step)
   local values = { length = output.seconds(step), back = output.seconds(-step) }
   local event = kinds.event("clock", number, rel, {}, values)
   for _, entry in ipairs(self.entries) do
@@ -157,13 +179,17 @@ end
 --- Say that a packet of any kind has been dissected.
 -- number, rel  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a
 --              packet that the first pass rejected is another's in the second, with another time
-function Queue:packet(number, rel)
+-- lacks_clock  whether rel is the time of a controller: to go back is no event then
+function Queue:packet(number, rel, lacks_clock)
   flush(self)
   local last = self.last
   self.last, self.packets = rel, self.packets + 1
   if last and rel < last then
     local step = span(last, rel)
-    if step < -MAX_STEP then step_back(self, number, rel, step) end
+    if step < -MAX_STEP then
+      self.stepped_back = self.stepped_back - step
+      if not lacks_clock then note_step(self, number, rel, step) end
+    end
   end
   if number == self.number and self.offered[#self.offered].time == rel then
     self.waiting, self.number = self.offered, nil
@@ -171,19 +197,6 @@ function Queue:packet(number, rel)
 end
 
 -- The end -----------------------------------------------------------------------------------------
-
--- Hand on the losses that were not withdrawn: each lost message once, at the first frame that shows
--- the loss.
-local function hand_on_losses(self)
-  local seen = {}
-  for _, event in ipairs(self.losses) do
-    local lost = event.values.lost
-    if not (event.values.loss.is_withdrawn or seen[lost or false]) then
-      if lost then seen[lost] = true end
-      hand_on(self, event)
-    end
-  end
-end
 
 -- Return why a capture has no message; nil if it has one.
 local function nothing_found(self, extended)
@@ -240,7 +253,7 @@ end
 -- returns  the exit code, and a list of texts to say
 function Queue:finish(capture)
   flush(self)
-  hand_on_losses(self)
+  hand_on_losses(self, true)
   for _, event in ipairs(capture.unfinished) do
     hand_on(self, event)
   end

@@ -71,7 +71,8 @@ function Summary:finish(ending)
   local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.rel or 0)
   output.print(context, title, KEYS, rows, ending.notes)
   if shown[1] and not context.json then
-    context.out("\n" .. output.table(VALUES, shown, context.frames ~= nil))
+    context.out("\n")
+    output.table(context, VALUES, shown)
   end
 end
 

@@ -104,7 +104,7 @@ local function tap_packets(self)
       is_waiting = false
       if self.queue:go_direct() then self.intake:remove_later(tap) end
     end
-    self.queue:packet(pinfo.number, pinfo.rel_ts)
+    self.queue:packet(pinfo.number, pinfo.rel_ts, self.buses:lacks_clock())
   end
 
   function tap.reset()
