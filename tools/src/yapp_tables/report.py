@@ -230,7 +230,7 @@ def _others(flight: Flight, events: list[Record]) -> list[Record]:
         kind, length = event["kind"], event["length"] or 0.0
         if kind in ELSEWHERE:
             continue
-        what = SINGLE.get(kind) or COUNTED.get(kind, kind)
+        what = SINGLE.get(kind) or COUNTED.get(kind) or str(kind)
         if kind == "invalid":
             what = f"{what}: {_value(flight, event)}"
         key = (kind, event["who"], event["title"], what) if kind not in SINGLE else (str(number),)
