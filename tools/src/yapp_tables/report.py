@@ -23,8 +23,8 @@ from .pictures import MARKS, Pictures, Record, packed
 from .tables import Column
 from .undecoded import source_name
 
-# What an event other than a fault means; those of the first kind are told one by one, the others counted for a source, under
-# their own name where none stands here.
+# What an event other than a fault means; those of the first kind are told one by one, the others counted for a source,
+# under their own name where none stands here.
 SINGLE = {
     "reboot": "reboot",
     "silence": "silence",
