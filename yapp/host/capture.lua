@@ -409,8 +409,7 @@ local function conclude(self, is_pcapng)
   self.is_live = is_pcapng and not self.has_packets and may_have_more
   local count = 0
   for number = 1, #self.buses do
-    local is_merged = self.merged[number] and self.merged[number] < number
-    if not is_merged then
+    if (self.merged[number] or number) == number then
       name_bus(self, number)
       count = count + 1
     end

@@ -222,7 +222,7 @@ end
 -- keys     see M.table; json = those of a JSON line
 -- rows     tables by key; row.keys = the keys of its JSON line, if not keys.json
 -- notes    a list of texts
--- row_of   if rows are no such tables: function(one) -> its row.  It saves to keep many rows
+-- row_of   function(one) -> a row, if rows are made only when they are printed: many take memory
 function M.print(context, title, keys, rows, notes, row_of)
   local frames, out = context.frames or {}, context.out
   for _, one in ipairs(rows) do
