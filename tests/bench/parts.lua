@@ -35,7 +35,7 @@ end
 
 -- A finished message, as can.dissector gives it to the reader.
 local function finished(frame, payload)
-  return { source = frame.source, seq = frame.can_id.seq, number = frame.key, time = frame.key / 5000,
+  return { source = frame.source, seq = frame.can_id.seq, key = frame.key, time = frame.key / 5000,
     payload = payload, size = #payload, status = "good", is_unreliable = false }
 end
 

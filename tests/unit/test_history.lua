@@ -40,14 +40,14 @@ local function motor(number, time, with)
   with = with or {}
   local clock = with.clock or time
   return { source = source_of(with.source or 0x210, MOTOR, with.bus), seq = with.seq or 0,
-    number = number, time = time, status = with.ends or "good",
+    key = number, time = time, status = with.ends or "good",
     payload = around(int64(math.floor(clock * 1e9 + 0.5))),
     raws = { [STATUS.index] = with.status or 0, [FAULT.index] = with.fault or 0,
       [STATE.index] = with.state or 0 } }
 end
 
 local function command(number, time, bus, seq)
-  return { source = source_of("command" .. tostring(bus), COMMAND, bus), seq = seq or 0, number = number,
+  return { source = source_of("command" .. tostring(bus), COMMAND, bus), seq = seq or 0, key = number,
     time = time, status = "good", raws = {}, payload = "" }
 end
 
@@ -77,8 +77,8 @@ function T.test_the_first_message_has_nothing_but_its_clock()
   local h = new()
   lu.assertNil(h:note(motor(1, 0)))
   lu.assertEquals(h:state(motor(1, 0)), { drift = 0 })
-  lu.assertNil(h:note { source = {}, seq = 0, number = 2, time = 1, status = "good", payload = "" })
-  lu.assertNil(h:note { source = {}, seq = 0, number = 3, time = 1, status = "bad", payload = "" })
+  lu.assertNil(h:note { source = {}, seq = 0, key = 2, time = 1, status = "good", payload = "" })
+  lu.assertNil(h:note { source = {}, seq = 0, key = 3, time = 1, status = "bad", payload = "" })
 end
 
 -- What changed in a field; of the fault flags each bit is an alarm.
@@ -295,7 +295,7 @@ function T.test_the_catalogue_says_which_messages_others_answer()
   local answering = { messages = { { name = "a", answers = "b" }, { name = "b" }, { name = "command" } } }
   local h = new { catalogue = answering }
   local function note(number, message)
-    local m = { source = source_of("", message), seq = 0, number = number,
+    local m = { source = source_of("", message), seq = 0, key = number,
       time = number, status = "good", raws = {}, payload = "" }
     h:note(m)
     return h:state(m).command_in
@@ -328,7 +328,7 @@ function T.test_a_part_of_bits_beside_alarms()
     alarm = "ALARM", flags = { { "hot", 0x80, "Hot" } }, bits = { { "gear", 0x7, "Gear" } } } } }
   local message, h, found = own.by_id[1], new(), {}
   for i, raw in ipairs { 0x01, 0x02, 0x82, 0x83, 0x03 } do
-    found[i] = h:note { source = source_of("", message), seq = 0, number = i, time = i, status = "good", raws = { raw },
+    found[i] = h:note { source = source_of("", message), seq = 0, key = i, time = i, status = "good", raws = { raw },
       payload = "" }
   end
   for _, i in ipairs { 1, 2, 4 } do lu.assertNil(found[i] and found[i].flags) end
@@ -393,7 +393,7 @@ function T.test_nothing_is_kept_of_messages_that_change_nothing()
   local m = motor(1, 0)
   local function note(first, last)
     for i = first, last do
-      m.number, m.time, m.seq, m.payload = i, i * 0.1, i % 256, around(int64(i * 1e8))
+      m.key, m.time, m.seq, m.payload = i, i * 0.1, i % 256, around(int64(i * 1e8))
       h:note(m)
     end
   end

@@ -30,7 +30,7 @@ end
 local function message(with)
   local m = { seq = 0, source = SOURCE, time = 0.5, visited = false, status = "good", payload = "\0\0\0" }
   for key, value in pairs(with or {}) do m[key] = value end
-  m.number = (m.frame or 1) * frame_key.PACKET + 16
+  m.key = (m.frame or 1) * frame_key.PACKET + 16
   if m.payload then m.raws, m.is_remarkable = decode.read(MESSAGE, m.payload) end
   return m
 end
@@ -122,7 +122,7 @@ end
 function T.test_bytes_of_no_frame()
   local intake, offered = new_intake()
   local line = { bus_key = "serial", bus = "ttyA" }
-  intake:skipped({ number = 3 * frame_key.PACKET, time = 2, visited = false, source = line }, 9)
+  intake:skipped({ key = 3 * frame_key.PACKET, time = 2, visited = false, source = line }, 9)
   local event = offered[1][1]
   lu.assertEquals({ event.kind, event.values.length, event.frame, event.time }, { "skipped", 9, 3, 2 })
   lu.assertIs(event.source, line)
@@ -133,7 +133,7 @@ function T.test_bytes_of_several_packets()
   local intake, offered = new_intake()
   local stream, other = {}, {}
   local function skipped(line, frame)
-    intake:skipped({ number = frame * frame_key.PACKET, time = frame, visited = true, source = line }, 9)
+    intake:skipped({ key = frame * frame_key.PACKET, time = frame, visited = true, source = line }, 9)
   end
   for run = 1, 2 do
     skipped(stream, 3)
@@ -155,7 +155,7 @@ function T.test_messages_that_the_capture_ends_before()
   intake:part(part { frame = 4, seq = 3 })
   intake:part(part { frame = 7 }) -- its next part
   local function open(seq, frame, source)
-    return { source = source or SOURCE, seq = seq, number = frame * frame_key.PACKET }
+    return { source = source or SOURCE, seq = seq, key = frame * frame_key.PACKET }
   end
   local records = intake:unfinished { open(0, 7), open(3, 4), open(9, 4), open(0, 7, {}), open(0, 5) }
   lu.assertEquals({ #records, records[1].frame, records[2].frame, records[2].kind }, { 2, 4, 7, "unfinished" })

@@ -102,18 +102,18 @@ end
 function T.test_the_hint_of_an_unknown_id()
   local r = new()
   local advice = ': see the preference "Motor Data message IDs"'
-  local m = { source = r:new_source(0x123, false), size = 32, status = "good", number = 7 }
+  local m = { source = r:new_source(0x123, false), size = 32, status = "good", key = 7 }
   local text = "Message ID 0x123 is not in the catalogue; 32 bytes, the size of Motor Data" .. advice
   lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice, "motor" })
   lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice, "motor" }) -- a later look
-  m.number = 8
+  m.key = 8
   lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data", "motor" })
   r:reset()
   lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice, "motor" })
   local unknown = { "Message ID 0x124 is not in the catalogue" }
   local source = r:new_source(0x124, false)
-  lu.assertEquals({ r:hint { source = source, size = 5, status = "good", number = 1 } }, unknown)
-  lu.assertEquals({ r:hint { source = source, size = 32, status = "bad", number = 1 } }, unknown)
+  lu.assertEquals({ r:hint { source = source, size = 5, status = "good", key = 1 } }, unknown)
+  lu.assertEquals({ r:hint { source = source, size = 32, status = "bad", key = 1 } }, unknown)
 end
 
 -- A message that is read, of a payload of zeros with some bytes changed.
@@ -191,7 +191,7 @@ end
 local function read_with(answer, with, without_state)
   local r = new()
   local m = { source = r:new_source(0x200, false), size = 17, payload = ("\0"):rep(17), status = "good",
-    is_unreliable = false, number = frame_key.PACKET * 7, visited = false, delta = "known" }
+    is_unreliable = false, key = frame_key.PACKET * 7, visited = false, delta = "known" }
   for key, value in pairs(with or {}) do m[key] = value end
   local asked, h = {}, {}
   for _, method in ipairs { "note", "change", "state" } do

@@ -40,7 +40,7 @@ local function message(number, time, clock, with)
   return {
     source = source_of(with.source or kind.id, kind),
     seq = with.seq or 0,
-    number = number,
+    key = number,
     time = time,
     status = "good",
     payload = ("a"):rep(kind.time.offset) .. nanoseconds .. (with.rest or number),
@@ -152,7 +152,7 @@ function T.test_the_history_is_silent_from_there_on()
     note(message(next_number(), time + 0.06, 50 + time, { source = "other", fault = other_fault }))
     note {
       source = source_of("commands", COMMAND),
-      number = next_number(),
+      key = next_number(),
       seq = i > 30 and i + 1 or i, -- 31 is missing
       time = time + 0.07,
       status = "good",

@@ -87,7 +87,7 @@ local function new_message(self, frame, status, payload, size)
   return {
     source = frame.source,
     seq = frame.can_id.seq,
-    number = frame.key,
+    key = frame.key,
     time = frame.pinfo.rel_ts,
     visited = frame.visited,
     is_unreliable = is_unreliable,
@@ -413,7 +413,7 @@ function Dissector:report_unknown(tvb, pinfo, find_id)
 end
 
 --- Return the messages that the capture ends before.
--- returns  list of { source, seq, number = key of their last frame }
+-- returns  list of { source, seq, key = frame key of their last frame }
 function Dissector:unfinished()
   local list = {}
   for _, message in ipairs(self.reassembly:unfinished()) do
@@ -422,7 +422,7 @@ function Dissector:unfinished()
       list[#list + 1] = {
         source = message.source,
         seq = message.slot % 0x100,
-        number = message[#message],
+        key = message[#message],
       }
     end
   end

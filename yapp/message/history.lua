@@ -1,9 +1,9 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The history of each source: what changes from one good message to the next.  Pure Lua.
 --
--- A source is a bus or stream, and an ID.  Changes are found once, in the order of the capture, and
--- kept by the number of the message, so that a revisit gets the same.  Memory grows with changes,
--- Commands and reboots, not with messages.
+-- A source is a bus or stream, and an ID.  Changes are found once, in the order of the capture.
+-- They are kept by the frame key of the message, so that a revisit gets the same.  Memory grows
+-- with changes, Commands and reboots, not with messages.
 
 local band = require("yapp.base.bits").band
 local last_until = require("yapp.base.frame_key").last_until
@@ -44,7 +44,7 @@ function M.new(options)
     has_times = options.has_times,
     has_clock = options.has_clock,
     by_source = {}, -- [source] = see new_source
-    commands = {}, -- [name of a message that others answer][bus or false] = numbers, ascending
+    commands = {}, -- [name of a message that others answer][bus or false] = frame keys, ascending
   }, History)
   for _, message in ipairs(options.catalogue.messages) do
     if message.answers then self.commands[message.answers] = {} end
@@ -52,7 +52,8 @@ function M.new(options)
   return self
 end
 
--- Return the list of numbers of a bus's messages of this name, nil if no other message answers it.
+-- Return the list of frame keys of a bus's messages of this name; nil if no other message answers
+-- it.
 local function commands_of(self, name, bus)
   local by_bus = self.commands[name]
   if not by_bus then return nil end
@@ -93,12 +94,12 @@ local function new_source(self, m)
     lead = 0, -- seconds that the controller's clock gained on the capture's since its first fall
     falls = {}, -- the latest first, without those it returned from: { lead before it, size }
     evidence = 0,
-    shared_at = huge, -- number of the message that proves that controllers share the source
-    -- By the number of a message:
-    changes = {}, -- [number] = change
-    base_numbers = {}, -- ascending: the first clock, and reboots
+    shared_at = huge, -- frame key of the message that proves that controllers share the source
+    -- By the frame key of a message:
+    changes = {}, -- [frame key] = change
+    base_keys = {}, -- ascending: the first clock, and reboots
     bases = {}, -- of each: seconds of the controller's clock less the capture's
-    fault_numbers = {}, -- ascending: where faults change
+    fault_keys = {}, -- ascending: where faults change
     active_since = {}, -- of each: when the oldest fault that is still set was raised, or false
     commands = commands_of(self, message.answers, bus), -- ascending: what they answer
     own = commands_of(self, message.name, bus), -- ascending: if others answer them
@@ -176,7 +177,7 @@ local function note_clock(source, m)
   if not clock then return NOTHING end
   local change = source.clock and clock_change(source, m, clock) or NOTHING
   if source.has_times and (change.reboot or not source.clock) then
-    insert(source.base_numbers, m.number)
+    insert(source.base_keys, m.key)
     insert(source.bases, clock / 1e9 - m.time)
   end
   source.clock, source.clock_time, source.payload = clock, m.time, m.payload
@@ -213,12 +214,12 @@ local function note_faults(source, m, index, change)
     end
     bit = bit * 2
   end
-  local numbers, oldest = source.fault_numbers, false
+  local keys, oldest = source.fault_keys, false
   for _, time in pairs(source.raised_at) do
     if not oldest or time < oldest then oldest = time end
   end
-  if numbers[#numbers] ~= m.number then insert(numbers, m.number) end
-  source.active_since[#numbers] = oldest
+  if keys[#keys] ~= m.key then insert(keys, m.key) end
+  source.active_since[#keys] = oldest
 end
 
 -- Return what changed in the flags of a message, nil for nothing.
@@ -257,7 +258,7 @@ end
 local function update(source, m, delta)
   local change = note_clock(source, m)
   if change == SHARED then
-    source.shared_at, source.changes[m.number] = m.number, SHARED
+    source.shared_at, source.changes[m.key] = m.key, SHARED
     return SHARED
   end
   local flags, missing = flag_changes(source, m), missing_before(source, m.seq, change.reboot)
@@ -274,13 +275,13 @@ local function update(source, m, delta)
   elseif change == NOTHING then
     change = nil
   end
-  if change or source.changes[m.number] then source.changes[m.number] = change end
+  if change or source.changes[m.key] then source.changes[m.key] = change end
   return change
 end
 
 --- Take the next message, in the order of the capture.
 -- m        { source = of message.reader; raws = by index of field, nil if the payload does not fit;
---          payload, seq, status; number = frame key: never falls; an equal one replaces a message;
+--          payload, seq, status; key = frame key: never falls; an equal one replaces a message;
 --          time = seconds of the capture }
 -- returns  what changes with it, nil if it is not good or nothing does: {
 --   missing  how many messages are missing before it by Seq
@@ -302,17 +303,17 @@ function History:note(m)
   local delta = source.time and m.time - source.time
   if m.status ~= "good" then return nil, delta end
   source.time = m.time
-  if source.own then insert(source.own, m.number) end
-  if m.number > source.shared_at then return UNRELIABLE, delta end
+  if source.own then insert(source.own, m.key) end
+  if m.key > source.shared_at then return UNRELIABLE, delta end
   return update(source, m, delta), delta
 end
 
 --- Return the change that History:note returned, at any later time and in any order.
 -- m  as it was given to note
 function History:change(m)
-  local source, number = self.by_source[m.source], m.number
+  local source, key = self.by_source[m.source], m.key
   if not source or m.status ~= "good" then return nil end
-  return number > source.shared_at and UNRELIABLE or source.changes[number]
+  return key > source.shared_at and UNRELIABLE or source.changes[key]
 end
 
 --- Return the state at a message, whether the message changes it or not.
@@ -320,20 +321,20 @@ end
 -- returns  nil if m is not good or its source is unreliable, else {
 --   drift         seconds: controller's clock less the capture's, since the source's first message
 --                 or reboot
---   command_in    number of the latest good message before it on the bus that it answers: a Command
+--   command_in    frame key of the latest good message on the bus that it answers: a Command
 --   active_since  time at which the oldest fault that is still set was raised
---   previous_change, next_change  numbers of the messages before and behind it that changed a
+--   previous_change, next_change  frame keys of the messages before and behind it that changed a
 --                 fault, if one is set or changes }
 function History:state(m)
-  local source, number = self.by_source[m.source], m.number
-  if not source or m.status ~= "good" or number >= source.shared_at then return nil end
-  local base = source.bases[last_until(source.base_numbers, number)]
-  local clock, commands, faults = base and clock_of(m), source.commands, source.fault_numbers
-  local last = last_until(faults, number)
-  local since, is_change = source.active_since[last] or nil, faults[last] == number
+  local source, key = self.by_source[m.source], m.key
+  if not source or m.status ~= "good" or key >= source.shared_at then return nil end
+  local base = source.bases[last_until(source.base_keys, key)]
+  local clock, commands, faults = base and clock_of(m), source.commands, source.fault_keys
+  local last = last_until(faults, key)
+  local since, is_change = source.active_since[last] or nil, faults[last] == key
   local state = {
     drift = clock and clock / 1e9 - m.time - base,
-    command_in = commands and commands[last_until(commands, number - 1)],
+    command_in = commands and commands[last_until(commands, key - 1)],
     active_since = since,
   }
   if since or is_change then

@@ -141,8 +141,8 @@ function Reader:hint(m)
   local size = "the size of " .. same.title
   local advice = (': see the preference "%s message IDs"'):format(same.title)
   text = ("%s; %d bytes, %s%s"):format(text, m.size, size, advice)
-  self.hinted[id] = self.hinted[id] or m.number
-  if self.hinted[id] ~= m.number then advice = "" end
+  self.hinted[id] = self.hinted[id] or m.key
+  if self.hinted[id] ~= m.key then advice = "" end
   return text, ", " .. size .. advice, same.name
 end
 
@@ -169,7 +169,7 @@ end
 -- m  {
 --   source         of Reader:new_source
 --   seq, size      as its header says; payload = what there is of it
---   number         frame key; time = seconds since the first packet; visited
+--   key            frame key; time = seconds since the first packet; visited
 --   status         "good" if it is proved complete; "bad" (CRC); "truncated" by the capture;
 --                  "incomplete"; "overrun"
 --   is_unreliable  whether its history is not known, as nothing tells the bus

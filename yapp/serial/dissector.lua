@@ -185,7 +185,7 @@ local function new_loss(packet, id, seq)
   return {
     source = packet.line.sources[id],
     seq = seq,
-    number = packet.key,
+    key = packet.key,
     time = packet.time,
     visited = packet.visited,
   }
@@ -212,15 +212,15 @@ end
 -- the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even in
 -- a tunnel that puts several packets into one.
 local function new_message(self, packet, event, index)
-  local status, length, number = event.status, event.to - event.from, packet.key + index - 1
+  local status, length, key = event.status, event.to - event.from, packet.key + index - 1
   local bytes, at, delta = event.bytes, 0, nil
   if event.at then bytes, at = packet.bytes, event.at end
-  if packet.visited then delta = self.deltas[number] end
+  if packet.visited then delta = self.deltas[key] end
   local id, size, reserved, seq = frame.parse(bytes, at + 1)
   local m = {
     source = packet.line.sources[id],
     seq = seq,
-    number = number,
+    key = key,
     time = packet.time,
     visited = packet.visited,
     delta = delta or false,
@@ -266,7 +266,7 @@ local function add_frame(self, m, tvb)
     local numbers = {}
     for i, key in ipairs(m.parts) do numbers[i] = number_of(key) end
     local payload = #m.payload > 0 and tvb(m.payload_at, #m.payload) or nil
-    builder:generated(item, "reassembled.in", number_of(m.number))
+    builder:generated(item, "reassembled.in", number_of(m.key))
     builder:add_fragments(item, tvb(), numbers, #numbers, m.length, payload)
   end
   if m.missing then
@@ -299,7 +299,7 @@ local function show_message(self, m, tvb)
   local is_whole = self.reader:read(m, self.history, m.wants.state)
   if m.status ~= "good" then m.delta = false end
   if is_known and not m.visited and not m.wants.is_only_pass then
-    self.deltas[m.number] = m.delta
+    self.deltas[m.key] = m.delta
   end
   if m.wants.tree then m.item, m.payload_tvb = add_frame(self, m, tvb), tvb end
   show_anomalies(self, m)
@@ -350,7 +350,7 @@ local function show_skipped(self, packet, tvb, event)
   if self.reader.stat.wanted then
     self.reader.stat:skipped({
       source = packet.line,
-      number = packet.key,
+      key = packet.key,
       time = packet.time,
       visited = packet.visited,
     }, length)
@@ -476,7 +476,7 @@ function Dissector:skipped(tvb, pinfo, tree)
 end
 
 --- Return the messages that the capture ends before, and report their last bytes to the statistics.
--- returns  list of { source, seq, number = frame key of the packet with its last bytes, ... }
+-- returns  list of { source, seq, key = frame key of the packet with its last bytes, ... }
 function Dissector:unfinished()
   local list = {}
   for i, open in ipairs(self.streams:unfinished()) do

@@ -82,10 +82,10 @@ local function state_of(self, source)
 end
 
 -- Return the event of a message or frame.
--- m  as all reports have it: a message of message.reader, or of that { source, seq, number, time,
+-- m  as all reports have it: a message of message.reader, or of that { source, seq, key, time,
 --    visited }
 local function new_event(kind, m, values)
-  return kinds.event(kind, number_of(m.number), m.time, m.source, values, m)
+  return kinds.event(kind, number_of(m.key), m.time, m.source, values, m)
 end
 
 local function offer(self, kind, m, values)
@@ -182,14 +182,14 @@ end
 -- stretch, and one event, whose length grows.
 -- m  its source is the line
 function Intake:skipped(m, length)
-  local stretch, number = self.stretches[m.source], m.number
-  if stretch and number > stretch.last_number then -- else the capture is read anew
-    stretch.last_number = number
+  local stretch, key = self.stretches[m.source], m.key
+  if stretch and key > stretch.last_key then -- else the capture is read anew
+    stretch.last_key = key
     stretch.values.length = stretch.values.length + length
     return
   end
   local values = { length = length }
-  self.stretches[m.source] = { last_number = number, values = values }
+  self.stretches[m.source] = { last_key = key, values = values }
   self.queue:offer(new_event("skipped", m, values), m.visited)
 end
 
@@ -217,13 +217,13 @@ function Intake:unknown(m)
 end
 
 --- Return the events of the messages that the capture ends before, in the order of their frames.
--- messages  list of { source, seq, number = frame key of their last frame }
+-- messages  list of { source, seq, key = frame key of their last frame }
 function Intake:unfinished(messages)
   local events = {}
   for _, message in ipairs(messages) do
     local state = self.states[message.source]
     local part = state and state.parts[message.seq]
-    if part and number_of(part.number) == number_of(message.number) then
+    if part and number_of(part.key) == number_of(message.key) then
       events[#events + 1] = new_event("unfinished", part)
     end
   end
