@@ -82,7 +82,7 @@ local OF_SOURCE = words("bus id source count min mean max")
 local COMPARED = {
   json = words("message field unit spread time frame sources"),
   text = words("field unit who min mean max spread rel frame"), -- a line for each field and source
-  window = words("field unit who min mean max spread"),
+  window = words("field unit who min max spread"), -- the mean is in the window of Summary
 }
 
 local Compare = groups.class { compares = true, wants_messages_only = true }
