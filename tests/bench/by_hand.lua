@@ -5,6 +5,10 @@
 --   tshark -X lua_script:by_hand.lua -X lua_script1:run -r yapp.pcap ...
 if ... ~= "run" then return end -- run by Wireshark, in a plugin folder
 
+-- As in yapp.lua, so that the same collector runs.
+collectgarbage("setpause", 150)
+collectgarbage("setstepmul", 1000)
+
 local top = debug.getinfo(1, "S").source:match("^@(.*)tests/bench/") or ""
 package.path = top .. "?.lua;" .. package.path
 local crc, can_id = require("yapp.wire.crc"), require("yapp.wire.can_id")
