@@ -146,6 +146,15 @@ class Wireshark:
     def type(self, text):
         self.xdotool("type", "--delay", 20, text)
 
+    def answer(self, title, text, before="ctrl+a"):
+        """Types into a dialog with one line, and presses its button.  before: a key that says what happens to its text."""
+        dialog = self.wait_for_window(title)
+        self.xdotool("mousemove", "--window", dialog, 250, 25, "click", "1")  # the focus is on OK
+        self.keys(before)
+        self.type(text)
+        self.keys("Return")
+        wait_for(lambda: dialog not in self.windows())
+
     def filter(self, text):
         self.keys("ctrl+slash", "ctrl+a")
         self.type(text)

@@ -213,16 +213,6 @@ def choose(wireshark, entry, title=None):
                     until=lambda: any(f"YAPP {title or entry}" in name for name in wireshark.windows().values()))
 
 
-def answer(wireshark, title, text):
-    """Types into a dialog with one line, and presses its button."""
-    dialog = wireshark.wait_for_window(title)
-    wireshark.xdotool("mousemove", "--window", dialog, 250, 25, "click", "1")  # the focus is on OK
-    wireshark.keys("ctrl+a")
-    wireshark.type(text)
-    wireshark.keys("Return")
-    gui.wait_for(lambda: dialog not in wireshark.windows())
-
-
 def test_statistics_in_the_menu(captures):
     with gui.Wireshark("-r", captures / "first.pcapng") as wireshark:
         wireshark.wait_for_window("first.pcapng")
@@ -235,7 +225,7 @@ def test_statistics_in_the_menu(captures):
         assert gui.wait_for(wireshark.clipboard, 20).splitlines() == text.splitlines()
 
         wireshark.click("Save")
-        answer(wireshark, "YAPP Save", str(captures / "faults.txt"))
+        wireshark.answer("YAPP Save", str(captures / "faults.txt"))
         gui.wait_for((captures / "faults.txt").exists, 20)
         assert (captures / "faults.txt").read_text().splitlines() == text.splitlines()
 
@@ -257,7 +247,7 @@ def test_check_tables_and_help_in_the_menu(captures):
     with gui.Wireshark("-r", captures / "first.pcapng") as wireshark:
         wireshark.wait_for_window("first.pcapng")
         choose(wireshark, "Check")
-        answer(wireshark, "YAPP Check", "fault=0,motor.count=60")
+        wireshark.answer("YAPP Check", "fault=0,motor.count=60")
         text_of(wireshark, "YAPP Check", "FAILED  fault=0")
         for entry in "Compare", "Events", "Summary":  # a row is one line of a window as it opens, but for texts of events
             wireshark.wait_for_window("first.pcapng")
@@ -266,7 +256,7 @@ def test_check_tables_and_help_in_the_menu(captures):
             assert longest <= (95 if entry == "Events" else 73)
         wireshark.wait_for_window("first.pcapng")
         choose(wireshark, "Export tables")
-        answer(wireshark, "YAPP Export tables", str(captures / "tables"))
+        wireshark.answer("YAPP Export tables", str(captures / "tables"))
         text_of(wireshark, "YAPP Export tables", "motor.csv")
         assert (captures / "tables/motor.csv").read_text().count("\n") == 236
         wireshark.wait_for_window("first.pcapng")

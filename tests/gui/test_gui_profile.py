@@ -103,18 +103,8 @@ def choose(wireshark, frame, number, until):
 def name(wireshark, frame, text):
     """Gives the controller of a frame a name by the menu, which opens a dialog."""
     choose(wireshark, frame, ITEMS.index("Name"), lambda: any("YAPP Name" in title for title in wireshark.windows().values()))
-    answer(wireshark, "YAPP Name", text)
+    wireshark.answer("YAPP Name", text, before="End")
     wireshark.wait_for_window("flight.pcapng")
-
-
-def answer(wireshark, title, text):
-    """Types into a dialog with one line, and presses its button."""
-    dialog = wireshark.wait_for_window(title)
-    wireshark.xdotool("mousemove", "--window", dialog, 250, 25, "click", "1")  # the focus is on OK
-    wireshark.keys("End")
-    wireshark.type(text)
-    wireshark.keys("Return")
-    gui.wait_for(lambda: dialog not in wireshark.windows())
 
 
 @from_4_4

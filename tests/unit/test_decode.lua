@@ -47,7 +47,11 @@ function T.test_what_bytes_look_like()
   } do
     lu.assertEquals(decode.is_plausible(command, bytes), expected)
   end
-  lu.assertFalse(decode.is_plausible(health, ("\0"):rep(17))) -- one of its fields has bits that nothing defines
+  local motor = taurus.by_id[0x210]
+  lu.assertFalse(decode.is_plausible(motor, ("\0"):rep(32))) -- as other programs send them
+  lu.assertTrue(decode.is_plausible(motor, "\1" .. ("\0"):rep(31)))
+  lu.assertFalse(decode.is_plausible(motor, ("\1"):rep(32))) -- bits that nothing defines
+  lu.assertFalse(decode.is_plausible(health, "\1" .. ("\0"):rep(16))) -- one of its fields has bits that nothing defines
 end
 
 -- The value nearest to 0 V is at 43,687 counts, as the table says.

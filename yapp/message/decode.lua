@@ -425,8 +425,10 @@ end
 
 --- Return whether bytes look like a message: all its values are defined, and at least two of its
 -- fields have values that are not.  Random bytes of Command's size do in one of two million cases.
+-- Zeros look like anything, so they do not count.
 function M.is_plausible(message, payload)
   local checked = 0
+  if not find(payload, "[^%z]") then return false end
   for _, remark in ipairs(M.remarks(message, (M.read(message, payload))) or {}) do
     if M.is_undefined(remark) then return false end
   end

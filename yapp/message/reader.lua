@@ -8,7 +8,7 @@ local frame_key = require("yapp.base.frame_key")
 local M = {}
 
 local FRAMES = { "command_in", "previous_change", "next_change" } -- frame keys in a state
--- Of such a message nobody knows where bytes are missing.
+-- Such a message lacks bytes, or has too many, at an unknown offset.
 local IS_BROKEN = { incomplete = true, overrun = true }
 
 local Reader = {}
@@ -168,7 +168,7 @@ end
 --- Read a finished message, for show.tree and stat.intake.
 -- m  {
 --   source         of Reader:new_source
---   seq, size      as its header says; payload = what there is of it
+--   seq, size      as its header says; payload = the bytes of it that came
 --   key            frame key; time = seconds since the first packet; visited
 --   status         "good" if it is proved complete; "bad" (CRC); "truncated" by the capture;
 --                  "incomplete"; "overrun"
