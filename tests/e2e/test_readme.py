@@ -118,7 +118,7 @@ def test_all_questions_are_tried():
 
 
 def test_several_controllers(flight):
-    by_id, by_name = (shell(flight, command) for command in SEVERAL)
+    by_id, by_name = (shell(flight, command.replace("run.pcapng", "flight.pcapng")) for command in SEVERAL)
     assert by_id.returncode == by_name.returncode == 0
     assert "Motor Data 0x212 (vcan_2)" in by_id.stdout and "Health 0x201" in by_id.stdout
     assert "Motor Data right_fore" in by_name.stdout and "left_fore" not in by_name.stdout  # can1 alone has this ID
