@@ -42,7 +42,7 @@ column.width: %m, 60, %t, 90, %p, 80, %i, 780
 """
 
 
-def wait_for(condition, seconds=60):
+def wait_for(condition, seconds=120):
     """The first true value that condition gives; fails when there is none in time."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
@@ -226,7 +226,7 @@ class Wireshark:
         """Clicks on the lowest place where this word can be read: a button of a window's."""
         def found():
             return [place for text, *place in self.read(scale=200) if text == word]
-        left, top, width, height = max(wait_for(found, 30), key=lambda place: place[1])
+        left, top, width, height = max(wait_for(found), key=lambda place: place[1])
         self.xdotool("mousemove", left + width // 2, top + height // 2, "click", "1")
         time.sleep(1)
 

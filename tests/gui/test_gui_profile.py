@@ -35,7 +35,7 @@ def wait_for_words(wireshark, words, area="", scale=300):
         read[:] = [wireshark.words(area, scale).lower()]
         return all(word.lower() in read[0] for word in words)
     try:
-        gui.wait_for(found, 30)
+        gui.wait_for(found)
     except AssertionError as error:
         raise AssertionError(f"not all of {words} in: {read[0]}") from error
 
