@@ -7,6 +7,7 @@ local catalogue_of = require("yapp.message.catalogue")
 local decode = require("yapp.message.decode")
 local kinds_of = require("yapp.stat.kinds")
 local options_of = require("yapp.stat.options")
+local output = require("yapp.stat.output")
 local queue_of = require("yapp.stat.queue")
 local sources_of = require("yapp.message.sources")
 
@@ -89,7 +90,8 @@ local function run(arguments, records, with)
     local row = options_of.BY_NAME[options.what]
     local statistic, problem = row.new(options, context)
     if not statistic then return nil, nil, { problem } end
-    matched = queue:add(statistic, { filter = with.matches, has_notes = not (options.json or row.is_data) }).matched
+    options.filter = with.matches
+    matched = queue:add(statistic, options, row).matched
   end
   queue:begins(with.epoch or 1700000000, 5, 0)
   for _, one in ipairs(records) do
@@ -745,6 +747,23 @@ function T.test_messages_that_were_not_decoded()
   end
   -- those that a filter lets count
   lu.assertStrContains(said(records, { matches = { [1] = true } })[2], "1 message was not decoded: can1 0x212 (11 bytes, the")
+end
+
+function T.test_messages_that_may_hide_faults()
+  local records = { record(1, 0), bad(2, 0.1), bad(3, 0.2) }
+  local text = "damaged or lost messages may hide faults: 2 with a bad CRC"
+  lu.assertEquals(said(records), { "YAPP faults: 0", text })
+  local _, code, texts = run({ "faults,json" }, records)
+  lu.assertEquals({ code, texts }, { 0, { text } })
+  lu.assertEquals(lines(run({ "check,fault=0" }, records))[2], text)
+  for _, what in ipairs { "events", "summary", "check", "check,crc=9" } do -- these count them, or look for no faults
+    lu.assertNotStrContains(run({ what }, records), "hide")
+  end
+  lu.assertEquals(said { record(1, 0) }, { "YAPP faults: 0" })
+end
+
+function T.test_a_value_that_is_no_number_is_called_reserved()
+  lu.assertEquals({ output.text(0 / 0), output.text(-(0 / 0)) }, { "reserved", "reserved" })
 end
 
 function T.test_sizes_that_no_preference_decodes()

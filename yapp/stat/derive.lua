@@ -16,6 +16,13 @@ local CHANGES = {}
 for _, row in ipairs(kinds.LIST) do
   if row.change then CHANGES[#CHANGES + 1] = row end
 end
+-- The kinds of events that may hide a fault: damaged and lost messages.
+local HIDING = {
+  { "crc", "with a bad CRC" },
+  { "incomplete", "incomplete" },
+  { "unfinished", "cut off by the end of the capture" },
+  { "missing", "missing by Seq No" },
+}
 local LEFT_OUT = "changes of faults, reboots and gaps are unreliable and left out"
 local UNRELIABLE = "nothing tells the buses of %s apart: " .. LEFT_OUT
 local SHARED = "two controllers appear to send %s: from frame %d on " .. LEFT_OUT
@@ -34,6 +41,7 @@ function M.new(settings, statistic)
     states = {}, -- of sources with good messages, in their order, and by source
     by_source = {},
     came = {}, -- sources with an event that counts
+    counts = {}, -- of events, by kind, of sources that can report faults
     doubts = {}, -- texts: why the history of a source is unreliable; and by source
   }, Deriver)
 end
@@ -45,7 +53,22 @@ function Deriver:add(event, now, cause)
   if self.statistic.wants_messages_only and event.kind ~= "message" and event.kind ~= "crc" then
     return
   end
+  local message, counts = event.source.message, self.counts
+  if message and message.alarms[1] then
+    counts[event.kind] = (counts[event.kind] or 0) + (event.values.count or 1)
+  end
   self.statistic:event(event, now, cause or event)
+end
+
+--- Return which messages may have had faults that nobody can see; nil for none.
+function Deriver:hiding()
+  local texts = {}
+  for _, row in ipairs(HIDING) do
+    local count = self.counts[row[1]]
+    if count then texts[#texts + 1] = ("%d %s"):format(count, row[2]) end
+  end
+  local text = "damaged or lost messages may hide faults: %s"
+  return texts[1] and text:format(table.concat(texts, ", "))
 end
 
 local function emit(self, kind, cause, now, values)

@@ -21,6 +21,7 @@ local M = {}
 -- ask      what a menu asks for; the answer follows the name
 -- file     the name of a new file that a menu suggests
 -- is_data  whether its output has no room for notes
+-- looks_for_faults  whether it must say which messages may hide a fault, as it does not list them
 M.LIST = {
   {
     name = "summary",
@@ -35,6 +36,7 @@ M.LIST = {
     new = events.new,
     options = "json",
     help = "when each fault rose and fell",
+    looks_for_faults = true,
   },
   {
     name = "events",
@@ -224,6 +226,7 @@ function read_check(options, part, catalogue)
     options.unused = nil
     table.insert(options.rules, read_rule(part, catalogue, options.source))
     options.judges_unknown = options.judges_unknown or name == "unknown"
+    options.looks_for_faults = options.looks_for_faults or name == "fault"
   end
 end
 
@@ -276,7 +279,8 @@ local FINISH = { csv = finish_csv, check = finish_check }
 -- text       "yapp,check,fault=0,motor.rate=9,filter=can.bus_id == 1, or so"
 -- catalogue  compiled
 -- returns    { what =, json = true or nil, filter = or nil, folder =, chosen =, replace =, all =,
---            rules =, junit =, problems = list of texts, each names its option }
+--            rules =, junit =, looks_for_faults = whether one is about faults, problems = list of
+--            texts, each names its option }
 function M.read(text, catalogue)
   local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")

@@ -94,10 +94,12 @@ function M.seconds(value)
   }
 end
 
---- Return what people read of a value: of a fraction six digits, in a window five.
+--- Return what people read of a value: of a fraction six digits, in a window five.  What is not a
+-- number stands for a reserved value.
 -- is_short  whether in a window
 function M.text(value, is_short)
   if type(value) == "table" then value = is_short and value.short or value.text end
+  if value ~= value then return "reserved" end
   if type(value) == "number" then
     return format(is_whole(value) and "%d" or is_short and "%.5g" or "%.6g", value)
   end

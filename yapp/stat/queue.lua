@@ -56,15 +56,16 @@ function Queue:reset()
 end
 
 --- Add a statistic.
--- options  { filter = or nil, has_notes = whether its output has room for notes }
+-- options, row  of stat.options
 -- returns  { matched = a set of the numbers of packets that its filter lets count: its tap fills
 --          it.  It keeps all packets, as only the end shows which messages are unfinished }
-function Queue:add(statistic, options)
+function Queue:add(statistic, options, row)
   local entry = {
     statistic = statistic,
     deriver = derive.new(self.settings, statistic),
     has_filter = options.filter ~= nil,
-    has_notes = options.has_notes,
+    has_notes = not (options.json or row.is_data),
+    looks_for_faults = options.looks_for_faults or row.looks_for_faults,
     matched = {},
   }
   self.entries[#self.entries + 1] = entry
@@ -220,6 +221,7 @@ local function notes_of(self, entry, nothing)
   for _, texts in ipairs { deriver.undecoded:texts(), doubts } do
     for _, text in ipairs(texts) do notes[#notes + 1] = text end
   end
+  if entry.looks_for_faults then notes[#notes + 1] = deriver:hiding() end
   if not entry.has_filter then notes[#notes + 1] = self.hint end
   return notes, doubts[1] ~= nil
 end

@@ -159,8 +159,7 @@ local function begin(self, options, context)
     error(options.what .. ": " .. problem, 0)
   end
   if not statistic.wants_messages_only then self.intake.wants_parts = true end
-  local has_notes = not (options.json or row.is_data)
-  local entry = events:add(statistic, { filter = options.filter, has_notes = has_notes })
+  local entry = events:add(statistic, options, row)
   if filter then
     function filter.packet(pinfo) entry.matched[pinfo.number] = true end
   end
