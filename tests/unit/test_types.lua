@@ -21,15 +21,15 @@ end
 
 -- The row of CSV of a payload.
 local function row_of(m, payload)
-  return columns.row(m, (decode.read(m, payload)))
+  return columns.row(m, (m.read(payload)))
 end
 
 -- The row of CSV of a payload, and the experts of its remarks.
 local function shown(m, hex)
-  local raws, is_remarkable = decode.read(m, bytes(hex))
-  lu.assertEquals(is_remarkable, decode.remarks(m, raws) ~= nil, hex)
+  local raws, is_remarkable = m.read(bytes(hex))
+  lu.assertEquals(is_remarkable, #decode.remarks(m, raws) > 0, hex)
   local experts = {}
-  for _, remark in ipairs(decode.remarks(m, raws) or {}) do
+  for _, remark in ipairs(decode.remarks(m, raws)) do
     experts[#experts + 1] = m.fields[remark[1]].name .. " " .. remark[2]
   end
   return row_of(m, bytes(hex)), table.concat(experts, ", ")
@@ -140,7 +140,7 @@ function T.test_the_shortest_digits_of_four_bytes()
   for _ = 1, 20000 do
     seed = (seed * 1103515245 + 12345) % 2147483648
     local hex = ("%08x"):format(seed)
-    local value = decode.value(m.fields[1], decode.read(m, bytes(hex))[1])
+    local value = decode.value(m.fields[1], m.read(bytes(hex))[1])
     if value then
       local short = shortest(value, 4)
       lu.assertTrue(math.abs(short - value) <= math.max(math.abs(value) * 2 ^ -24, 2 ^ -150), hex)
@@ -226,7 +226,7 @@ function T.test_variants()
   lu.assertEquals({ shown(m, "03ffffffffffffffffffff05") }, { "3,,,,,,5", "" })
   lu.assertEquals({ shown(m, "04ffffffffffffffffffff05") }, { "4,,,,,,5", "kind value.invalid" })
   lu.assertEquals({ m.time or "none", m.by_name.volts.offset, m.by_name.after.offset }, { "none", 1, 11 })
-  local raws = decode.read(m, bytes("0100"))
+  local raws = m.read(bytes("0100"))
   lu.assertEquals({ raws[1], raws[2] or "none" }, { 1, "none" })
 end
 
@@ -239,7 +239,7 @@ end
 
 -- The generated values of a payload, "-" for none.
 local function generated(m, hex)
-  local raws, values = decode.read(m, bytes(hex)), {}
+  local raws, values = m.read(bytes(hex)), {}
   for i, item in ipairs(m.generated) do
     local value = decode.derived(m, item, raws)
     values[i] = value and decode.rounded(item, value) or "-"
@@ -259,7 +259,9 @@ function T.test_generated_values()
   lu.assertEquals(generated(m, "faff03"), { "-", "-", "-", "-" }) -- b does not fit
   local about = {}
   for i, item in ipairs(m.generated) do
-    about[i] = ("%s %s %s"):format(item.filter, item.unit or "-", item.description)
+    for _, row in ipairs(m.filters) do
+      if row[1] == item.filter then about[i] = ("%s %s %s"):format(item.filter, item.unit or "-", row[4]) end
+    end
   end
   lu.assertEquals(about, { "taurus.m.d V D in V, of M", "taurus.m.p W P in W, of M", "taurus.m.s - S, of M",
     "taurus.m.n - N, of M" })
@@ -306,7 +308,7 @@ function T.test_payloads_that_are_shorter()
   for length, row in pairs(rows) do lu.assertEquals(row_of(m, payload:sub(1, length)), row, length) end
   local infos = { [1] = "One - - -", [9] = "One 1.000000000 s - -", [17] = "One 1.000000000 s ab true" }
   for length, text in pairs(infos) do
-    local raws, is_remarkable = decode.read(m, payload:sub(1, length))
+    local raws, is_remarkable = m.read(payload:sub(1, length))
     lu.assertEquals({ decode_info.text(m, raws), is_remarkable }, { "M  " .. text, false })
   end
 end
@@ -317,9 +319,9 @@ function T.test_nothing_is_remarkable_in_what_is_absent()
     { "c", "uint8", "C", group = "g", alarm = "FAULT", flags = { { "x", 1, "X" } } })
   for length, experts in pairs { [0] = {}, { "value.invalid" }, { "value.invalid" },
     { "value.invalid", "fault.active" } } do
-    local raws, is_remarkable = decode.read(m, ("\1"):rep(length))
+    local raws, is_remarkable = m.read(("\1"):rep(length))
     local found = {}
-    for i, remark in ipairs(decode.remarks(m, raws) or {}) do found[i] = remark[2] end
+    for i, remark in ipairs(decode.remarks(m, raws)) do found[i] = remark[2] end
     lu.assertEquals({ found, is_remarkable, decode.has_alarm(m, raws) }, { experts, length > 0, length == 3 })
   end
 end
@@ -379,9 +381,9 @@ function T.test_info_of_many_fields()
       { "b", "float16", "B", min = 0, max = 65530 } } }
     lu.assertEquals(problems, {})
     local m = compiled.messages[1]
-    lu.assertEquals(decode_info.text(m, (decode.read(m, "\7\3\0"))), "M  " .. ("7"):rep(count) ..
+    lu.assertEquals(decode_info.text(m, (m.read("\7\3\0"))), "M  " .. ("7"):rep(count) ..
       ("3"):rep(count))
-    lu.assertEquals(decode_info.text(m, (decode.read(m, "\7\255\255"))), "M  " .. ("7"):rep(count) ..
+    lu.assertEquals(decode_info.text(m, (m.read("\7\255\255"))), "M  " .. ("7"):rep(count) ..
       ("NaN"):rep(count))
   end
 end
@@ -395,10 +397,10 @@ function T.test_info_of_every_kind()
   local m = compiled.messages[1]
   local payload = bytes("ff" .. "97ff" .. "01" .. "616263" .. "00ff" .. "cdcc8c3f" .. "0000000000002000" ..
     "00ca9a3b00000000" .. "0000")
-  lu.assertEquals(decode_info.text(m, (decode.read(m, payload))),
+  lu.assertEquals(decode_info.text(m, (m.read(payload))),
     "M  -1 -10.5 true abc 00ff 1.10 9007199254740992 1.000000000 s")
   payload = bytes("ff" .. "97ff" .. "02" .. "616263" .. "00ff" .. "ffffffff") .. payload:sub(14)
-  lu.assertEquals(decode_info.text(m, (decode.read(m, payload))),
+  lu.assertEquals(decode_info.text(m, (m.read(payload))),
     "M  -1 -10.5 invalid 0x2 abc 00ff NaN 9007199254740992 1.000000000 s")
 end
 
@@ -407,8 +409,8 @@ function T.test_info_of_a_time_at_the_end()
   local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 8, info = "{t}",
     { "t", "int64_ns", "T" } } }
   local m, payload = compiled.messages[1], bytes("00ca9a3b00000000")
-  lu.assertEquals(decode_info.text(m, (decode.read(m, payload))), "M  1.000000000 s")
-  lu.assertEquals(decode_info.text(m, (decode.read(m, ""))), "M  -")
+  lu.assertEquals(decode_info.text(m, (m.read(payload))), "M  1.000000000 s")
+  lu.assertEquals(decode_info.text(m, (m.read(""))), "M  -")
 end
 
 function T.test_many_fields_of_every_kind()

@@ -30,26 +30,15 @@ end
 local KINDS = {}
 
 local function of_float(field)
-  local shape = decode.format_of(field)
   local function write(raw)
     local value, special = decode.value(field, raw)
-    if special then return SPECIALS[special] end
-    if shape then return format(shape, value) .. "," end
-    value = decode.rounded(field, value)
-    local text = format("%.15g", value)
-    if tonumber(text) ~= value then text = format("%.17g", value) end
-    return text .. ","
+    return SPECIALS[special] or decode.number_text(field, value) .. ","
   end
   return { { field.name, "float" }, { field.name .. "_special", "string" } }, write
 end
 
 local function of_integer(field)
   local name, values = field.name, field.values
-  if field.scale then
-    return { { name, "float" } }, function(raw)
-      return format("%.15g", decode.value(field, raw))
-    end
-  end
   if not values then return { { name, "integer" } }, decode.digits end
   return { { name, "integer" }, { name .. "_text", "string" } }, function(raw)
     return decode.digits(raw) .. "," .. M.quoted(values[raw] or "")
@@ -63,6 +52,12 @@ end
 KINDS.float, KINDS.ieee = of_float, of_float
 KINDS.uint, KINDS.int = of_integer, of_integer
 KINDS.string, KINDS.bytes = of_text, of_text
+
+function KINDS.scaled(field)
+  return { { field.name, "float" } }, function(raw)
+    return decode.number_text(field, decode.value(field, raw))
+  end
+end
 
 function KINDS.bool(field)
   return { { field.name, "bool" } }, function(raw) return raw == 0 and "0" or "1" end
@@ -146,7 +141,7 @@ local function new_row(message)
     pieces[#pieces + 1] = {
       field = field,
       index = field.index,
-      shape = writer.takes_shape(field) and decode.format_of(field) .. "," or nil,
+      shape = writer.takes_shape(field) and field.shape .. "," or nil,
       write = field.index and kept(write) or write,
       absent = (","):rep(#columns - 1),
     }

@@ -199,18 +199,17 @@ local function flag_change(field, before, now)
     value = now,
     raised = raised,
     cleared = cleared,
-    alarm_raised = band(raised, field.alarm_bits),
-    alarm_cleared = band(cleared, field.alarm_bits),
   }
 end
 
 -- Keep when faults were raised, and since when the oldest that is still set has been set.
 local function note_faults(source, m, index, change)
-  local bits, bit = change.alarm_raised + change.alarm_cleared, 1
+  local alarms, bit = change.field.alarm_bits, 1
+  local raised, bits = band(change.raised, alarms), band(change.raised + change.cleared, alarms)
   if bits == 0 then return end
   while bit <= bits do
     if bits % (2 * bit) >= bit then
-      local is_raised = band(change.alarm_raised, bit) ~= 0
+      local is_raised = band(raised, bit) ~= 0
       source.raised_at[index * 2 ^ 32 + bit] = is_raised and m.time or nil
     end
     bit = bit * 2
@@ -291,8 +290,8 @@ end
 --   reboot   seconds by which the controller's clock went back
 --   jump     seconds by which it advanced more than the capture's, if more than one
 --   stale    true if it did not advance
---   flags    list of { field, value, raised, cleared, alarm_raised, alarm_cleared } of the fields
---            whose flags changed: masks, alarm_* of the faults alone
+--   flags    list of { field, value, raised = mask, cleared = mask } of the fields whose flags
+--            changed
 --   shared   true at the message that proves that several controllers share the source
 --   unreliable  true at the messages behind that one, which get nothing else }
 --          and the seconds since the source's previous good message, false for the first
@@ -327,7 +326,7 @@ end
 --   drift         seconds: controller's clock less the capture's, since the source's first message
 --                 or reboot
 --   command_in    frame key of the latest good message on the bus that it answers: a Command
---   active_since  time at which the oldest fault that is still set was raised
+--   active_time   seconds since the oldest fault that is still set was raised
 --   previous_change, next_change  frame keys of the messages before and behind it that changed a
 --                 fault, if one is set or changes }
 function History:state(m)
@@ -336,11 +335,11 @@ function History:state(m)
   local base = source.bases[last_until(source.base_keys, key)]
   local clock, commands, faults = base and clock_of(m), source.commands, source.fault_keys
   local last = last_until(faults, key)
-  local since, is_change = source.active_since[last] or nil, faults[last] == key
+  local since, is_change = source.active_since[last], faults[last] == key
   local state = {
     drift = clock and clock / 1e9 - m.time - base,
     command_in = commands and commands[last_until(commands, key - 1)],
-    active_since = since,
+    active_time = since and m.time - since or nil,
   }
   if since or is_change then
     state.previous_change = faults[is_change and last - 1 or last]

@@ -3,11 +3,9 @@
 -- bring messages; the tree and the statistics get them here.
 
 local decode = require("yapp.message.decode")
-local frame_key = require("yapp.base.frame_key")
 
 local M = {}
 
-local FRAMES = { "command_in", "previous_change", "next_change" } -- frame keys in a state
 -- Such a message lacks bytes, or has too many, at an unknown offset.
 local IS_BROKEN = { incomplete = true, overrun = true }
 
@@ -158,12 +156,7 @@ local function ask(m, history, wants)
   end
   m.change, m.delta = change or false, delta or false
   m.is_unreliable = delta == nil or change ~= nil and change.unreliable or false
-  local state = wants.state and history:state(m)
-  if not state then return end
-  for _, name in ipairs(FRAMES) do
-    state[name] = state[name] and frame_key.number(state[name])
-  end
-  m.state = state
+  m.state = wants.state and history:state(m) or false
 end
 
 --- Read a finished message, for show.tree and stat.intake.
@@ -190,7 +183,7 @@ function Reader:read(m, history, wants)
   local is_longer = message and m.size > message.size
   if message and not is_broken and m.size >= message.min_size and
     (m.status == "good" or not is_longer) then
-    raws, is_remarkable = decode.read(message, m.payload)
+    raws, is_remarkable = message.read(m.payload)
   end
   m.raws, m.is_remarkable = raws, is_remarkable
   m.undecoded = raws and is_longer and m.size - message.size or nil

@@ -37,7 +37,7 @@ function M.new(options)
     yapp = options.yapp,
     taurus = options.taurus,
     reader = options.reader,
-    messages = messages_of.new(options.taurus, options.catalogue),
+    messages = messages_of.new(options.taurus, options.catalogue.messages),
     fields = nil,
     default_names = {}, -- titles by ID
     wanted = nil, -- of Tree:wants, in the first pass of tshark
