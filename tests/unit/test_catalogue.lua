@@ -3,9 +3,8 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
-local columns = require("yapp.message.columns")
 local decode = require("yapp.message.decode")
-local decode_info = require("yapp.message.info")
+local text_of = require("yapp.message.text")
 
 local T = {}
 
@@ -274,8 +273,8 @@ function T.test_nonsense_in_every_option()
             for _, one in ipairs(compiled.messages) do
               local raws = one.read(("\255"):rep(size))
               decode.remarks(one, raws)
-              lu.assertStrContains(decode_info.text(one, raws), "M")
-              lu.assertNotNil(columns.row(one, one.read(("\255"):rep(size))))
+              lu.assertStrContains(text_of.info(one, raws, one.title, true), "M")
+              lu.assertNotNil(text_of.row(one, one.read(("\255"):rep(size))))
             end
           end
         end

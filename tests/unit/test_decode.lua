@@ -4,7 +4,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local decode = require("yapp.message.decode")
-local decode_info = require("yapp.message.info")
+local text_of = require("yapp.message.text")
 
 local T = {}
 
@@ -133,7 +133,7 @@ function T.test_the_document_s_example()
   lu.assertEquals(raws[MOTOR.by_name.dc_voltage.index], 0xAFF5)
   lu.assertEquals(raws[MOTOR.by_name.status_flags.index], 0x40010000)
   lu.assertEquals(decode.flag_names(MOTOR.by_name.status_flags, 0x40010000), "stopped, mpos_update")
-  lu.assertEquals(decode_info.text(MOTOR, raws), "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A")
+  lu.assertEquals(text_of.info(MOTOR, raws, MOTOR.title, true), "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A")
   local remarks = decode.remarks(MOTOR, raws)
   lu.assertEquals({ #remarks, remarks[1][2] }, { 1, "value.special" }) -- no thermistor on the ESC
 end
@@ -144,7 +144,7 @@ function T.test_a_payload_that_is_cut()
     for i, f in ipairs(MOTOR.fields) do
       if f.kind ~= "time" then lu.assertEquals(raws[i] ~= nil, f.offset + f.size <= length) end
     end
-    lu.assertStrContains(decode_info.text(MOTOR, raws), "Motor Data")
+    lu.assertStrContains(text_of.info(MOTOR, raws, MOTOR.title, true), "Motor Data")
   end
 end
 
@@ -188,19 +188,20 @@ function T.test_faults_in_the_info_column()
     local payload = EXAMPLE:sub(1, 18) .. bytes(fault) .. EXAMPLE:sub(23, 30) .. bytes(state) .. "\0"
     local raws, is_remarkable = MOTOR.read(payload)
     lu.assertEquals(is_remarkable, expected ~= "")
-    lu.assertEquals(decode_info.text(MOTOR, raws, nil, is_remarkable), usual .. expected)
-    lu.assertEquals(decode_info.text(MOTOR, raws), usual .. expected)
+    lu.assertEquals(text_of.info(MOTOR, raws, MOTOR.title, is_remarkable), usual .. expected)
+    lu.assertEquals(text_of.info(MOTOR, raws, MOTOR.title, true), usual .. expected)
   end
   local own = catalogue.compile { { name = "m", title = "M", id = 1, size = 2,
     { "a", "uint8", "A", group = "a", alarm = "ALARM", flags = { { "x", 1, "X" } } },
     { "b", "uint8", "B", group = "b", alarm = "WARNING", flags = { { "y", 1, "Y" } } } } }
   local m = own.messages[1]
-  lu.assertEquals(decode_info.text(m, (m.read("\1\1"))), "M    ALARM x  WARNING y")
+  lu.assertEquals(text_of.info(m, (m.read("\1\1")), m.title, true), "M    ALARM x  WARNING y")
 end
 
 function T.test_special_values_in_the_info_column()
   local raws = COMMAND.read(bytes("01A501FFFFFEFF"))
-  lu.assertEquals(decode_info.text(COMMAND, raws), "Command  Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")
+  lu.assertEquals(text_of.info(COMMAND, raws, COMMAND.title, true),
+    "Command  Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")
 end
 
 return T

@@ -3,9 +3,9 @@
 -- needs.  Pure Lua.
 
 local check = require("yapp.message.check")
-local fields = require("yapp.message.catalogue_fields")
 local decode = require("yapp.message.decode")
-local info = require("yapp.message.info")
+local fields = require("yapp.message.catalogue_fields")
+local text_of = require("yapp.message.text")
 
 local demand, shown = check.demand, check.shown
 local is_name, is_text = check.is_name, check.is_text
@@ -214,7 +214,7 @@ local function compile_message(entry, reserved, context)
   local size = fields.compile(message, entry, context)
   demand(size == entry.size, "size is %d, but the fields add up to %d bytes", entry.size, size)
   message.read = decode.new_reader(message)
-  message.write_info = info.compile(message, entry.info or "")
+  message.write_info = text_of.compile_info(message, entry.info or "")
   add_all_generated(message, entry)
   add_filters(message, reserved, context)
   return message
@@ -253,7 +253,7 @@ end
 --   derived: those of them that tables have, too
 --   filters: a list of { filter, type, title, description, base, values, mask }, see show.fields
 --   states: the filters of its state, { [what message.history calls it] = filter }
---   read (see decode.new_reader), write_info (see info.compile)
+--   read (see decode.new_reader), write_info (see text.compile_info)
 -- A field has name, title, filter, filters (a list of it and those below it), index (in fields),
 -- offset, size in bytes, type, unit and section or nil, shape (a format with as many digits as its
 -- count can carry; nil for ieee and integers), and kind, with what its kind needs:

@@ -55,17 +55,22 @@ end
 
 local BILLION = 1000000000
 
--- Divide an integer of eight bytes by 10^9, by long division, two bytes a step.
+-- Divide an integer of eight bytes by 10^9.
 -- returns  the quotient, and the rest, of the same sign
 local function divide(payload, at, is_signed)
-  local low, high = byte(payload, at + 6, at + 7)
-  if is_signed and high >= 0x80 then high = high - 0x100 end
-  local quotient, rest = 0, high * 0x100 + low
-  for i = at + 4, at, -2 do
-    low, high = byte(payload, i, i + 1)
-    local dividend = rest * 0x10000 + high * 0x100 + low
+  local a, b, c, d, e, f, g, h = byte(payload, at, at + 7)
+  if h == 0 and g < 0x20 then -- the usual one: a double holds it
+    local high = e + f * 0x100 + g * 0x10000
+    local number = high * 0x100000000 + d * 0x1000000 + c * 0x10000 + b * 0x100 + a
+    local rest = number % BILLION
+    return (number - rest) / BILLION, rest
+  end
+  -- Long division, a byte a step.  The highest byte of a negative number counts as negative.
+  local quotient, rest = 0, is_signed and h >= 0x80 and h - 0x100 or h
+  for i = at + 6, at, -1 do
+    local dividend = rest * 0x100 + byte(payload, i)
     rest = dividend % BILLION
-    quotient = quotient * 0x10000 + (dividend - rest) / BILLION
+    quotient = quotient * 0x100 + (dividend - rest) / BILLION
   end
   if quotient < 0 and rest > 0 then return quotient + 1, rest - BILLION end
   return quotient, rest

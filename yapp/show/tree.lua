@@ -3,8 +3,8 @@
 -- messages.  Wireshark's API; the reassembly or the framing has finished what is shown.
 
 local show_fields = require("yapp.show.fields")
-local info_of = require("yapp.message.info")
 local messages_of = require("yapp.show.taurus")
+local text_of = require("yapp.message.text")
 
 local M = {}
 
@@ -259,7 +259,7 @@ function Tree:show_message(m, view)
   else
     top = (view.payload_tvb or m.is_remarkable) and self.messages:show(m, view)
     if view.wants.columns then
-      info = info_of.text(source.message, m.raws, source.label, m.is_remarkable)
+      info = text_of.info(source.message, m.raws, source.label, m.is_remarkable)
     end
   end
   if m.change or top then info = info .. self.messages:add_change(m, top or nil, view.item) end
