@@ -241,7 +241,7 @@ local function generated(m, hex)
   local raws, values = m.read(bytes(hex)), {}
   for i, item in ipairs(m.generated) do
     local value = decode.derived(m, item, raws)
-    values[i] = value and decode.rounded(item, value) or "-"
+    values[i] = value and tonumber(decode.number_text(item, value)) or "-"
   end
   return values
 end

@@ -149,18 +149,24 @@ local function number_index(message, what, name)
 end
 
 -- Add a value that is worked out from two fields.
--- item     { name, title, unit or nil }: gets the rest
 -- text     "field * field"
--- returns  item
-local function add_generated(message, what, item, text)
+-- returns  the item of message.generated
+local function add_generated(message, what, name, text, title, unit)
   local a, operator, b = tostring(text):match("^ *([%w_]+) *([*+-]) *([%w_]+) *$")
   demand(a, '%s: %s is not two fields with *, + or - between them: "voltage * current"', what,
     shown(text))
-  item.kind, item.shape = "derived", "%.7g"
-  item.filter = message.filter .. "." .. item.name
-  item.operator = operator
-  item.a, item.b = number_index(message, what, a), number_index(message, what, b)
-  message.generated[#message.generated + 1] = item
+  local item = {
+    name = name,
+    title = title,
+    unit = unit,
+    filter = message.filter .. "." .. name,
+    kind = "derived",
+    shape = "%.7g",
+    operator = operator,
+    a = number_index(message, what, a),
+    b = number_index(message, what, b),
+  }
+  table.insert(message.generated, item)
   return item
 end
 
@@ -168,13 +174,12 @@ end
 local function add_all_generated(message, entry)
   for i, row in ipairs(entry.differences or {}) do
     local what, first = check.row(row, "difference", i, 4, {}), message.by_name[row[2] or false]
-    local item = { name = row[1], title = row[4], unit = first and first.unit }
-    add_generated(message, what, item, ("%s - %s"):format(row[2], row[3]))
+    local text = ("%s - %s"):format(row[2], row[3])
+    add_generated(message, what, row[1], text, row[4], first and first.unit)
   end
   for i, row in ipairs(entry.derived or {}) do
     local what = check.row(row, "derived", i, 3, DERIVED_OPTIONS)
-    local item = { name = row[1], title = row[3], unit = row.unit }
-    message.derived[i] = add_generated(message, what, item, row[2])
+    message.derived[i] = add_generated(message, what, row[1], row[2], row[3], row.unit)
   end
 end
 

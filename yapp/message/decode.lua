@@ -182,19 +182,18 @@ function M.value(field, raw)
   return raw
 end
 
---- Return the value of a number with a fraction with the digits that its count can carry, so that a
--- filter with == 1.1 matches.
+--- Return a number as a text, with the digits that its count can carry: as a number that text is
+-- equal to 1.1 in a filter.
 -- field  or an item of message.generated
+-- value  of M.value or M.derived
 function M.number_text(field, value)
+  if type(value) == "string" then return value end -- an integer beyond 2^53
   if field.shape then return format(field.shape, value) end
+  -- COMPAT 5.2: tostring has 14 digits
+  if field.kind ~= "ieee" then return format("%.0f", value) end
   if field.size == 4 then value = M.shortest(value) end
   local text = format("%.15g", value)
   return tonumber(text) == value and text or format("%.17g", value)
-end
-
---- Return that value as a number.
-function M.rounded(field, value)
-  return tonumber(M.number_text(field, value))
 end
 
 local OPERATORS = {
@@ -221,11 +220,6 @@ function M.seconds(seconds, nanoseconds)
     return format("-%d.%09d", -seconds, -nanoseconds)
   end
   return format("%d.%09d", seconds, nanoseconds)
-end
-
---- Return an integer as a text; beyond 2^53 it is a text already.
-function M.digits(value)
-  return type(value) == "number" and format("%.0f", value) or value -- tostring has 14 in Lua 5.2
 end
 
 -- Reading ----------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@
 local band = require("yapp.base.bits").band
 local last_until = require("yapp.base.frame_key").last_until
 local decode = require("yapp.message.decode")
+local memo = require("yapp.base.memo")
 
 local M = {}
 
@@ -48,18 +49,9 @@ function M.new(options)
     deltas = {}, -- [frame key] = seconds since the source's previous good message, or false
   }, History)
   for _, message in ipairs(options.catalogue.messages) do
-    if message.answers then self.commands[message.answers] = {} end
+    if message.answers then self.commands[message.answers] = memo(function() return {} end) end
   end
   return self
-end
-
--- Return the list of frame keys of a bus's messages of this name; nil if no other message answers
--- it.
-local function commands_of(self, name, bus)
-  local by_bus = self.commands[name]
-  if not by_bus then return nil end
-  by_bus[bus] = by_bus[bus] or {}
-  return by_bus[bus]
 end
 
 -- Return the indexes of a message's flags fields.
@@ -73,7 +65,8 @@ end
 
 local function new_source(self, m)
   local message, bus = m.source.message or { fields = {} }, m.source.bus_key or false
-  local has_times = self.has_times()
+  local has_times, answered = self.has_times(), self.commands[message.answers]
+  local answering = self.commands[message.name]
   return {
     -- Its kind of message:
     flag_indexes = flags_of(message),
@@ -102,8 +95,8 @@ local function new_source(self, m)
     bases = {}, -- of each: seconds of the controller's clock less the capture's
     fault_keys = {}, -- ascending: where faults change
     active_since = {}, -- of each: when the oldest fault that is still set was raised, or false
-    commands = commands_of(self, message.answers, bus), -- ascending: what they answer
-    own = commands_of(self, message.name, bus), -- ascending: if others answer them
+    commands = answered and answered[bus], -- ascending: what they answer
+    own = answering and answering[bus], -- ascending: if others answer them
   }
 end
 

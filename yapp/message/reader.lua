@@ -22,7 +22,6 @@ function M.new(catalogue, stat)
     by_id = catalogue.by_id, -- [id] = message, see Reader:use; file readers may ask before
     sources = nil, -- the names that the user gave, see Reader:use
     several_ids = nil, -- [message] = whether more than one ID carries it
-    is_by_id = true, -- whether an ID carries the same message on all buses
     hides_source = nil, -- see Reader:use
     has_several = false, -- whether the capture has several buses
     hinted = {}, -- [id of an unknown message] = the frame key whose Info has the whole advice
@@ -44,30 +43,23 @@ end
 -- sources       a message.sources
 -- hides_source  whether a label leaves out the source
 function Reader:use(by_id, sources, hides_source)
-  self.hides_source = hides_source
-  self.by_id, self.sources, self.is_by_id, self.several_ids = {}, sources, true, {}
-  local first = {}
+  self.by_id, self.sources, self.hides_source = by_id, sources, hides_source
+  local first, several = {}, {}
   local function count(message, id)
     first[message] = first[message] or id
-    if first[message] ~= id then self.several_ids[message] = true end
+    if first[message] ~= id then several[message] = true end
   end
-  for id, message in pairs(by_id) do self.by_id[id] = message end
   for _, row in ipairs(sources:list()) do
-    if row.message and row.bus then
-      self.is_by_id = false
-      count(row.message, row.id)
-    elseif row.message then
-      self.by_id[row.id] = row.message
-    end
+    if row.message then count(row.message, row.id) end
   end
-  for id, message in pairs(self.by_id) do count(message, id) end
+  for id in pairs(by_id) do count(self:message_of(id), id) end
+  self.several_ids = several
 end
 
 --- Return the message of the catalogue that an ID carries on a bus, nil for none.
 -- bus  name, nil where the capture has none
 function Reader:message_of(id, bus)
-  if self.is_by_id then return self.by_id[id] end
-  return self.sources:message(bus, id) or self.by_id[id]
+  return self.sources and self.sources:message(bus, id) or self.by_id[id]
 end
 
 --- Return the payload size of that message and the smallest that it may have, nil for none.

@@ -13,7 +13,7 @@ local memo = require("yapp.base.memo")
 local M = {}
 
 local format, concat = string.format, table.concat
-local digits, value_of = decode.digits, decode.value
+local number_text, value_of = decode.number_text, decode.value
 
 -- Writers ----------------------------------------------------------------------------------------
 
@@ -101,7 +101,7 @@ local function info_of(field, shape, raw)
   if special then return SPECIALS[special] end
   if shape then return shape:format(value) end
   local meanings = field.kind == "bool" and BOOLS or field.values
-  if not meanings then return digits(value) end
+  if not meanings then return number_text(field, value) end
   local invalid = field.kind == "int" and "invalid %d" or "invalid 0x%x"
   return meanings[raw] or invalid:format(raw)
 end
@@ -190,23 +190,20 @@ local CELLS = {}
 
 function CELLS.ieee(field, raw)
   local value, special = value_of(field, raw)
-  return SPECIAL_CELLS[special] or decode.number_text(field, value) .. ","
-end
-
-function CELLS.scaled(field, raw)
-  return decode.number_text(field, value_of(field, raw))
+  return SPECIAL_CELLS[special] or number_text(field, value) .. ","
 end
 
 function CELLS.uint(field, raw)
-  local values = field.values
-  return values and digits(raw) .. "," .. M.quoted(values[raw] or "") or digits(raw)
+  local text, values = number_text(field, value_of(field, raw)), field.values
+  return values and text .. "," .. M.quoted(values[raw] or "") or text
 end
 
 function CELLS.string(field, raw)
   return M.quoted(value_of(field, raw))
 end
 
-CELLS.float, CELLS.int, CELLS.bytes = CELLS.ieee, CELLS.uint, CELLS.string
+CELLS.float, CELLS.bytes = CELLS.ieee, CELLS.string
+CELLS.int, CELLS.scaled = CELLS.uint, CELLS.uint
 
 function CELLS.bool(_, raw)
   return raw == 0 and "0" or "1"
@@ -217,7 +214,7 @@ function CELLS.time(_, raw)
 end
 
 function CELLS.flags(field, raw)
-  local texts = { digits(raw) }
+  local texts = { number_text(field, raw) }
   for i, flag in ipairs(field.flags) do
     texts[i + 1] = common(raw, flag.mask) ~= 0 and "1" or "0"
   end
@@ -271,7 +268,7 @@ end
 local function derived_cells(message, item)
   return function(raws)
     local value = decode.derived(message, item, raws)
-    return value and decode.number_text(item, value) or ""
+    return value and number_text(item, value) or ""
   end
 end
 

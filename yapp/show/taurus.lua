@@ -22,7 +22,6 @@ local referenced = TreeItem.referenced
 local set_hidden = TreeItem.set_hidden
 local set_text = TreeItem.set_text
 
-local IS_TSHARK = not gui_enabled()
 local NONE = {}
 
 local Taurus = {}
@@ -36,14 +35,7 @@ function M.new(taurus, messages)
     taurus = taurus,
     messages = messages,
     fields = show_fields.of_taurus(taurus, messages),
-    plans_of_shown = {}, -- by message, see plan_of
-    plans_of_pass = {},
   }, Taurus)
-end
-
---- Forget what was wanted of the trees of the file before.
-function Taurus:reset()
-  self.plans_of_pass = {}
 end
 
 -- Adding a field ----------------------------------------------------------------------------------
@@ -161,24 +153,20 @@ local function make_plan(self, message, tree)
   return plan
 end
 
--- Return the plan for a tree.  A tree that is shown wants all fields.  For any other, ask
--- Wireshark: once on the first pass of tshark, where the answer cannot change, else for each
--- packet.  Without plans a filter for one fault takes 1.9 times as long.
-local function plan_of(self, m, tree)
-  local is_shown, message = tree.visible, m.source.message
-  local plans = is_shown and self.plans_of_shown or
-    IS_TSHARK and not m.visited and self.plans_of_pass or {}
-  local plan = plans[message] or make_plan(self, message, tree)
-  plans[message] = plan
-  return plan
+-- Return the plan for a tree.  In tshark's first pass it is kept in what is wanted, which holds for
+-- all packets: without plans a filter for one fault takes 1.9 times as long.
+local function plan_of(self, message, view)
+  local plans = view.wants.plans or {}
+  plans[message] = plans[message] or make_plan(self, message, view.tree)
+  return plans[message]
 end
 
 -- The tree of a message ---------------------------------------------------------------------------
 
 -- Build it; return it, and the items by index of field, for the expert items.
 local function build(self, m, view)
-  local plan, raws, items = plan_of(self, m, view.tree), m.raws, {}
-  local tvb, at, message = view.payload_tvb, view.payload_at, m.source.message
+  local raws, items, message = m.raws, {}, m.source.message
+  local plan, tvb, at = plan_of(self, message, view), view.payload_tvb, view.payload_at
   local whole = range_of(tvb, at, math.min(message.size, #m.payload))
   local top = add(view.tree, self.taurus, whole, "Taurus " .. message.title)
   if plan.own then set_hidden(add(top, self.fields[message.filter], whole)) end
@@ -194,9 +182,10 @@ local function build(self, m, view)
     end
   end
   for _, item in ipairs(plan.generated) do
-    local value = decode.derived(message, item, raws)
-    local pf = self.fields[item.filter]
-    if value then append_unit(add_generated(top, pf, decode.rounded(item, value)), item) end
+    local value, pf = decode.derived(message, item, raws), self.fields[item.filter]
+    if value then
+      append_unit(add_generated(top, pf, tonumber(number_text(item, value))), item)
+    end
   end
   return top, items
 end
