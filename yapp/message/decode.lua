@@ -187,8 +187,8 @@ end
 -- field  or an item of message.generated
 -- value  of M.value or M.derived
 function M.number_text(field, value)
-  if type(value) == "string" then return value end -- an integer beyond 2^53
   if field.shape then return format(field.shape, value) end
+  if type(value) == "string" then return value end -- an integer beyond 2^53
   -- COMPAT 5.2: tostring has 14 digits
   if field.kind ~= "ieee" then return format("%.0f", value) end
   if field.size == 4 then value = M.shortest(value) end

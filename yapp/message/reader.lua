@@ -147,7 +147,7 @@ local function ask(m, history, wants)
     change, delta = history:note(m, wants.is_only_pass)
   end
   m.change, m.delta = change or false, delta or false
-  m.is_unreliable = delta == nil or change ~= nil and change.unreliable or false
+  if delta == nil or change and change.unreliable then m.is_unreliable = true end
   m.state = wants.state and history:state(m) or false
 end
 

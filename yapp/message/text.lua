@@ -22,7 +22,7 @@ local number_text, value_of = decode.number_text, decode.value
 --   field
 --   write   function(raw) -> text; where index is nil, it takes all raws
 --   absent  the text of a missing field
---   shape   a format for the value of a compressed float, nil for other fields }
+--   shape   a format for the value of a compressed float, false for other fields }
 
 local MAX_PIECES = 100 -- of a usual message: a function has up to 200 local variables
 local SOURCE = [[
@@ -195,7 +195,8 @@ end
 
 function CELLS.uint(field, raw)
   local text, values = number_text(field, value_of(field, raw)), field.values
-  return values and text .. "," .. M.quoted(values[raw] or "") or text
+  if not values then return text end
+  return text .. "," .. M.quoted(values[raw] or "")
 end
 
 function CELLS.string(field, raw)
