@@ -186,12 +186,17 @@ end
 -- A message --------------------------------------------------------------------------------------
 
 local function check_head(entry)
+  local every, answers = entry.every, entry.answers
   demand(is_text(entry.title), "the title is missing")
   check.options(entry, "a message", OPTIONS, math.huge)
   demand(#entry.title <= MAX_TITLE, "the title has more than %d bytes", MAX_TITLE)
   check.within("id", entry.id, 0, M.MAX_ID)
   check.within("size", entry.size, 1, MAX_SIZE)
   check.within("min_size", entry.min_size or entry.size, 1, entry.size)
+  demand(not every or check.is_finite(every) and every > 0,
+    "every %s is not a period in seconds", shown(every))
+  demand(not answers or is_name(answers), "answers %s is not the name of a message",
+    shown(answers))
   demand(#entry > 0, "it has no fields")
 end
 

@@ -14,6 +14,8 @@ local is_finite = check.is_finite
 local M = {}
 
 local MAX_SIZE = 65535
+-- The expert items for values.
+local INVALID = set("value.invalid command.key.invalid")
 
 -- Types ------------------------------------------------------------------------------------------
 
@@ -72,11 +74,13 @@ end
 
 -- A linear scale: value = count * scale + offset.
 local function add_scale(field, row)
+  local scale, zero = row.scale or 1, row.offset or 0
+  demand(is_finite(scale) and scale ~= 0, "scale %s is not a number but 0", shown(scale))
+  demand(is_finite(zero), "offset %s is not a number", shown(zero))
   demand(not (row.values or row.flags or row.bits),
     "a field has a scale, or values, flags and bits, not both")
   field.kind, field.shape = "scaled", "%.15g"
-  -- COMPAT 5.4: products of integers wrap around
-  field.scale, field.zero = (row.scale or 1) + 0.0, (row.offset or 0) + 0.0
+  field.scale, field.zero = scale + 0.0, zero + 0.0 -- COMPAT 5.4: products of integers wrap around
 end
 
 -- The digits that a compressed float of so many bytes can carry.
@@ -123,7 +127,9 @@ local function new_field(message, row, def)
     section = row.section or message.section,
     values = row.values,
   }
-  if row.values or field.kind == "bool" then field.invalid = row.invalid or "value.invalid" end
+  local invalid = row.invalid or "value.invalid"
+  demand(INVALID[invalid], "invalid is value.invalid or command.key.invalid")
+  if row.values or field.kind == "bool" then field.invalid = invalid end
   if field.kind == "float" then add_range(field, row) end
   if row.scale or row.offset then add_scale(field, row) end
   for value, meaning in pairs(row.values or {}) do

@@ -26,8 +26,6 @@ local FADE = 0.85 -- each message leaves this share of the evidence: 50 is ENOUG
 local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 
 -- Changes that many messages have in common: to be read only.
-local NOTHING = {}
-local STALE = { stale = true }
 local SHARED = { shared = true, unreliable = true }
 local UNRELIABLE = { unreliable = true }
 
@@ -152,30 +150,30 @@ local function elapsed_since(source, m, advance)
   return advance > 0 and advance <= MAX_JUMP and advance or source.period
 end
 
--- Return the change that the clock of a message shows, nil for none.
+-- Return what the clock of a message shows: its name in a change and its value; nil for nothing.
 local function clock_change(source, m, clock)
   local advance = (clock - source.clock) / 1e9
   local elapsed = elapsed_since(source, m, advance)
   local may_be_shared = advance <= 0 or source.lead ~= 0
-  if may_be_shared and is_shared(source, m, advance, max(elapsed, 0)) then return SHARED end
-  if advance < 0 then return { reboot = -advance } end
-  if advance == 0 then return STALE end
+  if may_be_shared and is_shared(source, m, advance, max(elapsed, 0)) then return "shared" end
+  if advance < 0 then return "reboot", -advance end
+  if advance == 0 then return "stale", true end
   local jump = advance - elapsed
   -- If the capture's own clock went back, it is no measure of the controller's.
-  if jump > MAX_JUMP and elapsed >= 0 and source.has_clock then return { jump = jump } end
+  if jump > MAX_JUMP and elapsed >= 0 and source.has_clock then return "jump", jump end
 end
 
--- Keep the clock of a message; return what it says of the message.
+-- Keep the clock of a message; return what it shows, as clock_change.
 local function note_clock(source, m)
-  local clock = clock_of(m)
-  if not clock then return NOTHING end
-  local change = source.clock and clock_change(source, m, clock) or NOTHING
-  if source.has_times and (change.reboot or not source.clock) then
+  local clock, name, value = clock_of(m), nil, nil
+  if not clock then return nil end
+  if source.clock then name, value = clock_change(source, m, clock) end
+  if source.has_times and (name == "reboot" or not source.clock) then
     insert(source.base_keys, m.key)
     insert(source.bases, clock / 1e9 - m.time)
   end
   source.clock, source.clock_time, source.payload = clock, m.time, m.payload
-  return change
+  return name, value
 end
 
 -- Flags ------------------------------------------------------------------------------------------
@@ -217,8 +215,8 @@ end
 
 -- Return what changed in the flags of a message, nil for nothing.
 local function flag_changes(source, m)
-  local raws, flags, changes = m.raws or NOTHING, source.flags, nil
-  local indexes = source.flag_indexes
+  local raws, flags, indexes, changes = m.raws, source.flags, source.flag_indexes, nil
+  if not raws then return nil end
   for i = 1, #indexes do
     local index = indexes[i]
     local now, before = raws[index], flags[index]
@@ -249,24 +247,16 @@ end
 
 -- Return what changes with a good message, nil for nothing.
 local function update(source, m, delta)
-  local change = note_clock(source, m)
-  if change == SHARED then
+  local name, value = note_clock(source, m)
+  if name == "shared" then
     source.shared_at, source.changes[m.key] = m.key, SHARED
     return SHARED
   end
-  local flags, missing = flag_changes(source, m), missing_before(source, m.seq, change.reboot)
-  local late = delta and delta > source.longest and delta or nil
-  if flags or missing or late then
-    change = {
-      flags = flags,
-      missing = missing,
-      late = late,
-      reboot = change.reboot,
-      jump = change.jump,
-      stale = change.stale,
-    }
-  elseif change == NOTHING then
-    change = nil
+  local flags, missing = flag_changes(source, m), missing_before(source, m.seq, name == "reboot")
+  local late, change = delta and delta > source.longest and delta or nil, nil
+  if name or flags or missing or late then
+    change = { flags = flags, missing = missing, late = late }
+    if name then change[name] = value end
   end
   if change or source.changes[m.key] then source.changes[m.key] = change end
   return change
