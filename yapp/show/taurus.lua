@@ -163,6 +163,12 @@ end
 
 -- The tree of a message ---------------------------------------------------------------------------
 
+-- Return the text of an element of an array, whose item begins with the array's title.  In a tree
+-- that is not shown, an item has no text.
+local function element_text(item, field)
+  return field.title .. (item.text or ""):sub(#field.array.title + 1)
+end
+
 -- Build it; return it, and the items by index of field, for the expert items.
 local function build(self, m, view)
   local raws, items, message = m.raws, {}, m.source.message
@@ -177,7 +183,7 @@ local function build(self, m, view)
     if raw then
       local range = range_of(tvb, at + field.offset, field.size)
       local item = step.add(items[step.parent] or top, range, raw)
-      if field.array then item.text = field.title .. item.text:sub(#field.array.title + 1) end
+      if field.array then set_text(item, element_text(item, field)) end
       items[index] = item
     end
   end
