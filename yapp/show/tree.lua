@@ -3,8 +3,8 @@
 -- messages.  Wireshark's API; the reassembly or the framing has finished what is shown.
 
 local show_fields = require("yapp.show.fields")
-local messages_of = require("yapp.show.taurus")
 local text_of = require("yapp.message.text")
+local messages_of = require("yapp.show.taurus")
 
 local M = {}
 
