@@ -299,7 +299,7 @@ function T.test_the_catalogue_says_which_messages_others_answer()
     return h:state(m).command_in
   end
   for i, message in ipairs(answering.messages) do
-    message.fields = {}
+    message.flag_fields = {}
     lu.assertNil(note(i, message))
   end
   lu.assertEquals(note(4, answering.messages[1]), 2)

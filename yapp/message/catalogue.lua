@@ -215,6 +215,7 @@ local function compile_message(entry, reserved, context)
     filter = "taurus." .. entry.name,
     fields = {},
     by_name = {},
+    flag_fields = {},
     alarms = {},
     generated = {},
     derived = {},
@@ -257,7 +258,8 @@ end
 --   answers (a message's name), or nil
 --   size, min_size (bytes: a shorter payload is not this message)
 --   fields, by_name, time (its first field of kind time)
---   alarms (its fields with fault flags), fault_field (the first of them that has nothing else)
+--   flag_fields, alarms (those of them with fault flags), fault_field (the first of those that has
+--   nothing else)
 --   generated { name, title, filter, unit, kind = "derived", shape, operator ("*", "-", "+"), a and
 --   b (indexes of fields) }: values worked out from two fields, see decode.derived
 --   derived: those of them that tables have, too

@@ -212,6 +212,7 @@ local function add_bits(build, field, row)
   for i, part in ipairs(row.bits or {}) do
     add_field(build, new_part(message, field, part, i))
   end
+  table.insert(message.flag_fields, field)
   if word then
     field.alarm_bits = field.watched
     message.fault_field = message.fault_field or field
@@ -300,7 +301,7 @@ function add_rows(build, rows)
   end
 end
 
---- Compile the rows of a message into its fields, by_name, time and alarms.
+--- Compile the rows of a message into its fields, by_name, time, flag_fields and alarms.
 -- message  its compiled head, with these tables, empty
 -- context  gets field = the name, or else the number, of the row that is looked at: what an error
 --          is about

@@ -25,6 +25,7 @@ local LARGE_RETURN = 50 -- evidence of a return from a large fall; from a small 
 local FADE = 0.85 -- each message leaves this share of the evidence: 50 is ENOUGH for 22 messages
 local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 
+local NO_MESSAGE = { flag_fields = {} }
 -- Changes that many messages have in common: to be read only.
 local SHARED = { shared = true, unreliable = true }
 local UNRELIABLE = { unreliable = true }
@@ -52,22 +53,13 @@ function M.new(options)
   return self
 end
 
--- Return the indexes of a message's flags fields.
-local function flags_of(message)
-  local indexes = {}
-  for i, field in ipairs(message.fields) do
-    if field.kind == "flags" then indexes[#indexes + 1] = i end
-  end
-  return indexes
-end
-
 local function new_source(self, m)
-  local message, bus = m.source.message or { fields = {} }, m.source.bus_key or false
+  local message, bus = m.source.message or NO_MESSAGE, m.source.bus_key or false
   local has_times, answered = self.has_times(), self.commands[message.answers]
   local answering = self.commands[message.name]
   return {
     -- Its kind of message:
-    flag_indexes = flags_of(message),
+    flag_fields = message.flag_fields,
     period = message.every or 0,
     longest = has_times and self.late * (message.every or huge) + HALF_NANOSECOND or huge,
     has_times = has_times,
@@ -215,14 +207,15 @@ end
 
 -- Return what changed in the flags of a message, nil for nothing.
 local function flag_changes(source, m)
-  local raws, flags, indexes, changes = m.raws, source.flags, source.flag_indexes, nil
+  local raws, flags, fields, changes = m.raws, source.flags, source.flag_fields, nil
   if not raws then return nil end
-  for i = 1, #indexes do
-    local index = indexes[i]
+  for i = 1, #fields do
+    local field = fields[i]
+    local index = field.index
     local now, before = raws[index], flags[index]
     if now and now ~= before then
       flags[index] = now
-      local change = flag_change(m.source.message.fields[index], before, now)
+      local change = flag_change(field, before, now)
       if change then
         changes = changes or {}
         insert(changes, change)
