@@ -10,7 +10,7 @@ package.path = top .. "?.lua;" .. package.path
 local can_id = require "yapp.wire.can_id"
 local catalogue_compiler = require "yapp.message.catalogue"
 local history = require "yapp.message.history"
-local info = require "yapp.message.info"
+local text_of = require "yapp.message.text"
 local message_reader = require "yapp.message.reader"
 local reassembly = require "yapp.can.reassembly"
 local source_names = require "yapp.message.sources"
@@ -62,8 +62,8 @@ local function run(path, step)
     if message.status == "good" then count = count + 1 end
     local m = finished(frame, message.payload)
     if step == "reassembly" then return end
-    reader:read(m, of_capture)
-    if step == "info" then info.text(m.source.message, m.raws, m.source.label, m.is_remarkable) end
+    reader:read(m, of_capture, {})
+    if step == "info" then text_of.info(m.source.message, m.raws, m.source.label, m.is_remarkable) end
   end)
   return count
 end

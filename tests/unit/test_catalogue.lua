@@ -3,9 +3,8 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
-local columns = require("yapp.message.columns")
 local decode = require("yapp.message.decode")
-local decode_info = require("yapp.message.info")
+local text_of = require("yapp.message.text")
 
 local T = {}
 
@@ -227,18 +226,24 @@ function T.test_which_bits_are_alarms()
     { 0xFFFFFFFF, 0x20, "FAULT", 0 })
 end
 
+-- The description of a filter of a message.
+local function about(m, name)
+  for _, row in ipairs(m.filters) do
+    if row[1] == m.filter .. "." .. name then return row[4] end
+  end
+end
+
 function T.test_descriptions()
   local entry = message({ title = "Pump", section = "Pumps" }, { unit = "bar" })
   entry.size, entry[2] = 2, { "g", "uint8", "Flags", section = "Flags of pumps", group = "g",
     flags = { { "a", 1, "Leak", help = "Look at the seal" }, { "b", 2, "Dry" } }, bits = { { "n", 0x30, "Count" } } }
   local m = catalogue.compile({ entry }).messages[1]
-  local flags = m.by_name.g.flags
-  lu.assertEquals({ m.section, m.by_name.f.description, flags[1].help, flags[1].description, flags[2].description,
-    m.by_name.n.description },
+  lu.assertEquals({ m.section, about(m, "f"), m.by_name.g.flags[1].help, about(m, "g.a"),
+    about(m, "g.b"), about(m, "n") },
     { "Pumps", 'F in bar, of Pump (section "Pumps")', "Look at the seal",
       'Leak, one of Flags, of Pump (section "Flags of pumps"). Look at the seal',
       'Dry, one of Flags, of Pump (section "Flags of pumps")', 'Count, of Pump (section "Pumps")' })
-  lu.assertEquals(catalogue.compile({ message() }).messages[1].fields[1].description, "F, of M")
+  lu.assertEquals(about(catalogue.compile({ message() }).messages[1], "f"), "F, of M")
 end
 
 function T.test_long_texts_are_cut()
@@ -266,10 +271,10 @@ function T.test_nonsense_in_every_option()
               { "f", "uint8", "F" }, row, differences = key == "x" and value or nil } }
             lu.assertEquals(#compiled.messages + math.min(#problems, 1), 1)
             for _, one in ipairs(compiled.messages) do
-              local raws = decode.read(one, ("\255"):rep(size))
+              local raws = one.read(("\255"):rep(size))
               decode.remarks(one, raws)
-              lu.assertStrContains(decode_info.text(one, raws), "M")
-              lu.assertNotNil(columns.row(one, decode.read(one, ("\255"):rep(size))))
+              lu.assertStrContains(text_of.info(one, raws, one.title, true), "M")
+              lu.assertNotNil(text_of.row(one, one.read(("\255"):rep(size))))
             end
           end
         end

@@ -4,7 +4,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local decode = require("yapp.message.decode")
-local decode_info = require("yapp.message.info")
+local text_of = require("yapp.message.text")
 
 local T = {}
 
@@ -26,15 +26,15 @@ function T.test_floats()
     { "float16", -200, 200, 32847, 0.5005 }, { "float16", -100000, 100000, 33011, 750.80 },
   } do
     local f = field(row[1], row[2], row[3])
-    lu.assertAlmostEquals(decode.float(f, row[4]), row[5], 0.01 * math.abs(row[5]) + 1e-4)
+    lu.assertAlmostEquals(decode.value(f, row[4]), row[5], 0.01 * math.abs(row[5]) + 1e-4)
   end
 end
 
 function T.test_the_ends_and_the_middle_are_exact()
   local f = field("float16", -128, 128)
-  lu.assertTrue(decode.float(f, 0) == -128 and decode.float(f, 32765) == 0 and decode.float(f, 65530) == 128)
+  lu.assertTrue(decode.value(f, 0) == -128 and decode.value(f, 32765) == 0 and decode.value(f, 65530) == 128)
   f = field("float16", -10, 5)
-  lu.assertTrue(decode.float(f, 0) == -10 and decode.float(f, 65530) == 5)
+  lu.assertTrue(decode.value(f, 0) == -10 and decode.value(f, 65530) == 5)
 end
 
 -- A message is recognised by its values only if enough of them can be wrong.
@@ -58,7 +58,7 @@ end
 function T.test_zero_is_at_43687_counts()
   local f, best = field("float16", -10, 5), nil
   for raw = 43680, 43690 do
-    if not best or math.abs(decode.float(f, raw)) < math.abs(decode.float(f, best)) then best = raw end
+    if not best or math.abs(decode.value(f, raw)) < math.abs(decode.value(f, best)) then best = raw end
   end
   lu.assertEquals(best, 43687)
 end
@@ -68,7 +68,7 @@ function T.test_every_count()
     local f = field(kind, -40, 210)
     local before = -math.huge
     for raw = 0, f.top do
-      local value, special = decode.float(f, raw)
+      local value, special = decode.value(f, raw)
       if raw <= f.top - 5 then
         lu.assertTrue(value > before and value >= -40 and value <= 210 and special == nil)
         before = value
@@ -82,18 +82,18 @@ end
 function T.test_the_divisor_of_the_worked_examples()
   local f = field("float16", -200, 200)
   decode.use_divisor(decode.WORKED_EXAMPLES)
-  lu.assertAlmostEquals(decode.float(f, 32847), 0.4975, 0.0005)
+  lu.assertAlmostEquals(decode.value(f, 32847), 0.4975, 0.0005)
   f = field("float16", -100000, 100000)
   decode.use_divisor(decode.WORKED_EXAMPLES)
-  lu.assertAlmostEquals(decode.float(f, 33011), 749.26, 0.005)
+  lu.assertAlmostEquals(decode.value(f, 33011), 749.26, 0.005)
   decode.use_divisor(decode.MAPPING)
 end
 
 function T.test_rounding()
   local f = field("float16", -10, 5)
-  lu.assertTrue(decode.rounded(f, 1.1000000001) == 1.1)
-  lu.assertTrue(decode.rounded(f, -0.12345678) == -0.1234568)
-  lu.assertTrue(decode.rounded(f, 0) == 0)
+  lu.assertTrue(tonumber(decode.number_text(f, 1.1000000001)) == 1.1)
+  lu.assertTrue(tonumber(decode.number_text(f, -0.12345678)) == -0.1234568)
+  lu.assertTrue(tonumber(decode.number_text(f, 0)) == 0)
 end
 
 local function bytes(hex) return (hex:gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)) end
@@ -129,22 +129,22 @@ local MOTOR, COMMAND = TAURUS.by_id[0x210], TAURUS.by_id[0]
 local EXAMPLE = bytes("FD7FFD7FFD7FFD7FF5AFFD7F18010000014000000000E38CD23CE04E000005FF")
 
 function T.test_the_document_s_example()
-  local raws = decode.read(MOTOR, EXAMPLE)
+  local raws = MOTOR.read(EXAMPLE)
   lu.assertEquals(raws[MOTOR.by_name.dc_voltage.index], 0xAFF5)
   lu.assertEquals(raws[MOTOR.by_name.status_flags.index], 0x40010000)
   lu.assertEquals(decode.flag_names(MOTOR.by_name.status_flags, 0x40010000), "stopped, mpos_update")
-  lu.assertEquals(decode_info.text(MOTOR, raws), "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A")
+  lu.assertEquals(text_of.info(MOTOR, raws, MOTOR.title, true), "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A")
   local remarks = decode.remarks(MOTOR, raws)
   lu.assertEquals({ #remarks, remarks[1][2] }, { 1, "value.special" }) -- no thermistor on the ESC
 end
 
 function T.test_a_payload_that_is_cut()
   for length = 0, #EXAMPLE do
-    local raws = decode.read(MOTOR, EXAMPLE:sub(1, length))
+    local raws = MOTOR.read(EXAMPLE:sub(1, length))
     for i, f in ipairs(MOTOR.fields) do
       if f.kind ~= "time" then lu.assertEquals(raws[i] ~= nil, f.offset + f.size <= length) end
     end
-    lu.assertStrContains(decode_info.text(MOTOR, raws), "Motor Data")
+    lu.assertStrContains(text_of.info(MOTOR, raws, MOTOR.title, true), "Motor Data")
   end
 end
 
@@ -156,7 +156,7 @@ function T.test_remarks()
     ["01A501FAFF" .. "FAFF"] = "",
   } do
     local found = {}
-    for _, remark in ipairs(decode.remarks(COMMAND, decode.read(COMMAND, bytes(hex))) or {}) do
+    for _, remark in ipairs(decode.remarks(COMMAND, COMMAND.read(bytes(hex)))) do
       found[#found + 1] = remark[2]
     end
     lu.assertEquals(table.concat(found, " "), expected, hex)
@@ -186,21 +186,22 @@ function T.test_faults_in_the_info_column()
     ["00000800/05"] = "  FAULT undefined 0x80000" } do
     local fault, state = changed:match("(.*)/(.*)")
     local payload = EXAMPLE:sub(1, 18) .. bytes(fault) .. EXAMPLE:sub(23, 30) .. bytes(state) .. "\0"
-    local raws, is_remarkable = decode.read(MOTOR, payload)
+    local raws, is_remarkable = MOTOR.read(payload)
     lu.assertEquals(is_remarkable, expected ~= "")
-    lu.assertEquals(decode_info.text(MOTOR, raws, nil, is_remarkable), usual .. expected)
-    lu.assertEquals(decode_info.text(MOTOR, raws), usual .. expected)
+    lu.assertEquals(text_of.info(MOTOR, raws, MOTOR.title, is_remarkable), usual .. expected)
+    lu.assertEquals(text_of.info(MOTOR, raws, MOTOR.title, true), usual .. expected)
   end
   local own = catalogue.compile { { name = "m", title = "M", id = 1, size = 2,
     { "a", "uint8", "A", group = "a", alarm = "ALARM", flags = { { "x", 1, "X" } } },
     { "b", "uint8", "B", group = "b", alarm = "WARNING", flags = { { "y", 1, "Y" } } } } }
   local m = own.messages[1]
-  lu.assertEquals(decode_info.text(m, (decode.read(m, "\1\1"))), "M    ALARM x  WARNING y")
+  lu.assertEquals(text_of.info(m, (m.read("\1\1")), m.title, true), "M    ALARM x  WARNING y")
 end
 
 function T.test_special_values_in_the_info_column()
-  local raws = decode.read(COMMAND, bytes("01A501FFFFFEFF"))
-  lu.assertEquals(decode_info.text(COMMAND, raws), "Command  Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")
+  local raws = COMMAND.read(bytes("01A501FFFFFEFF"))
+  lu.assertEquals(text_of.info(COMMAND, raws, COMMAND.title, true),
+    "Command  Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")
 end
 
 return T

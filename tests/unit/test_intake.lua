@@ -3,7 +3,6 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue_of = require("yapp.message.catalogue")
-local decode = require("yapp.message.decode")
 local frame_key = require("yapp.base.frame_key")
 local intake_of = require("yapp.stat.intake")
 
@@ -31,7 +30,7 @@ local function message(with)
   local m = { seq = 0, source = SOURCE, time = 0.5, visited = false, status = "good", payload = "\0\0\0" }
   for key, value in pairs(with or {}) do m[key] = value end
   m.key = (m.frame or 1) * frame_key.PACKET + 16
-  if m.payload then m.raws, m.is_remarkable = decode.read(MESSAGE, m.payload) end
+  if m.payload then m.raws, m.is_remarkable = MESSAGE.read(m.payload) end
   return m
 end
 

@@ -86,6 +86,14 @@ function T.test_buses_with_odd_names()
     s:name("x", 1) }, { "a", "b", "c", "d" })
 end
 
+-- Signs between quotes belong to the bus or the name, and problems show them as they are.
+function T.test_signs_between_quotes()
+  local s, problems = parse([["a/b=c,d"/0x210=motor:"x,y=/z", "a/b"x/0x211="p,q=/r", "e"=f]])
+  lu.assertEquals({ s:name("a/b=c,d", 0x210), s:name("e", 1) }, { '"x,y=/z"', "f" })
+  lu.assertEquals(problems, { [[yapp.sources: no "/" or "=" behind the quotes in ""a/b"x/0x211="p,q=/r""; ]] ..
+    "write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME" })
+end
+
 function T.test_what_is_wrong_is_said_part_by_part_and_the_rest_holds()
   local s, problems = parse('0x210, 0x800=a, left/x=b, 0x210=moter:c, 0x211=, "x"0x1=d, 0x212=' .. ("n"):rep(65) ..
     ', 0x213=\1, 0x214=\255, -1=q, 1.5=r, 0x215=good, "open/1=e')

@@ -4,7 +4,6 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue_of = require("yapp.message.catalogue")
-local decode = require("yapp.message.decode")
 local kinds_of = require("yapp.stat.kinds")
 local options_of = require("yapp.stat.options")
 local output = require("yapp.stat.output")
@@ -45,7 +44,7 @@ local function record(frame, rel, with)
   with = with or {}
   local source, content = with.source or LEFT, with.payload or payload(10)
   local m = { seq = with.seq or 0, payload = content }
-  if with.fits ~= false then m.raws = decode.read(source.message, content) end
+  if with.fits ~= false then m.raws = source.message.read(content) end
   local values = with.values or { change = with.change, invalid = with.invalid, undecoded = with.undecoded,
     is_unreliable = with.is_unreliable }
   return kinds_of.event(with.kind or "message", frame, rel, source, values, m)

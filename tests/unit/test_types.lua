@@ -3,10 +3,9 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
-local columns = require("yapp.message.columns")
 local csv = require("yapp.stat.csv")
 local decode = require("yapp.message.decode")
-local decode_info = require("yapp.message.info")
+local text_of = require("yapp.message.text")
 
 local T = {}
 
@@ -21,15 +20,15 @@ end
 
 -- The row of CSV of a payload.
 local function row_of(m, payload)
-  return columns.row(m, (decode.read(m, payload)))
+  return text_of.row(m, (m.read(payload)))
 end
 
 -- The row of CSV of a payload, and the experts of its remarks.
 local function shown(m, hex)
-  local raws, is_remarkable = decode.read(m, bytes(hex))
-  lu.assertEquals(is_remarkable, decode.remarks(m, raws) ~= nil, hex)
+  local raws, is_remarkable = m.read(bytes(hex))
+  lu.assertEquals(is_remarkable, #decode.remarks(m, raws) > 0, hex)
   local experts = {}
-  for _, remark in ipairs(decode.remarks(m, raws) or {}) do
+  for _, remark in ipairs(decode.remarks(m, raws)) do
     experts[#experts + 1] = m.fields[remark[1]].name .. " " .. remark[2]
   end
   return row_of(m, bytes(hex)), table.concat(experts, ", ")
@@ -119,7 +118,7 @@ function T.test_limits()
     local m = message(#hex / 2, row)
     lu.assertEquals({ shown(m, hex) }, { wanted, experts }, kind .. " " .. hex)
     local names = {}
-    for i, column in ipairs(columns.columns(m)) do names[i] = column.name end
+    for i, column in ipairs(text_of.columns(m)) do names[i] = column.name end
     lu.assertEquals(select(2, wanted:gsub('"[^"]*"', ""):gsub(",", "")), #names - 1, kind)
   end
 end
@@ -140,7 +139,7 @@ function T.test_the_shortest_digits_of_four_bytes()
   for _ = 1, 20000 do
     seed = (seed * 1103515245 + 12345) % 2147483648
     local hex = ("%08x"):format(seed)
-    local value = decode.value(m.fields[1], decode.read(m, bytes(hex))[1])
+    local value = decode.value(m.fields[1], m.read(bytes(hex))[1])
     if value then
       local short = shortest(value, 4)
       lu.assertTrue(math.abs(short - value) <= math.max(math.abs(value) * 2 ^ -24, 2 ^ -150), hex)
@@ -200,7 +199,7 @@ function T.test_arrays()
   lu.assertEquals(names, { "cell_1 taurus.m.cell", "cell_2 taurus.m.cell", "cell_3 taurus.m.cell", "end taurus.m.end",
     "on_1 taurus.m.on", "on_2 taurus.m.on" })
   lu.assertEquals(offsets, { 0, 2, 4, 6, 7, 8 })
-  lu.assertEquals({ columns.columns(m)[2].name, columns.columns(m)[2].unit, m.by_name.cell_2.title },
+  lu.assertEquals({ text_of.columns(m)[2].name, text_of.columns(m)[2].unit, m.by_name.cell_2.title },
     { "cell_2", "V", "Cell 2" })
 end
 
@@ -226,7 +225,7 @@ function T.test_variants()
   lu.assertEquals({ shown(m, "03ffffffffffffffffffff05") }, { "3,,,,,,5", "" })
   lu.assertEquals({ shown(m, "04ffffffffffffffffffff05") }, { "4,,,,,,5", "kind value.invalid" })
   lu.assertEquals({ m.time or "none", m.by_name.volts.offset, m.by_name.after.offset }, { "none", 1, 11 })
-  local raws = decode.read(m, bytes("0100"))
+  local raws = m.read(bytes("0100"))
   lu.assertEquals({ raws[1], raws[2] or "none" }, { 1, "none" })
 end
 
@@ -239,10 +238,10 @@ end
 
 -- The generated values of a payload, "-" for none.
 local function generated(m, hex)
-  local raws, values = decode.read(m, bytes(hex)), {}
+  local raws, values = m.read(bytes(hex)), {}
   for i, item in ipairs(m.generated) do
     local value = decode.derived(m, item, raws)
-    values[i] = value and decode.rounded(item, value) or "-"
+    values[i] = value and tonumber(decode.number_text(item, value)) or "-"
   end
   return values
 end
@@ -259,7 +258,9 @@ function T.test_generated_values()
   lu.assertEquals(generated(m, "faff03"), { "-", "-", "-", "-" }) -- b does not fit
   local about = {}
   for i, item in ipairs(m.generated) do
-    about[i] = ("%s %s %s"):format(item.filter, item.unit or "-", item.description)
+    for _, row in ipairs(m.filters) do
+      if row[1] == item.filter then about[i] = ("%s %s %s"):format(item.filter, item.unit or "-", row[4]) end
+    end
   end
   lu.assertEquals(about, { "taurus.m.d V D in V, of M", "taurus.m.p W P in W, of M", "taurus.m.s - S, of M",
     "taurus.m.n - N, of M" })
@@ -271,7 +272,7 @@ function T.test_columns_of_derived_values()
     differences = { { "d", "a", "b", "D" } }, derived = { { "p", "a * b", "P", unit = "W" } },
     { "a", "uint8", "A" }, { "b", "float8", "B", min = 0, max = 2.5 } } }
   local m, names = compiled.messages[1], {}
-  for i, column in ipairs(columns.columns(m)) do
+  for i, column in ipairs(text_of.columns(m)) do
     names[i] = ("%s %s %s"):format(column.name, column.type, column.unit or "-")
   end
   lu.assertEquals(names, { "a integer -", "b float -", "b_special string -", "p float W" })
@@ -306,8 +307,8 @@ function T.test_payloads_that_are_shorter()
   for length, row in pairs(rows) do lu.assertEquals(row_of(m, payload:sub(1, length)), row, length) end
   local infos = { [1] = "One - - -", [9] = "One 1.000000000 s - -", [17] = "One 1.000000000 s ab true" }
   for length, text in pairs(infos) do
-    local raws, is_remarkable = decode.read(m, payload:sub(1, length))
-    lu.assertEquals({ decode_info.text(m, raws), is_remarkable }, { "M  " .. text, false })
+    local raws, is_remarkable = m.read(payload:sub(1, length))
+    lu.assertEquals({ text_of.info(m, raws, m.title, true), is_remarkable }, { "M  " .. text, false })
   end
 end
 
@@ -317,9 +318,9 @@ function T.test_nothing_is_remarkable_in_what_is_absent()
     { "c", "uint8", "C", group = "g", alarm = "FAULT", flags = { { "x", 1, "X" } } })
   for length, experts in pairs { [0] = {}, { "value.invalid" }, { "value.invalid" },
     { "value.invalid", "fault.active" } } do
-    local raws, is_remarkable = decode.read(m, ("\1"):rep(length))
+    local raws, is_remarkable = m.read(("\1"):rep(length))
     local found = {}
-    for i, remark in ipairs(decode.remarks(m, raws) or {}) do found[i] = remark[2] end
+    for i, remark in ipairs(decode.remarks(m, raws)) do found[i] = remark[2] end
     lu.assertEquals({ found, is_remarkable, decode.has_alarm(m, raws) }, { experts, length > 0, length == 3 })
   end
 end
@@ -328,7 +329,7 @@ function T.test_names_of_columns_that_are_taken()
   local m = message(4, { "time", "uint8", "T" }, { "id", "uint8", "I" }, { "x", "uint8", "X", values = {} },
     { "x_text", "uint8", "Y" })
   local names = {}
-  for i, column in ipairs(columns.columns(m)) do names[i] = column.name end
+  for i, column in ipairs(text_of.columns(m)) do names[i] = column.name end
   lu.assertEquals(names, { "time_2", "id_2", "x", "x_text", "x_text_2" })
 end
 
@@ -339,7 +340,7 @@ function T.test_types_of_columns()
     { "g", "float32", "G" }, { "h", "float8", "H", min = 0, max = 1, unit = "V" }, { "i", "int8", "I", values = {} },
     { "j", "uint8", "J", group = "j", flags = { { "x", 1, "X" } } }, { "k", "padding", length = 10 } )
   local found = {}
-  for i, column in ipairs(columns.columns(m)) do
+  for i, column in ipairs(text_of.columns(m)) do
     found[i] = ("%s %s %s"):format(column.name, column.type, column.unit or "-")
   end
   lu.assertEquals(found, { "a bool -", "b time s", "c string -", "d string -", "e integer m", "f float K", "g float -",
@@ -358,7 +359,7 @@ function T.test_columns_are_described()
     local json = '{"name":"%s","unit":null,"type":"%s","filter":"taurus.m.%s","title":"%s",%s}'
     return json:format(name, type, rest.filter or name, title, rest[1] or '"kind":null,"bits":null,"values":null')
   end
-  lu.assertEquals(csv.describe(compiled, "9.8.7", columns.columns),
+  lu.assertEquals(csv.describe(compiled, "9.8.7", text_of.columns),
     '{"version":1,"plugin":"9.8.7","messages":{"m":{"title":"M","every":0.5,"columns":[' .. table.concat({
       column("mode", "integer", "Mode", { '"kind":"int","bits":8,"values":{"-1":"lost","2":"a \\"b\\"","10":"ten"}' }),
       column("mode_text", "string", "Mode", { filter = "mode" }),
@@ -379,9 +380,9 @@ function T.test_info_of_many_fields()
       { "b", "float16", "B", min = 0, max = 65530 } } }
     lu.assertEquals(problems, {})
     local m = compiled.messages[1]
-    lu.assertEquals(decode_info.text(m, (decode.read(m, "\7\3\0"))), "M  " .. ("7"):rep(count) ..
+    lu.assertEquals(text_of.info(m, (m.read("\7\3\0")), m.title, true), "M  " .. ("7"):rep(count) ..
       ("3"):rep(count))
-    lu.assertEquals(decode_info.text(m, (decode.read(m, "\7\255\255"))), "M  " .. ("7"):rep(count) ..
+    lu.assertEquals(text_of.info(m, (m.read("\7\255\255")), m.title, true), "M  " .. ("7"):rep(count) ..
       ("NaN"):rep(count))
   end
 end
@@ -395,10 +396,10 @@ function T.test_info_of_every_kind()
   local m = compiled.messages[1]
   local payload = bytes("ff" .. "97ff" .. "01" .. "616263" .. "00ff" .. "cdcc8c3f" .. "0000000000002000" ..
     "00ca9a3b00000000" .. "0000")
-  lu.assertEquals(decode_info.text(m, (decode.read(m, payload))),
+  lu.assertEquals(text_of.info(m, (m.read(payload)), m.title, true),
     "M  -1 -10.5 true abc 00ff 1.10 9007199254740992 1.000000000 s")
   payload = bytes("ff" .. "97ff" .. "02" .. "616263" .. "00ff" .. "ffffffff") .. payload:sub(14)
-  lu.assertEquals(decode_info.text(m, (decode.read(m, payload))),
+  lu.assertEquals(text_of.info(m, (m.read(payload)), m.title, true),
     "M  -1 -10.5 invalid 0x2 abc 00ff NaN 9007199254740992 1.000000000 s")
 end
 
@@ -407,8 +408,8 @@ function T.test_info_of_a_time_at_the_end()
   local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 8, info = "{t}",
     { "t", "int64_ns", "T" } } }
   local m, payload = compiled.messages[1], bytes("00ca9a3b00000000")
-  lu.assertEquals(decode_info.text(m, (decode.read(m, payload))), "M  1.000000000 s")
-  lu.assertEquals(decode_info.text(m, (decode.read(m, ""))), "M  -")
+  lu.assertEquals(text_of.info(m, (m.read(payload)), m.title, true), "M  1.000000000 s")
+  lu.assertEquals(text_of.info(m, (m.read("")), m.title, true), "M  -")
 end
 
 function T.test_many_fields_of_every_kind()
@@ -419,11 +420,11 @@ function T.test_many_fields_of_every_kind()
     size = size + ({ 1, 2, 8, 4 })[i % 4 + 1]
   end
   local m = message(size, (table.unpack or unpack)(rows)) -- luacheck: ignore
-  lu.assertEquals(select(2, columns.row(m, ("\1"):rep(size)):gsub(",", "")), #columns.columns(m) - 1)
+  lu.assertEquals(select(2, text_of.row(m, ("\1"):rep(size)):gsub(",", "")), #text_of.columns(m) - 1)
 end
 
 function T.test_a_message_of_padding_only()
-  lu.assertEquals(columns.row(message(9, { "p", "padding", length = 9 }), ("x"):rep(9)), "")
+  lu.assertEquals(text_of.row(message(9, { "p", "padding", length = 9 }), ("x"):rep(9)), "")
 end
 
 return T

@@ -19,7 +19,6 @@ local number_of, PACKET, sub = frame_key.number, frame_key.PACKET, string.sub
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
 
 local REASSEMBLED = "Reassembled YAPP" -- what Wireshark's bytes pane calls it
-local FIRST = 1e99 -- in deltas, for a message whose source has no previous one
 
 -- YAPP has no remote frames, but captures give a remote frame zeros as data.  So ask of a frame of
 -- zeros whether it is remote; if nothing says so, it is a data frame.
@@ -53,7 +52,6 @@ function Dissector:reset(history)
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
     return memo(function(id) return self.reader:new_source(id, bus, self.buses:name(bus)) end)
   end)
-  self.deltas = {} -- [frame key of a single frame] = seconds, or FIRST; nil: not known
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
   self.lost_bus = false -- whether a frame came whose bus is not known
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
@@ -77,26 +75,20 @@ end
 
 -- Return the message that a frame ends, for message.reader.  For the statistics make one of any
 -- frame, where status, payload and size may be missing.
-local function new_message(self, frame, status, payload, size)
-  local delta, is_unreliable = false, not frame.is_bus_known
-  if frame.visited then
-    delta = frame.message and frame.message.delta or self.deltas[frame.key] or false
-    is_unreliable = not delta
-    if delta == FIRST then delta = false end
-  end
+local function new_message(frame, status, payload, size)
   return {
     source = frame.source,
     seq = frame.can_id.seq,
     key = frame.key,
     time = frame.pinfo.rel_ts,
     visited = frame.visited,
-    is_unreliable = is_unreliable,
-    delta = delta,
+    is_unreliable = not (frame.visited or frame.is_bus_known),
     payload = payload,
     size = size,
     status = status,
     -- Of the reader:
-    raws = nil, is_remarkable = nil, has_fault = nil, change = nil, state = nil, undecoded = nil,
+    raws = nil, is_remarkable = nil, has_fault = nil, undecoded = nil,
+    change = nil, delta = nil, state = nil,
   }
 end
 
@@ -109,7 +101,7 @@ local function show_anomalies(self, frame)
   if not anomalies then return end
   for _, one in ipairs(anomalies) do self.tree:expert(item, one.expert, one.text) end
   if self.stat.wanted then
-    self.stat:anomalies(new_message(self, frame), anomalies, frame.can_id.ctrl == END)
+    self.stat:anomalies(new_message(frame), anomalies, frame.can_id.ctrl == END)
   end
 end
 
@@ -170,29 +162,14 @@ end
 
 -- Messages ----------------------------------------------------------------------------------------
 
--- Read a message, and keep its delta for revisits.
--- returns  as Reader:read
-local function read(self, frame, m)
-  local is_whole = self.reader:read(m, self.history, frame.wants.state)
-  if frame.visited or frame.is_only_pass then return is_whole end
-  -- That controllers share a source is not kept: on a revisit the history says it again.
-  local delta = frame.is_bus_known and (m.delta or FIRST)
-  if frame.message then
-    self.reassembly:keep(frame.message, delta, m.has_fault)
-  elseif delta then
-    self.deltas[frame.key] = delta
-  end
-  return is_whole
-end
-
 local function show_single(self, frame)
   local data, reported, source = frame.data, frame.reported, frame.source
   local size = source.size and
     can_id.single_size(data, reported, source.min_size or source.size, source.size) or reported
   local status = #data == reported and "good" or "truncated"
-  local m = new_message(self, frame, status, sub(data, 1, size), size)
+  local m = new_message(frame, status, sub(data, 1, size), size)
   frame.payload_tvb = frame.wants.tree and frame.tvb
-  read(self, frame, m)
+  self.reader:read(m, self.history, frame.wants)
   local info = self.tree:show_message(m, frame)
   if frame.wants.yapp and #data > size then
     add(frame.item, self.tree.fields.padding, frame.tvb(size))
@@ -204,12 +181,14 @@ end
 local function show_last(self, frame)
   local builder, message, wants, item = self.tree, frame.message, frame.wants, frame.item
   local status, payload = message.status, message.payload
-  local m = new_message(self, frame, status, payload, message.size)
+  local m = new_message(frame, status, payload, message.size)
   local tvb = wants.tree and payload ~= "" and ByteArray.new(payload, true):tvb(REASSEMBLED)
   frame.payload_tvb = tvb
   if wants.yapp then add_message(self, frame) end
   if status == "bad" then builder:bad_crc(item, message) end
-  if read(self, frame, m) then return builder:show_message(m, frame) .. builder.MARKS[status] end
+  local is_whole = self.reader:read(m, self.history, wants)
+  if not (frame.visited or frame.is_only_pass) then self.reassembly:keep(message, m.has_fault) end
+  if is_whole then return builder:show_message(m, frame) .. builder.MARKS[status] end
   if wants.yapp then
     if tvb then add(item, builder.fields.payload, tvb()) end
     builder:add_delta(item, m)
@@ -255,7 +234,7 @@ local function show_fragment(self, frame)
     builder:generated(item, "reassembled.in", in_number)
     builder:generated(item, "message.fault", message.has_fault)
   end
-  if self.stat.wants_parts then self.stat:part(new_message(self, frame)) end
+  if self.stat.wants_parts then self.stat:part(new_message(frame)) end
   if not wants.columns then return end
   local text = fragment_text(frame)
   return in_number and ("%s  [Reassembled in #%d]"):format(text, in_number) or text
@@ -343,7 +322,7 @@ local function refuse(self, frame)
   local is_single = fields.ctrl == 0 and fields.ctl == 0
   if self.stat.wanted and is_single and message and #data > message.size and
     decode.is_plausible(message, sub(data, 1, message.size)) then
-    self.stat:unknown(new_message(self, frame, nil, nil, frame.reported))
+    self.stat:unknown(new_message(frame, nil, nil, frame.reported))
   end
   return 0
 end
@@ -409,7 +388,7 @@ function Dissector:report_unknown(tvb, pinfo, find_id)
   local frame = new_frame(self, tvb, length, pinfo, nil, id, false)
   -- With another YAPP CTL than 0, it is YAPP's only if ID and size are of one message.
   if fields.ctl ~= 0 and size ~= frame.source.size then return end
-  self.stat:unknown(new_message(self, frame, nil, nil, size))
+  self.stat:unknown(new_message(frame, nil, nil, size))
 end
 
 --- Return the messages that the capture ends before.

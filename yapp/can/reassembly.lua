@@ -119,7 +119,7 @@ function Reassembly:give_up(message)
   local copy = { slot = message.slot, source = message.source, size = message.size,
     status = "superseded" }
   for i, key in ipairs(message) do copy[i] = key end
-  self.store:keep(copy, 0, false)
+  self.store:keep(copy, false)
 end
 
 -- Slots ------------------------------------------------------------------------------------------
@@ -407,8 +407,8 @@ function Reassembly:take(frame)
 end
 
 --- Keep the message that the newest frame has ended, see can.store.
-function Reassembly:keep(message, delta, has_fault)
-  self.store:keep(message, delta, has_fault)
+function Reassembly:keep(message, has_fault)
+  self.store:keep(message, has_fault)
 end
 
 --- Forget the newest frame: a read filter dropped its packet, so the next one has its key.

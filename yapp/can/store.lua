@@ -52,7 +52,6 @@ local function new_slot(source)
     starts = {}, -- frame keys, which ascend
     texts = {},
     broken = {}, -- messages, false for one that is packed
-    deltas = {},
     latest = {}, -- the message that was found last
     at = 0, -- its index
     index = 0, -- of its fragment that was found
@@ -74,9 +73,8 @@ local function pack(message, has_fault)
 end
 
 --- Keep a message that has ended.
--- delta      number or false: delta of the message, once Store:find returns it
 -- has_fault  whether it has a fault flag set
-function Store:keep(message, delta, has_fault)
+function Store:keep(message, has_fault)
   local slot = self.slots[message.slot]
   if not slot then
     slot = new_slot(message.source)
@@ -87,7 +85,6 @@ function Store:keep(message, delta, has_fault)
   insert(slot.starts, at, start)
   insert(slot.texts, at, text or has_fault and "!" or "|")
   insert(slot.broken, at, not text and message)
-  insert(slot.deltas, at, delta)
   for key, original in pairs(message.duplicates or NONE) do self.originals[key] = original end
 end
 
@@ -141,15 +138,15 @@ end
 
 -- Return the message of a slot with this index.
 local function message_at(slot, at, fields)
-  local text, key, delta = slot.texts[at], slot.starts[at], slot.deltas[at]
+  local text, key = slot.texts[at], slot.starts[at]
   local has_fault = byte(text) == FAULT
   if #text == 1 then
     local message = slot.broken[at]
-    message.delta, message.has_fault = delta, has_fault
+    message.has_fault = has_fault
     return message
   end
   if byte(text) == LONE then
-    return { key, source = slot.source, delta = delta, has_fault = false, status = "superseded",
+    return { key, source = slot.source, has_fault = false, status = "superseded",
       size = tonumber(sub(text, 2)) }
   end
   local count = byte(text, 2)
@@ -157,7 +154,6 @@ local function message_at(slot, at, fields)
   local message = {
     key, nil, nil, nil, nil,
     source = slot.source,
-    delta = delta,
     has_fault = has_fault,
     status = "good",
     size = #payload,

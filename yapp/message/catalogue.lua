@@ -3,9 +3,9 @@
 -- needs.  Pure Lua.
 
 local check = require("yapp.message.check")
-local fields = require("yapp.message.catalogue_fields")
 local decode = require("yapp.message.decode")
-local info = require("yapp.message.info")
+local fields = require("yapp.message.catalogue_fields")
+local text_of = require("yapp.message.text")
 
 local demand, shown = check.demand, check.shown
 local is_name, is_text = check.is_name, check.is_text
@@ -18,47 +18,121 @@ local M = {}
 M.MAX_ID = 2047
 local MAX_SIZE = 65535
 local DERIVED_OPTIONS = check.set("unit")
+local NUMERIC = check.set("uint int scaled float ieee")
 local OPTIONS =
   check.set("name title section id size min_size info every answers differences derived")
 
--- Filter names -----------------------------------------------------------------------------------
+-- Filters ----------------------------------------------------------------------------------------
 
--- The filters of a flags field below its group's.
-local BELOW = {
-  "undefined",
-  "raised",
-  "cleared",
-  "active_time",
-  "previous_change",
-  "next_change",
-}
-
--- Return the filter names that a field has.
-local function filters_of(field)
-  local names = { field.filter, field.special }
-  if not field.flags then return names end
-  names[2] = field.filter .. ".names"
-  for _, name in ipairs(BELOW) do names[#names + 1] = field.group .. "." .. name end
-  for _, flag in ipairs(field.flags) do names[#names + 1] = flag.filter end
-  return names
+-- Return the description of a field, a flag or a generated value.
+local function describe(message, title, unit, section)
+  local text = title
+  if unit then text = text .. " in " .. unit end
+  text = text .. ", of " .. message.title
+  if section then text = ('%s (section "%s")'):format(text, section) end
+  return text
 end
 
--- Raise that a filter name of a message is there twice or is reserved.
-local function check_filters(message, reserved, context)
-  local taken = {}
-  local function take(name)
-    demand(not (taken[name] or reserved[name]), "the filter name %s is taken", name)
-    taken[name] = true
+-- Wireshark's types of the kinds whose name is not a type.
+local TYPES = {
+  time = "RELATIVE_TIME",
+  bool = "BOOLEAN",
+  float = "DOUBLE",
+  ieee = "DOUBLE",
+  scaled = "DOUBLE",
+}
+
+-- Return the type of a field's own filter, and the base.
+local function type_of(field)
+  local kind, width = field.kind, field.size * 8
+  if kind == "flags" then return "UINT" .. width, "HEX" end
+  if kind == "uint" then return "UINT" .. width, field.values and "HEX" end
+  if kind == "int" then return "INT" .. width end
+  return TYPES[kind] or kind:upper()
+end
+
+-- Add the filters of a field's flags.
+local function add_flags(field, add, about, about_flag)
+  local title, group = field.title, field.group
+  add(group .. ".undefined", "UINT32", "Undefined bits", "Bits that nothing defines: " .. about,
+    "HEX")
+  for _, flag in ipairs(field.flags) do
+    add(flag.filter, "BOOLEAN", flag.title, about_flag(flag), field.size * 8, nil, flag.mask)
   end
-  take(message.filter)
-  if message.time then take(message.filter .. ".clock_drift") end
-  if message.answers then take(("%s.%s_in"):format(message.filter, message.answers)) end
-  for _, item in ipairs(message.generated) do take(item.filter) end
+  if #field.flags == 0 then return end
+  add(field.filter .. ".names", "STRING", title, "Names of the bits that are set: " .. about)
+  for way, verb in pairs { raised = "rose", cleared = "fell" } do
+    add(group .. "." .. way, "UINT" .. 8 * field.size, title .. " " .. way,
+      ("Bits that %s since the source's previous good message: %s"):format(verb, about), "HEX")
+  end
+end
+
+-- Add the filters of a field.
+local function add_field(message, field, add)
+  local title, about = field.title, describe(message, field.title, field.unit, field.section)
+  local kind, base = type_of(field)
+  if field.kind == "flags" then
+    add_flags(field, add, about, function(flag)
+      local text = describe(message, flag.title .. ", one of " .. title, nil, field.section)
+      return flag.help and text .. ". " .. flag.help or text
+    end)
+  elseif field.special then
+    add(field.special, "UINT8", title,
+      "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS)
+  end
+  local mask = field.kind == "uint" and field.mask or nil
+  add(field.filter, kind, title, about, base, field.values, mask)
+end
+
+-- Add the filters of a message's state, as message.history names what they show.
+local function add_state(message, add)
+  -- Prefer a field of nothing but faults: so filters keep their names if a flag of another field
+  -- becomes a fault.
+  local fault, states = message.fault_field or message.alarms[1], message.states
+  if message.time then
+    states.drift = add(message.filter .. ".clock_drift", "RELATIVE_TIME", "Clock drift",
+      "Controller's clock less the capture's since the source's first message or reboot")
+  end
+  if message.answers then
+    local command = message.answers:gsub("^%l", string.upper):gsub("_", " ")
+    states.command_in = add(("%s.%s_in"):format(message.filter, message.answers), "FRAMENUM",
+      ("Latest %s in"):format(command),
+      ("The latest %s on this bus before the message"):format(command), nil, "REQUEST")
+  end
+  if not fault then return end
+  states.active_time = add(fault.group .. ".active_time", "RELATIVE_TIME",
+    "Time since the oldest of them was raised",
+    "Since the oldest fault that is still set was raised")
+  for _, way in ipairs { "previous", "next" } do
+    states[way .. "_change"] = add(("%s.%s_change"):format(fault.group, way), "FRAMENUM",
+      ("%s: %s change in"):format(fault.title, way),
+      ("The source's %s message that changes a fault"):format(way))
+  end
+end
+
+-- Add all filters of a message.  Raise that a filter is there twice or is reserved.
+local function add_filters(message, reserved, context)
+  local taken, filters = {}, {}
+  local function add(filter, ...)
+    demand(not (taken[filter] or reserved[filter]), "the filter name %s is taken", filter)
+    taken[filter] = true
+    table.insert(message.filters, { filter, ... })
+    filters[#filters + 1] = filter
+    return filter
+  end
+  add(message.filter, "NONE", message.title, "A whole message: " .. message.title)
+  add_state(message, add)
+  for _, item in ipairs(message.generated) do
+    add(item.filter, "DOUBLE", item.title, describe(message, item.title, item.unit))
+  end
   for _, field in ipairs(message.fields) do
-    context.field = field.name
-    if (field.element or 1) == 1 then
-      for _, name in ipairs(filters_of(field)) do take(name) end
+    local array = field.array or field -- its elements share the filters
+    context.field, filters = field.name, {}
+    if not array.filters then
+      add_field(message, array, add)
+      array.filters = filters
     end
+    field.filters = array.filters
   end
   context.field = nil
 end
@@ -69,26 +143,30 @@ end
 -- what  the item that needs it: "derived dc_power"
 local function number_index(message, what, name)
   local field = message.by_name[name]
-  local is_number = field and (field.special or
-    (field.kind == "uint" or field.kind == "int") and not field.values)
+  local is_number = field and NUMERIC[field.kind] and not field.values
   demand(is_number, "%s: %s is no field of numbers", what, shown(name))
   return field.index
 end
 
 -- Add a value that is worked out from two fields.
--- item     { name, title, unit or nil }: gets the rest
 -- text     "field * field"
--- returns  item
-local function add_generated(message, what, item, text)
+-- returns  the item of message.generated
+local function add_generated(message, what, name, text, title, unit)
   local a, operator, b = tostring(text):match("^ *([%w_]+) *([*+-]) *([%w_]+) *$")
   demand(a, '%s: %s is not two fields with *, + or - between them: "voltage * current"', what,
     shown(text))
-  item.kind = "derived"
-  item.filter = message.filter .. "." .. item.name
-  item.description = fields.describe(item.title, item.unit, message)
-  item.operator = operator
-  item.a, item.b = number_index(message, what, a), number_index(message, what, b)
-  message.generated[#message.generated + 1] = item
+  local item = {
+    name = name,
+    title = title,
+    unit = unit,
+    filter = message.filter .. "." .. name,
+    kind = "derived",
+    shape = "%.7g",
+    operator = operator,
+    a = number_index(message, what, a),
+    b = number_index(message, what, b),
+  }
+  table.insert(message.generated, item)
   return item
 end
 
@@ -96,13 +174,12 @@ end
 local function add_all_generated(message, entry)
   for i, row in ipairs(entry.differences or {}) do
     local what, first = check.row(row, "difference", i, 4, {}), message.by_name[row[2] or false]
-    local item = { name = row[1], title = row[4], unit = first and first.unit }
-    add_generated(message, what, item, ("%s - %s"):format(row[2], row[3]))
+    local text = ("%s - %s"):format(row[2], row[3])
+    add_generated(message, what, row[1], text, row[4], first and first.unit)
   end
   for i, row in ipairs(entry.derived or {}) do
     local what = check.row(row, "derived", i, 3, DERIVED_OPTIONS)
-    local item = { name = row[1], title = row[3], unit = row.unit }
-    message.derived[i] = add_generated(message, what, item, row[2])
+    message.derived[i] = add_generated(message, what, row[1], row[2], row[3], row.unit)
   end
 end
 
@@ -116,10 +193,10 @@ local function check_head(entry)
   check.within("id", entry.id, 0, M.MAX_ID)
   check.within("size", entry.size, 1, MAX_SIZE)
   check.within("min_size", entry.min_size or entry.size, 1, entry.size)
-  local is_period = not every or check.is_finite(every) and every > 0
-  demand(is_period, "every %s is not a period in seconds", shown(every))
-  local is_message = not answers or is_name(answers)
-  demand(is_message, "answers %s is not the name of a message", shown(answers))
+  demand(not every or check.is_finite(every) and every > 0,
+    "every %s is not a period in seconds", shown(every))
+  demand(not answers or is_name(answers), "answers %s is not the name of a message",
+    shown(answers))
   demand(#entry > 0, "it has no fields")
 end
 
@@ -138,16 +215,19 @@ local function compile_message(entry, reserved, context)
     filter = "taurus." .. entry.name,
     fields = {},
     by_name = {},
+    flag_fields = {},
     alarms = {},
     generated = {},
     derived = {},
+    states = {},
+    filters = {},
   }
   local size = fields.compile(message, entry, context)
   demand(size == entry.size, "size is %d, but the fields add up to %d bytes", entry.size, size)
   message.read = decode.new_reader(message)
-  message.write_info = info.compile(message, entry.info or "")
+  message.write_info = text_of.compile_info(message, entry.info or "")
   add_all_generated(message, entry)
-  check_filters(message, reserved, context)
+  add_filters(message, reserved, context)
   return message
 end
 
@@ -178,23 +258,28 @@ end
 --   answers (a message's name), or nil
 --   size, min_size (bytes: a shorter payload is not this message)
 --   fields, by_name, time (its first field of kind time)
---   alarms (its fields with fault flags), fault_field (the first of them that has nothing else)
---   generated { name, title, filter, unit, description, kind = "derived", operator ("*", "-" or
---   "+"), a, b (indexes of fields) }: values worked out from two fields, see decode.derived
+--   flag_fields, alarms (those of them with fault flags), fault_field (the first of those that has
+--   nothing else)
+--   generated { name, title, filter, unit, kind = "derived", shape, operator ("*", "-", "+"), a and
+--   b (indexes of fields) }: values worked out from two fields, see decode.derived
 --   derived: those of them that tables have, too
---   read (see decode.new_reader), write_info (see info.compile)
--- A field has name, title, filter, index (in fields), offset, size in bytes, type, unit and section
--- or nil, description (what a person reads besides its title), and kind, with what its kind needs:
---   uint, int  bottom, top; values, invalid, cases (a set); scale and zero: value = count * scale +
---              zero; mask, low, inside: a part of the bits of another field
---   flags      flags { name, mask, title, filter, help or nil, description }, group, undefined and
---              watched (masks: bits that nothing defines; bits outside of parts, whose changes are
+--   filters: a list of { filter, type, title, description, base, values, mask }, see show.fields
+--   states: the filters of its state, { [what message.history calls it] = filter }
+--   read (see decode.new_reader), write_info (see text.compile_info)
+-- A field has name, title, filter, filters (a list of it and those below it), index (in fields),
+-- offset, size in bytes, type, unit and section or nil, shape (a format with as many digits as its
+-- count can carry; nil for ieee and integers), and kind, with what its kind needs:
+--   uint, int  bottom, top; values, invalid, cases (a set); mask, low, inside: a part of the bits
+--              of another field
+--   scaled     the same, and scale, zero: value = count * scale + zero
+--   flags      flags { name, mask, title, filter, help or nil }, group, undefined and watched
+--              (masks: bits that nothing defines; bits outside of parts, whose changes are
 --              reported), alarm_bits (mask: bits that are faults), fault_word (in Info, before
 --              their names)
 --   float      compressed: min, max, top, ordinary (the highest count that is not reserved)
 --   ieee, bool, string, bytes, time
--- An element of an array has element (1 ..) and array_title; a field in a case of variants has when
--- = { index, value }.
+-- An element of an array has array, what the elements have in common; a field in a case of
+-- variants has when = { index, value }.
 function M.compile(entries, origins, reserved)
   local catalogue, problems = { messages = {}, by_id = {}, names = {} }, {}
   for i = 1, #entries do

@@ -72,14 +72,6 @@ local function check_fits(field, what, number, lowest)
   demand(fits, "%s %s does not fit the type %s", what, shown(number), field.type)
 end
 
-local function add_values(field, row)
-  for value, meaning in pairs(row.values or {}) do
-    check_fits(field, "value", value, field.bottom)
-    demand(is_text(meaning), "value %s has no meaning in words", shown(value))
-  end
-  field.values = row.values
-end
-
 -- A linear scale: value = count * scale + offset.
 local function add_scale(field, row)
   local scale, zero = row.scale or 1, row.offset or 0
@@ -87,8 +79,12 @@ local function add_scale(field, row)
   demand(is_finite(zero), "offset %s is not a number", shown(zero))
   demand(not (row.values or row.flags or row.bits),
     "a field has a scale, or values, flags and bits, not both")
+  field.kind, field.shape = "scaled", "%.15g"
   field.scale, field.zero = scale + 0.0, zero + 0.0 -- COMPAT 5.4: products of integers wrap around
 end
+
+-- The digits that a compressed float of so many bytes can carry.
+local DIGITS = { 7, 7, 10, 10, 15, 15, 15, 15 }
 
 -- min and max make a compressed float of the bytes; without them float32 and float64 are IEEE
 -- 754's.
@@ -102,18 +98,10 @@ local function add_range(field, row)
   local is_range = is_finite(min) and is_finite(max) and min < max
   demand(is_range, "%s needs min and max, min below max", field.type)
   field.min, field.max = min + 0.0, max + 0.0 -- COMPAT 5.4: products of integers wrap around
+  field.shape = "%." .. DIGITS[size] .. "g"
   -- A double holds counts of six bytes.  Of longer ones, reserved values are read as negative
   -- numbers.
   field.ordinary = size > 6 and field.top or field.top - 5
-end
-
---- Return the description of a field, a flag or a generated value.
-function M.describe(title, unit, message, section)
-  local text = title
-  if unit then text = text .. " in " .. unit end
-  text = text .. ", of " .. message.title
-  if section then text = ('%s (section "%s")'):format(text, section) end
-  return text
 end
 
 -- Fields -----------------------------------------------------------------------------------------
@@ -126,11 +114,9 @@ end
 -- Make the field of a row, or of a part of bits, without its offset.
 -- def  of TYPES; of a part also type, the name of its field's
 local function new_field(message, row, def)
-  local invalid, section = row.invalid or "value.invalid", row.section or message.section
   local field = {
     name = row[1],
     title = row[3],
-    description = M.describe(row[3], row.unit, message, section),
     type = def.type or row[2],
     kind = def.kind,
     filter = message.filter .. "." .. row[1],
@@ -138,13 +124,18 @@ local function new_field(message, row, def)
     top = def.top,
     bottom = def.bottom,
     unit = row.unit,
-    section = section,
+    section = row.section or message.section,
+    values = row.values,
   }
+  local invalid = row.invalid or "value.invalid"
   demand(INVALID[invalid], "invalid is value.invalid or command.key.invalid")
   if row.values or field.kind == "bool" then field.invalid = invalid end
   if field.kind == "float" then add_range(field, row) end
   if row.scale or row.offset then add_scale(field, row) end
-  add_values(field, row)
+  for value, meaning in pairs(row.values or {}) do
+    check_fits(field, "value", value, field.bottom)
+    demand(is_text(meaning), "value %s has no meaning in words", shown(value))
+  end
   return field
 end
 
@@ -176,19 +167,17 @@ local function take_bits(field, row, what, i, options)
   return what
 end
 
-local function add_flag(message, field, row, i)
+local function add_flag(field, row, i)
   local what = take_bits(field, row, "flag", i, FLAG_OPTIONS)
-  local name, mask, title = row[1], row[2], row[3]
-  local description = M.describe(title .. ", one of " .. field.title, nil, message, field.section)
+  local name, mask = row[1], row[2]
   demand(row.alarm == nil or row.alarm == true, "%s: alarm is true, or is not there", what)
   if row.alarm then field.alarm_bits = field.alarm_bits + mask end
   field.flags[i] = {
     name = name,
     mask = mask,
-    title = title,
+    title = row[3],
     help = row.help,
     filter = field.group .. "." .. name,
-    description = description .. (row.help and ". " .. row.help or ""),
   }
 end
 
@@ -219,10 +208,11 @@ local function add_bits(build, field, row)
   field.alarm_bits = 0
   field.undefined = field.top
   field.watched = field.top
-  for i, flag in ipairs(row.flags or {}) do add_flag(message, field, flag, i) end
+  for i, flag in ipairs(row.flags or {}) do add_flag(field, flag, i) end
   for i, part in ipairs(row.bits or {}) do
     add_field(build, new_part(message, field, part, i))
   end
+  table.insert(message.flag_fields, field)
   if word then
     field.alarm_bits = field.watched
     message.fault_field = message.fault_field or field
@@ -242,8 +232,7 @@ local function add_elements(build, field, count)
     for name, value in pairs(field) do element[name] = value end
     element.name = field.name .. "_" .. i
     element.title = field.title .. " " .. i
-    element.array_title = field.title
-    element.element = i
+    element.array = field
     add_field(build, element)
     build.offset = build.offset + element.size
   end
@@ -252,7 +241,7 @@ end
 local add_rows
 
 -- What may choose among variants.
-local INTEGERS = set("uint int bool")
+local INTEGERS = set("uint int scaled bool")
 
 -- The cases lie over one another, as in a union of C: the longest says where the message goes on.
 local function add_variants(build, row)
@@ -312,7 +301,7 @@ function add_rows(build, rows)
   end
 end
 
---- Compile the rows of a message into its fields, by_name, time and alarms.
+--- Compile the rows of a message into its fields, by_name, time, flag_fields and alarms.
 -- message  its compiled head, with these tables, empty
 -- context  gets field = the name, or else the number, of the row that is looked at: what an error
 --          is about

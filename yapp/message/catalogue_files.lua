@@ -9,6 +9,9 @@ local M = {}
 
 local DENIED = 13 -- EACCES
 local MAX_ERROR = 500 -- of an error of the file's own
+local KEYED = "%s: the entry %s is not read: a message has its name inside, " ..
+  "{ { name = ... }, { name = ... } }, and no key in front"
+local GAP = "%s: message %d of the list is nil: a variable that is not defined, or misspelt?"
 
 local function run(path)
   return assert(loadfile(path))()
@@ -36,47 +39,35 @@ local function read(path)
   return entries
 end
 
--- The messages of a file in their order: a list of { number, entry }.
--- problems  gets a text for each entry that has a name instead of a number, and for the first gap
-local function list_of(entries, path, problems)
-  local list = {}
-  local function add_problem(text, ...)
-    problems[#problems + 1] = ("%s: " .. text):format(path, ...)
-  end
-  for key, entry in next, entries do
-    if check.is_integer(key) and key >= 1 then
-      list[#list + 1] = { number = key, entry = entry }
-    else
-      add_problem("the entry %s is not read: a message has its name inside, " ..
-        "{ { name = ... }, { name = ... } }, and no key in front", check.shown(key))
-    end
-  end
-  table.sort(list, function(a, b) return a.number < b.number end)
-  for i, one in ipairs(list) do
-    if one.number ~= i then
-      add_problem("message %d of the list is nil: a variable that is not defined, or misspelt?", i)
-      break
-    end
-  end
-  return list
-end
-
 local function name_of(entry)
   return type(entry) == "table" and entry.name or nil
 end
 
--- Appends the messages of a file; one with the name of a message of an earlier file takes its
--- index.
-local function merge(all, list, path)
-  local index_of = {}
+-- Add the messages of a file in their order; one with the name of a message of an earlier file
+-- takes its index.
+-- all       { entries = list, origins = list of { file, number } }
+-- problems  gets a text for each entry that has a name instead of a number, and for the first gap
+local function add_entries(all, entries, path, problems)
+  local numbers, index_of = {}, {}
   for i, entry in ipairs(all.entries) do
-    index_of[name_of(entry) or false] = i
+    local name = name_of(entry)
+    if name then index_of[name] = i end
   end
-  index_of[false] = nil
-  for _, one in ipairs(list) do
-    local index = index_of[name_of(one.entry) or false] or #all.entries + 1
-    all.entries[index] = one.entry
-    all.origins[index] = { file = path, number = one.number }
+  for key in next, entries do
+    if check.is_integer(key) and key >= 1 then
+      numbers[#numbers + 1] = key
+    else
+      problems[#problems + 1] = KEYED:format(path, check.shown(key))
+    end
+  end
+  table.sort(numbers)
+  for i, number in ipairs(numbers) do
+    if number ~= i and (numbers[i - 1] or 0) == i - 1 then
+      problems[#problems + 1] = GAP:format(path, i)
+    end
+    local entry = entries[number]
+    local index = index_of[name_of(entry)] or #all.entries + 1
+    all.entries[index], all.origins[index] = entry, { file = path, number = number }
   end
 end
 
@@ -91,7 +82,7 @@ function M.load(files, reserved)
   for _, file in ipairs(files) do
     local entries, problem = read(file.path)
     if entries then
-      merge(all, list_of(entries, file.path, problems), file.path)
+      add_entries(all, entries, file.path, problems)
     elseif not (file.optional and problem == "not found") then
       problem = problem .. "; its messages are shown as bytes"
       problems[#problems + 1] = file.path .. ": " .. problem

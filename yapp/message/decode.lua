@@ -107,16 +107,6 @@ function M.use_divisor(divisor)
   M.divisor = divisor
 end
 
---- Return the value of a compressed float, unrounded; nil and which special (0 .. 4) for a reserved
--- value.
-function M.float(field, raw)
-  if raw > field.ordinary then return nil, field.top - raw end
-  if raw < 0 then return nil, -1 - raw end -- of seven or eight bytes
-  -- One division at the end, so that the middle of a symmetric range is 0 and not nearly 0.
-  local steps = field.top - M.divisor
-  return (field.min * steps + raw * (field.max - field.min)) / steps
-end
-
 -- Round to a number that four bytes can hold: adding and subtracting a large number rounds off what
 -- is below.
 local function to_float32(value)
@@ -137,6 +127,101 @@ function M.shortest(value)
   return tonumber(format("%.9g", value))
 end
 
+-- Values -----------------------------------------------------------------------------------------
+
+local function escape(char)
+  return format("\\x%02x", byte(char))
+end
+
+local function hex_digits(char)
+  return format("%02x", byte(char))
+end
+
+-- By kind: function(field, raw), which returns its value, or nil and which special.
+local VALUES = {}
+
+function VALUES.float(field, raw)
+  if raw > field.ordinary then return nil, field.top - raw end
+  if raw < 0 then return nil, -1 - raw end -- of seven or eight bytes
+  -- One division at the end, so that the middle of a symmetric range is 0 and not nearly 0.
+  local steps = field.top - M.divisor
+  return (field.min * steps + raw * (field.max - field.min)) / steps
+end
+
+function VALUES.ieee(_, raw)
+  if raw ~= raw then return nil, 0 end
+  if raw - raw ~= 0 then return nil, raw > 0 and 1 or 2 end
+  return raw
+end
+
+function VALUES.scaled(field, raw)
+  return raw * field.scale + field.zero
+end
+
+function VALUES.bytes(_, raw)
+  return (raw:gsub(".", hex_digits))
+end
+
+-- A text ends at its first NUL.  If that is not UTF-8 or has control characters, each byte that is
+-- not printable ASCII is \xNN.
+function VALUES.string(_, raw)
+  local text = raw:match("^%Z*")
+  if utf8.is_printable(text) then return text end
+  return (text:gsub("[%c\128-\255]", escape))
+end
+
+--- Return the value of a field in its unit, unrounded.
+-- raw      of M.new_reader
+-- returns  a number; a string for strings, bytes (hexadecimal) and integers beyond 2^53; nil where
+--          there is none, and then which special (0 .. 4, as <field>.special has it) for a float
+--          that is no number
+function M.value(field, raw)
+  if not raw then return nil end
+  local value_of = VALUES[field.kind]
+  if value_of then return value_of(field, raw) end
+  return raw
+end
+
+--- Return a number as a text, with the digits that its count can carry: as a number that text is
+-- equal to 1.1 in a filter.
+-- field  or an item of message.generated
+-- value  of M.value or M.derived
+function M.number_text(field, value)
+  if field.shape then return format(field.shape, value) end
+  if type(value) == "string" then return value end -- an integer beyond 2^53
+  -- COMPAT 5.2: tostring has 14 digits
+  if field.kind ~= "ieee" then return format("%.0f", value) end
+  if field.size == 4 then value = M.shortest(value) end
+  local text = format("%.15g", value)
+  return tonumber(text) == value and text or format("%.17g", value)
+end
+
+local OPERATORS = {
+  ["*"] = function(a, b) return a * b end,
+  ["-"] = function(a, b) return a - b end,
+  ["+"] = function(a, b) return a + b end,
+}
+
+--- Work out a generated value from its two fields.
+-- item     of message.generated
+-- returns  a number, unrounded; nil where one of the two fields has no value
+function M.derived(message, item, raws)
+  local a = M.value(message.fields[item.a], raws[item.a])
+  local b = M.value(message.fields[item.b], raws[item.b])
+  if not (a and b) then return nil end
+  -- COMPAT 5.4: products of integers wrap around
+  local value = OPERATORS[item.operator](a + 0.0, b + 0.0)
+  return value - value == 0 and value or nil -- it may be too large
+end
+
+--- Return a time in seconds as a text with nine digits behind the point.
+function M.seconds(seconds, nanoseconds)
+  if seconds < 0 or nanoseconds < 0 then
+    return format("-%d.%09d", -seconds, -nanoseconds)
+  end
+  return format("%d.%09d", seconds, nanoseconds)
+end
+
 -- Reading ----------------------------------------------------------------------------------------
 
 -- How the raw value of a field is read: function(field, payload) -> raw.
@@ -155,7 +240,7 @@ local function read_part(field, payload)
 end
 
 local function read_integer64(field, payload)
-  return integer64(payload, field.offset + 1, field.kind == "int")
+  return integer64(payload, field.offset + 1, field.bottom < 0)
 end
 
 local function read_bytes(field, payload)
@@ -172,52 +257,25 @@ local function read_ieee(field, payload)
   return ieee(payload, field.offset + 1, field.size, field.size == 4 and 23 or 52)
 end
 
-local READ = {
-  int = read_signed,
-  ieee = read_ieee,
-  string = read_bytes,
-  bytes = read_bytes,
-  time = read_bytes,
-}
-local READ_LONG = { uint = read_integer64, int = read_integer64, float = read_long_float }
+local READ = { ieee = read_ieee, string = read_bytes, bytes = read_bytes, time = read_bytes }
 
--- What is remarkable in a field: function(field, raw) -> expert, and another one, or nil.
-
-local function remark_special(field, raw)
-  if not M.value(field, raw) then return "value.special" end
+local function choose_read(field)
+  if READ[field.kind] then return READ[field.kind] end
+  if field.size > 6 then return field.special and read_long_float or read_integer64 end
+  if field.mask then return read_part end
+  return field.bottom < 0 and read_signed or read_count
 end
 
-local function remark_flags(field, raw)
-  local fault = common(raw, field.alarm_bits) ~= 0 and "fault.active" or nil
-  local undefined = common(raw, field.undefined) ~= 0 and "flags.undefined" or nil
-  return fault or undefined, fault and undefined
-end
-
-local function remark_undefined(field, raw)
+-- Return whether nothing defines a value of an enum, a bool or what chooses among variants.
+local function is_invalid(field, raw)
   local values, cases = field.values, field.cases
-  local is_undefined = values and not values[raw] or cases and not cases[raw] or
-    field.kind == "bool" and raw > 1
-  return is_undefined and field.invalid or nil
-end
-
--- Choose how a field is read: set its read, and its remark, nil where nothing can be remarkable.
-local function prepare(field)
-  local kind = field.kind
-  field.read = field.size > 6 and READ_LONG[kind] or READ[kind] or field.mask and read_part or
-    read_count
-  if field.special then
-    field.remark = remark_special
-  elseif kind == "flags" then
-    field.remark = remark_flags
-  elseif field.invalid then
-    field.remark = remark_undefined
-  end
+  return values and not values[raw] or cases and not cases[raw] or field.kind == "bool" and raw > 1
 end
 
 -- The reader of a message is made from Lua source: a loop over the fields takes 5 % more of a
 -- packet list.  The first bytes of a payload are in b1, b2, ...; a missing one is nil.
 local READER = [[
-local FIELDS, byte, common = ...
+local FIELDS, byte, common, value_of, is_invalid = ...
 return function(payload)
 local raws, is_remarkable, a = { %s }, false
 local %s = byte(payload, 1, %d)
@@ -228,10 +286,11 @@ end]]
 -- Return the condition under which the i-th field of a message is remarkable.
 local function remark_source(field, i)
   if field.kind == "float" and field.size <= 6 then return format("a > %.0f", field.ordinary) end
+  if field.special then return format("not value_of(FIELDS[%d], a)", i) end
   if field.kind == "flags" then
     return format("a ~= 0 and common(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
   end
-  return field.remark and format("FIELDS[%d]:remark(a)", i) or "false"
+  return field.invalid and format("is_invalid(FIELDS[%d], a)", i) or "false"
 end
 
 -- Return the lines that read the i-th field of a message.
@@ -252,121 +311,24 @@ end
 
 --- Make the reader of a message.
 -- message  compiled, but for this
--- returns  function(payload), see M.read
-function M.new_reader(message)
-  local nils, bytes, lines = {}, {}, {}
-  for i, field in ipairs(message.fields) do
-    prepare(field)
-    nils[i], lines[i] = "nil", field_source(field, i) -- a table that grows by itself takes longer
-  end
-  for i = 1, math.min(message.size, MAX_KEPT) do bytes[i] = "b" .. i end
-  local source =
-    format(READER, concat(nils, ", "), concat(bytes, ", "), #bytes, concat(lines, "\n"))
-  return load(source, "=reader of " .. message.name)(message.fields, byte, common)
-end
-
---- Read the raw values of a payload.
--- message  compiled
--- payload  string; where it is shorter than the message, only fields that are whole are read; what
---          is behind the message is not read
--- returns  { [index of field] = raw }, without missing fields and cases that are not chosen; and
---          whether M.remarks returns a list
+-- returns  function(payload).  Of a payload that is shorter than the message, it reads the fields
+--          that are whole; what is behind the message it does not read.  It returns
+--            { [index of field] = raw }, without missing fields and cases that are not chosen
+--            whether M.remarks has any
 -- A raw is the integer or the count as sent.  Exceptions: the number of ieee; the decimal digits of
 -- a 64 bit integer beyond 2^53; the bytes of times (see M.time), strings and bytes; -1 - n for
 -- special n of a compressed float of seven or eight bytes.
-function M.read(message, payload)
-  return message.read(payload)
-end
-
--- Values -----------------------------------------------------------------------------------------
-
---- Return a time in seconds as a text with nine digits behind the point.
-function M.seconds(seconds, nanoseconds)
-  if seconds < 0 or nanoseconds < 0 then
-    return format("-%d.%09d", -seconds, -nanoseconds)
+function M.new_reader(message)
+  local nils, names, lines = {}, {}, {}
+  for i, field in ipairs(message.fields) do
+    field.read = choose_read(field)
+    nils[i], lines[i] = "nil", field_source(field, i) -- a table that grows by itself takes longer
   end
-  return format("%d.%09d", seconds, nanoseconds)
-end
-
-local function escape(char)
-  return format("\\x%02x", byte(char))
-end
-
---- Return the text of a string field, up to its first NUL.  If that is not UTF-8 or has control
--- characters, write each byte that is not printable ASCII as \xNN.
-function M.text(raw)
-  local text = raw:match("^%Z*")
-  if utf8.is_printable(text) then return text end
-  return (text:gsub("[%c\128-\255]", escape))
-end
-
-local function hex_digits(char)
-  return format("%02x", byte(char))
-end
-
---- Return an integer as a text; beyond 2^53 it is a text already.
-function M.digits(value)
-  return type(value) == "number" and format("%.0f", value) or value -- tostring has 14 in Lua 5.2
-end
-
--- By kind: function(field, raw), which returns its value, or nil and which special.
-local VALUES = {
-  float = M.float,
-  string = function(_, raw) return M.text(raw) end,
-  bytes = function(_, raw) return (raw:gsub(".", hex_digits)) end,
-  ieee = function(_, raw)
-    if raw ~= raw then return nil, 0 end
-    if raw - raw ~= 0 then return nil, raw > 0 and 1 or 2 end
-    return raw
-  end,
-}
-
---- Return the value of a field in its unit, unrounded.
--- raw      from M.read
--- returns  a number; a string for strings, bytes (hexadecimal) and integers beyond 2^53; nil where
---          there is none, and then which special (0 .. 4, as <field>.special has it) for a float
---          that is no number
-function M.value(field, raw)
-  if not raw then return nil end
-  local value_of = VALUES[field.kind]
-  if value_of then return value_of(field, raw) end
-  return field.scale and raw * field.scale + field.zero or raw
-end
-
--- The digits that a compressed float of so many bytes can carry.
-local DIGITS = { 7, 7, 10, 10, 15, 15, 15, 15 }
-
---- Return the format of a value with as many digits as its count can carry: "%.7g"; nil for ieee
--- and for integers.
-function M.format_of(field)
-  if field.kind == "derived" then return "%.7g" end
-  if field.kind == "float" then return "%." .. DIGITS[field.size] .. "g" end
-  return field.scale and "%.15g" or nil
-end
-
---- Round a value to the digits that its count can carry, so that a filter with == 1.1 matches.
-function M.rounded(field, value)
-  local shape = M.format_of(field)
-  if shape then return tonumber(format(shape, value)) end
-  return field.size == 4 and M.shortest(value) or value
-end
-
-local OPERATORS = {
-  ["*"] = function(a, b) return a * b end,
-  ["-"] = function(a, b) return a - b end,
-  ["+"] = function(a, b) return a + b end,
-}
-
---- Work out a generated value from its two fields.
--- item     of message.generated
--- returns  a number, unrounded; nil where one of the two fields has no value
-function M.derived(message, item, raws)
-  local a = M.value(message.fields[item.a], raws[item.a])
-  local b = M.value(message.fields[item.b], raws[item.b])
-  if not (a and b) then return nil end
-  -- COMPAT 5.4: products of integers wrap around
-  local value = OPERATORS[item.operator](a + 0.0, b + 0.0)
-  return value - value == 0 and value or nil -- it may be too large
+  for i = 1, math.min(message.size, MAX_KEPT) do names[i] = "b" .. i end
+  local source =
+    format(READER, concat(nils, ", "), concat(names, ", "), #names, concat(lines, "\n"))
+  local read = load(source, "=reader of " .. message.name)
+  return read(message.fields, byte, common, M.value, is_invalid)
 end
 
 -- Flags ------------------------------------------------------------------------------------------
@@ -401,37 +363,39 @@ end
 
 --- List the remarkable values: an entry for each expert item.
 -- message  compiled
--- raws     from M.read
--- returns  a list of { index of field, expert }, nil when there is nothing
+-- raws     of its reader
+-- returns  a list of { index of field, expert }
 function M.remarks(message, raws)
   local remarks = {}
+  local function add(index, expert) remarks[#remarks + 1] = { index, expert } end
   for i, field in ipairs(message.fields) do
-    if field.remark and raws[i] then
-      for _, expert in ipairs { field:remark(raws[i]) } do
-        remarks[#remarks + 1] = { i, expert }
-      end
+    local raw = raws[i]
+    if raw and field.kind == "flags" then
+      if common(raw, field.alarm_bits) ~= 0 then add(i, "fault.active") end
+      if common(raw, field.undefined) ~= 0 then add(i, "flags.undefined") end
+    elseif raw and field.special then
+      if not M.value(field, raw) then add(i, "value.special") end
+    elseif raw and is_invalid(field, raw) then
+      add(i, field.invalid)
     end
   end
-  return remarks[1] and remarks or nil
+  return remarks
 end
-
--- Remarks on values that are defined.
-local IS_DEFINED = { ["value.special"] = true, ["fault.active"] = true }
 
 --- Return whether a remark is on a value that the catalogue does not define.
 function M.is_undefined(remark)
-  return not IS_DEFINED[remark[2]]
+  return remark[2] ~= "value.special" and remark[2] ~= "fault.active"
 end
 
 --- Return whether bytes look like a message: all its values are defined, and at least two of its
 -- fields have values that are not.  Random bytes of Command's size do in one of two million cases.
 -- Zeros look like anything, so they do not count.
 function M.is_plausible(message, payload)
-  local checked = 0
   if not find(payload, "[^%z]") then return false end
-  for _, remark in ipairs(M.remarks(message, (M.read(message, payload))) or {}) do
+  for _, remark in ipairs(M.remarks(message, (message.read(payload)))) do
     if M.is_undefined(remark) then return false end
   end
+  local checked = 0
   for _, field in ipairs(message.fields) do
     if field.invalid or field.undefined and field.undefined ~= 0 then checked = checked + 1 end
   end

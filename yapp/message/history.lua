@@ -2,12 +2,13 @@
 -- The history of each source: what changes from one good message to the next.  Pure Lua.
 --
 -- A source is a bus or stream, and an ID.  Changes are found once, in the order of the capture.
--- They are kept by the frame key of the message, so that a revisit gets the same.  Memory grows
--- with changes, Commands and reboots, not with messages.
+-- They are kept by the frame key of the message, so that a revisit gets the same.  In an only pass,
+-- memory grows with changes, Commands and reboots, not with messages.
 
 local band = require("yapp.base.bits").band
 local last_until = require("yapp.base.frame_key").last_until
 local decode = require("yapp.message.decode")
+local memo = require("yapp.base.memo")
 
 local M = {}
 
@@ -24,9 +25,8 @@ local LARGE_RETURN = 50 -- evidence of a return from a large fall; from a small 
 local FADE = 0.85 -- each message leaves this share of the evidence: 50 is ENOUGH for 22 messages
 local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 
+local NO_MESSAGE = { flag_fields = {} }
 -- Changes that many messages have in common: to be read only.
-local NOTHING = {}
-local STALE = { stale = true }
 local SHARED = { shared = true, unreliable = true }
 local UNRELIABLE = { unreliable = true }
 
@@ -45,37 +45,21 @@ function M.new(options)
     has_clock = options.has_clock,
     by_source = {}, -- [source] = see new_source
     commands = {}, -- [name of a message that others answer][bus or false] = frame keys, ascending
+    deltas = {}, -- [frame key] = seconds since the source's previous good message, or false
   }, History)
   for _, message in ipairs(options.catalogue.messages) do
-    if message.answers then self.commands[message.answers] = {} end
+    if message.answers then self.commands[message.answers] = memo(function() return {} end) end
   end
   return self
 end
 
--- Return the list of frame keys of a bus's messages of this name; nil if no other message answers
--- it.
-local function commands_of(self, name, bus)
-  local by_bus = self.commands[name]
-  if not by_bus then return nil end
-  by_bus[bus] = by_bus[bus] or {}
-  return by_bus[bus]
-end
-
--- Return the indexes of a message's flags fields.
-local function flags_of(message)
-  local indexes = {}
-  for i, field in ipairs(message.fields) do
-    if field.kind == "flags" then indexes[#indexes + 1] = i end
-  end
-  return indexes
-end
-
 local function new_source(self, m)
-  local message, bus = m.source.message or { fields = {} }, m.source.bus_key or false
-  local has_times = self.has_times()
+  local message, bus = m.source.message or NO_MESSAGE, m.source.bus_key or false
+  local has_times, answered = self.has_times(), self.commands[message.answers]
+  local answering = self.commands[message.name]
   return {
     -- Its kind of message:
-    flag_indexes = flags_of(message),
+    flag_fields = message.flag_fields,
     period = message.every or 0,
     longest = has_times and self.late * (message.every or huge) + HALF_NANOSECOND or huge,
     has_times = has_times,
@@ -101,8 +85,8 @@ local function new_source(self, m)
     bases = {}, -- of each: seconds of the controller's clock less the capture's
     fault_keys = {}, -- ascending: where faults change
     active_since = {}, -- of each: when the oldest fault that is still set was raised, or false
-    commands = commands_of(self, message.answers, bus), -- ascending: what they answer
-    own = commands_of(self, message.name, bus), -- ascending: if others answer them
+    commands = answered and answered[bus], -- ascending: what they answer
+    own = answering and answering[bus], -- ascending: if others answer them
   }
 end
 
@@ -158,30 +142,30 @@ local function elapsed_since(source, m, advance)
   return advance > 0 and advance <= MAX_JUMP and advance or source.period
 end
 
--- Return the change that the clock of a message shows, nil for none.
+-- Return what the clock of a message shows: its name in a change and its value; nil for nothing.
 local function clock_change(source, m, clock)
   local advance = (clock - source.clock) / 1e9
   local elapsed = elapsed_since(source, m, advance)
   local may_be_shared = advance <= 0 or source.lead ~= 0
-  if may_be_shared and is_shared(source, m, advance, max(elapsed, 0)) then return SHARED end
-  if advance < 0 then return { reboot = -advance } end
-  if advance == 0 then return STALE end
+  if may_be_shared and is_shared(source, m, advance, max(elapsed, 0)) then return "shared" end
+  if advance < 0 then return "reboot", -advance end
+  if advance == 0 then return "stale", true end
   local jump = advance - elapsed
   -- If the capture's own clock went back, it is no measure of the controller's.
-  if jump > MAX_JUMP and elapsed >= 0 and source.has_clock then return { jump = jump } end
+  if jump > MAX_JUMP and elapsed >= 0 and source.has_clock then return "jump", jump end
 end
 
--- Keep the clock of a message; return what it says of the message.
+-- Keep the clock of a message; return what it shows, as clock_change.
 local function note_clock(source, m)
-  local clock = clock_of(m)
-  if not clock then return NOTHING end
-  local change = source.clock and clock_change(source, m, clock) or NOTHING
-  if source.has_times and (change.reboot or not source.clock) then
+  local clock, name, value = clock_of(m), nil, nil
+  if not clock then return nil end
+  if source.clock then name, value = clock_change(source, m, clock) end
+  if source.has_times and (name == "reboot" or not source.clock) then
     insert(source.base_keys, m.key)
     insert(source.bases, clock / 1e9 - m.time)
   end
   source.clock, source.clock_time, source.payload = clock, m.time, m.payload
-  return change
+  return name, value
 end
 
 -- Flags ------------------------------------------------------------------------------------------
@@ -198,18 +182,17 @@ local function flag_change(field, before, now)
     value = now,
     raised = raised,
     cleared = cleared,
-    alarm_raised = band(raised, field.alarm_bits),
-    alarm_cleared = band(cleared, field.alarm_bits),
   }
 end
 
 -- Keep when faults were raised, and since when the oldest that is still set has been set.
 local function note_faults(source, m, index, change)
-  local bits, bit = change.alarm_raised + change.alarm_cleared, 1
+  local alarms, bit = change.field.alarm_bits, 1
+  local raised, bits = band(change.raised, alarms), band(change.raised + change.cleared, alarms)
   if bits == 0 then return end
   while bit <= bits do
     if bits % (2 * bit) >= bit then
-      local is_raised = band(change.alarm_raised, bit) ~= 0
+      local is_raised = band(raised, bit) ~= 0
       source.raised_at[index * 2 ^ 32 + bit] = is_raised and m.time or nil
     end
     bit = bit * 2
@@ -224,14 +207,15 @@ end
 
 -- Return what changed in the flags of a message, nil for nothing.
 local function flag_changes(source, m)
-  local raws, flags, changes = m.raws or NOTHING, source.flags, nil
-  local indexes = source.flag_indexes
-  for i = 1, #indexes do
-    local index = indexes[i]
+  local raws, flags, fields, changes = m.raws, source.flags, source.flag_fields, nil
+  if not raws then return nil end
+  for i = 1, #fields do
+    local field = fields[i]
+    local index = field.index
     local now, before = raws[index], flags[index]
     if now and now ~= before then
       flags[index] = now
-      local change = flag_change(m.source.message.fields[index], before, now)
+      local change = flag_change(field, before, now)
       if change then
         changes = changes or {}
         insert(changes, change)
@@ -256,30 +240,23 @@ end
 
 -- Return what changes with a good message, nil for nothing.
 local function update(source, m, delta)
-  local change = note_clock(source, m)
-  if change == SHARED then
+  local name, value = note_clock(source, m)
+  if name == "shared" then
     source.shared_at, source.changes[m.key] = m.key, SHARED
     return SHARED
   end
-  local flags, missing = flag_changes(source, m), missing_before(source, m.seq, change.reboot)
-  local late = delta and delta > source.longest and delta or nil
-  if flags or missing or late then
-    change = {
-      flags = flags,
-      missing = missing,
-      late = late,
-      reboot = change.reboot,
-      jump = change.jump,
-      stale = change.stale,
-    }
-  elseif change == NOTHING then
-    change = nil
+  local flags, missing = flag_changes(source, m), missing_before(source, m.seq, name == "reboot")
+  local late, change = delta and delta > source.longest and delta or nil, nil
+  if name or flags or missing or late then
+    change = { flags = flags, missing = missing, late = late }
+    if name then change[name] = value end
   end
   if change or source.changes[m.key] then source.changes[m.key] = change end
   return change
 end
 
 --- Take the next message, in the order of the capture.
+-- is_only_pass  whether it is sure that it is not revisited
 -- m        { source = of message.reader; raws = by index of field, nil if the payload does not fit;
 --          payload, seq, status; key = frame key: never falls; an equal one replaces a message;
 --          time = seconds of the capture }
@@ -289,18 +266,19 @@ end
 --   reboot   seconds by which the controller's clock went back
 --   jump     seconds by which it advanced more than the capture's, if more than one
 --   stale    true if it did not advance
---   flags    list of { field, value, raised, cleared, alarm_raised, alarm_cleared } of the fields
---            whose flags changed: masks, alarm_* of the faults alone
+--   flags    list of { field, value, raised = mask, cleared = mask } of the fields whose flags
+--            changed
 --   shared   true at the message that proves that several controllers share the source
 --   unreliable  true at the messages behind that one, which get nothing else }
---          and the seconds since the source's previous good message, nil for the first
-function History:note(m)
+--          and the seconds since the source's previous good message, false for the first
+function History:note(m, is_only_pass)
   local source = self.by_source[m.source]
   if not source then
     source = new_source(self, m)
     self.by_source[m.source] = source
   end
-  local delta = source.time and m.time - source.time
+  local delta = source.time and m.time - source.time or false
+  if not is_only_pass then self.deltas[m.key] = delta end
   if m.status ~= "good" then return nil, delta end
   source.time = m.time
   if source.own then insert(source.own, m.key) end
@@ -308,12 +286,14 @@ function History:note(m)
   return update(source, m, delta), delta
 end
 
---- Return the change that History:note returned, at any later time and in any order.
+--- Return what History:note returned, at any later time and in any order; nil and nil for a message
+-- that it did not take.
 -- m  as it was given to note
 function History:change(m)
   local source, key = self.by_source[m.source], m.key
-  if not source or m.status ~= "good" then return nil end
-  return key > source.shared_at and UNRELIABLE or source.changes[key]
+  local delta = self.deltas[key]
+  if not source or m.status ~= "good" then return nil, delta end
+  return key > source.shared_at and UNRELIABLE or source.changes[key], delta
 end
 
 --- Return the state at a message, whether the message changes it or not.
@@ -322,7 +302,7 @@ end
 --   drift         seconds: controller's clock less the capture's, since the source's first message
 --                 or reboot
 --   command_in    frame key of the latest good message on the bus that it answers: a Command
---   active_since  time at which the oldest fault that is still set was raised
+--   active_time   seconds since the oldest fault that is still set was raised
 --   previous_change, next_change  frame keys of the messages before and behind it that changed a
 --                 fault, if one is set or changes }
 function History:state(m)
@@ -331,11 +311,11 @@ function History:state(m)
   local base = source.bases[last_until(source.base_keys, key)]
   local clock, commands, faults = base and clock_of(m), source.commands, source.fault_keys
   local last = last_until(faults, key)
-  local since, is_change = source.active_since[last] or nil, faults[last] == key
+  local since, is_change = source.active_since[last], faults[last] == key
   local state = {
     drift = clock and clock / 1e9 - m.time - base,
     command_in = commands and commands[last_until(commands, key - 1)],
-    active_since = since,
+    active_time = since and m.time - since or nil,
   }
   if since or is_change then
     state.previous_change = faults[is_change and last - 1 or last]

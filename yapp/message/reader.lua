@@ -3,11 +3,9 @@
 -- bring messages; the tree and the statistics get them here.
 
 local decode = require("yapp.message.decode")
-local frame_key = require("yapp.base.frame_key")
 
 local M = {}
 
-local FRAMES = { "command_in", "previous_change", "next_change" } -- frame keys in a state
 -- Such a message lacks bytes, or has too many, at an unknown offset.
 local IS_BROKEN = { incomplete = true, overrun = true }
 
@@ -24,7 +22,6 @@ function M.new(catalogue, stat)
     by_id = catalogue.by_id, -- [id] = message, see Reader:use; file readers may ask before
     sources = nil, -- the names that the user gave, see Reader:use
     several_ids = nil, -- [message] = whether more than one ID carries it
-    is_by_id = true, -- whether an ID carries the same message on all buses
     hides_source = nil, -- see Reader:use
     has_several = false, -- whether the capture has several buses
     hinted = {}, -- [id of an unknown message] = the frame key whose Info has the whole advice
@@ -46,30 +43,23 @@ end
 -- sources       a message.sources
 -- hides_source  whether a label leaves out the source
 function Reader:use(by_id, sources, hides_source)
-  self.hides_source = hides_source
-  self.by_id, self.sources, self.is_by_id, self.several_ids = {}, sources, true, {}
-  local first = {}
+  self.by_id, self.sources, self.hides_source = by_id, sources, hides_source
+  local first, several = {}, {}
   local function count(message, id)
     first[message] = first[message] or id
-    if first[message] ~= id then self.several_ids[message] = true end
+    if first[message] ~= id then several[message] = true end
   end
-  for id, message in pairs(by_id) do self.by_id[id] = message end
   for _, row in ipairs(sources:list()) do
-    if row.message and row.bus then
-      self.is_by_id = false
-      count(row.message, row.id)
-    elseif row.message then
-      self.by_id[row.id] = row.message
-    end
+    if row.message then count(row.message, row.id) end
   end
-  for id, message in pairs(self.by_id) do count(message, id) end
+  for id in pairs(by_id) do count(self:message_of(id), id) end
+  self.several_ids = several
 end
 
 --- Return the message of the catalogue that an ID carries on a bus, nil for none.
 -- bus  name, nil where the capture has none
 function Reader:message_of(id, bus)
-  if self.is_by_id then return self.by_id[id] end
-  return self.sources:message(bus, id) or self.by_id[id]
+  return self.sources and self.sources:message(bus, id) or self.by_id[id]
 end
 
 --- Return the payload size of that message and the smallest that it may have, nil for none.
@@ -146,23 +136,19 @@ function Reader:hint(m)
   return text, ", " .. size .. advice, same.name
 end
 
--- Set the change and the state of a message, from the history.
-local function ask(m, history, wants_state)
-  m.change, m.state = false, false
+-- Set the change, the delta and the state of a message, from the history.
+local function ask(m, history, wants)
+  m.change, m.delta, m.state = false, false, false
   if m.is_unreliable then return end
+  local change, delta
   if m.visited then
-    m.change = history:change(m) or false
+    change, delta = history:change(m)
   else
-    local change, delta = history:note(m)
-    m.change, m.delta = change or false, delta or false
+    change, delta = history:note(m, wants.is_only_pass)
   end
-  if m.change and m.change.unreliable then m.is_unreliable = true end
-  local state = wants_state and history:state(m)
-  if not state then return end
-  for _, name in ipairs(FRAMES) do
-    state[name] = state[name] and frame_key.number(state[name])
-  end
-  m.state = state
+  m.change, m.delta = change or false, delta or false
+  if delta == nil or change and change.unreliable then m.is_unreliable = true end
+  m.state = wants.state and history:state(m) or false
 end
 
 --- Read a finished message, for show.tree and stat.intake.
@@ -172,31 +158,29 @@ end
 --   key            frame key; time = seconds since the first packet; visited
 --   status         "good" if it is proved complete; "bad" (CRC); "truncated" by the capture;
 --                  "incomplete"; "overrun"
---   is_unreliable  whether its history is not known, as nothing tells the bus
---   delta          of a visited one, see below }, and gets
+--   is_unreliable  whether its history is not known, as nothing tells the bus }, and gets
 --   raws, is_remarkable  from decode.read, if the size fits: min_size of the message at least, and
 --                  more than its size only of a good one
 --   undecoded      number of payload bytes behind the message's size, nil for none
 --   has_fault      whether a fault flag is set
 --   change         what changes with it, or false (see message.history)
---   delta          seconds since the source's previous good one
+--   delta          seconds since the source's previous good one, or false
 --   state          state at the message, or false (see message.history)
---   is_unreliable  true if controllers share its source
--- history      a message.history
--- wants_state  whether the state is wanted
--- returns      whether its captured bytes are at their offsets: false of incomplete and overrun
---              ones
-function Reader:read(m, history, wants_state)
+--   is_unreliable  true if controllers share its source, or if it was unreliable before its revisit
+-- history  a message.history
+-- wants    of Tree:wants
+-- returns  whether its captured bytes are at their offsets: false of incomplete and overrun ones
+function Reader:read(m, history, wants)
   local message, is_broken, raws, is_remarkable = m.source.message, IS_BROKEN[m.status], nil, nil
   local is_longer = message and m.size > message.size
   if message and not is_broken and m.size >= message.min_size and
     (m.status == "good" or not is_longer) then
-    raws, is_remarkable = decode.read(message, m.payload)
+    raws, is_remarkable = message.read(m.payload)
   end
   m.raws, m.is_remarkable = raws, is_remarkable
   m.undecoded = raws and is_longer and m.size - message.size or nil
   m.has_fault = is_remarkable and decode.has_alarm(message, raws)
-  ask(m, history, wants_state)
+  ask(m, history, wants)
   if self.stat.wanted then self.stat:message(m) end
   return not is_broken
 end

@@ -27,15 +27,16 @@ local EVERY = { "every" } -- ID of a bus
 local Sources = {}
 Sources.__index = Sources
 
--- Splits a text at the commas outside of quotes, and drops blank parts.
-local function split(text)
-  local parts = {}
-  local hidden = text:gsub('"[^"]*"', function(quoted) return (quoted:gsub(",", "\0")) end)
-  for text_of_part in hidden:gmatch("[^,]+") do
-    local part = trim((text_of_part:gsub("\0", ",")))
-    if part ~= "" then parts[#parts + 1] = part end
-  end
-  return parts
+-- Signs between quotes are hidden while a text is taken apart.
+local HIDDEN = { [","] = "\0c", ["="] = "\0e", ["/"] = "\0s" }
+local SHOWN = { c = ",", e = "=", s = "/" }
+
+local function hide(quoted)
+  return (quoted:gsub("[,=/]", HIDDEN))
+end
+
+local function reveal(text)
+  return (text:gsub("\0(.)", SHOWN))
 end
 
 -- Raise a problem and an advice unless a condition holds.
@@ -43,32 +44,20 @@ local function demand(condition, problem, advice)
   if not condition then error({ problem = problem, advice = advice }, 0) end
 end
 
--- Return the index behind a quoted text at the start of a part.  Doubled quotes make it several
--- quoted texts in a row: "a ""b""" is "a ", "b" and "".
-local function end_of_quotes(part)
-  local stop, more = nil, 1
-  while more do
-    stop, more = more, part:match('^"[^"]*"()', more)
-  end
-  return stop
-end
-
 -- Takes a part apart at its "=".
 -- returns  the bus or nil, the text of the IDs or nil, and the text behind the "="
 local function take_address(part)
-  if part:sub(1, 1) == '"' then
-    local stop = end_of_quotes(part)
-    local bus = part:sub(2, stop - 2):gsub('""', '"')
-    local ids, value = part:match("^%s*/(.-)=(.*)$", stop)
-    value = value or part:match("^%s*=(.*)$", stop)
-    demand(value, 'no "/" or "=" behind the quotes', SHAPE)
-    return bus, ids, value
-  end
   local address, value = part:match("^(.-)%s*=(.*)$")
   demand(address, 'no "="', SHAPE)
+  value = reveal(value)
   if address:find("^[%d+-][^/]*$") then return nil, address, value end
   local bus, ids = address:match("^(.*)/([^/]*)$")
   bus = trim(bus or address)
+  if bus:sub(1, 1) == '"' then
+    local quoted = bus:match('^"(.*)"$')
+    demand(quoted, 'no "/" or "=" behind the quotes', SHAPE)
+    bus = reveal(quoted):gsub('""', '"')
+  end
   demand(bus ~= "", "no bus or ID", SHAPE)
   return bus, ids, value
 end
@@ -131,10 +120,14 @@ end
 function M.parse(text, catalogue)
   local self = setmetatable({ by_bus = { [false] = {} }, rows = {} }, Sources)
   local problems = {}
-  for _, part in ipairs(split(text)) do
-    local ok, wrong = pcall(add_part, self, part, catalogue)
+  local hidden = text:gsub('"[^"]*"', hide)
+  for part in hidden:gmatch("[^,]+") do
+    part = trim(part)
+    local ok, wrong = true, nil
+    if part ~= "" then ok, wrong = pcall(add_part, self, part, catalogue) end
     if not ok then
-      local problem = ('yapp.sources: %s in "%s"; %s'):format(wrong.problem, part, wrong.advice)
+      local where = reveal(part)
+      local problem = ('yapp.sources: %s in "%s"; %s'):format(wrong.problem, where, wrong.advice)
       problems[#problems + 1] = utf8.printable(problem)
     end
   end

@@ -2,22 +2,18 @@
 -- Makes the fields and expert items, YAPP's own from the rows below, those of messages from the
 -- compiled catalogue; and adds them to a tree.  Wireshark's API.
 --
--- A field of YAPP's is a row of YAPP, an expert item a row of EXPERTS, a value of the history a row
--- of add_states.
-
-local decode = require("yapp.message.decode")
+-- A field of YAPP's is a row of YAPP, an expert item a row of EXPERTS.
 
 local M = {}
 
 local unpack = rawget(table, "unpack")
-local HEX, NONE = base.HEX, base.NONE
 local FRAME_KINDS = { [0] = "Single", "Start", "Middle", "End" }
 local CRC_STATUS = { [0] = "Bad", "Good", "Unverified" }
 
 -- filter, type, title, description, base, values
 local YAPP = {
   { "id", "UINT32", "Message ID",
-    "Message ID: which message it is, and which controller sent it", HEX },
+    "Message ID: which message it is, and which controller sent it", "HEX" },
   { "ctl", "UINT8", "Control (CTL)",
     "YAPP's control byte" },
   { "seq", "UINT8", "Sequence number",
@@ -25,17 +21,17 @@ local YAPP = {
   { "size", "UINT16", "Payload size",
     "Payload of the message in bytes" },
   { "reserved", "UINT16", "Reserved",
-    "Reserved bytes of the header, 0", HEX },
+    "Reserved bytes of the header, 0", "HEX" },
   { "sync", "UINT16", "Sync",
-    "The bytes YP, with which a frame in a stream begins", HEX },
+    "The bytes YP, with which a frame in a stream begins", "HEX" },
   { "can.ctrl", "UINT8", "CAN frame",
     "Which part of a message a CAN frame is", nil, FRAME_KINDS },
   { "crc", "UINT32", "CRC",
-    "CRC-32K of header and payload, as it was sent", HEX },
+    "CRC-32K of header and payload, as it was sent", "HEX" },
   { "crc.status", "UINT8", "CRC status",
     "Whether the CRC is that of the bytes", nil, CRC_STATUS },
   { "crc.calculated", "UINT32", "Calculated CRC",
-    "What the CRC should be, where it is bad", HEX },
+    "What the CRC should be, where it is bad", "HEX" },
   { "payload", "BYTES", "Payload",
     "Payload that the catalogue does not explain" },
   { "undecoded", "BYTES", "Not decoded",
@@ -107,32 +103,29 @@ local EXPERTS = {
 M.EXPERT_NAMES = {}
 for _, row in ipairs(EXPERTS) do M.EXPERT_NAMES[row[1]] = true end
 
--- Return a function(filter, type, title, description, base, values, mask) -> ProtoField, and the
--- list of all that it makes.
--- base: of a number; or the width in bits of a boolean's field.  values: a table, or a frametype
-local function new_maker()
-  local list = {}
-  return function(filter, kind, title, about, shape, values, mask)
-    shape = shape or kind:find("INT") and base.DEC or NONE
-    local pf = ProtoField.new(title, filter, ftypes[kind], values, shape, mask, about)
-    list[#list + 1] = pf
-    return pf
-  end, list
+-- Make a field of a row { filter, type, title, description, base, values, mask }.
+-- base    of a number, by its name in the API; or the width in bits of a boolean's field
+-- values  a table, or the name of a type of frame
+local function new_field(row)
+  local filter, kind, title, about, shape, values, mask = unpack(row, 1, 7)
+  shape = shape or kind:find("INT") and "DEC" or "NONE"
+  values = kind == "FRAMENUM" and frametype[values or "NONE"] or values
+  return ProtoField.new(title, filter, ftypes[kind], values, base[shape] or shape, mask, about)
 end
 
 local experts = {} -- [filter] = ProtoExpert, made once, when the plugin loads
 
--- Make the expert items of a protocol, whose filters begin with this prefix.
-local function make_experts(proto, prefix)
+-- Give a protocol its fields, and the expert items whose filters begin with this prefix.
+local function define(proto, prefix, fields)
   local own = {}
   for _, row in ipairs(EXPERTS) do
-    local name, text, group, severity = unpack(row)
+    local name, text, group, severity = row[1], row[2], row[3], row[4]
     if name:find(prefix, 1, true) == 1 then
       own[name] = ProtoExpert.new(name, text, expert.group[group], expert.severity[severity])
       experts[name] = own[name]
     end
   end
-  proto.experts = own
+  proto.fields, proto.experts = fields, own
 end
 
 --- Make YAPP's own fields and expert items and hand them to the protocol.
@@ -141,129 +134,32 @@ end
 -- messages of the catalogue
 -- returns  { [filter without "yapp."] = ProtoField }
 function M.of_yapp(yapp, names, messages)
-  local fields, make, list = {}, new_maker()
+  local fields = {}
   for _, row in ipairs(YAPP) do
     local name, kind, title, about, shape, values = unpack(row, 1, 6)
     if name == "id" then values = names end
-    fields[name] = make("yapp." .. name, kind, title, about, shape, values)
+    fields[name] = new_field { "yapp." .. name, kind, title, about, shape, values }
   end
   for _, message in ipairs(messages) do
     local name = "like." .. message.name
-    fields[name] = make("yapp." .. name, "UINT32", "Could be " .. message.title,
-      "ID that is not in the catalogue, of a message with the size of " .. message.title, HEX)
+    fields[name] = new_field { "yapp." .. name, "UINT32", "Could be " .. message.title,
+      "ID that is not in the catalogue, of a message with the size of " .. message.title, "HEX" }
   end
-  yapp.fields = list
-  make_experts(yapp, "yapp.")
+  define(yapp, "yapp.", fields)
   return fields
 end
 
--- Fields of messages ------------------------------------------------------------------------------
-
--- Make what a flags field has below it.
-local function make_flags(field, made, kind, make)
-  local title, group, about = field.title, field.group, field.description
-  made.undefined = make(group .. ".undefined", "UINT32", "Undefined bits",
-    "Bits that nothing defines: " .. about, HEX)
-  made.flags = {}
-  for i, flag in ipairs(field.flags) do
-    made.flags[i] = make(flag.filter, "BOOLEAN", flag.title, flag.description, field.size * 8, nil,
-      flag.mask)
-  end
-  if #field.flags == 0 then return end
-  made.names = make(field.filter .. ".names", "STRING", title,
-    "Names of the bits that are set: " .. about)
-  for way, verb in pairs { raised = "rose", cleared = "fell" } do
-    made[way] = make(group .. "." .. way, kind, title .. " " .. way,
-      ("Bits that %s since the source's previous good message: %s"):format(verb, about), HEX)
-  end
-end
-
--- Wireshark's types of the kinds whose name is not a type.
-local TYPES = { time = "RELATIVE_TIME", bool = "BOOLEAN", float = "DOUBLE", ieee = "DOUBLE" }
-
--- Return the type and the base of a field's own ProtoField.
-local function type_of(field)
-  local kind, width = field.kind, field.size * 8
-  if field.scale then return "DOUBLE" end
-  if kind == "flags" then return "UINT" .. width, HEX end
-  if kind == "uint" then return "UINT" .. width, field.values and HEX end
-  if kind == "int" then return "INT" .. width end
-  return TYPES[kind] or kind:upper()
-end
-
--- Make the ProtoFields of a field.
-local function make_field(field, make)
-  local title, about, made = field.array_title or field.title, field.description, {}
-  local kind, shape = type_of(field)
-  if field.kind == "flags" then
-    make_flags(field, made, kind, make)
-  elseif field.special then
-    made.special = make(field.special, "UINT8", title,
-      "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS)
-  end
-  local mask = not field.scale and field.mask or nil
-  made.pf = make(field.filter, kind, title, about, shape, field.values, mask)
-  return made
-end
-
--- Call add(value, filter, type, title, description, base, values) for each field that shows a
--- message's state; value(state, m) returns what to show, or nil.
-local function add_states(message, add)
-  -- Prefer a field of nothing but faults: so filters keep their names if a flag of another field
-  -- becomes a fault.
-  local fault, filter = message.fault_field or message.alarms[1], message.filter
-  if message.time then
-    add(function(state) return state.drift and M.relative_time(state.drift) end,
-      filter .. ".clock_drift", "RELATIVE_TIME", "Clock drift",
-      "Controller's clock less the capture's since the source's first message or reboot")
-  end
-  if message.answers then
-    local command = message.answers:gsub("^%l", string.upper):gsub("_", " ")
-    add(function(state) return state.command_in end,
-      ("%s.%s_in"):format(filter, message.answers), "FRAMENUM", ("Latest %s in"):format(command),
-      ("The latest %s on this bus before the message"):format(command), nil, frametype.REQUEST)
-  end
-  if not fault then return end
-  add(function(state, m)
-    local since = state.active_since
-    return since and M.relative_time(m.time - since)
-  end, fault.group .. ".active_time", "RELATIVE_TIME", "Time since the oldest of them was raised",
-    "Since the oldest fault that is still set was raised")
-  for _, way in ipairs { "previous", "next" } do
-    add(function(state) return state[way .. "_change"] end,
-      ("%s.%s_change"):format(fault.group, way), "FRAMENUM",
-      ("%s: %s change in"):format(fault.title, way),
-      ("The source's %s message that changes a fault"):format(way))
-  end
-end
-
 --- Make the fields and expert items of the messages and hand them to the protocol.
--- taurus     Proto
--- catalogue  compiled
--- returns    { [message] = { pf, generated = list of ProtoFields, states = list of { pf, value =
---            function(state, m) } } }; { [field] = { pf, special, flags (list), names, undefined,
---            raised, cleared } }, where the elements of an array share theirs
-function M.of_taurus(taurus, catalogue)
-  local messages, fields, by_filter, make, list = {}, {}, {}, new_maker()
-  for _, message in ipairs(catalogue.messages) do
-    local about = "A whole message: " .. message.title
-    local own = { generated = {}, states = {} }
-    own.pf = make(message.filter, "NONE", message.title, about)
-    for i, item in ipairs(message.generated) do
-      own.generated[i] = make(item.filter, "DOUBLE", item.title, item.description)
-    end
-    add_states(message, function(value, ...)
-      table.insert(own.states, { value = value, pf = make(...) })
-    end)
-    for _, field in ipairs(message.fields) do
-      by_filter[field.filter] = by_filter[field.filter] or make_field(field, make)
-      fields[field] = by_filter[field.filter]
-    end
-    messages[message] = own
+-- taurus    Proto
+-- messages  of the catalogue
+-- returns   { [filter] = ProtoField }
+function M.of_taurus(taurus, messages)
+  local fields = {}
+  for _, message in ipairs(messages) do
+    for _, row in ipairs(message.filters) do fields[row[1]] = new_field(row) end
   end
-  taurus.fields = list
-  make_experts(taurus, "taurus.")
-  return messages, fields
+  define(taurus, "taurus.", fields)
+  return fields
 end
 
 -- Adding items ------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@
 
 local bit_operations = require("yapp.base.bits")
 local decode = require("yapp.message.decode")
+local frame_key = require("yapp.base.frame_key")
 local show_fields = require("yapp.show.fields")
 
 local M = {}
@@ -14,104 +15,96 @@ local add_generated = show_fields.add_generated
 local add_le = show_fields.add_le
 local append_text = show_fields.append_text
 local band, common = bit_operations.band, bit_operations.common
-local flag_names = decode.flag_names
+local flag_names, number_text, value_of = decode.flag_names, decode.number_text, decode.value
 local format = string.format
 local range_of = Tvb.range
 local referenced = TreeItem.referenced
 local set_hidden = TreeItem.set_hidden
 local set_text = TreeItem.set_text
 
-local IS_TSHARK = not gui_enabled()
 local NONE = {}
 
 local Taurus = {}
 Taurus.__index = Taurus
 
 --- Make the fields and expert items of the messages and hand them to the protocol.
--- taurus     Proto
--- catalogue  compiled
-function M.new(taurus, catalogue)
-  local self = setmetatable({
+-- taurus    Proto
+-- messages  of the catalogue
+function M.new(taurus, messages)
+  return setmetatable({
     taurus = taurus,
-    plans_of_shown = {}, -- by message, see plan_of
-    plans_of_pass = {},
+    messages = messages,
+    fields = show_fields.of_taurus(taurus, messages),
   }, Taurus)
-  self.messages, self.fields = show_fields.of_taurus(taurus, catalogue)
-  return self
-end
-
---- Forget what was wanted of the trees of the file before.
-function Taurus:reset()
-  self.plans_of_pass = {}
 end
 
 -- Adding a field ----------------------------------------------------------------------------------
 
--- How a field is added, by kind: function(field, its ProtoFields, unit, is_shown), which returns a
--- function(parent, range, raw) -> item.
--- unit      the text behind the value, "" for none
--- is_shown  whether the tree is shown
+-- How a field is added, by kind: function(field, fields), which returns a function(parent, range,
+-- raw) -> item.
+-- fields  { [filter] = ProtoField }: of flags those that are wanted
 local ADD = {}
 
+local function append_unit(item, field)
+  return field.unit and append_text(item, " " .. field.unit) or item
+end
+
 -- What Wireshark reads itself.
-function ADD.uint(_, made, unit)
-  local pf = made.pf
+function ADD.uint(field, fields)
+  local pf = fields[field.filter]
   return function(parent, range)
-    local item = add_le(parent, pf, range)
-    if unit ~= "" then append_text(item, unit) end
-    return item
+    return append_unit(add_le(parent, pf, range), field)
   end
 end
 
 ADD.int, ADD.bool, ADD.bytes = ADD.uint, ADD.uint, ADD.uint
 
 -- A number with a fraction, or the special that is there instead.
-function ADD.float(field, made, unit, is_shown)
-  local pf, digits = made.pf, decode.format_of(field)
-  local value_of = field.kind == "float" and decode.float or decode.value
-  local label = (field.array_title or field.title) .. ": "
+function ADD.float(field, fields)
+  local pf, special_pf = fields[field.filter], fields[field.special]
+  local label, unit = (field.array or field).title .. ": ", field.unit and " " .. field.unit or ""
   local bytes = " (0x%0" .. field.size * 2 .. "x)"
   return function(parent, range, raw)
     local value, special = value_of(field, raw)
     if special then
       local text = label .. decode.SPECIALS[special]
       if field.kind == "float" and raw >= 0 then text = text .. format(bytes, raw) end
-      return set_text(add(parent, made.special, range, special), text)
+      return set_text(add(parent, special_pf, range, special), text)
     end
-    if not digits then
-      return append_text(add(parent, pf, range, decode.rounded(field, value)), unit)
-    end
-    local text = format(digits, value)
-    if not is_shown then return add(parent, pf, range, tonumber(text)) end
+    local text = number_text(field, value)
     return add(parent, pf, range, tonumber(text), label .. text .. unit)
   end
 end
 
-ADD.ieee = ADD.float
+ADD.ieee, ADD.scaled = ADD.float, ADD.float
 
-function ADD.string(_, made)
+function ADD.string(field, fields)
+  local pf = fields[field.filter]
   return function(parent, range, raw)
-    return add(parent, made.pf, range, decode.text(raw))
+    return add(parent, pf, range, value_of(field, raw))
   end
 end
 
-function ADD.time(_, made)
+function ADD.time(field, fields)
+  local pf = fields[field.filter]
   return function(parent, range, raw)
-    return add(parent, made.pf, range, NSTime.new(decode.time(raw, 0)))
+    return add(parent, pf, range, NSTime.new(decode.time(raw, 0)))
   end
 end
 
 -- Flags, with those of their ProtoFields that are wanted.
-function ADD.flags(field, made, _, is_shown)
-  local pf, names_pf, flags = made.pf, made.names, made.flags
+function ADD.flags(field, fields)
+  local pf, names_pf = fields[field.filter], fields[field.filter .. ".names"]
+  local undefined_pf, flags = fields[field.group .. ".undefined"], {}
+  for _, flag in ipairs(field.flags) do flags[#flags + 1] = fields[flag.filter] end
   return function(parent, range, raw)
     local item = pf and add_le(parent, pf, range) or parent
     for i = 1, #flags do add_le(item, flags[i], range) end
-    local undefined = made.undefined and band(raw, field.undefined) or 0
-    if undefined ~= 0 then add(item, made.undefined, range, undefined) end
-    local names = raw ~= 0 and flag_names(field, raw) or ""
+    if raw == 0 then return item end
+    local undefined, names = band(raw, field.undefined), flag_names(field, raw)
+    if undefined_pf and undefined ~= 0 then add(item, undefined_pf, range, undefined) end
     if names == "" then return item end
-    if is_shown then append_text(item, " (" .. names .. ")") end
+    if pf then append_text(item, " (" .. names .. ")") end
     if names_pf then set_hidden(add_generated(item, names_pf, names)) end
     return item
   end
@@ -119,84 +112,70 @@ end
 
 -- What is wanted ----------------------------------------------------------------------------------
 
+-- Return the ProtoFields that a tree wants, by filter; nil for none.
+local function wanted_of(self, tree, filters)
+  local wanted = {}
+  for _, filter in pairs(filters) do
+    local pf = self.fields[filter]
+    if referenced(tree, pf) then wanted[filter] = pf end
+  end
+  return next(wanted) and wanted
+end
+
 --- Return whether a tree wants a field that comes from the history's state, which each message has.
 function Taurus:wants_state(tree)
-  for _, own in pairs(self.messages) do
-    for _, one in ipairs(own.states) do
-      if referenced(tree, one.pf) then return true end
-    end
+  for _, message in ipairs(self.messages) do
+    if wanted_of(self, tree, message.states) then return true end
   end
   return false
 end
 
--- Return a field's ProtoFields that a tree wants, nil or false for none.
-local function wanted_of(made, tree)
-  local function wanted(pf) return pf and referenced(tree, pf) and pf or nil end
-  if not made.flags then return (wanted(made.pf) or wanted(made.special)) and made end
-  local flags = {}
-  for _, pf in ipairs(made.flags) do flags[#flags + 1] = wanted(pf) end
-  local found = { pf = wanted(made.pf), names = wanted(made.names), flags = flags }
-  found.undefined = wanted(made.undefined)
-  return (found.pf or found.names or found.undefined or flags[1]) and found
-end
-
-local function unit_of(field, is_shown)
-  return is_shown and field.unit and " " .. field.unit or ""
-end
-
--- Return how a field is added to a tree: { field, index, parent = index of the field that it is a
--- part of, add, title = of an array's element }; nil if it is not wanted.
-local function make_step(self, field, index, tree, is_shown)
-  local wanted = wanted_of(self.fields[field], tree)
-  if not wanted then return nil end
-  local new_adder = field.scale and ADD.float or ADD[field.kind]
-  return {
-    field = field,
-    index = index,
-    parent = field.inside and field.inside.index,
-    add = new_adder(field, wanted, unit_of(field, is_shown), is_shown),
-    title = is_shown and field.element and field.title,
-  }
-end
-
--- Return how the tree of a message is built: a list of steps; own = the message's ProtoField, where
--- it is wanted; generated = a list of { item, pf, unit }.
-local function make_plan(self, message, tree, is_shown)
-  local own, plan = self.messages[message], { title = "Taurus " .. message.title, generated = {} }
-  plan.own = referenced(tree, own.pf) and own.pf
+-- Return how the tree of a message is built: a list of steps { field, index, parent = index of the
+-- field that it is a part of, add = see ADD }; own = whether the message's field is wanted;
+-- generated = a list of the items that are wanted.
+local function make_plan(self, message, tree)
+  local plan, fields = { generated = {} }, self.fields
+  plan.own = referenced(tree, fields[message.filter])
   for index, field in ipairs(message.fields) do
-    plan[#plan + 1] = make_step(self, field, index, tree, is_shown)
-  end
-  for i, item in ipairs(message.generated) do
-    local pf, generated = own.generated[i], plan.generated
-    if referenced(tree, pf) then
-      generated[#generated + 1] = { item = item, pf = pf, unit = unit_of(item, is_shown) }
+    local wanted = wanted_of(self, tree, field.filters)
+    if wanted then
+      plan[#plan + 1] = {
+        field = field,
+        index = index,
+        parent = field.inside and field.inside.index,
+        add = ADD[field.kind](field, field.flags and wanted or fields),
+      }
     end
   end
+  for _, item in ipairs(message.generated) do
+    if referenced(tree, fields[item.filter]) then table.insert(plan.generated, item) end
+  end
   return plan
 end
 
--- Return the plan for a tree.  A tree that is shown wants all fields.  For any other, ask
--- Wireshark: once on the first pass of tshark, where the answer cannot change, else for each
--- packet.  Without plans a filter for one fault takes 1.9 times as long.
-local function plan_of(self, m, tree)
-  local is_shown, message = tree.visible, m.source.message
-  local plans = is_shown and self.plans_of_shown or
-    IS_TSHARK and not m.visited and self.plans_of_pass or {}
-  local plan = plans[message] or make_plan(self, message, tree, is_shown)
-  plans[message] = plan
-  return plan
+-- Return the plan for a tree.  In tshark's first pass it is kept in what is wanted, which holds for
+-- all packets: without plans a filter for one fault takes 1.9 times as long.
+local function plan_of(self, message, view)
+  local plans = view.wants.plans or {}
+  plans[message] = plans[message] or make_plan(self, message, view.tree)
+  return plans[message]
 end
 
 -- The tree of a message ---------------------------------------------------------------------------
 
+-- Return the text of an element of an array, whose item begins with the array's title.  In a tree
+-- that is not shown, an item has no text.
+local function element_text(item, field)
+  return field.title .. (item.text or ""):sub(#field.array.title + 1)
+end
+
 -- Build it; return it, and the items by index of field, for the expert items.
 local function build(self, m, view)
-  local plan, raws, items = plan_of(self, m, view.tree), m.raws, {}
-  local tvb, at, message = view.payload_tvb, view.payload_at, m.source.message
+  local raws, items, message = m.raws, {}, m.source.message
+  local plan, tvb, at = plan_of(self, message, view), view.payload_tvb, view.payload_at
   local whole = range_of(tvb, at, math.min(message.size, #m.payload))
-  local top = add(view.tree, self.taurus, whole, plan.title)
-  if plan.own then set_hidden(add(top, plan.own, whole)) end
+  local top = add(view.tree, self.taurus, whole, "Taurus " .. message.title)
+  if plan.own then set_hidden(add(top, self.fields[message.filter], whole)) end
   for i = 1, #plan do
     local step = plan[i]
     local field, index = step.field, step.index
@@ -204,14 +183,14 @@ local function build(self, m, view)
     if raw then
       local range = range_of(tvb, at + field.offset, field.size)
       local item = step.add(items[step.parent] or top, range, raw)
-      if step.title then item.text = step.title .. (item.text or ""):sub(#field.array_title + 1) end
+      if field.array then set_text(item, element_text(item, field)) end
       items[index] = item
     end
   end
-  for _, step in ipairs(plan.generated) do
-    local value = decode.derived(message, step.item, raws)
+  for _, item in ipairs(plan.generated) do
+    local value, pf = decode.derived(message, item, raws), self.fields[item.filter]
     if value then
-      append_text(add_generated(top, step.pf, decode.rounded(step.item, value)), step.unit)
+      append_unit(add_generated(top, pf, tonumber(number_text(item, value))), item)
     end
   end
   return top, items
@@ -257,6 +236,15 @@ local CHANGES = {
   { "jump", "taurus.jump", "Controller's clock jumped ahead by %.1f s", "  JUMP" },
 }
 
+-- What message.history says of a state, in the order of the tree, and how it is shown.
+local STATES = {
+  { "drift", show_fields.relative_time },
+  { "command_in", frame_key.number },
+  { "active_time", show_fields.relative_time },
+  { "previous_change", frame_key.number },
+  { "next_change", frame_key.number },
+}
+
 -- Add a generated field, if the value is there and wanted.
 local function add_wanted(item, pf, value)
   return pf and value and referenced(item, pf) and add_generated(item, pf, value)
@@ -266,9 +254,10 @@ end
 -- for none.
 -- way  "raised" or "cleared"
 local function add_flags_change(self, item, one, way, is_tree)
-  local field, raw, faults = one.field, one[way], one["alarm_" .. way]
+  local field, raw = one.field, one[way]
+  local faults = decode.faults(field, raw)
   if raw == 0 then return nil end
-  local added = is_tree and add_wanted(item, self.fields[field][way], raw)
+  local added = is_tree and add_wanted(item, self.fields[field.group .. "." .. way], raw)
   if added then append_text(added, " (" .. flag_names(field, raw) .. ")") end
   if faults == 0 then return nil end
   if added and way == "raised" then append_help(added, field, faults) end
@@ -294,8 +283,9 @@ end
 function Taurus:add_change(m, top, other)
   local change, item = m.change or NONE, top or other
   local info = add_flags_changes(self, item, change.flags or NONE, top)
-  for _, one in ipairs(top and m.state and self.messages[m.source.message].states or NONE) do
-    add_wanted(item, one.pf, one.value(m.state, m))
+  for _, row in ipairs(top and m.state and STATES or NONE) do
+    local value, pf = m.state[row[1]], self.fields[m.source.message.states[row[1]]]
+    add_wanted(item, pf, value and row[2](value))
   end
   for _, row in ipairs(CHANGES) do
     local value, name, label, word = change[row[1]], row[2], row[3], row[4]

@@ -3,7 +3,7 @@
 -- messages.  Wireshark's API; the reassembly or the framing has finished what is shown.
 
 local show_fields = require("yapp.show.fields")
-local info_of = require("yapp.message.info")
+local text_of = require("yapp.message.text")
 local messages_of = require("yapp.show.taurus")
 
 local M = {}
@@ -37,7 +37,7 @@ function M.new(options)
     yapp = options.yapp,
     taurus = options.taurus,
     reader = options.reader,
-    messages = messages_of.new(options.taurus, options.catalogue),
+    messages = messages_of.new(options.taurus, options.catalogue.messages),
     fields = nil,
     default_names = {}, -- titles by ID
     wanted = nil, -- of Tree:wants, in the first pass of tshark
@@ -51,7 +51,6 @@ end
 --- Forget what was wanted of the file before.
 function Tree:reset()
   self.wanted, self.is_only_pass = nil, false
-  self.messages:reset()
 end
 
 --- Say that this first pass of tshark is its only one: no packet is revisited.
@@ -94,6 +93,7 @@ local function ask_first(self, tree, pinfo)
   local has_columns = tostring(pinfo.cols.info) ~= NO_COLUMN
   local wants = tree.hidden and ask(self, tree) or {}
   wants.columns = has_columns
+  wants.plans = {}
   wants.is_only_pass = self.is_only_pass or is_only_pass(tree, has_columns)
   wants.state = wants.taurus and self.messages:wants_state(tree)
   return wants
@@ -110,6 +110,7 @@ end
 --                 Tree:add_protocol_names
 --   columns       whether there are columns: tshark has them for a packet list, and not with -V,
 --                 -q, most of -T or in a first pass of two
+--   plans         see show.taurus, nil where the answer may change
 --   is_only_pass  whether it is sure that no packet is shown again, so that nothing need be kept: a
 --                 tenth of a packet list }
 -- In tshark's first pass the answer is the same for all packets, so it is asked once; in Wireshark,
@@ -259,7 +260,7 @@ function Tree:show_message(m, view)
   else
     top = (view.payload_tvb or m.is_remarkable) and self.messages:show(m, view)
     if view.wants.columns then
-      info = info_of.text(source.message, m.raws, source.label, m.is_remarkable)
+      info = text_of.info(source.message, m.raws, source.label, m.is_remarkable)
     end
   end
   if m.change or top then info = info .. self.messages:add_change(m, top or nil, view.item) end

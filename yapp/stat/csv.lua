@@ -5,9 +5,9 @@
 -- FOLDER/motor.csv ...  time, frame, bus, source, id, seq, then the columns of the message
 -- FOLDER/fields.json    what each column is
 
-local columns = require("yapp.message.columns")
 local memo = require("yapp.base.memo")
 local output = require("yapp.stat.output")
+local text_of = require("yapp.message.text")
 
 local M = {}
 
@@ -29,14 +29,14 @@ Csv.__index = Csv
 
 -- Return the cells of a source, "can0,left,528".
 local function cells_of(source)
-  local bus, name = columns.quoted(source.bus or ""), columns.quoted(source.name or "")
+  local bus, name = text_of.quoted(source.bus or ""), text_of.quoted(source.name or "")
   return ("%s,%s,%d"):format(bus, name, source.id)
 end
 
--- All columns of a message, as message.columns has them.
+-- All columns of a message, as message.text has them.
 local function columns_of(self, message)
   local all = {}
-  local parts = { COMMON, self.options.all and CRC_GOOD or {}, columns.columns(message) }
+  local parts = { COMMON, self.options.all and CRC_GOOD or {}, text_of.columns(message) }
   for _, part in ipairs(parts) do
     for _, column in ipairs(part) do
       all[#all + 1] = column
@@ -49,7 +49,7 @@ end
 local function begin(self, message, file)
   local names = {}
   for i, column in ipairs(columns_of(self, message)) do
-    names[i] = columns.quoted(column.name)
+    names[i] = text_of.quoted(column.name)
   end
   file:write(table.concat(names, ",") .. "\n")
   self.tables[message] = { file = file, rows = 0 }
@@ -113,7 +113,7 @@ function Csv:event(event)
   if not (to and (is_good or all)) then return end
   local time = output.time_text(self.context.clock(event.time))
   local crc_good = all and (is_good and "1," or "0,") or ""
-  local row = columns.row(source.message, event.raws)
+  local row = text_of.row(source.message, event.raws)
   to.file:write(("%s,%d,%s,%d,%s%s\n"):format(
     time, event.frame, self.cells[source], event.seq, crc_good, row))
   to.rows = to.rows + 1
@@ -152,7 +152,7 @@ end
 
 --- What the columns of all messages are.
 -- catalogue  compiled; version: the plugin's own, a text
--- list_of    function(message) -> its columns: message.columns' and what comes before them
+-- list_of    function(message) -> its columns: message.text's and what comes before them
 -- returns    JSON: { version = 1, plugin =, messages = { NAME = { title =, every = in seconds or
 --            null, columns = list of { those of COLUMN_KEYS } } } }
 function M.describe(catalogue, version, list_of)

@@ -12,7 +12,7 @@ local M = {}
 local span = kinds.span
 local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
-local NUMERIC = check.set("uint int float ieee derived")
+local NUMERIC = check.set("uint int scaled float ieee derived")
 
 -- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent; NaN
 -- for a reserved value, nil where the message does not have the field.
@@ -32,7 +32,7 @@ end
 
 -- A number with the digits that people see.
 local function rounded(field, value)
-  local shape = decode.format_of(field)
+  local shape = field.shape
   return shape and tonumber(shape:format(value)) or value -- NaN stays
 end
 

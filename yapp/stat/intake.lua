@@ -108,7 +108,7 @@ end
 -- The values of a message that the catalogue does not define; nil for none.
 local function invalid_of(m)
   local message, list = m.source.message, nil
-  for _, remark in ipairs(decode.remarks(message, m.raws) or NOTHING) do
+  for _, remark in ipairs(decode.remarks(message, m.raws)) do
     local index = remark[1]
     if decode.is_undefined(remark) then
       local raw = m.raws[index]
