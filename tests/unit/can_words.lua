@@ -86,7 +86,7 @@ function M.visit(known, frame, visited)
   if kind == "last" then
     found.payload = message.payload
     if not visited and not frame.is_only_pass then
-      known.reassembly:keep(message, frame.number / 8, M.has_fault(message.payload))
+      known.reassembly:keep(message, M.has_fault(message.payload))
     end
   end
   if message and message.payload then found.in_number = frame_key.number(message[#message]) end

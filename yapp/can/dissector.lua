@@ -14,12 +14,12 @@ local M = {}
 local CTRL_NAMES, START, END = can_id.CTRL_NAMES, can_id.START, can_id.END
 local add, add_le, append_text = show_fields.add, show_fields.add_le, show_fields.append_text
 local fields_of, BUS = can_id.fields, can_id.BUS
-local number_of, PACKET, sub = frame_key.number, frame_key.PACKET, string.sub
+local number_of, PACKET = frame_key.number, frame_key.PACKET
+local ceil, sub = math.ceil, string.sub
 -- A method that Lua has to look up in a Tvb costs more than what it does.
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
 
 local REASSEMBLED = "Reassembled YAPP" -- what Wireshark's bytes pane calls it
-local FIRST = 1e99 -- in deltas, for a message whose source has no previous one
 
 -- YAPP has no remote frames, but captures give a remote frame zeros as data.  So ask of a frame of
 -- zeros whether it is remote; if nothing says so, it is a data frame.
@@ -41,7 +41,6 @@ function M.new(tree, reader, buses, register_id)
     buses = buses,
     register_id = register_id,
     stat = reader.stat,
-    title = tree.yapp.description .. ", ", -- how YAPP's item begins
   }, Dissector)
 end
 
@@ -53,45 +52,36 @@ function Dissector:reset(history)
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
     return memo(function(id) return self.reader:new_source(id, bus, self.buses:name(bus)) end)
   end)
-  self.deltas = {} -- [frame key of a single frame] = seconds, or FIRST; nil: not known
+  -- [frame key of a message] = seconds since the source's previous good one, false for the first;
+  -- nil: not known
+  self.deltas = {}
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
   self.lost_bus = false -- whether a frame came whose bus is not known
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
   self.asks = self.buses.asks -- whether the bus of a frame has to be asked for
-  -- The current frame.  The next frame reuses the table, which saves a tenth of a packet list.
-  -- COMPAT 5.2: false stands for nothing, as writing nil to a missing key rebuilds the table.
+  -- The current frame, see new_frame.  The next frame reuses the table, which saves a tenth of a
+  -- packet list.
   self.frame = {
-    key = 0, -- see base.frame_key
-    can_id = false, -- the fields of its CAN id (wire.can_id)
-    bus = false, source = false, slot = 0, -- number or false; of message.reader; wire.can_id.slot
-    data = "", reported = 0, -- captured bytes; length on the bus
-    accepts_all = false, -- whether the user says that every extended frame is YAPP
+    bus = false, -- its number, or false
+    is_bus_known = true,
     is_only_pass = false, -- whether it is never dissected again
-    number = 0, visited = false, is_bus_known = true, -- of its packet; whether its bus is known
-    -- From can.reassembly; on a revisit index = of the fragment in its message.
-    message = false, anomalies = false, index = false,
-    tvb = false, pinfo = false, tree = false, range = false, -- of Wireshark
-    wants = false, item = false, payload_tvb = false, payload_at = 0, -- see Tree:show_message
+    payload_at = 0, -- see Tree:show_message
   }
 end
 
 -- Return the message that a frame ends, for message.reader.  For the statistics make one of any
 -- frame, where status, payload and size may be missing.
 local function new_message(self, frame, status, payload, size)
-  local delta, is_unreliable = false, not frame.is_bus_known
-  if frame.visited then
-    delta = frame.message and frame.message.delta or self.deltas[frame.key] or false
-    is_unreliable = not delta
-    if delta == FIRST then delta = false end
-  end
+  local visited, delta = frame.visited, nil
+  if visited then delta = self.deltas[frame.key] end
   return {
     source = frame.source,
     seq = frame.can_id.seq,
     key = frame.key,
     time = frame.pinfo.rel_ts,
-    visited = frame.visited,
-    is_unreliable = is_unreliable,
-    delta = delta,
+    visited = visited,
+    is_unreliable = visited and delta == nil or not (visited or frame.is_bus_known),
+    delta = delta or false,
     payload = payload,
     size = size,
     status = status,
@@ -120,8 +110,8 @@ local function add_item(self, frame)
   local builder, fields, source = self.tree, frame.can_id, frame.source
   local kind = CTRL_NAMES[fields.ctrl] or "undefined frame"
   frame.range = frame.tvb()
-  local text = self.title .. source.label .. ", " .. kind
-  local item = add(frame.tree, builder.yapp, frame.range, text)
+  local item = add(frame.tree, builder.yapp, frame.range)
+  append_text(item, (", %s, %s"):format(source.label, kind))
   builder:add_id(item, nil, source)
   builder:generated(item, "ctl", fields.ctl)
   builder:generated(item, "seq", fields.seq)
@@ -157,9 +147,10 @@ end
 local function add_message(self, frame)
   local builder, message, data, item = self.tree, frame.message, frame.data, frame.item
   local payload, padding = frame.payload_tvb and frame.payload_tvb(), message.padding or 0
-  builder:generated(item, "reassembled.in", frame.number)
+  builder:generated(item, "reassembled.in", number_of(frame.key))
   append_text(builder:generated(item, "size", message.size), " bytes")
   builder:generated(item, "reserved", message.reserved or 0)
+  message.crc = message.crc or can_id.crc(frame.can_id, message.payload)
   builder:add_crc(item, nil, message)
   builder:add_fragments(item, payload or frame.range, numbers_of(message), #message,
     #message.payload, payload)
@@ -170,18 +161,14 @@ end
 
 -- Messages ----------------------------------------------------------------------------------------
 
--- Read a message, and keep its delta for revisits.
+-- Read a message, and keep it for revisits.
 -- returns  as Reader:read
 local function read(self, frame, m)
   local is_whole = self.reader:read(m, self.history, frame.wants.state)
   if frame.visited or frame.is_only_pass then return is_whole end
   -- That controllers share a source is not kept: on a revisit the history says it again.
-  local delta = frame.is_bus_known and (m.delta or FIRST)
-  if frame.message then
-    self.reassembly:keep(frame.message, delta, m.has_fault)
-  elseif delta then
-    self.deltas[frame.key] = delta
-  end
+  if frame.is_bus_known then self.deltas[frame.key] = m.delta end
+  if frame.message then self.reassembly:keep(frame.message, m.has_fault) end
   return is_whole
 end
 
@@ -221,23 +208,26 @@ end
 -- Fragments ---------------------------------------------------------------------------------------
 
 -- Return the text of a fragment.  A good message has a known number of fragments; for another one
--- assume the number that classic CAN needs.  The source caches the texts for messages of one size.
+-- assume the number that classic CAN needs.  The source caches the texts for messages of one size
+-- and number of fragments.
 local function fragment_text(frame)
   local source, message = frame.source, frame.message
-  local index, texts, size = frame.index or #message, source.texts, message.size
-  if texts.size ~= size then
-    texts = { source.label .. ("  Start of %d bytes"):format(size) }
-    texts.size, texts.usual = size, math.ceil(size / 8) + 1
+  local index, size, count = frame.index or #message, message.size, 0
+  if message.status == "good" then
+    count = #message
+  elseif #frame.data == 8 then
+    count = ceil(size / 8) + 1
+  end
+  if message[index] ~= frame.key then return source.label .. "  duplicate fragment" end
+  local texts = source.texts
+  if texts.size ~= size or texts.count ~= count then
+    texts = { ("%s  Start of %d bytes"):format(source.label, size), size = size, count = count }
     source.texts = texts
   end
-  local count = #frame.data == 8 and texts.usual or 0
-  if message.status == "good" then count = #message end
-  if message[index] ~= frame.key then return source.label .. "  duplicate fragment" end
-  if index == 1 or count == texts.usual and texts[index] then return texts[index] end
+  if texts[index] then return texts[index] end
   if index > count then return ("%s  fragment %d"):format(source.label, index) end
-  local text = ("%s  fragment %d of %d"):format(source.label, index, count)
-  if count == texts.usual then texts[index] = text end
-  return text
+  texts[index] = ("%s  fragment %d of %d"):format(source.label, index, count)
+  return texts[index]
 end
 
 local function show_fragment(self, frame)
@@ -278,8 +268,8 @@ local SHOW = { -- by kind, see can.reassembly
 
 -- Shows a frame of ours.
 local function show(self, frame, kind)
-  local builder, pinfo, tree, visited = self.tree, frame.pinfo, frame.tree, frame.visited
-  local wants = not visited and builder.wanted or builder:wants(tree, pinfo, visited)
+  local builder, pinfo, tree = self.tree, frame.pinfo, frame.tree
+  local wants = not frame.visited and builder.wanted or builder:wants(tree, pinfo, frame.visited)
   frame.wants, frame.item = wants, tree
   frame.is_only_pass = wants.is_only_pass -- for the next frames: this one was taken already
   if wants.yapp then
@@ -296,31 +286,36 @@ local function show(self, frame, kind)
   columns.info = info
 end
 
-local function find_bus(self, frame, pinfo, number)
-  local bus, is_known = self.buses:of(pinfo, number)
-  frame.bus, frame.is_bus_known = bus or false, is_known
-  self.lost_bus = self.lost_bus or not is_known
-end
-
--- Return whether a frame whose key is not new is a revisit.  If not, a read filter (-R) dropped the
--- packet before, and this packet has its number.
-local function is_revisit(self, pinfo, key)
-  local visited = pinfo.visited
-  if not visited then self.reassembly:drop(key) end
-  return visited
-end
-
--- Return the record of a frame, which is used again for the next frame.
--- reported  its length on the bus
+-- Return the record of a frame, which is used again for the next frame: {
+--   key            see base.frame_key
+--   visited        whether it is a revisit
+--   can_id         the fields of its CAN id (wire.can_id)
+--   bus            its number, or false; is_bus_known
+--   source, slot   see message.reader and can_id.slot
+--   data           the captured bytes; reported = their number on the bus
+--   accepts_all    whether the user says that every extended frame is YAPP
+--   is_only_pass   whether it is never dissected again
+--   message, anomalies, index  as can.reassembly says
+--   tvb, pinfo, tree, range    of Wireshark
+--   wants, item, payload_tvb, payload_at  see Tree:show_message }
 local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   local frame, number = self.frame, pinfo.number
-  if self.asks then find_bus(self, frame, pinfo, number) end
+  if self.asks then
+    local bus, is_known = self.buses:of(pinfo, number)
+    frame.bus, frame.is_bus_known = bus or false, is_known
+    self.lost_bus = self.lost_bus or not is_known
+  end
   local fields, bus = fields_of[id], frame.bus
   local key = number * PACKET + (self.offset or offset_of(tvb))
-  local visited = key <= self.newest_key and is_revisit(self, pinfo, key)
-  if not visited then self.newest_key = key end
+  local visited = false
+  if key > self.newest_key then
+    self.newest_key = key
+  else
+    visited = pinfo.visited
+    -- Else a read filter (-R) dropped the packet before, and this one has its number.
+    if not visited then self.reassembly:drop(key) end
+  end
   frame.key = key
-  frame.number = number
   frame.visited = visited
   frame.can_id = fields
   frame.source = self.sources[bus][fields.id]

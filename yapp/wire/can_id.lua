@@ -93,6 +93,12 @@ function M.seed(fields, size, reserved)
   return seed
 end
 
+--- Return the CRC of a message.
+-- fields, reserved  as for M.header
+function M.crc(fields, payload, reserved)
+  return crc.update(M.seed(fields, #payload, reserved), payload, 1, #payload)
+end
+
 --- What a Start says ("Multi-Frame Start").
 -- data     its captured bytes
 -- returns  crc, size, reserved; each nil where its bytes are not there
