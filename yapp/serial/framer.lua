@@ -53,7 +53,7 @@ function M.new(size_of, patience)
     events = nil,  -- the list that events are appended to, see Framer:add
     text = "",     -- the latest bytes
     text_from = 0, -- their offset in the stream
-    to = 0,        -- the end of the stream so far
+    to = 0,        -- the end of the stream so far; streams read it, and the next
     from = 0,      -- the first byte that is in no event yet
     searched = 0,  -- every candidate that begins before this is known
     found = nil,   -- the open candidate that the search waits at
@@ -267,16 +267,6 @@ function Framer:add(bytes, is_end, events)
     if self.last > 0 and self.first > self.last then self:forget() end
   end
   return self.events
-end
-
---- Return the number of bytes that have come.
-function Framer:length()
-  return self.to
-end
-
---- Return the offset of the first byte that is in no event yet.
-function Framer:offset()
-  return self.from
 end
 
 --- Return the earliest frame that is not final yet: a capture that ends here ends before the frame.
