@@ -36,7 +36,7 @@ function M.new(options)
     source_of = function(id, bus)
       local key = id + (bus or -1) * 0x800
       sources[key] = sources[key] or
-        { size = KNOWN[id], min_size = options.min_size, bus = bus, key = key }
+        { size = KNOWN[id], min_size = options.min_size or KNOWN[id], bus = bus, key = key }
       return sources[key]
     end,
   }

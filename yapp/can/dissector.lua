@@ -85,8 +85,6 @@ local function new_message(self, frame, status, payload, size)
     payload = payload,
     size = size,
     status = status,
-    -- Of the reader:
-    raws = nil, is_remarkable = nil, has_fault = nil, change = nil, state = nil, undecoded = nil,
   }
 end
 
@@ -175,7 +173,7 @@ end
 local function show_single(self, frame)
   local data, reported, source = frame.data, frame.reported, frame.source
   local size = source.size and
-    can_id.single_size(data, reported, source.min_size or source.size, source.size) or reported
+    can_id.single_size(data, reported, source.min_size, source.size) or reported
   local status = #data == reported and "good" or "truncated"
   local m = new_message(self, frame, status, sub(data, 1, size), size)
   frame.payload_tvb = frame.wants.tree and frame.tvb

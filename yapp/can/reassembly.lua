@@ -30,6 +30,11 @@ local END, CTRL_NAMES = can_id.END, can_id.CTRL_NAMES
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it
 local MAX_RUNS = 8 -- runs of equal fragments that are searched for duplicates
 
+local MISFIT = { -- by status
+  incomplete = "The message that started in frame %d ends with %d of %d bytes",
+  overrun = "The message that started in frame %d has %d bytes instead of %d",
+}
+
 local Reassembly = {}
 Reassembly.__index = Reassembly
 
@@ -72,18 +77,11 @@ end
 --- Note that a message has more or fewer bytes than its size.
 -- returns  its status
 function Reassembly:misfit(message, received)
-  local start = frame_key.number(message[1])
+  local status = received < message.size and "incomplete" or "overrun"
   message.received = received
-  if received < message.size then
-    self:note("fragment.incomplete", message,
-      "The message that started in frame %d ends with %d of %d bytes", start, received,
-      message.size)
-    return "incomplete"
-  end
-  self:note("fragment.overrun", message,
-    "The message that started in frame %d has %d bytes instead of %d", start, received,
+  self:note("fragment." .. status, message, MISFIT[status], frame_key.number(message[1]), received,
     message.size)
-  return "overrun"
+  return status
 end
 
 --- End a message.
@@ -177,16 +175,14 @@ end
 -- Note what is wrong with the captured bytes of a Start.
 local function check_start(self, frame, size, reserved)
   local known, least, length = frame.source.size, frame.source.min_size, frame.reported
-  if length > 8 then
-    self:note("size.mismatch", nil, "A Start has 8 bytes, this one has %d", length)
-  elseif length < 8 then
-    self:note("fragment.incomplete", nil,
-      "A Start has 8 bytes, this one has %d: its message cannot be reassembled", length)
+  if length ~= 8 then
+    local expert = length > 8 and "size.mismatch" or "fragment.incomplete"
+    self:note(expert, nil, "A Start has 8 bytes, this one has %d", length)
   end
   if not reserved then return end
   if size == 0 then
     self:note("size.mismatch", nil, "The size of the message is 0")
-  elseif known and (size > known or size < (least or known)) then
+  elseif known and (size > known or size < least) then
     self:note("size.mismatch", nil, "The size is %d bytes, the catalogue says %d", size, known)
   end
   if reserved ~= 0 then
@@ -333,7 +329,7 @@ local function single(_, frame)
   local size, least = frame.source.size, frame.source.min_size
   if frame.accepts_all then return "single" end
   if not size or frame.can_id.ctl ~= 0 then return nil end
-  return can_id.single_size(frame.data, frame.reported, least or size, size) and "single"
+  return can_id.single_size(frame.data, frame.reported, least, size) and "single"
 end
 
 local function undefined(self, frame)

@@ -15,14 +15,10 @@ M.BUS = 0x20000000
 M.START, M.END = 1, 3
 M.CTRL_NAMES = { [0] = "Single", "Start", "Middle", "End" }
 
--- A CAN FD frame above 8 bytes has one of these lengths.  FD_LENGTH[n] is the shortest that holds n
--- bytes.
-local FD_LENGTH = {}
-do
-  local n = 0
-  for _, length in ipairs { 8, 12, 16, 20, 24, 32, 48, 64 } do
-    while n <= length do FD_LENGTH[n], n = length, n + 1 end
-  end
+-- The lengths of CAN FD frames above 8 bytes: SHORTER[12] = 8 is the next shorter one.
+local SHORTER, shorter = {}, 8
+for _, length in ipairs { 12, 16, 20, 24, 32, 48, 64 } do
+  SHORTER[length], shorter = shorter, length
 end
 
 local function split(fields_of, id)
@@ -56,8 +52,8 @@ end
 -- returns 0 if it fits exactly, the number of zero bytes if it is padded as CAN FD is, else nil
 function M.padding(data, reported, needed)
   if reported == needed then return 0 end
-  if reported > 8 and needed > 0 and needed < reported and FD_LENGTH[needed] == reported and
-    not data:find("[^%z]", needed + 1) then
+  local least = SHORTER[reported]
+  if least and needed > least and needed < reported and not data:find("[^%z]", needed + 1) then
     return reported - needed
   end
 end

@@ -44,8 +44,8 @@ end
 -- returns  the payload size if the header is plausible; nil if the bytes that are there rule it
 --          out; false if the end of the header is still to come
 function M.judge(bytes, at, accepts)
-  if (byte(bytes, at + 5) or 0) > HIGHEST_ID_BYTE then return nil end
   local id0, id1, id2, id3, size0, size1, reserved0, reserved1 = byte(bytes, at + 4, at + 11)
+  if (id1 or 0) > HIGHEST_ID_BYTE then return nil end
   if (id2 or 0) + (id3 or 0) + (reserved0 or 0) + (reserved1 or 0) > 0 then return nil end
   if not size1 then return false end
   local size = size0 + size1 * 0x100
