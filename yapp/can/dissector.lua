@@ -141,20 +141,21 @@ local function numbers_of(message)
   return numbers
 end
 
--- Add what a message's last frame completes: size, CRC, fragments and padding.
+-- Add what a message's last or only frame completes: size, CRC, fragments and padding.
 local function add_message(self, frame)
   local builder, message, data, item = self.tree, frame.message, frame.data, frame.item
-  local payload, padding = frame.payload_tvb and frame.payload_tvb(), message.padding or 0
-  builder:generated(item, "reassembled.in", number_of(frame.key))
-  append_text(builder:generated(item, "size", message.size), " bytes")
-  builder:generated(item, "reserved", message.reserved or 0)
-  message.crc = message.crc or can_id.crc(frame.can_id, message.payload)
-  builder:add_crc(item, nil, message)
-  builder:add_fragments(item, payload or frame.range, numbers_of(message), #message,
-    #message.payload, payload)
-  if padding > 0 and padding <= #data then
-    add(item, builder.fields.padding, frame.tvb(#data - padding))
+  if #message > 1 then
+    local payload = frame.payload_tvb and frame.payload_tvb()
+    builder:generated(item, "reassembled.in", number_of(frame.key))
+    append_text(builder:generated(item, "size", message.size), " bytes")
+    builder:generated(item, "reserved", message.reserved or 0)
+    message.crc = message.crc or can_id.crc(frame.can_id, message.payload)
+    builder:add_crc(item, nil, message)
+    builder:add_fragments(item, payload or frame.range, numbers_of(message), #message,
+      #message.payload, payload)
   end
+  local start = frame.reported - (message.padding or 0)
+  if start < #data then add(item, builder.fields.padding, frame.tvb(start)) end
 end
 
 -- Messages ----------------------------------------------------------------------------------------
@@ -166,41 +167,30 @@ local function read(self, frame, m)
   if frame.visited or frame.is_only_pass then return is_whole end
   -- That controllers share a source is not kept: on a revisit the history says it again.
   if frame.is_bus_known then self.deltas[frame.key] = m.delta end
-  if frame.message then self.reassembly:keep(frame.message, m.has_fault) end
+  if #frame.message > 1 then self.reassembly:keep(frame.message, m.has_fault) end
   return is_whole
 end
 
-local function show_single(self, frame)
-  local data, reported, source = frame.data, frame.reported, frame.source
-  local size = source.size and
-    can_id.single_size(data, reported, source.min_size, source.size) or reported
-  local status = #data == reported and "good" or "truncated"
-  local m = new_message(self, frame, status, sub(data, 1, size), size)
-  frame.payload_tvb = frame.wants.tree and frame.tvb
-  read(self, frame, m)
-  local info = self.tree:show_message(m, frame)
-  if frame.wants.yapp and #data > size then
-    add(frame.item, self.tree.fields.padding, frame.tvb(size))
-  end
-  return info
-end
-
--- Show the last frame of a message, and the message that it completes.
+-- Show the frame that has a whole message, or its last fragment, and the message.
 local function show_last(self, frame)
   local builder, message, wants, item = self.tree, frame.message, frame.wants, frame.item
-  local status, payload = message.status, message.payload
+  local status, payload, tvb = message.status, message.payload, false
   local m = new_message(self, frame, status, payload, message.size)
-  local tvb = wants.tree and payload ~= "" and ByteArray.new(payload, true):tvb(REASSEMBLED)
+  if wants.tree then
+    tvb = #message == 1 and frame.tvb
+      or payload ~= "" and ByteArray.new(payload, true):tvb(REASSEMBLED)
+  end
   frame.payload_tvb = tvb
   if wants.yapp then add_message(self, frame) end
   if status == "bad" then builder:bad_crc(item, message) end
-  if read(self, frame, m) then return builder:show_message(m, frame) .. builder.MARKS[status] end
+  local mark = #message > 1 and builder.MARKS[status] or ""
+  if read(self, frame, m) then return builder:show_message(m, frame) .. mark end
   if wants.yapp then
     if tvb then add(item, builder.fields.payload, tvb()) end
     builder:add_delta(item, m)
   end
   local text = "%s  %d of %d bytes%s"
-  return text:format(m.source.label, message.received, message.size, builder.MARKS[status])
+  return text:format(m.source.label, message.received, message.size, mark)
 end
 
 -- Fragments ---------------------------------------------------------------------------------------
@@ -259,7 +249,7 @@ local function show_other(self, frame)
 end
 
 local SHOW = { -- by kind, see can.reassembly
-  single = show_single, last = show_last, fragment = show_fragment, other = show_other,
+  single = show_last, last = show_last, fragment = show_fragment, other = show_other,
 }
 
 -- Frames ------------------------------------------------------------------------------------------

@@ -2,7 +2,8 @@
 -- Reassembly: which CAN frames are YAPP, and which message their Start, Middle and End fragments
 -- make up ("Multi-Frame CAN YAPP").  Pure Lua.
 --
--- A slot is a message key on a bus: usually one message at a time is open there.  A message is
+-- A slot is a message key on a bus: usually one message at a time is open there.  A message of
+-- several frames is
 --   1 .. n     frame keys of its fragments (base.frame_key)
 --   slot, source; size, crc, reserved (nil for 0) as its Start says.  The stored record of a good
 --              message may lack its crc
@@ -325,11 +326,19 @@ end
 
 -- Other frames -----------------------------------------------------------------------------------
 
+-- A message of one frame has a record of its own, with these fields alone.
 local function single(_, frame)
-  local size, least = frame.source.size, frame.source.min_size
-  if frame.accepts_all then return "single" end
-  if not size or frame.can_id.ctl ~= 0 then return nil end
-  return can_id.single_size(frame.data, frame.reported, least, size) and "single"
+  local data, reported, source = frame.data, frame.reported, frame.source
+  local size = source.size and can_id.single_size(data, reported, source.min_size, source.size)
+  if not (frame.accepts_all or size and frame.can_id.ctl == 0) then return nil end
+  return "single", {
+    frame.key,
+    source = source,
+    size = size or reported,
+    status = #data == reported and "good" or "truncated",
+    payload = data:sub(1, size or reported),
+    padding = reported - (size or reported),
+  }
 end
 
 local function undefined(self, frame)
@@ -348,7 +357,7 @@ for ctrl = #TAKERS + 1, 15 do TAKERS[ctrl] = undefined end
 -- frame    of can.dissector, its key to is_only_pass
 -- returns  nil for a frame that is not YAPP's, else its kind: "single"; "fragment", of a message;
 --          "last", with which its message ends; "other", which has no message, as the anomalies say
---          the message of a fragment, else nil
+--          the message of a fragment or single frame, else nil
 --          its list of anomalies, or false
 function Reassembly:take(frame)
   self.anomalies, self.keeps = false, not frame.is_only_pass
@@ -407,8 +416,9 @@ function Reassembly:recall(frame)
     local is_last = message.payload and message[#message] == frame.key
     return is_last and "last" or "fragment", message, anomalies, index
   end
-  if frame.can_id.ctrl == 0 then return single(self, frame), nil, anomalies end
-  return anomalies and "other", nil, anomalies
+  local kind = anomalies and "other"
+  if frame.can_id.ctrl == 0 then kind, message = single(self, frame) end
+  return kind, message, anomalies
 end
 
 --- Return the messages that have neither ended nor been superseded, in the order of their Starts.
