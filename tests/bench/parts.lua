@@ -62,7 +62,7 @@ local function run(path, step)
     if message.status == "good" then count = count + 1 end
     local m = finished(frame, message.payload)
     if step == "reassembly" then return end
-    reader:read(m, of_capture)
+    reader:read(m, of_capture, {})
     if step == "info" then info.text(m.source.message, m.raws, m.source.label, m.is_remarkable) end
   end)
   return count

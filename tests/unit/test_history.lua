@@ -361,19 +361,25 @@ local function random_messages(seed, count)
   return messages, random
 end
 
+-- What a revisit of a message gets, with its delta.
+local function looked_up(h, m)
+  local old_change, delta = h:change(m)
+  return { old_change or false, delta }
+end
+
 function T.test_a_revisit_gets_the_same_in_any_order()
   for seed = 1, levels.size(6, 30) do
     local messages, random = random_messages(seed * 7919, 300)
     local h, noted = new(), {}
     for i, m in ipairs(messages) do
       local new_change, delta = h:note(m)
-      noted[i], m.delta = new_change or false, delta
+      noted[i] = { new_change or false, delta }
       local before = 1 + random(i) -- some are asked for while the first pass goes on
-      lu.assertEquals(h:change(messages[before]) or false, noted[before])
+      lu.assertEquals(looked_up(h, messages[before]), noted[before])
     end
     for _ = 1, 600 do
       local i = 1 + random(#messages)
-      lu.assertEquals(h:change(messages[i]) or false, noted[i], ("seed %d, m %d"):format(seed, i))
+      lu.assertEquals(looked_up(h, messages[i]), noted[i], ("seed %d, m %d"):format(seed, i))
     end
   end
 end
@@ -387,14 +393,26 @@ function T.test_a_number_that_comes_again()
   lu.assertNil(h:change(motor(8, 1.2, { seq = 4 })))
 end
 
--- Memory grows with events, not with messages.
+-- A delta is false at the first message of a source, and nil where the history was not asked.
+function T.test_deltas_of_revisits()
+  local h, bad = new { late = 100 }, motor(3, 2.5, { ends = "bad" })
+  h:note(motor(1, 1))
+  h:note(motor(2, 2))
+  h:note(bad)
+  h:note(motor(4, 4), true)
+  lu.assertEquals({ looked_up(h, motor(1, 1)), looked_up(h, motor(2, 2)), looked_up(h, bad),
+    looked_up(h, motor(4, 4)), looked_up(h, motor(5, 5, { source = "nobody" })) },
+    { { false, false }, { false, 1 }, { false, 0.5 }, { false }, { false } })
+end
+
+-- In an only pass memory grows with events, not with messages.
 function T.test_nothing_is_kept_of_messages_that_change_nothing()
   local h = new()
   local m = motor(1, 0)
   local function note(first, last)
     for i = first, last do
       m.key, m.time, m.seq, m.payload = i, i * 0.1, i % 256, around(int64(i * 1e8))
-      h:note(m)
+      h:note(m, true)
     end
   end
   local function kilobytes()

@@ -126,7 +126,7 @@ local function read(r, message, bytes, with)
   local m = { source = r:new_source(with.id or message.id, false), size = message.size, payload = payload,
     status = "good" }
   for key, value in pairs(with) do m[key] = value end
-  r:read(m, { note = function() return { missing = 1 } end })
+  r:read(m, { note = function() return { missing = 1 }, 1 end }, {})
   return m
 end
 
@@ -168,7 +168,7 @@ function T.test_a_shorter_payload()
   for size = 29, 33 do
     local m = { source = r:new_source(0x210, false), size = size, payload = ("\1"):rep(size),
       status = size == 31 and "bad" or "good" }
-    r:read(m, { note = function() end })
+    r:read(m, { note = function() return nil, false end }, {})
     found[#found + 1] = ("%d %s %s %s"):format(size, m.raws and "read" or "bytes", tostring(r:fits(0x210, size)),
       m.undecoded or "-")
   end
@@ -182,7 +182,7 @@ end
 function T.test_nothing_new()
   local r = new()
   local m = { source = r:new_source(0x200, false), size = 17, payload = ("\0"):rep(17), status = "good" }
-  r:read(m, { note = function() end })
+  r:read(m, { note = function() return nil, false end }, {})
   lu.assertFalse(m.change)
 end
 
@@ -191,27 +191,30 @@ end
 local function read_with(answer, with, without_state)
   local r = new()
   local m = { source = r:new_source(0x200, false), size = 17, payload = ("\0"):rep(17), status = "good",
-    is_unreliable = false, key = frame_key.PACKET * 7, visited = false, delta = "known" }
+    is_unreliable = false, key = frame_key.PACKET * 7, visited = false }
   for key, value in pairs(with or {}) do m[key] = value end
   local asked, h = {}, {}
   for _, method in ipairs { "note", "change", "state" } do
     h[method] = function(_, one)
       lu.assertEquals(one, m)
       asked[#asked + 1] = method
-      return answer[method], method == "note" and answer.delta or nil
+      return answer[method], answer.delta
     end
   end
-  r:read(m, h, not without_state)
+  r:read(m, h, { state = not without_state })
   return m, table.concat(asked, " ")
 end
 
 function T.test_what_the_history_is_asked()
   local m, asked = read_with { note = { reboot = 3 }, delta = 0.5 }
   lu.assertEquals({ m.change, m.delta, m.state, asked }, { { reboot = 3 }, 0.5, false, "note state" })
-  m, asked = read_with({}, {}, true)
-  lu.assertEquals({ m.change, m.delta, m.state, asked }, { false, false, false, "note" })
-  m, asked = read_with({ change = { late = 1 } }, { visited = true })
-  lu.assertEquals({ m.change, m.delta, m.state, asked }, { { late = 1 }, "known", false, "change state" })
+  m, asked = read_with({ delta = false }, {}, true)
+  lu.assertEquals({ m.change, m.delta, m.state, m.is_unreliable, asked }, { false, false, false, false, "note" })
+  m, asked = read_with({ change = { late = 1 }, delta = 0.5 }, { visited = true })
+  lu.assertEquals({ m.change, m.delta, m.state, m.is_unreliable, asked },
+    { { late = 1 }, 0.5, false, false, "change state" })
+  m = read_with({}, { visited = true }) -- the first pass did not ask the history
+  lu.assertEquals({ m.delta, m.is_unreliable }, { false, true })
   m, asked = read_with({ note = { late = 1 } }, { is_unreliable = true }) -- nothing tells its bus
   lu.assertEquals({ m.change, m.state, m.is_unreliable, asked }, { false, false, true, "" })
 end
@@ -219,7 +222,7 @@ end
 -- The history knows frame keys; links are to numbers of packets.
 function T.test_how_things_stand_is_told_with_numbers_of_packets()
   local key = frame_key.PACKET
-  local m = read_with { state = { drift = 1, active_since = 2, command_in = 5 * key + 20,
+  local m = read_with { delta = 1, state = { drift = 1, active_since = 2, command_in = 5 * key + 20,
     previous_change = 6 * key } }
   lu.assertEquals(m.state, { drift = 1, active_since = 2, command_in = 5, previous_change = 6 })
 end
@@ -228,7 +231,7 @@ end
 function T.test_an_unreliable_source()
   for _, visited in ipairs { false, true } do
     local function is_unreliable(change)
-      return read_with({ note = change, change = change }, { visited = visited }).is_unreliable
+      return read_with({ note = change, change = change, delta = 1 }, { visited = visited }).is_unreliable
     end
     lu.assertTrue(is_unreliable { shared = true, unreliable = true })
     lu.assertTrue(is_unreliable { unreliable = true })

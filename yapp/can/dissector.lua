@@ -52,9 +52,6 @@ function Dissector:reset(history)
   self.sources = memo(function(bus) -- [bus or false][ID] = a source
     return memo(function(id) return self.reader:new_source(id, bus, self.buses:name(bus)) end)
   end)
-  -- [frame key of a message] = seconds since the source's previous good one, false for the first;
-  -- nil: not known
-  self.deltas = {}
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
   self.lost_bus = false -- whether a frame came whose bus is not known
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
@@ -71,17 +68,14 @@ end
 
 -- Return the message that a frame ends, for message.reader.  For the statistics make one of any
 -- frame, where status, payload and size may be missing.
-local function new_message(self, frame, status, payload, size)
-  local visited, delta = frame.visited, nil
-  if visited then delta = self.deltas[frame.key] end
+local function new_message(frame, status, payload, size)
   return {
     source = frame.source,
     seq = frame.can_id.seq,
     key = frame.key,
     time = frame.pinfo.rel_ts,
-    visited = visited,
-    is_unreliable = visited and delta == nil or not (visited or frame.is_bus_known),
-    delta = delta or false,
+    visited = frame.visited,
+    is_unreliable = not (frame.visited or frame.is_bus_known),
     payload = payload,
     size = size,
     status = status,
@@ -97,7 +91,7 @@ local function show_anomalies(self, frame)
   if not anomalies then return end
   for _, one in ipairs(anomalies) do self.tree:expert(item, one.expert, one.text) end
   if self.stat.wanted then
-    self.stat:anomalies(new_message(self, frame), anomalies, frame.can_id.ctrl == END)
+    self.stat:anomalies(new_message(frame), anomalies, frame.can_id.ctrl == END)
   end
 end
 
@@ -160,22 +154,11 @@ end
 
 -- Messages ----------------------------------------------------------------------------------------
 
--- Read a message, and keep it for revisits.
--- returns  as Reader:read
-local function read(self, frame, m)
-  local is_whole = self.reader:read(m, self.history, frame.wants.state)
-  if frame.visited or frame.is_only_pass then return is_whole end
-  -- That controllers share a source is not kept: on a revisit the history says it again.
-  if frame.is_bus_known then self.deltas[frame.key] = m.delta end
-  if #frame.message > 1 then self.reassembly:keep(frame.message, m.has_fault) end
-  return is_whole
-end
-
 -- Show the frame that has a whole message, or its last fragment, and the message.
 local function show_last(self, frame)
   local builder, message, wants, item = self.tree, frame.message, frame.wants, frame.item
   local status, payload, tvb = message.status, message.payload, false
-  local m = new_message(self, frame, status, payload, message.size)
+  local m = new_message(frame, status, payload, message.size)
   if wants.tree then
     tvb = #message == 1 and frame.tvb
       or payload ~= "" and ByteArray.new(payload, true):tvb(REASSEMBLED)
@@ -184,7 +167,11 @@ local function show_last(self, frame)
   if wants.yapp then add_message(self, frame) end
   if status == "bad" then builder:bad_crc(item, message) end
   local mark = #message > 1 and builder.MARKS[status] or ""
-  if read(self, frame, m) then return builder:show_message(m, frame) .. mark end
+  local is_whole = self.reader:read(m, self.history, wants)
+  if #message > 1 and not (frame.visited or frame.is_only_pass) then
+    self.reassembly:keep(message, m.has_fault)
+  end
+  if is_whole then return builder:show_message(m, frame) .. mark end
   if wants.yapp then
     if tvb then add(item, builder.fields.payload, tvb()) end
     builder:add_delta(item, m)
@@ -233,7 +220,7 @@ local function show_fragment(self, frame)
     builder:generated(item, "reassembled.in", in_number)
     builder:generated(item, "message.fault", message.has_fault)
   end
-  if self.stat.wants_parts then self.stat:part(new_message(self, frame)) end
+  if self.stat.wants_parts then self.stat:part(new_message(frame)) end
   if not wants.columns then return end
   local text = fragment_text(frame)
   return in_number and ("%s  [Reassembled in #%d]"):format(text, in_number) or text
@@ -326,7 +313,7 @@ local function refuse(self, frame)
   local is_single = fields.ctrl == 0 and fields.ctl == 0
   if self.stat.wanted and is_single and message and #data > message.size and
     decode.is_plausible(message, sub(data, 1, message.size)) then
-    self.stat:unknown(new_message(self, frame, nil, nil, frame.reported))
+    self.stat:unknown(new_message(frame, nil, nil, frame.reported))
   end
   return 0
 end
@@ -392,7 +379,7 @@ function Dissector:report_unknown(tvb, pinfo, find_id)
   local frame = new_frame(self, tvb, length, pinfo, nil, id, false)
   -- With another YAPP CTL than 0, it is YAPP's only if ID and size are of one message.
   if fields.ctl ~= 0 and size ~= frame.source.size then return end
-  self.stat:unknown(new_message(self, frame, nil, nil, size))
+  self.stat:unknown(new_message(frame, nil, nil, size))
 end
 
 --- Return the messages that the capture ends before.

@@ -2,8 +2,8 @@
 -- The history of each source: what changes from one good message to the next.  Pure Lua.
 --
 -- A source is a bus or stream, and an ID.  Changes are found once, in the order of the capture.
--- They are kept by the frame key of the message, so that a revisit gets the same.  Memory grows
--- with changes, Commands and reboots, not with messages.
+-- They are kept by the frame key of the message, so that a revisit gets the same.  In an only pass,
+-- memory grows with changes, Commands and reboots, not with messages.
 
 local band = require("yapp.base.bits").band
 local last_until = require("yapp.base.frame_key").last_until
@@ -45,6 +45,7 @@ function M.new(options)
     has_clock = options.has_clock,
     by_source = {}, -- [source] = see new_source
     commands = {}, -- [name of a message that others answer][bus or false] = frame keys, ascending
+    deltas = {}, -- [frame key] = seconds since the source's previous good message, or false
   }, History)
   for _, message in ipairs(options.catalogue.messages) do
     if message.answers then self.commands[message.answers] = {} end
@@ -280,6 +281,7 @@ local function update(source, m, delta)
 end
 
 --- Take the next message, in the order of the capture.
+-- is_only_pass  whether it is sure that it is not revisited
 -- m        { source = of message.reader; raws = by index of field, nil if the payload does not fit;
 --          payload, seq, status; key = frame key: never falls; an equal one replaces a message;
 --          time = seconds of the capture }
@@ -293,14 +295,15 @@ end
 --            whose flags changed: masks, alarm_* of the faults alone
 --   shared   true at the message that proves that several controllers share the source
 --   unreliable  true at the messages behind that one, which get nothing else }
---          and the seconds since the source's previous good message, nil for the first
-function History:note(m)
+--          and the seconds since the source's previous good message, false for the first
+function History:note(m, is_only_pass)
   local source = self.by_source[m.source]
   if not source then
     source = new_source(self, m)
     self.by_source[m.source] = source
   end
-  local delta = source.time and m.time - source.time
+  local delta = source.time and m.time - source.time or false
+  if not is_only_pass then self.deltas[m.key] = delta end
   if m.status ~= "good" then return nil, delta end
   source.time = m.time
   if source.own then insert(source.own, m.key) end
@@ -308,12 +311,14 @@ function History:note(m)
   return update(source, m, delta), delta
 end
 
---- Return the change that History:note returned, at any later time and in any order.
+--- Return what History:note returned, at any later time and in any order; nil and nil for a message
+-- that it did not take.
 -- m  as it was given to note
 function History:change(m)
   local source, key = self.by_source[m.source], m.key
-  if not source or m.status ~= "good" then return nil end
-  return key > source.shared_at and UNRELIABLE or source.changes[key]
+  local delta = self.deltas[key]
+  if not source or m.status ~= "good" then return nil, delta end
+  return key > source.shared_at and UNRELIABLE or source.changes[key], delta
 end
 
 --- Return the state at a message, whether the message changes it or not.

@@ -146,18 +146,19 @@ function Reader:hint(m)
   return text, ", " .. size .. advice, same.name
 end
 
--- Set the change and the state of a message, from the history.
-local function ask(m, history, wants_state)
-  m.change, m.state = false, false
+-- Set the change, the delta and the state of a message, from the history.
+local function ask(m, history, wants)
+  m.change, m.delta, m.state = false, false, false
   if m.is_unreliable then return end
+  local change, delta
   if m.visited then
-    m.change = history:change(m) or false
+    change, delta = history:change(m)
   else
-    local change, delta = history:note(m)
-    m.change, m.delta = change or false, delta or false
+    change, delta = history:note(m, wants.is_only_pass)
   end
-  if m.change and m.change.unreliable then m.is_unreliable = true end
-  local state = wants_state and history:state(m)
+  m.change, m.delta = change or false, delta or false
+  m.is_unreliable = delta == nil or change ~= nil and change.unreliable or false
+  local state = wants.state and history:state(m)
   if not state then return end
   for _, name in ipairs(FRAMES) do
     state[name] = state[name] and frame_key.number(state[name])
@@ -172,21 +173,19 @@ end
 --   key            frame key; time = seconds since the first packet; visited
 --   status         "good" if it is proved complete; "bad" (CRC); "truncated" by the capture;
 --                  "incomplete"; "overrun"
---   is_unreliable  whether its history is not known, as nothing tells the bus
---   delta          of a visited one, see below }, and gets
+--   is_unreliable  whether its history is not known, as nothing tells the bus }, and gets
 --   raws, is_remarkable  from decode.read, if the size fits: min_size of the message at least, and
 --                  more than its size only of a good one
 --   undecoded      number of payload bytes behind the message's size, nil for none
 --   has_fault      whether a fault flag is set
 --   change         what changes with it, or false (see message.history)
---   delta          seconds since the source's previous good one
+--   delta          seconds since the source's previous good one, or false
 --   state          state at the message, or false (see message.history)
---   is_unreliable  true if controllers share its source
--- history      a message.history
--- wants_state  whether the state is wanted
--- returns      whether its captured bytes are at their offsets: false of incomplete and overrun
---              ones
-function Reader:read(m, history, wants_state)
+--   is_unreliable  true if controllers share its source, or if it was unreliable before its revisit
+-- history  a message.history
+-- wants    of Tree:wants
+-- returns  whether its captured bytes are at their offsets: false of incomplete and overrun ones
+function Reader:read(m, history, wants)
   local message, is_broken, raws, is_remarkable = m.source.message, IS_BROKEN[m.status], nil, nil
   local is_longer = message and m.size > message.size
   if message and not is_broken and m.size >= message.min_size and
@@ -196,7 +195,7 @@ function Reader:read(m, history, wants_state)
   m.raws, m.is_remarkable = raws, is_remarkable
   m.undecoded = raws and is_longer and m.size - message.size or nil
   m.has_fault = is_remarkable and decode.has_alarm(message, raws)
-  ask(m, history, wants_state)
+  ask(m, history, wants)
   if self.stat.wanted then self.stat:message(m) end
   return not is_broken
 end

@@ -48,8 +48,6 @@ function Dissector:reset(new_history)
   self.streams = streams.new(function() return self:new_framer() end)
   self.history = new_history()
   self.lines = {} -- by key, see line_of
-  -- [frame key] = seconds since the source's previous good message, false for the first one
-  self.deltas = {}
   tcp.stop()
 end
 
@@ -206,10 +204,9 @@ end
 -- and the keys of its view, see Tree:show_message.  The n-th event of a packet has the frame key of
 -- the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even in
 -- a tunnel that puts several packets into one.
-local function new_message(self, packet, event, index)
-  local length, key, delta = event.to - event.from, packet.key + index - 1, nil
+local function new_message(packet, event, index)
+  local length, key = event.to - event.from, packet.key + index - 1
   local bytes, at = event.bytes or packet.bytes, event.at or 0
-  if packet.visited then delta = self.deltas[key] end
   local id, size, reserved, seq = frame.parse(bytes, at + 1)
   local m = {
     source = packet.line.sources[id],
@@ -217,8 +214,7 @@ local function new_message(self, packet, event, index)
     key = key,
     time = packet.time,
     visited = packet.visited,
-    delta = delta or false,
-    is_unreliable = not packet.is_bus_known or packet.visited and delta == nil,
+    is_unreliable = not packet.is_bus_known,
     size = size,
     reserved = reserved,
     payload = sub(bytes, at + HEADER + 1, at + math.min(HEADER + size, length)),
@@ -287,12 +283,9 @@ end
 
 -- Shows a message; returns what the Info column says of it.
 local function show_message(self, m, tvb)
-  local builder, is_known, source = self.tree, not m.is_unreliable, m.source
-  local is_whole = self.reader:read(m, self.history, m.wants.state)
+  local builder, source = self.tree, m.source
+  local is_whole = self.reader:read(m, self.history, m.wants)
   if m.status ~= "good" then m.delta = false end
-  if is_known and not m.visited and not m.wants.is_only_pass then
-    self.deltas[m.key] = m.delta
-  end
   if m.wants.tree then m.item, m.payload_tvb = add_frame(self, m, tvb), tvb end
   show_anomalies(self, m)
   local mark = builder.MARKS[m.missing and "incomplete" or m.status]
@@ -383,7 +376,7 @@ local function show_event(self, packet, event, index)
     tvb = ByteArray.new(event.bytes, true):tvb("Reassembled YAPP")
   end
   if event.status == "skipped" then return show_skipped(self, packet, tvb, event) end
-  local m = new_message(self, packet, event, index)
+  local m = new_message(packet, event, index)
   return show_message(self, m, tvb), m.source.text
 end
 
