@@ -125,16 +125,6 @@ local function add_fragment(self, frame)
   if frame.message then append_text(item, (" of %d bytes"):format(frame.message.size)) end
 end
 
--- Return the numbers of a message's packets.  Leave out those that a read filter dropped, whose
--- keys have a fraction (see Store:drop).
-local function numbers_of(message)
-  local numbers = {}
-  for _, key in ipairs(message) do
-    if key % 1 == 0 then numbers[#numbers + 1] = number_of(key) end
-  end
-  return numbers
-end
-
 -- Add what a message's last or only frame completes: size, CRC, fragments and padding.
 local function add_message(self, frame)
   local builder, message, data, item = self.tree, frame.message, frame.data, frame.item
@@ -145,8 +135,7 @@ local function add_message(self, frame)
     builder:generated(item, "reserved", message.reserved or 0)
     message.crc = message.crc or can_id.crc(frame.can_id, message.payload)
     builder:add_crc(item, nil, message)
-    builder:add_fragments(item, payload or frame.range, numbers_of(message), #message,
-      #message.payload, payload)
+    builder:add_fragments(item, payload or frame.range, message, #message.payload, payload)
   end
   local start = frame.reported - (message.padding or 0)
   if start < #data then add(item, builder.fields.padding, frame.tvb(start)) end
@@ -154,15 +143,19 @@ end
 
 -- Messages ----------------------------------------------------------------------------------------
 
+-- Return a Tvb with the payload of a message, false for none.
+local function payload_tvb_of(frame)
+  local message = frame.message
+  if #message == 1 then return frame.tvb end
+  return message.payload ~= "" and ByteArray.new(message.payload, true):tvb(REASSEMBLED)
+end
+
 -- Show the frame that has a whole message, or its last fragment, and the message.
 local function show_last(self, frame)
   local builder, message, wants, item = self.tree, frame.message, frame.wants, frame.item
-  local status, payload, tvb = message.status, message.payload, false
-  local m = new_message(frame, status, payload, message.size)
-  if wants.tree then
-    tvb = #message == 1 and frame.tvb
-      or payload ~= "" and ByteArray.new(payload, true):tvb(REASSEMBLED)
-  end
+  local status = message.status
+  local m = new_message(frame, status, message.payload, message.size)
+  local tvb = wants.tree and payload_tvb_of(frame)
   frame.payload_tvb = tvb
   if wants.yapp then add_message(self, frame) end
   if status == "bad" then builder:bad_crc(item, message) end

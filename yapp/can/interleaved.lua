@@ -189,29 +189,6 @@ local function all_since_start(self, message, register)
   if register == message.crc then return frames, padding end
 end
 
--- Which message an End completes, and with which frames: the newest with all that came since its
--- Start, else, oldest first, whatever fits.
--- returns  the index of its candidate, frames, bytes of padding; nil if it completes none
-local function find_complete(self)
-  local open = self.open
-  local function seed_of(message)
-    return can_id.seed(self.can_id, message.size, message.reserved)
-  end
-  local newest = open[#open].message
-  local frames, padding = all_since_start(self, newest, seed_of(newest))
-  if frames then return #open, frames, padding end
-  for i, candidate in ipairs(open) do
-    -- Let each message use its share of the credit: the oldest is usually broken, and searches most
-    -- frames.
-    self.reserve = self.credit * (1 - 1 / (#open - i + 1))
-    local message = candidate.message
-    local goal = { crc = message.crc, frames = {}, padding = false }
-    if search(self, goal, first_behind(self, message), seed_of(message), message.size) then
-      return i, goal.frames, goal.padding
-    end
-  end
-end
-
 -- Give frames to a message.  Return its payload, which ends with the first truncated frame, and
 -- whether there is such a frame.
 local function assign_frames(message, frames)
@@ -226,9 +203,11 @@ local function assign_frames(message, frames)
   return table.concat(chunks), is_truncated
 end
 
--- End the message of a candidate with these frames: with a status if it is known, else the CRC
--- decides.
-local function award(self, candidate, frames, padding, status)
+-- End an open message with these frames: with a status if it is known, else the CRC decides.
+-- index    of its candidate
+-- returns  the message
+local function award(self, index, frames, padding, status)
+  local candidate = table.remove(self.open, index)
   local message = candidate.message
   local payload, is_truncated = assign_frames(message, frames)
   if not status then payload = payload:sub(1, message.size) end
@@ -240,21 +219,45 @@ local function award(self, candidate, frames, padding, status)
     for _, anomaly in ipairs(candidate.anomalies) do withdraw(anomaly) end
   end
   drop_frames(self)
+  return message
+end
+
+-- End the message that an End completes: the newest with all frames that came since its Start,
+-- else, oldest first, whichever fits.
+-- returns  the message; nil if it completes none
+local function complete(self)
+  local open = self.open
+  local function seed_of(message)
+    return can_id.seed(self.can_id, message.size, message.reserved)
+  end
+  local newest = open[#open].message
+  local frames, padding = all_since_start(self, newest, seed_of(newest))
+  if frames then return award(self, #open, frames, padding) end
+  for i, candidate in ipairs(open) do
+    -- Let each message use its share of the credit: the oldest is usually broken, and searches most
+    -- frames.
+    self.reserve = self.credit * (1 - 1 / (#open - i + 1))
+    local message = candidate.message
+    local goal = { crc = message.crc, frames = {}, padding = false }
+    if search(self, goal, first_behind(self, message), seed_of(message), message.size) then
+      return award(self, i, goal.frames, goal.padding)
+    end
+  end
 end
 
 -- An End that completes no message seems to end the newest.  But the End may be of another bus.  So
 -- if other messages are open, a copy of the newest stays open for later frames.
 local function end_newest(self)
-  local candidate = table.remove(self.open)
-  local message, status = candidate.message, nil
-  if self.open[1] then
+  local index, status = #self.open, nil
+  local message = self.open[index].message
+  if index > 1 then
     local copy = { status = "superseded" }
     for name, value in pairs(message) do copy[name] = value end
     open_message(self, copy, true)
   end
   local padding = padding_since_start(self, message)
   if not padding then status = self.reassembly:misfit(message, self.since) end
-  award(self, candidate, frames_behind(self, message), padding, status)
+  award(self, index, frames_behind(self, message), padding, status)
 end
 
 -- Whether the pool has more bytes than all open messages can use: then none of them will be good.
@@ -272,14 +275,8 @@ function Pool:take(frame)
   local pooled = new_frame(frame.key, frame.data, frame.reported, is_end)
   add_frame(self, pooled)
   self.credit = math.min(math.max(self.credit, 0) + CREDIT_PER_FRAME, MAX_CREDIT)
-  if is_end then
-    local at, frames, padding = find_complete(self)
-    if at then
-      local candidate = table.remove(self.open, at)
-      award(self, candidate, frames, padding)
-      return "last", candidate.message
-    end
-  end
+  local completed = is_end and complete(self)
+  if completed then return "last", completed end
   if newest.status then
     kind, pooled.orphan = "other", self.reassembly:orphan(ctrl)
     pooled.orphan.is_open = true

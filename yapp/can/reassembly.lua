@@ -206,18 +206,16 @@ end
 local function start(self, frame)
   local sum, size, reserved = can_id.start(frame.data)
   if not is_plausible(self, frame, size, reserved) then return nil end
-  local slot, source = frame.slot, frame.source
+  local slot = frame.slot
   self.accepted[frame.can_id.id] = true
   self.buses[frame.bus or 0] = true
   local several = self.open[slot] and supersede(self, frame)
-  if size ~= source.size or reserved ~= 0 or frame.reported ~= 8 then
-    check_start(self, frame, size, reserved)
-    if not reserved or size == 0 then return "other" end
-  end
+  check_start(self, frame, size, reserved)
+  if not reserved or size == 0 then return "other" end
   local message = {
     frame.key, nil, nil, nil, nil, -- with room for the usual message of five frames
     slot = slot,
-    source = source,
+    source = frame.source,
     size = size,
     crc = sum,
     reserved = reserved ~= 0 and reserved or nil,

@@ -172,11 +172,12 @@ function Dissector:accepts(tvb, pinfo)
   return false
 end
 
--- Returns what the statistics take of an incomplete message.
+-- Returns what the statistics take of something that is no message.
 -- packet  where this is noticed
-local function new_loss(packet, id, seq)
+-- source  of message.reader, or the line
+local function new_report(packet, source, seq)
   return {
-    source = packet.line.sources[id],
+    source = source,
     seq = seq,
     key = packet.key,
     time = packet.time,
@@ -190,7 +191,7 @@ local function report_damaged(self, packet)
   line.reporter = line.reporter or packet.key
   if line.reporter ~= packet.key or not self.reader.stat.wanted then return end
   for _, damaged in ipairs(line.damaged) do
-    local loss = new_loss(packet, damaged.id, damaged.seq)
+    local loss = new_report(packet, line.sources[damaged.id], damaged.seq)
     self.reader.stat:anomalies(loss, { { expert = "fragment.incomplete" } })
   end
 end
@@ -251,11 +252,9 @@ local function add_frame(self, m, tvb)
   add_le(item, fields.reserved, tvb(at + 10, 2))
   builder:add_source(item, source)
   if m.parts then
-    local numbers = {}
-    for i, key in ipairs(m.parts) do numbers[i] = number_of(key) end
     local payload = #m.payload > 0 and tvb(m.payload_at, #m.payload) or nil
     builder:generated(item, "reassembled.in", number_of(m.key))
-    builder:add_fragments(item, tvb(), numbers, #numbers, m.length, payload)
+    builder:add_fragments(item, tvb(), m.parts, m.length, payload)
   end
   if m.missing then
     append_text(item, ", incomplete")
@@ -331,14 +330,7 @@ local function show_skipped(self, packet, tvb, event)
   end
   local expert = size .. " that belong to no frame" .. text:gsub("^ ", ": ")
   builder:expert(item, "stream.skipped", expert)
-  if stat.wanted then
-    stat:skipped({
-      source = packet.line,
-      key = packet.key,
-      time = packet.time,
-      visited = packet.visited,
-    }, length)
-  end
+  if stat.wanted then stat:skipped(new_report(packet, packet.line), length) end
   return ("Skipped %s%s"):format(size, text)
 end
 
@@ -464,7 +456,7 @@ function Dissector:unfinished()
   local list = {}
   for i, open in ipairs(self.streams:unfinished()) do
     local id, _, _, seq = frame.parse(open.header, 1)
-    list[i] = new_loss(open.packet, id, seq)
+    list[i] = new_report(open.packet, open.packet.line.sources[id], seq)
     self.reader.stat:part(list[i])
   end
   return list
