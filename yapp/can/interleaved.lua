@@ -49,7 +49,7 @@ local function open_message(self, message, is_retry)
   table.insert(self.open, {
     message = message,
     start = self.starts, -- number of Starts that superseded others before its own came
-    anomalies = {}, -- to be withdrawn if it turns out good
+    anomaly = nil, -- to be withdrawn if it turns out good
     is_retry = is_retry, -- whether it was shown as broken already
   })
 end
@@ -112,7 +112,7 @@ local function drop_frames(self)
 end
 
 local function give_up(self, candidate)
-  for _, anomaly in ipairs(candidate.anomalies) do anomaly.is_open = false end
+  if candidate.anomaly then candidate.anomaly.is_open = false end
   if not candidate.is_retry then self.reassembly:give_up(candidate.message) end
 end
 
@@ -123,10 +123,7 @@ function Pool:supersede(anomaly)
   local open = self.open
   local newest = open[#open]
   newest.message.status = "superseded"
-  if anomaly then
-    anomaly.is_open = true
-    table.insert(newest.anomalies, anomaly)
-  end
+  if anomaly then newest.anomaly, anomaly.is_open = anomaly, true end
   self.starts = self.starts + 1
   if self.starts - open[1].start > MAX_SUPERSEDED then give_up(self, table.remove(open, 1)) end
   drop_frames(self)
@@ -216,7 +213,7 @@ local function award(self, index, frames, padding, status)
   self.reassembly:finish(message, self.can_id, payload, status)
   if message.status == "good" then -- else its frames may still be another's
     for _, frame in ipairs(frames) do frame.is_taken = true end
-    for _, anomaly in ipairs(candidate.anomalies) do withdraw(anomaly) end
+    if candidate.anomaly then withdraw(candidate.anomaly) end
   end
   drop_frames(self)
   return message

@@ -144,12 +144,15 @@ end
 -- returns  boolean, and the events of serial.streams
 function Dissector:is_yapp(bytes, length)
   local events, is_catalogue, missing = self.streams:read(bytes), true, length - #bytes
-  local function fits(id, size) return self.reader:fits(id, size) ~= false end
   for _, event in ipairs(events) do
     local at = event.at + 1
-    if event.status == "good" and frame.judge(bytes, at, fits) then return true, events end
+    local id, size = frame.parse(bytes, at)
+    if event.status == "good" and frame.is_plausible(bytes, at)
+      and self.reader:fits(id, size) ~= false then
+      return true, events
+    end
     local is_complete = event.status == "bad" or event.missing == missing
-    is_catalogue = is_catalogue and is_complete and self.reader:size_of(frame.parse(bytes, at))
+    is_catalogue = is_catalogue and is_complete and self.reader:size_of(id)
   end
   return is_catalogue, events
 end

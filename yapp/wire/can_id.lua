@@ -68,16 +68,17 @@ function M.single_size(data, reported, least, most)
   return M.padding(data, reported, most) and most
 end
 
+local function two_bytes(number)
+  return char(number % 0x100, floor(number / 0x100))
+end
+
 --- The 12 bytes that the CRC covers before the payload ("Computing the UART and Ethernet Frame IDs
 -- from the CAN ID").
 -- fields    { id, seq, ctl }
 -- size      of the payload; reserved: number, 0 when left out
 function M.header(fields, size, reserved)
-  local id = fields.id
-  reserved = reserved or 0
-  local id_low, size_low, reserved_low = id % 0x100, size % 0x100, reserved % 0x100
-  return char(0x59, 0x50, fields.seq, fields.ctl, id_low, (id - id_low) / 0x100, 0, 0,
-    size_low, (size - size_low) / 0x100, reserved_low, (reserved - reserved_low) / 0x100)
+  return "YP" .. char(fields.seq, fields.ctl) .. two_bytes(fields.id) .. "\0\0" ..
+    two_bytes(size) .. two_bytes(reserved or 0)
 end
 
 --- Return the CRC register behind that header.  The fields cache it, as seed and seed_size, for the
