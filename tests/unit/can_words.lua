@@ -36,7 +36,7 @@ function M.new(options)
     source_of = function(id, bus)
       local key = id + (bus or -1) * 0x800
       sources[key] = sources[key] or
-        { size = KNOWN[id], min_size = options.min_size, bus = bus, key = key }
+        { size = KNOWN[id], min_size = options.min_size or KNOWN[id], bus = bus, key = key }
       return sources[key]
     end,
   }
@@ -89,7 +89,7 @@ function M.visit(known, frame, visited)
       known.reassembly:keep(message, M.has_fault(message.payload))
     end
   end
-  if message and message.payload then found.in_number = frame_key.number(message[#message]) end
+  if message and message.payload and #message > 1 then found.in_number = frame_key.number(message[#message]) end
   local names = {}
   for i, anomaly in ipairs(anomalies or {}) do names[i] = anomaly.expert end
   table.sort(names)

@@ -54,7 +54,7 @@ function T.test_nothing()
   local s = new()
   feeds(s, "", "")
   finishes(s, "")
-  lu.assertEquals(s:offset(), 0)
+  lu.assertEquals(s.from, 0)
   lu.assertNil(s:open_frame())
 end
 
@@ -231,7 +231,7 @@ function T.test_finish()
   finishes(s, "incomplete 43-89 +70")
   feeds(s, header(5, 8) .. ("x"):rep(9) .. header(6, 100), "")
   finishes(s, "bad 89-113, skipped 113-122")
-  lu.assertEquals(s:offset(), 122)
+  lu.assertEquals(s.from, 122)
 end
 
 function T.test_good_frame_in_a_cut_one()
@@ -274,7 +274,7 @@ function T.test_frames_alone_and_others_in_turns()
   local s = new()
   feeds(s, GOOD, "good 0-20")
   feeds(s, GOOD, "good 20-40")
-  lu.assertEquals(s:offset(), 40)
+  lu.assertEquals(s.from, 40)
   feeds(s, "> Y", "skipped 40-42")
   feeds(s, GOOD, "skipped 42-43, good 43-63")
   feeds(s, GOOD, "good 63-83")
@@ -284,7 +284,7 @@ function T.test_frames_alone_and_others_in_turns()
   finishes(s, "skipped 135-136")
   feeds(s, GOOD, "good 136-156")
   local event = s:add(GOOD)[1]
-  lu.assertEquals({ event.bytes, s:offset(), s:open_frame() }, { GOOD, 176 })
+  lu.assertEquals({ event.bytes, s.from, s:open_frame() }, { GOOD, 176 })
 end
 
 function T.test_largest_frame_byte_by_byte()
@@ -442,7 +442,7 @@ local function run(pieces)
         joined[#joined + 1] = event
       end
     end
-    lu.assertEquals(s:offset(), at)
+    lu.assertEquals(s.from, at)
   end
   for _, piece in ipairs(pieces) do take(s:add(piece)) end
   take(s:add("", true))
@@ -530,7 +530,7 @@ function T.test_random_streams_give_out_all_that_is_final()
     for at = 1, #bytes do
       s:add(bytes:sub(at, at))
       local context = "seed " .. seed .. " byte " .. at
-      lu.assertEquals(s:offset(), expected_offset(bytes:sub(1, at)), context)
+      lu.assertEquals(s.from, expected_offset(bytes:sub(1, at)), context)
     end
   end
 end
@@ -657,7 +657,7 @@ function T.test_memory_is_bounded_by_the_largest_candidate()
       s:add(bytes:sub(at, at + 999))
       fed = fed + math.min(1000, #bytes - at + 1)
       -- a bad frame that waits, and the candidate that starts in its last byte
-      lu.assertTrue(fed - s:offset() <= 2 * LARGEST, kind .. " at " .. fed)
+      lu.assertTrue(fed - s.from <= 2 * LARGEST, kind .. " at " .. fed)
     end
     collectgarbage()
     lu.assertTrue(collectgarbage("count") - before < 8192, kind)

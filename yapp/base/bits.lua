@@ -24,16 +24,9 @@ M.common = native and native() or M.library.band
 if native then
   M.band, M.bor, M.bxor = native()
 else
-  local library = M.library
-  local band, bor, bxor = library.band, library.bor, library.bxor
-  function M.band(a, b)
-    return band(a, b) % 0x100000000
-  end
-  function M.bor(a, b)
-    return bor(a, b) % 0x100000000
-  end
-  function M.bxor(a, b)
-    return bxor(a, b) % 0x100000000
+  for _, name in ipairs { "band", "bor", "bxor" } do
+    local operation = M.library[name]
+    M[name] = function(a, b) return operation(a, b) % 0x100000000 end
   end
 end
 

@@ -6,7 +6,7 @@
 
 local M = {}
 
-local floor, huge = math.floor, math.huge
+local floor = math.floor
 
 --- The factor of the packet's number in a key.
 M.PACKET = 0x20000
@@ -18,10 +18,8 @@ end
 
 --- Return the index of the last number <= limit in an ascending list, 0 for none: 2 for { 3, 5, 9 }
 -- and 8.
--- guess  an index to try first, or nil
-function M.last_until(numbers, limit, guess)
-  local low, high, guessed = 0, #numbers, numbers[guess or 0]
-  if guessed and guessed <= limit and limit < (numbers[guess + 1] or huge) then return guess end
+function M.last_until(numbers, limit)
+  local low, high = 0, #numbers
   while low < high do
     local middle = floor((low + high + 1) / 2)
     if numbers[middle] <= limit then

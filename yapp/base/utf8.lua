@@ -26,41 +26,36 @@ function M.ascii(text)
   return text
 end
 
--- Whether one of these patterns is somewhere in the text.
-local function has_any(text, patterns)
-  for _, pattern in ipairs(patterns) do
-    if text:find(pattern) then return true end
-  end
-  return false
-end
-
---- Whether the text is UTF-8 without control characters and without invisible ones.
-function M.is_printable(text)
-  if not text:find("[%c\128-\255]") then return true end
-  return not M.ascii(text):find("[%c\128-\255]") and not has_any(text, INVISIBLE)
-end
-
--- Return the printable character at an index, or a run of ASCII; nil for none.
-local function printable_at(text, index)
-  local ascii = text:match("^[^%c\128-\255]+", index)
-  if ascii then return ascii end
+-- Return the printable character beyond ASCII that bytes begin with, "" for none.
+local function printable_start(bytes)
   for _, character in ipairs(CHARACTERS) do
-    local found = text:match("^" .. character, index)
-    if found then return not has_any(found, INVISIBLE) and found or nil end
+    local found = bytes:match("^" .. character)
+    for _, invisible in ipairs(found and INVISIBLE or {}) do
+      if found:find(invisible) then return "" end
+    end
+    if found then return found end
   end
+  return ""
+end
+
+-- Return a control character, or a byte beyond ASCII and the continuation bytes behind it, fit to
+-- be printed.
+local function shown(bytes)
+  local character = printable_start(bytes)
+  return character .. bytes:sub(#character + 1):gsub(".", function(byte)
+    return ("\\x%02X"):format(byte:byte())
+  end)
 end
 
 --- Return the text fit to be printed, with "\xNN" for each byte of a control or invisible
 -- character, and for bytes that are not UTF-8.
 function M.printable(text)
-  if M.is_printable(text) then return text end
-  local parts, index = {}, 1
-  while index <= #text do
-    local part = printable_at(text, index)
-    parts[#parts + 1] = part or ("\\x%02X"):format(text:byte(index))
-    index = index + #(part or "?")
-  end
-  return table.concat(parts)
+  return (text:gsub("[%c\128-\255][\128-\191]*", shown))
+end
+
+--- Whether the text is UTF-8 without control characters and without invisible ones.
+function M.is_printable(text)
+  return M.printable(text) == text
 end
 
 --- Return a name fit to be printed.  Different names stay different: a backslash that looks like

@@ -14,7 +14,8 @@ local M = {}
 local CTRL_NAMES, START, END = can_id.CTRL_NAMES, can_id.START, can_id.END
 local add, add_le, append_text = show_fields.add, show_fields.add_le, show_fields.append_text
 local fields_of, BUS = can_id.fields, can_id.BUS
-local number_of, PACKET, sub = frame_key.number, frame_key.PACKET, string.sub
+local number_of, PACKET = frame_key.number, frame_key.PACKET
+local ceil, sub = math.ceil, string.sub
 -- A method that Lua has to look up in a Tvb costs more than what it does.
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
 
@@ -40,7 +41,6 @@ function M.new(tree, reader, buses, register_id)
     buses = buses,
     register_id = register_id,
     stat = reader.stat,
-    title = tree.yapp.description .. ", ", -- how YAPP's item begins
   }, Dissector)
 end
 
@@ -56,20 +56,13 @@ function Dissector:reset(history)
   self.lost_bus = false -- whether a frame came whose bus is not known
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
   self.asks = self.buses.asks -- whether the bus of a frame has to be asked for
-  -- The current frame.  The next frame reuses the table, which saves a tenth of a packet list.
-  -- COMPAT 5.2: false stands for nothing, as writing nil to a missing key rebuilds the table.
+  -- The current frame, see new_frame.  The next frame reuses the table, which saves a tenth of a
+  -- packet list.
   self.frame = {
-    key = 0, -- see base.frame_key
-    can_id = false, -- the fields of its CAN id (wire.can_id)
-    bus = false, source = false, slot = 0, -- number or false; of message.reader; wire.can_id.slot
-    data = "", reported = 0, -- captured bytes; length on the bus
-    accepts_all = false, -- whether the user says that every extended frame is YAPP
+    bus = false, -- its number, or false
+    is_bus_known = true,
     is_only_pass = false, -- whether it is never dissected again
-    number = 0, visited = false, is_bus_known = true, -- of its packet; whether its bus is known
-    -- From can.reassembly; on a revisit index = of the fragment in its message.
-    message = false, anomalies = false, index = false,
-    tvb = false, pinfo = false, tree = false, range = false, -- of Wireshark
-    wants = false, item = false, payload_tvb = false, payload_at = 0, -- see Tree:show_message
+    payload_at = 0, -- see Tree:show_message
   }
 end
 
@@ -86,9 +79,6 @@ local function new_message(frame, status, payload, size)
     payload = payload,
     size = size,
     status = status,
-    -- Of the reader:
-    raws = nil, is_remarkable = nil, has_fault = nil, undecoded = nil,
-    change = nil, delta = nil, state = nil,
   }
 end
 
@@ -112,8 +102,8 @@ local function add_item(self, frame)
   local builder, fields, source = self.tree, frame.can_id, frame.source
   local kind = CTRL_NAMES[fields.ctrl] or "undefined frame"
   frame.range = frame.tvb()
-  local text = self.title .. source.label .. ", " .. kind
-  local item = add(frame.tree, builder.yapp, frame.range, text)
+  local item = add(frame.tree, builder.yapp, frame.range)
+  append_text(item, (", %s, %s"):format(source.label, kind))
   builder:add_id(item, nil, source)
   builder:generated(item, "ctl", fields.ctl)
   builder:generated(item, "seq", fields.seq)
@@ -135,88 +125,77 @@ local function add_fragment(self, frame)
   if frame.message then append_text(item, (" of %d bytes"):format(frame.message.size)) end
 end
 
--- Return the numbers of a message's packets.  Leave out those that a read filter dropped, whose
--- keys have a fraction (see Store:drop).
-local function numbers_of(message)
-  local numbers = {}
-  for _, key in ipairs(message) do
-    if key % 1 == 0 then numbers[#numbers + 1] = number_of(key) end
-  end
-  return numbers
-end
-
--- Add what a message's last frame completes: size, CRC, fragments and padding.
+-- Add what a message's last or only frame completes: size, CRC, fragments and padding.
 local function add_message(self, frame)
   local builder, message, data, item = self.tree, frame.message, frame.data, frame.item
-  local payload, padding = frame.payload_tvb and frame.payload_tvb(), message.padding or 0
-  builder:generated(item, "reassembled.in", frame.number)
-  append_text(builder:generated(item, "size", message.size), " bytes")
-  builder:generated(item, "reserved", message.reserved or 0)
-  builder:add_crc(item, nil, message)
-  builder:add_fragments(item, payload or frame.range, numbers_of(message), #message,
-    #message.payload, payload)
-  if padding > 0 and padding <= #data then
-    add(item, builder.fields.padding, frame.tvb(#data - padding))
+  if #message > 1 then
+    local payload = frame.payload_tvb and frame.payload_tvb()
+    builder:generated(item, "reassembled.in", number_of(frame.key))
+    append_text(builder:generated(item, "size", message.size), " bytes")
+    builder:generated(item, "reserved", message.reserved or 0)
+    message.crc = message.crc or can_id.crc(frame.can_id, message.payload)
+    builder:add_crc(item, nil, message)
+    builder:add_fragments(item, payload or frame.range, message, #message.payload, payload)
   end
+  local start = frame.reported - (message.padding or 0)
+  if start < #data then add(item, builder.fields.padding, frame.tvb(start)) end
 end
 
 -- Messages ----------------------------------------------------------------------------------------
 
-local function show_single(self, frame)
-  local data, reported, source = frame.data, frame.reported, frame.source
-  local size = source.size and
-    can_id.single_size(data, reported, source.min_size or source.size, source.size) or reported
-  local status = #data == reported and "good" or "truncated"
-  local m = new_message(frame, status, sub(data, 1, size), size)
-  frame.payload_tvb = frame.wants.tree and frame.tvb
-  self.reader:read(m, self.history, frame.wants)
-  local info = self.tree:show_message(m, frame)
-  if frame.wants.yapp and #data > size then
-    add(frame.item, self.tree.fields.padding, frame.tvb(size))
-  end
-  return info
+-- Return a Tvb with the payload of a message, false for none.
+local function payload_tvb_of(frame)
+  local message = frame.message
+  if #message == 1 then return frame.tvb end
+  return message.payload ~= "" and ByteArray.new(message.payload, true):tvb(REASSEMBLED)
 end
 
--- Show the last frame of a message, and the message that it completes.
+-- Show the frame that has a whole message, or its last fragment, and the message.
 local function show_last(self, frame)
   local builder, message, wants, item = self.tree, frame.message, frame.wants, frame.item
-  local status, payload = message.status, message.payload
-  local m = new_message(frame, status, payload, message.size)
-  local tvb = wants.tree and payload ~= "" and ByteArray.new(payload, true):tvb(REASSEMBLED)
+  local status = message.status
+  local m = new_message(frame, status, message.payload, message.size)
+  local tvb = wants.tree and payload_tvb_of(frame)
   frame.payload_tvb = tvb
   if wants.yapp then add_message(self, frame) end
   if status == "bad" then builder:bad_crc(item, message) end
+  local mark = #message > 1 and builder.MARKS[status] or ""
   local is_whole = self.reader:read(m, self.history, wants)
-  if not (frame.visited or frame.is_only_pass) then self.reassembly:keep(message, m.has_fault) end
-  if is_whole then return builder:show_message(m, frame) .. builder.MARKS[status] end
+  if #message > 1 and not (frame.visited or frame.is_only_pass) then
+    self.reassembly:keep(message, m.has_fault)
+  end
+  if is_whole then return builder:show_message(m, frame) .. mark end
   if wants.yapp then
     if tvb then add(item, builder.fields.payload, tvb()) end
     builder:add_delta(item, m)
   end
   local text = "%s  %d of %d bytes%s"
-  return text:format(m.source.label, message.received, message.size, builder.MARKS[status])
+  return text:format(m.source.label, message.received, message.size, mark)
 end
 
 -- Fragments ---------------------------------------------------------------------------------------
 
 -- Return the text of a fragment.  A good message has a known number of fragments; for another one
--- assume the number that classic CAN needs.  The source caches the texts for messages of one size.
+-- assume the number that classic CAN needs.  The source caches the texts for messages of one size
+-- and number of fragments.
 local function fragment_text(frame)
   local source, message = frame.source, frame.message
-  local index, texts, size = frame.index or #message, source.texts, message.size
-  if texts.size ~= size then
-    texts = { source.label .. ("  Start of %d bytes"):format(size) }
-    texts.size, texts.usual = size, math.ceil(size / 8) + 1
+  local index, size, count = frame.index or #message, message.size, 0
+  if message.status == "good" then
+    count = #message
+  elseif #frame.data == 8 then
+    count = ceil(size / 8) + 1
+  end
+  if message[index] ~= frame.key then return source.label .. "  duplicate fragment" end
+  local texts = source.texts
+  if texts.size ~= size or texts.count ~= count then
+    texts = { ("%s  Start of %d bytes"):format(source.label, size), size = size, count = count }
     source.texts = texts
   end
-  local count = #frame.data == 8 and texts.usual or 0
-  if message.status == "good" then count = #message end
-  if message[index] ~= frame.key then return source.label .. "  duplicate fragment" end
-  if index == 1 or count == texts.usual and texts[index] then return texts[index] end
+  if texts[index] then return texts[index] end
   if index > count then return ("%s  fragment %d"):format(source.label, index) end
-  local text = ("%s  fragment %d of %d"):format(source.label, index, count)
-  if count == texts.usual then texts[index] = text end
-  return text
+  texts[index] = ("%s  fragment %d of %d"):format(source.label, index, count)
+  return texts[index]
 end
 
 local function show_fragment(self, frame)
@@ -250,15 +229,15 @@ local function show_other(self, frame)
 end
 
 local SHOW = { -- by kind, see can.reassembly
-  single = show_single, last = show_last, fragment = show_fragment, other = show_other,
+  single = show_last, last = show_last, fragment = show_fragment, other = show_other,
 }
 
 -- Frames ------------------------------------------------------------------------------------------
 
 -- Shows a frame of ours.
 local function show(self, frame, kind)
-  local builder, pinfo, tree, visited = self.tree, frame.pinfo, frame.tree, frame.visited
-  local wants = not visited and builder.wanted or builder:wants(tree, pinfo, visited)
+  local builder, pinfo, tree = self.tree, frame.pinfo, frame.tree
+  local wants = not frame.visited and builder.wanted or builder:wants(tree, pinfo, frame.visited)
   frame.wants, frame.item = wants, tree
   frame.is_only_pass = wants.is_only_pass -- for the next frames: this one was taken already
   if wants.yapp then
@@ -275,31 +254,36 @@ local function show(self, frame, kind)
   columns.info = info
 end
 
-local function find_bus(self, frame, pinfo, number)
-  local bus, is_known = self.buses:of(pinfo, number)
-  frame.bus, frame.is_bus_known = bus or false, is_known
-  self.lost_bus = self.lost_bus or not is_known
-end
-
--- Return whether a frame whose key is not new is a revisit.  If not, a read filter (-R) dropped the
--- packet before, and this packet has its number.
-local function is_revisit(self, pinfo, key)
-  local visited = pinfo.visited
-  if not visited then self.reassembly:drop(key) end
-  return visited
-end
-
--- Return the record of a frame, which is used again for the next frame.
--- reported  its length on the bus
+-- Return the record of a frame, which is used again for the next frame: {
+--   key            see base.frame_key
+--   visited        whether it is a revisit
+--   can_id         the fields of its CAN id (wire.can_id)
+--   bus            its number, or false; is_bus_known
+--   source, slot   see message.reader and can_id.slot
+--   data           the captured bytes; reported = their number on the bus
+--   accepts_all    whether the user says that every extended frame is YAPP
+--   is_only_pass   whether it is never dissected again
+--   message, anomalies, index  as can.reassembly says
+--   tvb, pinfo, tree, range    of Wireshark
+--   wants, item, payload_tvb, payload_at  see Tree:show_message }
 local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   local frame, number = self.frame, pinfo.number
-  if self.asks then find_bus(self, frame, pinfo, number) end
+  if self.asks then
+    local bus, is_known = self.buses:of(pinfo, number)
+    frame.bus, frame.is_bus_known = bus or false, is_known
+    self.lost_bus = self.lost_bus or not is_known
+  end
   local fields, bus = fields_of[id], frame.bus
   local key = number * PACKET + (self.offset or offset_of(tvb))
-  local visited = key <= self.newest_key and is_revisit(self, pinfo, key)
-  if not visited then self.newest_key = key end
+  local visited = false
+  if key > self.newest_key then
+    self.newest_key = key
+  else
+    visited = pinfo.visited
+    -- Else a read filter (-R) dropped the packet before, and this one has its number.
+    if not visited then self.reassembly:drop(key) end
+  end
   frame.key = key
-  frame.number = number
   frame.visited = visited
   frame.can_id = fields
   frame.source = self.sources[bus][fields.id]

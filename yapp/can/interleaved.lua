@@ -9,10 +9,9 @@
 
 local can_id = require "yapp.wire.can_id"
 local crc = require "yapp.wire.crc"
+local frame_key = require "yapp.base.frame_key"
 
 local M = {}
-
-local concat = table.concat
 
 local MAX_SUPERSEDED = 3 -- a message that more Starts than this superseded is given up
 local MAX_WASTE = 4096   -- bytes in the pool beyond what its messages can use
@@ -21,51 +20,67 @@ local CREDIT_PER_FRAME, MAX_CREDIT = 32, 4096 -- steps of the search
 local Pool = {}
 Pool.__index = Pool
 
---- Make the pool of a message that is open.
--- reassembly  of can.reassembly, which notes what is wrong
--- fields      of the CAN ids (wire.can_id)
-function M.new(reassembly, message, fields)
-  local chunks = message.chunks
-  local self = setmetatable({
-    reassembly = reassembly,
-    can_id = fields,
-    open = {}, -- see Pool:add; oldest Start first
-    frames = {}, -- see Pool:add_frame
-    credit = MAX_CREDIT,
-    reserve = 0, -- credit that the search must leave for other messages
-  }, Pool)
-  self:add(message)
-  for i, data in ipairs(chunks) do self:add_frame(message[i + 1], data, #data, false) end
-  self.bytes, self.since = chunks.received, chunks.received
-  return self
+-- Withdraw an anomaly: a later frame has proved that nothing is wrong.
+local function withdraw(anomaly)
+  anomaly.is_withdrawn, anomaly.is_open = true, false
 end
 
---- Add a Middle or End.
--- length   on the bus
--- returns  the record of the frame
-function Pool:add_frame(key, data, length, is_end)
-  local frame = {
+-- Add a Middle or End.
+local function add_frame(self, frame)
+  table.insert(self.frames, frame)
+  table.insert(self.keys, frame.key)
+  self.bytes, self.since = self.bytes + frame.length, self.since + frame.length
+end
+
+local function new_frame(key, data, length, is_end)
+  return {
     key = key,
     data = data,
-    length = length,
+    length = length, -- on the bus
     is_end = is_end,
     is_taken = false, -- by a good message
     orphan = nil, -- its anomaly
   }
-  table.insert(self.frames, frame)
-  return frame
+end
+
+-- Open a message.
+local function open_message(self, message, is_retry)
+  message.chunks = nil
+  table.insert(self.open, {
+    message = message,
+    start = self.starts, -- number of Starts that superseded others before its own came
+    anomaly = nil, -- to be withdrawn if it turns out good
+    is_retry = is_retry, -- whether it was shown as broken already
+  })
+end
+
+--- Make the pool of a message that is open.
+-- reassembly  of can.reassembly, which notes what is wrong
+-- fields      of the CAN ids (wire.can_id)
+function M.new(reassembly, message, fields)
+  local self = setmetatable({
+    reassembly = reassembly,
+    can_id = fields,
+    open = {}, -- see open_message; oldest Start first
+    frames = {}, -- see new_frame: those that no good message has taken
+    keys = {}, -- of the frames
+    bytes = 0, -- of the frames
+    since = 0, -- bytes of those that came since the newest Start
+    starts = 0, -- number of Starts that superseded others
+    credit = MAX_CREDIT,
+    reserve = 0, -- credit that the search must leave for other messages
+  }, Pool)
+  for i, data in ipairs(message.chunks) do
+    add_frame(self, new_frame(message[i + 1], data, #data, false))
+  end
+  open_message(self, message, false)
+  return self
 end
 
 --- Open the message of a Start.
 function Pool:add(message)
-  message.chunks, self.since = nil, 0
-  table.insert(self.open, {
-    message = message,
-    from = #self.frames + 1, -- index of its first frame
-    age = 0, -- Starts that superseded it
-    anomalies = {}, -- to be withdrawn if it turns out good
-    is_retry = false, -- whether it was shown as broken already
-  })
+  open_message(self, message, false)
+  self.since = 0
 end
 
 --- Return the open messages, oldest Start first.
@@ -75,90 +90,68 @@ function Pool:messages()
   return list
 end
 
--- Return how many bytes, from a frame on, no good message has taken; and the indexes of their
--- frames.
-local function leftovers(self, from)
-  local indexes, length = {}, 0
-  for i = from, #self.frames do
-    local frame = self.frames[i]
-    if not frame.is_taken then
-      indexes[#indexes + 1] = i
-      length = length + frame.length
-    end
-  end
-  return length, indexes
+-- Return the index of the first frame behind a Start.
+local function first_behind(self, message)
+  return frame_key.last_until(self.keys, message[1]) + 1
 end
 
--- Drops the first frames, which no open message can use.
-local function drop_frames(self, count)
-  local rest = {}
-  for i, frame in ipairs(self.frames) do
-    if i > count then
-      rest[i - count] = frame
+-- Drop the frames that a good message has taken, and those in front of all open messages.
+local function drop_frames(self)
+  local frames, oldest, newest = self.frames, self.open[1], self.open[#self.open]
+  local first = oldest and first_behind(self, oldest.message) or #frames + 1
+  local first_of_newest = oldest and first_behind(self, newest.message)
+  self.frames, self.keys, self.bytes, self.since = {}, {}, 0, 0
+  for i, frame in ipairs(frames) do
+    if i >= first and not frame.is_taken then
+      add_frame(self, frame)
+      if i < first_of_newest then self.since = 0 end
     elseif frame.orphan then
       frame.orphan.is_open = false
     end
   end
-  self.frames = rest
 end
 
 local function give_up(self, candidate)
-  for _, anomaly in ipairs(candidate.anomalies) do anomaly.is_open = false end
+  if candidate.anomaly then candidate.anomaly.is_open = false end
   if not candidate.is_retry then self.reassembly:give_up(candidate.message) end
 end
 
---- Note a Start: it supersedes the open messages; give up those that are too old.
+--- Note a Start: it supersedes the open messages; give up the one that is too old.
 -- anomaly  the one that notes this of the newest message, or nil
 -- returns  whether any is left
 function Pool:supersede(anomaly)
-  local rest = {}
-  if anomaly then
-    anomaly.is_open = true
-    table.insert(self.open[#self.open].anomalies, anomaly)
-  end
-  for _, candidate in ipairs(self.open) do
-    candidate.age, candidate.message.status = candidate.age + 1, "superseded"
-    if candidate.age > MAX_SUPERSEDED then
-      give_up(self, candidate)
-    else
-      rest[#rest + 1] = candidate
-    end
-  end
-  self.open = rest
-  local before = rest[1] and rest[1].from - 1 or #self.frames
-  drop_frames(self, before)
-  if not rest[1] then return false end
-  for _, candidate in ipairs(rest) do candidate.from = candidate.from - before end
-  self.bytes = leftovers(self, 1)
-  return true
+  local open = self.open
+  local newest = open[#open]
+  newest.message.status = "superseded"
+  if anomaly then newest.anomaly, anomaly.is_open = anomaly, true end
+  self.starts = self.starts + 1
+  if self.starts - open[1].start > MAX_SUPERSEDED then give_up(self, table.remove(open, 1)) end
+  drop_frames(self)
+  return open[1] ~= nil
 end
 
--- Searches depth first over the frames from `at` on; the newest frame has to be the last taken.
--- goal     { crc = as sent, indexes = of the frames that are taken so far, padding = found }
+-- Search depth first over the frames from `at` on; the newest frame has to be the last taken.
+-- goal     { crc = as sent, frames = those that are taken so far, padding = found }
 -- returns  whether these are a complete message
 local function search(self, goal, at, register, needed)
-  local frames, indexes = self.frames, goal.indexes
-  local last = #frames
-  while at <= last do
-    local frame = frames[at]
+  local last, count = #self.frames, #goal.frames
+  for i = at, last do
+    local frame = self.frames[i]
+    local data, length = frame.data, frame.length
     self.credit = self.credit - 1
     if self.credit < self.reserve then return false end
+    goal.frames[count + 1] = frame
     -- What is truncated proves nothing.
-    local data, length = frame.data, frame.length
     local is_complete = #data == length
-    if at == last then
+    if i == last then
       goal.padding = is_complete and can_id.padding(data, length, needed)
-      indexes[#indexes + 1] = at
       return goal.padding and crc.update(register, data, 1, needed) == goal.crc
     end
-    if is_complete and length < needed and not frame.is_end and not frame.is_taken then
-      local count = #indexes
-      indexes[count + 1] = at
-      local next_register = crc.update(register, data)
-      if search(self, goal, at + 1, next_register, needed - length) then return true end
-      for i = #indexes, count + 1, -1 do indexes[i] = nil end
+    if is_complete and length < needed and not frame.is_end and
+      search(self, goal, i + 1, crc.update(register, data), needed - length) then
+      return true
     end
-    at = at + 1
+    for k = #goal.frames, count + 1, -1 do goal.frames[k] = nil end
   end
   return false
 end
@@ -170,95 +163,98 @@ local function padding_since_start(self, message)
   return can_id.padding(last.data, last.length, message.size - self.since + last.length)
 end
 
--- Return the frames since the newest Start if together they are its message.  The CRC decides;
--- where bytes are truncated, their number does.
--- returns  indexes of the frames, padding; nil where it does not
-local function all_since_start(self, candidate, register)
-  local padding = padding_since_start(self, candidate.message)
-  if not padding then return nil end
-  local _, indexes = leftovers(self, candidate.from)
-  for _, index in ipairs(indexes) do
-    local frame, is_last = self.frames[index], index == #self.frames
-    if frame.is_end and not is_last then return nil end
-    if #frame.data < frame.length then return indexes, padding end
-    register = crc.update(register, frame.data, 1, #frame.data - (is_last and padding or 0))
-  end
-  if register == candidate.message.crc then return indexes, padding end
+local function frames_behind(self, message)
+  local list = {}
+  for i = first_behind(self, message), #self.frames do list[#list + 1] = self.frames[i] end
+  return list
 end
 
--- Which message an End completes, and with which frames: the newest with all that came since its
--- Start, else, oldest first, whatever fits.
--- returns  the index of its candidate, indexes of frames, bytes of padding; nil if it completes
--- none
-local function find_complete(self)
-  local open = self.open
-  local function seed_of(candidate)
-    return can_id.seed(self.can_id, candidate.message.size, candidate.message.reserved)
+-- Return the frames since the newest Start if together they are its message.  The CRC decides;
+-- where bytes are truncated, their number does.
+-- register  CRC register in front of the payload
+-- returns   list of frames, padding; nil where it does not
+local function all_since_start(self, message, register)
+  local padding = padding_since_start(self, message)
+  if not padding then return nil end
+  local frames = frames_behind(self, message)
+  for i, frame in ipairs(frames) do
+    local is_last = i == #frames
+    if frame.is_end and not is_last then return nil end
+    if #frame.data < frame.length then return frames, padding end
+    register = crc.update(register, frame.data, 1, #frame.data - (is_last and padding or 0))
   end
-  local newest = open[#open]
-  local indexes, padding = all_since_start(self, newest, seed_of(newest))
-  if indexes then return #open, indexes, padding end
-  for i, candidate in ipairs(open) do
-    -- Let each message use its share of the credit: the oldest is usually broken, and searches most
-    -- frames.
-    self.reserve = self.credit * (1 - 1 / (#open - i + 1))
-    local goal = { crc = candidate.message.crc, indexes = {}, padding = false }
-    if search(self, goal, candidate.from, seed_of(candidate), candidate.message.size) then
-      return i, goal.indexes, goal.padding
-    end
-  end
+  if register == message.crc then return frames, padding end
 end
 
 -- Give frames to a message.  Return its payload, which ends with the first truncated frame, and
 -- whether there is such a frame.
-local function assign_frames(self, message, indexes)
+local function assign_frames(message, frames)
   local chunks, is_truncated = {}, false
   for i = #message, 2, -1 do message[i] = nil end
-  for i, index in ipairs(indexes) do
-    local frame = self.frames[index]
+  for i, frame in ipairs(frames) do
     message[i + 1] = frame.key
     if not is_truncated then chunks[i] = frame.data end
     is_truncated = is_truncated or #frame.data < frame.length
-    if frame.orphan then self.reassembly:withdraw(frame.orphan) end
+    if frame.orphan then withdraw(frame.orphan) end
   end
-  return concat(chunks), is_truncated
+  return table.concat(chunks), is_truncated
 end
 
--- End the message of a candidate with these frames: with a status if it is known, else the CRC
--- decides.
-local function award(self, candidate, indexes, padding, status)
+-- End an open message with these frames: with a status if it is known, else the CRC decides.
+-- index    of its candidate
+-- returns  the message
+local function award(self, index, frames, padding, status)
+  local candidate = table.remove(self.open, index)
   local message = candidate.message
-  local payload, is_truncated = assign_frames(self, message, indexes)
+  local payload, is_truncated = assign_frames(message, frames)
   if not status then payload = payload:sub(1, message.size) end
   if is_truncated then status = status or "truncated" end
   message.padding = padding ~= 0 and padding or nil
   self.reassembly:finish(message, self.can_id, payload, status)
-  if message.status ~= "good" then return end -- its frames may still be another's
-  for _, index in ipairs(indexes) do
-    self.frames[index].is_taken = true
-    self.bytes = self.bytes - self.frames[index].length
+  if message.status == "good" then -- else its frames may still be another's
+    for _, frame in ipairs(frames) do frame.is_taken = true end
+    if candidate.anomaly then withdraw(candidate.anomaly) end
   end
-  for _, anomaly in ipairs(candidate.anomalies) do self.reassembly:withdraw(anomaly) end
-  local newest = self.open[#self.open]
-  self.since = newest and leftovers(self, newest.from) or 0
+  drop_frames(self)
+  return message
+end
+
+-- End the message that an End completes: the newest with all frames that came since its Start,
+-- else, oldest first, whichever fits.
+-- returns  the message; nil if it completes none
+local function complete(self)
+  local open = self.open
+  local function seed_of(message)
+    return can_id.seed(self.can_id, message.size, message.reserved)
+  end
+  local newest = open[#open].message
+  local frames, padding = all_since_start(self, newest, seed_of(newest))
+  if frames then return award(self, #open, frames, padding) end
+  for i, candidate in ipairs(open) do
+    -- Let each message use its share of the credit: the oldest is usually broken, and searches most
+    -- frames.
+    self.reserve = self.credit * (1 - 1 / (#open - i + 1))
+    local message = candidate.message
+    local goal = { crc = message.crc, frames = {}, padding = false }
+    if search(self, goal, first_behind(self, message), seed_of(message), message.size) then
+      return award(self, i, goal.frames, goal.padding)
+    end
+  end
 end
 
 -- An End that completes no message seems to end the newest.  But the End may be of another bus.  So
 -- if other messages are open, a copy of the newest stays open for later frames.
 local function end_newest(self)
-  local candidate = table.remove(self.open)
-  local message, status = candidate.message, nil
-  if self.open[1] then
-    local copy, since = { status = "superseded" }, self.since
+  local index, status = #self.open, nil
+  local message = self.open[index].message
+  if index > 1 then
+    local copy = { status = "superseded" }
     for name, value in pairs(message) do copy[name] = value end
-    self:add(copy)
-    self.since, self.open[#self.open].from = since, candidate.from
-    self.open[#self.open].is_retry = true
+    open_message(self, copy, true)
   end
   local padding = padding_since_start(self, message)
   if not padding then status = self.reassembly:misfit(message, self.since) end
-  local _, indexes = leftovers(self, candidate.from)
-  award(self, candidate, indexes, padding, status)
+  award(self, index, frames_behind(self, message), padding, status)
 end
 
 -- Whether the pool has more bytes than all open messages can use: then none of them will be good.
@@ -273,17 +269,11 @@ end
 function Pool:take(frame)
   local ctrl, newest, kind = frame.can_id.ctrl, self.open[#self.open].message, "fragment"
   local is_end = ctrl == can_id.END
-  local pooled = self:add_frame(frame.key, frame.data, frame.reported, is_end)
+  local pooled = new_frame(frame.key, frame.data, frame.reported, is_end)
+  add_frame(self, pooled)
   self.credit = math.min(math.max(self.credit, 0) + CREDIT_PER_FRAME, MAX_CREDIT)
-  self.bytes, self.since = self.bytes + frame.reported, self.since + frame.reported
-  if is_end then
-    local at, indexes, padding = find_complete(self)
-    if at then
-      local candidate = table.remove(self.open, at)
-      award(self, candidate, indexes, padding)
-      return "last", candidate.message
-    end
-  end
+  local completed = is_end and complete(self)
+  if completed then return "last", completed end
   if newest.status then
     kind, pooled.orphan = "other", self.reassembly:orphan(ctrl)
     pooled.orphan.is_open = true
@@ -298,7 +288,7 @@ function Pool:take(frame)
     if kind == "fragment" then self.reassembly:misfit(newest, self.bytes) end
     for _, candidate in ipairs(self.open) do give_up(self, candidate) end
     self.open = {}
-    drop_frames(self, #self.frames)
+    drop_frames(self)
   end
   return kind, kind ~= "other" and newest or nil
 end

@@ -2,21 +2,23 @@
 -- Reassembly: which CAN frames are YAPP, and which message their Start, Middle and End fragments
 -- make up ("Multi-Frame CAN YAPP").  Pure Lua.
 --
--- A slot is a message key on a bus: usually one message at a time is open there.  A message is
+-- A slot is a message key on a bus: usually one message at a time is open there.  A message of
+-- several frames is
 --   1 .. n     frame keys of its fragments (base.frame_key)
---   slot, source; size, crc, reserved (nil for 0) as its Start says
+--   slot, source; size, crc, reserved (nil for 0) as its Start says.  The stored record of a good
+--              message may lack its crc
 --   chunks     while it is open: the bytes of the fragments behind the Start; received = their sum;
---              repeated = bytes of chunks that equal the one before, or nil; is_truncated = whether
---              the capture has fewer bytes than were sent, or nil
+--              repeated = bytes of chunks that equal the one before, or nil; is_truncated = true
+--              if the payload goes on behind the chunks, as the capture has fewer bytes than were
+--              sent, or the message is too long
 --   status     nil while it is open; "good", "bad" (CRC), "incomplete", "overrun", "truncated"
 --              (by the capture); "superseded" by a new Start, or given up
 --   payload    once its last fragment has come
 --   padding    of CAN FD, nil for 0
 --   received   bytes, of an incomplete or overrun message; calculated = CRC, of a bad one
---   duplicates { [frame key of a fragment that came twice] = of the one that it repeats }, or nil
+--   has_fault  of a stored one, as Reassembly:keep was told
 
 local can_id = require "yapp.wire.can_id"
-local crc = require "yapp.wire.crc"
 local frame_key = require "yapp.base.frame_key"
 local interleaved = require "yapp.can.interleaved"
 local store = require "yapp.can.store"
@@ -28,6 +30,11 @@ local END, CTRL_NAMES = can_id.END, can_id.CTRL_NAMES
 
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it
 local MAX_RUNS = 8 -- runs of equal fragments that are searched for duplicates
+
+local MISFIT = { -- by status
+  incomplete = "The message that started in frame %d ends with %d of %d bytes",
+  overrun = "The message that started in frame %d has %d bytes instead of %d",
+}
 
 local Reassembly = {}
 Reassembly.__index = Reassembly
@@ -43,7 +50,6 @@ function M.new(max_open)
     buses = {}, -- [bus, 0 for an unknown one] = true once a Start came there
     store = store.new(),
     -- Of the newest frame; false for none (COMPAT 5.2: nil makes the table anew).
-    key = false,
     message = false,
     anomalies = false,
     keeps = true, -- whether it may be visited again
@@ -53,27 +59,15 @@ end
 --- Note that something is wrong at the newest frame.
 -- message    the one that is lost by it, or nil
 -- text, ...  as for string.format
--- returns    an anomaly: { key = of the frame, expert = name of an expert item, text, lost = key of
---            the Start of the message that is lost, or nil, is_withdrawn = see withdraw,
---            is_open = whether it may still be withdrawn }
+-- returns    an anomaly: { expert = name of an expert item, text, lost = key of the Start of the
+--            message that is lost, or nil, is_open = whether it may still be withdrawn,
+--            is_withdrawn = whether a later frame has proved that nothing is wrong }
 function Reassembly:note(expert, message, text, ...)
-  local anomaly = {
-    key = self.key,
-    expert = expert,
-    text = text:format(...),
-    lost = message and message[1],
-    is_withdrawn = nil,
-    is_open = nil,
-  }
+  -- The two other fields are can.interleaved's: without room for them it takes half the memory.
+  local anomaly = { expert = expert, text = text:format(...), lost = message and message[1] }
   if not self.anomalies then self.anomalies = {} end
   table.insert(self.anomalies, anomaly)
   return anomaly
-end
-
---- Withdraw an anomaly: a later frame has proved that nothing is wrong.
-function Reassembly:withdraw(anomaly)
-  anomaly.is_withdrawn, anomaly.is_open = true, false
-  self.store:withdraw(anomaly.key, anomaly)
 end
 
 --- Note that the message of a Middle or End is not known.
@@ -84,18 +78,11 @@ end
 --- Note that a message has more or fewer bytes than its size.
 -- returns  its status
 function Reassembly:misfit(message, received)
-  local start = frame_key.number(message[1])
+  local status = received < message.size and "incomplete" or "overrun"
   message.received = received
-  if received < message.size then
-    self:note("fragment.incomplete", message,
-      "The message that started in frame %d ends with %d of %d bytes", start, received,
-      message.size)
-    return "incomplete"
-  end
-  self:note("fragment.overrun", message,
-    "The message that started in frame %d has %d bytes instead of %d", start, received,
+  self:note("fragment." .. status, message, MISFIT[status], frame_key.number(message[1]), received,
     message.size)
-  return "overrun"
+  return status
 end
 
 --- End a message.
@@ -104,8 +91,7 @@ end
 function Reassembly.finish(_, message, fields, payload, status)
   message.payload, message.chunks, message.status = payload, nil, status
   if status then return end
-  local seed = can_id.seed(fields, message.size, message.reserved)
-  local calculated = crc.update(seed, payload, 1, #payload)
+  local calculated = can_id.crc(fields, payload, message.reserved)
   message.status = calculated == message.crc and "good" or "bad"
   -- COMPAT 5.2: only here, as to write nil under a name that has none makes the table anew.
   if message.status == "bad" then message.calculated = calculated end
@@ -119,7 +105,7 @@ function Reassembly:give_up(message)
   local copy = { slot = message.slot, source = message.source, size = message.size,
     status = "superseded" }
   for i, key in ipairs(message) do copy[i] = key end
-  self.store:keep(copy, false)
+  self.store:keep(copy)
 end
 
 -- Slots ------------------------------------------------------------------------------------------
@@ -171,7 +157,7 @@ local function supersede(self, frame)
       frame_key.number(newest[1]), chunks and chunks.received or open.since, newest.size)
   end
   if open == newest then
-    if frame.bus or not chunks or chunks.is_truncated then
+    if frame.bus or chunks.is_truncated then
       self:give_up(open)
       return close(self, frame.slot)
     end
@@ -190,16 +176,14 @@ end
 -- Note what is wrong with the captured bytes of a Start.
 local function check_start(self, frame, size, reserved)
   local known, least, length = frame.source.size, frame.source.min_size, frame.reported
-  if length > 8 then
-    self:note("size.mismatch", nil, "A Start has 8 bytes, this one has %d", length)
-  elseif length < 8 then
-    self:note("fragment.incomplete", nil,
-      "A Start has 8 bytes, this one has %d: its message cannot be reassembled", length)
+  if length ~= 8 then
+    local expert = length > 8 and "size.mismatch" or "fragment.incomplete"
+    self:note(expert, nil, "A Start has 8 bytes, this one has %d", length)
   end
   if not reserved then return end
   if size == 0 then
     self:note("size.mismatch", nil, "The size of the message is 0")
-  elseif known and (size > known or size < (least or known)) then
+  elseif known and (size > known or size < least) then
     self:note("size.mismatch", nil, "The size is %d bytes, the catalogue says %d", size, known)
   end
   if reserved ~= 0 then
@@ -222,18 +206,16 @@ end
 local function start(self, frame)
   local sum, size, reserved = can_id.start(frame.data)
   if not is_plausible(self, frame, size, reserved) then return nil end
-  local slot, source = frame.slot, frame.source
+  local slot = frame.slot
   self.accepted[frame.can_id.id] = true
   self.buses[frame.bus or 0] = true
   local several = self.open[slot] and supersede(self, frame)
-  if size ~= source.size or reserved ~= 0 or frame.reported ~= 8 then
-    check_start(self, frame, size, reserved)
-    if not reserved or size == 0 then return "other" end
-  end
+  check_start(self, frame, size, reserved)
+  if not reserved or size == 0 then return "other" end
   local message = {
     frame.key, nil, nil, nil, nil, -- with room for the usual message of five frames
     slot = slot,
-    source = source,
+    source = frame.source,
     size = size,
     crc = sum,
     reserved = reserved ~= 0 and reserved or nil,
@@ -259,80 +241,59 @@ end
 -- needed  the bytes that this frame should have if nothing is left out
 -- returns  whether the CRC was good without some: then the message has ended
 local function leave_out(self, message, frame, needed)
-  local chunks, at, runs = message.chunks, 1, 0
-  while at < #chunks and runs < MAX_RUNS do
-    local first = at
-    -- The last chunk is the End: a second End would follow a message that has ended.
-    while at + 1 < #chunks and chunks[at + 1] == chunks[first] do at = at + 1 end
-    for count = 1, at - first do
-      needed = needed + #chunks[first]
-      local padding = can_id.padding(frame.data, frame.reported, needed)
-      if padding then
-        runs = runs + 1
-        local rest = concat(chunks, "", at + 1, #chunks - 1) .. frame.data:sub(1, needed)
-        self:finish(message, frame.can_id, concat(chunks, "", 1, at - count) .. rest)
-        if message.status == "good" then
-          message.padding, message.duplicates = padding > 0 and padding or nil, {}
-          for _ = 1, count do
-            message.duplicates[table.remove(message, first + 2)] = message[first + 1]
-          end
-          return true
+  local chunks, first, tries = message.chunks, 1, 0
+  -- The last chunk is the End: a second End would follow a message that has ended.
+  for at = 2, #chunks - 1 do
+    if chunks[at] ~= chunks[first] then first = at end
+    local size = needed + (at - first) * #chunks[first]
+    local padding = at > first and can_id.padding(frame.data, frame.reported, size)
+    if padding then
+      local rest = concat(chunks, "", at + 1, #chunks - 1) .. frame.data:sub(1, size)
+      self:finish(message, frame.can_id, concat(chunks, "", 1, first) .. rest)
+      if message.status == "good" then
+        message.padding = padding > 0 and padding or nil
+        for _ = first + 1, at do
+          local key = table.remove(message, first + 2)
+          if self.keeps then self.store:keep_duplicate(key, message[first + 1]) end
         end
+        return true
       end
+      tries = tries + 1
+      if tries == MAX_RUNS then return false end
     end
-    needed = needed - (at - first) * #chunks[first]
-    at = at + 1
   end
   return false
 end
 
--- End a message whose bytes are not as many as its size: padding, duplicates, or a misfit.
-local function finish_unusual(self, message, frame)
-  local chunks, status = message.chunks
+-- End a message with its last frame.
+local function finish_last(self, message, frame)
+  local chunks, status = message.chunks, nil
   local needed = frame.reported + message.size - chunks.received
   local padding = can_id.padding(frame.data, frame.reported, needed)
-  if padding then
-    message.padding = padding
-    chunks[#chunks] = frame.data:sub(1, needed)
-    status = chunks.is_truncated and "truncated" or nil
-  else
-    local may_be_twice = chunks.repeated and not chunks.is_truncated
-    if may_be_twice and leave_out(self, message, frame, needed) then return end
+  local payload = concat(chunks)
+  if chunks.is_truncated then status = "truncated" end
+  if not padding then
+    if chunks.repeated and not status and leave_out(self, message, frame, needed) then return end
     message.calculated = nil
     status = self:misfit(message, chunks.received)
+  elseif padding > 0 then
+    message.padding = padding
+    payload = payload:sub(1, message.size)
   end
-  self:finish(message, frame.can_id, concat(chunks), status)
+  self:finish(message, frame.can_id, payload, status)
 end
 
--- Take a chunk that equals the one before, or is truncated.  Keep none behind a truncated chunk:
--- the payload ends there.
-local function take_odd(chunks, index, data, reported)
-  if chunks.is_truncated then return end
-  if data == chunks[index - 1] then chunks.repeated = (chunks.repeated or 0) + reported end
-  chunks.is_truncated = #data < reported
-  chunks[index] = data
-end
-
--- Take a Middle or End whose slot has no regular message: none, several that interleave, or one
--- that is too long.
-local function continue_other(self, frame, open)
+-- Take a Middle or End whose slot has no message, or several that interleave.
+local function continue_other(self, frame, pool)
   local fields = frame.can_id
-  if not open then
-    if not frame.accepts_all and (fields.ctl ~= 0 or not frame.source.size) then return nil end
-    self:orphan(fields.ctrl)
-    return "other"
-  end
-  if open.messages then
-    local kind, message = open:take(frame)
-    if #open:messages() == 0 then close(self, frame.slot) end
+  if pool then
+    local kind, message = pool:take(frame)
+    if #pool:messages() == 0 then close(self, frame.slot) end
     return kind, message
   end
-  open[#open + 1] = frame.key
-  self:misfit(open, open.received + frame.reported)
-  if fields.ctrl ~= END then return "fragment", open end
-  close(self, frame.slot)
-  self:finish(open, fields, "", open.status)
-  return "last", open
+  if not frame.accepts_all and (fields.ctl ~= 0 or not frame.source.size) then return nil end
+  self:orphan(fields.ctrl)
+  return "other"
 end
 
 local function continue(self, frame)
@@ -343,35 +304,39 @@ local function continue(self, frame)
   local received = chunks.received + reported
   message[index + 1] = frame.key
   chunks.received = received
-  if data == chunks[index - 1] or #data < reported or chunks.is_truncated then
-    take_odd(chunks, index, data, reported)
-  else
+  if not chunks.is_truncated then
+    if data == chunks[index - 1] then chunks.repeated = (chunks.repeated or 0) + reported end
+    if #data < reported then chunks.is_truncated = true end
     chunks[index] = data
   end
-  if frame.can_id.ctrl ~= END then
-    local excess = received - message.size
-    if excess > 0 and excess > math.min(chunks.repeated or 0, MAX_RUNS * reported) then
-      message.status, message.chunks = self:misfit(message, received), nil
-    end
-    return "fragment", message
+  if frame.can_id.ctrl == END then
+    close(self, frame.slot)
+    finish_last(self, message, frame)
+    return "last", message
   end
-  close(self, frame.slot)
-  if received == message.size then
-    local status = chunks.is_truncated and "truncated" or nil
-    self:finish(message, frame.can_id, concat(chunks), status)
-  else
-    finish_unusual(self, message, frame)
+  local excess = received - message.size
+  if excess > 0 and excess > math.min(chunks.repeated or 0, MAX_RUNS * reported) then
+    message.status = self:misfit(message, received)
+    message.chunks = { received = received, is_truncated = true } -- its bytes are of no use
   end
-  return "last", message
+  return "fragment", message
 end
 
 -- Other frames -----------------------------------------------------------------------------------
 
+-- A message of one frame has a record of its own, with these fields alone.
 local function single(_, frame)
-  local size, least = frame.source.size, frame.source.min_size
-  if frame.accepts_all then return "single" end
-  if not size or frame.can_id.ctl ~= 0 then return nil end
-  return can_id.single_size(frame.data, frame.reported, least or size, size) and "single"
+  local data, reported, source = frame.data, frame.reported, frame.source
+  local size = source.size and can_id.single_size(data, reported, source.min_size, source.size)
+  if not (frame.accepts_all or size and frame.can_id.ctl == 0) then return nil end
+  return "single", {
+    frame.key,
+    source = source,
+    size = size or reported,
+    status = #data == reported and "good" or "truncated",
+    payload = data:sub(1, size or reported),
+    padding = reported - (size or reported),
+  }
 end
 
 local function undefined(self, frame)
@@ -390,10 +355,10 @@ for ctrl = #TAKERS + 1, 15 do TAKERS[ctrl] = undefined end
 -- frame    of can.dissector, its key to is_only_pass
 -- returns  nil for a frame that is not YAPP's, else its kind: "single"; "fragment", of a message;
 --          "last", with which its message ends; "other", which has no message, as the anomalies say
---          the message of a fragment, else nil
+--          the message of a fragment or single frame, else nil
 --          its list of anomalies, or false
 function Reassembly:take(frame)
-  self.key, self.anomalies, self.keeps = frame.key, false, not frame.is_only_pass
+  self.anomalies, self.keeps = false, not frame.is_only_pass
   local kind, message = TAKERS[frame.can_id.ctrl](self, frame)
   if self.keeps then
     self.message = message or false
@@ -406,31 +371,34 @@ function Reassembly:take(frame)
   return kind, message, self.anomalies
 end
 
---- Keep the message that the newest frame has ended, see can.store.
+--- Keep the message that the newest frame has ended for revisits.
+-- has_fault  whether it has a fault flag set
 function Reassembly:keep(message, has_fault)
-  self.store:keep(message, has_fault)
+  message.has_fault = has_fault
+  self.store:keep(message)
 end
 
 --- Forget the newest frame: a read filter dropped its packet, so the next one has its key.
 function Reassembly:drop(key)
   self.store:drop(key, self.message)
+  self.message = false
 end
 
 -- Return the message in a slot that has a frame as a fragment, and the index of that; nil for none.
-local function find_in(self, slot, frame)
-  local found, at = self.store:find(slot, frame)
+local function find_in(self, slot, key)
+  local found, at = self.store:find(slot, key)
   if found then return found, at end
   for _, message in ipairs(open_in(self, slot)) do
-    local index = frame_key.last_until(message, frame.key)
-    if message[index] == frame.key then return message, index end
+    local index = frame_key.last_until(message, key)
+    if message[index] == key then return message, index end
   end
 end
 
 -- The same for all buses: once a read filter has dropped a packet, no bus is known on revisits.
 local function find(self, frame)
-  local message, index = find_in(self, frame.slot, frame)
+  local message, index = find_in(self, frame.slot, frame.key)
   for bus in pairs(message and {} or self.buses) do
-    message, index = find_in(self, can_id.slot(frame.can_id, bus), frame)
+    message, index = find_in(self, can_id.slot(frame.can_id, bus), frame.key)
     if message then break end
   end
   return message, index
@@ -446,8 +414,9 @@ function Reassembly:recall(frame)
     local is_last = message.payload and message[#message] == frame.key
     return is_last and "last" or "fragment", message, anomalies, index
   end
-  if frame.can_id.ctrl == 0 then return single(self, frame), nil, anomalies end
-  return anomalies and "other", nil, anomalies
+  local kind = anomalies and "other"
+  if frame.can_id.ctrl == 0 then kind, message = single(self, frame) end
+  return kind, message, anomalies
 end
 
 --- Return the messages that have neither ended nor been superseded, in the order of their Starts.

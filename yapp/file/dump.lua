@@ -55,7 +55,7 @@ function M.open(file, options, head)
     records = {}, -- [offset] = { length, time, is_skipped }
   }, Dump)
   local has_frame, index = false, 1
-  while not (self.is_over or has_frame and (self.time or self.framer:offset() >= MAX_AHEAD)) do
+  while not (self.is_over or has_frame and (self.time or self.framer.from >= MAX_AHEAD)) do
     self:fill(file)
     for i = index, #self.events do
       local event = self.events[i]

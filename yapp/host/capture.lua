@@ -353,7 +353,7 @@ local READERS = {
 local function has_header(bytes)
   local start = frame.find(bytes, 1)
   while start do
-    if frame.judge(bytes, start, function() return true end) then return true end
+    if frame.is_plausible(bytes, start) then return true end
     start = frame.find(bytes, start + 1)
   end
   return false

@@ -39,9 +39,6 @@ function M.new(tree, reader, buses, tcp_header)
     reader = reader,
     buses = buses,
     tcp_header = tcp_header,
-    streams = nil,   -- a serial.streams
-    history = nil,   -- a message.history
-    lines = nil,     -- by key, see line_of
   }, Dissector)
 end
 
@@ -49,7 +46,8 @@ end
 -- new_history  function() -> a message.history
 function Dissector:reset(new_history)
   self.streams = streams.new(function() return self:new_framer() end)
-  self.history, self.lines = new_history(), {}
+  self.history = new_history()
+  self.lines = {} -- by key, see line_of
   tcp.stop()
 end
 
@@ -92,9 +90,7 @@ local function line_of(self, pinfo)
     bus = name,
     label = has_address and here or bus and name,
     has_address = has_address,
-    sources = nil,
     damaged = {},
-    reporter = nil,
   }
   if is_ip then line.bus_key = here < there and here .. there or there .. here end
   line.sources = memo(function(id)
@@ -111,10 +107,9 @@ end
 --   tree          where they are shown
 --   wants         of show.tree
 -- tvb      its bytes; of a segment with the header of TCP
--- segment  of serial.tcp, with its line; nil for other packets
+-- segment  of serial.tcp; nil for other packets
 local function new_packet(self, tvb, pinfo, tree, segment)
-  local start, line, is_bus_known = segment and segment.start or 0, segment and segment.line, true
-  if not line then line, is_bus_known = line_of(self, pinfo) end
+  local start, line, is_bus_known = segment and segment.start or 0, line_of(self, pinfo)
   local bytes = tvb:len() > start and tvb:raw(start) or ""
   local number, visited, length = pinfo.number, pinfo.visited, tvb:reported_len() - start
   local wants, key = self.tree:wants(tree, pinfo, visited), number * PACKET + tvb:offset() + start
@@ -149,12 +144,15 @@ end
 -- returns  boolean, and the events of serial.streams
 function Dissector:is_yapp(bytes, length)
   local events, is_catalogue, missing = self.streams:read(bytes), true, length - #bytes
-  local function fits(id, size) return self.reader:fits(id, size) ~= false end
   for _, event in ipairs(events) do
     local at = event.at + 1
-    if event.status == "good" and frame.judge(bytes, at, fits) then return true, events end
+    local id, size = frame.parse(bytes, at)
+    if event.status == "good" and frame.is_plausible(bytes, at)
+      and self.reader:fits(id, size) ~= false then
+      return true, events
+    end
     local is_complete = event.status == "bad" or event.missing == missing
-    is_catalogue = is_catalogue and is_complete and self.reader:size_of(frame.parse(bytes, at))
+    is_catalogue = is_catalogue and is_complete and self.reader:size_of(id)
   end
   return is_catalogue, events
 end
@@ -177,11 +175,12 @@ function Dissector:accepts(tvb, pinfo)
   return false
 end
 
--- Returns what the statistics take of an incomplete message.
+-- Returns what the statistics take of something that is no message.
 -- packet  where this is noticed
-local function new_loss(packet, id, seq)
+-- source  of message.reader, or the line
+local function new_report(packet, source, seq)
   return {
-    source = packet.line.sources[id],
+    source = source,
     seq = seq,
     key = packet.key,
     time = packet.time,
@@ -195,7 +194,7 @@ local function report_damaged(self, packet)
   line.reporter = line.reporter or packet.key
   if line.reporter ~= packet.key or not self.reader.stat.wanted then return end
   for _, damaged in ipairs(line.damaged) do
-    local loss = new_loss(packet, damaged.id, damaged.seq)
+    local loss = new_report(packet, line.sources[damaged.id], damaged.seq)
     self.reader.stat:anomalies(loss, { { expert = "fragment.incomplete" } })
   end
 end
@@ -210,9 +209,8 @@ end
 -- the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even in
 -- a tunnel that puts several packets into one.
 local function new_message(packet, event, index)
-  local status, length, key = event.status, event.to - event.from, packet.key + index - 1
-  local bytes, at = event.bytes, 0
-  if event.at then bytes, at = packet.bytes, event.at end
+  local length, key = event.to - event.from, packet.key + index - 1
+  local bytes, at = event.bytes or packet.bytes, event.at or 0
   local id, size, reserved, seq = frame.parse(bytes, at + 1)
   local m = {
     source = packet.line.sources[id],
@@ -225,18 +223,16 @@ local function new_message(packet, event, index)
     reserved = reserved,
     payload = sub(bytes, at + HEADER + 1, at + math.min(HEADER + size, length)),
     length = length,
-    status = status == "incomplete" and event.truncated and "truncated" or status,
+    status = event.status,
     missing = event.missing,
     parts = event.parts,
-    crc = nil,
-    calculated = nil,
     wants = packet.wants,
     tree = packet.tree,
     item = packet.tree,
     payload_tvb = false,
     payload_at = at + HEADER,
   }
-  if status == "bad" then
+  if event.status == "bad" then
     local last = at + length
     m.crc = frame.crc(bytes, last)
     m.calculated = crc.update(crc.INITIAL, bytes, at + 1, last - CRC_SIZE)
@@ -259,11 +255,9 @@ local function add_frame(self, m, tvb)
   add_le(item, fields.reserved, tvb(at + 10, 2))
   builder:add_source(item, source)
   if m.parts then
-    local numbers = {}
-    for i, key in ipairs(m.parts) do numbers[i] = number_of(key) end
     local payload = #m.payload > 0 and tvb(m.payload_at, #m.payload) or nil
     builder:generated(item, "reassembled.in", number_of(m.key))
-    builder:add_fragments(item, tvb(), numbers, #numbers, m.length, payload)
+    builder:add_fragments(item, tvb(), m.parts, m.length, payload)
   end
   if m.missing then
     append_text(item, ", incomplete")
@@ -278,7 +272,7 @@ local function show_anomalies(self, m)
   local builder = self.tree
   if m.status == "bad" then builder:bad_crc(m.item, m) end
   if m.missing then
-    local expert = m.status == "truncated" and "truncated" or "fragment.incomplete"
+    local expert = m.status == "truncated" and m.status or "fragment.incomplete"
     local text = "%d of the frame's %d bytes are missing"
     builder:expert(m.item, expert, text:format(m.missing, HEADER + m.size + CRC_SIZE))
     if self.reader.stat.wanted then self.reader.stat:anomalies(m, { { expert = expert } }) end
@@ -316,39 +310,31 @@ local CONTROLS = {
   ["\27"] = "\\e",
 }
 
--- Returns bytes as quoted text, nil if they are no text.
+-- Returns a space and bytes as quoted text, "" if they are no text.
 local function quote(bytes)
-  if utf8.ascii(bytes):find("[^%g \a\b\t\n\r\27]") then return nil end
+  if utf8.ascii(bytes):find("[^%g \a\b\t\n\r\27]") then return "" end
   local text = bytes
   if #bytes > 80 then
     text = bytes:sub(1, 80):gsub("[\192-\255][\128-\191]*$", "") .. "..."
   end
-  return '"' .. text:gsub("%c", CONTROLS) .. '"'
+  return ' "' .. text:gsub("%c", CONTROLS) .. '"'
 end
 
 -- Shows skipped bytes; returns their text for the Info column.
 local function show_skipped(self, packet, tvb, event)
-  local builder, item = self.tree, packet.tree
+  local builder, item, stat = self.tree, packet.tree, self.reader.stat
   local length, at = event.to - event.from, event.at or 0
   local text = quote(event.bytes or sub(packet.bytes, at + 1, at + length))
   local size = builder.bytes(length)
   if packet.wants.tree then
     item = add(item, builder.yapp, tvb(at, length))
     append_text(item, (", %s skipped"):format(size))
-    local skipped = add(item, builder.fields.skipped, tvb(at, length))
-    if text then append_text(skipped, " " .. text) end
+    append_text(add(item, builder.fields.skipped, tvb(at, length)), text)
   end
-  local quoted = text and ": " .. text or ""
-  builder:expert(item, "stream.skipped", ("%s that belong to no frame%s"):format(size, quoted))
-  if self.reader.stat.wanted then
-    self.reader.stat:skipped({
-      source = packet.line,
-      key = packet.key,
-      time = packet.time,
-      visited = packet.visited,
-    }, length)
-  end
-  return ("Skipped %s%s"):format(size, text and " " .. text or "")
+  local expert = size .. " that belong to no frame" .. text:gsub("^ ", ": ")
+  builder:expert(item, "stream.skipped", expert)
+  if stat.wanted then stat:skipped(new_report(packet, packet.line), length) end
+  return ("Skipped %s%s"):format(size, text)
 end
 
 -- Returns what the Info column says of pending bytes.
@@ -370,7 +356,7 @@ local function show_pending(self, packet, contents)
     add(item, builder.fields["fragment.data"], range)
     builder:generated(item, "reassembled.in", leads_to)
   end
-  if packet.visited and streams.is_unfinished(contents, packet) then
+  if packet.visited and self.streams:is_unfinished(contents, packet) then
     builder:expert(item, "unfinished")
   end
   return pending_text(contents, builder.bytes(pending), leads_to)
@@ -419,7 +405,7 @@ local function dissect(self, packet, pinfo)
   report_damaged(self, packet)
   show(self, packet, pinfo, contents)
   local last = contents.events[#contents.events]
-  if packet.truncated and packet.bytes ~= "" and not (last and last.status == "incomplete") then
+  if packet.truncated and packet.bytes ~= "" and not (last and last.missing) then
     local text = "The capture has %d of the packet's %d bytes"
     self.tree:expert(packet.tree, "truncated", text:format(#packet.bytes, packet.length))
   end
@@ -429,7 +415,6 @@ end
 -- Dissects a segment that TCP has shown.
 local function dissect_segment(self, segment, tvb, pinfo, tree)
   local line = line_of(self, pinfo)
-  segment.line = line
   local is_known = pinfo.visited or self.streams:note_header(line.key, line.opposite, segment)
   if segment.length == 0 or not (segment.is_ours or is_known) then return end
   dissect(self, new_packet(self, tvb, pinfo, tree, segment), pinfo)
@@ -474,7 +459,7 @@ function Dissector:unfinished()
   local list = {}
   for i, open in ipairs(self.streams:unfinished()) do
     local id, _, _, seq = frame.parse(open.header, 1)
-    list[i] = new_loss(open.packet, id, seq)
+    list[i] = new_report(open.packet, open.packet.line.sources[id], seq)
     self.reader.stat:part(list[i])
   end
   return list

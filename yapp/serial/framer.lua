@@ -50,13 +50,11 @@ function M.new(size_of, patience)
     size_of = size_of,
     patience = patience or PATIENCE,
     spent = {},    -- [logarithm of a candidate's length] = bytes that CRCs were computed over
-    events = nil,  -- the list that events are appended to, see Framer:add
     text = "",     -- the latest bytes
     text_from = 0, -- their offset in the stream
-    to = 0,        -- the end of the stream so far
+    to = 0,        -- the end of the stream so far; streams read it, and the next
     from = 0,      -- the first byte that is in no event yet
     searched = 0,  -- every candidate that begins before this is known
-    found = nil,   -- the open candidate that the search waits at
   }, Framer)
   self:forget()
   return self
@@ -91,9 +89,7 @@ function Framer:find()
     to = from + HEADER + size + CRC_SIZE,
     is_plausible = is_plausible,
     is_known = is_plausible and known ~= nil,
-    next_known = 0, -- index in `known`: the first one behind it
     has_failed = false, -- whether its CRC is bad; false while it is open
-    same_end = nil, -- another open candidate that ends where this one does
   }
 end
 
@@ -170,11 +166,13 @@ function Framer:accept(candidate)
   self:settle(candidate.from, "good")
   self:give(candidate.to, "good")
   if self.last > 0 then self:forget() end
-  self.found, self.searched = nil, candidate.to
+  self.searched = candidate.to
   return true
 end
 
--- Keeps a candidate that failed or is open.
+-- Keeps a candidate that failed or is open.  It gets
+--   next_known  index in `known`: the first one behind it
+--   same_end    another open candidate that ends where this one does, or nil
 function Framer:keep(candidate)
   self.last = self.last + 1
   self.candidates[self.last] = candidate
@@ -209,29 +207,27 @@ end
 -- Judges the candidates that begin in bytes that have not been searched.
 -- is_end  whether no more bytes come
 function Framer:search(is_end)
-  local candidate = self.found or self:find()
+  local candidate = self:find()
   while candidate do
     local is_open = candidate.to > self.to
-    if is_open and not is_end and candidate.to - candidate.from <= self.patience then
-      self.found = candidate
-      return
-    end
+    -- The search waits here.
+    if is_open and not is_end and candidate.to - candidate.from <= self.patience then return end
     if is_open or not self:accept(candidate) then
       self:keep(candidate)
-      self.found, self.searched = nil, candidate.from + #frame.SYNC
+      self.searched = candidate.from + #frame.SYNC
     end
     candidate = self:find()
   end
 end
 
--- Returns the first open candidate, by start, or nil.
+-- Returns the first open candidate that is kept, by start, or nil.
 function Framer:first_waiting()
   local candidate = self.candidates[self.first_open]
   while candidate and candidate.has_failed do
     self.first_open = self.first_open + 1
     candidate = self.candidates[self.first_open]
   end
-  return candidate or self.found
+  return candidate
 end
 
 --- Take the next bytes of the stream.
@@ -269,22 +265,12 @@ function Framer:add(bytes, is_end, events)
   return self.events
 end
 
---- Return the number of bytes that have come.
-function Framer:length()
-  return self.to
-end
-
---- Return the offset of the first byte that is in no event yet.
-function Framer:offset()
-  return self.from
-end
-
 --- Return the earliest frame that is not final yet: a capture that ends here ends before the frame.
 -- returns  its header, and the number of bytes to come, nil if all came; nil if there is no such
 --          frame, only a part of its header, or more likely noise
 function Framer:open_frame()
   for i = self.first, self.last + 1 do
-    local candidate = self.candidates[i] or self.found
+    local candidate = self.candidates[i] or self:find()
     if candidate and candidate.is_plausible and candidate.from >= self.from then
       local at, missing = candidate.from - self.text_from, candidate.to - self.to
       return sub(self.text, at + 1, at + HEADER), missing > 0 and missing or nil

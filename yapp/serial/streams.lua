@@ -9,6 +9,8 @@
 -- TCP segments bring their sequence numbers.  Bytes that came before are left out.  A segment
 -- behind a gap waits for the missing one, until it is clear that the capture does not have it.
 
+local memo = require("yapp.base.memo")
+
 local M = {}
 
 -- How long segments wait for a missing one: seconds, and bytes of the stream behind it.  A sender
@@ -23,21 +25,21 @@ local PLAIN = { events = {}, pending = 0 }
 local Streams = {}
 Streams.__index = Streams
 
+-- Besides the fields below, a stream has
+--   latest    the latest packet; events = those that it makes final
+-- and of TCP, nil until they are known
+--   next_seq  sequence number of the next byte
+--   acked     what the other side has acknowledged
+--   sent_seq  all bytes before it were sent, as the header of the segment sent_by shows
+--   gap       the gap before the held segments, see Streams:drops
 local function new_stream(framer)
   return {
     framer = framer,
     pieces = {},      -- contents with bytes that are in no event yet: pieces[first] to pieces[last]
     first = 1,
     last = 0,
-    latest = nil,     -- the latest packet
-    -- Of TCP:
-    next_seq = nil,   -- sequence number of the next byte
-    acked = nil,      -- what the other side has acknowledged
-    sent_seq = nil,   -- all bytes before it were sent
-    sent_by = nil,    -- as the header of this segment shows
-    is_ended = false, -- whether a new connection has begun
+    is_ended = false, -- whether a new TCP connection has begun
     held = {},        -- contents of the segments behind a gap, by sequence number
-    gap = nil,        -- the gap before them, see Streams:drops
   }
 end
 
@@ -45,9 +47,8 @@ end
 -- new_framer  function() -> a serial.framer
 function M.new(new_framer)
   return setmetatable({
-    new_framer = new_framer,
     datagrams = new_stream(new_framer()), -- each is complete in itself, so all share one stream
-    by_key = {},
+    by_key = memo(function() return new_stream(new_framer()) end),
     contents = {}, -- by frame key
     seqs = {},     -- by key, of TCP: the sequence number that follows others' bytes
     gaps = {},     -- those that were not filled, see Streams:drops
@@ -58,13 +59,13 @@ end
 
 -- Adds the bytes of a packet to its stream.
 -- known  how many of them the stream has already
-local function add_bytes(stream, contents, known, events)
-  local framer, packet = stream.framer, contents.packet
-  contents.packet, contents.known, contents.from = nil, known, framer:length()
+local function add_bytes(stream, contents, known)
+  local framer, packet, events = stream.framer, contents.packet, stream.events
+  contents.packet, contents.known, contents.from = nil, known, framer.to
   framer:add(packet.bytes:sub(known + 1), packet.is_datagram or packet.truncated, events)
-  contents.to = framer:length()
+  contents.to = framer.to
   local last = events[#events]
-  if packet.truncated and last and last.to == contents.to then last.truncated = true end
+  if packet.truncated and last and last.missing then last.status = "truncated" end
   stream.last = stream.last + 1
   stream.pieces[stream.last] = contents
 end
@@ -73,7 +74,7 @@ end
 -- contents  of the packet that shows it
 local function locate(stream, event, contents)
   local from = contents.from
-  if from and event.from >= from and event.to <= contents.to then
+  if event.from >= from and event.to <= contents.to then
     event.at, event.bytes = contents.known + event.from - from, nil
     return
   end
@@ -117,51 +118,41 @@ local function is_lost(stream, packet)
     packet.epoch - stream.gap.time > MAX_WAIT
 end
 
--- Returns the gap that a packet shows, see Streams:drops.
-local function new_gap(packet, bus_name)
-  return { time = packet.epoch, frame = packet.number, bus = bus_name, count = 1 }
-end
-
--- Goes on behind a gap if its segment is lost.
--- packet   the current one
--- returns  whether it is
-local function end_gap(self, stream, packet, is_over, events)
-  local gap = stream.gap or new_gap(packet, packet.bus_name)
-  stream.gap = gap
-  if not is_over and not is_lost(stream, packet) then return false end
-  stream.framer:add("", true, events)
-  stream.gap = nil
-  table.insert(self.gaps, gap)
-  return true
-end
-
--- Adds the waiting segments that are in order.
--- packet   the current one
--- is_over  whether no missing segment will come
-local function add_held(self, stream, packet, is_over, events)
-  while stream.held[1] do
-    local contents = stream.held[1]
-    local seq, length = contents.packet.seq, contents.packet.length
-    local known = distance(stream.next_seq, seq)
-    if known < 0 then
-      if not end_gap(self, stream, packet, is_over, events) then return end
-      known = 0
-    end
-    table.remove(stream.held, 1)
-    if known < length then
-      add_bytes(stream, contents, known, events)
-      stream.next_seq, stream.gap = (seq + length) % 0x100000000, nil
-    else
-      contents.packet = nil
-    end
-  end
+-- Returns the gap that a segment shows, see Streams:drops.
+local function new_gap(stream, segment)
+  local bus = stream.latest.bus_name
+  return { time = segment.epoch, frame = segment.number, bus = bus, count = 1 }
 end
 
 -- Returns the gap at the end of a connection, nil for none.
 local function last_gap(stream)
   local sent_seq = stream.sent_seq
   if sent_seq and distance(sent_seq, stream.next_seq) > 0 then
-    return new_gap(stream.sent_by, stream.latest.bus_name)
+    return new_gap(stream, stream.sent_by)
+  end
+end
+
+-- Adds the waiting segments that are in order; goes on behind a gap if its segment is lost.
+-- is_over  whether no missing segment will come
+local function add_held(self, stream, is_over)
+  local held, latest = stream.held, stream.latest
+  while held[1] do
+    local segment = held[1].packet
+    local known = distance(stream.next_seq, segment.seq)
+    if known < 0 then
+      stream.gap = stream.gap or new_gap(stream, latest)
+      if not is_over and not is_lost(stream, latest) then return end
+      stream.framer:add("", true, stream.events)
+      table.insert(self.gaps, stream.gap)
+      known, stream.gap = 0, nil
+    end
+    local contents = table.remove(held, 1)
+    if known < segment.length then
+      add_bytes(stream, contents, known)
+      stream.next_seq, stream.gap = (segment.seq + segment.length) % 0x100000000, nil
+    else
+      contents.packet = nil
+    end
   end
 end
 
@@ -175,18 +166,18 @@ local function note_sent(stream, seq, segment)
 end
 
 -- Takes a segment, and those that waited for it.
-local function take_segment(self, stream, contents, events)
+local function take_segment(self, stream, contents)
   local packet = contents.packet
   local next_seq = stream.next_seq or self.seqs[packet.stream] or packet.seq
   if stream.is_ended or math.abs(distance(packet.seq, next_seq)) > MAX_DISTANCE then
-    add_held(self, stream, packet, true, events)
-    stream.framer:add("", true, events)
+    add_held(self, stream, true)
+    stream.framer:add("", true, stream.events)
     self.gaps[#self.gaps + 1] = last_gap(stream)
     next_seq, stream.is_ended, stream.sent_seq = packet.seq, false, nil
   end
   stream.next_seq = next_seq
   hold(stream, contents)
-  add_held(self, stream, packet, false, events)
+  add_held(self, stream, false)
 end
 
 --- Note what the header of a TCP segment says.
@@ -196,7 +187,8 @@ end
 -- returns   whether the segment can be put in order: its stream and its next sequence number are
 --           known
 function Streams:note_header(key, opposite, segment)
-  local stream, other, ack = self.by_key[key], self.by_key[opposite], segment.ack
+  local stream, other = rawget(self.by_key, key), rawget(self.by_key, opposite)
+  local ack = segment.ack
   if other and ack then
     if distance(ack, other.acked or ack - 1) > 0 then other.acked = ack end
     note_sent(other, ack - 1, segment) -- the end of a connection is acknowledged as one more byte
@@ -217,46 +209,12 @@ end
 
 -- Whether a packet holds good frames and nothing else.
 local function is_plain(events, bytes)
+  local length = 0
   for _, event in ipairs(events) do
     if event.status ~= "good" or not event.at then return false end
+    length = length + event.to - event.from
   end
-  local first, last = events[1], events[#events]
-  return first and first.at == 0 and last.at + last.to - last.from == #bytes
-end
-
--- Takes a packet into a stream; returns its contents.
-local function take(self, stream, packet)
-  local events, framer = {}, stream.framer
-  local contents = {
-    key = packet.key,
-    events = events,
-    pending = 0,
-    missing = nil,
-    leads_to = nil,
-    stream = stream,
-    is_held = false, -- whether it was behind a gap when it came
-    packet = packet, -- until its bytes are added
-    known = 0,       -- number of bytes that had come before
-    from = nil,      -- offset in the stream of the others, once they are added
-    to = nil,
-  }
-  if packet.seq then
-    take_segment(self, stream, contents, events)
-  else
-    add_bytes(stream, contents, 0, events)
-  end
-  for _, event in ipairs(events) do
-    drop_pieces(stream, event.from)
-    locate(stream, event, contents)
-  end
-  drop_pieces(stream, framer:offset())
-  if contents.packet then
-    contents.is_held, contents.pending = true, #packet.bytes
-  elseif (contents.to or 0) > framer:offset() then
-    contents.pending = contents.to - math.max(contents.from, framer:offset())
-    contents.missing = select(2, framer:open_frame())
-  end
-  return contents
+  return length == #bytes
 end
 
 --- Take the next packet of the capture.
@@ -272,23 +230,45 @@ end
 --   length       number of bytes that it had }
 -- is_stored  whether Streams:find may ask for it
 -- returns  {
---   events    as from serial.framer, and truncated = whether the capture has only a part of the
---             frame; at = offset in the packet.  If not all its bytes are in this packet: bytes =
---             string, and parts = keys of the packets they came in (none of skipped bytes)
+--   events    as from serial.framer, or with the status "truncated": the capture has only a part of
+--             the frame; and at = offset in the packet.  If not all its bytes are in this packet:
+--             bytes = string, and parts = keys of the packets they came in (none of skipped bytes)
 --   pending   number of bytes at the end that are in no event yet
 --   is_held   whether it is a segment that waits for a missing one: then all are pending
 --   missing   number of bytes to come of the frame that the pending ones begin, or nil
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
 function Streams:take(packet, is_stored)
-  local stream = self.datagrams
-  if not packet.is_datagram then
-    stream = self.by_key[packet.stream] or new_stream(self.new_framer())
-    self.by_key[packet.stream] = stream
+  local stream = packet.is_datagram and self.datagrams or self.by_key[packet.stream]
+  local events, framer = {}, stream.framer
+  local contents = {
+    key = packet.key,
+    events = events,
+    pending = 0,
+    is_held = false,
+    packet = packet, -- until its bytes are added
+    known = 0,       -- number of bytes that had come before
+    from = 0,        -- offset in the stream of the others, once they are added
+    to = 0,
+  }
+  stream.latest, stream.events = packet, events
+  if packet.seq then
+    take_segment(self, stream, contents)
+  else
+    add_bytes(stream, contents, 0)
   end
-  local contents = take(self, stream, packet)
-  stream.latest = packet
+  for _, event in ipairs(events) do
+    drop_pieces(stream, event.from)
+    locate(stream, event, contents)
+  end
+  drop_pieces(stream, framer.from)
+  if contents.packet then
+    contents.is_held, contents.pending = true, #packet.bytes
+  elseif contents.to > framer.from then
+    contents.pending = contents.to - math.max(contents.from, framer.from)
+    contents.missing = select(2, framer:open_frame())
+  end
   if is_stored then
-    self.contents[packet.key] = is_plain(contents.events, packet.bytes) and PLAIN or contents
+    self.contents[packet.key] = is_plain(events, packet.bytes) and PLAIN or contents
   end
   return contents
 end
@@ -296,7 +276,7 @@ end
 --- Return the events of a packet that is complete in itself.
 -- bytes  string
 function Streams:read(bytes)
-  return take(self, self.datagrams, { bytes = bytes, is_datagram = true }).events
+  return self:take({ bytes = bytes, is_datagram = true }, false).events
 end
 
 --- Return the contents of a packet that was taken before, nil if it was not.
@@ -307,10 +287,10 @@ function Streams:find(packet)
 end
 
 --- Whether the capture ends before the frame that a packet's pending bytes begin.
-function M.is_unfinished(contents, packet)
-  local stream = contents.stream
-  return contents.pending > 0 and not contents.leads_to and stream.latest.key == packet.key and
-    stream.framer:open_frame() ~= nil
+function Streams:is_unfinished(contents, packet)
+  if contents.pending == 0 or contents.leads_to then return false end
+  local stream = self.by_key[packet.stream]
+  return stream.latest.key == packet.key and stream.framer:open_frame() ~= nil
 end
 
 --- Return the frames that the capture ends before.

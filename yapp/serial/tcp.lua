@@ -19,8 +19,8 @@ local SYN, RST, ACK = 2, 4, 16 -- flags
 local MAX_THROWN = 24
 
 local protocols, tcp = DissectorTable.get("ip.proto"), Dissector.get("tcp")
-local is_watching, thrown, inside = false, 0, nil -- inside: number of the packet that TCP has
-local segment -- that TCP is dissecting, nil for none
+local is_watching, thrown = false, 0
+local segment, inside -- that TCP is dissecting, nil for none; number of the packet that TCP has
 
 -- Reads a header; nil if it is not there or if an ICMP error only quotes it.
 local function read(tvb, pinfo)
@@ -37,7 +37,6 @@ local function read(tvb, pinfo)
     number = pinfo.number,
     epoch = pinfo.abs_ts,
     is_ours = false,
-    line = nil,
   }
 end
 
@@ -77,8 +76,7 @@ end
 --   ack      sequence number that it acknowledges, or nil
 --   is_syn   whether it begins a connection
 --   number, epoch  of its packet: epoch = seconds since 1970
---   is_ours  to be set if TCP hands it to YAPP
---   line     for the caller's use }
+--   is_ours  to be set if TCP hands it to YAPP }
 function M.current(number)
   return inside == number and segment or nil -- else a dissector threw past Lua
 end

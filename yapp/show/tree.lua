@@ -5,6 +5,7 @@
 local show_fields = require("yapp.show.fields")
 local text_of = require("yapp.message.text")
 local messages_of = require("yapp.show.taurus")
+local number_of = require("yapp.base.frame_key").number
 
 local M = {}
 
@@ -168,15 +169,16 @@ end
 
 --- Add the frames that a message was put together from.
 -- whole    TvbRange
--- numbers  of its frames
--- count    of its frames, with those that a read filter dropped
+-- keys     of its frames; one that a read filter dropped has a fraction, and gets no link
 -- length   in bytes
 -- payload  TvbRange of the message's payload, nil where it has none
-function Tree:add_fragments(item, whole, numbers, count, length, payload)
+function Tree:add_fragments(item, whole, keys, length, payload)
   local list = self:generated(item, "fragments", whole)
-  list:set_text(("%d fragments (%d bytes)"):format(count, length))
-  for _, number in ipairs(numbers) do add_generated(list, self.fields.fragment, number) end
-  self:generated(list, "fragment.count", count)
+  list:set_text(("%d fragments (%d bytes)"):format(#keys, length))
+  for _, key in ipairs(keys) do
+    if key % 1 == 0 then add_generated(list, self.fields.fragment, number_of(key)) end
+  end
+  self:generated(list, "fragment.count", #keys)
   self:generated(list, "reassembled.length", length)
   self:generated(list, "reassembled.data", payload)
 end

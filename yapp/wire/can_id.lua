@@ -15,14 +15,10 @@ M.BUS = 0x20000000
 M.START, M.END = 1, 3
 M.CTRL_NAMES = { [0] = "Single", "Start", "Middle", "End" }
 
--- A CAN FD frame above 8 bytes has one of these lengths.  FD_LENGTH[n] is the shortest that holds n
--- bytes.
-local FD_LENGTH = {}
-do
-  local n = 0
-  for _, length in ipairs { 8, 12, 16, 20, 24, 32, 48, 64 } do
-    while n <= length do FD_LENGTH[n], n = length, n + 1 end
-  end
+-- The lengths of CAN FD frames above 8 bytes: SHORTER[12] = 8 is the next shorter one.
+local SHORTER, shorter = {}, 8
+for _, length in ipairs { 12, 16, 20, 24, 32, 48, 64 } do
+  SHORTER[length], shorter = shorter, length
 end
 
 local function split(fields_of, id)
@@ -56,8 +52,8 @@ end
 -- returns 0 if it fits exactly, the number of zero bytes if it is padded as CAN FD is, else nil
 function M.padding(data, reported, needed)
   if reported == needed then return 0 end
-  if reported > 8 and needed > 0 and needed < reported and FD_LENGTH[needed] == reported and
-    not data:find("[^%z]", needed + 1) then
+  local least = SHORTER[reported]
+  if least and needed > least and needed < reported and not data:find("[^%z]", needed + 1) then
     return reported - needed
   end
 end
@@ -72,16 +68,17 @@ function M.single_size(data, reported, least, most)
   return M.padding(data, reported, most) and most
 end
 
+local function two_bytes(number)
+  return char(number % 0x100, floor(number / 0x100))
+end
+
 --- The 12 bytes that the CRC covers before the payload ("Computing the UART and Ethernet Frame IDs
 -- from the CAN ID").
 -- fields    { id, seq, ctl }
 -- size      of the payload; reserved: number, 0 when left out
 function M.header(fields, size, reserved)
-  local id = fields.id
-  reserved = reserved or 0
-  local id_low, size_low, reserved_low = id % 0x100, size % 0x100, reserved % 0x100
-  return char(0x59, 0x50, fields.seq, fields.ctl, id_low, (id - id_low) / 0x100, 0, 0,
-    size_low, (size - size_low) / 0x100, reserved_low, (reserved - reserved_low) / 0x100)
+  return "YP" .. char(fields.seq, fields.ctl) .. two_bytes(fields.id) .. "\0\0" ..
+    two_bytes(size) .. two_bytes(reserved or 0)
 end
 
 --- Return the CRC register behind that header.  The fields cache it, as seed and seed_size, for the
@@ -91,6 +88,12 @@ function M.seed(fields, size, reserved)
   local seed = crc.of(M.header(fields, size, reserved))
   if not reserved then fields.seed, fields.seed_size = seed, size end
   return seed
+end
+
+--- Return the CRC of a message.
+-- fields, reserved  as for M.header
+function M.crc(fields, payload, reserved)
+  return crc.update(M.seed(fields, #payload, reserved), payload, 1, #payload)
 end
 
 --- What a Start says ("Multi-Frame Start").

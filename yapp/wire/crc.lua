@@ -84,23 +84,17 @@ local function with_library(library)
   end
 end
 
-local run
-if bits.library then
-  run = with_library(bits.library)
-else
-  run = load(NATIVE, "=wire.crc native")(TABLE, byte)
-end
-
 --- Return the CRC register behind data[from .. to].
 -- register  before these bytes, 0 .. 0xFFFFFFFF; M.INITIAL to begin with
 -- data      string
 -- from, to  1-based, inclusive; the whole string when left out
 -- returns   the new register, 0 .. 0xFFFFFFFF.  Document: "CRC Calculation".
-M.update = run
+M.update = bits.library and with_library(bits.library)
+  or load(NATIVE, "=wire.crc native")(TABLE, byte)
 
 --- The CRC of a string, from the initial value.
 function M.of(data)
-  return run(M.INITIAL, data, 1, #data)
+  return M.update(M.INITIAL, data)
 end
 
 return M

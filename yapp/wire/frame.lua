@@ -17,8 +17,6 @@ M.LARGEST = M.HEADER + 65535 + M.CRC_SIZE
 --- The highest id that a message of the document has.
 M.MAX_ID = 2047
 
-local HIGHEST_ID_BYTE = 7 -- of the second byte of such an id
-
 --- The fields of a header.
 -- bytes    string; at: 1-based index of its "YP", which is not checked
 -- returns  id, size, reserved, seq, ctl: as they stand there, plausible or not; nil where fewer
@@ -37,20 +35,11 @@ function M.crc(bytes, to)
   return a + b * 0x100 + c * 0x10000 + d * 0x1000000
 end
 
---- Return whether a frame may begin at a "YP".  It is called for each "YP" in a stream, most of
--- them in noise, so it stops early.
--- bytes    string; at: 1-based, where its "YP" is
--- accepts  function(id, size) -> boolean
--- returns  the payload size if the header is plausible; nil if the bytes that are there rule it
---          out; false if the end of the header is still to come
-function M.judge(bytes, at, accepts)
-  if (byte(bytes, at + 5) or 0) > HIGHEST_ID_BYTE then return nil end
-  local id0, id1, id2, id3, size0, size1, reserved0, reserved1 = byte(bytes, at + 4, at + 11)
-  if (id2 or 0) + (id3 or 0) + (reserved0 or 0) + (reserved1 or 0) > 0 then return nil end
-  if not size1 then return false end
-  local size = size0 + size1 * 0x100
-  if not accepts(id0 + id1 * 0x100, size) then return nil end
-  return reserved1 and size or false
+--- Return whether the header at a "YP" is as the document has it; false where it is not complete.
+-- bytes, at  as for M.parse
+function M.is_plausible(bytes, at)
+  local id, _, reserved = M.parse(bytes, at)
+  return id ~= nil and id <= M.MAX_ID and reserved == 0
 end
 
 --- Return the index of the next "YP" from a 1-based index on; nil without one.
