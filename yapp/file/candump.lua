@@ -223,7 +223,7 @@ end
 --          that gets right; by_value = whether that reader goes by the value of an id, as 4.6 does;
 --          report = function(text), called with what is to be said of a line }
 -- returns  a log with read and seek_read, and { decimals = 6 or 9, of the times; has_several =
---          whether its first lines have several buses; drops = as readers.drops returns them }.
+--          whether its first lines have several buses; drops = as readers.log returns them }.
 --          Otherwise nil, and the name of the bus if Wireshark's own reader gets the log right
 function M.open(file, options)
   local head = file:read(HEAD) or ""
