@@ -7,8 +7,8 @@
 -- the tree that has these.
 
 local capture = require "yapp.host.capture"
-local fields_of = require "yapp.host.fields".of
 local readers = require "yapp.file.readers"
+local socketcan = require "yapp.host.socketcan"
 
 local M = {}
 
@@ -115,7 +115,7 @@ end
 
 -- The bus by the fields of the current packet; nil where they do not tell it.
 local function bus_by_fields(found)
-  local fields = fields_of(NAMES)
+  local fields = socketcan.fields_of(NAMES)
   local interface, index = fields["frame.interface_id"], fields["sll.ifindex"]
   local event, name = fields["rtacser.eventtype"], fields["frame.interface_name"]
   if not (interface or index or event) then return nil end
