@@ -199,9 +199,10 @@ end
 local is_searching = false
 
 local function search_streams()
-  local head = buses:head()
+  local found = buses.found
+  local head = found.head
   if head and streams:is_yapp(head, #head) then streams:watch_tcp() end
-  if is_searching or not (yapp.prefs.search_all or buses:may_have_frames()) then return end
+  if is_searching or not (yapp.prefs.search_all or found.may_have_frames) then return end
   is_searching = true
   serial:register_heuristic("tcp", found_by_content)
   serial:register_heuristic("udp", found_by_content)
@@ -232,13 +233,15 @@ local stat = stat_taps.new {
 -- Preferences and files ---------------------------------------------------------------------------
 
 -- List what makes the answer of a statistic incomplete: a catalogue or preferences with mistakes,
--- and a file with messages that was not read.
+-- and a file with messages that was not read, which is said once.
 -- wrong  list of texts: what is wrong with preferences
 local function list_problems(wrong)
   local problems, file = {}, yapp.prefs.messages
   if not is_whole then problems[1] = "the catalogue did not load whole" end
   if file ~= "" and file ~= chosen_file and file ~= os.getenv("YAPP_MESSAGES") then
     problems[#problems + 1] = file .. ", the file with your own messages, was not read"
+    preferences.complain_once { file .. " is read at the next start, if the default profile " ..
+      "names it; for one run set the environment variable YAPP_MESSAGES to it" }
   end
   for _, text in ipairs(wrong) do problems[#problems + 1] = "preferences: " .. text end
   return problems
@@ -256,7 +259,6 @@ local function read_preferences()
   local link_types = preferences.take_link_types(prefs.user_dlt, serial)
   local wrong = joined(clashes, unread, no_number, link_types)
   preferences.complain_once(wrong)
-  preferences.check_messages_file(prefs.messages, chosen_file)
   reader:use(by_id, sources, prefs.hide_source)
   for id in pairs(by_id) do register_id(id) end
   for _, row in ipairs(sources:list()) do

@@ -256,10 +256,10 @@ SHOW_WHAT_IS_LACKING = """
 local tap = Listener.new("frame")
 function tap.packet() end
 function tap.draw()
-  for _, drop in ipairs(reader.drops()) do
+  for _, drop in ipairs(reader.log().drops or {}) do
     io.stderr:write(("drop %d %s %d %.3f\\n"):format(drop.count, drop.bus, drop.frame or 0, drop.time or 0))
   end
-  io.stderr:write("lacks times: ", tostring(reader.lacks_times()), "\\n")
+  io.stderr:write("lacks times: ", tostring(reader.log().lacks_times or false), "\\n")
 end
 """
 

@@ -5,7 +5,6 @@ local lu = require("luaunit")
 local candump = require("yapp.file.candump")
 local cpu = require("cpu")
 local levels = require("levels")
-local line = require("yapp.file.candump_line")
 local packet = require("yapp.file.text").packet
 local text_of = require("candump_text")
 
@@ -211,7 +210,7 @@ function T.test_usual_lines_between_others()
     "(%d.000001) can0 123#1", "(%d.000001000) can1 123#", "(%d.000001) can2 08404000#", "(%d.000001) can2 1#" }
   for i = 1, 300 do
     lines[i] = forms[i * 7919 % #forms + 1]:format(1700000000 + i)
-    local record = line.parse(lines[i])
+    local record = candump.parse(lines[i])
     if record then expected[#expected + 1] = packet(tonumber(record.bus:sub(-1)), record) end
   end
   local text = table.concat(lines, "\n")
@@ -229,7 +228,7 @@ function T.test_more_ids_than_are_remembered()
   local frames = frames_of(table.concat(lines, "\n"), true)
   lu.assertEquals(#frames, 10000)
   for i = 1, #frames, 97 do
-    lu.assertEquals(frames[i].bytes, packet(0, line.parse(lines[i])), "frame " .. i)
+    lu.assertEquals(frames[i].bytes, packet(0, candump.parse(lines[i])), "frame " .. i)
   end
 end
 

@@ -2,7 +2,7 @@
 -- A line of candump text: every form, what is no frame, the packet made of it.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
-local candump = require("yapp.file.candump_line")
+local candump = require("yapp.file.candump")
 local cpu = require("cpu")
 local levels = require("levels")
 local text = require("yapp.file.text")

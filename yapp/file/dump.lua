@@ -14,17 +14,16 @@ local DISSECTOR, UDP = "\0\12\0\12", "\0\24\0\4\0\0\0\3\0\0\0\0" -- tags, each w
 local FRAME = DISSECTOR .. "yapp_serial\0" .. UDP
 local SKIPPED = DISSECTOR .. "yapp_skipped" .. UDP
 
-local UNKNOWN = {} -- a time
+local UNKNOWN = {} -- a time: { seconds, nanoseconds }
 
 local Dump = {}
 Dump.__index = Dump
 
--- Reads more bytes, and appends their events to those that are no records yet.
+-- Reads more bytes, and appends their events.
 function Dump:fill(file)
-  local bytes, rest = self.head or file:read(CHUNK) or "", {}
-  for i = self.next, #self.events do rest[#rest + 1] = self.events[i] end
+  local bytes = self.head or file:read(CHUNK) or ""
   self.head, self.is_over = nil, bytes == ""
-  self.events, self.next = self.framer:add(bytes, self.is_over, rest), 1
+  self.framer:add(bytes, self.is_over, self.events)
 end
 
 -- Returns the controller's own time of a frame, nil for none.
@@ -45,14 +44,14 @@ function M.open(file, options, head)
   local self = setmetatable({
     framer = options.new_framer(),
     time_of = options.time_of,
-    head = head ~= "" and head or nil,
+    head = head,
     decimals = 9,
     lacks_clock = true, -- its times are those of controllers
-    events = {}, -- from the index `next` on they are no records yet
-    next = 1,
+    events = {}, -- of the file; false once it is a record
+    next = 1, -- index of the first one that is no record yet
     is_over = false,
     time = nil,   -- of the latest record; before that, the first time stamp of the file
-    records = {}, -- [offset] = { length, time, is_skipped }
+    records = {}, -- [offset] = { length = bytes, tags = FRAME or SKIPPED, time }
   }, Dump)
   local has_frame, index = false, 1
   while not (self.is_over or has_frame and (self.time or self.framer.from >= MAX_AHEAD)) do
@@ -82,14 +81,13 @@ function Dump:next_event(file)
     event.from, event.bytes = from + MAX_SKIPPED, bytes:sub(MAX_SKIPPED + 1)
     return { status = "skipped", from = from, bytes = bytes:sub(1, MAX_SKIPPED) }
   end
-  self.next = self.next + 1
+  if event then self.events[self.next], self.next = false, self.next + 1 end
   return event
 end
 
 -- Returns a record as Wireshark takes it.
 local function packet(record, offset, bytes)
-  local time = record.time
-  return offset, (record.is_skipped and SKIPPED or FRAME) .. bytes, time[1], time[2]
+  return offset, record.tags .. bytes, record.time[1], record.time[2]
 end
 
 --- Read the next record: a frame, or bytes of no frame.
@@ -104,7 +102,7 @@ function Dump:read(file)
   local record = {
     length = #event.bytes,
     time = self.time or UNKNOWN,
-    is_skipped = event.status == "skipped",
+    tags = event.status == "skipped" and SKIPPED or FRAME,
   }
   self.records[event.from] = record
   return packet(record, event.from, event.bytes)
@@ -115,7 +113,7 @@ end
 -- returns  as Dump:read
 function Dump:seek_read(file, offset)
   local record = self.records[offset]
-  if not record or not file:seek("set", offset) then return nil end
+  file:seek("set", offset)
   local bytes = file:read(record.length)
   if not bytes then return nil end
   return packet(record, offset, bytes)

@@ -10,16 +10,14 @@ local NSTime = NSTime
 
 local M = {}
 
-local NO_BUS, NO_LOG = {}, {}
+local NO_BUS = {}
 local bus -- of the record read last
-local latest -- the log of the record read last
-local several -- whether the log opened last has several buses
-local plain -- the bus of the log opened last, if Wireshark's own reader took it
+local latest -- the log opened or read last, or { plain_bus = of a log left to Wireshark's reader }
 
 --- Forget all files.  Call it before any reader sees a file: sharkd opens another file without
 -- closing the first.
 function M.forget()
-  bus, latest, several, plain = NO_BUS, NO_LOG, false, nil
+  bus, latest = NO_BUS, {}
 end
 M.forget()
 
@@ -31,33 +29,16 @@ function M.current()
   return bus.number, bus.name
 end
 
---- Return the name of the only bus of the log that was opened last, nil for other files.  This is
--- for logs that Wireshark's own reader took: on 4.0 and 4.4 it forgets the name.
-function M.plain_bus()
-  return plain
-end
-
---- Return whether the log that was opened last has several buses, by its first lines.
-function M.are_several()
-  return several
-end
-
---- Return the packets that were lost while capturing, as the file that was read last tells.  The
--- list is complete when the file has been read.
--- returns  list of { count = packets, bus = name or nil, frame = number of the packet behind the
---          loss or nil, time = that packet's seconds since 1970 or nil }
-function M.drops()
-  return latest.drops or {}
-end
-
---- Return whether packets of the file read last have no time stamps.
-function M.lacks_times()
-  return latest.lacks_times or false
-end
-
---- Return whether times in the file read last are the controllers' own: those of a raw dump are.
-function M.lacks_clock()
-  return latest.lacks_clock or false
+--- Return what the log that was opened or read last says of the capture, each nil for other files.
+-- returns  { has_several = whether it has several buses, by its first lines; drops = list of
+--          { count = packets that were lost while capturing, bus = name or nil, frame = number of
+--          the packet behind the loss or nil, time = that packet's seconds since 1970 or nil },
+--          complete when the file has been read; lacks_times = whether packets have no time stamps;
+--          lacks_clock = whether times are the controllers' own, as those of a raw dump;
+--          plain_bus = name of the only bus of a log that Wireshark's own reader took, which
+--          forgets it on 4.0 and 4.4 }
+function M.log()
+  return latest
 end
 
 -- Fill a record with what a log's read or seek_read returned.
@@ -83,7 +64,8 @@ end
 -- title, name  of the reader
 -- kind         "rs" is asked before Wireshark's own readers of text, "r" after them
 -- encap        link type of its packets
--- open         function(file), which returns a log or nil
+-- open         function(file), which returns a log; or nil, and the bus of a log that is left to
+--              Wireshark's own reader
 -- extension    of the files that Wireshark offers to it first, or nil
 local function register(title, name, kind, encap, open, extension)
   local handler = FileHandler.new(title, name, title, kind)
@@ -91,9 +73,9 @@ local function register(title, name, kind, encap, open, extension)
 
   function handler.read_open(file, capture)
     bus = NO_BUS
-    local log = open(file)
+    local log, plain_bus = open(file)
+    latest = log or plain_bus and { plain_bus = plain_bus } or latest
     if not log then return false end
-    several = log.has_several or false
     capture.encap = encap
     capture.time_precision = log.decimals == 9 and wtap_tsprecs.NSEC or wtap_tsprecs.USEC
     capture.private_table = log
@@ -130,9 +112,7 @@ local function register_candump(title, name, kind, takes_all)
     by_value = not get_version():find("^4%.[0-4]%."),
   }
   register(title, name, kind, wtap_encaps.SLL2, function(file)
-    local log
-    log, plain = candump.open(file, options)
-    return log
+    return candump.open(file, options)
   end)
 end
 

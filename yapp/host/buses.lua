@@ -7,8 +7,8 @@
 -- the tree that has these.
 
 local capture = require "yapp.host.capture"
-local fields_of = require "yapp.host.fields".of
 local readers = require "yapp.file.readers"
+local socketcan = require "yapp.host.socketcan"
 
 local M = {}
 
@@ -77,7 +77,7 @@ end
 function Buses:init()
   local found = self.seen
   self.found, self.is_shifted = found, false
-  self.plain_bus = readers.plain_bus()
+  self.plain_bus = readers.log().plain_bus
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
   -- A short file may be of a live capture that already had packets when it was opened.
   local may_go_on = self.is_short and found.has_several or found.is_live
@@ -93,39 +93,29 @@ end
 
 --- Return whether the capture is known to have several buses.
 function Buses:are_several()
-  return self.found.has_several or readers.are_several()
-end
-
---- Whether the file may have YAPP frames in TCP or UDP, by its first bytes.
-function Buses:may_have_frames()
-  return self.found.may_have_frames
-end
-
---- Return the first bytes of the file if they may have YAPP frames and it has packets, else nil.
-function Buses:head()
-  return self.found.head
+  return self.found.has_several or readers.log().has_several
 end
 
 --- Return what the capture says of packets that were dropped: a list of { time = seconds since 1970
 -- or nil, frame = number of the packet behind the loss or nil, bus = name or nil, count }.
 function Buses:drops()
   local drops = self.found.drops
-  return drops[1] and drops or readers.drops()
+  return drops[1] and drops or readers.log().drops or {}
 end
 
 --- Whether packets of the capture have no time stamps.
 function Buses:lacks_times()
-  return self.found.has_no_times or readers.lacks_times()
+  return self.found.has_no_times or readers.log().lacks_times
 end
 
 --- Whether nothing tells when packets were captured: they have no times, or those of controllers.
 function Buses:lacks_clock()
-  return self:lacks_times() or readers.lacks_clock()
+  return self:lacks_times() or readers.log().lacks_clock
 end
 
 -- The bus by the fields of the current packet; nil where they do not tell it.
 local function bus_by_fields(found)
-  local fields = fields_of(NAMES)
+  local fields = socketcan.fields_of(NAMES)
   local interface, index = fields["frame.interface_id"], fields["sll.ifindex"]
   local event, name = fields["rtacser.eventtype"], fields["frame.interface_name"]
   if not (interface or index or event) then return nil end

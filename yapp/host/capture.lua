@@ -184,9 +184,11 @@ end
 -- Add an interface to those of the file.
 -- name  nil for none
 local function new_interface(self, linktype, name)
+  local number = #self.interfaces
   local interface = {
-    number = #self.interfaces, -- in the file
+    number = number, -- in the file
     section = #self.firsts,
+    key = linktype .. (name and "/" .. name or "#" .. number), -- the same in another section
     linktype = linktype,
     name = name and utf8.name(name),
     per_second = 1e6, -- time units
@@ -338,13 +340,14 @@ local function read_pcap(self, window, is_little, fractions)
   end
 end
 
--- By the first four bytes of a file.
-local READERS = {
-  ["\212\195\178\161"] = function(self, window) read_pcap(self, window, true, 1e6) end,
-  ["\161\178\195\212"] = function(self, window) read_pcap(self, window, false, 1e6) end,
-  ["\77\60\178\161"] = function(self, window) read_pcap(self, window, true, 1e9) end,
-  ["\161\178\60\77"] = function(self, window) read_pcap(self, window, false, 1e9) end,
-  ["\10\13\13\10"] = read_pcapng,
+-- By the first four bytes of a file: what reads it; of pcap, whether it is little endian, and the
+-- fractions of a second in its times.
+local FORMATS = {
+  ["\212\195\178\161"] = { read_pcap, true, 1e6 },
+  ["\161\178\195\212"] = { read_pcap, false, 1e6 },
+  ["\77\60\178\161"] = { read_pcap, true, 1e9 },
+  ["\161\178\60\77"] = { read_pcap, false, 1e9 },
+  ["\10\13\13\10"] = { read_pcapng },
 }
 
 -- What is known of a capture ----------------------------------------------------------------------
@@ -386,27 +389,24 @@ end
 -- has two of them, nothing tells which is which.
 local function merge_sections(self)
   local sections, is_unclear, first = {}, {}, {}
-  local function key_of(interface)
-    return interface.linktype .. "/" .. (interface.name or "")
-  end
   for _, interface in ipairs(self.interfaces) do
-    local key, section = key_of(interface), interface.section
-    is_unclear[key] = is_unclear[key] or not interface.name or sections[key] == section
+    local key, section = interface.key, interface.section
+    is_unclear[key] = is_unclear[key] or sections[key] == section
     sections[key] = section
   end
   for _, interface in ipairs(self.interfaces) do
-    local key = key_of(interface)
+    local key = interface.key
     if first[key] and not is_unclear[key] then merge(self, interface, first[key]) end
     first[key] = first[key] or interface
   end
 end
 
 -- Set what is known once all packets have been read.
-local function conclude(self, is_pcapng)
+local function conclude(self)
   merge_sections(self)
   self.has_packets = self.has_packets or self.count > 0
   local may_have_more = self.carriers > 0 or #self.interfaces == 0
-  self.is_live = is_pcapng and not self.has_packets and may_have_more
+  self.is_live = #self.firsts > 0 and not self.has_packets and may_have_more
   local count = 0
   for number = 1, #self.buses do
     if (self.merged[number] or number) == number then
@@ -467,11 +467,12 @@ function M.read(head, more)
   function window.more(skip, count)
     if self.carriers > 0 or has_frame then return more(skip, count) end
   end
-  local reader = READERS[sub(head, 1, 4)]
-  if reader then reader(self, window) end
-  self.is_told = reader ~= nil
-  self.is_unknown = sub(head, 1, 4) == "LOGG"
-  conclude(self, reader == read_pcapng)
+  local magic = sub(head, 1, 4)
+  local format = FORMATS[magic]
+  if format then format[1](self, window, format[2], format[3]) end
+  self.is_told = format ~= nil
+  self.is_unknown = magic == "LOGG"
+  conclude(self)
   self.head = has_frame and self.has_packets and head or nil
   self.may_have_frames = has_frame or not self.has_packets
   return self

@@ -103,16 +103,6 @@ function M.late(text)
   return 2.5, { problem:format(text) }
 end
 
---- Complain if the file with the user's own messages is not the one that Wireshark read at its
--- start.
--- file  of the preference
--- read  path that was read, or nil
-function M.check_messages_file(file, read)
-  if file == "" or file == read then return end
-  M.complain_once { file .. " is read at the next start, if the default profile names it; " ..
-    "for one run set the environment variable YAPP_MESSAGES to it" }
-end
-
 local before_us = {} -- [encapsulation] = its dissector before it was ours, or false
 
 --- Give user link types to the serial dissector.  Give back those that the preference no longer

@@ -1,13 +1,12 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The header of a CAN frame, which SocketCAN does not hand on: the id of a frame that comes by
--- Decode As or a heuristic, and whether it is a remote frame.  Wireshark's API.
+-- What other dissectors know of the current packet: the values of their fields, and the header of a
+-- CAN frame, which SocketCAN does not hand on: the id of a frame that comes by Decode As or a
+-- heuristic, and whether it is a remote frame.  Wireshark's API.
 --
 -- A dissector gets the data alone.  In SocketCAN's table of ids, by which our messages are found,
 -- pinfo.match_uint is the id.  For all other frames a wrapper in front of SocketCAN reads the
 -- header.  That is exact on every pass, but costs a name in frame.protocols and about 1 µs a CAN
 -- frame.  So it begins only when the id of such a frame is needed.
-
-local fields_of = require "yapp.host.fields".of
 
 local M = {}
 
@@ -21,6 +20,23 @@ local header = {}
 
 -- Fields ------------------------------------------------------------------------------------------
 
+-- Read the values of the wanted fields alone: on 4.0 the value of an item without bytes, such as a
+-- packet comment, throws past Lua.
+local function by_name(names, ok, ...)
+  local found = {}
+  for _, info in ipairs(ok and { ... } or {}) do
+    if names[info.name] then found[info.name] = info.value end
+  end
+  return found
+end
+
+--- Return the wanted fields that the tree has so far; none if no tree is built.
+-- names    { [filter name] = true } of the wanted fields
+-- returns  { [filter name] = value }
+function M.fields_of(names)
+  return by_name(names, pcall(all_field_infos))
+end
+
 local NAMES = { ["can.id"] = true, ["can.flags.xtd"] = true, ["can.flags.rtr"] = true }
 
 local function is_true(value) return value == true or value == 1 end
@@ -29,7 +45,7 @@ local function is_true(value) return value == true or value == 1 end
 -- returns  29-bit id; nil for what is no extended data frame; nil and true if nothing says it
 function M.find_id(pinfo)
   if header.number == pinfo.number then return header.can_id end
-  local fields = fields_of(NAMES)
+  local fields = M.fields_of(NAMES)
   local id, extended = fields["can.id"], fields["can.flags.xtd"]
   if id ~= nil and extended ~= nil then return is_true(extended) and id % MASK or nil end
   -- "Ext. ID: 138428416 (0x8404000), Length: 8", as SocketCAN leaves it in the Info column.
@@ -42,7 +58,7 @@ end
 -- remote frames have no data, but captures give them zeros.
 function M.is_remote(pinfo)
   if header.number == pinfo.number then return header.can_id == nil end
-  local rtr = fields_of(NAMES)["can.flags.rtr"]
+  local rtr = M.fields_of(NAMES)["can.flags.rtr"]
   if rtr ~= nil then return is_true(rtr) end
   if tostring(pinfo.cols.protocol) == "CANFD" then return false end
   return tostring(pinfo.cols.info):find("Remote", 1, true) ~= nil
