@@ -307,5 +307,5 @@ def test_names_of_controllers_and_a_plot(make_capture):
     assert figure.layout.yaxis.title.text == "RPM"
     with pytest.raises(yt.MessageError, match="no field 'rpm' in motor; it has"):
         read.plot("motor.rpm")
-    assert "<td>motor</td>" in read._repr_html_()
+    assert "<td>Motor Data</td>" in read._repr_html_()
     assert yt.__version__

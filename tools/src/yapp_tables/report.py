@@ -6,6 +6,7 @@ from __future__ import annotations
 import html
 import json
 import os
+import re
 from collections.abc import Sequence
 from importlib.metadata import version
 from importlib.resources import files
@@ -18,7 +19,8 @@ from plotly.offline import get_plotlyjs
 from .config import StrPath
 from .dataset import plain_name
 from .errors import SetupError
-from .flight import Flight
+from .flight import SOURCES, Flight
+from .html_table import html_table
 from .pictures import MARKS, Pictures, Record, packed
 from .tables import Column
 from .undecoded import source_name
@@ -43,6 +45,8 @@ COUNTED = {
     "skipped": "bytes of no frame",
     "invalid": "undefined value",
 }
+VALUES = {"message": "message", "title": "field", "unit": "unit", "source": "source"}
+VALUES |= {name: name for name in ("min", "mean", "max")}
 ELSEWHERE = ("fault", "unknown")  # these have rows of their own
 # Events of one controller that are no further apart than this, in seconds, are one incident.
 TOGETHER = 2.0
@@ -83,6 +87,8 @@ def write_report(flights: Sequence[Flight], path: Path) -> Record:
     data = json.dumps(found, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
     parts = {"/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8")}
     parts |= {"/*PLOTLY*/": packed(get_plotlyjs().encode()), "/*DATA*/": data}
+    parts |= {"/*VALUES*/": html_table(VALUES, [row for flight in flights for row in _values(flight)])}
+    parts |= {"/*SUMMARY*/": html_table(SOURCES, [row for flight in flights for row in flight.sources()])}
     for name, text in parts.items():
         head, _, tail = page.partition(name)
         page = head + text + tail
@@ -127,19 +133,14 @@ class Report:
             "panels": pictures.panels,
             "small": pictures.small,
             "bars": sorted(pictures.bars, key=lambda bars: ("fault", "event", "enum", "flag").index(bars["kind"])),
-            "summary": [row for flight in self.flights for row in _summary(flight)],
-            "values": pictures.values,
-            "constants": pictures.constants,
             "blob": pictures.blob(),
         }
 
     def _about(self) -> list[list[str]]:
         """Return board revisions and the like: fields of a message that name a revision or a version."""
-        found = []
-        for row in self.pictures.constants:
-            if "revision" in row["field"].lower() or "version" in row["field"].lower():
-                found.append([row["field"].lower(), row["value"]])
         first = self.flights[0]
+        names = (row for row in _values(first) if re.search("(?i)revision|version", row["title"]))
+        found = [[name, str(value)] for name, value in {(row["title"].lower(), f"{row['max']:g}") for row in names}]
         return [*found, ["catalogue", first.catalogue], *([["aircraft", first.aircraft]] if first.aircraft else [])]
 
     def _add(self, flight: Flight, start: int, prefix: str) -> list[Record]:
@@ -150,7 +151,7 @@ class Report:
         events: list[Record] = table.to_pylist()
         for event in events:
             event["at"] = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
-            event["title"] = _title(flight, event["message"])
+            event["title"] = flight.title(event["message"])
             event["who"] = prefix + source_name(event)
         # First the message that says most.
         for message in sorted(flight.messages.values(), key=lambda message: -len(message.columns)):
@@ -175,11 +176,6 @@ class Report:
 
 def _start(flight: Flight) -> int:
     return flight.begin or min(pc.min(flight[name]["time"]).value for name in flight)
-
-
-def _title(flight: Flight, message: str | None) -> str:
-    known = flight.messages.get(message or "")
-    return known.title if known else message or "unknown message"
 
 
 def _flag(flight: Flight, event: Record) -> Column | None:
@@ -280,15 +276,16 @@ def _incidents(rows: list[Record]) -> list[Record]:
     return found
 
 
-def _summary(flight: Flight) -> list[Record]:
-    """A row for each source; what the plugin does not count is left out."""
-    rows: list[Record] = flight.summary.to_pylist()
-    names = [name for name in flight.summary.schema.names if any(row[name] is not None for row in rows)]
-    about = ({name: row[name] for name in names if name not in ("bus", "id")} for row in rows)
-    return [
-        row | {"source": source_name(given), "bus": given["bus"], "message": _title(flight, given["message"])}
-        for row, given in zip(about, rows, strict=True)
-    ]
+def _values(flight: Flight) -> list[Record]:
+    """A row for each field of each source: of one field those of all sources stand together."""
+    rows = []
+    for row in sorted(flight.statistics.to_pylist(), key=lambda row: (row["message"], row["field"])):
+        message = flight.messages.get(row["message"])
+        column = message.columns.get(row["field"]) if message else None
+        about = {"message": flight.title(row["message"]), "source": source_name(row)}
+        about |= {"title": column.title if column else row["field"], "unit": column.unit if column else ""}
+        rows += [row | about] if row["min"] is not None else []
+    return rows
 
 
 def write_whole(path: Path, text: str) -> None:
