@@ -45,12 +45,11 @@ class Pictures:
         self.differs: list[Record] = []
         self.bytes = bytearray()
         self.flight = 0
-        self._messages: dict[int, list[str]] = {}
 
     def add(self, message: Message, table: pa.Table, alarms: set[str], prefix: str = "") -> None:
         """Draw a message.  alarms: the flags of it that were faults, each by its column; prefix: of sources' names."""
         found = list(sources(table, message.every, self.start))
-        whose = [self.source(prefix + source.name, message.title, first_of(source)) for source in found]
+        whose = [self.source(prefix + source.name, first_of(source)) for source in found]
         self.differs += [row | {"source": prefix + row["source"]} for row in differing(message, found, alarms)]
         known = (column for column in message.columns.values() if column.name in table.schema.names)
         columns = [column for column in known if column.role in ("value", "enum", "flag")]
@@ -63,7 +62,7 @@ class Pictures:
             if column.role != "value":
                 self._bars(message, found, whose, column, values[column.name], column.name in alarms)
 
-    def source(self, name: str, message: str, row: Record) -> int:
+    def source(self, name: str, row: Record) -> int:
         """Return the number of a source."""
         known = [source["name"] for source in self.sources]
         number = known.index(name) if name in known else len(known)
@@ -73,17 +72,7 @@ class Pictures:
             self.sources.append(
                 {"name": name, "label": label, "colour": _colour(bus, row.get("id")), "flight": self.flight}
             )
-        titles = self._messages.setdefault(number, [])
-        if message not in titles:
-            titles.append(message)
         return number
-
-    def legend(self) -> list[Record]:
-        """Return which sources there are, together those of the same messages."""
-        groups: dict[str, list[int]] = {}
-        for number, titles in self._messages.items():
-            groups.setdefault(", ".join(titles), []).append(number)
-        return [{"messages": titles, "sources": members} for titles, members in groups.items()]
 
     def blob(self) -> str:
         """Return all samples, packed."""

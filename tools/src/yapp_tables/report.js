@@ -262,21 +262,12 @@
     const axis = place(rows.length * ROW, { range: [rows.length - 0.5, -0.5], showticklabels: false, fixedrange: true, showgrid: false }, head, pale(message));
     rows.forEach(({ source, begins, ends, texts: said }, row) => {
       const about = { yaxis: axis, source, name: `${title}, ${data.names[source]}` };
-      const held = begins.map((_, i) => i).filter((i) => ends[i] > begins[i]), moments = begins.filter((begin, i) => ends[i] === begin);
-      if (held.length) {
-        others.push({ ...about, type: "bar", orientation: "h", begins: held.map((i) => begins[i]), ends: held.map((i) => ends[i]),
-          y: held.map(() => row), said: held.map((i) => said[i] ?? data.names[source]), width: 0.88, isWide: kind === "fault" || kind === "event",
-          customdata: held.map((i) => [said[i] ?? data.names[source], `${when(begins[i])}<br>for ${duration(ends[i] - begins[i])}`]),
-          marker: { line: { width: 1 } }, textposition: "inside", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
-          hovertemplate: "%{customdata[0]}<br>%{customdata[1]}<extra>%{fullData.name}</extra>" });
-      }
-      if (moments.length) {
-        const late = moments.at(-1) > 0.75 * data.length;
-        others.push({ ...about, type: "scatter", mode: "markers+text", x: moments, y: moments.map(() => row), customdata: moments.map(when),
-          text: moments.map((_, i) => i === moments.length - 1 && (i === 0 || !late) ? data.names[source] : ""),
-          textposition: late ? "middle left" : "middle right", textfont: { size: 11 }, hovertemplate: `${HOVER_TIME}<extra>%{fullData.name}</extra>`,
-          marker: { symbol: "diamond", size: 11, line: { width: 1 } } });
-      }
+      const texts = begins.map((_, i) => said[i] ?? data.names[source]);
+      const times = begins.map((begin, i) => when(begin) + (ends[i] > begin ? `<br>for ${duration(ends[i] - begin)}` : ""));
+      others.push({ ...about, type: "bar", orientation: "h", begins, ends, said: texts, y: begins.map(() => row), width: 0.88,
+        isWide: kind === "fault" || kind === "event", customdata: texts.map((text, i) => [text, times[i]]),
+        marker: { line: { width: 1 } }, textposition: "inside", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
+        hovertemplate: "%{customdata[0]}<br>%{customdata[1]}<extra>%{fullData.name}</extra>" });
     });
   }
 
@@ -444,14 +435,11 @@
   // The sources by name and colour; they stay in sight while the pictures pass.
   function chips() {
     const box = byId("sources");
-    for (const { messages, sources } of data.legend) {
-      box.append(pale(`${messages}:`));
-      for (const source of sources) {
-        const tick = make("input", { type: "checkbox", checked: true });
-        tick.onchange = () => { if (tick.checked) hidden.delete(source); else hidden.add(source); draw(); };
-        box.append(make("label", {}, tick, " ", patch(source), ` ${data.sources[source].label}`));
-      }
-    }
+    data.sources.forEach(({ label }, source) => {
+      const tick = make("input", { type: "checkbox", checked: true });
+      tick.onchange = () => { if (tick.checked) hidden.delete(source); else hidden.add(source); draw(); };
+      box.append(make("label", {}, tick, " ", patch(source), ` ${label}`));
+    });
     box.append(make("button", { type: "button", textContent: "whole flight", onclick: () => Plotly.relayout(plot, { "xaxis.range": whole }) }));
   }
 

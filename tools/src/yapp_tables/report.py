@@ -128,7 +128,6 @@ class Report:
             "differs": pictures.differs,
             "sources": pictures.sources,
             "names": names,
-            "legend": pictures.legend(),
             "times": pictures.times,
             "panels": pictures.panels,
             "small": pictures.small,
@@ -166,7 +165,7 @@ class Report:
         bars: dict[str, Record] = {}
         for row in others:
             bar = bars.setdefault(row["what"], {"title": row["what"], "message": "", "kind": "event", "rows": {}})
-            source = self.pictures.source(row["source"], row["message"], row)
+            source = self.pictures.source(row["source"], row)
             marks = bar["rows"].setdefault(source, {"source": source, "texts": [], "begins": [], "ends": []})
             at = row["at"][:: -(-len(row["at"]) // MARKS)]
             marks["begins"] += at
