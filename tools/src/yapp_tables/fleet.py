@@ -149,8 +149,6 @@ def _run(jobs: dict[Path, MadeBy], config: Config, pool: Executor) -> dict[Path,
             if future.cancelled():
                 raise SetupError("the Dask scheduler went away; the same command does the rest")
             error = future.exception()
-            if isinstance(error, SetupError):
-                raise error
             failed = Result("", str(capture), jobs[capture], failure=str(error) or type(error).__name__)
             done[capture] = failed if error else future.result()
             bar.set_postfix_str(f"{len(done)}/{len(jobs)} files", refresh=False)
