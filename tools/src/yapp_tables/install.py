@@ -51,19 +51,29 @@ def ask(*command: str) -> tuple[str, str]:
     return done.stdout.decode("utf-8", "replace"), done.stderr.decode("utf-8", "replace")
 
 
+def find_tshark() -> str:
+    """Return where tshark is, in PATH or where Wireshark's own installers put it; nothing where there is none."""
+    programs = os.environ.get("PROGRAMFILES", "/Applications/Wireshark.app")
+    usual = (os.path.join(programs, part) for part in ("Wireshark/tshark.exe", "Contents/MacOS/tshark"))
+    return shutil.which("tshark") or next(filter(os.path.exists, usual), "")
+
+
+def version_of(about: str) -> tuple[int, ...]:
+    """Return the version in what tshark says of itself, (4, 0, 17)."""
+    found = re.search(r"(\d+)\.(\d+)\.(\d+)", about)
+    return tuple(map(int, found.groups())) if found else ()
+
+
 class Wireshark:
     """The installed Wireshark: tshark and its version (4, 0, 17), lua "5.2.4" or None, and the personal folders."""
 
     def __init__(self) -> None:
         """Ask tshark, where there is one."""
-        programs = os.environ.get("PROGRAMFILES", "/Applications/Wireshark.app")
-        usual = (os.path.join(programs, part) for part in ("Wireshark/tshark.exe", "Contents/MacOS/tshark"))
-        self.tshark = shutil.which("tshark") or next(filter(os.path.exists, usual), "")
+        self.tshark = find_tshark()
         about = ask(self.tshark, "--version")[0] if self.tshark else ""
-        number = re.search(r"(\d+)\.(\d+)\.(\d+)", about)
-        if self.tshark and not number:
+        self.version = version_of(about)
+        if self.tshark and not self.version:
             raise Problem(f"{self.tshark} does not say its version: does it start?")
-        self.version = tuple(map(int, number.groups())) if number else ()
         lua = re.search(r"(?:with\s+|\+)Lua(?:\s+(\d+\.\d+(?:\.\d+)?))?", about)
         self.lua = lua and (lua[1] or "of a version that it does not say")
         folders = ask(self.tshark, "-G", "folders")[0] if self.tshark else ""

@@ -16,7 +16,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from plotly.offline import get_plotlyjs
 
-from .config import StrPath
+from .api import read_flight
+from .config import Config, StrPath
 from .dataset import plain_name
 from .errors import SetupError
 from .flight import SOURCES, Flight
@@ -54,29 +55,36 @@ INCIDENT = ("fault", "reboot", "silence", "stale")
 
 
 def write_reports(
-    flights: Sequence[Flight], captures: Sequence[Path], out: StrPath | None = None, overlay: bool = False
-) -> Path:
+    captures: Sequence[Path], config: Config, out: StrPath | None = None, overlay: bool = False
+) -> tuple[Path, list[Record]]:
     """Write the page of a flight, one page of several laid over each other, or a folder of pages with an index.
 
-    Returns the page. Raises SetupError where it cannot be written.
+    Returns the page, and what each page says. Raises YappError.
     """
     page = captures[0].with_suffix(".html") if out is None else Path(out)
+    is_one = len(captures) == 1 or overlay
+    folder = page.parent if is_one else Path("report" if out is None else out)
     try:
-        if len(flights) == 1 or overlay:
-            if not page.parent.is_dir():
-                raise SetupError(f"{page} cannot be written: no folder {page.parent}")
-            write_report(flights, page)
-            return page
-        folder = Path("report" if out is None else out)
+        if is_one:
+            if not folder.is_dir():
+                raise SetupError(f"{page} cannot be written: no folder {folder}")
+            return page, [write_report([_read(capture, config) for capture in captures], page)]
         folder.mkdir(parents=True, exist_ok=True)
-        pages = [
-            folder / f"{plain_name(each)}-{one.flight_id[:8]}.html" for each, one in zip(captures, flights, strict=True)
-        ]
-        rows = [write_report([flight], path) for flight, path in zip(flights, pages, strict=True)]
-        write_whole(folder / "index.html", _index(rows, pages))
-        return folder / "index.html"
+        rows = []
+        for flight in (_read(capture, config) for capture in captures):
+            name = f"{plain_name(Path(flight.name))}-{flight.flight_id[:8]}.html"
+            rows.append(write_report([flight], folder / name) | {"page": name})
+        write_whole(folder / "index.html", _index(rows))
+        return folder / "index.html", rows
     except OSError as error:
         raise SetupError(f"{page} cannot be written: {error.strerror}") from error
+
+
+def _read(capture: Path, config: Config) -> Flight:
+    tshark, aircraft = config.of(capture)
+    flight = read_flight(capture, tshark, has_begin=True)
+    flight.aircraft = aircraft
+    return flight
 
 
 def write_report(flights: Sequence[Flight], path: Path) -> Record:
@@ -123,6 +131,7 @@ class Report:
             "length": self.end,
             "undecoded": next((flight.undecoded for flight in self.flights if flight.undecoded), ""),
             "left_out": left_out,
+            "partial": any(flight.partial for flight in self.flights),
             "about": [["plugin", first.plugin], ["yapp-tables", version("yapp-tables")], *self._about()],
             "incidents": sorted(incidents, key=lambda row: float(row["begin"])),
             "differs": pictures.differs,
@@ -297,16 +306,16 @@ def write_whole(path: Path, text: str) -> None:
         aside.unlink(missing_ok=True)
 
 
-def _index(found: list[Record], pages: list[Path]) -> str:
+def _index(found: list[Record]) -> str:
     """The page of a folder: a row for each flight, what went wrong first."""
     lines = []
-    for data, page in sorted(zip(found, pages, strict=True), key=lambda pair: pair[0]["epoch"]):
+    for data in sorted(found, key=lambda data: float(data["epoch"])):
         said = [*data["left_out"], *(f"{row['what']} on {row['label']}" for row in data["incidents"][:3])]
         said += [f"{row['label']}: {row['text']}" for row in data["differs"]]
         cells = [
             f"<td>{html.escape(text)}</td>" for text in (f"{len(data['incidents'])}", "; ".join(said) or "nothing")
         ]
-        link = f"<a href='{html.escape(page.name)}'>{html.escape(data['name'])}</a>"
+        link = f"<a href='{html.escape(data['page'])}'>{html.escape(data['name'])}</a>"
         time = f"<td data-epoch={data['epoch']} data-length={data['length']}></td>"
         lines.append(f"<tr><td>{link}</td>{time}{''.join(cells)}</tr>")
     template = files(__package__).joinpath("index.html").read_text(encoding="utf-8")
