@@ -237,13 +237,12 @@ class DataSet:
 
 def _extended_parquet(paths: dict[str, str], new: Path) -> Iterator[str]:
     """Write each file that lacks columns of the others once more, to new, and yield which one that is."""
-    found = {file: ds.dataset(path, partitioning=None) for file, path in paths.items()}
-    longest_first = sorted((one.schema for one in found.values()), key=len, reverse=True)
-    whole = pa.unify_schemas(longest_first, promote_options="permissive")
-    for file, one in found.items():
-        if one.schema.names != whole.names or one.schema.types != whole.types:
-            data = one.replace_schema(whole).to_table().replace_schema_metadata(one.schema.metadata)
-            pq.write_table(data, new, compression="zstd")
+    schemas = {file: pq.read_schema(path) for file, path in paths.items()}
+    whole = pa.unify_schemas(sorted(schemas.values(), key=len, reverse=True), promote_options="permissive")
+    for file, schema in schemas.items():
+        if schema.names != whole.names or schema.types != whole.types:
+            data = ds.dataset(paths[file], schema=whole, partitioning=None).to_table()
+            pq.write_table(data.replace_schema_metadata(schema.metadata), new, compression="zstd")
             yield file
 
 

@@ -77,7 +77,7 @@ class Wireshark:
         lua = re.search(r"(?:with\s+|\+)Lua(?:\s+(\d+\.\d+(?:\.\d+)?))?", about)
         self.lua = lua and (lua[1] or "of a version that it does not say")
         folders = ask(self.tshark, "-G", "folders")[0] if self.tshark else ""
-        named = {name: Path(path) for name, path in re.findall(r"^(.*?):\s*(\S.*?)\s*$", folders, re.MULTILINE)}
+        named = {name: Path(path) for name, path in re.findall(r"(?m)^(.*?):[ \t]*(\S.*?)\s*$", folders)}
         config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "wireshark"
         local = Path.home() / ".local/lib/wireshark"
         if os.name == "nt":

@@ -266,7 +266,7 @@
       const times = begins.map((begin, i) => when(begin) + (ends[i] > begin ? `<br>for ${duration(ends[i] - begin)}` : ""));
       others.push({ ...about, type: "bar", orientation: "h", begins, ends, said: texts, y: begins.map(() => row), width: 0.88,
         isWide: kind === "fault" || kind === "event", customdata: texts.map((text, i) => [text, times[i]]),
-        marker: { line: { width: 1 } }, textposition: "inside", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
+        marker: { line: { width: 1 } }, textposition: "auto", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
         hovertemplate: "%{customdata[0]}<br>%{customdata[1]}<extra>%{fullData.name}</extra>" });
     });
   }
@@ -276,7 +276,7 @@
     const pixel = (to - from) / room(), { begins, ends } = bar;
     const text = bar.said.map((said, i) => {
       const seen = Math.min(to, ends[i]) - Math.max(from, begins[i]);
-      return seen > (said.length * LETTER + 8) * pixel ? said : "";
+      return seen > (said.length * LETTER + 8) * pixel || (bar.isWide && i === begins.length - 1) ? said : "";
     });
     return { base: begins, x: begins.map((begin, i) => Math.max(ends[i] - begin, (LEAST + 1) * pixel)), text };
   }
