@@ -14,6 +14,7 @@ import pandas as pd
 import polars as pl
 import pyarrow as pa
 import pyarrow.dataset as ds
+import pyarrow.parquet as pq
 import pytest
 import yapp_tables as yt
 from deltalake import DeltaTable
@@ -148,6 +149,23 @@ def test_a_catalogue_that_grew(make_capture, tmp_path, to):
     if to == "parquet":
         assert motor(tmp_path).schema.field("added").type == pa.uint16()
         assert len(pl.read_parquet(tmp_path / "data/message=motor/*.parquet")) == 6
+
+
+def test_a_field_that_became_smaller(make_capture, tmp_path):
+    """The table has the type that holds both; times and metadata stay as they were."""
+    old, new = flight(make_capture, "old.pcapng", size="300"), flight(make_capture, "new.pcapng", 20, size="7")
+    for capture, bits in ((old, 16), (new, 8)):
+        column = json.dumps(GROWN | {"name": "size", "bits": bits})
+        convert(tmp_path, capture, env=os.environ | {"FAKE_COLUMN": column})
+        if capture == old:
+            before = pl.read_parquet(result(tmp_path / "data/message=motor", "old", ".parquet"))
+            old.unlink()
+    schema = pq.read_schema(result(tmp_path / "data/message=motor", "new", ".parquet"))
+    assert schema.field("size").type == pa.uint16()
+    assert schema.field("rpm_measured").metadata[b"unit"] == b"RPM"
+    assert schema.metadata[b"title"] == b"Motor Data"
+    assert pl.read_parquet(result(tmp_path / "data/message=motor", "old", ".parquet")).equals(before)
+    assert sorted(motor(tmp_path)["size"].to_pylist()) == [7, 7, 7, 300, 300, 300]
 
 
 def test_results_of_2_1_are_not_mixed_with_these(make_capture, tmp_path):
@@ -307,5 +325,5 @@ def test_names_of_controllers_and_a_plot(make_capture):
     assert figure.layout.yaxis.title.text == "RPM"
     with pytest.raises(yt.MessageError, match="no field 'rpm' in motor; it has"):
         read.plot("motor.rpm")
-    assert "<td>motor</td>" in read._repr_html_()
+    assert "<td>Motor Data</td>" in read._repr_html_()
     assert yt.__version__

@@ -16,6 +16,7 @@ import time
 
 import pyarrow.parquet as pq
 import pytest
+import yapp_tables as yt
 from distributed import LocalCluster
 from running import FAKE, motor_row, run_tables
 
@@ -115,6 +116,18 @@ def kill_after_results(folder, process):
     while len(list((folder / "data").glob("message=motor/*"))) < 3:
         time.sleep(0.01)
     process.kill()
+
+
+def test_a_machine_with_another_plugin_fails_its_captures_only(fleet, monkeypatch):
+    def here_or_there(capture, config, made):
+        if capture.name == "03.pcapng":
+            raise yt.SetupError("another plugin")
+        return yt.convert_one(capture, config, made)
+
+    monkeypatch.setattr("yapp_tables.fleet.convert_one", here_or_there)
+    results = yt.convert(f"{fleet}/flights/*.pcapng", fleet / "data", tshark=FAKE)
+    assert [result.failure for result in results if result.failure] == ["another plugin"]
+    assert "03.pcapng,another plugin" in (fleet / "data.yapp-tables/failures.csv").read_text()
 
 
 def test_no_scheduler_is_a_sentence(fleet):

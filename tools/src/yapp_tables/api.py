@@ -122,8 +122,5 @@ def report(
     page. Returns the page. Raises YappError.
     """
     write = need(f"{__package__}.report", "report")
-    found, tshark = fleet.find(captures), tshark_of(**how)
-    page: Path = write.write_reports(
-        [read_flight(capture, tshark, has_begin=True) for capture in found], found, out, overlay
-    )
+    page: Path = write.write_reports(fleet.find(captures), Config("", tshark=tshark_of(**how)), out, overlay)[0]
     return page

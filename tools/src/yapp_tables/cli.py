@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from pathlib import Path
 
-from . import __version__, api, baseline, fleet, install
+from . import __version__, baseline, fleet, install
 from .config import Config, read_fleet
 from .convert import KINDS
 from .errors import SetupError, YappError, need
@@ -156,18 +156,12 @@ def _prune(given: argparse.Namespace) -> int:
 
 def _report(given: argparse.Namespace) -> int:
     write_reports = need(f"{__package__}.report", "report").write_reports
-    captures, config = fleet.find(_captures(given.captures)), _config(given)
-    flights = []
-    for capture in captures:
-        tshark, aircraft = config.of(capture)
-        flights.append(api.read_flight(capture, tshark, has_begin=True))
-        flights[-1].aircraft = aircraft
-    for flight in flights:
-        _say(f"{flight.name}: {text}" for text in flight.left_out)
-    write_reports(flights, captures, given.out, given.overlay)
-    if any(flight.partial for flight in flights):
+    _, pages = write_reports(fleet.find(_captures(given.captures)), _config(given), given.out, given.overlay)
+    for page in pages:
+        _say(f"{page['name']}: {text}" for text in page["left_out"])
+    if any(page["partial"] for page in pages):
         return FAILED
-    return (FAILED if given.strict else INCOMPLETE) if any(flight.left_out for flight in flights) else 0
+    return (FAILED if given.strict else INCOMPLETE) if any(page["left_out"] for page in pages) else 0
 
 
 def _baseline(given: argparse.Namespace) -> int:

@@ -54,15 +54,16 @@ def look_up(capture: Path, dataset: DataSet, made: MadeBy) -> tuple[str, str | N
     return flight, before, known
 
 
-def convert_one(capture: StrPath, config: Config, made: MadeBy | None = None) -> Result:
+def convert_one(capture: StrPath, config: Config, made: MadeBy | None = None, tries: int = 3) -> Result:
     """Convert one capture: a task for Dask, Prefect, Dagster or a loop.
 
     It may run twice at once, and be killed at any point: the data set then has the flight once, or not yet.
 
-    made: made_by() of the machine that gives the order; this one must give the same.
+    made: made_by() of the machine that gives the order; this one must give the same; tries: how often a tshark that
+    crashes is started.
 
     Returns the Result, whose `failure` says why there is no data. Raises SetupError where no other capture would do
-    better on this machine, and YappError for what another try may mend.
+    better on this machine, and YappError where the data set cannot be written.
     """
     capture = Path(os.path.abspath(capture))
     tshark, aircraft = config.of(capture)
@@ -79,15 +80,18 @@ def convert_one(capture: StrPath, config: Config, made: MadeBy | None = None) ->
         if former and former.capture == str(capture):  # the file has another content now
             dataset.forget(former)
         return result
-    except CaptureError as error:
+    except SetupError:
+        raise
+    except OSError as error:
+        full = error.errno == errno.ENOSPC
+        raise (SetupError if full else YappError)(f"{config.out}: {'the disk is full' if full else error}") from error
+    except YappError as error:
+        if tries > 1 and not isinstance(error, CaptureError):
+            return convert_one(capture, config, made, tries - 1)
         failed = Result(flight, str(capture), made, failure=str(error).removeprefix(f"{capture}: "))
         if flight:
             dataset.place(capture.parent, failed)
         return failed
-    except OSError as error:
-        if error.errno == errno.ENOSPC:
-            raise SetupError(f"{config.out}: the disk is full") from error
-        raise YappError(f"{config.out}: {error}") from error
 
 
 def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, made: MadeBy) -> Result:

@@ -17,6 +17,7 @@ from typing import Any
 
 import fsspec
 import pyarrow as pa
+import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from .errors import SetupError, need
@@ -237,14 +238,11 @@ class DataSet:
 def _extended_parquet(paths: dict[str, str], new: Path) -> Iterator[str]:
     """Write each file that lacks columns of the others once more, to new, and yield which one that is."""
     schemas = {file: pq.read_schema(path) for file, path in paths.items()}
-    first = max(schemas.values(), key=len)
-    whole = pa.unify_schemas([first, *schemas.values()], promote_options="permissive")
+    whole = pa.unify_schemas(sorted(schemas.values(), key=len, reverse=True), promote_options="permissive")
     for file, schema in schemas.items():
         if schema.names != whole.names or schema.types != whole.types:
-            data = pq.read_table(paths[file], partitioning=None)
-            columns = [data[name] if name in data.schema.names else pa.nulls(len(data)) for name in whole.names]
-            cast = [column.cast(type_) for column, type_ in zip(columns, whole.types, strict=True)]
-            pq.write_table(pa.table(cast, schema=whole.with_metadata(schema.metadata)), new, compression="zstd")
+            data = ds.dataset(paths[file], schema=whole, partitioning=None).to_table()
+            pq.write_table(data.replace_schema_metadata(schema.metadata), new, compression="zstd")
             yield file
 
 

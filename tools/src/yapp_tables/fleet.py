@@ -10,7 +10,7 @@ import os
 import re
 import uuid
 from collections.abc import Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,6 @@ from .dataset import DataSet, MadeBy, Result
 from .errors import SetupError, YappError, need
 from .tshark import Tshark
 
-TRIES = 3
 SCHEDULER_SECONDS = 10
 
 
@@ -138,38 +137,23 @@ def _executor(scheduler: str | None, jobs: int) -> Iterator[Executor]:
 
 
 def _run(jobs: dict[Path, MadeBy], config: Config, pool: Executor) -> dict[Path, Result]:
-    """Convert all, the largest first, each at most TRIES times."""
-    done: dict[Path, Result] = {}
+    """Convert all, the largest first."""
     sizes = {capture: capture.stat().st_size if capture.exists() else 0 for capture in jobs}
-    waiting: dict[Future[Result], tuple[Path, int]] = {}
+    waiting = {}
     for capture in sorted(jobs, key=lambda capture: -sizes[capture]):
-        waiting[pool.submit(convert_one, capture, config, jobs[capture])] = capture, 1
+        waiting[pool.submit(convert_one, capture, config, jobs[capture])] = capture
+    done: dict[Path, Result] = {}
     with tqdm(total=sum(sizes.values()), unit="B", unit_scale=True, disable=None) as bar:
-        while waiting:
-            bar.refresh()
-            for future in wait(waiting, timeout=1, return_when=FIRST_COMPLETED)[0]:
-                capture, tries = waiting.pop(future)
-                if future.cancelled():
-                    raise SetupError("the Dask scheduler went away; the same command does the rest")
-                error = future.exception()
-                if error is not None and tries < TRIES and not isinstance(error, SetupError):
-                    waiting[pool.submit(convert_one, capture, config, jobs[capture])] = capture, tries + 1
-                    continue
-                done[capture] = _failure(capture, error, config, jobs[capture]) if error else future.result()
-                bar.set_postfix_str(f"{len(done)}/{len(jobs)} files", refresh=False)
-                bar.update(sizes[capture])
+        for future in as_completed(waiting):
+            capture = waiting[future]
+            if future.cancelled():
+                raise SetupError("the Dask scheduler went away; the same command does the rest")
+            error = future.exception()
+            failed = Result("", str(capture), jobs[capture], failure=str(error) or type(error).__name__)
+            done[capture] = failed if error else future.result()
+            bar.set_postfix_str(f"{len(done)}/{len(jobs)} files", refresh=False)
+            bar.update(sizes[capture])
     return done
-
-
-def _failure(capture: Path, error: BaseException, config: Config, made: MadeBy) -> Result:
-    """Return what failed at last; the data set remembers it where it is the capture's fault."""
-    why = str(error).removeprefix(f"{capture}: ") or type(error).__name__
-    result = Result("", str(capture), made, failure=why)
-    if capture.is_file() and not isinstance(error, SetupError):
-        dataset = DataSet(config.out, config.to, config.run)
-        result = replace(result, flight_id=dataset.identify(capture)[0])
-        dataset.place(capture.parent, result)
-    return result
 
 
 def _write_failures(dataset: DataSet, done: dict[Path, Result]) -> None:

@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from .dataset import flight_id
 from .errors import CaptureError, MessageError, need
+from .html_table import html_table
 from .tables import (
     EVENTS,
     SUMMARY,
@@ -26,7 +27,12 @@ from .tables import (
     table,
 )
 from .tshark import Export
-from .undecoded import left_out
+from .undecoded import left_out, source_name
+
+# The headings of the table of sources.
+SOURCES = {"source": "source", "bus": "bus", "message": "message", "count": "count", "rate": "rate/Hz"}
+SOURCES |= {"gap_min": "gap min/s", "gap_mean": "gap mean/s", "gap_max": "gap max/s", "gap_max_frame": "at frame"}
+SOURCES |= {"crc_bad": "crc bad"} | {name: name for name in ("incomplete", "late", "reboots", "invalid", "skipped")}
 
 
 class Flight(Mapping[str, pa.Table]):
@@ -114,15 +120,20 @@ class Flight(Mapping[str, pa.Table]):
             figure.update_yaxes(title=about.unit)
         return figure.update_layout(title=self.name, hovermode="x unified")
 
+    def sources(self) -> list[dict[str, Any]]:
+        """Return a row for each source, with the name that a user has for it, as pages and notebooks show it."""
+        rows: list[dict[str, Any]] = self.summary.to_pylist()
+        return [row | {"source": source_name(row), "message": self.title(row["message"])} for row in rows]
+
+    def title(self, message: str | None) -> str:
+        """Return the title of a message."""
+        return self._titles.get(message or "", message or "unknown message")
+
     def _repr_html_(self) -> str:
         """Return what a notebook shows: what is missing, and a row for each source."""
         said = "".join(f"<p><b>{html.escape(text)}</b></p>" for text in self.left_out)
-        names = ("source", "bus", "id", "message", "count", "rate", "crc_bad", "incomplete", "late", "reboots")
-        cells = [[("" if row[name] is None else str(row[name])) for name in names] for row in self.summary.to_pylist()]
-        lines = ["".join(f"<td>{html.escape(text)}</td>" for text in row) for row in cells]
-        head = "".join(f"<th>{name}</th>" for name in names)
-        body = "".join(f"<tr>{line}</tr>" for line in (head, *lines))
-        return f"<h4>{html.escape(self.name)}</h4>{said}<p>{len(self.events)} events</p><table>{body}</table>"
+        table = html_table(SOURCES, self.sources())
+        return f"<h4>{html.escape(self.name)}</h4>{said}<p>{len(self.events)} events</p><table>{table}</table>"
 
     def __repr__(self) -> str:
         """Return what is in it, on one line."""

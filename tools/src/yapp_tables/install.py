@@ -7,9 +7,9 @@
     install.py uninstall            remove what was installed and is unchanged
     install.py uninstall --purge    remove all of it, also what you changed
 
-The installer never loses a file that you edited. A catalogue (taurus_fields.lua) or profile file stays, and the new
-version lies beside it as NAME.new. Edited code stays as NAME.edited. installed.json, in the plugin's folder, has the
-hashes of what was installed. Python 3.7 or later without other packages; Linux, macOS and Windows.
+The installer never loses a file that you edited: it stays, and the new version lies beside it as NAME.new.
+installed.json, in the plugin's folder, has the hashes of what was installed.
+Python 3.7 or later without other packages; Linux, macOS and Windows.
 """
 
 from __future__ import annotations
@@ -33,8 +33,6 @@ EARLIER = ("2d330114", "da941647", "f1bf3b8b", "2e49ab76", "0cae8e72", "55e79b49
 IS_ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
 OLDEST, NOT_AS_ROOT = (4, 0), (4, 4)  # Wireshark
 SAFE_PROFILES = (4, 6, 9)  # Wireshark that runs no code of a profile that is imported
-TRIED = ("5.2", "5.4", "5.5")  # Lua
-LIVE = {"serial": ("pyserial", "serial ports on Windows"), "can": ("python-can", "CAN adapters of Windows and macOS")}
 TABLES, SETTINGS = ("io_graphs", "plots", "dfilter_buttons"), ("preferences", "profile_settings", "extcap.cfg")
 
 
@@ -53,37 +51,42 @@ def ask(*command: str) -> tuple[str, str]:
     return done.stdout.decode("utf-8", "replace"), done.stderr.decode("utf-8", "replace")
 
 
+def find_tshark() -> str:
+    """Return where tshark is, in PATH or where Wireshark's own installers put it; nothing where there is none."""
+    programs = os.environ.get("PROGRAMFILES", "/Applications/Wireshark.app")
+    usual = (os.path.join(programs, part) for part in ("Wireshark/tshark.exe", "Contents/MacOS/tshark"))
+    return shutil.which("tshark") or next(filter(os.path.exists, usual), "")
+
+
+def version_of(about: str) -> tuple[int, ...]:
+    """Return the version in what tshark says of itself, (4, 0, 17)."""
+    found = re.search(r"(\d+)\.(\d+)\.(\d+)", about)
+    return tuple(map(int, found.groups())) if found else ()
+
+
 class Wireshark:
     """The installed Wireshark: tshark and its version (4, 0, 17), lua "5.2.4" or None, and the personal folders."""
 
     def __init__(self) -> None:
         """Ask tshark, where there is one."""
-        programs = os.environ.get("PROGRAMFILES", "/Applications/Wireshark.app")
-        usual = (os.path.join(programs, part) for part in ("Wireshark/tshark.exe", "Contents/MacOS/tshark"))
-        self.tshark = shutil.which("tshark") or next(filter(os.path.exists, usual), None)
-        self.version: tuple[int, ...] = ()
-        self.lua: str | None = None
-        named: dict[str, Path] = {}
-        if self.tshark:
-            about = ask(self.tshark, "--version")[0]
-            number = re.search(r"(\d+)\.(\d+)\.(\d+)", about)
-            if not number:
-                raise Problem(f"{self.tshark} does not say its version: does it start?")
-            self.version = tuple(map(int, number.groups()))
-            lua = re.search(r"(?:with\s+|\+)Lua(?:\s+(\d+\.\d+(?:\.\d+)?))?", about)
-            self.lua = lua and (lua[1] or "of a version that it does not say")
-            lines = (line.partition(":") for line in ask(self.tshark, "-G", "folders")[0].splitlines())
-            named = {name.strip(): Path(path.strip()) for name, _, path in lines if path.strip()}
+        self.tshark = find_tshark()
+        about = ask(self.tshark, "--version")[0] if self.tshark else ""
+        self.version = version_of(about)
+        if self.tshark and not self.version:
+            raise Problem(f"{self.tshark} does not say its version: does it start?")
+        lua = re.search(r"(?:with\s+|\+)Lua(?:\s+(\d+\.\d+(?:\.\d+)?))?", about)
+        self.lua = lua and (lua[1] or "of a version that it does not say")
+        folders = ask(self.tshark, "-G", "folders")[0] if self.tshark else ""
+        named = {name: Path(path) for name, path in re.findall(r"(?m)^(.*?):[ \t]*(\S.*?)\s*$", folders)}
         config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "wireshark"
         local = Path.home() / ".local/lib/wireshark"
         if os.name == "nt":
             config = local = Path(os.environ["APPDATA"]) / "Wireshark"
-        self.config = named.get("Personal configuration") or config
-        plugins = named.get("Personal Lua Plugins") or local / "plugins"
+        self.config = named.get("Personal configuration", config)
+        plugins = named.get("Personal Lua Plugins", local / "plugins")
         # 4.0 does not name the folder of the live ports, and has it in the configuration folder.
-        self.extcap = named.get("Personal Extcap path") or (self.config if self.tshark else local) / "extcap"
-        others = (named.get("Global Lua Plugins"), plugins, self.config / "plugins")
-        self.plugin_folders = [folder for folder in others if folder]
+        self.extcap = named.get("Personal Extcap path", (self.config if self.tshark else local) / "extcap")
+        self.plugin_folders = {named.get("Global Lua Plugins", plugins), plugins, self.config / "plugins"}
         self.name = "Wireshark " + ".".join(map(str, self.version))
         self.target, self.profile = plugins / "yapp", self.config / "profiles/YAPP"
         self.note = self.config / "yapp_tables.path"  # one line, where yapp-tables is
@@ -162,22 +165,13 @@ class Installation:
         """Read the list that an installation leaves behind, where there is one."""
         self.wireshark, self.target, self.profile = wireshark, wireshark.target, wireshark.profile
         self.list = self.target / "installed.json"
-        self.hashes: dict[Path, str] = {}
-        self.folders: list[Path] = []
-        self.kept: set[Path] = set()
-        if self.list.is_file():
-            try:
-                content = json.loads(self.list.read_text(encoding="utf-8"))
-                self.hashes = {Path(path): value for path, value in content["files"].items()}
-                self.folders = [Path(path) for path in content["folders"]]
-            except (ValueError, KeyError, AttributeError) as problem:
-                raise Problem(f"{self.list} is damaged; remove it, then every file counts as changed") from problem
+        try:
+            content = json.loads(self.list.read_text(encoding="utf-8")) if self.list.is_file() else {}
+            self.hashes = {Path(path): value for path, value in content.get("files", {}).items()}
+            self.folders = [Path(path) for path in content.get("folders", [])]
+        except (ValueError, AttributeError) as problem:
+            raise Problem(f"{self.list} is damaged; remove it, then every file counts as changed") from problem
         self.known = set(self.hashes.values())
-
-    def keep(self, path: Path, why: str = "you changed it") -> None:
-        """Say that a file is not as it was installed."""
-        say("kept", f"{path}: {why}")
-        self.kept.add(path)
 
     def fingerprint(self, path: Path, content: bytes) -> str:
         """Return the hash of a file; of the profile's, which Wireshark rewrites, that of what it says."""
@@ -185,13 +179,13 @@ class Installation:
             content = meaning(path.stem if path.suffix == ".new" else path.name, content).encode()
         return hashlib.sha256(content).hexdigest()
 
-    def is_ours(self, path: Path) -> bool:
-        """Return whether the file is as some installation left it, or as Wireshark wrote that anew."""
+    def is_edited(self, path: Path) -> bool:
+        """Return whether there is something that no installation left, nor Wireshark when it wrote that anew."""
         if path.is_symlink() or not path.is_file():
-            return False
+            return os.path.lexists(path)
         content = path.read_bytes()
         found = {hashlib.sha256(content).hexdigest(), self.fingerprint(path, content)}
-        return not found.isdisjoint(self.known) or any(each.startswith(EARLIER) for each in found)
+        return found.isdisjoint(self.known) and not any(each.startswith(EARLIER) for each in found)
 
     def write(self, path: Path, content: bytes) -> None:
         """Write a file of ours, whole or not at all."""
@@ -204,45 +198,33 @@ class Installation:
         self.hashes[path] = self.fingerprint(path, content)
 
     def put(self, path: Path, content: bytes) -> None:
-        """Bring one file up to date; an edited one stays, in its place or beside it."""
+        """Bring one file up to date; an edited one stays, with the new one beside it."""
         beside, now = path.with_name(path.name + ".new"), self.fingerprint(path, content)
         self.known.add(now)
-        is_edited, is_settings = os.path.lexists(path) and not self.is_ours(path), path.parent == self.profile
-        if is_edited and (is_settings or path.name == "taurus_fields.lua"):
-            is_new = self.hashes.get(path) != now
-            self.keep(path, f"you changed it{f'; the new one is beside it, {beside.name}' if is_new else ''}")
-            if is_new:
-                self.write(beside, content)
-                self.hashes[path] = now
-            return
-        if is_edited:
-            say("replaced", f"{path}: it was changed; your version is kept beside it, {self.set_aside(path).name}")
-        self.write(path, content)
-        self.remove(beside)
-
-    def set_aside(self, path: Path) -> Path:
-        """Rename a file to a free name that Wireshark does not run. Return the new path."""
-        names = (path.with_name(f"{path.name}.edited{number or ''}") for number in (0, *range(2, 1000)))
-        aside = next(name for name in names if not os.path.lexists(name))
-        path.rename(aside)
-        return aside
+        if not self.is_edited(path):
+            self.write(path, content)
+            self.remove(beside)
+        elif self.hashes.get(path) == now:
+            say("kept", f"{path}: you changed it")
+        else:
+            say("kept", f"{path}: you changed it; the new one is beside it, {beside.name}")
+            self.write(beside, content)
+            self.hashes[path] = now
 
     def remove(self, path: Path) -> None:
-        """Remove a file that is as it was installed, and say so of one that is not."""
-        if self.is_ours(path):
-            path.unlink()
-        elif path in self.hashes and os.path.lexists(path):
-            if path.parent == self.target / "yapp":  # a module of 2.0
-                self.keep(self.set_aside(path), f"you changed it; Wireshark would run it as {path.name}")
-            elif not is_wiresharks(path):
-                self.keep(path)
-        self.hashes.pop(path, None)
+        """Remove a file that is as it was installed."""
+        if self.hashes.pop(path, None) and os.path.lexists(path):
+            if not self.is_edited(path):
+                path.unlink()
+            elif path.parent == self.target / "yapp":  # a module of 2.0, which Wireshark would run
+                path.rename(f"{path}.edited")
+                say("kept", f"{path}.edited: you changed it")
 
     def install(self, files: dict[Path, bytes]) -> None:
         """Put the files in their places, and remove those of an earlier version."""
         if (self.target / "yapp.lua").is_file() and not self.list.exists():  # 1.0, which left no list
             before = self.wireshark.config / "yapp.before"
-            self.keep(self.target, f"it has no list of its files; all of it is now in {before}")
+            say("kept", f"{self.target}: it has no list of its files; all of it is now in {before}")
             self.wireshark.config.mkdir(parents=True, exist_ok=True)
             shutil.move(str(self.target), str(before))
         for path in sorted(set(self.hashes) - set(files)):
@@ -257,38 +239,36 @@ class Installation:
         listed = {"files": {str(path): value for path, value in self.hashes.items()}, "folders": made}
         self.list.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
 
+    def places(self) -> list[Path]:
+        """Return the files and folders of ours that are there."""
+        outside = (*self.wireshark.extcap.glob("yapp_extcap.*"), *self.wireshark.config.glob("yapp_tables.path*"))
+        return list(filter(os.path.lexists, (*sorted(outside), self.profile, self.target)))
+
     def uninstall(self, purge: bool) -> None:
-        """Remove what is as it was installed, or all of it, and say what is gone."""
-        own = (self.profile, self.target)
-        outside = {path for path in self.hashes if own[0] not in path.parents and own[1] not in path.parents}
-        outside |= {*self.wireshark.extcap.glob("yapp_extcap.*"), *self.wireshark.config.glob("yapp_tables.path*")}
-        before = {path: {path, *path.rglob("*")} for path in (*sorted(outside), *own) if os.path.lexists(path)}
-        for path in sorted(self.hashes) if not purge else ():
+        """Remove what is as it was installed, or all of it, and say what is gone and what is kept."""
+        places = self.places()
+        for path in [*self.hashes]:
             self.remove(path)
-        # What Wireshark keeps in a profile that nothing else is in.
+        # The list, and what Wireshark keeps in a profile that nothing else is in.
         left = list(self.profile.glob("*"))
         for path in [self.list, *(left if all(map(is_wiresharks, left)) else ())]:
             if path.is_file():
                 path.unlink()
-        for path in before if purge else ():
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(str(path))
-            elif os.path.lexists(path):
-                path.unlink()
+        for path in self.places() if purge else ():
+            shutil.rmtree(str(path)) if path.is_dir() and not path.is_symlink() else path.unlink()
         self.remove_folders()
-        for path in sorted(path for folder in own for path in folder.rglob("*") if not path.is_dir()):
-            if path not in self.kept:
-                self.keep(path, "it is not as it was installed")
-        for path, content in before.items():
-            if not all(map(os.path.lexists, content)):
-                say("removed", f"{path}{', except what is kept' if path.exists() else ''}")
-        if self.kept:
+        kept = self.places()
+        for path in (each for place in kept for each in (place, *place.rglob("*")) if not each.is_dir()):
+            say("kept", f"{path}: you changed it, or it is not of this installation")
+        for path in (place for place in places if place not in kept):
+            say("removed", path)
+        if kept:
             say("note", "uninstall --purge removes what is kept, too")
 
     def remove_folders(self) -> None:
         """Remove the folders of ours that are empty, deepest first."""
-        own = {self.target / "yapp", self.target, self.profile, *self.folders}
-        for folder in sorted(own, key=lambda folder: -len(folder.parts)):
+        inside = (each for folder in (self.target, self.profile) for each in (folder, *folder.rglob("*")))
+        for folder in sorted({*inside, *self.folders}, key=lambda folder: -len(folder.parts)):
             if folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir()):
                 folder.rmdir()
 
@@ -321,7 +301,7 @@ def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
         yield f"nothing is installed in {wireshark.target}"
     elif plugin_version(entry) != plugin_version(source / "yapp.lua"):
         own = plugin_version(source / "yapp.lua")
-        yield f"{entry} is version {plugin_version(entry)}, this is {own}: install it again"
+        yield f"{entry} is version {plugin_version(entry)}, this is {own}: install it again, or take the .new one"
     yield from sandboxes(tshark or "")
     live_ports(wireshark)
     if not tshark:
@@ -338,8 +318,6 @@ def problems(source: Path, wireshark: Wireshark) -> Iterator[str]:
 
 def loading_problems(wireshark: Wireshark, tshark: str, entry: Path) -> Iterator[str]:
     """Give the sentences on why Wireshark does not load what is installed."""
-    if str(wireshark.lua)[0].isdigit() and not str(wireshark.lua).startswith(TRIED):
-        say("note", f"the plugin was tried with Lua {', '.join(TRIED)}, not with {wireshark.lua}")
     if wireshark.version < SAFE_PROFILES:
         safe = ".".join(map(str, SAFE_PROFILES))
         say("note", f"before {safe}, Wireshark can run code of a profile: import none that you do not trust, or update")
@@ -362,38 +340,24 @@ def sandboxes(tshark: str) -> Iterator[str]:
     found = [f"Flatpak ({each})" for each in flatpaks if (each / "app/org.wireshark.Wireshark").is_dir()]
     programs = (tshark, shutil.which("wireshark") or "", "/snap/bin/wireshark")
     found += [f"Snap ({path})" for path in programs if "/snap/" in path and os.path.exists(path)]
-    text = (
-        f"the Wireshark of {found[0]} sees no plugin folder and cannot capture: use your distribution's package"
-        if found
-        else ""
-    )
-    if found and tshark and "/snap/" not in tshark:
-        say("note", f"{text}, {tshark}, which is there too")
-    elif found:
-        yield text
+    for which in found[:1]:
+        text = f"the Wireshark of {which} sees no plugin folder and cannot capture: use your distribution's package"
+        if tshark and "/snap/" not in tshark:
+            say("note", f"{text}, {tshark}, which is there too")
+        else:
+            yield text
 
 
 def live_ports(wireshark: Wireshark) -> None:
-    """Say which Python runs the live ports, and which modules it has."""
-    if not wireshark.target.is_dir():
-        return
+    """Say which Python runs the live ports; they say themselves which modules they need."""
     python = sys.executable if os.name == "nt" else shutil.which("python3")
     if not (wireshark.extcap / "yapp_extcap.py").is_file():
         say("note", f"no live ports in {wireshark.extcap}: install it again")
-        return
-    if not python:
+    elif not python:
         say("note", "no python3 in PATH, so there are no live ports: they need Python 3.7 or later")
-        return
-    look = "import sys, importlib.util as u; print(sys.version.split()[0], *filter(u.find_spec, ('serial', 'can')))"
-    version, *found = ask(python, "-c", look)[0].split() or ["(it does not start)"]
-    states = ", ".join(f"{'with' if module in found else 'without'} {name}" for module, (name, _) in LIVE.items())
-    say("python", f"{python} {version} runs the live ports, {states}")
-    # Debian's own Python takes packages from apt.
-    is_debians = python.startswith("/usr/bin/") and shutil.which("apt")
-    for module, (name, purpose) in LIVE.items():
-        if module not in found:
-            command = f"sudo apt install python3-{module}" if is_debians else f"{python} -m pip install {name}"
-            say("note", f"{purpose} need {name}: {command}")
+    else:
+        version = (ask(python, "-V")[0].split() or ["(it does not start)"])[-1]
+        say("python", f"{python} {version} runs the live ports")
 
 
 def run(what: str, purge: bool = False, program: str | None = None) -> int:

@@ -46,12 +46,12 @@ class _Groups:
 
     def write(self) -> None:
         """Add all rows."""
-        for source, batch in by_source(self.rows):
-            if not len(batch):
+        for source, rows in by_source(self.rows):
+            if not len(rows):
                 continue
-            since = pc.subtract(times_of(batch, self.start * NANOSECONDS), self.start * NANOSECONDS)
-            times = since.to_numpy(zero_copy_only=False) / NANOSECONDS
-            samples = [(column, *_samples(batch.column(column.name), column)) for column in self.columns]
+            since = pc.subtract(times_of(rows, self.start * NANOSECONDS), self.start * NANOSECONDS)
+            times = since.to_numpy() / NANOSECONDS
+            samples = [(column, *_samples(rows[column.name].combine_chunks(), column)) for column in self.columns]
             if source in self.groups:
                 self.mdf.extend(
                     self.groups[source], [(times, None), *((array, absent) for _, array, absent in samples)]

@@ -31,7 +31,7 @@ class Pictures:
 
     sources: {name, label, colour, flight} of each; times: the x axes that traces share; small: [{source, title, unit,
     x, command, measured}]; panels: [{unit, message, fields, traces, marks}]; bars: [{title, message, kind, rows}];
-    values: a table for each message; constants: [{message, field, value}]; differs: who is different from the others.
+    differs: who is different from the others.
     """
 
     def __init__(self, start: int) -> None:
@@ -42,17 +42,14 @@ class Pictures:
         self.panels: list[Record] = []
         self.bars: list[Record] = []
         self.small: list[Record] = []
-        self.values: list[Record] = []
-        self.constants: list[Record] = []
         self.differs: list[Record] = []
         self.bytes = bytearray()
         self.flight = 0
-        self._messages: dict[int, list[str]] = {}
 
     def add(self, message: Message, table: pa.Table, alarms: set[str], prefix: str = "") -> None:
         """Draw a message.  alarms: the flags of it that were faults, each by its column; prefix: of sources' names."""
         found = list(sources(table, message.every, self.start))
-        whose = [self.source(prefix + source.name, message.title, first_of(source)) for source in found]
+        whose = [self.source(prefix + source.name, first_of(source)) for source in found]
         self.differs += [row | {"source": prefix + row["source"]} for row in differing(message, found, alarms)]
         known = (column for column in message.columns.values() if column.name in table.schema.names)
         columns = [column for column in known if column.role in ("value", "enum", "flag")]
@@ -61,18 +58,11 @@ class Pictures:
         marks = {column.name: [_marks(source, column) for source in found] for column in fields}
         drawn = [each for each in fields if any(map(_varies, values[each.name])) or _partly(each, values, marks)]
         self._lines(message, found, whose, drawn, values, marks)
-        rows = [self._range(column, values[column.name]) for column in fields]
-        if rows:
-            self.values.append({"message": message.title, "sources": whose, "rows": rows})
-        for column in fields:
-            if column not in drawn:
-                texts = [_constant(*pair) for pair in zip(values[column.name], marks[column.name], strict=True)]
-                self._constant(message, column, texts, found)
         for column in columns:
             if column.role != "value":
                 self._bars(message, found, whose, column, values[column.name], column.name in alarms)
 
-    def source(self, name: str, message: str, row: Record) -> int:
+    def source(self, name: str, row: Record) -> int:
         """Return the number of a source."""
         known = [source["name"] for source in self.sources]
         number = known.index(name) if name in known else len(known)
@@ -82,17 +72,7 @@ class Pictures:
             self.sources.append(
                 {"name": name, "label": label, "colour": _colour(bus, row.get("id")), "flight": self.flight}
             )
-        titles = self._messages.setdefault(number, [])
-        if message not in titles:
-            titles.append(message)
         return number
-
-    def legend(self) -> list[Record]:
-        """Return which sources there are, together those of the same messages."""
-        groups: dict[str, list[int]] = {}
-        for number, titles in self._messages.items():
-            groups.setdefault(", ".join(titles), []).append(number)
-        return [{"messages": titles, "sources": members} for titles, members in groups.items()]
 
     def blob(self) -> str:
         """Return all samples, packed."""
@@ -145,12 +125,6 @@ class Pictures:
             places.append((panels[column.unit], len(panels[column.unit]["fields"]) - 1))
         return places
 
-    def _range(self, column: Column, values: list[Array]) -> Record:
-        """Minimum, mean and maximum of each source."""
-        finite = [each[np.isfinite(each)] for each in values]
-        ranges = [[float(f(each)) for f in (np.min, np.mean, np.max)] if len(each) else None for each in finite]
-        return {"field": column.title, "unit": column.unit, "ranges": ranges}
-
     def _bars(
         self,
         message: Message,
@@ -160,12 +134,9 @@ class Pictures:
         values: list[Array],
         is_alarm: bool,
     ) -> None:
-        """What an enum said when, or when a flag was set; a line of its own where none of that changed."""
+        """What an enum said when, or when a flag was set."""
         is_flag = column.role == "flag"
         if is_flag and not any(np.nanmax(each, initial=0) for each in values):
-            return
-        if not is_alarm and not any(map(_varies, values)):
-            self._constant(message, column, [_meaning(column, each) for each in values], found)
             return
         rows = []
         for source, who, each in zip(found, whose, values, strict=True):
@@ -180,16 +151,6 @@ class Pictures:
             rows += [row] if held else []
         kind = "fault" if is_alarm else column.role
         self.bars.append({"title": column.title, "message": message.title, "kind": kind, "rows": rows})
-
-    def _constant(self, message: Message, column: Column, texts: list[str], found: list[Source]) -> None:
-        """Said in words what is the same all the time: once where it is so of all sources."""
-        by_text: dict[str, list[str]] = {}
-        for text, source in zip(texts, found, strict=True):
-            by_text.setdefault(text, []).append(source.name)
-        same = len(by_text) == 1
-        said = [text if same else f"{text} ({', '.join(names)})" for text, names in by_text.items() if text]
-        row = {"message": message.title, "field": column.title, "unit": column.unit, "value": ", ".join(said)}
-        self.constants.append(row)
 
 
 def packed(data: bytes) -> str:
@@ -218,20 +179,6 @@ def _partly(column: Column, values: dict[str, list[Array]], marks: dict[str, lis
     """Whether a level line has marks in it."""
     pairs = zip(values[column.name], marks[column.name], strict=True)
     return any(mark is not None and bool(np.isfinite(each).any()) for each, mark in pairs)
-
-
-def _constant(values: Array, marks: Record | None) -> str:
-    finite = values[np.isfinite(values)]
-    return f"{finite[0]:.7g}" if len(finite) else ", ".join(sorted(set(marks["what"]))) if marks else ""
-
-
-def _meaning(column: Column, values: Array) -> str:
-    finite = values[np.isfinite(values)]
-    if not len(finite):
-        return ""
-    if column.role == "flag":
-        return "set" if finite[0] else "not set"
-    return _text(column, finite[0])
 
 
 def _text(column: Column, value: float) -> str:

@@ -6,10 +6,16 @@
   // Plotly's names of dashes, and the lengths that it draws: a dash is a field, a colour a controller.
   const DASHES = [["solid", ""], ["dot", "3"], ["dash", "9"], ["dashdot", "9 3 3 3"], ["longdash", "15"],
     ["longdashdot", "15 6 6 6"]];
-  const HUES = [212, 22, 135, 48, 275, 335, 186, 0, 310, 175, 355, 255, 95, 35, 65, 230];
+  // Of a controller, on a light and on a dark background: at least 3:1 on either.
+  const COLOURS = {
+    light: ["#3086e8", "#e16219", "#119c34", "#a18412", "#9c30e8", "#e8307d", "#1297a5", "#e83030",
+      "#972684", "#18625c", "#a32933", "#5d37cd", "#376218", "#76511e", "#545a16", "#324bc8"],
+    dark: ["#3589e9", "#e16219", "#17cf45", "#cfaa17", "#b463ee", "#eb4c8e", "#17bccf", "#ec5151",
+      "#ecb1e2", "#58d5cb", "#edb6ba", "#cabeef", "#8cd558", "#e1bc89", "#bfcc33", "#bac2ee"],
+  };
   const PANEL = 150, SPREAD = 56, ROW = 18, SPACE = 14, AXIS = 50, LATE = 2.5;
   const LETTER = 6.5, LEAST = 3; // pixels: of a letter in a bar, of the shortest bar
-  const NARROW = innerWidth < 700, TOP = NARROW ? 24 : 44, PAPER = 700; // A4 and Letter, upright
+  const NARROW = innerWidth < 700, TOP = NARROW ? 24 : 44;
   // These buttons and no others: one of plotly's own uploads the chart to a server.
   const BUTTONS = [["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"]];
   const CONFIG = { responsive: true, displaylogo: false, scrollZoom: false, displayModeBar: !NARROW,
@@ -27,40 +33,15 @@
   };
   const count = (n, one) => `${n} ${one}${n === 1 ? "" : "s"}`;
 
-  // ---- colours: at least 3:1 on either background
-
   const isDark = () => {
     const chosen = document.documentElement.dataset.theme;
     return chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
   };
-
-  function luminance(hue, saturation, light) {
-    const a = saturation * Math.min(light, 1 - light);
-    const channel = (n) => {
-      const k = (n + hue / 30) % 12, c = light - a * Math.max(-1, Math.min(k - 3, 9 - k, 1));
-      return c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
-    };
-    return 0.2126 * channel(0) + 0.7152 * channel(8) + 0.0722 * channel(4);
-  }
-
-  const shades = {};
-  function colour(source) {
-    const number = data.sources[source].colour, dark = isDark(), key = `${number} ${dark}`;
-    if (shades[key]) return shades[key];
-    const hue = HUES[number], saturation = number < 8 ? 0.8 : 0.6;
-    let light = dark ? 0.45 : 0.55;
-    const contrast = () => {
-      const own = luminance(hue, saturation, light) + 0.05;
-      return dark ? own / 0.0583 : 1.05 / own; // #14171a, #fff
-    };
-    while (contrast() < (dark ? 5 : 3.5) * (number < 8 ? 1 : 2)) light += dark ? 0.01 : -0.01;
-    return shades[key] = `hsl(${hue} ${saturation * 100}% ${Math.round(light * 100)}%)`;
-  }
+  const colour = (source) => COLOURS[isDark() ? "dark" : "light"][data.sources[source].colour];
 
   // ---- numbers as text
 
   const plain = (value, digits) => typeof value === "number" ? String(Number(value.toPrecision(digits))) : value ?? "";
-  const short = (value) => plain(value, 7);
   const brief = (value) => plain(value, 5);
   const duration = (s) => {
     if (s < 1) return `${plain(s * 1000, 6)} ms`;
@@ -76,29 +57,7 @@
   const seconds = (s) => `${Number(s.toFixed(3))} s`;
   const when = (s) => `${clock(s)} (${seconds(s)}), ${utc(s)} UTC`;
 
-  // ---- tables
-
-  // columns: [{name, unit, key, show, bad}]. A column without a cell is left out.
-  function fill(table, columns, rows) {
-    table.closest(".scroll").hidden = !rows.length;
-    columns = columns.filter(({ key }) => rows.some((row) => (row[key] ?? "") !== ""));
-    const isNumber = ({ key }) => rows.some((row) => typeof row[key] === "number");
-    const head = table.createTHead().insertRow();
-    for (const column of columns) {
-      head.append(make("th", { textContent: column.unit ? `${column.name}/${column.unit}` : column.name,
-        className: isNumber(column) ? "number" : "" }));
-    }
-    const body = table.createTBody();
-    for (const row of rows) {
-      const line = body.insertRow();
-      for (const column of columns) {
-        const cell = line.insertCell(), value = row[column.key];
-        cell.textContent = (column.show ?? short)(value);
-        cell.className = [isNumber(column) ? "number" : "", value === 0 ? "zero" : "", column.long ? "long" : "",
-          column.bad && value > 0 ? "bad" : ""].join(" ").trim();
-      }
-    }
-  }
+  // ---- what went wrong
 
   function zoomTo(begin, end) {
     const room = Math.max(1, (end - begin) * 0.25);
@@ -169,49 +128,6 @@
     byId("differs").append(...data.differs.map(({ label, text, at }) => make("li", {}, zooms(`${label}: ${text}`, at, data.length))));
   }
 
-  function tables() {
-    verdict();
-    incidents();
-    const bad = (name, key) => ({ name, key, bad: true });
-    fill(byId("summary"), [{ name: "source", key: "source" }, { name: "bus", key: "bus" }, { name: "message", key: "message" },
-      { name: "count", key: "count" }, { name: "rate", unit: "Hz", key: "rate", show: brief }, { name: "gap min", unit: "s", key: "gap_min" },
-      { name: "gap mean", unit: "s", key: "gap_mean" }, { name: "gap max", unit: "s", key: "gap_max" },
-      { name: "at frame", key: "gap_max_frame" }, bad("crc bad", "crc_bad"), bad("incomplete", "incomplete"), bad("late", "late"),
-      bad("reboots", "reboots"), bad("invalid", "invalid"), bad("skipped", "skipped")], data.summary);
-    fill(byId("constants"), [{ name: "field", key: "field" }, { name: "value", key: "value", long: true }, { name: "unit", key: "unit" },
-      { name: "message", key: "message" }], data.constants);
-    byId("constant").hidden = !data.constants.length;
-    data.values.forEach(values);
-  }
-
-  // Minimum, mean and maximum of each source; of several the largest spread, when, and between whom.
-  function values({ message, sources, rows }) {
-    const table = make("table", { className: "values" }), head = table.createTHead(), several = sources.length > 1;
-    const names = head.insertRow(), under = head.insertRow();
-    const title = (row, textContent, span = 1, first = false) => {
-      row.append(make("th", { textContent, colSpan: span, className: first ? "group" : "" }));
-    };
-    title(names, "", 2);
-    if (several) title(names, "largest spread", 4, true);
-    for (const source of sources) title(names, data.sources[source].label, 3, true);
-    ["field", "unit"].forEach((name) => title(under, name));
-    if (several) ["spread", "at", "high", "low"].forEach((name, at) => title(under, name, 1, at === 0));
-    for (const _ of sources) ["min", "mean", "max"].forEach((name, at) => title(under, name, 1, at === 0));
-    const body = table.createTBody();
-    for (const row of rows) {
-      const line = body.insertRow(), largest = spreads[`${message}, ${row.field}`];
-      const cell = (content, className) => { const made = line.insertCell(); made.className = className; made.append(content); };
-      cell(row.field, "");
-      cell(row.unit, "");
-      if (several && largest) {
-        cell(zooms(brief(largest.spread), largest.at, largest.at), "number group");
-        [clock(largest.at), ...[largest.high, largest.low].map((who) => data.sources[who].label)].forEach((text, at) => cell(text, at ? "" : "number"));
-      } else if (several) ["", "", "", ""].forEach((text, at) => cell(text, at ? "" : "group"));
-      for (const range of row.ranges) (range ?? ["", "", ""]).forEach((value, at) => cell(brief(value), at ? "number" : "number group"));
-    }
-    byId("values").append(make("h3", { textContent: message }), make("div", { className: "scroll" }, table));
-  }
-
   // ---- samples
 
   // Packed as all first bytes, then all second ones.
@@ -263,7 +179,6 @@
     const all = Float64Array.from(found.flatMap((one) => Array.from(one.times))).sort();
     const next = found.map(() => 0), latest = found.map(() => -1);
     const out = new Float32Array(all.length).fill(NaN);
-    let largest = null;
     all.forEach((t, at) => {
       let low = -1, high = -1, known = 0;
       found.forEach(({ times, values: own }, i) => {
@@ -276,9 +191,8 @@
       });
       if (known < 2) return;
       out[at] = found[high].values[latest[high]] - found[low].values[latest[low]];
-      if (!largest || out[at] > largest.spread) largest = { spread: out[at], at: t, high: found[high].source, low: found[low].source };
     });
-    return { times: all, values: out, largest };
+    return { times: all, values: out };
   }
 
   // ---- pictures
@@ -286,11 +200,10 @@
   const blob = await unpack(data.blob);
   const times = data.times.map(unfoldTimes);
   const whole = [0, Math.max(data.length, 0.001)];
-  const plot = byId("plot"), spreads = {};
+  const plot = byId("plot");
   const HOVER_TIME = "%{customdata}";
   // From the top: {head, height, axis}, a heading above a picture with a y axis of its own.
   const stack = [], lines = [], others = [];
-  let screen = null; // while the page is printed, what it is on the screen
   const room = () => Math.max(300, plot.clientWidth || innerWidth);
 
   // Puts a heading and a picture below the others; returns the name of its y axis.
@@ -335,11 +248,10 @@
     }
     const found = about.fields.map((title, field) => ({ title, field, own: own.filter((one) => one.field === field) }))
       .filter((each) => each.own.length > 1).map((each) => ({ ...each, ...spreadOf(each.own, about.every ?? 1) }))
-      .filter(({ largest }) => largest?.spread > 0);
+      .filter((each) => each.values.some((spread) => spread > 0));
     if (!found.length) return;
     const below = place(SPREAD, { rangemode: "tozero", nticks: 3 }, pale(`spread between the sources${about.unit ? `, ${about.unit}` : ""}`));
-    for (const { title, field, times: x, values: y, largest } of found) {
-      spreads[`${about.message}, ${title}`] = largest;
+    for (const { title, field, times: x, values: y } of found) {
       line(below, field, { name: `${title}, spread`, title, unit: about.unit, times: x, values: y });
     }
   }
@@ -350,33 +262,23 @@
     const axis = place(rows.length * ROW, { range: [rows.length - 0.5, -0.5], showticklabels: false, fixedrange: true, showgrid: false }, head, pale(message));
     rows.forEach(({ source, begins, ends, texts: said }, row) => {
       const about = { yaxis: axis, source, name: `${title}, ${data.names[source]}` };
-      const held = begins.map((_, i) => i).filter((i) => ends[i] > begins[i]), moments = begins.filter((begin, i) => ends[i] === begin);
-      if (held.length) {
-        others.push({ ...about, type: "bar", orientation: "h", begins: held.map((i) => begins[i]), ends: held.map((i) => ends[i]),
-          y: held.map(() => row), said: held.map((i) => said[i] ?? data.names[source]), width: 0.88, isWide: kind === "fault" || kind === "event",
-          customdata: held.map((i) => [said[i] ?? data.names[source], `${when(begins[i])}<br>for ${duration(ends[i] - begins[i])}`]),
-          marker: { line: { width: 1 } }, textposition: "inside", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
-          hovertemplate: "%{customdata[0]}<br>%{customdata[1]}<extra>%{fullData.name}</extra>" });
-      }
-      if (moments.length) {
-        const late = moments.at(-1) > 0.75 * data.length;
-        others.push({ ...about, type: "scatter", mode: "markers+text", x: moments, y: moments.map(() => row), customdata: moments.map(when),
-          text: moments.map((_, i) => i === moments.length - 1 && (i === 0 || !late) ? data.names[source] : ""),
-          textposition: late ? "middle left" : "middle right", textfont: { size: 11 }, hovertemplate: `${HOVER_TIME}<extra>%{fullData.name}</extra>`,
-          marker: { symbol: "diamond", size: 11, line: { width: 1 } } });
-      }
+      const texts = begins.map((_, i) => said[i] ?? data.names[source]);
+      const times = begins.map((begin, i) => when(begin) + (ends[i] > begin ? `<br>for ${duration(ends[i] - begin)}` : ""));
+      others.push({ ...about, type: "bar", orientation: "h", begins, ends, said: texts, y: begins.map(() => row), width: 0.88,
+        isWide: kind === "fault" || kind === "event", customdata: texts.map((text, i) => [text, times[i]]),
+        marker: { line: { width: 1 } }, textposition: "auto", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
+        hovertemplate: "%{customdata[0]}<br>%{customdata[1]}<extra>%{fullData.name}</extra>" });
     });
   }
 
-  // Where bars are in this window: a fault or an event is never too short to be seen; texts stand where there is room.
+  // Where bars are in this window: nothing is too short to be seen; texts stand where there is room.
   function shown(bar, [from, to]) {
     const pixel = (to - from) / room(), { begins, ends } = bar;
-    const least = bar.isWide ? (LEAST + 1) * pixel : 0;
     const text = bar.said.map((said, i) => {
       const seen = Math.min(to, ends[i]) - Math.max(from, begins[i]);
-      return seen > (said.length * LETTER + 8) * pixel ? said : "";
+      return seen > (said.length * LETTER + 8) * pixel || (bar.isWide && i === begins.length - 1) ? said : "";
     });
-    return { base: begins, x: begins.map((begin, i) => Math.max(ends[i] - begin, least)), text };
+    return { base: begins, x: begins.map((begin, i) => Math.max(ends[i] - begin, (LEAST + 1) * pixel)), text };
   }
 
   // Where each picture is, from the top in pixels, with the headings as tall as they are at this width.
@@ -404,11 +306,10 @@
   }
 
   function layout() {
-    byId("heads").style.width = screen ? `${PAPER}px` : "";
     const style = getComputedStyle(document.body), ink = style.color, paper = style.backgroundColor;
     const grid = isDark() ? "#363c42" : "#d5d9dd", bottom = arrange(), inner = bottom - TOP;
     const x = { range: whole, gridcolor: grid, zeroline: false, ticksuffix: NARROW ? "" : " s" };
-    const made = { height: bottom + AXIS, width: screen ? PAPER : undefined, autosize: !screen, showlegend: false, barmode: "overlay",
+    const made = { height: bottom + AXIS, autosize: true, showlegend: false, barmode: "overlay",
       hovermode: "closest", dragmode: NARROW ? false : "zoom", uirevision: "kept",
       paper_bgcolor: paper, plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink, family: style.fontFamily, size: 12 },
       margin: { l: 36, r: 14, t: TOP, b: AXIS },
@@ -534,14 +435,11 @@
   // The sources by name and colour; they stay in sight while the pictures pass.
   function chips() {
     const box = byId("sources");
-    for (const { messages, sources } of data.legend) {
-      box.append(pale(`${messages}:`));
-      for (const source of sources) {
-        const tick = make("input", { type: "checkbox", checked: true });
-        tick.onchange = () => { if (tick.checked) hidden.delete(source); else hidden.add(source); draw(); };
-        box.append(make("label", {}, tick, " ", patch(source), ` ${data.sources[source].label}`));
-      }
-    }
+    data.sources.forEach(({ label }, source) => {
+      const tick = make("input", { type: "checkbox", checked: true });
+      tick.onchange = () => { if (tick.checked) hidden.delete(source); else hidden.add(source); draw(); };
+      box.append(make("label", {}, tick, " ", patch(source), ` ${label}`));
+    });
     box.append(make("button", { type: "button", textContent: "whole flight", onclick: () => Plotly.relayout(plot, { "xaxis.range": whole }) }));
   }
 
@@ -560,7 +458,8 @@
   const script = make("script", { textContent: new TextDecoder().decode(await unpack(byId("plotly").textContent)) });
   document.head.append(script);
   build();
-  tables();
+  verdict();
+  incidents();
   chips();
   draw().then(() => {
     plot.on("plotly_relayout", refine);
@@ -571,16 +470,6 @@
     document.documentElement.dataset.ready = "yes";
   });
   byId("theme").onclick = () => { document.documentElement.dataset.theme = isDark() ? "light" : "dark"; repaint(); };
-  addEventListener("resize", () => { if (!screen) draw(); });
-  addEventListener("beforeprint", () => {
-    screen = { theme: document.documentElement.dataset.theme };
-    document.documentElement.dataset.theme = "light";
-    repaint();
-  });
-  addEventListener("afterprint", () => {
-    if (screen.theme) document.documentElement.dataset.theme = screen.theme; else delete document.documentElement.dataset.theme;
-    screen = null;
-    repaint();
-  });
+  addEventListener("resize", draw);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
 })();

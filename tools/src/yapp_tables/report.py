@@ -6,6 +6,7 @@ from __future__ import annotations
 import html
 import json
 import os
+import re
 from collections.abc import Sequence
 from importlib.metadata import version
 from importlib.resources import files
@@ -15,10 +16,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from plotly.offline import get_plotlyjs
 
-from .config import StrPath
+from .api import read_flight
+from .config import Config, StrPath
 from .dataset import plain_name
 from .errors import SetupError
-from .flight import Flight
+from .flight import SOURCES, Flight
+from .html_table import html_table
 from .pictures import MARKS, Pictures, Record, packed
 from .tables import Column
 from .undecoded import source_name
@@ -43,6 +46,8 @@ COUNTED = {
     "skipped": "bytes of no frame",
     "invalid": "undefined value",
 }
+VALUES = {"message": "message", "title": "field", "unit": "unit", "source": "source"}
+VALUES |= {name: name for name in ("min", "mean", "max")}
 ELSEWHERE = ("fault", "unknown")  # these have rows of their own
 # Events of one controller that are no further apart than this, in seconds, are one incident.
 TOGETHER = 2.0
@@ -50,29 +55,36 @@ INCIDENT = ("fault", "reboot", "silence", "stale")
 
 
 def write_reports(
-    flights: Sequence[Flight], captures: Sequence[Path], out: StrPath | None = None, overlay: bool = False
-) -> Path:
+    captures: Sequence[Path], config: Config, out: StrPath | None = None, overlay: bool = False
+) -> tuple[Path, list[Record]]:
     """Write the page of a flight, one page of several laid over each other, or a folder of pages with an index.
 
-    Returns the page. Raises SetupError where it cannot be written.
+    Returns the page, and what each page says. Raises YappError.
     """
     page = captures[0].with_suffix(".html") if out is None else Path(out)
+    is_one = len(captures) == 1 or overlay
+    folder = page.parent if is_one else Path("report" if out is None else out)
     try:
-        if len(flights) == 1 or overlay:
-            if not page.parent.is_dir():
-                raise SetupError(f"{page} cannot be written: no folder {page.parent}")
-            write_report(flights, page)
-            return page
-        folder = Path("report" if out is None else out)
+        if is_one:
+            if not folder.is_dir():
+                raise SetupError(f"{page} cannot be written: no folder {folder}")
+            return page, [write_report([_read(capture, config) for capture in captures], page)]
         folder.mkdir(parents=True, exist_ok=True)
-        pages = [
-            folder / f"{plain_name(each)}-{one.flight_id[:8]}.html" for each, one in zip(captures, flights, strict=True)
-        ]
-        rows = [write_report([flight], path) for flight, path in zip(flights, pages, strict=True)]
-        write_whole(folder / "index.html", _index(rows, pages))
-        return folder / "index.html"
+        rows = []
+        for flight in (_read(capture, config) for capture in captures):
+            name = f"{plain_name(Path(flight.name))}-{flight.flight_id[:8]}.html"
+            rows.append(write_report([flight], folder / name) | {"page": name})
+        write_whole(folder / "index.html", _index(rows))
+        return folder / "index.html", rows
     except OSError as error:
         raise SetupError(f"{page} cannot be written: {error.strerror}") from error
+
+
+def _read(capture: Path, config: Config) -> Flight:
+    tshark, aircraft = config.of(capture)
+    flight = read_flight(capture, tshark, has_begin=True)
+    flight.aircraft = aircraft
+    return flight
 
 
 def write_report(flights: Sequence[Flight], path: Path) -> Record:
@@ -83,6 +95,8 @@ def write_report(flights: Sequence[Flight], path: Path) -> Record:
     data = json.dumps(found, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
     parts = {"/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8")}
     parts |= {"/*PLOTLY*/": packed(get_plotlyjs().encode()), "/*DATA*/": data}
+    parts |= {"/*VALUES*/": html_table(VALUES, [row for flight in flights for row in _values(flight)])}
+    parts |= {"/*SUMMARY*/": html_table(SOURCES, [row for flight in flights for row in flight.sources()])}
     for name, text in parts.items():
         head, _, tail = page.partition(name)
         page = head + text + tail
@@ -117,29 +131,24 @@ class Report:
             "length": self.end,
             "undecoded": next((flight.undecoded for flight in self.flights if flight.undecoded), ""),
             "left_out": left_out,
+            "partial": any(flight.partial for flight in self.flights),
             "about": [["plugin", first.plugin], ["yapp-tables", version("yapp-tables")], *self._about()],
             "incidents": sorted(incidents, key=lambda row: float(row["begin"])),
             "differs": pictures.differs,
             "sources": pictures.sources,
             "names": names,
-            "legend": pictures.legend(),
             "times": pictures.times,
             "panels": pictures.panels,
             "small": pictures.small,
             "bars": sorted(pictures.bars, key=lambda bars: ("fault", "event", "enum", "flag").index(bars["kind"])),
-            "summary": [row for flight in self.flights for row in _summary(flight)],
-            "values": pictures.values,
-            "constants": pictures.constants,
             "blob": pictures.blob(),
         }
 
     def _about(self) -> list[list[str]]:
         """Return board revisions and the like: fields of a message that name a revision or a version."""
-        found = []
-        for row in self.pictures.constants:
-            if "revision" in row["field"].lower() or "version" in row["field"].lower():
-                found.append([row["field"].lower(), row["value"]])
         first = self.flights[0]
+        names = (row for row in _values(first) if re.search("(?i)revision|version", row["title"]))
+        found = [[name, str(value)] for name, value in {(row["title"].lower(), f"{row['max']:g}") for row in names}]
         return [*found, ["catalogue", first.catalogue], *([["aircraft", first.aircraft]] if first.aircraft else [])]
 
     def _add(self, flight: Flight, start: int, prefix: str) -> list[Record]:
@@ -150,7 +159,7 @@ class Report:
         events: list[Record] = table.to_pylist()
         for event in events:
             event["at"] = 0.0 if event["at"] is None else (event["at"] - start) / 1e9
-            event["title"] = _title(flight, event["message"])
+            event["title"] = flight.title(event["message"])
             event["who"] = prefix + source_name(event)
         # First the message that says most.
         for message in sorted(flight.messages.values(), key=lambda message: -len(message.columns)):
@@ -165,7 +174,7 @@ class Report:
         bars: dict[str, Record] = {}
         for row in others:
             bar = bars.setdefault(row["what"], {"title": row["what"], "message": "", "kind": "event", "rows": {}})
-            source = self.pictures.source(row["source"], row["message"], row)
+            source = self.pictures.source(row["source"], row)
             marks = bar["rows"].setdefault(source, {"source": source, "texts": [], "begins": [], "ends": []})
             at = row["at"][:: -(-len(row["at"]) // MARKS)]
             marks["begins"] += at
@@ -175,11 +184,6 @@ class Report:
 
 def _start(flight: Flight) -> int:
     return flight.begin or min(pc.min(flight[name]["time"]).value for name in flight)
-
-
-def _title(flight: Flight, message: str | None) -> str:
-    known = flight.messages.get(message or "")
-    return known.title if known else message or "unknown message"
 
 
 def _flag(flight: Flight, event: Record) -> Column | None:
@@ -280,15 +284,16 @@ def _incidents(rows: list[Record]) -> list[Record]:
     return found
 
 
-def _summary(flight: Flight) -> list[Record]:
-    """A row for each source; what the plugin does not count is left out."""
-    rows: list[Record] = flight.summary.to_pylist()
-    names = [name for name in flight.summary.schema.names if any(row[name] is not None for row in rows)]
-    about = ({name: row[name] for name in names if name not in ("bus", "id")} for row in rows)
-    return [
-        row | {"source": source_name(given), "bus": given["bus"], "message": _title(flight, given["message"])}
-        for row, given in zip(about, rows, strict=True)
-    ]
+def _values(flight: Flight) -> list[Record]:
+    """A row for each field of each source: of one field those of all sources stand together."""
+    rows = []
+    for row in sorted(flight.statistics.to_pylist(), key=lambda row: (row["message"], row["field"])):
+        message = flight.messages.get(row["message"])
+        column = message.columns.get(row["field"]) if message else None
+        about = {"message": flight.title(row["message"]), "source": source_name(row)}
+        about |= {"title": column.title if column else row["field"], "unit": column.unit if column else ""}
+        rows += [row | about] if row["min"] is not None else []
+    return rows
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -301,16 +306,16 @@ def write_whole(path: Path, text: str) -> None:
         aside.unlink(missing_ok=True)
 
 
-def _index(found: list[Record], pages: list[Path]) -> str:
+def _index(found: list[Record]) -> str:
     """The page of a folder: a row for each flight, what went wrong first."""
     lines = []
-    for data, page in sorted(zip(found, pages, strict=True), key=lambda pair: pair[0]["epoch"]):
+    for data in sorted(found, key=lambda data: float(data["epoch"])):
         said = [*data["left_out"], *(f"{row['what']} on {row['label']}" for row in data["incidents"][:3])]
         said += [f"{row['label']}: {row['text']}" for row in data["differs"]]
         cells = [
             f"<td>{html.escape(text)}</td>" for text in (f"{len(data['incidents'])}", "; ".join(said) or "nothing")
         ]
-        link = f"<a href='{html.escape(page.name)}'>{html.escape(data['name'])}</a>"
+        link = f"<a href='{html.escape(data['page'])}'>{html.escape(data['name'])}</a>"
         time = f"<td data-epoch={data['epoch']} data-length={data['length']}></td>"
         lines.append(f"<tr><td>{link}</td>{time}{''.join(cells)}</tr>")
     template = files(__package__).joinpath("index.html").read_text(encoding="utf-8")

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
+
+from .sources import split
 
 # A gap is longer than this many periods, as for the plugin's yapp.late.
 LATE = 2.5
@@ -32,18 +33,11 @@ class Source:
 
 def sources(table: pa.Table, every: float | None, start: int) -> Iterator[Source]:
     """A message's rows by source: the user's name for it, or its bus and ID.  start: nanoseconds since 1970."""
-    number = pc.binary_join_element_wise(pc.fill_null(table["bus"], ""), _hex(table["id"]), " ")
-    names = pc.utf8_trim_whitespace(pc.coalesce(table["source"], number))
-    for name in sorted(pc.unique(names).to_pylist()):
-        rows = table.filter(pc.equal(names, name)).sort_by("time")
+    for name, own in split(table):
+        rows = own.sort_by("time")
         times = (rows["time"].cast(pa.int64()).to_numpy() - start) / 1e9
         period = every or (float(np.median(np.diff(times))) if len(times) > 1 else 1.0)
         yield Source(name, rows, times, period)
-
-
-def _hex(ids: pa.ChunkedArray) -> pa.ChunkedArray:
-    coded = ids.combine_chunks().dictionary_encode()
-    return pa.array([f"0x{number:03x}" for number in coded.dictionary.to_pylist()], pa.string()).take(coded.indices)
 
 
 def numbers(column: pa.ChunkedArray) -> Array:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""MF4 and MCAP keep each source by itself: a signal of four controllers in one channel would be a zigzag."""
+"""Rows by source: MF4, MCAP and pictures keep each by itself; four controllers in one channel would be a zigzag."""
 
 from __future__ import annotations
 
@@ -9,26 +9,27 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from .tables import Rows, Table
-from .undecoded import source_name
-
-KEY = ("bus", "id", "source")
 
 
-def by_source(table: Table) -> Iterator[tuple[tuple[str, ...], pa.RecordBatch]]:
-    """Return each batch's rows of one source, and what it is called: its name, or its bus and ID ("can0", "0x210").
+def split(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
+    """Return the rows of each source, by its name: the user's, or its bus and ID, "can0 0x210"."""
+    coded = rows["id"].combine_chunks().dictionary_encode()
+    texts = pa.array([f"0x{number:03x}" for number in coded.dictionary.to_pylist()], pa.string()).take(coded.indices)
+    number = pc.binary_join_element_wise(pc.fill_null(rows["bus"], ""), texts, " ")
+    names = pc.utf8_trim_whitespace(pc.coalesce(rows["source"], number))
+    for name in sorted(pc.unique(names).to_pylist()):
+        yield name, rows.filter(pc.equal(names, name))
+
+
+def by_source(table: Table) -> Iterator[tuple[tuple[str, ...], pa.Table]]:
+    """Return the rows of one source, batch by batch, and its name, of which bus and ID are two words.
 
     Events, faults, the summary and the flight stay together, and are called nothing.
     """
-    for batch in table:
-        if not isinstance(table, Rows):
-            yield (), batch
-            continue
-        found = pa.Table.from_batches([batch]).group_by(list(KEY)).aggregate([]).to_pylist()
-        for source in sorted(found, key=source_name):
-            yield (
-                (source["source"],) if source["source"] else tuple(source_name(source).split()),
-                batch.filter(_is(batch, source)),
-            )
+    for rows in (pa.Table.from_batches([batch]) for batch in table):
+        for name, own in split(rows) if isinstance(table, Rows) else [("", rows)]:
+            is_named = isinstance(table, Rows) and own["source"][0].is_valid
+            yield (name,) if is_named else tuple(name.split()), own.combine_chunks()
 
 
 def begin(tables: Sequence[Table]) -> int:
@@ -36,16 +37,7 @@ def begin(tables: Sequence[Table]) -> int:
     return min(table.first_time() for table in tables if isinstance(table, Rows))
 
 
-def times_of(batch: pa.RecordBatch, start: int) -> pa.Array:
+def times_of(rows: pa.Table, start: int) -> pa.ChunkedArray:
     """Return the times of rows in nanoseconds since 1970; start where there is none."""
-    if "time" not in batch.schema.names:
-        return pa.array([start] * len(batch), pa.int64())
-    return pc.fill_null(batch.column("time").cast(pa.int64()), start)
-
-
-def _is(batch: pa.RecordBatch, source: dict[str, str | int | None]) -> pa.Array:
-    mask = pc.equal(batch.column("id"), source["id"])
-    for key in ("bus", "source"):
-        column, value = batch.column(key), source[key]
-        mask = pc.and_(mask, pc.is_null(column) if value is None else pc.equal(column, value))
-    return pc.fill_null(mask, False)
+    times = rows["time"] if "time" in rows.schema.names else pa.chunked_array([pa.nulls(len(rows))])
+    return pc.fill_null(times.cast(pa.int64()), start)

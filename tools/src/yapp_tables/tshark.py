@@ -16,12 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from .errors import CaptureError, SetupError, YappError
+from .install import NOT_AS_ROOT, ask, find_tshark, version_of
 from .undecoded import undecoded
 
 INSTALL_TSHARK = "install Wireshark (Debian, Ubuntu: apt-get install tshark) or name the program with --tshark PATH"
 INSTALL_PLUGIN = "install it (yapp-tables install) or name it with --plugin PATH/yapp.lua"
-# Where Wireshark's own installers put tshark without naming it in PATH.
-USUAL_PLACES = ("/Applications/Wireshark.app/Contents/MacOS/tshark", r"C:\Program Files\Wireshark\tshark.exe")
 # An empty capture: a pcap header (SocketCAN, 64 KB packets) and no packet.
 EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000")
 PLUGIN_SAYS = "yapp: "
@@ -150,15 +149,11 @@ class Tshark:
         return command
 
     def _program(self) -> str:
-        if self.program is not None:
-            found = shutil.which(self.program)
-            if found is None:
-                raise SetupError(f"{self.program} is no program that can be run: {INSTALL_TSHARK}")
-            return os.path.abspath(found)
-        for place in ("tshark", *USUAL_PLACES):
-            if found := shutil.which(place):
-                return os.path.abspath(found)
-        raise SetupError(f"tshark was not found: {INSTALL_TSHARK}")
+        found = shutil.which(self.program) if self.program else find_tshark()
+        if not found:
+            what = f"{self.program} is no program that can be run" if self.program else "tshark was not found"
+            raise SetupError(f"{what}: {INSTALL_TSHARK}")
+        return os.path.abspath(found)
 
     def _plugin(self) -> Path:
         path = Path(self.plugin or "")
@@ -187,17 +182,11 @@ class Tshark:
         raise CaptureError(f"{capture}: {said or f'tshark ended with {done.returncode}'}")
 
     def _no_plugin(self) -> str:
-        if os.name == "posix" and os.geteuid() == 0 and self.version() >= (4, 4):
+        if os.name == "posix" and os.geteuid() == 0 and version_of(ask(self._program(), "--version")[0]) >= NOT_AS_ROOT:
             return "as root, Wireshark 4.4 and later ignore Lua plugins without a word: run this as an ordinary user"
         if self.plugin is not None:
             return f"{self.plugin} has no -z yapp,csv: it is too old, or did not load"
         return f"tshark has no YAPP plugin, or one that is too old for -z yapp,csv: {INSTALL_PLUGIN}"
-
-    def version(self) -> tuple[int, ...]:
-        """tshark's own version, (4, 0, 17)."""
-        text = subprocess.run([self._program(), "--version"], capture_output=True, text=True, check=False).stdout
-        found = re.search(r"\d+(\.\d+)+", text)
-        return tuple(int(part) for part in found[0].split(".")) if found else ()
 
 
 def _run(command: list[str], folder: Path, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
