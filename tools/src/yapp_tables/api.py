@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What a program calls: read, read_many, convert, report. `how`, of each of them, says how captures are decoded:
+"""What a program calls: read, read_many, convert, report. Each takes these keywords (`**how`):
 
 options: preferences for tshark, ["yapp.motor_ids:0x210,0x211"]; sources: names of controllers,
 {"can0/0x210": "motor:left"}; filter: a display filter, only these messages are taken; profile: one of Wireshark;

@@ -24,6 +24,7 @@ INSTALL_PLUGIN = "install it (yapp-tables install) or name it with --plugin PATH
 # An empty capture: a pcap header (SocketCAN, 64 KB packets) and no packet.
 EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000")
 PLUGIN_SAYS = "yapp: "
+SAME_PLUGIN = re.compile(r"\((.*)\) is not loaded: .* \(\1\) is already there$")  # --plugin, and it is installed
 STATISTICS = ("events", "summary")
 # Exit codes: a rule does not hold; a statistic leaves something out.
 BROKEN, UNDECIDED = 20, 21
@@ -222,7 +223,8 @@ def _complaints(done: subprocess.CompletedProcess[str]) -> tuple[str, ...]:
 
 
 def _said(done: subprocess.CompletedProcess[str]) -> list[str]:
-    return [line.removeprefix(PLUGIN_SAYS) for line in done.stderr.splitlines() if line.startswith(PLUGIN_SAYS)]
+    said = [line.removeprefix(PLUGIN_SAYS) for line in done.stderr.splitlines() if line.startswith(PLUGIN_SAYS)]
+    return [line for line in said if not SAME_PLUGIN.search(line)]
 
 
 def _json_lines(stdout: str) -> Iterator[Record]:
