@@ -225,7 +225,7 @@ def test_the_environment(folder):
 def test_a_file_that_is_not_there(folder):
     info, said = loaded(folder, {}, env={"YAPP_MESSAGES": "/no/such.lua"})
     assert info.startswith("Command  Enabled")
-    assert said == ["yapp: /no/such.lua: not found; its messages are shown as bytes"]
+    assert said == ["yapp: /no/such.lua: not found; its messages are not decoded"]
 
 
 def test_an_error_names_file_message_and_field_and_the_rest_works(folder):
@@ -235,7 +235,7 @@ def test_an_error_names_file_message_and_field_and_the_rest_works(folder):
     assert len(said) == 1
     assert said[0].startswith(f"yapp: {folder / PERSONAL}/yapp_messages.lua: message mine, field one: unknown type "
                               '"unit8"; the types are ')
-    assert said[0].endswith("; this message is shown as bytes")
+    assert said[0].endswith("; this message is not decoded")
 
 
 def test_an_unknown_option_is_one_message(folder):
@@ -248,7 +248,7 @@ def test_no_catalogue_at_all(folder):
     options, load = home_with(folder, {})
     (folder / "plugin/taurus_fields.lua").unlink()
     done = tshark.run(*load, "-r", COMMAND, **options)
-    assert "taurus_fields.lua: not found; its messages are shown as bytes" in done.stderr
+    assert "taurus_fields.lua: not found; its messages are not decoded" in done.stderr
     assert "bad argument" not in done.stderr
 
 

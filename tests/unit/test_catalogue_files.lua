@@ -52,8 +52,8 @@ function T.test_an_error_names_file_message_and_field()
   local path = list[2].path
   lu.assertEquals(#problems, 3)
   lu.assertStrContains(problems[1], path .. ': message b, field f: unknown type "uint9"; the types are')
-  lu.assertEquals(problems[2], path .. ": message c: id 0x1 is that of message a; this message is shown as bytes")
-  lu.assertEquals(problems[3], path .. ": message d: the name is there twice; this message is shown as bytes")
+  lu.assertEquals(problems[2], path .. ": message c: id 0x1 is that of message a; this message is not decoded")
+  lu.assertEquals(problems[3], path .. ": message d: the name is there twice; this message is not decoded")
 end
 
 -- What a file says of itself may be long, and no message without a name takes another one's place.
@@ -137,7 +137,7 @@ function T.test_a_file_that_is_not_there()
   lu.assertEquals({ #compiled.messages, problems }, { 1, {} })
   compiled, problems = files.load { { path = path .. ".no" }, { path = path } }
   lu.assertEquals({ #compiled.messages, problems },
-    { 1, { path .. ".no: not found; its messages are shown as bytes" } })
+    { 1, { path .. ".no: not found; its messages are not decoded" } })
 end
 
 function T.test_a_preference_in_its_file()

@@ -84,13 +84,13 @@ function M.load(files, reserved)
     if entries then
       add_entries(all, entries, file.path, problems)
     elseif not (file.optional and problem == "not found") then
-      problem = problem .. "; its messages are shown as bytes"
+      problem = problem .. "; its messages are not decoded"
       problems[#problems + 1] = file.path .. ": " .. problem
     end
   end
   local compiled, found = catalogue.compile(all.entries, all.origins, reserved)
   for _, text in ipairs(found) do
-    problems[#problems + 1] = text .. "; this message is shown as bytes"
+    problems[#problems + 1] = text .. "; this message is not decoded"
   end
   return compiled, check.few(problems)
 end
