@@ -153,7 +153,7 @@ def decoded_with(load, path, options, *arguments):
     return [line for line in done.stderr.splitlines() if line.startswith("yapp: ")], decoded
 
 
-# What is changed in the catalogue, what stderr has to name, and which message is shown as bytes from then on.
+# What is changed in the catalogue, what stderr has to name, and which message is shown not decoded from then on.
 TORQUE = '{ "torque_iq", "float16", "Torque IQ", min = -200, max = 200, unit = "A" },'
 BROKEN = [
     (TORQUE, TORQUE.replace("torque_iq", "rpm"), "message command, field rpm: the name is there twice", "Command"),
@@ -219,7 +219,7 @@ def test_unreadable_catalogue(folder, _, text, said):
     options, load = with_catalogue(folder, text)
     path = write(folder, *ALL_THREE)
     stderr, decoded = decoded_with(load, path, options)
-    assert len(stderr) == 1 and said in stderr[0] and "as bytes" in stderr[0]
+    assert len(stderr) == 1 and said in stderr[0] and "not decoded" in stderr[0]
     assert decoded == {}
     payloads = tshark.run(*load, "-r", path, "-Y", "yapp.payload && yapp.id.unknown", "-T", "fields", "-e",
                           "yapp.payload", **options).stdout.split()

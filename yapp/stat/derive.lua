@@ -60,7 +60,7 @@ function Deriver:add(event, now, cause)
   self.statistic:event(event, now, cause or event)
 end
 
---- Return which messages may have had faults that nobody can see; nil for none.
+--- Return a text: how many damaged or lost messages may have had a fault; nil for none.
 function Deriver:hiding()
   local texts = {}
   for _, row in ipairs(HIDING) do
