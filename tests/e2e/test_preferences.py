@@ -153,7 +153,7 @@ def decoded_with(load, path, options, *arguments):
     return [line for line in done.stderr.splitlines() if line.startswith("yapp: ")], decoded
 
 
-# What is changed in the catalogue, what stderr has to name, and which message is shown not decoded from then on.
+# What is changed in the catalogue, what stderr has to name, and which message is not decoded from then on.
 TORQUE = '{ "torque_iq", "float16", "Torque IQ", min = -200, max = 200, unit = "A" },'
 BROKEN = [
     (TORQUE, TORQUE.replace("torque_iq", "rpm"), "message command, field rpm: the name is there twice", "Command"),
