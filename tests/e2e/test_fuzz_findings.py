@@ -58,11 +58,19 @@ def planted(folder, monkeypatch):
 
 
 LOADED = ("yapp.lua", "local VERSION")
-DISSECTOR = ("yapp/serial/framer.lua", "function Framer:feed")
+DISSECTOR = ("yapp/serial/framer.lua", "function Framer:add")
+READER = ("yapp/message/reader.lua", "function Reader:read(m, history, wants)")
 INIT = ("yapp.lua", "function yapp.init")
 # A protocol of its own, in the packets of which Wireshark finds a fault that is not said to be ours.
 OTHER = """local other = Proto("other", "Other") other.fields = { ProtoField.uint8("other.one", "One") }
 function other.dissector(buffer, _, tree) %s end register_postdissector(other)""".replace("\n", " ")
+
+
+def test_there_is_something_to_plant_behind():
+    """`make test` notices a renamed function, not only the deep tests that plant."""
+    for file, behind in {row[:2] for row in (*PLANTED.values(), DISSECTOR, READER)}:
+        lines = (tshark.ROOT / file).read_text().splitlines()
+        assert sum(line.startswith(behind) for line in lines) == 1, behind
 
 
 @levels.deep
@@ -118,7 +126,7 @@ def test_a_fault_ends_a_run_with_a_small_capture(folder):
     """The whole program: a finding is told, made small, kept; the exit code says so; kept, it is found again."""
     (folder / "plugin").mkdir()
     (folder / "kept").mkdir()
-    plant(folder / "plugin", "yapp/message/decode.lua", "function M.read", 'error("planted")')
+    plant(folder / "plugin", *READER, 'error("planted")')
     command = [sys.executable, tshark.ROOT / "tests/fuzz.py", "--plugin", folder / "plugin"]
     done = subprocess.run([*command, "--frames", "3000", "--jobs", "1", "--keep", folder / "kept"], capture_output=True,
                           text=True, check=False)

@@ -5,6 +5,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local M = {}
 
 local function cpu_seconds(call)
+  collectgarbage() -- what was made before is not collected in this call
   local start = os.clock()
   call()
   return os.clock() - start
@@ -22,9 +23,10 @@ function M.is_quadratic(call)
 end
 
 --- Return whether a call costs less than 8 times as much at four times the size, where quadratic work costs 16 times.
+-- Ten attempts, as a loaded machine can make a single one look quadratic; work that is fails them all.
 -- call  function(size)
 function M.is_linear(call, size)
-  for _ = 1, 3 do
+  for _ = 1, 10 do
     local least = cpu_seconds(function() call(size) end)
     if cpu_seconds(function() call(4 * size) end) < 8 * least then return true end
   end
