@@ -410,6 +410,20 @@ function T.test_numbers_of_64_bits()
   lu.assertStrContains(run({ "summary,json" }, since_1970, with), '"mean":1700000000000000,')
 end
 
+-- Where Seq No does not count, "0 missing" proves nothing, and says so.
+function T.test_check_says_where_seq_no_does_not_number_messages()
+  local function note_of(...)
+    local records = {}
+    for i, seq in ipairs { ... } do records[i] = record(i, i / 10, { seq = seq }) end
+    local printed, code = run({ "check,json,missing=0" }, records)
+    return code, printed:match('"rule":"missing=0".-"note":("?[^"]*"?)}')
+  end
+  lu.assertEquals({ note_of(5, 5, 5) }, { 0, '"Seq No never changes: lost messages do not show"' })
+  lu.assertEquals({ note_of(5, 6, 7) }, { 0, "null" })
+  lu.assertEquals({ note_of(5, 5, 6) }, { 0, "null" })
+  lu.assertEquals({ note_of(5) }, { 0, "null" }) -- one message does not tell
+end
+
 function T.test_what_was_not_decoded_was_not_checked()
   local strange = record(2, 1, { source = ODD, fits = false })
   local found, code = verdicts("crc=0", { record(1, 0), strange })

@@ -33,6 +33,11 @@ local KEYS = {
 }
 local NO_TIMES = "packets of this capture have no time stamps"
 local NO_VALUE = "no good message of it came"
+local SAME_SEQ = {
+  json = '"Seq No never changes: lost messages do not show"',
+  text = "Seq No never changes: lost messages do not show",
+  short = "Seq No never changes",
+}
 local UNRELIABLE = "what came before its messages is not known: see -z yapp,events"
 -- Rules about time that no kind of event has.
 local RESTS_ON_TIME = { needs_time = true, needs_past = true }
@@ -103,6 +108,12 @@ local function count_events(rule, group)
   if kinds.BY_NAME[rule.kind].needs_past and group.count == 0 then return { note = NO_VALUE } end
   local seen, frame, values = groups.seen(group, rule.kind)
   return { seen = seen, frame = frame, holds = seen <= rule.limit, note = values and values.note }
+end
+
+function of_source.missing(rule, group)
+  local row = count_events(rule, group)
+  if group.count > 1 and not group.is_numbered then row.note = SAME_SEQ end
+  return row
 end
 
 -- By rule: function(check, rule), of the whole capture.

@@ -163,6 +163,7 @@ end
 --   counts = { [kind of event] = { seen, frame = of the first, note = of the first } }
 --   count = of good messages; first, last = their times, last_frame
 --   gap_min, gap_max = seconds, gap_max_frame
+--   seq = of the latest, is_numbered = whether Seq No changed
 --   is_unreliable = whether one of them had an unreliable history
 --   values = a list, also by entry of Groups:wants }
 local function group_of(self, source)
@@ -206,10 +207,11 @@ local function note_message(self, event, now)
       group.gap_max, group.gap_max_frame = gap, event.frame
     end
     group.gap_min = math.min(gap, group.gap_min or gap)
+    group.is_numbered = group.is_numbered or event.seq ~= group.seq
   else
     group.first = now
   end
-  group.last = now
+  group.last, group.seq = now, event.seq
   group.last_frame = event.frame
   group.count = group.count + 1
   if event.values.is_unreliable then group.is_unreliable = true end
