@@ -142,7 +142,7 @@ class Comparison:
         self.numbers(number, verdict, row)
         if verdict.payload is not None and frame.captured is None and verdict.status != 2:
             self.expect(number, "padding", verdict.padding, len(row["yapp.padding"]) // 2)
-            self.payload(number, verdict.payload, row)
+            self.payload(number, verdict.payload, row, is_good=verdict.status != 0)
 
     def numbers(self, number, verdict, row):
         if verdict.members and number == verdict.members[-1]:
@@ -172,10 +172,11 @@ class Comparison:
         ends = [self.capture.frames[last - 1].kept for last in (self.old_number[int(shown)], verdict.reassembled_in) if last]
         return len(ends) == 2 and (ends[0].startswith(ends[1]) or ends[1].startswith(ends[0]))
 
-    def payload(self, number, payload, row):
+    def payload(self, number, payload, row, is_good):
+        """A payload that is longer than the catalogue's is decoded unless its CRC is bad."""
         kind = can_generator.kind_of(self.capture.frames[number - 1].can_id >> 18)
         size = can_generator.SIZES[kind] if kind else 0
-        if kind and len(payload) >= size:
+        if kind and (len(payload) == size or len(payload) > size and is_good):
             expected = taurus_values(kind, payload)
             self.expect(number, "undecoded", payload[size:].hex(), row["yapp.undecoded"])
             for name in FIELDS:
@@ -203,7 +204,7 @@ class Comparison:
                     {member for member in members if member in used and not self.has_twin(member, used)})
         used.update(members)
         if payload is not None:
-            self.payload(number, payload, row)
+            self.payload(number, payload, row, is_good=True)
 
 
 def show(capture, path, *arguments):

@@ -173,8 +173,8 @@ def test_every_field_says_what_it_is():
     about = {row[2]: row[7] for row in rows if row[0] == "F" and row[2].startswith(("yapp.", "taurus."))}
     experts = {*model.EXPERTS, *model.EVENT_EXPERTS, "yapp.can.id.missing"}
     assert len(about) > 150 and [name for name, text in about.items() if not text and name not in experts] == []
-    assert about["taurus.motor.dc_voltage"] == 'DC Voltage in V, of Motor Data (section "Taurus Motor Data")'
-    assert "DC Voltage in V, of Motor Data" in about["taurus.motor.dc_voltage.special"]
+    assert about["taurus.motor.dc_voltage"] == 'DC Voltage in V, -128 to 128, of Motor Data (section "Taurus Motor Data")'
+    assert "DC Voltage in V, -128 to 128, of Motor Data" in about["taurus.motor.dc_voltage.special"]
     assert about["taurus.motor.dc_voltage.special"].startswith("Why there is no number")
 
 

@@ -17,7 +17,7 @@ BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```", (TOP / "docs/tables.md").read
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("docs")
-    flights.write(folder / "flight.pcapng", 1, 30)
+    flights.write(folder / "run.pcapng", 1, 30)
     for seed in range(3):
         path = folder / f"flights/ac{seed:02}/flight{seed}.pcapng"
         path.parent.mkdir(parents=True)

@@ -244,6 +244,8 @@ function T.test_descriptions()
       'Leak, one of Flags, of Pump (section "Flags of pumps"). Look at the seal',
       'Dry, one of Flags, of Pump (section "Flags of pumps")', 'Count, of Pump (section "Pumps")' })
   lu.assertEquals(about(catalogue.compile({ message() }).messages[1], "f"), "F, of M")
+  local volts = message({}, { [2] = "float8", min = -1.5, max = 40, unit = "V" })
+  lu.assertEquals(about(catalogue.compile({ volts }).messages[1], "f"), "F in V, -1.5 to 40, of M")
 end
 
 function T.test_long_texts_are_cut()

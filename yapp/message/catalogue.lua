@@ -25,11 +25,12 @@ local OPTIONS =
 -- Filters ----------------------------------------------------------------------------------------
 
 -- Return the description of a field, a flag or a generated value.
-local function describe(message, title, unit, section)
-  local text = title
-  if unit then text = text .. " in " .. unit end
+local function describe(message, one)
+  local text = one.title
+  if one.unit then text = text .. " in " .. one.unit end
+  if one.min then text = ("%s, %.10g to %.10g"):format(text, one.min, one.max) end
   text = text .. ", of " .. message.title
-  if section then text = ('%s (section "%s")'):format(text, section) end
+  if one.section then text = ('%s (section "%s")'):format(text, one.section) end
   return text
 end
 
@@ -69,11 +70,12 @@ end
 
 -- Add the filters of a field.
 local function add_field(message, field, add)
-  local title, about = field.title, describe(message, field.title, field.unit, field.section)
+  local title, about = field.title, describe(message, field)
   local kind, base = type_of(field)
   if field.kind == "flags" then
     add_flags(field, add, about, function(flag)
-      local text = describe(message, flag.title .. ", one of " .. title, nil, field.section)
+      local shown = { title = flag.title .. ", one of " .. title, section = field.section }
+      local text = describe(message, shown)
       return flag.help and text .. ". " .. flag.help or text
     end)
   elseif field.special then
@@ -123,7 +125,7 @@ local function add_filters(message, reserved, context)
   add(message.filter, "NONE", message.title, "A whole message: " .. message.title)
   add_state(message, add)
   for _, item in ipairs(message.generated) do
-    add(item.filter, "DOUBLE", item.title, describe(message, item.title, item.unit))
+    add(item.filter, "DOUBLE", item.title, describe(message, item))
   end
   for _, field in ipairs(message.fields) do
     local array = field.array or field -- its elements share the filters
