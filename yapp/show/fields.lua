@@ -59,7 +59,7 @@ local YAPP = {
   { "bus", "STRING", "Bus",
     "Name of the bus, where the capture has one" },
   { "source", "STRING", "Source",
-    "Name of this bus and ID, else both as they are" },
+    "The name from yapp.sources, or without one the bus and ID, such as can1 0x210" },
   { "message.fault", "BOOLEAN", "Message has a fault flag set",
     "Set in every frame of a message that has a fault" },
   { "seq.missing", "UINT8", "Messages missing before this one",
