@@ -219,7 +219,7 @@ class Truth:
         counts["reboots"] += 0
         self.summary.append({**self.who(sender), "crc_bad": crc, "incomplete": lost, "late": counts["late"],
                              "reboots": counts["reboots"], **rates(good), "values": ranges(sender, good),
-                             "invalid": counts["invalid"], "skipped": 0})
+                             "invalid": counts["invalid"], "skipped": 0, "missing": counts["missing"]})
         self.counted = counts
 
     def good(self, sender, message, before, state, counts):
@@ -236,6 +236,7 @@ class Truth:
         missing = missing_before(message, state, is_reboot)
         if missing:
             self.event("missing", sender, last, count=missing)
+            counts["missing"] += missing
         if sender.kind == "motor":
             self.flags(sender, message, state)
 

@@ -124,10 +124,10 @@ function T.test_summary()
     '{"bus":"can0","id":528,"source":"left","message":"motor","count":3,"rate":2.8571428571428572,' ..
       '"gap_min":0.200000000,"gap_mean":0.350000000,"gap_max":0.500000000,"gap_max_frame":2,' ..
       '"crc_bad":1,"incomplete":1,"late":1,"reboots":1,"values":{"volts":{"min":10,"mean":15,"max":20}},' ..
-      '"invalid":0,"skipped":0}',
+      '"invalid":0,"skipped":0,"missing":0}',
     '{"bus":"can0","id":768,"source":null,"message":null,"count":1,"rate":null,"gap_min":null,' ..
       '"gap_mean":null,"gap_max":null,"gap_max_frame":null,"crc_bad":0,"incomplete":0,' ..
-      '"late":0,"reboots":0,"values":{},"invalid":0,"skipped":0}' })
+      '"late":0,"reboots":0,"values":{},"invalid":0,"skipped":0,"missing":0}' })
 end
 
 function T.test_summary_in_words()
@@ -136,9 +136,9 @@ function T.test_summary_in_words()
   lu.assertEquals(printed, [[
 YAPP summary: 2 sources in 2.000 s
 
-bus    ID     source  message     count  rate/Hz  gap/s min      mean       max  in frame  bad CRC  incomplete  late  reboots  invalid  skipped
-can0   0x210  left    Motor Data      2        4   0.250000  0.250000  0.250000         3        0           0     0        0        0        0
-can"1  0x210          Motor Data      1                                                          0           0     0        0        0        0
+bus    ID     source  message     count  rate/Hz  gap/s min      mean       max  in frame  bad CRC  incomplete  late  reboots  invalid  skipped  missing
+can0   0x210  left    Motor Data      2        4   0.250000  0.250000  0.250000         3        0           0     0        0        0        0        0
+can"1  0x210          Motor Data      1                                                          0           0     0        0        0        0        0
 
 bus    ID     source  message     field  unit  min  mean  max  count
 can0   0x210  left    Motor Data  volts  V      10    10   10      2
@@ -582,7 +582,7 @@ function T.test_what_the_catalogue_does_not_define()
     '{"kind":"invalid",,"field":"fault_flags","value":32}', '{"kind":"invalid",,"field":"mode","value":7}' })
   local words = run({ "events" }, records)
   lu.assertStrContains(words, "invalid  mode 0x07 is not defined\n")
-  lu.assertStrContains(run({ "summary,json" }, records), '"invalid":2,"skipped":0}') -- messages
+  lu.assertStrContains(run({ "summary,json" }, records), '"invalid":2,"skipped":0,"missing":0}') -- messages
   lu.assertEquals(verdicts("invalid=1,invalid=2", records),
     { "invalid=1 left false 2 2", "invalid=2 left true 2 2", "unknown=0 null true 0 null" })
 end
@@ -599,7 +599,7 @@ function T.test_bytes_of_no_frame()
   lu.assertEquals(found("events,json", "skipped", records), { '{"kind":"skipped",,"length":5}', '{"kind":"skipped",,"length":5}' })
   lu.assertStrContains(run({ "events" }, records), "5 bytes of no frame")
   lu.assertStrContains(run({ "summary,json" }, records), '{"bus":"ttyA","id":null,"source":null,"message":null,"count":0,')
-  lu.assertStrContains(run({ "summary,json" }, records), '"invalid":0,"skipped":2}')
+  lu.assertStrContains(run({ "summary,json" }, records), '"invalid":0,"skipped":2,"missing":0}')
   lu.assertEquals(verdicts("skipped=1,incomplete=0", records),
     { "skipped=1 null false 2 2", "incomplete=0 left true 0 null", "unknown=0 null true 0 null" })
   lu.assertEquals({ verdicts("skipped=0", { record(1, 0) }) }, { { "skipped=0 null true 0 null",
@@ -865,6 +865,8 @@ function T.test_kinds_that_are_changes()
       lu.assertEquals({ #json, json[1] }, { 1, ('{"kind":"%s","time":1700000000.100000005,"frame":2,"bus":"can0","id":528,'):format(
         row.name) .. '"source":"left","message":"motor"' .. (expected[2] ~= "" and "," or "") .. expected[2] .. "}" })
       lu.assertStrContains(run({ "events" }, records), expected[3])
+      local missing = ('"missing":%d}'):format(row.name == "missing" and expected[1] or 0)
+      lu.assertStrContains(run({ "summary,json" }, records), missing)
       local seen = type(expected[1]) == "number" and row.amount and expected[1] or 1
       local rules = ("%s=%d,%s=%d"):format(row.name, seen - 1, row.name, seen)
       lu.assertEquals(verdicts(rules, records), { ("%s=%d left false %d 2"):format(row.name, seen - 1, seen),
@@ -977,7 +979,7 @@ function T.test_options()
   lu.assertEquals(read_options("csv,-,motor,all").chosen, MOTOR)
   lu.assertEquals(read_options("check,crc=0,junit=a=b.xml").junit, "a=b.xml")
   options = read_options("check, fault = 0 ,motor.volts = 1 .. 2 , filter = a == 1")
-  lu.assertEquals({ options.rules[1].text, options.rules[2].text, options.rules[2].high, options.filter, options.problems },
+  lu.assertEquals({ options.rules[1].text, options.rules[2].text, options.rules[2].want.high, options.filter, options.problems },
     { "fault=0", "motor.volts=1..2", 2, " a == 1", {} })
   lu.assertEquals({ read_options("csv, a b , all").folder, read_options("summary , json").json }, { "a b", true })
 end

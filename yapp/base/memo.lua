@@ -2,10 +2,12 @@
 -- A table that makes what it lacks.  Pure Lua.
 
 --- Make a table whose value for a key is make(key), called when the key is first asked for.
-return function(make)
+-- list  gets the values in the order in which they are made; nil if nobody needs it
+return function(make, list)
   return setmetatable({}, { __index = function(values, key)
     local value = make(key)
     values[key] = value
+    if list then list[#list + 1] = value end
     return value
   end })
 end

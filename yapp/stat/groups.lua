@@ -5,6 +5,7 @@
 local check = require("yapp.message.check")
 local decode = require("yapp.message.decode")
 local kinds = require("yapp.stat.kinds")
+local memo = require("yapp.base.memo")
 local output = require("yapp.stat.output")
 
 local M = {}
@@ -105,6 +106,41 @@ end
 
 -- Groups ----------------------------------------------------------------------------------------
 
+-- How many events of a kind there are.
+local function new_count()
+  return { seen = 0, frame = nil, values = kinds.NOTHING, cause = nil }
+end
+
+local function new_spread()
+  return { members = {}, worst = nil, frame = nil, rel = nil }
+end
+
+-- What is gathered of a source: {
+--   source, message = the source's
+--   counts = { [kind of event] = { seen, frame = of the first, values = of the first } }
+--   count = of good messages; first, last = their times, last_frame
+--   gap_min, gap_max = seconds, gap_max_frame
+--   seq = of the latest, is_numbered = whether Seq No changed
+--   is_unreliable = whether one of them had an unreliable history
+--   values = a list, also by entry of Groups:wants }
+local function new_group(self, source)
+  local message, all = source.message, {}
+  for i, want in ipairs(message and self.wanted[message] or {}) do
+    local spread = want.is_spread and self.spreads[want]
+    local values = new_values(want, spread)
+    if spread then table.insert(spread.members, values) end
+    all[i], all[want] = values, values
+  end
+  return {
+    source = source,
+    message = message,
+    counts = memo(new_count),
+    count = 0,
+    values = all,
+    bus_order = self.buses[source.bus_key or false],
+  }
+end
+
 local Groups = {}
 
 --- Make a class of statistics that gather by source.
@@ -117,16 +153,21 @@ local Groups = {}
 function M.class(class)
   class.__index = class
   function class.new(options, context)
-    return setmetatable({
+    local list, wants = {}, class.wants
+    local self = setmetatable({
       options = options,
       context = context,
-      by_source = {},
-      list = {},
-      of_capture = {}, -- by kind of event: a list of those of the whole capture
-      buses = {}, -- [bus] = how many groups came before it
-      wanted = {}, -- by message: list of { field, low, high, is_spread }
-      spreads = {}, -- by entry of Groups:wants
+      list = list, -- of groups
+      by_source = nil,
+      capture = { counts = memo(new_count) }, -- a group of what happened to the whole capture
+      absent = {}, -- by source: whether none of its messages came
+      wanted = nil, -- by message: see Groups:wants
+      spreads = memo(new_spread), -- by entry of Groups:wants
+      buses = memo(function() return #list end), -- [bus] = how many groups came before it
     }, class)
+    self.by_source = memo(function(source) return new_group(self, source) end, list)
+    self.wanted = memo(function(message) return wants(self, message) end)
+    return self
   end
   return setmetatable(class, { __index = Groups })
 end
@@ -144,55 +185,12 @@ function Groups:wants(message)
   return list
 end
 
-local function add_values(self, group, message)
-  local wanted = self.wanted[message] or self:wants(message)
-  self.wanted[message] = wanted
-  for i, want in ipairs(wanted) do
-    local spread = want.is_spread and (self.spreads[want] or { members = {} })
-    local values = new_values(want, spread)
-    self.spreads[want] = spread
-    if spread then
-      table.insert(spread.members, values)
-    end
-    group.values[i], group.values[want] = values, values
-  end
-end
-
--- What is gathered of a source: {
---   source, message = the source's
---   counts = { [kind of event] = { seen, frame = of the first, note = of the first } }
---   count = of good messages; first, last = their times, last_frame
---   gap_min, gap_max = seconds, gap_max_frame
---   seq = of the latest, is_numbered = whether Seq No changed
---   is_unreliable = whether one of them had an unreliable history
---   values = a list, also by entry of Groups:wants }
-local function group_of(self, source)
-  local group = self.by_source[source]
-  if group then return group end
-  local bus, message = source.bus_key or false, source.message
-  self.buses[bus] = self.buses[bus] or #self.list
-  group = {
-    source = source,
-    message = message,
-    counts = {},
-    count = 0,
-    values = {},
-    bus_order = self.buses[bus],
-  }
-  if message then add_values(self, group, message) end
-  self.by_source[source] = group
-  self.list[#self.list + 1] = group
-  return group
-end
-
 -- amount  to add; nil for 1, but only once for all events of one cause
 local function add(group, kind, event, cause, amount)
-  local count = group.counts[kind]
-  if not count then
-    count = { seen = 0, frame = event.frame, values = event.values }
-    group.counts[kind] = count
+  local count, frame = group.counts[kind], event.frame
+  if frame and frame < (count.frame or INFINITE) then
+    count.frame, count.values = frame, event.values
   end
-  if event.frame < count.frame then count.frame, count.values = event.frame, event.values end
   if amount or count.cause ~= cause then
     count.seen = count.seen + (amount or 1)
   end
@@ -200,7 +198,7 @@ local function add(group, kind, event, cause, amount)
 end
 
 local function note_message(self, event, now)
-  local group = group_of(self, event.source)
+  local group = self.by_source[event.source]
   if group.last then
     local gap = span(group.last, now)
     if gap > (group.gap_max or -INFINITE) then
@@ -230,25 +228,15 @@ function Groups:event(event, now, cause)
   local kind, values = event.kind, event.values
   local row = kinds.BY_NAME[kind]
   if not row then return note_message(self, event, now) end
-  if row.scope == "capture" then
-    self.of_capture[kind] = self.of_capture[kind] or {}
-    return table.insert(self.of_capture[kind], event)
-  end
   if kind == "fault" and values.event ~= "raised" then
     return
   end
-  local group = group_of(self, event.source)
+  if kind == "absent" then self.absent[event.source] = true end
+  local group = row.scope == "capture" and self.capture or self.by_source[event.source]
   add(group, row.counts_as or kind, event, cause, values[row.amount])
   if kind == "silence" and not values.is_last then
     add(group, "late", event, cause)
   end
-end
-
---- Return how many events of a kind a source has, and the frame and values of the first.
-function M.seen(group, kind)
-  local count = group.counts[kind]
-  if not count then return 0 end
-  return count.seen, count.frame, count.values
 end
 
 --- Return the mean rate in Hz, nil where no two messages are at two times; and the mean gap in

@@ -13,10 +13,208 @@ local summary = require("yapp.stat.summary")
 
 local M = {}
 
+local demand, find, set, trim = input.demand, input.find, input.set, input.trim
+
+local RULES = table.concat(kinds.RULES, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=A..B, " ..
+  "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X"
+local NO_RULE = "no rule follows %s: it is for those behind it"
+local RANGE = "a range is A..B, A.. or ..B"
+local INFINITE = math.huge
+local MAX_FILE = 2 ^ 20 -- bytes of a file of rules
+
+-- Return a decimal number; nil for hexadecimal, nan, inf and other texts.
+local function number(text)
+  local value = text:find("^[+-]?[%d.]+[eE]?[+-]?%d*$") and tonumber(text)
+  return input.is_finite(value) and value or nil
+end
+
+-- Rules -------------------------------------------------------------------------------------------
+--
+-- Functions from here to the rows of the statistics raise what is wrong.
+
+-- Return a number that is not below 0; for a count one without a fraction.
+local function limit_of(text, what, is_count)
+  local value = number(text)
+  local is_good = value and value >= 0 and not (is_count and text:find("%D"))
+  return demand(is_good and value, "%q is not a %s", text, what)
+end
+
+-- An end of a range, which may be left out.
+local function end_of(text, none)
+  if text == "" then return none end
+  return demand(number(text), RANGE)
+end
+
+-- Return the ends of A..B, A.. or ..B.
+local function range_of(text)
+  local low, high = text:match("^(.-)%.%.(.*)$")
+  demand(low and text ~= "..", RANGE)
+  low, high = end_of(low, -INFINITE), end_of(high, INFINITE)
+  demand(low <= high, "nothing lies in this range")
+  return low, high
+end
+
+-- What rules MESSAGE.NAME=... measure, in rows as those of kinds; bound = which of its limits a
+-- single number is.
+local MEASURES = {
+  count = { name = "count", bound = "low" },
+  gap = { name = "gap", bound = "high", needs_past = true, needs_time = true },
+  rate = { name = "rate", bound = "low", needs_past = true, needs_time = true },
+}
+-- The same of rules about a field.
+local IN_RANGE = { name = "range" }
+local SPREAD = { name = "spread", scope = "capture", needs_time = true }
+
+-- MESSAGE.FIELD=A..B and MESSAGE.FIELD.spread=X
+local function add_field(rule, name, value)
+  local message = rule.message
+  local spread_of = name:match("^(.*)%.spread$")
+  name = spread_of or name
+  local field, names = find(message.fields, name)
+  field = field or find(message.generated, name)
+  demand(field, "%s has no field %q, but %s", message.name, name, names)
+  demand(field.kind ~= "string" and field.kind ~= "bytes",
+    "%s.%s is a text, which has no range", message.name, field.name)
+  if spread_of then
+    demand(not rule.source, "a spread is of all sources, not of one")
+    rule.kind, rule.high = SPREAD, limit_of(value, "spread")
+    rule.want = { field = field, is_spread = true }
+  else
+    local low, high = range_of(value)
+    rule.kind, rule.high = IN_RANGE, 0
+    rule.want = { field = field, low = low, high = high }
+  end
+end
+
+-- "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55": { text, source,
+--   kind       a row of kinds, or one of the above
+--   low, high  the limits of what is seen
+--   message    compiled, of MESSAGE.
+--   want       what it needs of the values, see groups: of a range the limits of a value, of which
+--              those outside are seen }
+local function read_rule(text, catalogue, source)
+  local name, value = text:match("^([^=]*)=(.*)$")
+  local kind = kinds.BY_NAME[name]
+  local rule = { text = text, source = source, kind = kind, low = -INFINITE, high = INFINITE }
+  if kind and not kind.counts_as then
+    rule.high = limit_of(value, "number of messages", true)
+    return rule
+  end
+  local message_name, rest = (name or ""):match("^([^.]+)%.(.+)$")
+  demand(message_name, "a rule is one of %s; options are %s, filter=EXPRESSION", RULES,
+    M.BY_NAME.check.options)
+  local message, names = find(catalogue.messages, message_name)
+  rule.message = demand(message, "there is no message %q, but %s", message_name, names)
+  local measure = MEASURES[rest]
+  rule.kind = measure
+  if not measure then
+    add_field(rule, rest, value)
+  elseif rest == "rate" and value:find("..", 1, true) then
+    rule.low, rule.high = range_of(value)
+  else
+    rule[measure.bound] = limit_of(value, rest, rest == "count")
+  end
+  return rule
+end
+
+-- Options -----------------------------------------------------------------------------------------
+
+-- Call a function of a row of LIST.  If it raises a text, note it as a problem of this part.
+local function try(options, part, call, catalogue)
+  local ok, why = pcall(call, options, part, catalogue)
+  if ok then return end
+  if part == "" then part = "an empty option" end
+  table.insert(options.problems, ("%s%s: %s"):format(options.place, part, why))
+end
+
+local read_check
+
+-- The rules of a file, one a line.  A # begins a comment, unless it stands in the name of a source.
+local function read_file(options, path, catalogue)
+  demand(options.place == "", "a file of rules names no other")
+  local file, problem = io.open(path, "rb")
+  demand(file, "%s", problem)
+  local text = file:read(MAX_FILE) or ""
+  file:close()
+  demand(#text < MAX_FILE, "the file is too long")
+  local count, number_of_line = #options.rules + #options.problems, 0
+  for line in (text:gsub("^\239\187\191", "") .. "\n"):gmatch("(.-)\r?\n") do
+    number_of_line = number_of_line + 1
+    local part = trim((" " .. line):gsub("%s#.*", ""))
+    if not part:find("^source%s*=") then part = trim((part:gsub("#.*", ""))) end
+    options.place = ("%s:%d: "):format(path, number_of_line)
+    if part ~= "" then try(options, part, read_check, catalogue) end
+  end
+  options.place = ""
+  demand(#options.rules + #options.problems > count, "there is no rule in it")
+end
+
+function read_check(options, part, catalogue)
+  part = part:gsub("%s*=%s*", "=", 1):gsub("%s*%.%.%s*", "..")
+  local name, value = part:match("^(%w+)=(.*)$")
+  if name == "junit" or name == "source" or name == "rules" then
+    demand(value ~= "", "it is empty")
+    if name == "source" then
+      demand(not options.unused, NO_RULE, options.unused)
+      options.unused = part
+    end
+    if name == "rules" then return read_file(options, value, catalogue) end
+    options[name] = value
+  else
+    options.unused = nil
+    table.insert(options.rules, read_rule(part, catalogue, options.source))
+    options.judges_unknown = options.judges_unknown or name == "unknown"
+    options.looks_for_faults = options.looks_for_faults or name == "fault"
+  end
+end
+
+local function finish_check(options, _, catalogue)
+  local rules = options.rules
+  if rules[1] or options.problems[1] then
+    -- No rule can check a message that was not decoded.
+    if not options.judges_unknown then
+      rules[#rules + 1] = read_rule("unknown=0", catalogue)
+    end
+    demand(not options.unused, NO_RULE, "it")
+    return
+  end
+  for _, kind in ipairs(kinds.RULES) do
+    if not kinds.BY_NAME[kind].is_optional then
+      local rule = read_rule(kind .. "=0", catalogue, options.source)
+      rule.is_default, rules[#rules + 1] = true, rule
+    end
+  end
+end
+
+local function refuse(options)
+  local allowed = M.BY_NAME[options.what].options
+  demand(false, "the options of %s are %s, filter=EXPRESSION", options.what, allowed)
+end
+
+local function read_csv(options, part, catalogue)
+  if not options.folder then
+    options.folder = part
+    return
+  end
+  if options.folder ~= "-" or options.chosen then refuse(options) end
+  options.chosen = find(catalogue.messages, part)
+  demand(options.chosen, "there is no such message in the catalogue")
+end
+
+local function finish_csv(options)
+  local folder, chosen = options.folder or "", options.chosen
+  demand(folder ~= "" and (folder ~= "-" or chosen), "it is csv,FOLDER or csv,-,MESSAGE")
+  demand(not (chosen and options.json), "csv,- prints a table; json is for csv,FOLDER")
+end
+
+-- The statistics ----------------------------------------------------------------------------------
+
 -- name     behind -z yapp,
 -- title    in menus
 -- new      function(options, context), makes it: see stat.queue
 -- options  the words that it takes besides filter=EXPRESSION: M.read knows them by this text
+-- read     function(options, part, catalogue), reads other options; nil if there are none
+-- finish   the same, checks all options at the end; nil for no check
 -- help     what it says, for people
 -- ask      what a menu asks for; the answer follows the name
 -- file     the name of a new file that a menu suggests
@@ -57,6 +255,8 @@ M.LIST = {
     title = "Export tables",
     new = csv.new,
     options = "replace, all, json",
+    read = read_csv,
+    finish = finish_csv,
     help = "a CSV for each message, in a new folder",
     ask = "New folder",
     file = "tables",
@@ -67,6 +267,8 @@ M.LIST = {
     title = "Check",
     new = check.new,
     options = "json, junit=FILE, source=NAME, rules=FILE",
+    read = read_check,
+    finish = finish_check,
     help = "whether all is well, or rules hold",
     ask = "Rules (empty: check everything)",
   },
@@ -75,205 +277,6 @@ M.LIST = {
 --- The rows by name.
 M.BY_NAME = {}
 for _, row in ipairs(M.LIST) do M.BY_NAME[row.name] = row end
-
-local demand, find, set, trim = input.demand, input.find, input.set, input.trim
-
-local COUNTED = set(table.concat(kinds.RULES, " ")) -- what may happen N times
-local RULES = table.concat(kinds.RULES, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=A..B, " ..
-  "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X"
-local NO_RULE = "no rule follows %s: it is for those behind it"
-local RANGE = "a range is A..B, A.. or ..B"
-local MAX_FILE = 2 ^ 20 -- bytes of a file of rules
-
--- Return a decimal number; nil for hexadecimal, nan, inf and other texts.
-local function number(text)
-  local value = text:find("^[+-]?[%d.]+[eE]?[+-]?%d*$") and tonumber(text)
-  return input.is_finite(value) and value or nil
-end
-
--- Rules -------------------------------------------------------------------------------------------
---
--- Functions from here on raise what is wrong.
-
--- Return a number that is not below 0; for a count one without a fraction.
-local function limit_of(text, what, is_count)
-  local value = number(text)
-  local is_good = value and value >= 0 and not (is_count and text:find("%D"))
-  return demand(is_good and value, "%q is not a %s", text, what)
-end
-
--- An end of a range, which may be left out.
-local function end_of(text, none)
-  if text == "" then return none end
-  return demand(number(text), RANGE)
-end
-
--- A..B, A.. or ..B
-local function add_range(rule, text)
-  local low, high = text:match("^(.-)%.%.(.*)$")
-  demand(low and text ~= "..", RANGE)
-  rule.low, rule.high = end_of(low, -math.huge), end_of(high, math.huge)
-  demand(rule.low <= rule.high, "nothing lies in this range")
-end
-
--- Rules about how often messages come: function(rule, value) sets the limits of a rule.
-local measures = {}
-
-function measures.count(rule, value)
-  rule.limit = limit_of(value, "count", true)
-end
-
-function measures.gap(rule, value)
-  rule.limit = limit_of(value, "gap")
-end
-
--- A range, or its lower end.
-function measures.rate(rule, value)
-  if value:find("..", 1, true) then return add_range(rule, value) end
-  rule.limit = limit_of(value, "rate")
-  rule.low, rule.high = rule.limit, math.huge
-end
-
--- MESSAGE.FIELD=A..B and MESSAGE.FIELD.spread=X
-local function add_field(rule, name, value)
-  local message = rule.message
-  local spread_of = name:match("^(.*)%.spread$")
-  name = spread_of or name
-  local field, names = find(message.fields, name)
-  field = field or find(message.generated, name)
-  demand(field, "%s has no field %q, but %s", message.name, name, names)
-  demand(field.kind ~= "string" and field.kind ~= "bytes",
-    "%s.%s is a text, which has no range", message.name, field.name)
-  rule.field = field
-  if spread_of then
-    demand(not rule.source, "a spread is of all sources, not of one")
-    rule.kind, rule.is_spread, rule.limit = "spread", true, limit_of(value, "spread")
-  else
-    rule.kind = "range"
-    add_range(rule, value)
-  end
-end
-
--- "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55": { text, source, kind = one of COUNTED, of
--- measures, "range" or "spread", limit = number, message, field, low, high }
-local function read_rule(text, catalogue, source)
-  local name, value = text:match("^([^=]*)=(.*)$")
-  local rule = { text = text, source = source, kind = name }
-  if COUNTED[name] then
-    rule.limit = limit_of(value, "number of messages", true)
-    return rule
-  end
-  local message_name, rest = (name or ""):match("^([^.]+)%.(.+)$")
-  demand(message_name, "a rule is one of %s; options are %s, filter=EXPRESSION", RULES,
-    M.BY_NAME.check.options)
-  local message, names = find(catalogue.messages, message_name)
-  rule.message = demand(message, "there is no message %q, but %s", message_name, names)
-  if measures[rest] then
-    rule.kind = rest
-    measures[rest](rule, value)
-  else
-    add_field(rule, rest, value)
-  end
-  return rule
-end
-
--- Options -----------------------------------------------------------------------------------------
-
--- Call a function.  If it raises a text, note it as a problem of this part.
-local function try(options, part, call)
-  local ok, why = pcall(call)
-  if ok then return end
-  if part == "" then part = "an empty option" end
-  table.insert(options.problems, ("%s%s: %s"):format(options.place, part, why))
-end
-
-local read_check
-
--- The rules of a file, one a line.  A # begins a comment, unless it stands in the name of a source.
-local function read_file(options, path, catalogue)
-  demand(options.place == "", "a file of rules names no other")
-  local file, problem = io.open(path, "rb")
-  demand(file, "%s", problem)
-  local text = file:read(MAX_FILE) or ""
-  file:close()
-  demand(#text < MAX_FILE, "the file is too long")
-  local count, number_of_line = #options.rules + #options.problems, 0
-  for line in (text:gsub("^\239\187\191", "") .. "\n"):gmatch("(.-)\r?\n") do
-    number_of_line = number_of_line + 1
-    local part = trim((" " .. line):gsub("%s#.*", ""))
-    if not part:find("^source%s*=") then part = trim((part:gsub("#.*", ""))) end
-    options.place = ("%s:%d: "):format(path, number_of_line)
-    if part ~= "" then
-      try(options, part, function() read_check(options, part, catalogue) end)
-    end
-  end
-  options.place = ""
-  demand(#options.rules + #options.problems > count, "there is no rule in it")
-end
-
-function read_check(options, part, catalogue)
-  part = part:gsub("%s*=%s*", "=", 1):gsub("%s*%.%.%s*", "..")
-  local name, value = part:match("^(%w+)=(.*)$")
-  if name == "junit" or name == "source" or name == "rules" then
-    demand(value ~= "", "it is empty")
-    if name == "source" then
-      demand(not options.unused, NO_RULE, options.unused)
-      options.unused = part
-    end
-    if name == "rules" then return read_file(options, value, catalogue) end
-    options[name] = value
-  else
-    options.unused = nil
-    table.insert(options.rules, read_rule(part, catalogue, options.source))
-    options.judges_unknown = options.judges_unknown or name == "unknown"
-    options.looks_for_faults = options.looks_for_faults or name == "fault"
-  end
-end
-
-local function finish_check(options, catalogue)
-  local rules = options.rules
-  if rules[1] or options.problems[1] then
-    -- No rule can check a message that was not decoded.
-    if not options.judges_unknown then
-      rules[#rules + 1] = read_rule("unknown=0", catalogue)
-    end
-    demand(not options.unused, NO_RULE, "it")
-    return
-  end
-  for _, kind in ipairs(kinds.RULES) do
-    if not kinds.BY_NAME[kind].is_optional then
-      local rule = read_rule(kind .. "=0", catalogue, options.source)
-      rule.is_default, rules[#rules + 1] = true, rule
-    end
-  end
-end
-
-local function read_csv(options, part, catalogue)
-  if not options.folder then
-    options.folder = part
-    return
-  end
-  demand(options.folder == "-" and not options.chosen,
-    "the options of csv are %s, filter=EXPRESSION", M.BY_NAME.csv.options)
-  options.chosen = find(catalogue.messages, part)
-  demand(options.chosen, "there is no such message in the catalogue")
-end
-
-local function finish_csv(options)
-  local folder, chosen = options.folder or "", options.chosen
-  demand(folder ~= "" and (folder ~= "-" or chosen), "it is csv,FOLDER or csv,-,MESSAGE")
-  demand(not (chosen and options.json), "csv,- prints a table; json is for csv,FOLDER")
-end
-
-local function refuse(options)
-  local allowed = M.BY_NAME[options.what].options
-  demand(false, "the options of %s are %s, filter=EXPRESSION", options.what, allowed)
-end
-
--- By statistic: what reads an option that is not a word of its row, and what checks all options at
--- the end.
-local READ = { csv = read_csv, check = read_check }
-local FINISH = { csv = finish_csv, check = finish_check }
 
 --- Read the argument of -z.
 -- text       "yapp,check,fault=0,motor.rate=9,filter=can.bus_id == 1, or so"
@@ -286,24 +289,22 @@ function M.read(text, catalogue)
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")
   what = trim(what or "")
   local options = { what = what, filter = filter, rules = {}, problems = {}, place = "" }
-  if not M.BY_NAME[what] then
+  local row = M.BY_NAME[what]
+  if not row then
     local _, names = find(M.LIST)
     options.problems[1] = ("%s: it is yapp,%s"):format(text, (names:gsub(", ", " or yapp,")))
     return options
   end
-  local read, finish = READ[what] or refuse, FINISH[what]
-  local words = set((M.BY_NAME[what].options:gsub(",", "")))
+  local words = set((row.options:gsub(",", "")))
   for part in rest:gmatch(",([^,]*)") do
     part = trim(part)
     if words[part] then
       options[part] = true
     else
-      try(options, part, function() read(options, part, catalogue) end)
+      try(options, part, row.read or refuse, catalogue)
     end
   end
-  if finish then
-    try(options, options.unused or what, function() finish(options, catalogue) end)
-  end
+  if row.finish then try(options, options.unused or what, row.finish, catalogue) end
   if filter and not filter:find("%S") then
     table.insert(options.problems, "filter=: the display filter is missing")
   end

@@ -13,9 +13,9 @@ local M = {}
 local words = output.words
 local KEYS = {
   json = words("bus id source message count rate gap_min gap_mean gap_max gap_max_frame " ..
-    "crc_bad incomplete late reboots values invalid skipped"),
+    "crc_bad incomplete late reboots values invalid skipped missing"),
   text = words("bus id source message count rate gap_min gap_mean gap_max gap_max_frame " ..
-    "crc_bad incomplete late reboots invalid skipped"),
+    "crc_bad incomplete late reboots invalid skipped missing"),
   window = words("who message count rate gap_max crc_bad incomplete late"),
 }
 -- The kinds of events that are counted, by key.
@@ -26,6 +26,7 @@ local COUNTS = {
   reboots = "reboot",
   invalid = "invalid",
   skipped = "skipped",
+  missing = "missing",
 }
 local RANGE = words("min mean max")
 local VALUES = {
@@ -49,7 +50,7 @@ local function row_of(group)
     gap_max_frame = group.gap_max_frame,
   })
   for key, kind in pairs(COUNTS) do
-    row[key] = groups.seen(group, kind)
+    row[key] = group.counts[kind].seen
   end
   return row
 end
