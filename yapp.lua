@@ -43,6 +43,7 @@ local decode = require "yapp.message.decode"
 local file_readers = require "yapp.file.readers"
 local frame = require "yapp.wire.frame"
 local history = require "yapp.message.history"
+local joined = require "yapp.base.joined"
 local message_reader = require "yapp.message.reader"
 local packet_menu = require "yapp.host.packet_menu"
 local preferences = require "yapp.host.preferences"
@@ -86,7 +87,7 @@ local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
 preferences.define(yapp, catalogue, decode, MAX_ID)
 
 local buses = bus_finder.watch()
-local intake = stat_intake.new()
+local intake = stat_intake.new(catalogue)
 local reader = message_reader.new(catalogue, intake)
 local tree = tree_builder.new {
   yapp = yapp,
@@ -111,14 +112,6 @@ end
 
 local frames = can_dissector.new(tree, reader, buses, register_id)
 local streams = serial_dissector.new(tree, reader, buses, tcp_header)
-
-local function joined(...)
-  local joint = {}
-  for _, list in ipairs { ... } do
-    for _, item in ipairs(list) do joint[#joint + 1] = item end
-  end
-  return joint
-end
 
 -- drops: packets that the file says were dropped, and TCP segments that it lacks.  unfinished:
 -- messages that the capture ends before.

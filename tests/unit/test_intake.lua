@@ -18,9 +18,9 @@ local SOURCE = { id = 1, bus = "can0", message = MESSAGE }
 
 -- An intake, and the list of what it offers: { event, visited }.
 local function new_intake()
-  local offered, intake = {}, intake_of.new()
+  local offered, intake = {}, intake_of.new(CATALOGUE)
   local queue = { offer = function(_, event, visited) offered[#offered + 1] = { event, visited } end }
-  intake:open(queue, CATALOGUE.messages)
+  intake:open(queue)
   intake.wants_parts = true
   return intake, offered
 end

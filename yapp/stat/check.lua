@@ -3,13 +3,14 @@
 -- Pure Lua, 5.2 to 5.5.
 
 local groups = require("yapp.stat.groups")
+local joined = require("yapp.base.joined")
 local kinds = require("yapp.stat.kinds")
 local output = require("yapp.stat.output")
 local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
-local words, span = output.words, kinds.span
+local words = output.words
 -- Verdicts; order = theirs in the text.
 local FAILED = {
   order = 1,
@@ -39,16 +40,14 @@ local KEYS = {
   text = words("ok rule bus id source message frame seen worst note"),
   window = words("ok rule who message seen worst note"),
 }
-local NO_TIMES = "packets of this capture have no time stamps"
 local NO_VALUE = "no good message of it came"
 local SAME_SEQ = {
   json = '"Seq No never changes: lost messages do not show"',
   text = "Seq No never changes: lost messages do not show",
   short = "Seq No never changes",
 }
-local UNRELIABLE = "what came before its messages is not known: see -z yapp,events"
 
-local Check = groups.class { compares = true }
+local Check = groups.class {}
 
 --- See groups.class.
 M.new = Check.new
@@ -86,7 +85,7 @@ end
 function measures.gap(group, _, ending)
   if group.count == 0 then return nil, nil, NO_VALUE end
   local gap, frame = group.gap_max or 0, group.gap_max_frame
-  local to_end = span(group.last, ending.now)
+  local to_end = kinds.span(group.last, ending.now)
   if to_end > gap then gap, frame = to_end, nil end
   return gap, frame or group.last_frame
 end
@@ -161,9 +160,13 @@ end
 -- Why a rule cannot be judged, whatever was seen; nil for no reason.
 -- holds  whether it seems to
 local function reason_of(kind, group, ending, holds)
-  if kind.needs_time and ending.lacks_times then return NO_TIMES end
+  if kind.needs_time and ending.lacks_times then
+    return "packets of this capture have no time stamps"
+  end
   if not holds then return nil end
-  if kind.needs_past and group.is_unreliable then return UNRELIABLE end
+  if kind.needs_past and group.is_unreliable then
+    return "what came before its messages is not known: see -z yapp,events"
+  end
   return ending.reason
 end
 
@@ -253,19 +256,17 @@ end
 -- The end ---------------------------------------------------------------------------------------
 
 local function order_of(row)
-  return row.ok.order, 0
+  return row.ok.order
 end
 
---- End, see stat.queue.
+--- End, see stat.derive.
 -- returns  the exit code, and a text that says what is wrong besides rules, nil for nothing
-function Check:finish(ending)
-  local options, context, rows, problems = self.options, self.context, {}, {}
+function Check:finish(ending, notes)
+  local options, context, rows = self.options, self.context, {}
+  local problems = joined(context.settings.problems, options.problems)
   self.rows, self.counts = rows, { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
   for _, rule in ipairs(options.rules) do
     judge(self, rule, ending)
-  end
-  for _, list in ipairs { context.settings.problems, options.problems } do
-    for _, problem in ipairs(list) do problems[#problems + 1] = problem end
   end
   local problem = report(self, problems)
   if problem then
@@ -277,7 +278,7 @@ function Check:finish(ending)
     for _, text in ipairs(problems) do rows[#rows + 1] = { ok = UNJUDGED, note = text } end
     output.sort(rows, order_of)
   end
-  output.print(context, "YAPP check: " .. verdict.title, KEYS, rows, ending.notes)
+  output.print(context, "YAPP check: " .. verdict.title, KEYS, rows, notes)
   if not options.json then
     context.out(("\n%d of %d rules failed, %d not judged\n"):format(failed, #rows, unjudged))
   end

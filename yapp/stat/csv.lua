@@ -5,6 +5,7 @@
 -- FOLDER/motor.csv ...  time, frame, bus, source, id, seq, then the columns of the message
 -- FOLDER/fields.json    what each column is
 
+local joined = require("yapp.base.joined")
 local memo = require("yapp.base.memo")
 local output = require("yapp.stat.output")
 local text_of = require("yapp.message.text")
@@ -35,14 +36,7 @@ end
 
 -- All columns of a message, as message.text has them.
 local function columns_of(self, message)
-  local all = {}
-  local parts = { COMMON, self.options.all and CRC_GOOD or {}, text_of.columns(message) }
-  for _, part in ipairs(parts) do
-    for _, column in ipairs(part) do
-      all[#all + 1] = column
-    end
-  end
-  return all
+  return joined(COMMON, self.options.all and CRC_GOOD or {}, text_of.columns(message))
 end
 
 -- Begins the table of a message.
@@ -106,7 +100,7 @@ function M.new(options, context)
   return not problem and self or nil, problem
 end
 
---- Take an event, see stat.queue.
+--- Take an event, see stat.derive.
 function Csv:event(event)
   local all, source, is_good = self.options.all, event.source, event.kind == "message"
   local to = event.raws and self.tables[source.message]
@@ -176,8 +170,8 @@ function M.describe(catalogue, version, list_of)
   }).json
 end
 
---- End, see stat.queue.  A file that could not be written is EXIT_UNDECIDED.
-function Csv:finish(ending)
+--- End, see stat.derive.  A file that could not be written is EXIT_UNDECIDED.
+function Csv:finish(_, notes)
   if self.options.chosen then return end
   local context, settings, rows = self.context, self.context.settings, {}
   local function list_of(message) return columns_of(self, message) end
@@ -188,7 +182,7 @@ function Csv:finish(ending)
     rows[i] = { file = path_of(self, message.name .. ".csv"), rows = self.tables[message].rows }
   end
   local title = "YAPP csv: " .. output.count(#rows, "table")
-  output.print(context, title, KEYS, rows, ending.notes)
+  output.print(context, title, KEYS, rows, notes)
 end
 
 return M

@@ -1,28 +1,26 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Derives events from messages: faults, reboots, silences and other changes, and messages that were
--- not decoded.  At the end: faults that are still active, and sources that never came.  Pure Lua,
--- 5.2 to 5.5.
+-- Feeds one statistic with the events that its filter lets count.  Derives events from messages:
+-- faults, reboots, silences and other changes, and messages that were not decoded.  At the end:
+-- faults that are still active, and sources that never came.  Pure Lua, 5.2 to 5.5.
+--
+-- A statistic has
+--   event(event, now, cause)  takes an event that counts: now = seconds without the steps back of
+--                             the capture's clock; cause = the event of the message that shows it
+--   finish(ending, notes)     ends: ending = see Queue:finish, notes = texts, what its answer
+--                             leaves out; returns the exit code and a text, each nil for none
+--   follows_changes           whether it says what changed since the message before
+--   wants_messages_only       whether events that are derived from messages are of no use to it
 
 local band = require("yapp.base.bits").band
+local joined = require("yapp.base.joined")
 local kinds = require("yapp.stat.kinds")
+local memo = require("yapp.base.memo")
 local output = require("yapp.stat.output")
 local undecoded = require("yapp.stat.undecoded")
 
 local M = {}
 
 local new_event, span, NOTHING = kinds.event, kinds.span, kinds.NOTHING
--- The kinds of events that are changes of message.history.
-local CHANGES = {}
-for _, row in ipairs(kinds.LIST) do
-  if row.change then CHANGES[#CHANGES + 1] = row end
-end
--- The kinds of events that may hide a fault: damaged and lost messages.
-local HIDING = {
-  { "crc", "with a bad CRC" },
-  { "incomplete", "incomplete" },
-  { "unfinished", "cut off by the end of the capture" },
-  { "missing", "missing by Seq No" },
-}
 local LEFT_OUT = "changes of faults, reboots and gaps are unreliable and left out"
 local UNRELIABLE = "nothing tells the buses of %s apart: " .. LEFT_OUT
 local SHARED = "two controllers appear to send %s: from frame %d on " .. LEFT_OUT
@@ -30,16 +28,35 @@ local SHARED = "two controllers appear to send %s: from frame %d on " .. LEFT_OU
 local Deriver = {}
 Deriver.__index = Deriver
 
---- Make what derives events for one statistic.
--- settings   see stat.taps
--- statistic  see stat.queue
-function M.new(settings, statistic)
+-- The state of a source with good messages.
+local function new_state()
+  return {
+    last = nil, -- its latest message
+    at = nil, -- when that came
+    counts = false, -- whether that counts
+    faults = NOTHING, -- list of { field, flag, since } of those that are set, as they rose
+    counted = { frame = 0 }, -- the latest reliable message that counts
+    counted_at = nil,
+    counted_faults = NOTHING, -- those that were set then
+  }
+end
+
+--- Make what feeds a statistic.
+-- settings      see stat.taps
+-- options, row  of stat.options
+function M.new(settings, statistic, options, row)
+  local states = {}
   return setmetatable({
-    settings = settings,
     statistic = statistic,
+    -- A set of the numbers of packets that the filter lets count, nil without one: a tap fills it.
+    -- It keeps all packets, as only the end shows which messages are unfinished.
+    matched = options.filter and {},
+    settings = settings,
+    has_notes = not (options.json or row.is_data),
+    looks_for_faults = options.looks_for_faults or row.looks_for_faults,
     undecoded = undecoded.new(settings),
-    states = {}, -- of sources with good messages, in their order, and by source
-    by_source = {},
+    states = states, -- of sources with good messages, in their order, and by source
+    by_source = memo(new_state, states),
     came = {}, -- sources with an event that counts
     counts = {}, -- of events, by kind, of sources that can report faults
     doubts = {}, -- texts: why the history of a source is unreliable; and by source
@@ -47,7 +64,7 @@ function M.new(settings, statistic)
 end
 
 --- Hand an event to the statistic.
--- now    seconds of the capture, see stat.queue
+-- now    seconds of the capture, see above
 -- cause  the event of the message that shows it
 function Deriver:add(event, now, cause)
   if self.statistic.wants_messages_only and event.kind ~= "message" and event.kind ~= "crc" then
@@ -60,19 +77,13 @@ function Deriver:add(event, now, cause)
   self.statistic:event(event, now, cause or event)
 end
 
---- Return a text: how many damaged or lost messages may have had a fault; nil for none.
-function Deriver:hiding()
-  local texts = {}
-  for _, row in ipairs(HIDING) do
-    local count = self.counts[row[1]]
-    if count then texts[#texts + 1] = ("%d %s"):format(count, row[2]) end
-  end
-  local text = "damaged or lost messages may hide faults: %s"
-  return texts[1] and text:format(table.concat(texts, ", "))
-end
-
 local function emit(self, kind, cause, now, values)
   self:add(new_event(kind, cause.frame, cause.time, cause.source, values), now, cause)
+end
+
+-- Whether the filter lets an event count.
+local function lets_count(self, event)
+  return not self.matched or self.matched[event.frame]
 end
 
 -- Faults ------------------------------------------------------------------------------------------
@@ -81,16 +92,16 @@ local function emit_fault(self, cause, now, fault, name)
   local active = output.seconds(name ~= "raised" and span(fault.since, now))
   emit(self, "fault", cause, now, {
     field = fault.field,
-    flag = fault.flag,
-    help = fault.help,
+    flag = fault.flag.name,
+    help = fault.flag.help,
     event = name,
     active = active,
     after = active and (" after %s s"):format(active.short),
   })
 end
 
--- Return the flags of a field that are faults, with those that no table defines.
-local function faults_of(field)
+-- By field: the flags that are faults, with the bits that no table defines.
+local faults_of = memo(function(field)
   local list = {}
   for _, flag in ipairs(field.flags) do
     if band(flag.mask, field.alarm_bits) ~= 0 then list[#list + 1] = flag end
@@ -103,21 +114,19 @@ local function faults_of(field)
     end
   end
   return list
-end
+end)
 
--- Keeps that a fault rose or fell.  Make a new list: state.counted_faults may be the old one.
+-- Keep that a fault rose or fell.  Make a new list: state.counted_faults may be the old one.
 local function note_fault(self, state, cause, now, fault, is_set)
   local faults = {}
   for _, one in ipairs(state.faults) do
-    if one.field == fault.field and one.flag == fault.flag then
-      fault.since = one.since
-    else
+    if one.flag ~= fault.flag then
       faults[#faults + 1] = one
+    elseif not is_set then
+      fault = one
     end
   end
-  if is_set then
-    fault.since, faults[#faults + 1] = now, fault
-  end
+  if is_set then faults[#faults + 1] = fault end
   state.faults = faults
   if state.counts then
     emit_fault(self, cause, now, fault, is_set and "raised" or "cleared")
@@ -127,10 +136,10 @@ end
 -- Note the faults that rise or fall with a change of a flags field.
 local function note_faults(self, state, cause, now, change)
   local before = change.value - change.raised + change.cleared
-  for _, flag in ipairs(faults_of(change.field)) do
+  for _, flag in ipairs(faults_of[change.field]) do
     local is_set = band(change.value, flag.mask) ~= 0
     if is_set ~= (band(before, flag.mask) ~= 0) then
-      local fault = { field = change.field.name, flag = flag.name, help = flag.help }
+      local fault = { field = change.field.name, flag = flag, since = now }
       note_fault(self, state, cause, now, fault, is_set)
     end
   end
@@ -138,16 +147,14 @@ end
 
 -- Messages ----------------------------------------------------------------------------------------
 
-local function values_of(row, value)
-  if row.change == true then return NOTHING end
-  return { [row.change] = row.change == "length" and output.seconds(value) or value }
-end
-
 -- Emit the events of a message that counts, but for its faults.
 local function note_events(self, event, now, change)
-  for _, row in ipairs(CHANGES) do
-    local value = change[row.name]
-    if value then emit(self, row.name, event, now, values_of(row, value)) end
+  for _, row in ipairs(kinds.LIST) do
+    local key, value = row.change, change[row.name]
+    if key and value then
+      value = key == "length" and output.seconds(value) or value
+      emit(self, row.name, event, now, { [key] = value })
+    end
   end
   for _, values in ipairs(event.values.invalid or NOTHING) do
     emit(self, "invalid", event, now, values)
@@ -159,29 +166,8 @@ local function note_events(self, event, now, change)
   end
 end
 
--- The state of a source: last = its latest message, at = its time, counts = whether it counts;
--- faults = those that are set, in the order in which they rose, { field, flag, help, since } each;
--- counted_faults = those that were set at counted, the latest reliable message that counts, at
--- counted_at.
-local function state_of(self, source)
-  local state = self.by_source[source]
-  if not state then
-    state = {
-      last = nil,
-      at = nil,
-      counts = false,
-      faults = NOTHING,
-      counted_faults = NOTHING,
-      counted = { frame = 0 },
-      counted_at = nil,
-    }
-    self.by_source[source], self.states[#self.states + 1] = state, state
-  end
-  return state
-end
-
 local function note_message(self, event, now, counts)
-  local state, values = state_of(self, event.source), event.values
+  local state, values = self.by_source[event.source], event.values
   local change = values.change or NOTHING
   if change.late and state.counts then
     emit(self, "silence", state.last, state.at, { length = output.seconds(change.late) })
@@ -196,11 +182,11 @@ local function note_message(self, event, now, counts)
   end
 end
 
---- Take an event, in the order of the capture.
--- now     seconds of the capture, see stat.queue
--- counts  whether the filter of the statistic lets it count; other events still update the states
-function Deriver:take(event, now, counts)
-  local is_message = event.kind == "message"
+--- Take an event, in the order of the capture.  If the filter does not let it count, it still
+-- updates the states.
+-- now  seconds of the capture, see above
+function Deriver:take(event, now)
+  local counts, is_message = lets_count(self, event), event.kind == "message"
   if counts then
     self.came[event.source] = true
     local rest = event.values.undecoded
@@ -215,14 +201,17 @@ function Deriver:take(event, now, counts)
   if counts then self:add(event, now) end
 end
 
---- Take what may be a message that is not dissected.
--- is_sure  whether other messages came: then it is an `unknown` event
-function Deriver:take_undissected(event, is_sure)
-  local values = self.undecoded:note(event.source, event.values.size)
-  if is_sure then emit(self, "unknown", event, event.time, values) end
-end
-
 -- The end -----------------------------------------------------------------------------------------
+
+-- What may be messages that are not dissected.  If other messages came, they are `unknown` events.
+local function end_undissected(self, ending)
+  for _, event in ipairs(ending.undissected) do
+    if lets_count(self, event) then
+      local values = self.undecoded:note(event.source, event.values.size)
+      if not ending.reason then emit(self, "unknown", event, event.time, values) end
+    end
+  end
+end
 
 -- Silences that last to the end of the capture.
 local function end_silences(self, ending)
@@ -240,7 +229,7 @@ end
 
 -- The faults that are still set at the last message of their source that counts.
 local function end_faults(self)
-  output.sort(self.states, function(state) return state.counted.frame, 0 end)
+  output.sort(self.states, function(state) return state.counted.frame end)
   for _, state in ipairs(self.states) do
     for _, fault in ipairs(state.counted_faults) do
       emit_fault(self, state.counted, state.counted_at, fault, "active")
@@ -248,42 +237,61 @@ local function end_faults(self)
   end
 end
 
-local function has_come(self, row)
-  for source in pairs(self.came) do
-    local is_there = not row.bus or row.bus == source.bus
-    if is_there and source.id == row.id and source.name == row.name then
-      return true
-    end
-  end
-  return false
-end
-
 local function end_absences(self, ending)
   for _, row in ipairs(self.settings.sources:list()) do
-    if row.message and not has_come(self, row) then
-      self:add(new_event("absent", nil, ending.rel, row))
+    local is_absent = row.message
+    for source in pairs(self.came) do
+      local is_there = not row.bus or row.bus == source.bus
+      if is_there and source.id == row.id and source.name == row.name then is_absent = false end
     end
+    if is_absent then self:add(new_event("absent", nil, ending.rel, row)) end
   end
 end
 
 -- The packets that were lost while capturing.
 local function end_drops(self, ending)
-  local first = ending.first
-  local begin = first.seconds + first.nanoseconds / 1e9 - first.rel
   for _, drop in ipairs(ending.drops) do
-    local microseconds = drop.time and math.floor((drop.time - begin) * 1e6 + 0.5)
-    local time, values = microseconds and microseconds / 1e6, { count = drop.count }
+    local time = drop.time and math.floor((drop.time - ending.begin) * 1e6 + 0.5) / 1e6
+    local values = { count = drop.count }
     self:add(new_event("dropped", drop.frame, time, { bus = drop.bus }, values))
   end
 end
 
+-- Return a text: how many damaged or lost messages may have had a fault; nil for none.
+local function hiding(self)
+  local texts = {}
+  for _, row in ipairs(kinds.LIST) do
+    local count = row.hides and self.counts[row.name]
+    if count then texts[#texts + 1] = ("%d %s"):format(count, row.hides) end
+  end
+  local text = "damaged or lost messages may hide faults: %s"
+  return texts[1] and text:format(table.concat(texts, ", "))
+end
+
+-- Return what the answer of the statistic leaves out, and whether that makes it undecided.
+local function notes_of(self, ending)
+  local nothing, matched = ending.reason, self.matched
+  if matched and not next(self.came) then nothing = nothing or "no message matches the filter" end
+  local doubts = self.statistic.follows_changes and self.doubts or NOTHING
+  local notes = joined({ nothing }, self.undecoded:texts(), doubts)
+  notes[#notes + 1] = self.looks_for_faults and hiding(self) or nil
+  if not matched then notes[#notes + 1] = ending.hint end
+  return notes, doubts[1] ~= nil
+end
+
 --- End: all events have come.
--- ending  see stat.queue
+-- ending   see Queue:finish
+-- returns  the exit code, nil for 0, and two things to say: a text or nil, and a list of texts
 function Deriver:finish(ending)
-  if ending.now then end_silences(self, ending) end
+  end_undissected(self, ending)
+  end_silences(self, ending)
   end_faults(self)
   end_absences(self, ending)
   end_drops(self, ending)
+  local notes, is_undecided = notes_of(self, ending)
+  local code, text = self.statistic:finish(ending, notes)
+  if is_undecided then code = code or output.EXIT_UNDECIDED end
+  return code, text, (is_undecided or not self.has_notes) and notes or NOTHING
 end
 
 return M

@@ -36,7 +36,7 @@ function M.new(options, context)
   return setmetatable({ what = options.what, context = context, list = {} }, Events)
 end
 
---- Take an event, see stat.queue.  Of messages that were not decoded, keep the first event of each
+--- Take an event, see stat.derive.  Of messages that were not decoded, keep the first event of each
 -- source and size alone.
 function Events:event(event)
   local is_wanted = self.what == "events" and kinds.BY_NAME[event.kind] or event.kind == "fault"
@@ -46,23 +46,22 @@ function Events:event(event)
   end
 end
 
--- The text of an event's kind, with the values of a row.
-local function details_of(row)
-  local function fill(key) return output.text(row[key], true) end
-  return (kinds.BY_NAME[row.kind].text:gsub("{(%w+)}", fill))
-end
-
 local function row_of(self, event)
-  local row = { kind = event.kind, frame = event.frame }
-  for key, value in pairs(event.values) do
+  local values, time = event.values, event.time
+  local row = {
+    kind = event.kind,
+    frame = event.frame,
+    time = time and output.time(self.context.clock(time)),
+    rel = output.seconds(time),
+    details = nil,
+    keys = KEYS_OF_KIND[event.kind],
+  }
+  for key, value in pairs(values) do
     row[key] = value
   end
-  output.row(event.source, row)
-  row.time = event.time and output.time(self.context.clock(event.time))
-  row.rel = output.seconds(event.time)
-  row.details = details_of(row)
-  row.keys = self.what == "events" and KEYS_OF_KIND[event.kind] or nil
-  return row
+  local function fill(key) return output.text(values[key], true) end
+  row.details = kinds.BY_NAME[event.kind].text:gsub("{(%w+)}", fill)
+  return output.row(event.source, row)
 end
 
 -- By time, then by frame; events without a time come last.
@@ -70,15 +69,16 @@ local function order_of(event)
   return event.time or math.huge, event.frame or math.huge
 end
 
---- End, see stat.queue.  It always ends well.
-function Events:finish(ending)
-  local what, list = self.what, ending.lacks_times and {} or self.list
-  for _, event in ipairs(ending.lacks_times and self.list or {}) do
-    if not kinds.BY_NAME[event.kind].needs_time then list[#list + 1] = event end
+--- End, see stat.derive.  It always ends well.
+function Events:finish(ending, notes)
+  local what, list = self.what, {}
+  for _, event in ipairs(self.list) do
+    local is_known = not (ending.lacks_times and kinds.BY_NAME[event.kind].needs_time)
+    if is_known then list[#list + 1] = event end
   end
   if what == "events" then output.sort(list, order_of) end
   local title = ("YAPP %s: %d"):format(what, #list)
-  output.print(self.context, title, KEYS[what], list, ending.notes, function(event)
+  output.print(self.context, title, KEYS[what], list, notes, function(event)
     return row_of(self, event)
   end)
 end

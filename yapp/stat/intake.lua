@@ -15,6 +15,7 @@
 local decode = require("yapp.message.decode")
 local frame_key = require("yapp.base.frame_key")
 local kinds = require("yapp.stat.kinds")
+local memo = require("yapp.base.memo")
 
 local M = {}
 
@@ -33,52 +34,50 @@ local EFFECTS = { ["command.key.invalid"] = " (the controller ignores this comma
 local Intake = {}
 Intake.__index = Intake
 
+-- The state of a source.
+local function new_state()
+  return {
+    parts = {}, -- by Seq: see Intake:part
+    orphan = false, -- or { seq }: the message that lost its Start, while its frames come
+    unknown_seq = nil, -- the latest, see Intake:unknown
+  }
+end
+
 --- Make an intake, which is closed.  `wanted` says whether anyone wants events: ask it before
 -- reporting.  `wants_parts` is the same for fragments of messages.
-function M.new()
-  return setmetatable({
+-- catalogue  compiled
+function M.new(catalogue)
+  local self = setmetatable({
+    catalogue = catalogue,
     wanted = false,
     wants_parts = false,
     queue = nil, -- a stat.queue, while it is open
-    messages = nil, -- of the catalogue, while it is open
     leaving = {}, -- taps, see Intake:remove_later
-    states = {}, -- by source, see state_of
-    stretches = {}, -- by line: skipped bytes, while nothing else comes
+    states = nil, -- by source
+    stretches = nil, -- by line: skipped bytes, while nothing else comes
   }, Intake)
+  self:reset()
+  return self
 end
 
 --- Begin to take reports.
--- messages  of the catalogue
-function Intake:open(queue, messages)
-  self.queue, self.messages, self.wanted = queue, messages, true
+function Intake:open(queue)
+  self.queue, self.wanted = queue, true
 end
 
 --- Take no more reports.
 function Intake:close()
-  self.queue, self.messages, self.wanted, self.wants_parts = nil, nil, false, false
+  self.queue, self.wanted, self.wants_parts = nil, false, false
 end
 
 --- Forget the capture file.
 function Intake:reset()
-  self.states, self.stretches = {}, {}
+  self.states, self.stretches = memo(new_state), {}
 end
 
 --- Remove a tap when the next event of a message comes: a tap cannot go while it is called.
 function Intake:remove_later(tap)
   table.insert(self.leaving, tap)
-end
-
-local function state_of(self, source)
-  local state = self.states[source]
-  if not state then
-    state = {
-      parts = {}, -- by Seq: see Intake:part
-      orphan = false, -- or { seq }: the message that lost its Start, while its frames come
-      unknown_seq = nil, -- the latest, see Intake:unknown
-    }
-    self.states[source] = state
-  end
-  return state
 end
 
 -- Return the event of a message or frame.
@@ -139,7 +138,7 @@ end
 function Intake:message(m)
   local kind, values = KIND_OF[m.status], nil
   if not kind then return end
-  if self.wants_parts then state_of(self, m.source).orphan = false end
+  if self.wants_parts then self.states[m.source].orphan = false end
   if kind == "message" then
     values = values_of(m)
   elseif kind == "incomplete" then
@@ -166,7 +165,7 @@ end
 --            is_withdrawn = whether nothing is wrong after all, is_open = whether that may change }
 -- is_end     whether it is an End
 function Intake:anomalies(m, anomalies, is_end)
-  local state = state_of(self, m.source)
+  local state = self.states[m.source]
   for _, anomaly in ipairs(anomalies) do
     local shown, lost = LOSSES[anomaly.expert], anomaly.lost
     if shown and shown.what == "orphan" then
@@ -196,7 +195,7 @@ end
 --- Report a frame of a message that has not ended, in case the capture ends before the message
 -- does.  Only the latest frame of a message counts.
 function Intake:part(m)
-  state_of(self, m.source).parts[m.seq] = m
+  self.states[m.source].parts[m.seq] = m
 end
 
 --- Report a frame that may be a message that is not dissected, or the Start of one.  It counts as
@@ -204,10 +203,10 @@ end
 -- of the source's previous such frame.
 -- m  with size
 function Intake:unknown(m)
-  local state = state_of(self, m.source)
+  local state = self.states[m.source]
   local is_next = state.unknown_seq and (state.unknown_seq + 1) % 256 == m.seq
   local is_message = is_next or m.source.message
-  for _, message in ipairs(self.messages) do
+  for _, message in ipairs(self.catalogue.messages) do
     is_message = is_message or m.size == message.size
   end
   state.unknown_seq = m.seq
@@ -221,8 +220,7 @@ end
 function Intake:unfinished(messages)
   local events = {}
   for _, message in ipairs(messages) do
-    local state = self.states[message.source]
-    local part = state and state.parts[message.seq]
+    local part = self.states[message.source].parts[message.seq]
     if part and number_of(part.key) == number_of(message.key) then
       events[#events + 1] = new_event("unfinished", part)
     end

@@ -16,6 +16,7 @@ local M = {}
 -- amount      the key whose values the rule adds up; nil: each message counts once
 -- change      the key for the value of message.history's change of this name; true if it has no
 --             value
+-- hides       what messages that may hide a fault are, for people; nil for others
 -- scope       "capture": one verdict for the whole capture; "rare": one for each source that has
 --             such events; nil: one for each source that can have them
 -- about       what the message of a source must have in the catalogue; nil for any source with an
@@ -30,15 +31,21 @@ M.LIST = {
     about = "alarms",
     needs_past = true,
   },
-  { name = "crc", text = "bad CRC" },
-  { name = "incomplete", text = "{what}", keys = "what" },
-  { name = "unfinished", text = "cut off by the end of the capture", counts_as = "incomplete" },
+  { name = "crc", text = "bad CRC", hides = "with a bad CRC" },
+  { name = "incomplete", text = "{what}", keys = "what", hides = "incomplete" },
+  {
+    name = "unfinished",
+    text = "cut off by the end of the capture",
+    counts_as = "incomplete",
+    hides = "cut off by the end of the capture",
+  },
   {
     name = "missing",
     text = "messages missing by Seq No: {count}",
     keys = "count",
     amount = "count",
     change = "count",
+    hides = "missing by Seq No",
     needs_past = true,
   },
   {

@@ -151,12 +151,6 @@ local function width_of(text)
   return select(2, text:gsub("[^\128-\191]", ""))
 end
 
--- Return the column of a key.
-local function new_column(key, is_short)
-  local title = is_short and SHORT_TITLES[key] or TITLES[key] or key
-  return { key = key, title = title, width = width_of(title), is_number = true, is_empty = true }
-end
-
 -- Make room in a column for a text.
 local function fit(column, text)
   column.width = math.max(column.width, width_of(text))
@@ -164,13 +158,12 @@ local function fit(column, text)
   column.is_empty = column.is_empty and text == ""
 end
 
--- Return a line of cells: of one width in each column, numbers to the right, without columns where
+-- Return a line of texts: of one width in each column, numbers to the right, without columns where
 -- no row has anything.
--- text_of  function(column) -> text
-local function line_of(columns, text_of)
+local function line_of(columns, texts)
   local cells = {}
-  for _, column in ipairs(columns) do
-    local text = text_of(column)
+  for i, column in ipairs(columns) do
+    local text = texts[i]
     local blanks = (" "):rep(column.width - width_of(text))
     local cell = column.is_number and blanks .. text or text .. blanks
     if not column.is_empty then cells[#cells + 1] = cell end
@@ -179,60 +172,71 @@ local function line_of(columns, text_of)
 end
 
 --- Sort a list.  Entries with equal values keep their order.
--- order_of  function(one) -> two values to sort by
+-- order_of  function(one) -> the values to sort by
 function M.sort(list, order_of)
-  local indexes, firsts, seconds, copy = {}, {}, {}, {}
+  local orders = {}
   for i, one in ipairs(list) do
-    indexes[i], copy[i] = i, one
-    firsts[i], seconds[i] = order_of(one)
+    orders[one] = { i, order_of(one) }
   end
-  table.sort(indexes, function(a, b)
-    if firsts[a] ~= firsts[b] then return firsts[a] < firsts[b] end
-    if seconds[a] ~= seconds[b] then return seconds[a] < seconds[b] end
-    return a < b
+  table.sort(list, function(a, b)
+    local left, right = orders[a], orders[b]
+    for i = 2, #left do
+      if left[i] ~= right[i] then return left[i] < right[i] end
+    end
+    return left[1] < right[1]
   end)
-  for i, index in ipairs(indexes) do list[i] = copy[index] end
 end
 
 local function itself(row)
   return row
 end
 
+-- Return what people read in the columns of a row.
+local function texts_of(columns, row, is_short)
+  local texts = {}
+  for i, column in ipairs(columns) do
+    texts[i] = M.text(row[column.key], is_short)
+  end
+  return texts
+end
+
 --- Print a table with aligned columns, a line a row.
 -- context, keys, rows, row_of  see M.print; keys.text = list of the columns, keys.window = those
 --                              that a window has room for
 function M.table(context, keys, rows, row_of)
-  local is_window, columns, row = context.frames ~= nil, {}, nil
-  for i, key in ipairs(is_window and keys.window or keys.text) do
-    columns[i] = new_column(key, is_window)
+  local frames, columns, titles = context.frames, {}, {}
+  row_of = row_of or itself
+  for i, key in ipairs(frames and keys.window or keys.text) do
+    titles[i] = frames and SHORT_TITLES[key] or TITLES[key] or key
+    columns[i] = { key = key, width = width_of(titles[i]), is_number = true, is_empty = true }
   end
-  local function text_of(column) return M.text(row[column.key], is_window) end
   for _, one in ipairs(rows) do
-    row = (row_of or itself)(one)
-    for _, column in ipairs(columns) do fit(column, text_of(column)) end
+    local row = row_of(one)
+    for i, text in ipairs(texts_of(columns, row, frames)) do fit(columns[i], text) end
+    if frames then frames[#frames + 1] = row.frame or row.gap_max_frame end
   end
-  context.out(line_of(columns, function(column) return column.title end))
+  context.out(line_of(columns, titles))
   for _, one in ipairs(rows) do
-    row = (row_of or itself)(one)
-    context.out(line_of(columns, text_of))
+    context.out(line_of(columns, texts_of(columns, row_of(one), frames)))
   end
 end
 
 --- Print rows: for people under a title and what the answer leaves out, or as a JSON object a line.
 -- context  { out = function(text), json = whether so, frames = in a window a list that gets the
 --          frames of the rows, else nil }
--- keys     see M.table; json = those of a JSON line
--- rows     tables by key; row.keys = the keys of its JSON line, if not keys.json
+-- keys     see M.table; json = those of a JSON line, if these are not row.keys
+-- rows     tables by key
 -- notes    a list of texts
 -- row_of   function(one) -> a row, if rows are made only when they are printed: many take memory
 function M.print(context, title, keys, rows, notes, row_of)
-  local frames, out = context.frames or {}, context.out
-  for _, one in ipairs(rows) do
-    local row = (row_of or itself)(one)
-    frames[#frames + 1] = row.frame or row.gap_max_frame
-    if context.json then out(M.object(row.keys or keys.json, row).json .. "\n") end
+  local out = context.out
+  if context.json then
+    for _, one in ipairs(rows) do
+      local row = (row_of or itself)(one)
+      out(M.object(keys.json or row.keys, row).json .. "\n")
+    end
+    return
   end
-  if context.json then return end
   out(title .. "\n")
   for _, note in ipairs(notes) do
     out(note .. "\n")
@@ -273,13 +277,11 @@ end
 -- problem  what went wrong before, nil for nothing
 -- returns  what went wrong, nil for nothing
 function M.finish(list, problem)
-  local function note(file, ok, why)
-    if not ok then
-      problem = problem or file.path .. ": " .. why
-    end
+  local function note(file, _, why)
+    if why then problem = problem or file.path .. ": " .. why end
   end
   for _, file in ipairs(list) do
-    note(file, not file.problem, file.problem)
+    note(file, nil, file.problem)
     note(file, file.handle:close())
   end
   for _, file in ipairs(list) do

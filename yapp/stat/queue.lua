@@ -5,14 +5,6 @@
 -- A packet is dissected, and its events are offered.  Then the taps run: a filter's says that the
 -- packet matches, and the one that sees all packets says that it is there.  Nothing promises their
 -- order, so the events of a packet are handed on when the next packet comes.
---
--- A statistic has
---   event(event, now, cause)  takes an event that counts: now = seconds of the capture without its
---                             clock's steps back; cause = the event of the message that shows it
---   finish(ending)            ends, see Queue:finish; returns the exit code, nil for 0, and a text
---                             to say, nil for none
---   follows_changes           whether it says what changed since the message before
---   wants_messages_only       whether events that are derived from messages are of no use to it
 
 local derive = require("yapp.stat.derive")
 local kinds = require("yapp.stat.kinds")
@@ -32,7 +24,7 @@ Queue.__index = Queue
 -- settings  see stat.taps
 -- hint      a text for statistics without a filter, or nil
 function M.new(settings, hint)
-  local self = setmetatable({ settings = settings, hint = hint, entries = {} }, Queue)
+  local self = setmetatable({ settings = settings, hint = hint, derivers = {} }, Queue)
   self:reset()
   return self
 end
@@ -50,38 +42,22 @@ function Queue:reset()
   self.undissected = {} -- events of such messages: they count if others are dissected
   self.has_messages = false
   self.is_direct = false
-  for _, entry in ipairs(self.entries) do
-    entry.matched = {}
-  end
 end
 
---- Add a statistic.
+--- Add a statistic, see stat.derive.
 -- options, row  of stat.options
--- returns  { matched = a set of the numbers of packets that its filter lets count: its tap fills
---          it.  It keeps all packets, as only the end shows which messages are unfinished }
+-- returns  what feeds it, with the table `matched` if it has a filter
 function Queue:add(statistic, options, row)
-  local entry = {
-    statistic = statistic,
-    deriver = derive.new(self.settings, statistic),
-    has_filter = options.filter ~= nil,
-    has_notes = not (options.json or row.is_data),
-    looks_for_faults = options.looks_for_faults or row.looks_for_faults,
-    matched = {},
-  }
-  self.entries[#self.entries + 1] = entry
-  return entry
-end
-
--- Whether the filter of a statistic lets an event count.
-local function counts(entry, event)
-  return not entry.has_filter or entry.matched[event.frame] == true
+  local deriver = derive.new(self.settings, statistic, options, row)
+  self.derivers[#self.derivers + 1] = deriver
+  return deriver
 end
 
 local function hand_on(self, event)
   local now = event.time + self.stepped_back
   if event.source.id then self.has_messages = true end
-  for _, entry in ipairs(self.entries) do
-    entry.deriver:take(event, now, counts(entry, event))
+  for _, deriver in ipairs(self.derivers) do
+    deriver:take(event, now)
   end
 end
 
@@ -160,8 +136,8 @@ end
 -- tenth of csv's time.  Call it from a tap, when no other packet still waits for its taps.
 -- returns  whether events are handed on at once
 function Queue:go_direct()
-  for _, entry in ipairs(self.entries) do
-    if entry.has_filter or not entry.statistic.wants_messages_only then
+  for _, deriver in ipairs(self.derivers) do
+    if deriver.matched or not deriver.statistic.wants_messages_only then
       return false
     end
   end
@@ -172,8 +148,8 @@ end
 local function note_step(self, number, rel, step)
   local values = { length = output.seconds(step), back = output.seconds(-step) }
   local event = kinds.event("clock", number, rel, {}, values)
-  for _, entry in ipairs(self.entries) do
-    entry.deriver:add(event)
+  for _, deriver in ipairs(self.derivers) do
+    deriver:add(event)
   end
 end
 
@@ -211,43 +187,6 @@ local function nothing_found(self, extended)
   return ("no YAPP message found in %s: see yapp.search_all, yapp.user_dlt"):format(packets)
 end
 
--- Return what the answer of a statistic leaves out, and whether that makes it undecided.
-local function notes_of(self, entry, nothing)
-  local deriver, notes = entry.deriver, { nothing }
-  if entry.has_filter and not (nothing or next(deriver.came)) then
-    notes[1] = "no message matches the filter"
-  end
-  local doubts = entry.statistic.follows_changes and deriver.doubts or {}
-  for _, texts in ipairs { deriver.undecoded:texts(), doubts } do
-    for _, text in ipairs(texts) do notes[#notes + 1] = text end
-  end
-  if entry.looks_for_faults then notes[#notes + 1] = deriver:hiding() end
-  if not entry.has_filter then notes[#notes + 1] = self.hint end
-  return notes, doubts[1] ~= nil
-end
-
--- Ends a statistic.
--- returns  what its answer leaves out, whether that makes it undecided; its exit code and text
-local function finish_entry(self, entry, capture, nothing)
-  local deriver = entry.deriver
-  for _, event in ipairs(self.undissected) do
-    if counts(entry, event) then deriver:take_undissected(event, nothing == nil) end
-  end
-  local ending = {
-    rel = self.last, -- of the last packet of any kind, nil where there was none
-    now = self.last and self.last + self.stepped_back,
-    reason = nothing, -- why no message was found, nil if one was
-    lacks_times = capture.lacks_times,
-    drops = capture.drops,
-    first = self.first,
-    notes = nil,
-  }
-  deriver:finish(ending)
-  local notes, is_undecided = notes_of(self, entry, nothing)
-  ending.notes = notes
-  return notes, is_undecided, entry.statistic:finish(ending)
-end
-
 --- End: all packets have come.
 -- capture  { unfinished = events of the messages that it ends before, drops = of host.buses,
 --          lacks_times = whether packets have no time stamps, extended = number of extended CAN
@@ -259,22 +198,28 @@ function Queue:finish(capture)
   for _, event in ipairs(capture.unfinished) do
     hand_on(self, event)
   end
+  local seconds, nanoseconds = self:clock(0)
+  local ending = {
+    rel = self.last, -- of the last packet of any kind, nil where there was none
+    now = self.last and self.last + self.stepped_back,
+    begin = seconds + nanoseconds / 1e9, -- of the first packet
+    reason = nothing_found(self, capture.extended), -- why no message was found, nil if one was
+    lacks_times = capture.lacks_times,
+    drops = capture.drops,
+    undissected = self.undissected,
+    hint = self.hint,
+  }
   local code, texts, said = output.EXIT_OK, {}, {}
   local function say(text)
     if text and not said[text] then
       said[text], texts[#texts + 1] = true, text
     end
   end
-  local function worsen(other)
-    if other and (code == output.EXIT_OK or other < code) then code = other end
-  end
-  local nothing = nothing_found(self, capture.extended)
-  for _, entry in ipairs(self.entries) do
-    local notes, is_undecided, this, text = finish_entry(self, entry, capture, nothing)
-    worsen(this)
-    if is_undecided then worsen(output.EXIT_UNDECIDED) end
+  for _, deriver in ipairs(self.derivers) do
+    local worse, text, notes = deriver:finish(ending)
+    if worse and (code == output.EXIT_OK or worse < code) then code = worse end
     say(text)
-    for _, note in ipairs((is_undecided or not entry.has_notes) and notes or {}) do say(note) end
+    for _, note in ipairs(notes) do say(note) end
   end
   return code, texts
 end

@@ -55,8 +55,8 @@ local function row_of(group)
   return row
 end
 
---- End, see stat.queue.
-function Summary:finish(ending)
+--- End, see stat.derive.
+function Summary:finish(ending, notes)
   local rows, shown, context = {}, {}, self.context
   for i, group in ipairs(self:sorted()) do
     local names, ranges = {}, {}
@@ -70,7 +70,7 @@ function Summary:finish(ending)
   end
   local sources = output.count(#rows, "source")
   local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.rel or 0)
-  output.print(context, title, KEYS, rows, ending.notes)
+  output.print(context, title, KEYS, rows, notes)
   if shown[1] and not context.json then
     context.out("\n")
     output.table(context, VALUES, shown)
@@ -130,8 +130,8 @@ local function compared(self)
 end
 
 --- End: print a table for each message.
-function Compare:finish(ending)
-  local context, lists, notes = self.context, compared(self), ending.notes
+function Compare:finish(_, notes)
+  local context, lists = self.context, compared(self)
   for i, list in ipairs(lists) do
     local rows, shown = {}, {}
     for index in ipairs(list[1].values) do

@@ -117,7 +117,7 @@ local function open(self)
   local hint = has_display_filter() and NO_NARROWING or nil
   self.queue, self.taps = queue.new(self.settings, hint), {}
   self.is_exact, self.extended = false, 0
-  self.intake:open(self.queue, self.settings.catalogue.messages)
+  self.intake:open(self.queue)
   self.watch()
   tap_extended(self)
   tap_packets(self)
@@ -159,9 +159,9 @@ local function begin(self, options, context)
     error(options.what .. ": " .. problem, 0)
   end
   if not statistic.wants_messages_only then self.intake.wants_parts = true end
-  local entry = events:add(statistic, options, row)
+  local deriver = events:add(statistic, options, row)
   if filter then
-    function filter.packet(pinfo) entry.matched[pinfo.number] = true end
+    function filter.packet(pinfo) deriver.matched[pinfo.number] = true end
   end
 end
 

@@ -2,6 +2,7 @@
 -- Messages that were not decoded, or only in part: how many, of which sources and sizes, and which
 -- preference decodes them.  Pure Lua, 5.2 to 5.5.
 
+local memo = require("yapp.base.memo")
 local output = require("yapp.stat.output")
 
 local M = {}
@@ -14,50 +15,62 @@ local place = output.place
 local Undecoded = {}
 Undecoded.__index = Undecoded
 
+local function new_list()
+  return {}
+end
+
 --- Make an empty list.
 -- settings  see stat.taps
 function M.new(settings)
   return setmetatable({
     settings = settings,
-    -- { source, size, is_part = whether the first bytes were decoded, is_own = whether the size is
-    -- that of the source's message, likes = messages of this size, about = a text, values = of its
-    -- events } each
-    entries = {},
-    by_source = {}, -- by source, by size
+    -- Messages that were not decoded at all: { source, size, likes = messages of this size,
+    -- is_own = whether that of the source is one, is_decodable = whether a preference of IDs can
+    -- decode it, about = a text, values = of its events } each.
+    whole = {},
+    parts = {}, -- the same of those whose first bytes were decoded
+    sizes = {}, -- by ID: the size of what is decodable; false for several, or if it has a message
+    by_source = memo(new_list), -- by source, by size
   }, Undecoded)
 end
 
--- Return what to say of a size: which messages have it.
--- is_own  whether it is the size of the source's message
-local function describe(source, likes, is_own)
-  local titles, own = {}, source.message
+-- Return what to say of a size.
+-- own     the source's message, is_own = whether that has this size
+-- titles  of the messages that have it
+local function describe(own, is_own, titles)
   if is_own then return ("%s with a YAPP CTL other than 0"):format(own.title) end
-  for i, message in ipairs(likes) do titles[i] = message.title end
-  if likes[1] then return "the size of " .. table.concat(titles, " and of ") end
+  if titles[1] then return "the size of " .. table.concat(titles, " and of ") end
   return own and ("%s has %d"):format(own.title, own.size) or "the size of no known message"
 end
 
 local function new_entry(self, source, size, rest)
-  local likes, is_own = {}, false
+  local own, likes, titles, is_own = source.message, {}, {}, false
   for _, message in ipairs(self.settings.catalogue.messages) do
-    if size <= message.size and size >= (message.min_size or message.size) then
-      likes[#likes + 1] = message
-      is_own = is_own or message == source.message
+    if size <= message.size and size >= message.min_size then
+      likes[#likes + 1], titles[#titles + 1] = message, message.title
+      is_own = is_own or message == own
     end
   end
-  local about = describe(source, likes, is_own)
+  local about, like = describe(own, is_own, titles), likes[1]
   local note = rest and ("the last %d not decoded, "):format(rest) or "not decoded, "
-  local values = { size = size, count = 0, note = note .. about }
-  if likes[1] then values.like = likes[1].name end
   return {
     source = source,
     size = size,
-    is_part = rest ~= nil,
-    is_own = is_own,
     likes = likes,
+    is_own = is_own,
+    is_decodable = not (rest or is_own) and like and source.id <= MAX_ID,
     about = about,
-    values = values,
+    values = { size = size, count = 0, note = note .. about, like = like and like.name },
   }
+end
+
+local function add(self, entry, list)
+  local id, sizes, size = entry.source.id, self.sizes, entry.size
+  list[#list + 1] = entry
+  if entry.is_decodable then
+    local is_only = sizes[id] == nil or sizes[id] == size
+    sizes[id] = is_only and not entry.source.message and size
+  end
 end
 
 --- Note a message.
@@ -65,12 +78,12 @@ end
 -- size     of its payload; rest: how many bytes of it were not decoded, nil for all
 -- returns  the values of an `unknown` event: one table for each source and size, whose count grows
 function Undecoded:note(source, size, rest)
-  local by_size = self.by_source[source] or {}
-  self.by_source[source] = by_size
+  local by_size = self.by_source[source]
   local entry = by_size[size]
   if not entry then
     entry = new_entry(self, source, size, rest)
-    by_size[size], self.entries[#self.entries + 1] = entry, entry
+    by_size[size] = entry
+    add(self, entry, rest and self.parts or self.whole)
   end
   entry.values.count = entry.values.count + 1
   return entry.values
@@ -100,44 +113,24 @@ local function part_of(entry)
   return ("%s0x%x=%s:%s"):format(bus and bus .. "/" or "", source.id, message, name)
 end
 
--- Whether a preference of IDs can decode an entry.
-local function is_decodable(entry)
-  local is_other = not (entry.is_part or entry.is_own)
-  return is_other and entry.likes[1] and entry.source.id <= MAX_ID
-end
-
--- Return by ID the size of its messages; false if these have several sizes, or if the ID has a
--- message already.
-local function sizes_of(entries)
-  local sizes = {}
-  for _, entry in ipairs(entries) do
-    local id, size = entry.source.id, entry.size
-    if is_decodable(entry) then
-      if sizes[id] == nil then sizes[id] = size end
-      if sizes[id] ~= size or entry.source.message then sizes[id] = false end
-    end
-  end
-  return sizes
-end
-
 -- Return what decodes the entries: by message the IDs that can carry it on all buses, parts of
 -- yapp.sources for other IDs, and a list of other options.
 local function plan(self)
-  local ids, parts, options, taken, sizes = {}, {}, {}, {}, sizes_of(self.entries)
+  local ids, parts, options, taken = {}, {}, {}, {}
   for _, row in ipairs(self.settings.sources:list()) do
     if row.id then taken[place(row)] = true end -- the first part for a bus and ID holds
   end
-  for _, entry in ipairs(self.entries) do
+  for _, entry in ipairs(self.whole) do
     local id, key = entry.source.id, place(entry.source)
-    if sizes[id] and is_decodable(entry) then
+    if entry.is_own then
+      options[1] = "-o yapp.all_extended:TRUE"
+    elseif entry.is_decodable and self.sizes[id] then
       for _, message in ipairs(entry.likes) do
         ids[message] = ids[message] or {}
         table.insert(ids[message], id)
       end
-    elseif is_decodable(entry) and not taken[key] then
+    elseif entry.is_decodable and not taken[key] then
       taken[key], parts[#parts + 1] = true, part_of(entry)
-    elseif entry.is_own then
-      options[1] = "-o yapp.all_extended:TRUE"
     end
   end
   return ids, parts, options
@@ -166,11 +159,11 @@ end
 
 -- Texts -------------------------------------------------------------------------------------------
 
--- Joins the first of many texts.
+-- Join the first of many texts.
 local function join(texts, between)
   local more = #texts - MAX_NAMED
-  if more <= 0 then return table.concat(texts, between) end
-  return ("%s%sand %d more"):format(table.concat(texts, between, 1, MAX_NAMED), between, more)
+  if more > 0 then texts[MAX_NAMED + 1] = ("and %d more"):format(more) end
+  return table.concat(texts, between, 1, math.min(#texts, MAX_NAMED + 1))
 end
 
 -- "can1 0x211, 0x212 (32 bytes each, the size of Motor Data)": entries of one size, which are
@@ -188,36 +181,28 @@ local function group_text(entries)
   return shape:format(join(texts, ", "), entries[1].size, entries[1].about), count
 end
 
--- The entries that were decoded in part, or not at all.
-local function text_of(self, is_part)
-  local groups, by_name, total = {}, {}, 0
-  for _, entry in ipairs(self.entries) do
-    if entry.is_part == is_part then
-      local name = entry.size .. entry.about
-      local group = by_name[name] or {}
-      if not group[1] then
-        by_name[name], groups[#groups + 1] = group, group
-      end
-      group[#group + 1] = entry
-    end
+-- "648 messages were not decoded: ...", of entries; nil if there are none.
+local function text_of(entries, what)
+  local groups, texts, total = {}, {}, 0
+  local by_shape = memo(new_list, groups)
+  for _, entry in ipairs(entries) do
+    table.insert(by_shape[entry.size .. entry.about], entry)
   end
   for i, group in ipairs(groups) do
-    local count
-    groups[i], count = group_text(group)
-    total = total + count
+    local text, count = group_text(group)
+    texts[i], total = text, total + count
   end
   if total == 0 then return nil end
-  local were = total == 1 and "was" or "were"
-  local what = is_part and "decoded in part" or "not decoded"
-  return ("%s %s %s: %s"):format(output.count(total, "message"), were, what, join(groups, "; "))
+  local count, were = output.count(total, "message"), total == 1 and "was" or "were"
+  return ("%s %s %s: %s"):format(count, were, what, join(texts, "; "))
 end
 
 --- Return what was not decoded, and which preference decodes it: a list of texts, empty for
 -- nothing.
 function Undecoded:texts()
-  local texts, all = {}, text_of(self, false)
-  if all then texts[1] = all .. advice_of(self) end
-  texts[#texts + 1] = text_of(self, true)
+  local texts, whole = {}, text_of(self.whole, "not decoded")
+  if whole then texts[1] = whole .. advice_of(self) end
+  texts[#texts + 1] = text_of(self.parts, "decoded in part")
   return texts
 end
 
