@@ -16,7 +16,7 @@ local function new_queue()
 end
 
 local function add(queue, statistic, filter)
-  return queue:add(statistic, { filter = filter }, {})
+  return queue:add(statistic, { filter = filter, row = {} })
 end
 
 local function finish(queue, unfinished)

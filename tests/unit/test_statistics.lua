@@ -86,11 +86,10 @@ local function run(arguments, records, with)
     local context = { out = function(text) printed[#printed + 1] = text end, settings = settings,
       clock = function(rel) return queue:clock(rel) end, frames = with.frames, make_folder = with.make_folder,
       json = options.json }
-    local row = options_of.BY_NAME[options.what]
-    local statistic, problem = row.new(options, context)
-    if not statistic then return nil, nil, { problem } end
+    local ok, statistic = pcall(options.row.new, options, context)
+    if not ok then return nil, nil, { statistic } end
     options.filter = with.matches
-    matched = queue:add(statistic, options, row).matched
+    matched = queue:add(statistic, options).matched
   end
   queue:begins(with.epoch or 1700000000, 5, 0)
   for _, one in ipairs(records) do

@@ -141,12 +141,12 @@ local function is_about(rule, group)
   return has and (type(has) ~= "table" or next(has) ~= nil)
 end
 
--- Judge a rule that no group is about: as a measure does.  A default rule, or one of rare events,
--- holds if a message of its source came.
-local function measure_none(self, rule, ending)
+-- As a measure: judge a rule that no group is about.  A default rule, or one of rare events, holds
+-- if a message of its source came.
+local function measure_none(_, rule, ending, check)
   local message, source = rule.message, rule.source
   if rule.is_default or rule.kind.scope == "rare" then
-    for _, group in ipairs(self.list) do
+    for _, group in ipairs(check.list) do
       local has_come = group.count > 0 or group.counts.crc.seen > 0
       if has_come and is_its(rule, group.source) then return 0 end
     end
@@ -192,18 +192,17 @@ end
 
 -- Add the rows of a rule: one for each of its sources, or one in all.
 local function judge(self, rule, ending)
-  local measure, is_about_any = measures[rule.kind.name] or count_events, false
+  local measure, about = measures[rule.kind.name] or count_events, {}
   if rule.kind.scope == "capture" then
-    return add_row(self, rule, self.capture, ending, measure(self.capture, rule, ending, self))
-  end
-  for _, group in ipairs(self:sorted()) do
-    if is_about(rule, group) then
-      is_about_any = true
-      add_row(self, rule, group, ending, measure(group, rule, ending))
+    about[1] = self.capture
+  else
+    for _, group in ipairs(self:sorted()) do
+      if is_about(rule, group) then about[#about + 1] = group end
     end
   end
-  if not is_about_any then
-    add_row(self, rule, self.capture, ending, measure_none(self, rule, ending))
+  if not about[1] then measure, about[1] = measure_none, self.capture end
+  for _, group in ipairs(about) do
+    add_row(self, rule, group, ending, measure(group, rule, ending, self))
   end
 end
 

@@ -12,7 +12,8 @@ local text_of = require("yapp.message.text")
 
 local M = {}
 
-local WRITTEN = output.words("file rows")
+local words = output.words
+local WRITTEN = words("file rows")
 local KEYS = { json = WRITTEN, text = WRITTEN, window = WRITTEN }
 -- The columns in front of a message's own.
 local COMMON = {
@@ -53,36 +54,33 @@ local function path_of(self, name)
   return self.options.folder .. "/" .. name
 end
 
--- Create a file in the folder.  Overwrite one only with the option replace.
+-- Create a file in the folder.  Overwrite one only with the option replace.  Raise why it cannot be
+-- written, without those before it.
 local function create(self, name)
   local advice = not self.options.replace and "add the option replace to write it anew"
   local file, problem = output.create(path_of(self, name), advice)
+  if not file then error("csv: " .. output.finish(self.files, problem), 0) end
   self.files[#self.files + 1] = file
-  return file, problem
+  return file
 end
 
--- Makes the folder and begins its files; returns what went wrong, nil for nothing.
+-- Make the folder and begin its files; raise what goes wrong.
 local function begin_all(self)
   local folder, context = self.options.folder, self.context
   if not context.make_folder(folder) then
-    return ("the folder %s cannot be made"):format(folder)
+    error(("csv: the folder %s cannot be made"):format(folder), 0)
   end
-  local file, problem = create(self, "fields.json")
-  self.fields = file
+  self.fields = create(self, "fields.json")
   for _, message in ipairs(context.settings.catalogue.messages) do
-    if file then
-      file, problem = create(self, message.name .. ".csv")
-    end
-    if file then begin(self, message, file) end
+    begin(self, message, create(self, message.name .. ".csv"))
   end
-  return problem and output.finish(self.files, problem)
 end
 
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =,
 --          all = booleans }
 -- context  { clock = function(rel) -> seconds since 1970, nanoseconds; settings = see stat.taps;
 --          make_folder = function(path) -> whether it is there; and what output.print takes }
--- returns  the statistic; nil and what is wrong
+-- It raises why a file cannot be written.
 function M.new(options, context)
   local self = setmetatable({
     options = options,
@@ -94,10 +92,10 @@ function M.new(options, context)
   }, Csv)
   if options.chosen then
     begin(self, options.chosen, { write = function(_, text) context.out(text) end })
-    return self
+  else
+    begin_all(self)
   end
-  local problem = begin_all(self)
-  return not problem and self or nil, problem
+  return self
 end
 
 --- Take an event, see stat.derive.
@@ -125,7 +123,7 @@ local function meanings(values)
 end
 
 -- kind, bits and values are for integers only: the type, and what its numbers mean.
-local COLUMN_KEYS = output.words("name unit type filter title kind bits values")
+local COLUMN_KEYS = words("name unit type filter title kind bits values")
 
 local function describe_column(column)
   local field = column.field or {} -- common columns have none
@@ -157,13 +155,13 @@ function M.describe(catalogue, version, list_of)
       list[j] = describe_column(column)
     end
     names[i] = message.name
-    messages[message.name] = output.object({ "title", "every", "columns" }, {
+    messages[message.name] = output.object(words("title every columns"), {
       title = message.title,
       every = message.every,
       columns = output.list(list),
     })
   end
-  return output.object({ "version", "plugin", "messages" }, {
+  return output.object(words("version plugin messages"), {
     version = 1,
     plugin = version,
     messages = output.object(names, messages),

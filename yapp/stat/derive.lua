@@ -42,10 +42,10 @@ local function new_state()
 end
 
 --- Make what feeds a statistic.
--- settings      see stat.taps
--- options, row  of stat.options
-function M.new(settings, statistic, options, row)
-  local states = {}
+-- settings  see stat.taps
+-- options   of stat.options
+function M.new(settings, statistic, options)
+  local states, row = {}, options.row
   return setmetatable({
     statistic = statistic,
     -- A set of the numbers of packets that the filter lets count, nil without one: a tap fills it.
@@ -60,13 +60,13 @@ function M.new(settings, statistic, options, row)
     came = {}, -- sources with an event that counts
     counts = {}, -- of events, by kind, of sources that can report faults
     doubts = {}, -- texts: why the history of a source is unreliable; and by source
+    now = nil, -- seconds of the capture, see above
   }, Deriver)
 end
 
 --- Hand an event to the statistic.
--- now    seconds of the capture, see above
 -- cause  the event of the message that shows it
-function Deriver:add(event, now, cause)
+function Deriver:add(event, cause)
   if self.statistic.wants_messages_only and event.kind ~= "message" and event.kind ~= "crc" then
     return
   end
@@ -74,11 +74,11 @@ function Deriver:add(event, now, cause)
   if message and message.alarms[1] then
     counts[event.kind] = (counts[event.kind] or 0) + (event.values.count or 1)
   end
-  self.statistic:event(event, now, cause or event)
+  self.statistic:event(event, self.now, cause or event)
 end
 
-local function emit(self, kind, cause, now, values)
-  self:add(new_event(kind, cause.frame, cause.time, cause.source, values), now, cause)
+local function emit(self, kind, cause, values)
+  self:add(new_event(kind, cause.frame, cause.time, cause.source, values), cause)
 end
 
 -- Whether the filter lets an event count.
@@ -88,9 +88,10 @@ end
 
 -- Faults ------------------------------------------------------------------------------------------
 
-local function emit_fault(self, cause, now, fault, name)
-  local active = output.seconds(name ~= "raised" and span(fault.since, now))
-  emit(self, "fault", cause, now, {
+-- active  seconds since it rose, nil if it rises
+local function emit_fault(self, cause, fault, name, active)
+  active = output.seconds(active)
+  emit(self, "fault", cause, {
     field = fault.field,
     flag = fault.flag.name,
     help = fault.flag.help,
@@ -117,30 +118,30 @@ local faults_of = memo(function(field)
 end)
 
 -- Keep that a fault rose or fell.  Make a new list: state.counted_faults may be the old one.
-local function note_fault(self, state, cause, now, fault, is_set)
-  local faults = {}
+local function note_fault(self, state, cause, fault, is_set)
+  local faults, active = {}, nil
   for _, one in ipairs(state.faults) do
     if one.flag ~= fault.flag then
       faults[#faults + 1] = one
     elseif not is_set then
-      fault = one
+      active = span(one.since, self.now)
     end
   end
   if is_set then faults[#faults + 1] = fault end
   state.faults = faults
   if state.counts then
-    emit_fault(self, cause, now, fault, is_set and "raised" or "cleared")
+    emit_fault(self, cause, fault, is_set and "raised" or "cleared", active)
   end
 end
 
 -- Note the faults that rise or fall with a change of a flags field.
-local function note_faults(self, state, cause, now, change)
+local function note_faults(self, state, cause, change)
   local before = change.value - change.raised + change.cleared
   for _, flag in ipairs(faults_of[change.field]) do
     local is_set = band(change.value, flag.mask) ~= 0
     if is_set ~= (band(before, flag.mask) ~= 0) then
-      local fault = { field = change.field.name, flag = flag, since = now }
-      note_fault(self, state, cause, now, fault, is_set)
+      local fault = { field = change.field.name, flag = flag, since = self.now }
+      note_fault(self, state, cause, fault, is_set)
     end
   end
 end
@@ -148,16 +149,16 @@ end
 -- Messages ----------------------------------------------------------------------------------------
 
 -- Emit the events of a message that counts, but for its faults.
-local function note_events(self, event, now, change)
+local function note_events(self, event, change)
   for _, row in ipairs(kinds.LIST) do
     local key, value = row.change, change[row.name]
     if key and value then
       value = key == "length" and output.seconds(value) or value
-      emit(self, row.name, event, now, { [key] = value })
+      emit(self, row.name, event, { [key] = value })
     end
   end
   for _, values in ipairs(event.values.invalid or NOTHING) do
-    emit(self, "invalid", event, now, values)
+    emit(self, "invalid", event, values)
   end
   local source, doubts = event.source, self.doubts
   if event.values.is_unreliable and not doubts[source] then
@@ -166,19 +167,19 @@ local function note_events(self, event, now, change)
   end
 end
 
-local function note_message(self, event, now, counts)
+local function note_message(self, event, counts)
   local state, values = self.by_source[event.source], event.values
   local change = values.change or NOTHING
   if change.late and state.counts then
-    emit(self, "silence", state.last, state.at, { length = output.seconds(change.late) })
+    emit(self, "silence", state.last, { length = output.seconds(change.late) })
   end
-  state.last, state.at, state.counts = event, now, counts
-  if counts and values ~= NOTHING then note_events(self, event, now, change) end
+  state.last, state.at, state.counts = event, self.now, counts
+  if counts and values ~= NOTHING then note_events(self, event, change) end
   for _, flags in ipairs(change.flags or NOTHING) do
-    note_faults(self, state, event, now, flags)
+    note_faults(self, state, event, flags)
   end
   if counts and not values.is_unreliable then
-    state.counted, state.counted_at, state.counted_faults = event, now, state.faults
+    state.counted, state.counted_at, state.counted_faults = event, self.now, state.faults
   end
 end
 
@@ -187,18 +188,18 @@ end
 -- now  seconds of the capture, see above
 function Deriver:take(event, now)
   local counts, is_message = lets_count(self, event), event.kind == "message"
+  self.now = now
   if counts then
     self.came[event.source] = true
     local rest = event.values.undecoded
     if is_message and (rest or not event.raws) then
-      local values = self.undecoded:note(event.source, #event.payload, rest)
-      emit(self, "unknown", event, now, values)
+      emit(self, "unknown", event, self.undecoded:note(event.source, #event.payload, rest))
     end
   end
   if is_message and not self.statistic.wants_messages_only then
-    note_message(self, event, now, counts)
+    note_message(self, event, counts)
   end
-  if counts then self:add(event, now) end
+  if counts then self:add(event) end
 end
 
 -- The end -----------------------------------------------------------------------------------------
@@ -208,7 +209,7 @@ local function end_undissected(self, ending)
   for _, event in ipairs(ending.undissected) do
     if lets_count(self, event) then
       local values = self.undecoded:note(event.source, event.values.size)
-      if not ending.reason then emit(self, "unknown", event, event.time, values) end
+      if not ending.reason then emit(self, "unknown", event, values) end
     end
   end
 end
@@ -222,7 +223,7 @@ local function end_silences(self, ending)
     local is_silent = message and message.every and length > self.settings.late * message.every
     if is_silent and state.counts and not event.values.is_unreliable then
       local values = { length = output.seconds(length), is_last = true }
-      emit(self, "silence", event, state.at, values)
+      emit(self, "silence", event, values)
     end
   end
 end
@@ -232,7 +233,8 @@ local function end_faults(self)
   output.sort(self.states, function(state) return state.counted.frame end)
   for _, state in ipairs(self.states) do
     for _, fault in ipairs(state.counted_faults) do
-      emit_fault(self, state.counted, state.counted_at, fault, "active")
+      local active = span(fault.since, state.counted_at)
+      emit_fault(self, state.counted, fault, "active", active)
     end
   end
 end

@@ -153,7 +153,7 @@ local Groups = {}
 function M.class(class)
   class.__index = class
   function class.new(options, context)
-    local list, wants = {}, class.wants
+    local list = {}
     local self = setmetatable({
       options = options,
       context = context,
@@ -166,7 +166,7 @@ function M.class(class)
       buses = memo(function() return #list end), -- [bus] = how many groups came before it
     }, class)
     self.by_source = memo(function(source) return new_group(self, source) end, list)
-    self.wanted = memo(function(message) return wants(self, message) end)
+    self.wanted = memo(function(message) return self:wants(message) end)
     return self
   end
   return setmetatable(class, { __index = Groups })
@@ -197,23 +197,7 @@ local function add(group, kind, event, cause, amount)
   count.cause = cause
 end
 
-local function note_message(self, event, now)
-  local group = self.by_source[event.source]
-  if group.last then
-    local gap = span(group.last, now)
-    if gap > (group.gap_max or -INFINITE) then
-      group.gap_max, group.gap_max_frame = gap, event.frame
-    end
-    group.gap_min = math.min(gap, group.gap_min or gap)
-    group.is_numbered = group.is_numbered or event.seq ~= group.seq
-  else
-    group.first = now
-  end
-  group.last, group.seq = now, event.seq
-  group.last_frame = event.frame
-  group.count = group.count + 1
-  if event.values.is_unreliable then group.is_unreliable = true end
-  if not (event.raws and group.values[1]) then return end
+local function note_values(self, group, event, now)
   local every = group.message.every
   local longest = every and self.context.settings.late * every or INFINITE
   for _, values in ipairs(group.values) do
@@ -221,6 +205,21 @@ local function note_message(self, event, now)
     if value then note_value(values, value, event.frame) end
     if values.spread then note_spread(values, value, event, now, longest) end
   end
+end
+
+local function note_message(self, event, now)
+  local group, frame = self.by_source[event.source], event.frame
+  if group.last then
+    local gap = span(group.last, now)
+    if gap > (group.gap_max or -INFINITE) then group.gap_max, group.gap_max_frame = gap, frame end
+    group.gap_min = math.min(gap, group.gap_min or gap)
+    group.is_numbered = group.is_numbered or event.seq ~= group.seq
+  end
+  group.first = group.first or now
+  group.last, group.last_frame, group.seq = now, frame, event.seq
+  group.count = group.count + 1
+  group.is_unreliable = group.is_unreliable or event.values.is_unreliable
+  if event.raws then note_values(self, group, event, now) end
 end
 
 --- Take an event, see stat.queue.  Of faults those that rose count.

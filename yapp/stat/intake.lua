@@ -168,12 +168,14 @@ function Intake:anomalies(m, anomalies, is_end)
   local state = self.states[m.source]
   for _, anomaly in ipairs(anomalies) do
     local shown, lost = LOSSES[anomaly.expert], anomaly.lost
-    if shown and shown.what == "orphan" then
-      lost = orphaned(state, m.seq, is_end)
-    elseif shown then
-      state.orphan = false
+    if shown then
+      if shown.what == "orphan" then
+        lost = orphaned(state, m.seq, is_end)
+      else
+        state.orphan = false
+      end
+      offer(self, "incomplete", m, { shown = shown, lost = lost, loss = anomaly })
     end
-    if shown then offer(self, "incomplete", m, { shown = shown, lost = lost, loss = anomaly }) end
   end
 end
 
@@ -204,8 +206,8 @@ end
 -- m  with size
 function Intake:unknown(m)
   local state = self.states[m.source]
-  local is_next = state.unknown_seq and (state.unknown_seq + 1) % 256 == m.seq
-  local is_message = is_next or m.source.message
+  local seq, is_message = state.unknown_seq, m.source.message
+  if seq and (seq + 1) % 256 == m.seq then is_message = true end
   for _, message in ipairs(self.catalogue.messages) do
     is_message = is_message or m.size == message.size
   end

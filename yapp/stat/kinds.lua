@@ -8,8 +8,8 @@
 
 local M = {}
 
--- name        in JSON and in rules
--- text        for people: {key} is a value of the event; [...] is left out where a value is missing
+-- name        the first value: in JSON and in rules
+-- text        the second one, for people: {key} is a value of the event
 -- keys        in JSON, besides those of every event
 -- is_optional whether `check` without rules does not judge it (others as NAME=0)
 -- counts_as   the kind whose rule counts it; nil if it has a rule NAME=N of its own
@@ -25,23 +25,23 @@ local M = {}
 -- needs_time  whether it can be judged only if packets have time stamps
 M.LIST = {
   {
-    name = "fault",
-    text = "{flag} {event}{after}",
+    "fault",
+    "{flag} {event}{after}",
     keys = "field flag event active",
     about = "alarms",
     needs_past = true,
   },
-  { name = "crc", text = "bad CRC", hides = "with a bad CRC" },
-  { name = "incomplete", text = "{what}", keys = "what", hides = "incomplete" },
+  { "crc", "bad CRC", hides = "with a bad CRC" },
+  { "incomplete", "{what}", keys = "what", hides = "incomplete" },
   {
-    name = "unfinished",
-    text = "cut off by the end of the capture",
+    "unfinished",
+    "cut off by the end of the capture",
     counts_as = "incomplete",
     hides = "cut off by the end of the capture",
   },
   {
-    name = "missing",
-    text = "messages missing by Seq No: {count}",
+    "missing",
+    "messages missing by Seq No: {count}",
     keys = "count",
     amount = "count",
     change = "count",
@@ -49,23 +49,23 @@ M.LIST = {
     needs_past = true,
   },
   {
-    name = "reboot",
-    text = "controller rebooted (its clock went back by {length} s)",
+    "reboot",
+    "controller rebooted (its clock went back by {length} s)",
     change = "length",
     about = "time",
     needs_past = true,
   },
   {
-    name = "stale",
-    text = "controller clock did not advance",
+    "stale",
+    "controller clock did not advance",
     change = true,
     about = "time",
     needs_past = true,
     needs_time = true,
   },
   {
-    name = "jump",
-    text = "controller clock jumped ahead by {length} s",
+    "jump",
+    "controller clock jumped ahead by {length} s",
     keys = "length",
     change = "length",
     about = "time",
@@ -73,49 +73,49 @@ M.LIST = {
     needs_time = true,
   },
   {
-    name = "shared",
-    text = "two controllers appear to send this ID",
+    "shared",
+    "two controllers appear to send this ID",
     change = true,
     about = "time",
     needs_past = true,
   },
   {
-    name = "silence",
-    text = "silent for {length} s",
+    "silence",
+    "silent for {length} s",
     keys = "length",
     about = "every",
     needs_past = true,
     needs_time = true,
   },
   {
-    name = "invalid",
-    text = "{field} {code} is not defined{effect}",
+    "invalid",
+    "{field} {code} is not defined{effect}",
     keys = "field value",
     about = "fields",
   },
   {
-    name = "clock",
-    text = "the capture's own clock went back by {back} s",
+    "clock",
+    "the capture's own clock went back by {back} s",
     keys = "length",
     scope = "capture",
   },
   {
-    name = "dropped",
-    text = "packets lost while capturing: {count}",
+    "dropped",
+    "packets lost while capturing: {count}",
     keys = "count",
     amount = "count",
     scope = "capture",
   },
-  { name = "absent", text = "no message of it came", scope = "capture" },
+  { "absent", "no message of it came", scope = "capture" },
   {
-    name = "unknown",
-    text = "{size} bytes, {count} times: {note}",
+    "unknown",
+    "{size} bytes, {count} times: {note}",
     keys = "size count like",
     scope = "rare",
   },
   {
-    name = "skipped",
-    text = "{length} bytes of no frame",
+    "skipped",
+    "{length} bytes of no frame",
     keys = "length",
     scope = "rare",
     is_optional = true,
@@ -127,6 +127,7 @@ M.BY_NAME = {}
 --- The names of the rows that have a rule, in their order.
 M.RULES = {}
 for _, row in ipairs(M.LIST) do
+  row.name, row.text = row[1], row[2]
   M.BY_NAME[row.name] = row
   if not row.counts_as then M.RULES[#M.RULES + 1] = row.name end
 end

@@ -60,13 +60,6 @@ local function default_path(name)
   return (os.getenv("HOME") or os.getenv("USERPROFILE") or ".") .. "/yapp-" .. name
 end
 
-local function save(path, content)
-  local problem = output.save(path, content, "give another name")
-  if problem then
-    report_failure("YAPP: not written: " .. problem)
-  end
-end
-
 local function show_frames(frames)
   if not frames[1] then
     return report_failure("YAPP: no frame stands in this window")
@@ -94,9 +87,9 @@ local function open_window(title, make)
   window:add_button("Save", function()
     local path = default_path(title:lower():gsub(" ", "-") .. ".txt")
     ask("Save", "New file", path, function(answer)
-      if answer and answer ~= "" then
-        save(answer, content)
-      end
+      local is_named = answer and answer ~= ""
+      local problem = is_named and output.save(answer, content, "give another name")
+      if problem then report_failure("YAPP: not written: " .. problem) end
     end)
   end)
   window:add_button("Show frames", function() show_frames(frames) end)

@@ -141,7 +141,7 @@ local function read_file(options, path, catalogue)
   for line in (text:gsub("^\239\187\191", "") .. "\n"):gmatch("(.-)\r?\n") do
     number_of_line = number_of_line + 1
     local part = trim((" " .. line):gsub("%s#.*", ""))
-    if not part:find("^source%s*=") then part = trim((part:gsub("#.*", ""))) end
+    if not part:find("^source%s*=") then part = trim(part:gsub("#.*", "")) end
     options.place = ("%s:%d: "):format(path, number_of_line)
     if part ~= "" then try(options, part, read_check, catalogue) end
   end
@@ -187,8 +187,7 @@ local function finish_check(options, _, catalogue)
 end
 
 local function refuse(options)
-  local allowed = M.BY_NAME[options.what].options
-  demand(false, "the options of %s are %s, filter=EXPRESSION", options.what, allowed)
+  demand(false, "the options of %s are %s, filter=EXPRESSION", options.what, options.row.options)
 end
 
 local function read_csv(options, part, catalogue)
@@ -281,15 +280,23 @@ for _, row in ipairs(M.LIST) do M.BY_NAME[row.name] = row end
 --- Read the argument of -z.
 -- text       "yapp,check,fault=0,motor.rate=9,filter=can.bus_id == 1, or so"
 -- catalogue  compiled
--- returns    { what =, json = true or nil, filter = or nil, folder =, chosen =, replace =, all =,
+-- returns    { what =, row = of LIST,
+--            json = true or nil, filter = or nil, folder =, chosen =, replace =, all =,
 --            rules =, junit =, looks_for_faults = whether one is about faults, problems = list of
 --            texts, each names its option }
 function M.read(text, catalogue)
   local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")
   what = trim(what or "")
-  local options = { what = what, filter = filter, rules = {}, problems = {}, place = "" }
   local row = M.BY_NAME[what]
+  local options = {
+    what = what,
+    row = row,
+    filter = filter,
+    rules = {},
+    problems = {},
+    place = "",
+  }
   if not row then
     local _, names = find(M.LIST)
     options.problems[1] = ("%s: it is yapp,%s"):format(text, (names:gsub(", ", " or yapp,")))

@@ -45,10 +45,10 @@ function Queue:reset()
 end
 
 --- Add a statistic, see stat.derive.
--- options, row  of stat.options
+-- options  of stat.options
 -- returns  what feeds it, with the table `matched` if it has a filter
-function Queue:add(statistic, options, row)
-  local deriver = derive.new(self.settings, statistic, options, row)
+function Queue:add(statistic, options)
+  local deriver = derive.new(self.settings, statistic, options)
   self.derivers[#self.derivers + 1] = deriver
   return deriver
 end

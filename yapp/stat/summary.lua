@@ -91,27 +91,20 @@ local Compare = groups.class { compares = true, wants_messages_only = true }
 --- See groups.class.
 M.compare = Compare.new
 
--- Return the JSON row of a field, and append the rows that people see: one for each source, the
--- first with the spread of all.
-local function compared_row(self, list, index, shown)
-  local spread, sources, first = list[1].values[index].spread, {}, #shown + 1
+-- Append the rows of a field: one for each source, the first with the spread of all and with what
+-- JSON has, which is all that is needed there.
+local function add_rows(self, list, index, rows)
+  local spread, sources, first = list[1].values[index].spread, {}, #rows + 1
   for i, group in ipairs(list) do
     local row = groups.row(group, group.values[index])
     sources[i] = output.object(OF_SOURCE, row)
     if i > 1 then row.field, row.unit = nil, nil end
-    shown[#shown + 1] = row
+    if i == 1 or not self.context.json then rows[#rows + 1] = row end
   end
-  local row = shown[first]
-  row.spread, row.frame, row.rel = spread.worst, spread.frame, output.seconds(spread.rel)
-  return {
-    message = list[1].message.name,
-    field = row.field,
-    unit = row.unit,
-    spread = spread.worst,
-    time = spread.rel and output.time(self.context.clock(spread.rel)),
-    frame = spread.frame,
-    sources = output.list(sources),
-  }
+  local row, rel = rows[first], spread.rel
+  row.spread, row.frame, row.rel = spread.worst, spread.frame, output.seconds(rel)
+  row.time = rel and output.time(self.context.clock(rel))
+  row.sources = output.list(sources)
 end
 
 -- Return the groups of each message that has several, in the order in which their second groups
@@ -133,13 +126,11 @@ end
 function Compare:finish(_, notes)
   local context, lists = self.context, compared(self)
   for i, list in ipairs(lists) do
-    local rows, shown = {}, {}
-    for index in ipairs(list[1].values) do
-      rows[index] = compared_row(self, list, index, shown)
-    end
+    local rows = {}
+    for index in ipairs(list[1].values) do add_rows(self, list, index, rows) end
     local title = ("YAPP compare: %d sources of %s"):format(#list, list[1].message.title)
     if i > 1 and not context.json then context.out("\n") end
-    output.print(context, title, COMPARED, context.json and rows or shown, notes)
+    output.print(context, title, COMPARED, rows, notes)
     notes = {}
   end
   if not lists[1] then

@@ -11,7 +11,6 @@ local M = {}
 
 local EXTENDED = "can.id && can.flags.xtd == 1 && !(can.flags.rtr == 1)" -- data frames
 local MAX_TREES = 1000 -- frames
-local NO_NARROWING = "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
 
 local Stat = {}
@@ -35,13 +34,14 @@ end
 
 -- Output ----------------------------------------------------------------------------------------
 
--- Whether tshark has a display filter.  The API does not say it; Linux does.
-local function has_display_filter()
+-- Return what to say if tshark has a display filter.  The API does not say it; Linux does.
+local function hint()
   local file = IS_TSHARK and io.open("/proc/self/cmdline", "rb")
-  if not file then return false end
+  if not file then return nil end
   local words = file:read("*a")
   file:close()
-  return words:find("\0-Y", 1, true) or words:find("\0--display-filter", 1, true)
+  local is_there = words:find("\0-Y", 1, true) or words:find("\0--display-filter", 1, true)
+  return is_there and "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
 end
 
 local function say(text)
@@ -114,8 +114,7 @@ local function tap_packets(self)
 end
 
 local function open(self)
-  local hint = has_display_filter() and NO_NARROWING or nil
-  self.queue, self.taps = queue.new(self.settings, hint), {}
+  self.queue, self.taps = queue.new(self.settings, hint()), {}
   self.is_exact, self.extended = false, 0
   self.intake:open(self.queue)
   self.watch()
@@ -147,19 +146,20 @@ local function tap_filter(self, filter)
   error(("the filter %s is not one: %s"):format(filter, why), 0)
 end
 
--- Begins a statistic.
+-- Begin the statistic of an argument of -z.
 -- context  { out, frames } of output.print
-local function begin(self, options, context)
-  local events, row = self.queue, options_of.BY_NAME[options.what]
+local function begin(self, text, context)
+  local options, events = options_of.read(text, self.settings.catalogue), self.queue
+  -- In tshark, check says what is wrong in its report, too.
+  if options.problems[1] and (context.frames or options.what ~= "check") then
+    error(table.concat(options.problems, "\n"), 0)
+  end
   local filter = options.filter and tap_filter(self, options.filter)
   function context.clock(rel) return events:clock(rel) end
   context.json, context.make_folder, context.settings = options.json, make_folder, self.settings
-  local statistic, problem = row.new(options, context)
-  if not statistic then
-    error(options.what .. ": " .. problem, 0)
-  end
+  local statistic = options.row.new(options, context)
   if not statistic.wants_messages_only then self.intake.wants_parts = true end
-  local deriver = events:add(statistic, options, row)
+  local deriver = events:add(statistic, options)
   if filter then
     function filter.packet(pinfo) deriver.matched[pinfo.number] = true end
   end
@@ -169,21 +169,16 @@ end
 -- text     as behind -z
 -- returns  its output and the problems, as one text; a list of the frames in it
 function Stat:run(text)
-  local options = options_of.read(text, self.settings.catalogue)
-  local said, frames, problems = {}, {}, options.problems
+  local said, frames = {}, {}
   local function out(part) said[#said + 1] = part end
-  local function run()
-    open(self)
-    begin(self, options, { out = out, frames = frames })
+  open(self)
+  local ok, texts = pcall(function()
+    begin(self, text, { out = out, frames = frames })
     retap_packets()
     return select(2, finish(self))
-  end
-  if not problems[1] then
-    local ok, texts = pcall(run)
-    problems = ok and texts or { tostring(texts) }
-    close(self)
-  end
-  for _, problem in ipairs(problems) do
+  end)
+  close(self)
+  for _, problem in ipairs(ok and texts or { tostring(texts) }) do
     out(problem .. "\n")
   end
   return table.concat(said), frames
@@ -212,16 +207,12 @@ end
 
 -- One -z argument.
 local function read_argument(self, text)
-  local options = options_of.read(text, self.settings.catalogue)
-  if options.problems[1] and options.what ~= "check" then -- check says them in its report, too
-    error(table.concat(options.problems, "\n"), 0)
-  end
   if not self.queue then
     open(self)
     local tap = Listener.new("frame") -- for the end alone: tap_packets may remove its own
     function tap.draw() conclude(self) end
   end
-  begin(self, options, { out = function(part)
+  begin(self, text, { out = function(part)
     local ok, problem = io.stdout:write(part)
     if not ok then self.problem = problem end
   end })
