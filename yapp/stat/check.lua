@@ -254,10 +254,6 @@ end
 
 -- The end ---------------------------------------------------------------------------------------
 
-local function order_of(row)
-  return row.ok.order
-end
-
 --- End, see stat.derive.
 -- returns  the exit code, and a text that says what is wrong besides rules, nil for nothing
 function Check:finish(ending, notes)
@@ -275,7 +271,7 @@ function Check:finish(ending, notes)
   local verdict = failed > 0 and FAILED or unjudged > 0 and UNJUDGED or OK
   if not options.json then
     for _, text in ipairs(problems) do rows[#rows + 1] = { ok = UNJUDGED, note = text } end
-    output.sort(rows, order_of)
+    output.sort(rows, function(row) return row.ok.order end)
   end
   output.print(context, "YAPP check: " .. verdict.title, KEYS, rows, notes)
   if not options.json then

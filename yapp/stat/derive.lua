@@ -45,15 +45,14 @@ end
 -- settings  see stat.taps
 -- options   of stat.options
 function M.new(settings, statistic, options)
-  local states, row = {}, options.row
+  local states = {}
   return setmetatable({
     statistic = statistic,
     -- A set of the numbers of packets that the filter lets count, nil without one: a tap fills it.
     -- It keeps all packets, as only the end shows which messages are unfinished.
     matched = options.filter and {},
     settings = settings,
-    has_notes = not (options.json or row.is_data),
-    looks_for_faults = options.looks_for_faults or row.looks_for_faults,
+    options = options,
     undecoded = undecoded.new(settings),
     states = states, -- of sources with good messages, in their order, and by source
     by_source = memo(new_state, states),
@@ -266,24 +265,25 @@ local function hiding(self)
     local count = row.hides and self.counts[row.name]
     if count then texts[#texts + 1] = ("%d %s"):format(count, row.hides) end
   end
-  local text = "damaged or lost messages may hide faults: %s"
-  return texts[1] and text:format(table.concat(texts, ", "))
+  return texts[1] and "damaged or lost messages may hide faults: " .. table.concat(texts, ", ")
 end
 
 -- Return what the answer of the statistic leaves out, and whether that makes it undecided.
 local function notes_of(self, ending)
-  local nothing, matched = ending.reason, self.matched
+  local nothing, matched, options = ending.reason, self.matched, self.options
   if matched and not next(self.came) then nothing = nothing or "no message matches the filter" end
   local doubts = self.statistic.follows_changes and self.doubts or NOTHING
   local notes = joined({ nothing }, self.undecoded:texts(), doubts)
-  notes[#notes + 1] = self.looks_for_faults and hiding(self) or nil
+  if options.looks_for_faults or options.row.looks_for_faults then
+    notes[#notes + 1] = hiding(self)
+  end
   if not matched then notes[#notes + 1] = ending.hint end
   return notes, doubts[1] ~= nil
 end
 
 --- End: all events have come.
 -- ending   see Queue:finish
--- returns  the exit code, nil for 0, and two things to say: a text or nil, and a list of texts
+-- returns  the exit code, nil for 0; a text to say, or nil; and a list of texts to say
 function Deriver:finish(ending)
   end_undissected(self, ending)
   end_silences(self, ending)
@@ -292,8 +292,9 @@ function Deriver:finish(ending)
   end_drops(self, ending)
   local notes, is_undecided = notes_of(self, ending)
   local code, text = self.statistic:finish(ending, notes)
-  if is_undecided then code = code or output.EXIT_UNDECIDED end
-  return code, text, (is_undecided or not self.has_notes) and notes or NOTHING
+  if is_undecided then return code or output.EXIT_UNDECIDED, text, notes end
+  local has_no_notes = self.options.json or self.options.row.is_data
+  return code, text, has_no_notes and notes or NOTHING
 end
 
 return M

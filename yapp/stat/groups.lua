@@ -67,8 +67,8 @@ local function note_value(values, value, frame)
   if value == value then
     values.count = values.count + 1
     values.sum = values.sum + value
-    values.min = math.min(values.min, value)
-    values.max = math.max(values.max, value)
+    if value < values.min then values.min = value end
+    if value > values.max then values.max = value end
   end
   if value >= values.low and value <= values.high then
     return
@@ -92,8 +92,8 @@ local function note_spread(values, value, event, now, longest)
   for _, one in ipairs(spread.members) do
     local latest = one.latest
     if latest == latest and span(one.at, now) <= longest then
-      low = math.min(low, latest)
-      high = math.max(high, latest)
+      if latest < low then low = latest end
+      if latest > high then high = latest end
       count = count + 1
     end
   end

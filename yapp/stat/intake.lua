@@ -19,7 +19,7 @@ local memo = require("yapp.base.memo")
 
 local M = {}
 
-local NOTHING, number_of = kinds.NOTHING, frame_key.number
+local number_of = frame_key.number
 
 local LOSSES = {
   ["fragment.incomplete"] = { what = "incomplete" },
@@ -29,7 +29,6 @@ local LOSSES = {
 -- The kind of a message by its status.  A truncated message could not be checked.  A message of
 -- another status makes no event: its anomalies do.
 local KIND_OF = { good = "message", bad = "crc", truncated = "incomplete" }
-local EFFECTS = { ["command.key.invalid"] = " (the controller ignores this command)" }
 
 local Intake = {}
 Intake.__index = Intake
@@ -99,11 +98,6 @@ end
 
 -- Messages ----------------------------------------------------------------------------------------
 
--- Return a value as the vendor's document writes codes: 0x0a.
-local function code_of(raw)
-  return type(raw) == "number" and ("0x%02x"):format(raw) or raw
-end
-
 -- The values of a message that the catalogue does not define; nil for none.
 local function invalid_of(m)
   local message, list = m.source.message, nil
@@ -115,8 +109,9 @@ local function invalid_of(m)
       list[#list + 1] = {
         field = message.fields[index].name,
         value = raw,
-        code = code_of(raw),
-        effect = EFFECTS[remark[2]],
+        -- As the vendor's document writes codes: 0x0a.
+        code = type(raw) == "number" and ("0x%02x"):format(raw) or raw,
+        effect = remark[2] == "command.key.invalid" and " (the controller ignores this command)",
       }
     end
   end
@@ -125,7 +120,9 @@ end
 
 local function values_of(m)
   local invalid = m.is_remarkable and invalid_of(m)
-  if not (m.change or invalid or m.undecoded or m.is_unreliable) then return NOTHING end
+  if not (m.change or invalid or m.undecoded or m.is_unreliable) then
+    return kinds.NOTHING
+  end
   return {
     change = m.change or nil,
     invalid = invalid or nil,

@@ -13,7 +13,7 @@ local summary = require("yapp.stat.summary")
 
 local M = {}
 
-local demand, find, set, trim = input.demand, input.find, input.set, input.trim
+local demand, find, trim = input.demand, input.find, input.trim
 
 local RULES = table.concat(kinds.RULES, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=A..B, " ..
   "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X"
@@ -302,7 +302,7 @@ function M.read(text, catalogue)
     options.problems[1] = ("%s: it is yapp,%s"):format(text, (names:gsub(", ", " or yapp,")))
     return options
   end
-  local words = set((row.options:gsub(",", "")))
+  local words = input.set((row.options:gsub(",", "")))
   for part in rest:gmatch(",([^,]*)") do
     part = trim(part)
     if words[part] then

@@ -15,7 +15,7 @@ local M = {}
 local MAX_LOSSES = 1000 -- so many events of losses wait at least, see hand_on_losses
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
 
-local floor, max, span = math.floor, math.max, kinds.span
+local floor = math.floor
 
 local Queue = {}
 Queue.__index = Queue
@@ -78,7 +78,7 @@ local function hand_on_losses(self, is_end)
       hand_on(self, event)
     end
   end
-  self.max_losses = max(MAX_LOSSES, 2 * #self.losses)
+  self.max_losses = math.max(MAX_LOSSES, 2 * #self.losses)
 end
 
 local function take(self, event)
@@ -94,10 +94,9 @@ end
 
 local function flush(self)
   local waiting = self.waiting
-  if not waiting[1] then return end
-  self.waiting = {}
-  for i = 1, #waiting do
-    take(self, waiting[i])
+  for i, event in ipairs(waiting) do
+    waiting[i] = nil
+    take(self, event)
   end
 end
 
@@ -162,7 +161,7 @@ function Queue:packet(number, rel, lacks_clock)
   local last = self.last
   self.last, self.packets = rel, self.packets + 1
   if last and rel < last then
-    local step = span(last, rel)
+    local step = kinds.span(last, rel)
     if step < -MAX_STEP then
       self.stepped_back = self.stepped_back - step
       if not lacks_clock then note_step(self, number, rel, step) end

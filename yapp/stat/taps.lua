@@ -192,8 +192,7 @@ local function conclude(self)
   if not ok then
     code, texts = output.EXIT_UNDECIDED, { tostring(code) }
   end
-  local is_flushed, problem = io.stdout:flush() -- a full disk may show only here
-  problem = self.problem or not is_flushed and problem
+  local problem = self.problem or select(2, io.stdout:flush()) -- a full disk may show only here
   if problem then
     texts[#texts + 1] = "standard output: " .. problem
     if code == output.EXIT_OK then code = output.EXIT_UNDECIDED end
