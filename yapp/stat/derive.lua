@@ -87,9 +87,9 @@ end
 
 -- Faults ------------------------------------------------------------------------------------------
 
--- active  seconds since it rose, nil if it rises
-local function emit_fault(self, cause, fault, name, active)
-  active = output.seconds(active)
+-- till  when it fell, or was still set; nil if it rises
+local function emit_fault(self, cause, fault, name, till)
+  local active = till and output.seconds(span(fault.since, till))
   emit(self, "fault", cause, {
     field = fault.field,
     flag = fault.flag.name,
@@ -116,31 +116,25 @@ local faults_of = memo(function(field)
   return list
 end)
 
--- Keep that a fault rose or fell.  Make a new list: state.counted_faults may be the old one.
-local function note_fault(self, state, cause, fault, is_set)
-  local faults, active = {}, nil
-  for _, one in ipairs(state.faults) do
-    if one.flag ~= fault.flag then
-      faults[#faults + 1] = one
-    elseif not is_set then
-      active = span(one.since, self.now)
-    end
-  end
-  if is_set then faults[#faults + 1] = fault end
-  state.faults = faults
-  if state.counts then
-    emit_fault(self, cause, fault, is_set and "raised" or "cleared", active)
-  end
-end
-
--- Note the faults that rise or fall with a change of a flags field.
+-- Note the faults that rise or fall with a change of a flags field.  Make a new list for each:
+-- state.counted_faults may be the old one.
 local function note_faults(self, state, cause, change)
   local before = change.value - change.raised + change.cleared
   for _, flag in ipairs(faults_of[change.field]) do
     local is_set = band(change.value, flag.mask) ~= 0
     if is_set ~= (band(before, flag.mask) ~= 0) then
-      local fault = { field = change.field.name, flag = flag, since = self.now }
-      note_fault(self, state, cause, fault, is_set)
+      local faults, fault = {}, { field = change.field.name, flag = flag, since = self.now }
+      for _, one in ipairs(state.faults) do
+        if one.flag ~= flag then
+          faults[#faults + 1] = one
+        elseif not is_set then
+          fault = one
+        end
+      end
+      if is_set then faults[#faults + 1] = fault end
+      state.faults = faults
+      local name, till = is_set and "raised" or "cleared", not is_set and self.now
+      if state.counts then emit_fault(self, cause, fault, name, till) end
     end
   end
 end
@@ -232,8 +226,7 @@ local function end_faults(self)
   output.sort(self.states, function(state) return state.counted.frame end)
   for _, state in ipairs(self.states) do
     for _, fault in ipairs(state.counted_faults) do
-      local active = span(fault.since, state.counted_at)
-      emit_fault(self, state.counted, fault, "active", active)
+      emit_fault(self, state.counted, fault, "active", state.counted_at)
     end
   end
 end

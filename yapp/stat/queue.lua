@@ -94,6 +94,7 @@ end
 
 local function flush(self)
   local waiting = self.waiting
+  if not waiting[1] then return end
   for i, event in ipairs(waiting) do
     waiting[i] = nil
     take(self, event)
