@@ -63,8 +63,8 @@ end
 
 -- Measures ----------------------------------------------------------------------------------------
 --
--- By the name of a rule's kind: function(group, rule, ending, check) -> what is seen, its frame, a
--- note, and the value that is farthest outside.  Where nothing can be seen: nil, nil, why.
+-- By the name of a rule's kind: function(group, rule, check) -> what is seen, its frame, a note,
+-- and the value that is farthest outside.  Where nothing can be seen: nil, nil, why.
 
 local measures = {}
 
@@ -82,10 +82,10 @@ function measures.rate(group)
   return rate, group.last_frame
 end
 
-function measures.gap(group, _, ending)
+function measures.gap(group, _, check)
   if group.count == 0 then return nil, nil, NO_VALUE end
   local gap, frame = group.gap_max or 0, group.gap_max_frame
-  local to_end = kinds.span(group.last, ending.now)
+  local to_end = kinds.span(group.last, check.ending.now)
   if to_end > gap then gap, frame = to_end, nil end
   return gap, frame or group.last_frame
 end
@@ -96,13 +96,13 @@ function measures.range(group, rule)
   return values.outside, values.frame, ("of %d values"):format(values.seen), values.worst
 end
 
-function measures.spread(_, rule, _, check)
+function measures.spread(_, rule, check)
   local spread = check.spreads[rule.want]
   if not spread.worst then return nil, nil, "no two sources of it have a value at one time" end
   return spread.worst, spread.frame
 end
 
-function measures.absent(_, rule, _, check)
+function measures.absent(_, rule, check)
   local names, is_named = {}, rule.is_default
   for _, row in ipairs(check.context.settings.sources:list()) do
     if row.message and is_its(rule, row) then
@@ -143,7 +143,7 @@ end
 
 -- As a measure: judge a rule that no group is about.  A default rule, or one of rare events, holds
 -- if a message of its source came.
-local function measure_none(_, rule, ending, check)
+local function measure_none(_, rule, check)
   local message, source = rule.message, rule.source
   if rule.is_default or rule.kind.scope == "rare" then
     for _, group in ipairs(check.list) do
@@ -154,16 +154,16 @@ local function measure_none(_, rule, ending, check)
   local why = "no message came that it is about"
   if message then why = ("no %s came: see yapp.%s_ids"):format(message.title, message.name) end
   if source then why = ("no message of a source that yapp.sources calls %s came"):format(source) end
-  return nil, nil, ending.reason or why
+  return nil, nil, check.ending.reason or why
 end
 
 -- Why a rule cannot be judged, whatever was seen; nil for no reason.
--- holds  whether it seems to
-local function reason_of(kind, group, ending, holds)
+-- ok  FAILED if it does not seem to hold
+local function reason_of(kind, group, ending, ok)
   if kind.needs_time and ending.lacks_times then
     return "packets of this capture have no time stamps"
   end
-  if not holds then return nil end
+  if ok == FAILED then return nil end
   if kind.needs_past and group.is_unreliable then
     return "what came before its messages is not known: see -z yapp,events"
   end
@@ -172,11 +172,10 @@ end
 
 -- Add the row of a rule.
 -- seen ...  of a measure
-local function add_row(self, rule, group, ending, seen, frame, note, worst)
+local function add_row(self, rule, group, seen, frame, note, worst)
   local shown = seen and tonumber(("%.12g"):format(seen)) -- 10, not 9.9999999999999982
-  local holds = seen and shown >= rule.low and shown <= rule.high
-  local reason, limit = reason_of(rule.kind, group, ending, holds), rule.text:match("=(.*)$")
-  local ok = holds and OK or FAILED
+  local ok = seen and shown >= rule.low and shown <= rule.high and OK or FAILED
+  local reason, limit = reason_of(rule.kind, group, self.ending, ok), rule.text:match("=(.*)$")
   if reason or not seen then ok = UNJUDGED end
   self.counts[ok] = self.counts[ok] + 1
   self.rows[#self.rows + 1] = output.row(group.source or { name = rule.source }, {
@@ -191,7 +190,7 @@ local function add_row(self, rule, group, ending, seen, frame, note, worst)
 end
 
 -- Add the rows of a rule: one for each of its sources, or one in all.
-local function judge(self, rule, ending)
+local function judge(self, rule)
   local measure, about = measures[rule.kind.name] or count_events, {}
   if rule.kind.scope == "capture" then
     about[1] = self.capture
@@ -202,7 +201,7 @@ local function judge(self, rule, ending)
   end
   if not about[1] then measure, about[1] = measure_none, self.capture end
   for _, group in ipairs(about) do
-    add_row(self, rule, group, ending, measure(group, rule, ending, self))
+    add_row(self, rule, group, measure(group, rule, self))
   end
 end
 
@@ -259,9 +258,9 @@ end
 function Check:finish(ending, notes)
   local options, context, rows = self.options, self.context, {}
   local problems = joined(context.settings.problems, options.problems)
-  self.rows, self.counts = rows, { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
+  self.ending, self.rows, self.counts = ending, rows, { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
   for _, rule in ipairs(options.rules) do
-    judge(self, rule, ending)
+    judge(self, rule)
   end
   local problem = report(self, problems)
   if problem then
