@@ -64,18 +64,6 @@ local function create(self, name)
   return file
 end
 
--- Make the folder and begin its files; raise what goes wrong.
-local function begin_all(self)
-  local folder, context = self.options.folder, self.context
-  if not context.make_folder(folder) then
-    error(("csv: the folder %s cannot be made"):format(folder), 0)
-  end
-  self.fields = create(self, "fields.json")
-  for _, message in ipairs(context.settings.catalogue.messages) do
-    begin(self, message, create(self, message.name .. ".csv"))
-  end
-end
-
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =,
 --          all = booleans }
 -- context  { clock = function(rel) -> seconds since 1970, nanoseconds; settings = see stat.taps;
@@ -92,8 +80,14 @@ function M.new(options, context)
   }, Csv)
   if options.chosen then
     begin(self, options.chosen, { write = function(_, text) context.out(text) end })
-  else
-    begin_all(self)
+    return self
+  end
+  if not context.make_folder(options.folder) then
+    error(("csv: the folder %s cannot be made"):format(options.folder), 0)
+  end
+  self.fields = create(self, "fields.json")
+  for _, message in ipairs(context.settings.catalogue.messages) do
+    begin(self, message, create(self, message.name .. ".csv"))
   end
   return self
 end

@@ -145,14 +145,6 @@ function Queue:go_direct()
   return true
 end
 
-local function note_step(self, number, rel, step)
-  local values = { length = output.seconds(step), back = output.seconds(-step) }
-  local event = kinds.event("clock", number, rel, {}, values)
-  for _, deriver in ipairs(self.derivers) do
-    deriver:add(event)
-  end
-end
-
 --- Say that a packet of any kind has been dissected.
 -- number, rel  of the packet; rel = seconds since the first one.  With tshark -2 -R the number of a
 --              packet that the first pass rejected is another's in the second, with another time
@@ -161,12 +153,12 @@ function Queue:packet(number, rel, lacks_clock)
   flush(self)
   local last = self.last
   self.last, self.packets = rel, self.packets + 1
-  if last and rel < last then
-    local step = kinds.span(last, rel)
-    if step < -MAX_STEP then
-      self.stepped_back = self.stepped_back - step
-      if not lacks_clock then note_step(self, number, rel, step) end
-    end
+  local step = last and rel < last and kinds.span(last, rel) or 0
+  if step < -MAX_STEP then
+    self.stepped_back = self.stepped_back - step
+    local values = { length = output.seconds(step), back = output.seconds(-step) }
+    local event = kinds.event("clock", number, rel, {}, values)
+    for _, deriver in ipairs(lacks_clock and {} or self.derivers) do deriver:add(event) end
   end
   if number == self.number and self.offered[#self.offered].time == rel then
     self.waiting, self.number = self.offered, nil
