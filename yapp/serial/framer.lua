@@ -55,6 +55,7 @@ function M.new(size_of, patience)
     to = 0,        -- the end of the stream so far; streams read it, and the next
     from = 0,      -- the first byte that is in no event yet
     searched = 0,  -- every candidate that begins before this is known
+    found = false, -- the open candidate that the search waited at last
   }, Framer)
   self:forget()
   return self
@@ -71,6 +72,7 @@ end
 
 -- Returns the next candidate whose header has come, nil where none has.
 function Framer:find()
+  if self.found and self.found.from == self.searched then return self.found end
   local at = frame.find(self.text, self.searched - self.text_from + 1)
   if not at then
     local is_begun = self.to > self.searched and byte(self.text, -1) == Y
@@ -210,8 +212,10 @@ function Framer:search(is_end)
   local candidate = self:find()
   while candidate do
     local is_open = candidate.to > self.to
-    -- The search waits here.
-    if is_open and not is_end and candidate.to - candidate.from <= self.patience then return end
+    if is_open and not is_end and candidate.to - candidate.from <= self.patience then
+      self.found = candidate
+      return
+    end
     if is_open or not self:accept(candidate) then
       self:keep(candidate)
       self.searched = candidate.from + #frame.SYNC
