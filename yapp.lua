@@ -252,11 +252,7 @@ local function read_preferences()
   local link_types = preferences.take_link_types(prefs.user_dlt, serial)
   local wrong = joined(clashes, unread, no_number, link_types)
   preferences.complain_once(wrong)
-  reader:use(by_id, sources, prefs.hide_source)
-  for id in pairs(by_id) do register_id(id) end
-  for _, row in ipairs(sources:list()) do
-    if row.message then register_id(row.id) end
-  end
+  reader:use(by_id, sources, prefs.hide_source, register_id)
   accepts_all = prefs.all_extended
   if accepts_all then accept_all() end
   settings.late, settings.ids = late, chosen

@@ -12,13 +12,15 @@ local T = {}
 local TAURUS = catalogue.compile(dofile("taurus_fields.lua"))
 local COMMAND, MOTOR, HEALTH = TAURUS.by_id[0], TAURUS.by_id[0x210], TAURUS.by_id[0x200]
 
+local function ignore() end
+
 -- A reader with these sources, IDs of messages and, or not, several buses.
 local function new(text, ids, has_several)
   local parsed, problems = sources.parse(text or "", TAURUS)
   lu.assertEquals(problems, {})
   local r = reader.new(TAURUS, { wanted = false })
   r:use_buses(has_several or false)
-  r:use(catalogue.assign(TAURUS, ids or {}), parsed)
+  r:use(catalogue.assign(TAURUS, ids or {}), parsed, false, ignore)
   return r
 end
 
@@ -39,10 +41,16 @@ function T.test_which_message_an_id_carries()
   lu.assertEquals(found, { "motor", "motor", "motor", "none", "health", "health", "health", "command" })
 end
 
+function T.test_every_id_that_carries_a_message_is_visited()
+  local r, ids = new("can1/0x300=health:, 0x301=tail"), {}
+  r:use(catalogue.assign(TAURUS, { motor = { 0x210, 0x211 } }), r.sources, false, function(id) ids[id] = true end)
+  lu.assertEquals(ids, { [0] = true, [0x200] = true, [0x210] = true, [0x211] = true, [0x300] = true })
+end
+
 function T.test_which_sizes_fit()
   local r = new("can1/0x210=health:")
-  lu.assertEquals({ r:fits(0x210, 32), r:fits(0x210, 34), r:fits(0x210, 31), r:fits(0x210, 17, "can1"),
-    r:fits(0x123, 5) or "unknown" }, { true, true, false, true, "unknown" })
+  lu.assertEquals({ r:size_of(0x210) }, { 32, 32 })
+  lu.assertEquals(r:new_source(0x210, 1, "can1").size, 17)
   lu.assertNil(r:size_of(0x123))
 end
 
@@ -71,7 +79,7 @@ end
 
 function T.test_info_leaves_out_what_a_column_says()
   local r = new("0x210=left, 0x300=tail", { motor = { 0x210, 0x211 } }, true)
-  r:use(r.by_id, r.sources, true)
+  r:use(r.by_id, r.sources, true, ignore)
   local names = { [0x210] = "Motor Data", [0x211] = "Motor Data", [0x200] = "Health", [0x300] = "ID 0x300" }
   for id, said in pairs(names) do
     lu.assertEquals(r:new_source(id, false, "can1").label, said)
@@ -163,17 +171,15 @@ function T.test_a_shorter_payload()
   end
   local compiled = catalogue.compile(entries)
   local r = reader.new(compiled, { wanted = false })
-  r:use(catalogue.assign(compiled, {}), (sources.parse("", compiled)))
+  r:use(catalogue.assign(compiled, {}), (sources.parse("", compiled)), false, ignore)
   local found = {}
   for size = 29, 33 do
     local m = { source = r:new_source(0x210, false), size = size, payload = ("\1"):rep(size),
       status = size == 31 and "bad" or "good" }
     r:read(m, { note = function() return nil, false end }, {})
-    found[#found + 1] = ("%d %s %s %s"):format(size, m.raws and "read" or "bytes", tostring(r:fits(0x210, size)),
-      m.undecoded or "-")
+    found[#found + 1] = ("%d %s %s"):format(size, m.raws and "read" or "bytes", m.undecoded or "-")
   end
-  lu.assertEquals(found, { "29 bytes false -", "30 read true -", "31 read true -", "32 read true -",
-    "33 read true 1" })
+  lu.assertEquals(found, { "29 bytes -", "30 read -", "31 read -", "32 read -", "33 read 1" })
   lu.assertEquals({ r:size_of(0x210) }, { 32, 30 })
   local source = r:new_source(0x210, false)
   lu.assertEquals({ source.size, source.min_size }, { 32, 30 })
@@ -250,7 +256,7 @@ function T.test_statistics_are_told_while_they_want_it()
   local told, stat = {}, { wanted = false }
   function stat.message(_, m) told[#told + 1] = m.source.id end
   local r = reader.new(TAURUS, stat)
-  r:use(catalogue.assign(TAURUS, {}), (sources.parse("", TAURUS)))
+  r:use(catalogue.assign(TAURUS, {}), (sources.parse("", TAURUS)), false, ignore)
   read(r, MOTOR, {})
   stat.wanted = true
   read(r, HEALTH, {})

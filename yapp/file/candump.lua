@@ -2,9 +2,10 @@
 -- What candump prints and logs: the CAN frame in a line, whether a file is such, and its frames as
 -- packets.  Pure Lua.
 --
--- The forms of a line, after can-utils (lib.c, candump.c), are rows of FORMS, or of OTHERS if the
--- line has no frame.  A row of FORMS begins behind the CAN id; read_head reads what stands before.
--- A line pasted from a document has these forms, too.
+-- A line, after can-utils (lib.c, candump.c), has the form LOG or SCREEN behind the CAN id;
+-- read_head reads what stands before.  A line without a frame has one of the forms OTHERS.  A line
+-- pasted from a document has these forms, too.
+local memo = require("yapp.base.memo")
 local text = require("yapp.file.text")
 local utf8 = require("yapp.base.utf8")
 
@@ -121,14 +122,11 @@ end
 -- A line
 -- ---------------------------------------------------------------------------------------------
 
--- Forms of a line with a frame: a pattern of what follows the id, and what reads it.  needs_time: a
--- line without a time is of another program.
-local FORMS = {
-  -- (1700000000.000001) can0 08404000#BBBE6FC720000000 R
-  { "^#(%S*)%s*([RT]?)%s*()", read = read_log, needs_time = true },
-  --  (000.000499)  can0  RX - -  08404000   [8]  BB BE 6F C7 20 00 00 00   '..o. ...'
-  { "^%s+([%[{])(%x%x?)[%]}](.*)$", read = read_screen },
-}
+-- What follows the id in a line with a frame.
+-- (1700000000.000001) can0 08404000#BBBE6FC720000000 R
+local LOG = "^#(%S*)%s*([RT]?)%s*()"
+--  (000.000499)  can0  RX - -  08404000   [8]  BB BE 6F C7 20 00 00 00   '..o. ...'
+local SCREEN = "^%s+([%[{])(%x%x?)[%]}](.*)$"
 
 -- Return what stands in front of an id: the time, the bus, with -x the direction and the flags of
 -- CAN FD; then the id and the index behind it.  Each may be nil.
@@ -143,9 +141,9 @@ local function read_head(line)
 end
 
 -- Fill in time and data, or return why not.
-local function fill(record, stamp, form, line, a, b, c)
+local function fill(record, stamp, line, read, a, b, c)
   if not record.id then return ID end
-  local why = stamp and read_stamp(record, stamp) or form.read(record, a, b, c, line)
+  local why = stamp and read_stamp(record, stamp) or read(record, a, b, c, line)
   local max_length = record.fd and 64 or 8
   return why or record.length > max_length and DATA or nil
 end
@@ -153,19 +151,17 @@ end
 -- Return the frame in a line, or nil and why there is none.
 local function frame_of(line)
   local stamp, bus, sent, flags, id, behind = read_head(line)
-  for _, form in ipairs(FORMS) do
-    local a, b, c = match(line, form[1], behind)
-    if id and a and (stamp or not form.needs_time) then
-      local record = {
-        bus = bus, id = read_id(id), fd = false, sent = sent, flags = flags, raw_dlc = 0,
-        is_relative = false,
-      }
-      local why = fill(record, stamp, form, line, a, b, c)
-      if not why then return record end
-      return nil, stamp and why or UNKNOWN
-    end
-  end
-  return nil, UNKNOWN
+  local read, a, b, c = read_screen, match(line, SCREEN, behind)
+  -- A log line without a time is of another program.
+  if stamp and not a then read, a, b, c = read_log, match(line, LOG, behind) end
+  if not (id and a) then return nil, UNKNOWN end
+  local record = {
+    bus = bus, id = read_id(id), fd = false, sent = sent, flags = flags, raw_dlc = 0,
+    is_relative = false,
+  }
+  local why = fill(record, stamp, line, read, a, b, c)
+  if not why then return record end
+  return nil, stamp and why or UNKNOWN
 end
 
 -- Characters that stand for digits in the candump lines of the vendor's document: three Greek and
@@ -350,12 +346,10 @@ local function add_bus(log, name)
   if not number or log.taken[number] then number = log.free end
   log.taken[number] = true
   local shown = utf8.printable(name)
-  local heads = setmetatable({}, { __index = function(heads, digits)
+  local heads = memo(function(digits)
     local id = read_id(digits)
-    local head = id and text.head(number, { id = id })
-    heads[digits] = head
-    return head
-  end })
+    return id and text.head(number, { id = id })
+  end)
   log.buses[name] = { number = number, name = shown, heads = heads }
   log.pending[#log.pending + 1] = ("Interface index %d is %s"):format(number, shown)
 end

@@ -2,6 +2,7 @@
 -- What the readers of text logs share: the lines of a file, a CAN frame as a packet, and a log that
 -- reads its frames in order and once more.  Pure Lua.
 local char, match = string.char, string.match
+local memo = require("yapp.base.memo")
 local utf8 = require("yapp.base.utf8")
 
 local M = {}
@@ -85,12 +86,10 @@ end
 --- Make a table of bytes by their digits, filled as it is read; nil for other digits.
 -- value_of  function(digits), which returns a number or nil
 function M.byte_table(value_of)
-  return setmetatable({}, { __index = function(bytes, digits)
+  return memo(function(digits)
     local value = value_of(digits)
-    if not value or value > 255 then return nil end
-    bytes[digits] = char(value)
-    return bytes[digits]
-  end })
+    return value and value <= 255 and char(value) or nil
+  end)
 end
 
 -- Two hex digits, or the eight binary ones of candump -i, to a byte.

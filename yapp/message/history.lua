@@ -40,9 +40,7 @@ History.__index = History
 --            has_clock = function() -> whether these are of the capture, not of controllers }
 function M.new(options)
   local self = setmetatable({
-    late = options.late,
-    has_times = options.has_times,
-    has_clock = options.has_clock,
+    options = options,
     by_source = {}, -- [source] = see new_source
     commands = {}, -- [name of a message that others answer][bus or false] = frame keys, ascending
     deltas = {}, -- [frame key] = seconds since the source's previous good message, or false
@@ -55,15 +53,16 @@ end
 
 local function new_source(self, m)
   local message, bus = m.source.message or NO_MESSAGE, m.source.bus_key or false
-  local has_times, answered = self.has_times(), self.commands[message.answers]
+  local options, answered = self.options, self.commands[message.answers]
+  local has_times = options.has_times()
   local answering = self.commands[message.name]
   return {
     -- Its kind of message:
     flag_fields = message.flag_fields,
     period = message.every or 0,
-    longest = has_times and self.late * (message.every or huge) + HALF_NANOSECOND or huge,
+    longest = has_times and options.late * (message.every or huge) + HALF_NANOSECOND or huge,
     has_times = has_times,
-    has_clock = self.has_clock(),
+    has_clock = options.has_clock(),
     -- The previous good message:
     time = nil, -- seconds of the capture
     seq = nil, -- the newest

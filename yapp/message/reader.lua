@@ -42,10 +42,12 @@ end
 -- by_id         { [id] = compiled message }
 -- sources       a message.sources
 -- hides_source  whether a label leaves out the source
-function Reader:use(by_id, sources, hides_source)
+-- visit         function(id), called for each ID that carries a message
+function Reader:use(by_id, sources, hides_source, visit)
   self.by_id, self.sources, self.hides_source = by_id, sources, hides_source
   local first, several = {}, {}
   local function count(message, id)
+    visit(id)
     first[message] = first[message] or id
     if first[message] ~= id then several[message] = true end
   end
@@ -63,16 +65,9 @@ function Reader:message_of(id, bus)
 end
 
 --- Return the payload size of that message and the smallest that it may have, nil for none.
-function Reader:size_of(id, bus)
-  local message = self:message_of(id, bus)
+function Reader:size_of(id)
+  local message = self:message_of(id)
   if message then return message.size, message.min_size end
-end
-
---- Return whether a good payload of this size is decoded as the message that an ID carries; nil for
--- an unknown ID.
-function Reader:fits(id, size, bus)
-  local message = self:message_of(id, bus)
-  return message and size >= message.min_size
 end
 
 -- Return what a message is called: its title and the name of its source.  Without a name, the ID or

@@ -147,12 +147,12 @@ function Dissector:is_yapp(bytes, length)
   for _, event in ipairs(events) do
     local at = event.at + 1
     local id, size = frame.parse(bytes, at)
-    if event.status == "good" and frame.is_plausible(bytes, at)
-      and self.reader:fits(id, size) ~= false then
+    local known, least = self.reader:size_of(id)
+    if event.status == "good" and frame.is_plausible(bytes, at) and size >= (least or 0) then
       return true, events
     end
     local is_complete = event.status == "bad" or event.missing == missing
-    is_catalogue = is_catalogue and is_complete and self.reader:size_of(id)
+    is_catalogue = is_catalogue and is_complete and known
   end
   return is_catalogue, events
 end

@@ -70,6 +70,24 @@ function Framer:forget()
   self.known = {}       -- the starts of those that are messages of the catalogue
 end
 
+-- Returns the candidate of a "YP", nil if its header has not come.
+-- at  1-based index in the text
+local function candidate_at(self, at)
+  local id, size, reserved = frame.parse(self.text, at)
+  if not id then return nil end
+  local known, smallest = self.size_of(id)
+  local fits = not known or size <= known and size >= (smallest or known)
+  local is_plausible = reserved == 0 and id <= frame.MAX_ID and fits
+  local from = self.text_from + at - 1
+  return {
+    from = from,
+    to = from + HEADER + size + CRC_SIZE,
+    is_plausible = is_plausible,
+    is_known = is_plausible and known ~= nil,
+    has_failed = false, -- whether its CRC is bad; false while it is open
+  }
+end
+
 -- Returns the next candidate whose header has come, nil where none has.
 function Framer:find()
   if self.found and self.found.from == self.searched then return self.found end
@@ -79,20 +97,8 @@ function Framer:find()
     self.searched = is_begun and self.to - 1 or self.to
     return nil
   end
-  local from = self.text_from + at - 1
-  self.searched = from
-  local id, size, reserved = frame.parse(self.text, at)
-  if not id then return nil end
-  local known, smallest = self.size_of(id)
-  local fits = not known or size <= known and size >= (smallest or known)
-  local is_plausible = reserved == 0 and id <= frame.MAX_ID and fits
-  return {
-    from = from,
-    to = from + HEADER + size + CRC_SIZE,
-    is_plausible = is_plausible,
-    is_known = is_plausible and known ~= nil,
-    has_failed = false, -- whether its CRC is bad; false while it is open
-  }
+  self.searched = self.text_from + at - 1
+  return candidate_at(self, at)
 end
 
 -- Whether the CRC of a candidate is good.

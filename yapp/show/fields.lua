@@ -103,11 +103,11 @@ local EXPERTS = {
 M.EXPERT_NAMES = {}
 for _, row in ipairs(EXPERTS) do M.EXPERT_NAMES[row[1]] = true end
 
--- Make a field of a row { filter, type, title, description, base, values, mask }.
--- base    of a number, by its name in the API; or the width in bits of a boolean's field
+-- Make a field of the columns of a row behind its filter: type, title, description, base, values,
+-- mask.
+-- shape   base of a number, by its name in the API; or the width in bits of a boolean's field
 -- values  a table, or the name of a type of frame
-local function new_field(row)
-  local filter, kind, title, about, shape, values, mask = unpack(row, 1, 7)
+local function new_field(filter, kind, title, about, shape, values, mask)
   shape = shape or kind:find("INT") and "DEC" or "NONE"
   values = kind == "FRAMENUM" and frametype[values or "NONE"] or values
   return ProtoField.new(title, filter, ftypes[kind], values, base[shape] or shape, mask, about)
@@ -136,14 +136,14 @@ end
 function M.of_yapp(yapp, names, messages)
   local fields = {}
   for _, row in ipairs(YAPP) do
-    local name, kind, title, about, shape, values = unpack(row, 1, 6)
-    if name == "id" then values = names end
-    fields[name] = new_field { "yapp." .. name, kind, title, about, shape, values }
+    local name = row[1]
+    if name == "id" then row[6] = names end
+    fields[name] = new_field("yapp." .. name, unpack(row, 2, 6))
   end
   for _, message in ipairs(messages) do
     local name = "like." .. message.name
-    fields[name] = new_field { "yapp." .. name, "UINT32", "Could be " .. message.title,
-      "ID that is not in the catalogue, of a message with the size of " .. message.title, "HEX" }
+    fields[name] = new_field("yapp." .. name, "UINT32", "Could be " .. message.title,
+      "ID that is not in the catalogue, of a message with the size of " .. message.title, "HEX")
   end
   define(yapp, "yapp.", fields)
   return fields
@@ -156,7 +156,7 @@ end
 function M.of_taurus(taurus, messages)
   local fields = {}
   for _, message in ipairs(messages) do
-    for _, row in ipairs(message.filters) do fields[row[1]] = new_field(row) end
+    for _, row in ipairs(message.filters) do fields[row[1]] = new_field(unpack(row, 1, 7)) end
   end
   define(taurus, "taurus.", fields)
   return fields

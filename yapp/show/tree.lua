@@ -14,10 +14,12 @@ local add_le = show_fields.add_le
 local add_generated = show_fields.add_generated
 local append_text = show_fields.append_text
 
-local STATUS_CODE = { bad = 0, good = 1 } -- any other is unverified
-local UNVERIFIED = 2
-local CRC_TEXT = { good = " [correct]", bad = " [incorrect, should be 0x%08x]" }
-local CRC_LABEL = { good = ", CRC good", bad = ", CRC BAD" }
+-- By status: crc.status, what follows the CRC, and what the item's text says.
+local CRC = {
+  bad = { 0, " [incorrect, should be 0x%08x]", ", CRC BAD" },
+  good = { 1, " [correct]", ", CRC good" },
+}
+local UNVERIFIED = { 2, " [unverified]", ", CRC unverified" }
 
 local Tree = {}
 Tree.__index = Tree
@@ -187,13 +189,13 @@ end
 -- range    TvbRange of the CRC or nil where it was sent in another frame
 -- message  { crc, status, calculated }
 function Tree:add_crc(item, range, message)
-  local status, calculated = message.status, message.calculated
+  local shown, calculated = CRC[message.status] or UNVERIFIED, message.calculated
   local crc = range and add_le(item, self.fields.crc, range)
     or self:generated(item, "crc", message.crc)
-  append_text(crc, (CRC_TEXT[status] or " [unverified]"):format(calculated))
-  self:generated(item, "crc.status", STATUS_CODE[status] or UNVERIFIED)
-  if status == "bad" then self:generated(item, "crc.calculated", calculated) end
-  append_text(item, CRC_LABEL[status] or ", CRC unverified")
+  append_text(crc, shown[2]:format(calculated))
+  self:generated(item, "crc.status", shown[1])
+  self:generated(item, "crc.calculated", shown == CRC.bad and calculated)
+  append_text(item, shown[3])
 end
 
 --- Say that a CRC is bad, with what was received and expected.
