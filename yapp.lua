@@ -264,7 +264,6 @@ yapp.prefs_changed = read_preferences
 function yapp.init()
   read_preferences()
   buses:init()
-  reader:use_buses(buses:are_several())
   socketcan.init()
   local function has_times() return not buses:lacks_times() end
   local function new_history()
@@ -275,7 +274,7 @@ function yapp.init()
       has_clock = function() return not buses:lacks_clock() end,
     }
   end
-  reader:reset()
+  reader:reset(buses:are_several())
   intake:reset()
   tree:reset()
   frames:reset(new_history())

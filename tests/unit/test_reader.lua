@@ -19,7 +19,7 @@ local function new(text, ids, has_several)
   local parsed, problems = sources.parse(text or "", TAURUS)
   lu.assertEquals(problems, {})
   local r = reader.new(TAURUS, { wanted = false })
-  r:use_buses(has_several or false)
+  r:reset(has_several or false)
   r:use(catalogue.assign(TAURUS, ids or {}), parsed, false, ignore)
   return r
 end
@@ -116,7 +116,7 @@ function T.test_the_hint_of_an_unknown_id()
   lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice, "motor" }) -- a later look
   m.key = 8
   lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data", "motor" })
-  r:reset()
+  r:reset(false)
   lu.assertEquals({ r:hint(m) }, { text, ", the size of Motor Data" .. advice, "motor" })
   local unknown = { "Message ID 0x124 is not in the catalogue" }
   local source = r:new_source(0x124, false)

@@ -15,11 +15,9 @@ local CTRL_NAMES, START, END = can_id.CTRL_NAMES, can_id.START, can_id.END
 local add, add_le, append_text = show_fields.add, show_fields.add_le, show_fields.append_text
 local fields_of, BUS = can_id.fields, can_id.BUS
 local number_of, PACKET = frame_key.number, frame_key.PACKET
-local ceil, sub = math.ceil, string.sub
+local sub = string.sub
 -- A method that Lua has to look up in a Tvb costs more than what it does.
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
-
-local REASSEMBLED = "Reassembled YAPP" -- what Wireshark's bytes pane calls it
 
 -- YAPP has no remote frames, but captures give a remote frame zeros as data.  So ask of a frame of
 -- zeros whether it is remote; if nothing says so, it is a data frame.
@@ -147,7 +145,7 @@ end
 local function payload_tvb_of(frame)
   local message = frame.message
   if #message == 1 then return frame.tvb end
-  return message.payload ~= "" and ByteArray.new(message.payload, true):tvb(REASSEMBLED)
+  return message.payload ~= "" and ByteArray.new(message.payload, true):tvb("Reassembled YAPP")
 end
 
 -- Show the frame that has a whole message, or its last fragment, and the message.
@@ -184,7 +182,7 @@ local function fragment_text(frame)
   if message.status == "good" then
     count = #message
   elseif #frame.data == 8 then
-    count = ceil(size / 8) + 1
+    count = math.ceil(size / 8) + 1
   end
   if message[index] ~= frame.key then return source.label .. "  duplicate fragment" end
   local texts = source.texts

@@ -207,10 +207,8 @@ local function award(self, index, frames, padding, status)
   local candidate = table.remove(self.open, index)
   local message = candidate.message
   local payload, is_truncated = assign_frames(message, frames)
-  if not status then payload = payload:sub(1, message.size) end
   if is_truncated then status = status or "truncated" end
-  message.padding = padding ~= 0 and padding or nil
-  self.reassembly:finish(message, self.can_id, payload, status)
+  self.reassembly:finish(message, self.can_id, payload, padding, status)
   if message.status == "good" then -- else its frames may still be another's
     for _, frame in ipairs(frames) do frame.is_taken = true end
     if candidate.anomaly then withdraw(candidate.anomaly) end

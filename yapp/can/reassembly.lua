@@ -86,9 +86,13 @@ function Reassembly:misfit(message, received)
 end
 
 --- End a message.
--- fields  of its CAN ids (wire.can_id)
--- status  where it is known; else the CRC decides between "good" and "bad"
-function Reassembly.finish(_, message, fields, payload, status)
+-- fields   of its CAN ids (wire.can_id)
+-- padding  how many of the payload's bytes are CAN FD padding; nil for none
+-- status   where it is known; else the CRC decides between "good" and "bad"
+function Reassembly.finish(_, message, fields, payload, padding, status)
+  if (padding or 0) > 0 then
+    message.padding, payload = padding, payload:sub(1, message.size)
+  end
   message.payload, message.chunks, message.status = payload, nil, status
   if status then return end
   local calculated = can_id.crc(fields, payload, message.reserved)
@@ -270,17 +274,13 @@ local function finish_last(self, message, frame)
   local chunks, status = message.chunks, nil
   local needed = frame.reported + message.size - chunks.received
   local padding = can_id.padding(frame.data, frame.reported, needed)
-  local payload = concat(chunks)
   if chunks.is_truncated then status = "truncated" end
   if not padding then
     if chunks.repeated and not status and leave_out(self, message, frame, needed) then return end
     message.calculated = nil
     status = self:misfit(message, chunks.received)
-  elseif padding > 0 then
-    message.padding = padding
-    payload = payload:sub(1, message.size)
   end
-  self:finish(message, frame.can_id, payload, status)
+  self:finish(message, frame.can_id, concat(chunks), padding, status)
 end
 
 -- Take a Middle or End whose slot has no message, or several that interleave.

@@ -69,13 +69,12 @@ end
 -- Takes the next event, nil at the end.  All bytes between two frames are one event of at most
 -- MAX_SKIPPED bytes, however they were read.
 function Dump:next_event(file)
-  local function is_complete()
-    local event = self.events[self.next]
-    return event and (event.status ~= "skipped" or self.events[self.next + 1] or
-      #event.bytes >= MAX_SKIPPED)
-  end
-  while not (self.is_over or is_complete()) do self:fill(file) end
   local event = self.events[self.next]
+  while not (self.is_over or event and (event.status ~= "skipped" or self.events[self.next + 1] or
+    #event.bytes >= MAX_SKIPPED)) do
+    self:fill(file)
+    event = self.events[self.next]
+  end
   if event and event.status == "skipped" and #event.bytes > MAX_SKIPPED then
     local from, bytes = event.from, event.bytes
     event.from, event.bytes = from + MAX_SKIPPED, bytes:sub(MAX_SKIPPED + 1)

@@ -23,19 +23,15 @@ function M.new(catalogue, stat)
     sources = nil, -- the names that the user gave, see Reader:use
     several_ids = nil, -- [message] = whether more than one ID carries it
     hides_source = nil, -- see Reader:use
-    has_several = false, -- whether the capture has several buses
+    has_several = false, -- see Reader:reset
     hinted = {}, -- [id of an unknown message] = the frame key whose Info has the whole advice
   }, Reader)
 end
 
 --- Forget the capture file.
-function Reader:reset()
-  self.hinted = {}
-end
-
---- Say whether the capture has several buses: then the name of a source includes its bus.
-function Reader:use_buses(has_several)
-  self.has_several = has_several
+-- has_several  whether the next one has several buses: then the name of a source includes its bus
+function Reader:reset(has_several)
+  self.hinted, self.has_several = {}, has_several
 end
 
 --- Use the user's choice of IDs and names.

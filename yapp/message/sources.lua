@@ -13,6 +13,7 @@
 -- The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
 
 local check = require("yapp.message.check")
+local memo = require("yapp.base.memo")
 local utf8 = require("yapp.base.utf8")
 
 local M = {}
@@ -97,9 +98,7 @@ end
 -- Add a row for each ID of a part; raise if an earlier part has one.
 local function add_part(self, part, catalogue)
   local bus, ids, message, name = read_part(part, catalogue)
-  local of_bus = self.by_bus[bus or false] or {}
-  self.by_bus[bus or false] = of_bus
-  local is_known = false
+  local of_bus, is_known = self.by_bus[bus or false], false
   for _, id in ipairs(ids or EVERY) do
     if of_bus[id] then
       is_known = true
@@ -118,8 +117,8 @@ end
 -- returns    the sources; and a list of texts of what is wrong: a part that cannot be read is left
 --            out, the others hold
 function M.parse(text, catalogue)
-  local self = setmetatable({ by_bus = { [false] = {} }, rows = {} }, Sources)
-  local problems = {}
+  local by_bus, problems = memo(function() return {} end), {} -- [bus or false][ID] = a row
+  local self = setmetatable({ by_bus = by_bus, rows = {} }, Sources)
   local hidden = text:gsub('"[^"]*"', hide)
   for part in hidden:gmatch("[^,]+") do
     part = trim(part)
@@ -151,8 +150,7 @@ end
 -- says nothing of it.
 -- bus, id  as of Sources:name
 function Sources:message(bus, id)
-  local of_bus = self.by_bus[bus or false]
-  local row = of_bus and of_bus[id] or self.by_bus[false][id]
+  local row = self.by_bus[bus or false][id] or self.by_bus[false][id]
   return row and row.message
 end
 
