@@ -11,10 +11,9 @@ local socketcan = require "yapp.host.socketcan"
 
 local M = {}
 
-local CTRL_NAMES, START, END = can_id.CTRL_NAMES, can_id.START, can_id.END
+local CTRL_NAMES, START = can_id.CTRL_NAMES, can_id.START
 local add, add_le, append_text = show_fields.add, show_fields.add_le, show_fields.append_text
 local fields_of, BUS = can_id.fields, can_id.BUS
-local number_of, PACKET = frame_key.number, frame_key.PACKET
 local sub = string.sub
 -- A method that Lua has to look up in a Tvb costs more than what it does.
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
@@ -89,7 +88,7 @@ local function show_anomalies(self, frame)
   if not anomalies then return end
   for _, one in ipairs(anomalies) do self.tree:expert(item, one.expert, one.text) end
   if self.stat.wanted then
-    self.stat:anomalies(new_message(frame), anomalies, frame.can_id.ctrl == END)
+    self.stat:anomalies(new_message(frame), anomalies, frame.can_id.ctrl == can_id.END)
   end
 end
 
@@ -128,7 +127,7 @@ local function add_message(self, frame)
   local builder, message, data, item = self.tree, frame.message, frame.data, frame.item
   if #message > 1 then
     local payload = frame.payload_tvb and frame.payload_tvb()
-    builder:generated(item, "reassembled.in", number_of(frame.key))
+    builder:generated(item, "reassembled.in", frame_key.number(frame.key))
     append_text(builder:generated(item, "size", message.size), " bytes")
     builder:generated(item, "reserved", message.reserved or 0)
     message.crc = message.crc or can_id.crc(frame.can_id, message.payload)
@@ -201,7 +200,7 @@ local function show_fragment(self, frame)
   local last, wants = message[#message], frame.wants
   if frame.visited then
     if message.payload then
-      in_number = last % 1 == 0 and number_of(last)
+      in_number = last % 1 == 0 and frame_key.number(last)
     elseif not message.status and last == frame.key then
       builder:expert(item, "unfinished")
     end
@@ -272,7 +271,7 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
     self.lost_bus = self.lost_bus or not is_known
   end
   local fields, bus = fields_of[id], frame.bus
-  local key = number * PACKET + (self.offset or offset_of(tvb))
+  local key = number * frame_key.PACKET + (self.offset or offset_of(tvb))
   local visited = false
   if key > self.newest_key then
     self.newest_key = key

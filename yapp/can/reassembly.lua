@@ -26,7 +26,6 @@ local store = require "yapp.can.store"
 local M = {}
 
 local concat = table.concat
-local END, CTRL_NAMES = can_id.END, can_id.CTRL_NAMES
 
 local MAX_OPEN = 1024 -- an open message costs memory until something ends it
 local MAX_RUNS = 8 -- runs of equal fragments that are searched for duplicates
@@ -72,7 +71,8 @@ end
 
 --- Note that the message of a Middle or End is not known.
 function Reassembly:orphan(ctrl)
-  return self:note("fragment.orphan", nil, "%s fragment: no Start captured", CTRL_NAMES[ctrl])
+  local name = can_id.CTRL_NAMES[ctrl]
+  return self:note("fragment.orphan", nil, "%s fragment: no Start captured", name)
 end
 
 --- Note that a message has more or fewer bytes than its size.
@@ -309,7 +309,7 @@ local function continue(self, frame)
     if #data < reported then chunks.is_truncated = true end
     chunks[index] = data
   end
-  if frame.can_id.ctrl == END then
+  if frame.can_id.ctrl == can_id.END then
     close(self, frame.slot)
     finish_last(self, message, frame)
     return "last", message

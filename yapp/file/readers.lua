@@ -5,9 +5,6 @@ local asc = require("yapp.file.asc")
 local candump = require("yapp.file.candump")
 local dump = require("yapp.file.dump")
 
-local PACKET, HAS_TIME = wtap_rec_types.PACKET, wtap_presence_flags.TS
-local NSTime = NSTime
-
 local M = {}
 
 local NO_BUS = {}
@@ -46,8 +43,8 @@ end
 local function fill(log, frame, offset, bytes, seconds, nanoseconds, its_bus, comment)
   latest = log
   if not offset then return false end
-  frame.rec_type = PACKET
-  frame.flags = seconds and HAS_TIME or 0
+  frame.rec_type = wtap_rec_types.PACKET
+  frame.flags = seconds and wtap_presence_flags.TS or 0
   if seconds then
     frame.time = NSTime.new(seconds, nanoseconds)
   else

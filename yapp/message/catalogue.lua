@@ -8,7 +8,6 @@ local fields = require("yapp.message.catalogue_fields")
 local text_of = require("yapp.message.text")
 
 local demand, shown = check.demand, check.shown
-local is_name, is_text = check.is_name, check.is_text
 
 -- Bytes of a message's title: Wireshark aborts at a preference with a longer one.
 local MAX_TITLE = 200
@@ -53,12 +52,15 @@ local function type_of(field)
 end
 
 -- Add the filters of a field's flags.
-local function add_flags(field, add, about, about_flag)
+local function add_flags(message, field, add, about)
   local title, group = field.title, field.group
   add(group .. ".undefined", "UINT32", "Undefined bits", "Bits that nothing defines: " .. about,
     "HEX")
   for _, flag in ipairs(field.flags) do
-    add(flag.filter, "BOOLEAN", flag.title, about_flag(flag), field.size * 8, nil, flag.mask)
+    local shown = { title = flag.title .. ", one of " .. title, section = field.section }
+    local text = describe(message, shown)
+    if flag.help then text = text .. ". " .. flag.help end
+    add(flag.filter, "BOOLEAN", flag.title, text, field.size * 8, nil, flag.mask)
   end
   if #field.flags == 0 then return end
   add(field.filter .. ".names", "STRING", title, "Names of the bits that are set: " .. about)
@@ -73,11 +75,7 @@ local function add_field(message, field, add)
   local title, about = field.title, describe(message, field)
   local kind, base = type_of(field)
   if field.kind == "flags" then
-    add_flags(field, add, about, function(flag)
-      local shown = { title = flag.title .. ", one of " .. title, section = field.section }
-      local text = describe(message, shown)
-      return flag.help and text .. ". " .. flag.help or text
-    end)
+    add_flags(message, field, add, about)
   elseif field.special then
     add(field.special, "UINT8", title,
       "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS)
@@ -189,7 +187,7 @@ end
 
 local function check_head(entry)
   local every, answers = entry.every, entry.answers
-  demand(is_text(entry.title), "the title is missing")
+  demand(check.is_text(entry.title), "the title is missing")
   check.options(entry, "a message", OPTIONS, math.huge)
   demand(#entry.title <= MAX_TITLE, "the title has more than %d bytes", MAX_TITLE)
   check.within("id", entry.id, 0, M.MAX_ID)
@@ -197,7 +195,7 @@ local function check_head(entry)
   check.within("min_size", entry.min_size or entry.size, 1, entry.size)
   demand(not every or check.is_finite(every) and every > 0,
     "every %s is not a period in seconds", shown(every))
-  demand(not answers or is_name(answers), "answers %s is not the name of a message",
+  demand(not answers or check.is_name(answers), "answers %s is not the name of a message",
     shown(answers))
   demand(#entry > 0, "it has no fields")
 end
@@ -238,7 +236,7 @@ end
 local function add_message(catalogue, entry, reserved, context)
   demand(type(entry) == "table", "a message is a table, not %s", shown(entry))
   local name = entry.name
-  demand(is_name(name), "name %s is not a filter name (a-z, 0-9, _)", shown(name))
+  demand(check.is_name(name), "name %s is not a filter name (a-z, 0-9, _)", shown(name))
   context.message = name
   demand(not catalogue.names[name], "the name is there twice")
   catalogue.names[name] = true

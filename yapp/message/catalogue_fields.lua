@@ -8,7 +8,6 @@ local check = require("yapp.message.check")
 
 local demand, shown, set = check.demand, check.shown, check.set
 local is_name, is_text = check.is_name, check.is_text
-local is_integer = check.is_integer
 local is_finite = check.is_finite
 
 local M = {}
@@ -68,7 +67,7 @@ M.TYPE_NAMES = check.names(TYPES)
 
 -- Raises that a number has no room in a field.
 local function check_fits(field, what, number, lowest)
-  local fits = is_integer(number) and number >= lowest and number <= field.top
+  local fits = check.is_integer(number) and number >= lowest and number <= field.top
   demand(fits, "%s %s does not fit the type %s", what, shown(number), field.type)
 end
 

@@ -12,8 +12,7 @@ local memo = require("yapp.base.memo")
 
 local M = {}
 
-local abs, huge, max, min = math.abs, math.huge, math.max, math.min
-local insert = table.insert
+local huge, insert = math.huge, table.insert
 
 local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_JUMP = 1 + HALF_NANOSECOND -- seconds; the capture's clock may jitter by less
@@ -103,7 +102,7 @@ end
 -- Add evidence if the clock is back where it would be without a fall.
 local function note_return(source)
   for i, fall in ipairs(source.falls) do
-    if abs(source.lead - fall.lead) <= min(fall.size, LARGE_FALL) / 4 then
+    if math.abs(source.lead - fall.lead) <= math.min(fall.size, LARGE_FALL) / 4 then
       source.evidence = source.evidence + (fall.size < LARGE_FALL and 1 or LARGE_RETURN)
       table.remove(source.falls, i)
       return
@@ -146,7 +145,7 @@ local function clock_change(source, m, clock)
   local advance = (clock - source.clock) / 1e9
   local elapsed = elapsed_since(source, m, advance)
   local may_be_shared = advance <= 0 or source.lead ~= 0
-  if may_be_shared and is_shared(source, m, advance, max(elapsed, 0)) then return "shared" end
+  if may_be_shared and is_shared(source, m, advance, math.max(elapsed, 0)) then return "shared" end
   if advance < 0 then return "reboot", -advance end
   if advance == 0 then return "stale", true end
   local jump = advance - elapsed

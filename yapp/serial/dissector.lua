@@ -6,8 +6,8 @@ local crc = require("yapp.wire.crc")
 local frame = require("yapp.wire.frame")
 local frame_key = require("yapp.base.frame_key")
 local framer = require("yapp.serial.framer")
-local items = require("yapp.show.fields")
 local memo = require("yapp.base.memo")
+local show_fields = require("yapp.show.fields")
 local streams = require("yapp.serial.streams")
 local tcp = require("yapp.serial.tcp")
 local utf8 = require("yapp.base.utf8")
@@ -15,9 +15,8 @@ local utf8 = require("yapp.base.utf8")
 local M = {}
 
 local sub = string.sub
-local add, add_le = items.add, items.add_le
-local append_text = items.append_text
-local number_of, PACKET = frame_key.number, frame_key.PACKET
+local add, add_le = show_fields.add, show_fields.add_le
+local append_text = show_fields.append_text
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 
@@ -112,7 +111,8 @@ local function new_packet(self, tvb, pinfo, tree, segment)
   local start, line, is_bus_known = segment and segment.start or 0, line_of(self, pinfo)
   local bytes = tvb:len() > start and tvb:raw(start) or ""
   local number, visited, length = pinfo.number, pinfo.visited, tvb:reported_len() - start
-  local wants, key = self.tree:wants(tree, pinfo, visited), number * PACKET + tvb:offset() + start
+  local wants = self.tree:wants(tree, pinfo, visited)
+  local key = number * frame_key.PACKET + tvb:offset() + start
   if wants.tree and segment and bytes ~= "" then tvb = tvb(start):tvb() end
   return {
     key = key,
@@ -256,7 +256,7 @@ local function add_frame(self, m, tvb)
   builder:add_source(item, source)
   if m.parts then
     local payload = #m.payload > 0 and tvb(m.payload_at, #m.payload) or nil
-    builder:generated(item, "reassembled.in", number_of(m.key))
+    builder:generated(item, "reassembled.in", frame_key.number(m.key))
     builder:add_fragments(item, tvb(), m.parts, m.length, payload)
   end
   if m.missing then
@@ -348,7 +348,7 @@ end
 -- Shows the pending bytes of a packet; returns what the Info column says of them.
 local function show_pending(self, packet, contents)
   local builder, item, pending = self.tree, packet.tree, contents.pending
-  local leads_to = contents.leads_to and number_of(contents.leads_to)
+  local leads_to = contents.leads_to and frame_key.number(contents.leads_to)
   if packet.wants.tree then
     local range = packet.tvb(#packet.bytes - pending, pending)
     item = add(item, builder.yapp, range)

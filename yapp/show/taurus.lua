@@ -2,7 +2,7 @@
 -- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the
 -- values come from message.decode, what changed from the history.
 
-local bit_operations = require("yapp.base.bits")
+local bits = require("yapp.base.bits")
 local decode = require("yapp.message.decode")
 local frame_key = require("yapp.base.frame_key")
 local show_fields = require("yapp.show.fields")
@@ -14,7 +14,6 @@ local add_expert = show_fields.add_expert
 local add_generated = show_fields.add_generated
 local add_le = show_fields.add_le
 local append_text = show_fields.append_text
-local band, common = bit_operations.band, bit_operations.common
 local flag_names, number_text, value_of = decode.flag_names, decode.number_text, decode.value
 local format = string.format
 local range_of = Tvb.range
@@ -101,7 +100,7 @@ function ADD.flags(field, fields)
     local item = pf and add_le(parent, pf, range) or parent
     for i = 1, #flags do add_le(item, flags[i], range) end
     if raw == 0 then return item end
-    local undefined, names = band(raw, field.undefined), flag_names(field, raw)
+    local undefined, names = bits.band(raw, field.undefined), flag_names(field, raw)
     if undefined_pf and undefined ~= 0 then add(item, undefined_pf, range, undefined) end
     if names == "" then return item end
     if pf then append_text(item, " (" .. names .. ")") end
@@ -199,7 +198,7 @@ end
 -- Append what the catalogue says of the flags that are set.
 local function append_help(item, field, raw)
   for _, flag in ipairs(field.flags) do
-    if flag.help and common(raw, flag.mask) ~= 0 then
+    if flag.help and bits.common(raw, flag.mask) ~= 0 then
       append_text(item, ("; %s: %s"):format(flag.name, flag.help))
     end
   end

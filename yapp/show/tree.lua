@@ -10,7 +10,6 @@ local number_of = require("yapp.base.frame_key").number
 local M = {}
 
 local add = show_fields.add
-local add_le = show_fields.add_le
 local add_generated = show_fields.add_generated
 local append_text = show_fields.append_text
 
@@ -190,7 +189,7 @@ end
 -- message  { crc, status, calculated }
 function Tree:add_crc(item, range, message)
   local shown, calculated = CRC[message.status] or UNVERIFIED, message.calculated
-  local crc = range and add_le(item, self.fields.crc, range)
+  local crc = range and show_fields.add_le(item, self.fields.crc, range)
     or self:generated(item, "crc", message.crc)
   append_text(crc, shown[2]:format(calculated))
   self:generated(item, "crc.status", shown[1])

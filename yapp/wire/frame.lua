@@ -7,7 +7,7 @@
 
 local M = {}
 
-local byte, find = string.byte, string.find
+local byte = string.byte
 
 --- The first bytes of a frame; the sizes of header, CRC and the largest frame.
 M.SYNC = "YP"
@@ -44,7 +44,7 @@ end
 
 --- Return the index of the next "YP" from a 1-based index on; nil without one.
 function M.find(bytes, from)
-  return find(bytes, "YP", from, true)
+  return bytes:find("YP", from, true)
 end
 
 return M
