@@ -58,16 +58,16 @@ function Window:bytes(offset, count)
   return sub(self.text, offset - self.start + 1, offset - self.start + count)
 end
 
--- The number that bytes are; of 8 bytes it has a sign.
-local function number_of(bytes, is_little)
-  if is_little then bytes = bytes:reverse() end
+-- The number that bytes are, 0 for none; of 8 bytes it has a sign.
+function Window:value(bytes)
+  if self.is_little then bytes = bytes:reverse() end
   local number = #bytes == 8 and byte(bytes) > 127 and -1 or 0
   for i = 1, #bytes do number = number * 0x100 + byte(bytes, i) end
   return number
 end
 
 function Window:number(offset, count)
-  return number_of(self:bytes(offset, count), self.is_little)
+  return self:value(self:bytes(offset, count))
 end
 
 -- Three numbers of four bytes with one call: most of the time goes into these.
@@ -159,11 +159,6 @@ local function read_options(window, offset, stop)
   return options
 end
 
--- A number in an option; 0 where it is missing.
-local function option_number(window, option)
-  return option and number_of(option, window.is_little) or 0
-end
-
 -- Time units in a second, by the option if_tsresol.
 local function units_per_second(option)
   local exponent = option and byte(option) or 6
@@ -208,7 +203,7 @@ local function read_interface(self, window, offset, length)
   local options = read_options(window, offset + 16, offset + length - 4)
   local interface = new_interface(self, linktype, (options[2] or ""):match("^[^\0]+"))
   interface.per_second = units_per_second(options[9])
-  interface.shift = option_number(window, options[14])
+  interface.shift = window:value(options[14] or "")
   local is_mixed = INDEX_OF[linktype] ~= nil
   if not (is_mixed or CARRIERS[linktype]) then
     interface.bus = 0
@@ -228,7 +223,7 @@ local function read_drops(self, window, offset, length)
   if start >= stop then return end
   local number, high, low = three_numbers(window, offset + 8)
   local interface = interface_of(self, number)
-  local count = option_number(window, read_options(window, start, stop)[4])
+  local count = window:value(read_options(window, start, stop)[4] or "")
   if not interface or count == 0 then return end
   interface.accounted = interface.accounted + count
   local seconds = seconds_of(interface, high, low)
@@ -266,8 +261,8 @@ local function read_statistics(self, window, offset, length)
   local interface = interface_of(self, window:number(offset + 8, 4))
   if not interface then return end
   local options = read_options(window, offset + 20, offset + length - 4)
-  local by_system = option_number(window, options[7])
-  interface.dropped = max(interface.dropped, option_number(window, options[5]), by_system)
+  local own, by_system = window:value(options[5] or ""), window:value(options[7] or "")
+  interface.dropped = max(interface.dropped, own, by_system)
 end
 
 local function count_packet(self)

@@ -36,15 +36,13 @@ local TYPES = {
   variants = { kind = "variants", options = set("by cases") },
 }
 
--- COMPAT 5.4: powers are floats there, which are printed with a ".0".
-local tointeger = rawget(math, "tointeger") or function() end
-
 local function add_numbers(kind, size, bottom, top, options)
   TYPES[kind .. 8 * size] = {
     kind = kind,
     size = size,
-    bottom = tointeger(bottom) or bottom,
-    top = tointeger(top) or top,
+    -- COMPAT 5.4: powers are floats there, which are printed with a ".0".
+    bottom = math.floor(bottom),
+    top = math.floor(top),
     options = set(options),
   }
 end
