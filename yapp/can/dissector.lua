@@ -189,9 +189,10 @@ local function fragment_text(frame)
     texts = { ("%s  Start of %d bytes"):format(source.label, size), size = size, count = count }
     source.texts = texts
   end
-  if texts[index] then return texts[index] end
-  if index > count then return ("%s  fragment %d"):format(source.label, index) end
-  texts[index] = ("%s  fragment %d of %d"):format(source.label, index, count)
+  if not texts[index] then
+    local text = index > count and "%s  fragment %d" or "%s  fragment %d of %d"
+    texts[index] = text:format(source.label, index, count)
+  end
   return texts[index]
 end
 

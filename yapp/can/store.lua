@@ -5,16 +5,16 @@
 -- with offset 16 make a good message of 9 bytes:
 --
 --   starts[1] = 7 * 2^17 + 16
---   texts[1] = "|\3\1\2" and the payload: "!" where a fault is set; number of fragments;
---              distances of their packets
+--   messages[1] = "|\3\1\2" and the payload: "!" where a fault is set; number of fragments;
+--                 distances of their packets
 --
--- Any other message is kept as it is, in broken[1].
+-- Any other message is kept as it is.
 
 local frame_key = require "yapp.base.frame_key"
 
 local M = {}
 
-local byte, insert, sub = string.byte, table.insert, string.sub
+local byte, sub = string.byte, string.sub
 local last_until, number_of = frame_key.last_until, frame_key.number
 local PACKET = frame_key.PACKET
 
@@ -46,8 +46,7 @@ local function new_slot(source)
   return {
     source = source,
     starts = {}, -- frame keys, which ascend
-    texts = {},
-    broken = {}, -- messages, false for those that are packed
+    messages = {}, -- packed, or as they are
     latest = {}, -- the message that was found last
   }
 end
@@ -72,11 +71,9 @@ function Store:keep(message)
     slot = new_slot(message.source)
     self.slots[message.slot] = slot
   end
-  local start, text = message[1], pack(message)
-  local at = last_until(slot.starts, start) + 1
-  insert(slot.starts, at, start)
-  insert(slot.texts, at, text or "")
-  insert(slot.broken, at, not text and message)
+  local at = last_until(slot.starts, message[1]) + 1
+  table.insert(slot.starts, at, message[1])
+  table.insert(slot.messages, at, pack(message) or message)
 end
 
 --- Keep the anomalies of a frame.  If its message is not known yet, the list may be empty.
@@ -114,13 +111,13 @@ function Store:drop(key, message)
     if number_of(message[i]) == number_of(key) then message[i] = message[i] - 0.5 end
   end
   if not slot then return end
-  slot.starts[at], slot.broken[at] = message[1], message
+  slot.starts[at], slot.messages[at] = message[1], message
 end
 
 -- Return the message of a slot with this index.  A packed one has no `crc`: compute it if needed.
 local function message_at(slot, at)
-  local text, key = slot.texts[at], slot.starts[at]
-  if slot.broken[at] then return slot.broken[at] end
+  local text, key = slot.messages[at], slot.starts[at]
+  if type(text) == "table" then return text end
   local count = byte(text, 2)
   local payload = sub(text, count + 2)
   local message = {
