@@ -57,8 +57,8 @@ local function add_flags(message, field, add, about)
   add(group .. ".undefined", "UINT32", "Undefined bits", "Bits that nothing defines: " .. about,
     "HEX")
   for _, flag in ipairs(field.flags) do
-    local shown = { title = flag.title .. ", one of " .. title, section = field.section }
-    local text = describe(message, shown)
+    local one = { title = flag.title .. ", one of " .. title, section = field.section }
+    local text = describe(message, one)
     if flag.help then text = text .. ". " .. flag.help end
     add(flag.filter, "BOOLEAN", flag.title, text, field.size * 8, nil, flag.mask)
   end
