@@ -49,7 +49,7 @@ local function run(path, step)
   local known, reader = reassembly.new(), message_reader.new(catalogue, { wanted = false })
   local of_capture = step == "values" and NO_HISTORY or new_history()
   local frame, count, sources = { bus = false, accepts_all = false }, 0, {}
-  reader:use(catalogue.by_id, source_names.parse("", catalogue))
+  reader:use(catalogue.by_id, (source_names.parse("", catalogue)), false, function() end)
   each_frame(path, function(number, data, id)
     if step == "file" then return end
     local fields = can_id.fields[id]
