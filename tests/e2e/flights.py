@@ -160,6 +160,7 @@ class Truth:
     def __init__(self, flight, form):
         self.flight, self.form = flight, form
         self.events, self.faults, self.summary = [], [], []
+        self.room = 0  # messages with faults that the gaps have room for, where Seq No does not number them
         for sender in flight.senders:
             if any(message.frames for message in sender.messages):
                 self.source(sender)
@@ -216,6 +217,8 @@ class Truth:
                 last = good[-1].frames[-1]
                 self.fault(sender, last, flag, "active", last.at - since)
             self.silence(sender, good[-1], self.flight.frames[-1].at)
+        if sender.kind == "motor" and len({message.seq for message in good}) == 1:
+            self.room += room_for(good, EVERY["motor"])
         counts["reboots"] += 0
         self.summary.append({**self.who(sender), "crc_bad": crc, "incomplete": lost, "late": counts["late"],
                              "reboots": counts["reboots"], **rates(good), "values": ranges(sender, good),
@@ -324,6 +327,13 @@ def missing_before(message, state, is_reboot):
         return 0
     state["seq"] = message.seq
     return 0 if is_reboot else max(ahead - 1, 0)
+
+
+def room_for(good, period):
+    """How many messages fit between those that came: none into a gap of up to 1.5 periods."""
+    times = [message.frames[-1].at for message in good]
+    gaps = [(later - sooner) / (period * SECOND) for sooner, later in zip(times, times[1:])]
+    return sum(int(gap - 0.5) for gap in gaps if gap > 1.5)
 
 
 def rates(good):
@@ -486,7 +496,7 @@ class Flight:
 
     def truth(self, form):
         truth = Truth(self, form)
-        return {"events": truth.events, "faults": truth.faults, "summary": truth.summary}
+        return {"events": truth.events, "faults": truth.faults, "summary": truth.summary, "room": truth.room}
 
     def rows(self, form):
         """Of each known message the good ones in the order of the capture: (frame, bus, source, message)."""

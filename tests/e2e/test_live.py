@@ -677,7 +677,8 @@ def test_commands_of_the_document(home, folder, port, second, command):
     for name, there in (("/dev/ttyUSB0", port.name), ("/dev/ttyUSB1", second.name), ("both.pcapng", folder / "both.pcapng")):
         command = command.replace(name, str(there))
     process = run_tshark(home, *tshark.load(), "-l", "-i", "yapp-serial", *command.split())
-    port.wait_until_open()
+    baud = re.search(r"baud:(\d+)", command)
+    port.wait_until_open(getattr(termios, f"B{baud[1]}" if baud else "B500000"))
     port.write(FRAME[:42] + FRAME)  # the first is cut off
     both = folder / "both.pcapng"
     if "both" in command:

@@ -45,20 +45,23 @@ def statistics(flight, form, capture, *whats, passes=(), check=True):
             "csv" if "rows" in line else "summary"
         found[kind].append(line)
     said = [line for line in done.stderr.splitlines() if line.startswith("yapp:") and "-Y does not narrow" not in line]
-    assert_left_out(said, flight.truth(form)["events"], any(re.search(r"^faults|\bfault=", what) for what in whats))
+    is_about_faults = any(re.search(r"^faults|\bfault=|^check(,json)?$", what) for what in whats)
+    assert_left_out(said, flight.truth(form), is_about_faults)
     return found, done.returncode
 
 
 HIDING = {"crc": "with a bad CRC", "incomplete": "incomplete", "unfinished": "cut off by the end of the capture",
-          "missing": "missing by Seq No"}
+          "missing": "missing by Seq No", "dropped": "lost while capturing", "skipped": "in bytes of no frame"}
 
 
-def assert_left_out(said, events, is_about_faults):
+def assert_left_out(said, truth, is_about_faults):
     """What the answers say that they leave out: messages that were not decoded, and those that may hide a fault."""
+    events = truth["events"]
     unknown = sum(line["count"] for line in events if line["kind"] == "unknown")
-    counts = {kind: sum(line.get("count", 1) for line in events if line["kind"] == kind and line["message"] == "motor")
-              for kind in HIDING}
-    hiding = ", ".join(f"{counts[kind]} {text}" for kind, text in HIDING.items() if counts[kind])
+    counts = {text: sum(line.get("count", 1) for line in events if line["kind"] == kind and line["message"] in (None, "motor"))
+              for kind, text in HIDING.items()}
+    counts["missing by their period"] = truth["room"]
+    hiding = ", ".join(f"{count} {text}" for text, count in counts.items() if count)
     expected = [f"yapp: {unknown} message"] * bool(unknown)
     expected += [f"yapp: damaged or lost messages may hide faults: {hiding}"] * bool(is_about_faults and hiding)
     assert [line[:len(start)] for line, start in zip(said, expected)] == expected and len(said) == len(expected), said

@@ -166,6 +166,14 @@ function T.test_drops()
   lu.assertEquals(#log.drops, 5)
 end
 
+-- A line between two frames that cannot be read may have been a frame.
+function T.test_lines_that_may_have_been_frames()
+  local shell = "$ candump can0\n"
+  local log, file = opened(shell .. HEAD .. HEAD .. "garbage\n# remark\ngar\n" .. HEAD .. HEAD:rep(3) .. "\n$ exit\n")
+  while log:read(file) do end
+  lu.assertEquals(log.drops, { { count = 2, frame = 3, time = 1700000000 + 1 / 1000000 } })
+end
+
 -- The frame behind has the time that is shown of it, or none.
 function T.test_times_of_drops()
   local drop = "DROPCOUNT: dropped 2 CAN frames\n"

@@ -35,6 +35,7 @@ end
 
 local LEFT = { bus_key = 1, bus = "can0", name = "left", id = 0x210, message = MOTOR }
 local RIGHT = { bus_key = 2, bus = 'can"1', id = 0x210, message = MOTOR }
+local HEALTHY = { bus_key = 1, bus = "can0", id = 0x200, message = HEALTH } -- it has no faults
 local ODD = { bus_key = 1, bus = "can0", id = 0x300 }
 
 local NAMED_RIGHT = { { id = 0x210, bus = 'can"9', name = "right", message = MOTOR } }
@@ -109,7 +110,7 @@ local function lines(text)
   return list
 end
 
-local NOTHING_CAME = "no YAPP message found in 0 packets: see yapp.search_all, yapp.user_dlt\n"
+local NOTHING_CAME = "no YAPP message found in 0 packets: see yapp.search_all, yapp.user_dlt, udp.try_heuristic_first\n"
 
 -- summary -------------------------------------------------------------------------------------------------------
 
@@ -215,12 +216,12 @@ function T.test_faults_of_the_messages_that_count()
 end
 
 function T.test_faults_in_words()
-  lu.assertEquals(run({ "faults" }, { FAULTY[1], record(2, 1.5, { change = raised(0, 0, 1) }) }), [[
+  lu.assertEquals(run({ "faults" }, { FAULTY[1], record(2, 1.1, { change = raised(0, 0, 1) }) }), [[
 YAPP faults: 2
 
 time (UTC)                  since start/s  frame  bus   ID     source  message     field        flag  event    active/s
 2023-11-14 22:13:21.000000       1.000000      1  can0  0x210  left    Motor Data  fault_flags  hot   raised
-2023-11-14 22:13:21.500000       1.500000      2  can0  0x210  left    Motor Data  fault_flags  hot   cleared  0.500000
+2023-11-14 22:13:21.100000       1.100000      2  can0  0x210  left    Motor Data  fault_flags  hot   cleared  0.100000
 ]])
   lu.assertEquals(run({ "faults" }, {}), "YAPP faults: 0\n" .. NOTHING_CAME)
 end
@@ -617,7 +618,7 @@ function T.test_sources_that_never_came()
   lu.assertStrContains(run({ "events" }, records, with), "no message of it came")
   lu.assertEquals(verdicts("absent=1,absent=2", records, with), { "absent=1 null false 2 null", "absent=2 null true 2 null",
     "unknown=0 null true 0 null" })
-  lu.assertStrContains(run({ "check,absent=1" }, records, with), "2  right, 0x211")
+  lu.assertStrContains(run({ "check,absent=1" }, records, with), "2  right, 0x211, 1 name without a message not judged")
   lu.assertEquals(verdicts("source=right,absent=0", records, with)[1], "absent=0 right false 1 null")
   lu.assertEquals(verdicts("source=left,absent=0", records, with)[1], "absent=0 left true 0 null")
   lu.assertEquals(select(2, verdicts("absent=0", records)), 21) -- nobody is named with a message
@@ -723,7 +724,7 @@ function T.test_tables_fit_a_window()
   local records = { record(1, 0), record(99999, 1, { change = change }), record(100000, 1.1, { source = RIGHT }) }
   for _, what in ipairs { "summary", "faults", "events", "compare", "check" } do
     local printed = run({ what }, records, { frames = {}, last = 9, named = NAMED })
-    for _, line in ipairs(lines(printed)) do lu.assertTrue(#line <= 73 or what == "events", line) end
+    for _, line in ipairs(lines(printed)) do lu.assertTrue(#line <= 73 or what == "events" or line:find("absent", 1, true) ~= nil, line) end
     lu.assertStrContains(printed, "left")
   end
 end
@@ -762,16 +763,40 @@ function T.test_messages_that_were_not_decoded()
 end
 
 function T.test_messages_that_may_hide_faults()
+  local title, text = "YAPP faults: 0", "damaged or lost messages may hide faults: "
   local records = { record(1, 0), bad(2, 0.1), bad(3, 0.2) }
-  local text = "damaged or lost messages may hide faults: 2 with a bad CRC"
-  lu.assertEquals(said(records), { "YAPP faults: 0", text })
+  lu.assertEquals(said(records), { title, text .. "2 with a bad CRC" })
   local _, code, texts = run({ "faults,json" }, records)
-  lu.assertEquals({ code, texts }, { 0, { text } })
-  lu.assertEquals(lines(run({ "check,fault=0" }, records))[2], text)
-  for _, what in ipairs { "events", "summary", "check", "check,crc=9" } do -- these count them, or look for no faults
+  lu.assertEquals({ code, texts }, { 0, { text .. "2 with a bad CRC" } })
+  for _, what in ipairs { "check", "check,fault=0" } do
+    lu.assertEquals(lines(run({ what }, records))[2], text .. "2 with a bad CRC")
+  end
+  for _, what in ipairs { "events", "summary", "check,crc=9" } do -- these count them, or look for no faults
     lu.assertNotStrContains(run({ what }, records), "hide")
   end
-  lu.assertEquals(said { record(1, 0) }, { "YAPP faults: 0" })
+  lu.assertEquals(said { record(1, 0) }, { title })
+  lu.assertEquals(said { record(1, 0), bad(2, 0.1, { source = HEALTHY, payload = ("\0"):rep(8) }) }, { title })
+  -- of a message that is not known, nobody knows
+  lu.assertEquals(said { record(1, 0), bad(2, 0.1, { source = ODD, fits = false }) }, { title, text .. "1 with a bad CRC" })
+  local noise = record(2, 0.1, { kind = "skipped", source = { bus = "can0" }, values = { length = 7 }, fits = false })
+  lu.assertEquals(said({ record(1, 0), noise }, { drops = { { count = 5, frame = 2 } } }),
+    { title, text .. "5 lost while capturing, 1 in bytes of no frame" })
+end
+
+-- Where Seq No does not number them, lost messages show by their period.
+function T.test_messages_that_their_gaps_have_room_for()
+  local function room(times, seqs, with)
+    local records = {}
+    for i, time in ipairs(times) do records[i] = record(i, time, { seq = seqs and seqs[i] }) end
+    local text = said(records, with)[2]
+    return text and tonumber(text:match("faults: (%d+) missing by their period$"))
+  end
+  lu.assertEquals(room { 0, 0.1, 0.2, 0.3 }, nil)
+  lu.assertEquals(room { 0, 0.1, 0.249, 0.3 }, nil) -- one came late
+  lu.assertEquals(room { 0, 0.1, 0.3, 0.4 }, 1)
+  lu.assertEquals(room { 0, 0.1, 5.1, 5.3 }, 50)
+  lu.assertEquals(room({ 0, 0.1, 0.3, 0.4 }, { 1, 2, 3, 4 }), nil) -- Seq No says that none is missing
+  lu.assertEquals(room({ 0, 0.1, 5.1, 5.3 }, nil, { matches = { [4] = true } }), nil) -- the filter lets no gap count
 end
 
 function T.test_a_value_that_is_no_number_is_called_reserved()

@@ -354,10 +354,13 @@ local function add_bus(log, name)
   log.pending[#log.pending + 1] = ("Interface index %d is %s"):format(number, shown)
 end
 
--- Note the packets that candump says it lost.
-local function add_drop(log, line)
+-- Note the packets that candump says it lost.  Any other line between two frames may have been one.
+local function add_drop(log, line, is_harmless)
   local count, bus = line:match("^DROPCOUNT: dropped (%d+)[^']*'?([^',]*)")
-  if not count then return end
+  if not count then
+    if log.unread and not is_harmless then log.unread = log.unread + 1 end
+    return
+  end
   log.drops[#log.drops + 1] = {
     count = math.min(tonumber(count), MAX_DROPPED),
     bus = not NO_BUS[bus] and utf8.printable(bus) or nil,
@@ -367,6 +370,8 @@ end
 -- Note which frame is behind the latest drops.
 local function end_drops(log, record, offset)
   local seconds, nanoseconds = log:time_of(record, offset)
+  if (log.unread or 0) > 0 then log.drops[#log.drops + 1] = { count = log.unread } end
+  log.unread = 0
   for i = #log.drops, 1, -1 do
     local drop = log.drops[i]
     if drop.frame then break end
@@ -380,7 +385,7 @@ local function read_record(log, line, offset)
   local record, why, is_harmless = M.parse(line)
   if not offset then return record end
   if why then
-    add_drop(log, line)
+    add_drop(log, line, is_harmless)
     log:skip(line, why, is_harmless)
   end
   if not record then return nil end
@@ -432,6 +437,7 @@ function M.open(file, options)
   log.record, log.next = read_record, next_frame
   log.per_second = SECOND
   log.drops = {}
+  log.unread = nil -- lines since the latest frame that may have been frames; nil before the first
   log.clock = 0 -- sum of the deltas in nanoseconds
   log.taken = {} -- by number: whether a bus has it
   log.free = 0 -- all numbers below are taken

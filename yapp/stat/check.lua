@@ -11,13 +11,13 @@ local utf8 = require("yapp.base.utf8")
 local M = {}
 
 local words = output.words
--- Verdicts; order = theirs in the text.
+-- Verdicts; order = theirs in the text, case = what a report in XML says.
 local FAILED = {
   order = 1,
   json = "false",
   text = "FAILED",
   title = "FAILED",
-  case = "failure",
+  case = '<failure message="%s"/>',
   code = output.EXIT_FAILED,
 }
 local UNJUDGED = {
@@ -25,7 +25,7 @@ local UNJUDGED = {
   json = "null",
   text = "NOT JUDGED",
   title = "not all of it could be judged",
-  case = "error",
+  case = '<error message="%s"/>',
   code = output.EXIT_UNDECIDED,
 }
 local OK = {
@@ -33,6 +33,7 @@ local OK = {
   json = "true",
   text = "ok",
   title = "all rules hold",
+  case = "<system-out>%s</system-out>",
   code = output.EXIT_OK,
 }
 local KEYS = {
@@ -41,6 +42,7 @@ local KEYS = {
   window = words("ok rule who message seen worst note"),
 }
 local NO_VALUE = "no good message of it came"
+local NONE = "no message came that it is about"
 local SAME_SEQ = {
   json = '"Seq No never changes: lost messages do not show"',
   text = "Seq No never changes: lost messages do not show",
@@ -103,15 +105,19 @@ function measures.spread(_, rule, check)
 end
 
 function measures.absent(_, rule, check)
-  local names, is_named = {}, rule.is_default
+  local names, is_named, others = {}, rule.is_default, 0
   for _, row in ipairs(check.context.settings.sources:list()) do
-    if row.message and is_its(rule, row) then
+    if is_its(rule, row) and row.message then
       is_named = true
       if check.absent[row] then names[#names + 1] = row.name or output.place(row) end
+    elseif is_its(rule, row) then
+      others = others + 1
     end
   end
   if not is_named then return nil, nil, "no source is named with a message: see yapp.sources" end
-  return #names, nil, table.concat(names, ", ")
+  local count, more = #names, output.count(others, "name") .. " without a message not judged"
+  if others > 0 then names[count + 1] = more end
+  return count, nil, table.concat(names, ", ")
 end
 
 -- How many events of a kind there are.
@@ -144,14 +150,14 @@ end
 -- As a measure: judge a rule that no group is about.  A default rule, or one of rare events, holds
 -- if a message of its source came.
 local function measure_none(_, rule, check)
-  local message, source = rule.message, rule.source
-  if rule.is_default or rule.kind.scope == "rare" then
+  local message, source, is_rare = rule.message, rule.source, rule.kind.scope == "rare"
+  if rule.is_default or is_rare then
     for _, group in ipairs(check.list) do
       local has_come = group.count > 0 or group.counts.crc.seen > 0
-      if has_come and is_its(rule, group.source) then return 0 end
+      if has_come and is_its(rule, group.source) then return 0, nil, not is_rare and NONE end
     end
   end
-  local why = "no message came that it is about"
+  local why = NONE
   if message then why = ("no %s came: see yapp.%s_ids"):format(message.title, message.name) end
   if source then why = ("no message of a source that yapp.sources calls %s came"):format(source) end
   return nil, nil, check.ending.reason or why
@@ -211,17 +217,18 @@ local ENTITIES = { ["<"] = "&lt;", [">"] = "&gt;", ["&"] = "&amp;", ['"'] = "&qu
 local REPORT = '<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="yapp.check" tests="%d" ' ..
   'failures="%d" errors="%d">\n%s</testsuite>\n'
 local NAME, MESSAGE = words("rule bus id source"), words("seen worst note frame")
+local NOTE = words("note")
 
 -- XML allows no control characters, not even as entities.
 local function escape(text)
   return (utf8.printable(text):gsub('[<>&"]', ENTITIES))
 end
 
--- kind  "failure" or "error", with a text; nil where all is well
-local function case_of(name, kind, text)
+-- shape  what a verdict says with a text; nil for a rule that holds and has no note
+local function case_of(name, shape, text)
   local case = ('  <testcase classname="yapp.check" name="%s"'):format(escape(name))
-  if not kind then return case .. "/>\n" end
-  return ('%s><%s message="%s"/></testcase>\n'):format(case, kind, escape(text))
+  if text == "" then return case .. "/>\n" end
+  return ("%s>%s</testcase>\n"):format(case, shape:format(escape(text)))
 end
 
 -- Return the values that a row has of these keys, as people read them: "seen 1, frame 7".
@@ -242,10 +249,11 @@ local function report(self, problems)
   if not path then return nil end
   for i, row in ipairs(self.rows) do
     local name = row.id and texts_of(row, NAME, false, " ") or row.rule
-    cases[i] = case_of(name, row.ok.case, texts_of(row, MESSAGE, true, ", "))
+    local keys = row.ok == OK and NOTE or MESSAGE
+    cases[i] = case_of(name, row.ok.case, texts_of(row, keys, true, ", "))
   end
   for _, problem in ipairs(problems) do
-    cases[#cases + 1] = case_of(problem, "error", problem)
+    cases[#cases + 1] = case_of(problem, UNJUDGED.case, problem)
   end
   local errors, all = counts[UNJUDGED] + #problems, table.concat(cases)
   return output.save(path, REPORT:format(#cases, counts[FAILED], errors, all))

@@ -21,6 +21,7 @@ local undecoded = require("yapp.stat.undecoded")
 local M = {}
 
 local new_event, span, NOTHING = kinds.event, kinds.span, kinds.NOTHING
+local MAX_GAP = 1.5 -- periods; a longer gap has room for another message
 local LEFT_OUT = "changes of faults, reboots and gaps are unreliable and left out"
 local UNRELIABLE = "nothing tells the buses of %s apart: " .. LEFT_OUT
 local SHARED = "two controllers appear to send %s: from frame %d on " .. LEFT_OUT
@@ -38,6 +39,8 @@ local function new_state()
     counted = { frame = 0 }, -- the latest reliable message that counts
     counted_at = nil,
     counted_faults = NOTHING, -- those that were set then
+    is_numbered = false, -- whether Seq No changed
+    room = 0, -- number of messages that its gaps have room for
   }
 end
 
@@ -57,10 +60,15 @@ function M.new(settings, statistic, options)
     states = states, -- of sources with good messages, in their order, and by source
     by_source = memo(new_state, states),
     came = {}, -- sources with an event that counts
-    counts = {}, -- of events, by kind, of sources that can report faults
+    counts = {}, -- of events, by kind, where a fault may be hidden
     doubts = {}, -- texts: why the history of a source is unreliable; and by source
     now = nil, -- seconds of the capture, see above
   }, Deriver)
+end
+
+-- Whether a message of a source may have a fault.  Of an unknown message nobody knows.
+local function may_have_faults(source)
+  return not source.message or source.message.alarms[1] ~= nil
 end
 
 --- Hand an event to the statistic.
@@ -69,8 +77,8 @@ function Deriver:add(event, cause)
   if self.statistic.wants_messages_only and event.kind ~= "message" and event.kind ~= "crc" then
     return
   end
-  local message, counts = event.source.message, self.counts
-  if message and message.alarms[1] then
+  local counts = self.counts
+  if may_have_faults(event.source) then
     counts[event.kind] = (counts[event.kind] or 0) + (event.values.count or 1)
   end
   self.statistic:event(event, self.now, cause or event)
@@ -160,9 +168,18 @@ local function note_events(self, event, change)
   end
 end
 
+-- Note whether there is room for other messages between one and the message before it.
+local function note_gap(self, state, event)
+  local message = event.source.message
+  local periods = message and message.every and span(state.at, self.now) / message.every or 0
+  if periods > MAX_GAP then state.room = state.room + math.floor(periods - 0.5) end
+  state.is_numbered = state.is_numbered or event.seq ~= state.last.seq
+end
+
 local function note_message(self, event, counts)
   local state, values = self.by_source[event.source], event.values
   local change = values.change or NOTHING
+  if state.counts and not values.is_unreliable then note_gap(self, state, event) end
   if change.late and state.counts then
     emit(self, "silence", state.last, { length = output.seconds(change.late) })
   end
@@ -253,11 +270,16 @@ end
 
 -- Return a text: how many damaged or lost messages may have had a fault; nil for none.
 local function hiding(self)
-  local texts = {}
+  local texts, room = {}, 0
+  for _, state in ipairs(self.states) do
+    local is_counted = state.is_numbered or not may_have_faults(state.last.source)
+    if not is_counted then room = room + state.room end
+  end
   for _, row in ipairs(kinds.LIST) do
     local count = row.hides and self.counts[row.name]
     if count then texts[#texts + 1] = ("%d %s"):format(count, row.hides) end
   end
+  if room > 0 then texts[#texts + 1] = ("%d missing by their period"):format(room) end
   return texts[1] and "damaged or lost messages may hide faults: " .. table.concat(texts, ", ")
 end
 

@@ -16,7 +16,7 @@ local M = {}
 -- amount      the key whose values the rule adds up; nil: each message counts once
 -- change      the key for the value of message.history's change of this name; true if it has no
 --             value
--- hides       what messages that may hide a fault are, for people; nil for others
+-- hides       if a fault may be hidden there: what is behind a number, for people
 -- scope       "capture": one verdict for the whole capture; "rare": one for each source that has
 --             such events; nil: one for each source that can have them
 -- about       what the message of a source must have in the catalogue; nil for any source with an
@@ -104,6 +104,7 @@ M.LIST = {
     "packets lost while capturing: {count}",
     keys = "count",
     amount = "count",
+    hides = "lost while capturing",
     scope = "capture",
   },
   { "absent", "no message of it came", scope = "capture" },
@@ -117,6 +118,7 @@ M.LIST = {
     "skipped",
     "{length} bytes of no frame",
     keys = "length",
+    hides = "in bytes of no frame",
     scope = "rare",
     is_optional = true,
   },

@@ -163,8 +163,8 @@ function read_check(options, part, catalogue)
   else
     options.unused = nil
     table.insert(options.rules, read_rule(part, catalogue, options.source))
-    options.judges_unknown = options.judges_unknown or name == "unknown"
     options.looks_for_faults = options.looks_for_faults or name == "fault"
+    options.judges_unknown = options.judges_unknown or name == "unknown"
   end
 end
 
@@ -178,6 +178,7 @@ local function finish_check(options, _, catalogue)
     demand(not options.unused, NO_RULE, "it")
     return
   end
+  options.looks_for_faults = true
   for _, kind in ipairs(kinds.RULES) do
     if not kinds.BY_NAME[kind].is_optional then
       local rule = read_rule(kind .. "=0", catalogue, options.source)

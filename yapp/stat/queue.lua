@@ -176,7 +176,8 @@ local function nothing_found(self, extended)
     return text:format(frames .. (extended == 1 and " was" or " were"))
   end
   local packets = output.count(self.packets, "packet")
-  return ("no YAPP message found in %s: see yapp.search_all, yapp.user_dlt"):format(packets)
+  local places = "yapp.search_all, yapp.user_dlt, udp.try_heuristic_first"
+  return ("no YAPP message found in %s: see %s"):format(packets, places)
 end
 
 --- End: all packets have come.
