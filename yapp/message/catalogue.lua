@@ -2,12 +2,12 @@
 -- The catalogue compiler: checks the lists of messages once, at load, and works out what decoding
 -- needs.  Pure Lua.
 
-local check = require("yapp.message.check")
+local input = require("yapp.base.input")
 local decode = require("yapp.message.decode")
 local fields = require("yapp.message.catalogue_fields")
 local text_of = require("yapp.message.text")
 
-local demand, shown = check.demand, check.shown
+local demand, shown = input.demand, input.shown
 
 -- Bytes of a message's title: Wireshark aborts at a preference with a longer one.
 local MAX_TITLE = 200
@@ -16,10 +16,10 @@ local M = {}
 
 M.MAX_ID = 2047
 local MAX_SIZE = 65535
-local DERIVED_OPTIONS = check.set("unit")
-local NUMERIC = check.set("uint int scaled float ieee")
+local DERIVED_OPTIONS = input.set("unit")
+local NUMERIC = input.set("uint int scaled float ieee")
 local OPTIONS =
-  check.set("name title section id size min_size info every answers differences derived")
+  input.set("name title section id size min_size info every answers differences derived")
 
 -- Filters ----------------------------------------------------------------------------------------
 
@@ -173,12 +173,12 @@ end
 -- differences: { name, field, field, title }; derived: { name, "field * field", title, unit = }
 local function add_all_generated(message, entry)
   for i, row in ipairs(entry.differences or {}) do
-    local what, first = check.row(row, "difference", i, 4, {}), message.by_name[row[2] or false]
+    local what, first = input.row(row, "difference", i, 4, {}), message.by_name[row[2] or false]
     local text = ("%s - %s"):format(row[2], row[3])
     add_generated(message, what, row[1], text, row[4], first and first.unit)
   end
   for i, row in ipairs(entry.derived or {}) do
-    local what = check.row(row, "derived", i, 3, DERIVED_OPTIONS)
+    local what = input.row(row, "derived", i, 3, DERIVED_OPTIONS)
     message.derived[i] = add_generated(message, what, row[1], row[2], row[3], row.unit)
   end
 end
@@ -187,15 +187,15 @@ end
 
 local function check_head(entry)
   local every, answers = entry.every, entry.answers
-  demand(check.is_text(entry.title), "the title is missing")
-  check.options(entry, "a message", OPTIONS, math.huge)
+  demand(input.is_text(entry.title), "the title is missing")
+  input.options(entry, "a message", OPTIONS, math.huge)
   demand(#entry.title <= MAX_TITLE, "the title has more than %d bytes", MAX_TITLE)
-  check.within("id", entry.id, 0, M.MAX_ID)
-  check.within("size", entry.size, 1, MAX_SIZE)
-  check.within("min_size", entry.min_size or entry.size, 1, entry.size)
-  demand(not every or check.is_finite(every) and every > 0,
+  input.within("id", entry.id, 0, M.MAX_ID)
+  input.within("size", entry.size, 1, MAX_SIZE)
+  input.within("min_size", entry.min_size or entry.size, 1, entry.size)
+  demand(not every or input.is_finite(every) and every > 0,
     "every %s is not a period in seconds", shown(every))
-  demand(not answers or check.is_name(answers), "answers %s is not the name of a message",
+  demand(not answers or input.is_name(answers), "answers %s is not the name of a message",
     shown(answers))
   demand(#entry > 0, "it has no fields")
 end
@@ -236,7 +236,7 @@ end
 local function add_message(catalogue, entry, reserved, context)
   demand(type(entry) == "table", "a message is a table, not %s", shown(entry))
   local name = entry.name
-  demand(check.is_name(name), "name %s is not a filter name (a-z, 0-9, _)", shown(name))
+  demand(input.is_name(name), "name %s is not a filter name (a-z, 0-9, _)", shown(name))
   context.message = name
   demand(not catalogue.names[name], "the name is there twice")
   catalogue.names[name] = true
@@ -313,7 +313,7 @@ function M.assign(catalogue, ids)
       end
     end
   end
-  return by_id, check.few(problems)
+  return by_id, input.few(problems)
 end
 
 return M

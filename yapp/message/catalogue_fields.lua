@@ -4,11 +4,11 @@
 -- field.
 
 local band = require("yapp.base.bits").band
-local check = require("yapp.message.check")
+local input = require("yapp.base.input")
 
-local demand, shown, set = check.demand, check.shown, check.set
-local is_name, is_text = check.is_name, check.is_text
-local is_finite = check.is_finite
+local demand, shown, set = input.demand, input.shown, input.set
+local is_name, is_text = input.is_name, input.is_text
+local is_finite = input.is_finite
 
 local M = {}
 
@@ -59,13 +59,13 @@ add_numbers("uint", 8, 0, 2 ^ 64 - 1, SCALED)
 add_numbers("int", 8, -2 ^ 63, 2 ^ 63 - 1, SCALED)
 
 --- The names of all types, for a message.
-M.TYPE_NAMES = check.names(TYPES)
+M.TYPE_NAMES = input.names(TYPES)
 
 -- Options ----------------------------------------------------------------------------------------
 
 -- Raises that a number has no room in a field.
 local function check_fits(field, what, number, lowest)
-  local fits = check.is_integer(number) and number >= lowest and number <= field.top
+  local fits = input.is_integer(number) and number >= lowest and number <= field.top
   demand(fits, "%s %s does not fit the type %s", what, shown(number), field.type)
 end
 
@@ -104,7 +104,7 @@ end
 -- Fields -----------------------------------------------------------------------------------------
 
 local function length_of(row)
-  check.within(row[2] .. " needs a length, and", row.length, 1, MAX_SIZE)
+  input.within(row[2] .. " needs a length, and", row.length, 1, MAX_SIZE)
   return row.length
 end
 
@@ -155,7 +155,7 @@ end
 -- Check the i-th flag, or part, { name, mask, title }, and take its bits of the field.
 -- returns  its name in errors: "flag stopped"
 local function take_bits(field, row, what, i, options)
-  what = check.row(row, what, i, 3, options)
+  what = input.row(row, what, i, 3, options)
   local mask = row[2]
   check_fits(field, what .. ": mask", mask, 1)
   local taken = mask - band(mask, field.undefined)
@@ -223,7 +223,7 @@ end
 
 -- An array is its elements: fields of their own with one filter name.
 local function add_elements(build, field, count)
-  check.within("count", count, 1, MAX_SIZE)
+  input.within("count", count, 1, MAX_SIZE)
   for i = 1, count do
     local element = {}
     for name, value in pairs(field) do element[name] = value end
@@ -270,7 +270,7 @@ local function add_row(build, row)
   demand(is_name(name), "%s is not a filter name (a-z, 0-9, _)", shown(name))
   local def = TYPES[kind or false]
   demand(def, "unknown type %s; the types are %s", shown(kind), M.TYPE_NAMES)
-  check.options(row, "type " .. kind, def.options, 3)
+  input.options(row, "type " .. kind, def.options, 3)
   if def.kind == "variants" then return add_variants(build, row) end
   if def.kind == "padding" then
     build.offset = build.offset + length_of(row)

@@ -3,7 +3,7 @@
 -- and may replace them.  Pure Lua.
 
 local catalogue = require("yapp.message.catalogue")
-local check = require("yapp.message.check")
+local input = require("yapp.base.input")
 
 local M = {}
 
@@ -31,7 +31,7 @@ local function read(path)
     return nil, "the catalogue cannot be read: " .. tostring(entries):sub(1, MAX_ERROR)
   end
   if type(entries) ~= "table" then
-    return nil, "the file must return a list of messages, not " .. check.shown(entries)
+    return nil, "the file must return a list of messages, not " .. input.shown(entries)
   end
   if type(entries.name) == "string" then
     return nil, "the file must return a list of messages, { { name = ... } }, not one"
@@ -54,10 +54,10 @@ local function add_entries(all, entries, path, problems)
     if name then index_of[name] = i end
   end
   for key in next, entries do
-    if check.is_integer(key) and key >= 1 then
+    if input.is_integer(key) and key >= 1 then
       numbers[#numbers + 1] = key
     else
-      problems[#problems + 1] = KEYED:format(path, check.shown(key))
+      problems[#problems + 1] = KEYED:format(path, input.shown(key))
     end
   end
   table.sort(numbers)
@@ -92,7 +92,7 @@ function M.load(files, reserved)
   for _, text in ipairs(found) do
     problems[#problems + 1] = text .. "; this message is not decoded"
   end
-  return compiled, check.few(problems)
+  return compiled, input.few(problems)
 end
 
 --- The value of a preference in a file of Wireshark's preferences, nil where it has none.

@@ -12,13 +12,13 @@
 -- no ID follows.  Its own quotes are doubled: "USB, left"/0x210=motor:a.
 -- The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
 
-local check = require("yapp.message.check")
+local input = require("yapp.base.input")
 local memo = require("yapp.base.memo")
 local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
-local trim = check.trim
+local trim = input.trim
 
 local MAX_ID = 2047
 local MAX_NAME = 64 -- bytes
@@ -83,14 +83,14 @@ local function read_part(part, catalogue)
   name = trim(name or value)
   demand(not name:find(";.*="), "a semicolon", "separate sources by commas")
   demand(#name <= MAX_NAME, "a long name", ("the longest has %d bytes"):format(MAX_NAME))
-  demand(name == "" or check.is_text(name), "a name that cannot be shown", "use letters")
+  demand(name == "" or input.is_text(name), "a name that cannot be shown", "use letters")
   if not message_name then
     demand(name ~= "", "no name", SHAPE)
     return bus, ids, nil, name
   end
   demand(ids, "a message for a whole bus", "name its ID, too")
   message_name = trim(message_name)
-  local message, known = check.find(catalogue.messages, message_name)
+  local message, known = input.find(catalogue.messages, message_name)
   demand(message, ('no message "%s"'):format(message_name), "known messages: " .. (known or ""))
   return bus, ids, message, name ~= "" and name or nil
 end
@@ -130,7 +130,7 @@ function M.parse(text, catalogue)
       problems[#problems + 1] = utf8.printable(problem)
     end
   end
-  return self, check.few(problems)
+  return self, input.few(problems)
 end
 
 --- Return the name of a source, nil where the user gave none: that of its ID on its bus, of its

@@ -5,7 +5,7 @@
 -- GROUP_FLAG, 0 or 1; a float with a reserved value is an empty cell, and NAME_special names the
 -- value.
 
-local check = require("yapp.message.check")
+local input = require("yapp.base.input")
 local common = require("yapp.base.bits").common
 local decode = require("yapp.message.decode")
 local memo = require("yapp.base.memo")
@@ -108,10 +108,10 @@ end
 
 local function info_piece(message, name, shape)
   local field = message.by_name[name]
-  check.demand(field, "info names a field %s that is not there", check.shown(name))
+  input.demand(field, "info names a field %s that is not there", input.shown(name))
   local is_real = field.special or field.scale
-  check.demand(shape == "" or is_real and shape:find("^%%%.?%d?[fg]$"),
-    "info: the format %s is not one for %s", check.shown(shape), name)
+  input.demand(shape == "" or is_real and shape:find("^%%%.?%d?[fg]$"),
+    "info: the format %s is not one for %s", input.shown(shape), name)
   if shape == "" then shape = is_real and "%.4g" end
   return {
     field = field,

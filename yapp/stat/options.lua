@@ -7,7 +7,7 @@
 local check = require("yapp.stat.check")
 local csv = require("yapp.stat.csv")
 local events = require("yapp.stat.events")
-local input = require("yapp.message.check")
+local input = require("yapp.base.input")
 local kinds = require("yapp.stat.kinds")
 local summary = require("yapp.stat.summary")
 
