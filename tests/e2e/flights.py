@@ -160,7 +160,7 @@ class Truth:
     def __init__(self, flight, form):
         self.flight, self.form = flight, form
         self.events, self.faults, self.summary = [], [], []
-        self.room = 0  # messages with faults that the gaps have room for, where Seq No does not number them
+        self.room = 0  # messages of Motor Data that the gaps have room for, where Seq No does not number them
         for sender in flight.senders:
             if any(message.frames for message in sender.messages):
                 self.source(sender)
@@ -217,8 +217,10 @@ class Truth:
                 last = good[-1].frames[-1]
                 self.fault(sender, last, flag, "active", last.at - since)
             self.silence(sender, good[-1], self.flight.frames[-1].at)
-        if sender.kind == "motor" and len({message.seq for message in good}) == 1:
-            self.room += room_for(good, EVERY["motor"])
+        if sender.kind == "motor" and good:
+            times = [message.frames[-1].at for message in good]
+            between = times if len({message.seq for message in good}) == 1 else []
+            self.room += room_for(between) + room_for([times[-1], self.flight.frames[-1].at])
         counts["reboots"] += 0
         self.summary.append({**self.who(sender), "crc_bad": crc, "incomplete": lost, "late": counts["late"],
                              "reboots": counts["reboots"], **rates(good), "values": ranges(sender, good),
@@ -329,10 +331,9 @@ def missing_before(message, state, is_reboot):
     return 0 if is_reboot else max(ahead - 1, 0)
 
 
-def room_for(good, period):
-    """How many messages fit between those that came: none into a gap of up to 1.5 periods."""
-    times = [message.frames[-1].at for message in good]
-    gaps = [(later - sooner) / (period * SECOND) for sooner, later in zip(times, times[1:])]
+def room_for(times):
+    """How many messages of Motor Data fit between these: none into a gap of up to 1.5 periods."""
+    gaps = [(later - sooner) / (EVERY["motor"] * SECOND) for sooner, later in zip(times, times[1:])]
     return sum(int(gap - 0.5) for gap in gaps if gap > 1.5)
 
 

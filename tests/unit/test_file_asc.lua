@@ -160,6 +160,9 @@ function T.test_several_channels_in_the_first_lines()
   end
   lu.assertEquals({ has_several(), has_several(2), has_several(2, 2), has_several(1, 2, 1), has_several(1, 1, 3) },
     { false, false, false, true, true })
+  local fd = "   0.00%d CANFD   %d Rx   0x       1 0 7 7 01 A5 00 FD 7F FD 7F\n"
+  lu.assertTrue(asc.open(file_of(HEAD .. fd:format(3, 1) .. fd:format(4, 2)), print).has_several)
+  lu.assertFalse(asc.open(file_of(HEAD .. fd:format(3, 2) .. fd:format(4, 2)), print).has_several)
 end
 
 -- The base of a file's ids and data; a clock of twelve hours, of which 12 am is the first.

@@ -15,8 +15,8 @@ local function new_queue()
   return queue_of.new(SETTINGS)
 end
 
-local function add(queue, statistic, filter)
-  return queue:add(statistic, { filter = filter, row = {} })
+local function add(queue, statistic, filter, row)
+  return queue:add(statistic, { filter = filter, row = row or {} })
 end
 
 local function finish(queue, unfinished)
@@ -62,7 +62,7 @@ end
 function T.test_messages_that_do_not_wait()
   local queue, one = new_queue(), notes()
   one.wants_messages_only = true
-  add(queue, one)
+  add(queue, one, nil, { is_data = true })
   offer(queue, 1, "a")
   lu.assertTrue(queue:go_direct())
   queue:packet(1, 1)

@@ -621,6 +621,9 @@ function T.test_sources_that_never_came()
   lu.assertStrContains(run({ "check,absent=1" }, records, with), "2  right, 0x211, 1 name without a message not judged")
   lu.assertEquals(verdicts("source=right,absent=0", records, with)[1], "absent=0 right false 1 null")
   lu.assertEquals(verdicts("source=left,absent=0", records, with)[1], "absent=0 left true 0 null")
+  -- a name from BUS=NAME
+  lu.assertEquals(verdicts("absent=0", records, { named = { { id = 0x210, bus = "can0", message = MOTOR } } })[1],
+    "absent=0 null true 0 null")
   lu.assertEquals(select(2, verdicts("absent=0", records)), 21) -- nobody is named with a message
 end
 
@@ -765,11 +768,12 @@ end
 function T.test_messages_that_may_hide_faults()
   local title, text = "YAPP faults: 0", "damaged or lost messages may hide faults: "
   local records = { record(1, 0), bad(2, 0.1), bad(3, 0.2) }
-  lu.assertEquals(said(records), { title, text .. "2 with a bad CRC" })
+  local two = text .. "2 with a bad CRC, 1 missing by their period" -- no good one came at 0.1 s
+  lu.assertEquals(said(records), { title, two })
   local _, code, texts = run({ "faults,json" }, records)
-  lu.assertEquals({ code, texts }, { 0, { text .. "2 with a bad CRC" } })
+  lu.assertEquals({ code, texts }, { 0, { two } })
   for _, what in ipairs { "check", "check,fault=0" } do
-    lu.assertEquals(lines(run({ what }, records))[2], text .. "2 with a bad CRC")
+    lu.assertEquals(lines(run({ what }, records))[2], two)
   end
   for _, what in ipairs { "events", "summary", "check,crc=9" } do -- these count them, or look for no faults
     lu.assertNotStrContains(run({ what }, records), "hide")
@@ -795,6 +799,9 @@ function T.test_messages_that_their_gaps_have_room_for()
   lu.assertEquals(room { 0, 0.1, 0.249, 0.3 }, nil) -- one came late
   lu.assertEquals(room { 0, 0.1, 0.3, 0.4 }, 1)
   lu.assertEquals(room { 0, 0.1, 5.1, 5.3 }, 50)
+  lu.assertEquals(room({ 0, 0.1 }, nil, { last = 5.1 }), 49) -- it stops before the capture does
+  lu.assertEquals(room({ 0, 0.1 }, { 1, 2 }, { last = 5.1 }), 49)
+  lu.assertEquals(room({ 0, 0.1 }, nil, { last = 0.24 }), nil)
   lu.assertEquals(room({ 0, 0.1, 0.3, 0.4 }, { 1, 2, 3, 4 }), nil) -- Seq No says that none is missing
   lu.assertEquals(room({ 0, 0.1, 5.1, 5.3 }, nil, { matches = { [4] = true } }), nil) -- the filter lets no gap count
 end
@@ -1064,6 +1071,9 @@ function T.test_a_file_of_rules()
     lu.assertEquals({ read_file("\239\187\191# rules\r\n fault = 0 # none\r\n\r\ncrc=1#\r\nunknown=2", ",motor.rate=9") },
       { "fault=0 crc=1 unknown=2 motor.rate=9", {} })
     lu.assertEquals(read_file("source=any#3 # left\nfault=0\nunknown=0\n"), "any#3: fault=0 any#3: unknown=0")
+    -- a source of the file is not one of the rules behind it
+    lu.assertStrContains((read_file("source=left\nfault=0\n", ",crc=0")), "left: fault=0")
+    lu.assertNotStrContains((read_file("source=left\nfault=0\n", ",crc=0")), "left: crc=0")
     local text, problems = read_file("fault=0\nmotor.rate=fast\n\nrules=x\n", ",crc=a")
     lu.assertEquals({ text, problems }, { "fault=0 unknown=0", { path .. ':2: motor.rate=fast: "fast" is not a rate',
       path .. ":4: rules=x: a file of rules names no other", 'crc=a: "a" is not a number of messages' } })

@@ -130,7 +130,8 @@ end
 -- A file
 -- --------------------------------------------------------------------------------------------
 
-local CHANNEL = "\n[ \t]*[%d.]+[ \t]+(%d+)[ \t]+%x+x%s"
+-- The channel of an extended frame, classic or CAN FD.
+local CHANNEL = "\n[ \t]*[%d.]+[ \tCANFD]+(%d+)[ \tRxT]+%x+x%s"
 
 -- Patterns of lines with a date, by the field of the log that gets the date.
 local DATES = {

@@ -40,7 +40,7 @@ local function new_state()
     counted_at = nil,
     counted_faults = NOTHING, -- those that were set then
     is_numbered = false, -- whether Seq No changed
-    room = 0, -- number of messages that its gaps have room for
+    room = 0, -- number of messages that the gaps between its messages have room for
   }
 end
 
@@ -168,18 +168,20 @@ local function note_events(self, event, change)
   end
 end
 
--- Note whether there is room for other messages between one and the message before it.
-local function note_gap(self, state, event)
-  local message = event.source.message
-  local periods = message and message.every and span(state.at, self.now) / message.every or 0
-  if periods > MAX_GAP then state.room = state.room + math.floor(periods - 0.5) end
-  state.is_numbered = state.is_numbered or event.seq ~= state.last.seq
+-- Return how many messages of a source fit between its latest one and a time.
+local function room_until(state, now)
+  local message = state.last.source.message
+  local periods = message and message.every and span(state.at, now) / message.every or 0
+  return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 
 local function note_message(self, event, counts)
   local state, values = self.by_source[event.source], event.values
   local change = values.change or NOTHING
-  if state.counts and not values.is_unreliable then note_gap(self, state, event) end
+  if state.counts and not values.is_unreliable then
+    state.room = state.room + room_until(state, self.now)
+    state.is_numbered = state.is_numbered or event.seq ~= state.last.seq
+  end
   if change.late and state.counts then
     emit(self, "silence", state.last, { length = output.seconds(change.late) })
   end
@@ -253,7 +255,9 @@ local function end_absences(self, ending)
     local is_absent = row.message
     for source in pairs(self.came) do
       local is_there = not row.bus or row.bus == source.bus
-      if is_there and source.id == row.id and source.name == row.name then is_absent = false end
+      if is_there and source.id == row.id and source.name == (row.name or source.name) then
+        is_absent = false
+      end
     end
     if is_absent then self:add(new_event("absent", nil, ending.rel, row)) end
   end
@@ -269,11 +273,14 @@ local function end_drops(self, ending)
 end
 
 -- Return a text: how many damaged or lost messages may have had a fault; nil for none.
-local function hiding(self)
+local function hiding(self, now)
   local texts, room = {}, 0
   for _, state in ipairs(self.states) do
-    local is_counted = state.is_numbered or not may_have_faults(state.last.source)
-    if not is_counted then room = room + state.room end
+    if may_have_faults(state.last.source) then
+      if not state.is_numbered then room = room + state.room end
+      local has_end = state.counts and not state.last.values.is_unreliable
+      if has_end then room = room + room_until(state, now) end
+    end
   end
   for _, row in ipairs(kinds.LIST) do
     local count = row.hides and self.counts[row.name]
@@ -290,7 +297,7 @@ local function notes_of(self, ending)
   local doubts = self.statistic.follows_changes and self.doubts or NOTHING
   local notes = joined({ nothing }, self.undecoded:texts(), doubts)
   if options.looks_for_faults or options.row.looks_for_faults then
-    notes[#notes + 1] = hiding(self)
+    notes[#notes + 1] = hiding(self, ending.now)
   end
   if not matched then notes[#notes + 1] = ending.hint end
   return notes, doubts[1] ~= nil

@@ -144,8 +144,8 @@ end
 local Groups = {}
 
 --- Make a class of statistics that gather by source.
--- class    its own methods, see stat.queue; wants, unless it wants the fields that can be averaged;
---          compares = whether it wants their spreads, too
+-- class    its own methods, see stat.derive; wants, unless it wants the fields that can be
+--          averaged; compares = whether it wants their spreads, too
 -- returns  it, with class.new(options, context), which makes a statistic:
 --   options  of stat.options
 --   context  { clock = function(rel) -> seconds since 1970, nanoseconds; settings = see stat.taps;
@@ -222,7 +222,7 @@ local function note_message(self, event, now)
   if event.raws then note_values(self, group, event, now) end
 end
 
---- Take an event, see stat.queue.  Of faults those that rose count.
+--- Take an event, see stat.derive.  Of faults those that rose count.
 function Groups:event(event, now, cause)
   local kind, values = event.kind, event.values
   local row = kinds.BY_NAME[kind]

@@ -138,6 +138,7 @@ local function read_file(options, path, catalogue)
   file:close()
   demand(#text < MAX_FILE, "the file is too long")
   local count, number_of_line = #options.rules + #options.problems, 0
+  local source = options.source -- for the rules behind the file
   for line in (text:gsub("^\239\187\191", "") .. "\n"):gmatch("(.-)\r?\n") do
     number_of_line = number_of_line + 1
     local part = trim((" " .. line):gsub("%s#.*", ""))
@@ -145,7 +146,7 @@ local function read_file(options, path, catalogue)
     options.place = ("%s:%d: "):format(path, number_of_line)
     if part ~= "" then try(options, part, read_check, catalogue) end
   end
-  options.place = ""
+  options.place, options.source = "", source
   demand(#options.rules + #options.problems > count, "there is no rule in it")
 end
 
@@ -211,7 +212,7 @@ end
 
 -- name     behind -z yapp,
 -- title    in menus
--- new      function(options, context), makes it: see stat.queue
+-- new      function(options, context), makes it: see stat.derive
 -- options  the words that it takes besides filter=EXPRESSION: M.read knows them by this text
 -- read     function(options, part, catalogue), reads other options; nil if there are none
 -- finish   the same, checks all options at the end; nil for no check

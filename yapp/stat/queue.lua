@@ -132,12 +132,13 @@ function Queue:clock(rel)
   return seconds, nanoseconds % 1e9
 end
 
---- Hand on events at once from now on, if no statistic needs the taps of packets.  This saves a
--- tenth of csv's time.  Call it from a tap, when no other packet still waits for its taps.
+--- Hand on events at once from now on, if all statistics are tables: no other can do without the
+-- taps of packets.  This saves a tenth of csv's time.  Call it from a tap, when no other packet
+-- still waits for its taps.
 -- returns  whether events are handed on at once
 function Queue:go_direct()
   for _, deriver in ipairs(self.derivers) do
-    if deriver.matched or not deriver.statistic.wants_messages_only then
+    if deriver.matched or not deriver.options.row.is_data then
       return false
     end
   end

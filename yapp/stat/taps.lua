@@ -26,7 +26,7 @@ Stat.__index = Stat
 --   intake     a stat.intake, tree = a show.tree, buses = a host.buses
 --   drops      function() -> what the capture does not have, see host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
---              frame }
+--              key }
 --   watch      function(), called when statistics begin: from then on Intake:unknown is called }
 function M.new(parts)
   return setmetatable(parts, Stat)
