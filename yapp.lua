@@ -152,12 +152,8 @@ end
 local function watch_unclaimed()
   if is_heuristic then return end
   is_heuristic = true
-  all:register_heuristic("can", unclaimed)
-end
-
-local function accept_all()
   socketcan.wrap(header)
-  watch_unclaimed()
+  all:register_heuristic("can", unclaimed)
 end
 
 -- Called from the table of ids, where match_uint is the CAN id.
@@ -221,6 +217,7 @@ local stat = stat_taps.new {
   unfinished = unfinished,
   drops = drops,
   watch = watch_unclaimed,
+  has_header = socketcan.has_header,
 }
 
 -- Preferences and files ---------------------------------------------------------------------------
@@ -254,7 +251,7 @@ local function read_preferences()
   preferences.complain_once(wrong)
   reader:use(by_id, sources, prefs.hide_source, register_id)
   accepts_all = prefs.all_extended
-  if accepts_all then accept_all() end
+  if accepts_all then watch_unclaimed() end
   settings.late, settings.ids = late, chosen
   settings.sources, settings.sources_text = sources, prefs.sources
   settings.problems = list_problems(wrong)

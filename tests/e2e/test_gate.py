@@ -530,6 +530,19 @@ def test_single_frames_of_an_unknown_id(folder):
     assert "not decoded" not in done.stdout
 
 
+def test_an_unlisted_id_that_shows_late(folder):
+    """Behind 1,000 extended frames, in a log that Wireshark itself reads: its packets have no header that tells the id."""
+    lines = []
+    for index in range(260):
+        sent = Sent(MOTOR, 0, 0, motor_payload(index)) if index < 240 else Sent(0x211, 0, index - 239, motor_payload(index))
+        lines += [f"(1700000000.{index:03}{number:03}) can0 {frame.can_id:08X}#{frame.data.hex().upper()}"
+                  for number, frame in enumerate(sent.frames())]
+    (folder / "run.log").write_text("\n".join(lines) + "\n")
+    for passes in (), ("-2",):
+        done = tshark.run(*passes, "-q", "-r", folder / "run.log", "-z", "yapp,faults")
+        assert "20 messages were not decoded: can0 0x211 (32 bytes each, the size of Motor Data)" in done.stdout.replace(": 0x211", ": can0 0x211")
+
+
 @pytest.mark.parametrize("payload", [overheated, command_payload])
 def test_a_yapp_ctl_other_than_0(folder, payload):
     """The vendor plans to use it: such messages are not dissected, but said.  The preference decodes them."""

@@ -41,6 +41,11 @@ local NAMES = { ["can.id"] = true, ["can.flags.xtd"] = true, ["can.flags.rtr"] =
 
 local function is_true(value) return value == true or value == 1 end
 
+--- Whether the header of the current frame was read.
+function M.has_header(pinfo)
+  return header.number == pinfo.number
+end
+
 --- Return the id of the current frame, which came by Decode As or by the heuristics.
 -- returns  29-bit id; nil for what is no extended data frame; nil and true if nothing says it
 function M.find_id(pinfo)

@@ -27,6 +27,7 @@ Stat.__index = Stat
 --   drops      function() -> what the capture does not have, see host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
 --              key }
+--   has_header function(pinfo) -> whether the id of a CAN frame is known without a tree
 --   watch      function(), called when statistics begin: from then on Intake:unknown is called }
 function M.new(parts)
   return setmetatable(parts, Stat)
@@ -82,12 +83,14 @@ local function tap_clock(self)
 end
 
 -- The tap that counts extended frames.  Its trees tell the CAN ids of the first frames that no
--- dissector takes.  In tshark, after MAX_TREES frames, it is removed with YAPP's next message.
+-- dissector takes.  In tshark, after MAX_TREES frames, it is removed with YAPP's next message, if
+-- headers tell the ids: those of candump logs that Wireshark itself reads do not.
 local function tap_extended(self)
   local tap = listen(self, EXTENDED)
-  function tap.packet()
+  function tap.packet(pinfo)
     self.extended = self.extended + 1
-    if self.extended == MAX_TREES and IS_TSHARK then self.intake:remove_later(tap) end
+    local is_last = self.extended == MAX_TREES and IS_TSHARK and self.has_header(pinfo)
+    if is_last then self.intake:remove_later(tap) end
   end
 end
 
