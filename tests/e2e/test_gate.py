@@ -540,7 +540,7 @@ def test_an_unlisted_id_that_shows_late(folder):
     (folder / "run.log").write_text("\n".join(lines) + "\n")
     for passes in (), ("-2",):
         done = tshark.run(*passes, "-q", "-r", folder / "run.log", "-z", "yapp,faults")
-        assert "20 messages were not decoded: can0 0x211 (32 bytes each, the size of Motor Data)" in done.stdout.replace(": 0x211", ": can0 0x211")
+        assert "20 messages were not decoded: can0 0x211 (32 bytes each, the size of Motor Data)" in done.stdout
 
 
 @pytest.mark.parametrize("payload", [overheated, command_payload])

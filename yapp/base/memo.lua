@@ -2,7 +2,7 @@
 -- A table that makes what it lacks.  Pure Lua.
 
 --- Make a table whose value for a key is make(key), called when the key is first asked for.
--- list  gets the values in the order in which they are made; nil if nobody needs it
+-- list  gets the values in the order in which they are made; nil for none
 return function(make, list)
   return setmetatable({}, { __index = function(values, key)
     local value = make(key)

@@ -66,7 +66,7 @@ function M.new(settings, statistic, options)
   }, Deriver)
 end
 
--- Whether a message of a source may have a fault.  Of an unknown message nobody knows.
+-- Whether a message of a source may have a fault: an unknown message may.
 local function may_have_faults(source)
   return not source.message or source.message.alarms[1] ~= nil
 end
