@@ -45,7 +45,7 @@ local frame = require "yapp.wire.frame"
 local history = require "yapp.message.history"
 local joined = require "yapp.base.joined"
 local message_reader = require "yapp.message.reader"
-local packet_menu = require "yapp.host.packet_menu"
+local packet_menu = require "yapp.show.packet_menu"
 local preferences = require "yapp.host.preferences"
 local serial_dissector = require "yapp.serial.dissector"
 local show_fields = require "yapp.show.fields"
@@ -76,7 +76,6 @@ end
 -- Protocols and preferences -----------------------------------------------------------------------
 
 local catalogue, is_whole = load_catalogue()
-local MAX_ID = compiler.MAX_ID
 local yapp = Proto("yapp", "Yet Another Packet Protocol")
 local all = Proto("yapp_all", "YAPP (all extended frames)")
 local serial = Proto("yapp_serial", "YAPP serial stream")
@@ -84,7 +83,7 @@ local skipped = Proto("yapp_skipped", "YAPP, bytes between the frames of a seria
 local taurus = Proto("taurus", "Taurus motor controller")
 local header = Proto("yapp_socketcan", "YAPP reads CAN headers")
 local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
-preferences.define(yapp, catalogue, decode, MAX_ID)
+preferences.define(yapp, catalogue, decode, frame.MAX_ID)
 
 local buses = bus_finder.watch()
 local intake = stat_intake.new(catalogue)
@@ -282,7 +281,7 @@ end
 -- Registration ------------------------------------------------------------------------------------
 
 -- Register the Starts with Seq No 0 of all IDs: so begin unknown messages that are not numbered.
-for id = 0, MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
+for id = 0, frame.MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
 stat:register()
 if register_packet_menu and gui_enabled() then packet_menu.register(yapp.prefs, catalogue) end
 for name, proto in pairs {

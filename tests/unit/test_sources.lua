@@ -143,6 +143,14 @@ function T.test_a_bus_alone_names_every_id()
   lu.assertEquals({ row.bus, row.id or "none", row.name }, { "can0", "none", "left" })
 end
 
+function T.test_an_address_reads_back()
+  for _, bus in ipairs { "can0", "2", "a,b", "a=b", 'the "left"', "left bus", "vcan/0", '"' } do
+    local s, problems = parse(sources.address(bus, 0x210) .. "=motor:x")
+    lu.assertEquals({ problems, s:name(bus, 0x210), s:name("other", 0x210) or "-" }, { {}, "x", "-" })
+  end
+  lu.assertEquals({ sources.address(nil, 0x7FF), sources.address('a,"b"', 1) }, { "0x7ff", '"a,""b"""/0x1' })
+end
+
 function T.test_several_ids_of_which_one_is_known_or_wrong()
   local s, problems = parse("0x210=a, 0x210+0x211=b, 0x212+0x999=c, 0x213+=d, can0=motor:e, can1=f, can1=g")
   lu.assertEquals(problems, {

@@ -6,6 +6,9 @@ local utf8 = require("yapp.base.utf8")
 
 local M = {}
 
+--- The highest message ID that a catalogue or a preference may name.
+M.MAX_ID = 2047
+
 local MAX_PROBLEMS = 20 -- of a list
 local MAX_TEXT = 1000 -- of a text
 local MAX_NAME = 64 -- bytes

@@ -14,7 +14,6 @@ local MAX_TITLE = 200
 
 local M = {}
 
-M.MAX_ID = 2047
 local MAX_SIZE = 65535
 local DERIVED_OPTIONS = input.set("unit")
 local NUMERIC = input.set("uint int scaled float ieee")
@@ -190,7 +189,7 @@ local function check_head(entry)
   demand(input.is_text(entry.title), "the title is missing")
   input.options(entry, "a message", OPTIONS, math.huge)
   demand(#entry.title <= MAX_TITLE, "the title has more than %d bytes", MAX_TITLE)
-  input.within("id", entry.id, 0, M.MAX_ID)
+  input.within("id", entry.id, 0, input.MAX_ID)
   input.within("size", entry.size, 1, MAX_SIZE)
   input.within("min_size", entry.min_size or entry.size, 1, entry.size)
   demand(not every or input.is_finite(every) and every > 0,

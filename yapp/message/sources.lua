@@ -20,7 +20,6 @@ local M = {}
 
 local trim = input.trim
 
-local MAX_ID = 2047
 local MAX_NAME = 64 -- bytes
 local SHAPE = "write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME"
 local EVERY = { "every" } -- ID of a bus
@@ -68,7 +67,7 @@ local function read_ids(text)
   for part in (text .. "+"):gmatch("([^+]*)%+") do
     local digits = trim(part)
     local id = (digits:find("^%d+$") or digits:find("^0[xX]%x+$")) and tonumber(digits)
-    demand(id and id <= MAX_ID, ('no ID "%s"'):format(digits), "IDs are 0 to 0x7FF")
+    demand(id and id <= input.MAX_ID, ('no ID "%s"'):format(digits), "IDs are 0 to 0x7FF")
     ids[#ids + 1] = id
   end
   return ids
@@ -109,6 +108,13 @@ local function add_part(self, part, catalogue)
     end
   end
   demand(not is_known, "a bus and ID once more", "the first part that names them holds")
+end
+
+--- Return what stands before the "=" of a part for an ID: can1/0x210, "a,b"/0x210.
+-- bus  name, or nil; id = message ID
+function M.address(bus, id)
+  if bus and bus:find('[,="%s]') then bus = '"' .. bus:gsub('"', '""') .. '"' end
+  return ("%s0x%x"):format(bus and bus .. "/" or "", id)
 end
 
 --- Read the preference.

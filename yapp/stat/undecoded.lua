@@ -2,12 +2,13 @@
 -- Messages that were not decoded, or only in part: how many, of which sources and sizes, and which
 -- preference decodes them.  Pure Lua, 5.2 to 5.5.
 
+local input = require("yapp.base.input")
 local memo = require("yapp.base.memo")
 local output = require("yapp.stat.output")
+local source_names = require("yapp.message.sources")
 
 local M = {}
 
-local MAX_ID = 2047 -- the highest that a preference takes
 local MAX_NAMED = 30 -- sources, or sizes, in a text
 
 local place = output.place
@@ -58,7 +59,7 @@ local function new_entry(self, source, size, rest)
     size = size,
     likes = likes,
     is_own = is_own,
-    is_decodable = not (rest or is_own) and like and source.id <= MAX_ID,
+    is_decodable = not (rest or is_own) and like and source.id <= input.MAX_ID,
     about = about,
     values = { size = size, count = 0, note = note .. about, like = like and like.name },
   }
@@ -107,10 +108,9 @@ end
 
 -- "can1/0x210=health:left", a part of yapp.sources.
 local function part_of(entry)
-  local source, bus = entry.source, entry.source.bus
-  if bus and bus:find('[,="%s]') then bus = '"' .. bus:gsub('"', '""') .. '"' end
-  local message, name = entry.likes[1].name, source.name or ""
-  return ("%s0x%x=%s:%s"):format(bus and bus .. "/" or "", source.id, message, name)
+  local source = entry.source
+  local address = source_names.address(source.bus, source.id)
+  return ("%s=%s:%s"):format(address, entry.likes[1].name, source.name or "")
 end
 
 -- Return what decodes the entries: by message the IDs that can carry it on all buses, parts of

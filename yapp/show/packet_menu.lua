@@ -1,6 +1,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The submenu YAPP in the menu of a packet, from Wireshark 4.4 on.  Wireshark's API.
 
+local source_names = require("yapp.message.sources")
+
 local M = {}
 
 local FAULTS = "yapp.source in {%s} && (taurus.fault.raised || taurus.fault.cleared)"
@@ -39,9 +41,10 @@ local function set(name, value)
   redissect_packets()
 end
 
--- Return the bus of a packet.
+-- Return the bus of a packet; nil without one.
 local function bus_of(values)
-  return (values["yapp.bus"] or ""):match('"(.-)"')
+  local bus = (values["yapp.bus"] or ""):match('^"(.-[^\\])"')
+  return bus and bus:gsub("\\(.)", "%1")
 end
 
 -- Copy the frames of a message as `candump -l` writes them.
@@ -68,7 +71,7 @@ end
 -- Ask for a name, in the text of the whole preference: what it says can be changed.
 local function ask_name(values, sources)
   local bus, id = bus_of(values), values["yapp.id"]:match("%d+")
-  local part = ("%s0x%x="):format(bus and bus .. "/" or "", id)
+  local part = source_names.address(bus, id) .. "="
   if not sources:find(part, 1, true) then
     sources = sources .. (sources == "" and "" or ", ") .. part
   end
