@@ -109,7 +109,9 @@ local function register_id(id)
   end
 end
 
-local frames = can_dissector.new(tree, reader, buses, register_id)
+local stat -- of stat.taps
+local function note_unclaimed(tvb, pinfo) stat:note_unclaimed(tvb, pinfo) end
+local frames = can_dissector.new(tree, reader, buses, register_id, note_unclaimed)
 local streams = serial_dissector.new(tree, reader, buses, tcp_header)
 
 -- drops: packets that the file says were dropped, and TCP segments that it lacks.  unfinished:
@@ -144,14 +146,13 @@ local accepts_all, is_heuristic = false, false -- accepts_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
   if accepts_all then return all.dissector(tvb, pinfo, root) > 0 end
-  if intake.wanted then frames:report_unknown(tvb, pinfo, find_id) end
+  note_unclaimed(tvb, pinfo)
   return false
 end
 
 local function watch_unclaimed()
   if is_heuristic then return end
   is_heuristic = true
-  socketcan.wrap(header)
   all:register_heuristic("can", unclaimed)
 end
 
@@ -208,15 +209,15 @@ local function controller_time(bytes)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 
-local stat = stat_taps.new {
+stat = stat_taps.new {
   settings = settings,
   intake = intake,
   tree = tree,
   buses = buses,
   unfinished = unfinished,
   drops = drops,
+  frames = frames,
   watch = watch_unclaimed,
-  has_header = socketcan.has_header,
 }
 
 -- Preferences and files ---------------------------------------------------------------------------
@@ -250,7 +251,10 @@ local function read_preferences()
   preferences.complain_once(wrong)
   reader:use(by_id, sources, prefs.hide_source, register_id)
   accepts_all = prefs.all_extended
-  if accepts_all then watch_unclaimed() end
+  if accepts_all then
+    socketcan.wrap(header)
+    watch_unclaimed()
+  end
   settings.late, settings.ids = late, chosen
   settings.sources, settings.sources_text = sources, prefs.sources
   settings.problems = list_problems(wrong)

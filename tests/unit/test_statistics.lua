@@ -94,7 +94,7 @@ local function run(arguments, records, with)
   end
   queue:begins(with.epoch or 1700000000, 5, 0)
   for _, one in ipairs(records) do
-    queue:offer(one, false)
+    if one.kind == "undissected" then queue:add_undissected(one) else queue:offer(one, false) end
     if with.matches and with.matches[one.frame] then rawset(matched, one.frame, true) end
     queue:packet(one.frame, one.time)
   end

@@ -31,12 +31,14 @@ Dissector.__index = Dissector
 -- reader       a message.reader: what a finished message means
 -- buses        a host.buses
 -- register_id  function(id), which makes Wireshark call YAPP for frames of this message ID
-function M.new(tree, reader, buses, register_id)
+-- refuse       function(tvb, pinfo), called for a frame that is not YAPP's
+function M.new(tree, reader, buses, register_id, refuse)
   return setmetatable({
     tree = tree,
     reader = reader,
     buses = buses,
     register_id = register_id,
+    refuse = refuse,
     stat = reader.stat,
   }, Dissector)
 end
@@ -296,19 +298,6 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   return frame
 end
 
--- Report to the statistics a single frame that has the ID of a message, and its values in front of
--- more bytes.
--- returns  0, as it is not dissected
-local function refuse(self, frame)
-  local fields, message, data = frame.can_id, frame.source.message, frame.data
-  local is_single = fields.ctrl == 0 and fields.ctl == 0
-  if self.stat.wanted and is_single and message and #data > message.size and
-    decode.is_plausible(message, sub(data, 1, message.size)) then
-    self.stat:unknown(new_message(frame, nil, nil, frame.reported))
-  end
-  return 0
-end
-
 --- Dissect one frame.
 -- id           29-bit CAN id
 -- accepts_all  whether the user says that every extended frame is YAPP
@@ -325,7 +314,10 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   end
   if may_be_remote and socketcan.is_remote(pinfo) then return 0 end
   if not frame.visited then kind, message, anomalies = known:take(frame) end
-  if not kind then return refuse(self, frame) end
+  if not kind then
+    self.refuse(tvb, pinfo)
+    return 0
+  end
   if frame.can_id.ctrl == START then self.register_id(frame.source.id) end
   frame.message, frame.anomalies, frame.index = message or false, anomalies, index or false
   show(self, frame, kind)
@@ -357,20 +349,35 @@ local function possible_sizes(self, data)
   return sizes
 end
 
---- Report a frame that no dissector takes to the statistics, if it may be a Start or a single frame
--- of an unknown ID, or one with a YAPP CTL other than 0.
--- find_id  function(pinfo) -> 29-bit CAN id, or nil
-function Dissector:report_unknown(tvb, pinfo, find_id)
-  local length = length_of(tvb)
-  local sizes = possible_sizes(self, length > 0 and raw_of(tvb) or "")
-  local id = next(sizes) and find_id(pinfo)
-  local fields = id and fields_of[id]
-  local size = fields and sizes[fields.ctrl]
-  if not size then return end
-  local frame = new_frame(self, tvb, length, pinfo, nil, id, false)
-  -- With another YAPP CTL than 0, it is YAPP's only if ID and size are of one message.
-  if fields.ctl ~= 0 and size ~= frame.source.size then return end
-  self.stat:unknown(new_message(frame, nil, nil, size))
+-- Return the payload size that a frame has as a message that is not dissected; nil for none.
+local function unknown_size(self, fields, source, data)
+  local message, size = source.message, possible_sizes(self, data)[fields.ctrl]
+  if fields.ctl ~= 0 then return size == source.size and size or nil end
+  local is_longer = fields.ctrl == 0 and message and #data > message.size
+  if is_longer and decode.is_plausible(message, sub(data, 1, message.size)) then return #data end
+  return size
+end
+
+--- Report to the statistics a frame that is not dissected, if it may be a message or begin one: of
+-- an unknown ID; of a known one with a YAPP CTL other than 0, or with bytes behind its values.
+-- tvb             of its packet, in a tap
+-- offset, length  of the frame's captured data
+-- returns         whether it is an extended data frame
+function Dissector:report_unclaimed(tvb, pinfo, offset, length)
+  local id = socketcan.id_before(tvb, offset, length)
+  if not id or length == 0 then return id ~= nil end
+  local fields, number = fields_of[id], pinfo.number
+  local source = self.sources[self.asks and self.buses:of(pinfo, number) or false][fields.id]
+  local size = unknown_size(self, fields, source, tvb:raw(offset, length))
+  if not size then return true end
+  self.stat:unknown {
+    source = source,
+    seq = fields.seq,
+    key = number * frame_key.PACKET + offset,
+    time = pinfo.rel_ts,
+    size = size,
+  }
+  return true
 end
 
 --- Return the messages that the capture ends before.

@@ -41,11 +41,6 @@ local NAMES = { ["can.id"] = true, ["can.flags.xtd"] = true, ["can.flags.rtr"] =
 
 local function is_true(value) return value == true or value == 1 end
 
---- Whether the header of the current frame was read.
-function M.has_header(pinfo)
-  return header.number == pinfo.number
-end
-
 --- Return the id of the current frame, which came by Decode As or by the heuristics.
 -- returns  29-bit id; nil for what is no extended data frame; nil and true if nothing says it
 function M.find_id(pinfo)
@@ -84,6 +79,17 @@ local function header_id(tvb, is_little)
   local word = is_little and tvb(0, 4):le_uint() or tvb(0, 4):uint()
   -- 3 bits above the id: extended, remote, error
   if word >= EXTENDED and word < EXTENDED + MASK then return word % MASK end
+end
+
+--- Return the id that the header in front of a frame's data has.
+-- tvb             of the whole packet
+-- offset, length  of the captured data
+-- returns         29-bit id; nil for what is no extended data frame with such a header
+function M.id_before(tvb, offset, length)
+  if offset < HEADER or tvb(offset - 4, 1):uint() < length then return nil end
+  -- SocketCAN's own encapsulation has nothing in front of the header.
+  local is_little = offset > HEADER or get_preference("can.byte_swap")
+  return header_id(tvb(offset - HEADER):tvb(), is_little)
 end
 
 -- How many calls for truncated frames did not return: at bytes that are not there a C dissector

@@ -209,9 +209,7 @@ function Intake:unknown(m)
     is_message = is_message or m.size == message.size
   end
   state.unknown_seq = m.seq
-  if is_message then
-    self.queue:offer(new_event("undissected", m, { size = m.size }), m.visited)
-  end
+  if is_message then self.queue:add_undissected(new_event("undissected", m, { size = m.size })) end
 end
 
 --- Return the events of the messages that the capture ends before, in the order of their frames.

@@ -39,7 +39,7 @@ function Queue:reset()
   self:begins(0, 0, 0) -- until a time is known, if ever
   self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see hand_on_losses
   self.seen = {} -- [value that all losses of one message share] = true once one was handed on
-  self.undissected = {} -- events of such messages: they count if others are dissected
+  self.undissected = {} -- events, see Queue:add_undissected: they count if messages are dissected
   self.has_messages = false
   self.is_direct = false
 end
@@ -85,8 +85,6 @@ local function take(self, event)
   if event.values.loss then
     self.losses[#self.losses + 1] = event
     if #self.losses > self.max_losses then hand_on_losses(self) end
-  elseif event.kind == "undissected" then
-    self.undissected[#self.undissected + 1] = event
   else
     hand_on(self, event)
   end
@@ -112,6 +110,11 @@ function Queue:offer(event, visited)
     self.number, self.visited, self.offered = event.frame, visited, {}
   end
   self.offered[#self.offered + 1] = event
+end
+
+--- Take the event of a frame that may be a message which is not dissected, at any time.
+function Queue:add_undissected(event)
+  self.undissected[#self.undissected + 1] = event
 end
 
 --- Say when the first packet was captured.

@@ -9,8 +9,6 @@ local queue = require("yapp.stat.queue")
 
 local M = {}
 
-local EXTENDED = "can.id && can.flags.xtd == 1 && !(can.flags.rtr == 1)" -- data frames
-local MAX_TREES = 1000 -- frames
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
 
 local Stat = {}
@@ -23,12 +21,12 @@ Stat.__index = Stat
 --              message name the list of those that a preference gives it, problems = list of texts:
 --              what the user asked for and did not get }, whose values change with the
 --              preferences
---   intake     a stat.intake, tree = a show.tree, buses = a host.buses
+--   intake     a stat.intake, tree = a show.tree, buses = a host.buses, frames = a can.dissector
 --   drops      function() -> what the capture does not have, see host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
 --              key }
---   has_header function(pinfo) -> whether the id of a CAN frame is known without a tree
---   watch      function(), called when statistics begin: from then on Intake:unknown is called }
+--   watch      function(), called when statistics begin: from then on Stat:note_unclaimed
+--              is called }
 function M.new(parts)
   return setmetatable(parts, Stat)
 end
@@ -82,16 +80,22 @@ local function tap_clock(self)
   return clock
 end
 
--- The tap that counts extended frames.  Its trees tell the CAN ids of the first frames that no
--- dissector takes.  In tshark, after MAX_TREES frames, it is removed with YAPP's next message, if
--- headers tell the ids: those of candump logs that Wireshark itself reads do not.
-local function tap_extended(self)
-  local tap = listen(self, EXTENDED)
-  function tap.packet(pinfo)
-    self.extended = self.extended + 1
-    local is_last = self.extended == MAX_TREES and IS_TSHARK and self.has_header(pinfo)
-    if is_last then self.intake:remove_later(tap) end
+-- The tap that reads the CAN headers of the frames that are not dissected.
+local function tap_unclaimed(self)
+  local tap = listen(self)
+  function tap.packet(pinfo, tvb)
+    if self.number ~= pinfo.number then return end
+    local is_extended = self.frames:report_unclaimed(tvb, pinfo, self.offset, self.length)
+    if is_extended then self.extended = self.extended + 1 end
   end
+  return tap
+end
+
+--- Note a CAN frame that is not dissected.  Dissectors see only its data, a tap all of its packet.
+function Stat:note_unclaimed(tvb, pinfo)
+  if not self.intake.wanted then return end
+  self.number, self.offset, self.length = pinfo.number, tvb:offset(), tvb:len()
+  self.unclaimed = self.unclaimed or tap_unclaimed(self)
 end
 
 -- The tap that sees every packet.  In tshark it removes the tap of the clock, which builds trees,
@@ -118,10 +122,9 @@ end
 
 local function open(self)
   self.queue, self.taps = queue.new(self.settings, hint()), {}
-  self.is_exact, self.extended = false, 0
+  self.is_exact, self.extended, self.unclaimed = false, 0, nil
   self.intake:open(self.queue)
   self.watch()
-  tap_extended(self)
   tap_packets(self)
 end
 
