@@ -53,7 +53,7 @@ local socketcan = require "yapp.host.socketcan"
 local source_names = require "yapp.message.sources"
 local stat_intake = require "yapp.stat.intake"
 local stat_taps = require "yapp.stat.taps"
-local tree_builder = require "yapp.show.tree"
+local show_tree = require "yapp.show.tree"
 
 -- The user's own messages follow the plugin's.  They come from yapp_messages.lua in Wireshark's
 -- personal configuration folder, and from the files that a preference and the environment name.
@@ -88,7 +88,7 @@ preferences.define(yapp, catalogue, decode, frame.MAX_ID)
 local buses = bus_finder.watch()
 local intake = stat_intake.new(catalogue)
 local reader = message_reader.new(catalogue, intake)
-local tree = tree_builder.new {
+local builder = show_tree.new {
   yapp = yapp,
   taurus = taurus,
   catalogue = catalogue,
@@ -111,8 +111,8 @@ end
 
 local stat -- of stat.taps
 local function note_unclaimed(tvb, pinfo) stat:note_unclaimed(tvb, pinfo) end
-local frames = can_dissector.new(tree, reader, buses, register_id, note_unclaimed)
-local streams = serial_dissector.new(tree, reader, buses, tcp_header)
+local frames = can_dissector.new(builder, reader, buses, register_id, note_unclaimed)
+local streams = serial_dissector.new(builder, reader, buses, tcp_header)
 
 -- drops: packets that the file says were dropped, and TCP segments that it lacks.  unfinished:
 -- messages that the capture ends before.
@@ -212,7 +212,7 @@ end
 stat = stat_taps.new {
   settings = settings,
   intake = intake,
-  tree = tree,
+  builder = builder,
   buses = buses,
   unfinished = unfinished,
   drops = drops,
@@ -239,7 +239,7 @@ end
 
 local function read_preferences()
   local prefs, chosen = yapp.prefs, {}
-  decode.use_divisor(prefs.divisor)
+  decode.use_below_top(prefs.divisor)
   for _, message in ipairs(catalogue.messages) do
     chosen[message.name] = preferences.range(prefs[message.name .. "_ids"])
   end
@@ -276,7 +276,7 @@ function yapp.init()
   end
   reader:reset(buses:are_several())
   intake:reset()
-  tree:reset()
+  builder:reset()
   frames:reset(new_history())
   streams:reset(new_history)
   search_streams()

@@ -304,7 +304,7 @@ end
 
 -- With -2 -R a packet that the filter drops has the number of the next one: its frame is forgotten.
 local function drop(known, number)
-  known.reassembly:drop(number * 2 ^ 17 + 8)
+  known.reassembly:forget(number * 2 ^ 17 + 8)
 end
 
 -- Frames 1, 2 and 5 come, and are called 1, 2 and 3 in the end; 3 and 4, a Middle and another message,

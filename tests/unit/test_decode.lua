@@ -12,7 +12,7 @@ local function field(kind, min, max)
   local compiled, problems = catalogue.compile {
     { name = "m", title = "M", id = 1, size = kind == "float16" and 2 or 1, { "f", kind, "F", min = min, max = max } } }
   lu.assertEquals(problems, {})
-  decode.use_divisor(decode.MAPPING)
+  decode.use_below_top(decode.MAPPING)
   return compiled.messages[1].fields[1]
 end
 
@@ -81,12 +81,12 @@ end
 
 function T.test_the_divisor_of_the_worked_examples()
   local f = field("float16", -200, 200)
-  decode.use_divisor(decode.WORKED_EXAMPLES)
+  decode.use_below_top(decode.WORKED_EXAMPLES)
   lu.assertAlmostEquals(decode.value(f, 32847), 0.4975, 0.0005)
   f = field("float16", -100000, 100000)
-  decode.use_divisor(decode.WORKED_EXAMPLES)
+  decode.use_below_top(decode.WORKED_EXAMPLES)
   lu.assertAlmostEquals(decode.value(f, 33011), 749.26, 0.005)
-  decode.use_divisor(decode.MAPPING)
+  decode.use_below_top(decode.MAPPING)
 end
 
 function T.test_rounding()

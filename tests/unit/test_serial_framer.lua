@@ -17,22 +17,22 @@ local LARGEST, PATIENCE = 65551, 4096
 local function size_of(id) return generator.known[id] end
 local function new() return framer.new(size_of) end
 
--- An event in words: "good 0-20", "incomplete 4-16 +9".
-local function words(event)
-  local missing = event.missing and " +" .. event.missing or ""
-  return event.status .. " " .. event.from .. "-" .. event.to .. missing
+-- An finding in words: "good 0-20", "incomplete 4-16 +9".
+local function words(finding)
+  local missing = finding.missing and " +" .. finding.missing or ""
+  return finding.status .. " " .. finding.from .. "-" .. finding.to .. missing
 end
 
-local function in_words(events)
+local function in_words(findings)
   local list = {}
-  for i, event in ipairs(events) do list[i] = words(event) end
+  for i, finding in ipairs(findings) do list[i] = words(finding) end
   return table.concat(list, ", ")
 end
 
 local function feeds(s, bytes, expected) lu.assertEquals(in_words(s:add(bytes)), expected) end
 local function finishes(s, expected) lu.assertEquals(in_words(s:add("", true)), expected) end
 
--- The last byte of the bytes brings the expected events, no byte before it any.
+-- The last byte of the bytes brings the expected findings, no byte before it any.
 local function brings_at_last(bytes, expected)
   local s = new()
   for at = 1, #bytes - 1 do lu.assertEquals(in_words(s:add(bytes:sub(at, at))), "", "byte " .. at) end
@@ -46,8 +46,8 @@ function T.test_document_example()
   local hex = "5950000010020000200000 00FD7FFD7FFD7FFD7FF5AFFD7F1801000001400000000" ..
     "0E38CD23CE04E000005FFBBBE6FC7"
   local bytes = hex:gsub("%s", ""):gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)
-  local events = new():add(bytes)
-  lu.assertEquals(events, { { status = "good", from = 0, to = 48, bytes = bytes } })
+  local findings = new():add(bytes)
+  lu.assertEquals(findings, { { status = "good", from = 0, to = 48, bytes = bytes } })
 end
 
 function T.test_nothing()
@@ -251,17 +251,17 @@ function T.test_one_frame_alone()
     { sealed("XP\1\0\5\0\0\0\1\0\0\0x"), "skipped 0-17" },
   }
   local function told(s, ...)
-    local events = {}
+    local findings = {}
     for _, bytes in ipairs { ... } do
-      for _, event in ipairs(s:add(bytes)) do events[#events + 1] = event end
+      for _, finding in ipairs(s:add(bytes)) do findings[#findings + 1] = finding end
     end
-    for _, event in ipairs(s:add("", true)) do events[#events + 1] = event end
-    for at = #events - 1, 1, -1 do -- skipped bytes that came in two pieces
-      if events[at].status == "skipped" and events[at + 1].status == "skipped" then
-        events[at].to = table.remove(events, at + 1).to
+    for _, finding in ipairs(s:add("", true)) do findings[#findings + 1] = finding end
+    for at = #findings - 1, 1, -1 do -- skipped bytes that came in two pieces
+      if findings[at].status == "skipped" and findings[at + 1].status == "skipped" then
+        findings[at].to = table.remove(findings, at + 1).to
       end
     end
-    return in_words(events)
+    return in_words(findings)
   end
   for at, row in ipairs(rows) do
     local bytes = row[1]
@@ -283,8 +283,8 @@ function T.test_frames_alone_and_others_in_turns()
   feeds(s, GOOD .. "Y", "good 115-135")
   finishes(s, "skipped 135-136")
   feeds(s, GOOD, "good 136-156")
-  local event = s:add(GOOD)[1]
-  lu.assertEquals({ event.bytes, s.from, s:open_frame() }, { GOOD, 176 })
+  local finding = s:add(GOOD)[1]
+  lu.assertEquals({ finding.bytes, s.from, s:open_frame() }, { GOOD, 176 })
 end
 
 function T.test_largest_frame_byte_by_byte()
@@ -368,44 +368,45 @@ local function next_known(candidates, from, limit)
   return limit
 end
 
--- What lies between two offsets where no good frame is, as events.  Behind `limit` is a good frame ("good"), nothing
+-- What lies between two offsets where no good frame is, as findings.  Behind `limit` is a good frame ("good"), nothing
 -- ("end"), or what is open: then also how far it is decided.
 local function damaged(candidates, at, limit, how)
-  local events = {}
+  local findings = {}
   for _, c in ipairs(candidates) do
     if c.is_plausible and c.from >= at and c.from < limit then
       local stop = next_known(candidates, c.from + 1, limit)
       local missing = c.to > stop and c.to - stop or nil
-      if missing and stop == limit and how == "open" then return events, c.from end
+      if missing and stop == limit and how == "open" then return findings, c.from end
       if not missing or c.is_known or stop == limit and how == "end" then
         at = missing and stop or c.to
-        events[#events + 1] = { status = missing and "incomplete" or "bad", missing = missing, from = c.from, to = at }
+        local status = missing and "incomplete" or "bad"
+        findings[#findings + 1] = { status = status, missing = missing, from = c.from, to = at }
       end
     end
   end
-  return events, limit
+  return findings, limit
 end
 
--- All events of a stream that is over, in words.
+-- All findings of a stream that is over, in words.
 local function expected_events(bytes)
   local candidates = all_candidates(bytes)
   local good, chosen, at = proven(bytes, candidates, true), {}, 0
   good[#good + 1] = { from = #bytes, to = #bytes }
   for i, c in ipairs(good) do
-    for _, event in ipairs((damaged(candidates, at, c.from, i < #good and "good" or "end"))) do
-      chosen[#chosen + 1] = event
+    for _, finding in ipairs((damaged(candidates, at, c.from, i < #good and "good" or "end"))) do
+      chosen[#chosen + 1] = finding
     end
     if i < #good then chosen[#chosen + 1] = { status = "good", from = c.from, to = c.to } end
     at = c.to
   end
-  local events
-  events, at = {}, 0
-  for _, event in ipairs(chosen) do
-    if event.from > at then events[#events + 1] = { status = "skipped", from = at, to = event.from } end
-    events[#events + 1], at = event, event.to
+  local findings
+  findings, at = {}, 0
+  for _, finding in ipairs(chosen) do
+    if finding.from > at then findings[#findings + 1] = { status = "skipped", from = at, to = finding.from } end
+    findings[#findings + 1], at = finding, finding.to
   end
-  if at < #bytes then events[#events + 1] = { status = "skipped", from = at, to = #bytes } end
-  return in_words(events)
+  if at < #bytes then findings[#findings + 1] = { status = "skipped", from = at, to = #bytes } end
+  return in_words(findings)
 end
 
 -- How far a stream that goes on has been given out.
@@ -424,22 +425,22 @@ local function expected_offset(bytes)
   return offset
 end
 
--- Feeds the pieces; checks that the events hold every byte once, in order.
+-- Feeds the pieces; checks that the findings hold every byte once, in order.
 -- Skipped ranges that only the cuts part are joined.
 local function run(pieces)
   local s, at, joined = new(), 0, {}
   local bytes = table.concat(pieces)
-  local function take(events)
-    for i, event in ipairs(events) do
-      lu.assertEquals(event.from, at)
-      lu.assertEquals(event.bytes, bytes:sub(event.from + 1, event.to))
-      at = event.to
+  local function take(findings)
+    for i, finding in ipairs(findings) do
+      lu.assertEquals(finding.from, at)
+      lu.assertEquals(finding.bytes, bytes:sub(finding.from + 1, finding.to))
+      at = finding.to
       local previous = joined[#joined]
-      if previous and previous.status == "skipped" and event.status == "skipped" then
+      if previous and previous.status == "skipped" and finding.status == "skipped" then
         lu.assertEquals(i, 1, "skipped ranges of one call are one")
-        previous.to = event.to
+        previous.to = finding.to
       else
-        joined[#joined + 1] = event
+        joined[#joined + 1] = finding
       end
     end
     lu.assertEquals(s.from, at)
@@ -640,8 +641,8 @@ function T.test_frames_in_a_flood_of_large_candidates()
   for _, patience in ipairs { PATIENCE, LARGEST } do
     local s, good = framer.new(size_of, patience), 0
     for at = 1, #bytes, 65536 do
-      for _, event in ipairs(s:add(bytes:sub(at, at + 65535))) do
-        if event.status == "good" then good = good + 1 end
+      for _, finding in ipairs(s:add(bytes:sub(at, at + 65535))) do
+        if finding.status == "good" then good = good + 1 end
       end
     end
     lu.assertEquals(good, 1200)

@@ -19,13 +19,14 @@ local function new() return streams.new(new_framer) end
 local function in_words(contents, bytes)
   if not contents then return "nothing" end
   local list = {}
-  for i, event in ipairs(contents.events) do
-    local text = event.bytes or bytes:sub(event.at + 1, event.at + event.to - event.from)
-    lu.assertEquals(#text, event.to - event.from)
-    local what = event.status == "skipped" and #text or text:byte(5)
-    local where = event.parts and "in " .. table.concat(event.parts, ",") or event.at and "@" .. event.at or "before"
-    local missing = event.missing and " -" .. event.missing or ""
-    list[i] = ("%s %s %s%s"):format(event.status, what, where, missing)
+  for i, finding in ipairs(contents.findings) do
+    local text = finding.bytes or bytes:sub(finding.at + 1, finding.at + finding.to - finding.from)
+    lu.assertEquals(#text, finding.to - finding.from)
+    local what = finding.status == "skipped" and #text or text:byte(5)
+    local parts, at = finding.parts, finding.at
+    local where = parts and "in " .. table.concat(parts, ",") or at and "@" .. at or "before"
+    local missing = finding.missing and " -" .. finding.missing or ""
+    list[i] = ("%s %s %s%s"):format(finding.status, what, where, missing)
   end
   if contents.pending > 0 then
     list[#list + 1] = ("%d %s%s%s"):format(contents.pending, contents.is_held and "held" or "wait",
@@ -118,8 +119,8 @@ end
 
 function T.test_what_the_capture_cut()
   holds { { 1, A:sub(1, 20), "truncated 5 @0 -5", truncated = true }, { 2, A, "good 5 @0" } }
-  local event = new():take(packet_of { 1, "ok" .. A:sub(1, 20), truncated = true }, true).events[2]
-  lu.assertEquals(event.status, "truncated")
+  local finding = new():take(packet_of { 1, "ok" .. A:sub(1, 20), truncated = true }, true).findings[2]
+  lu.assertEquals(finding.status, "truncated")
 end
 
 -- "a 5 of 3": stream, ID and last packet of each frame that the capture ends before.
@@ -177,7 +178,7 @@ function T.test_bytes_by_themselves()
   take(self, { { 1, A:sub(1, 9), "9 wait" } })
   local bytes = "x" .. B .. A:sub(1, 20)
   for _ = 1, 2 do
-    lu.assertEquals(in_words({ events = self:read(bytes), pending = 0 }, bytes),
+    lu.assertEquals(in_words({ findings = self:read(bytes), pending = 0 }, bytes),
       "skipped 1 @0, good 6 @1, incomplete 5 @18 -5")
   end
   take(self, { { 2, A:sub(10), "good 5 in 1,2" } })
@@ -341,18 +342,18 @@ function T.test_random_segments()
     for i, one in ipairs(order) do
       local from, to = one[1][1], one[1][2]
       local packet = packet_of { i, bytes:sub(from + 1, to), seq = (first_seq + from) % 0x100000000 }
-      for _, event in ipairs(self:take(packet, true).events) do shown[#shown + 1] = event end
+      for _, finding in ipairs(self:take(packet, true).findings) do shown[#shown + 1] = finding end
     end
     local whole = new_framer()
     local wanted = whole:add(bytes)
-    local function skips_joined(events)
+    local function skips_joined(findings)
       local list = {}
-      for _, event in ipairs(events) do
+      for _, finding in ipairs(findings) do
         local last = list[#list]
-        if last and last[1] == "skipped" and event.status == "skipped" then
-          last[3] = event.to
+        if last and last[1] == "skipped" and finding.status == "skipped" then
+          last[3] = finding.to
         else
-          list[#list + 1] = { event.status, event.from, event.to }
+          list[#list + 1] = { finding.status, finding.from, finding.to }
         end
       end
       return list
@@ -417,7 +418,7 @@ local function odd_packets(random)
   return rows
 end
 
--- What each packet holds, read plainly from what the framing says of its stream: its events in words, and where the
+-- What each packet holds, read plainly from what the framing says of its stream: its findings in words, and where the
 -- bytes that wait at its end lead.
 local function expected_of(rows)
   local finder, at, said, ranges = new_framer(), 0, {}, {}
@@ -425,19 +426,19 @@ local function expected_of(rows)
     local from, list = at, {}
     at = at + #row[2]
     ranges[i] = { from = from, to = at }
-    for n, event in ipairs(finder:add(row[2])) do
-      local parts, is_frame = {}, event.status ~= "skipped"
+    for n, finding in ipairs(finder:add(row[2])) do
+      local parts, is_frame = {}, finding.status ~= "skipped"
       for k, range in ipairs(ranges) do
-        if range.from < event.to and range.to > event.from then
+        if range.from < finding.to and range.to > finding.from then
           parts[#parts + 1] = k
-          if is_frame and k < i and event.from < from then said[k].leads_to = i end
+          if is_frame and k < i and finding.from < from then said[k].leads_to = i end
         end
       end
-      local where = event.from >= from and "@" .. event.from - from or
+      local where = finding.from >= from and "@" .. finding.from - from or
         is_frame and "in " .. table.concat(parts, ",") or "before"
-      list[n] = ("%s %d %s"):format(event.status, is_frame and 5 or event.to - event.from, where)
+      list[n] = ("%s %d %s"):format(finding.status, is_frame and 5 or finding.to - finding.from, where)
     end
-    said[i] = { events = table.concat(list, ", "), pending = at - math.max(finder.from, from) }
+    said[i] = { findings = table.concat(list, ", "), pending = at - math.max(finder.from, from) }
   end
   return said
 end
@@ -448,9 +449,9 @@ function T.test_random_packets_in_any_order()
     local rows, self = odd_packets(random), new()
     local said = expected_of(rows)
     local function holds_what_it_should(i, contents, leads_to)
-      local events = in_words({ events = contents.events, pending = 0 }, rows[i][2])
-      local found = { events, contents.pending, contents.leads_to }
-      lu.assertEquals(found, { said[i].events, said[i].pending, leads_to }, "seed " .. seed .. " " .. i)
+      local findings = in_words({ findings = contents.findings, pending = 0 }, rows[i][2])
+      local found = { findings, contents.pending, contents.leads_to }
+      lu.assertEquals(found, { said[i].findings, said[i].pending, leads_to }, "seed " .. seed .. " " .. i)
     end
     for i, row in ipairs(rows) do holds_what_it_should(i, self:take(packet_of(row), true)) end
     for _ = 1, 500 do

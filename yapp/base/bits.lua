@@ -16,7 +16,7 @@ local native = load([[
 M.library = not native and (rawget(_G, "bit") or require("bit32")) or nil
 
 --- A faster band for loops, whose result may be negative: compare it with 0 only.
-M.common = native and native() or M.library.band
+M.fast_band = native and native() or M.library.band
 
 --- band(a, b): the bits set in both.  bor(a, b): in at least one.  bxor(a, b): in exactly one.
 -- a, b     integers, 0 .. 0xFFFFFFFF

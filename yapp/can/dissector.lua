@@ -27,14 +27,14 @@ local Dissector = {}
 Dissector.__index = Dissector
 
 --- Make the CAN side of the plugin.
--- tree         a tree builder (show.tree)
+-- builder      a show.tree
 -- reader       a message.reader: what a finished message means
 -- buses        a host.buses
 -- register_id  function(id), which makes Wireshark call YAPP for frames of this message ID
 -- refuse       function(tvb, pinfo), called for a frame that is not YAPP's
-function M.new(tree, reader, buses, register_id, refuse)
+function M.new(builder, reader, buses, register_id, refuse)
   return setmetatable({
-    tree = tree,
+    builder = builder,
     reader = reader,
     buses = buses,
     register_id = register_id,
@@ -85,10 +85,10 @@ local function show_anomalies(self, frame)
   local item, anomalies = frame.item, frame.anomalies
   if #frame.data < frame.reported then
     local text = "The capture has %d of the frame's %d bytes"
-    self.tree:expert(item, "truncated", text:format(#frame.data, frame.reported))
+    self.builder:expert(item, "truncated", text:format(#frame.data, frame.reported))
   end
   if not anomalies then return end
-  for _, one in ipairs(anomalies) do self.tree:expert(item, one.expert, one.text) end
+  for _, one in ipairs(anomalies) do self.builder:expert(item, one.expert, one.text) end
   if self.stat.wanted then
     self.stat:anomalies(new_message(frame), anomalies, frame.can_id.ctrl == can_id.END)
   end
@@ -98,7 +98,7 @@ end
 
 -- Add YAPP's own item, with the fields of the CAN id as generated items.
 local function add_item(self, frame)
-  local builder, fields, source = self.tree, frame.can_id, frame.source
+  local builder, fields, source = self.builder, frame.can_id, frame.source
   local kind = CTRL_NAMES[fields.ctrl] or "undefined frame"
   frame.range = frame.tvb()
   local item = add(frame.tree, builder.yapp, frame.range)
@@ -113,7 +113,7 @@ end
 
 -- Add what the bytes of a fragment are.  A truncated Start has only the fields that were captured.
 local function add_fragment(self, frame)
-  local fields, length, item = self.tree.fields, #frame.data, frame.item
+  local fields, length, item = self.builder.fields, #frame.data, frame.item
   if frame.can_id.ctrl ~= START then
     if length > 0 then add(item, fields["fragment.data"], frame.range) end
     return
@@ -126,7 +126,7 @@ end
 
 -- Add what a message's last or only frame completes: size, CRC, fragments and padding.
 local function add_message(self, frame)
-  local builder, message, data, item = self.tree, frame.message, frame.data, frame.item
+  local builder, message, data, item = self.builder, frame.message, frame.data, frame.item
   if #message > 1 then
     local payload = frame.payload_tvb and frame.payload_tvb()
     builder:generated(item, "reassembled.in", frame_key.number(frame.key))
@@ -151,7 +151,7 @@ end
 
 -- Show the frame that has a whole message, or its last fragment, and the message.
 local function show_last(self, frame)
-  local builder, message, wants, item = self.tree, frame.message, frame.wants, frame.item
+  local builder, message, wants, item = self.builder, frame.message, frame.wants, frame.item
   local status = message.status
   local m = new_message(frame, status, message.payload, message.size)
   local tvb = wants.tree and payload_tvb_of(frame)
@@ -199,7 +199,7 @@ local function fragment_text(frame)
 end
 
 local function show_fragment(self, frame)
-  local builder, message, item, in_number = self.tree, frame.message, frame.item, nil
+  local builder, message, item, in_number = self.builder, frame.message, frame.item, nil
   local last, wants = message[#message], frame.wants
   if frame.visited then
     if message.payload then
@@ -236,10 +236,10 @@ local SHOW = { -- by kind, see can.reassembly
 
 -- Shows a frame of ours.
 local function show(self, frame, kind)
-  local builder, pinfo, tree = self.tree, frame.pinfo, frame.tree
+  local builder, pinfo, tree = self.builder, frame.pinfo, frame.tree
   local wants = not frame.visited and builder.wanted or builder:wants(tree, pinfo, frame.visited)
   frame.wants, frame.item = wants, tree
-  frame.is_only_pass = wants.is_only_pass -- for the next frames: this one was taken already
+  frame.is_only_pass = wants.is_only_pass -- the record serves the next frames, too
   if wants.yapp then
     frame.item = add_item(self, frame)
   elseif wants.names then
@@ -281,7 +281,7 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   else
     visited = pinfo.visited
     -- Else a read filter (-R) dropped the packet before, and this one has its number.
-    if not visited then self.reassembly:drop(key) end
+    if not visited then self.reassembly:forget(key) end
   end
   frame.key = key
   frame.visited = visited
@@ -327,7 +327,7 @@ end
 --- Show as bytes a frame that the user calls YAPP, but whose CAN id is not known.  That is the
 -- first frame of Decode As, on a pass that builds no tree.
 function Dissector:without_id(tvb, pinfo, tree)
-  local builder, item = self.tree, tree
+  local builder, item = self.builder, tree
   if builder:wants(tree, pinfo, true).yapp then
     item = add(tree, builder.yapp, tvb())
     if tvb:len() > 0 then add(item, builder.fields.payload, tvb()) end

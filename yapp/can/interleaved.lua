@@ -48,9 +48,9 @@ local function open_message(self, message, is_retry)
   message.chunks = nil
   table.insert(self.open, {
     message = message,
-    start = self.starts, -- number of Starts that superseded others before its own came
-    anomaly = nil, -- to be withdrawn if it turns out good
-    is_retry = is_retry, -- whether it was shown as broken already
+    start = self.starts, -- of the pool when it was opened
+    anomaly = nil, -- what said that it is superseded: withdrawn if it turns out good
+    is_retry = is_retry, -- whether its last fragment was shown as that of a broken message
   })
 end
 

@@ -62,7 +62,7 @@ end
 --            message that is lost, or nil, is_open = whether it may still be withdrawn,
 --            is_withdrawn = whether a later frame has proved that nothing is wrong }
 function Reassembly:note(expert, message, text, ...)
-  -- The two other fields are can.interleaved's: without room for them it takes half the memory.
+  -- Leave out is_open and is_withdrawn, which can.interleaved sets: the table takes half the memory.
   local anomaly = { expert = expert, text = text:format(...), lost = message and message[1] }
   if not self.anomalies then self.anomalies = {} end
   table.insert(self.anomalies, anomaly)
@@ -379,8 +379,8 @@ function Reassembly:keep(message, has_fault)
 end
 
 --- Forget the newest frame: a read filter dropped its packet, so the next one has its key.
-function Reassembly:drop(key)
-  self.store:drop(key, self.message)
+function Reassembly:forget(key)
+  self.store:forget(key, self.message)
   self.message = false
 end
 

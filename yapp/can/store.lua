@@ -102,7 +102,7 @@ end
 -- frames get keys that no frame has (key - 0.5).
 -- key      of the first frame of the next packet
 -- message  of the newest frame, or false
-function Store:drop(key, message)
+function Store:forget(key, message)
   self.anomalies[key], self.originals[key] = nil, nil
   if not message or number_of(message[#message]) ~= number_of(key) then return end
   local slot = message.payload and self.slots[message.slot]

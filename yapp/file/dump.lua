@@ -19,17 +19,17 @@ local UNKNOWN = {} -- a time: { seconds, nanoseconds }
 local Dump = {}
 Dump.__index = Dump
 
--- Reads more bytes, and appends their events.
+-- Reads more bytes, and appends their findings.
 function Dump:fill(file)
   local bytes = self.head or file:read(CHUNK) or ""
   self.head, self.is_over = nil, bytes == ""
-  self.framer:add(bytes, self.is_over, self.events)
+  self.framer:add(bytes, self.is_over, self.findings)
 end
 
 -- Returns the controller's own time of a frame, nil for none.
-function Dump:stamp(event)
-  if event.status ~= "good" then return nil end
-  local seconds, nanoseconds = self.time_of(event.bytes)
+function Dump:stamp(finding)
+  if finding.status ~= "good" then return nil end
+  local seconds, nanoseconds = self.time_of(finding.bytes)
   return seconds and { seconds, nanoseconds }
 end
 
@@ -47,7 +47,7 @@ function M.open(file, options, head)
     head = head,
     decimals = 9,
     lacks_clock = true, -- its times are those of controllers
-    events = {}, -- of the file; false once it is a record
+    findings = {}, -- of the file; false once it is a record
     next = 1, -- index of the first one that is no record yet
     is_over = false,
     time = nil,   -- of the latest record; before that, the first time stamp of the file
@@ -56,32 +56,36 @@ function M.open(file, options, head)
   local has_frame, index = false, 1
   while not (self.is_over or has_frame and (self.time or self.framer.from >= MAX_AHEAD)) do
     self:fill(file)
-    for i = index, #self.events do
-      local event = self.events[i]
-      has_frame = has_frame or event.status == "good"
-      self.time = self.time or self:stamp(event)
+    for i = index, #self.findings do
+      local finding = self.findings[i]
+      has_frame = has_frame or finding.status == "good"
+      self.time = self.time or self:stamp(finding)
     end
-    index = #self.events + 1
+    index = #self.findings + 1
   end
   return has_frame and self or nil
 end
 
--- Takes the next event, nil at the end.  All bytes between two frames are one event of at most
+-- Takes the next finding, nil at the end.  All bytes between two frames are one finding of at most
 -- MAX_SKIPPED bytes, however they were read.
-function Dump:next_event(file)
-  local event = self.events[self.next]
-  while not (self.is_over or event and (event.status ~= "skipped" or self.events[self.next + 1] or
-    #event.bytes >= MAX_SKIPPED)) do
-    self:fill(file)
-    event = self.events[self.next]
+function Dump:next_finding(file)
+  local finding = self.findings[self.next]
+  local function may_grow()
+    if not finding then return true end
+    local is_last = finding.status == "skipped" and not self.findings[self.next + 1]
+    return is_last and #finding.bytes < MAX_SKIPPED
   end
-  if event and event.status == "skipped" and #event.bytes > MAX_SKIPPED then
-    local from, bytes = event.from, event.bytes
-    event.from, event.bytes = from + MAX_SKIPPED, bytes:sub(MAX_SKIPPED + 1)
+  while not self.is_over and may_grow() do
+    self:fill(file)
+    finding = self.findings[self.next]
+  end
+  if finding and finding.status == "skipped" and #finding.bytes > MAX_SKIPPED then
+    local from, bytes = finding.from, finding.bytes
+    finding.from, finding.bytes = from + MAX_SKIPPED, bytes:sub(MAX_SKIPPED + 1)
     return { status = "skipped", from = from, bytes = bytes:sub(1, MAX_SKIPPED) }
   end
-  if event then self.events[self.next], self.next = false, self.next + 1 end
-  return event
+  if finding then self.findings[self.next], self.next = false, self.next + 1 end
+  return finding
 end
 
 -- Returns a record as Wireshark takes it.
@@ -95,16 +99,16 @@ end
 --          record before.  Records before the first time stamp get that one if it comes within
 --          MAX_AHEAD bytes, else nil
 function Dump:read(file)
-  local event = self:next_event(file)
-  if not event then return nil end
-  self.time = self:stamp(event) or self.time
+  local finding = self:next_finding(file)
+  if not finding then return nil end
+  self.time = self:stamp(finding) or self.time
   local record = {
-    length = #event.bytes,
+    length = #finding.bytes,
     time = self.time or UNKNOWN,
-    tags = event.status == "skipped" and SKIPPED or FRAME,
+    tags = finding.status == "skipped" and SKIPPED or FRAME,
   }
-  self.records[event.from] = record
-  return packet(record, event.from, event.bytes)
+  self.records[finding.from] = record
+  return packet(record, finding.from, finding.bytes)
 end
 
 --- Read a record that was read before.

@@ -113,10 +113,10 @@ local function register_candump(title, name, kind, takes_all)
   end)
 end
 
--- A dump has no mark at its start, and other files may hold YAPP frames: a file is a dump if its
--- name ends with .yapp, or if the user says so.  Wireshark does not give readers the name.  But it
--- asks readers for any name before those for .yapp.  So one of the former, which takes nothing,
--- notes which file it saw.
+-- Nothing at the start of a dump marks it, and other files may hold YAPP frames.  So a file is a
+-- dump only if its name ends with .yapp, or if the user says so.  Wireshark does not tell a reader
+-- the name.  It asks the readers without an extension first, unless the file has the extension of
+-- another.  So the reader yapp_name, which opens nothing, notes the files that are not .yapp.
 local NO_FRAME = "no YAPP frame with a good CRC, and the size that its ID has, in the whole file"
 local HEAD = 256 -- bytes by which a file is known again
 

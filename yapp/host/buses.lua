@@ -47,9 +47,8 @@ end
 --- Look at the head of each file from now on.  Call it once.
 function M.watch()
   local self = setmetatable({ seen = capture.read("", function() end) }, Buses)
-  -- A reader that never reads: the only place where the API shows a file.  It names both arguments:
-  -- what a reader does not hold may be collected while it reads, and Wireshark writes into both
-  -- when it is back.
+  -- Register a reader that opens no file: only a reader's read_open is shown the file.  Give both
+  -- arguments a name, so that Lua keeps them: Wireshark writes into both when read_open is back.
   local handler = FileHandler.new("YAPP reads heads of files (opens none)", "yapp_head",
     "Looks at the headers", "rms")
   function handler.read_open(file, _)

@@ -257,11 +257,12 @@ end
 --   answers (a message's name), or nil
 --   size, min_size (bytes: a shorter payload is not this message)
 --   fields, by_name, time (its first field of kind time)
---   flag_fields, alarms (those of them with fault flags), fault_field (the first of those that has
---   nothing else)
---   generated { name, title, filter, unit, kind = "derived", shape, operator ("*", "-", "+"), a and
---   b (indexes of fields) }: values worked out from two fields, see decode.derived
---   derived: those of them that tables have, too
+--   flag_fields (its fields of flags), alarms (those with a fault flag), fault_field (the first one
+--   whose flags are all faults)
+--   generated: a list of the values that are worked out from two fields, see decode.derived: {
+--   name, title, filter, unit, kind = "derived", shape, operator ("*", "-", "+"), a and b (indexes
+--   of the fields) }
+--   derived: those of them that are columns of CSV, too
 --   filters: a list of { filter, type, title, description, base, values, mask }, see show.fields
 --   states: the filters of its state, { [what message.history calls it] = filter }
 --   read (see decode.new_reader), write_info (see text.compile_info)

@@ -20,7 +20,7 @@ M.SPECIALS = {
 
 local abs, floor, concat = math.abs, math.floor, table.concat
 local byte, find, format, sub = string.byte, string.find, string.format, string.sub
-local band, common = bits.band, bits.common
+local band, fast_band = bits.band, bits.fast_band
 
 local MAX_KEPT = 100 -- bytes of a payload in local variables: a function has up to 200
 
@@ -98,13 +98,13 @@ end
 M.MAPPING = 5
 M.WORKED_EXAMPLES = 4
 
---- What compressed floats divide by, as top - divisor.
-M.divisor = M.MAPPING
+--- Compressed floats divide by top - below_top.
+M.below_top = M.MAPPING
 
 --- Choose what every compressed float divides by.
--- divisor  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
-function M.use_divisor(divisor)
-  M.divisor = divisor
+-- below_top  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
+function M.use_below_top(below_top)
+  M.below_top = below_top
 end
 
 -- Round to a number that four bytes can hold: adding and subtracting a large number rounds off what
@@ -144,7 +144,7 @@ function VALUES.float(field, raw)
   if raw > field.ordinary then return nil, field.top - raw end
   if raw < 0 then return nil, -1 - raw end -- of seven or eight bytes
   -- One division at the end, so that the middle of a symmetric range is 0 and not nearly 0.
-  local steps = field.top - M.divisor
+  local steps = field.top - M.below_top
   return (field.min * steps + raw * (field.max - field.min)) / steps
 end
 
@@ -275,7 +275,7 @@ end
 -- The reader of a message is made from Lua source: a loop over the fields takes 5 % more of a
 -- packet list.  The first bytes of a payload are in b1, b2, ...; a missing one is nil.
 local READER = [[
-local FIELDS, byte, common, value_of, is_invalid = ...
+local FIELDS, byte, fast_band, value_of, is_invalid = ...
 return function(payload)
 local raws, is_remarkable, a = { %s }, false
 local %s = byte(payload, 1, %d)
@@ -288,7 +288,7 @@ local function remark_source(field, i)
   if field.kind == "float" and field.size <= 6 then return format("a > %.0f", field.ordinary) end
   if field.special then return format("not value_of(FIELDS[%d], a)", i) end
   if field.kind == "flags" then
-    return format("a ~= 0 and common(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
+    return format("a ~= 0 and fast_band(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
   end
   return field.invalid and format("is_invalid(FIELDS[%d], a)", i) or "false"
 end
@@ -328,7 +328,7 @@ function M.new_reader(message)
   local source =
     format(READER, concat(nils, ", "), concat(names, ", "), #names, concat(lines, "\n"))
   local read = load(source, "=reader of " .. message.name)
-  return read(message.fields, byte, common, M.value, is_invalid)
+  return read(message.fields, byte, fast_band, M.value, is_invalid)
 end
 
 -- Flags ------------------------------------------------------------------------------------------
@@ -339,7 +339,7 @@ function M.flag_names(field, raw)
   if raw == field.named then return field.names end -- cached: they seldom change
   local names = {}
   for _, flag in ipairs(field.flags) do
-    if common(raw, flag.mask) ~= 0 then names[#names + 1] = flag.name end
+    if fast_band(raw, flag.mask) ~= 0 then names[#names + 1] = flag.name end
   end
   local undefined = band(raw, field.undefined)
   if undefined ~= 0 then names[#names + 1] = format("undefined 0x%x", undefined) end
@@ -371,8 +371,8 @@ function M.remarks(message, raws)
   for i, field in ipairs(message.fields) do
     local raw = raws[i]
     if raw and field.kind == "flags" then
-      if common(raw, field.alarm_bits) ~= 0 then add(i, "fault.active") end
-      if common(raw, field.undefined) ~= 0 then add(i, "flags.undefined") end
+      if fast_band(raw, field.alarm_bits) ~= 0 then add(i, "fault.active") end
+      if fast_band(raw, field.undefined) ~= 0 then add(i, "flags.undefined") end
     elseif raw and field.special then
       if not M.value(field, raw) then add(i, "value.special") end
     elseif raw and is_invalid(field, raw) then

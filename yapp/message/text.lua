@@ -6,7 +6,7 @@
 -- value.
 
 local input = require("yapp.base.input")
-local common = require("yapp.base.bits").common
+local bits = require("yapp.base.bits")
 local decode = require("yapp.message.decode")
 local memo = require("yapp.base.memo")
 
@@ -34,7 +34,7 @@ end]]
 
 -- Return the value of a compressed float as source, see decode.value.
 local function value_source(field, a)
-  local steps, span = field.top - decode.divisor, field.max - field.min
+  local steps, span = field.top - decode.below_top, field.max - field.min
   return format("(%.17e + %s * %.17e) / %.17e", field.min * steps, a, span, steps)
 end
 
@@ -79,10 +79,10 @@ end
 
 -- Return a function(raws) -> text that writes the pieces.
 local function new_writer(pieces)
-  local divisor, write_usual
+  local below_top, write_usual
   return function(raws)
-    if divisor ~= decode.divisor then
-      divisor, write_usual = decode.divisor, new_usual(pieces)
+    if below_top ~= decode.below_top then
+      below_top, write_usual = decode.below_top, new_usual(pieces)
     end
     return write_usual(raws) or write_each(pieces, raws)
   end
@@ -156,7 +156,7 @@ end
 
 -- CSV --------------------------------------------------------------------------------------------
 
--- Columns in front of those of a message, see stat.csv; crc_good only with its option all.
+-- Names of columns that stat.csv puts in front of a message's own.
 local TAKEN = { "time", "frame", "bus", "source", "id", "seq", "crc_good" }
 -- The cells of a reserved value: no number, and its name.
 local SPECIAL_CELLS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
@@ -217,7 +217,7 @@ end
 function CELLS.flags(field, raw)
   local texts = { number_text(field, raw) }
   for i, flag in ipairs(field.flags) do
-    texts[i + 1] = common(raw, flag.mask) ~= 0 and "1" or "0"
+    texts[i + 1] = bits.fast_band(raw, flag.mask) ~= 0 and "1" or "0"
   end
   return concat(texts, ",")
 end

@@ -28,13 +28,13 @@ local Dissector = {}
 Dissector.__index = Dissector
 
 --- Make the dissector.
--- tree        a show.tree
+-- builder     a show.tree
 -- reader      a message.reader
 -- buses       a host.buses
 -- tcp_header  Proto that reads TCP's headers
-function M.new(tree, reader, buses, tcp_header)
+function M.new(builder, reader, buses, tcp_header)
   return setmetatable({
-    tree = tree,
+    builder = builder,
     reader = reader,
     buses = buses,
     tcp_header = tcp_header,
@@ -111,7 +111,7 @@ local function new_packet(self, tvb, pinfo, tree, segment)
   local start, line, is_bus_known = segment and segment.start or 0, line_of(self, pinfo)
   local bytes = tvb:len() > start and tvb:raw(start) or ""
   local number, visited, length = pinfo.number, pinfo.visited, tvb:reported_len() - start
-  local wants = self.tree:wants(tree, pinfo, visited)
+  local wants = self.builder:wants(tree, pinfo, visited)
   local key = number * frame_key.PACKET + tvb:offset() + start
   if wants.tree and segment and bytes ~= "" then tvb = tvb(start):tvb() end
   return {
@@ -141,20 +141,20 @@ end
 -- messages of the catalogue, even with bad CRCs.  Headers must be the document's: another ID or
 -- size may be of another protocol.
 -- length  number of bytes that the packet had
--- returns  boolean, and the events of serial.streams
+-- returns  boolean, and the findings of serial.streams
 function Dissector:is_yapp(bytes, length)
-  local events, is_catalogue, missing = self.streams:read(bytes), true, length - #bytes
-  for _, event in ipairs(events) do
-    local at = event.at + 1
+  local findings, is_catalogue, missing = self.streams:read(bytes), true, length - #bytes
+  for _, finding in ipairs(findings) do
+    local at = finding.at + 1
     local id, size = frame.parse(bytes, at)
     local known, least = self.reader:size_of(id)
-    if event.status == "good" and frame.is_plausible(bytes, at) and size >= (least or 0) then
-      return true, events
+    if finding.status == "good" and frame.is_plausible(bytes, at) and size >= (least or 0) then
+      return true, findings
     end
-    local is_complete = event.status == "bad" or event.missing == missing
+    local is_complete = finding.status == "bad" or finding.missing == missing
     is_catalogue = is_catalogue and is_complete and known
   end
-  return is_catalogue, events
+  return is_catalogue, findings
 end
 
 --- Return whether a packet of an unknown conversation is YAPP.  In a capture with YAPP on TCP, a
@@ -164,9 +164,9 @@ end
 function Dissector:accepts(tvb, pinfo)
   local bytes = tvb:len() > 0 and tvb:raw() or ""
   if pinfo.in_error_pkt or not frame.find(bytes, 1) then return false end
-  local is_ours, events = self:is_yapp(bytes, tvb:reported_len())
+  local is_ours, findings = self:is_yapp(bytes, tvb:reported_len())
   local id, _, _, seq = frame.parse(bytes, 1)
-  local may_be = events[1].status == "incomplete" and self.reader:size_of(id)
+  local may_be = findings[1].status == "incomplete" and self.reader:size_of(id)
   if is_ours or not may_be then return is_ours end
   if tcp.current(pinfo.number) then return true end
   if not pinfo.visited then
@@ -201,16 +201,16 @@ end
 
 -- Messages ---------------------------------------------------------------------------------------
 
--- Returns the message of an event, for message.reader, and
+-- Returns the message of a finding, for message.reader, and
 --   length      number of bytes of its frame
 --   missing     number of bytes, of one that is not complete
 --   crc, calculated  of a bad one
--- and the keys of its view, see Tree:show_message.  The n-th event of a packet has the frame key of
--- the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even in
--- a tunnel that puts several packets into one.
-local function new_message(packet, event, index)
-  local length, key = event.to - event.from, packet.key + index - 1
-  local bytes, at = event.bytes or packet.bytes, event.at or 0
+-- and the keys of its view, see Tree:show_message.  The n-th finding of a packet has the frame key
+-- of the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even
+-- in a tunnel that puts several packets into one.
+local function new_message(packet, finding, index)
+  local length, key = finding.to - finding.from, packet.key + index - 1
+  local bytes, at = finding.bytes or packet.bytes, finding.at or 0
   local id, size, reserved, seq = frame.parse(bytes, at + 1)
   local m = {
     source = packet.line.sources[id],
@@ -223,16 +223,16 @@ local function new_message(packet, event, index)
     reserved = reserved,
     payload = sub(bytes, at + HEADER + 1, at + math.min(HEADER + size, length)),
     length = length,
-    status = event.status,
-    missing = event.missing,
-    parts = event.parts,
+    status = finding.status,
+    missing = finding.missing,
+    parts = finding.parts,
     wants = packet.wants,
     tree = packet.tree,
     item = packet.tree,
     payload_tvb = false,
     payload_at = at + HEADER,
   }
-  if event.status == "bad" then
+  if finding.status == "bad" then
     local last = at + length
     m.crc = frame.crc(bytes, last)
     m.calculated = crc.update(crc.INITIAL, bytes, at + 1, last - CRC_SIZE)
@@ -243,7 +243,7 @@ end
 -- Adds YAPP's own item of a message.
 -- tvb  where the bytes of the frame are
 local function add_frame(self, m, tvb)
-  local builder, at, source = self.tree, m.payload_at - HEADER, m.source
+  local builder, at, source = self.builder, m.payload_at - HEADER, m.source
   local fields = builder.fields
   local item = add(m.tree, builder.yapp, tvb(at, m.length))
   append_text(item, (", %s"):format(source.label))
@@ -269,7 +269,7 @@ end
 
 -- Shows what is wrong with a message.
 local function show_anomalies(self, m)
-  local builder = self.tree
+  local builder = self.builder
   if m.status == "bad" then builder:bad_crc(m.item, m) end
   if m.missing then
     local expert = m.status == "truncated" and m.status or "fragment.incomplete"
@@ -285,7 +285,7 @@ end
 
 -- Shows a message; returns what the Info column says of it.
 local function show_message(self, m, tvb)
-  local builder, source = self.tree, m.source
+  local builder, source = self.builder, m.source
   local is_whole = self.reader:read(m, self.history, m.wants)
   if m.status ~= "good" then m.delta = false end
   if m.wants.tree then m.item, m.payload_tvb = add_frame(self, m, tvb), tvb end
@@ -321,10 +321,10 @@ local function quote(bytes)
 end
 
 -- Shows skipped bytes; returns their text for the Info column.
-local function show_skipped(self, packet, tvb, event)
-  local builder, item, stat = self.tree, packet.tree, self.reader.stat
-  local length, at = event.to - event.from, event.at or 0
-  local text = quote(event.bytes or sub(packet.bytes, at + 1, at + length))
+local function show_skipped(self, packet, tvb, finding)
+  local builder, item, stat = self.builder, packet.tree, self.reader.stat
+  local length, at = finding.to - finding.from, finding.at or 0
+  local text = quote(finding.bytes or sub(packet.bytes, at + 1, at + length))
   local size = builder.bytes(length)
   if packet.wants.tree then
     item = add(item, builder.yapp, tvb(at, length))
@@ -347,7 +347,7 @@ end
 
 -- Shows the pending bytes of a packet; returns what the Info column says of them.
 local function show_pending(self, packet, contents)
-  local builder, item, pending = self.tree, packet.tree, contents.pending
+  local builder, item, pending = self.builder, packet.tree, contents.pending
   local leads_to = contents.leads_to and frame_key.number(contents.leads_to)
   if packet.wants.tree then
     local range = packet.tvb(#packet.bytes - pending, pending)
@@ -364,27 +364,27 @@ end
 
 -- Dissection -------------------------------------------------------------------------------------
 
--- Shows an event of a packet; returns what the Info column says of it, and the name of its source.
-local function show_event(self, packet, event, index)
+-- Shows a finding of a packet; returns what the Info column says of it, and the name of its source.
+local function show_finding(self, packet, finding, index)
   local tvb = packet.tvb
-  if event.bytes and packet.wants.tree then
-    tvb = ByteArray.new(event.bytes, true):tvb("Reassembled YAPP")
+  if finding.bytes and packet.wants.tree then
+    tvb = ByteArray.new(finding.bytes, true):tvb("Reassembled YAPP")
   end
-  if event.status == "skipped" then return show_skipped(self, packet, tvb, event) end
-  local m = new_message(packet, event, index)
+  if finding.status == "skipped" then return show_skipped(self, packet, tvb, finding) end
+  local m = new_message(packet, finding, index)
   return show_message(self, m, tvb), m.source.text
 end
 
 -- Shows what a packet holds.
 local function show(self, packet, pinfo, contents)
-  local wants, texts, source = packet.wants, {}, nil
-  if wants.names and not wants.tree then self.tree:add_protocol_names(packet.tree, wants, true) end
-  for i, event in ipairs(contents.events) do
-    local text, name = show_event(self, packet, event, i)
+  local wants, texts, source, tree = packet.wants, {}, nil, packet.tree
+  if wants.names and not wants.tree then self.builder:add_protocol_names(tree, wants, true) end
+  for i, finding in ipairs(contents.findings) do
+    local text, name = show_finding(self, packet, finding, i)
     source = source or name
     if i <= MAX_IN_INFO then texts[i] = text end
   end
-  local more = #contents.events - MAX_IN_INFO
+  local more = #contents.findings - MAX_IN_INFO
   if more > 0 then texts[#texts + 1] = ("and %d more"):format(more) end
   if contents.pending > 0 then texts[#texts + 1] = show_pending(self, packet, contents) end
   if not wants.columns or not texts[1] then return end
@@ -404,10 +404,10 @@ local function dissect(self, packet, pinfo)
   end
   report_damaged(self, packet)
   show(self, packet, pinfo, contents)
-  local last = contents.events[#contents.events]
+  local last = contents.findings[#contents.findings]
   if packet.truncated and packet.bytes ~= "" and not (last and last.missing) then
     local text = "The capture has %d of the packet's %d bytes"
-    self.tree:expert(packet.tree, "truncated", text:format(#packet.bytes, packet.length))
+    self.builder:expert(packet.tree, "truncated", text:format(#packet.bytes, packet.length))
   end
   return true
 end
@@ -447,8 +447,8 @@ end
 function Dissector:skipped(tvb, pinfo, tree)
   local size = tvb:len()
   if size > 0 then
-    local event = { status = "skipped", from = 0, to = size, at = 0 }
-    show(self, new_packet(self, tvb, pinfo, tree), pinfo, { events = { event }, pending = 0 })
+    local finding = { status = "skipped", from = 0, to = size, at = 0 }
+    show(self, new_packet(self, tvb, pinfo, tree), pinfo, { findings = { finding }, pending = 0 })
   end
   return size
 end

@@ -53,7 +53,7 @@ function M.new(size_of, patience)
     text = "",     -- the latest bytes
     text_from = 0, -- their offset in the stream
     to = 0,        -- the end of the stream so far; streams read it, and the next
-    from = 0,      -- the first byte that is in no event yet
+    from = 0,      -- the first byte that is in no finding yet
     searched = 0,  -- every candidate that begins before this is known
     found = false, -- the open candidate that the search waited at last
   }, Framer)
@@ -112,11 +112,11 @@ function Framer:is_good(candidate)
   return crc.update(crc.INITIAL, self.text, at, to - CRC_SIZE) == frame.crc(self.text, to)
 end
 
--- Appends the bytes up to an offset as an event.
+-- Appends the bytes up to an offset as a finding.
 function Framer:give(to, status, missing)
   local from, at = self.from, self.from - self.text_from
   self.from = to
-  table.insert(self.events, {
+  table.insert(self.findings, {
     status = status,
     missing = missing,
     from = from,
@@ -125,10 +125,10 @@ function Framer:give(to, status, missing)
   })
 end
 
--- Skips the bytes up to an offset.  They go to the latest event if it is of skipped bytes, too.
+-- Skips the bytes up to an offset.  They go to the latest finding if it is of skipped bytes, too.
 function Framer:skip(to)
   if to <= self.from then return end
-  local latest = self.events[#self.events]
+  local latest = self.findings[#self.findings]
   if not (latest and latest.status == "skipped") then return self:give(to, "skipped") end
   latest.bytes = latest.bytes .. sub(self.text, self.from - self.text_from + 1, to - self.text_from)
   latest.to, self.from = to, to
@@ -145,8 +145,8 @@ local function fate_of(self, candidate, limit, behind)
   if candidate.is_known or stop == limit and behind == "end" then return "incomplete", stop end
 end
 
--- Appends what lies before `limit` as events: the damaged frames, the earliest start first, and the
--- bytes between them.
+-- Appends what lies before `limit` as findings: the damaged frames, the earliest start first, and
+-- the bytes between them.
 function Framer:settle(limit, behind)
   while self.first <= self.last and self.candidates[self.first].from < limit do
     local candidate = self.candidates[self.first]
@@ -165,7 +165,7 @@ function Framer:settle(limit, behind)
   self:skip(limit)
 end
 
--- Appends a candidate as an event if its CRC is good; returns whether it is good.
+-- Appends a candidate as a finding if its CRC is good; returns whether it is good.
 function Framer:accept(candidate)
   if not self:is_good(candidate) then
     candidate.has_failed = true
@@ -241,12 +241,12 @@ function Framer:first_waiting()
 end
 
 --- Take the next bytes of the stream.
--- bytes    string of any length
--- is_end   whether the stream ends behind them.  Then all events become final: a frame whose end
---          has not come is "incomplete", too.  Later bytes begin a new stream
--- events   list that the new events are appended to; nil for a new one
--- returns  the list, with the events that are final now, in the stream's order; each byte of the
---          stream is in one event: {
+-- bytes     string of any length
+-- is_end    whether the stream ends behind them.  Then all findings become final: a frame whose end
+--           has not come is "incomplete", too.  Later bytes begin a new stream
+-- findings  list that the new findings are appended to; nil for a new one
+-- returns  the list, with the findings that are final now, in the stream's order; each byte of the
+--          stream is in one finding: {
 --            status   "good"; "bad" (CRC); "incomplete", a frame that ends where the next begins;
 --                     "skipped", bytes of no frame
 --            missing  number of bytes, of an incomplete frame
@@ -254,9 +254,9 @@ end
 --            to       offset behind the last byte
 --            bytes    string }
 -- Document: "UART Stream Framing".
-function Framer:add(bytes, is_end, events)
+function Framer:add(bytes, is_end, findings)
   local before = self.to
-  self.events = events or {}
+  self.findings = findings or {}
   if self.from > self.text_from then
     self.text, self.text_from = sub(self.text, self.from - self.text_from + 1), self.from
   end
@@ -272,7 +272,7 @@ function Framer:add(bytes, is_end, events)
     self:settle(waiting and waiting.from or self.searched, "open")
     if self.last > 0 and self.first > self.last then self:forget() end
   end
-  return self.events
+  return self.findings
 end
 
 --- Return the earliest frame that is not final yet: a capture that ends here ends before the frame.

@@ -3,7 +3,7 @@
 --
 -- Packets are taken once, in the order of the capture.  Revisits ask by frame key.
 --
---   packet 7   |end of A|good frame B|start of C|   events A (of packets 6 and 7) and B, and the
+--   packet 7   |end of A|good frame B|start of C|   findings A (of packets 6 and 7) and B, and the
 --   packet 8   |end of C|                           pending bytes of C, which packet 8 shows
 --
 -- TCP segments bring their sequence numbers.  Bytes that came before are left out.  A segment
@@ -20,13 +20,13 @@ local MAX_WAIT, MAX_AHEAD = 1, 65535
 local MAX_DISTANCE = 2 ^ 20
 
 -- Stands for the contents of a packet of good frames alone: Streams:find reads its bytes anew.
-local PLAIN = { events = {}, pending = 0 }
+local PLAIN = { findings = {}, pending = 0 }
 
 local Streams = {}
 Streams.__index = Streams
 
 -- Besides the fields below, a stream has
---   latest    the latest packet; events = those that it makes final
+--   latest    the latest packet; findings = those that it makes final
 -- and of TCP, nil until they are known
 --   next_seq  sequence number of the next byte
 --   acked     what the other side has acknowledged
@@ -35,7 +35,7 @@ Streams.__index = Streams
 local function new_stream(framer)
   return {
     framer = framer,
-    pieces = {},      -- contents with bytes that are in no event yet: pieces[first] to pieces[last]
+    pieces = {},      -- contents with bytes in no finding yet: pieces[first] to pieces[last]
     first = 1,
     last = 0,
     is_ended = false, -- whether a new TCP connection has begun
@@ -55,35 +55,35 @@ function M.new(new_framer)
   }, Streams)
 end
 
--- Events -----------------------------------------------------------------------------------------
+-- Findings ---------------------------------------------------------------------------------------
 
 -- Adds the bytes of a packet to its stream.
 -- known  how many of them the stream has already
 local function add_bytes(stream, contents, known)
-  local framer, packet, events = stream.framer, contents.packet, stream.events
+  local framer, packet, findings = stream.framer, contents.packet, stream.findings
   contents.packet, contents.known, contents.from = nil, known, framer.to
-  framer:add(packet.bytes:sub(known + 1), packet.is_datagram or packet.truncated, events)
+  framer:add(packet.bytes:sub(known + 1), packet.is_datagram or packet.truncated, findings)
   contents.to = framer.to
-  local last = events[#events]
+  local last = findings[#findings]
   if packet.truncated and last and last.missing then last.status = "truncated" end
   stream.last = stream.last + 1
   stream.pieces[stream.last] = contents
 end
 
--- Notes where the bytes of an event are.
+-- Notes where the bytes of a finding are.
 -- contents  of the packet that shows it
-local function locate(stream, event, contents)
+local function locate(stream, finding, contents)
   local from = contents.from
-  if event.from >= from and event.to <= contents.to then
-    event.at, event.bytes = contents.known + event.from - from, nil
+  if finding.from >= from and finding.to <= contents.to then
+    finding.at, finding.bytes = contents.known + finding.from - from, nil
     return
   end
-  if event.status == "skipped" then return end
-  event.parts = {}
+  if finding.status == "skipped" then return end
+  finding.parts = {}
   for i = stream.first, stream.last do
     local piece = stream.pieces[i]
-    if piece.from < event.to and piece.to > event.from then
-      event.parts[#event.parts + 1] = piece.key
+    if piece.from < finding.to and piece.to > finding.from then
+      finding.parts[#finding.parts + 1] = piece.key
       if piece ~= contents then piece.leads_to = contents.key end
     end
   end
@@ -142,7 +142,7 @@ local function add_held(self, stream, is_over)
     if known < 0 then
       stream.gap = stream.gap or new_gap(stream, latest)
       if not is_over and not is_lost(stream, latest) then return end
-      stream.framer:add("", true, stream.events)
+      stream.framer:add("", true, stream.findings)
       table.insert(self.gaps, stream.gap)
       known, stream.gap = 0, nil
     end
@@ -171,7 +171,7 @@ local function take_segment(self, stream, contents)
   local next_seq = stream.next_seq or self.seqs[packet.stream] or packet.seq
   if stream.is_ended or math.abs(distance(packet.seq, next_seq)) > MAX_DISTANCE then
     add_held(self, stream, true)
-    stream.framer:add("", true, stream.events)
+    stream.framer:add("", true, stream.findings)
     self.gaps[#self.gaps + 1] = last_gap(stream)
     next_seq, stream.is_ended, stream.sent_seq = packet.seq, false, nil
   end
@@ -208,11 +208,11 @@ end
 -- Packets ----------------------------------------------------------------------------------------
 
 -- Whether a packet holds good frames and nothing else.
-local function is_plain(events, bytes)
+local function is_plain(findings, bytes)
   local length = 0
-  for _, event in ipairs(events) do
-    if event.status ~= "good" or not event.at then return false end
-    length = length + event.to - event.from
+  for _, finding in ipairs(findings) do
+    if finding.status ~= "good" or not finding.at then return false end
+    length = length + finding.to - finding.from
   end
   return length == #bytes
 end
@@ -230,19 +230,20 @@ end
 --   length       number of bytes that it had }
 -- is_stored  whether Streams:find may ask for it
 -- returns  {
---   events    as from serial.framer, or with the status "truncated": the capture has only a part of
---             the frame; and at = offset in the packet.  If not all its bytes are in this packet:
---             bytes = string, and parts = keys of the packets they came in (none of skipped bytes)
---   pending   number of bytes at the end that are in no event yet
+--   findings  as from serial.framer, or with the status "truncated": the capture has only a part
+--             of the frame; and at = offset in the packet.  If not all its bytes are in this
+--             packet: bytes = string, and parts = keys of the packets they came in (none of skipped
+--             bytes)
+--   pending   number of bytes at the end that are in no finding yet
 --   is_held   whether it is a segment that waits for a missing one: then all are pending
 --   missing   number of bytes to come of the frame that the pending ones begin, or nil
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
 function Streams:take(packet, is_stored)
   local stream = packet.is_datagram and self.datagrams or self.by_key[packet.stream]
-  local events, framer = {}, stream.framer
+  local findings, framer = {}, stream.framer
   local contents = {
     key = packet.key,
-    events = events,
+    findings = findings,
     pending = 0,
     is_held = false,
     packet = packet, -- until its bytes are added
@@ -250,15 +251,15 @@ function Streams:take(packet, is_stored)
     from = 0,        -- offset in the stream of the others, once they are added
     to = 0,
   }
-  stream.latest, stream.events = packet, events
+  stream.latest, stream.findings = packet, findings
   if packet.seq then
     take_segment(self, stream, contents)
   else
     add_bytes(stream, contents, 0)
   end
-  for _, event in ipairs(events) do
-    drop_pieces(stream, event.from)
-    locate(stream, event, contents)
+  for _, finding in ipairs(findings) do
+    drop_pieces(stream, finding.from)
+    locate(stream, finding, contents)
   end
   drop_pieces(stream, framer.from)
   if contents.packet then
@@ -268,22 +269,22 @@ function Streams:take(packet, is_stored)
     contents.missing = select(2, framer:open_frame())
   end
   if is_stored then
-    self.contents[packet.key] = is_plain(events, packet.bytes) and PLAIN or contents
+    self.contents[packet.key] = is_plain(findings, packet.bytes) and PLAIN or contents
   end
   return contents
 end
 
---- Return the events of a packet that is complete in itself.
+--- Return the findings of a packet that is complete in itself.
 -- bytes  string
 function Streams:read(bytes)
-  return self:take({ bytes = bytes, is_datagram = true }, false).events
+  return self:take({ bytes = bytes, is_datagram = true }, false).findings
 end
 
 --- Return the contents of a packet that was taken before, nil if it was not.
 function Streams:find(packet)
   local contents = self.contents[packet.key]
   if contents ~= PLAIN then return contents end
-  return { events = self:read(packet.bytes), pending = 0 }
+  return { findings = self:read(packet.bytes), pending = 0 }
 end
 
 --- Whether the capture ends before the frame that a packet's pending bytes begin.

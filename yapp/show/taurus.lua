@@ -198,7 +198,7 @@ end
 -- Append what the catalogue says of the flags that are set.
 local function append_help(item, field, raw)
   for _, flag in ipairs(field.flags) do
-    if flag.help and bits.common(raw, flag.mask) ~= 0 then
+    if flag.help and bits.fast_band(raw, flag.mask) ~= 0 then
       append_text(item, ("; %s: %s"):format(flag.name, flag.help))
     end
   end

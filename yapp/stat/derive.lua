@@ -34,7 +34,7 @@ local function new_state()
   return {
     last = nil, -- its latest message
     at = nil, -- when that came
-    counts = false, -- whether that counts
+    is_counted = false, -- whether that counts
     faults = NOTHING, -- list of { field, flag, since } of those that are set, as they rose
     counted = { frame = 0 }, -- the latest reliable message that counts
     counted_at = nil,
@@ -142,7 +142,7 @@ local function note_faults(self, state, cause, change)
       if is_set then faults[#faults + 1] = fault end
       state.faults = faults
       local name, till = is_set and "raised" or "cleared", not is_set and self.now
-      if state.counts then emit_fault(self, cause, fault, name, till) end
+      if state.is_counted then emit_fault(self, cause, fault, name, till) end
     end
   end
 end
@@ -175,22 +175,22 @@ local function room_until(state, now)
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 
-local function note_message(self, event, counts)
+local function note_message(self, event, is_counted)
   local state, values = self.by_source[event.source], event.values
   local change = values.change or NOTHING
-  if state.counts and not values.is_unreliable then
+  if state.is_counted and not values.is_unreliable then
     state.room = state.room + room_until(state, self.now)
     state.is_numbered = state.is_numbered or event.seq ~= state.last.seq
   end
-  if change.late and state.counts then
+  if change.late and state.is_counted then
     emit(self, "silence", state.last, { length = output.seconds(change.late) })
   end
-  state.last, state.at, state.counts = event, self.now, counts
-  if counts and values ~= NOTHING then note_events(self, event, change) end
+  state.last, state.at, state.is_counted = event, self.now, is_counted
+  if is_counted and values ~= NOTHING then note_events(self, event, change) end
   for _, flags in ipairs(change.flags or NOTHING) do
     note_faults(self, state, event, flags)
   end
-  if counts and not values.is_unreliable then
+  if is_counted and not values.is_unreliable then
     state.counted, state.counted_at, state.counted_faults = event, self.now, state.faults
   end
 end
@@ -199,9 +199,9 @@ end
 -- updates the states.
 -- now  seconds of the capture, see above
 function Deriver:take(event, now)
-  local counts, is_message = lets_count(self, event), event.kind == "message"
+  local is_counted, is_message = lets_count(self, event), event.kind == "message"
   self.now = now
-  if counts then
+  if is_counted then
     self.came[event.source] = true
     local rest = event.values.undecoded
     if is_message and (rest or not event.raws) then
@@ -209,9 +209,9 @@ function Deriver:take(event, now)
     end
   end
   if is_message and not self.statistic.wants_messages_only then
-    note_message(self, event, counts)
+    note_message(self, event, is_counted)
   end
-  if counts then self:add(event) end
+  if is_counted then self:add(event) end
 end
 
 -- The end -----------------------------------------------------------------------------------------
@@ -233,7 +233,7 @@ local function end_silences(self, ending)
     local message = event.source.message
     local length = span(state.at, ending.now)
     local is_silent = message and message.every and length > self.settings.late * message.every
-    if is_silent and state.counts and not event.values.is_unreliable then
+    if is_silent and state.is_counted and not event.values.is_unreliable then
       local values = { length = output.seconds(length), is_last = true }
       emit(self, "silence", event, values)
     end
@@ -278,7 +278,7 @@ local function hiding(self, now)
   for _, state in ipairs(self.states) do
     if may_have_faults(state.last.source) then
       if not state.is_numbered then room = room + state.room end
-      local has_end = state.counts and not state.last.values.is_unreliable
+      local has_end = state.is_counted and not state.last.values.is_unreliable
       if has_end then room = room + room_until(state, now) end
     end
   end

@@ -137,7 +137,7 @@ local function new_group(self, source)
     counts = memo(new_count),
     count = 0,
     values = all,
-    bus_order = self.buses[source.bus_key or false],
+    bus_order = self.bus_orders[source.bus_key or false],
   }
 end
 
@@ -163,7 +163,7 @@ function M.class(class)
       absent = {}, -- by source: whether none of its messages came
       wanted = nil, -- by message: see Groups:wants
       spreads = memo(new_spread), -- by entry of Groups:wants
-      buses = memo(function() return #list end), -- [bus] = how many groups came before it
+      bus_orders = memo(function() return #list end), -- [bus] = how many groups came before it
     }, class)
     self.by_source = memo(function(source) return new_group(self, source) end, list)
     self.wanted = memo(function(message) return self:wants(message) end)

@@ -16,12 +16,13 @@ Stat.__index = Stat
 
 --- Make the statistics of one plugin.
 -- parts  {
---   settings = { version = text, catalogue = compiled, late = periods of its message that a gap
---   must exceed to count, sources = a message.sources, sources_text = the preference, ids = by
---              message name the list of those that a preference gives it, problems = list of texts:
---              what the user asked for and did not get }, whose values change with the
---              preferences
---   intake     a stat.intake, tree = a show.tree, buses = a host.buses, frames = a can.dissector
+--   settings   what the preferences say, {
+--     version       of the plugin; catalogue = compiled
+--     late          a gap of more periods is a silence
+--     sources       a message.sources; sources_text = the preference that it was read from
+--     ids           [message name] = list of the IDs that its preference has
+--     problems      list of texts: what the user asked for and did not get }
+--   intake     a stat.intake, builder = a show.tree, buses = a host.buses, frames = a can.dissector
 --   drops      function() -> what the capture does not have, see host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
 --              key }
@@ -106,7 +107,7 @@ local function tap_packets(self)
 
   function tap.packet(pinfo)
     if is_waiting and self.is_exact then
-      self.tree:only_pass()
+      self.builder:only_pass()
       clock:remove()
       is_waiting = false
       if self.queue:go_direct() then self.intake:remove_later(tap) end
