@@ -1,8 +1,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The catalogue of Taurus messages: data only.
 --
--- How to add a message: append an entry to the list at the end of this file.  That is all: filters,
--- tree, preference, Info column and CSV follow from it.
+-- How to add a message: append an entry to the list at the end of this file.  Filters, tree,
+-- preference, Info column and CSV follow.  The tests have a list of their own, see CONTRIBUTING.md.
 --
 --   {
 --     name = "battery", title = "Battery", id = 0x340, size = 3, info = "{level:%.0f} %",

@@ -62,7 +62,7 @@ end
 --            message that is lost, or nil, is_open = whether it may still be withdrawn,
 --            is_withdrawn = whether a later frame has proved that nothing is wrong }
 function Reassembly:note(expert, message, text, ...)
-  -- Leave out is_open and is_withdrawn, which can.interleaved sets: the table takes half the memory.
+  -- is_open and is_withdrawn are left out: can.interleaved sets them, and memory halves without.
   local anomaly = { expert = expert, text = text:format(...), lost = message and message[1] }
   if not self.anomalies then self.anomalies = {} end
   table.insert(self.anomalies, anomaly)

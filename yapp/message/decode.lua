@@ -364,27 +364,22 @@ end
 --- List the remarkable values: an entry for each expert item.
 -- message  compiled
 -- raws     of its reader
--- returns  a list of { index of field, expert }
+-- returns  a list of { index of field, expert, whether the catalogue does not define the value }
 function M.remarks(message, raws)
   local remarks = {}
-  local function add(index, expert) remarks[#remarks + 1] = { index, expert } end
+  local function add(...) remarks[#remarks + 1] = { ... } end
   for i, field in ipairs(message.fields) do
     local raw = raws[i]
     if raw and field.kind == "flags" then
-      if fast_band(raw, field.alarm_bits) ~= 0 then add(i, "fault.active") end
-      if fast_band(raw, field.undefined) ~= 0 then add(i, "flags.undefined") end
+      if fast_band(raw, field.alarm_bits) ~= 0 then add(i, "fault.active", false) end
+      if fast_band(raw, field.undefined) ~= 0 then add(i, "flags.undefined", true) end
     elseif raw and field.special then
-      if not M.value(field, raw) then add(i, "value.special") end
+      if not M.value(field, raw) then add(i, "value.special", false) end
     elseif raw and is_invalid(field, raw) then
-      add(i, field.invalid)
+      add(i, field.invalid, true)
     end
   end
   return remarks
-end
-
---- Return whether a remark is on a value that the catalogue does not define.
-function M.is_undefined(remark)
-  return remark[2] ~= "value.special" and remark[2] ~= "fault.active"
 end
 
 --- Return whether bytes look like a message: all its values are defined, and at least two of its
@@ -393,7 +388,7 @@ end
 function M.is_plausible(message, payload)
   if not find(payload, "[^%z]") then return false end
   for _, remark in ipairs(M.remarks(message, (message.read(payload)))) do
-    if M.is_undefined(remark) then return false end
+    if remark[3] then return false end
   end
   local checked = 0
   for _, field in ipairs(message.fields) do

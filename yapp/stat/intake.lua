@@ -102,8 +102,8 @@ end
 local function invalid_of(m)
   local message, list = m.source.message, nil
   for _, remark in ipairs(decode.remarks(message, m.raws)) do
-    local index = remark[1]
-    if decode.is_undefined(remark) then
+    local index, is_undefined = remark[1], remark[3]
+    if is_undefined then
       local raw = m.raws[index]
       list = list or {}
       list[#list + 1] = {
