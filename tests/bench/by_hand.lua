@@ -135,12 +135,15 @@ local function finish(tree, item, message, number, seq)
   local values = read_values(payload)
   local a, b, c, d = byte(payload, fault_flags.offset + 1, fault_flags.offset + 4)
   message.fault = a + b * 0x100 + c * 0x10000 + d * 0x1000000
-  if item or tree:referenced(rows[1].pf) then -- from 4.4 on -T fields shows no tree
+  local wants_all = item or tree:referenced(rows[1].pf) -- from 4.4 on -T fields shows no tree
+  if wants_all or tree:referenced(overcurrent) then
     local tvb = ByteArray.new(payload, true):tvb("Reassembled")
     if item then add_message(item, tvb, number, message) end
-    add_values(tree, tvb, payload, values)
-  elseif tree:referenced(overcurrent) then
-    add(add(tree, taurus), overcurrent, message.fault)
+    if wants_all then
+      add_values(tree, tvb, payload, values)
+    else -- as the plugin: with its bytes, which a filter may ask for
+      add_le(add(tree, taurus, tvb(), "Taurus Motor Data"), overcurrent, tvb(fault_flags.offset, fault_flags.size))
+    end
   end
   return format("Motor Data  %.1f/%.1f RPM  %.2f V  %.2f A%s", values[3], values[4], values[5], values[6],
     message.fault ~= 0 and "  FAULT" or "")
