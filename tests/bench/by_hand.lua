@@ -22,7 +22,8 @@ local byte, format = string.byte, string.format
 local fields, of_taurus = {}, {}
 for name, kind in pairs { id = "uint32", ctl = "uint8", seq = "uint8", ctrl = "uint8", crc = "uint32", size = "uint16",
     reserved = "uint16", reassembled_in = "framenum", status = "uint8", fragments = "none", fragment = "framenum",
-    count = "uint32", length = "uint32", fault = "bool" } do
+    count = "uint32", length = "uint32", data = "bytes", delta = "relative_time", source = "string",
+    fault = "bool" } do
   fields[name] = ProtoField[kind]("by_hand." .. name, name)
 end
 yapp.fields = fields
@@ -39,17 +40,22 @@ for _, row in ipairs(dofile(top .. "taurus_fields.lua")[2]) do
   local pf_kind = kind:find("float") and "double" or kind == "int64_ns" and "relative_time" or kind
   local made = { kind = pf_kind, offset = offset, size = size, title = title .. ": ", unit = " " .. (row.unit or ""),
     min = row.min, step = row.min and (row.max - row.min) / (size == 2 and 65530 or 250), flags = {} }
-  made.pf = taurus_field(pf_kind, name, title, kind:find("uint") and base.HEX or nil)
+  made.pf = taurus_field(pf_kind, name, title, kind:find("uint") and base.HEX or nil, row.values)
   for i, flag in ipairs(row.flags or {}) do
-    made.flags[i] = taurus_field("bool", row.group .. "." .. flag[1], flag[3], 8 * size, nil, flag[2])
+    local pf = taurus_field("bool", row.group .. "." .. flag[1], flag[3], 8 * size, nil, flag[2])
+    made.flags[i] = { name = flag[1], mask = flag[2], pf = pf }
   end
+  made.names = row.flags and taurus_field("string", name .. ".names", title)
   rows[#rows + 1], offset = made, offset + size
 end
 local torque_error = taurus_field("double", "torque_iq_error", "Torque IQ Error")
 local rpm_error = taurus_field("double", "rpm_error", "RPM Error")
+local dc_power = taurus_field("double", "dc_power", "DC Power")
+local drift = taurus_field("relative_time", "clock_drift", "Clock drift")
+local motor = taurus_field("none", "motor", "Motor Data")
 taurus.fields = of_taurus
 local fault_flags = rows[10]
-local overcurrent = fault_flags.flags[17]
+local overcurrent = fault_flags.flags[17].pf
 
 -- Trees --------------------------------------------------------------------------------------------------------------
 
@@ -61,6 +67,7 @@ local function add_frame(tree, tvb, id, seq, kind)
   generated(add(item, fields.ctl, 0))
   generated(add(item, fields.seq, seq))
   generated(add(item, fields.ctrl, kind))
+  generated(add(item, fields.source, "0x210"))
   return item
 end
 
@@ -75,8 +82,29 @@ local function add_message(item, tvb, number, message)
   for i = 1, 5 do generated(add(list, fields.fragment, message.frames[i])) end
   generated(add(list, fields.count, 5))
   generated(add(list, fields.length, message.size))
+  generated(add(list, fields.data, tvb()))
+  generated(add(item, fields.delta, NSTime.new(0, message.delta * 1e9)))
   generated(add(item, fields.fault, message.fault ~= 0))
   append(item, ", CRC good")
+end
+
+-- The names of the flags that are set: they seldom change.
+local function names_of(row, raw)
+  if row.named == raw then return row.text end
+  local names = {}
+  for _, flag in ipairs(row.flags) do
+    if raw % (2 * flag.mask) >= flag.mask then names[#names + 1] = flag.name end
+  end
+  row.named, row.text = raw, table.concat(names, ", ")
+  return row.text
+end
+
+local function add_flags(item, range, row, raw)
+  for _, flag in ipairs(row.flags) do add_le(item, flag.pf, range) end
+  if raw == 0 then return end
+  local names = names_of(row, raw)
+  append(item, " (" .. names .. ")")
+  generated(add(item, row.names, names)):set_hidden()
 end
 
 local function add_row(parent, tvb, row, value, payload)
@@ -88,23 +116,33 @@ local function add_row(parent, tvb, row, value, payload)
     local a, b, c, d, e, f, g, h = byte(payload, row.offset + 1, row.offset + 8)
     local low, high = a + b * 0x100 + c * 0x10000 + d * 0x1000000, e + f * 0x100 + g * 0x10000 + h * 0x1000000
     local rest = (low + high % 1e9 * 2^32) % 1e9 -- enough for the seconds of a flight
-    return add(parent, row.pf, range, NSTime.new((low + high * 2^32 - rest) / 1e9, rest))
+    local seconds = (low + high * 2^32 - rest) / 1e9
+    return add(parent, row.pf, range, NSTime.new(seconds, rest)), seconds + rest / 1e9
   end
   local item = add_le(parent, row.pf, range)
-  if row.flags[1] then append(item, " (names)") end
-  for _, flag in ipairs(row.flags) do add_le(item, flag, range) end
+  if row.names then add_flags(item, range, row, range:le_uint()) end
 end
 
-local function add_values(tree, tvb, payload, values)
+local first -- of the controller's clock less the capture's
+
+local function add_values(tree, tvb, payload, values, time)
   local item = add(tree, taurus, tvb(), "Taurus Motor Data")
-  for i, row in ipairs(rows) do add_row(item, tvb, row, values[i], payload) end
+  add(item, motor, tvb()):set_hidden()
+  local clock
+  for i, row in ipairs(rows) do
+    local _, seconds = add_row(item, tvb, row, values[i], payload)
+    clock = clock or seconds
+  end
   append(generated(add(item, torque_error, tonumber(format("%.7g", values[2] - values[1])))), " A")
   append(generated(add(item, rpm_error, tonumber(format("%.7g", values[4] - values[3])))), " RPM")
+  append(generated(add(item, dc_power, tonumber(format("%.7g", values[5] * values[6])))), " W")
+  first = first or clock - time
+  generated(add(item, drift, NSTime.new(0, (clock - time - first) % 1 * 1e9)))
 end
 
 -- Frames -------------------------------------------------------------------------------------------------------------
 
-local open, seeds = {}, {}
+local open, seeds, latest = {}, {}, 0
 
 local function begin(item, tvb, data, number, id, seq)
   local sent, size = can_id.start(data)
@@ -129,18 +167,19 @@ local function read_values(payload)
   return values
 end
 
-local function finish(tree, item, message, number, seq)
+local function finish(tree, item, message, pinfo, seq)
   local payload = table.concat(message)
   if crc.update(seeds[seq], payload) ~= message.crc then return "bad CRC" end
-  local values = read_values(payload)
+  local values, time = read_values(payload), pinfo.rel_ts
+  message.delta, latest = time - latest, time
   local a, b, c, d = byte(payload, fault_flags.offset + 1, fault_flags.offset + 4)
   message.fault = a + b * 0x100 + c * 0x10000 + d * 0x1000000
   local wants_all = item or tree:referenced(rows[1].pf) -- from 4.4 on -T fields shows no tree
   if wants_all or tree:referenced(overcurrent) then
     local tvb = ByteArray.new(payload, true):tvb("Reassembled")
-    if item then add_message(item, tvb, number, message) end
+    if item then add_message(item, tvb, pinfo.number, message) end
     if wants_all then
-      add_values(tree, tvb, payload, values)
+      add_values(tree, tvb, payload, values, time)
     else -- as the plugin: with its bytes, which a filter may ask for
       add_le(add(tree, taurus, tvb(), "Taurus Motor Data"), overcurrent, tvb(fault_flags.offset, fault_flags.size))
     end
@@ -159,7 +198,7 @@ function yapp.dissector(tvb, pinfo, tree)
     info = begin(item, tvb, data, number, id, seq)
   else
     message[#message + 1], message.frames[#message.frames + 1] = data, number
-    info = kind == 2 and format("Motor Data  part %d of 5", #message.frames) or finish(tree, item, message, number, seq)
+    info = kind == 2 and format("Motor Data  part %d of 5", #message.frames) or finish(tree, item, message, pinfo, seq)
   end
   local columns = pinfo.cols
   columns.protocol, columns.src, columns.info = "YAPP", "0x210", info

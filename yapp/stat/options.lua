@@ -8,6 +8,7 @@ local check = require("yapp.stat.check")
 local csv = require("yapp.stat.csv")
 local events = require("yapp.stat.events")
 local input = require("yapp.base.input")
+local joined = require("yapp.base.joined")
 local kinds = require("yapp.stat.kinds")
 local summary = require("yapp.stat.summary")
 
@@ -70,8 +71,7 @@ local function add_field(rule, name, value)
   local message = rule.message
   local spread_of = name:match("^(.*)%.spread$")
   name = spread_of or name
-  local field, names = find(message.fields, name)
-  field = field or find(message.generated, name)
+  local field, names = find(joined(message.fields, message.generated), name)
   demand(field, "%s has no field %q, but %s", message.name, name, names)
   demand(field.kind ~= "string" and field.kind ~= "bytes",
     "%s.%s is a text, which has no range", message.name, field.name)
