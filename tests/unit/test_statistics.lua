@@ -110,7 +110,8 @@ local function lines(text)
   return list
 end
 
-local NOTHING_CAME = "no YAPP message found in 0 packets: see yapp.search_all, yapp.user_dlt, udp.try_heuristic_first\n"
+local NOTHING_CAME = "no YAPP message found in 0 packets: see yapp.search_all, yapp.user_dlt, " ..
+  "tcp.try_heuristic_first, udp.try_heuristic_first\n"
 
 -- summary -------------------------------------------------------------------------------------------------------
 

@@ -180,7 +180,7 @@ local function nothing_found(self, extended)
     return text:format(frames .. (extended == 1 and " was" or " were"))
   end
   local packets = output.count(self.packets, "packet")
-  local places = "yapp.search_all, yapp.user_dlt, udp.try_heuristic_first"
+  local places = "yapp.search_all, yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first"
   return ("no YAPP message found in %s: see %s"):format(packets, places)
 end
 
