@@ -110,8 +110,8 @@ local function register_id(id)
 end
 
 local stat -- of stat.taps
-local function note_unclaimed(tvb, pinfo) stat:note_unclaimed(tvb, pinfo) end
-local frames = can_dissector.new(builder, reader, buses, register_id, note_unclaimed)
+local function note_frame(tvb, pinfo) stat:note_frame(tvb, pinfo) end
+local frames = can_dissector.new(builder, reader, buses, register_id, note_frame)
 local streams = serial_dissector.new(builder, reader, buses, tcp_header)
 
 -- drops: packets that the file says were dropped, and TCP segments that it lacks.  unfinished:
@@ -146,7 +146,7 @@ local accepts_all, is_heuristic = false, false -- accepts_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
   if accepts_all then return all.dissector(tvb, pinfo, root) > 0 end
-  note_unclaimed(tvb, pinfo)
+  note_frame(tvb, pinfo)
   return false
 end
 

@@ -581,6 +581,23 @@ def test_a_single_frame_of_another_size(folder):
         assert done.stdout.splitlines()[1:] == [text]
 
 
+def test_remote_frames_beside_data_of_zeros(folder):
+    """Without a tree or a column only the CAN header tells remote frames, which captures give zeros, from data of zeros."""
+    def payload(index):
+        return motor_payload(index)[:8] + bytes(8) + motor_payload(index)[16:]
+
+    placed = flight(count=300, spoil=lambda index, sent: Sent(sent.msg, 0, sent.seq, payload(index)).frames())
+    for index in range(300):
+        at = BEGIN + index * 100_000_000 + 400_000
+        placed += [(at, Frame(MOTOR << 18 | 2 << 14, bytes(8), kind="remote")), (at, Frame(0, bytes(7), kind="remote"))]
+    (folder / "run.pcapng").write_bytes(pcapng(sorted(placed, key=lambda one: one[0]), ("can0",)))
+    rows = tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,csv,-,motor").stdout.splitlines()
+    assert len(rows) == 301 and tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,csv,-,command").stdout.count("\n") == 1
+    assert tshark.run("-q", "-r", folder / "run.pcapng", "-z", "yapp,events").stdout.splitlines() == ["YAPP events: 0"]
+    for capture in folder / "run.pcapng", tshark.ROOT / "test_captures/remote_frames.pcap":
+        assert tshark.run("-q", "-r", capture, "-z", "yapp,check").returncode == 0
+
+
 def test_csv_in_a_folder_says_what_was_not_decoded(folder):
     (folder / "run.pcapng").write_bytes(controllers(EIGHT))
     done = tshark.run("-q", "-r", folder / "run.pcapng", "-z", f"yapp,csv,{folder}/tables")

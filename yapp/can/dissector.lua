@@ -31,14 +31,16 @@ Dissector.__index = Dissector
 -- reader       a message.reader: what a finished message means
 -- buses        a host.buses
 -- register_id  function(id), which makes Wireshark call YAPP for frames of this message ID
--- refuse       function(tvb, pinfo), called for a frame that is not YAPP's
-function M.new(builder, reader, buses, register_id, refuse)
+-- note_frame   function(tvb, pinfo), after which a tap of the packet calls Dissector:read_noted, if
+--              a statistic runs
+function M.new(builder, reader, buses, register_id, note_frame)
   return setmetatable({
     builder = builder,
     reader = reader,
     buses = buses,
     register_id = register_id,
-    refuse = refuse,
+    note_frame = note_frame,
+    is_put_off = false, -- whether the current frame waits for Dissector:read_noted
     stat = reader.stat,
   }, Dissector)
 end
@@ -234,8 +236,11 @@ local SHOW = { -- by kind, see can.reassembly
 
 -- Frames ------------------------------------------------------------------------------------------
 
--- Shows a frame of ours.
-local function show(self, frame, kind)
+-- Show a frame of ours.
+-- kind ...  of can.reassembly
+local function show(self, frame, kind, message, anomalies, index)
+  if frame.can_id.ctrl == START then self.register_id(frame.source.id) end
+  frame.message, frame.anomalies, frame.index = message or false, anomalies, index or false
   local builder, pinfo, tree = self.builder, frame.pinfo, frame.tree
   local wants = not frame.visited and builder.wanted or builder:wants(tree, pinfo, frame.visited)
   frame.wants, frame.item = wants, tree
@@ -298,6 +303,16 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   return frame
 end
 
+-- If nothing says yet whether a frame is a remote frame, put it off until a tap of its packet has
+-- read its header.  Return whether there is such a tap: in tshark with nothing but statistics.
+local function put_off(self, frame)
+  if not (self.builder.is_only_pass and self.stat.wanted) then return false end
+  self.builder:wants(frame.tree, frame.pinfo, false) -- the tap has no tree to ask
+  self.note_frame(frame.tvb, frame.pinfo)
+  self.is_put_off = true
+  return true
+end
+
 --- Dissect one frame.
 -- id           29-bit CAN id
 -- accepts_all  whether the user says that every extended frame is YAPP
@@ -312,16 +327,18 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
     may_be_remote = may_be_remote and kind == "single"
     if message then frame.source = message.source end
   end
-  if may_be_remote and socketcan.is_remote(pinfo) then return 0 end
-  if not frame.visited then kind, message, anomalies = known:take(frame) end
-  if not kind then
-    self.refuse(tvb, pinfo)
-    return 0
+  if may_be_remote then
+    local is_remote = socketcan.is_remote(pinfo)
+    if is_remote then return 0 end
+    if is_remote == nil and put_off(self, frame) then return reported end
   end
-  if frame.can_id.ctrl == START then self.register_id(frame.source.id) end
-  frame.message, frame.anomalies, frame.index = message or false, anomalies, index or false
-  show(self, frame, kind)
-  return reported
+  if not frame.visited then kind, message, anomalies = known:take(frame) end
+  if kind then
+    show(self, frame, kind, message, anomalies, index)
+    return reported
+  end
+  self.note_frame(tvb, pinfo)
+  return 0
 end
 
 --- Show as bytes a frame that the user calls YAPP, but whose CAN id is not known.  That is the
@@ -358,18 +375,13 @@ local function unknown_size(self, fields, source, data)
   return size
 end
 
---- Report to the statistics a frame that is not dissected, if it may be a message or begin one: of
+-- Report to the statistics a frame that is not dissected, if it may be a message or begin one: of
 -- an unknown ID; of a known one with a YAPP CTL other than 0, or with bytes behind its values.
--- tvb             of its packet, in a tap
--- offset, length  of the frame's captured data
--- returns         whether it is an extended data frame
-function Dissector:report_unclaimed(tvb, pinfo, offset, length)
-  local id = socketcan.id_before(tvb, offset, length)
-  if not id or length == 0 then return id ~= nil end
+local function report_unknown(self, pinfo, id, offset, data)
   local fields, number = fields_of[id], pinfo.number
   local source = self.sources[self.asks and self.buses:of(pinfo, number) or false][fields.id]
-  local size = unknown_size(self, fields, source, tvb:raw(offset, length))
-  if not size then return true end
+  local size = unknown_size(self, fields, source, data)
+  if not size then return end
   self.stat:unknown {
     source = source,
     seq = fields.seq,
@@ -377,7 +389,24 @@ function Dissector:report_unclaimed(tvb, pinfo, offset, length)
     time = pinfo.rel_ts,
     size = size,
   }
-  return true
+end
+
+--- Go on with the frame that was noted: dissect it if it was put off, else report it.
+-- tvb             of its packet, in a tap
+-- offset, length  of the frame's captured data
+-- returns         whether it is an extended data frame
+function Dissector:read_noted(tvb, pinfo, offset, length)
+  local id, is_unknown = socketcan.id_before(tvb, offset, length)
+  local frame, is_put_off = self.frame, self.is_put_off
+  self.is_put_off = false
+  if is_put_off and (id or is_unknown) then
+    frame.tree, frame.pinfo = nil, pinfo
+    local kind, message, anomalies = self.reassembly:take(frame)
+    if kind then show(self, frame, kind, message, anomalies) end
+  elseif id and length > 0 then
+    report_unknown(self, pinfo, id, offset, tvb:raw(offset, length))
+  end
+  return id ~= nil
 end
 
 --- Return the messages that the capture ends before.

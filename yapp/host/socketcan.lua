@@ -13,6 +13,7 @@ local M = {}
 local EXTENDED, MASK = 0x80000000, 0x20000000
 local HEADER = 8 -- bytes that have the id
 local MAX_THROWN = 24
+local NO_COLUMN = "(info)" -- the text of a column if there are no columns
 
 -- The latest header that was read: { number = of its packet, can_id = 29 bits, nil if it is not of
 -- an extended data frame }.
@@ -55,13 +56,14 @@ function M.find_id(pinfo)
 end
 
 --- Return whether a header, a field or a column says that a frame of zeros is a remote frame:
--- remote frames have no data, but captures give them zeros.
+-- remote frames have no data, but captures give them zeros.  Return nil if nothing says it.
 function M.is_remote(pinfo)
   if header.number == pinfo.number then return header.can_id == nil end
   local rtr = M.fields_of(NAMES)["can.flags.rtr"]
   if rtr ~= nil then return is_true(rtr) end
-  if tostring(pinfo.cols.protocol) == "CANFD" then return false end
-  return tostring(pinfo.cols.info):find("Remote", 1, true) ~= nil
+  local info = tostring(pinfo.cols.info)
+  if info == NO_COLUMN then return nil end
+  return tostring(pinfo.cols.protocol) ~= "CANFD" and info:find("Remote", 1, true) ~= nil
 end
 
 --- Forget the capture file.
@@ -84,9 +86,10 @@ end
 --- Return the id that the header in front of a frame's data has.
 -- tvb             of the whole packet
 -- offset, length  of the captured data
--- returns         29-bit id; nil for what is no extended data frame with such a header
+-- returns         29-bit id; nil for what is no extended data frame; nil and true if the frame has
+--                 another header
 function M.id_before(tvb, offset, length)
-  if offset < HEADER or tvb(offset - 4, 1):uint() < length then return nil end
+  if offset < HEADER or tvb(offset - 4, 1):uint() < length then return nil, true end
   -- SocketCAN's own encapsulation has nothing in front of the header.
   local is_little = offset > HEADER or get_preference("can.byte_swap")
   return header_id(tvb(offset - HEADER):tvb(), is_little)

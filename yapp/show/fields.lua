@@ -180,10 +180,12 @@ function M.add_generated(item, pf, value)
 end
 
 --- Add an expert item.
+-- item  nil in a tap, which has no tree
 -- name  its filter
 -- text  about this packet, or nil.  It becomes a generated item, as the expert item's own text
 --       stays the same for all packets
 function M.add_expert(item, name, text)
+  if not item then return end
   if text and item.visible then item = M.add_generated(item, text) end
   item:add_proto_expert_info(experts[name])
 end

@@ -26,8 +26,7 @@ Stat.__index = Stat
 --   drops      function() -> what the capture does not have, see host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
 --              key }
---   watch      function(), called when statistics begin: from then on Stat:note_unclaimed
---              is called }
+--   watch      function(), called when statistics begin: from then on Stat:note_frame is called }
 function M.new(parts)
   return setmetatable(parts, Stat)
 end
@@ -81,22 +80,26 @@ local function tap_clock(self)
   return clock
 end
 
--- The tap that reads the CAN headers of the frames that are not dissected.
-local function tap_unclaimed(self)
+-- Read the CAN header of the frame that was noted, if it is of this packet.
+local function read_noted(self, pinfo, tvb)
+  local number = self.number
+  self.number = nil
+  if number ~= pinfo.number then return end
+  local is_extended = self.frames:read_noted(tvb, pinfo, self.offset, self.length)
+  if is_extended then self.extended = self.extended + 1 end
+end
+
+local function tap_noted(self)
   local tap = listen(self)
-  function tap.packet(pinfo, tvb)
-    if self.number ~= pinfo.number then return end
-    local is_extended = self.frames:report_unclaimed(tvb, pinfo, self.offset, self.length)
-    if is_extended then self.extended = self.extended + 1 end
-  end
+  function tap.packet(pinfo, tvb) read_noted(self, pinfo, tvb) end
   return tap
 end
 
---- Note a CAN frame that is not dissected.  Dissectors see only its data, a tap all of its packet.
-function Stat:note_unclaimed(tvb, pinfo)
+--- Note a CAN frame whose header is needed: dissectors see only its data, a tap all of its packet.
+function Stat:note_frame(tvb, pinfo)
   if not self.intake.wanted then return end
   self.number, self.offset, self.length = pinfo.number, tvb:offset(), tvb:len()
-  self.unclaimed = self.unclaimed or tap_unclaimed(self)
+  if self.queue.is_direct then self.noted = self.noted or tap_noted(self) end
 end
 
 -- The tap that sees every packet.  In tshark it removes the tap of the clock, which builds trees,
@@ -105,7 +108,8 @@ local function tap_packets(self)
   local tap, clock = listen(self), tap_clock(self)
   local is_waiting = IS_TSHARK
 
-  function tap.packet(pinfo)
+  function tap.packet(pinfo, tvb)
+    read_noted(self, pinfo, tvb)
     if is_waiting and self.is_exact then
       self.builder:only_pass()
       clock:remove()
@@ -123,7 +127,7 @@ end
 
 local function open(self)
   self.queue, self.taps = queue.new(self.settings, hint()), {}
-  self.is_exact, self.extended, self.unclaimed = false, 0, nil
+  self.is_exact, self.extended, self.noted = false, 0, nil
   self.intake:open(self.queue)
   self.watch()
   tap_packets(self)
