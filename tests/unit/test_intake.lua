@@ -19,7 +19,8 @@ local SOURCE = { id = 1, bus = "can0", message = MESSAGE }
 -- An intake, and the list of what it offers: { event, visited }.
 local function new_intake()
   local offered, intake = {}, intake_of.new(CATALOGUE)
-  local queue = { offer = function(_, event, visited) offered[#offered + 1] = { event, visited } end }
+  local queue = { offer = function(_, event, visited) offered[#offered + 1] = { event, visited } end,
+    add_undissected = function(_, event) offered[#offered + 1] = { event } end }
   intake:open(queue)
   intake.wants_parts = true
   return intake, offered
@@ -45,6 +46,32 @@ function T.test_kinds_of_finished_messages()
     kinds[i] = one[1].kind .. (what and " " .. what or "")
   end
   lu.assertEquals(kinds, { "message", "crc", "incomplete incomplete" })
+end
+
+function T.test_frames_that_may_be_messages()
+  local intake, offered = new_intake()
+  local function reported(source, seq, size)
+    local count = #offered
+    intake:unknown { source = source, seq = seq, size = size, key = 0, time = 0 }
+    return #offered > count
+  end
+  local other = { id = 7, bus = "can0" }
+  lu.assertTrue(reported(SOURCE, 0, 9), "a known ID")
+  lu.assertTrue(reported(other, 0, 3), "the size of a message")
+  lu.assertFalse(reported(other, 5, 9), "another Seq No")
+  lu.assertTrue(reported(other, 6, 9), "the next Seq No")
+  lu.assertFalse(reported(other, 255, 9))
+  lu.assertTrue(reported(other, 0, 9), "they count modulo 256")
+  lu.assertEquals(offered[1][1].values, { size = 9 })
+end
+
+function T.test_a_tap_leaves_with_the_next_message()
+  local intake, removed = new_intake(), 0
+  intake:remove_later { remove = function() removed = removed + 1 end }
+  lu.assertEquals(removed, 0)
+  intake:message(message())
+  intake:message(message())
+  lu.assertEquals(removed, 1)
 end
 
 function T.test_a_message()

@@ -477,7 +477,11 @@ function T.test_what_cannot_be_judged()
   lu.assertEquals(code_of("unknown=0", { lost(1, 0, "incomplete", ODD) }), 21)
   local unsure = record(2, 1, { is_unreliable = true }) -- what came before it is not known
   lu.assertEquals(code_of("fault=0", { good[1], unsure }), 21)
+  for _, name in ipairs { "missing", "reboot", "stale", "jump", "shared", "silence" } do
+    lu.assertEquals(code_of(name .. "=0", { good[1], unsure }), 21, name)
+  end
   lu.assertEquals(code_of("crc=0", { good[1], unsure }), 0)
+  lu.assertEquals(verdicts("clock=0", {})[1], "clock=0 null null 0 null") -- nothing came
   lu.assertEquals(code_of("fault=0", { record(1, 0, { change = raised(1, 1) }), unsure }), 20)
   lu.assertEquals(code_of("motor.count=9,nonsense=1", good), 20) -- both
   lu.assertEquals(code_of("crc=0", good), 0)
@@ -829,6 +833,11 @@ function T.test_sizes_that_no_preference_decodes()
   lu.assertStrContains(said(many)[2], "0x1e (50 bytes, the size of no known message); and 10 more")
 end
 
+function T.test_a_yapp_ctl_other_than_0()
+  lu.assertEquals(said({ unknown(1, "", 0x210, 11, { message = MOTOR }) }), { "YAPP faults: 0", "1 message was not decoded: " ..
+    "0x210 (11 bytes, Motor Data with a YAPP CTL other than 0). Try -o yapp.all_extended:TRUE" })
+end
+
 function T.test_preferences_that_decode()
   local function advice(records, with) return said(records, with)[2]:match("Try (.*)") end
   lu.assertEquals(advice({ unknown(1, "a", 0x300, 11), unknown(2, "a", 0x301, 8) }, { ids = { motor = { 0x20, 0x21, 0x7ff } } }),
@@ -1078,6 +1087,7 @@ function T.test_a_file_of_rules()
     local text, problems = read_file("fault=0\nmotor.rate=fast\n\nrules=x\n", ",crc=a")
     lu.assertEquals({ text, problems }, { "fault=0 unknown=0", { path .. ':2: motor.rate=fast: "fast" is not a rate',
       path .. ":4: rules=x: a file of rules names no other", 'crc=a: "a" is not a number of messages' } })
+    lu.assertEquals(select(2, read_file("fault=x\n")), { path .. ':1: fault=x: "x" is not a number of messages' })
     for _, empty in ipairs { "", "# fault=0\n\n" } do
       lu.assertEquals({ read_file(empty) }, { "unknown=0", { ("rules=%s: there is no rule in it"):format(path) } })
     end
