@@ -119,7 +119,7 @@ local streams = serial_dissector.new(builder, reader, buses, tcp_header)
 local function drops() return joined(buses:drops(), streams:drops()) end
 local function unfinished() return joined(frames:unfinished(), streams:unfinished()) end
 
--- What the statistics need of the preferences; read_preferences fills it.
+-- What statistics and the history need of the preferences; read_preferences fills it.
 local settings = { version = VERSION, catalogue = catalogue }
 
 -- Dissectors --------------------------------------------------------------------------------------

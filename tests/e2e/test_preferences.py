@@ -228,7 +228,7 @@ def test_unreadable_catalogue(folder, _, text, said):
 
 NEW_MESSAGE = """
   {
-    name = "esc", title = "ESC Status", id = 0x220, size = 6, info = "{mode}  {load:%.1f} %",
+    name = "esc", title = "ESC Status", id = 0x7A0, size = 6, info = "{mode}  {load:%.1f} %",
     { "mode", "uint8", "Mode", values = { [0] = "Off", [1] = "On" } },
     { "load", "float8", "Load", min = 0, max = 100, unit = "%" },
     { "flags", "uint16", "Flags", group = "flag", alarm = "WARNING", flags = { { "hot", 0x1, "Too hot" },
@@ -241,18 +241,18 @@ NEW_MESSAGE = """
 
 def test_adding_a_message_is_adding_an_entry(folder):
     options, load = with_catalogue(folder, CATALOGUE.rstrip()[:-1] + NEW_MESSAGE)
-    path = write(folder, "can0 [220 01 7D 01 80 34 12]", "can0 [220 02 FF 02 00 00 00]", "can0 [221 00 00 00 00 00 00]",
+    path = write(folder, "can0 [7A0 01 7D 01 80 34 12]", "can0 [7A0 02 FF 02 00 00 00]", "can0 [7A1 00 00 00 00 00 00]",
                  *ALL_THREE)
     names = ["mode", "load", "load.special", "flags", "flag.hot", "flag.cold", "counter"]
     wanted = [part for name in names for part in ("-e", f"taurus.esc.{name}")]
-    done = tshark.run(*load, "-r", path, "-o", "yapp.esc_ids:0x220,0x221", "-T", "fields", "-e",
+    done = tshark.run(*load, "-r", path, "-o", "yapp.esc_ids:0x7A0,0x7A1", "-T", "fields", "-e",
                       expected.column("Info"), *wanted, "-e", "taurus.value.invalid", "-e", "taurus.flags.undefined",
                       "-e", "taurus.fault.active", **options)
     rows = [[{"True": "1", "False": "0"}.get(value, value) for value in line.split("\t")]
             for line in done.stdout.splitlines()]
-    assert [row[0] for row in rows[:3]] == ["ESC Status 0x220  On  50.0 %  WARNING hot, cold",
-                                            "ESC Status 0x220  invalid 0x2  NaN %  WARNING undefined 0x2  cleared hot, cold",
-                                            "ESC Status 0x221  Off  0.0 %"]  # two IDs carry it
+    assert [row[0] for row in rows[:3]] == ["ESC Status 0x7a0  On  50.0 %  WARNING hot, cold",
+                                            "ESC Status 0x7a0  invalid 0x2  NaN %  WARNING undefined 0x2  cleared hot, cold",
+                                            "ESC Status 0x7a1  Off  0.0 %"]  # two IDs carry it
     assert rows[0][1:8] == ["0x01", "50", "", "0x8001", "1", "1", "4660"]
     assert rows[1][1:8] == ["0x02", "", "0", "0x0002", "0", "0", "0"]
     assert [[bool(value) for value in row[8:]] for row in rows[:3]] == [

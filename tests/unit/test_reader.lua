@@ -44,7 +44,9 @@ end
 function T.test_every_id_that_carries_a_message_is_visited()
   local r, ids = new("can1/0x300=health:, 0x301=tail"), {}
   r:use(catalogue.assign(TAURUS, { motor = { 0x210, 0x211 } }), r.sources, false, function(id) ids[id] = true end)
-  lu.assertEquals(ids, { [0] = true, [0x200] = true, [0x210] = true, [0x211] = true, [0x300] = true })
+  local expected = { [0x211] = true, [0x300] = true }
+  for _, message in ipairs(TAURUS.messages) do expected[message.id] = true end
+  lu.assertEquals(ids, expected)
 end
 
 function T.test_which_sizes_fit()

@@ -282,10 +282,10 @@ for _, row in ipairs(M.LIST) do M.BY_NAME[row.name] = row end
 --- Read the argument of -z.
 -- text       "yapp,check,fault=0,motor.rate=9,filter=can.bus_id == 1, or so"
 -- catalogue  compiled
--- returns    { what =, row = of LIST,
---            json = true or nil, filter = or nil, folder =, chosen =, replace =, all =,
---            rules =, junit =, looks_for_faults = whether one is about faults, problems = list of
---            texts, each names its option }
+-- returns    { what =, row = of LIST, filter = or nil,
+--            json = true and other words of the row's options, if they were given,
+--            folder, chosen = of csv; rules, junit = of check; looks_for_faults = whether a rule is
+--            about faults; problems = list of texts, each names its option }
 function M.read(text, catalogue)
   local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")
