@@ -283,7 +283,8 @@ local %s = byte(payload, 1, %d)
 return raws, is_remarkable
 end]]
 
--- Return the condition under which the i-th field of a message is remarkable.
+-- Return the condition under which the i-th field of a message is remarkable, so that M.remarks has
+-- something to say of it.  tests/unit/test_types.lua holds that the two agree.
 local function remark_source(field, i)
   if field.kind == "float" and field.size <= 6 then return format("a > %.0f", field.ordinary) end
   if field.special then return format("not value_of(FIELDS[%d], a)", i) end

@@ -18,7 +18,8 @@ local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_JUMP = 1 + HALF_NANOSECOND -- seconds; the capture's clock may jitter by less
 local MAX_BEHIND = 8 -- a Seq up to 8 behind came late; it does not mean 248 missing
 
--- Evidence that several controllers share a source, see is_shared.
+-- Evidence that several controllers share a source, see is_shared.  tests/unit/test_shared.lua has
+-- the traces that the numbers tell apart: shared sources, reboots, late messages, stopped clocks.
 local LARGE_FALL = 2 -- seconds; a message that came late makes the clock fall by less
 local LARGE_RETURN = 50 -- evidence of a return from a large fall; from a small one it is 1
 local FADE = 0.85 -- each message leaves this share of the evidence: 50 is ENOUGH for 22 messages
