@@ -581,6 +581,23 @@ def test_a_single_frame_of_another_size(folder):
         assert done.stdout.splitlines()[1:] == [text]
 
 
+@pytest.mark.parametrize("option", [("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp_all")])
+@pytest.mark.parametrize("form", ["log", "log of two buses", "pcapng"])
+def test_single_frames_of_an_unknown_id_where_all_frames_are_yapp(folder, option, form):
+    """They are shown as bytes, so they count as not decoded: from the first packet on, though nothing tells its CAN id."""
+    frames = [Frame(1 << 18 | index, command_payload(1)) for index in range(3)] + Sent(MOTOR, 0, 1, motor_payload(1)).frames()
+    if form == "log of two buses":
+        frames.append(Frame(5, bytes(8), kind="standard", bus=1))
+    if form == "pcapng":
+        (folder / "run").write_bytes(pcapng([(BEGIN + index, one) for index, one in enumerate(frames)], ("can0",)))
+    else:
+        (folder / "run").write_text("".join(
+            f"(1700000000.{index:06d}) can{one.bus} {one.can_id:0{3 if one.kind == 'standard' else 8}X}#{one.data.hex().upper()}\n"
+            for index, one in enumerate(frames)))
+    done = tshark.run("-q", "-r", folder / "run", *option, "-z", "yapp,faults")
+    assert "3 messages were not decoded: can0 0x1 (7 bytes each, the size of Command)" in done.stdout
+
+
 def test_remote_frames_beside_data_of_zeros(folder):
     """Without a tree or a column only the CAN header tells remote frames, which captures give zeros, from data of zeros."""
     def payload(index):

@@ -40,7 +40,7 @@ function M.new(builder, reader, buses, register_id, note_frame)
     buses = buses,
     register_id = register_id,
     note_frame = note_frame,
-    is_put_off = false, -- whether the current frame waits for Dissector:read_noted
+    lacks = false, -- what the current frame waits for: its "id" or "kind", see put_off
     stat = reader.stat,
   }, Dissector)
 end
@@ -303,13 +303,14 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   return frame
 end
 
--- If nothing says yet whether a frame is a remote frame, put it off until a tap of its packet has
--- read its header.  Return whether there is such a tap: in tshark with nothing but statistics.
-local function put_off(self, frame)
+-- If nothing tells yet the id of a frame, or its kind (data or remote), put it off until a tap of
+-- its packet has read its header.  Return whether there is such a tap: in tshark with nothing but
+-- statistics.
+local function put_off(self, tvb, pinfo, tree, lacks)
   if not (self.builder.is_only_pass and self.stat.wanted) then return false end
-  self.builder:wants(frame.tree, frame.pinfo, false) -- the tap has no tree to ask
-  self.note_frame(frame.tvb, frame.pinfo)
-  self.is_put_off = true
+  self.builder:wants(tree, pinfo, false) -- the tap has no tree to ask
+  self.note_frame(tvb, pinfo)
+  self.lacks = lacks
   return true
 end
 
@@ -330,7 +331,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   if may_be_remote then
     local is_remote = socketcan.is_remote(pinfo)
     if is_remote then return 0 end
-    if is_remote == nil and put_off(self, frame) then return reported end
+    if is_remote == nil and put_off(self, tvb, pinfo, tree, "kind") then return reported end
   end
   if not frame.visited then kind, message, anomalies = known:take(frame) end
   if kind then
@@ -345,6 +346,7 @@ end
 -- first frame of Decode As, on a pass that builds no tree.
 function Dissector:without_id(tvb, pinfo, tree)
   local builder, item = self.builder, tree
+  if put_off(self, tvb, pinfo, tree, "id") then return tvb:reported_len() end
   if builder:wants(tree, pinfo, true).yapp then
     item = add(tree, builder.yapp, tvb())
     if tvb:len() > 0 then add(item, builder.fields.payload, tvb()) end
@@ -396,10 +398,12 @@ end
 -- offset, length  of the frame's captured data
 -- returns         whether it is an extended data frame
 function Dissector:read_noted(tvb, pinfo, offset, length)
-  local id, is_unknown = socketcan.id_before(tvb, offset, length)
-  local frame, is_put_off = self.frame, self.is_put_off
-  self.is_put_off = false
-  if is_put_off and (id or is_unknown) then
+  local id, is_unknown = socketcan.id_before(tvb, pinfo, offset, length)
+  local frame, lacks = self.frame, self.lacks
+  self.lacks = false
+  if lacks == "id" then
+    if id and length > 0 then self:dissect(tvb(offset, length):tvb(), pinfo, nil, id, true) end
+  elseif lacks == "kind" and (id or is_unknown) then
     frame.tree, frame.pinfo = nil, pinfo
     local kind, message, anomalies = self.reassembly:take(frame)
     if kind then show(self, frame, kind, message, anomalies) end

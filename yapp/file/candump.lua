@@ -227,11 +227,11 @@ for kind, counts in pairs(PLAIN_DIGITS) do
 end
 
 -- Return a test for text of whole lines: whether all are log lines of this bus that Wireshark's own
--- reader gets right in every version (tests/e2e/test_candump.py compares the two readers).  That one
--- takes one space, six decimals, a number of digits that fits, and nothing more.  It does not tell
--- two buses apart before 4.6, and an empty line ends the file for it on 4.6.  From 4.6 on it goes by
--- an id's value, not by its digits (by_value): it takes 00000000 for a standard id, and the id of an
--- error frame for an extended one.
+-- reader gets right in every version (tests/e2e/test_candump.py compares the two readers).
+-- Wireshark's reader takes one space, six decimals, a number of digits that fits, and nothing more.
+-- It does not tell two buses apart before 4.6, and an empty line ends the file for it on 4.6.  From
+-- 4.6 on it goes by an id's value, not by its digits (by_value): it takes 00000000 for a standard
+-- id, and the id of an error frame for an extended one.
 local function plain_test(bus, by_value)
   local name = bus:gsub("%W", "%%%0")
   local pattern = "%(%d+%.%d%d%d%d%d%d%) " .. name .. " ([0-7]%x+)#([#R]?)()%x*()\r?\n"

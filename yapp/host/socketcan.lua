@@ -89,11 +89,12 @@ end
 -- offset, length  of the captured data
 -- returns         29-bit id; nil for what is no extended data frame; nil and true if the frame has
 --                 another header
-function M.id_before(tvb, offset, length)
+function M.id_before(tvb, pinfo, offset, length)
   if offset < HEADER or tvb(offset - 4, 1):uint() < length then return nil, true end
   -- SocketCAN's own encapsulation has nothing in front of the header.
   local is_little = offset > HEADER or get_preference("can.byte_swap")
-  return header_id(tvb(offset - HEADER):tvb(), is_little)
+  header.number, header.can_id = pinfo.number, header_id(tvb(offset - HEADER):tvb(), is_little)
+  return header.can_id
 end
 
 -- How many calls for truncated frames did not return: at bytes that are not there a C dissector

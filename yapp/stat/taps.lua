@@ -9,6 +9,8 @@ local queue = require("yapp.stat.queue")
 
 local M = {}
 
+-- While this is asked for, trees have the exact time, and what dissectors need of CAN headers.
+local CLOCK = "frame.time_epoch || can.id || can.flags.xtd == 1 || can.flags.rtr == 1"
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
 
 local Stat = {}
@@ -67,7 +69,7 @@ end
 -- The tap that asks for the field which has the time to the nanosecond (pinfo.abs_ts has steps of
 -- 0.24 microseconds).
 local function tap_clock(self)
-  local clock = listen(self, "frame.time_epoch")
+  local clock = listen(self, CLOCK)
   function clock.packet(pinfo)
     if self.is_exact then return end
     for _, info in ipairs { all_field_infos() } do
