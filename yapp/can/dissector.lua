@@ -14,6 +14,7 @@ local M = {}
 local CTRL_NAMES, START = can_id.CTRL_NAMES, can_id.START
 local add, add_le, append_text = show_fields.add, show_fields.add_le, show_fields.append_text
 local fields_of, BUS = can_id.fields, can_id.BUS
+local number_of = frame_key.number
 local sub = string.sub
 -- A method that Lua has to look up in a Tvb costs more than what it does.
 local length_of, raw_of, reported_of, offset_of = Tvb.len, Tvb.raw, Tvb.reported_len, Tvb.offset
@@ -131,7 +132,7 @@ local function add_message(self, frame)
   local builder, message, data, item = self.builder, frame.message, frame.data, frame.item
   if #message > 1 then
     local payload = frame.payload_tvb and frame.payload_tvb()
-    builder:generated(item, "reassembled.in", frame_key.number(frame.key))
+    builder:generated(item, "reassembled.in", number_of(frame.key))
     append_text(builder:generated(item, "size", message.size), " bytes")
     builder:generated(item, "reserved", message.reserved or 0)
     message.crc = message.crc or can_id.crc(frame.can_id, message.payload)
@@ -205,7 +206,7 @@ local function show_fragment(self, frame)
   local last, wants = message[#message], frame.wants
   if frame.visited then
     if message.payload then
-      in_number = last % 1 == 0 and frame_key.number(last)
+      in_number = last % 1 == 0 and number_of(last)
     elseif not message.status and last == frame.key then
       builder:expert(item, "unfinished")
     end
@@ -241,8 +242,10 @@ local SHOW = { -- by kind, see can.reassembly
 local function show(self, frame, kind, message, anomalies, index)
   if frame.can_id.ctrl == START then self.register_id(frame.source.id) end
   frame.message, frame.anomalies, frame.index = message or false, anomalies, index or false
+  frame.is_accepted = true
   local builder, pinfo, tree = self.builder, frame.pinfo, frame.tree
-  local wants = not frame.visited and builder.wanted or builder:wants(tree, pinfo, frame.visited)
+  local is_asked = not (frame.visited and tree) and builder.wanted
+  local wants = is_asked or builder:wants(tree, pinfo, frame.visited)
   frame.wants, frame.item = wants, tree
   frame.is_only_pass = wants.is_only_pass -- the record serves the next frames, too
   if wants.yapp then
@@ -267,6 +270,7 @@ end
 --   source, slot   see message.reader and can_id.slot
 --   data           the captured bytes; reported = their number on the bus
 --   accepts_all    whether the user says that every extended frame is YAPP
+--   is_accepted    whether it is YAPP's; Decode As may accept what the table of ids refused
 --   is_only_pass   whether it is never dissected again
 --   message, anomalies, index  as can.reassembly says
 --   tvb, pinfo, tree, range    of Wireshark
@@ -297,6 +301,7 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   frame.data = length_of(tvb) > 0 and raw_of(tvb) or ""
   frame.reported = reported
   frame.accepts_all = accepts_all
+  frame.is_accepted = false
   frame.tvb = tvb
   frame.pinfo = pinfo
   frame.tree = tree
@@ -331,7 +336,8 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   if may_be_remote then
     local is_remote = socketcan.is_remote(pinfo)
     if is_remote then return 0 end
-    if is_remote == nil and put_off(self, tvb, pinfo, tree, "kind") then return reported end
+    local can_wait = is_remote == nil and not frame.visited
+    if can_wait and put_off(self, tvb, pinfo, tree, "kind") then return reported end
   end
   if not frame.visited then kind, message, anomalies = known:take(frame) end
   if kind then
@@ -346,7 +352,10 @@ end
 -- first frame of Decode As, on a pass that builds no tree.
 function Dissector:without_id(tvb, pinfo, tree)
   local builder, item = self.builder, tree
-  if put_off(self, tvb, pinfo, tree, "id") then return tvb:reported_len() end
+  if put_off(self, tvb, pinfo, tree, "id") then
+    if not pinfo.visited then self.newest_key = 0 end -- though the table of ids may have refused it
+    return tvb:reported_len()
+  end
   if builder:wants(tree, pinfo, true).yapp then
     item = add(tree, builder.yapp, tvb())
     if tvb:len() > 0 then add(item, builder.fields.payload, tvb()) end
@@ -407,7 +416,7 @@ function Dissector:read_noted(tvb, pinfo, offset, length)
     frame.tree, frame.pinfo = nil, pinfo
     local kind, message, anomalies = self.reassembly:take(frame)
     if kind then show(self, frame, kind, message, anomalies) end
-  elseif id and length > 0 then
+  elseif id and length > 0 and not (frame.is_accepted and number_of(frame.key) == pinfo.number) then
     report_unknown(self, pinfo, id, offset, tvb:raw(offset, length))
   end
   return id ~= nil
