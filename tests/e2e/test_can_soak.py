@@ -292,6 +292,21 @@ def test_the_packet_list_says_what_a_tree_says(layout, folder):
     assert [line.split() for line in listed.splitlines()] == [[number, *info.split()] for number, info, _ in shown]
 
 
+@pytest.mark.parametrize("option", [(), ("-o", "yapp.all_extended:TRUE"), ("-d", "can.subdissector,yapp_all")])
+@pytest.mark.parametrize("layout", levels.few(can_generator.LAYOUTS, ["interfaces", "merged interface"]))
+def test_statistics_without_a_tree_say_what_those_with_one_say(layout, option, folder):
+    """Alone they have neither a tree nor a column, which tell CAN ids and remote frames."""
+    capture, path = make_one(f"{SEED}.statistics", layout, layout not in can_generator.MERGED), folder / "random.pcapng"
+    capture.write(path)
+
+    def events(output):
+        done = tshark.run(output, "-r", path, *capture.preferences, *option, "-z", "yapp,events,json")
+        said = [line for line in done.stderr.splitlines() if line.startswith("yapp:")]
+        return [line for line in done.stdout.splitlines() if line.startswith('{"kind"')] + said
+
+    assert events("-q") == events("-V")
+
+
 def test_one_reassembled_in_finds_all_frames(folder):
     """In two passes one filter finds a message, whichever way the bus is told."""
     for layout in can_generator.LAYOUTS:

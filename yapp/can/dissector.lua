@@ -313,7 +313,8 @@ end
 -- statistics.
 local function put_off(self, tvb, pinfo, tree, lacks)
   if not (self.builder.is_only_pass and self.stat.wanted) then return false end
-  self.builder:wants(tree, pinfo, false) -- the tap has no tree to ask
+  local wants = self.builder:wants(tree, pinfo, false)
+  if wants.tree or wants.columns then return false end -- a tap can show nothing
   self.note_frame(tvb, pinfo)
   self.lacks = lacks
   return true
