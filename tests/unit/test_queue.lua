@@ -20,7 +20,7 @@ local function add(queue, statistic, filter, row)
 end
 
 local function finish(queue, unfinished)
-  return { queue:finish { unfinished = unfinished or {}, drops = {}, extended = 0 } }
+  return { queue:finish { unfinished = unfinished or {}, drops = {}, extended = 0, can = 0 } }
 end
 
 -- A statistic that notes the payloads of what it gets; payloads are names here.

@@ -100,7 +100,7 @@ local function run(arguments, records, with)
   end
   if with.last then queue:packet(9999, with.last) end
   local code, texts = queue:finish { unfinished = with.unfinished or {}, drops = with.drops or {},
-    lacks_times = with.lacks_times, extended = with.extended or 0 }
+    lacks_times = with.lacks_times, extended = with.extended or 0, can = with.can or 0 }
   return table.concat(printed), code, texts
 end
 
@@ -865,6 +865,9 @@ function T.test_messages_that_are_not_dissected()
   lu.assertEquals({ code, lines(printed)[2] }, { 21, "no YAPP message found; 5 extended CAN frames were not dissected: " ..
     "see yapp.motor_ids, yapp.all_extended" })
   lu.assertStrContains(lines(printed)[3], "1 message was not decoded")
+  printed = run({ "faults" }, {}, { can = 1, last = 0 })
+  lu.assertEquals(lines(printed)[2], "no YAPP message found in 1 packet: no CAN data frame has a 29-bit id")
+  lu.assertStrContains(run({ "faults" }, {}, { can = 1 }), "see yapp.search_all") -- not every packet is CAN's
 end
 
 function T.test_nothing_to_judge_by()

@@ -172,7 +172,8 @@ end
 -- The end -----------------------------------------------------------------------------------------
 
 -- Return why a capture has no message; nil if it has one.
-local function nothing_found(self, extended)
+local function nothing_found(self, capture)
+  local extended = capture.extended
   if self.has_messages then return nil end
   if extended > 0 then
     local text = "no YAPP message found; %s not dissected: see yapp.motor_ids, yapp.all_extended"
@@ -180,6 +181,9 @@ local function nothing_found(self, extended)
     return text:format(frames .. (extended == 1 and " was" or " were"))
   end
   local packets = output.count(self.packets, "packet")
+  if capture.can > 0 and capture.can == self.packets then
+    return ("no YAPP message found in %s: no CAN data frame has a 29-bit id"):format(packets)
+  end
   local places = "yapp.search_all, yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first"
   return ("no YAPP message found in %s: see %s"):format(packets, places)
 end
@@ -187,7 +191,7 @@ end
 --- End: all packets have come.
 -- capture  { unfinished = events of the messages that it ends before, drops = of host.buses,
 --          lacks_times = whether packets have no time stamps, extended = number of extended CAN
---          frames, where no message was found }
+--          frames that were not dissected, can = number of all such CAN frames }
 -- returns  the exit code, and a list of texts to say
 function Queue:finish(capture)
   flush(self)
@@ -200,7 +204,7 @@ function Queue:finish(capture)
     rel = self.last, -- of the last packet of any kind, nil where there was none
     now = self.last and self.last + self.stepped_back,
     begin = seconds + nanoseconds / 1e9, -- of the first packet
-    reason = nothing_found(self, capture.extended), -- why no message was found, nil if one was
+    reason = nothing_found(self, capture), -- why no message was found, nil if one was
     lacks_times = capture.lacks_times,
     drops = capture.drops,
     undissected = self.undissected,

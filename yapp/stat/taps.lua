@@ -88,6 +88,7 @@ local function read_noted(self, pinfo, tvb)
   self.number = nil
   if number ~= pinfo.number then return end
   local is_extended = self.frames:read_noted(tvb, pinfo, self.offset, self.length)
+  self.can = self.can + 1
   if is_extended then self.extended = self.extended + 1 end
 end
 
@@ -123,13 +124,13 @@ local function tap_packets(self)
 
   function tap.reset()
     self.queue:reset()
-    self.is_exact, self.extended = false, 0
+    self.is_exact, self.extended, self.can = false, 0, 0
   end
 end
 
 local function open(self)
   self.queue, self.taps = queue.new(self.settings, hint()), {}
-  self.is_exact, self.extended, self.noted = false, 0, nil
+  self.is_exact, self.extended, self.can, self.noted = false, 0, 0, nil
   self.intake:open(self.queue)
   self.watch()
   tap_packets(self)
@@ -147,6 +148,7 @@ local function finish(self)
     drops = self.drops(),
     lacks_times = self.buses:lacks_times(),
     extended = self.extended,
+    can = self.can,
   }
 end
 
