@@ -287,7 +287,7 @@ end
 local function show_message(self, m, tvb)
   local builder, source = self.builder, m.source
   local is_whole = self.reader:read(m, self.history, m.wants)
-  if m.status ~= "good" then m.delta = false end
+  if m.status ~= "good" then m.delta = false end -- its ID may be damaged, unlike a CAN id
   if m.wants.tree then m.item, m.payload_tvb = add_frame(self, m, tvb), tvb end
   show_anomalies(self, m)
   local mark = builder.MARKS[m.missing and "incomplete" or m.status]
