@@ -266,7 +266,9 @@ function Tree:show_message(m, view)
       info = text_of.info(source.message, m.raws, source.label, m.is_remarkable)
     end
   end
-  if m.change or top then info = info .. self.messages:add_change(m, top or nil, view.item) end
+  if m.change or top and m.state then
+    info = info .. self.messages:add_change(m, top or nil, view.item)
+  end
   if m.undecoded then
     add_bytes(self, m, view, "undecoded", source.size)
     add_mismatch(self, m, view)
