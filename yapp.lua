@@ -110,7 +110,9 @@ local function register_id(id)
 end
 
 local stat -- of stat.taps
-local function note_frame(tvb, pinfo) stat:note_frame(tvb, pinfo) end
+local function note_frame(tvb, pinfo)
+  return socketcan.is_record(tvb, pinfo) and stat:note_frame(tvb, pinfo)
+end
 local frames = can_dissector.new(builder, reader, buses, register_id, note_frame)
 local streams = serial_dissector.new(builder, reader, buses, tcp_header)
 
@@ -151,6 +153,7 @@ local function unclaimed(tvb, pinfo, root)
 end
 
 local function watch_unclaimed()
+  socketcan.wrap(header)
   if is_heuristic then return end
   is_heuristic = true
   all:register_heuristic("can", unclaimed)
@@ -251,10 +254,7 @@ local function read_preferences()
   preferences.complain_once(wrong)
   reader:use(by_id, sources, prefs.hide_source, register_id)
   accepts_all = prefs.all_extended
-  if accepts_all then
-    socketcan.wrap(header)
-    watch_unclaimed()
-  end
+  if accepts_all then watch_unclaimed() end
   settings.late, settings.ids = late, chosen
   settings.sources, settings.sources_text = sources, prefs.sources
   settings.problems = list_problems(wrong)

@@ -32,8 +32,7 @@ Dissector.__index = Dissector
 -- reader       a message.reader: what a finished message means
 -- buses        a host.buses
 -- register_id  function(id), which makes Wireshark call YAPP for frames of this message ID
--- note_frame   function(tvb, pinfo), after which a tap of the packet calls Dissector:read_noted, if
---              a statistic runs
+-- note_frame   function(tvb, pinfo) -> whether a tap of the packet will call Dissector:read_noted
 function M.new(builder, reader, buses, register_id, note_frame)
   return setmetatable({
     builder = builder,
@@ -55,6 +54,7 @@ function Dissector:reset(history)
     return memo(function(id) return self.reader:new_source(id, bus, self.buses:name(bus)) end)
   end)
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
+  self.may_rely, self.has_taps = false, false -- see Dissector:may_rely_on_taps
   self.lost_bus = false -- whether a frame came whose bus is not known
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
   self.asks = self.buses.asks -- whether the bus of a frame has to be asked for
@@ -244,8 +244,7 @@ local function show(self, frame, kind, message, anomalies, index)
   frame.message, frame.anomalies, frame.index = message or false, anomalies, index or false
   frame.is_accepted = true
   local builder, pinfo, tree = self.builder, frame.pinfo, frame.tree
-  local is_asked = not (frame.visited and tree) and builder.wanted
-  local wants = is_asked or builder:wants(tree, pinfo, frame.visited)
+  local wants = not frame.visited and builder.wanted or builder:wants(tree, pinfo, frame.visited)
   frame.wants, frame.item = wants, tree
   frame.is_only_pass = wants.is_only_pass -- the record serves the next frames, too
   if wants.yapp then
@@ -265,7 +264,7 @@ end
 -- Return the record of a frame, which is used again for the next frame: {
 --   key            see base.frame_key
 --   visited        whether it is a revisit
---   can_id         the fields of its CAN id (wire.can_id)
+--   id             its 29-bit CAN id; can_id = the fields of that (wire.can_id)
 --   bus            its number, or false; is_bus_known
 --   source, slot   see message.reader and can_id.slot
 --   data           the captured bytes; reported = their number on the bus
@@ -294,6 +293,7 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   end
   frame.key = key
   frame.visited = visited
+  frame.id = id
   frame.can_id = fields
   frame.source = self.sources[bus][fields.id]
   frame.slot = fields.message_key + (bus or 0) * BUS
@@ -308,24 +308,44 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   return frame
 end
 
+--- Say that a tap sees every packet, in tshark's only pass.  If nothing is shown, frames can wait
+-- for it, and no other headers need be read.
+function Dissector:may_rely_on_taps()
+  self.may_rely = true
+end
+
+--- Decide whether frames wait for a tap.
+-- wants  of Tree:wants, nil if it is not known yet
+function Dissector:decide(wants)
+  if not (self.may_rely and wants) then return end
+  self.may_rely = false
+  if wants.tree or wants.columns then return end
+  self.has_taps = true
+  socketcan.unwrap()
+end
+
+--- Return whether a packet comes that is before one that was dissected: in the second pass of two.
+function Dissector:is_second_pass(number)
+  return number_of(self.newest_key) > number
+end
+
 -- If nothing tells yet the id of a frame, or its kind (data or remote), put it off until a tap of
--- its packet has read its header.  Return whether there is such a tap: in tshark with nothing but
--- statistics.
+-- its packet has read its header.  Return whether there is such a tap.
 local function put_off(self, tvb, pinfo, tree, lacks)
-  if not (self.builder.is_only_pass and self.stat.wanted) then return false end
-  local wants = self.builder:wants(tree, pinfo, false)
-  if wants.tree or wants.columns then return false end -- a tap can show nothing
-  self.note_frame(tvb, pinfo)
-  self.lacks = lacks
-  return true
+  if not (self.has_taps or self.may_rely) then return false end
+  self:decide(self.builder:wants(tree, pinfo, false)) -- asked now: the tap has no tree
+  if not self.has_taps then return false end
+  self.lacks = self.note_frame(tvb, pinfo) and lacks
+  return self.lacks
 end
 
 --- Dissect one frame.
 -- id           29-bit CAN id
 -- accepts_all  whether the user says that every extended frame is YAPP
+-- reported     number of bytes on the bus; nil if the Tvb knows it
 -- returns      the number of bytes that are ours, 0 for a frame that is not
-function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
-  local reported = reported_of(tvb)
+function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, reported)
+  reported = reported or reported_of(tvb)
   if reported == 0 then return 0 end
   local frame, known = new_frame(self, tvb, reported, pinfo, tree, id, accepts_all), self.reassembly
   local may_be_remote, kind, message, anomalies, index = ZEROS[frame.data], nil, nil, nil, nil
@@ -337,8 +357,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all)
   if may_be_remote then
     local is_remote = socketcan.is_remote(pinfo)
     if is_remote then return 0 end
-    local can_wait = is_remote == nil and not frame.visited
-    if can_wait and put_off(self, tvb, pinfo, tree, "kind") then return reported end
+    if is_remote == nil and put_off(self, tvb, pinfo, tree, "kind") then return reported end
   end
   if not frame.visited then kind, message, anomalies = known:take(frame) end
   if kind then
@@ -353,8 +372,8 @@ end
 -- first frame of Decode As, on a pass that builds no tree.
 function Dissector:without_id(tvb, pinfo, tree)
   local builder, item = self.builder, tree
-  if put_off(self, tvb, pinfo, tree, "id") then
-    if not pinfo.visited then self.newest_key = 0 end -- though the table of ids may have refused it
+  if tvb:len() > 0 and put_off(self, tvb, pinfo, tree, "id") then
+    self.newest_key = 0 -- it is no revisit, though the table of ids may have refused it
     return tvb:reported_len()
   end
   if builder:wants(tree, pinfo, true).yapp then
@@ -404,21 +423,24 @@ local function report_unknown(self, pinfo, id, offset, data)
 end
 
 --- Go on with the frame that was noted: dissect it if it was put off, else report it.
--- tvb             of its packet, in a tap
--- offset, length  of the frame's captured data
--- returns         whether it is an extended data frame
-function Dissector:read_noted(tvb, pinfo, offset, length)
-  local id, is_unknown = socketcan.id_before(tvb, pinfo, offset, length)
+-- tvb       of its packet, in a tap
+-- offset    of the frame's data; captured = length of it in the capture, length = on the bus
+-- returns   whether it is an extended data frame
+function Dissector:read_noted(tvb, pinfo, offset, captured, length)
   local frame, lacks = self.frame, self.lacks
+  local known = lacks == "kind" and frame.id
+  local is_accepted = frame.is_accepted and number_of(frame.key) == pinfo.number
+  local id, is_unknown = socketcan.id_before(tvb, pinfo, offset, length, known)
   self.lacks = false
   if lacks == "id" then
-    if id and length > 0 then self:dissect(tvb(offset, length):tvb(), pinfo, nil, id, true) end
+    local data = tvb(offset, captured):tvb()
+    if id then self:dissect(data, pinfo, nil, id, true, length) end
   elseif lacks == "kind" and (id or is_unknown) then
     frame.tree, frame.pinfo = nil, pinfo
     local kind, message, anomalies = self.reassembly:take(frame)
     if kind then show(self, frame, kind, message, anomalies) end
-  elseif id and length > 0 and not (frame.is_accepted and number_of(frame.key) == pinfo.number) then
-    report_unknown(self, pinfo, id, offset, tvb:raw(offset, length))
+  elseif id and captured > 0 and not is_accepted then
+    report_unknown(self, pinfo, id, offset, tvb:raw(offset, captured))
   end
   return id ~= nil
 end

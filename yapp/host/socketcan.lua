@@ -6,8 +6,9 @@
 -- A dissector gets the data alone.  In SocketCAN's table of ids, by which our messages are found,
 -- pinfo.match_uint is the id.  For all other frames a wrapper in front of SocketCAN reads the
 -- header.  That is exact on every pass, but costs a name in frame.protocols and about 3 µs a CAN
--- frame.  So it begins only with Decode As or yapp.all_extended.  Statistics read the header in a
--- tap, where they need it: only a tap sees the whole packet.
+-- frame.  So it begins only with Decode As, yapp.all_extended or a statistic.  If nothing but
+-- statistics is wanted, it ends: a tap of the packet, which sees all of it, reads the header of the
+-- frames that need it.
 
 local M = {}
 
@@ -75,26 +76,41 @@ end
 
 -- The header in front -----------------------------------------------------------------------------
 
--- The first word of a SocketCAN record; big endian in its own encapsulation (unless a preference
--- says otherwise), host order in cooked captures.
--- returns  29-bit id of an extended data frame, or nil
-local function header_id(tvb, is_little)
-  if tvb:len() < HEADER then return nil end
-  local word = is_little and tvb(0, 4):le_uint() or tvb(0, 4):uint()
-  -- 3 bits above the id: extended, remote, error
-  if word >= EXTENDED and word < EXTENDED + MASK then return word % MASK end
+-- Return the 29-bit id of the first word of a SocketCAN record, nil for no extended data frame.
+-- Above the id it has three bits: extended, remote, error.
+local function data_id(word)
+  return word >= EXTENDED and word < EXTENDED + MASK and word % MASK or nil
 end
 
---- Return the id that the header in front of a frame's data has.
--- tvb             of the whole packet
--- offset, length  of the captured data
--- returns         29-bit id; nil for what is no extended data frame; nil and true if the frame has
---                 another header
-function M.id_before(tvb, pinfo, offset, length)
-  if offset < HEADER or tvb(offset - 4, 1):uint() < length then return nil, true end
-  -- SocketCAN's own encapsulation has nothing in front of the header.
-  local is_little = offset > HEADER or get_preference("can.byte_swap")
-  header.number, header.can_id = pinfo.number, header_id(tvb(offset - HEADER):tvb(), is_little)
+-- The same of a record; big endian in its own encapsulation (unless a preference says otherwise),
+-- host order in cooked captures.
+local function header_id(tvb, is_little)
+  if tvb:len() < HEADER then return nil end
+  return data_id(is_little and tvb(0, 4):le_uint() or tvb(0, 4):uint())
+end
+
+--- Return whether data may be that of a SocketCAN record, which fills its packet to the end.  In
+-- other protocols several CAN frames may lie in a packet.
+function M.is_record(tvb, pinfo)
+  local rest = pinfo.len - tvb:offset()
+  return rest <= 8 or rest == 64 or rest == tvb:reported_len()
+end
+
+--- Return the id that the header in front of a record's data has.
+-- tvb       of the whole packet
+-- offset    of the data; length = on the bus
+-- known     the id if it is known: then it proves the header and its byte order
+-- returns   29-bit id; nil for what is no extended data frame; nil and true if this is no header
+function M.id_before(tvb, pinfo, offset, length, known)
+  if offset < HEADER or tvb(offset - 4, 1):uint() ~= length then return nil, true end
+  local start = tvb(offset - HEADER, 4)
+  local big, little = start:uint(), start:le_uint()
+  -- Big endian are SocketCAN's own encapsulation and PPI; little endian cooked captures and logs.
+  local is_big = offset == HEADER and not get_preference("can.byte_swap") or offset == 2 * HEADER
+  local word = is_big and big or little
+  if known and word % MASK ~= known then word = is_big and little or big end
+  if known and word % MASK ~= known then return nil, true end
+  header.number, header.can_id = pinfo.number, data_id(word)
   return header.can_id
 end
 
@@ -125,14 +141,13 @@ local ORIGINS = {
   { "sll.ltype", 0x0C, true },
   { "sll.ltype", 0x0D, true },
 }
-local is_wrapped = false
+local origins -- [value] = { inner = dissector, is_little, dissectors = its table }, while it reads
 
 --- Read the CAN header of every frame from now on.
 -- proto  a Proto for the wrapper
 function M.wrap(proto)
-  if is_wrapped then return end
-  is_wrapped = true
-  local origins = {}
+  if origins then return end
+  origins = {}
   function proto.dissector(tvb, pinfo, tree)
     local value = pinfo.match_uint
     local origin = origins[value]
@@ -148,10 +163,16 @@ function M.wrap(proto)
     local dissectors, value = DissectorTable.get(row[1]), row[2]
     local inner = dissectors:get_dissector(value)
     if inner then
-      origins[value] = { inner = inner, is_little = row[3] }
+      origins[value] = { inner = inner, is_little = row[3], dissectors = dissectors }
       dissectors:add(value, proto)
     end
   end
+end
+
+--- Read no more headers.
+function M.unwrap()
+  for value, origin in pairs(origins or {}) do origin.dissectors:add(value, origin.inner) end
+  origins = nil
 end
 
 return M

@@ -87,7 +87,7 @@ local function read_noted(self, pinfo, tvb)
   local number = self.number
   self.number = nil
   if number ~= pinfo.number then return end
-  local is_extended = self.frames:read_noted(tvb, pinfo, self.offset, self.length)
+  local is_extended = self.frames:read_noted(tvb, pinfo, self.offset, self.captured, self.length)
   self.can = self.can + 1
   if is_extended then self.extended = self.extended + 1 end
 end
@@ -99,14 +99,28 @@ local function tap_noted(self)
 end
 
 --- Note a CAN frame whose header is needed: dissectors see only its data, a tap all of its packet.
+-- returns  whether a statistic runs, so that there is a tap
 function Stat:note_frame(tvb, pinfo)
-  if not self.intake.wanted then return end
-  self.number, self.offset, self.length = pinfo.number, tvb:offset(), tvb:len()
+  if not self.intake.wanted then return false end
+  self.number, self.offset = pinfo.number, tvb:offset()
+  self.captured, self.length = tvb:len(), tvb:reported_len()
   if self.queue.is_direct then self.noted = self.noted or tap_noted(self) end
+  return true
 end
 
--- The tap that sees every packet.  In tshark it removes the tap of the clock, which builds trees,
--- once the exact time is known.
+-- The exact time is known: remove the tap of the clock, which builds trees.  If a filter has trees
+-- built anyway, it stays: they have CAN ids, too.
+local function end_trees(self, tap, clock)
+  self.builder:only_pass()
+  if not self.has_filter then
+    clock:remove()
+    self.frames:may_rely_on_taps()
+  end
+  if self.queue:go_direct() then self.intake:remove_later(tap) end
+end
+
+-- The tap that sees every packet.  In tshark it removes the tap of the clock once the exact time is
+-- known, but in a second pass.
 local function tap_packets(self)
   local tap, clock = listen(self), tap_clock(self)
   local is_waiting = IS_TSHARK
@@ -114,11 +128,10 @@ local function tap_packets(self)
   function tap.packet(pinfo, tvb)
     read_noted(self, pinfo, tvb)
     if is_waiting and self.is_exact then
-      self.builder:only_pass()
-      clock:remove()
       is_waiting = false
-      if self.queue:go_direct() then self.intake:remove_later(tap) end
+      if not self.frames:is_second_pass(pinfo.number) then end_trees(self, tap, clock) end
     end
+    self.frames:decide(self.builder.wanted)
     self.queue:packet(pinfo.number, pinfo.rel_ts, self.buses:lacks_clock())
   end
 
@@ -130,7 +143,8 @@ end
 
 local function open(self)
   self.queue, self.taps = queue.new(self.settings, hint()), {}
-  self.is_exact, self.extended, self.can, self.noted = false, 0, 0, nil
+  self.is_exact, self.extended, self.can = false, 0, 0
+  self.noted, self.has_filter = nil, false
   self.intake:open(self.queue)
   self.watch()
   tap_packets(self)
@@ -176,6 +190,7 @@ local function begin(self, text, context)
   if not statistic.wants_messages_only then self.intake.wants_parts = true end
   local deriver = events:add(statistic, options)
   if filter then
+    self.has_filter = true
     function filter.packet(pinfo) deriver.matched[pinfo.number] = true end
   end
 end
