@@ -61,9 +61,8 @@ end
 -- remote frames have no data, but captures give them zeros.  Return nil if nothing says it.
 function M.is_remote(pinfo)
   if header.number == pinfo.number then return header.can_id == nil end
-  local fields = M.fields_of(NAMES)
-  -- CAN FD has no remote frames, so no such flag.
-  if fields["can.flags.xtd"] ~= nil then return is_true(fields["can.flags.rtr"]) end
+  local rtr = M.fields_of(NAMES)["can.flags.rtr"]
+  if rtr ~= nil then return is_true(rtr) end
   local info = tostring(pinfo.cols.info)
   if info == NO_COLUMN then return nil end
   return tostring(pinfo.cols.protocol) ~= "CANFD" and info:find("Remote", 1, true) ~= nil
