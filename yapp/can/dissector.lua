@@ -54,6 +54,7 @@ function Dissector:reset(history)
     return memo(function(id) return self.reader:new_source(id, bus, self.buses:name(bus)) end)
   end)
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
+  self.accepted_key = 0 -- of the latest frame of ours; Decode As may accept what the table refused
   self.may_rely, self.has_taps = false, false -- see Dissector:may_rely_on_taps
   self.lost_bus = false -- whether a frame came whose bus is not known
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
@@ -242,7 +243,7 @@ local SHOW = { -- by kind, see can.reassembly
 local function show(self, frame, kind, message, anomalies, index)
   if frame.can_id.ctrl == START then self.register_id(frame.source.id) end
   frame.message, frame.anomalies, frame.index = message or false, anomalies, index or false
-  frame.is_accepted = true
+  self.accepted_key = frame.key
   local builder, pinfo, tree = self.builder, frame.pinfo, frame.tree
   local wants = not frame.visited and builder.wanted or builder:wants(tree, pinfo, frame.visited)
   frame.wants, frame.item = wants, tree
@@ -264,12 +265,11 @@ end
 -- Return the record of a frame, which is used again for the next frame: {
 --   key            see base.frame_key
 --   visited        whether it is a revisit
---   id             its 29-bit CAN id; can_id = the fields of that (wire.can_id)
+--   can_id         the fields of its CAN id (wire.can_id)
 --   bus            its number, or false; is_bus_known
 --   source, slot   see message.reader and can_id.slot
 --   data           the captured bytes; reported = their number on the bus
 --   accepts_all    whether the user says that every extended frame is YAPP
---   is_accepted    whether it is YAPP's; Decode As may accept what the table of ids refused
 --   is_only_pass   whether it is never dissected again
 --   message, anomalies, index  as can.reassembly says
 --   tvb, pinfo, tree, range    of Wireshark
@@ -293,7 +293,6 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   end
   frame.key = key
   frame.visited = visited
-  frame.id = id
   frame.can_id = fields
   frame.source = self.sources[bus][fields.id]
   frame.slot = fields.message_key + (bus or 0) * BUS
@@ -301,7 +300,6 @@ local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   frame.data = length_of(tvb) > 0 and raw_of(tvb) or ""
   frame.reported = reported
   frame.accepts_all = accepts_all
-  frame.is_accepted = false
   frame.tvb = tvb
   frame.pinfo = pinfo
   frame.tree = tree
@@ -428,8 +426,9 @@ end
 -- returns   whether it is an extended data frame
 function Dissector:read_noted(tvb, pinfo, offset, captured, length)
   local frame, lacks = self.frame, self.lacks
-  local known = lacks == "kind" and frame.id
-  local is_accepted = frame.is_accepted and number_of(frame.key) == pinfo.number
+  local fields = frame.can_id
+  local known = lacks == "kind" and fields.message_key + fields.ctrl * 0x4000
+  local is_accepted = number_of(self.accepted_key) == pinfo.number
   local id, is_unknown = socketcan.id_before(tvb, pinfo, offset, length, known)
   self.lacks = false
   if lacks == "id" then
