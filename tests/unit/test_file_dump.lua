@@ -191,4 +191,11 @@ function T.test_the_first_frame_comes_late()
   lu.assertEquals({ list[#list - 1].offset, list[#list].bytes }, { #text, frame(2, "a") })
 end
 
+-- Noise that goes on in the next read is one record as long as it can be: of 65,536 bytes.
+function T.test_noise_over_two_reads()
+  local first, last = frame(1, "\7"), frame(2, "a")
+  assert_records(first .. ("x"):rep(80000) .. last, {
+    { first, 7, 500 }, { ("x"):rep(65536), 7, 500 }, { ("x"):rep(14464), 7, 500 }, { last, 7, 500 } })
+end
+
 return T
