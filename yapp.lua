@@ -111,7 +111,9 @@ end
 
 local stat -- of stat.taps
 local function note_frame(tvb, pinfo)
-  return socketcan.is_record(tvb, pinfo) and stat:note_frame(tvb, pinfo)
+  local is_read = intake.wanted and socketcan.is_record(tvb, pinfo)
+  if is_read then stat:note_frame(tvb, pinfo) end
+  return is_read
 end
 local frames = can_dissector.new(builder, reader, buses, register_id, note_frame)
 local streams = serial_dissector.new(builder, reader, buses, tcp_header)

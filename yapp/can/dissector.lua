@@ -55,7 +55,7 @@ function Dissector:reset(history)
   end)
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
   self.accepted_key = 0 -- of the latest frame of ours; Decode As may accept what the table refused
-  self.may_rely, self.has_taps = false, false -- see Dissector:may_rely_on_taps
+  self.expects_taps, self.has_taps = false, false -- see Dissector:expect_taps
   self.lost_bus = false -- whether a frame came whose bus is not known
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
   self.asks = self.buses.asks -- whether the bus of a frame has to be asked for
@@ -308,21 +308,21 @@ end
 
 --- Say that a tap sees every packet, in tshark's only pass.  If nothing is shown, frames can wait
 -- for it, and no other headers need be read.
-function Dissector:may_rely_on_taps()
-  self.may_rely = true
+function Dissector:expect_taps()
+  self.expects_taps = true
 end
 
---- Decide whether frames wait for a tap.
+--- Decide whether frames wait for a tap, once it is known whether anything is shown.
 -- wants  of Tree:wants, nil if it is not known yet
-function Dissector:decide(wants)
-  if not (self.may_rely and wants) then return end
-  self.may_rely = false
+function Dissector:decide_on_taps(wants)
+  if not (self.expects_taps and wants) then return end
+  self.expects_taps = false
   if wants.tree or wants.columns then return end
   self.has_taps = true
   socketcan.unwrap()
 end
 
---- Return whether a packet comes that is before one that was dissected: in the second pass of two.
+--- Return whether a later packet was dissected before this one, as in the second pass of two.
 function Dissector:is_second_pass(number)
   return number_of(self.newest_key) > number
 end
@@ -330,8 +330,8 @@ end
 -- If nothing tells yet the id of a frame, or its kind (data or remote), put it off until a tap of
 -- its packet has read its header.  Return whether there is such a tap.
 local function put_off(self, tvb, pinfo, tree, lacks)
-  if not (self.has_taps or self.may_rely) then return false end
-  self:decide(self.builder:wants(tree, pinfo, false)) -- asked now: the tap has no tree
+  if not (self.has_taps or self.expects_taps) then return false end
+  self:decide_on_taps(self.builder:wants(tree, pinfo, false)) -- asked now: the tap has no tree
   if not self.has_taps then return false end
   self.lacks = self.note_frame(tvb, pinfo) and lacks
   return self.lacks
@@ -432,8 +432,7 @@ function Dissector:read_noted(tvb, pinfo, offset, captured, length)
   local id, is_unknown = socketcan.id_before(tvb, pinfo, offset, length, known)
   self.lacks = false
   if lacks == "id" then
-    local data = tvb(offset, captured):tvb()
-    if id then self:dissect(data, pinfo, nil, id, true, length) end
+    if id then self:dissect(tvb(offset, captured):tvb(), pinfo, nil, id, true, length) end
   elseif lacks == "kind" and (id or is_unknown) then
     frame.tree, frame.pinfo = nil, pinfo
     local kind, message, anomalies = self.reassembly:take(frame)

@@ -88,11 +88,11 @@ local function header_id(tvb, is_little)
   return data_id(is_little and tvb(0, 4):le_uint() or tvb(0, 4):uint())
 end
 
---- Return whether data may be that of a SocketCAN record, which fills its packet to the end.  In
--- other protocols several CAN frames may lie in a packet.
+--- Return whether the data of a CAN frame may be that of a SocketCAN record, which fills its packet
+-- to the end.  In other protocols, several CAN frames may lie in a packet.
 function M.is_record(tvb, pinfo)
-  local rest = pinfo.len - tvb:offset()
-  return rest <= 8 or rest == 64 or rest == tvb:reported_len()
+  local rest = pinfo.len - tvb:offset() -- nothing where a remote frame has its header alone
+  return rest >= 0 and rest <= 8 or rest == 64 or rest == tvb:reported_len()
 end
 
 --- Return the id that the header in front of a record's data has.
@@ -101,7 +101,8 @@ end
 -- known     the id if it is known: then it proves the header and its byte order
 -- returns   29-bit id; nil for what is no extended data frame; nil and true if this is no header
 function M.id_before(tvb, pinfo, offset, length, known)
-  if offset < HEADER or tvb(offset - 4, 1):uint() ~= length then return nil, true end
+  if offset < HEADER or offset > tvb:len() then return nil, true end
+  if tvb(offset - 4, 1):uint() ~= length then return nil, true end
   local start = tvb(offset - HEADER, 4)
   local big, little = start:uint(), start:le_uint()
   -- Big endian are SocketCAN's own encapsulation and PPI; little endian cooked captures and logs.

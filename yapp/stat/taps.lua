@@ -99,13 +99,11 @@ local function tap_noted(self)
 end
 
 --- Note a CAN frame whose header is needed: dissectors see only its data, a tap all of its packet.
--- returns  whether a statistic runs, so that there is a tap
+-- Call it while a statistic runs.
 function Stat:note_frame(tvb, pinfo)
-  if not self.intake.wanted then return false end
   self.number, self.offset = pinfo.number, tvb:offset()
   self.captured, self.length = tvb:len(), tvb:reported_len()
   if self.queue.is_direct then self.noted = self.noted or tap_noted(self) end
-  return true
 end
 
 -- The exact time is known: remove the tap of the clock, which builds trees.  If a filter has trees
@@ -114,7 +112,7 @@ local function end_trees(self, tap, clock)
   self.builder:only_pass()
   if not self.has_filter then
     clock:remove()
-    self.frames:may_rely_on_taps()
+    self.frames:expect_taps()
   end
   if self.queue:go_direct() then self.intake:remove_later(tap) end
 end
@@ -131,7 +129,7 @@ local function tap_packets(self)
       is_waiting = false
       if not self.frames:is_second_pass(pinfo.number) then end_trees(self, tap, clock) end
     end
-    self.frames:decide(self.builder.wanted)
+    self.frames:decide_on_taps(self.builder.wanted)
     self.queue:packet(pinfo.number, pinfo.rel_ts, self.buses:lacks_clock())
   end
 
