@@ -16,6 +16,8 @@ local crc, can_id = require("yapp.wire.crc"), require("yapp.wire.can_id")
 local yapp, taurus = Proto("by_hand", "YAPP by hand"), Proto("by_hand_taurus", "Taurus by hand")
 local add, add_le, append, generated = TreeItem.add, TreeItem.add_le, TreeItem.append_text, TreeItem.set_generated
 local byte, format = string.byte, string.format
+-- In a tree that is not shown, too, every dissector adds its protocol's name, for -z io,phs: from 4.6 on if it is asked for.
+local ALWAYS_NAMES, needs_name = get_version():find("^4%.[0-5]%."), nil
 
 -- Fields: those of a frame, of a message, and of Motor Data in the order of its payload ------------------------------
 
@@ -192,6 +194,8 @@ function yapp.dissector(tvb, pinfo, tree)
   local raw_id, number, data = pinfo.match_uint, pinfo.number, tvb:raw()
   local seq, kind, id = raw_id % 0x100, math.floor(raw_id / 0x4000) % 4, math.floor(raw_id / 0x40000)
   local item = tree.visible and add_frame(tree, tvb, id, seq, kind)
+  if needs_name == nil then needs_name = tree.hidden and (ALWAYS_NAMES or tree:referenced(Dissector.get("by_hand"))) end
+  if needs_name and not item then add(tree, yapp) end
   local message = open[seq]
   local info
   if kind == 1 then
