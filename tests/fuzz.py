@@ -293,7 +293,7 @@ def make(seed, number):
 OURS = re.compile(r"(yapp|taurus|_ws\.lua)[.\w]*")
 
 
-def look(capture, way, folder, installed=False, units=None, arguments=None):
+def show_file(capture, way, folder, installed=False, units=None, arguments=None):
     path = folder / f"fuzz{capture.suffix}"
     capture.write(path, units)
     frames = len(capture.units if units is None else units)
@@ -327,7 +327,7 @@ def one_file(seed, number):
         for way in ways:
             if way[0] == "sharkd" and not shutil.which("sharkd"):
                 continue
-            run = look(capture, way, folder, installed)
+            run = show_file(capture, way, folder, installed)
             if way == TWO_PASSES or ONCE:
                 result.frames, result.yapp = run.frames_read()
             if len(capture.units) > 3000:  # of less, the start of the program is the most
@@ -352,7 +352,7 @@ def reduce(capture, way, installed, wanted, attempts=300, seconds=600):
     def still(units, arguments):
         nonlocal attempts
         attempts = attempts - 1 if time.monotonic() < deadline else 0
-        problem = look(capture, way, folder, installed, units, arguments).problem
+        problem = show_file(capture, way, folder, installed, units, arguments).problem
         return problem is not None and signature(problem) == wanted
 
     units, arguments = capture.units, capture.arguments
@@ -400,7 +400,7 @@ def replay(path, ways=EVERY_WAY):
     try:
         for way in dict.fromkeys([tuple(found) or TREE, *ways]):
             if way[0] != "sharkd" or shutil.which("sharkd"):
-                problem = look(capture, way, folder, tshark.ROUTE == "plugin").problem
+                problem = show_file(capture, way, folder, tshark.ROUTE == "plugin").problem
                 if problem:
                     yield f"{shlex.join(way)}: {problem}"
     finally:

@@ -2,7 +2,7 @@
 """Random serial streams with known truth, and the captures that carry them.
 
 The rules of the framing are read plainly here, everything anew for each prefix of a stream (Oracle): slow, and written
-without a look at the plugin.  A stream is cut at random places into packets of a carrier (CARRIERS); what each packet
+without a look at the plugin.  A stream is cut at random offsets into packets of a transport (TRANSPORTS); what each packet
 has to show is its list of events.
 """
 import random
@@ -261,8 +261,8 @@ class Oracle:
 class Packet:
     """A packet of a capture, and what it has to show."""
 
-    def __init__(self, data, place, captured=None):
-        self.data, self.place = data, place
+    def __init__(self, data, origin, captured=None):
+        self.data, self.origin = data, origin
         self.captured = len(data) if captured is None else captured
         self.events, self.pending, self.leads_to, self.held = [], b"", set(), False
         self.time = self.number = self.sequence = None
@@ -282,12 +282,12 @@ def note_parts(packets, last, events=None):
                 one.leads_to |= {last} - {one}
 
 
-def joined(data, place, pieces):
+def joined(data, origin, pieces):
     """The packets of a stream, for its bytes as (from, to): packets tell which bytes wait, and frames which packets they
     came in.  What they hold is noted when it is in order, in the last one of those that came till then."""
     packets, came, done, oracle, waiting = [], 0, 0, Oracle(data), []
     for start, end in pieces:
-        packet = Packet(data[start:end], place)
+        packet = Packet(data[start:end], origin)
         packet.sequence = start + 1
         packets.append(packet)
         waiting = sorted([*waiting, (start, end, len(packets), packet)])
@@ -316,15 +316,15 @@ def in_order(rng, data):
     return pieces
 
 
-def joined_by_us(rng, data, place):
-    return joined(data, place, in_order(rng, data))
+def joined_by_us(rng, data, origin):
+    return joined(data, origin, in_order(rng, data))
 
 
-def datagrams(rng, data, place):
+def datagrams(rng, data, origin):
     """Each complete in itself; the first one has a whole frame and so tells what the conversation is."""
     packets = []
     for piece in [good(rng), *cuts(rng, data)]:
-        packet = Packet(piece, place)
+        packet = Packet(piece, origin)
         packet.events, _ = Oracle(piece).events(len(piece), ended=True)
         packets.append(packet)
     return packets
@@ -336,12 +336,12 @@ def with_first(rng, data, change):
     return first + data, [(0, len(first)), *change([(start + len(first), end + len(first)) for start, end in in_order(rng, data)])]
 
 
-def segments(rng, data, place):
+def segments(rng, data, origin):
     data, pieces = with_first(rng, data, lambda pieces: pieces)
-    return joined(data, place, pieces)
+    return joined(data, origin, pieces)
 
 
-def segments_repeated(rng, data, place):
+def segments_repeated(rng, data, origin):
     """Segments that come twice, with less or more than before, and such as begin in what came before."""
     def repeat(pieces):
         changed = []
@@ -354,17 +354,17 @@ def segments_repeated(rng, data, place):
 
     data, pieces = with_first(rng, data, repeat)
     pieces = [pieces[0]] + [(max(start, end - 1400), end) for start, end in pieces[1:]]
-    return joined(data, place, pieces)
+    return joined(data, origin, pieces)
 
 
-def segments_disordered(rng, data, place):
+def segments_disordered(rng, data, origin):
     """Some segments come late, and some of them twice."""
     def shuffle(pieces):
         order = sorted(range(len(pieces)), key=lambda i: i if rng.random() < 0.7 else i + rng.randrange(1, 5))
         return [pieces[i] for i in order for _ in range(rng.choice([1, 1, 1, 2]))]
 
     data, pieces = with_first(rng, data, shuffle)
-    return joined(data, place, pieces)
+    return joined(data, origin, pieces)
 
 
 def merged(events):
@@ -377,7 +377,7 @@ def merged(events):
     return result
 
 
-def segments_lost(rng, data, place):
+def segments_lost(rng, data, origin):
     """Some segments are not in the capture.  The other side acknowledges their bytes, so nothing waits for them: the next
     packet shows what is left of the bytes before them, and the stream starts anew."""
     first, runs, sequence = good(rng), [], 1
@@ -387,7 +387,7 @@ def segments_lost(rng, data, place):
         ends = [0]
         for piece in pieces[:count]:
             ends.append(ends[-1] + len(piece))
-        run = joined(b"".join(pieces[:count]), place, list(zip(ends, ends[1:])))
+        run = joined(b"".join(pieces[:count]), origin, list(zip(ends, ends[1:])))
         if runs:
             before = runs[-1]
             rest, _ = Oracle(b"".join(packet.data for packet in before)).events(before[-1].end, before[-1].done, ended=True)
@@ -401,7 +401,7 @@ def segments_lost(rng, data, place):
         pieces = pieces[count + 1:]
     packets = runs[0]
     for run in runs[1:]:
-        acknowledgement = Packet(b"", Place(place.linktype, place.interface, place.number ^ 1, address=True))
+        acknowledgement = Packet(b"", Origin(origin.linktype, origin.interface, origin.number ^ 1, address=True))
         acknowledgement.sequence, acknowledgement.acknowledged = 1, run[0].sequence
         packets += [acknowledgement, *run]
     return packets
@@ -412,7 +412,7 @@ def segments_lost(rng, data, place):
 USER0, ETHERNET, RTAC, EXPORTED_PDU = 147, 1, 250, 252
 
 
-class Place:
+class Origin:
     """Where a stream was captured: interface, and the number of the stream, of which come two to a conversation."""
 
     def __init__(self, linktype, interface, number, address=None):
@@ -421,10 +421,10 @@ class Place:
         self.bus_direction = (linktype == RTAC) * ("tx", "rx")[self.direction]
 
 
-def addresses(place):
-    here, there = bytes([192, 0, 2, 1]), bytes([198, 51, 100, place.pair // 2 % 250 + 1])
-    ports = (50000 + place.pair, 20001)
-    return (here, there, *ports) if place.direction == 0 else (there, here, *ports[::-1])
+def addresses(origin):
+    here, there = bytes([192, 0, 2, 1]), bytes([198, 51, 100, origin.pair // 2 % 250 + 1])
+    ports = (50000 + origin.pair, 20001)
+    return (here, there, *ports) if origin.direction == 0 else (there, here, *ports[::-1])
 
 
 def raw(packet):
@@ -432,31 +432,31 @@ def raw(packet):
 
 
 def rtac(packet):
-    return struct.pack(">IIBBH", packet.time // 10**6, packet.time % 10**6, 1 + packet.place.direction, 0, 0) + packet.data
+    return struct.pack(">IIBBH", packet.time // 10**6, packet.time % 10**6, 1 + packet.origin.direction, 0, 0) + packet.data
 
 
 def exported_pdu(packet):
     tags = [(12, b"yapp_serial\0")]
-    if packet.place.address:
-        source, target, source_port, target_port = addresses(packet.place)
+    if packet.origin.address:
+        source, target, source_port, target_port = addresses(packet.origin)
         tags += [(20, source), (21, target), (24, bytes(4)), (25, struct.pack(">I", source_port)),
                  (26, struct.pack(">I", target_port))]
     return b"".join(struct.pack(">HH", tag, len(value)) + value for tag, value in [*tags, (0, b"")]) + packet.data
 
 
-def ethernet(packet, protocol, transport):
-    source, target = addresses(packet.place)[:2]
-    return (bytes(12) + b"\x08\0" + struct.pack(">BBHIBBH", 0x45, 0, 20 + len(transport), 0, 64, protocol, 0) + source +
-            target + transport)
+def ethernet(packet, protocol, segment):
+    source, target = addresses(packet.origin)[:2]
+    return (bytes(12) + b"\x08\0" + struct.pack(">BBHIBBH", 0x45, 0, 20 + len(segment), 0, 64, protocol, 0) + source +
+            target + segment)
 
 
 def udp(packet):
-    ports = addresses(packet.place)[2:]
+    ports = addresses(packet.origin)[2:]
     return ethernet(packet, 17, struct.pack(">HHHH", *ports, 8 + len(packet.data), 0) + packet.data)
 
 
 def tcp(packet):
-    ports = addresses(packet.place)[2:]
+    ports = addresses(packet.origin)[2:]
     return ethernet(packet, 6, struct.pack(">HHIIHHHH", *ports, packet.sequence, packet.acknowledged, 0x5018, 65535, 0, 0) + packet.data)
 
 
@@ -467,16 +467,16 @@ AS_SERIAL = ["-d", "rtacser.data,yapp_serial"]
 
 
 def interfaces(linktype):
-    return lambda number: Place(linktype, number, number)
+    return lambda number: Origin(linktype, number, number)
 
 
 def in_pairs(linktype):
     """Two streams on each interface, told apart by direction."""
-    return lambda number: Place(linktype, number // 2, number)
+    return lambda number: Origin(linktype, number // 2, number)
 
 
 def on_one(linktype):
-    return lambda number: Place(linktype, 0, number, address=True)
+    return lambda number: Origin(linktype, 0, number, address=True)
 
 
 def mixed(number):
@@ -484,11 +484,11 @@ def mixed(number):
     linktype, direction = kinds[number % 6]
     group = number // 6 * 4
     interface = group + [0, 1, 2, 2, 3, 3][number % 6]
-    return Place(linktype, interface, 2 * number + direction % 2, address=direction >= 2)
+    return Origin(linktype, interface, 2 * number + direction % 2, address=direction >= 2)
 
 
 # Name: where the streams are, how their pieces come, how a packet looks on the link, and what tshark needs.
-CARRIERS = {
+TRANSPORTS = {
     "DLT_USER, by the table": (interfaces(USER0), joined_by_us, raw, UAT),
     "DLT_USER, by the preference": (interfaces(USER0), joined_by_us, raw, ["-o", "yapp.user_dlt:147"]),
     "exported PDU, by interface": (interfaces(EXPORTED_PDU), joined_by_us, exported_pdu, []),
@@ -518,31 +518,31 @@ def block(kind, body):
 
 
 class Capture:
-    """Streams of one carrier in a pcapng file."""
+    """Streams of one transport in a pcapng file."""
 
-    def __init__(self, carrier, packets, link, options):
-        self.carrier, self.link, self.options = carrier, link, options
+    def __init__(self, transport, packets, link, options):
+        self.transport, self.link, self.options = transport, link, options
         self.packets = packets
-        places = {packet.place.interface: packet.place.linktype for packet in packets}
-        self.linktypes = [places.get(interface, USER0) for interface in range(max(places, default=0) + 1)]
-        self.buses = {(packet.place.interface, packet.place.bus_direction) for packet in packets}
+        origins = {packet.origin.interface: packet.origin.linktype for packet in packets}
+        self.linktypes = [origins.get(interface, USER0) for interface in range(max(origins, default=0) + 1)]
+        self.buses = {(packet.origin.interface, packet.origin.bus_direction) for packet in packets}
         for packet in packets:
-            packet.bus = self.bus_name(packet.place)
+            packet.bus = self.bus_name(packet.origin)
 
-    def bus_name(self, place):
+    def bus_name(self, origin):
         """The name that tells the bus of a packet from others, "" where the capture has one bus."""
         if len(self.buses) < 2:
             return ""
-        has_both = {(place.interface, "rx"), (place.interface, "tx")} <= self.buses
-        return f"if{place.interface}" + has_both * f"#{place.bus_direction}"
+        has_both = {(origin.interface, "rx"), (origin.interface, "tx")} <= self.buses
+        return f"if{origin.interface}" + has_both * f"#{origin.bus_direction}"
 
     def write(self, path):
         blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
         blocks += [block(1, struct.pack("<HHI", linktype, 0, 0)) for linktype in self.linktypes]
         for packet in self.packets:
-            data = (self.link or LINKS[packet.place.linktype])(packet)
+            data = (self.link or LINKS[packet.origin.linktype])(packet)
             captured = len(data) - len(packet.data) + packet.captured
-            blocks.append(block(6, struct.pack("<IIIII", packet.place.interface, packet.time >> 32,
+            blocks.append(block(6, struct.pack("<IIIII", packet.origin.interface, packet.time >> 32,
                                                packet.time & 0xFFFFFFFF, captured, len(data)) + data[:captured]))
         path.write_bytes(b"".join(blocks))
 
@@ -565,7 +565,7 @@ def note_deltas(packets):
     """The times since the previous good message with the same ID in the same stream."""
     previous = {}
     for packet in packets:
-        stream_key = (packet.place.interface, packet.place.pair, packet.place.direction)
+        stream_key = (packet.origin.interface, packet.origin.pair, packet.origin.direction)
         for event in packet.events:
             if event.kind == "good":
                 key = (*stream_key, event.ident)
@@ -573,14 +573,14 @@ def note_deltas(packets):
                 previous[key] = packet.time
 
 
-def capture(carrier, seed, count):
+def capture(transport, seed, count):
     """A random capture of so many streams."""
-    rng = random.Random(f"{seed}, {carrier}")
-    where, arrive, link, options = CARRIERS[carrier]
+    rng = random.Random(f"{seed}, {transport}")
+    where, arrive, link, options = TRANSPORTS[transport]
     streams = []
     for number in range(count):
-        place = where(number)
-        streams.append(arrive(rng, stream(rng), place))
+        origin = where(number)
+        streams.append(arrive(rng, stream(rng), origin))
     packets = interleaved(rng, streams)
     note_deltas(packets)
-    return Capture(carrier, packets, link, options)
+    return Capture(transport, packets, link, options)

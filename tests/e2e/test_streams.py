@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Serial streams over every carrier, against their truth, in one pass and in two.
+"""Serial streams over every transport, against their truth, in one pass and in two.
 
     python3 -m pytest tests/e2e/test_streams.py                                some random streams; more with YAPP_LEVEL=all
     YAPP_SOAK_STREAMS=1000 python3 -m pytest -s tests/e2e/test_streams.py      a thousand
 
-YAPP_SEED chooses other ones.  A failure says which carrier, seed and packet.
+YAPP_SEED chooses other ones.  A failure says which transport, seed and packet.
 """
 import collections
 import functools
@@ -21,11 +21,11 @@ import levels
 import model
 import stream_captures
 import tshark
-from stream_captures import ETHERNET, EXPORTED_PDU, RTAC, USER0, Event, Packet, Place, frame, header
+from stream_captures import ETHERNET, EXPORTED_PDU, RTAC, USER0, Event, Packet, Origin, frame, header
 
 STREAMS = int(os.environ.get("YAPP_SOAK_STREAMS", levels.size("70", "240")))
 SEED = os.environ.get("YAPP_SEED", "1")
-CARRIERS = list(stream_captures.CARRIERS)
+TRANSPORTS = list(stream_captures.TRANSPORTS)
 PER_FILE = levels.size(5, 15)
 FILES = -(-STREAMS // PER_FILE)
 
@@ -235,11 +235,11 @@ TOTAL, COUNTED = collections.Counter(), set()
 @pytest.mark.parametrize("passes", PASSES)
 @pytest.mark.parametrize("number", range(FILES))
 def test_random_streams(number, passes, folder):
-    carrier, seed = CARRIERS[number % len(CARRIERS)], f"{SEED}.{number}"
-    capture = stream_captures.capture(carrier, seed, PER_FILE)
+    transport, seed = TRANSPORTS[number % len(TRANSPORTS)], f"{SEED}.{number}"
+    capture = stream_captures.capture(transport, seed, PER_FILE)
     capture.write(folder / "streams.pcapng")
     problems = compare(capture, folder / "streams.pcapng", passes)
-    assert not problems, f"{carrier}, seed {seed}, {passes}: {len(problems)}\n" + "\n".join(problems[:20])
+    assert not problems, f"{transport}, seed {seed}, {passes}: {len(problems)}\n" + "\n".join(problems[:20])
     if number not in COUNTED:
         COUNTED.add(number)
         events = [event.kind for packet in capture.packets for event in packet.events]
@@ -268,7 +268,7 @@ UDP_FOUND, TCP_FOUND = (ETHERNET, stream_captures.udp, []), (ETHERNET, stream_ca
 TCP_APART = (ETHERNET, stream_captures.tcp, [*TCP_PORT, "-o", "tcp.desegment_tcp_streams:FALSE"])
 SHELL = b"pwd: /home\r\n" * 500
 
-# Each: a carrier, and its packets: the bytes (and how many of them were captured), what is shown, the bytes that wait.
+# Each: a transport, and its packets: the bytes (and how many of them were captured), what is shown, the bytes that wait.
 # A number is that of bytes that are not in the capture.
 SITUATIONS = {
     "several messages in one packet": (SERIAL, [
@@ -345,7 +345,7 @@ def packets_told(linktype, number, rows, before):
             continue
         data, events, *pending = row
         data, captured = data if isinstance(data, tuple) else (data, len(data))
-        packet = Packet(data, Place(linktype, 0, 2 * number, address=True), captured)
+        packet = Packet(data, Origin(linktype, 0, 2 * number, address=True), captured)
         packet.number, packet.sequence = before + len(packets) + 1, sequence
         packet.time = stream_captures.EPOCH + packet.number * 5000
         packet.start, packet.end = offset, offset + captured
@@ -362,7 +362,7 @@ def packets_told(linktype, number, rows, before):
 
 
 def told(names):
-    """Situations over the same carrier, each in a stream of its own."""
+    """Situations over the same transport, each in a stream of its own."""
     linktype, link, options = SITUATIONS[names[0]][0]
     packets = []
     for number, name in enumerate(names):
@@ -384,7 +384,7 @@ def problems_of(names, passes):
 @levels.together("situations")
 @pytest.mark.parametrize("name", SITUATIONS)
 def test_situation(name):
-    """All those over one carrier in one file, and alone where something is wrong there; in test-all each alone."""
+    """All those over one transport in one file, and alone where something is wrong there; in test-all each alone."""
     together = tuple(other for other in SITUATIONS if SITUATIONS[other][0] == SITUATIONS[name][0])
     for passes in PASSES:
         if levels.ALL or problems_of(together, passes):
@@ -412,7 +412,7 @@ def test_rtac_directions(folder):
     rows = [(1, ONE[:20], []), (2, TWO[:20], []), (0, b"", []), (3, ONE[20:], ["0x00000301"]), (4, TWO[20:], ["0x00000302"])]
     packets = []
     for number, (kind, data, _) in enumerate(rows, 1):
-        packets.append(Packet(data, Place(RTAC, 0, 0)))
+        packets.append(Packet(data, Origin(RTAC, 0, 0)))
         packets[-1].time, packets[-1].link = stream_captures.EPOCH + number, rtac_event(kind)
     stream_captures.Capture("RTAC", packets, lambda packet: packet.link(packet), []).write(folder / "rtac.pcapng")
     for passes in PASSES.values():
@@ -421,7 +421,7 @@ def test_rtac_directions(folder):
 
 
 def test_preference_takes_several_link_types(folder):
-    packets = [Packet(ONE, Place(linktype, interface, 0)) for interface, linktype in enumerate([USER0, USER0 + 2, USER0 + 5])]
+    packets = [Packet(ONE, Origin(linktype, interface, 0)) for interface, linktype in enumerate([USER0, USER0 + 2, USER0 + 5])]
     for number, packet in enumerate(packets):
         packet.time = stream_captures.EPOCH + number
     stream_captures.Capture("", packets, stream_captures.raw, []).write(folder / "user.pcapng")
@@ -433,7 +433,7 @@ def tcp_packets(rows):
     """Segments of one connection: time in seconds, sequence number, bytes; or time and what the other side acknowledges."""
     packets = []
     for seconds, sequence, *data in rows:
-        packet = Packet(data[0] if data else b"", Place(ETHERNET, 0, 0 if data else 1))
+        packet = Packet(data[0] if data else b"", Origin(ETHERNET, 0, 0 if data else 1))
         packet.sequence, packet.acknowledged = (sequence, 1) if data else (1, sequence)
         packet.time = stream_captures.EPOCH + round(seconds * 1e6)
         packets.append(packet)
@@ -495,7 +495,7 @@ def test_connections(preferences, folder):
     for number, (rows, shown_in) in enumerate(CONNECTIONS.values()):
         wanted.update({len(packets) + at: seqs.split(";") for at, seqs in shown_in.items()})
         for packet in tcp_packets(rows):
-            packet.place.pair, packet.time = number, packet.time + number * 10**7
+            packet.origin.pair, packet.time = number, packet.time + number * 10**7
             packets.append(packet)
     stream_captures.Capture("", packets, stream_captures.tcp, []).write(folder / "tcp.pcapng")
     for passes in PASSES.values():
@@ -532,7 +532,7 @@ def test_connections_in_other_networks(folder):
     rows = [(0, 1, A), (.1, 97, C), (.2, 49, B), (.3, 49, B), (.4, 145, D)]
     for name, network in NETWORKS.items():
         packets = tcp_packets(rows)
-        quote = Packet(b"", Place(ETHERNET, 0, 1))
+        quote = Packet(b"", Origin(ETHERNET, 0, 1))
         quote.time, quote.link = packets[-1].time + 1, lambda _, sent=packets[2]: bytes(12) + b"\x08\0" + ipv4(
             bytes([3, 3, 0, 0, 0, 0, 0, 0]) + ipv4(segment(sent))[:48], 1)
         for packet in packets:
@@ -552,10 +552,10 @@ def test_cut_segments_of_others(folder):
               443: bytes([22, 3, 1, 1, 0, 1, 0, 0, 252, 3, 3]) + bytes(250)}
     packets = []
     for number in range(40):
-        packets.append(Packet(frame(0x210, bytes(32), seq=number), Place(ETHERNET, 0, 0)))
+        packets.append(Packet(frame(0x210, bytes(32), seq=number), Origin(ETHERNET, 0, 0)))
         packets[-1].sequence, packets[-1].ports = 1 + 48 * number, (49700, 49800)
         for port, data in others.items():
-            packets.append(Packet(data, Place(ETHERNET, 0, 0), captured=16))
+            packets.append(Packet(data, Origin(ETHERNET, 0, 0), captured=16))
             packets[-1].sequence, packets[-1].ports = 1, (40000 + number, port)
     for number, packet in enumerate(packets):
         packet.time = stream_captures.EPOCH + number * 1000
@@ -612,7 +612,7 @@ def test_datagrams_that_lost_bytes_come_first(folder):
     messages = [frame(0x210, bytes(22) + number.to_bytes(8, "little") + bytes(2)) for number in range(1, 9)]
     damaged = [messages[0][:40], messages[1][:20] + messages[1][23:]]
     for first, wanted in ((damaged, [("incomplete", 2)]), ([b"text YP", messages[0]], []), ([MOTOR[:20], b"YP" * 30], [("incomplete", 1)])):
-        packets = [Packet(data, Place(ETHERNET, 0, 0)) for data in [*first, *messages[2:]]]
+        packets = [Packet(data, Origin(ETHERNET, 0, 0)) for data in [*first, *messages[2:]]]
         for number, packet in enumerate(packets):
             packet.time = stream_captures.EPOCH + number * 100_000
         stream_captures.Capture("", packets, stream_captures.udp, []).write(folder / "udp.pcapng")
@@ -628,7 +628,7 @@ def test_icmp_quotes_datagrams(arguments, folder):
         datagram = stream_captures.udp(packet)[14:]
         return stream_captures.ethernet(packet, 1, bytes([3, 3, 0, 0, 0, 0, 0, 0]) + datagram[:28 + bytes_of_it])
 
-    packets = [Packet(ONE, Place(ETHERNET, 0, 0)) for _ in range(5)]
+    packets = [Packet(ONE, Origin(ETHERNET, 0, 0)) for _ in range(5)]
     for number, packet in enumerate(packets):
         packet.number, packet.time = number + 1, stream_captures.EPOCH + number * 1000
     links = {1: quote, 3: lambda packet: quote(packet, 20)}
@@ -643,10 +643,10 @@ def test_icmp_quotes_datagrams(arguments, folder):
 LINKS = {"frame.number", "info", "yapp.fragment", "yapp.reassembled.in", INFO}
 
 
-@pytest.mark.parametrize("carrier", ["UDP", "TCP", "exported PDU, by address"])
-def test_read_filter(carrier, folder):
+@pytest.mark.parametrize("transport", ["UDP", "TCP", "exported PDU, by address"])
+def test_read_filter(transport, folder):
     """The packets that a read filter leaves have new numbers, and show what they show without it."""
-    capture = stream_captures.capture(carrier, SEED, 6)
+    capture = stream_captures.capture(transport, SEED, 6)
     capture.write(folder / "streams.pcapng")
     lengths = sorted(len(packet.data) for packet in capture.packets)
     filters = ["frame.len > 20 && frame.time_relative > 0.1", f"frame.len > {60 + lengths[len(lengths) // 2]}"]

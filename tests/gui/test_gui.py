@@ -268,7 +268,7 @@ def test_check_tables_and_help_in_the_menu(captures):
 # Collects garbage at each packet, and counts the taps that there are; into the file of its name.
 LEFT = """
 local out, new, alive = "%s", Listener.new, 0
-local function tell(change)
+local function count(change)
   alive = alive + change
   local file = io.open(out, "w")
   file:write(alive)
@@ -278,10 +278,10 @@ local garbage = new("frame")
 function garbage.packet() collectgarbage() end
 rawset(Listener, "new", function(...) -- the class is shared, the globals of scripts are not
   local tap = new(...)
-  tell(1)
+  count(1)
   return setmetatable({ remove = function()
     tap:remove()
-    tell(-1)
+    count(-1)
   end }, { __newindex = function(_, key, value) tap[key] = value end })
 end)
 """

@@ -80,7 +80,7 @@ function Buses:init()
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
   -- A short file may be of a live capture that already had packets when it was opened.
   local may_go_on = self.is_short and found.has_several or found.is_live
-  local needs_fields = may_go_on or self.is_cut and found.carriers > 0
+  local needs_fields = may_go_on or self.is_cut and found.yapp_interfaces > 0
   self.asks = needs_fields or found.has_several or not (found.is_told or self.plain_bus)
   if needs_fields then
     self.tap = self.tap or Listener.new("frame", FIELDS)

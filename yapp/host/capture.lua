@@ -25,8 +25,8 @@ local MAX_OPTIONS = 64 -- of a block
 
 -- Link types whose packets may carry YAPP: SocketCAN, exported PDUs, DLT_USER 0 .. 15.
 local SOCKETCAN = 227
-local CARRIERS = { [SOCKETCAN] = true, [252] = true }
-for linktype = 147, 162 do CARRIERS[linktype] = true end
+local YAPP_LINKTYPES = { [SOCKETCAN] = true, [252] = true }
+for linktype = 147, 162 do YAPP_LINKTYPES[linktype] = true end
 
 -- Link types whose packets each tell their bus: RTAC serial, Linux cooked captures.
 local RTAC, COOKED, COOKED_2 = 250, 113, 276
@@ -84,7 +84,7 @@ end
 
 -- Notes whether the option epb_dropcount, code 4 and 8 bytes, may be among the bytes at hand.  That
 -- costs less than to read the options of each block.
-local function look_for_drops(window)
+local function note_drop_option(window)
   local option = window.is_little and "\4\0\8\0" or "\0\4\0\8"
   window.may_have_drops = find(window.text, option, 1, true) ~= nil
 end
@@ -97,7 +97,7 @@ function Window:has(offset, count)
   if not more then return false end
   self.text = self:bytes(offset, CHUNK) .. more
   self.start, self.stop = offset, offset + #self.text
-  look_for_drops(self)
+  note_drop_option(self)
   return offset + count <= self.stop
 end
 
@@ -205,14 +205,14 @@ local function read_interface(self, window, offset, length)
   interface.per_second = units_per_second(options[9])
   interface.shift = window:value(options[14] or "")
   local is_mixed = INDEX_OF[linktype] ~= nil
-  if not (is_mixed or CARRIERS[linktype]) then
+  if not (is_mixed or YAPP_LINKTYPES[linktype]) then
     interface.bus = 0
     return
   end
-  self.carriers = self.carriers + 1
+  self.yapp_interfaces = self.yapp_interfaces + 1
   interface.bus = not is_mixed and bus_number(self, interface, 0) or nil
   if not self.keeps then self.early = self.count end
-  self.keeps = is_mixed or self.carriers > 1
+  self.keeps = is_mixed or self.yapp_interfaces > 1
   self.has_indexes = self.has_indexes or linktype == COOKED_2
 end
 
@@ -293,7 +293,7 @@ local SECTION = 0x0A0D0D0A
 -- returns  the length of its block
 local function read_section(self, window, offset)
   window.is_little = window:bytes(offset + 8, 4) == "\77\60\43\26"
-  look_for_drops(window)
+  note_drop_option(window)
   self.first = #self.interfaces
   self.firsts[#self.firsts + 1] = self.first
   return window:number(offset + 4, 4)
@@ -323,7 +323,7 @@ local function read_pcap(self, window, is_little, fractions)
   self.has_packets = window:has(24, 16)
   if linktype ~= COOKED_2 and linktype ~= RTAC then return end
   local interface = new_interface(self, linktype)
-  self.carriers = 1
+  self.yapp_interfaces = 1
   local offset = 24
   while window:has(offset, 16) do
     local seconds, fraction, length = three_numbers(window, offset)
@@ -400,7 +400,7 @@ end
 local function conclude(self)
   merge_sections(self)
   self.has_packets = self.has_packets or self.count > 0
-  local may_have_more = self.carriers > 0 or #self.interfaces == 0
+  local may_have_more = self.yapp_interfaces > 0 or #self.interfaces == 0
   self.is_live = #self.firsts > 0 and not self.has_packets and may_have_more
   local count = 0
   for number = 1, #self.buses do
@@ -416,7 +416,7 @@ end
 
 local function new_capture()
   return setmetatable({
-    carriers = 0,
+    yapp_interfaces = 0,
     count = 0,
     early = 0, -- packets before the second interface: all that may be YAPP are of bus 1
     keeps = false, -- whether the buses of packets are wanted
@@ -441,7 +441,7 @@ end
 -- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
 --       nil at the end, and where a pipe must be left alone
 -- returns a capture: {
---   carriers      number of interfaces that may carry YAPP
+--   yapp_interfaces      number of interfaces that may carry YAPP
 --   has_several   whether it tells several buses apart, or will do so in a live capture
 --   is_live       whether it is pcapng without a packet yet, as when a capture begins
 --   is_told       whether it is of a format that this module reads
@@ -460,7 +460,7 @@ function M.read(head, more)
   local self, has_frame = new_capture(), has_header(head)
   local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
   function window.more(skip, count)
-    if self.carriers > 0 or has_frame then return more(skip, count) end
+    if self.yapp_interfaces > 0 or has_frame then return more(skip, count) end
   end
   local magic = sub(head, 1, 4)
   local format = FORMATS[magic]

@@ -109,7 +109,7 @@ function measures.absent(_, rule, check)
   for _, row in ipairs(check.context.settings.sources:list()) do
     if is_its(rule, row) and row.message then
       is_named = true
-      if check.absent[row] then names[#names + 1] = row.name or output.place(row) end
+      if check.absent[row] then names[#names + 1] = row.name or output.bus_and_id(row) end
     elseif is_its(rule, row) then
       others = others + 1
     end

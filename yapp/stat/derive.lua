@@ -164,7 +164,7 @@ local function note_events(self, event, change)
   local source, doubts = event.source, self.doubts
   if event.values.is_unreliable and not doubts[source] then
     local shape = change.shared and SHARED or UNRELIABLE
-    doubts[source], doubts[#doubts + 1] = true, shape:format(output.place(source), event.frame)
+    doubts[source], doubts[#doubts + 1] = true, shape:format(output.bus_and_id(source), event.frame)
   end
 end
 

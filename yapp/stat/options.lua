@@ -124,14 +124,14 @@ local function try(options, part, call, catalogue)
   local ok, why = pcall(call, options, part, catalogue)
   if ok then return end
   if part == "" then part = "an empty option" end
-  table.insert(options.problems, ("%s%s: %s"):format(options.place, part, why))
+  table.insert(options.problems, ("%s%s: %s"):format(options.line, part, why))
 end
 
 local read_check
 
 -- The rules of a file, one a line.  A # begins a comment, unless it stands in the name of a source.
 local function read_file(options, path, catalogue)
-  demand(options.place == "", "a file of rules names no other")
+  demand(options.line == "", "a file of rules names no other")
   local file, problem = io.open(path, "rb")
   demand(file, "%s", problem)
   local text = file:read(MAX_FILE) or ""
@@ -143,10 +143,10 @@ local function read_file(options, path, catalogue)
     number_of_line = number_of_line + 1
     local part = trim((" " .. line):gsub("%s#.*", ""))
     if not part:find("^source%s*=") then part = trim(part:gsub("#.*", "")) end
-    options.place = ("%s:%d: "):format(path, number_of_line)
+    options.line = ("%s:%d: "):format(path, number_of_line)
     if part ~= "" then try(options, part, read_check, catalogue) end
   end
-  options.place, options.source = "", source
+  options.line, options.source = "", source
   demand(#options.rules + #options.problems > count, "there is no rule in it")
 end
 
@@ -297,7 +297,7 @@ function M.read(text, catalogue)
     filter = filter,
     rules = {},
     problems = {},
-    place = "",
+    line = "", -- in a file of rules "FILE:7: "
   }
   if not row then
     local _, names = find(M.LIST)

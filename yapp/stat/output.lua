@@ -112,7 +112,7 @@ function M.count(number, thing)
 end
 
 --- Return where a source is: its bus and ID, "can0 0x210".
-function M.place(source)
+function M.bus_and_id(source)
   local id = source.id and format("0x%x", source.id)
   return source.bus and id and source.bus .. " " .. id or source.bus or id or ""
 end
@@ -120,7 +120,7 @@ end
 --- Add the columns of a source to a row of values; returns the row.
 function M.row(source, row)
   row.bus, row.source = source.bus, source.name
-  row.who = source.name or M.place(source) -- bus, ID and name in one column
+  row.who = source.name or M.bus_and_id(source) -- bus, ID and name in one column
   if not source.id then return row end
   local message = source.message or { title = "unknown" }
   row.id = { json = format("%d", source.id), text = format("0x%x", source.id) }

@@ -13,6 +13,8 @@ local output = require("yapp.stat.output")
 local M = {}
 
 local MAX_LOSSES = 1000 -- so many events of losses wait at least, see hand_on_losses
+local SEARCH_PREFERENCES =
+  "yapp.search_all, yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first"
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
 
 local floor = math.floor
@@ -184,8 +186,7 @@ local function nothing_found(self, capture)
   if capture.can > 0 and capture.can == self.packets then
     return ("no YAPP message found in %s: no CAN data frame has a 29-bit id"):format(packets)
   end
-  local places = "yapp.search_all, yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first"
-  return ("no YAPP message found in %s: see %s"):format(packets, places)
+  return ("no YAPP message found in %s: see %s"):format(packets, SEARCH_PREFERENCES)
 end
 
 --- End: all packets have come.

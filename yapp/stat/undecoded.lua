@@ -11,7 +11,7 @@ local M = {}
 
 local MAX_NAMED = 30 -- sources, or sizes, in a text
 
-local place = output.place
+local bus_and_id = output.bus_and_id
 
 local Undecoded = {}
 Undecoded.__index = Undecoded
@@ -118,10 +118,10 @@ end
 local function plan(self)
   local ids, parts, options, taken = {}, {}, {}, {}
   for _, row in ipairs(self.settings.sources:list()) do
-    if row.id then taken[place(row)] = true end -- the first part for a bus and ID holds
+    if row.id then taken[bus_and_id(row)] = true end -- the first part for a bus and ID holds
   end
   for _, entry in ipairs(self.whole) do
-    local id, key = entry.source.id, place(entry.source)
+    local id, key = entry.source.id, bus_and_id(entry.source)
     if entry.is_own then
       options[1] = "-o yapp.all_extended:TRUE"
     elseif entry.is_decodable and self.sizes[id] then
@@ -173,7 +173,7 @@ local function group_text(entries)
   output.sort(entries, function(entry) return entry.source.bus or "", entry.source.id end)
   for i, entry in ipairs(entries) do
     local source = entry.source
-    texts[i] = source.bus == bus and ("0x%x"):format(source.id) or place(source)
+    texts[i] = source.bus == bus and ("0x%x"):format(source.id) or bus_and_id(source)
     bus = source.bus
     count = count + entry.values.count
   end
