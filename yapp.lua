@@ -178,8 +178,7 @@ end
 -- asks by dissector whether a protocol is wanted (see show.tree).
 function taurus.dissector() return 0 end
 
--- A conversation becomes YAPP's with its first packet that holds a good frame, or nothing but
--- messages of the catalogue, even with bad CRCs.
+-- A conversation becomes YAPP's with its first packet that is YAPP.
 local function found_by_content(tvb, pinfo, root)
   if not streams:accepts(tvb, pinfo) then return false end
   pinfo.conversation = serial
@@ -188,15 +187,12 @@ local function found_by_content(tvb, pinfo, root)
 end
 
 -- Each call of a heuristic costs time, and most captures are full of other TCP and UDP.  So search
--- only if the first bytes of a file may have a YAPP frame, or if there are no packets yet, as in a
--- live capture.
+-- only if the first bytes of a file may have a YAPP frame, if there are no packets yet (a live
+-- capture), or for a statistic of tshark.
 local is_searching = false
 
 local function search_streams()
-  local found = buses.found
-  local head = found.head
-  if head and streams:is_yapp(head, #head) then streams:watch_tcp() end
-  if is_searching or not (yapp.prefs.search_all or found.may_have_frames) then return end
+  if is_searching then return end
   is_searching = true
   serial:register_heuristic("tcp", found_by_content)
   serial:register_heuristic("udp", found_by_content)
@@ -222,7 +218,10 @@ stat = stat_taps.new {
   unfinished = unfinished,
   drops = drops,
   frames = frames,
-  watch = watch_unclaimed,
+  watch = function()
+    watch_unclaimed()
+    if not gui_enabled() then search_streams() end
+  end,
 }
 
 -- Preferences and files ---------------------------------------------------------------------------
@@ -281,7 +280,9 @@ function yapp.init()
   builder:reset()
   frames:reset(new_history())
   streams:reset(new_history)
-  search_streams()
+  local found = buses.found
+  if found.head and streams:is_yapp(found.head) then streams:watch_tcp() end
+  if yapp.prefs.search_all or found.may_have_frames then search_streams() end
 end
 
 -- Registration ------------------------------------------------------------------------------------

@@ -13,7 +13,8 @@ from crc32k import crc32k
 
 KNOWN = {ident: model.MESSAGES[ident].size for ident in sorted(model.MESSAGES)}  # payload sizes
 HEADER, CRC = 12, 4
-PATIENCE = 4096  # the largest frame that a stream waits for, with good frames inside of it
+# The largest frame that a stream waits for, with good frames inside of it; and the same if its header is not plausible.
+PATIENCE, NOISE_PATIENCE = 4096, 128
 EPOCH = 1_700_000_000_000_000
 
 
@@ -106,10 +107,12 @@ def many_claims(rng):
 
 
 def inside_a_good_one(rng):
-    """Also several, and several levels deep."""
+    """Also several, and several levels deep.  A long one has a plausible header, else the stream would not wait for it."""
     inner = good(rng)
     for _ in range(rng.randrange(1, 4)):
-        inner = frame(rng.choice([*KNOWN, rng.randrange(0x300, 0x800)]), rng.choice([b"", noise(rng)]) + inner + rng.choice([b"", noise(rng), good(rng)]))
+        payload = rng.choice([b"", noise(rng)]) + inner + rng.choice([b"", noise(rng), good(rng)])
+        is_short = HEADER + len(payload) + CRC <= NOISE_PATIENCE
+        inner = frame(rng.choice([*(KNOWN if is_short else []), rng.randrange(0x300, 0x800)]), payload)
     return inner
 
 
@@ -208,7 +211,7 @@ class Oracle:
         for start, end, is_good in sorted([*self.whole, *((start, end, False) for start, end in self.open)]):
             if start < at or start + HEADER > came:
                 continue
-            if end > came and not ended and end - start <= PATIENCE:
+            if end > came and not ended and end - start <= (PATIENCE if self.belief[start] else NOISE_PATIENCE):
                 break
             if is_good and end <= came:
                 taken.append((start, end))

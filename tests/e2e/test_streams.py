@@ -259,7 +259,7 @@ BAD = ONE[:-1] + bytes([ONE[-1] ^ 1])
 CLAIM = header(0x333, 65535)
 MOTOR = frame(0x210, bytes(range(32)))
 LOST_BYTE, DAMAGED = MOTOR[:30] + MOTOR[31:], MOTOR[:30] + b"?" + MOTOR[31:]
-GROWN, ODD = frame(0x210, bytes(range(34))), frame(0x12345678, b"somebody's")
+GROWN, SHORT, ODD = frame(0x210, bytes(range(34))), frame(0x210, bytes(range(30))), frame(0x12345678, b"somebody's")
 RESERVED = stream_captures.sealed(header(0x210, 32)[:10] + b"\1\0" + bytes(range(32)))
 UDP_PORT, TCP_PORT = (["-d", f"{kind}.port==20001,yapp_serial"] for kind in ("udp", "tcp"))
 SERIAL, UDP, TCP = (EXPORTED_PDU, stream_captures.exported_pdu, []), (ETHERNET, stream_captures.udp, UDP_PORT), \
@@ -304,9 +304,15 @@ SITUATIONS = {
         ((MOTOR, 30), [("incomplete", MOTOR[:30])]), (DAMAGED, [("bad", DAMAGED)])]),
     "a conversation is known by damaged messages, TCP": (TCP_FOUND, [
         (DAMAGED, [("bad", DAMAGED)]), (MOTOR[:20], [], MOTOR[:20]), (MOTOR[20:], [("good", MOTOR)])]),
-    "what has more or less than damaged messages is nobody's": (UDP_FOUND, [
-        (b"x" + DAMAGED, []), (DAMAGED + b"x", []), (LOST_BYTE, []), (MOTOR[:12], []), (BAD, []), (GROWN[:-1] + b"?", []),
-        ((DAMAGED + b"x", 30), [])]),
+    "noise around damaged messages": (UDP_FOUND, [
+        (b"x" + DAMAGED, [("skipped", b"x"), ("bad", DAMAGED)]), (DAMAGED + b"x", [("bad", DAMAGED), ("skipped", b"x")])]),
+    "a conversation is known by a message that lost bytes": (UDP_FOUND, [
+        (LOST_BYTE, [("incomplete", LOST_BYTE)]), (MOTOR[:12], [("incomplete", MOTOR[:12])]), (BAD, [("bad", BAD)])]),
+    "a conversation is known by a header": (UDP_FOUND, [(MOTOR[:12], [("incomplete", MOTOR[:12])])]),
+    "a conversation is known by a header, TCP": (TCP_FOUND, [(MOTOR[:12], [], MOTOR[:12]), (MOTOR[12:], [("good", MOTOR)])]),
+    **{f"a conversation is known by a good CRC: {what}": (UDP_FOUND, [(data, [("good", data)])])
+       for what, data in {"another size": GROWN, "no known size": SHORT, "another ID": ODD, "reserved bytes": RESERVED}.items()},
+    "a conversation with neither is nobody's": (UDP_FOUND, [(BAD, []), (GROWN[:-1] + b"?", []), (MOTOR[:11], []), (b"YP" * 30, [])]),
     "empty datagrams": (UDP, [(b"", []), (ONE, [("good", ONE)]), (b"", [])]),
     "the snap length cuts a frame": (SERIAL, [
         (ONE + TWO[:10], [("good", ONE)], TWO[:10]), ((TWO[10:], 15), [("incomplete", TWO[:25])]), (THREE, [("good", THREE)])]),
@@ -607,18 +613,15 @@ def test_captures_that_showed_a_defect(name, passes):
         assert {number: ids[number] for number in some} == some
 
 
-def test_datagrams_that_lost_bytes_come_first(folder):
-    """They are incomplete as soon as the conversation is known to be YAPP's."""
-    messages = [frame(0x210, bytes(22) + number.to_bytes(8, "little") + bytes(2)) for number in range(1, 9)]
-    damaged = [messages[0][:40], messages[1][:20] + messages[1][23:]]
-    for first, wanted in ((damaged, [("incomplete", 2)]), ([b"text YP", messages[0]], []), ([MOTOR[:20], b"YP" * 30], [("incomplete", 1)])):
-        packets = [Packet(data, Origin(ETHERNET, 0, 0)) for data in [*first, *messages[2:]]]
-        for number, packet in enumerate(packets):
-            packet.time = stream_captures.EPOCH + number * 100_000
-        stream_captures.Capture("", packets, stream_captures.udp, []).write(folder / "udp.pcapng")
-        for passes in ([], ["-2"]):
-            _, _, failed = checked(folder / "udp.pcapng", *passes)
-            assert [one for one in failed if one[0] in ("incomplete", "crc")] == wanted
+def test_yapp_behind_64_kb_of_other_datagrams(folder):
+    """A packet list needs the preference, a statistic searches all of the file."""
+    packets = [Packet(data, Origin(ETHERNET, 0, 2 * number)) for number, data in enumerate([bytes(1000)] * 70 + [MOTOR])]
+    for number, packet in enumerate(packets):
+        packet.time = stream_captures.EPOCH + number * 1000
+    stream_captures.Capture("", packets, stream_captures.udp, []).write(folder / "late.pcapng")
+    assert list(shown(folder / "late.pcapng", "-Y", "yapp")) == []
+    assert list(shown(folder / "late.pcapng", "-Y", "yapp", "-o", "yapp.search_all:TRUE")) == [71]
+    assert checked(folder / "late.pcapng", "-q")[2] == [("fault", 1), ("invalid", 1)]
 
 
 @pytest.mark.parametrize("arguments", [[], UDP_PORT, ["-o", "yapp.search_all:TRUE"]], ids=["found", "Decode As", "all"])

@@ -271,9 +271,10 @@ local CONNECTIONS = {
   -- the capture ends
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" } }, FIRST_GAP },
   -- the last one never comes: the end of the connection shows that, or an acknowledgement
-  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { acknowledges = 36 } }, FIRST_GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { acknowledges = 35 } }, FIRST_GAP },
   { { { 1, 1, 17, "good 1 @0" }, { acknowledges = 36 }, { is_sent = 35 }, { acknowledges = 20 } }, FIRST_GAP },
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 18 }, { acknowledges = 19 } }, "" },
+  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 19 } }, "" }, -- the end of the connection counts as a byte
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { 2, 18, 34, "good 2 @0" }, { acknowledges = 36 } }, "" },
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 17 }, { is_sent = 2 ^ 21 } }, "" }, -- of another connection
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { is_syn = true, is_sent = 50 }, { acknowledges = 52 },

@@ -66,9 +66,7 @@ end
 --   bus          name or nil
 --   label        text that tells its sources apart, nil if nothing does
 --   has_address  whether its packets have a sender
---   sources      [ID] = a source, see message.reader
---   damaged      list of the damaged datagrams before its first packet, see Dissector:accepts
---   reporter     frame key of its first packet, which reports them; nil until it has come }
+--   sources      [ID] = a source, see message.reader }
 -- and whether it is known where the packet was captured.
 local function line_of(self, pinfo)
   local kind, bus, is_known = pinfo.port_type, nil, true
@@ -89,7 +87,6 @@ local function line_of(self, pinfo)
     bus = name,
     label = has_address and here or bus and name,
     has_address = has_address,
-    damaged = {},
   }
   if is_ip then line.bus_key = here < there and here .. there or there .. here end
   line.sources = memo(function(id)
@@ -137,42 +134,20 @@ end
 
 -- Heuristics -------------------------------------------------------------------------------------
 
---- Return whether bytes are YAPP.  They are if they hold a good frame, or nothing but complete
--- messages of the catalogue, even with bad CRCs.  Headers must be the document's: another ID or
--- size may be of another protocol.
--- length  number of bytes that the packet had
--- returns  boolean, and the findings of serial.streams
-function Dissector:is_yapp(bytes, length)
-  local findings, is_catalogue, missing = self.streams:read(bytes), true, length - #bytes
-  for _, finding in ipairs(findings) do
-    local at = finding.at + 1
-    local id, size = frame.parse(bytes, at)
-    local known, least = self.reader:size_of(id)
-    if finding.status == "good" and frame.is_plausible(bytes, at) and size >= (least or 0) then
-      return true, findings
-    end
-    local is_complete = finding.status == "bad" or finding.missing == missing
-    is_catalogue = is_catalogue and is_complete and known
-  end
-  return is_catalogue, findings
-end
-
---- Return whether a packet of an unknown conversation is YAPP.  In a capture with YAPP on TCP, a
--- segment that begins a message of the catalogue is: the next one has the rest.  Any other packet
--- that begins one has lost bytes.  This is reported with the first YAPP packet of the conversation,
--- if one comes.
-function Dissector:accepts(tvb, pinfo)
-  local bytes = tvb:len() > 0 and tvb:raw() or ""
-  if pinfo.in_error_pkt or not frame.find(bytes, 1) then return false end
-  local is_ours, findings = self:is_yapp(bytes, tvb:reported_len())
-  local id, _, _, seq = frame.parse(bytes, 1)
-  local may_be = findings[1].status == "incomplete" and self.reader:size_of(id)
-  if is_ours or not may_be then return is_ours end
-  if tcp.current(pinfo.number) then return true end
-  if not pinfo.visited then
-    table.insert(line_of(self, pinfo).damaged, { id = id, seq = seq })
+--- Return whether bytes are YAPP: they hold a good frame, or a message of the catalogue with a bad
+-- CRC or bytes missing.  Ten bytes of its header are given, so chance does not make one.
+function Dissector:is_yapp(bytes)
+  if not frame.find(bytes, 1) then return false end
+  for _, finding in ipairs(self.streams:read(bytes)) do
+    local id = finding.status ~= "skipped" and frame.parse(bytes, finding.at + 1)
+    if finding.status == "good" or id and self.reader:size_of(id) then return true end
   end
   return false
+end
+
+--- Return whether a packet of an unknown conversation is YAPP.
+function Dissector:accepts(tvb, pinfo)
+  return not pinfo.in_error_pkt and tvb:len() > 0 and self:is_yapp(tvb:raw())
 end
 
 -- Returns what the statistics take of something that is no message.
@@ -186,17 +161,6 @@ local function new_report(packet, source, seq)
     time = packet.time,
     visited = packet.visited,
   }
-end
-
--- Reports the damaged datagrams before the first packet of a conversation.
-local function report_damaged(self, packet)
-  local line = packet.line
-  line.reporter = line.reporter or packet.key
-  if line.reporter ~= packet.key or not self.reader.stat.wanted then return end
-  for _, damaged in ipairs(line.damaged) do
-    local loss = new_report(packet, line.sources[damaged.id], damaged.seq)
-    self.reader.stat:anomalies(loss, { { expert = "fragment.incomplete" } })
-  end
 end
 
 -- Messages ---------------------------------------------------------------------------------------
@@ -402,7 +366,6 @@ local function dissect(self, packet, pinfo)
   else
     contents = self.streams:take(packet, not packet.wants.is_only_pass)
   end
-  report_damaged(self, packet)
   show(self, packet, pinfo, contents)
   local last = contents.findings[#contents.findings]
   if packet.truncated and packet.bytes ~= "" and not (last and last.missing) then

@@ -11,7 +11,8 @@
 --   |YP header|  ...  |YP good frame|   ...   |       only if the CRC at 69 is bad
 --
 -- But a header of noise may claim 65,535 bytes.  So good frames do not wait for an open candidate
--- of more than `patience` bytes; if one of them comes first, that candidate is dropped.
+-- of more than `patience` bytes, or of `noise_patience` if its header is not plausible: that of
+-- "TYPE = 12".  If a good frame comes first, that candidate is dropped.
 --
 -- The header decides what a candidate without a good CRC is.  A message of the catalogue is that
 -- message, damaged, up to where the next one begins.  Another plausible ID is a bad frame if all
@@ -27,8 +28,9 @@ local byte, sub = string.byte, string.sub
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local Y = byte(frame.SYNC)
 
--- The longest open candidate that good frames inside it wait for: 7 s of a controller's messages.
-local PATIENCE = 4096
+-- The longest open candidates that good frames inside them wait for: 7 s of a controller's
+-- messages, or two messages.
+local PATIENCE, NOISE_PATIENCE = 4096, 128
 
 -- Noise may be full of candidates.  So each byte of a stream earns credit for CREDIT bytes of CRC,
 -- saved up to MAX_CREDIT.  A candidate that costs more than the credit counts as damaged.
@@ -43,12 +45,14 @@ Framer.__index = Framer
 --- Make the framer of a stream.
 -- size_of   function(id) -> payload size of the catalogue's message, nil for an unknown ID; and its
 --           smallest size, nil if that is the same
--- patience  bytes: the longest open candidate that good frames inside it wait for; nil for PATIENCE
+-- patience  bytes: the longest open candidate, plausible or not, that good frames inside it wait
+--           for; nil for the usual ones
 -- Document: "UART Stream Framing".
 function M.new(size_of, patience)
   local self = setmetatable({
     size_of = size_of,
     patience = patience or PATIENCE,
+    noise_patience = patience or NOISE_PATIENCE,
     spent = {},    -- [logarithm of a candidate's length] = bytes that CRCs were computed over
     text = "",     -- the latest bytes
     text_from = 0, -- their offset in the stream
@@ -217,8 +221,9 @@ end
 function Framer:search(is_end)
   local candidate = self:find()
   while candidate do
-    local is_open = candidate.to > self.to
-    if is_open and not is_end and candidate.to - candidate.from <= self.patience then
+    local is_open, length = candidate.to > self.to, candidate.to - candidate.from
+    local patience = candidate.is_plausible and self.patience or self.noise_patience
+    if is_open and not is_end and length <= patience then
       self.found = candidate
       return
     end

@@ -156,7 +156,8 @@ local function add_held(self, stream, is_over)
   end
 end
 
--- Notes that a segment's header shows that all bytes before a sequence number were sent.
+-- Notes that a segment's header shows that all bytes before a sequence number were sent: one less
+-- than it says, as the end of a connection counts as a byte.
 local function note_sent(stream, seq, segment)
   local next_seq = not stream.is_ended and stream.next_seq
   if not next_seq or distance(seq, next_seq) > MAX_DISTANCE then return end
@@ -191,11 +192,11 @@ function Streams:note_header(key, opposite, segment)
   local ack = segment.ack
   if other and ack then
     if distance(ack, other.acked or ack - 1) > 0 then other.acked = ack end
-    note_sent(other, ack - 1, segment) -- the end of a connection is acknowledged as one more byte
+    note_sent(other, ack - 1, segment)
   end
   if stream then
     if segment.is_syn then stream.is_ended, stream.acked = true, nil end
-    note_sent(stream, segment.seq, segment)
+    note_sent(stream, segment.seq - 1, segment)
     return stream.next_seq
   end
   local seq, length = segment.seq, segment.length
