@@ -295,7 +295,7 @@ def test_a_read_filter_where_several_buses_have_one_id(folder):
 def test_a_name_is_that_of_its_own_interface(folder):
     """CAN has the name of the only CAN interface; what comes by UDP has none where there are several."""
     datagram = stream_captures.udp(stream_captures.Packet(stream_captures.frame(MOTOR, motor_payload(1)),
-                                                          stream_captures.Place(stream_captures.ETHERNET, 0, 0)))
+                                                          stream_captures.Origin(stream_captures.ETHERNET, 0, 0)))
     command = Frame(0, bytes(7)).record()
     blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
     blocks += [block(1, struct.pack("<HHI", linktype, 0, 0) + option(2, name) + option(9, b"\x09") + option(0, b""))

@@ -84,7 +84,8 @@ def is_longer(event):
     return event.kind == "good" and len(event.payload) > stream_captures.KNOWN.get(event.ident, 65535)
 
 
-def info(event, bus):
+def info(packet, event):
+    bus = packet.bus
     if event.kind == "skipped":
         return f"Skipped {counted(event.data)}{quoted(event.data)}"
     source = f" ({bus})" if bus else ""
@@ -92,7 +93,8 @@ def info(event, bus):
     if known:
         name = f"{known[1]} 0x{event.ident:x}{source}" if bus else known[1]
         return name if fits(event) or is_longer(event) else f"{name}, {counted(event.payload)}, the catalogue says"
-    return f"ID 0x{event.ident:x}{source}  {counted(event.payload)}{ENDS[event.kind]}"
+    is_truncated = event.kind == "incomplete" and event is packet.events[-1] and packet.captured < len(packet.data)
+    return f"ID 0x{event.ident:x}{source}  {counted(event.payload)}{'  [TRUNCATED]' if is_truncated else ENDS[event.kind]}"
 
 
 def label(event):
@@ -196,7 +198,7 @@ class Comparison:
         self.expect("a link to a later packet", bool(later), len(links) > len(joined))
 
     def info(self):
-        texts = [info(event, self.packet.bus) for event in self.packet.events]
+        texts = [info(self.packet, event) for event in self.packet.events]
         if len(texts) > 10:
             texts[10:] = [f"and {len(texts) - 10} more"]
         parts = re.sub(r"^(\[TCP [^]]*\] ?)*", "", self.row.get("info", "")).split(" | ")

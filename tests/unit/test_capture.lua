@@ -354,6 +354,19 @@ function T.test_the_name_of_the_only_interface()
 end
 
 -- Behind what was read, as in a live capture, fields tell the bus.
+-- Of a file without YAPP at its head the rest is not read.  It may describe CAN interfaces later.
+function T.test_interfaces_behind_the_head()
+  local name = option(2, "eth0", le)
+  local function found(packets)
+    local file = section(le) .. interface(ETHERNET, le, name) .. (packet(0, ("x"):rep(1000), le)):rep(packets) ..
+      interface(CAN, le, option(2, "can0", le))
+    local one = read(file)
+    return { one.is_unknown, one.is_told, one:name(nil) or "-", one:name(nil, true) or "-" }
+  end
+  lu.assertEquals(found(70), { true, false, "-", "eth0" })
+  lu.assertEquals(found(10), { false, true, "can0", "-" })
+end
+
 function T.test_buses_by_fields()
   local found = read(section(le) .. interface(CAN, le, option(2, "can0", le)))
   local function bus(...) return found:bus_by_fields(...) or "-" end

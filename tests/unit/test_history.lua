@@ -157,6 +157,13 @@ function T.test_a_reboot_begins_a_new_numbering_and_a_new_drift()
   for i, expected in ipairs { 0, 0.5, 0, 0.25 } do lu.assertAlmostEquals(drift[i], expected, 1e-9) end
 end
 
+-- 5 to 0 is a late message's distance, too: the clock tells which it is.
+function T.test_a_reboot_while_numbers_are_small()
+  local messages = { motor(1, 10, { clock = 9, seq = 4 }), motor(2, 11, { clock = 10, seq = 5 }),
+    motor(3, 15, { clock = 1, seq = 0 }), motor(4, 15.1, { clock = 1.1, seq = 4 }) }
+  lu.assertEquals(run(messages, "missing"), { "-", "-", "-", 3 })
+end
+
 function T.test_a_clock_that_stands_still()
   local messages = { motor(1, 1, { clock = 5 }), motor(2, 2, { clock = 5 }), motor(3, 3, { clock = 5, ends = "bad" }),
     motor(4, 4, { clock = 5 }), motor(5, 5, { clock = 6 }), motor(6, 6, { clock = 6 }) }

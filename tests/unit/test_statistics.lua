@@ -96,9 +96,9 @@ local function run(arguments, records, with)
   for _, one in ipairs(records) do
     if one.kind == "undissected" then queue:add_undissected(one) else queue:offer(one, false) end
     if with.matches and with.matches[one.frame] then rawset(matched, one.frame, true) end
-    queue:packet(one.frame, one.time)
+    queue:packet(one.frame, one.time, with.lacks_clock)
   end
-  if with.last then queue:packet(9999, with.last) end
+  if with.last then queue:packet(9999, with.last, with.lacks_clock) end
   local code, texts = queue:finish { unfinished = with.unfinished or {}, drops = with.drops or {},
     lacks_times = with.lacks_times, extended = with.extended or 0, can = with.can or 0 }
   return table.concat(printed), code, texts
@@ -954,6 +954,33 @@ function T.test_the_clock_of_the_capture()
   lu.assertEquals(found("events,json", "silence", dead, with), { '{"kind":"silence",,"length":30.000000000}' })
   lu.assertEquals(verdicts("motor.gap=1", dead, with)[1], "motor.gap=1 left false 30 2")
   lu.assertEquals(select(2, verdicts("", { record(1, 0.5), record(2, 0.4991) }, { last = 0.5 })), 0) -- interfaces take turns
+end
+
+-- A payload of another size is a good message, but says nothing of faults.
+function T.test_what_was_not_decoded_was_not_judged()
+  local short = { record(1, 0, { payload = "short", fits = false }) }
+  lu.assertEquals(verdicts("fault=0,reboot=0,invalid=0,crc=0,missing=0,unknown=1", short), { "fault=0 left null null null",
+    "reboot=0 left null null null", "invalid=0 left null null null", "crc=0 left true 0 null", "missing=0 left true 0 null",
+    "unknown=1 left true 1 1" })
+end
+
+-- Two buses whose packets were written in turns of 0.2 s; and a raw dump, whose times are those of the controllers.
+function T.test_times_of_each_bus_or_controller_ascend()
+  local records = {}
+  for turn = 0, 3 do
+    for _, source in ipairs { LEFT, RIGHT } do
+      for i = 0, 1 do
+        records[#records + 1] = record(#records + 1, 0.2 * turn + 0.1 * i, { source = source })
+      end
+    end
+  end
+  for row = 1, 2 do
+    lu.assertStrContains(verdicts("motor.gap=0.1,motor.rate=10", records)[row], "true 0.1")
+  end
+  lu.assertEquals(found("events,json", "silence", records), {})
+  local dump = { record(1, 900), record(2, 20, { source = RIGHT }), record(3, 900.1), record(4, 20.1, { source = RIGHT }) }
+  lu.assertEquals(verdicts("motor.gap=0.1,clock=0", dump, { lacks_clock = true }), { "motor.gap=0.1 left true 0.1 3",
+    "motor.gap=0.1 null true 0.1 4", "clock=0 null true 0 null", "unknown=0 null true 0 null" })
 end
 
 function T.test_packets_that_were_dropped()

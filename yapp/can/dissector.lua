@@ -275,14 +275,14 @@ end
 --   tvb, pinfo, tree, range    of Wireshark
 --   wants, item, payload_tvb, payload_at  see Tree:show_message }
 local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
-  local frame, number = self.frame, pinfo.number
+  local frame, number, offset = self.frame, pinfo.number, self.offset or offset_of(tvb)
   if self.asks then
-    local bus, is_known = self.buses:of(pinfo, number)
+    local bus, is_known = self.buses:of(pinfo, number, offset)
     frame.bus, frame.is_bus_known = bus or false, is_known
     self.lost_bus = self.lost_bus or not is_known
   end
   local fields, bus = fields_of[id], frame.bus
-  local key = number * frame_key.PACKET + (self.offset or offset_of(tvb))
+  local key = number * frame_key.PACKET + offset
   local visited = false
   if key > self.newest_key then
     self.newest_key = key
@@ -389,7 +389,7 @@ local function possible_sizes(self, data)
   local sizes, _, size, reserved = {}, can_id.start(data)
   if #data == 8 and reserved == 0 and size > 8 then sizes[START] = size end
   for _, message in ipairs(self.reader.messages) do
-    size = can_id.single_size(data, #data, message.size, message.size)
+    size = can_id.single_size(data, #data, message.min_size, message.size)
     if size and decode.is_plausible(message, sub(data, 1, size)) then sizes[0] = size end
   end
   return sizes
@@ -398,7 +398,7 @@ end
 -- Return the payload size that a frame has as a message that is not dissected; nil for none.
 local function unknown_size(self, fields, source, data)
   local message, size = source.message, possible_sizes(self, data)[fields.ctrl]
-  if fields.ctl ~= 0 then return size == source.size and size or nil end
+  if fields.ctl ~= 0 then return message and size or nil end
   local is_longer = fields.ctrl == 0 and message and #data > message.size
   if is_longer and decode.is_plausible(message, sub(data, 1, message.size)) then return #data end
   return size
@@ -408,7 +408,8 @@ end
 -- an unknown ID; of a known one with a YAPP CTL other than 0, or with bytes behind its values.
 local function report_unknown(self, pinfo, id, offset, data)
   local fields, number = fields_of[id], pinfo.number
-  local source = self.sources[self.asks and self.buses:of(pinfo, number) or false][fields.id]
+  local bus = self.asks and self.buses:of(pinfo, number, offset)
+  local source = self.sources[bus or false][fields.id]
   local size = unknown_size(self, fields, source, data)
   if not size then return end
   self.stat:unknown {

@@ -133,11 +133,15 @@ local function find_later(self, number)
   return bus, bus ~= nil
 end
 
+-- The least offset of CAN data inside an Ethernet frame (IEEE 1722): it is of that one's interface.
+local IN_ETHERNET = 42
+
 --- Return where the current packet was captured.
 -- number   of the packet, which Wireshark need not be asked for again
+-- offset   of the bytes in the packet
 -- returns  the number of its bus, nil if the capture has only one or nothing tells it; and whether
 --          the bus is known
-function Buses:of(pinfo, number)
+function Buses:of(pinfo, number, offset)
   local bus, name = readers.current()
   local found = self.found
   if bus then
@@ -147,7 +151,7 @@ function Buses:of(pinfo, number)
   if number > found.count and (self.tap or found.has_several) then
     return find_later(self, number)
   end
-  if not found.has_several then return nil, not found.is_unknown end
+  if not found.has_several then return nil, not found.is_unknown or offset >= IN_ETHERNET end
   bus = not self.is_shifted and found:bus(number, IN_TSHARK and pinfo.abs_ts or nil)
   self.is_shifted = not bus
   return bus or nil, not self.is_shifted

@@ -433,6 +433,7 @@ local function new_capture()
     drops = {},
     has_no_times = false,
     has_packets = false,
+    is_unknown = false,
   }, Capture)
 end
 
@@ -446,7 +447,7 @@ end
 --   is_live       whether it is pcapng without a packet yet, as when a capture begins
 --   is_told       whether it is of a format that this module reads
 --   is_unknown    whether it may have buses that this module cannot tell apart: a file of Vector
---                 BLF
+--                 BLF, or pcapng that was not read to its end and may describe them later
 --   count         how many packets were read
 --   names         [bus] = its name
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
@@ -461,12 +462,13 @@ function M.read(head, more)
   local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
   function window.more(skip, count)
     if self.yapp_interfaces > 0 or has_frame then return more(skip, count) end
+    self.is_unknown = #head >= M.HEAD
   end
   local magic = sub(head, 1, 4)
   local format = FORMATS[magic]
   if format then format[1](self, window, format[2], format[3]) end
-  self.is_told = format ~= nil
-  self.is_unknown = magic == "LOGG"
+  self.is_unknown = self.is_unknown or magic == "LOGG"
+  self.is_told = format ~= nil and not self.is_unknown
   conclude(self)
   self.head = has_frame and self.has_packets and head or nil
   self.may_have_frames = has_frame or not self.has_packets
@@ -516,6 +518,7 @@ end
 -- returns  text, nil where the capture has no name for it
 function Capture:name(bus, is_ip)
   if bus then return self.names[bus] end
+  if self.is_unknown and not is_ip then return nil end
   local only = not is_ip and not self.has_several and self.buses[1]
   local interface = only and only.interface or self.interfaces[1]
   if only or #self.interfaces == 1 then return interface and interface.name end

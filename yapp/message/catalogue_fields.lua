@@ -76,6 +76,7 @@ local function add_scale(field, row)
   demand(is_finite(zero), "offset %s is not a number", shown(zero))
   demand(not (row.values or row.flags or row.bits),
     "a field has a scale, or values, flags and bits, not both")
+  demand(is_finite(field.top * scale + zero), "scale %s is too large", shown(scale))
   field.kind, field.shape = "scaled", "%.15g"
   field.scale, field.zero = scale + 0.0, zero + 0.0 -- COMPAT 5.4: products of integers wrap around
 end
@@ -94,6 +95,8 @@ local function add_range(field, row)
   end
   local is_range = is_finite(min) and is_finite(max) and min < max
   demand(is_range, "%s needs min and max, min below max", field.type)
+  local largest = math.max(math.abs(min), math.abs(max)) * field.top
+  demand(is_finite(2 * largest), "the range from %s to %s is too large", min, max)
   field.min, field.max = min + 0.0, max + 0.0 -- COMPAT 5.4: products of integers wrap around
   field.shape = "%." .. DIGITS[size] .. "g"
   -- A double holds counts of six bytes.  Of longer ones, reserved values are read as negative

@@ -116,7 +116,7 @@ function Reader:hint(m)
   local id = m.source.id
   local text, same = ("Message ID 0x%x is not in the catalogue"):format(id), nil
   for _, message in ipairs(m.status == "good" and self.messages or {}) do
-    if message.size == m.size then same = same or message end
+    if m.size >= message.min_size and m.size <= message.size then same = same or message end
   end
   if not same then return text end
   local size = "the size of " .. same.title

@@ -71,7 +71,7 @@ end
 local function line_of(self, pinfo)
   local kind, bus, is_known = pinfo.port_type, nil, true
   local is_ip = kind == UDP or kind == TCP
-  if not is_ip then bus, is_known = self.buses:of(pinfo, pinfo.number) end
+  if not is_ip then bus, is_known = self.buses:of(pinfo, pinfo.number, 0) end
   local address = tostring(pinfo.src)
   local here = address .. ":" .. pinfo.src_port
   local there = tostring(pinfo.dst) .. ":" .. pinfo.dst_port
@@ -254,7 +254,7 @@ local function show_message(self, m, tvb)
   if m.status ~= "good" then m.delta = false end -- its ID may be damaged, unlike a CAN id
   if m.wants.tree then m.item, m.payload_tvb = add_frame(self, m, tvb), tvb end
   show_anomalies(self, m)
-  local mark = builder.MARKS[m.missing and "incomplete" or m.status]
+  local mark = builder.MARKS[m.status]
   if is_whole or not source.message then return builder:show_message(m, m) .. mark end
   if m.wants.yapp and #m.payload > 0 then
     add(m.item, builder.fields.payload, tvb(m.payload_at, #m.payload))

@@ -41,7 +41,7 @@ local KEYS = {
   text = words("ok rule bus id source message frame seen worst note"),
   window = words("ok rule who message seen worst note"),
 }
-local NO_VALUE = "no good message of it came"
+local NO_VALUE = "no good message of it was decoded"
 local NONE = "no message came that it is about"
 local SAME_SEQ = {
   json = '"Seq No never changes: lost messages do not show"',
@@ -124,7 +124,8 @@ end
 local function count_events(group, rule)
   local kind = rule.kind
   local count = group.counts[kind.name]
-  if kind.needs_past and group.count == 0 then return nil, nil, NO_VALUE end
+  local needed = kind.needs_values and group.decoded or kind.needs_past and group.count
+  if needed == 0 then return nil, nil, NO_VALUE end
   return count.seen, count.frame, count.values.note
 end
 

@@ -118,7 +118,8 @@ end
 -- What is gathered of a source: {
 --   source, message = the source's
 --   counts = { [kind of event] = { seen, frame = of the first, values = of the first } }
---   count = of good messages; first, last = their times, last_frame
+--   count = of good messages, decoded = of those that were decoded; first, last = their times,
+--   last_frame
 --   gap_min, gap_max = seconds, gap_max_frame
 --   seq = of the latest, is_numbered = whether Seq No changed
 --   is_unreliable = whether one of them had an unreliable history
@@ -136,6 +137,7 @@ local function new_group(self, source)
     message = message,
     counts = memo(new_count),
     count = 0,
+    decoded = 0,
     values = all,
     bus_order = self.bus_orders[source.bus_key or false],
   }
@@ -219,7 +221,9 @@ local function note_message(self, event, now)
   group.last, group.last_frame, group.seq = now, frame, event.seq
   group.count = group.count + 1
   group.is_unreliable = group.is_unreliable or event.values.is_unreliable
-  if event.raws then note_values(self, group, event, now) end
+  if not event.raws then return end
+  group.decoded = group.decoded + 1
+  note_values(self, group, event, now)
 end
 
 --- Take an event, see stat.derive.  Of faults those that rose count.

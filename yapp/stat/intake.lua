@@ -206,7 +206,7 @@ function Intake:unknown(m)
   local seq, is_message = state.unknown_seq, m.source.message
   if seq and (seq + 1) % 256 == m.seq then is_message = true end
   for _, message in ipairs(self.catalogue.messages) do
-    is_message = is_message or m.size == message.size
+    is_message = is_message or m.size >= message.min_size and m.size <= message.size
   end
   state.unknown_seq = m.seq
   if is_message then self.queue:add_undissected(new_event("undissected", m, { size = m.size })) end

@@ -22,6 +22,7 @@ local M = {}
 -- about       what the message of a source must have in the catalogue; nil for any source with an
 --             ID
 -- needs_past  whether it can be judged only with a good message and a reliable history
+-- needs_values  the same with a message that was decoded
 -- needs_time  whether it can be judged only if packets have time stamps
 M.LIST = {
   {
@@ -30,6 +31,7 @@ M.LIST = {
     keys = "field flag event active",
     about = "alarms",
     needs_past = true,
+    needs_values = true,
   },
   { "crc", "bad CRC", hides = "with a bad CRC" },
   { "incomplete", "{what}", keys = "what", hides = "incomplete" },
@@ -54,6 +56,7 @@ M.LIST = {
     change = "length",
     about = "time",
     needs_past = true,
+    needs_values = true,
   },
   {
     "stale",
@@ -61,6 +64,7 @@ M.LIST = {
     change = true,
     about = "time",
     needs_past = true,
+    needs_values = true,
     needs_time = true,
   },
   {
@@ -70,6 +74,7 @@ M.LIST = {
     change = "length",
     about = "time",
     needs_past = true,
+    needs_values = true,
     needs_time = true,
   },
   {
@@ -78,6 +83,7 @@ M.LIST = {
     change = true,
     about = "time",
     needs_past = true,
+    needs_values = true,
   },
   {
     "silence",
@@ -92,6 +98,7 @@ M.LIST = {
     "{field} {code} is not defined{effect}",
     keys = "field value",
     about = "fields",
+    needs_values = true,
   },
   {
     "clock",

@@ -37,7 +37,10 @@ function Queue:reset()
   self.waiting = {}
   self.last = nil -- time of the latest packet
   self.packets = 0
-  self.stepped_back = 0 -- sum of the seconds that the capture's clock went back
+  self.stepped_back = 0 -- sum of the seconds that the capture's clock went back, see time_of
+  self.latest = {} -- [bus] = when its latest message came
+  self.fallen = 0 -- seconds that the clock went back since the latest message of all
+  self.lacks_clock = false -- whether times are those of controllers
   self:begins(0, 0, 0) -- until a time is known, if ever
   self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see hand_on_losses
   self.seen = {} -- [value that all losses of one message share] = true once one was handed on
@@ -55,8 +58,22 @@ function Queue:add(statistic, options)
   return deriver
 end
 
+-- Return the time of an event without the steps back of the capture's clock.  Such a step shows in
+-- the messages of a bus.  Several buses, or the clocks of controllers, may take turns in any order.
+local function time_of(self, event)
+  local now, source = event.time + self.stepped_back, event.source
+  if event.kind ~= "message" then return now end
+  local bus = self.lacks_clock and source or source.bus_key or false
+  local step = kinds.span(now, self.latest[bus] or now)
+  if step > MAX_STEP then
+    self.stepped_back, now = self.stepped_back + step, now + step
+  end
+  self.latest[bus], self.fallen = now, 0
+  return now
+end
+
 local function hand_on(self, event)
-  local now = event.time + self.stepped_back
+  local now = time_of(self, event)
   if event.source.id then self.has_messages = true end
   for _, deriver in ipairs(self.derivers) do
     deriver:take(event, now)
@@ -156,15 +173,15 @@ end
 --              packet that the first pass rejected is another's in the second, with another time
 -- lacks_clock  whether rel is the time of a controller: to go back is no event then
 function Queue:packet(number, rel, lacks_clock)
+  self.lacks_clock = lacks_clock
   flush(self)
-  local last = self.last
+  local step = self.last and kinds.span(self.last, rel) or 0
   self.last, self.packets = rel, self.packets + 1
-  local step = last and rel < last and kinds.span(last, rel) or 0
-  if step < -MAX_STEP then
-    self.stepped_back = self.stepped_back - step
+  if step < -MAX_STEP and not lacks_clock then
+    self.fallen = self.fallen - step
     local values = { length = output.seconds(step), back = output.seconds(-step) }
     local event = kinds.event("clock", number, rel, {}, values)
-    for _, deriver in ipairs(lacks_clock and {} or self.derivers) do deriver:add(event) end
+    for _, deriver in ipairs(self.derivers) do deriver:add(event) end
   end
   if number == self.number and self.offered[#self.offered].time == rel then
     self.waiting, self.number = self.offered, nil
@@ -203,7 +220,8 @@ function Queue:finish(capture)
   local seconds, nanoseconds = self:clock(0)
   local ending = {
     rel = self.last, -- of the last packet of any kind, nil where there was none
-    now = self.last and self.last + self.stepped_back,
+    -- If no message came since the clock went back, none shows that.
+    now = self.last and self.last + math.max(self.stepped_back, self.fallen),
     begin = seconds + nanoseconds / 1e9, -- of the first packet
     reason = nothing_found(self, capture), -- why no message was found, nil if one was
     lacks_times = capture.lacks_times,
