@@ -137,7 +137,7 @@ def test_a_file_that_does_not_open(folder, home):
     packets = []
     for number, fault in enumerate((0, 0, 1, 1)):  # fault flags, bit 0; two serial lines in turns
         payload = bytes(18) + bytes([fault]) + bytes(13)
-        place = stream_captures.Place(stream_captures.EXPORTED_PDU, number % 2, 0)
+        place = stream_captures.Origin(stream_captures.EXPORTED_PDU, number % 2, 0)
         packets.append(stream_captures.Packet(stream_captures.frame(0x210, payload), place))
         packets[-1].time = stream_captures.EPOCH + number * 1000
     path, other = folder / "two.pcapng", folder / "other.txt"

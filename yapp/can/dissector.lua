@@ -40,7 +40,7 @@ function M.new(builder, reader, buses, register_id, note_frame)
     buses = buses,
     register_id = register_id,
     note_frame = note_frame,
-    lacks = false, -- what the current frame waits for: its "id" or "kind", see put_off
+    waiting = false, -- the frame that waits for a tap, see put_off
     stat = reader.stat,
   }, Dissector)
 end
@@ -327,14 +327,16 @@ function Dissector:is_second_pass(number)
   return number_of(self.newest_key) > number
 end
 
--- If nothing tells yet the id of a frame, or its kind (data or remote), put it off until a tap of
+-- If nothing tells yet the id of a frame, or whether it is a data frame, put it off until a tap of
 -- its packet has read its header.  Return whether there is such a tap.
-local function put_off(self, tvb, pinfo, tree, lacks)
+-- id  nil if it is not known
+local function put_off(self, tvb, pinfo, tree, id, accepts_all)
   if not (self.has_taps or self.expects_taps) then return false end
   self:decide_on_taps(self.builder:wants(tree, pinfo, false)) -- asked now: the tap has no tree
-  if not self.has_taps then return false end
-  self.lacks = self.note_frame(tvb, pinfo) and lacks
-  return self.lacks
+  if not (self.has_taps and self.note_frame(tvb, pinfo)) then return false end
+  self.waiting = { id = id, accepts_all = accepts_all }
+  self.newest_key = 0 -- to be dissected by the tap is no revisit
+  return true
 end
 
 --- Dissect one frame.
@@ -355,7 +357,9 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, reported)
   if may_be_remote then
     local is_remote = socketcan.is_remote(pinfo)
     if is_remote then return 0 end
-    if is_remote == nil and put_off(self, tvb, pinfo, tree, "kind") then return reported end
+    if is_remote == nil and put_off(self, tvb, pinfo, tree, id, accepts_all) then
+      return reported
+    end
   end
   if not frame.visited then kind, message, anomalies = known:take(frame) end
   if kind then
@@ -370,8 +374,7 @@ end
 -- first frame of Decode As, on a pass that builds no tree.
 function Dissector:without_id(tvb, pinfo, tree)
   local builder, item = self.builder, tree
-  if tvb:len() > 0 and put_off(self, tvb, pinfo, tree, "id") then
-    self.newest_key = 0 -- it is no revisit, though the table of ids may have refused it
+  if tvb:len() > 0 and put_off(self, tvb, pinfo, tree, nil, true) then
     return tvb:reported_len()
   end
   if builder:wants(tree, pinfo, true).yapp then
@@ -426,18 +429,12 @@ end
 -- offset    of the frame's data; captured = length of it in the capture, length = on the bus
 -- returns   whether it is an extended data frame
 function Dissector:read_noted(tvb, pinfo, offset, captured, length)
-  local frame, lacks = self.frame, self.lacks
-  local fields = frame.can_id
-  local known = lacks == "kind" and fields.message_key + fields.ctrl * 0x4000
-  local is_accepted = number_of(self.accepted_key) == pinfo.number
-  local id, is_unknown = socketcan.id_before(tvb, pinfo, offset, length, known)
-  self.lacks = false
-  if lacks == "id" then
-    if id then self:dissect(tvb(offset, captured):tvb(), pinfo, nil, id, true, length) end
-  elseif lacks == "kind" and (id or is_unknown) then
-    frame.tree, frame.pinfo = nil, pinfo
-    local kind, message, anomalies = self.reassembly:take(frame)
-    if kind then show(self, frame, kind, message, anomalies) end
+  local waiting, is_accepted = self.waiting, number_of(self.accepted_key) == pinfo.number
+  local id = socketcan.id_before(tvb, pinfo, offset, length, waiting and waiting.id)
+  self.waiting = false
+  if id and waiting then
+    local data = tvb(offset, captured):tvb()
+    self:dissect(data, pinfo, nil, id, waiting.accepts_all, length)
   elseif id and captured > 0 and not is_accepted then
     report_unknown(self, pinfo, id, offset, tvb:raw(offset, captured))
   end

@@ -98,20 +98,22 @@ end
 --- Return the id that the header in front of a record's data has.
 -- tvb       of the whole packet
 -- offset    of the data; length = on the bus
--- known     the id if it is known: then it proves the header and its byte order
--- returns   29-bit id; nil for what is no extended data frame; nil and true if this is no header
+-- known     the id if it is known: it proves the header and its byte order
+-- returns   29-bit id; nil for what is no extended data frame; what is known if this is no header
 function M.id_before(tvb, pinfo, offset, length, known)
-  if offset < HEADER or offset > tvb:len() then return nil, true end
-  if tvb(offset - 4, 1):uint() ~= length then return nil, true end
-  local start = tvb(offset - HEADER, 4)
-  local big, little = start:uint(), start:le_uint()
-  -- Big endian are SocketCAN's own encapsulation and PPI; little endian cooked captures and logs.
-  local is_big = offset == HEADER and not get_preference("can.byte_swap") or offset == 2 * HEADER
-  local word = is_big and big or little
-  if known and word % MASK ~= known then word = is_big and little or big end
-  if known and word % MASK ~= known then return nil, true end
-  header.number, header.can_id = pinfo.number, data_id(word)
-  return header.can_id
+  local id = known
+  local has_room = offset >= HEADER and offset <= tvb:len()
+  if has_room and tvb(offset - 4, 1):uint() == length then
+    local start = tvb(offset - HEADER, 4)
+    local word, other = start:uint(), start:le_uint()
+    -- Big endian are SocketCAN's own encapsulation and PPI; little endian cooked captures and logs.
+    local is_big = offset == HEADER and not get_preference("can.byte_swap") or offset == 2 * HEADER
+    if not is_big then word, other = other, word end
+    if known and word % MASK ~= known then word = other end
+    if not known or word % MASK == known then id = data_id(word) end
+  end
+  header.number, header.can_id = pinfo.number, id
+  return id
 end
 
 -- How many calls for truncated frames did not return: at bytes that are not there a C dissector

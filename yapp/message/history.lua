@@ -230,9 +230,9 @@ end
 -- Return how many messages Seq says are missing before one, nil for none: 7, 9 is one.  A source
 -- that does not number its messages repeats its Seq.  7, 9, 8, 10 is one, at 9: 8 came late.  After
 -- a reboot, numbers begin anew.
--- fall  seconds by which the controller's clock went back, 0 for none
-local function missing_before(source, seq, fall)
-  local ahead = (seq - (source.seq or seq)) % 256
+-- name, value  of the change of the controller's clock
+local function missing_before(source, seq, name, value)
+  local ahead, fall = (seq - (source.seq or seq)) % 256, name == "reboot" and value or 0
   local is_late = ahead >= 256 - MAX_BEHIND and fall < LARGE_FALL
   if is_late then return nil end
   source.seq = seq
@@ -246,8 +246,7 @@ local function update(source, m, delta)
     source.shared_at, source.changes[m.key] = m.key, SHARED
     return SHARED
   end
-  local fall = name == "reboot" and value or 0
-  local flags, missing = flag_changes(source, m), missing_before(source, m.seq, fall)
+  local flags, missing = flag_changes(source, m), missing_before(source, m.seq, name, value)
   local late, change = delta and delta > source.longest and delta or nil, nil
   if name or flags or missing or late then
     change = { flags = flags, missing = missing, late = late }
