@@ -17,7 +17,7 @@ local M = {}
 local UNKNOWN = "not a candump line, skipped"
 local TIME = "no such time, line skipped"
 local ID = "no such CAN id, line skipped"
-local DATA = "the data bytes do not fit, line skipped"
+local DATA = text.DATA
 -- Notes about a line with a frame.
 local BEHIND = "text behind the frame, ignored"
 local REPAIRED = "letters that look like hex digits, read as such"
@@ -359,26 +359,13 @@ end
 local function add_drop(log, line, is_harmless)
   local count, bus = line:match("^DROPCOUNT: dropped (%d+)[^']*'?([^',]*)")
   if not count then
-    if log.unread and not is_harmless then log.unread = log.unread + 1 end
+    if not is_harmless then log:count_unread() end
     return
   end
   log.drops[#log.drops + 1] = {
     count = math.min(tonumber(count), MAX_DROPPED),
     bus = not NO_BUS[bus] and utf8.printable(bus) or nil,
   }
-end
-
--- Note which frame is behind the latest drops.
-local function end_drops(log, record, offset)
-  local seconds, nanoseconds = log:time_of(record, offset)
-  if (log.unread or 0) > 0 then log.drops[#log.drops + 1] = { count = log.unread } end
-  log.unread = 0
-  for i = #log.drops, 1, -1 do
-    local drop = log.drops[i]
-    if drop.frame then break end
-    drop.frame = log.lines.number - log.others
-    drop.time = seconds and seconds + nanoseconds / SECOND
-  end
 end
 
 -- Return the frame in a line, as text.open says.
@@ -396,7 +383,6 @@ local function read_record(log, line, offset)
     log.times[offset] = record.is_relative and log.clock or nil
   end
   if record.note then log:skip(line, record.note) end
-  end_drops(log, record, offset)
   return record
 end
 
@@ -437,8 +423,6 @@ function M.open(file, options)
   end
   log.record, log.next = read_record, next_frame
   log.per_second = SECOND
-  log.drops = {}
-  log.unread = nil -- lines since the latest frame that may have been frames; nil before the first
   log.clock = 0 -- sum of the deltas in nanoseconds
   log.taken = {} -- by number: whether a bus has it
   log.free = 0 -- all numbers below are taken
