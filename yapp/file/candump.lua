@@ -180,7 +180,7 @@ local function repaired(line)
 end
 
 --- Read a line of what candump prints and logs.
--- line     text without its line end; colours are dropped
+-- line     text without its line end; colours and a byte order mark are dropped
 -- returns  the frame: { bus = name, id = with SocketCAN's flags, fd, flags = of CAN FD: 1 BRS, 2
 --          ESI; length = bytes, or the DLC of a remote frame; data = string, zero in a remote
 --          frame; raw_dlc = 9 to 15, or 0; sent; seconds, nanoseconds, is_relative = nil without a
@@ -188,7 +188,7 @@ end
 --          a reason, nil for what -e prints below a frame; true if the line is harmless: the packet
 --          list need not report it, and the file may still be candump's
 function M.parse(line)
-  line = line:gsub("\27%[[%d;]*m", "")
+  line = line:gsub("^\239\187\191", ""):gsub("\27%[[%d;]*m", "")
   local record, why = frame_of(line)
   if record then return record end
   local readable = repaired(line)
