@@ -346,7 +346,7 @@ local function add_bus(log, name)
   local number = tonumber(name:match("%f[%d]%d?%d?%d$"))
   if not number or log.taken[number] then number = log.free end
   log.taken[number] = true
-  local shown = utf8.printable(name)
+  local shown = utf8.name(name)
   local heads = memo(function(digits)
     local id = read_id(digits)
     return id and text.head(number, { id = id })
@@ -364,7 +364,7 @@ local function add_drop(log, line, is_harmless)
   end
   log.drops[#log.drops + 1] = {
     count = math.min(tonumber(count), MAX_DROPPED),
-    bus = not NO_BUS[bus] and utf8.printable(bus) or nil,
+    bus = not NO_BUS[bus] and utf8.name(bus) or nil,
   }
 end
 
@@ -419,7 +419,7 @@ function M.open(file, options)
   local is_plain = plain_test(log.bus, options.by_value)
   if not options.all and is_plain(lines) then
     head = text_that_needs_us(file, head, is_plain)
-    if not head then return nil, utf8.printable(log.bus) end
+    if not head then return nil, utf8.name(log.bus) end
   end
   log.record, log.next = read_record, next_frame
   log.per_second = SECOND
