@@ -838,6 +838,21 @@ function T.test_a_yapp_ctl_other_than_0()
     "0x210 (11 bytes, Motor Data with a YAPP CTL other than 0). Try -o yapp.all_extended:TRUE" })
 end
 
+-- A shell takes the option as it is, whatever a bus is called.
+function T.test_a_preference_is_safe_to_paste()
+  for name, quote in pairs { ["can'0"] = '"', ["USB 'left'"] = "'", ["$(id)"] = "'", ["`id`"] = "'", ["a!b"] = "'", ["a\\"] = "'",
+    ["a$HOME'b'"] = "'" } do
+    local records = { unknown(1, name, 0x300, 11), unknown(2, name, 0x301, 11), unknown(3, "other", 0x300, 8) }
+    local option = said(records)[2]:match("%-o (.yapp%.sources:.*)$")
+    lu.assertEquals(option:sub(1, 1), quote)
+    local shell = assert(io.popen("printf %s " .. option))
+    local text = shell:read("*a")
+    shell:close()
+    local bus = sources_of.address(name, 0x300)
+    lu.assertEquals(text, ("yapp.sources:%s=motor:,other/0x300=health:"):format(bus))
+  end
+end
+
 function T.test_preferences_that_decode()
   local function advice(records, with) return said(records, with)[2]:match("Try (.*)") end
   lu.assertEquals(advice({ unknown(1, "a", 0x300, 11), unknown(2, "a", 0x301, 8) }, { ids = { motor = { 0x20, 0x21, 0x7ff } } }),
