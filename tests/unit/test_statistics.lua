@@ -1106,6 +1106,10 @@ function T.test_a_file_of_rules()
     lu.assertEquals({ text, problems }, { "fault=0 unknown=0", { path .. ':2: motor.rate=fast: "fast" is not a rate',
       path .. ":4: rules=x: a file of rules names no other", 'crc=a: "a" is not a number of messages' } })
     lu.assertEquals(select(2, read_file("fault=x\n")), { path .. ':1: fault=x: "x" is not a number of messages' })
+    for _, more in ipairs { "", ",crc=0" } do
+      lu.assertEquals(select(2, read_file("fault=0\nsource=left\n", more)),
+        { ("rules=%s: no rule follows source=left: it is for those behind it"):format(path) })
+    end
     for _, empty in ipairs { "", "# fault=0\n\n" } do
       lu.assertEquals({ read_file(empty) }, { "unknown=0", { ("rules=%s: there is no rule in it"):format(path) } })
     end

@@ -148,6 +148,9 @@ local function read_file(options, path, catalogue)
   end
   options.line, options.source = "", source
   demand(#options.rules + #options.problems > count, "there is no rule in it")
+  local unused = options.unused
+  options.unused = nil -- a rule behind the file would not be about this source
+  demand(not unused, NO_RULE, unused)
 end
 
 function read_check(options, part, catalogue)
