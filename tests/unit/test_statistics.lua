@@ -1043,6 +1043,13 @@ function T.test_options()
   lu.assertEquals({ read_options("csv, a b , all").folder, read_options("summary , json").json }, { "a b", true })
 end
 
+-- A file or a source may be called as the help calls them.
+function T.test_options_that_look_like_their_help()
+  local options = options_of.read("yapp,check,junit=FILE,source=NAME,fault=0,rules=FILE", CATALOGUE)
+  lu.assertEquals({ options.junit, options.rules[1].source }, { "FILE", "NAME" })
+  lu.assertEquals(options.problems, { "rules=FILE: FILE: No such file or directory" })
+end
+
 function T.test_wrong_options_are_named()
   local expected = {
     ["nonsense"] = "yapp,nonsense: it is yapp,summary or yapp,faults or yapp,events or yapp,compare or " ..
