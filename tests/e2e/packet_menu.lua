@@ -7,6 +7,7 @@ local packet_menu = require("yapp.show.packet_menu")
 local items, new_listener, copies = {}, Listener.new, {}
 _G.register_packet_menu = function(title, act) items[title:match("/(.*)$")] = act end
 _G.copy_to_clipboard = io.write
+_G.new_dialog = function(_, _, row) io.write(row.value, "\n") end
 _G.retap_packets = coroutine.yield -- until all packets have been read
 
 local function new_tap(...)
@@ -27,3 +28,14 @@ register_stat_cmd_arg("yappmenu,copy", function()
     for _, copy in ipairs(copies) do copy() end
   end
 end)
+
+-- The controller 0x210 of a bus, and the preference yapp.sources, of each line of a text
+for bus, sources in (os.getenv("YAPP_MENU")):gmatch("([^\n]*)|([^\n]*)") do
+  packet_menu.register({ sources = sources }, { messages = { { name = "motor", title = "Motor Data" } } })
+  local name = items["Name this controller ..."]
+  if bus == "" then
+    name({ name = "yapp.id", value = 0x210 })
+  else
+    name({ name = "yapp.id", value = 0x210 }, { name = "yapp.bus", value = bus })
+  end
+end

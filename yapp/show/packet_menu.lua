@@ -80,11 +80,14 @@ local function copy_as_candump(values)
 end
 
 -- Ask for a name, in the text of the whole preference: what it says can be changed.
-local function ask_name(values, sources)
-  local bus, id = bus_of(values), values["yapp.id"]:match("%d+")
-  local part = source_names.address(bus, id) .. "="
-  if not sources:find(part, 1, true) then
-    sources = sources .. (sources == "" and "" or ", ") .. part
+local function ask_name(values, sources, catalogue)
+  local bus, id = bus_of(values), tonumber(values["yapp.id"]:match("%d+"))
+  local is_listed = false
+  for _, row in ipairs(source_names.parse(sources, catalogue):list()) do
+    is_listed = is_listed or row.bus == bus and row.id == id
+  end
+  if not is_listed then
+    sources = sources .. (sources == "" and "" or ", ") .. source_names.address(bus, id) .. "="
   end
   new_dialog("YAPP Name this controller", function(answer)
     if not answer:find("=%s*$") then set("sources", answer) end
@@ -107,7 +110,9 @@ function M.register(prefs, catalogue)
       set(ids, prefs[ids] .. "," .. values[like])
     end)
   end
-  add("Name this controller ...", "yapp.id", function(values) ask_name(values, prefs.sources) end)
+  add("Name this controller ...", "yapp.id", function(values)
+    ask_name(values, prefs.sources, catalogue)
+  end)
   add("Copy message as candump", "can.id", copy_as_candump)
 end
 
