@@ -49,7 +49,7 @@ def planted(folder, monkeypatch):
         fuzz.homes.cache_clear()
         homes.append(fuzz.homes())
         path = tshark.CAPTURES / name
-        return fuzz.look(fuzz.Capture(path.suffix, b"", [path.read_bytes()], []), way, folder, installed).problem
+        return fuzz.show_file(fuzz.Capture(path.suffix, b"", [path.read_bytes()], []), way, folder, installed).problem
 
     yield look
     fuzz.homes.cache_clear()

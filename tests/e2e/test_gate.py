@@ -429,6 +429,19 @@ def test_what_the_gate_let_through(row, passes):
     assert failed - {"motor.rate"} <= kinds
 
 
+def test_a_damaged_line_of_asc(tmp_path):
+    """It may have been a message: an event, and no all-clear."""
+    text = (tshark.CAPTURES / "other/motor.asc").read_text(encoding="utf-8")
+    frames = [line for line in text.splitlines(keepends=True) if " d " in line]
+    for path, content, dropped in ((tmp_path / "good.asc", text, 0), (tmp_path / "cut.asc", text.replace(frames[2], frames[2][:-6] + "\n"), 1)):
+        path.write_text(content, encoding="utf-8")
+        done = tshark.run("-q", "-r", path, "-z", "yapp,events,json", "-z", "yapp,check,json,dropped=0", check=False)
+        rows = [json.loads(line) for line in done.stdout.splitlines()]
+        assert sum(row.get("kind") == "dropped" for row in rows) == dropped
+        assert [row["seen"] for row in rows if row.get("rule") == "dropped=0"] == [dropped]
+        assert ("the data bytes do not fit, line skipped" in done.stderr, done.returncode) == (dropped == 1, 20 * dropped)
+
+
 def test_a_preference_that_could_not_be_read():
     for preference, code in ((None, 0), ("yapp.sources:can0/0x210=motr:left", 21), ("yapp.late:often", 21),
                              ("yapp.user_dlt:9", 21), ("yapp.health_ids:0x200,0x210", 21)):  # 0x210 stays with Motor Data

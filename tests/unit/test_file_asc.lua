@@ -59,6 +59,19 @@ function T.test_lines_without_a_frame()
   end
 end
 
+-- With a time and an id, but data bytes that do not fit, a line may have been a frame.
+function T.test_lines_that_may_have_been_frames()
+  for _, rest in ipairs { "1 8404000x Rx d 8 BB BE", "1 8404000x Rx d 2 BB G", "1 123 Rx d", "1 123 Rx x 1 00",
+    "CANFD 1 Rx 123 0 0 9 12 1 2 3", "CANFD 1 Rx 123 1 0" } do
+    local record, stamp, why = asc.parse("0.1 " .. rest, 16)
+    lu.assertEquals({ record, stamp, why }, { nil, 100000, "the data bytes do not fit, line skipped" }, rest)
+  end
+  for _, line in ipairs { "", "// 0.1 1 123 Rx d 1", "0.000000 Start of measurement", "0.1 1 EngineData Rx d 1",
+    "1.0 1 Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.01%", "0.1 1 123 TxRq d 1", "0.1 Log Trigger Event" } do
+    lu.assertNil((select(3, asc.parse(line, 16))), line)
+  end
+end
+
 -- A file in memory, read as Wireshark's.
 local function file_of(text)
   local at = 1
@@ -81,9 +94,10 @@ local function frames(text)
     local record = { log:read(file) }
     if not record[1] then break end
     lu.assertEquals({ log:seek_read(again, record[1]) }, record)
-    found[#found + 1] = { bytes = record[2], seconds = record[3], nanoseconds = record[4], bus = record[5] }
+    found[#found + 1] = { bytes = record[2], seconds = record[3], nanoseconds = record[4], bus = record[5],
+      comment = record[6] }
   end
-  return found, said
+  return found, said, log
 end
 
 local function times(text)
@@ -177,6 +191,18 @@ function T.test_bases_and_halves_of_the_day()
     local head = HEAD:gsub("22:13:20%.001", text)
     lu.assertEquals(frames(head .. "1.0 1 123 Rx d 0\n")[1].seconds, start + 1, text)
   end
+end
+
+-- They are lost packets if they stand between two frames.
+function T.test_damaged_lines_are_lost_packets()
+  local frame, cut = "0.5 1 123 Rx d 0\n", "0.6 1 8404000x Rx d 8 BB B\n"
+  local found, said, log = frames(HEAD .. cut .. frame .. cut .. "// remark\n" .. cut .. frame:rep(2) .. cut)
+  local text = 'the data bytes do not fit, line skipped: "0.6 1 8404000x Rx d 8 BB B"'
+  lu.assertEquals(said, { "line 4: " .. text, "line 6: " .. text, "line 8: " .. text ..
+    "; further ones are not reported" })
+  lu.assertEquals({ found[1].comment, found[2].comment, found[3].comment },
+    { said[1], said[2] .. "\n" .. said[3], nil })
+  lu.assertEquals(log.drops, { { count = 2, frame = 2, time = found[2].seconds + 0.501 } })
 end
 
 -- A line longer than 4096 bytes is skipped and named; no part of it is a frame.

@@ -136,6 +136,17 @@ function T.test_broken_lines_are_told_and_skipped()
   lu.assertStrContains(frames[3].comment, "line 5: the data bytes do not fit")
 end
 
+-- A byte order mark, also that of a second file behind the first.
+function T.test_a_byte_order_mark()
+  local mark = "\239\187\191"
+  for _, head in ipairs { HEAD, "(000.000000)  can0  123   [1]  11\n" } do
+    local text = mark .. head .. mark .. head
+    local frames, told = frames_of(text)
+    lu.assertEquals({ column(frames, "offset"), told }, { { 0, 3 + #head }, {} })
+    assert_same_again(text)
+  end
+end
+
 function T.test_one_broken_line_stands_at_the_next_frame()
   local frames = frames_of(HEAD .. "oh no\n" .. HEAD .. HEAD)
   lu.assertNil(frames[3].comment)
@@ -247,6 +258,8 @@ function T.test_names_of_buses_are_fit_to_be_printed()
   lu.assertEquals(column(frames, "bus_name"), { "can\\xFF", "can\\xFE", "\195\188can", "\\x01\\x7Fcan9", "can\\xFF" })
   lu.assertEquals(column(frames, "bus"), { 0, 1, 2, 9, 0 })
   lu.assertEquals(frames[1].comment, "Interface index 0 is can\\xFF")
+  frames = frames_of("(1.000000) can\255 123#11\n(1.000001) can\\xFF 123#11\n") -- names stay apart
+  lu.assertEquals(column(frames, "bus_name"), { "can\\xFF", "can\\x5CxFF" })
 end
 
 -- The bus of a log that is left to Wireshark's own reader.

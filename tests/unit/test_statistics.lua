@@ -838,6 +838,21 @@ function T.test_a_yapp_ctl_other_than_0()
     "0x210 (11 bytes, Motor Data with a YAPP CTL other than 0). Try -o yapp.all_extended:TRUE" })
 end
 
+-- A shell takes the option as it is, whatever a bus is called.
+function T.test_a_preference_is_safe_to_paste()
+  for name, quote in pairs { ["can'0"] = '"', ["USB 'left'"] = "'", ["$(id)"] = "'", ["`id`"] = "'", ["a!b"] = "'", ["a\\"] = "'",
+    ["a$HOME'b'"] = "'" } do
+    local records = { unknown(1, name, 0x300, 11), unknown(2, name, 0x301, 11), unknown(3, "other", 0x300, 8) }
+    local option = said(records)[2]:match("%-o (.yapp%.sources:.*)$")
+    lu.assertEquals(option:sub(1, 1), quote)
+    local shell = assert(io.popen("printf %s " .. option))
+    local text = shell:read("*a")
+    shell:close()
+    local bus = sources_of.address(name, 0x300)
+    lu.assertEquals(text, ("yapp.sources:%s=motor:,other/0x300=health:"):format(bus))
+  end
+end
+
 function T.test_preferences_that_decode()
   local function advice(records, with) return said(records, with)[2]:match("Try (.*)") end
   lu.assertEquals(advice({ unknown(1, "a", 0x300, 11), unknown(2, "a", 0x301, 8) }, { ids = { motor = { 0x20, 0x21, 0x7ff } } }),
@@ -1055,6 +1070,13 @@ function T.test_options()
   lu.assertEquals({ read_options("csv, a b , all").folder, read_options("summary , json").json }, { "a b", true })
 end
 
+-- A file or a source may be called as the help calls them.
+function T.test_options_that_look_like_their_help()
+  local options = options_of.read("yapp,check,junit=FILE,source=NAME,fault=0,rules=FILE", CATALOGUE)
+  lu.assertEquals({ options.junit, options.rules[1].source }, { "FILE", "NAME" })
+  lu.assertEquals(options.problems, { "rules=FILE: FILE: No such file or directory" })
+end
+
 function T.test_wrong_options_are_named()
   local expected = {
     ["nonsense"] = "yapp,nonsense: it is yapp,summary or yapp,faults or yapp,events or yapp,compare or " ..
@@ -1118,6 +1140,10 @@ function T.test_a_file_of_rules()
     lu.assertEquals({ text, problems }, { "fault=0 unknown=0", { path .. ':2: motor.rate=fast: "fast" is not a rate',
       path .. ":4: rules=x: a file of rules names no other", 'crc=a: "a" is not a number of messages' } })
     lu.assertEquals(select(2, read_file("fault=x\n")), { path .. ':1: fault=x: "x" is not a number of messages' })
+    for _, more in ipairs { "", ",crc=0" } do
+      lu.assertEquals(select(2, read_file("fault=0\nsource=left\n", more)),
+        { ("rules=%s: no rule follows source=left: it is for those behind it"):format(path) })
+    end
     for _, empty in ipairs { "", "# fault=0\n\n" } do
       lu.assertEquals({ read_file(empty) }, { "unknown=0", { ("rules=%s: there is no rule in it"):format(path) } })
     end

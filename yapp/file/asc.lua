@@ -103,8 +103,8 @@ local FORMS = { [""] = read_classic, CANFD = read_flexible }
 -- line     without its end
 -- base     10 or 16: of the file's ids and data
 -- returns  a record { bus = channel, id = with SocketCAN's flags, fd, sent, length, flags,
---          raw_dlc = 0, data }, or nil for a line that is no frame; and the time in front of the
---          line in microseconds, or nil
+--          raw_dlc = 0, data }, or nil for a line that is no frame; the time in front of the line
+--          in microseconds, or nil; and a reason if the line may have been a frame
 function M.parse(line, base)
   local stamp, rest = read_stamp(line)
   if not stamp then return nil end
@@ -124,7 +124,8 @@ function M.parse(line, base)
   if not record.id then return nil, stamp end
   record.sent = direction == "Tx"
   read(record, data, base)
-  return record.data and record, stamp
+  if not record.data then return nil, stamp, text.DATA end
+  return record, stamp
 end
 
 -- A file
@@ -153,7 +154,7 @@ end
 -- Return the frame in a line, as text.open says.  A block of a log says when it began: python-can
 -- counts from there, CANoe from the date of the file.
 local function read_record(log, line, offset)
-  local record, stamp = M.parse(line, log.base)
+  local record, stamp, why = M.parse(line, log.base)
   if not offset then return record end
   if not stamp then return take_date(log, line) end
   if log.began then
@@ -166,6 +167,9 @@ local function read_record(log, line, offset)
     local number = record.bus
     log.buses[number] = log.buses[number] or { number = number, name = "CAN-" .. number }
     log.times[offset] = (log.start or log.date) + log.clock
+  elseif why then
+    log:count_unread()
+    log:skip(line, why)
   end
   return record
 end
@@ -174,7 +178,8 @@ end
 -- file     with read and seek, at its begin
 -- report   function(text), called with what is to be said of a line
 -- returns  a log with read and seek_read, whose buses are called as Wireshark's reader of BLF calls
---          them, and has_several: whether its first lines have several; nil for another file
+--          them, and { has_several = whether its first lines have several; drops = as readers.log
+--          returns them }; nil for another file
 function M.open(file, report)
   local head = file:read(HEAD) or ""
   if not head:find("^%s*date%s") then return nil end

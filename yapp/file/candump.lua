@@ -17,7 +17,7 @@ local M = {}
 local UNKNOWN = "not a candump line, skipped"
 local TIME = "no such time, line skipped"
 local ID = "no such CAN id, line skipped"
-local DATA = "the data bytes do not fit, line skipped"
+local DATA = text.DATA
 -- Notes about a line with a frame.
 local BEHIND = "text behind the frame, ignored"
 local REPAIRED = "letters that look like hex digits, read as such"
@@ -180,7 +180,7 @@ local function repaired(line)
 end
 
 --- Read a line of what candump prints and logs.
--- line     text without its line end; colours are dropped
+-- line     text without its line end; colours and a byte order mark are dropped
 -- returns  the frame: { bus = name, id = with SocketCAN's flags, fd, flags = of CAN FD: 1 BRS, 2
 --          ESI; length = bytes, or the DLC of a remote frame; data = string, zero in a remote
 --          frame; raw_dlc = 9 to 15, or 0; sent; seconds, nanoseconds, is_relative = nil without a
@@ -188,7 +188,7 @@ end
 --          a reason, nil for what -e prints below a frame; true if the line is harmless: the packet
 --          list need not report it, and the file may still be candump's
 function M.parse(line)
-  line = line:gsub("\27%[[%d;]*m", "")
+  line = line:gsub("^\239\187\191", ""):gsub("\27%[[%d;]*m", "")
   local record, why = frame_of(line)
   if record then return record end
   local readable = repaired(line)
@@ -346,7 +346,7 @@ local function add_bus(log, name)
   local number = tonumber(name:match("%f[%d]%d?%d?%d$"))
   if not number or log.taken[number] then number = log.free end
   log.taken[number] = true
-  local shown = utf8.printable(name)
+  local shown = utf8.name(name)
   local heads = memo(function(digits)
     local id = read_id(digits)
     return id and text.head(number, { id = id })
@@ -359,26 +359,13 @@ end
 local function add_drop(log, line, is_harmless)
   local count, bus = line:match("^DROPCOUNT: dropped (%d+)[^']*'?([^',]*)")
   if not count then
-    if log.unread and not is_harmless then log.unread = log.unread + 1 end
+    if not is_harmless then log:count_unread() end
     return
   end
   log.drops[#log.drops + 1] = {
     count = math.min(tonumber(count), MAX_DROPPED),
-    bus = not NO_BUS[bus] and utf8.printable(bus) or nil,
+    bus = not NO_BUS[bus] and utf8.name(bus) or nil,
   }
-end
-
--- Note which frame is behind the latest drops.
-local function end_drops(log, record, offset)
-  local seconds, nanoseconds = log:time_of(record, offset)
-  if (log.unread or 0) > 0 then log.drops[#log.drops + 1] = { count = log.unread } end
-  log.unread = 0
-  for i = #log.drops, 1, -1 do
-    local drop = log.drops[i]
-    if drop.frame then break end
-    drop.frame = log.lines.number - log.others
-    drop.time = seconds and seconds + nanoseconds / SECOND
-  end
 end
 
 -- Return the frame in a line, as text.open says.
@@ -396,7 +383,6 @@ local function read_record(log, line, offset)
     log.times[offset] = record.is_relative and log.clock or nil
   end
   if record.note then log:skip(line, record.note) end
-  end_drops(log, record, offset)
   return record
 end
 
@@ -433,12 +419,10 @@ function M.open(file, options)
   local is_plain = plain_test(log.bus, options.by_value)
   if not options.all and is_plain(lines) then
     head = text_that_needs_us(file, head, is_plain)
-    if not head then return nil, utf8.printable(log.bus) end
+    if not head then return nil, utf8.name(log.bus) end
   end
   log.record, log.next = read_record, next_frame
   log.per_second = SECOND
-  log.drops = {}
-  log.unread = nil -- lines since the latest frame that may have been frames; nil before the first
   log.clock = 0 -- sum of the deltas in nanoseconds
   log.taken = {} -- by number: whether a bus has it
   log.free = 0 -- all numbers below are taken

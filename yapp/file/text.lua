@@ -13,6 +13,10 @@ local BLOCK = 65536 -- bytes read at once
 local MAX_LINE = 4096
 local MAX_REPORTED = 3 -- lines for each reason
 local TOO_LONG = "a line longer than 4096 bytes, skipped"
+local SECOND = 1000000000 -- nanoseconds
+
+--- Why a line with an id gives no frame.
+M.DATA = "the data bytes do not fit, line skipped"
 
 -- Lines
 -- ---------------------------------------------------------------------------------------------
@@ -185,6 +189,8 @@ function M.open(head, report, log)
   log.comments = {} -- texts of the packet list, by the frame's offset
   log.buses = {} -- { number, name = fit to be printed }, by the record's bus
   log.times = {} -- by the frame's offset, if its record has none
+  log.drops = {} -- as readers.log returns them
+  log.unread = nil -- lines since the latest frame that may have been frames; nil before the first
   return setmetatable(log, Log)
 end
 
@@ -203,12 +209,29 @@ function Log:skip(line, why, is_harmless)
   if not is_harmless then self.pending[#self.pending + 1] = message end
 end
 
---- Return the seconds and nanoseconds of a frame, nil without a time.
-function Log:time_of(record, offset)
+--- Count a line that may have been a frame: a lost packet, if it stands between two frames.
+function Log:count_unread()
+  if self.unread then self.unread = self.unread + 1 end
+end
+
+-- Note which frame is behind the latest drops.
+local function end_drops(self, seconds, nanoseconds)
+  if (self.unread or 0) > 0 then self.drops[#self.drops + 1] = { count = self.unread } end
+  self.unread = 0
+  for i = #self.drops, 1, -1 do
+    local drop = self.drops[i]
+    if drop.frame then break end
+    drop.frame = self.lines.number - self.others
+    drop.time = seconds and seconds + nanoseconds / SECOND
+  end
+end
+
+-- Return the seconds and nanoseconds of a frame, nil without a time.
+local function time_of(self, record, offset)
   local time = self.times[offset]
   if not time then return record.seconds, record.nanoseconds end
   local rest = time % self.per_second
-  return math.floor((time - rest) / self.per_second), rest * (1000000000 / self.per_second)
+  return math.floor((time - rest) / self.per_second), rest * (SECOND / self.per_second)
 end
 
 --- Read the next frame.
@@ -231,7 +254,8 @@ function M.next(self, lines, file)
     self.comments[offset] = table.concat(self.pending, "\n")
     self.pending = {}
   end
-  local bus, seconds, nanoseconds = self.buses[record.bus], self:time_of(record, offset)
+  local bus, seconds, nanoseconds = self.buses[record.bus], time_of(self, record, offset)
+  if lines == self.lines then end_drops(self, seconds, nanoseconds) end
   return offset, M.packet(bus.number, record), seconds, nanoseconds, bus, self.comments[offset]
 end
 

@@ -5,6 +5,8 @@ local source_names = require("yapp.message.sources")
 
 local M = {}
 
+local EXTENDED, REMOTE, ID_END = 0x80000000, 0x40000000, 0x20000000 -- in the word that has the id
+
 local FAULTS = "yapp.source in {%s} && (taurus.fault.raised || taurus.fault.cleared)"
 -- Title, a field that the packet must have, and the display filter that its values and the packet's
 -- number make.  Wireshark selects the packet that is nearest to the one that was.
@@ -47,6 +49,18 @@ local function bus_of(values)
   return bus and bus:gsub("\\(.)", "%1")
 end
 
+-- Return the id and the data of a frame as `candump -l` writes them.
+-- at  offset of the SocketCAN header: id and flags, length, flags of CAN FD, two bytes, data
+local function candump_text(tvb, at, id)
+  local word = tvb(at, 4):uint()
+  if word % ID_END ~= id then word = tvb(at, 4):le_uint() end -- as a cooked capture has it
+  local length, flags = tvb(at + 4, 1):uint(), tvb(at + 5, 1):uint()
+  local text = (word >= EXTENDED and "%08X#" or "%03X#"):format(id)
+  if word % EXTENDED >= REMOTE then return text .. "R" .. (length > 0 and length or "") end
+  local fd = (length > 8 or flags > 3) and "#" .. flags % 4 or ""
+  return text .. fd .. tostring(tvb(at + 8, length):bytes())
+end
+
 -- Copy the frames of a message as `candump -l` writes them.
 local function copy_as_candump(values)
   local bus, lines = bus_of(values) or "can0", {}
@@ -55,11 +69,8 @@ local function copy_as_candump(values)
   function tap.packet(pinfo, tvb)
     for _, info in ipairs { all_field_infos() } do
       if info.name == "can.id" then
-        local at = info.offset -- behind the ID: length, flags, two bytes, data
-        local length, flags = tvb(at + 4, 1):uint(), tvb(at + 5, 1):uint()
-        local fd = (length > 8 or flags > 3) and "#" .. flags % 4 or ""
-        lines[#lines + 1] = ("(%.6f) %s %08X#%s%s\n"):format(pinfo.abs_ts, bus, info.value, fd,
-          tostring(tvb(at + 8, length):bytes()))
+        local text = candump_text(tvb, info.offset, info.value)
+        lines[#lines + 1] = ("(%.6f) %s %s\n"):format(pinfo.abs_ts, bus, text)
       end
     end
   end
@@ -69,11 +80,14 @@ local function copy_as_candump(values)
 end
 
 -- Ask for a name, in the text of the whole preference: what it says can be changed.
-local function ask_name(values, sources)
-  local bus, id = bus_of(values), values["yapp.id"]:match("%d+")
-  local part = source_names.address(bus, id) .. "="
-  if not sources:find(part, 1, true) then
-    sources = sources .. (sources == "" and "" or ", ") .. part
+local function ask_name(values, sources, catalogue)
+  local bus, id = bus_of(values), tonumber(values["yapp.id"]:match("%d+"))
+  local is_listed = false
+  for _, row in ipairs(source_names.parse(sources, catalogue):list()) do
+    is_listed = is_listed or row.bus == bus and row.id == id
+  end
+  if not is_listed then
+    sources = sources .. (sources == "" and "" or ", ") .. source_names.address(bus, id) .. "="
   end
   new_dialog("YAPP Name this controller", function(answer)
     if not answer:find("=%s*$") then set("sources", answer) end
@@ -96,7 +110,9 @@ function M.register(prefs, catalogue)
       set(ids, prefs[ids] .. "," .. values[like])
     end)
   end
-  add("Name this controller ...", "yapp.id", function(values) ask_name(values, prefs.sources) end)
+  add("Name this controller ...", "yapp.id", function(values)
+    ask_name(values, prefs.sources, catalogue)
+  end)
   add("Copy message as candump", "can.id", copy_as_candump)
 end
 

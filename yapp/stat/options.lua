@@ -148,6 +148,9 @@ local function read_file(options, path, catalogue)
   end
   options.line, options.source = "", source
   demand(#options.rules + #options.problems > count, "there is no rule in it")
+  local unused = options.unused
+  options.unused = nil -- a rule behind the file would not be about this source
+  demand(not unused, NO_RULE, unused)
 end
 
 function read_check(options, part, catalogue)
@@ -213,7 +216,7 @@ end
 -- name     behind -z yapp,
 -- title    in menus
 -- new      function(options, context), makes it: see stat.derive
--- options  the words that it takes besides filter=EXPRESSION: M.read knows them by this text
+-- options  what it takes besides filter=EXPRESSION: M.read knows the words without "=" by this text
 -- read     function(options, part, catalogue), reads other options; nil if there are none
 -- finish   the same, checks all options at the end; nil for no check
 -- help     what it says, for people
@@ -304,7 +307,7 @@ function M.read(text, catalogue)
     options.problems[1] = ("%s: it is yapp,%s"):format(text, (names:gsub(", ", " or yapp,")))
     return options
   end
-  local words = input.set((row.options:gsub(",", "")))
+  local words = input.set((row.options:gsub("%w+=%w+", ""):gsub(",", "")))
   for part in rest:gmatch(",([^,]*)") do
     part = trim(part)
     if words[part] then

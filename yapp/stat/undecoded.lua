@@ -136,6 +136,13 @@ local function plan(self)
   return ids, parts, options
 end
 
+-- Return a text in quotes that a shell takes as it is.  Windows has double quotes alone, but a name
+-- with one of these signs would end them, or run a program.
+local function in_quotes(text)
+  if not text:find('["$`\\!]') then return '"' .. text .. '"' end
+  return "'" .. text:gsub("'", "'\\''") .. "'"
+end
+
 -- The preferences that decode what can be decoded, complete: a text, "" for none.
 local function advice_of(self)
   local settings, sizes = self.settings, {}
@@ -151,8 +158,7 @@ local function advice_of(self)
   end
   if parts[1] then
     if settings.sources_text:find("%S") then table.insert(parts, 1, settings.sources_text) end
-    local option = "yapp.sources:" .. table.concat(parts, ",")
-    texts[#texts + 1] = (option:find('"') and "-o '%s'" or '-o "%s"'):format(option)
+    texts[#texts + 1] = "-o " .. in_quotes("yapp.sources:" .. table.concat(parts, ","))
   end
   return texts[1] and ". Try " .. table.concat(texts, " ") or ""
 end

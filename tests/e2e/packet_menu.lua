@@ -1,0 +1,41 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Loaded behind the plugin: prints what items of the packet menu hand to Wireshark's windows.  tshark has no windows.
+if not os.getenv("YAPP_MENU") then return end -- run by Wireshark, in a plugin folder
+
+local packet_menu = require("yapp.show.packet_menu")
+
+local items, new_listener, copies = {}, Listener.new, {}
+_G.register_packet_menu = function(title, act) items[title:match("/(.*)$")] = act end
+_G.copy_to_clipboard = io.write
+_G.new_dialog = function(_, _, row) io.write(row.value, "\n") end
+_G.retap_packets = coroutine.yield -- until all packets have been read
+
+local function new_tap(...)
+  local tap = new_listener(...)
+  return setmetatable({ remove = function() end }, { __newindex = function(_, name, value) tap[name] = value end })
+end
+
+-- -z yappmenu,copy: each packet
+register_stat_cmd_arg("yappmenu,copy", function()
+  packet_menu.register({}, { messages = {} })
+  _G.Listener = { new = new_tap }
+  for number = 1, 11 do
+    copies[number] = coroutine.wrap(items["Copy message as candump"])
+    copies[number]({ name = "frame.number", value = number })
+  end
+  local last = new_listener("frame")
+  function last.draw()
+    for _, copy in ipairs(copies) do copy() end
+  end
+end)
+
+-- The controller 0x210 of a bus, and the preference yapp.sources, of each line of a text
+for bus, sources in (os.getenv("YAPP_MENU")):gmatch("([^\n]*)|([^\n]*)") do
+  packet_menu.register({ sources = sources }, { messages = { { name = "motor", title = "Motor Data" } } })
+  local name = items["Name this controller ..."]
+  if bus == "" then
+    name({ name = "yapp.id", value = 0x210 })
+  else
+    name({ name = "yapp.id", value = 0x210 }, { name = "yapp.bus", value = bus })
+  end
+end

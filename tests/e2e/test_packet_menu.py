@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Items of the menu of a packet, which only Wireshark's windows have: what they hand to them."""
+import pathlib
+
+import levels
+import tshark
+
+SCRIPT = pathlib.Path(__file__).with_name("packet_menu.lua")
+LOG = """(1700000000.000001) can0 08404000#BBBE6FC720000000
+(1700000000.000002) can0 123#1122
+(1700000000.000003) can0 007#
+(1700000000.000004) can0 00000123#11
+(1700000000.000005) can0 08404000#R
+(1700000000.000006) can0 08404000#R8
+(1700000000.000007) can0 123#R1
+(1700000000.000008) can0 08404000##1112233445566778899AABBCC
+"""
+# The bus of a controller 0x210, the preference yapp.sources, and what is shown of it
+NAMES = [
+    ("can1", "", "can1/0x210="),
+    ("can1", "can1/0x210=left", "can1/0x210=left"),
+    ("can1", "can1/0x210 = left", "can1/0x210 = left"),
+    ("", "can1/0x210=left", "can1/0x210=left, 0x210="),
+    ("an1", "can1/0x210=left", "can1/0x210=left, an1/0x210="),
+    ("", "0x210+0x211=motor:left", "0x210+0x211=motor:left"),
+    ("USB, left", "can1=left", 'can1=left, "USB, left"/0x210='),
+]
+
+
+def menu(capture, *arguments, asked="-"):
+    return tshark.run("-X", f"lua_script:{SCRIPT}", "-q", "-r", capture, *arguments, env={"YAPP_MENU": asked}).stdout
+
+
+@levels.by_version
+def test_copy_as_candump(tmp_path):
+    """The lines of the log that was opened; those of a capture whose ids have the other byte order."""
+    path = tmp_path / "run.log"
+    path.write_text(LOG)
+    copy = "-z", "yappmenu,copy"
+    assert menu(path, *copy, "-X", "read_format:yapp_candump") == LOG
+    lines = menu(tshark.CAPTURES / "remote_frames.pcap", *copy).splitlines()
+    assert [line.split()[2] for line in lines] == [
+        "08404000#BBBE6FC720000000", "08404000#R", "08408000#FD7FFD7FFD7FFD7F", "08408000#R8", "08408000#F5AFFD7F18010000",
+        "08408000#R8", "08408000#014000000000E38C", "0840C000#R8", "00000000#R7", "0840C000#D23CE04E000005FF"]
+
+
+def test_name_this_controller():
+    """A part that names the controller stays; otherwise one is added."""
+    asked = "\n".join(f"{bus}|{sources}" for bus, sources, _ in NAMES)
+    shown = menu(tshark.CAPTURES / "document_motor.pcap", asked=asked)
+    assert shown.splitlines() == [expected for _, _, expected in NAMES]
