@@ -16,7 +16,8 @@ local crc, can_id = require("yapp.wire.crc"), require("yapp.wire.can_id")
 local yapp, taurus = Proto("by_hand", "YAPP by hand"), Proto("by_hand_taurus", "Taurus by hand")
 local add, add_le, append, generated = TreeItem.add, TreeItem.add_le, TreeItem.append_text, TreeItem.set_generated
 local byte, format = string.byte, string.format
--- In a tree that is not shown, too, every dissector adds its protocol's name, for -z io,phs: from 4.6 on if it is asked for.
+-- In a tree that is not shown, too, every dissector adds its protocol's name, for -z io,phs: from 4.6 on if it is asked
+-- for.
 local ALWAYS_NAMES, needs_name = get_version():find("^4%.[0-5]%."), nil
 
 -- Fields: those of a frame, of a message, and of Motor Data in the order of its payload ------------------------------
