@@ -33,8 +33,10 @@ OTHERS = {"+": "-", "-": "+", "*": "/", "/": "*", "%": "*", "<": "<=", "<=": "<"
 TOKEN = re.compile(r"""--\[(=*)\[.*?\]\1\]|--[^\n]*|\[(=*)\[.*?\]\2\]|"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|0[xX][\da-fA-F]+|"""
                    r"""\d+(?:\.\d+)?(?:[eE][+-]?\d+)?|[A-Za-z_]\w*|\.\.\.?|[=~<>]=|\S""", re.S)
 ENDS = {"if": "then", "elseif": "then", "while": "do"}
-# A line that is no statement of its own, or without which a local variable is nil: the first test sees that.
-NO_STATEMENT = re.compile(r"\s*(?:$|--|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|[\])}{]|.*[,({]\s*$)")
+# A line that is no statement of its own, or without which a local variable is nil: the first test sees that.  A field that is
+# nil in a constructor documents itself: without it nothing changes.
+NO_STATEMENT = re.compile(r"\s*(?:$|--|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|\w+ = nil,|[\])}{]|"
+                          r".*[,({]\s*$)")
 MEMORY = 2 * 2**30
 # Mutants remove, rename and write files of any name: never as root.
 NOBODY = pwd.getpwnam("nobody")
@@ -62,6 +64,13 @@ def loaded_by(test):
     return {pathlib.Path(name.replace(".", "/") + ".lua") for name in lua("-e", code).stdout.split()}
 
 
+def other_number(word):
+    """A number of Lua as another one: of 1e9 one more would be lost in the rounding of what it divides."""
+    if re.search(r"^\d+[.]?\d*[eE]", word):
+        return str(float(word) * 2)
+    return str((float(word) if "." in word else int(word, 0)) + 1)
+
+
 def mutants(text):
     """All mutants of a module: (first character, the one behind the last, what stands there instead)."""
     tokens = [one for one in TOKEN.finditer(text) if not one[0].startswith("--")]
@@ -70,7 +79,7 @@ def mutants(text):
         if word in OTHERS:
             yield (*token.span(), OTHERS[word])
         elif word[0].isdigit():
-            yield (*token.span(), str((float if re.search(r"^\d+[.eE]", word) else lambda one: int(one, 0))(word) + 1))
+            yield (*token.span(), other_number(word))
         elif word in ENDS:
             end = next((one for one in tokens[at:] if one[0] == ENDS[word]), None)
             if end:
