@@ -88,6 +88,18 @@ function T.test_frames_of_a_message_that_was_given_up()
   lu.assertStrMatches(text, ".* %. good .* good %. %. %. truncated")
 end
 
+-- Frames of an older message that stay in the pool do not count for the newest.
+function T.test_bytes_since_the_newest_start()
+  lu.assertStrMatches(words.send("aS17 aM8 bS17 bM8 cS32 bM8 bE1 cM8 cM8 cM8 cE8~3"), ".* good .* truncated")
+end
+
+-- If the pool has more bytes than 4096 and those of its open messages, these are given up.
+function T.test_the_bytes_of_a_pool()
+  local known = words.new()
+  local said = words.visits(known, words.frames("S32 S32 " .. ("M8? "):rep((4096 + 2 * 32) / 8), {}))
+  lu.assertStrMatches(said, "%. %.%+fragment%.incomplete[ .]*")
+end
+
 -- A message has one End, and a frame one message; an End of a broken message on the other bus says
 -- nothing of this one.
 function T.test_who_gets_a_frame()
@@ -124,6 +136,18 @@ function T.test_visited_frames_know_their_message()
       lu.assertNil(found.message.padding)
     end
   end
+end
+
+-- A fragment that was shown as that of a broken message leads to the good one that has it in the end.
+function T.test_a_fragment_of_a_broken_and_of_a_good_message()
+  local known, frames = words.new(), words.frames("bS32 aS32 aM8 bE8? aM8 aM8 aE8", {})
+  local statuses = {}
+  for i, frame in ipairs(frames) do
+    words.visit(known, frame)
+    local _, found = words.visit(known, frames[math.min(i, 3)], true)
+    statuses[i] = found.message and found.message.status or "-"
+  end
+  lu.assertEquals(statuses, { "-", "-", "-", "incomplete", "incomplete", "incomplete", "good" })
 end
 
 -- Whoever was given an anomaly sees that it is withdrawn.

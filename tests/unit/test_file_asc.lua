@@ -34,6 +34,8 @@ function T.test_lines()
     ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2"] = "100000 1 00000123 fd 2 4 0102",
     ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2 130000 130 0 0 0 0 0 0"] = "100000 1 00000123 2 0 0102",
     ["4999999.999999 1 1 Rx d 0"] = "4999999999999 1 00000001 0 0 ",
+    ["0.1 1 0000000123 Rx d 0"] = "100000 1 00000123 0 0 ",
+    ["0.1 CANFD 1 Rx 123 0 0 f 64" .. (" 1"):rep(64)] = "100000 1 00000123 fd 64 4 " .. ("01"):rep(64),
   } do
     lu.assertEquals(shown(line), expected, line)
   end
@@ -52,7 +54,8 @@ function T.test_lines_without_a_frame()
   for _, line in ipairs { "", " ", "// comment", "0.000000 Start of measurement", "End TriggerBlock",
     "1.0 1 Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.01%", "0.1 1 EngineData Rx d 1 00", "0.1 1 8404000x Rx d 8 BB BE",
     "0.1 1 800 Rx d 0", "0.1 1 20000000x Rx d 0", "0.1 1 123 Rx d 1 100", "0.1 1 123 Rx x 1 00",
-    "12345678 1 123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 f 65 00", "0.1 CANFD 1 Rx 123 0 0 9 12 1 2 3", "x 1 123 Rx d 0",
+    "12345678 1 123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 f 65" .. (" 1"):rep(65),
+    "0.1 1 00000000123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 9 12 1 2 3", "x 1 123 Rx d 0",
     "0.1 1 123456789ABx Rx d 0", "0.1 1", "0.1", "5", ".5 1 123 Rx d 0",
     "0.1 " .. ("9"):rep(400) .. " 123 Rx d 0", "0.1 " .. ("9"):rep(400) .. " ErrorFrame" } do
     lu.assertNil(shown(line), line)
@@ -149,6 +152,11 @@ function T.test_dates_that_do_not_exist()
     "date " .. good } do
     local found, said = frames(HEAD .. line .. "\n" .. frame)
     lu.assertEquals({ #found, #said }, { 1, 0 }, line)
+  end
+  for length, count in pairs { [64] = 0, [65] = 1 } do -- characters of a date
+    local spaces = (" "):rep(length - #good + 1)
+    local _, said = frames(HEAD .. "Begin Triggerblock " .. good:gsub(" 2023", spaces .. "2023") .. "\n" .. frame)
+    lu.assertEquals(#said, count, length)
   end
 end
 

@@ -191,6 +191,28 @@ function T.test_the_first_frame_comes_late()
   lu.assertEquals({ list[#list - 1].offset, list[#list].bytes }, { #text, frame(2, "a") })
 end
 
+-- No more is read than a record needs: of noise at the end of what was read, whether it goes on.
+function T.test_what_is_read_for_a_record()
+  local first, chunk, more = frame(1, "\7"), 65536, ("x"):rep(1000000)
+  local rows = { -- head, rest, of which record, bytes read of the rest
+    { first, "", 1, 0 }, { "x" .. first, more, 1, 0 }, { first .. "x", more, 1, 0 }, { first .. "x", more, 2, chunk },
+    { first .. ("x"):rep(chunk - 1), more, 2, chunk }, { first .. ("x"):rep(chunk), more, 2, 0 },
+    { first .. "x" .. first, more, 2, 0 }, { first .. ("x"):rep(chunk + 1), more, 3, chunk },
+  }
+  for i, row in ipairs(rows) do
+    local file, count = file_of(row[2]), 0
+    local read = file.read
+    function file:read(length)
+      local bytes = read(self, length)
+      count = count + #(bytes or "")
+      return bytes
+    end
+    local log = dump.open(file, OPTIONS, row[1])
+    for _ = 1, row[3] do log:read(file) end
+    lu.assertEquals(count, row[4], "row " .. i)
+  end
+end
+
 -- Noise that goes on in the next read is one record as long as it can be: of 65,536 bytes.
 function T.test_noise_over_two_reads()
   local first, last = frame(1, "\7"), frame(2, "a")

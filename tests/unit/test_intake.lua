@@ -84,6 +84,21 @@ function T.test_a_message()
   lu.assertEquals(event.values, { change = change, is_unreliable = true })
   lu.assertIs(event.values.change, change)
   lu.assertIs(event.source, SOURCE)
+  for i, with in ipairs { { is_unreliable = true }, { undecoded = 2 }, { change = change } } do
+    intake:message(message(with))
+    lu.assertEquals(offered[i + 1][1].values, with)
+  end
+end
+
+function T.test_an_intake_that_is_closed()
+  local intake = intake_of.new(CATALOGUE)
+  for _ = 1, 2 do
+    lu.assertEquals({ intake.wanted, intake.wants_parts }, { false, false })
+    intake:open {}
+    intake.wants_parts = true
+    lu.assertTrue(intake.wanted)
+    intake:close()
+  end
 end
 
 function T.test_what_the_catalogue_does_not_define()
@@ -97,6 +112,19 @@ function T.test_what_the_catalogue_does_not_define()
     for j, remark in ipairs(one[1].values.invalid or {}) do fields[i][j] = remark.field end
   end
   lu.assertEquals(fields, { {}, { "mode" }, { "bits" }, { "mode", "bits" } }) -- a reserved count is defined
+end
+
+function T.test_values_that_are_not_defined()
+  local own = catalogue_of.compile { { name = "own", title = "Own", id = 1, size = 2,
+    { "key", "uint8", "Key", values = { [0] = "off" }, invalid = "command.key.invalid" },
+    { "mode", "uint8", "Mode", values = { [0] = "off" } } } }
+  local intake, offered = new_intake()
+  local m = message { source = { id = 1, message = own.messages[1] } }
+  m.raws, m.is_remarkable = own.messages[1].read("\10\255")
+  intake:message(m)
+  lu.assertEquals(offered[1][1].values.invalid, {
+    { field = "key", value = 10, code = "0x0a", effect = " (the controller ignores this command)" },
+    { field = "mode", value = 255, code = "0xff", effect = false } })
 end
 
 local function part(with)

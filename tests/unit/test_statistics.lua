@@ -293,6 +293,8 @@ function T.test_csv_before_1970()
   lu.assertEquals(lines(run({ "csv,-,motor" }, { record(1, 0), record(2, 0.75), record(3, 2) }, { epoch = -2 })), {
     "time,frame,bus,source,id,seq," .. COLUMNS, "-1.999999995,1,can0,left,528,0," .. CELLS, "-1.249999995,2,can0,left,528,0," .. CELLS,
     "0.000000005,3,can0,left,528,0," .. CELLS })
+  lu.assertEquals({ output.time_text(-1, 1), output.time_text(-1, 0), output.time_text(-1, 999999999),
+    output.time_text(0, 1) }, { "-0.999999999", "-1.000000000", "-0.000000001", "0.000000001" })
 end
 
 function T.test_csv_in_a_folder()
@@ -314,10 +316,27 @@ function T.test_csv_overwrites_only_what_it_is_told_to()
   with_folder(function(folder, with)
     run({ "csv," .. folder }, ROWS, with)
     local _, _, texts = run({ "csv," .. folder }, {}, with)
-    lu.assertStrContains(texts[1], "is there; add the option replace")
+    lu.assertStrMatches(texts[1], "csv: .*is there; add the option replace.*")
     lu.assertEquals(#lines(read(folder .. "/motor.csv")), 3)
     run({ "csv," .. folder .. ",replace" }, {}, with)
     lu.assertEquals(#lines(read(folder .. "/motor.csv")), 1)
+  end)
+end
+
+-- As on Windows.
+function T.test_csv_where_a_rename_does_not_replace()
+  with_folder(function(folder, with)
+    run({ "csv," .. folder }, ROWS, with)
+    local rename = os.rename
+    rawset(os, "rename", function(from, to)
+      local there = io.open(to)
+      if there then return there:close() and nil, "File exists" end
+      return rename(from, to)
+    end)
+    local _, code, texts = run({ "csv," .. folder .. ",replace" }, {}, with)
+    rawset(os, "rename", rename)
+    lu.assertEquals({ code, #texts, #lines(read(folder .. "/motor.csv")) }, { 0, 1, 1 })
+    lu.assertNil(io.open(folder .. "/motor.csv.part"))
   end)
 end
 
@@ -654,7 +673,9 @@ field  unit  source       min     mean  max  spread  since start/s  frame
 volts  V     left          10  73.6667  200     188       0.350000      5
              can"1 0x210   12    105.5  199
 ]])
-  lu.assertEquals(run({ "compare" }, { record(1, 0) }), "YAPP compare: no message has several sources\n")
+  for _, named in ipairs { {}, NAMED } do -- one that never came is none
+    lu.assertEquals(run({ "compare" }, { record(1, 0) }, { named = named }), "YAPP compare: no message has several sources\n")
+  end
 end
 
 -- A table for each message, by ID, an empty line between.
@@ -766,6 +787,7 @@ function T.test_messages_that_were_not_decoded()
   for _, what in ipairs { "faults", "summary", "events", "compare", "check" } do
     lu.assertEquals(lines(run({ what }, records))[2], text)
   end
+  lu.assertStrContains(said({ records[3], records[4] })[2], "2 messages were not decoded: can1 0x211 (11 bytes each, the")
   -- those that a filter lets count
   lu.assertStrContains(said(records, { matches = { [1] = true } })[2], "1 message was not decoded: can1 0x212 (11 bytes, the")
 end
@@ -809,6 +831,16 @@ function T.test_messages_that_their_gaps_have_room_for()
   lu.assertEquals(room({ 0, 0.1 }, nil, { last = 0.24 }), nil)
   lu.assertEquals(room({ 0, 0.1, 0.3, 0.4 }, { 1, 2, 3, 4 }), nil) -- Seq No says that none is missing
   lu.assertEquals(room({ 0, 0.1, 5.1, 5.3 }, nil, { matches = { [4] = true } }), nil) -- the filter lets no gap count
+  -- exactly one and a half periods have no room for another one
+  local own = catalogue_of.compile { { name = "own", title = "Own", id = 0x210, size = 1, every = 0.5,
+    { "f", "uint8", "F", group = "g", alarm = "A", flags = { { "hot", 1, "Hot" } } } } }
+  local source = { key = "own", bus = "can0", id = 0x210, message = own.messages[1] }
+  for time, expected in pairs { [0.75] = "YAPP faults: 0",
+    [0.8] = "damaged or lost messages may hide faults: 1 missing by their period" } do
+    local texts = said({ record(1, 0, { source = source, payload = "\0" }),
+      record(2, time, { source = source, payload = "\0" }) }, { catalogue = own })
+    lu.assertEquals(texts[#texts], expected)
+  end
 end
 
 function T.test_a_value_that_is_no_number_is_called_reserved()
