@@ -334,6 +334,16 @@ function T.test_a_read_filter_that_drops_the_last_frame()
   lu.assertEquals(visits(known, { { 5, 1 }, { 6, 2 } }, true), ". .")
 end
 
+-- A packet with a whole message is dropped: the frames of the next one are not of that message.
+function T.test_a_read_filter_that_drops_a_whole_message()
+  local known, rows = words.new(), {}
+  for i = 1, 5 do rows[i] = { 1, i, 30 * i } end
+  visits(known, rows)
+  drop(known, 1)
+  visits(known, { rows[1] })
+  lu.assertEquals(visits(known, rows, true), ". - - - -")
+end
+
 -- What was wrong with a dropped frame is not said of the one that has its number.
 function T.test_a_read_filter_that_drops_an_anomaly()
   local known = words.new()

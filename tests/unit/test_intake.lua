@@ -5,6 +5,7 @@ local lu = require("luaunit")
 local catalogue_of = require("yapp.message.catalogue")
 local frame_key = require("yapp.base.frame_key")
 local intake_of = require("yapp.stat.intake")
+local kinds = require("yapp.stat.kinds")
 
 local T = {}
 
@@ -40,12 +41,12 @@ function T.test_kinds_of_finished_messages()
   for _, status in ipairs { "good", "bad", "truncated", "incomplete", "overrun" } do
     intake:message(message { status = status })
   end
-  local kinds = {}
+  local found = {}
   for i, one in ipairs(offered) do
     local what = one[1].values.what
-    kinds[i] = one[1].kind .. (what and " " .. what or "")
+    found[i] = one[1].kind .. (what and " " .. what or "")
   end
-  lu.assertEquals(kinds, { "message", "crc", "incomplete incomplete" })
+  lu.assertEquals(found, { "message", "crc", "incomplete incomplete" })
 end
 
 function T.test_frames_that_may_be_messages()
@@ -82,6 +83,8 @@ function T.test_a_message()
   lu.assertEquals({ event.frame, event.time, event.seq, event.payload, event.raws ~= nil, offered[1][2] },
     { 1, 0.5, 0, "\0\0\0", true, true })
   lu.assertEquals(event.values, { change = change, is_unreliable = true })
+  intake:message(message())
+  lu.assertIs(table.remove(offered)[1].values, kinds.NOTHING) -- as of most messages
   lu.assertIs(event.values.change, change)
   lu.assertIs(event.source, SOURCE)
   for i, with in ipairs { { is_unreliable = true }, { undecoded = 2 }, { change = change } } do
@@ -201,6 +204,9 @@ function T.test_bytes_of_several_packets()
   end
   local first, last = offered[1][1], offered[5][1]
   lu.assertEquals({ first.frame, first.values.length, last.frame, last.values.length }, { 3, 27, 9, 9 })
+  skipped(stream, 11)
+  skipped(stream, 11) -- a run from which a filter keeps the earlier packets
+  lu.assertEquals({ #offered, offered[10][1].values.length, offered[11][1].frame }, { 11, 18, 11 })
 end
 
 function T.test_messages_that_the_capture_ends_before()

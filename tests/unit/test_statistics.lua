@@ -146,6 +146,7 @@ can0   0x210  left    Motor Data  volts  V      10    10   10      2
 can"1  0x210          Motor Data  volts  V      10    10   10      1
 ]])
   lu.assertEquals(run({ "summary" }, {}), "YAPP summary: 0 sources in 0.000 s\n" .. NOTHING_CAME)
+  lu.assertStrContains(run({ "summary" }, { record(1, 0) }), "volts  V      10    10   10      1\n") -- of one source
 end
 
 -- What rests on what came before a message cannot be told where that is not known.
@@ -320,6 +321,8 @@ function T.test_csv_overwrites_only_what_it_is_told_to()
     lu.assertEquals(#lines(read(folder .. "/motor.csv")), 3)
     run({ "csv," .. folder .. ",replace" }, {}, with)
     lu.assertEquals(#lines(read(folder .. "/motor.csv")), 1)
+    with.make_folder = function() return false end
+    lu.assertEquals(select(3, run({ "csv,a/b" }, {}, with)), { "csv: the folder a/b cannot be made" })
   end)
 end
 
@@ -673,9 +676,7 @@ field  unit  source       min     mean  max  spread  since start/s  frame
 volts  V     left          10  73.6667  200     188       0.350000      5
              can"1 0x210   12    105.5  199
 ]])
-  for _, named in ipairs { {}, NAMED } do -- one that never came is none
-    lu.assertEquals(run({ "compare" }, { record(1, 0) }, { named = named }), "YAPP compare: no message has several sources\n")
-  end
+  lu.assertEquals(run({ "compare" }, { record(1, 0) }), "YAPP compare: no message has several sources\n")
 end
 
 -- A table for each message, by ID, an empty line between.
@@ -686,8 +687,9 @@ function T.test_compare_of_several_messages()
     records[i] = record(i, i / 10, { source = source, payload = source.message == HEALTH and ("\0"):rep(8) or nil })
   end
   local titles = {}
-  for part in (run({ "compare" }, records) .. "\n"):gmatch("(.-)\n\n") do titles[#titles + 1] = part:match("^YAPP.*") end
-  lu.assertEquals(titles, { "YAPP compare: 2 sources of Health", "YAPP compare: 2 sources of Motor Data" })
+  local printed = run({ "compare" }, records, { hint = "said once" }) .. "\n"
+  for part in printed:gmatch("(.-)\n\n") do titles[#titles + 1] = part:match("^YAPP.*") end
+  lu.assertEquals(titles, { "YAPP compare: 2 sources of Health\nsaid once", "YAPP compare: 2 sources of Motor Data" })
 end
 
 -- In time, also where the capture's goes back; at one time by frame, and what has no frame is last.
@@ -751,10 +753,17 @@ function T.test_tables_fit_a_window()
   local change = { flags = { { field = { name = "f", undefined = 0, alarm_bits = 1, flags = { flag } }, value = 1, raised = 1, cleared = 0 } },
     reboot = 5, late = 0.9 }
   local records = { record(1, 0), record(99999, 1, { change = change }), record(100000, 1.1, { source = RIGHT }) }
-  for _, what in ipairs { "summary", "faults", "events", "compare", "check" } do
-    local printed = run({ what }, records, { frames = {}, last = 9, named = NAMED })
+  for what, row in pairs { -- columns, frame of the first row
+    summary = { "source message count rate/Hz max gap/s bad CRC lost late", 99999 },
+    faults = { "at/s source flag event active/s", 99999 }, check = { "check rule source message seen note", 99999 },
+    events = { "at/s source message details", 1 }, compare = { "field unit source min max spread", 100000 },
+  } do
+    local frames = {}
+    local printed = run({ what }, records, { frames = frames, last = 9, named = NAMED })
+    lu.assertEquals({ printed:match("\n\n *([^\n]*)\n"):gsub(" +", " "), frames[1] }, row)
     for _, line in ipairs(lines(printed)) do lu.assertTrue(#line <= 73 or what == "events" or line:find("absent", 1, true) ~= nil, line) end
     lu.assertStrContains(printed, "left")
+    if what == "summary" then lu.assertStrMatches(printed, ".*\n\nsource +field +unit +min +mean +max\n.*") end
   end
 end
 
@@ -788,6 +797,7 @@ function T.test_messages_that_were_not_decoded()
     lu.assertEquals(lines(run({ what }, records))[2], text)
   end
   lu.assertStrContains(said({ records[3], records[4] })[2], "2 messages were not decoded: can1 0x211 (11 bytes each, the")
+  lu.assertEquals(#lines((run({ "events,json" }, records))), 3) -- of a source and size the first one
   -- those that a filter lets count
   lu.assertStrContains(said(records, { matches = { [1] = true } })[2], "1 message was not decoded: can1 0x212 (11 bytes, the")
 end
