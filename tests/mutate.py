@@ -37,6 +37,7 @@ ENDS = {"if": "then", "elseif": "then", "while": "do"}
 # nil in a constructor documents itself: without it nothing changes.
 NO_STATEMENT = re.compile(r"\s*(?:$|--|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|\w+ = nil,|[\])}{]|"
                           r".*[,({]\s*$)")
+BYTES = re.compile(r"local [\w, ]+ = (?:\w+:byte\(|byte\([\w.]+, )[^(),]+, (?:\w+ \+ )?\d+\)$")
 MEMORY = 2 * 2**30
 # Mutants remove, rename and write files of any name: never as root.
 NOBODY = pwd.getpwnam("nobody")
@@ -76,8 +77,11 @@ def mutants(text):
     tokens = [one for one in TOKEN.finditer(text) if not one[0].startswith("--")]
     for at, token in enumerate(tokens):
         word = token[0]
-        if word == "<" and "table.sort(" in line_at(text, token.start()):
+        line = line_at(text, token.start())
+        if word == "<" and "table.sort(" in line:
             continue  # equals may change places in any case
+        if word[0].isdigit() and BYTES.match(line) and text.startswith(")\n", token.end()):
+            continue  # a byte more, which no variable takes
         if word in OTHERS:
             yield (*token.span(), OTHERS[word])
         elif word[0].isdigit():

@@ -35,6 +35,7 @@ end
 
 function T.test_names_of_can_ctrl()
   lu.assertEquals(can.CTRL_NAMES, { [0] = "Single", [1] = "Start", [2] = "Middle", [3] = "End" })
+  lu.assertEquals({ can.START, can.END }, { 1, 3 })
 end
 
 function T.test_what_a_start_says()
@@ -60,7 +61,9 @@ function T.test_many_ids_cost_no_more_than_some()
   for can_id = 0, 100000 do local _ = can.fields[can_id] end
   collectgarbage()
   lu.assertTrue(collectgarbage("count") - before < 4096)
-  lu.assertEquals(can.fields[0x08404000].id, 0x210)
+  local fields = can.fields[0x08404000]
+  lu.assertEquals(fields.id, 0x210)
+  lu.assertIs(can.fields[0x08404000], fields)
 end
 
 local function bytes(count, zeros) return ("x"):rep(count) .. ("\0"):rep(zeros or 0) end
