@@ -33,6 +33,7 @@ function T.test_lines()
     ["0.1 CANFD 1 Rx 123 1 1 2 2 1 2 130000 130 203000 0 0 0 0 0"] = "100000 1 00000123 fd 2 7 0102",
     ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2"] = "100000 1 00000123 fd 2 4 0102",
     ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2 130000 130 0 0 0 0 0 0"] = "100000 1 00000123 2 0 0102",
+    ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2 130000 130 202000 0 0 0 0 0"] = "100000 1 00000123 2 0 0102",
     ["4999999.999999 1 1 Rx d 0"] = "4999999999999 1 00000001 0 0 ",
     ["0.1 1 0000000123 Rx d 0"] = "100000 1 00000123 0 0 ",
     ["0.1 CANFD 1 Rx 123 0 0 f 64" .. (" 1"):rep(64)] = "100000 1 00000123 fd 64 4 " .. ("01"):rep(64),
@@ -115,8 +116,8 @@ function T.test_times()
   local block = "Begin Triggerblock Tue Nov 14 22:13:20.1 2023\n"
   lu.assertEquals(times(HEAD:gsub("2023", "2026") .. block .. frame), "0.501000000")
   -- CANoe's: a block that began 100 s later, with times since the date.
-  lu.assertEquals(times(HEAD .. frame .. "Begin Triggerblock Tue Nov 14 10:15:00.500 pm 2023\n100.5 1 123 Rx d 0\n"),
-    "0.501000000 100.501000000")
+  lu.assertEquals(times(HEAD .. frame .. "Begin Triggerblock Tue Nov 14 10:15:00.500 pm 2023\n100.5 1 123 Rx d 0\n" ..
+    "110.5 1 123 Rx d 0\n"), "0.501000000 100.501000000 110.501000000")
   lu.assertEquals(times(HEAD:gsub("Tue Nov", "Die Nov") .. frame), "0.501000000")
 end
 
