@@ -308,6 +308,10 @@ function T.test_names_of_interfaces()
     end
     local names = { "can0", "if1", "vcan12", "m\195\188", "\\xFF", "a\\x01b", "if6", "if7", "end",
       "if9", "can9", "a\\x5Cx01b", "a\\xE2\\x80\\x8Bb" }
+    -- of a block 64 options are read
+    file = file .. interface(CAN, number, comment:rep(63) .. named("last") .. ended) ..
+      interface(CAN, number, comment:rep(64) .. named("behind the last") .. ended)
+    names[#names + 1], names[#names + 2] = "last", "if14"
     lu.assertEquals(read(file).names, names)
     for length = 0, #file do lu.assertTable(read(file:sub(1, length)).names) end
   end
@@ -588,6 +592,7 @@ function T.test_a_pipe()
   for i = 1, 5000 do packets[i] = { i % 2, ("x"):rep(16) } end
   local file = pcapng({ CAN, CAN }, packets, le)
   local found = capture.read(file:sub(1, capture.HEAD), none)
+  lu.assertEquals(capture.HEAD, 2 ^ 16) -- what Wireshark can rewind
   lu.assertTrue(found.has_several)
   lu.assertTrue(found.count > 1000 and found.count < 5000, found.count)
   lu.assertEquals({ found:bus(1), found:bus(2), found:bus(found.count) },
