@@ -81,6 +81,12 @@ function T.test_four_open_messages()
   }
 end
 
+-- One that an End seemed to break stays open in case the End was another's; once it is given up, it stays broken.
+function T.test_a_broken_message_that_is_given_up()
+  local text = words.send("aS32 bS32 bM8 bE8? cS9 dS9 eS9 fS9 gS9")
+  lu.assertStrContains(text, ". .+fragment.incomplete . incomplete+fragment.incomplete . ")
+end
+
 -- What lies before the oldest message that is left is nobody's: of a message that was not captured
 -- whole the bytes since its own Start count.
 function T.test_frames_of_a_message_that_was_given_up()
@@ -183,6 +189,7 @@ function T.test_a_stray_fragment()
     ". . .+fragment.incomplete . . . good")
   _, known, frames = words.send("S32 S32 M8? M8 M8 M8 E8")
   lu.assertEquals(words.visits(known, frames, true), ". .+fragment.incomplete orphan . . . good")
+  lu.assertEquals((words.send("aS32 M8? bS32 aM8 aM8 aM8 aE8")), ". orphan . . . . good")
 end
 
 -- Buses with messages of the same key: two with three at most and nothing lost, so that none is
