@@ -341,6 +341,8 @@ function T.test_no_two_buses_have_one_name()
   lu.assertEquals(names_of(any, { { 0, three }, { 0, four } }), { "any#3", "any#4" })
   lu.assertEquals(names_of({ { SLL2, "any" }, { SLL2, "any" } }, { { 0, three }, { 1, three } }),
     { "any#3", "any#3#3" })
+  lu.assertEquals(names_of({ { SLL, "any" }, { SLL, "any" } }, { { 0, CAN_OVER_SLL }, { 1, FD_OVER_SLL } }),
+    { "any#0", "any#1" })
   lu.assertEquals(read(pcap(SLL2, { three, four }, le)).names, { "if0#3", "if0#4" })
   lu.assertEquals(read(pcap(RTAC, { rtac(2), rtac(1) }, le)).names, { "if0#rx", "if0#tx" })
   lu.assertEquals(names_of({ { RTAC, "COM1" } }, { { 0, rtac(1) }, { 0, rtac(2) } }),

@@ -178,6 +178,7 @@ function T.test_types_of_filters()
   for _, row in ipairs(compiled.messages[1].filters) do
     found[row[1]:gsub("taurus%.m%.?", "")] = ("%s %s %s"):format(row[2], row[5] or "", row[7] or ""):gsub(" +$", "")
   end
+  lu.assertEquals(compiled.messages[1].by_name.f.filters, { "taurus.m.f.special", "taurus.m.f" }) -- and those below it
   lu.assertEquals(found, { [""] = "NONE", clock_drift = "RELATIVE_TIME", command_in = "FRAMENUM", u = "UINT16",
     e = "UINT8 HEX", i = "INT16", t = "RELATIVE_TIME", b = "BOOLEAN", f = "DOUBLE", ["f.special"] = "UINT8",
     d = "DOUBLE", ["d.special"] = "UINT8", s = "STRING", y = "BYTES", c = "DOUBLE", w = "UINT64", g = "UINT32 HEX",
