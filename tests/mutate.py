@@ -38,6 +38,7 @@ ENDS = {"if": "then", "elseif": "then", "while": "do"}
 NO_STATEMENT = re.compile(r"\s*(?:$|--|local\b|function\b|else|end\b|until\b|repeat\b|for\b|while\b|\w+ = nil,|[\])}{]|"
                           r".*[,({]\s*$)")
 BYTES = re.compile(r"local [\w, ]+ = (?:\w+:byte\(|byte\([\w.]+, )[^(),]+, (?:\w+ \+ )?\d+\)$")
+LEAST = re.compile(r"if (\S+) [<>] (\S+) then \2 = \1 end$")
 MEMORY = 2 * 2**30
 # Mutants remove, rename and write files of any name: never as root.
 NOBODY = pwd.getpwnam("nobody")
@@ -82,6 +83,8 @@ def mutants(text):
             continue  # equals may change places in any case
         if word[0].isdigit() and BYTES.match(line) and text.startswith(")\n", token.end()):
             continue  # a byte more, which no variable takes
+        if word in "<>" and LEAST.match(line):
+            continue  # of two equals either is the least
         if word in OTHERS:
             yield (*token.span(), OTHERS[word])
         elif word[0].isdigit():

@@ -399,8 +399,9 @@ function T.test_check_rates_and_gaps()
   lu.assertEquals(found, { "motor.count=5 left false 4 4", "motor.rate=3.01 left false 3 4",
     "motor.gap=0.9 left false 1 4", "unknown=0 null true 0 null" })
   lu.assertEquals(code, 20)
-  lu.assertEquals(verdicts("motor.rate=1", { record(1, 0) }), { "motor.rate=1 left false 0 1",
-    "unknown=0 null true 0 null" })
+  lu.assertEquals(verdicts("motor.rate=1,motor.gap=2", { record(1, 0) }, { last = 2 }), { "motor.rate=1 left false 0 1",
+    "motor.gap=2 left true 2 1", "unknown=0 null true 0 null" })
+  lu.assertEquals(verdicts("motor.gap=2", { bad(1, 0) })[1], "motor.gap=2 left null null null")
 end
 
 function T.test_check_ranges()
@@ -646,6 +647,8 @@ function T.test_sources_that_never_came()
   lu.assertEquals(verdicts("absent=1,absent=2", records, with), { "absent=1 null false 2 null", "absent=2 null true 2 null",
     "unknown=0 null true 0 null" })
   lu.assertStrContains(run({ "check,absent=1" }, records, with), "2  right, 0x211, 1 name without a message not judged")
+  local judged = { named = { NAMED[1], NAMED[2], NAMED[3] } }
+  lu.assertStrContains(run({ "check,json,absent=2" }, records, judged), '"note":"right, 0x211"}')
   lu.assertEquals(verdicts("source=right,absent=0", records, with)[1], "absent=0 right false 1 null")
   lu.assertEquals(verdicts("source=left,absent=0", records, with)[1], "absent=0 left true 0 null")
   -- a name from BUS=NAME
@@ -1133,6 +1136,9 @@ function T.test_a_file_of_rules()
     lu.assertEquals({ text, problems }, { "fault=0 unknown=0", { path .. ':2: motor.rate=fast: "fast" is not a rate',
       path .. ":4: rules=x: a file of rules names no other", 'crc=a: "a" is not a number of messages' } })
     lu.assertEquals(select(2, read_file("fault=x\n")), { path .. ':1: fault=x: "x" is not a number of messages' })
+    local longest = "fault=0\n" .. ("#"):rep(2 ^ 20 - 9) -- a byte less than 1 MiB
+    lu.assertEquals({ read_file(longest) }, { "fault=0 unknown=0", {} })
+    lu.assertEquals({ read_file(longest .. "#") }, { "unknown=0", { ("rules=%s: the file is too long"):format(path) } })
     for _, empty in ipairs { "", "# fault=0\n\n" } do
       lu.assertEquals({ read_file(empty) }, { "unknown=0", { ("rules=%s: there is no rule in it"):format(path) } })
     end
