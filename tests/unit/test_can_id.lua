@@ -3,6 +3,7 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local can = require("yapp.wire.can_id")
+local crc = require("yapp.wire.crc")
 
 local T = {}
 
@@ -21,6 +22,20 @@ function T.test_ids()
     local fields = can.fields[row[1]]
     lu.assertEquals({ fields.id, fields.ctrl, fields.ctl, fields.seq }, { row[2], row[3], row[4], row[5] })
   end
+end
+
+-- The key has 29 bits, the bus is above them.
+function T.test_slots()
+  local fields = can.fields[0x1FFFFFFF]
+  for bus, above in pairs { [0] = 0, [1] = 2 ^ 29, [7] = 7 * 2 ^ 29 } do
+    lu.assertEquals(can.slot(fields, bus), 0x1FFC3FFF + above)
+  end
+  lu.assertEquals(can.slot(fields, false), 0x1FFC3FFF)
+end
+
+function T.test_names_of_can_ctrl()
+  lu.assertEquals(can.CTRL_NAMES, { [0] = "Single", [1] = "Start", [2] = "Middle", [3] = "End" })
+  lu.assertEquals({ can.START, can.END }, { 1, 3 })
 end
 
 function T.test_what_a_start_says()
@@ -46,7 +61,9 @@ function T.test_many_ids_cost_no_more_than_some()
   for can_id = 0, 100000 do local _ = can.fields[can_id] end
   collectgarbage()
   lu.assertTrue(collectgarbage("count") - before < 4096)
-  lu.assertEquals(can.fields[0x08404000].id, 0x210)
+  local fields = can.fields[0x08404000]
+  lu.assertEquals(fields.id, 0x210)
+  lu.assertIs(can.fields[0x08404000], fields)
 end
 
 local function bytes(count, zeros) return ("x"):rep(count) .. ("\0"):rep(zeros or 0) end
@@ -75,7 +92,7 @@ function T.test_padding()
     { bytes(49, 15), 64, 49, 15 },
     { bytes(7, 1), 8, 7, nil },     -- 7 bytes need no padding
     { bytes(9, 7), 16, 9, nil },    -- 12 would have done
-    { bytes(10, 0) .. "\0x", 12, 10, nil }, -- not zeros
+    { bytes(10, 0) .. "\0x", 12, 10, nil }, { bytes(10, 0) .. "x\0", 12, 10, nil }, -- not zeros
     { bytes(12, 0), 12, 13, nil },  -- too few
     { bytes(0, 12), 12, 0, nil },   -- nothing is missing
     { bytes(0, 12), 12, -4, nil },
@@ -91,6 +108,28 @@ function T.test_header()
   lu.assertEquals(can.header({ id = 0x210, seq = 0, ctl = 0 }, 32), "YP\0\0\16\2\0\0\32\0\0\0")
   lu.assertEquals(can.header({ id = 0x7FF, seq = 0x15, ctl = 0x3F }, 0xABCD, 0x1234),
     "YP\21\63\255\7\0\0\205\171\52\18")
+end
+
+-- The CRC of the header is kept for the next message of this size, but with reserved bytes.
+function T.test_the_seed()
+  local fields, payload = { id = 0x210, seq = 0, ctl = 0 }, ("x"):rep(32)
+  for _, size in ipairs { 32, 17, 17, 32 } do
+    local seed = crc.of(can.header(fields, size))
+    lu.assertEquals({ can.seed(fields, size), fields.seed, fields.seed_size }, { seed, seed, size })
+    lu.assertEquals(can.seed(fields, size, 5), crc.of(can.header(fields, size, 5)))
+    lu.assertEquals({ fields.seed, fields.seed_size }, { seed, size })
+  end
+  local of, count = crc.of, 0
+  function crc.of(...)
+    count = count + 1
+    return of(...)
+  end
+  for _ = 1, 2 do can.seed(fields, 8) end
+  crc.of = of
+  lu.assertEquals(count, 1)
+  for _, reserved in ipairs { false, 5 } do
+    lu.assertEquals(can.crc(fields, payload, reserved or nil), crc.of(can.header(fields, 32, reserved or 0) .. payload))
+  end
 end
 
 return T

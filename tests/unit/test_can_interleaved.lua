@@ -81,11 +81,32 @@ function T.test_four_open_messages()
   }
 end
 
+-- One that an End seemed to break stays open in case the End was another's; once it is given up, it stays broken.
+function T.test_a_broken_message_that_is_given_up()
+  local text = words.send("aS32 bS32 bM8 bE8? cS9 dS9 eS9 fS9 gS9")
+  lu.assertStrContains(text, ". .+fragment.incomplete . incomplete+fragment.incomplete . ")
+end
+
 -- What lies before the oldest message that is left is nobody's: of a message that was not captured
 -- whole the bytes since its own Start count.
 function T.test_frames_of_a_message_that_was_given_up()
   local text = words.send("aS32 aM8 bS32 cS9 dS9 eS9 cM8 cE1 dM8 dE1 eM8 eE1 bM8 bM8~3 bM8 bE8")
   lu.assertStrMatches(text, ".* %. good .* good %. %. %. truncated")
+end
+
+-- Frames of an older message that stay in the pool do not count for the newest.
+function T.test_bytes_since_the_newest_start()
+  for _, text in ipairs { "aS17 aM8 bS17 bM8 cS32 bM8 bE1 cM8 cM8 cM8 cE8~3",
+    "aS17 aM8 bS17 bM8 cS32 cM8 bM8 bE1 cM8 cM8 cE8~3" } do
+    lu.assertStrMatches(words.send(text), ".* good .* truncated", nil, nil, text)
+  end
+end
+
+-- If the pool has more bytes than 4096 and those of its open messages, these are given up.
+function T.test_the_bytes_of_a_pool()
+  local known = words.new()
+  local said = words.visits(known, words.frames("S32 S32 " .. ("M8? "):rep((4096 + 2 * 32) / 8), {}))
+  lu.assertStrMatches(said, "%. %.%+fragment%.incomplete[ .]*")
 end
 
 -- A message has one End, and a frame one message; an End of a broken message on the other bus says
@@ -126,6 +147,28 @@ function T.test_visited_frames_know_their_message()
   end
 end
 
+-- A fragment that was shown as that of a broken message leads to the good one that has it in the end.
+function T.test_a_fragment_of_a_broken_and_of_a_good_message()
+  for _, starts in ipairs { "bS32 aS32", "aS32 bS32" } do
+    local known, frames = words.new(), words.frames(starts .. " aM8 bE8? aM8 aM8 aE8", {})
+    local statuses = {}
+    for i, frame in ipairs(frames) do
+      words.visit(known, frame)
+      local _, found = words.visit(known, frames[math.min(i, 3)], true)
+      statuses[i] = found.message and found.message.status or "-"
+    end
+    lu.assertEquals(statuses, { "-", "-", "-", "incomplete", "incomplete", "incomplete", "good" })
+  end
+end
+
+-- A read filter drops the last frame of a message; the one that began and ended inside it stays.
+function T.test_a_read_filter()
+  local known, frames = words.new(), words.frames("aS9 bS9 bM8 bE1 aM8 aE1", {})
+  words.visits(known, frames)
+  known.reassembly:forget(6 * 2 ^ 17 + 8)
+  lu.assertEquals(words.visits(known, { frames[2], frames[3], frames[4] }, true), ". . good")
+end
+
 -- Whoever was given an anomaly sees that it is withdrawn.
 function T.test_what_is_withdrawn_is_void()
   local known, anomaly = words.new(), nil
@@ -146,6 +189,7 @@ function T.test_a_stray_fragment()
     ". . .+fragment.incomplete . . . good")
   _, known, frames = words.send("S32 S32 M8? M8 M8 M8 E8")
   lu.assertEquals(words.visits(known, frames, true), ". .+fragment.incomplete orphan . . . good")
+  lu.assertEquals((words.send("aS32 M8? bS32 aM8 aM8 aM8 aE8")), ". orphan . . . . good")
 end
 
 -- Buses with messages of the same key: two with three at most and nothing lost, so that none is

@@ -326,17 +326,29 @@ function T.test_a_read_filter_that_drops_the_last_frame()
   visits(known, { { 1, 1 }, { 2, 2 }, { 3, 3 }, { 4, 4 }, { 5, 5 } })
   drop(known, 5)
   visits(known, { { 5, 1 }, { 6, 2 } })
-  local _, found = words.visit(known, { can_id = WHOLE[2].can_id, data = WHOLE[2].data, number = 2 },
-    true)
-  lu.assertEquals({ found.message[#found.message] % 1, found.message.has_fault }, { 0.5, false })
+  for i = 1, 4 do
+    local frame = { can_id = WHOLE[i].can_id, data = WHOLE[i].data, number = i }
+    local _, found = words.visit(known, frame, true)
+    lu.assertEquals({ found.message[#found.message] % 1, found.message.has_fault }, { 0.5, false })
+  end
   lu.assertEquals(visits(known, { { 5, 1 }, { 6, 2 } }, true), ". .")
+end
+
+-- A packet with a whole message is dropped: the frames of the next one are not of that message.
+function T.test_a_read_filter_that_drops_a_whole_message()
+  local known, rows = words.new(), {}
+  for i = 1, 5 do rows[i] = { 1, i, 30 * i } end
+  visits(known, rows)
+  drop(known, 1)
+  visits(known, { rows[1] })
+  lu.assertEquals(visits(known, rows, true), ". - - - -")
 end
 
 -- What was wrong with a dropped frame is not said of the one that has its number.
 function T.test_a_read_filter_that_drops_an_anomaly()
   local known = words.new()
   lu.assertEquals(visits(known, { { 1, 2 } }), "orphan+fragment.orphan")
-  drop(known, 1)
+  for _ = 1, 2 do drop(known, 1) end -- the second one is no CAN frame
   lu.assertEquals(visits(known, { { 1, 1 }, { 2, 2 } }), ". .")
   lu.assertEquals(visits(known, { { 1, 1 } }, true), ".")
 end

@@ -138,6 +138,8 @@ function T.test_buses()
         "1 2" },
       { pcapng({ SLL }, { { 0, CAN_OVER_SLL }, { 0, FD_OVER_SLL } }, number), "" },
       { pcapng({ SLL, SLL }, { { 0, CAN_OVER_SLL }, { 1, FD_OVER_SLL } }, number), "1 2" },
+      { section(number) .. interface(SLL2, number) .. simple_packet(can_over_sll2(5), number) ..
+        simple_packet(can_over_sll2(6), number), "1 2" },
       -- no such interface
       { pcapng({ CAN, CAN }, { { 0, "x" }, { 7, "x" }, { 1, "x" } }, number), "1 -" },
     }
@@ -255,11 +257,18 @@ function T.test_the_time_tells_whether_a_number_is_still_this_packets()
       lu.assertNil(found:bus(3))
     end
   end
-  for magic, per_second in pairs { ["\212\195\178\161"] = 1e6, ["\77\60\178\161"] = 1e9 } do
-    local found = read(pcap(SLL2, { can_over_sll2(1), can_over_sll2(2) }, le, magic))
-    lu.assertEquals({ found:bus(1, 1 + 250000 / per_second),
-      found:bus(2, 2 + 250000 / per_second) }, { 1, 2 })
-    lu.assertNil(found:bus(2, 1 + 250000 / per_second))
+  for magic, per_second in pairs { ["\212\195\178\161"] = 1e6, ["\77\60\178\161"] = 1e9,
+    ["\161\178\195\212"] = 1e6, ["\161\178\60\77"] = 1e9 } do
+    local number = magic:byte() == 161 and be or le
+    local found = read(pcap(SLL2, { can_over_sll2(1), can_over_sll2(2) }, number, magic))
+    local captured = 2 + 250000 / per_second
+    lu.assertEquals(found:bus(1, captured - 1), 1)
+    -- Two microseconds are let pass, as either time may be rounded: of nanoseconds the file's is.
+    local rounded = per_second == 1e9 and 1e-6 or 0
+    for _, near in ipairs { 0, rounded - 1.5e-6, 1.5e-6 - rounded } do
+      lu.assertEquals(found:bus(2, captured + near), 2)
+    end
+    for _, other in ipairs { -1, -2.5e-6 - rounded, 2.5e-6 } do lu.assertNil(found:bus(2, captured + other)) end
   end
 end
 
@@ -299,6 +308,10 @@ function T.test_names_of_interfaces()
     end
     local names = { "can0", "if1", "vcan12", "m\195\188", "\\xFF", "a\\x01b", "if6", "if7", "end",
       "if9", "can9", "a\\x5Cx01b", "a\\xE2\\x80\\x8Bb" }
+    -- of a block 64 options are read
+    file = file .. interface(CAN, number, comment:rep(63) .. named("last") .. ended) ..
+      interface(CAN, number, comment:rep(64) .. named("behind the last") .. ended)
+    names[#names + 1], names[#names + 2] = "last", "if14"
     lu.assertEquals(read(file).names, names)
     for length = 0, #file do lu.assertTable(read(file:sub(1, length)).names) end
   end
@@ -328,6 +341,8 @@ function T.test_no_two_buses_have_one_name()
   lu.assertEquals(names_of(any, { { 0, three }, { 0, four } }), { "any#3", "any#4" })
   lu.assertEquals(names_of({ { SLL2, "any" }, { SLL2, "any" } }, { { 0, three }, { 1, three } }),
     { "any#3", "any#3#3" })
+  lu.assertEquals(names_of({ { SLL, "any" }, { SLL, "any" } }, { { 0, CAN_OVER_SLL }, { 1, FD_OVER_SLL } }),
+    { "any#0", "any#1" })
   lu.assertEquals(read(pcap(SLL2, { three, four }, le)).names, { "if0#3", "if0#4" })
   lu.assertEquals(read(pcap(RTAC, { rtac(2), rtac(1) }, le)).names, { "if0#rx", "if0#tx" })
   lu.assertEquals(names_of({ { RTAC, "COM1" } }, { { 0, rtac(1) }, { 0, rtac(2) } }),
@@ -512,6 +527,7 @@ function T.test_other_peoples_files_are_left_alone()
   end
   local blf, plain = read("LOGG" .. long), read(pcap(CAN, { "x" }, le))
   lu.assertEquals({ blf.is_told, plain.is_told, plain.offset }, { false, true, 8 })
+  lu.assertEquals({ blf.is_unknown, plain.is_unknown }, { true, false })
   lu.assertNil(read(pcap(SLL2, { can_over_sll2(1) }, le)).offset)
   lu.assertEquals(read(pcap(CAN, {}, le)).offset, 8) -- before its first packet
 end
@@ -591,6 +607,7 @@ function T.test_a_pipe()
   for i = 1, 5000 do packets[i] = { i % 2, ("x"):rep(16) } end
   local file = pcapng({ CAN, CAN }, packets, le)
   local found = capture.read(file:sub(1, capture.HEAD), none)
+  lu.assertEquals(capture.HEAD, 2 ^ 16) -- what Wireshark can rewind
   lu.assertTrue(found.has_several)
   lu.assertTrue(found.count > 1000 and found.count < 5000, found.count)
   lu.assertEquals({ found:bus(1), found:bus(2), found:bus(found.count) },

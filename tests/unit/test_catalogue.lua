@@ -30,7 +30,11 @@ function T.test_what_is_wrong_with_a_message_is_said()
   for _, row in ipairs {
     { { name = "Bad" }, 'message 1: name "Bad"' },
     { { name = false }, "message 1: name false" },
+    { { name = ("N"):rep(50) }, ('message 1: name "%s" is'):format(("N"):rep(40)) },
+    { { section = ("s"):rep(1001) }, "message m: section must be a text" },
     { { name = "m", title = "" }, "message m: the title" },
+    { { title = ("t"):rep(201) }, "message m: the title has more than 200 bytes" },
+    { { min_size = 0 }, "message m: min_size 0" }, { { min_size = 2 }, "message m: min_size 2" },
     { { id = 2048 }, "message m: id 2048" }, { { id = -1 }, "message m: id -1" }, { { id = 1.5 }, "message m: id 1.5" },
     { { id = "1" }, 'message m: id "1"' }, { { id = 0 / 0 }, "message m: id" },
     { { size = 2 }, "message m: size is 2, but the fields add up to 1" },
@@ -56,6 +60,10 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { derived = { { "d", 5, "D" } } }, "message m: derived d: 5 is not two fields" },
     { { derived = { { "d", nil, "D" } } }, "message m: derived d: nil is not two fields" },
     { { derived = { { "d", "f*f" } } }, "message m: derived d has no title" },
+    { { [1] = { "f", "bool", "F" }, [2] = { "v", "variants", by = "f", cases = { [2] = {} } } },
+      "field v: value 2 does not fit the type bool" },
+    { { size = 8, [1] = { "f", "uint64", "F" }, [2] = { "v", "variants", by = "f", cases = {} } },
+      'field v: by "f" is not an earlier integer' },
     { { derived = { { "d", "f*f", "D", units = "V" } } }, 'unknown option "units"; derived d has unit' },
     { { derived = { { "d", "f*f", "D", unit = 5 } } }, "message m: unit must be a text" },
     { { derived = { { "f", "f*f", "D" } } }, "message m, field f: the filter name taurus.m.f is taken" },
@@ -149,9 +157,37 @@ function T.test_filter_names_that_meet()
   lu.assertStrContains(problems[1], "message m, field h: the filter name taurus.m.s.")
 end
 
-function T.test_the_longest_name()
-  local compiled, problems = catalogue.compile { message { name = ("n"):rep(64) } }
-  lu.assertEquals({ #compiled.messages, problems }, { 1, {} })
+function T.test_the_longest_names_and_the_largest_messages()
+  local compiled, problems = catalogue.compile {
+    message { name = ("n"):rep(64), title = ("t"):rep(200), section = ("s"):rep(1000), id = 2047, min_size = 1 },
+    message({ size = 65535 }, { "b", "bytes", "B", length = 65535 }),
+    message({ name = "array", id = 2, size = 300 }, { "a", "uint8", "A", count = 300 }),
+    message({ name = "by", id = 3, size = 5,
+      [2] = { "v", "variants", by = "f", cases = { [0] = { { "w", "uint8", "W" } } } } },
+      { "f", "uint32", "F" }) }
+  lu.assertEquals({ #compiled.messages, problems }, { 4, {} })
+end
+
+-- Wireshark's types of all filters of a message, with base and mask.
+function T.test_types_of_filters()
+  local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 41, answers = "command",
+    { "u", "uint16", "U" }, { "e", "uint8", "E", values = { [0] = "off" } }, { "i", "int16", "I" },
+    { "t", "int64_ns", "T" }, { "b", "bool", "B" }, { "f", "float8", "F", min = 0, max = 1 }, { "d", "float64", "D" },
+    { "s", "string", "S", length = 2 }, { "y", "bytes", "Y", length = 2 }, { "c", "uint8", "C", scale = 0.5 },
+    { "w", "uint64", "W" }, { "k", "uint8", "K", group = "z", bits = { { "low", 0x0F, "Low" } } },
+    { "g", "uint32", "G", group = "x", alarm = "A", flags = { { "hot", 8, "Hot" } } } } }
+  lu.assertEquals(problems, {})
+  local found = {}
+  for _, row in ipairs(compiled.messages[1].filters) do
+    found[row[1]:gsub("taurus%.m%.?", "")] = ("%s %s %s"):format(row[2], row[5] or "", row[7] or ""):gsub(" +$", "")
+  end
+  lu.assertEquals(compiled.messages[1].by_name.f.filters, { "taurus.m.f.special", "taurus.m.f" }) -- and those below it
+  lu.assertEquals(found, { [""] = "NONE", clock_drift = "RELATIVE_TIME", command_in = "FRAMENUM", u = "UINT16",
+    e = "UINT8 HEX", i = "INT16", t = "RELATIVE_TIME", b = "BOOLEAN", f = "DOUBLE", ["f.special"] = "UINT8",
+    d = "DOUBLE", ["d.special"] = "UINT8", s = "STRING", y = "BYTES", c = "DOUBLE", w = "UINT64", g = "UINT32 HEX",
+    ["g.names"] = "STRING", ["x.hot"] = "BOOLEAN 32 8", ["x.undefined"] = "UINT32 HEX", ["x.raised"] = "UINT32 HEX",
+    ["x.cleared"] = "UINT32 HEX", ["x.active_time"] = "RELATIVE_TIME", ["x.previous_change"] = "FRAMENUM",
+    ["x.next_change"] = "FRAMENUM", k = "UINT8 HEX", low = "UINT8  15", ["z.undefined"] = "UINT32 HEX" })
 end
 
 function T.test_reserved_filter_names()

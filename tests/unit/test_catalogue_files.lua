@@ -45,6 +45,16 @@ function T.test_own_messages_and_replacements()
   lu.assertEquals({ names, problems }, { "a 7 int8, b 2 uint8, c 4 uint8", {} })
 end
 
+function T.test_messages_are_in_the_order_of_their_numbers()
+  local text, expected = {}, {}
+  for i = 1, 9 do
+    text[i] = ("[%d] = %s"):format(10 - i, entry("m" .. 10 - i, i))
+    expected[i] = ("m%d %d uint8"):format(i, 10 - i)
+  end
+  local names, problems = load("return {" .. table.concat(text) .. "}")
+  lu.assertEquals({ names, problems }, { table.concat(expected, ", "), {} })
+end
+
 function T.test_an_error_names_file_message_and_field()
   local names, problems, list = load("return {" .. entry("a", 1) .. "}", "return {" .. entry("b", 2, "uint9") ..
     entry("c", 1) .. entry("d", 4) .. entry("d", 5) .. "}")

@@ -52,6 +52,10 @@ function T.test_what_bytes_look_like()
   lu.assertTrue(decode.is_plausible(motor, "\1" .. ("\0"):rep(31)))
   lu.assertFalse(decode.is_plausible(motor, ("\1"):rep(32))) -- bits that nothing defines
   lu.assertFalse(decode.is_plausible(health, "\1" .. ("\0"):rep(16))) -- one of its fields has bits that nothing defines
+  local all = { { "all", 0xFF, "All" } } -- anything is defined
+  local own = catalogue.compile { { name = "own", title = "Own", id = 1, size = 2,
+    { "a", "uint8", "A", group = "a", flags = all }, { "b", "uint8", "B", group = "b", flags = all } } }
+  lu.assertFalse(decode.is_plausible(own.by_id[1], "\1\1"))
 end
 
 -- The value nearest to 0 V is at 43,687 counts, as the table says.
@@ -119,6 +123,14 @@ function T.test_times()
         ("%s: %s s, %s ns"):format(row[1], tostring(seconds), tostring(nanoseconds)))
       lu.assertEquals(string.format("%d %d", seconds, nanoseconds), string.format("%d %d", row[2], row[3]))
     end
+  end
+end
+
+function T.test_texts_of_times()
+  for text, row in pairs { ["0.000000000"] = { 0, 0 }, ["0.500000000"] = { 0, 5e8 }, ["-0.000000001"] = { 0, -1 },
+    ["12.000000001"] = { 12, 1 }, ["-1.000000000"] = { -1, 0 },
+    ["-9223372036.854775808"] = { -9223372036, -854775808 } } do
+    lu.assertEquals(decode.seconds(row[1], row[2]), text)
   end
 end
 

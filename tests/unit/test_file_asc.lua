@@ -33,7 +33,10 @@ function T.test_lines()
     ["0.1 CANFD 1 Rx 123 1 1 2 2 1 2 130000 130 203000 0 0 0 0 0"] = "100000 1 00000123 fd 2 7 0102",
     ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2"] = "100000 1 00000123 fd 2 4 0102",
     ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2 130000 130 0 0 0 0 0 0"] = "100000 1 00000123 2 0 0102",
+    ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2 130000 130 202000 0 0 0 0 0"] = "100000 1 00000123 2 0 0102",
     ["4999999.999999 1 1 Rx d 0"] = "4999999999999 1 00000001 0 0 ",
+    ["0.1 1 0000000123 Rx d 0"] = "100000 1 00000123 0 0 ",
+    ["0.1 CANFD 1 Rx 123 0 0 f 64" .. (" 1"):rep(64)] = "100000 1 00000123 fd 64 4 " .. ("01"):rep(64),
   } do
     lu.assertEquals(shown(line), expected, line)
   end
@@ -52,7 +55,8 @@ function T.test_lines_without_a_frame()
   for _, line in ipairs { "", " ", "// comment", "0.000000 Start of measurement", "End TriggerBlock",
     "1.0 1 Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.01%", "0.1 1 EngineData Rx d 1 00", "0.1 1 8404000x Rx d 8 BB BE",
     "0.1 1 800 Rx d 0", "0.1 1 20000000x Rx d 0", "0.1 1 123 Rx d 1 100", "0.1 1 123 Rx x 1 00",
-    "12345678 1 123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 f 65 00", "0.1 CANFD 1 Rx 123 0 0 9 12 1 2 3", "x 1 123 Rx d 0",
+    "12345678 1 123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 f 65" .. (" 1"):rep(65),
+    "0.1 1 00000000123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 9 12 1 2 3", "x 1 123 Rx d 0",
     "0.1 1 123456789ABx Rx d 0", "0.1 1", "0.1", "5", ".5 1 123 Rx d 0",
     "0.1 " .. ("9"):rep(400) .. " 123 Rx d 0", "0.1 " .. ("9"):rep(400) .. " ErrorFrame" } do
     lu.assertNil(shown(line), line)
@@ -126,8 +130,8 @@ function T.test_times()
   local block = "Begin Triggerblock Tue Nov 14 22:13:20.1 2023\n"
   lu.assertEquals(times(HEAD:gsub("2023", "2026") .. block .. frame), "0.501000000")
   -- CANoe's: a block that began 100 s later, with times since the date.
-  lu.assertEquals(times(HEAD .. frame .. "Begin Triggerblock Tue Nov 14 10:15:00.500 pm 2023\n100.5 1 123 Rx d 0\n"),
-    "0.501000000 100.501000000")
+  lu.assertEquals(times(HEAD .. frame .. "Begin Triggerblock Tue Nov 14 10:15:00.500 pm 2023\n100.5 1 123 Rx d 0\n" ..
+    "110.5 1 123 Rx d 0\n"), "0.501000000 100.501000000 110.501000000")
   lu.assertEquals(times(HEAD:gsub("Tue Nov", "Die Nov") .. frame), "0.501000000")
 end
 
@@ -163,6 +167,11 @@ function T.test_dates_that_do_not_exist()
     "date " .. good } do
     local found, said = frames(HEAD .. line .. "\n" .. frame)
     lu.assertEquals({ #found, #said }, { 1, 0 }, line)
+  end
+  for length, count in pairs { [64] = 0, [65] = 1 } do -- characters of a date
+    local spaces = (" "):rep(length - #good + 1)
+    local _, said = frames(HEAD .. "Begin Triggerblock " .. good:gsub(" 2023", spaces .. "2023") .. "\n" .. frame)
+    lu.assertEquals(#said, count, length)
   end
 end
 
@@ -212,7 +221,7 @@ function T.test_long_lines()
     local found, said = frames(HEAD .. long .. "0.5 1 123 Rx d 0\n" .. long)
     lu.assertEquals({ #found, #said }, { 1, length > 4096 and 2 or 0 }, length)
     if said[1] then
-      lu.assertStrContains(said[1], 'line 4: a line longer than 4096 bytes, skipped: "//xxxx')
+      lu.assertStrContains(said[1], 'line 4: a line longer than 4096 bytes, skipped: "//' .. ("x"):rep(48) .. '"')
       lu.assertStrContains(said[2], "line 6: ")
     end
   end

@@ -70,7 +70,7 @@ end
 -- Texts of other programs, none of which may be taken.
 local FOREIGN = {
   "\255\254" .. HEAD:rep(3):gsub(".", "%0\0"),
-  "", "\n\n\n", "hello\n", "\0\1\2\3", HEAD .. "\0", ("\255"):rep(5000), ("x"):rep(100000),
+  "", "\n\n\n", "hello\n", "\0\1\2\3", HEAD .. "\0", "\0003#11\n" .. HEAD:rep(3), ("\255"):rep(5000), ("x"):rep(100000),
   "time,id,dlc,data\n0.1,123,8,11 22 33 44 55 66 77 88\n",
   "timestamp,arbitration_id,extended,remote,error,dlc,data\n1.2,0x123,0,0,0,2,ESI=\n",
   "date Tue Nov 14 10:13:20 pm 2023\nbase hex  timestamps absolute\nno internal events logged\n" ..

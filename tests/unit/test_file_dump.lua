@@ -86,9 +86,11 @@ function T.test_records_offsets_and_times()
     { "boot\r\n", 7, 500 }, { frame(2, "a"), 7, 500 }, { frame(1, "\7xx"), 7, 500 }, { frame(2, "b"), 7, 500 },
     { "shell> ", 7, 500 }, { frame(1, "\9"), 9, 500 }, { "end", 9, 500 },
   })
-  for i, record in ipairs(records(TEXT)) do
+  local list, log = records(TEXT)
+  for i, record in ipairs(list) do
     lu.assertEquals(record.is_skipped, i == 1 or i == 5 or i == 7, "record " .. i)
   end
+  lu.assertEquals({ log.decimals, log.lacks_clock }, { 9, true })
 end
 
 function T.test_without_a_time_stamp()
@@ -101,6 +103,11 @@ function T.test_a_time_stamp_that_comes_late()
   lu.assertNil(list[1].seconds)
   lu.assertNil(list[2].seconds)
   lu.assertEquals({ list[#list].bytes, list[#list].seconds }, { frame(2, "b"), 9 })
+  -- 1 MiB is searched: a stamp may be in its last byte, not behind it.
+  local first, stamped = frame(2, "a"), frame(1, "\9")
+  local noise = ("x"):rep(1048576 - #first - #stamped)
+  lu.assertEquals(records(first .. noise .. stamped)[1].seconds, 9)
+  lu.assertNil(records(first .. noise .. ("x"):rep(#stamped) .. stamped)[1].seconds)
 end
 
 function T.test_a_second_look_in_any_order()
@@ -108,6 +115,7 @@ function T.test_a_second_look_in_any_order()
   for i = #list, 1, -1 do
     lu.assertEquals(record_of(log:seek_read(file, list[i].offset)), list[i], "record " .. i)
   end
+  lu.assertNil(log:seek_read(file_of(TEXT:sub(1, 20)), list[3].offset)) -- the file is shorter now
 end
 
 function T.test_many_records_cross_the_chunks()
@@ -191,11 +199,35 @@ function T.test_the_first_frame_comes_late()
   lu.assertEquals({ list[#list - 1].offset, list[#list].bytes }, { #text, frame(2, "a") })
 end
 
+-- No more is read than a record needs: of noise at the end of what was read, whether it goes on.
+function T.test_what_is_read_for_a_record()
+  local first, chunk, more = frame(1, "\7"), 65536, ("x"):rep(1000000)
+  local rows = { -- head, rest, of which record, bytes read of the rest
+    { first, "", 1, 0 }, { first, more, 2, chunk }, { "x" .. first, more, 1, 0 },
+    { first .. "x", more, 1, 0 }, { first .. "x", more, 2, chunk },
+    { first .. ("x"):rep(chunk - 1), more, 2, chunk }, { first .. ("x"):rep(chunk), more, 2, 0 },
+    { first .. "x" .. first, more, 2, 0 }, { first .. ("x"):rep(chunk + 1), more, 3, chunk },
+  }
+  for i, row in ipairs(rows) do
+    local file, count = file_of(row[2]), 0
+    local read = file.read
+    function file:read(length)
+      local bytes = read(self, length)
+      count = count + #(bytes or "")
+      return bytes
+    end
+    local log = dump.open(file, OPTIONS, row[1])
+    for _ = 1, row[3] do log:read(file) end
+    lu.assertEquals(count, row[4], "row " .. i)
+  end
+end
+
 -- Noise that goes on in the next read is one record as long as it can be: of 65,536 bytes.
 function T.test_noise_over_two_reads()
   local first, last = frame(1, "\7"), frame(2, "a")
   assert_records(first .. ("x"):rep(80000) .. last, {
     { first, 7, 500 }, { ("x"):rep(65536), 7, 500 }, { ("x"):rep(14464), 7, 500 }, { last, 7, 500 } })
+  assert_records(first .. ("x"):rep(65536), { { first, 7, 500 }, { ("x"):rep(65536), 7, 500 } })
 end
 
 return T

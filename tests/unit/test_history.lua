@@ -222,6 +222,20 @@ function T.test_clocks_at_the_ends_of_their_range()
   lu.assertEquals({ last.stale, last.reboot }, {})
 end
 
+-- A clock may be all that a message has; of a shorter payload it is not there.
+function T.test_a_clock_at_the_end_of_a_message()
+  local own = catalogue.compile { { name = "own", title = "Own", id = 1, size = 9, min_size = 1, { "n", "uint8", "N" },
+    { "clock", "int64_ns", "Clock" } } }
+  local message, h, found = own.by_id[1], new(), {}
+  for i, clock in ipairs { int64(5e9), int64(5e9):sub(1, 7), int64(4e9) } do
+    local payload = "a" .. clock
+    local new_change = h:note { source = source_of("clock", message), seq = 0, key = i, time = i, status = "good",
+      raws = message.read(payload), payload = payload }
+    found[i] = new_change or "-"
+  end
+  lu.assertEquals(found, { "-", "-", { reboot = 1 } })
+end
+
 -- Every byte of it counts: where the next one begins, and at the lowest clock there is.
 function T.test_every_byte_of_a_clock()
   for byte = 1, 7 do
@@ -311,6 +325,19 @@ function T.test_the_catalogue_says_which_messages_others_answer()
   end
   lu.assertEquals(note(4, answering.messages[1]), 2)
   lu.assertNil(note(5, answering.messages[3]))
+end
+
+-- Flags that a payload lacks, being shorter, are what they were.
+function T.test_flags_that_are_not_there()
+  local messages, found = {}, {}
+  for i, fault in ipairs { 1, -1, 1, -1, 0 } do
+    messages[i] = motor(i, i, { fault = fault })
+    if fault < 0 then messages[i].raws[FAULT.index] = nil end
+  end
+  for i, flags in ipairs(run(messages, "flags")) do
+    found[i] = flags ~= "-" and { flags[1].raised, flags[1].cleared }
+  end
+  lu.assertEquals(found, { { 1, 0 }, false, false, false, { 0, 1 } })
 end
 
 -- Motor State's Faulted is a fault by itself; its other flags are none.

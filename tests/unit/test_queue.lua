@@ -237,6 +237,7 @@ function T.test_a_failure_comes_before_what_is_undecided()
   lu.assertEquals(end_of(0, 21), { 21, { "text 0", "text 21" } })
   lu.assertEquals(end_of(21, 20, 0)[1], 20)
   lu.assertEquals(end_of(20, 21)[1], 20)
+  lu.assertEquals(end_of(21, 21), { 21, { "text 21" } }) -- what several say is said once
 end
 
 return T

@@ -29,6 +29,10 @@ local function name(message) return message and message.name or "none" end
 function T.test_before_the_preferences_are_known()
   local r = reader.new(TAURUS, { wanted = false })
   lu.assertEquals({ name(r:message_of(0x210)), r:size_of(0x210), name(r:message_of(0x211)) }, { "motor", 32, "none" })
+  r:use(catalogue.assign(TAURUS, {}), (sources.parse("", TAURUS)), false, ignore)
+  local source = r:new_source(0x123, false, "can0") -- before a capture file is known
+  lu.assertEquals(source.text, "0x123")
+  lu.assertStrContains(r:hint { source = source, size = 32, status = "good", key = 1 }, "the size of Motor Data")
 end
 
 function T.test_which_message_an_id_carries()
@@ -156,6 +160,15 @@ function T.test_what_a_message_gets()
   end
 end
 
+function T.test_whether_captured_bytes_are_at_their_offsets()
+  local r, found = new(), {}
+  local history = { note = function() return nil, false end }
+  for i, status in ipairs { "good", "bad", "truncated", "incomplete", "overrun" } do
+    found[i] = r:read({ source = r:new_source(0x200, false), size = 17, payload = "", status = status }, history, {})
+  end
+  lu.assertEquals(found, { true, true, true, false, false })
+end
+
 -- A firmware that appended something: what the catalogue knows counts, the record of the next message is clean.
 function T.test_a_longer_payload()
   local r, fault = new(), at(MOTOR, "fault_flags")
@@ -224,7 +237,7 @@ function T.test_what_the_history_is_asked()
   m = read_with({}, { visited = true }) -- the first pass did not ask the history
   lu.assertEquals({ m.delta, m.is_unreliable }, { false, true })
   m, asked = read_with({ note = { late = 1 } }, { is_unreliable = true }) -- nothing tells its bus
-  lu.assertEquals({ m.change, m.state, m.is_unreliable, asked }, { false, false, true, "" })
+  lu.assertEquals({ m.change, m.delta, m.state, m.is_unreliable, asked }, { false, false, false, true, "" })
 end
 
 function T.test_the_state_is_the_history_s()

@@ -200,6 +200,14 @@ function T.test_of_overlapping_good_frames_the_one_that_begins_first()
   feeds(new(), bytes, "good 0-28, skipped 28-32")
 end
 
+-- Two that no good frame waits for, whose ends come at once, the inner one's first.
+function T.test_of_frames_whose_ends_come_at_once_the_one_that_begins_first()
+  local bytes = frame(7, "ab" .. frame(6, ("x"):rep(30)) .. "c")
+  local s = framer.new(size_of, 20)
+  feeds(s, bytes:sub(1, 40), "")
+  feeds(s, bytes:sub(41), "good 0-65")
+end
+
 function T.test_same_end()
   feeds(new(), header(5, #GOOD - 4) .. GOOD, "skipped 0-12, good 12-32")
   brings_at_last(generator.two_good_with_one_end(7, GOOD), "good 0-36")

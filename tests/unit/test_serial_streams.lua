@@ -258,6 +258,8 @@ local CONNECTIONS = {
     { 4, 21, 39, "good 2 in 1,4, good 3 in 4,2, good 4 in 3" } }, "" },
   { { { 1, 1, 17, "good 1 @0" }, { 2, 52, 68, "17 held" }, { 3, 35, 51, "17 held" },
     { 4, 1, 34, "good 2 @17, good 3 in 3, good 4 in 2" } }, "" },
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 3, 35, 51, "17 held" }, -- one comes twice
+    { 4, 18, 34, "good 2 @0, good 3 in 2" } }, "" },
   -- one that never comes: acknowledged, too long ago
   { { { 1, 1, 20, "good 1 @0, 3 wait" }, { acknowledges = 35 }, { 2, 35, 51, "skipped 3 before, good 3 @0" } },
     FIRST_GAP },
@@ -265,6 +267,8 @@ local CONNECTIONS = {
     { acknowledges = 19 }, { acknowledges = 5 }, { 4, 69, 85, "good 3 in 2, good 4 in 3, good 5 @0" } }, FIRST_GAP },
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 102, 52, 68, "17 held" },
     { 103, 69, 85, "good 3 in 2, good 4 in 102, good 5 @0" }, { 104, 18, 34, "" } }, FIRST_GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held", time = 1 }, { 3, 52, 68, "17 held", time = 2 }, -- exactly 1 s
+    { 4, 69, 85, "good 3 in 2, good 4 in 3, good 5 @0", time = 2.01 } }, "frame 2 at 1001.00 on eth0, 1" },
   { { { 1, 1, 17, "good 1 @0" }, { 2, 35, 51, "17 held" }, { 3, 69, 85, "17 held" },
     { 4, 18, 34, "good 2 @0, good 3 in 2" }, { 5, 86, 102, "17 held" }, { acknowledges = 60 },
     { 6, 103, 119, "good 5 in 3, good 6 in 5, good 7 @0" } }, "frame 4 at 1000.04 on eth0, 1" },
@@ -277,6 +281,8 @@ local CONNECTIONS = {
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 19 } }, "" }, -- the end of the connection counts as a byte
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { 2, 18, 34, "good 2 @0" }, { acknowledges = 36 } }, "" },
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 17 }, { is_sent = 2 ^ 21 } }, "" }, -- of another connection
+  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 18 + 2 ^ 20 } }, FIRST_GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 19 + 2 ^ 20 } }, "" },
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { is_syn = true, is_sent = 50 }, { acknowledges = 52 },
     { 3, 1, 17, "good 1 @0" }, { is_sent = 18 } }, FIRST_GAP },
   -- a connection with the same addresses and numbers
@@ -311,6 +317,16 @@ function T.test_a_segment_far_ahead()
   lu.assertEquals(#self:drops(), 2)
 end
 
+-- What is more than 2^20 bytes from the next one, ahead or behind, is of another connection.
+function T.test_a_segment_of_another_connection()
+  for ahead, expected in pairs { [0x100000] = "good 6 @0", [0x100000 + 1] = "good 6 @0", [-0x100000] = "",
+    [-0x100000 - 1] = "good 6 @0" } do
+    local self = new()
+    take(self, { { 1, A, "good 5 @0", seq = 0x80000000 }, { 2, B, expected, seq = 0x80000000 + #A + ahead } })
+    lu.assertEquals(#self:drops(), ahead == 0x100000 and 1 or 0, ahead) -- bytes of this one are missing
+  end
+end
+
 function T.test_what_a_header_says_of_its_stream()
   local self = new()
   local header = { seq = 5, length = 0 }
@@ -320,6 +336,25 @@ function T.test_what_a_header_says_of_its_stream()
   lu.assertFalse(follows()) -- TCP told no sequence number
   self:take(packet_of { 2, A, seq = 5 }, true)
   lu.assertTrue(follows())
+end
+
+-- Bytes of a connection in front of ours: what came for another protocol, and a header without bytes.
+function T.test_bytes_of_others_in_front()
+  for _, row in ipairs { -- the first byte and the length of each, is_ours; which byte is next
+    { { { 1, 17 } }, 18 }, { { { 1, 0 } }, 1 }, { { { 1, 17 }, { 10, 20 } }, 30 }, { { { 1, 17 }, { 18, 1 } }, 19 },
+    { { { 1, 17 }, { 50, 5 } }, 18 }, { { { 1, 17 }, { 1, 3 } }, 18 }, { { { 1, 17 }, { 18, 5, true } }, 18 },
+  } do
+    for _, first_seq in ipairs { 0, 0x100000000 - 20 } do
+      local self = new()
+      local function seq(at) return (first_seq + at) % 0x100000000 end
+      for _, one in ipairs(row[1]) do
+        local segment = { seq = seq(one[1]), length = one[2], is_ours = one[3] or false }
+        lu.assertNil(self:note_header("", "other", segment))
+      end
+      take(self, { { 1, MESSAGE[2], "17 held", seq = seq(row[2] + 17) },
+        { 2, MESSAGE[1], "good 1 @0, good 2 in 1", seq = seq(row[2]) } })
+    end
+  end
 end
 
 -- The bytes of a stream in pieces that overlap, come late and come again, show what they show in order.

@@ -44,16 +44,17 @@ function T.test_the_example()
 end
 
 function T.test_a_message_without_a_name_and_names_with_signs()
-  local s, problems = parse("0x300=motor:, 0x301=health:left:aft=2, 0x302=ÄÖ rotor 3")
+  local s, problems = parse("0x300= motor :, 0x301=health:left:aft=2, 0x302=ÄÖ rotor 3")
   lu.assertEquals(problems, {})
   lu.assertNil(s:name(nil, 0x300))
   lu.assertEquals({ message_name(s, nil, 0x300), s:name(nil, 0x301), s:name(nil, 0x302) },
     { "motor", "left:aft=2", "ÄÖ rotor 3" })
 end
 
-function T.test_the_highest_id()
-  local s, problems = parse("0x7FF=a")
-  lu.assertEquals({ problems, s:name(nil, 2047) }, { {}, "a" })
+function T.test_the_highest_id_and_the_longest_name()
+  local longest = ("n"):rep(64)
+  local s, problems = parse("0x7FF=" .. longest)
+  lu.assertEquals({ problems, s:name(nil, 2047) }, { {}, longest })
 end
 
 function T.test_a_name_of_nothing()

@@ -146,6 +146,7 @@ can0   0x210  left    Motor Data  volts  V      10    10   10      2
 can"1  0x210          Motor Data  volts  V      10    10   10      1
 ]])
   lu.assertEquals(run({ "summary" }, {}), "YAPP summary: 0 sources in 0.000 s\n" .. NOTHING_CAME)
+  lu.assertStrContains(run({ "summary" }, { record(1, 0) }), "volts  V      10    10   10      1\n") -- of one source
 end
 
 -- What rests on what came before a message cannot be told where that is not known.
@@ -293,6 +294,8 @@ function T.test_csv_before_1970()
   lu.assertEquals(lines(run({ "csv,-,motor" }, { record(1, 0), record(2, 0.75), record(3, 2) }, { epoch = -2 })), {
     "time,frame,bus,source,id,seq," .. COLUMNS, "-1.999999995,1,can0,left,528,0," .. CELLS, "-1.249999995,2,can0,left,528,0," .. CELLS,
     "0.000000005,3,can0,left,528,0," .. CELLS })
+  lu.assertEquals({ output.time_text(-1, 1), output.time_text(-1, 0), output.time_text(-1, 999999999),
+    output.time_text(0, 1) }, { "-0.999999999", "-1.000000000", "-0.000000001", "0.000000001" })
 end
 
 function T.test_csv_in_a_folder()
@@ -314,10 +317,29 @@ function T.test_csv_overwrites_only_what_it_is_told_to()
   with_folder(function(folder, with)
     run({ "csv," .. folder }, ROWS, with)
     local _, _, texts = run({ "csv," .. folder }, {}, with)
-    lu.assertStrContains(texts[1], "is there; add the option replace")
+    lu.assertStrMatches(texts[1], "csv: .*is there; add the option replace.*")
     lu.assertEquals(#lines(read(folder .. "/motor.csv")), 3)
     run({ "csv," .. folder .. ",replace" }, {}, with)
     lu.assertEquals(#lines(read(folder .. "/motor.csv")), 1)
+    with.make_folder = function() return false end
+    lu.assertEquals(select(3, run({ "csv,a/b" }, {}, with)), { "csv: the folder a/b cannot be made" })
+  end)
+end
+
+-- As on Windows.
+function T.test_csv_where_a_rename_does_not_replace()
+  with_folder(function(folder, with)
+    run({ "csv," .. folder }, ROWS, with)
+    local rename = os.rename
+    rawset(os, "rename", function(from, to)
+      local there = io.open(to)
+      if there then return there:close() and nil, "File exists" end
+      return rename(from, to)
+    end)
+    local _, code, texts = run({ "csv," .. folder .. ",replace" }, {}, with)
+    rawset(os, "rename", rename)
+    lu.assertEquals({ code, #texts, #lines(read(folder .. "/motor.csv")) }, { 0, 1, 1 })
+    lu.assertNil(io.open(folder .. "/motor.csv.part"))
   end)
 end
 
@@ -377,8 +399,9 @@ function T.test_check_rates_and_gaps()
   lu.assertEquals(found, { "motor.count=5 left false 4 4", "motor.rate=3.01 left false 3 4",
     "motor.gap=0.9 left false 1 4", "unknown=0 null true 0 null" })
   lu.assertEquals(code, 20)
-  lu.assertEquals(verdicts("motor.rate=1", { record(1, 0) }), { "motor.rate=1 left false 0 1",
-    "unknown=0 null true 0 null" })
+  lu.assertEquals(verdicts("motor.rate=1,motor.gap=2", { record(1, 0) }, { last = 2 }), { "motor.rate=1 left false 0 1",
+    "motor.gap=2 left true 2 1", "unknown=0 null true 0 null" })
+  lu.assertEquals(verdicts("motor.gap=2", { bad(1, 0) })[1], "motor.gap=2 left null null null")
 end
 
 function T.test_check_ranges()
@@ -624,6 +647,8 @@ function T.test_sources_that_never_came()
   lu.assertEquals(verdicts("absent=1,absent=2", records, with), { "absent=1 null false 2 null", "absent=2 null true 2 null",
     "unknown=0 null true 0 null" })
   lu.assertStrContains(run({ "check,absent=1" }, records, with), "2  right, 0x211, 1 name without a message not judged")
+  local judged = { named = { NAMED[1], NAMED[2], NAMED[3] } }
+  lu.assertStrContains(run({ "check,json,absent=2" }, records, judged), '"note":"right, 0x211"}')
   lu.assertEquals(verdicts("source=right,absent=0", records, with)[1], "absent=0 right false 1 null")
   lu.assertEquals(verdicts("source=left,absent=0", records, with)[1], "absent=0 left true 0 null")
   -- a name from BUS=NAME
@@ -665,8 +690,9 @@ function T.test_compare_of_several_messages()
     records[i] = record(i, i / 10, { source = source, payload = source.message == HEALTH and ("\0"):rep(8) or nil })
   end
   local titles = {}
-  for part in (run({ "compare" }, records) .. "\n"):gmatch("(.-)\n\n") do titles[#titles + 1] = part:match("^YAPP.*") end
-  lu.assertEquals(titles, { "YAPP compare: 2 sources of Health", "YAPP compare: 2 sources of Motor Data" })
+  local printed = run({ "compare" }, records, { hint = "said once" }) .. "\n"
+  for part in printed:gmatch("(.-)\n\n") do titles[#titles + 1] = part:match("^YAPP.*") end
+  lu.assertEquals(titles, { "YAPP compare: 2 sources of Health\nsaid once", "YAPP compare: 2 sources of Motor Data" })
 end
 
 -- In time, also where the capture's goes back; at one time by frame, and what has no frame is last.
@@ -730,10 +756,17 @@ function T.test_tables_fit_a_window()
   local change = { flags = { { field = { name = "f", undefined = 0, alarm_bits = 1, flags = { flag } }, value = 1, raised = 1, cleared = 0 } },
     reboot = 5, late = 0.9 }
   local records = { record(1, 0), record(99999, 1, { change = change }), record(100000, 1.1, { source = RIGHT }) }
-  for _, what in ipairs { "summary", "faults", "events", "compare", "check" } do
-    local printed = run({ what }, records, { frames = {}, last = 9, named = NAMED })
+  for what, row in pairs { -- columns, frame of the first row
+    summary = { "source message count rate/Hz max gap/s bad CRC lost late", 99999 },
+    faults = { "at/s source flag event active/s", 99999 }, check = { "check rule source message seen note", 99999 },
+    events = { "at/s source message details", 1 }, compare = { "field unit source min max spread", 100000 },
+  } do
+    local frames = {}
+    local printed = run({ what }, records, { frames = frames, last = 9, named = NAMED })
+    lu.assertEquals({ printed:match("\n\n *([^\n]*)\n"):gsub(" +", " "), frames[1] }, row)
     for _, line in ipairs(lines(printed)) do lu.assertTrue(#line <= 73 or what == "events" or line:find("absent", 1, true) ~= nil, line) end
     lu.assertStrContains(printed, "left")
+    if what == "summary" then lu.assertStrMatches(printed, ".*\n\nsource +field +unit +min +mean +max\n.*") end
   end
 end
 
@@ -766,6 +799,8 @@ function T.test_messages_that_were_not_decoded()
   for _, what in ipairs { "faults", "summary", "events", "compare", "check" } do
     lu.assertEquals(lines(run({ what }, records))[2], text)
   end
+  lu.assertStrContains(said({ records[3], records[4] })[2], "2 messages were not decoded: can1 0x211 (11 bytes each, the")
+  lu.assertEquals(#lines((run({ "events,json" }, records))), 3) -- of a source and size the first one
   -- those that a filter lets count
   lu.assertStrContains(said(records, { matches = { [1] = true } })[2], "1 message was not decoded: can1 0x212 (11 bytes, the")
 end
@@ -809,6 +844,16 @@ function T.test_messages_that_their_gaps_have_room_for()
   lu.assertEquals(room({ 0, 0.1 }, nil, { last = 0.24 }), nil)
   lu.assertEquals(room({ 0, 0.1, 0.3, 0.4 }, { 1, 2, 3, 4 }), nil) -- Seq No says that none is missing
   lu.assertEquals(room({ 0, 0.1, 5.1, 5.3 }, nil, { matches = { [4] = true } }), nil) -- the filter lets no gap count
+  -- exactly one and a half periods have no room for another one
+  local own = catalogue_of.compile { { name = "own", title = "Own", id = 0x210, size = 1, every = 0.5,
+    { "f", "uint8", "F", group = "g", alarm = "A", flags = { { "hot", 1, "Hot" } } } } }
+  local source = { key = "own", bus = "can0", id = 0x210, message = own.messages[1] }
+  for time, expected in pairs { [0.75] = "YAPP faults: 0",
+    [0.8] = "damaged or lost messages may hide faults: 1 missing by their period" } do
+    local texts = said({ record(1, 0, { source = source, payload = "\0" }),
+      record(2, time, { source = source, payload = "\0" }) }, { catalogue = own })
+    lu.assertEquals(texts[#texts], expected)
+  end
 end
 
 function T.test_a_value_that_is_no_number_is_called_reserved()
@@ -1144,6 +1189,9 @@ function T.test_a_file_of_rules()
       lu.assertEquals(select(2, read_file("fault=0\nsource=left\n", more)),
         { ("rules=%s: no rule follows source=left: it is for those behind it"):format(path) })
     end
+    local longest = "fault=0\n" .. ("#"):rep(2 ^ 20 - 9) -- a byte less than 1 MiB
+    lu.assertEquals({ read_file(longest) }, { "fault=0 unknown=0", {} })
+    lu.assertEquals({ read_file(longest .. "#") }, { "unknown=0", { ("rules=%s: the file is too long"):format(path) } })
     for _, empty in ipairs { "", "# fault=0\n\n" } do
       lu.assertEquals({ read_file(empty) }, { "unknown=0", { ("rules=%s: there is no rule in it"):format(path) } })
     end
