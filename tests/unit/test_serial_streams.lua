@@ -281,8 +281,8 @@ local CONNECTIONS = {
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 19 } }, "" }, -- the end of the connection counts as a byte
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { 2, 18, 34, "good 2 @0" }, { acknowledges = 36 } }, "" },
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 17 }, { is_sent = 2 ^ 21 } }, "" }, -- of another connection
-  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 18 + 2 ^ 20 } }, FIRST_GAP },
-  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 19 + 2 ^ 20 } }, "" },
+  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 19 + 2 ^ 20 } }, FIRST_GAP },
+  { { { 1, 1, 17, "good 1 @0" }, { is_sent = 20 + 2 ^ 20 } }, "" },
   { { { 1, 1, 17, "good 1 @0" }, { is_sent = 35 }, { is_syn = true, is_sent = 50 }, { acknowledges = 52 },
     { 3, 1, 17, "good 1 @0" }, { is_sent = 18 } }, FIRST_GAP },
   -- a connection with the same addresses and numbers

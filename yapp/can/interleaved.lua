@@ -153,7 +153,6 @@ local function search(self, goal, at, register, needed)
     end
     for k = #goal.frames, count + 1, -1 do goal.frames[k] = nil end
   end
-  return false
 end
 
 -- The padding of the newest frame if all that came since the newest Start is its message; nil if

@@ -263,10 +263,9 @@ local function leave_out(self, message, frame, needed)
         return true
       end
       tries = tries + 1
-      if tries == MAX_RUNS then return false end
+      if tries == MAX_RUNS then return end
     end
   end
-  return false
 end
 
 -- End a message with its last frame.

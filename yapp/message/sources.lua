@@ -156,7 +156,7 @@ end
 -- says nothing of it.
 -- bus, id  as of Sources:name
 function Sources:message(bus, id)
-  local row = self.by_bus[bus or false][id] or self.by_bus[false][id]
+  local row = bus and self.by_bus[bus][id] or self.by_bus[false][id]
   return row and row.message
 end
 

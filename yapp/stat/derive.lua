@@ -171,7 +171,8 @@ end
 -- Return how many messages of a source fit between its latest one and a time.
 local function room_until(state, now)
   local message = state.last.source.message
-  local periods = message and message.every and span(state.at, now) / message.every or 0
+  if not (message and message.every) then return 0 end
+  local periods = span(state.at, now) / message.every
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 

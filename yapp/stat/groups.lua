@@ -25,9 +25,7 @@ local function number_of(message, values, raws)
     local seconds, nanoseconds = decode.time(raw, 0)
     return seconds + nanoseconds / 1e9
   end
-  if not (field.values or field.flags) then
-    raw = decode.value(field, raw)
-  end
+  raw = decode.value(field, raw)
   return tonumber(raw) or NO_NUMBER -- of 64 bits a text, where a double is not exact
 end
 

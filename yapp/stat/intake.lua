@@ -87,7 +87,7 @@ local function new_event(kind, m, values)
 end
 
 local function offer(self, kind, m, values)
-  local line, leaving = m.source.line or false, self.leaving
+  local line, leaving = m.source.line, self.leaving
   if self.stretches[line] then self.stretches[line] = nil end -- a needless nil costs in 5.2
   if leaving[1] then
     self.leaving = {}
@@ -109,8 +109,7 @@ local function invalid_of(m)
       list[#list + 1] = {
         field = message.fields[index].name,
         value = raw,
-        -- As the vendor's document writes codes: 0x0a.
-        code = type(raw) == "number" and ("0x%02x"):format(raw) or raw,
+        code = ("0x%02x"):format(raw), -- as the vendor's document writes codes
         effect = remark[2] == "command.key.invalid" and " (the controller ignores this command)",
       }
     end
