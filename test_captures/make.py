@@ -26,7 +26,7 @@ Without a time a packet comes 1 ms after the previous one. In data
     BB*8 repeats a byte; @18 goes on at byte 18, over what is there; | marks where the snap length cuts the packet.
 In brackets
     [ID/SEQ/CTL data] is a message, ID and SEQ and CTL hexadecimal, SEQ and CTL 0 when left out;
-    [!ID data] has a wrong CRC.
+    [!ID data] has a wrong CRC; on CAN an error if the message fits into one frame, which has no CRC.
 """
 import functools
 import pathlib
@@ -167,7 +167,10 @@ class Source:
         kind = tokens.pop(0) if tokens[0] in ("fd", "rtr", "err") else ""
         if tokens[0] == "[":
             message = self.message(tokens[1:-1])
-            for index, (can_id, data) in enumerate(can_frames(message, kind == "fd")):
+            frames = can_frames(message, kind == "fd")
+            if message["wrong_crc"] and len(frames) == 1:
+                raise ValueError(f"[!{message['id']:X} ...] fits into one CAN frame, which has no CRC: leave out the !")
+            for index, (can_id, data) in enumerate(frames):
                 self.time += 200 if index else 0
                 self.add(bus, self.can_record(bus, can_id | EXTENDED, data, kind == "fd"))
             message["frames"] = list(range(message["frame"], len(self.packets) + 1))

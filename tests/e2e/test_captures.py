@@ -78,6 +78,14 @@ def test_the_text_makes_the_capture(name):
     assert path.read_bytes() == content
 
 
+def test_a_bad_crc_of_a_message_without_one():
+    """A message that fits into one CAN frame has no CRC: its text asks for none that is bad."""
+    assert make.Source("can0 fd [!200 00*65]\n").messages and make.Source("link pdu\n> [!0 00*7]\n").messages
+    for line in "can0 [!0 00*7]", "can0 fd [!200 00*17]":
+        with pytest.raises(SystemExit, match="line 1: .*fits into one CAN frame, which has no CRC: leave out the !"):
+            make.Source(line)
+
+
 def test_nothing_else_lies_there():
     others = {"make.py", "expected.py", "flight.py"}
     for path in tshark.CAPTURES.iterdir():
