@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """candump text opened by name: every form gives the frames it was printed from, and no other file is taken.
 
-The captures are what candump 2020.11 (2023.03 for *_raw_dlc) and log2long print for the frames listed here. Written by
-hand: *_nanoseconds, *_broken_lines, *_low_ids, and the two candump_document files, which are lines of the protocol's document.
+The captures are what candump 2020.11 (2023.03 for *_raw_dlc) and log2long print for the frames listed here, or were
+written by hand where a comment says so.
 """
 import os
 import re
@@ -120,46 +120,45 @@ def stamps(start, count):
     return [f"{time // 10 ** 9}.{time % 10 ** 9:09d}" for time in times]
 
 
+def deep(*row):
+    """A form whose lines the pure tests know: in test-all only."""
+    return pytest.param(row, marks=levels.deep)
+
+
 # File, its frames, the time of the first one; None where the file has no times.
 FILES = [
     ("screen_none.txt", MESSAGE, None),
     ("screen_absolute.txt", MESSAGE, ABSOLUTE),
     ("screen_delta.txt", MESSAGE, RELATIVE),
-    ("screen_zero.txt", MESSAGE, RELATIVE),
+    deep("screen_zero.txt", MESSAGE, RELATIVE),
     ("screen_date.txt", MESSAGE, ABSOLUTE),
-    ("screen_ascii.txt", MESSAGE, RELATIVE),
+    deep("screen_ascii.txt", MESSAGE, RELATIVE),
     ("screen_swapped.txt", MESSAGE, None),
     ("screen_binary.txt", MESSAGE, None),
-    ("screen_binary_swapped.txt", MESSAGE, None),
-    ("screen_color1.txt", TWO_BUSES, None),
-    ("screen_color2.txt", TWO_BUSES, None),
+    deep("screen_binary_swapped.txt", MESSAGE, None),
+    deep("screen_color1.txt", TWO_BUSES, None),
+    deep("screen_color2.txt", TWO_BUSES, None),
     ("screen_color3.txt", TWO_BUSES, ABSOLUTE),
-    ("screen_standard_ids.txt", STANDARD, RELATIVE),
+    deep("screen_standard_ids.txt", STANDARD, RELATIVE),
     ("screen_mixed_ids.txt", MESSAGE[:1] + STANDARD + MESSAGE[1:], RELATIVE),
     ("screen_direction.txt", SENT_AND_RECEIVED + FD, RELATIVE),
-    ("screen_remote.txt", [remote(0x123, 0), remote(0x08404000, 8)] + MESSAGE, RELATIVE),
+    deep("screen_remote.txt", [remote(0x123, 0), remote(0x08404000, 8)] + MESSAGE, RELATIVE),
     ("screen_errors.txt", MESSAGE[:2] + ERRORS + MESSAGE[2:], RELATIVE),
     ("screen_drops.txt", MESSAGE, RELATIVE),
-    ("screen_fd.txt", FD_WITHOUT_FLAGS, RELATIVE),
-    ("screen_raw_dlc.txt", MESSAGE, RELATIVE),
-    ("screen_two_buses.txt", TWO_BUSES, ABSOLUTE),
+    deep("screen_fd.txt", FD_WITHOUT_FLAGS, RELATIVE),
+    deep("screen_raw_dlc.txt", MESSAGE, RELATIVE),
+    deep("screen_two_buses.txt", TWO_BUSES, ABSOLUTE),
     ("log_two_buses.log", TWO_BUSES, ABSOLUTE),
-    ("log_bus_names.log", TWO_BUSES, ABSOLUTE),
+    deep("log_bus_names.log", TWO_BUSES, ABSOLUTE),
     ("log_direction.log", SENT_AND_RECEIVED, ABSOLUTE),
     ("log_fd.log", FD, ABSOLUTE),
     ("log_errors.log", MESSAGE[:2] + ERRORS + [remote(0x123, 0), remote(0x08404000, 8)] + MESSAGE[2:], ABSOLUTE),
-    ("log_raw_dlc.log", MESSAGE, ABSOLUTE),
-    ("log_broken_lines.log", MESSAGE, ABSOLUTE),
+    deep("log_raw_dlc.log", MESSAGE, ABSOLUTE),
+    deep("log_broken_lines.log", MESSAGE, ABSOLUTE),  # by hand
     ("log2long.txt", TWO_BUSES, ABSOLUTE),
-    ("document.txt", MESSAGE, None),
-    ("document_crlf.txt", MESSAGE, None),
+    ("document.txt", MESSAGE, None),  # lines of the protocol's document, as the next one
+    deep("document_crlf.txt", MESSAGE, None),
 ]
-
-
-# Of the others' lines the pure tests say what they are.
-USUAL = ["screen_none.txt", "screen_absolute.txt", "screen_delta.txt", "screen_date.txt", "screen_swapped.txt", "screen_binary.txt",
-         "screen_color3.txt", "screen_mixed_ids.txt", "screen_direction.txt", "screen_errors.txt", "screen_drops.txt",
-         "log_two_buses.log", "log_direction.log", "log_fd.log", "log_errors.log", "log2long.txt", "document.txt"]
 
 
 def assert_frames(shown, frames, times):
@@ -173,8 +172,7 @@ def assert_frames(shown, frames, times):
 @levels.by_version
 @levels.each_once
 @pytest.mark.parametrize("way", ["one pass", "-2", "written"])
-@pytest.mark.parametrize("form", levels.few(FILES, [row for row in FILES if row[0] in USUAL]),
-                         ids=[row[0] for row in FILES])
+@pytest.mark.parametrize("form", FILES, ids=lambda row: row[0])
 def test_form(tmp_path, form, way):
     name, frames, start = form
     path, written = CAPTURES / f"candump_{name}", tmp_path / "out.pcapng"
@@ -189,7 +187,7 @@ def test_form(tmp_path, form, way):
 
 def test_nanoseconds(tmp_path):
     times = [f"{int(time[:10])}.{int(time[11:]) + i * 111 + 1:09d}" for i, time in enumerate(stamps(ABSOLUTE, 5))]
-    path, written = CAPTURES / "candump_log_nanoseconds.log", tmp_path / "out.pcapng"
+    path, written = CAPTURES / "candump_log_nanoseconds.log", tmp_path / "out.pcapng"  # by hand
     assert_frames(rows(tmp_path, ["-r", path]), MESSAGE, times)
     assert run(tmp_path, ["-r", path, "-w", written])[0] == 0
     assert_frames(rows(tmp_path, ["-r", written]), MESSAGE, times)
@@ -205,7 +203,7 @@ def test_plain_logs_stay_with_the_builtin_reader(tmp_path, name, frames):
 
 def test_ids_in_a_plain_log(tmp_path):
     """The reader of 4.6 goes by an id's value: the Command of the document, ID 0, would be no extended frame to it."""
-    path = CAPTURES / "candump_log_low_ids.log"
+    path = CAPTURES / "candump_log_low_ids.log"  # by hand
     shown = rows(tmp_path, ["-r", path])
     assert [(row["can.id"], row["can.flags.xtd"], row["can.flags.err"]) for row in shown] == [
         ("0", "1", "0"), ("", "", "1"), (str(0x123), "1", "0"), (str(0x123), "0", "0")]
