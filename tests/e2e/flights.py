@@ -22,7 +22,7 @@ import model
 from can_generator import END, LONG_BLOCK, MIDDLE, SINGLE, START, Frame, Sent, message_crc
 
 SECOND = 1_000_000_000
-EVERY = {"command": 0.2, "motor": 0.1, "health": 0.5}  # periods; a gap above LATE of them is a silence
+EVERY = {message.name: message.every for message in model.MESSAGES.values() if message.every}  # a gap above LATE of them is a silence
 LATE = 2.5
 MAX_BEHIND = 8  # a Seq so far behind is of a message that came late
 FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
@@ -359,7 +359,7 @@ def numbers(sender, payload):
         if model.is_float(kind):
             special = 2 ** (8 * size) - 1 - count < 5
             found[field] = None if special else model.value(count, size, kind[0], kind[1])
-        elif field == "board_revision":
+        elif model.is_number(kind):
             found[field] = count
     for name in model.MESSAGES[KIND[sender.kind]].generated:
         field, sign, other = model.MESSAGES[KIND[sender.kind]].generated[name]
@@ -501,7 +501,7 @@ class Flight:
 
     def rows(self, form):
         """Of each known message the good ones in the order of the capture: (frame, bus, source, message)."""
-        found = {"command": [], "motor": [], "health": []}
+        found = {name: [] for name in KIND}
         for sender in self.senders:
             for message in sender.messages:
                 if message.is_good and sender.kind in found:

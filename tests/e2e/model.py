@@ -2,7 +2,8 @@
 """What a capture has to show, worked out without the plugin: the tables of the document and of the list of filter
 names typed once more, the float codec as its formula, and the CRC a bit at a time (test_captures/make.py).
 
-A message is one entry of MESSAGES: filter names, sweeps over its flags and reserved counts, and values follow from it."""
+A message is one entry of MESSAGES: filter names, sweeps over its flags and reserved counts, and values follow from it.
+A statistic is one entry of STATISTICS, an expert item one of the lists of EXPERTS."""
 import struct
 
 MOTOR, HEALTH, COMMAND = 0x210, 0x200, 0x000
@@ -17,13 +18,19 @@ YAPP = {
 YAPP_EXPERTS = ["crc.bad", "fragment.orphan", "fragment.incomplete", "fragment.overrun", "size.mismatch", "id.unknown",
                 "reserved.nonzero", "can.ctrl.invalid", "stream.skipped", "truncated", "fragment.duplicate"]
 TAURUS_EXPERTS = ["fault.active", "command.key.invalid", "value.special", "flags.undefined", "value.invalid"]
-# Worked out from more than one message: what test_flight_fields.py is about.
-EVENT_EXPERTS = ["yapp.late", "yapp.unfinished", "taurus.fault.raised", "taurus.fault.cleared", "taurus.reboot", "taurus.stale",
-                 "taurus.jump", "yapp.source.shared"]
+# Worked out from more than one message: what test_flight_fields.py is about.  Those of a change, and the others.
+CHANGE_EXPERTS = ["yapp.late", "taurus.reboot", "taurus.stale", "taurus.fault.raised", "taurus.fault.cleared", "taurus.jump"]
+EVENT_EXPERTS = [*CHANGE_EXPERTS, "yapp.source.shared", "yapp.unfinished"]
 # Of YAPP's own, in no .expected file: what is worked out from more than one message.
 HISTORY = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8",
            "yapp.reassembled.data": "BYTES"}
 EXPERTS = [f"yapp.{name}" for name in YAPP_EXPERTS] + [f"taurus.{name}" for name in TAURUS_EXPERTS]
+
+# By the name behind -z yapp, in the order of the errors that list them: the title in menus.
+STATISTICS = {"summary": "Summary", "faults": "Faults", "events": "Events", "compare": "Compare", "csv": "Export tables",
+              "check": "Check"}
+IN_TEXT = [name for name in STATISTICS if name not in ("csv", "check")]  # a table, as text or as JSON
+ON_STDERR = [*(f"{name},json" for name in IN_TEXT), "csv,-,motor"]  # what is left out does not stand in the output
 
 FAULT = {
     0x1: "oc_limit_unmeasurable", 0x2: "cbc_oc_lpdac", 0x4: "pwm_saturated", 0x8: "stack_overflow",
@@ -60,16 +67,21 @@ class Flags(tuple):
         return self
 
 
+class Number:
+    """A field that is a plain number: the document defines every value."""
+
+
 class Message(tuple):
     """A message: (name, title, fields), the fields in the document's order: name, size in bytes, and what it is: (min, max,
-    unit) for a compressed float, Flags, a set of the values that the document defines, None for a time.
+    unit) for a compressed float, Flags, a set of the values that the document defines, Number, None for a time.
 
-    every: its period in seconds; answers: the message that commands it; generated: { filter name: (field, operator, field) },
+    every: its period in seconds, None for no period; answers: the message that commands it; generated: { filter name: (field, operator, field) },
     of which derived are in tables, too."""
 
-    def __new__(cls, name, title, fields, every, answers=None, generated=(), derived=()):
+    def __new__(cls, name, title, fields, every=None, answers=None, generated=(), derived=()):
         self = super().__new__(cls, (name, title, fields))
-        self.size, self.every, self.answers = sum(size for _, size, _ in fields), every, answers
+        self.name, self.every, self.answers = name, every, answers
+        self.size = sum(size for _, size, _ in fields)
         self.generated, self.derived = dict(generated), list(derived)
         return self
 
@@ -92,7 +104,7 @@ MESSAGES = {
         ("timestamp", 8, None), ("control_thread_cpu", 1, PERCENT), ("taurus_thread_cpu", 1, PERCENT),
         ("cpu_temperature", 1, TEMPERATURE), ("capacitor_temperature", 1, TEMPERATURE),
         ("fet_temperature", 1, TEMPERATURE), ("vin_rms_ripple", 1, RIPPLE), ("vin_pp_ripple", 1, RIPPLE),
-        ("taurus_status", 1, Flags("status", HEALTH_STATUS)), ("board_revision", 1, set(range(256)))], 0.5),
+        ("taurus_status", 1, Flags("status", HEALTH_STATUS)), ("board_revision", 1, Number())], 0.5),
 }
 # The bits that are faults, by the name of the field.
 ALARMS = {field: kind.faults for message in MESSAGES.values() for field, _, kind in message[2] if isinstance(kind, Flags)}
@@ -105,6 +117,10 @@ def is_float(kind):
 
 def is_flags(kind):
     return isinstance(kind, tuple) and len(kind) == 2
+
+
+def is_number(kind):
+    return isinstance(kind, Number)
 
 
 def value(count, size, low, high, divisor=MAPPING):
@@ -231,6 +247,8 @@ def decode(ident, payload, divisor=MAPPING):
                 experts.append("taurus.fault.active")
             if count & ~sum(bits):
                 experts.append("taurus.flags.undefined")
+        elif is_number(kind):
+            shown[path] = str(count)
         else:
             shown[path] = f"0x{count:02x}" if kind <= {0, 1, 0xA5, 0x5A} else str(count)
             if count not in kind:

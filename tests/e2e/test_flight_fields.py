@@ -17,16 +17,15 @@ import model
 import tshark
 
 SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", levels.size(3, 4))) + 1)
-EXPERTS = ["yapp.late", "taurus.reboot", "taurus.stale", "taurus.fault.raised", "taurus.fault.cleared", "taurus.jump",
-           "yapp.source.shared"]
 FLAGS = [f"taurus.motor.{group}.{way}" for group in ("fault", "status", "state") for way in ("raised", "cleared")]
 LINKS = ["taurus.motor.command_in", "taurus.motor.fault.previous_change", "taurus.motor.fault.next_change"]
 TIMES = ["taurus.motor.fault.active_time", "taurus.motor.clock_drift", "taurus.health.clock_drift"]
 # These are of every message, whole or not: looked at in the last frames of good ones.
 OF_ANY = ["yapp.bus", "yapp.source", "yapp.time_delta", "taurus.motor.rpm_error", "taurus.motor.torque_iq_error"]
 # What an unreliable source has none of.
-OF_HISTORY = EXPERTS[:-1] + FLAGS + LINKS + TIMES + ["yapp.seq.missing"]
-NAMES = EXPERTS + FLAGS + LINKS + TIMES + OF_ANY + ["yapp.seq.missing", "yapp.message.fault", "yapp.unfinished"]
+OF_HISTORY = model.CHANGE_EXPERTS + FLAGS + LINKS + TIMES + ["yapp.seq.missing"]
+# The last two are not of one message alone.
+NAMES = OF_HISTORY + OF_ANY + ["yapp.source.shared", "yapp.message.fault", "yapp.unfinished"]
 
 
 class Truth:
@@ -144,7 +143,7 @@ def nanoseconds(text):
 def value_of(name, text):
     if not text:
         return None
-    if name in EXPERTS or name == "yapp.unfinished":
+    if name in model.EVENT_EXPERTS:
         return True
     if name in TIMES or name == "yapp.time_delta":
         return nanoseconds(text)
@@ -234,7 +233,7 @@ def test_shared_sources(folder, seed, passes):
 
 @levels.each_once
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
-@pytest.mark.parametrize("name", EXPERTS[1:-1] + FLAGS[:2] + LINKS + TIMES)
+@pytest.mark.parametrize("name", model.CHANGE_EXPERTS + FLAGS[:2] + LINKS + TIMES)
 def test_a_filter_alone(folder, name, passes):
     """Where nothing else is wanted of the tree, the history is asked for no more than that."""
     flight = flights.make(2)
@@ -255,7 +254,7 @@ def test_a_filter_alone(folder, name, passes):
 ])
 def test_cases(name, expected):
     """Captures that showed a defect of 2.1: what is found of time and numbers, and in which messages."""
-    wanted = ["yapp.late", "taurus.reboot", "taurus.stale", "taurus.jump", "yapp.source.shared", "yapp.seq.missing"]
+    wanted = [*model.CHANGE_EXPERTS, "yapp.source.shared", "yapp.seq.missing"]
     rows = tshark.fields(tshark.CAPTURES / f"cases/{name}.pcapng", ["yapp.id", "taurus.motor.timestamp", *wanted])
     found = {field: [(row[0], row[1], row[place]) for row in rows if row[place]] for place, field in enumerate(wanted, 2)}
     motors = [row for row in rows if row[1]]

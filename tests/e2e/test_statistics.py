@@ -38,7 +38,7 @@ def statistics(flight, form, capture, *whats, passes=(), check=True):
     """The JSON lines of some statistics, by kind; and the exit code."""
     taps = [argument for what in whats for argument in ("-z", f"yapp,{what}")]
     done = tshark.run(*passes, *flight.arguments(form), "-q", "-r", capture, *taps, check=check)
-    found = {"events": [], "faults": [], "summary": [], "check": [], "csv": [], "compare": []}
+    found = {name: [] for name in model.STATISTICS}
     for text in done.stdout.splitlines():
         line = json.loads(text, parse_float=Decimal)
         kind = "compare" if "spread" in line else "events" if "kind" in line else "faults" if "event" in line else "check" if "rule" in line else \

@@ -11,6 +11,7 @@ import pytest
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 import gui  # noqa: E402
 import can_generator  # noqa: E402
+import model  # noqa: E402
 
 pytestmark = pytest.mark.skipif(bool(gui.MISSING), reason=f"not installed: {', '.join(gui.MISSING)}")
 
@@ -204,7 +205,7 @@ def test_a_statistic_in_a_window(captures):
 
 
 # Under Tools, the last entry is YAPP; its entries by the alphabet.
-MENU = ["Check", "Compare", "Events", "Export tables", "Faults", "Help", "Summary"]
+MENU = sorted([*model.STATISTICS.values(), "Help"])
 
 
 def choose(wireshark, entry, title=None):
@@ -249,11 +250,11 @@ def test_check_tables_and_help_in_the_menu(captures):
         choose(wireshark, "Check")
         wireshark.answer("YAPP Check", "fault=0,motor.count=60")
         text_of(wireshark, "YAPP Check", "FAILED  fault=0")
-        for entry in "Compare", "Events", "Summary":  # a row is one line of a window as it opens, but for texts of events
+        for name in model.IN_TEXT:  # a row is one line of a window as it opens, but for texts of events
             wireshark.wait_for_window("first.pcapng")
-            choose(wireshark, entry)
-            longest = max(map(len, text_of(wireshark, f"YAPP {entry}", f"YAPP {entry.lower()}:").splitlines()))
-            assert longest <= (95 if entry == "Events" else 73)
+            choose(wireshark, model.STATISTICS[name])
+            longest = max(map(len, text_of(wireshark, f"YAPP {model.STATISTICS[name]}", f"YAPP {name}:").splitlines()))
+            assert longest <= (95 if name == "events" else 73)
         wireshark.wait_for_window("first.pcapng")
         choose(wireshark, "Export tables")
         wireshark.answer("YAPP Export tables", str(captures / "tables"))
