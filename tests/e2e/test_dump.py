@@ -20,7 +20,7 @@ import stream_captures
 import test_streams
 import tshark
 from other_reader import OTHER_READER
-from stream_captures import EXPORTED_PDU, KNOWN, Event, Oracle, Packet, Place, frame, header
+from stream_captures import EXPORTED_PDU, KNOWN, Event, Oracle, Origin, Packet, frame, header
 
 CAPTURES = tshark.CAPTURES
 SEED = os.environ.get("YAPP_SEED", "1")
@@ -100,7 +100,7 @@ def rows(path, *arguments):
 
 def packet_of(number, event):
     """The record of an event, as a packet of its own."""
-    packet = Packet(event.data, Place(EXPORTED_PDU, 0, 0))
+    packet = Packet(event.data, Origin(EXPORTED_PDU, 0, 0))
     packet.number = number
     packet.events = [Event(event.kind, event.data, 0)]
     return packet
