@@ -34,6 +34,7 @@ sys.path.insert(0, str(ROOT / "tests/e2e"))
 import tshark  # noqa: E402
 
 import fuzz_files  # noqa: E402
+import model  # noqa: E402
 from fuzz_files import CAPTURES, Capture  # noqa: E402
 
 # What a run may take: more is a failure.
@@ -150,8 +151,8 @@ WAYS = [
 
 # --once: no tree is written, each frame is looked at once or twice, and a statistic is made.
 COUNTS = ("-q", "-z", "expert", "-z", "io,stat,0,frame,yapp")
-STATISTICS = ("yapp,summary", "yapp,summary,json", "yapp,faults", "yapp,faults,json", "yapp,events", "yapp,events,json",
-              "yapp,csv,WRITE,replace,all", "yapp,check,fault=0,crc=0,motor.gap=0.1,motor.dc_voltage=20..60")
+STATISTICS = (*(f"yapp,{name}{form}" for name in model.IN_TEXT for form in ("", ",json")), "yapp,csv,WRITE,replace,all",
+              "yapp,check,fault=0,crc=0,motor.gap=0.1,motor.dc_voltage=20..60")
 OUR_CODES = (20, 21)  # a rule of check does not hold; something could not be judged, in other statistics too
 
 
