@@ -49,7 +49,7 @@ function M.new(new_framer)
   return setmetatable({
     datagrams = new_stream(new_framer()), -- each is complete in itself, so all share one stream
     by_key = memo(function() return new_stream(new_framer()) end),
-    contents = {}, -- by frame key
+    contents_by_key = {}, -- by frame key: what Streams:take returned
     seqs = {},     -- by key, of TCP: the sequence number that follows others' bytes
     gaps = {},     -- those that were not filled, see Streams:drops
   }, Streams)
@@ -58,11 +58,11 @@ end
 -- Findings ---------------------------------------------------------------------------------------
 
 -- Adds the bytes of a packet to its stream.
--- known  how many of them the stream has already
-local function add_bytes(stream, contents, known)
+-- overlap  how many of them the stream has already
+local function add_bytes(stream, contents, overlap)
   local framer, packet, findings = stream.framer, contents.packet, stream.findings
-  contents.packet, contents.known, contents.from = nil, known, framer.to
-  framer:add(packet.bytes:sub(known + 1), packet.is_datagram or packet.truncated, findings)
+  contents.packet, contents.overlap, contents.from = nil, overlap, framer.to
+  framer:add(packet.bytes:sub(overlap + 1), packet.is_datagram or packet.truncated, findings)
   contents.to = framer.to
   local last = findings[#findings]
   if packet.truncated and last and last.missing then last.status = "truncated" end
@@ -75,7 +75,7 @@ end
 local function locate(stream, finding, contents)
   local from = contents.from
   if finding.from >= from and finding.to <= contents.to then
-    finding.at, finding.bytes = contents.known + finding.from - from, nil
+    finding.at, finding.bytes = contents.overlap + finding.from - from, nil
     return
   end
   if finding.status == "skipped" then return end
@@ -138,17 +138,17 @@ local function add_held(self, stream, is_over)
   local held, latest = stream.held, stream.latest
   while held[1] do
     local segment = held[1].packet
-    local known = distance(stream.next_seq, segment.seq)
-    if known < 0 then
+    local overlap = distance(stream.next_seq, segment.seq)
+    if overlap < 0 then
       stream.gap = stream.gap or new_gap(stream, latest)
       if not is_over and not is_lost(stream, latest) then return end
       stream.framer:add("", true, stream.findings)
       table.insert(self.gaps, stream.gap)
-      known, stream.gap = 0, nil
+      overlap, stream.gap = 0, nil
     end
     local contents = table.remove(held, 1)
-    if known < segment.length then
-      add_bytes(stream, contents, known)
+    if overlap < segment.length then
+      add_bytes(stream, contents, overlap)
       stream.next_seq, stream.gap = (segment.seq + segment.length) % 0x100000000, nil
     else
       contents.packet = nil
@@ -200,8 +200,8 @@ function Streams:note_header(key, opposite, segment)
     return stream.next_seq
   end
   local seq, length = segment.seq, segment.length
-  local known = distance(self.seqs[key] or seq, seq)
-  if not segment.is_ours and known >= 0 and known <= length then
+  local overlap = distance(self.seqs[key] or seq, seq)
+  if not segment.is_ours and overlap >= 0 and overlap <= length then
     self.seqs[key] = (seq + length) % 0x100000000
   end
 end
@@ -247,8 +247,8 @@ function Streams:take(packet, is_stored)
     findings = findings,
     pending = 0,
     is_held = false,
-    packet = packet, -- until its bytes are added
-    known = 0,       -- number of bytes that had come before
+    packet = packet, -- nil once its bytes are added
+    overlap = 0,     -- number of its bytes that had come before
     from = 0,        -- offset in the stream of the others, once they are added
     to = 0,
   }
@@ -263,14 +263,14 @@ function Streams:take(packet, is_stored)
     locate(stream, finding, contents)
   end
   drop_pieces(stream, framer.from)
-  if contents.packet then
+  if contents.packet then -- its bytes wait for a missing segment
     contents.is_held, contents.pending = true, #packet.bytes
   elseif contents.to > framer.from then
     contents.pending = contents.to - math.max(contents.from, framer.from)
     contents.missing = select(2, framer:open_frame())
   end
   if is_stored then
-    self.contents[packet.key] = is_plain(findings, packet.bytes) and PLAIN or contents
+    self.contents_by_key[packet.key] = is_plain(findings, packet.bytes) and PLAIN or contents
   end
   return contents
 end
@@ -283,7 +283,7 @@ end
 
 --- Return the contents of a packet that was taken before, nil if it was not.
 function Streams:find(packet)
-  local contents = self.contents[packet.key]
+  local contents = self.contents_by_key[packet.key]
   if contents ~= PLAIN then return contents end
   return { findings = self:read(packet.bytes), pending = 0 }
 end
