@@ -42,7 +42,7 @@ local KEYS = {
   window = words("ok rule who message seen worst note"),
 }
 local NO_VALUE = "no good message of it was decoded"
-local NONE = "no message came that it is about"
+local NONE = "no message came that this rule applies to"
 local SAME_SEQ = {
   json = '"Seq No never changes: lost messages do not show"',
   text = "Seq No never changes: lost messages do not show",
