@@ -54,7 +54,9 @@ function Dissector:reset(history)
     return memo(function(id) return self.reader:new_source(id, bus, self.buses:name(bus)) end)
   end)
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
-  self.accepted_key = 0 -- of the latest frame of ours; Decode As may accept what the table refused
+  -- Of the latest frame of ours.  A tap reports only frames that nobody accepted, but Decode As may
+  -- accept a frame that was noted when the table of ids refused it.
+  self.accepted_key = 0
   self.expects_taps, self.has_taps = false, false -- see Dissector:expect_taps
   self.lost_bus = false -- whether a frame came whose bus is not known
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
@@ -347,10 +349,10 @@ end
 function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, reported)
   reported = reported or reported_of(tvb)
   if reported == 0 then return 0 end
-  local frame, known = new_frame(self, tvb, reported, pinfo, tree, id, accepts_all), self.reassembly
+  local frame = new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   local may_be_remote, kind, message, anomalies, index = ZEROS[frame.data], nil, nil, nil, nil
   if frame.visited then
-    kind, message, anomalies, index = known:recall(frame)
+    kind, message, anomalies, index = self.reassembly:recall(frame)
     may_be_remote = may_be_remote and kind == "single"
     if message then frame.source = message.source end
   end
@@ -361,7 +363,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, reported)
       return reported
     end
   end
-  if not frame.visited then kind, message, anomalies = known:take(frame) end
+  if not frame.visited then kind, message, anomalies = self.reassembly:take(frame) end
   if kind then
     show(self, frame, kind, message, anomalies, index)
     return reported
@@ -407,8 +409,10 @@ local function unknown_size(self, fields, source, data)
   return size
 end
 
--- Report to the statistics a frame that is not dissected, if it may be a message or begin one: of
--- an unknown ID; of a known one with a YAPP CTL other than 0, or with bytes behind its values.
+-- Report to the statistics a frame that is not dissected, if it may be a message or begin one:
+--   of an unknown ID
+--   of a known ID, with a YAPP CTL other than 0
+--   of a known ID, with bytes behind its values
 local function report_unknown(self, pinfo, id, offset, data)
   local fields, number = fields_of[id], pinfo.number
   local bus = self.asks and self.buses:of(pinfo, number, offset)

@@ -55,7 +55,7 @@ local function open_message(self, message, is_retry)
 end
 
 --- Make the pool of a message that is open.
--- reassembly  of can.reassembly, which notes what is wrong
+-- reassembly  a can.reassembly, which gets the anomalies
 -- fields      of the CAN ids (wire.can_id)
 function M.new(reassembly, message, fields)
   local self = setmetatable({
@@ -68,7 +68,7 @@ function M.new(reassembly, message, fields)
     since = 0, -- bytes of those that came since the newest Start
     starts = 0, -- number of Starts that superseded others
     credit = MAX_CREDIT,
-    reserve = 0, -- credit that the search must leave for other messages
+    reserve = 0, -- credit to leave for other messages: of 400, with 4 open, the first may use 100
   }, Pool)
   for i, data in ipairs(message.chunks) do
     add_frame(self, new_frame(message[i + 1], data, #data, false))

@@ -35,9 +35,9 @@ local function positions()
   return table.concat(list, " ")
 end
 
--- Reads the first bytes of a capture.
--- returns  them, and whether more may be read, which Wireshark cannot rewind in a pipe.  In tshark
---          it is a file if the read moved the position of an open file.
+-- Read the first bytes of a capture.
+-- returns  the bytes; whether it is a file: more of a pipe must not be read, as Wireshark cannot
+--          rewind it further.  In tshark, the read of a file moves the position of an open file.
 local function read_head(file)
   local before = positions()
   local head = file:read(capture.HEAD) or ""
@@ -60,7 +60,7 @@ function M.watch()
     end
     self.seen = capture.read(head, more)
     self.is_short = #head < capture.HEAD
-    self.is_cut = not (self.is_short or is_file)
+    self.is_long_pipe = not (self.is_short or is_file)
     readers.forget()
     return false
   end
@@ -80,7 +80,7 @@ function Buses:init()
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
   -- A short file may be of a live capture that already had packets when it was opened.
   local may_go_on = self.is_short and found.has_several or found.is_live
-  local needs_fields = may_go_on or self.is_cut and found.yapp_interfaces > 0
+  local needs_fields = may_go_on or self.is_long_pipe and found.yapp_interfaces > 0
   self.asks = needs_fields or found.has_several or not (found.is_told or self.plain_bus)
   if needs_fields then
     self.tap = self.tap or Listener.new("frame", FIELDS)

@@ -173,9 +173,6 @@ local function seconds_of(interface, high, low)
   return (high * 2 ^ 32 + low) / interface.per_second + interface.shift
 end
 
--- The functions from here on read a block, whose first CHUNK bytes are available.  They return true
--- to read no further.
-
 -- Add an interface to those of the file.
 -- name  nil for none
 local function new_interface(self, linktype, name)
@@ -196,6 +193,9 @@ local function new_interface(self, linktype, name)
   self.interfaces[#self.interfaces + 1] = interface
   return interface
 end
+
+-- The functions in BLOCKS, below, read a block, whose first CHUNK bytes are available.  They return
+-- true to read no further.
 
 local function read_interface(self, window, offset, length)
   if length < 20 then return true end

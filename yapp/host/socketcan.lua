@@ -1,14 +1,13 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What other dissectors know of the current packet: the values of their fields, and the header of a
--- CAN frame, which SocketCAN does not hand on: the id of a frame that comes by Decode As or a
--- heuristic, and whether it is a remote frame.  Wireshark's API.
+-- Facts about the current packet that SocketCAN does not hand on to our dissector: the CAN id of a
+-- frame that comes by Decode As or a heuristic; whether a frame is a remote frame; the values of
+-- other dissectors' fields.  Wireshark's API.
 --
--- A dissector gets the data alone.  In SocketCAN's table of ids, by which our messages are found,
+-- SocketCAN hands on the data alone.  It finds our messages in its table of ids, where
 -- pinfo.match_uint is the id.  For all other frames a wrapper in front of SocketCAN reads the
 -- header.  That is exact on every pass, but costs a name in frame.protocols and about 3 µs a CAN
--- frame.  So it begins only with Decode As, yapp.all_extended or a statistic.  If nothing but
--- statistics is wanted, it ends: a tap of the packet, which sees all of it, reads the header of the
--- frames that need it.
+-- frame.  So it begins only with Decode As, yapp.all_extended or a statistic.  If only statistics
+-- are wanted, it ends: a tap, which sees the whole packet, reads the headers that are needed.
 
 local M = {}
 

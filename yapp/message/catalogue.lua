@@ -199,7 +199,7 @@ local function check_head(entry)
   demand(#entry > 0, "it has no fields")
 end
 
--- context  what an error is about: gets field = the name of the one that is compiled, nil for none
+-- context  what an error is about: context.field is set to the name of the current field, or nil
 local function compile_message(entry, reserved, context)
   check_head(entry)
   local message = {

@@ -182,8 +182,8 @@ function M.value(field, raw)
   return raw
 end
 
---- Return a number as a text, with the digits that its count can carry: as a number that text is
--- equal to 1.1 in a filter.
+--- Return a number as a text with as many digits as its count can carry: "1.1" for
+-- 11 * 0.1 = 1.1000000000000001, so that a filter `== 1.1` matches it.
 -- field  or an item of message.generated
 -- value  of M.value or M.derived
 function M.number_text(field, value)

@@ -22,7 +22,7 @@ local MAX_BEHIND = 8 -- a Seq up to 8 behind came late; it does not mean 248 mis
 -- the traces that the numbers tell apart: shared sources, reboots, late messages, stopped clocks.
 local LARGE_FALL = 2 -- seconds; a message that came late makes the clock fall by less
 local LARGE_RETURN = 50 -- evidence of a return from a large fall; from a small one it is 1
-local FADE = 0.85 -- each message leaves this share of the evidence: 50 is ENOUGH for 22 messages
+local FADE = 0.85 -- what a message leaves of it: evidence of 50 stays above ENOUGH for 22 messages
 local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 
 local NO_MESSAGE = { flag_fields = {} }
@@ -73,9 +73,10 @@ local function new_source(self, m)
     payload = nil,
     -- Since then:
     raised_at = {}, -- [index of its field * 2^32 + its bit] = when a fault that is set was raised
-    -- See is_shared:
-    lead = 0, -- seconds that the controller's clock gained on the capture's since its first fall
-    falls = {}, -- the latest first, without those it returned from: { lead before it, size }
+    -- See is_shared.  The controller's clock falls when it goes back or stops.  Later it may return
+    -- to the lead over the capture's clock that it had before the fall.
+    lead = 0, -- seconds that it gained on the capture's clock since its first fall
+    falls = {}, -- { lead before it, size }, the latest first; none from which the clock returned
     evidence = 0,
     shared_at = huge, -- frame key of the message that proves that controllers share the source
     -- By the frame key of a message:
@@ -299,7 +300,7 @@ end
 
 --- Return the state at a message, whether the message changes it or not.
 -- m        as it was given to note
--- returns  nil if m is not good or its source is unreliable, else {
+-- returns  nil if m is not good, or its source is not known or unreliable, else {
 --   drift         seconds: controller's clock less the capture's, since the source's first message
 --                 or reboot
 --   command_in    frame key of the latest good message on the bus that it answers: a Command

@@ -150,8 +150,8 @@ end
 --   status         "good" if it is proved complete; "bad" (CRC); "truncated" by the capture;
 --                  "incomplete"; "overrun"
 --   is_unreliable  whether its history is not known, as nothing tells the bus }, and gets
---   raws, is_remarkable  from decode.read, if the size fits: min_size of the message at least, and
---                  more than its size only of a good one
+--   raws, is_remarkable  from message.read, if the size fits: min_size of the message at least,
+--                  and more than its size only of a good one
 --   undecoded      number of payload bytes behind the message's size, nil for none
 --   has_fault      whether a fault flag is set
 --   change         what changes with it, or false (see message.history)

@@ -169,9 +169,9 @@ end
 --   length      number of bytes of its frame
 --   missing     number of bytes, of one that is not complete
 --   crc, calculated  of a bad one
--- and the keys of its view, see Tree:show_message.  The n-th finding of a packet has the frame key
--- of the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even
--- in a tunnel that puts several packets into one.
+-- and the fields of its view, see Tree:show_message.  The n-th finding of a packet has the frame
+-- key of the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not
+-- even in a tunnel that puts several packets into one.
 local function new_message(packet, finding, index)
   local length, key = finding.to - finding.from, packet.key + index - 1
   local bytes, at = finding.bytes or packet.bytes, finding.at or 0

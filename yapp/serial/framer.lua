@@ -56,7 +56,7 @@ function M.new(size_of, patience)
     spent = {},    -- [logarithm of a candidate's length] = bytes that CRCs were computed over
     text = "",     -- the latest bytes
     text_from = 0, -- their offset in the stream
-    to = 0,        -- the end of the stream so far; streams read it, and the next
+    to = 0,        -- the end of the stream so far; serial.streams also reads `to` and `from`
     from = 0,      -- the first byte that is in no finding yet
     searched = 0,  -- every candidate that begins before this is known
     found = false, -- the open candidate that the search waited at last

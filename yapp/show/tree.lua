@@ -62,7 +62,7 @@ end
 
 -- What is wanted ----------------------------------------------------------------------------------
 
--- tree.hidden is false if no tree is wanted, and true of every tree, shown or not.
+-- Despite its name, tree.hidden says whether there is a tree at all, shown or not.
 local IS_TSHARK = not gui_enabled()
 local NO_COLUMN = "(info)" -- the text of a column if there are no columns
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")

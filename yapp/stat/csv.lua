@@ -35,7 +35,7 @@ local function cells_of(source)
   return ("%s,%s,%d"):format(bus, name, source.id)
 end
 
--- All columns of a message, as message.text has them.
+-- Return the common columns, then the message's.
 local function columns_of(self, message)
   return joined(COMMON, self.options.all and CRC_GOOD or {}, text_of.columns(message))
 end

@@ -292,10 +292,10 @@ end
 
 -- Return what the answer of the statistic leaves out, and whether that makes it undecided.
 local function notes_of(self, ending)
-  local nothing, matched, options = ending.reason, self.matched, self.options
-  if matched and not next(self.came) then nothing = nothing or "no message matches the filter" end
+  local reason, matched, options = ending.reason, self.matched, self.options
+  if matched and not next(self.came) then reason = reason or "no message matches the filter" end
   local doubts = self.statistic.follows_changes and self.doubts or NOTHING
-  local notes = joined({ nothing }, self.undecoded:texts(), doubts)
+  local notes = joined({ reason }, self.undecoded:texts(), doubts)
   if options.looks_for_faults or options.row.looks_for_faults then
     notes[#notes + 1] = hiding(self, ending.now)
   end

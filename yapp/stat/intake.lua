@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What dissectors report to the statistics, made into events.  Pure Lua, 5.2 to 5.5.
 --
--- The values of a message's event are nil for most messages, else {
+-- The values of a good message's event are kinds.NOTHING for most messages, else {
 --   change         of message.history, or nil
 --   invalid        list of values of `invalid` events, or nil
 --   undecoded      number of bytes behind those that the catalogue has, or nil

@@ -12,7 +12,7 @@ local output = require("yapp.stat.output")
 
 local M = {}
 
-local MAX_LOSSES = 1000 -- so many events of losses wait at least, see hand_on_losses
+local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, see hand_on_losses
 local SEARCH_PREFERENCES =
   "yapp.search_all, yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first"
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
@@ -131,7 +131,7 @@ function Queue:offer(event, visited)
   self.offered[#self.offered + 1] = event
 end
 
---- Take the event of a frame that may be a message which is not dissected, at any time.
+--- Keep an `undissected` event until the end.
 function Queue:add_undissected(event)
   self.undissected[#self.undissected + 1] = event
 end
