@@ -119,7 +119,7 @@ end
 -- throws past Lua, which costs 2 of Lua's 200 nested calls for good.
 local thrown = 0
 
--- Hands a frame on to SocketCAN.  Of a truncated frame SocketCAN sees only the captured bytes, if
+-- Hand a frame on to SocketCAN.  Of a truncated frame SocketCAN sees only the captured bytes, if
 -- the frame cannot be YAPP or if dissectors have thrown too often.
 local function hand_on(inner, can_id, tvb, pinfo, tree)
   local length = tvb:len()

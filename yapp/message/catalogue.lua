@@ -2,10 +2,10 @@
 -- The catalogue compiler: checks the lists of messages once, at load, and works out what decoding
 -- needs.  Pure Lua.
 
-local input = require("yapp.base.input")
-local decode = require("yapp.message.decode")
-local fields = require("yapp.message.catalogue_fields")
-local text_of = require("yapp.message.text")
+local input = require "yapp.base.input"
+local decode = require "yapp.message.decode"
+local fields = require "yapp.message.catalogue_fields"
+local text_of = require "yapp.message.text"
 
 local demand, shown = input.demand, input.shown
 

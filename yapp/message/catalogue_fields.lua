@@ -3,8 +3,8 @@
 -- Pure Lua.  A mistake in a row is raised as a text; message.catalogue adds the message and the
 -- field.
 
-local band = require("yapp.base.bits").band
-local input = require("yapp.base.input")
+local band = require "yapp.base.bits".band
+local input = require "yapp.base.input"
 
 local demand, shown, set = input.demand, input.shown, input.set
 local is_name, is_text = input.is_name, input.is_text
@@ -63,7 +63,7 @@ M.TYPE_NAMES = input.names(TYPES)
 
 -- Options ----------------------------------------------------------------------------------------
 
--- Raises that a number has no room in a field.
+-- Raise that a number has no room in a field.
 local function check_fits(field, what, number, lowest)
   local fits = input.is_integer(number) and number >= lowest and number <= field.top
   demand(fits, "%s %s does not fit the type %s", what, shown(number), field.type)
@@ -304,7 +304,7 @@ end
 --- Compile the rows of a message into its fields, by_name, time, flag_fields and alarms.
 -- message  its compiled head, with these tables, empty
 -- context  what an error is about: context.field is set to the name or number of the current row
--- returns  the sum of the sizes in bytes.  Raises what is wrong.
+-- returns  the sum of the sizes in bytes.  It raises what is wrong.
 function M.compile(message, rows, context)
   local build = { message = message, context = context, offset = 0, when = nil }
   add_rows(build, rows)

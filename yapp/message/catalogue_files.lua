@@ -2,8 +2,8 @@
 -- The files of the catalogue: the plugin's own messages, and those of the user, which come after
 -- and may replace them.  Pure Lua.
 
-local catalogue = require("yapp.message.catalogue")
-local input = require("yapp.base.input")
+local catalogue = require "yapp.message.catalogue"
+local input = require "yapp.base.input"
 
 local M = {}
 
@@ -71,7 +71,7 @@ local function add_entries(all, entries, path, problems)
   end
 end
 
---- Reads the files of the catalogue and compiles them as one.
+--- Read the files of the catalogue and compile them as one.
 -- files    list of { path =, optional = whether the file may be missing }, in order: a message of a
 --          later file replaces one of the same name
 -- reserved  optional { [filter name] = true } that no message may use

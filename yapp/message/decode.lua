@@ -3,8 +3,8 @@
 -- ("YAPP Data Types", "YAPP Float Compression", "Time"), their meaning, and which of them are
 -- remarkable.  Pure Lua.
 
-local bits = require("yapp.base.bits")
-local utf8 = require("yapp.base.utf8")
+local bits = require "yapp.base.bits"
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 

@@ -5,10 +5,10 @@
 -- They are kept by the frame key of the message, so that a revisit gets the same.  In an only pass,
 -- memory grows with changes, Commands and reboots, not with messages.
 
-local band = require("yapp.base.bits").band
-local last_until = require("yapp.base.frame_key").last_until
-local decode = require("yapp.message.decode")
-local memo = require("yapp.base.memo")
+local band = require "yapp.base.bits".band
+local last_until = require "yapp.base.frame_key".last_until
+local decode = require "yapp.message.decode"
+local memo = require "yapp.base.memo"
 
 local M = {}
 

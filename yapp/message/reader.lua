@@ -2,7 +2,7 @@
 -- What a finished message means: its values, and what changed in its source.  Pure Lua.  Dissectors
 -- bring messages; the tree and the statistics get them here.
 
-local decode = require("yapp.message.decode")
+local decode = require "yapp.message.decode"
 
 local M = {}
 

@@ -12,9 +12,9 @@
 -- no ID follows.  Its own quotes are doubled: "USB, left"/0x210=motor:a.
 -- The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
 
-local input = require("yapp.base.input")
-local memo = require("yapp.base.memo")
-local utf8 = require("yapp.base.utf8")
+local input = require "yapp.base.input"
+local memo = require "yapp.base.memo"
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
@@ -44,7 +44,7 @@ local function demand(condition, problem, advice)
   if not condition then error({ problem = problem, advice = advice }, 0) end
 end
 
--- Takes a part apart at its "=".
+-- Take a part apart at its "=".
 -- returns  the bus or nil, the text of the IDs or nil, and the text behind the "="
 local function take_address(part)
   local address, value = part:match("^(.-)%s*=(.*)$")
@@ -73,7 +73,7 @@ local function read_ids(text)
   return ids
 end
 
--- Reads a part.
+-- Read a part.
 -- returns  the bus, the IDs, the compiled message and the name: nil for each that it does not say
 local function read_part(part, catalogue)
   local bus, id_text, value = take_address(part)

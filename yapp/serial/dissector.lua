@@ -2,15 +2,15 @@
 -- The dissector of YAPP in byte streams and datagrams: UART captures, raw dumps, TCP and UDP.
 -- Wireshark's API.
 
-local crc = require("yapp.wire.crc")
-local frame = require("yapp.wire.frame")
-local frame_key = require("yapp.base.frame_key")
-local framer = require("yapp.serial.framer")
-local memo = require("yapp.base.memo")
-local show_fields = require("yapp.show.fields")
-local streams = require("yapp.serial.streams")
-local tcp = require("yapp.serial.tcp")
-local utf8 = require("yapp.base.utf8")
+local crc = require "yapp.wire.crc"
+local frame = require "yapp.wire.frame"
+local frame_key = require "yapp.base.frame_key"
+local framer = require "yapp.serial.framer"
+local memo = require "yapp.base.memo"
+local show_fields = require "yapp.show.fields"
+local streams = require "yapp.serial.streams"
+local tcp = require "yapp.serial.tcp"
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
@@ -58,7 +58,7 @@ end
 
 -- Packets ----------------------------------------------------------------------------------------
 
--- Returns the line of a packet, one direction of a conversation or of a UART: {
+-- Return the line of a packet, one direction of a conversation or of a UART: {
 --   key          of its stream
 --   opposite     key of the other direction
 --   bus_key      what a Command and its answers have in common: one key for both directions of a
@@ -96,7 +96,7 @@ local function line_of(self, pinfo)
   return line, is_known
 end
 
--- Returns what is known of a packet, as serial.streams takes it, and
+-- Return what is known of a packet, as serial.streams takes it, and
 --   line          of line_of
 --   is_bus_known  whether it is known where it was captured
 --   tvb           where its bytes are, if a tree is wanted
@@ -150,7 +150,7 @@ function Dissector:accepts(tvb, pinfo)
   return not pinfo.in_error_pkt and tvb:len() > 0 and self:is_yapp(tvb:raw())
 end
 
--- Returns what the statistics take of something that is no message.
+-- Return what the statistics take of something that is no message.
 -- packet  where this is noticed
 -- source  of message.reader, or the line
 local function new_report(packet, source, seq)
@@ -165,7 +165,7 @@ end
 
 -- Messages ---------------------------------------------------------------------------------------
 
--- Returns the message of a finding, for message.reader, and
+-- Return the message of a finding, for message.reader, and
 --   length      number of bytes of its frame
 --   missing     number of bytes, of one that is not complete
 --   crc, calculated  of a bad one
@@ -204,7 +204,7 @@ local function new_message(packet, finding, index)
   return m
 end
 
--- Adds YAPP's own item of a message.
+-- Add YAPP's own item of a message.
 -- tvb  where the bytes of the frame are
 local function add_frame(self, m, tvb)
   local builder, at, source = self.builder, m.payload_at - HEADER, m.source
@@ -231,7 +231,7 @@ local function add_frame(self, m, tvb)
   return item
 end
 
--- Shows what is wrong with a message.
+-- Show what is wrong with a message.
 local function show_anomalies(self, m)
   local builder = self.builder
   if m.status == "bad" then builder:bad_crc(m.item, m) end
@@ -247,7 +247,7 @@ local function show_anomalies(self, m)
   end
 end
 
--- Shows a message; returns what the Info column says of it.
+-- Show a message; return what the Info column says of it.
 local function show_message(self, m, tvb)
   local builder, source = self.builder, m.source
   local is_whole = self.reader:read(m, self.history, m.wants)
@@ -274,7 +274,7 @@ local CONTROLS = {
   ["\27"] = "\\e",
 }
 
--- Returns a space and bytes as quoted text, "" if they are no text.
+-- Return a space and bytes as quoted text, "" if they are no text.
 local function quote(bytes)
   if utf8.ascii(bytes):find("[^%g \a\b\t\n\r\27]") then return "" end
   local text = bytes
@@ -284,7 +284,7 @@ local function quote(bytes)
   return ' "' .. text:gsub("%c", CONTROLS) .. '"'
 end
 
--- Shows skipped bytes; returns their text for the Info column.
+-- Show skipped bytes; return their text for the Info column.
 local function show_skipped(self, packet, tvb, finding)
   local builder, item, stat = self.builder, packet.tree, self.reader.stat
   local length, at = finding.to - finding.from, finding.at or 0
@@ -301,7 +301,7 @@ local function show_skipped(self, packet, tvb, finding)
   return ("Skipped %s%s"):format(size, text)
 end
 
--- Returns what the Info column says of pending bytes.
+-- Return what the Info column says of pending bytes.
 local function pending_text(contents, size, leads_to)
   if leads_to then return ("[Reassembled in #%d]"):format(leads_to) end
   if contents.is_held then return ("[%s behind a missing TCP segment]"):format(size) end
@@ -309,7 +309,7 @@ local function pending_text(contents, size, leads_to)
   return ("[%s wait for more]"):format(size)
 end
 
--- Shows the pending bytes of a packet; returns what the Info column says of them.
+-- Show the pending bytes of a packet; return what the Info column says of them.
 local function show_pending(self, packet, contents)
   local builder, item, pending = self.builder, packet.tree, contents.pending
   local leads_to = contents.leads_to and frame_key.number(contents.leads_to)
@@ -328,7 +328,7 @@ end
 
 -- Dissection -------------------------------------------------------------------------------------
 
--- Shows a finding of a packet; returns what the Info column says of it, and the name of its source.
+-- Show a finding of a packet; return what the Info column says of it, and the name of its source.
 local function show_finding(self, packet, finding, index)
   local tvb = packet.tvb
   if finding.bytes and packet.wants.tree then
@@ -339,7 +339,7 @@ local function show_finding(self, packet, finding, index)
   return show_message(self, m, tvb), m.source.text
 end
 
--- Shows what a packet holds.
+-- Show what a packet holds.
 local function show(self, packet, pinfo, contents)
   local wants, texts, source, tree = packet.wants, {}, nil, packet.tree
   if wants.names and not wants.tree then self.builder:add_protocol_names(tree, wants, true) end
@@ -357,7 +357,7 @@ local function show(self, packet, pinfo, contents)
   if source and not packet.line.has_address then columns.src = source end
 end
 
--- Dissects a packet; returns whether it is YAPP's.
+-- Dissect a packet; return whether it is YAPP's.
 local function dissect(self, packet, pinfo)
   local contents
   if packet.visited then
@@ -375,7 +375,7 @@ local function dissect(self, packet, pinfo)
   return true
 end
 
--- Dissects a segment that TCP has shown.
+-- Dissect a segment that TCP has shown.
 local function dissect_segment(self, segment, tvb, pinfo, tree)
   local line = line_of(self, pinfo)
   local is_known = pinfo.visited or self.streams:note_header(line.key, line.opposite, segment)

@@ -18,8 +18,8 @@
 -- message, damaged, up to where the next one begins.  Another plausible ID is a bad frame if all
 -- its bytes came and no message of the catalogue begins in them.  Everything else is noise.
 
-local crc = require("yapp.wire.crc")
-local frame = require("yapp.wire.frame")
+local crc = require "yapp.wire.crc"
+local frame = require "yapp.wire.frame"
 
 local M = {}
 
@@ -65,7 +65,7 @@ function M.new(size_of, patience)
   return self
 end
 
--- Drops all candidates.
+-- Drop all candidates.
 function Framer:forget()
   self.candidates = {} -- those that failed and those that are open, by start
   self.first, self.last = 1, 0
@@ -74,7 +74,7 @@ function Framer:forget()
   self.known = {}       -- the starts of those that are messages of the catalogue
 end
 
--- Returns the candidate of a "YP", nil if its header has not come.
+-- Return the candidate of a "YP", nil if its header has not come.
 -- at  1-based index in the text
 local function candidate_at(self, at)
   local id, size, reserved = frame.parse(self.text, at)
@@ -92,7 +92,7 @@ local function candidate_at(self, at)
   }
 end
 
--- Returns the next candidate whose header has come, nil where none has.
+-- Return the next candidate whose header has come, nil where none has.
 function Framer:find()
   if self.found and self.found.from == self.searched then return self.found end
   local at = frame.find(self.text, self.searched - self.text_from + 1)
@@ -116,7 +116,7 @@ function Framer:is_good(candidate)
   return crc.update(crc.INITIAL, self.text, at, to - CRC_SIZE) == frame.crc(self.text, to)
 end
 
--- Appends the bytes up to an offset as a finding.
+-- Append the bytes up to an offset as a finding.
 function Framer:give(to, status, missing)
   local from, at = self.from, self.from - self.text_from
   self.from = to
@@ -129,7 +129,7 @@ function Framer:give(to, status, missing)
   })
 end
 
--- Skips the bytes up to an offset.  They go to the latest finding if it is of skipped bytes, too.
+-- Skip the bytes up to an offset.  They go to the latest finding if it is of skipped bytes, too.
 function Framer:skip(to)
   if to <= self.from then return end
   local latest = self.findings[#self.findings]
@@ -138,7 +138,7 @@ function Framer:skip(to)
   latest.to, self.from = to, to
 end
 
--- Returns what a candidate without a good CRC is, if nothing before `limit` is open.
+-- Return what a candidate without a good CRC is, if nothing before `limit` is open.
 -- behind   what begins at the limit: "open", "good" (a frame) or "end" (nothing)
 -- returns  "bad" or "incomplete" and its end; nil for noise; "open" if that is not decided yet
 local function fate_of(self, candidate, limit, behind)
@@ -149,7 +149,7 @@ local function fate_of(self, candidate, limit, behind)
   if candidate.is_known or stop == limit and behind == "end" then return "incomplete", stop end
 end
 
--- Appends what lies before `limit` as findings: the damaged frames, the earliest start first, and
+-- Append what lies before `limit` as findings: the damaged frames, the earliest start first, and
 -- the bytes between them.
 function Framer:settle(limit, behind)
   while self.first <= self.last and self.candidates[self.first].from < limit do
@@ -169,7 +169,7 @@ function Framer:settle(limit, behind)
   self:skip(limit)
 end
 
--- Appends a candidate as a finding if its CRC is good; returns whether it is good.
+-- Append a candidate as a finding if its CRC is good; return whether it is good.
 function Framer:accept(candidate)
   if not self:is_good(candidate) then
     candidate.has_failed = true
@@ -182,7 +182,7 @@ function Framer:accept(candidate)
   return true
 end
 
--- Keeps a candidate that failed or is open.  It gets
+-- Keep a candidate that failed or is open.  It gets
 --   next_known  index in `known`: the first one behind it
 --   same_end    another open candidate that ends where this one does, or nil
 function Framer:keep(candidate)
@@ -198,7 +198,7 @@ end
 
 local function by_start(a, b) return a.from < b.from end
 
--- Judges the open candidates whose end has come.
+-- Judge the open candidates whose end has come.
 -- before  the end of the stream before these bytes came
 function Framer:close(before)
   if not next(self.open_by_end) then return end
@@ -216,7 +216,7 @@ function Framer:close(before)
   end
 end
 
--- Judges the candidates that begin in bytes that have not been searched.
+-- Judge the candidates that begin in bytes that have not been searched.
 -- is_end  whether no more bytes come
 function Framer:search(is_end)
   local candidate = self:find()
@@ -235,7 +235,7 @@ function Framer:search(is_end)
   end
 end
 
--- Returns the first open candidate that is kept, by start, or nil.
+-- Return the first open candidate that is kept, by start, or nil.
 function Framer:first_waiting()
   local candidate = self.candidates[self.first_open]
   while candidate and candidate.has_failed do

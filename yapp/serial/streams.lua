@@ -9,7 +9,7 @@
 -- TCP segments bring their sequence numbers.  Bytes that came before are left out.  A segment
 -- behind a gap waits for the missing one, until it is clear that the capture does not have it.
 
-local memo = require("yapp.base.memo")
+local memo = require "yapp.base.memo"
 
 local M = {}
 
@@ -57,7 +57,7 @@ end
 
 -- Findings ---------------------------------------------------------------------------------------
 
--- Adds the bytes of a packet to its stream.
+-- Add the bytes of a packet to its stream.
 -- overlap  how many of them the stream has already
 local function add_bytes(stream, contents, overlap)
   local framer, packet, findings = stream.framer, contents.packet, stream.findings
@@ -70,7 +70,7 @@ local function add_bytes(stream, contents, overlap)
   stream.pieces[stream.last] = contents
 end
 
--- Notes where the bytes of a finding are.
+-- Note where the bytes of a finding are.
 -- contents  of the packet that shows it
 local function locate(stream, finding, contents)
   local from = contents.from
@@ -89,7 +89,7 @@ local function locate(stream, finding, contents)
   end
 end
 
--- Drops the contents whose bytes all come before an offset.
+-- Drop the contents whose bytes all come before an offset.
 local function drop_pieces(stream, offset)
   while stream.first <= stream.last and stream.pieces[stream.first].to <= offset do
     stream.pieces[stream.first] = nil
@@ -99,12 +99,12 @@ end
 
 -- TCP --------------------------------------------------------------------------------------------
 
--- Returns how far one sequence number is ahead of another; they count modulo 2^32.
+-- Return how far one sequence number is ahead of another; they count modulo 2^32.
 local function distance(seq, other)
   return (seq - other + 0x80000000) % 0x100000000 - 0x80000000
 end
 
--- Keeps a segment in the order of the sequence numbers.
+-- Keep a segment in the order of the sequence numbers.
 local function hold(stream, contents)
   local held, seq, index = stream.held, contents.packet.seq, #stream.held + 1
   while index > 1 and distance(seq, held[index - 1].packet.seq) < 0 do index = index - 1 end
@@ -118,13 +118,13 @@ local function is_lost(stream, packet)
     packet.epoch - stream.gap.time > MAX_WAIT
 end
 
--- Returns the gap that a segment shows, see Streams:drops.
+-- Return the gap that a segment shows, see Streams:drops.
 local function new_gap(stream, segment)
   local bus = stream.latest.bus_name
   return { time = segment.epoch, frame = segment.number, bus = bus, count = 1 }
 end
 
--- Returns the gap at the end of a connection, nil for none.
+-- Return the gap at the end of a connection, nil for none.
 local function last_gap(stream)
   local sent_seq = stream.sent_seq
   if sent_seq and distance(sent_seq, stream.next_seq) > 0 then
@@ -132,7 +132,7 @@ local function last_gap(stream)
   end
 end
 
--- Adds the waiting segments that are in order; goes on behind a gap if its segment is lost.
+-- Add the waiting segments that are in order; go on behind a gap if its segment is lost.
 -- is_over  whether no missing segment will come
 local function add_held(self, stream, is_over)
   local held, latest = stream.held, stream.latest
@@ -156,7 +156,7 @@ local function add_held(self, stream, is_over)
   end
 end
 
--- Notes that a segment's header shows that all bytes before a sequence number were sent: one less
+-- Note that a segment's header shows that all bytes before a sequence number were sent: one less
 -- than it says, as the end of a connection counts as a byte.
 local function note_sent(stream, seq, segment)
   local next_seq = not stream.is_ended and stream.next_seq
@@ -166,7 +166,7 @@ local function note_sent(stream, seq, segment)
   end
 end
 
--- Takes a segment, and those that waited for it.
+-- Take a segment, and those that waited for it.
 local function take_segment(self, stream, contents)
   local packet = contents.packet
   local next_seq = stream.next_seq or self.seqs[packet.stream] or packet.seq

@@ -2,10 +2,10 @@
 -- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the
 -- values come from message.decode, what changed from the history.
 
-local bits = require("yapp.base.bits")
-local decode = require("yapp.message.decode")
-local frame_key = require("yapp.base.frame_key")
-local show_fields = require("yapp.show.fields")
+local bits = require "yapp.base.bits"
+local decode = require "yapp.message.decode"
+local frame_key = require "yapp.base.frame_key"
+local show_fields = require "yapp.show.fields"
 
 local M = {}
 

@@ -2,10 +2,10 @@
 -- What a user sees of YAPP: the tree, the expert items, the Info column.  show.taurus shows the
 -- messages.  Wireshark's API; the reassembly or the framing has finished what is shown.
 
-local show_fields = require("yapp.show.fields")
-local text_of = require("yapp.message.text")
-local messages_of = require("yapp.show.taurus")
-local number_of = require("yapp.base.frame_key").number
+local show_fields = require "yapp.show.fields"
+local text_of = require "yapp.message.text"
+local messages_of = require "yapp.show.taurus"
+local number_of = require "yapp.base.frame_key".number
 
 local M = {}
 

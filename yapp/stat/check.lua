@@ -2,11 +2,11 @@
 -- -z yapp,check: rules that a capture must keep, the exit code of a gate, a test report for CI.
 -- Pure Lua, 5.2 to 5.5.
 
-local groups = require("yapp.stat.groups")
-local joined = require("yapp.base.joined")
-local kinds = require("yapp.stat.kinds")
-local output = require("yapp.stat.output")
-local utf8 = require("yapp.base.utf8")
+local groups = require "yapp.stat.groups"
+local joined = require "yapp.base.joined"
+local kinds = require "yapp.stat.kinds"
+local output = require "yapp.stat.output"
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 

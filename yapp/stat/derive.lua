@@ -11,12 +11,12 @@
 --   follows_changes           whether it says what changed since the message before
 --   wants_messages_only       whether events that are derived from messages are of no use to it
 
-local band = require("yapp.base.bits").band
-local joined = require("yapp.base.joined")
-local kinds = require("yapp.stat.kinds")
-local memo = require("yapp.base.memo")
-local output = require("yapp.stat.output")
-local undecoded = require("yapp.stat.undecoded")
+local band = require "yapp.base.bits".band
+local joined = require "yapp.base.joined"
+local kinds = require "yapp.stat.kinds"
+local memo = require "yapp.base.memo"
+local output = require "yapp.stat.output"
+local undecoded = require "yapp.stat.undecoded"
 
 local M = {}
 

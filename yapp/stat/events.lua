@@ -2,8 +2,8 @@
 -- -z yapp,events: what happened, in the order of time; and -z yapp,faults: the faults among these,
 -- when each flag rose and fell, on which source, for how long.  Pure Lua, 5.2 to 5.5.
 
-local kinds = require("yapp.stat.kinds")
-local output = require("yapp.stat.output")
+local kinds = require "yapp.stat.kinds"
+local output = require "yapp.stat.output"
 
 local M = {}
 

@@ -2,11 +2,11 @@
 -- What a statistic gathers: of each source counts, times, gaps and values; of all sources of one
 -- message, how far their values lie apart.  Pure Lua, 5.2 to 5.5.
 
-local input = require("yapp.base.input")
-local decode = require("yapp.message.decode")
-local kinds = require("yapp.stat.kinds")
-local memo = require("yapp.base.memo")
-local output = require("yapp.stat.output")
+local input = require "yapp.base.input"
+local decode = require "yapp.message.decode"
+local kinds = require "yapp.stat.kinds"
+local memo = require "yapp.base.memo"
+local output = require "yapp.stat.output"
 
 local M = {}
 

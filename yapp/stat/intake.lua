@@ -12,10 +12,10 @@
 --   loss   { is_withdrawn = whether nothing is lost after all, is_open = whether that may change }
 -- }
 
-local decode = require("yapp.message.decode")
-local frame_key = require("yapp.base.frame_key")
-local kinds = require("yapp.stat.kinds")
-local memo = require("yapp.base.memo")
+local decode = require "yapp.message.decode"
+local frame_key = require "yapp.base.frame_key"
+local kinds = require "yapp.stat.kinds"
+local memo = require "yapp.base.memo"
 
 local M = {}
 

@@ -143,7 +143,7 @@ end
 --- The values of an event that has none.
 M.NOTHING = {}
 
---- Makes an event: what statistics list and count.
+--- Make an event: what statistics list and count.
 -- kind    "message" for a good message, else the name of a row
 -- frame   number of the packet; time = seconds since the first one
 -- source  of message.reader, one table for all its events; for events of a bus, or of the capture,

@@ -2,7 +2,7 @@
 -- What statistics print and write: JSON lines, tables for people, and files, which exist only if
 -- they are complete; and the exit codes.  Pure Lua, 5.2 to 5.5.
 
-local utf8 = require("yapp.base.utf8")
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
@@ -117,7 +117,7 @@ function M.bus_and_id(source)
   return source.bus and id and source.bus .. " " .. id or source.bus or id or ""
 end
 
---- Add the columns of a source to a row of values; returns the row.
+--- Add the columns of a source to a row of values; return the row.
 function M.row(source, row)
   row.bus, row.source = source.bus, source.name
   row.who = source.name or M.bus_and_id(source) -- bus, ID and name in one column
@@ -296,7 +296,7 @@ function M.finish(list, problem)
   return problem
 end
 
---- Writes a file that holds a text.
+--- Write a file that holds a text.
 -- advice   as for M.create
 -- returns  what went wrong, nil for nothing
 function M.save(path, text, advice)

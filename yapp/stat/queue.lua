@@ -6,9 +6,9 @@
 -- packet matches, and the one that sees all packets says that it is there.  Nothing promises their
 -- order, so the events of a packet are handed on when the next packet comes.
 
-local derive = require("yapp.stat.derive")
-local kinds = require("yapp.stat.kinds")
-local output = require("yapp.stat.output")
+local derive = require "yapp.stat.derive"
+local kinds = require "yapp.stat.kinds"
+local output = require "yapp.stat.output"
 
 local M = {}
 

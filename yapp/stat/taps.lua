@@ -2,10 +2,10 @@
 -- Statistics in tshark (-z yapp,...): taps, output, exit codes.  Wireshark's windows are
 -- stat.menu's.  Wireshark's API.
 
-local menu = require("yapp.stat.menu")
-local options_of = require("yapp.stat.options")
-local output = require("yapp.stat.output")
-local queue = require("yapp.stat.queue")
+local menu = require "yapp.stat.menu"
+local options_of = require "yapp.stat.options"
+local output = require "yapp.stat.output"
+local queue = require "yapp.stat.queue"
 
 local M = {}
 
@@ -49,7 +49,7 @@ local function say(text)
   io.stderr:write("yapp: ", (text:gsub("\n", "\nyapp: ")), "\n")
 end
 
--- Makes a folder, and those above it; returns whether it is there.
+-- Make a folder, and those above it; return whether it is there.
 local function make_folder(path)
   for stop in (path .. "/"):gmatch("()[/\\]") do
     Dir.make(path:sub(1, stop - 1))
@@ -153,7 +153,7 @@ local function close(self)
   self.intake:close()
 end
 
--- Ends all statistics; returns the exit code, and a list of texts to say.
+-- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
   return self.queue:finish {
     unfinished = self.intake:unfinished(self.unfinished()),

@@ -4,7 +4,7 @@
 -- Polynomial 0x1'32C0'0699, most significant bit first, not reflected, initial value 0xFFFFFFFF, no
 -- final xor (vendor document, "CRC Calculation").
 
-local bits = require("yapp.base.bits")
+local bits = require "yapp.base.bits"
 
 local M = {}
 
