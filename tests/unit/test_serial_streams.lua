@@ -23,7 +23,7 @@ local function in_words(contents, bytes)
     local text = finding.bytes or bytes:sub(finding.at + 1, finding.at + finding.to - finding.from)
     lu.assertEquals(#text, finding.to - finding.from)
     local what = finding.status == "skipped" and #text or text:byte(5)
-    local parts, at = finding.parts, finding.at
+    local parts, at = finding.packet_keys, finding.at
     local where = parts and "in " .. table.concat(parts, ",") or at and "@" .. at or "before"
     local missing = finding.missing and " -" .. finding.missing or ""
     list[i] = ("%s %s %s%s"):format(finding.status, what, where, missing)

@@ -41,7 +41,7 @@ function M.new(builder, reader, buses, register_id, note_frame)
     register_id = register_id,
     note_frame = note_frame,
     waiting = false, -- the frame that waits for a tap, see put_off
-    stat = reader.stat,
+    intake = reader.intake,
   }, Dissector)
 end
 
@@ -95,8 +95,8 @@ local function show_anomalies(self, frame)
   end
   if not anomalies then return end
   for _, one in ipairs(anomalies) do self.builder:expert(item, one.expert, one.text) end
-  if self.stat.wanted then
-    self.stat:anomalies(new_message(frame), anomalies, frame.can_id.ctrl == can_id.END)
+  if self.intake.wanted then
+    self.intake:anomalies(new_message(frame), anomalies, frame.can_id.ctrl == can_id.END)
   end
 end
 
@@ -219,7 +219,7 @@ local function show_fragment(self, frame)
     builder:generated(item, "reassembled.in", in_number)
     builder:generated(item, "message.fault", message.has_fault)
   end
-  if self.stat.wants_parts then self.stat:part(new_message(frame)) end
+  if self.intake.wants_fragments then self.intake:fragment(new_message(frame)) end
   if not wants.columns then return end
   local text = fragment_text(frame)
   return in_number and ("%s  [Reassembled in #%d]"):format(text, in_number) or text
@@ -419,7 +419,7 @@ local function report_unknown(self, pinfo, id, offset, data)
   local source = self.sources[bus or false][fields.id]
   local size = unknown_size(self, fields, source, data)
   if not size then return end
-  self.stat:unknown {
+  self.intake:unknown {
     source = source,
     seq = fields.seq,
     key = number * frame_key.PACKET + offset,

@@ -14,11 +14,11 @@ Reader.__index = Reader
 
 --- Make a reader.
 -- catalogue  compiled
--- stat       a stat.intake, which gets messages while it is wanted
-function M.new(catalogue, stat)
+-- intake     a stat.intake, which gets messages while it is wanted
+function M.new(catalogue, intake)
   return setmetatable({
     messages = catalogue.messages,
-    stat = stat,
+    intake = intake,
     by_id = catalogue.by_id, -- [id] = message, see Reader:use; file readers may ask before
     sources = nil, -- the names that the user gave, see Reader:use
     several_ids = nil, -- [message] = whether more than one ID carries it
@@ -172,7 +172,7 @@ function Reader:read(m, history, wants)
   m.undecoded = raws and is_longer and m.size - message.size or nil
   m.has_fault = is_remarkable and decode.has_alarm(message, raws)
   ask(m, history, wants)
-  if self.stat.wanted then self.stat:message(m) end
+  if self.intake.wanted then self.intake:message(m) end
   return not is_broken
 end
 

@@ -189,7 +189,7 @@ local function new_message(packet, finding, index)
     length = length,
     status = finding.status,
     missing = finding.missing,
-    parts = finding.parts,
+    packet_keys = finding.packet_keys,
     wants = packet.wants,
     tree = packet.tree,
     item = packet.tree,
@@ -218,10 +218,10 @@ local function add_frame(self, m, tvb)
   append_text(add_le(item, fields.size, tvb(at + 8, 2)), " bytes")
   add_le(item, fields.reserved, tvb(at + 10, 2))
   builder:add_source(item, source)
-  if m.parts then
+  if m.packet_keys then
     local payload = #m.payload > 0 and tvb(m.payload_at, #m.payload) or nil
     builder:generated(item, "reassembled.in", frame_key.number(m.key))
-    builder:add_fragments(item, tvb(), m.parts, m.length, payload)
+    builder:add_fragments(item, tvb(), m.packet_keys, m.length, payload)
   end
   if m.missing then
     append_text(item, ", incomplete")
@@ -239,7 +239,7 @@ local function show_anomalies(self, m)
     local expert = m.status == "truncated" and m.status or "fragment.incomplete"
     local text = "%d of the frame's %d bytes are missing"
     builder:expert(m.item, expert, text:format(m.missing, HEADER + m.size + CRC_SIZE))
-    if self.reader.stat.wanted then self.reader.stat:anomalies(m, { { expert = expert } }) end
+    if self.reader.intake.wanted then self.reader.intake:anomalies(m, { { expert = expert } }) end
   end
   if m.reserved ~= 0 then
     local text = ("The reserved bytes are 0x%04x, not 0"):format(m.reserved)
@@ -286,7 +286,7 @@ end
 
 -- Show skipped bytes; return their text for the Info column.
 local function show_skipped(self, packet, tvb, finding)
-  local builder, item, stat = self.builder, packet.tree, self.reader.stat
+  local builder, item, intake = self.builder, packet.tree, self.reader.intake
   local length, at = finding.to - finding.from, finding.at or 0
   local text = quote(finding.bytes or sub(packet.bytes, at + 1, at + length))
   local size = builder.bytes(length)
@@ -297,7 +297,7 @@ local function show_skipped(self, packet, tvb, finding)
   end
   local expert = size .. " that belong to no frame" .. text:gsub("^ ", ": ")
   builder:expert(item, "stream.skipped", expert)
-  if stat.wanted then stat:skipped(new_report(packet, packet.line), length) end
+  if intake.wanted then intake:skipped(new_report(packet, packet.line), length) end
   return ("Skipped %s%s"):format(size, text)
 end
 
@@ -423,7 +423,7 @@ function Dissector:unfinished()
   for i, open in ipairs(self.streams:unfinished()) do
     local id, _, _, seq = frame.parse(open.header, 1)
     list[i] = new_report(open.packet, open.packet.line.sources[id], seq)
-    self.reader.stat:part(list[i])
+    self.reader.intake:fragment(list[i])
   end
   return list
 end

@@ -79,11 +79,11 @@ local function locate(stream, finding, contents)
     return
   end
   if finding.status == "skipped" then return end
-  finding.parts = {}
+  finding.packet_keys = {}
   for i = stream.first, stream.last do
     local piece = stream.pieces[i]
     if piece.from < finding.to and piece.to > finding.from then
-      finding.parts[#finding.parts + 1] = piece.key
+      finding.packet_keys[#finding.packet_keys + 1] = piece.key
       if piece ~= contents then piece.leads_to = contents.key end
     end
   end
@@ -232,9 +232,8 @@ end
 -- is_stored  whether Streams:find may ask for it
 -- returns  {
 --   findings  as from serial.framer, or with the status "truncated": the capture has only a part
---             of the frame; and at = offset in the packet.  If not all its bytes are in this
---             packet: bytes = string, and parts = keys of the packets they came in (none of skipped
---             bytes)
+--             of the frame; and offset = in the packet.  If not all its bytes are in this packet:
+--             bytes = string, and packet_keys = of the packets they came in (none of skipped bytes)
 --   pending   number of bytes at the end that are in no finding yet
 --   is_held   whether it is a segment that waits for a missing one: then all are pending
 --   missing   number of bytes to come of the frame that the pending ones begin, or nil

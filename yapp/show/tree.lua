@@ -86,7 +86,7 @@ local function ask(self, tree)
   wants.taurus = tree:referenced(Dissector.get("taurus"))
   wants.tree = wants.yapp or wants.taurus
   wants.state = wants.taurus
-  wants.names = not SAYS_PROTOCOLS and not self.reader.stat.wanted
+  wants.names = not SAYS_PROTOCOLS and not self.reader.intake.wanted
   return wants
 end
 

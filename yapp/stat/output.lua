@@ -42,20 +42,20 @@ end
 --- An object of these keys, in this order, with the values that a table has under them; a missing
 -- value is null.
 function M.object(keys, values)
-  local parts = {}
+  local texts = {}
   for i, key in ipairs(keys) do
-    parts[i] = text_value(key) .. ":" .. M.value(values[key])
+    texts[i] = text_value(key) .. ":" .. M.value(values[key])
   end
-  return { json = "{" .. table.concat(parts, ",") .. "}" }
+  return { json = "{" .. table.concat(texts, ",") .. "}" }
 end
 
 --- A list of objects.
 function M.list(objects)
-  local parts = {}
+  local texts = {}
   for i, object in ipairs(objects) do
-    parts[i] = object.json
+    texts[i] = object.json
   end
-  return { json = "[" .. table.concat(parts, ",") .. "]" }
+  return { json = "[" .. table.concat(texts, ",") .. "]" }
 end
 
 --- A time of the capture with nine digits, as text.

@@ -185,7 +185,7 @@ local function begin(self, text, context)
   function context.clock(rel) return events:clock(rel) end
   context.json, context.make_folder, context.settings = options.json, make_folder, self.settings
   local statistic = options.row.new(options, context)
-  if not statistic.wants_messages_only then self.intake.wants_parts = true end
+  if not statistic.wants_messages_only then self.intake.wants_fragments = true end
   local deriver = events:add(statistic, options)
   if filter then
     self.has_filter = true
@@ -198,7 +198,7 @@ end
 -- returns  its output and the problems, as one text; a list of the frames in it
 function Stat:run(text)
   local said, frames = {}, {}
-  local function out(part) said[#said + 1] = part end
+  local function out(chunk) said[#said + 1] = chunk end
   open(self)
   local ok, texts = pcall(function()
     begin(self, text, { out = out, frames = frames })
@@ -239,8 +239,8 @@ local function read_argument(self, text)
     local tap = Listener.new("frame") -- for the end alone: tap_packets may remove its own
     function tap.draw() conclude(self) end
   end
-  begin(self, text, { out = function(part)
-    local ok, problem = io.stdout:write(part)
+  begin(self, text, { out = function(chunk)
+    local ok, problem = io.stdout:write(chunk)
     if not ok then self.problem = problem end
   end })
 end
