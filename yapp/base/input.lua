@@ -113,17 +113,17 @@ end
 
 --- Raise what is wrong with the name, title or options of a row { name, ..., title }.
 -- what      "flag": what its list has; i = its index in that
--- title_at  the index of its title
+-- title_index  the index of its title
 -- options   see M.options
 -- returns   its name in errors: "flag stopped"
-function M.row(row, what, i, title_at, options)
+function M.row(row, what, i, title_index, options)
   local number = what .. " " .. i
   demand(type(row) == "table", "%s: %s is not { name, ..., title }", number, M.shown(row))
   local name = row[1]
   demand(M.is_name(name), "%s: %s is not a filter name (a-z, 0-9, _)", number, M.shown(name))
   what = what .. " " .. name
-  demand(M.is_text(row[title_at]), "%s has no title", what)
-  M.options(row, what, options, title_at)
+  demand(M.is_text(row[title_index]), "%s has no title", what)
+  M.options(row, what, options, title_index)
   return what
 end
 

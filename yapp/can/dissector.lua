@@ -67,7 +67,7 @@ function Dissector:reset(history)
     bus = false, -- its number, or false
     is_bus_known = true,
     is_only_pass = false, -- whether it is never dissected again
-    payload_at = 0, -- see Tree:show_message
+    payload_offset = 0, -- see Tree:show_message
   }
 end
 
@@ -165,11 +165,11 @@ local function show_last(self, frame)
   if wants.yapp then add_message(self, frame) end
   if status == "bad" then builder:bad_crc(item, message) end
   local mark = #message > 1 and builder.MARKS[status] or ""
-  local is_whole = self.reader:read(m, self.history, wants)
+  local has_offsets = self.reader:read(m, self.history, wants)
   if #message > 1 and not (frame.visited or frame.is_only_pass) then
     self.reassembly:keep(message, m.has_fault)
   end
-  if is_whole then return builder:show_message(m, frame) .. mark end
+  if has_offsets then return builder:show_message(m, frame) .. mark end
   if wants.yapp then
     if tvb then add(item, builder.fields.payload, tvb()) end
     builder:add_delta(item, m)
@@ -275,7 +275,7 @@ end
 --   is_only_pass   whether it is never dissected again
 --   message, anomalies, index  as can.reassembly says
 --   tvb, pinfo, tree, range    of Wireshark
---   wants, item, payload_tvb, payload_at  see Tree:show_message }
+--   wants, item, payload_tvb, payload_offset  see Tree:show_message }
 local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   local frame, number, offset = self.frame, pinfo.number, self.offset or offset_of(tvb)
   if self.asks then

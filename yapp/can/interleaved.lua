@@ -130,12 +130,12 @@ function Pool:supersede(anomaly)
   return open[1] ~= nil
 end
 
--- Search depth first over the frames from `at` on; the newest frame has to be the last taken.
+-- Search depth first over the frames from `first` on; the newest frame has to be the last taken.
 -- goal     { crc = as sent, frames = those that are taken so far, padding = found }
 -- returns  whether these are a complete message
-local function search(self, goal, at, register, needed)
+local function search(self, goal, first, register, needed)
   local last, count = #self.frames, #goal.frames
-  for i = at, last do
+  for i = first, last do
     local frame = self.frames[i]
     local data, length = frame.data, frame.length
     self.credit = self.credit - 1

@@ -248,16 +248,16 @@ end
 local function leave_out(self, message, frame, needed)
   local chunks, first, tries = message.chunks, 1, 0
   -- The last chunk is the End: a second End would follow a message that has ended.
-  for at = 2, #chunks - 1 do
-    if chunks[at] ~= chunks[first] then first = at end
-    local size = needed + (at - first) * #chunks[first]
-    local padding = at > first and can_id.padding(frame.data, frame.reported, size)
+  for index = 2, #chunks - 1 do
+    if chunks[index] ~= chunks[first] then first = index end
+    local size = needed + (index - first) * #chunks[first]
+    local padding = index > first and can_id.padding(frame.data, frame.reported, size)
     if padding then
-      local rest = concat(chunks, "", at + 1, #chunks - 1) .. frame.data:sub(1, size)
+      local rest = concat(chunks, "", index + 1, #chunks - 1) .. frame.data:sub(1, size)
       self:finish(message, frame.can_id, concat(chunks, "", 1, first) .. rest)
       if message.status == "good" then
         message.padding = padding > 0 and padding or nil
-        for _ = first + 1, at do
+        for _ = first + 1, index do
           local key = table.remove(message, first + 2)
           if self.keeps then self.store:keep_duplicate(key, message[first + 1]) end
         end
@@ -388,10 +388,10 @@ end
 
 -- Return the message in a slot that has a frame as a fragment, and the index of that; nil for none.
 local function find_in(self, slot, key)
-  local found, at = self.store:find(slot, key)
-  if found then return found, at end
+  local found, index = self.store:find(slot, key)
+  if found then return found, index end
   for _, message in ipairs(open_in(self, slot)) do
-    local index = frame_key.last_until(message, key)
+    index = frame_key.last_until(message, key)
     if message[index] == key then return message, index end
   end
 end

@@ -7,7 +7,7 @@
 -- the tree that has these.
 
 local capture = require "yapp.host.capture"
-local readers = require "yapp.file.readers"
+local file_readers = require "yapp.file.readers"
 local socketcan = require "yapp.host.socketcan"
 
 local M = {}
@@ -16,7 +16,7 @@ local FIELDS = "frame.interface_id || frame.interface_name || frame.section_numb
   "sll.ifindex || rtacser.eventtype"
 local NAMES = {}
 for name in FIELDS:gmatch("[%w_.]+") do NAMES[name] = true end
-local IN_TSHARK = not gui_enabled()
+local IS_TSHARK = not gui_enabled()
 local IS_WINDOWS = package.config:sub(1, 1) == "\\"
 
 local Buses = {}
@@ -41,7 +41,7 @@ end
 local function read_head(file)
   local before = positions()
   local head = file:read(capture.HEAD) or ""
-  return head, not IN_TSHARK or IS_WINDOWS or positions() ~= before
+  return head, not IS_TSHARK or IS_WINDOWS or positions() ~= before
 end
 
 --- Look at the head of each file from now on.  Call it once.
@@ -61,7 +61,7 @@ function M.watch()
     self.seen = capture.read(head, more)
     self.is_short = #head < capture.HEAD
     self.is_long_pipe = not (self.is_short or is_file)
-    readers.forget()
+    file_readers.forget()
     return false
   end
   function handler.read() return false end
@@ -76,7 +76,7 @@ end
 function Buses:init()
   local found = self.seen
   self.found, self.is_shifted = found, false
-  self.plain_bus = readers.log().plain_bus
+  self.plain_bus = file_readers.log().plain_bus
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
   -- A short file may be of a live capture that already had packets when it was opened.
   local may_go_on = self.is_short and found.has_several or found.is_live
@@ -92,24 +92,24 @@ end
 
 --- Return whether the capture is known to have several buses.
 function Buses:are_several()
-  return self.found.has_several or readers.log().has_several
+  return self.found.has_several or file_readers.log().has_several
 end
 
 --- Return what the capture says of packets that were dropped: a list of { time = seconds since 1970
 -- or nil, frame = number of the packet behind the loss or nil, bus = name or nil, count }.
 function Buses:drops()
   local drops = self.found.drops
-  return drops[1] and drops or readers.log().drops or {}
+  return drops[1] and drops or file_readers.log().drops or {}
 end
 
 --- Whether packets of the capture have no time stamps.
 function Buses:lacks_times()
-  return self.found.has_no_times or readers.log().lacks_times
+  return self.found.lacks_times or file_readers.log().lacks_times
 end
 
 --- Whether nothing tells when packets were captured: they have no times, or those of controllers.
 function Buses:lacks_clock()
-  return self:lacks_times() or readers.log().lacks_clock
+  return self:lacks_times() or file_readers.log().lacks_clock
 end
 
 -- The bus by the fields of the current packet; nil where they do not tell it.
@@ -142,7 +142,7 @@ local IN_ETHERNET = 42
 -- returns  the number of its bus, nil if the capture has only one or nothing tells it; and whether
 --          the bus is known
 function Buses:of(pinfo, number, offset)
-  local bus, name = readers.current()
+  local bus, name = file_readers.current()
   local found = self.found
   if bus then
     found.names[bus] = name
@@ -152,7 +152,7 @@ function Buses:of(pinfo, number, offset)
     return find_later(self, number)
   end
   if not found.has_several then return nil, not found.is_unknown or offset >= IN_ETHERNET end
-  bus = not self.is_shifted and found:bus(number, IN_TSHARK and pinfo.abs_ts or nil)
+  bus = not self.is_shifted and found:bus(number, IS_TSHARK and pinfo.abs_ts or nil)
   self.is_shifted = not bus
   return bus or nil, not self.is_shifted
 end

@@ -250,7 +250,7 @@ end
 
 -- A simple block has a packet of the section's first interface, without a time.
 local function read_simple_packet(self, window, offset)
-  self.count, self.has_no_times = self.count + 1, true
+  self.count, self.lacks_times = self.count + 1, true
   local interface = interface_of(self, 0)
   if not interface then return true end
   if self.keeps then keep_bus(self, window, interface, offset + 12, 0) end
@@ -431,7 +431,7 @@ local function new_capture()
     names = {},
     is_taken = {}, -- by name
     drops = {},
-    has_no_times = false,
+    lacks_times = false,
     has_packets = false,
     is_unknown = false,
   }, Capture)
@@ -452,7 +452,7 @@ end
 --   names         [bus] = its name
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
---   has_no_times  whether packets have no time stamps
+--   lacks_times   whether packets have no time stamps
 --   offset        of the CAN frame's data in each packet; nil where it is not always the same
 --   head          its first bytes, if it has packets and these may have YAPP frames, in TCP, UDP or
 --                 others

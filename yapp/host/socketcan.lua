@@ -97,10 +97,10 @@ end
 --- Return the id that the header in front of a record's data has.
 -- tvb       of the whole packet
 -- offset    of the data; length = on the bus
--- known     the id if it is known: it proves the header and its byte order
--- returns   29-bit id; nil for what is no extended data frame; what is known if this is no header
-function M.id_before(tvb, pinfo, offset, length, known)
-  local id = known
+-- known_id  the id, nil if it is not known: it proves the header and its byte order
+-- returns   29-bit id; nil for what is no extended data frame; known_id if this is no header
+function M.id_before(tvb, pinfo, offset, length, known_id)
+  local id = known_id
   local has_room = offset >= HEADER and offset <= tvb:len()
   if has_room and tvb(offset - 4, 1):uint() == length then
     local start = tvb(offset - HEADER, 4)
@@ -108,8 +108,8 @@ function M.id_before(tvb, pinfo, offset, length, known)
     -- Big endian are SocketCAN's own encapsulation and PPI; little endian cooked captures and logs.
     local is_big = offset == HEADER and not get_preference("can.byte_swap") or offset == 2 * HEADER
     if not is_big then word, other = other, word end
-    if known and word % MASK ~= known then word = other end
-    if not known or word % MASK == known then id = data_id(word) end
+    if known_id and word % MASK ~= known_id then word = other end
+    if not known_id or word % MASK == known_id then id = data_id(word) end
   end
   header.number, header.can_id = pinfo.number, id
   return id
@@ -124,14 +124,14 @@ local thrown = 0
 local function hand_on(inner, can_id, tvb, pinfo, tree)
   local length = tvb:len()
   if length < HEADER then return 0 end
-  local is_whole = length == tvb:reported_len()
-  if not is_whole and (not can_id or thrown >= MAX_THROWN) then
-    tvb, is_whole = tvb(0, length):tvb(), true
+  local is_complete = length == tvb:reported_len()
+  if not is_complete and (not can_id or thrown >= MAX_THROWN) then
+    tvb, is_complete = tvb(0, length):tvb(), true
   end
-  if not is_whole then thrown = thrown + 1 end
+  if not is_complete then thrown = thrown + 1 end
   -- If this fails, Wireshark has added an item that says so.
   local ok, taken = pcall(inner.call, inner, tvb, pinfo, tree)
-  if not is_whole then thrown = thrown - 1 end
+  if not is_complete then thrown = thrown - 1 end
   return ok and taken or length
 end
 

@@ -78,7 +78,7 @@ local function new_source(self, m)
     lead = 0, -- seconds that it gained on the capture's clock since its first fall
     falls = {}, -- { lead before it, size }, the latest first; none from which the clock returned
     evidence = 0,
-    shared_at = huge, -- frame key of the message that proves that controllers share the source
+    shared_key = huge, -- frame key of the message that proves that controllers share the source
     -- By the frame key of a message:
     changes = {}, -- [frame key] = change
     base_keys = {}, -- ascending: the first clock, and reboots
@@ -244,7 +244,7 @@ end
 local function update(source, m, delta)
   local name, value = note_clock(source, m)
   if name == "shared" then
-    source.shared_at, source.changes[m.key] = m.key, SHARED
+    source.shared_key, source.changes[m.key] = m.key, SHARED
     return SHARED
   end
   local flags, missing = flag_changes(source, m), missing_before(source, m.seq, name, value)
@@ -284,7 +284,7 @@ function History:note(m, is_only_pass)
   if m.status ~= "good" then return nil, delta end
   source.time = m.time
   if source.own then insert(source.own, m.key) end
-  if m.key > source.shared_at then return UNRELIABLE, delta end
+  if m.key > source.shared_key then return UNRELIABLE, delta end
   return update(source, m, delta), delta
 end
 
@@ -295,7 +295,7 @@ function History:change(m)
   local source, key = self.by_source[m.source], m.key
   local delta = self.deltas[key]
   if not source or m.status ~= "good" then return nil, delta end
-  return key > source.shared_at and UNRELIABLE or source.changes[key], delta
+  return key > source.shared_key and UNRELIABLE or source.changes[key], delta
 end
 
 --- Return the state at a message, whether the message changes it or not.
@@ -309,7 +309,7 @@ end
 --                 fault, if one is set or changes }
 function History:state(m)
   local source, key = self.by_source[m.source], m.key
-  if not source or m.status ~= "good" or key >= source.shared_at then return nil end
+  if not source or m.status ~= "good" or key >= source.shared_key then return nil end
   local base = source.bases[last_until(source.base_keys, key)]
   local clock, commands, faults = base and clock_of(m), source.commands, source.fault_keys
   local last = last_until(faults, key)

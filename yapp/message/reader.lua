@@ -160,7 +160,7 @@ end
 --   is_unreliable  true if controllers share its source, or if it was unreliable before its revisit
 -- history  a message.history
 -- wants    of Tree:wants
--- returns  whether its captured bytes are at their offsets: false of incomplete and overrun ones
+-- returns  whether its bytes have known offsets: false of an incomplete or overrun one
 function Reader:read(m, history, wants)
   local message, is_broken, raws, is_remarkable = m.source.message, IS_BROKEN[m.status], nil, nil
   local is_longer = message and m.size > message.size

@@ -97,17 +97,17 @@ end
 -- Add a row for each ID of a part; raise if an earlier part has one.
 local function add_part(self, part, catalogue)
   local bus, ids, message, name = read_part(part, catalogue)
-  local of_bus, is_known = self.by_bus[bus or false], false
+  local of_bus, is_repeated = self.by_bus[bus or false], false
   for _, id in ipairs(ids or EVERY) do
     if of_bus[id] then
-      is_known = true
+      is_repeated = true
     else
       local row = { bus = bus, id = ids and id, message = message, name = name }
       of_bus[id] = row
       self.rows[#self.rows + 1] = row
     end
   end
-  demand(not is_known, "a bus and ID once more", "the first part that names them holds")
+  demand(not is_repeated, "a bus and ID once more", "the first part that names them holds")
 end
 
 --- Return what stands before the "=" of a part for an ID: can1/0x210, "a,b"/0x210.

@@ -139,7 +139,7 @@ end
 function Dissector:is_yapp(bytes)
   if not frame.find(bytes, 1) then return false end
   for _, finding in ipairs(self.streams:read(bytes)) do
-    local id = finding.status ~= "skipped" and frame.parse(bytes, finding.at + 1)
+    local id = finding.status ~= "skipped" and frame.parse(bytes, finding.offset + 1)
     if finding.status == "good" or id and self.reader:size_of(id) then return true end
   end
   return false
@@ -174,8 +174,8 @@ end
 -- even in a tunnel that puts several packets into one.
 local function new_message(packet, finding, index)
   local length, key = finding.to - finding.from, packet.key + index - 1
-  local bytes, at = finding.bytes or packet.bytes, finding.at or 0
-  local id, size, reserved, seq = frame.parse(bytes, at + 1)
+  local bytes, offset = finding.bytes or packet.bytes, finding.offset or 0
+  local id, size, reserved, seq = frame.parse(bytes, offset + 1)
   local m = {
     source = packet.line.sources[id],
     seq = seq,
@@ -185,7 +185,7 @@ local function new_message(packet, finding, index)
     is_unreliable = not packet.is_bus_known,
     size = size,
     reserved = reserved,
-    payload = sub(bytes, at + HEADER + 1, at + math.min(HEADER + size, length)),
+    payload = sub(bytes, offset + HEADER + 1, offset + math.min(HEADER + size, length)),
     length = length,
     status = finding.status,
     missing = finding.missing,
@@ -194,12 +194,12 @@ local function new_message(packet, finding, index)
     tree = packet.tree,
     item = packet.tree,
     payload_tvb = false,
-    payload_at = at + HEADER,
+    payload_offset = offset + HEADER,
   }
   if finding.status == "bad" then
-    local last = at + length
+    local last = offset + length
     m.crc = frame.crc(bytes, last)
-    m.calculated = crc.update(crc.INITIAL, bytes, at + 1, last - CRC_SIZE)
+    m.calculated = crc.update(crc.INITIAL, bytes, offset + 1, last - CRC_SIZE)
   end
   return m
 end
@@ -207,26 +207,26 @@ end
 -- Add YAPP's own item of a message.
 -- tvb  where the bytes of the frame are
 local function add_frame(self, m, tvb)
-  local builder, at, source = self.builder, m.payload_at - HEADER, m.source
+  local builder, offset, source = self.builder, m.payload_offset - HEADER, m.source
   local fields = builder.fields
-  local item = add(m.tree, builder.yapp, tvb(at, m.length))
+  local item = add(m.tree, builder.yapp, tvb(offset, m.length))
   append_text(item, (", %s"):format(source.label))
-  add(item, fields.sync, tvb(at, 2))
-  add(item, fields.seq, tvb(at + 2, 1))
-  add(item, fields.ctl, tvb(at + 3, 1))
-  builder:add_id(item, tvb(at + 4, 4), source)
-  append_text(add_le(item, fields.size, tvb(at + 8, 2)), " bytes")
-  add_le(item, fields.reserved, tvb(at + 10, 2))
+  add(item, fields.sync, tvb(offset, 2))
+  add(item, fields.seq, tvb(offset + 2, 1))
+  add(item, fields.ctl, tvb(offset + 3, 1))
+  builder:add_id(item, tvb(offset + 4, 4), source)
+  append_text(add_le(item, fields.size, tvb(offset + 8, 2)), " bytes")
+  add_le(item, fields.reserved, tvb(offset + 10, 2))
   builder:add_source(item, source)
   if m.packet_keys then
-    local payload = #m.payload > 0 and tvb(m.payload_at, #m.payload) or nil
+    local payload = #m.payload > 0 and tvb(m.payload_offset, #m.payload) or nil
     builder:generated(item, "reassembled.in", frame_key.number(m.key))
     builder:add_fragments(item, tvb(), m.packet_keys, m.length, payload)
   end
   if m.missing then
     append_text(item, ", incomplete")
   else
-    builder:add_crc(item, tvb(m.payload_at + m.size, CRC_SIZE), m)
+    builder:add_crc(item, tvb(m.payload_offset + m.size, CRC_SIZE), m)
   end
   return item
 end
@@ -250,14 +250,14 @@ end
 -- Show a message; return what the Info column says of it.
 local function show_message(self, m, tvb)
   local builder, source = self.builder, m.source
-  local is_whole = self.reader:read(m, self.history, m.wants)
+  local has_offsets = self.reader:read(m, self.history, m.wants)
   if m.status ~= "good" then m.delta = false end -- its ID may be damaged, unlike a CAN id
   if m.wants.tree then m.item, m.payload_tvb = add_frame(self, m, tvb), tvb end
   show_anomalies(self, m)
   local mark = builder.MARKS[m.status]
-  if is_whole or not source.message then return builder:show_message(m, m) .. mark end
+  if has_offsets or not source.message then return builder:show_message(m, m) .. mark end
   if m.wants.yapp and #m.payload > 0 then
-    add(m.item, builder.fields.payload, tvb(m.payload_at, #m.payload))
+    add(m.item, builder.fields.payload, tvb(m.payload_offset, #m.payload))
   end
   return source.label .. mark
 end
@@ -287,13 +287,13 @@ end
 -- Show skipped bytes; return their text for the Info column.
 local function show_skipped(self, packet, tvb, finding)
   local builder, item, intake = self.builder, packet.tree, self.reader.intake
-  local length, at = finding.to - finding.from, finding.at or 0
-  local text = quote(finding.bytes or sub(packet.bytes, at + 1, at + length))
+  local length, offset = finding.to - finding.from, finding.offset or 0
+  local text = quote(finding.bytes or sub(packet.bytes, offset + 1, offset + length))
   local size = builder.bytes(length)
   if packet.wants.tree then
-    item = add(item, builder.yapp, tvb(at, length))
+    item = add(item, builder.yapp, tvb(offset, length))
     append_text(item, (", %s skipped"):format(size))
-    append_text(add(item, builder.fields.skipped, tvb(at, length)), text)
+    append_text(add(item, builder.fields.skipped, tvb(offset, length)), text)
   end
   local expert = size .. " that belong to no frame" .. text:gsub("^ ", ": ")
   builder:expert(item, "stream.skipped", expert)
@@ -378,8 +378,8 @@ end
 -- Dissect a segment that TCP has shown.
 local function dissect_segment(self, segment, tvb, pinfo, tree)
   local line = line_of(self, pinfo)
-  local is_known = pinfo.visited or self.streams:note_header(line.key, line.opposite, segment)
-  if segment.length == 0 or not (segment.is_ours or is_known) then return end
+  local has_order = pinfo.visited or self.streams:note_header(line.key, line.opposite, segment)
+  if segment.length == 0 or not (segment.is_ours or has_order) then return end
   dissect(self, new_packet(self, tvb, pinfo, tree, segment), pinfo)
 end
 
@@ -410,7 +410,7 @@ end
 function Dissector:skipped(tvb, pinfo, tree)
   local size = tvb:len()
   if size > 0 then
-    local finding = { status = "skipped", from = 0, to = size, at = 0 }
+    local finding = { status = "skipped", from = 0, to = size, offset = 0 }
     show(self, new_packet(self, tvb, pinfo, tree), pinfo, { findings = { finding }, pending = 0 })
   end
   return size

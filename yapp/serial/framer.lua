@@ -75,14 +75,14 @@ function Framer:forget()
 end
 
 -- Return the candidate of a "YP", nil if its header has not come.
--- at  1-based index in the text
-local function candidate_at(self, at)
-  local id, size, reserved = frame.parse(self.text, at)
+-- index  in the text, 1-based
+local function candidate_at(self, index)
+  local id, size, reserved = frame.parse(self.text, index)
   if not id then return nil end
   local known, smallest = self.size_of(id)
   local fits = not known or size <= known and size >= (smallest or known)
   local is_plausible = reserved == 0 and id <= frame.MAX_ID and fits
-  local from = self.text_from + at - 1
+  local from = self.text_from + index - 1
   return {
     from = from,
     to = from + HEADER + size + CRC_SIZE,
@@ -95,14 +95,14 @@ end
 -- Return the next candidate whose header has come, nil where none has.
 function Framer:find()
   if self.found and self.found.from == self.searched then return self.found end
-  local at = frame.find(self.text, self.searched - self.text_from + 1)
-  if not at then
+  local index = frame.find(self.text, self.searched - self.text_from + 1)
+  if not index then
     local is_begun = self.to > self.searched and byte(self.text, -1) == Y
     self.searched = is_begun and self.to - 1 or self.to
     return nil
   end
-  self.searched = self.text_from + at - 1
-  return candidate_at(self, at)
+  self.searched = self.text_from + index - 1
+  return candidate_at(self, index)
 end
 
 -- Whether the CRC of a candidate is good.
@@ -112,20 +112,20 @@ function Framer:is_good(candidate)
   local spent = math.max(self.spent[class] or 0, earned - MAX_CREDIT) + length
   if spent > earned then return false end
   self.spent[class] = spent
-  local at, to = candidate.from - self.text_from + 1, candidate.to - self.text_from
-  return crc.update(crc.INITIAL, self.text, at, to - CRC_SIZE) == frame.crc(self.text, to)
+  local index, to = candidate.from - self.text_from + 1, candidate.to - self.text_from
+  return crc.update(crc.INITIAL, self.text, index, to - CRC_SIZE) == frame.crc(self.text, to)
 end
 
 -- Append the bytes up to an offset as a finding.
 function Framer:give(to, status, missing)
-  local from, at = self.from, self.from - self.text_from
+  local from, offset = self.from, self.from - self.text_from
   self.from = to
   table.insert(self.findings, {
     status = status,
     missing = missing,
     from = from,
     to = to,
-    bytes = sub(self.text, at + 1, at + to - from),
+    bytes = sub(self.text, offset + 1, offset + to - from),
   })
 end
 
@@ -287,8 +287,8 @@ function Framer:open_frame()
   for i = self.first, self.last + 1 do
     local candidate = self.candidates[i] or self:find()
     if candidate and candidate.is_plausible and candidate.from >= self.from then
-      local at, missing = candidate.from - self.text_from, candidate.to - self.to
-      return sub(self.text, at + 1, at + HEADER), missing > 0 and missing or nil
+      local offset, missing = candidate.from - self.text_from, candidate.to - self.to
+      return sub(self.text, offset + 1, offset + HEADER), missing > 0 and missing or nil
     end
   end
 end

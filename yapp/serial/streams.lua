@@ -75,7 +75,7 @@ end
 local function locate(stream, finding, contents)
   local from = contents.from
   if finding.from >= from and finding.to <= contents.to then
-    finding.at, finding.bytes = contents.overlap + finding.from - from, nil
+    finding.offset, finding.bytes = contents.overlap + finding.from - from, nil
     return
   end
   if finding.status == "skipped" then return end
@@ -212,7 +212,7 @@ end
 local function is_plain(findings, bytes)
   local length = 0
   for _, finding in ipairs(findings) do
-    if finding.status ~= "good" or not finding.at then return false end
+    if finding.status ~= "good" or not finding.offset then return false end
     length = length + finding.to - finding.from
   end
   return length == #bytes

@@ -224,7 +224,7 @@ end
 local function add_bytes(self, m, view, name, offset)
   local length, tvb = #m.payload - offset, view.payload_tvb
   if view.wants.yapp and tvb and length > 0 then
-    add(view.item, self.fields[name], tvb(view.payload_at + offset, length))
+    add(view.item, self.fields[name], tvb(view.payload_offset + offset, length))
   end
 end
 
@@ -252,8 +252,8 @@ end
 --- Show a finished message: the message of the catalogue, or bytes.
 -- m        of message.reader, as read
 -- view     { wants = of Tree:wants; tree = where the Taurus tree goes; item = YAPP's own item, or
---          the tree; payload_tvb and payload_at = where the payload lies, payload_tvb false if no
---          tree is wanted }
+--          the tree; payload_tvb and payload_offset = where the payload lies, payload_tvb false if
+--          no tree is wanted }
 -- returns  what the Info column says of it; only a part of that if there are no columns
 function Tree:show_message(m, view)
   local top, info, source = nil, "", m.source

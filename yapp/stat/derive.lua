@@ -33,7 +33,7 @@ Deriver.__index = Deriver
 local function new_state()
   return {
     last = nil, -- its latest message
-    at = nil, -- when that came
+    last_at = nil, -- when that came
     is_counted = false, -- whether that counts
     faults = NOTHING, -- list of { field, flag, since } of those that are set, as they rose
     counted = { frame = 0 }, -- the latest reliable message that counts
@@ -171,7 +171,7 @@ end
 -- Return how many messages of a source fit between its latest one and a time.
 local function room_until(state, now)
   local message = state.last.source.message
-  local periods = message and message.every and span(state.at, now) / message.every or 0
+  local periods = message and message.every and span(state.last_at, now) / message.every or 0
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 
@@ -185,7 +185,7 @@ local function note_message(self, event, is_counted)
   if change.late and state.is_counted then
     emit(self, "silence", state.last, { length = output.seconds(change.late) })
   end
-  state.last, state.at, state.is_counted = event, self.now, is_counted
+  state.last, state.last_at, state.is_counted = event, self.now, is_counted
   if is_counted and values ~= NOTHING then note_events(self, event, change) end
   for _, flags in ipairs(change.flags or NOTHING) do
     note_faults(self, state, event, flags)
@@ -231,7 +231,7 @@ local function end_silences(self, ending)
   for _, state in ipairs(self.states) do
     local event = state.last
     local message = event.source.message
-    local length = span(state.at, ending.now)
+    local length = span(state.last_at, ending.now)
     local is_silent = message and message.every and length > self.settings.late * message.every
     if is_silent and state.is_counted and not event.values.is_unreliable then
       local values = { length = output.seconds(length), is_last = true }

@@ -19,14 +19,14 @@ local function text_value(text)
   return '"' .. utf8.printable(text):gsub('["\\]', "\\%0") .. '"'
 end
 
-local function is_whole(value)
+local function is_integer(value)
   return value % 1 == 0 and math.abs(value) < 2 ^ 53
 end
 
 -- Return the shortest text that reads back as the same number; null for NaN and infinity.
 local function number_value(value)
   if value - value ~= 0 then return "null" end
-  if is_whole(value) then return format("%d", value) end
+  if is_integer(value) then return format("%d", value) end
   local shown = format("%.15g", value)
   return tonumber(shown) == value and shown or format("%.17g", value)
 end
@@ -101,7 +101,7 @@ function M.text(value, is_short)
   if type(value) == "table" then value = is_short and value.short or value.text end
   if value ~= value then return "reserved" end
   if type(value) == "number" then
-    return format(is_whole(value) and "%d" or is_short and "%.5g" or "%.6g", value)
+    return format(is_integer(value) and "%d" or is_short and "%.5g" or "%.6g", value)
   end
   return value or ""
 end
