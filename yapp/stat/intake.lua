@@ -7,10 +7,10 @@
 --   undecoded      number of bytes behind those that the catalogue has, or nil
 --   is_unreliable  whether what came before the message is not known }
 -- The values of a loss are {
---   shown  { what = "incomplete", "orphan" or "overrun" }: its values once it is handed on
---   lost   a value that all losses of one message share, or nil
---   loss   { is_withdrawn = whether nothing is lost after all, is_open = whether that may change }
--- }
+--   shown    { what = "incomplete", "orphan" or "overrun" }: its values once it is handed on
+--   lost     a value that all losses of one message share, or nil
+--   anomaly  { is_withdrawn = whether nothing is lost after all, is_open = whether that may
+--            change } }
 
 local decode = require "yapp.message.decode"
 local frame_key = require "yapp.base.frame_key"
@@ -171,7 +171,7 @@ function Intake:anomalies(m, anomalies, is_end)
       else
         state.orphan = false
       end
-      offer(self, "incomplete", m, { shown = shown, lost = lost, loss = anomaly })
+      offer(self, "incomplete", m, { shown = shown, lost = lost, anomaly = anomaly })
     end
   end
 end

@@ -88,10 +88,10 @@ local function hand_on_losses(self, is_end)
   local losses, seen = self.losses, self.seen
   self.losses = {}
   for _, event in ipairs(losses) do
-    local lost, loss = event.values.lost, event.values.loss
-    if loss.is_open and not is_end then
+    local lost, anomaly = event.values.lost, event.values.anomaly
+    if anomaly.is_open and not is_end then
       self.losses[#self.losses + 1] = event
-    elseif not (loss.is_withdrawn or seen[lost or false]) then
+    elseif not (anomaly.is_withdrawn or seen[lost or false]) then
       if lost then seen[lost] = true end
       event.values = event.values.shown
       hand_on(self, event)
@@ -101,7 +101,7 @@ local function hand_on_losses(self, is_end)
 end
 
 local function take(self, event)
-  if event.values.loss then
+  if event.values.anomaly then
     self.losses[#self.losses + 1] = event
     if #self.losses > self.max_losses then hand_on_losses(self) end
   else
