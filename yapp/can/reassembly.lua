@@ -11,9 +11,9 @@
 --              behind the Start, none of an overrun; received = their sum; repeated = bytes of
 --              chunks that equal the one before, or nil; is_truncated = true if the payload goes on
 --              behind the chunks: it is truncated by the capture, or too long
---   status     nil while it is open, but "overrun" if it is too long already, and "superseded" in a
---              pool; then "good", "bad" (CRC), "incomplete", "overrun", "truncated" (by the
---              capture), or "superseded" by a new Start or given up
+--   status     nil while it is open, but "overrun" if it is too long already, and "superseded" if a
+--              pool keeps it open behind a new Start; then "good", "bad" (CRC), "incomplete",
+--              "overrun", "truncated" (by the capture), or "superseded" by a new Start or given up
 --   payload    once its last fragment has come
 --   padding    of CAN FD, nil for 0
 --   received   bytes, of an incomplete or overrun message; calculated = CRC, of a bad one
