@@ -279,9 +279,9 @@ end
 local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   local frame, number, offset = self.frame, pinfo.number, self.offset or offset_of(tvb)
   if self.asks then
-    local bus, is_known = self.buses:of(pinfo, number, offset)
-    frame.bus, frame.is_bus_known = bus or false, is_known
-    self.lost_bus = self.lost_bus or not is_known
+    local bus, is_bus_known = self.buses:of(pinfo, number, offset)
+    frame.bus, frame.is_bus_known = bus or false, is_bus_known
+    self.lost_bus = self.lost_bus or not is_bus_known
   end
   local fields, bus = fields_of[id], frame.bus
   local key = number * frame_key.PACKET + offset

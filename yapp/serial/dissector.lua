@@ -69,16 +69,16 @@ end
 --   sources      [ID] = a source, see message.reader }
 -- and whether it is known where the packet was captured.
 local function line_of(self, pinfo)
-  local kind, bus, is_known = pinfo.port_type, nil, true
+  local kind, bus, is_bus_known = pinfo.port_type, nil, true
   local is_ip = kind == UDP or kind == TCP
-  if not is_ip then bus, is_known = self.buses:of(pinfo, pinfo.number, 0) end
+  if not is_ip then bus, is_bus_known = self.buses:of(pinfo, pinfo.number, 0) end
   local address = tostring(pinfo.src)
   local here = address .. ":" .. pinfo.src_port
   local there = tostring(pinfo.dst) .. ":" .. pinfo.dst_port
   local before = (bus or "") .. "|" .. kind .. "|"
   local key = before .. here .. "|" .. there
   local line = self.lines[key]
-  if line then return line, is_known end
+  if line then return line, is_bus_known end
   local name, has_address = self.buses:name(bus, is_ip), not NO_ADDRESS[address]
   line = {
     key = key,
@@ -93,7 +93,7 @@ local function line_of(self, pinfo)
     return self.reader:new_source(id, line.bus_key, line.bus, line)
   end)
   self.lines[key] = line
-  return line, is_known
+  return line, is_bus_known
 end
 
 -- Return what is known of a packet, as serial.streams takes it, and
