@@ -21,8 +21,8 @@
 -- "Taurus Command", "Taurus Motor Data": Motor Mode
 local MOTOR_MODE = { [0] = "Torque Mode", [1] = "Speed Mode" }
 
--- "Taurus Motor Data": Status Flags.  Damaged entries as settled by the order of the table and the
--- example.
+-- "Taurus Motor Data": Status Flags.  Some mask digits of the document are damaged; the order of
+-- the table and the example settle them, see docs/document.md.
 local STATUS = {
   { "foc_align", 0x2, "FOC in align" },
   { "start_in_motion_no_bemf", 0x1000, "Start in Motion, Back EMF signal not detected" },

@@ -143,9 +143,9 @@ function all.dissector(tvb, pinfo, root)
   return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
 end
 
--- The heuristic takes every frame that no other dissector takes, if the preference
--- yapp.all_extended is set.  It costs time for each such CAN frame of every capture, so it is
--- registered only when it is needed.
+-- The heuristic sees every frame that no other dissector accepts.  With the preference
+-- yapp.all_extended it accepts them; for a statistic it notes them.  It costs time for each such
+-- CAN frame of every capture, so it is registered only when one of the two needs it.
 local accepts_all, is_heuristic = false, false -- accepts_all: the preference
 
 local function unclaimed(tvb, pinfo, root)

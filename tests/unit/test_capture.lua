@@ -475,9 +475,9 @@ end
 
 function T.test_packets_without_times()
   local head = section(le) .. interface(CAN, le)
-  lu.assertTrue(read(head .. packet(0, "x", le) .. simple_packet("x", le)).has_no_times)
-  lu.assertFalse(read(head .. packet(0, "x", le)).has_no_times)
-  lu.assertFalse(read(pcap(CAN, { "x" }, le)).has_no_times)
+  lu.assertTrue(read(head .. packet(0, "x", le) .. simple_packet("x", le)).lacks_times)
+  lu.assertFalse(read(head .. packet(0, "x", le)).lacks_times)
+  lu.assertFalse(read(pcap(CAN, { "x" }, le)).lacks_times)
 end
 
 -- Other people's files, and damaged ones ----------------------------------------------------------

@@ -23,7 +23,7 @@ local function new_intake()
   local queue = { offer = function(_, event, visited) offered[#offered + 1] = { event, visited } end,
     add_undissected = function(_, event) offered[#offered + 1] = { event } end }
   intake:open(queue)
-  intake.wants_parts = true
+  intake.wants_fragments = true
   return intake, offered
 end
 
@@ -96,9 +96,9 @@ end
 function T.test_an_intake_that_is_closed()
   local intake = intake_of.new(CATALOGUE)
   for _ = 1, 2 do
-    lu.assertEquals({ intake.wanted, intake.wants_parts }, { false, false })
+    lu.assertEquals({ intake.wanted, intake.wants_fragments }, { false, false })
     intake:open {}
-    intake.wants_parts = true
+    intake.wants_fragments = true
     lu.assertTrue(intake.wanted)
     intake:close()
   end
@@ -130,7 +130,7 @@ function T.test_values_that_are_not_defined()
     { field = "mode", value = 255, code = "0xff", effect = false } })
 end
 
-local function part(with)
+local function fragment(with)
   local m = message(with)
   m.status, m.payload, m.raws, m.is_remarkable = nil, nil, nil, nil
   return m
@@ -141,10 +141,10 @@ function T.test_losses_carry_their_message()
   local intake, offered = new_intake()
   local lost = {}
   for frame = 1, 3 do
-    intake:anomalies(part { frame = frame },
+    intake:anomalies(fragment { frame = frame },
       { { expert = "fragment.overrun", lost = lost }, { expert = "size.mismatch" } })
   end
-  intake:anomalies(part { frame = 4 },
+  intake:anomalies(fragment { frame = 4 },
     { { expert = "fragment.incomplete", lost = {} }, { expert = "fragment.incomplete" }, { expert = "truncated" } })
   local whats = {}
   for i, one in ipairs(offered) do
@@ -160,7 +160,7 @@ function T.test_orphans_of_one_message()
   local intake, offered = new_intake()
   local names = {} -- [what is lost] = the first frame that shows it
   local function orphan(name, with)
-    intake:anomalies(part(with), { { expert = "fragment.orphan" } }, with and with.is_end)
+    intake:anomalies(fragment(with), { { expert = "fragment.orphan" } }, with and with.is_end)
     local lost = offered[#offered][1].values.lost
     names[lost] = names[lost] or name
     return names[lost]
@@ -172,7 +172,7 @@ function T.test_orphans_of_one_message()
     orphan("g1", { seq = 8 }), orphan("g2", { seq = 8, is_end = true }), orphan("h1", { seq = 8 }) },
     { "d1", "e1", "f1", "g1", "g1", "h1" })
   orphan "i1"
-  intake:anomalies(part(), { { expert = "fragment.incomplete", lost = {} } }) -- of another message
+  intake:anomalies(fragment(), { { expert = "fragment.incomplete", lost = {} } }) -- of another message
   lu.assertEquals({ orphan "j1", orphan "j2" }, { "j1", "j1" })
 end
 
@@ -198,7 +198,7 @@ function T.test_bytes_of_several_packets()
     skipped(stream, 5)
     intake:message(message { source = { line = other, message = MESSAGE }, frame = 6 })
     skipped(stream, 7)
-    intake:anomalies(part { source = { line = stream }, frame = 8 }, { { expert = "fragment.incomplete" } })
+    intake:anomalies(fragment { source = { line = stream }, frame = 8 }, { { expert = "fragment.incomplete" } })
     skipped(stream, 9)
     lu.assertEquals(#offered, run * 5)
   end
@@ -211,9 +211,9 @@ end
 
 function T.test_messages_that_the_capture_ends_before()
   local intake = new_intake()
-  intake:part(part { frame = 5 })
-  intake:part(part { frame = 4, seq = 3 })
-  intake:part(part { frame = 7 }) -- its next part
+  intake:fragment(fragment { frame = 5 })
+  intake:fragment(fragment { frame = 4, seq = 3 })
+  intake:fragment(fragment { frame = 7 }) -- its next fragment
   local function open(seq, frame, source)
     return { source = source or SOURCE, seq = seq, key = frame * frame_key.PACKET }
   end

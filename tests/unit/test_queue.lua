@@ -70,8 +70,8 @@ function T.test_messages_that_do_not_wait()
   lu.assertFalse(compare:go_direct()) -- its spreads need the steps of the capture's clock
   queue:packet(1, 1)
   offer(queue, 2, "b")
-  offer(queue, 2, "c", { loss = {}, shown = {} })
-  offer(queue, 3, "d", { loss = { is_withdrawn = true } })
+  offer(queue, 2, "c", { anomaly = {}, shown = {} })
+  offer(queue, 3, "d", { anomaly = { is_withdrawn = true } })
   offer(queue, 3, "e")
   lu.assertEquals(one.got, { "a", "b", "e" })
   lu.assertEquals(finish(queue), { 0, {} })
@@ -94,7 +94,7 @@ function T.test_losses()
     { "b", { is_withdrawn = true }, message }, { "c", {}, message }, { "d" }, { "e", {}, message },
     { "f", {}, other }, { "g", {} }, { "h", {} } }
   for frame, row in ipairs(rows) do
-    local values = row[2] and { shown = { what = "incomplete" }, loss = row[2], lost = row[3] }
+    local values = row[2] and { shown = { what = "incomplete" }, anomaly = row[2], lost = row[3] }
     queue:offer(event_of(frame, row[1], row[2] and "incomplete", values), false)
     queue:packet(frame, frame)
   end
@@ -107,7 +107,7 @@ function T.test_many_losses()
   local queue, one, open = new_queue(), notes(), { is_open = true }
   add(queue, one)
   for frame = 1, 5000 do
-    local values = { shown = {}, loss = frame == 7 and open or {} }
+    local values = { shown = {}, anomaly = frame == 7 and open or {} }
     queue:offer(event_of(frame, frame, "incomplete", values), false)
     queue:packet(frame, frame)
   end

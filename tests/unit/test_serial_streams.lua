@@ -20,10 +20,10 @@ local function in_words(contents, bytes)
   if not contents then return "nothing" end
   local list = {}
   for i, finding in ipairs(contents.findings) do
-    local text = finding.bytes or bytes:sub(finding.at + 1, finding.at + finding.to - finding.from)
+    local text = finding.bytes or bytes:sub(finding.offset + 1, finding.offset + finding.to - finding.from)
     lu.assertEquals(#text, finding.to - finding.from)
     local what = finding.status == "skipped" and #text or text:byte(5)
-    local parts, at = finding.parts, finding.at
+    local parts, at = finding.packet_keys, finding.offset
     local where = parts and "in " .. table.concat(parts, ",") or at and "@" .. at or "before"
     local missing = finding.missing and " -" .. finding.missing or ""
     list[i] = ("%s %s %s%s"):format(finding.status, what, where, missing)

@@ -13,7 +13,7 @@ local native = load([[
 --- Lua 5.2's library, nil where there are native operators: BitOp in Wireshark (signed results),
 -- bit32 in plain Lua (unsigned).  Loops that cannot afford one more call use it, and take each
 -- result modulo 0x100000000.
-M.library = not native and (rawget(_G, "bit") or require("bit32")) or nil
+M.library = not native and (rawget(_G, "bit") or require "bit32") or nil
 
 --- A faster band for loops, whose result may be negative: compare it with 0 only.
 M.fast_band = native and native() or M.library.band

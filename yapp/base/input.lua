@@ -2,7 +2,7 @@
 -- Checks of catalogues, preferences and options: what values must be, and the texts of errors.
 -- Pure Lua.
 
-local utf8 = require("yapp.base.utf8")
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
@@ -51,7 +51,7 @@ function M.is_text(v)
   return utf8.is_printable(v)
 end
 
---- Raises that a number is not an integer from low to high.
+--- Raise that a number is not an integer from low to high.
 -- what  it is called
 function M.within(what, v, low, high)
   local is_within = M.is_integer(v) and v >= low and v <= high
@@ -96,7 +96,7 @@ end
 local TEXTS = M.set("section unit help info")
 local TABLES = M.set("values flags bits cases differences derived")
 
---- Raises what is wrong with the options of a row, or of a message.
+--- Raise what is wrong with the options of a row, or of a message.
 -- what        "flag stopped", "type uint8": whose options they are
 -- options     { [name] = true } of the options that are allowed
 -- positional  how many values without a name it has
@@ -113,17 +113,17 @@ end
 
 --- Raise what is wrong with the name, title or options of a row { name, ..., title }.
 -- what      "flag": what its list has; i = its index in that
--- title_at  the index of its title
+-- title_index  the index of its title
 -- options   see M.options
 -- returns   its name in errors: "flag stopped"
-function M.row(row, what, i, title_at, options)
+function M.row(row, what, i, title_index, options)
   local number = what .. " " .. i
   demand(type(row) == "table", "%s: %s is not { name, ..., title }", number, M.shown(row))
   local name = row[1]
   demand(M.is_name(name), "%s: %s is not a filter name (a-z, 0-9, _)", number, M.shown(name))
   what = what .. " " .. name
-  demand(M.is_text(row[title_at]), "%s has no title", what)
-  M.options(row, what, options, title_at)
+  demand(M.is_text(row[title_index]), "%s has no title", what)
+  M.options(row, what, options, title_index)
   return what
 end
 

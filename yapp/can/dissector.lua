@@ -41,7 +41,7 @@ function M.new(builder, reader, buses, register_id, note_frame)
     register_id = register_id,
     note_frame = note_frame,
     waiting = false, -- the frame that waits for a tap, see put_off
-    stat = reader.stat,
+    intake = reader.intake,
   }, Dissector)
 end
 
@@ -54,7 +54,9 @@ function Dissector:reset(history)
     return memo(function(id) return self.reader:new_source(id, bus, self.buses:name(bus)) end)
   end)
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
-  self.accepted_key = 0 -- of the latest frame of ours; Decode As may accept what the table refused
+  -- Of the latest frame of ours.  A tap reports only frames that nobody accepted, but Decode As may
+  -- accept a frame that was noted when the table of ids refused it.
+  self.accepted_key = 0
   self.expects_taps, self.has_taps = false, false -- see Dissector:expect_taps
   self.lost_bus = false -- whether a frame came whose bus is not known
   self.offset = self.buses.found.offset -- of the bytes of all frames in their packets, or nil
@@ -65,7 +67,7 @@ function Dissector:reset(history)
     bus = false, -- its number, or false
     is_bus_known = true,
     is_only_pass = false, -- whether it is never dissected again
-    payload_at = 0, -- see Tree:show_message
+    payload_offset = 0, -- see Tree:show_message
   }
 end
 
@@ -93,8 +95,8 @@ local function show_anomalies(self, frame)
   end
   if not anomalies then return end
   for _, one in ipairs(anomalies) do self.builder:expert(item, one.expert, one.text) end
-  if self.stat.wanted then
-    self.stat:anomalies(new_message(frame), anomalies, frame.can_id.ctrl == can_id.END)
+  if self.intake.wanted then
+    self.intake:anomalies(new_message(frame), anomalies, frame.can_id.ctrl == can_id.END)
   end
 end
 
@@ -163,11 +165,11 @@ local function show_last(self, frame)
   if wants.yapp then add_message(self, frame) end
   if status == "bad" then builder:bad_crc(item, message) end
   local mark = #message > 1 and builder.MARKS[status] or ""
-  local is_whole = self.reader:read(m, self.history, wants)
+  local has_offsets = self.reader:read(m, self.history, wants)
   if #message > 1 and not (frame.visited or frame.is_only_pass) then
     self.reassembly:keep(message, m.has_fault)
   end
-  if is_whole then return builder:show_message(m, frame) .. mark end
+  if has_offsets then return builder:show_message(m, frame) .. mark end
   if wants.yapp then
     if tvb then add(item, builder.fields.payload, tvb()) end
     builder:add_delta(item, m)
@@ -217,7 +219,7 @@ local function show_fragment(self, frame)
     builder:generated(item, "reassembled.in", in_number)
     builder:generated(item, "message.fault", message.has_fault)
   end
-  if self.stat.wants_parts then self.stat:part(new_message(frame)) end
+  if self.intake.wants_fragments then self.intake:fragment(new_message(frame)) end
   if not wants.columns then return end
   local text = fragment_text(frame)
   return in_number and ("%s  [Reassembled in #%d]"):format(text, in_number) or text
@@ -273,13 +275,13 @@ end
 --   is_only_pass   whether it is never dissected again
 --   message, anomalies, index  as can.reassembly says
 --   tvb, pinfo, tree, range    of Wireshark
---   wants, item, payload_tvb, payload_at  see Tree:show_message }
+--   wants, item, payload_tvb, payload_offset  see Tree:show_message }
 local function new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   local frame, number, offset = self.frame, pinfo.number, self.offset or offset_of(tvb)
   if self.asks then
-    local bus, is_known = self.buses:of(pinfo, number, offset)
-    frame.bus, frame.is_bus_known = bus or false, is_known
-    self.lost_bus = self.lost_bus or not is_known
+    local bus, is_bus_known = self.buses:of(pinfo, number, offset)
+    frame.bus, frame.is_bus_known = bus or false, is_bus_known
+    self.lost_bus = self.lost_bus or not is_bus_known
   end
   local fields, bus = fields_of[id], frame.bus
   local key = number * frame_key.PACKET + offset
@@ -347,10 +349,10 @@ end
 function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, reported)
   reported = reported or reported_of(tvb)
   if reported == 0 then return 0 end
-  local frame, known = new_frame(self, tvb, reported, pinfo, tree, id, accepts_all), self.reassembly
+  local frame = new_frame(self, tvb, reported, pinfo, tree, id, accepts_all)
   local may_be_remote, kind, message, anomalies, index = ZEROS[frame.data], nil, nil, nil, nil
   if frame.visited then
-    kind, message, anomalies, index = known:recall(frame)
+    kind, message, anomalies, index = self.reassembly:recall(frame)
     may_be_remote = may_be_remote and kind == "single"
     if message then frame.source = message.source end
   end
@@ -361,7 +363,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, reported)
       return reported
     end
   end
-  if not frame.visited then kind, message, anomalies = known:take(frame) end
+  if not frame.visited then kind, message, anomalies = self.reassembly:take(frame) end
   if kind then
     show(self, frame, kind, message, anomalies, index)
     return reported
@@ -407,15 +409,17 @@ local function unknown_size(self, fields, source, data)
   return size
 end
 
--- Report to the statistics a frame that is not dissected, if it may be a message or begin one: of
--- an unknown ID; of a known one with a YAPP CTL other than 0, or with bytes behind its values.
+-- Report to the statistics a frame that is not dissected, if it may be a message or begin one:
+--   of an unknown ID
+--   of a known ID, with a YAPP CTL other than 0
+--   of a known ID, with bytes behind its values
 local function report_unknown(self, pinfo, id, offset, data)
   local fields, number = fields_of[id], pinfo.number
   local bus = self.asks and self.buses:of(pinfo, number, offset)
   local source = self.sources[bus or false][fields.id]
   local size = unknown_size(self, fields, source, data)
   if not size then return end
-  self.stat:unknown {
+  self.intake:unknown {
     source = source,
     seq = fields.seq,
     key = number * frame_key.PACKET + offset,

@@ -55,7 +55,7 @@ local function open_message(self, message, is_retry)
 end
 
 --- Make the pool of a message that is open.
--- reassembly  of can.reassembly, which notes what is wrong
+-- reassembly  a can.reassembly, which gets the anomalies
 -- fields      of the CAN ids (wire.can_id)
 function M.new(reassembly, message, fields)
   local self = setmetatable({
@@ -68,7 +68,7 @@ function M.new(reassembly, message, fields)
     since = 0, -- bytes of those that came since the newest Start
     starts = 0, -- number of Starts that superseded others
     credit = MAX_CREDIT,
-    reserve = 0, -- credit that the search must leave for other messages
+    reserve = 0, -- credit to leave for other messages: of 400, with 4 open, the first may use 100
   }, Pool)
   for i, data in ipairs(message.chunks) do
     add_frame(self, new_frame(message[i + 1], data, #data, false))
@@ -130,12 +130,12 @@ function Pool:supersede(anomaly)
   return open[1] ~= nil
 end
 
--- Search depth first over the frames from `at` on; the newest frame has to be the last taken.
+-- Search depth first over the frames from `first` on; the newest frame has to be the last taken.
 -- goal     { crc = as sent, frames = those that are taken so far, padding = found }
 -- returns  whether these are a complete message
-local function search(self, goal, at, register, needed)
+local function search(self, goal, first, register, needed)
   local last, count = #self.frames, #goal.frames
-  for i = at, last do
+  for i = first, last do
     local frame = self.frames[i]
     local data, length = frame.data, frame.length
     self.credit = self.credit - 1

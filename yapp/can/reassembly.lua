@@ -2,17 +2,18 @@
 -- Reassembly: which CAN frames are YAPP, and which message their Start, Middle and End fragments
 -- make up ("Multi-Frame CAN YAPP").  Pure Lua.
 --
--- A slot is a message key on a bus: usually one message at a time is open there.  A message of
+-- A slot is ID, CTL and Seq on one bus: usually one message at a time is open there.  A message of
 -- several frames is
 --   1 .. n     frame keys of its fragments (base.frame_key)
 --   slot, source; size, crc, reserved (nil for 0) as its Start says.  The stored record of a good
 --              message may lack its crc
---   chunks     while it is open: the bytes of the fragments behind the Start; received = their sum;
---              repeated = bytes of chunks that equal the one before, or nil; is_truncated = true
---              if the payload goes on behind the chunks, as the capture has fewer bytes than were
---              sent, or the message is too long
---   status     nil while it is open; "good", "bad" (CRC), "incomplete", "overrun", "truncated"
---              (by the capture); "superseded" by a new Start, or given up
+--   chunks     while it is open and in no pool of can.interleaved: the bytes of the fragments
+--              behind the Start, none of an overrun; received = their sum; repeated = bytes of
+--              chunks that equal the one before, or nil; is_truncated = true if the payload goes on
+--              behind the chunks: it is truncated by the capture, or too long
+--   status     nil while it is open, but "overrun" if it is too long already, and "superseded" if a
+--              pool keeps it open behind a new Start; then "good", "bad" (CRC), "incomplete",
+--              "overrun", "truncated" (by the capture), or "superseded" by a new Start or given up
 --   payload    once its last fragment has come
 --   padding    of CAN FD, nil for 0
 --   received   bytes, of an incomplete or overrun message; calculated = CRC, of a bad one
@@ -62,7 +63,7 @@ end
 --            message that is lost, or nil, is_open = whether it may still be withdrawn,
 --            is_withdrawn = whether a later frame has proved that nothing is wrong }
 function Reassembly:note(expert, message, text, ...)
-  -- is_open and is_withdrawn are left out: can.interleaved sets them, and memory halves without.
+  -- is_open and is_withdrawn are nil until can.interleaved sets them: that halves the memory.
   local anomaly = { expert = expert, text = text:format(...), lost = message and message[1] }
   if not self.anomalies then self.anomalies = {} end
   table.insert(self.anomalies, anomaly)
@@ -247,16 +248,16 @@ end
 local function leave_out(self, message, frame, needed)
   local chunks, first, tries = message.chunks, 1, 0
   -- The last chunk is the End: a second End would follow a message that has ended.
-  for at = 2, #chunks - 1 do
-    if chunks[at] ~= chunks[first] then first = at end
-    local size = needed + (at - first) * #chunks[first]
-    local padding = at > first and can_id.padding(frame.data, frame.reported, size)
+  for index = 2, #chunks - 1 do
+    if chunks[index] ~= chunks[first] then first = index end
+    local size = needed + (index - first) * #chunks[first]
+    local padding = index > first and can_id.padding(frame.data, frame.reported, size)
     if padding then
-      local rest = concat(chunks, "", at + 1, #chunks - 1) .. frame.data:sub(1, size)
+      local rest = concat(chunks, "", index + 1, #chunks - 1) .. frame.data:sub(1, size)
       self:finish(message, frame.can_id, concat(chunks, "", 1, first) .. rest)
       if message.status == "good" then
         message.padding = padding > 0 and padding or nil
-        for _ = first + 1, at do
+        for _ = first + 1, index do
           local key = table.remove(message, first + 2)
           if self.keeps then self.store:keep_duplicate(key, message[first + 1]) end
         end
@@ -351,7 +352,8 @@ for ctrl = #TAKERS + 1, 15 do TAKERS[ctrl] = undefined end
 -- What a frame is ---------------------------------------------------------------------------------
 
 --- Take the next frame of the capture.
--- frame    of can.dissector, its key to is_only_pass
+-- frame    of can.dissector: { key, can_id, bus, source, slot, data, reported, accepts_all,
+--          is_only_pass }
 -- returns  nil for a frame that is not YAPP's, else its kind: "single"; "fragment", of a message;
 --          "last", with which its message ends; "other", which has no message, as the anomalies say
 --          the message of a fragment or single frame, else nil
@@ -385,10 +387,10 @@ end
 
 -- Return the message in a slot that has a frame as a fragment, and the index of that; nil for none.
 local function find_in(self, slot, key)
-  local found, at = self.store:find(slot, key)
-  if found then return found, at end
+  local found, index = self.store:find(slot, key)
+  if found then return found, index end
   for _, message in ipairs(open_in(self, slot)) do
-    local index = frame_key.last_until(message, key)
+    index = frame_key.last_until(message, key)
     if message[index] == key then return message, index end
   end
 end

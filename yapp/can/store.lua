@@ -71,9 +71,9 @@ function Store:keep(message)
     slot = new_slot(message.source)
     self.slots[message.slot] = slot
   end
-  local at = last_until(slot.starts, message[1]) + 1
-  table.insert(slot.starts, at, message[1])
-  table.insert(slot.messages, at, pack(message) or message)
+  local index = last_until(slot.starts, message[1]) + 1
+  table.insert(slot.starts, index, message[1])
+  table.insert(slot.messages, index, pack(message) or message)
 end
 
 --- Keep the anomalies of a frame.  If its message is not known yet, the list may be empty.
@@ -106,17 +106,17 @@ function Store:forget(key, message)
   self.anomalies[key], self.originals[key] = nil, nil
   if not message or number_of(message[#message]) ~= number_of(key) then return end
   local slot = message.payload and self.slots[message.slot]
-  local at = slot and last_until(slot.starts, message[1])
+  local index = slot and last_until(slot.starts, message[1])
   for i = #message, 1, -1 do
     if number_of(message[i]) == number_of(key) then message[i] = message[i] - 0.5 end
   end
   if not slot then return end
-  slot.starts[at], slot.messages[at] = message[1], message
+  slot.starts[index], slot.messages[index] = message[1], message
 end
 
 -- Return the message of a slot with this index.  A packed one has no `crc`: compute it if needed.
-local function message_at(slot, at)
-  local text, key = slot.messages[at], slot.starts[at]
+local function message_at(slot, index)
+  local text, key = slot.messages[index], slot.starts[index]
   if type(text) == "table" then return text end
   local count = byte(text, 2)
   local payload = sub(text, count + 2)
@@ -138,19 +138,19 @@ end
 -- Return the message of a slot that has a frame as a fragment, and the index of the fragment; nil
 -- for none.  A good message wins: a broken one only seemed to have the frame.
 local function find_in(slot, key)
-  local found, found_at = slot.latest, last_until(slot.latest, key)
-  if found[found_at] == key and found.status == "good" then return found, found_at end
+  local found, found_index = slot.latest, last_until(slot.latest, key)
+  if found[found_index] == key and found.status == "good" then return found, found_index end
   local last = last_until(slot.starts, key)
   found = nil
-  for at = last, math.max(last - MAX_BEFORE, 1), -1 do
-    local message = message_at(slot, at)
+  for i = last, math.max(last - MAX_BEFORE, 1), -1 do
+    local message = message_at(slot, i)
     local index, is_good = last_until(message, key), message.status == "good"
     if message[index] == key and (is_good or not found) then
-      found, found_at, slot.latest = message, index, message
+      found, found_index, slot.latest = message, index, message
       if is_good then break end
     end
   end
-  return found, found_at
+  return found, found_index
 end
 
 --- Return the message in a slot that has a frame as a fragment, and the index of the fragment; nil

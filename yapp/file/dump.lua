@@ -19,14 +19,14 @@ local UNKNOWN = {} -- a time: { seconds, nanoseconds }
 local Dump = {}
 Dump.__index = Dump
 
--- Reads more bytes, and appends their findings.
+-- Read more bytes, and append their findings.
 function Dump:fill(file)
   local bytes = self.head or file:read(CHUNK) or ""
   self.head, self.is_over = nil, bytes == ""
   self.framer:add(bytes, self.is_over, self.findings)
 end
 
--- Returns the controller's own time of a frame, nil for none.
+-- Return the controller's own time of a frame, nil for none.
 function Dump:stamp(finding)
   if finding.status ~= "good" then return nil end
   local seconds, nanoseconds = self.time_of(finding.bytes)
@@ -66,7 +66,7 @@ function M.open(file, options, head)
   return has_frame and self or nil
 end
 
--- Takes the next finding, nil at the end.  All bytes between two frames are one finding of at most
+-- Take the next finding, nil at the end.  All bytes between two frames are one finding of at most
 -- MAX_SKIPPED bytes, however they were read.
 function Dump:next_finding(file)
   local finding = self.findings[self.next]
@@ -88,7 +88,7 @@ function Dump:next_finding(file)
   return finding
 end
 
--- Returns a record as Wireshark takes it.
+-- Return a record as Wireshark takes it.
 local function packet(record, offset, bytes)
   return offset, record.tags .. bytes, record.time[1], record.time[2]
 end

@@ -1,9 +1,10 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- Wireshark's file readers of candump text, Vector's ASC and raw serial dumps, and what the files
 -- say of the capture.  The modules of the formats do the work.
-local asc = require("yapp.file.asc")
-local candump = require("yapp.file.candump")
-local dump = require("yapp.file.dump")
+
+local asc = require "yapp.file.asc"
+local candump = require "yapp.file.candump"
+local dump = require "yapp.file.dump"
 
 local M = {}
 

@@ -7,7 +7,7 @@
 -- the tree that has these.
 
 local capture = require "yapp.host.capture"
-local readers = require "yapp.file.readers"
+local file_readers = require "yapp.file.readers"
 local socketcan = require "yapp.host.socketcan"
 
 local M = {}
@@ -16,7 +16,7 @@ local FIELDS = "frame.interface_id || frame.interface_name || frame.section_numb
   "sll.ifindex || rtacser.eventtype"
 local NAMES = {}
 for name in FIELDS:gmatch("[%w_.]+") do NAMES[name] = true end
-local IN_TSHARK = not gui_enabled()
+local IS_TSHARK = not gui_enabled()
 local IS_WINDOWS = package.config:sub(1, 1) == "\\"
 
 local Buses = {}
@@ -35,13 +35,13 @@ local function positions()
   return table.concat(list, " ")
 end
 
--- Reads the first bytes of a capture.
--- returns  them, and whether more may be read, which Wireshark cannot rewind in a pipe.  In tshark
---          it is a file if the read moved the position of an open file.
+-- Read the first bytes of a capture.
+-- returns  the bytes; whether it is a file: more of a pipe must not be read, as Wireshark cannot
+--          rewind it further.  In tshark, the read of a file moves the position of an open file.
 local function read_head(file)
   local before = positions()
   local head = file:read(capture.HEAD) or ""
-  return head, not IN_TSHARK or IS_WINDOWS or positions() ~= before
+  return head, not IS_TSHARK or IS_WINDOWS or positions() ~= before
 end
 
 --- Look at the head of each file from now on.  Call it once.
@@ -60,8 +60,8 @@ function M.watch()
     end
     self.seen = capture.read(head, more)
     self.is_short = #head < capture.HEAD
-    self.is_cut = not (self.is_short or is_file)
-    readers.forget()
+    self.is_long_pipe = not (self.is_short or is_file)
+    file_readers.forget()
     return false
   end
   function handler.read() return false end
@@ -76,11 +76,11 @@ end
 function Buses:init()
   local found = self.seen
   self.found, self.is_shifted = found, false
-  self.plain_bus = readers.log().plain_bus
+  self.plain_bus = file_readers.log().plain_bus
   self.kept = {} -- [number of a packet] = its bus, as fields told it: later there may be no tree
   -- A short file may be of a live capture that already had packets when it was opened.
   local may_go_on = self.is_short and found.has_several or found.is_live
-  local needs_fields = may_go_on or self.is_cut and found.yapp_interfaces > 0
+  local needs_fields = may_go_on or self.is_long_pipe and found.yapp_interfaces > 0
   self.asks = needs_fields or found.has_several or not (found.is_told or self.plain_bus)
   if needs_fields then
     self.tap = self.tap or Listener.new("frame", FIELDS)
@@ -92,24 +92,24 @@ end
 
 --- Return whether the capture is known to have several buses.
 function Buses:are_several()
-  return self.found.has_several or readers.log().has_several
+  return self.found.has_several or file_readers.log().has_several
 end
 
 --- Return what the capture says of packets that were dropped: a list of { time = seconds since 1970
 -- or nil, frame = number of the packet behind the loss or nil, bus = name or nil, count }.
 function Buses:drops()
   local drops = self.found.drops
-  return drops[1] and drops or readers.log().drops or {}
+  return drops[1] and drops or file_readers.log().drops or {}
 end
 
 --- Whether packets of the capture have no time stamps.
 function Buses:lacks_times()
-  return self.found.has_no_times or readers.log().lacks_times
+  return self.found.lacks_times or file_readers.log().lacks_times
 end
 
 --- Whether nothing tells when packets were captured: they have no times, or those of controllers.
 function Buses:lacks_clock()
-  return self:lacks_times() or readers.log().lacks_clock
+  return self:lacks_times() or file_readers.log().lacks_clock
 end
 
 -- The bus by the fields of the current packet; nil where they do not tell it.
@@ -142,7 +142,7 @@ local IN_ETHERNET = 42
 -- returns  the number of its bus, nil if the capture has only one or nothing tells it; and whether
 --          the bus is known
 function Buses:of(pinfo, number, offset)
-  local bus, name = readers.current()
+  local bus, name = file_readers.current()
   local found = self.found
   if bus then
     found.names[bus] = name
@@ -152,7 +152,7 @@ function Buses:of(pinfo, number, offset)
     return find_later(self, number)
   end
   if not found.has_several then return nil, not found.is_unknown or offset >= IN_ETHERNET end
-  bus = not self.is_shifted and found:bus(number, IN_TSHARK and pinfo.abs_ts or nil)
+  bus = not self.is_shifted and found:bus(number, IS_TSHARK and pinfo.abs_ts or nil)
   self.is_shifted = not bus
   return bus or nil, not self.is_shifted
 end

@@ -82,14 +82,14 @@ local function three_numbers(window, offset)
     i + j * 0x100 + k * 0x10000 + l * 0x1000000
 end
 
--- Notes whether the option epb_dropcount, code 4 and 8 bytes, may be among the bytes at hand.  That
+-- Note whether the option epb_dropcount, code 4 and 8 bytes, may be among the bytes at hand.  That
 -- costs less than to read the options of each block.
 local function note_drop_option(window)
   local option = window.is_little and "\4\0\8\0" or "\0\4\0\8"
   window.may_have_drops = find(window.text, option, 1, true) ~= nil
 end
 
--- Makes `count` bytes, at most CHUNK, at an offset available; skips what lies in front of them.
+-- Make `count` bytes, at most CHUNK, at an offset available; skip what lies in front of them.
 -- returns  whether they are there
 function Window:has(offset, count)
   if offset + count <= self.stop then return true end
@@ -131,7 +131,7 @@ local function bus_number(self, interface, index)
   return number
 end
 
--- Keeps the bus of the latest packet, and when it was captured.
+-- Keep the bus of the latest packet, and when it was captured.
 -- offset   of its data
 -- seconds  since 1970
 local function keep_bus(self, window, interface, offset, seconds)
@@ -173,9 +173,6 @@ local function seconds_of(interface, high, low)
   return (high * 2 ^ 32 + low) / interface.per_second + interface.shift
 end
 
--- The functions from here on read a block, whose first CHUNK bytes are available.  They return true
--- to read no further.
-
 -- Add an interface to those of the file.
 -- name  nil for none
 local function new_interface(self, linktype, name)
@@ -197,6 +194,9 @@ local function new_interface(self, linktype, name)
   return interface
 end
 
+-- The functions in BLOCKS, below, read a block, whose first CHUNK bytes are available.  They return
+-- true to read no further.
+
 local function read_interface(self, window, offset, length)
   if length < 20 then return true end
   local linktype = window:number(offset + 8, 2)
@@ -216,7 +216,7 @@ local function read_interface(self, window, offset, length)
   self.has_indexes = self.has_indexes or linktype == COOKED_2
 end
 
--- Reads the options of an enhanced block: how many packets were dropped in front of its own.
+-- Read the options of an enhanced block: how many packets were dropped in front of its own.
 local function read_drops(self, window, offset, length)
   local captured = three_numbers(window, offset + 20)
   local start, stop = offset + 28 + captured + -captured % 4, offset + length - 4
@@ -233,7 +233,7 @@ end
 
 local OBSOLETE, ENHANCED = 2, 6
 
--- Reads a block with a packet, of the enhanced or of the obsolete kind.
+-- Read a block with a packet, of the enhanced or of the obsolete kind.
 local function read_packet(self, window, offset, length, kind)
   self.count = self.count + 1
   if not (self.keeps or window.may_have_drops) then return end -- the usual case
@@ -250,13 +250,13 @@ end
 
 -- A simple block has a packet of the section's first interface, without a time.
 local function read_simple_packet(self, window, offset)
-  self.count, self.has_no_times = self.count + 1, true
+  self.count, self.lacks_times = self.count + 1, true
   local interface = interface_of(self, 0)
   if not interface then return true end
   if self.keeps then keep_bus(self, window, interface, offset + 12, 0) end
 end
 
--- Reads how many packets an interface, or its operating system, dropped so far.
+-- Read how many packets an interface, or its operating system, dropped so far.
 local function read_statistics(self, window, offset, length)
   local interface = interface_of(self, window:number(offset + 8, 4))
   if not interface then return end
@@ -289,7 +289,7 @@ for _, kind in ipairs { 0x208, 0x217, 0x222 } do BLOCKS[kind] = stop_reading end
 
 local SECTION = 0x0A0D0D0A
 
--- Begins a section, which has its own byte order and numbers its interfaces from 0.
+-- Begin a section, which has its own byte order and numbers its interfaces from 0.
 -- returns  the length of its block
 local function read_section(self, window, offset)
   window.is_little = window:bytes(offset + 8, 4) == "\77\60\43\26"
@@ -431,7 +431,7 @@ local function new_capture()
     names = {},
     is_taken = {}, -- by name
     drops = {},
-    has_no_times = false,
+    lacks_times = false,
     has_packets = false,
     is_unknown = false,
   }, Capture)
@@ -452,7 +452,7 @@ end
 --   names         [bus] = its name
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
---   has_no_times  whether packets have no time stamps
+--   lacks_times   whether packets have no time stamps
 --   offset        of the CAN frame's data in each packet; nil where it is not always the same
 --   head          its first bytes, if it has packets and these may have YAPP frames, in TCP, UDP or
 --                 others

@@ -95,7 +95,7 @@ function M.range(text)
 end
 
 --- Return how many periods a gap may last, a number above 0; and a list of what is wrong.
--- text  of the preference; anything else counts as 2.5
+-- text  of the preference; if it is not a number above 0, use 2.5
 function M.late(text)
   local late = tonumber(text)
   if late and late > 0 and late < math.huge then return late, {} end

@@ -1,14 +1,13 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What other dissectors know of the current packet: the values of their fields, and the header of a
--- CAN frame, which SocketCAN does not hand on: the id of a frame that comes by Decode As or a
--- heuristic, and whether it is a remote frame.  Wireshark's API.
+-- Facts about the current packet that SocketCAN does not hand on to our dissector: the CAN id of a
+-- frame that comes by Decode As or a heuristic; whether a frame is a remote frame; the values of
+-- other dissectors' fields.  Wireshark's API.
 --
--- A dissector gets the data alone.  In SocketCAN's table of ids, by which our messages are found,
+-- SocketCAN hands on the data alone.  It finds our messages in its table of ids, where
 -- pinfo.match_uint is the id.  For all other frames a wrapper in front of SocketCAN reads the
 -- header.  That is exact on every pass, but costs a name in frame.protocols and about 3 µs a CAN
--- frame.  So it begins only with Decode As, yapp.all_extended or a statistic.  If nothing but
--- statistics is wanted, it ends: a tap of the packet, which sees all of it, reads the header of the
--- frames that need it.
+-- frame.  So it begins only with Decode As, yapp.all_extended or a statistic.  If only statistics
+-- are wanted, it ends: a tap, which sees the whole packet, reads the headers that are needed.
 
 local M = {}
 
@@ -98,10 +97,10 @@ end
 --- Return the id that the header in front of a record's data has.
 -- tvb       of the whole packet
 -- offset    of the data; length = on the bus
--- known     the id if it is known: it proves the header and its byte order
--- returns   29-bit id; nil for what is no extended data frame; what is known if this is no header
-function M.id_before(tvb, pinfo, offset, length, known)
-  local id = known
+-- known_id  the id, nil if it is not known: it proves the header and its byte order
+-- returns   29-bit id; nil for what is no extended data frame; known_id if this is no header
+function M.id_before(tvb, pinfo, offset, length, known_id)
+  local id = known_id
   local has_room = offset >= HEADER and offset <= tvb:len()
   if has_room and tvb(offset - 4, 1):uint() == length then
     local start = tvb(offset - HEADER, 4)
@@ -109,8 +108,8 @@ function M.id_before(tvb, pinfo, offset, length, known)
     -- Big endian are SocketCAN's own encapsulation and PPI; little endian cooked captures and logs.
     local is_big = offset == HEADER and not get_preference("can.byte_swap") or offset == 2 * HEADER
     if not is_big then word, other = other, word end
-    if known and word % MASK ~= known then word = other end
-    if not known or word % MASK == known then id = data_id(word) end
+    if known_id and word % MASK ~= known_id then word = other end
+    if not known_id or word % MASK == known_id then id = data_id(word) end
   end
   header.number, header.can_id = pinfo.number, id
   return id
@@ -120,19 +119,19 @@ end
 -- throws past Lua, which costs 2 of Lua's 200 nested calls for good.
 local thrown = 0
 
--- Hands a frame on to SocketCAN.  Of a truncated frame SocketCAN sees only the captured bytes, if
+-- Hand a frame on to SocketCAN.  Of a truncated frame SocketCAN sees only the captured bytes, if
 -- the frame cannot be YAPP or if dissectors have thrown too often.
 local function hand_on(inner, can_id, tvb, pinfo, tree)
   local length = tvb:len()
   if length < HEADER then return 0 end
-  local is_whole = length == tvb:reported_len()
-  if not is_whole and (not can_id or thrown >= MAX_THROWN) then
-    tvb, is_whole = tvb(0, length):tvb(), true
+  local is_complete = length == tvb:reported_len()
+  if not is_complete and (not can_id or thrown >= MAX_THROWN) then
+    tvb, is_complete = tvb(0, length):tvb(), true
   end
-  if not is_whole then thrown = thrown + 1 end
+  if not is_complete then thrown = thrown + 1 end
   -- If this fails, Wireshark has added an item that says so.
   local ok, taken = pcall(inner.call, inner, tvb, pinfo, tree)
-  if not is_whole then thrown = thrown - 1 end
+  if not is_complete then thrown = thrown - 1 end
   return ok and taken or length
 end
 

@@ -2,10 +2,10 @@
 -- The catalogue compiler: checks the lists of messages once, at load, and works out what decoding
 -- needs.  Pure Lua.
 
-local input = require("yapp.base.input")
-local decode = require("yapp.message.decode")
-local fields = require("yapp.message.catalogue_fields")
-local text_of = require("yapp.message.text")
+local input = require "yapp.base.input"
+local decode = require "yapp.message.decode"
+local fields = require "yapp.message.catalogue_fields"
+local text_of = require "yapp.message.text"
 
 local demand, shown = input.demand, input.shown
 
@@ -199,7 +199,7 @@ local function check_head(entry)
   demand(#entry > 0, "it has no fields")
 end
 
--- context  what an error is about: gets field = the name of the one that is compiled, nil for none
+-- context  what an error is about: context.field is set to the name of the current field, or nil
 local function compile_message(entry, reserved, context)
   check_head(entry)
   local message = {

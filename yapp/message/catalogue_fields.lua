@@ -3,8 +3,8 @@
 -- Pure Lua.  A mistake in a row is raised as a text; message.catalogue adds the message and the
 -- field.
 
-local band = require("yapp.base.bits").band
-local input = require("yapp.base.input")
+local band = require "yapp.base.bits".band
+local input = require "yapp.base.input"
 
 local demand, shown, set = input.demand, input.shown, input.set
 local is_name, is_text = input.is_name, input.is_text
@@ -63,7 +63,7 @@ M.TYPE_NAMES = input.names(TYPES)
 
 -- Options ----------------------------------------------------------------------------------------
 
--- Raises that a number has no room in a field.
+-- Raise that a number has no room in a field.
 local function check_fits(field, what, number, lowest)
   local fits = input.is_integer(number) and number >= lowest and number <= field.top
   demand(fits, "%s %s does not fit the type %s", what, shown(number), field.type)
@@ -112,7 +112,7 @@ local function length_of(row)
 end
 
 -- Make the field of a row, or of a part of bits, without its offset.
--- def  of TYPES; of a part also type, the name of its field's
+-- def  of TYPES; for a part of bits also `type`: the name of the field's type
 local function new_field(message, row, def)
   local field = {
     name = row[1],
@@ -155,9 +155,9 @@ end
 
 -- Flags and parts of bits ------------------------------------------------------------------------
 
--- Check the i-th flag, or part, { name, mask, title }, and take its bits of the field.
+-- Check the i-th flag, or part, { name, mask, title }, and mark its bits as defined.
 -- returns  its name in errors: "flag stopped"
-local function take_bits(field, row, what, i, options)
+local function define_bits(field, row, what, i, options)
   what = input.row(row, what, i, 3, options)
   local mask = row[2]
   check_fits(field, what .. ": mask", mask, 1)
@@ -168,7 +168,7 @@ local function take_bits(field, row, what, i, options)
 end
 
 local function add_flag(field, row, i)
-  local what = take_bits(field, row, "flag", i, FLAG_OPTIONS)
+  local what = define_bits(field, row, "flag", i, FLAG_OPTIONS)
   local name, mask = row[1], row[2]
   demand(row.alarm == nil or row.alarm == true, "%s: alarm is true, or is not there", what)
   if row.alarm then field.alarm_bits = field.alarm_bits + mask end
@@ -183,7 +183,7 @@ end
 
 -- Make a part of a field: a field with a mask, whose counts begin at the mask's lowest bit.
 local function new_part(message, field, row, i)
-  local what = take_bits(field, row, "bits", i, PART_OPTIONS)
+  local what = define_bits(field, row, "bits", i, PART_OPTIONS)
   local mask, low = row[2], 1
   while mask % (2 * low) == 0 do low = low * 2 end
   local top = mask / low
@@ -303,9 +303,8 @@ end
 
 --- Compile the rows of a message into its fields, by_name, time, flag_fields and alarms.
 -- message  its compiled head, with these tables, empty
--- context  gets field = the name, or else the number, of the row that is looked at: what an error
---          is about
--- returns  the sum of the sizes in bytes.  Raises what is wrong.
+-- context  what an error is about: context.field is set to the name or number of the current row
+-- returns  the sum of the sizes in bytes.  It raises what is wrong.
 function M.compile(message, rows, context)
   local build = { message = message, context = context, offset = 0, when = nil }
   add_rows(build, rows)

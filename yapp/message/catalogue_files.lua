@@ -2,8 +2,8 @@
 -- The files of the catalogue: the plugin's own messages, and those of the user, which come after
 -- and may replace them.  Pure Lua.
 
-local catalogue = require("yapp.message.catalogue")
-local input = require("yapp.base.input")
+local compiler = require "yapp.message.catalogue"
+local input = require "yapp.base.input"
 
 local M = {}
 
@@ -71,7 +71,7 @@ local function add_entries(all, entries, path, problems)
   end
 end
 
---- Reads the files of the catalogue and compiles them as one.
+--- Read the files of the catalogue and compile them as one.
 -- files    list of { path =, optional = whether the file may be missing }, in order: a message of a
 --          later file replaces one of the same name
 -- reserved  optional { [filter name] = true } that no message may use
@@ -88,7 +88,7 @@ function M.load(files, reserved)
       problems[#problems + 1] = file.path .. ": " .. problem
     end
   end
-  local compiled, found = catalogue.compile(all.entries, all.origins, reserved)
+  local compiled, found = compiler.compile(all.entries, all.origins, reserved)
   for _, text in ipairs(found) do
     problems[#problems + 1] = text .. "; this message is not decoded"
   end
@@ -102,8 +102,8 @@ function M.preference(path, name)
   if not file then return nil end
   local text = "\n" .. (file:read("*a") or "") .. "\n"
   file:close()
-  local _, at = text:find(("\n%s:"):format(name), 1, true)
-  local value = at and text:match("^[ \t]*([^\r\n]-)[ \t\r]*\n", at + 1)
+  local _, colon = text:find(("\n%s:"):format(name), 1, true)
+  local value = colon and text:match("^[ \t]*([^\r\n]-)[ \t\r]*\n", colon + 1)
   return value ~= "" and value or nil
 end
 

@@ -3,8 +3,8 @@
 -- ("YAPP Data Types", "YAPP Float Compression", "Time"), their meaning, and which of them are
 -- remarkable.  Pure Lua.
 
-local bits = require("yapp.base.bits")
-local utf8 = require("yapp.base.utf8")
+local bits = require "yapp.base.bits"
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
@@ -27,10 +27,10 @@ local MAX_KEPT = 100 -- bytes of a payload in local variables: a function has up
 -- Numbers ----------------------------------------------------------------------------------------
 
 -- Return the little endian number of so many bytes, rounded to a double.
--- at  1-based index in the payload
-local function count_of(payload, at, size)
+-- index  in the payload, 1-based
+local function count_of(payload, index, size)
   local count = size > 6 and 0.0 or 0 -- COMPAT 5.4: integers of eight bytes wrap around
-  for i = at + size - 1, at, -1 do
+  for i = index + size - 1, index, -1 do
     count = count * 0x100 + byte(payload, i)
   end
   return count
@@ -38,14 +38,14 @@ end
 
 -- Return an IEEE 754 number.
 -- digits  bits of its mantissa: 23 of four bytes, 52 of eight
-local function ieee(payload, at, size, digits)
+local function ieee(payload, index, size, digits)
   local bits_of_exponent = 8 * size - 1 - digits
-  local a, b = byte(payload, at + size - 2, at + size - 1)
+  local a, b = byte(payload, index + size - 2, index + size - 1)
   local high = 2 ^ (15 - bits_of_exponent) -- the two highest bytes: sign, exponent, digits
   local top = b % 0x80 * 0x100 + a
   local exponent = floor(top / high)
   local mantissa = top % high * 2 ^ (digits - 15 + bits_of_exponent) +
-    count_of(payload, at, size - 2)
+    count_of(payload, index, size - 2)
   local sign, highest = b >= 0x80 and -1 or 1, 2 ^ bits_of_exponent - 1
   if exponent == highest then return mantissa == 0 and sign * math.huge or 0 / 0 end
   local bias = (highest - 1) / 2 + digits
@@ -57,8 +57,8 @@ local BILLION = 1000000000
 
 -- Divide an integer of eight bytes by 10^9.
 -- returns  the quotient, and the rest, of the same sign
-local function divide(payload, at, is_signed)
-  local a, b, c, d, e, f, g, h = byte(payload, at, at + 7)
+local function divide(payload, index, is_signed)
+  local a, b, c, d, e, f, g, h = byte(payload, index, index + 7)
   if h == 0 and g < 0x20 then -- the usual one: a double holds it
     local high = e + f * 0x100 + g * 0x10000
     local number = high * 0x100000000 + d * 0x1000000 + c * 0x10000 + b * 0x100 + a
@@ -67,7 +67,7 @@ local function divide(payload, at, is_signed)
   end
   -- Long division, a byte a step.  The highest byte of a negative number counts as negative.
   local quotient, rest = 0, is_signed and h >= 0x80 and h - 0x100 or h
-  for i = at + 6, at, -1 do
+  for i = index + 6, index, -1 do
     local dividend = rest * 0x100 + byte(payload, i)
     rest = dividend % BILLION
     quotient = quotient * 0x100 + (dividend - rest) / BILLION
@@ -77,8 +77,8 @@ local function divide(payload, at, is_signed)
 end
 
 -- Return an integer of eight bytes: a number up to 2^53, beyond that its decimal digits.
-local function integer64(payload, at, is_signed)
-  local billions, rest = divide(payload, at, is_signed)
+local function integer64(payload, index, is_signed)
+  local billions, rest = divide(payload, index, is_signed)
   if abs(billions) < 9007199 then return billions * BILLION + rest end
   return format("%.0f%09.0f", billions, abs(rest))
 end
@@ -182,8 +182,8 @@ function M.value(field, raw)
   return raw
 end
 
---- Return a number as a text, with the digits that its count can carry: as a number that text is
--- equal to 1.1 in a filter.
+--- Return a number as a text with as many digits as its count can carry: "1.1" for
+-- 11 * 0.1 = 1.1000000000000001, so that a filter `== 1.1` matches it.
 -- field  or an item of message.generated
 -- value  of M.value or M.derived
 function M.number_text(field, value)

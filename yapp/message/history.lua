@@ -5,10 +5,10 @@
 -- They are kept by the frame key of the message, so that a revisit gets the same.  In an only pass,
 -- memory grows with changes, Commands and reboots, not with messages.
 
-local band = require("yapp.base.bits").band
-local last_until = require("yapp.base.frame_key").last_until
-local decode = require("yapp.message.decode")
-local memo = require("yapp.base.memo")
+local band = require "yapp.base.bits".band
+local last_until = require "yapp.base.frame_key".last_until
+local decode = require "yapp.message.decode"
+local memo = require "yapp.base.memo"
 
 local M = {}
 
@@ -22,7 +22,7 @@ local MAX_BEHIND = 8 -- a Seq up to 8 behind came late; it does not mean 248 mis
 -- the traces that the numbers tell apart: shared sources, reboots, late messages, stopped clocks.
 local LARGE_FALL = 2 -- seconds; a message that came late makes the clock fall by less
 local LARGE_RETURN = 50 -- evidence of a return from a large fall; from a small one it is 1
-local FADE = 0.85 -- each message leaves this share of the evidence: 50 is ENOUGH for 22 messages
+local FADE = 0.85 -- what a message leaves of it: evidence of 50 stays above ENOUGH for 22 messages
 local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 
 local NO_MESSAGE = { flag_fields = {} }
@@ -73,11 +73,12 @@ local function new_source(self, m)
     payload = nil,
     -- Since then:
     raised_at = {}, -- [index of its field * 2^32 + its bit] = when a fault that is set was raised
-    -- See is_shared:
-    lead = 0, -- seconds that the controller's clock gained on the capture's since its first fall
-    falls = {}, -- the latest first, without those it returned from: { lead before it, size }
+    -- See is_shared.  The controller's clock falls when it goes back or stops.  Later it may return
+    -- to the lead over the capture's clock that it had before the fall.
+    lead = 0, -- seconds that it gained on the capture's clock since its first fall
+    falls = {}, -- { lead before it, size }, the latest first; none from which the clock returned
     evidence = 0,
-    shared_at = huge, -- frame key of the message that proves that controllers share the source
+    shared_key = huge, -- frame key of the message that proves that controllers share the source
     -- By the frame key of a message:
     changes = {}, -- [frame key] = change
     base_keys = {}, -- ascending: the first clock, and reboots
@@ -243,7 +244,7 @@ end
 local function update(source, m, delta)
   local name, value = note_clock(source, m)
   if name == "shared" then
-    source.shared_at, source.changes[m.key] = m.key, SHARED
+    source.shared_key, source.changes[m.key] = m.key, SHARED
     return SHARED
   end
   local flags, missing = flag_changes(source, m), missing_before(source, m.seq, name, value)
@@ -283,7 +284,7 @@ function History:note(m, is_only_pass)
   if m.status ~= "good" then return nil, delta end
   source.time = m.time
   if source.own then insert(source.own, m.key) end
-  if m.key > source.shared_at then return UNRELIABLE, delta end
+  if m.key > source.shared_key then return UNRELIABLE, delta end
   return update(source, m, delta), delta
 end
 
@@ -294,12 +295,12 @@ function History:change(m)
   local source, key = self.by_source[m.source], m.key
   local delta = self.deltas[key]
   if not source or m.status ~= "good" then return nil, delta end
-  return key > source.shared_at and UNRELIABLE or source.changes[key], delta
+  return key > source.shared_key and UNRELIABLE or source.changes[key], delta
 end
 
 --- Return the state at a message, whether the message changes it or not.
 -- m        as it was given to note
--- returns  nil if m is not good or its source is unreliable, else {
+-- returns  nil if m is not good, or its source is not known or unreliable, else {
 --   drift         seconds: controller's clock less the capture's, since the source's first message
 --                 or reboot
 --   command_in    frame key of the latest good message on the bus that it answers: a Command
@@ -308,7 +309,7 @@ end
 --                 fault, if one is set or changes }
 function History:state(m)
   local source, key = self.by_source[m.source], m.key
-  if not source or m.status ~= "good" or key >= source.shared_at then return nil end
+  if not source or m.status ~= "good" or key >= source.shared_key then return nil end
   local base = source.bases[last_until(source.base_keys, key)]
   local clock, commands, faults = base and clock_of(m), source.commands, source.fault_keys
   local last = last_until(faults, key)

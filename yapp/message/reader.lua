@@ -2,7 +2,7 @@
 -- What a finished message means: its values, and what changed in its source.  Pure Lua.  Dissectors
 -- bring messages; the tree and the statistics get them here.
 
-local decode = require("yapp.message.decode")
+local decode = require "yapp.message.decode"
 
 local M = {}
 
@@ -14,11 +14,11 @@ Reader.__index = Reader
 
 --- Make a reader.
 -- catalogue  compiled
--- stat       a stat.intake, which gets messages while it is wanted
-function M.new(catalogue, stat)
+-- intake     a stat.intake, which gets messages while it is wanted
+function M.new(catalogue, intake)
   return setmetatable({
     messages = catalogue.messages,
-    stat = stat,
+    intake = intake,
     by_id = catalogue.by_id, -- [id] = message, see Reader:use; file readers may ask before
     sources = nil, -- the names that the user gave, see Reader:use
     several_ids = nil, -- [message] = whether more than one ID carries it
@@ -150,8 +150,8 @@ end
 --   status         "good" if it is proved complete; "bad" (CRC); "truncated" by the capture;
 --                  "incomplete"; "overrun"
 --   is_unreliable  whether its history is not known, as nothing tells the bus }, and gets
---   raws, is_remarkable  from decode.read, if the size fits: min_size of the message at least, and
---                  more than its size only of a good one
+--   raws, is_remarkable  from message.read, if the size fits: min_size of the message at least,
+--                  and more than its size only of a good one
 --   undecoded      number of payload bytes behind the message's size, nil for none
 --   has_fault      whether a fault flag is set
 --   change         what changes with it, or false (see message.history)
@@ -160,7 +160,7 @@ end
 --   is_unreliable  true if controllers share its source, or if it was unreliable before its revisit
 -- history  a message.history
 -- wants    of Tree:wants
--- returns  whether its captured bytes are at their offsets: false of incomplete and overrun ones
+-- returns  whether its bytes have known offsets: false of an incomplete or overrun one
 function Reader:read(m, history, wants)
   local message, is_broken, raws, is_remarkable = m.source.message, IS_BROKEN[m.status], nil, nil
   local is_longer = message and m.size > message.size
@@ -172,7 +172,7 @@ function Reader:read(m, history, wants)
   m.undecoded = raws and is_longer and m.size - message.size or nil
   m.has_fault = is_remarkable and decode.has_alarm(message, raws)
   ask(m, history, wants)
-  if self.stat.wanted then self.stat:message(m) end
+  if self.intake.wanted then self.intake:message(m) end
   return not is_broken
 end
 

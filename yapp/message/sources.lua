@@ -12,9 +12,9 @@
 -- no ID follows.  Its own quotes are doubled: "USB, left"/0x210=motor:a.
 -- The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
 
-local input = require("yapp.base.input")
-local memo = require("yapp.base.memo")
-local utf8 = require("yapp.base.utf8")
+local input = require "yapp.base.input"
+local memo = require "yapp.base.memo"
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
@@ -44,7 +44,7 @@ local function demand(condition, problem, advice)
   if not condition then error({ problem = problem, advice = advice }, 0) end
 end
 
--- Takes a part apart at its "=".
+-- Take a part apart at its "=".
 -- returns  the bus or nil, the text of the IDs or nil, and the text behind the "="
 local function take_address(part)
   local address, value = part:match("^(.-)%s*=(.*)$")
@@ -73,7 +73,7 @@ local function read_ids(text)
   return ids
 end
 
--- Reads a part.
+-- Read a part.
 -- returns  the bus, the IDs, the compiled message and the name: nil for each that it does not say
 local function read_part(part, catalogue)
   local bus, id_text, value = take_address(part)
@@ -97,17 +97,17 @@ end
 -- Add a row for each ID of a part; raise if an earlier part has one.
 local function add_part(self, part, catalogue)
   local bus, ids, message, name = read_part(part, catalogue)
-  local of_bus, is_known = self.by_bus[bus or false], false
+  local of_bus, is_repeated = self.by_bus[bus or false], false
   for _, id in ipairs(ids or EVERY) do
     if of_bus[id] then
-      is_known = true
+      is_repeated = true
     else
       local row = { bus = bus, id = ids and id, message = message, name = name }
       of_bus[id] = row
       self.rows[#self.rows + 1] = row
     end
   end
-  demand(not is_known, "a bus and ID once more", "the first part that names them holds")
+  demand(not is_repeated, "a bus and ID once more", "the first part that names them holds")
 end
 
 --- Return what stands before the "=" of a part for an ID: can1/0x210, "a,b"/0x210.

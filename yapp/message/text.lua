@@ -5,10 +5,10 @@
 -- GROUP_FLAG, 0 or 1; a float with a reserved value is an empty cell, and NAME_special names the
 -- value.
 
-local input = require("yapp.base.input")
-local bits = require("yapp.base.bits")
-local decode = require("yapp.message.decode")
-local memo = require("yapp.base.memo")
+local input = require "yapp.base.input"
+local bits = require "yapp.base.bits"
+local decode = require "yapp.message.decode"
+local memo = require "yapp.base.memo"
 
 local M = {}
 
@@ -124,7 +124,7 @@ end
 
 --- Compile what Info says of a message.
 -- text     "{name:%.1f} V": the format of a number with a fraction may be left out
--- returns  function(raws) -> what Info says of its values.  Raises what is wrong.
+-- returns  function(raws) -> what Info says of its values.  It raises what is wrong.
 function M.compile_info(message, text)
   local pieces, index = {}, 1
   while index do

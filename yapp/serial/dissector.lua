@@ -2,15 +2,15 @@
 -- The dissector of YAPP in byte streams and datagrams: UART captures, raw dumps, TCP and UDP.
 -- Wireshark's API.
 
-local crc = require("yapp.wire.crc")
-local frame = require("yapp.wire.frame")
-local frame_key = require("yapp.base.frame_key")
-local framer = require("yapp.serial.framer")
-local memo = require("yapp.base.memo")
-local show_fields = require("yapp.show.fields")
-local streams = require("yapp.serial.streams")
-local tcp = require("yapp.serial.tcp")
-local utf8 = require("yapp.base.utf8")
+local crc = require "yapp.wire.crc"
+local frame = require "yapp.wire.frame"
+local frame_key = require "yapp.base.frame_key"
+local framer = require "yapp.serial.framer"
+local memo = require "yapp.base.memo"
+local show_fields = require "yapp.show.fields"
+local streams = require "yapp.serial.streams"
+local tcp = require "yapp.serial.tcp"
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
@@ -58,7 +58,7 @@ end
 
 -- Packets ----------------------------------------------------------------------------------------
 
--- Returns the line of a packet, one direction of a conversation or of a UART: {
+-- Return the line of a packet, one direction of a conversation or of a UART: {
 --   key          of its stream
 --   opposite     key of the other direction
 --   bus_key      what a Command and its answers have in common: one key for both directions of a
@@ -69,16 +69,16 @@ end
 --   sources      [ID] = a source, see message.reader }
 -- and whether it is known where the packet was captured.
 local function line_of(self, pinfo)
-  local kind, bus, is_known = pinfo.port_type, nil, true
+  local kind, bus, is_bus_known = pinfo.port_type, nil, true
   local is_ip = kind == UDP or kind == TCP
-  if not is_ip then bus, is_known = self.buses:of(pinfo, pinfo.number, 0) end
+  if not is_ip then bus, is_bus_known = self.buses:of(pinfo, pinfo.number, 0) end
   local address = tostring(pinfo.src)
   local here = address .. ":" .. pinfo.src_port
   local there = tostring(pinfo.dst) .. ":" .. pinfo.dst_port
   local before = (bus or "") .. "|" .. kind .. "|"
   local key = before .. here .. "|" .. there
   local line = self.lines[key]
-  if line then return line, is_known end
+  if line then return line, is_bus_known end
   local name, has_address = self.buses:name(bus, is_ip), not NO_ADDRESS[address]
   line = {
     key = key,
@@ -93,10 +93,10 @@ local function line_of(self, pinfo)
     return self.reader:new_source(id, line.bus_key, line.bus, line)
   end)
   self.lines[key] = line
-  return line, is_known
+  return line, is_bus_known
 end
 
--- Returns what is known of a packet, as serial.streams takes it, and
+-- Return what is known of a packet, as serial.streams takes it, and
 --   line          of line_of
 --   is_bus_known  whether it is known where it was captured
 --   tvb           where its bytes are, if a tree is wanted
@@ -139,7 +139,7 @@ end
 function Dissector:is_yapp(bytes)
   if not frame.find(bytes, 1) then return false end
   for _, finding in ipairs(self.streams:read(bytes)) do
-    local id = finding.status ~= "skipped" and frame.parse(bytes, finding.at + 1)
+    local id = finding.status ~= "skipped" and frame.parse(bytes, finding.offset + 1)
     if finding.status == "good" or id and self.reader:size_of(id) then return true end
   end
   return false
@@ -150,7 +150,7 @@ function Dissector:accepts(tvb, pinfo)
   return not pinfo.in_error_pkt and tvb:len() > 0 and self:is_yapp(tvb:raw())
 end
 
--- Returns what the statistics take of something that is no message.
+-- Return what the statistics take of something that is no message.
 -- packet  where this is noticed
 -- source  of message.reader, or the line
 local function new_report(packet, source, seq)
@@ -165,17 +165,17 @@ end
 
 -- Messages ---------------------------------------------------------------------------------------
 
--- Returns the message of a finding, for message.reader, and
+-- Return the message of a finding, for message.reader, and
 --   length      number of bytes of its frame
 --   missing     number of bytes, of one that is not complete
 --   crc, calculated  of a bad one
--- and the keys of its view, see Tree:show_message.  The n-th finding of a packet has the frame key
--- of the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even
--- in a tunnel that puts several packets into one.
+-- and the fields of its view, see Tree:show_message.  The n-th finding of a packet has the frame
+-- key of the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not
+-- even in a tunnel that puts several packets into one.
 local function new_message(packet, finding, index)
   local length, key = finding.to - finding.from, packet.key + index - 1
-  local bytes, at = finding.bytes or packet.bytes, finding.at or 0
-  local id, size, reserved, seq = frame.parse(bytes, at + 1)
+  local bytes, offset = finding.bytes or packet.bytes, finding.offset or 0
+  local id, size, reserved, seq = frame.parse(bytes, offset + 1)
   local m = {
     source = packet.line.sources[id],
     seq = seq,
@@ -185,53 +185,53 @@ local function new_message(packet, finding, index)
     is_unreliable = not packet.is_bus_known,
     size = size,
     reserved = reserved,
-    payload = sub(bytes, at + HEADER + 1, at + math.min(HEADER + size, length)),
+    payload = sub(bytes, offset + HEADER + 1, offset + math.min(HEADER + size, length)),
     length = length,
     status = finding.status,
     missing = finding.missing,
-    parts = finding.parts,
+    packet_keys = finding.packet_keys,
     wants = packet.wants,
     tree = packet.tree,
     item = packet.tree,
     payload_tvb = false,
-    payload_at = at + HEADER,
+    payload_offset = offset + HEADER,
   }
   if finding.status == "bad" then
-    local last = at + length
+    local last = offset + length
     m.crc = frame.crc(bytes, last)
-    m.calculated = crc.update(crc.INITIAL, bytes, at + 1, last - CRC_SIZE)
+    m.calculated = crc.update(crc.INITIAL, bytes, offset + 1, last - CRC_SIZE)
   end
   return m
 end
 
--- Adds YAPP's own item of a message.
+-- Add YAPP's own item of a message.
 -- tvb  where the bytes of the frame are
 local function add_frame(self, m, tvb)
-  local builder, at, source = self.builder, m.payload_at - HEADER, m.source
+  local builder, offset, source = self.builder, m.payload_offset - HEADER, m.source
   local fields = builder.fields
-  local item = add(m.tree, builder.yapp, tvb(at, m.length))
+  local item = add(m.tree, builder.yapp, tvb(offset, m.length))
   append_text(item, (", %s"):format(source.label))
-  add(item, fields.sync, tvb(at, 2))
-  add(item, fields.seq, tvb(at + 2, 1))
-  add(item, fields.ctl, tvb(at + 3, 1))
-  builder:add_id(item, tvb(at + 4, 4), source)
-  append_text(add_le(item, fields.size, tvb(at + 8, 2)), " bytes")
-  add_le(item, fields.reserved, tvb(at + 10, 2))
+  add(item, fields.sync, tvb(offset, 2))
+  add(item, fields.seq, tvb(offset + 2, 1))
+  add(item, fields.ctl, tvb(offset + 3, 1))
+  builder:add_id(item, tvb(offset + 4, 4), source)
+  append_text(add_le(item, fields.size, tvb(offset + 8, 2)), " bytes")
+  add_le(item, fields.reserved, tvb(offset + 10, 2))
   builder:add_source(item, source)
-  if m.parts then
-    local payload = #m.payload > 0 and tvb(m.payload_at, #m.payload) or nil
+  if m.packet_keys then
+    local payload = #m.payload > 0 and tvb(m.payload_offset, #m.payload) or nil
     builder:generated(item, "reassembled.in", frame_key.number(m.key))
-    builder:add_fragments(item, tvb(), m.parts, m.length, payload)
+    builder:add_fragments(item, tvb(), m.packet_keys, m.length, payload)
   end
   if m.missing then
     append_text(item, ", incomplete")
   else
-    builder:add_crc(item, tvb(m.payload_at + m.size, CRC_SIZE), m)
+    builder:add_crc(item, tvb(m.payload_offset + m.size, CRC_SIZE), m)
   end
   return item
 end
 
--- Shows what is wrong with a message.
+-- Show what is wrong with a message.
 local function show_anomalies(self, m)
   local builder = self.builder
   if m.status == "bad" then builder:bad_crc(m.item, m) end
@@ -239,7 +239,7 @@ local function show_anomalies(self, m)
     local expert = m.status == "truncated" and m.status or "fragment.incomplete"
     local text = "%d of the frame's %d bytes are missing"
     builder:expert(m.item, expert, text:format(m.missing, HEADER + m.size + CRC_SIZE))
-    if self.reader.stat.wanted then self.reader.stat:anomalies(m, { { expert = expert } }) end
+    if self.reader.intake.wanted then self.reader.intake:anomalies(m, { { expert = expert } }) end
   end
   if m.reserved ~= 0 then
     local text = ("The reserved bytes are 0x%04x, not 0"):format(m.reserved)
@@ -247,17 +247,17 @@ local function show_anomalies(self, m)
   end
 end
 
--- Shows a message; returns what the Info column says of it.
+-- Show a message; return what the Info column says of it.
 local function show_message(self, m, tvb)
   local builder, source = self.builder, m.source
-  local is_whole = self.reader:read(m, self.history, m.wants)
+  local has_offsets = self.reader:read(m, self.history, m.wants)
   if m.status ~= "good" then m.delta = false end -- its ID may be damaged, unlike a CAN id
   if m.wants.tree then m.item, m.payload_tvb = add_frame(self, m, tvb), tvb end
   show_anomalies(self, m)
   local mark = builder.MARKS[m.status]
-  if is_whole or not source.message then return builder:show_message(m, m) .. mark end
+  if has_offsets or not source.message then return builder:show_message(m, m) .. mark end
   if m.wants.yapp and #m.payload > 0 then
-    add(m.item, builder.fields.payload, tvb(m.payload_at, #m.payload))
+    add(m.item, builder.fields.payload, tvb(m.payload_offset, #m.payload))
   end
   return source.label .. mark
 end
@@ -274,7 +274,7 @@ local CONTROLS = {
   ["\27"] = "\\e",
 }
 
--- Returns a space and bytes as quoted text, "" if they are no text.
+-- Return a space and bytes as quoted text, "" if they are no text.
 local function quote(bytes)
   if utf8.ascii(bytes):find("[^%g \a\b\t\n\r\27]") then return "" end
   local text = bytes
@@ -284,24 +284,24 @@ local function quote(bytes)
   return ' "' .. text:gsub("%c", CONTROLS) .. '"'
 end
 
--- Shows skipped bytes; returns their text for the Info column.
+-- Show skipped bytes; return their text for the Info column.
 local function show_skipped(self, packet, tvb, finding)
-  local builder, item, stat = self.builder, packet.tree, self.reader.stat
-  local length, at = finding.to - finding.from, finding.at or 0
-  local text = quote(finding.bytes or sub(packet.bytes, at + 1, at + length))
+  local builder, item, intake = self.builder, packet.tree, self.reader.intake
+  local length, offset = finding.to - finding.from, finding.offset or 0
+  local text = quote(finding.bytes or sub(packet.bytes, offset + 1, offset + length))
   local size = builder.bytes(length)
   if packet.wants.tree then
-    item = add(item, builder.yapp, tvb(at, length))
+    item = add(item, builder.yapp, tvb(offset, length))
     append_text(item, (", %s skipped"):format(size))
-    append_text(add(item, builder.fields.skipped, tvb(at, length)), text)
+    append_text(add(item, builder.fields.skipped, tvb(offset, length)), text)
   end
   local expert = size .. " that belong to no frame" .. text:gsub("^ ", ": ")
   builder:expert(item, "stream.skipped", expert)
-  if stat.wanted then stat:skipped(new_report(packet, packet.line), length) end
+  if intake.wanted then intake:skipped(new_report(packet, packet.line), length) end
   return ("Skipped %s%s"):format(size, text)
 end
 
--- Returns what the Info column says of pending bytes.
+-- Return what the Info column says of pending bytes.
 local function pending_text(contents, size, leads_to)
   if leads_to then return ("[Reassembled in #%d]"):format(leads_to) end
   if contents.is_held then return ("[%s behind a missing TCP segment]"):format(size) end
@@ -309,7 +309,7 @@ local function pending_text(contents, size, leads_to)
   return ("[%s wait for more]"):format(size)
 end
 
--- Shows the pending bytes of a packet; returns what the Info column says of them.
+-- Show the pending bytes of a packet; return what the Info column says of them.
 local function show_pending(self, packet, contents)
   local builder, item, pending = self.builder, packet.tree, contents.pending
   local leads_to = contents.leads_to and frame_key.number(contents.leads_to)
@@ -328,7 +328,7 @@ end
 
 -- Dissection -------------------------------------------------------------------------------------
 
--- Shows a finding of a packet; returns what the Info column says of it, and the name of its source.
+-- Show a finding of a packet; return what the Info column says of it, and the name of its source.
 local function show_finding(self, packet, finding, index)
   local tvb = packet.tvb
   if finding.bytes and packet.wants.tree then
@@ -339,7 +339,7 @@ local function show_finding(self, packet, finding, index)
   return show_message(self, m, tvb), m.source.text
 end
 
--- Shows what a packet holds.
+-- Show what a packet holds.
 local function show(self, packet, pinfo, contents)
   local wants, texts, source, tree = packet.wants, {}, nil, packet.tree
   if wants.names and not wants.tree then self.builder:add_protocol_names(tree, wants, true) end
@@ -357,7 +357,7 @@ local function show(self, packet, pinfo, contents)
   if source and not packet.line.has_address then columns.src = source end
 end
 
--- Dissects a packet; returns whether it is YAPP's.
+-- Dissect a packet; return whether it is YAPP's.
 local function dissect(self, packet, pinfo)
   local contents
   if packet.visited then
@@ -375,11 +375,11 @@ local function dissect(self, packet, pinfo)
   return true
 end
 
--- Dissects a segment that TCP has shown.
+-- Dissect a segment that TCP has shown.
 local function dissect_segment(self, segment, tvb, pinfo, tree)
   local line = line_of(self, pinfo)
-  local is_known = pinfo.visited or self.streams:note_header(line.key, line.opposite, segment)
-  if segment.length == 0 or not (segment.is_ours or is_known) then return end
+  local has_order = pinfo.visited or self.streams:note_header(line.key, line.opposite, segment)
+  if segment.length == 0 or not (segment.is_ours or has_order) then return end
   dissect(self, new_packet(self, tvb, pinfo, tree, segment), pinfo)
 end
 
@@ -410,7 +410,7 @@ end
 function Dissector:skipped(tvb, pinfo, tree)
   local size = tvb:len()
   if size > 0 then
-    local finding = { status = "skipped", from = 0, to = size, at = 0 }
+    local finding = { status = "skipped", from = 0, to = size, offset = 0 }
     show(self, new_packet(self, tvb, pinfo, tree), pinfo, { findings = { finding }, pending = 0 })
   end
   return size
@@ -423,7 +423,7 @@ function Dissector:unfinished()
   for i, open in ipairs(self.streams:unfinished()) do
     local id, _, _, seq = frame.parse(open.header, 1)
     list[i] = new_report(open.packet, open.packet.line.sources[id], seq)
-    self.reader.stat:part(list[i])
+    self.reader.intake:fragment(list[i])
   end
   return list
 end

@@ -18,8 +18,8 @@
 -- message, damaged, up to where the next one begins.  Another plausible ID is a bad frame if all
 -- its bytes came and no message of the catalogue begins in them.  Everything else is noise.
 
-local crc = require("yapp.wire.crc")
-local frame = require("yapp.wire.frame")
+local crc = require "yapp.wire.crc"
+local frame = require "yapp.wire.frame"
 
 local M = {}
 
@@ -56,7 +56,7 @@ function M.new(size_of, patience)
     spent = {},    -- [logarithm of a candidate's length] = bytes that CRCs were computed over
     text = "",     -- the latest bytes
     text_from = 0, -- their offset in the stream
-    to = 0,        -- the end of the stream so far; streams read it, and the next
+    to = 0,        -- the end of the stream so far; serial.streams also reads `to` and `from`
     from = 0,      -- the first byte that is in no finding yet
     searched = 0,  -- every candidate that begins before this is known
     found = false, -- the open candidate that the search waited at last
@@ -65,7 +65,7 @@ function M.new(size_of, patience)
   return self
 end
 
--- Drops all candidates.
+-- Drop all candidates.
 function Framer:forget()
   self.candidates = {} -- those that failed and those that are open, by start
   self.first, self.last = 1, 0
@@ -74,15 +74,15 @@ function Framer:forget()
   self.known = {}       -- the starts of those that are messages of the catalogue
 end
 
--- Returns the candidate of a "YP", nil if its header has not come.
--- at  1-based index in the text
-local function candidate_at(self, at)
-  local id, size, reserved = frame.parse(self.text, at)
+-- Return the candidate of a "YP", nil if its header has not come.
+-- index  in the text, 1-based
+local function candidate_at(self, index)
+  local id, size, reserved = frame.parse(self.text, index)
   if not id then return nil end
   local known, smallest = self.size_of(id)
   local fits = not known or size <= known and size >= (smallest or known)
   local is_plausible = reserved == 0 and id <= frame.MAX_ID and fits
-  local from = self.text_from + at - 1
+  local from = self.text_from + index - 1
   return {
     from = from,
     to = from + HEADER + size + CRC_SIZE,
@@ -92,17 +92,17 @@ local function candidate_at(self, at)
   }
 end
 
--- Returns the next candidate whose header has come, nil where none has.
+-- Return the next candidate whose header has come, nil where none has.
 function Framer:find()
   if self.found and self.found.from == self.searched then return self.found end
-  local at = frame.find(self.text, self.searched - self.text_from + 1)
-  if not at then
+  local index = frame.find(self.text, self.searched - self.text_from + 1)
+  if not index then
     local is_begun = self.to > self.searched and byte(self.text, -1) == Y
     self.searched = is_begun and self.to - 1 or self.to
     return nil
   end
-  self.searched = self.text_from + at - 1
-  return candidate_at(self, at)
+  self.searched = self.text_from + index - 1
+  return candidate_at(self, index)
 end
 
 -- Whether the CRC of a candidate is good.
@@ -112,24 +112,24 @@ function Framer:is_good(candidate)
   local spent = math.max(self.spent[class] or 0, earned - MAX_CREDIT) + length
   if spent > earned then return false end
   self.spent[class] = spent
-  local at, to = candidate.from - self.text_from + 1, candidate.to - self.text_from
-  return crc.update(crc.INITIAL, self.text, at, to - CRC_SIZE) == frame.crc(self.text, to)
+  local index, to = candidate.from - self.text_from + 1, candidate.to - self.text_from
+  return crc.update(crc.INITIAL, self.text, index, to - CRC_SIZE) == frame.crc(self.text, to)
 end
 
--- Appends the bytes up to an offset as a finding.
+-- Append the bytes up to an offset as a finding.
 function Framer:give(to, status, missing)
-  local from, at = self.from, self.from - self.text_from
+  local from, offset = self.from, self.from - self.text_from
   self.from = to
   table.insert(self.findings, {
     status = status,
     missing = missing,
     from = from,
     to = to,
-    bytes = sub(self.text, at + 1, at + to - from),
+    bytes = sub(self.text, offset + 1, offset + to - from),
   })
 end
 
--- Skips the bytes up to an offset.  They go to the latest finding if it is of skipped bytes, too.
+-- Skip the bytes up to an offset.  They go to the latest finding if it is of skipped bytes, too.
 function Framer:skip(to)
   if to <= self.from then return end
   local latest = self.findings[#self.findings]
@@ -138,7 +138,7 @@ function Framer:skip(to)
   latest.to, self.from = to, to
 end
 
--- Returns what a candidate without a good CRC is, if nothing before `limit` is open.
+-- Return what a candidate without a good CRC is, if nothing before `limit` is open.
 -- behind   what begins at the limit: "open", "good" (a frame) or "end" (nothing)
 -- returns  "bad" or "incomplete" and its end; nil for noise; "open" if that is not decided yet
 local function fate_of(self, candidate, limit, behind)
@@ -149,7 +149,7 @@ local function fate_of(self, candidate, limit, behind)
   if candidate.is_known or stop == limit and behind == "end" then return "incomplete", stop end
 end
 
--- Appends what lies before `limit` as findings: the damaged frames, the earliest start first, and
+-- Append what lies before `limit` as findings: the damaged frames, the earliest start first, and
 -- the bytes between them.
 function Framer:settle(limit, behind)
   while self.first <= self.last and self.candidates[self.first].from < limit do
@@ -169,7 +169,7 @@ function Framer:settle(limit, behind)
   self:skip(limit)
 end
 
--- Appends a candidate as a finding if its CRC is good; returns whether it is good.
+-- Append a candidate as a finding if its CRC is good; return whether it is good.
 function Framer:accept(candidate)
   if not self:is_good(candidate) then
     candidate.has_failed = true
@@ -182,7 +182,7 @@ function Framer:accept(candidate)
   return true
 end
 
--- Keeps a candidate that failed or is open.  It gets
+-- Keep a candidate that failed or is open.  It gets
 --   next_known  index in `known`: the first one behind it
 --   same_end    another open candidate that ends where this one does, or nil
 function Framer:keep(candidate)
@@ -198,7 +198,7 @@ end
 
 local function by_start(a, b) return a.from < b.from end
 
--- Judges the open candidates whose end has come.
+-- Judge the open candidates whose end has come.
 -- before  the end of the stream before these bytes came
 function Framer:close(before)
   if not next(self.open_by_end) then return end
@@ -216,7 +216,7 @@ function Framer:close(before)
   end
 end
 
--- Judges the candidates that begin in bytes that have not been searched.
+-- Judge the candidates that begin in bytes that have not been searched.
 -- is_end  whether no more bytes come
 function Framer:search(is_end)
   local candidate = self:find()
@@ -235,7 +235,7 @@ function Framer:search(is_end)
   end
 end
 
--- Returns the first open candidate that is kept, by start, or nil.
+-- Return the first open candidate that is kept, by start, or nil.
 function Framer:first_waiting()
   local candidate = self.candidates[self.first_open]
   while candidate and candidate.has_failed do
@@ -287,8 +287,8 @@ function Framer:open_frame()
   for i = self.first, self.last + 1 do
     local candidate = self.candidates[i] or self:find()
     if candidate and candidate.is_plausible and candidate.from >= self.from then
-      local at, missing = candidate.from - self.text_from, candidate.to - self.to
-      return sub(self.text, at + 1, at + HEADER), missing > 0 and missing or nil
+      local offset, missing = candidate.from - self.text_from, candidate.to - self.to
+      return sub(self.text, offset + 1, offset + HEADER), missing > 0 and missing or nil
     end
   end
 end

@@ -9,7 +9,7 @@
 -- TCP segments bring their sequence numbers.  Bytes that came before are left out.  A segment
 -- behind a gap waits for the missing one, until it is clear that the capture does not have it.
 
-local memo = require("yapp.base.memo")
+local memo = require "yapp.base.memo"
 
 local M = {}
 
@@ -49,7 +49,7 @@ function M.new(new_framer)
   return setmetatable({
     datagrams = new_stream(new_framer()), -- each is complete in itself, so all share one stream
     by_key = memo(function() return new_stream(new_framer()) end),
-    contents = {}, -- by frame key
+    contents_by_key = {}, -- by frame key: what Streams:take returned
     seqs = {},     -- by key, of TCP: the sequence number that follows others' bytes
     gaps = {},     -- those that were not filled, see Streams:drops
   }, Streams)
@@ -57,12 +57,12 @@ end
 
 -- Findings ---------------------------------------------------------------------------------------
 
--- Adds the bytes of a packet to its stream.
--- known  how many of them the stream has already
-local function add_bytes(stream, contents, known)
+-- Add the bytes of a packet to its stream.
+-- overlap  how many of them the stream has already
+local function add_bytes(stream, contents, overlap)
   local framer, packet, findings = stream.framer, contents.packet, stream.findings
-  contents.packet, contents.known, contents.from = nil, known, framer.to
-  framer:add(packet.bytes:sub(known + 1), packet.is_datagram or packet.truncated, findings)
+  contents.packet, contents.overlap, contents.from = nil, overlap, framer.to
+  framer:add(packet.bytes:sub(overlap + 1), packet.is_datagram or packet.truncated, findings)
   contents.to = framer.to
   local last = findings[#findings]
   if packet.truncated and last and last.missing then last.status = "truncated" end
@@ -70,26 +70,26 @@ local function add_bytes(stream, contents, known)
   stream.pieces[stream.last] = contents
 end
 
--- Notes where the bytes of a finding are.
+-- Note where the bytes of a finding are.
 -- contents  of the packet that shows it
 local function locate(stream, finding, contents)
   local from = contents.from
   if finding.from >= from and finding.to <= contents.to then
-    finding.at, finding.bytes = contents.known + finding.from - from, nil
+    finding.offset, finding.bytes = contents.overlap + finding.from - from, nil
     return
   end
   if finding.status == "skipped" then return end
-  finding.parts = {}
+  finding.packet_keys = {}
   for i = stream.first, stream.last do
     local piece = stream.pieces[i]
     if piece.from < finding.to and piece.to > finding.from then
-      finding.parts[#finding.parts + 1] = piece.key
+      finding.packet_keys[#finding.packet_keys + 1] = piece.key
       if piece ~= contents then piece.leads_to = contents.key end
     end
   end
 end
 
--- Drops the contents whose bytes all come before an offset.
+-- Drop the contents whose bytes all come before an offset.
 local function drop_pieces(stream, offset)
   while stream.first <= stream.last and stream.pieces[stream.first].to <= offset do
     stream.pieces[stream.first] = nil
@@ -99,12 +99,12 @@ end
 
 -- TCP --------------------------------------------------------------------------------------------
 
--- Returns how far one sequence number is ahead of another; they count modulo 2^32.
+-- Return how far one sequence number is ahead of another; they count modulo 2^32.
 local function distance(seq, other)
   return (seq - other + 0x80000000) % 0x100000000 - 0x80000000
 end
 
--- Keeps a segment in the order of the sequence numbers.
+-- Keep a segment in the order of the sequence numbers.
 local function hold(stream, contents)
   local held, seq, index = stream.held, contents.packet.seq, #stream.held + 1
   while index > 1 and distance(seq, held[index - 1].packet.seq) < 0 do index = index - 1 end
@@ -118,13 +118,13 @@ local function is_lost(stream, packet)
     packet.epoch - stream.gap.time > MAX_WAIT
 end
 
--- Returns the gap that a segment shows, see Streams:drops.
+-- Return the gap that a segment shows, see Streams:drops.
 local function new_gap(stream, segment)
   local bus = stream.latest.bus_name
   return { time = segment.epoch, frame = segment.number, bus = bus, count = 1 }
 end
 
--- Returns the gap at the end of a connection, nil for none.
+-- Return the gap at the end of a connection, nil for none.
 local function last_gap(stream)
   local sent_seq = stream.sent_seq
   if sent_seq and distance(sent_seq, stream.next_seq) > 0 then
@@ -132,23 +132,23 @@ local function last_gap(stream)
   end
 end
 
--- Adds the waiting segments that are in order; goes on behind a gap if its segment is lost.
+-- Add the waiting segments that are in order; go on behind a gap if its segment is lost.
 -- is_over  whether no missing segment will come
 local function add_held(self, stream, is_over)
   local held, latest = stream.held, stream.latest
   while held[1] do
     local segment = held[1].packet
-    local known = distance(stream.next_seq, segment.seq)
-    if known < 0 then
+    local overlap = distance(stream.next_seq, segment.seq)
+    if overlap < 0 then
       stream.gap = stream.gap or new_gap(stream, latest)
       if not is_over and not is_lost(stream, latest) then return end
       stream.framer:add("", true, stream.findings)
       table.insert(self.gaps, stream.gap)
-      known, stream.gap = 0, nil
+      overlap, stream.gap = 0, nil
     end
     local contents = table.remove(held, 1)
-    if known < segment.length then
-      add_bytes(stream, contents, known)
+    if overlap < segment.length then
+      add_bytes(stream, contents, overlap)
       stream.next_seq, stream.gap = (segment.seq + segment.length) % 0x100000000, nil
     else
       contents.packet = nil
@@ -156,7 +156,7 @@ local function add_held(self, stream, is_over)
   end
 end
 
--- Notes that a segment's header shows that all bytes before a sequence number were sent: one less
+-- Note that a segment's header shows that all bytes before a sequence number were sent: one less
 -- than it says, as the end of a connection counts as a byte.
 local function note_sent(stream, seq, segment)
   local next_seq = not stream.is_ended and stream.next_seq
@@ -166,7 +166,7 @@ local function note_sent(stream, seq, segment)
   end
 end
 
--- Takes a segment, and those that waited for it.
+-- Take a segment, and those that waited for it.
 local function take_segment(self, stream, contents)
   local packet = contents.packet
   local next_seq = stream.next_seq or self.seqs[packet.stream] or packet.seq
@@ -200,8 +200,8 @@ function Streams:note_header(key, opposite, segment)
     return stream.next_seq
   end
   local seq, length = segment.seq, segment.length
-  local known = distance(self.seqs[key] or seq, seq)
-  if not segment.is_ours and known >= 0 and known <= length then
+  local overlap = distance(self.seqs[key] or seq, seq)
+  if not segment.is_ours and overlap >= 0 and overlap <= length then
     self.seqs[key] = (seq + length) % 0x100000000
   end
 end
@@ -212,7 +212,7 @@ end
 local function is_plain(findings, bytes)
   local length = 0
   for _, finding in ipairs(findings) do
-    if finding.status ~= "good" or not finding.at then return false end
+    if finding.status ~= "good" or not finding.offset then return false end
     length = length + finding.to - finding.from
   end
   return length == #bytes
@@ -232,9 +232,8 @@ end
 -- is_stored  whether Streams:find may ask for it
 -- returns  {
 --   findings  as from serial.framer, or with the status "truncated": the capture has only a part
---             of the frame; and at = offset in the packet.  If not all its bytes are in this
---             packet: bytes = string, and parts = keys of the packets they came in (none of skipped
---             bytes)
+--             of the frame; and offset = in the packet.  If not all its bytes are in this packet:
+--             bytes = string, and packet_keys = of the packets they came in (none of skipped bytes)
 --   pending   number of bytes at the end that are in no finding yet
 --   is_held   whether it is a segment that waits for a missing one: then all are pending
 --   missing   number of bytes to come of the frame that the pending ones begin, or nil
@@ -247,8 +246,8 @@ function Streams:take(packet, is_stored)
     findings = findings,
     pending = 0,
     is_held = false,
-    packet = packet, -- until its bytes are added
-    known = 0,       -- number of bytes that had come before
+    packet = packet, -- nil once its bytes are added
+    overlap = 0,     -- number of its bytes that had come before
     from = 0,        -- offset in the stream of the others, once they are added
     to = 0,
   }
@@ -263,14 +262,14 @@ function Streams:take(packet, is_stored)
     locate(stream, finding, contents)
   end
   drop_pieces(stream, framer.from)
-  if contents.packet then
+  if contents.packet then -- its bytes wait for a missing segment
     contents.is_held, contents.pending = true, #packet.bytes
   elseif contents.to > framer.from then
     contents.pending = contents.to - math.max(contents.from, framer.from)
     contents.missing = select(2, framer:open_frame())
   end
   if is_stored then
-    self.contents[packet.key] = is_plain(findings, packet.bytes) and PLAIN or contents
+    self.contents_by_key[packet.key] = is_plain(findings, packet.bytes) and PLAIN or contents
   end
   return contents
 end
@@ -283,7 +282,7 @@ end
 
 --- Return the contents of a packet that was taken before, nil if it was not.
 function Streams:find(packet)
-  local contents = self.contents[packet.key]
+  local contents = self.contents_by_key[packet.key]
   if contents ~= PLAIN then return contents end
   return { findings = self:read(packet.bytes), pending = 0 }
 end

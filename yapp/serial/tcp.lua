@@ -6,7 +6,7 @@
 -- and hands on the segment when TCP has shown it.  That costs a name in frame.protocols and about 1
 -- µs a segment, so it runs only in captures with YAPP on TCP.
 
-local band = require("yapp.base.bits").band
+local band = require "yapp.base.bits".band
 
 local M = {}
 
@@ -22,7 +22,7 @@ local protocols, tcp = DissectorTable.get("ip.proto"), Dissector.get("tcp")
 local is_watching, thrown = false, 0
 local segment, inside -- that TCP is dissecting, nil for none; number of the packet that TCP has
 
--- Reads a header; nil if it is not there or if an ICMP error only quotes it.
+-- Read a header; nil if it is not there or if an ICMP error only quotes it.
 local function read(tvb, pinfo)
   if tvb:len() < HEADER or pinfo.in_error_pkt then return nil end
   local seq, ack, size, flags = Struct.unpack(">I4I4BB", tvb:raw(4, 10))

@@ -2,10 +2,10 @@
 -- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the
 -- values come from message.decode, what changed from the history.
 
-local bits = require("yapp.base.bits")
-local decode = require("yapp.message.decode")
-local frame_key = require("yapp.base.frame_key")
-local show_fields = require("yapp.show.fields")
+local bits = require "yapp.base.bits"
+local decode = require "yapp.message.decode"
+local frame_key = require "yapp.base.frame_key"
+local show_fields = require "yapp.show.fields"
 
 local M = {}
 
@@ -171,8 +171,8 @@ end
 -- Build it; return it, and the items by index of field, for the expert items.
 local function build(self, m, view)
   local raws, items, message = m.raws, {}, m.source.message
-  local plan, tvb, at = plan_of(self, message, view), view.payload_tvb, view.payload_at
-  local whole = range_of(tvb, at, math.min(message.size, #m.payload))
+  local plan, tvb, offset = plan_of(self, message, view), view.payload_tvb, view.payload_offset
+  local whole = range_of(tvb, offset, math.min(message.size, #m.payload))
   local top = add(view.tree, self.taurus, whole, "Taurus " .. message.title)
   if plan.own then set_hidden(add(top, self.fields[message.filter], whole)) end
   for i = 1, #plan do
@@ -180,7 +180,7 @@ local function build(self, m, view)
     local field, index = step.field, step.index
     local raw = raws[index]
     if raw then
-      local range = range_of(tvb, at + field.offset, field.size)
+      local range = range_of(tvb, offset + field.offset, field.size)
       local item = step.add(items[step.parent] or top, range, raw)
       if field.array then set_text(item, element_text(item, field)) end
       items[index] = item

@@ -2,10 +2,10 @@
 -- What a user sees of YAPP: the tree, the expert items, the Info column.  show.taurus shows the
 -- messages.  Wireshark's API; the reassembly or the framing has finished what is shown.
 
-local show_fields = require("yapp.show.fields")
-local text_of = require("yapp.message.text")
-local messages_of = require("yapp.show.taurus")
-local number_of = require("yapp.base.frame_key").number
+local show_fields = require "yapp.show.fields"
+local text_of = require "yapp.message.text"
+local messages_of = require "yapp.show.taurus"
+local number_of = require "yapp.base.frame_key".number
 
 local M = {}
 
@@ -62,7 +62,7 @@ end
 
 -- What is wanted ----------------------------------------------------------------------------------
 
--- tree.hidden is false if no tree is wanted, and true of every tree, shown or not.
+-- Despite its name, tree.hidden says whether there is a tree at all, shown or not.
 local IS_TSHARK = not gui_enabled()
 local NO_COLUMN = "(info)" -- the text of a column if there are no columns
 local SAYS_PROTOCOLS = not get_version():find("^4%.[0-5]%.")
@@ -86,7 +86,7 @@ local function ask(self, tree)
   wants.taurus = tree:referenced(Dissector.get("taurus"))
   wants.tree = wants.yapp or wants.taurus
   wants.state = wants.taurus
-  wants.names = not SAYS_PROTOCOLS and not self.reader.stat.wanted
+  wants.names = not SAYS_PROTOCOLS and not self.reader.intake.wanted
   return wants
 end
 
@@ -224,7 +224,7 @@ end
 local function add_bytes(self, m, view, name, offset)
   local length, tvb = #m.payload - offset, view.payload_tvb
   if view.wants.yapp and tvb and length > 0 then
-    add(view.item, self.fields[name], tvb(view.payload_at + offset, length))
+    add(view.item, self.fields[name], tvb(view.payload_offset + offset, length))
   end
 end
 
@@ -252,8 +252,8 @@ end
 --- Show a finished message: the message of the catalogue, or bytes.
 -- m        of message.reader, as read
 -- view     { wants = of Tree:wants; tree = where the Taurus tree goes; item = YAPP's own item, or
---          the tree; payload_tvb and payload_at = where the payload lies, payload_tvb false if no
---          tree is wanted }
+--          the tree; payload_tvb and payload_offset = where the payload lies, payload_tvb false if
+--          no tree is wanted }
 -- returns  what the Info column says of it; only a part of that if there are no columns
 function Tree:show_message(m, view)
   local top, info, source = nil, "", m.source

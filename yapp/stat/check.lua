@@ -2,11 +2,11 @@
 -- -z yapp,check: rules that a capture must keep, the exit code of a gate, a test report for CI.
 -- Pure Lua, 5.2 to 5.5.
 
-local groups = require("yapp.stat.groups")
-local joined = require("yapp.base.joined")
-local kinds = require("yapp.stat.kinds")
-local output = require("yapp.stat.output")
-local utf8 = require("yapp.base.utf8")
+local groups = require "yapp.stat.groups"
+local joined = require "yapp.base.joined"
+local kinds = require "yapp.stat.kinds"
+local output = require "yapp.stat.output"
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
@@ -42,7 +42,7 @@ local KEYS = {
   window = words("ok rule who message seen worst note"),
 }
 local NO_VALUE = "no good message of it was decoded"
-local NONE = "no message came that it is about"
+local NONE = "no message came that this rule applies to"
 local SAME_SEQ = {
   json = '"Seq No never changes: lost messages do not show"',
   text = "Seq No never changes: lost messages do not show",

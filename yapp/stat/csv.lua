@@ -5,10 +5,10 @@
 -- FOLDER/motor.csv ...  time, frame, bus, source, id, seq, then the columns of the message
 -- FOLDER/fields.json    what each column is
 
-local joined = require("yapp.base.joined")
-local memo = require("yapp.base.memo")
-local output = require("yapp.stat.output")
-local text_of = require("yapp.message.text")
+local joined = require "yapp.base.joined"
+local memo = require "yapp.base.memo"
+local output = require "yapp.stat.output"
+local text_of = require "yapp.message.text"
 
 local M = {}
 
@@ -35,12 +35,12 @@ local function cells_of(source)
   return ("%s,%s,%d"):format(bus, name, source.id)
 end
 
--- All columns of a message, as message.text has them.
+-- Return the common columns, then the message's.
 local function columns_of(self, message)
   return joined(COMMON, self.options.all and CRC_GOOD or {}, text_of.columns(message))
 end
 
--- Begins the table of a message.
+-- Begin the table of a message.
 local function begin(self, message, file)
   local names = {}
   for i, column in ipairs(columns_of(self, message)) do

@@ -11,12 +11,12 @@
 --   follows_changes           whether it says what changed since the message before
 --   wants_messages_only       whether events that are derived from messages are of no use to it
 
-local band = require("yapp.base.bits").band
-local joined = require("yapp.base.joined")
-local kinds = require("yapp.stat.kinds")
-local memo = require("yapp.base.memo")
-local output = require("yapp.stat.output")
-local undecoded = require("yapp.stat.undecoded")
+local band = require "yapp.base.bits".band
+local joined = require "yapp.base.joined"
+local kinds = require "yapp.stat.kinds"
+local memo = require "yapp.base.memo"
+local output = require "yapp.stat.output"
+local undecoded = require "yapp.stat.undecoded"
 
 local M = {}
 
@@ -33,7 +33,7 @@ Deriver.__index = Deriver
 local function new_state()
   return {
     last = nil, -- its latest message
-    at = nil, -- when that came
+    last_at = nil, -- when that came
     is_counted = false, -- whether that counts
     faults = NOTHING, -- list of { field, flag, since } of those that are set, as they rose
     counted = { frame = 0 }, -- the latest reliable message that counts
@@ -172,7 +172,7 @@ end
 local function room_until(state, now)
   local message = state.last.source.message
   if not (message and message.every) then return 0 end
-  local periods = span(state.at, now) / message.every
+  local periods = span(state.last_at, now) / message.every
   return periods > MAX_GAP and math.floor(periods - 0.5) or 0
 end
 
@@ -186,7 +186,7 @@ local function note_message(self, event, is_counted)
   if change.late and state.is_counted then
     emit(self, "silence", state.last, { length = output.seconds(change.late) })
   end
-  state.last, state.at, state.is_counted = event, self.now, is_counted
+  state.last, state.last_at, state.is_counted = event, self.now, is_counted
   if is_counted and values ~= NOTHING then note_events(self, event, change) end
   for _, flags in ipairs(change.flags or NOTHING) do
     note_faults(self, state, event, flags)
@@ -232,7 +232,7 @@ local function end_silences(self, ending)
   for _, state in ipairs(self.states) do
     local event = state.last
     local message = event.source.message
-    local length = span(state.at, ending.now)
+    local length = span(state.last_at, ending.now)
     local is_silent = message and message.every and length > self.settings.late * message.every
     if is_silent and state.is_counted and not event.values.is_unreliable then
       local values = { length = output.seconds(length), is_last = true }
@@ -293,10 +293,10 @@ end
 
 -- Return what the answer of the statistic leaves out, and whether that makes it undecided.
 local function notes_of(self, ending)
-  local nothing, matched, options = ending.reason, self.matched, self.options
-  if matched and not next(self.came) then nothing = nothing or "no message matches the filter" end
+  local reason, matched, options = ending.reason, self.matched, self.options
+  if matched and not next(self.came) then reason = reason or "no message matches the filter" end
   local doubts = self.statistic.follows_changes and self.doubts or NOTHING
-  local notes = joined({ nothing }, self.undecoded:texts(), doubts)
+  local notes = joined({ reason }, self.undecoded:texts(), doubts)
   if options.looks_for_faults or options.row.looks_for_faults then
     notes[#notes + 1] = hiding(self, ending.now)
   end

@@ -2,8 +2,8 @@
 -- -z yapp,events: what happened, in the order of time; and -z yapp,faults: the faults among these,
 -- when each flag rose and fell, on which source, for how long.  Pure Lua, 5.2 to 5.5.
 
-local kinds = require("yapp.stat.kinds")
-local output = require("yapp.stat.output")
+local kinds = require "yapp.stat.kinds"
+local output = require "yapp.stat.output"
 
 local M = {}
 
@@ -73,8 +73,8 @@ end
 function Events:finish(ending, notes)
   local what, list = self.what, {}
   for _, event in ipairs(self.list) do
-    local is_known = not (ending.lacks_times and kinds.BY_NAME[event.kind].needs_time)
-    if is_known then list[#list + 1] = event end
+    local is_sure = not (ending.lacks_times and kinds.BY_NAME[event.kind].needs_time)
+    if is_sure then list[#list + 1] = event end
   end
   if what == "events" then output.sort(list, order_of) end
   local title = ("YAPP %s: %d"):format(what, #list)

@@ -2,11 +2,11 @@
 -- What a statistic gathers: of each source counts, times, gaps and values; of all sources of one
 -- message, how far their values lie apart.  Pure Lua, 5.2 to 5.5.
 
-local input = require("yapp.base.input")
-local decode = require("yapp.message.decode")
-local kinds = require("yapp.stat.kinds")
-local memo = require("yapp.base.memo")
-local output = require("yapp.stat.output")
+local input = require "yapp.base.input"
+local decode = require "yapp.message.decode"
+local kinds = require "yapp.stat.kinds"
+local memo = require "yapp.base.memo"
+local output = require "yapp.stat.output"
 
 local M = {}
 
@@ -37,26 +37,23 @@ end
 
 -- Values ----------------------------------------------------------------------------------------
 
--- What is gathered of a field of a source: count, min, sum, max of its numbers; seen = of all
--- values, outside = of those beyond the limits, worst = the one that is farthest beyond, and its
--- frame; where all sources are compared, spread = of all of them, latest = the latest number, at =
--- when.
+-- What is gathered of a field of a source.
 local function new_values(want, spread)
   return {
     field = want.field,
     index = want.field.index or false, -- a derived value has none
     low = want.low or -INFINITE,
     high = want.high or INFINITE,
-    count = 0,
+    count = 0, -- of numbers, whose least, sum and largest follow
     min = INFINITE,
     sum = 0.0,
     max = -INFINITE,
-    seen = 0,
-    outside = 0,
-    by = 0,
-    spread = spread,
-    latest = NO_NUMBER,
-    at = nil,
+    seen = 0, -- number of all values
+    outside = 0, -- number of those beyond the limits
+    by = 0, -- how far the worst of these is beyond; worst = this value, frame = its frame
+    spread = spread, -- of all sources, where they are compared
+    latest = NO_NUMBER, -- number
+    latest_at = nil, -- when it came
   }
 end
 
@@ -86,10 +83,10 @@ end
 -- longest  seconds for which a value stays valid
 local function note_spread(values, value, event, now, longest)
   local spread, low, high, count = values.spread, INFINITE, -INFINITE, 0
-  values.latest, values.at = rounded(values.field, value or NO_NUMBER), now
+  values.latest, values.latest_at = rounded(values.field, value or NO_NUMBER), now
   for _, one in ipairs(spread.members) do
     local latest = one.latest
-    if latest == latest and span(one.at, now) <= longest then
+    if latest == latest and span(one.latest_at, now) <= longest then
       if latest < low then low = latest end
       if latest > high then high = latest end
       count = count + 1
@@ -104,7 +101,7 @@ end
 
 -- Groups ----------------------------------------------------------------------------------------
 
--- How many events of a kind there are.
+-- How many events of a kind there are; frame and values = of the first, cause = of the latest.
 local function new_count()
   return { seen = 0, frame = nil, values = kinds.NOTHING, cause = nil }
 end
@@ -115,13 +112,14 @@ end
 
 -- What is gathered of a source: {
 --   source, message = the source's
---   counts = { [kind of event] = { seen, frame = of the first, values = of the first } }
+--   counts = { [kind of event] = see new_count }
 --   count = of good messages, decoded = of those that were decoded; first, last = their times,
 --   last_frame
 --   gap_min, gap_max = seconds, gap_max_frame
 --   seq = of the latest, is_numbered = whether Seq No changed
 --   is_unreliable = whether one of them had an unreliable history
---   values = a list, also by entry of Groups:wants }
+--   values = a list, also by entry of Groups:wants
+--   bus_order = number of groups before the first one of its bus }
 local function new_group(self, source)
   local message, all = source.message, {}
   for i, want in ipairs(message and self.wanted[message] or {}) do

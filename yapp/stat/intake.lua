@@ -1,21 +1,21 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What dissectors report to the statistics, made into events.  Pure Lua, 5.2 to 5.5.
 --
--- The values of a message's event are nil for most messages, else {
+-- The values of a good message's event are kinds.NOTHING for most messages, else {
 --   change         of message.history, or nil
 --   invalid        list of values of `invalid` events, or nil
 --   undecoded      number of bytes behind those that the catalogue has, or nil
 --   is_unreliable  whether what came before the message is not known }
 -- The values of a loss are {
---   shown  { what = "incomplete", "orphan" or "overrun" }: its values once it is handed on
---   lost   a value that all losses of one message share, or nil
---   loss   { is_withdrawn = whether nothing is lost after all, is_open = whether that may change }
--- }
+--   shown    { what = "incomplete", "orphan" or "overrun" }: its values once it is handed on
+--   lost     a value that all losses of one message share, or nil
+--   anomaly  { is_withdrawn = whether nothing is lost after all, is_open = whether that may
+--            change } }
 
-local decode = require("yapp.message.decode")
-local frame_key = require("yapp.base.frame_key")
-local kinds = require("yapp.stat.kinds")
-local memo = require("yapp.base.memo")
+local decode = require "yapp.message.decode"
+local frame_key = require "yapp.base.frame_key"
+local kinds = require "yapp.stat.kinds"
+local memo = require "yapp.base.memo"
 
 local M = {}
 
@@ -36,20 +36,20 @@ Intake.__index = Intake
 -- The state of a source.
 local function new_state()
   return {
-    parts = {}, -- by Seq: see Intake:part
+    fragments = {}, -- by Seq: see Intake:fragment
     orphan = false, -- or { seq }: the message that lost its Start, while its frames come
     unknown_seq = nil, -- the latest, see Intake:unknown
   }
 end
 
 --- Make an intake, which is closed.  `wanted` says whether anyone wants events: ask it before
--- reporting.  `wants_parts` is the same for fragments of messages.
+-- reporting.  `wants_fragments` is the same for fragments of messages.
 -- catalogue  compiled
 function M.new(catalogue)
   local self = setmetatable({
     catalogue = catalogue,
     wanted = false,
-    wants_parts = false,
+    wants_fragments = false,
     queue = nil, -- a stat.queue, while it is open
     leaving = {}, -- taps, see Intake:remove_later
     states = nil, -- by source
@@ -66,7 +66,7 @@ end
 
 --- Take no more reports.
 function Intake:close()
-  self.queue, self.wanted, self.wants_parts = nil, false, false
+  self.queue, self.wanted, self.wants_fragments = nil, false, false
 end
 
 --- Forget the capture file.
@@ -134,7 +134,7 @@ end
 function Intake:message(m)
   local kind, values = KIND_OF[m.status], nil
   if not kind then return end
-  if self.wants_parts then self.states[m.source].orphan = false end
+  if self.wants_fragments then self.states[m.source].orphan = false end
   if kind == "message" then
     values = values_of(m)
   elseif kind == "incomplete" then
@@ -170,7 +170,7 @@ function Intake:anomalies(m, anomalies, is_end)
       else
         state.orphan = false
       end
-      offer(self, "incomplete", m, { shown = shown, lost = lost, loss = anomaly })
+      offer(self, "incomplete", m, { shown = shown, lost = lost, anomaly = anomaly })
     end
   end
 end
@@ -192,8 +192,8 @@ end
 
 --- Report a frame of a message that has not ended, in case the capture ends before the message
 -- does.  Only the latest frame of a message counts.
-function Intake:part(m)
-  self.states[m.source].parts[m.seq] = m
+function Intake:fragment(m)
+  self.states[m.source].fragments[m.seq] = m
 end
 
 --- Report a frame that may be a message that is not dissected, or the Start of one.  It counts as
@@ -216,9 +216,9 @@ end
 function Intake:unfinished(messages)
   local events = {}
   for _, message in ipairs(messages) do
-    local part = self.states[message.source].parts[message.seq]
-    if part and number_of(part.key) == number_of(message.key) then
-      events[#events + 1] = new_event("unfinished", part)
+    local fragment = self.states[message.source].fragments[message.seq]
+    if fragment and number_of(fragment.key) == number_of(message.key) then
+      events[#events + 1] = new_event("unfinished", fragment)
     end
   end
   table.sort(events, function(a, b) return a.frame < b.frame end)

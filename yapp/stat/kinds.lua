@@ -14,9 +14,8 @@ local M = {}
 -- is_optional whether `check` without rules does not judge it (others as NAME=0)
 -- counts_as   the kind whose rule counts it; nil if it has a rule NAME=N of its own
 -- amount      the key whose values the rule adds up; nil: each message counts once
--- change      the key for the value of message.history's change of this name; true if it has no
---             value
--- hides       if a fault may be hidden there: what is behind a number, for people
+-- change      the key for the value of message.history's change of this name
+-- hides       if a fault may be hidden there: the text behind its count in "may hide faults"
 -- scope       "capture": one verdict for the whole capture; "rare": one for each source that has
 --             such events; nil: one for each source that can have them
 -- about       what the message of a source must have in the catalogue; nil for any source with an
@@ -61,7 +60,7 @@ M.LIST = {
   {
     "stale",
     "controller clock did not advance",
-    change = true,
+    change = "stale",
     about = "time",
     needs_past = true,
     needs_values = true,
@@ -80,7 +79,7 @@ M.LIST = {
   {
     "shared",
     "two controllers appear to send this ID",
-    change = true,
+    change = "shared",
     about = "time",
     needs_past = true,
     needs_values = true,
@@ -144,7 +143,7 @@ end
 --- The values of an event that has none.
 M.NOTHING = {}
 
---- Makes an event: what statistics list and count.
+--- Make an event: what statistics list and count.
 -- kind    "message" for a good message, else the name of a row
 -- frame   number of the packet; time = seconds since the first one
 -- source  of message.reader, one table for all its events; for events of a bus, or of the capture,

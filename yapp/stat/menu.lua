@@ -2,8 +2,8 @@
 -- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, and help.
 -- Wireshark's API.
 
-local options_of = require("yapp.stat.options")
-local output = require("yapp.stat.output")
+local options_of = require "yapp.stat.options"
+local output = require "yapp.stat.output"
 
 local M = {}
 
@@ -50,7 +50,7 @@ right of the status bar.  README.md and the folder docs of this plugin's
 files have more.
 ]]
 
--- Asks for one line.
+-- Ask for one line.
 local function ask(title, label, default, answered)
   new_dialog("YAPP " .. title, answered, { name = label, value = default })
 end

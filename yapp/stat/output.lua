@@ -2,7 +2,7 @@
 -- What statistics print and write: JSON lines, tables for people, and files, which exist only if
 -- they are complete; and the exit codes.  Pure Lua, 5.2 to 5.5.
 
-local utf8 = require("yapp.base.utf8")
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
@@ -19,14 +19,14 @@ local function text_value(text)
   return '"' .. utf8.printable(text):gsub('["\\]', "\\%0") .. '"'
 end
 
-local function is_whole(value)
+local function is_integer(value)
   return value % 1 == 0 and math.abs(value) < 2 ^ 53
 end
 
 -- Return the shortest text that reads back as the same number; null for NaN and infinity.
 local function number_value(value)
   if value - value ~= 0 then return "null" end
-  if is_whole(value) then return format("%d", value) end
+  if is_integer(value) then return format("%d", value) end
   local shown = format("%.15g", value)
   return tonumber(shown) == value and shown or format("%.17g", value)
 end
@@ -42,20 +42,20 @@ end
 --- An object of these keys, in this order, with the values that a table has under them; a missing
 -- value is null.
 function M.object(keys, values)
-  local parts = {}
+  local texts = {}
   for i, key in ipairs(keys) do
-    parts[i] = text_value(key) .. ":" .. M.value(values[key])
+    texts[i] = text_value(key) .. ":" .. M.value(values[key])
   end
-  return { json = "{" .. table.concat(parts, ",") .. "}" }
+  return { json = "{" .. table.concat(texts, ",") .. "}" }
 end
 
 --- A list of objects.
 function M.list(objects)
-  local parts = {}
+  local texts = {}
   for i, object in ipairs(objects) do
-    parts[i] = object.json
+    texts[i] = object.json
   end
-  return { json = "[" .. table.concat(parts, ",") .. "]" }
+  return { json = "[" .. table.concat(texts, ",") .. "]" }
 end
 
 --- A time of the capture with nine digits, as text.
@@ -101,7 +101,7 @@ function M.text(value, is_short)
   if type(value) == "table" then value = is_short and value.short or value.text end
   if value ~= value then return "reserved" end
   if type(value) == "number" then
-    return format(is_whole(value) and "%d" or is_short and "%.5g" or "%.6g", value)
+    return format(is_integer(value) and "%d" or is_short and "%.5g" or "%.6g", value)
   end
   return value or ""
 end
@@ -117,7 +117,7 @@ function M.bus_and_id(source)
   return source.bus and id and source.bus .. " " .. id or source.bus or id or ""
 end
 
---- Add the columns of a source to a row of values; returns the row.
+--- Add the columns of a source to a row of values; return the row.
 function M.row(source, row)
   row.bus, row.source = source.bus, source.name
   row.who = source.name or M.bus_and_id(source) -- bus, ID and name in one column
@@ -296,7 +296,7 @@ function M.finish(list, problem)
   return problem
 end
 
---- Writes a file that holds a text.
+--- Write a file that holds a text.
 -- advice   as for M.create
 -- returns  what went wrong, nil for nothing
 function M.save(path, text, advice)

@@ -6,13 +6,13 @@
 -- packet matches, and the one that sees all packets says that it is there.  Nothing promises their
 -- order, so the events of a packet are handed on when the next packet comes.
 
-local derive = require("yapp.stat.derive")
-local kinds = require("yapp.stat.kinds")
-local output = require("yapp.stat.output")
+local derive = require "yapp.stat.derive"
+local kinds = require "yapp.stat.kinds"
+local output = require "yapp.stat.output"
 
 local M = {}
 
-local MAX_LOSSES = 1000 -- so many events of losses wait at least, see hand_on_losses
+local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, see hand_on_losses
 local SEARCH_PREFERENCES =
   "yapp.search_all, yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first"
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
@@ -88,10 +88,10 @@ local function hand_on_losses(self, is_end)
   local losses, seen = self.losses, self.seen
   self.losses = {}
   for _, event in ipairs(losses) do
-    local lost, loss = event.values.lost, event.values.loss
-    if loss.is_open and not is_end then
+    local lost, anomaly = event.values.lost, event.values.anomaly
+    if anomaly.is_open and not is_end then
       self.losses[#self.losses + 1] = event
-    elseif not (loss.is_withdrawn or seen[lost or false]) then
+    elseif not (anomaly.is_withdrawn or seen[lost or false]) then
       if lost then seen[lost] = true end
       event.values = event.values.shown
       hand_on(self, event)
@@ -101,7 +101,7 @@ local function hand_on_losses(self, is_end)
 end
 
 local function take(self, event)
-  if event.values.loss then
+  if event.values.anomaly then
     self.losses[#self.losses + 1] = event
     if #self.losses > self.max_losses then hand_on_losses(self) end
   else
@@ -131,7 +131,7 @@ function Queue:offer(event, visited)
   self.offered[#self.offered + 1] = event
 end
 
---- Take the event of a frame that may be a message which is not dissected, at any time.
+--- Keep an `undissected` event until the end.
 function Queue:add_undissected(event)
   self.undissected[#self.undissected + 1] = event
 end

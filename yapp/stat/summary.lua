@@ -5,8 +5,8 @@
 -- Good messages are counted and make rates, gaps and values.  Messages with a bad CRC and
 -- incomplete ones are counted separately.
 
-local groups = require("yapp.stat.groups")
-local output = require("yapp.stat.output")
+local groups = require "yapp.stat.groups"
+local output = require "yapp.stat.output"
 
 local M = {}
 

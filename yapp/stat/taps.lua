@@ -2,10 +2,10 @@
 -- Statistics in tshark (-z yapp,...): taps, output, exit codes.  Wireshark's windows are
 -- stat.menu's.  Wireshark's API.
 
-local menu = require("yapp.stat.menu")
-local options_of = require("yapp.stat.options")
-local output = require("yapp.stat.output")
-local queue = require("yapp.stat.queue")
+local menu = require "yapp.stat.menu"
+local options_of = require "yapp.stat.options"
+local output = require "yapp.stat.output"
+local queue = require "yapp.stat.queue"
 
 local M = {}
 
@@ -49,7 +49,7 @@ local function say(text)
   io.stderr:write("yapp: ", (text:gsub("\n", "\nyapp: ")), "\n")
 end
 
--- Makes a folder, and those above it; returns whether it is there.
+-- Make a folder, and those above it; return whether it is there.
 local function make_folder(path)
   for stop in (path .. "/"):gmatch("()[/\\]") do
     Dir.make(path:sub(1, stop - 1))
@@ -153,7 +153,7 @@ local function close(self)
   self.intake:close()
 end
 
--- Ends all statistics; returns the exit code, and a list of texts to say.
+-- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
   return self.queue:finish {
     unfinished = self.intake:unfinished(self.unfinished()),
@@ -185,7 +185,7 @@ local function begin(self, text, context)
   function context.clock(rel) return events:clock(rel) end
   context.json, context.make_folder, context.settings = options.json, make_folder, self.settings
   local statistic = options.row.new(options, context)
-  if not statistic.wants_messages_only then self.intake.wants_parts = true end
+  if not statistic.wants_messages_only then self.intake.wants_fragments = true end
   local deriver = events:add(statistic, options)
   if filter then
     self.has_filter = true
@@ -198,7 +198,7 @@ end
 -- returns  its output and the problems, as one text; a list of the frames in it
 function Stat:run(text)
   local said, frames = {}, {}
-  local function out(part) said[#said + 1] = part end
+  local function out(chunk) said[#said + 1] = chunk end
   open(self)
   local ok, texts = pcall(function()
     begin(self, text, { out = out, frames = frames })
@@ -239,8 +239,8 @@ local function read_argument(self, text)
     local tap = Listener.new("frame") -- for the end alone: tap_packets may remove its own
     function tap.draw() conclude(self) end
   end
-  begin(self, text, { out = function(part)
-    local ok, problem = io.stdout:write(part)
+  begin(self, text, { out = function(chunk)
+    local ok, problem = io.stdout:write(chunk)
     if not ok then self.problem = problem end
   end })
 end

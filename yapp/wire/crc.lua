@@ -4,7 +4,7 @@
 -- Polynomial 0x1'32C0'0699, most significant bit first, not reflected, initial value 0xFFFFFFFF, no
 -- final xor (vendor document, "CRC Calculation").
 
-local bits = require("yapp.base.bits")
+local bits = require "yapp.base.bits"
 
 local M = {}
 
@@ -28,17 +28,17 @@ end
 local NATIVE = [[
   local TABLE, byte = ...
   return function(register, data, from, to)
-    local at = from or 1
+    local index = from or 1
     to = to or #data
-    while at + 3 <= to do
-      local a, b, c, d = byte(data, at, at + 3)
+    while index + 3 <= to do
+      local a, b, c, d = byte(data, index, index + 3)
       register = (register << 8 & 0xFFFFFFFF) ~ TABLE[register >> 24 ~ a]
       register = (register << 8 & 0xFFFFFFFF) ~ TABLE[register >> 24 ~ b]
       register = (register << 8 & 0xFFFFFFFF) ~ TABLE[register >> 24 ~ c]
       register = (register << 8 & 0xFFFFFFFF) ~ TABLE[register >> 24 ~ d]
-      at = at + 4
+      index = index + 4
     end
-    for i = at, to do
+    for i = index, to do
       register = (register << 8 & 0xFFFFFFFF) ~ TABLE[register >> 24 ~ byte(data, i)]
     end
     return register
@@ -61,10 +61,10 @@ local function with_library(library)
   local T0, T1, T2, T3 = NEXT[0], NEXT[1], NEXT[2], NEXT[3]
   local T4, T5, T6, T7 = NEXT[4], NEXT[5], NEXT[6], NEXT[7]
   return function(register, data, from, to)
-    local at = from or 1
+    local index = from or 1
     to = to or #data
-    while at + 7 <= to do
-      local a, b, c, d, e, f, g, h = byte(data, at, at + 7)
+    while index + 7 <= to do
+      local a, b, c, d, e, f, g, h = byte(data, index, index + 7)
       local z = register % 0x100
       register = (register - z) / 0x100
       local y = register % 0x100
@@ -73,9 +73,9 @@ local function with_library(library)
       local w = (register - x) / 0x100
       register = bxor(T7[w], T6[x], T5[y], T4[z],
         T7[a], T6[b], T5[c], T4[d], T3[e], T2[f], T1[g], T0[h]) % 0x100000000
-      at = at + 8
+      index = index + 8
     end
-    for i = at, to do
+    for i = index, to do
       local low = register % 0x1000000
       register = bxor(low * 0x100, T0[(register - low) / 0x1000000], T0[byte(data, i)])
         % 0x100000000

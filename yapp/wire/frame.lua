@@ -18,11 +18,12 @@ M.LARGEST = M.HEADER + 65535 + M.CRC_SIZE
 M.MAX_ID = 2047
 
 --- The fields of a header.
--- bytes    string; at: 1-based index of its "YP", which is not checked
+-- bytes    string
+-- from     1-based index of its "YP", which is not checked
 -- returns  id, size, reserved, seq, ctl: as they stand there, plausible or not; nil where fewer
 --          than 12 bytes are left
-function M.parse(bytes, at)
-  local seq, ctl, id0, id1, id2, id3, size0, size1, rest0, rest1 = byte(bytes, at + 2, at + 11)
+function M.parse(bytes, from)
+  local seq, ctl, id0, id1, id2, id3, size0, size1, rest0, rest1 = byte(bytes, from + 2, from + 11)
   if not rest1 then return nil end
   local id = id0 + id1 * 0x100 + id2 * 0x10000 + id3 * 0x1000000
   return id, size0 + size1 * 0x100, rest0 + rest1 * 0x100, seq, ctl
@@ -36,9 +37,9 @@ function M.crc(bytes, to)
 end
 
 --- Return whether the header at a "YP" is as the document has it; false where it is not complete.
--- bytes, at  as for M.parse
-function M.is_plausible(bytes, at)
-  local id, _, reserved = M.parse(bytes, at)
+-- bytes, from  as for M.parse
+function M.is_plausible(bytes, from)
+  local id, _, reserved = M.parse(bytes, from)
   return id ~= nil and id <= M.MAX_ID and reserved == 0
 end
 
