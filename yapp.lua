@@ -266,14 +266,8 @@ function yapp.init()
   read_preferences()
   buses:init()
   socketcan.init()
-  local function has_times() return not buses:lacks_times() end
   local function new_history()
-    return history.new {
-      late = settings.late,
-      catalogue = catalogue,
-      has_times = has_times,
-      has_clock = function() return not buses:lacks_clock() end,
-    }
+    return history.new { late = settings.late, catalogue = catalogue, buses = buses }
   end
   reader:reset(buses:are_several())
   intake:reset()

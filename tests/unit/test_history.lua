@@ -53,9 +53,9 @@ end
 
 local function new(options)
   options = options or {}
+  local function lacks_times() return options.lacks_times end
   return history.new { late = options.late or 2.5, catalogue = options.catalogue or TAURUS,
-    has_times = options.has_times or function() return true end,
-    has_clock = options.has_times or function() return true end }
+    buses = { lacks_times = lacks_times, lacks_clock = lacks_times } }
 end
 
 -- What a list of messages gives in order, what is new and how things stand in one table, delta with it;
@@ -204,11 +204,10 @@ function T.test_a_jump_is_since_the_previous_clock()
 end
 
 function T.test_without_time_stamps_there_is_nothing_of_time()
-  local function untimed() return { has_times = function() return false end } end
   local messages = clocks(0, 5, 0, 3605, 0, 3606, 0, 100, 50, 200) -- one packet of them has a time
   for key, expected in pairs { jump = { "-", "-", "-", "-", "-" }, drift = { "-", "-", "-", "-", "-" },
     late = { "-", "-", "-", "-", "-" }, reboot = { "-", "-", "-", 3506, "-" }, delta = { "-", 0, 0, 0, 50 } } do
-    lu.assertEquals(run(messages, key, untimed()), expected, key)
+    lu.assertEquals(run(messages, key, { lacks_times = true }), expected, key)
   end
   lu.assertEquals(run(messages, "late")[5], 50) -- with times it is
 end

@@ -50,9 +50,9 @@ end
 
 local function new(options)
   options = options or {}
-  local has_times = options.has_times or function() return true end
-  return history.new { late = 2.5, catalogue = TAURUS, has_times = has_times,
-    has_clock = options.has_clock or has_times }
+  local buses = { lacks_times = function() return options.lacks_times end,
+    lacks_clock = function() return options.lacks_times or options.lacks_clock end }
+  return history.new { late = 2.5, catalogue = TAURUS, buses = buses }
 end
 
 -- The number of the message at which it shows that these are of several controllers, nil for never.
@@ -110,7 +110,7 @@ function T.test_dumps()
   } do
     local messages = {}
     for i, clock in ipairs(row[2]) do messages[i] = message(i, clock, clock) end
-    local found = shared_at(messages, { has_clock = function() return false end })
+    local found = shared_at(messages, { lacks_clock = true })
     lu.assertEquals(found or "never", row[1] or "never", row[3])
   end
 end
@@ -289,7 +289,7 @@ function T.test_one_controller_is_never_several()
   for seed = 1, levels.size(2, 20) do
     local health = { duration = 60, period = 0.5, reboots = 3 }
     lu.assertFalse(fly(seed, { health }, { kind = HEALTH }))
-    local untimed = { options = { has_times = function() return false end } }
+    local untimed = { options = { lacks_times = true } }
     lu.assertFalse(fly(seed, { { duration = 30, reboots = 3 } }, untimed))
     lu.assertFalse(fly(seed, { { duration = 30, life = 3 } }, untimed))
   end
@@ -330,7 +330,7 @@ function T.test_several_controllers_under_worse_conditions()
     lu.assertTrue(fly(seed, pair({}, { period = 1 }), {}))
     lu.assertTrue(fly(seed, pair { period = 0.5 }, { kind = HEALTH }))
     lu.assertTrue(fly(seed, pair({}, { life = 3 }), {}))
-    lu.assertTrue(fly(seed, pair {}, { options = { has_times = function() return false end } }))
+    lu.assertTrue(fly(seed, pair {}, { options = { lacks_times = true } }))
   end
 end
 

@@ -874,8 +874,10 @@ function T.test_sizes_that_no_preference_decodes()
   local short = record(2, 0, { payload = payload(10):sub(1, 9), fits = false })
   lu.assertEquals(said({ unknown(1, "", 0x300, 20), short }), { "YAPP faults: 0",
     "2 messages were not decoded: 0x300 (20 bytes, the size of no known message); can0 0x210 (9 bytes, Motor Data has 11)" })
+  local twin = { name = "twin", title = "Twin", id = 0x400, size = 15, { "text", "string", "Text", length = 15 } }
+  local with = { catalogue = { messages = { MOTOR, catalogue_of.compile({ twin }).messages[1] } } }
   local long = record(2, 0, { payload = payload(10) .. "1234", undecoded = 4, change = raised(1, 1) })
-  local printed = run({ "faults" }, { long })
+  local printed = run({ "faults" }, { long }, with) -- what it begins with counts, not the message of that size
   lu.assertStrContains(printed, "1 message was decoded in part: can0 0x210 (15 bytes, Motor Data has 11)\n")
   lu.assertStrContains(printed, "hot   raised") -- a fault in it counts
   lu.assertEquals(lines(run({ "events,json" }, { long }))[1], '{"kind":"unknown","time":1700000000.000000005,"frame":2,' ..

@@ -6,7 +6,7 @@
 --   Begin Triggerblock Tue Nov 14 22:13:20.001 2023
 --    0.001000 1  8408000x        Rx   d 8 FD 7F FD 7F FD 7F FD 7F
 --    0.002000 CANFD   1 Rx   840C000x                          1 0 d 32 FD 7F ...
-local text = require("yapp.file.text")
+local text = require "yapp.file.text"
 
 local M = {}
 
@@ -21,8 +21,7 @@ for name, number in ([[jan 1 jän 1 feb 2 mar 3 mär 3 mrz 3 apr 4 may 5 mai 5 j
   MONTHS[name] = number
 end
 
--- Times
--- ---------------------------------------------------------------------------------------------
+-- Times -------------------------------------------------------------------------------------------
 
 local DATE = "(%S+) (%d%d?) (%d%d?):(%d%d):(%d%d)%.?(%d?%d?%d?)%d* ?([ap]?)m? (%d%d%d%d)"
 local HALVES = { a = 0, p = 12 } -- of a day
@@ -48,8 +47,7 @@ local function read_stamp(line)
   return whole * SECOND + tonumber((fraction .. "000000"):sub(1, 6)), rest
 end
 
--- A line
--- --------------------------------------------------------------------------------------------
+-- A line ------------------------------------------------------------------------------------------
 
 -- Return the id in "8404000x", with SocketCAN's flag of an extended one; nil for another text.
 local function read_id(id, base)
@@ -128,8 +126,7 @@ function M.parse(line, base)
   return record, stamp
 end
 
--- A file
--- --------------------------------------------------------------------------------------------
+-- A file ------------------------------------------------------------------------------------------
 
 -- The channel of an extended frame, classic or CAN FD.
 local CHANNEL = "\n[ \t]*[%d.]+[ \tCANFD]+(%d+)[ \tRxT]+%x+x%s"

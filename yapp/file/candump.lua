@@ -5,9 +5,9 @@
 -- A line, after can-utils (lib.c, candump.c), has the form LOG or SCREEN behind the CAN id;
 -- read_head reads what stands before.  A line without a frame has one of the forms OTHERS.  A line
 -- pasted from a document has these forms, too.
-local memo = require("yapp.base.memo")
-local text = require("yapp.file.text")
-local utf8 = require("yapp.base.utf8")
+local memo = require "yapp.base.memo"
+local text = require "yapp.file.text"
+local utf8 = require "yapp.base.utf8"
 
 local match = string.match
 
@@ -42,8 +42,7 @@ local function read_id(digits)
   return id < text.ERROR and id + text.EXTENDED or id
 end
 
--- Times
--- ---------------------------------------------------------------------------------------------
+-- Times -------------------------------------------------------------------------------------------
 
 local latest, latest_seconds = "", nil -- date: many frames are of one second
 
@@ -68,8 +67,7 @@ local function read_stamp(record, stamp)
   return not record.seconds and TIME or nil
 end
 
--- Data
--- ---------------------------------------------------------------------------------------------
+-- Data --------------------------------------------------------------------------------------------
 
 local function fill_remote(record, length)
   record.id = record.id + text.REMOTE
@@ -119,8 +117,7 @@ local function read_screen(record, open, digits, data)
   record.data = data:sub(1, stop - 1):find("`", 1, true) and bytes:reverse() or bytes
 end
 
--- A line
--- ---------------------------------------------------------------------------------------------
+-- A line ------------------------------------------------------------------------------------------
 
 -- What follows the id in a line with a frame.
 -- (1700000000.000001) can0 08404000#BBBE6FC720000000 R
@@ -213,8 +210,7 @@ local SECOND = 1000000000 -- nanoseconds
 local MAX_DROPPED = 0xFFFFFFFF -- candump counts them in 32 bits
 local NO_BUS = { [""] = true, any = true }
 
--- Which files are candump's
--- -------------------------------------------------------------------------
+-- Which files are candump's -----------------------------------------------------------------------
 
 -- How many digits Wireshark's own reader takes behind "#", for data, remote and CAN FD frames.
 local PLAIN_DIGITS = {
@@ -336,8 +332,7 @@ local function text_that_needs_us(file, head, is_plain)
   return head
 end
 
--- A file
--- --------------------------------------------------------------------------------------------
+-- A file ------------------------------------------------------------------------------------------
 
 -- Add a bus: { number = the one its name ends in (can1 is 1) unless another bus has it, else the
 -- first free one; name = fit to be printed; heads = of packets, by the id's digits }.

@@ -2,8 +2,8 @@
 -- What the readers of text logs share: the lines of a file, a CAN frame as a packet, and a log that
 -- reads its frames in order and once more.  Pure Lua.
 local char, match = string.char, string.match
-local memo = require("yapp.base.memo")
-local utf8 = require("yapp.base.utf8")
+local memo = require "yapp.base.memo"
+local utf8 = require "yapp.base.utf8"
 
 local M = {}
 
@@ -18,8 +18,7 @@ local SECOND = 1000000000 -- nanoseconds
 --- Why a line with an id gives no frame.
 M.DATA = "the data bytes do not fit, line skipped"
 
--- Lines
--- ---------------------------------------------------------------------------------------------
+-- Lines -------------------------------------------------------------------------------------------
 
 local Lines = {}
 Lines.__index = Lines
@@ -84,8 +83,7 @@ function Lines:next(file)
   return line, self:skip_to((stop or #self.text) + 1)
 end
 
--- Bytes
--- -------------------------------------------------------------------------------------------
+-- Bytes -------------------------------------------------------------------------------------------
 
 --- Make a table of bytes by their digits, filled as it is read; nil for other digits.
 -- value_of  function(digits), which returns a number or nil
@@ -118,8 +116,7 @@ function M.read_bytes(data, count, pattern, bytes)
   return table.concat(found), index
 end
 
--- Packets
--- -------------------------------------------------------------------------------------------
+-- Packets -----------------------------------------------------------------------------------------
 
 -- Flags in the upper bits of a SocketCAN id (linux/can.h).
 M.EXTENDED = 0x80000000
@@ -153,8 +150,7 @@ function M.packet(number, record)
   return M.head(number, record) .. lengths .. record.data
 end
 
--- What stands in a line
--- -------------------------------------------------------------------------------------------
+-- What stands in a line ---------------------------------------------------------------------------
 
 --- Return the seconds since 1970 of a local time, or nil if it does not exist.
 -- date  { year, month, day, hour, min, sec = numbers or their digits }, which os.time may change
@@ -165,8 +161,7 @@ function M.seconds_of(date)
   return is_known and os.date("%m-%d %M:%S", seconds) == written and seconds or nil
 end
 
--- Logs
--- -------------------------------------------------------------------------------------------
+-- Logs --------------------------------------------------------------------------------------------
 
 local Log = {}
 Log.__index = Log

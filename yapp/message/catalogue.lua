@@ -296,6 +296,15 @@ function M.compile(entries, origins, reserved)
   return catalogue, problems
 end
 
+--- Return those of a list of messages that may have a payload of this size, in bytes.
+function M.of_size(messages, size)
+  local list = {}
+  for _, message in ipairs(messages) do
+    if size >= message.min_size and size <= message.size then list[#list + 1] = message end
+  end
+  return list
+end
+
 --- Say which message each ID carries.
 -- catalogue  compiled
 -- ids        { [message name] = list of IDs }, the user's choice

@@ -36,8 +36,7 @@ History.__index = History
 --- Make the history of one pass over one capture.
 -- options  { catalogue = compiled,
 --            late = periods of a message that a gap must exceed to be late,
---            has_times = function() -> whether the packets have time stamps
---            has_clock = function() -> whether these are of the capture, not of controllers }
+--            buses = a host.buses, asked whether the capture lacks times or a clock }
 function M.new(options)
   local self = setmetatable({
     options = options,
@@ -54,7 +53,7 @@ end
 local function new_source(self, m)
   local message, bus = m.source.message or NO_MESSAGE, m.source.bus_key or false
   local options, answered = self.options, self.commands[message.answers]
-  local has_times = options.has_times()
+  local has_times = not options.buses:lacks_times()
   local answering = self.commands[message.name]
   return {
     -- Its kind of message:
@@ -62,7 +61,7 @@ local function new_source(self, m)
     period = message.every or 0,
     longest = has_times and options.late * (message.every or huge) + HALF_NANOSECOND or huge,
     has_times = has_times,
-    has_clock = options.has_clock(),
+    has_clock = not options.buses:lacks_clock(),
     -- The previous good message:
     time = nil, -- seconds of the capture
     seq = nil, -- the newest

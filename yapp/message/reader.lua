@@ -2,6 +2,7 @@
 -- What a finished message means: its values, and what changed in its source.  Pure Lua.  Dissectors
 -- bring messages; the tree and the statistics get them here.
 
+local compiler = require "yapp.message.catalogue"
 local decode = require "yapp.message.decode"
 
 local M = {}
@@ -114,10 +115,8 @@ end
 -- returns  a text for the packet; and, if one is, what the Info column adds, and its name
 function Reader:hint(m)
   local id = m.source.id
-  local text, same = ("Message ID 0x%x is not in the catalogue"):format(id), nil
-  for _, message in ipairs(m.status == "good" and self.messages or {}) do
-    if m.size >= message.min_size and m.size <= message.size then same = same or message end
-  end
+  local text = ("Message ID 0x%x is not in the catalogue"):format(id)
+  local same = m.status == "good" and compiler.of_size(self.messages, m.size)[1]
   if not same then return text end
   local size = "the size of " .. same.title
   local advice = (': see the preference "%s message IDs"'):format(same.title)

@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The submenu YAPP in the menu of a packet, from Wireshark 4.4 on.  Wireshark's API.
 
-local source_names = require("yapp.message.sources")
+local source_names = require "yapp.message.sources"
 
 local M = {}
 

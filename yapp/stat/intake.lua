@@ -12,6 +12,7 @@
 --   anomaly  { is_withdrawn = whether nothing is lost after all, is_open = whether that may
 --            change } }
 
+local compiler = require "yapp.message.catalogue"
 local decode = require "yapp.message.decode"
 local frame_key = require "yapp.base.frame_key"
 local kinds = require "yapp.stat.kinds"
@@ -204,9 +205,7 @@ function Intake:unknown(m)
   local state = self.states[m.source]
   local seq, is_message = state.unknown_seq, m.source.message
   if seq and (seq + 1) % 256 == m.seq then is_message = true end
-  for _, message in ipairs(self.catalogue.messages) do
-    is_message = is_message or m.size >= message.min_size and m.size <= message.size
-  end
+  is_message = is_message or compiler.of_size(self.catalogue.messages, m.size)[1]
   state.unknown_seq = m.seq
   if is_message then self.queue:add_undissected(new_event("undissected", m, { size = m.size })) end
 end

@@ -4,13 +4,13 @@
 --
 -- A new statistic is a row here and its module.
 
-local check = require("yapp.stat.check")
-local csv = require("yapp.stat.csv")
-local events = require("yapp.stat.events")
-local input = require("yapp.base.input")
-local joined = require("yapp.base.joined")
-local kinds = require("yapp.stat.kinds")
-local summary = require("yapp.stat.summary")
+local check = require "yapp.stat.check"
+local csv = require "yapp.stat.csv"
+local events = require "yapp.stat.events"
+local input = require "yapp.base.input"
+local joined = require "yapp.base.joined"
+local kinds = require "yapp.stat.kinds"
+local summary = require "yapp.stat.summary"
 
 local M = {}
 

@@ -2,10 +2,11 @@
 -- Messages that were not decoded, or only in part: how many, of which sources and sizes, and which
 -- preference decodes them.  Pure Lua, 5.2 to 5.5.
 
-local input = require("yapp.base.input")
-local memo = require("yapp.base.memo")
-local output = require("yapp.stat.output")
-local source_names = require("yapp.message.sources")
+local compiler = require "yapp.message.catalogue"
+local input = require "yapp.base.input"
+local memo = require "yapp.base.memo"
+local output = require "yapp.stat.output"
+local source_names = require "yapp.message.sources"
 
 local M = {}
 
@@ -45,12 +46,12 @@ local function describe(own, is_own, titles)
 end
 
 local function new_entry(self, source, size, rest)
-  local own, likes, titles, is_own = source.message, {}, {}, false
-  for _, message in ipairs(self.settings.catalogue.messages) do
-    if size <= message.size and size >= message.min_size then
-      likes[#likes + 1], titles[#titles + 1] = message, message.title
-      is_own = is_own or message == own
-    end
+  local own, titles, is_own = source.message, {}, false
+  local is_grown = own and size > own.size -- it begins with the own message
+  local likes = is_grown and {} or compiler.of_size(self.settings.catalogue.messages, size)
+  for i, message in ipairs(likes) do
+    titles[i] = message.title
+    is_own = is_own or message == own
   end
   local about, like = describe(own, is_own, titles), likes[1]
   local note = rest and ("the last %d not decoded, "):format(rest) or "not decoded, "
