@@ -123,11 +123,14 @@ function T.test_what_the_capture_cut()
   lu.assertEquals(finding.status, "truncated")
 end
 
--- "a 5 of 3": stream, ID and last packet of each frame that the capture ends before.
+-- "a incomplete 5 of 3": stream, status, ID and last packet of each frame that waits when the capture ends.
 local function unfinished(self)
   local list = {}
-  for i, open in ipairs(self:unfinished()) do
-    list[i] = ("%s %d of %d"):format(open.packet.stream, open.header:byte(5), open.packet.number)
+  for _, open in ipairs(self:unfinished()) do
+    for _, finding in ipairs(open.findings) do
+      local id = finding.status == "skipped" and finding.to - finding.from or finding.bytes:byte(finding.offset + 5)
+      list[#list + 1] = ("%s %s %d of %d"):format(open.packet.stream, finding.status, id, open.packet.number)
+    end
   end
   table.sort(list)
   return table.concat(list, ", ")
@@ -138,7 +141,7 @@ function T.test_the_capture_ends_before_a_frame()
     { 4, "x" .. A:sub(1, 14), stream = "a" }, { 5, A:sub(15, 17), stream = "a" }, { 6, B:sub(1, 11), stream = "c" } },
     {}, new()
   for i, row in ipairs(rows) do self:take(packet_of(row), true) rows[i].packet = packet_of(row) end
-  lu.assertEquals(unfinished(self), "a 5 of 5")
+  lu.assertEquals(unfinished(self), "a incomplete 5 of 5, c skipped 11 of 6")
   for i, row in ipairs(rows) do found[i] = self:is_unfinished(self:find(row.packet), row.packet) end
   lu.assertEquals(found, { false, false, false, false, true, false })
   self = holds({ { 1, A .. B:sub(1, 12), "good 5 @0, incomplete 6 @25 -5" } }, { is_datagram = true })
@@ -149,9 +152,18 @@ end
 function T.test_the_capture_ends_before_one_of_two_frames()
   local self = new()
   take(self, { { 1, generator.header(7, 20) .. generator.header(8, 90) .. "12345678", "32 wait for 4" } })
-  lu.assertEquals(unfinished(self), " 7 of 1")
+  lu.assertEquals(unfinished(self), " incomplete 7 of 1")
   take(self, { { 2, "1234", "4 wait" } }) -- now that is a bad one, for which the other has to wait
-  lu.assertEquals(unfinished(self), " 7 of 2")
+  lu.assertEquals(unfinished(self), " bad 7 of 2")
+end
+
+-- The capture has a part of a packet: whole frames may be missing.
+function T.test_the_end_of_a_packet_that_was_not_captured()
+  for _, row in ipairs { { A, 1 }, { "text", 1 }, { A .. B:sub(1, 12), 0 }, { A .. B:sub(1, 11), 1 } } do
+    local self = new()
+    self:take(packet_of { 1, row[1], truncated = true, is_datagram = true, epoch = 1000, bus_name = "eth0" }, true)
+    lu.assertEquals(#self:drops(), row[2])
+  end
 end
 
 function T.test_streams_do_not_mix()
@@ -298,6 +310,16 @@ function T.test_segments()
       lu.assertEquals(drops(segments(row[1], first_seq)), row[2], "row " .. i)
     end
   end
+end
+
+-- Good messages behind a damaged size, and behind a gap of TCP whose segment never comes.
+function T.test_what_waits_when_the_capture_ends()
+  local self = new()
+  take(self, { { 1, A .. A:sub(1, 8) .. "x" .. A:sub(10) .. B .. B, "good 5 @0, 59 wait for 77" } })
+  lu.assertEquals(unfinished(self), " good 6 of 1,  good 6 of 1,  skipped 25 of 1")
+  self = segments({ { 1, 1, 20, "good 1 @0, 3 wait" }, { 2, 35, 51, "17 held" }, { 3, 40, 68, "29 held" },
+    { 4, 86, 102, "17 held" } }, 0)
+  lu.assertEquals(unfinished(self), " good 3 of 3,  good 4 of 3,  good 6 of 4,  skipped 3 of 4")
 end
 
 function T.test_a_segment_far_ahead()

@@ -16,7 +16,8 @@ local huge, insert = math.huge, table.insert
 
 local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_JUMP = 1 + HALF_NANOSECOND -- seconds; the capture's clock may jitter by less
-local MAX_BEHIND = 8 -- a Seq up to 8 behind came late; it does not mean 248 missing
+-- A Seq up to 8 behind came late, if it came within a second; it does not mean 248 missing.
+local MAX_BEHIND, MAX_LATE = 8, 1
 
 -- Evidence that several controllers share a source, see is_shared.  tests/unit/test_shared.lua has
 -- the traces that the numbers tell apart: shared sources, reboots, late messages, stopped clocks.
@@ -230,10 +231,11 @@ end
 -- Return how many messages Seq says are missing before one, nil for none: 7, 9 is one.  A source
 -- that does not number its messages repeats its Seq.  7, 9, 8, 10 is one, at 9: 8 came late.  After
 -- a reboot, numbers begin anew.
+-- delta        seconds since the previous one
 -- name, value  of the change of the controller's clock
-local function missing_before(source, seq, name, value)
+local function missing_before(source, seq, delta, name, value)
   local ahead, fall = (seq - (source.seq or seq)) % 256, name == "reboot" and value or 0
-  local is_late = ahead >= 256 - MAX_BEHIND and fall < LARGE_FALL
+  local is_late = ahead >= 256 - MAX_BEHIND and fall < LARGE_FALL and delta <= MAX_LATE
   if is_late then return nil end
   source.seq = seq
   return ahead > 1 and fall == 0 and ahead - 1 or nil
@@ -246,7 +248,8 @@ local function update(source, m, delta)
     source.shared_key, source.changes[m.key] = m.key, SHARED
     return SHARED
   end
-  local flags, missing = flag_changes(source, m), missing_before(source, m.seq, name, value)
+  local flags = flag_changes(source, m)
+  local missing = missing_before(source, m.seq, delta or 0, name, value)
   local late, change = delta and delta > source.longest and delta or nil, nil
   if name or flags or missing or late then
     change = { flags = flags, missing = missing, late = late }

@@ -110,6 +110,7 @@ local function new_packet(self, tvb, pinfo, tree, segment)
   local number, visited, length = pinfo.number, pinfo.visited, tvb:reported_len() - start
   local wants = self.builder:wants(tree, pinfo, visited)
   local key = number * frame_key.PACKET + tvb:offset() + start
+  local epoch = segment and segment.epoch or length > #bytes and pinfo.abs_ts
   if wants.tree and segment and bytes ~= "" then tvb = tvb(start):tvb() end
   return {
     key = key,
@@ -118,7 +119,7 @@ local function new_packet(self, tvb, pinfo, tree, segment)
     length = length,
     truncated = length > #bytes,
     time = pinfo.rel_ts,
-    epoch = segment and segment.epoch,
+    epoch = epoch,
     visited = visited,
     is_datagram = pinfo.port_type == UDP,
     stream = line.key,
@@ -416,14 +417,34 @@ function Dissector:skipped(tvb, pinfo, tree)
   return size
 end
 
---- Return the messages that the capture ends before, and report their last bytes to the statistics.
+-- Report a finding in bytes that wait when the capture ends.  Wireshark may capture on: list only
+-- the message that is not complete there.
+local function report_waiting(self, list, packet, finding, i)
+  local id, _, _, seq = frame.parse(finding.bytes, finding.offset + 1)
+  local length = finding.to - finding.from
+  if finding.missing then
+    list[#list + 1] = new_report(packet, packet.line.sources[id], seq)
+    self.reader.intake:fragment(list[#list])
+  elseif gui_enabled() then
+    return
+  elseif finding.status ~= "skipped" then
+    -- The key of no other message: packets have fewer findings than bytes.
+    local m = new_message(packet, finding, packet.length + i)
+    self.reader:read(m, self.history, packet.wants)
+  elseif length >= HEADER then -- else it may be a part of one
+    self.reader.intake:skipped(new_report(packet, packet.line), length)
+  end
+end
+
+--- Return the messages that the capture ends before.  Report their last bytes to the statistics,
+-- and what else waits: messages behind one that seems to be open, or behind a TCP gap.
 -- returns  list of { source, seq, key = frame key of the packet with its last bytes, ... }
 function Dissector:unfinished()
   local list = {}
-  for i, open in ipairs(self.streams:unfinished()) do
-    local id, _, _, seq = frame.parse(open.header, 1)
-    list[i] = new_report(open.packet, open.packet.line.sources[id], seq)
-    self.reader.intake:fragment(list[i])
+  for _, open in ipairs(self.streams:unfinished()) do
+    for i, finding in ipairs(open.findings) do
+      report_waiting(self, list, open.packet, finding, i)
+    end
   end
   return list
 end

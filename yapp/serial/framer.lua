@@ -280,6 +280,11 @@ function Framer:add(bytes, is_end, findings)
   return self.findings
 end
 
+--- Return the bytes that are in no finding yet.
+function Framer:pending()
+  return sub(self.text, self.from - self.text_from + 1)
+end
+
 --- Return the earliest frame that is not final yet: a capture that ends here ends before the frame.
 -- returns  its header, and the number of bytes to come, nil if all came; nil if there is no such
 --          frame, only a part of its header, or more likely noise

@@ -13,6 +13,8 @@ local memo = require "yapp.base.memo"
 
 local M = {}
 
+local sub = string.sub
+
 -- How long segments wait for a missing one: seconds, and bytes of the stream behind it.  A sender
 -- usually repeats a segment within a second, and few send 64 KB ahead.
 local MAX_WAIT, MAX_AHEAD = 1, 65535
@@ -222,7 +224,7 @@ end
 -- packet  {
 --   key          frame key; a second frame with this key replaces the first
 --   number       of the packet; bus_name = or nil
---   epoch        of a segment: seconds since 1970
+--   epoch        of a segment, or if it is truncated: seconds since 1970
 --   bytes        string: those that were captured
 --   truncated    whether the packet had more
 --   is_datagram  whether it is complete in itself
@@ -268,6 +270,10 @@ function Streams:take(packet, is_stored)
     contents.pending = contents.to - math.max(contents.from, framer.from)
     contents.missing = select(2, framer:open_frame())
   end
+  local last_finding = findings[#findings]
+  if packet.truncated and not (last_finding and last_finding.missing) then
+    self.gaps[#self.gaps + 1] = new_gap(stream, packet) -- whole frames may be missing
+  end
   if is_stored then
     self.contents_by_key[packet.key] = is_plain(findings, packet.bytes) and PLAIN or contents
   end
@@ -294,18 +300,42 @@ function Streams:is_unfinished(contents, packet)
   return stream.latest.key == packet.key and stream.framer:open_frame() ~= nil
 end
 
---- Return the frames that the capture ends before.
--- returns  list of { header = string, packet = the last one with bytes of it }
-function Streams:unfinished()
-  local list = {}
-  for _, stream in pairs(self.by_key) do
-    local header = stream.framer:open_frame()
-    if header then list[#list + 1] = { header = header, packet = stream.latest } end
+-- Return what waits in a stream: its pending bytes, and the segments behind each gap.
+-- returns  list of { bytes, packet = the stream's latest; behind a gap the last with some of them }
+local function waiting(stream)
+  local last = { bytes = stream.framer:pending(), packet = stream.latest }
+  local list, next_seq = { last }, stream.next_seq
+  for _, contents in ipairs(stream.held) do
+    local packet = contents.packet
+    local overlap = distance(next_seq, packet.seq)
+    if overlap < 0 then
+      last, overlap = { bytes = "" }, 0
+      list[#list + 1] = last
+    end
+    if overlap < packet.length then
+      last.bytes, last.packet = last.bytes .. sub(packet.bytes, overlap + 1), packet
+      next_seq = (packet.seq + packet.length) % 0x100000000
+    end
   end
   return list
 end
 
---- Return the gaps in TCP connections: segments that the capture does not have.
+--- Return what the streams hold beside the contents of packets, if the capture ends here.
+-- returns  list of { packet = see above, findings = as from Streams:take, each with its bytes, and
+--          offset = in these }
+function Streams:unfinished()
+  local list = {}
+  for _, stream in pairs(self.by_key) do
+    for _, piece in ipairs(waiting(stream)) do
+      piece.findings = self:read(piece.bytes)
+      for _, finding in ipairs(piece.findings) do finding.bytes = piece.bytes end
+      list[#list + 1] = piece
+    end
+  end
+  return list
+end
+
+--- Return what the capture does not have: segments of TCP connections, the ends of packets.
 -- returns  list of { time = seconds since 1970, frame = number of the packet behind the gap,
 --          bus = name or nil, count = 1 }
 function Streams:drops()

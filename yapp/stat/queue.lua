@@ -206,6 +206,12 @@ local function nothing_found(self, capture)
   return ("no YAPP message found in %s: see %s"):format(packets, SEARCH_PREFERENCES)
 end
 
+--- Say that all packets have come: events are handed on at once.
+function Queue:end_packets()
+  flush(self)
+  self.is_direct = true
+end
+
 --- End: all packets have come.
 -- capture  { unfinished = events of the messages that it ends before, drops = of host.buses,
 --          lacks_times = whether packets have no time stamps, extended = number of extended CAN

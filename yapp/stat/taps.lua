@@ -155,6 +155,7 @@ end
 
 -- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
+  self.queue:end_packets()
   return self.queue:finish {
     unfinished = self.intake:unfinished(self.unfinished()),
     drops = self.drops(),
