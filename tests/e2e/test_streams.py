@@ -267,6 +267,7 @@ UDP_PORT, TCP_PORT = (["-d", f"{kind}.port==20001,yapp_serial"] for kind in ("ud
 SERIAL, UDP, TCP = (EXPORTED_PDU, stream_captures.exported_pdu, []), (ETHERNET, stream_captures.udp, UDP_PORT), \
     (ETHERNET, stream_captures.tcp, TCP_PORT)
 UDP_FOUND, TCP_FOUND = (ETHERNET, stream_captures.udp, []), (ETHERNET, stream_captures.tcp, [])
+UDP_SEARCHED = (ETHERNET, stream_captures.udp, ["-o", "yapp.search_all:TRUE"])  # the head of the file need not have a frame
 TCP_APART = (ETHERNET, stream_captures.tcp, [*TCP_PORT, "-o", "tcp.desegment_tcp_streams:FALSE"])
 SHELL = b"pwd: /home\r\n" * 500
 
@@ -312,7 +313,7 @@ SITUATIONS = {
         (LOST_BYTE, [("incomplete", LOST_BYTE)]), (MOTOR[:12], [("incomplete", MOTOR[:12])]), (BAD, [("bad", BAD)])]),
     "a conversation is known by a header": (UDP_FOUND, [(MOTOR[:12], [("incomplete", MOTOR[:12])])]),
     "a conversation is known by a header, TCP": (TCP_FOUND, [(MOTOR[:12], [], MOTOR[:12]), (MOTOR[12:], [("good", MOTOR)])]),
-    **{f"a conversation is known by a good CRC: {what}": (UDP_FOUND, [(data, [("good", data)])])
+    **{f"a conversation is known by a good CRC: {what}": (UDP_SEARCHED, [(data, [("good", data)])])
        for what, data in {"another size": GROWN, "no known size": SHORT, "another ID": ODD, "reserved bytes": RESERVED}.items()},
     "a conversation with neither is nobody's": (UDP_FOUND, [(BAD, []), (GROWN[:-1] + b"?", []), (MOTOR[:11], []), (b"YP" * 30, [])]),
     "empty datagrams": (UDP, [(b"", []), (ONE, [("good", ONE)]), (b"", [])]),
