@@ -285,17 +285,18 @@ function Framer:pending()
   return sub(self.text, self.from - self.text_from + 1)
 end
 
---- Return the earliest frame that is not final yet: a capture that ends here ends before the frame.
--- returns  its header, and the number of bytes to come, nil if all came; nil if there is no such
---          frame, only a part of its header, or more likely noise
+--- Return whether a frame is not final yet: a capture that ends here ends before it.  A part of a
+-- header is none, nor is what is more likely noise.
+-- returns  boolean, and the number of bytes to come, nil if all came
 function Framer:open_frame()
   for i = self.first, self.last + 1 do
     local candidate = self.candidates[i] or self:find()
     if candidate and candidate.is_plausible and candidate.from >= self.from then
-      local offset, missing = candidate.from - self.text_from, candidate.to - self.to
-      return sub(self.text, offset + 1, offset + HEADER), missing > 0 and missing or nil
+      local missing = candidate.to - self.to
+      return true, missing > 0 and missing or nil
     end
   end
+  return false
 end
 
 return M

@@ -297,7 +297,7 @@ end
 function Streams:is_unfinished(contents, packet)
   if contents.pending == 0 or contents.leads_to then return false end
   local stream = self.by_key[packet.stream]
-  return stream.latest.key == packet.key and stream.framer:open_frame() ~= nil
+  return stream.latest.key == packet.key and stream.framer:open_frame()
 end
 
 -- Return what waits in a stream: its pending bytes, and the segments behind each gap.
