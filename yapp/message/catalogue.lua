@@ -14,9 +14,7 @@ local MAX_TITLE = 200
 
 local M = {}
 
-local MAX_SIZE = 65535
 local DERIVED_OPTIONS = input.set("unit")
-local NUMERIC = input.set("uint int scaled float ieee")
 local OPTIONS =
   input.set("name title section id size min_size info every answers differences derived")
 
@@ -142,8 +140,7 @@ end
 -- what  the item that needs it: "derived dc_power"
 local function number_index(message, what, name)
   local field = message.by_name[name]
-  local is_number = field and NUMERIC[field.kind] and not field.values
-  demand(is_number, "%s: %s is no field of numbers", what, shown(name))
+  demand(field and decode.is_number(field), "%s: %s is no field of numbers", what, shown(name))
   return field.index
 end
 
@@ -190,7 +187,7 @@ local function check_head(entry)
   input.options(entry, "a message", OPTIONS, math.huge)
   demand(#entry.title <= MAX_TITLE, "the title has more than %d bytes", MAX_TITLE)
   input.within("id", entry.id, 0, input.MAX_ID)
-  input.within("size", entry.size, 1, MAX_SIZE)
+  input.within("size", entry.size, 1, fields.MAX_SIZE)
   input.within("min_size", entry.min_size or entry.size, 1, entry.size)
   demand(not every or input.is_finite(every) and every > 0,
     "every %s is not a period in seconds", shown(every))

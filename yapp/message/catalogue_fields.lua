@@ -12,7 +12,8 @@ local is_finite = input.is_finite
 
 local M = {}
 
-local MAX_SIZE = 65535
+--- The largest payload, in bytes.
+M.MAX_SIZE = 65535
 -- The expert items for values.
 local INVALID = set("value.invalid command.key.invalid")
 
@@ -107,7 +108,7 @@ end
 -- Fields -----------------------------------------------------------------------------------------
 
 local function length_of(row)
-  input.within(row[2] .. " needs a length, and", row.length, 1, MAX_SIZE)
+  input.within(row[2] .. " needs a length, and", row.length, 1, M.MAX_SIZE)
   return row.length
 end
 
@@ -226,7 +227,7 @@ end
 
 -- An array is its elements: fields of their own with one filter name.
 local function add_elements(build, field, count)
-  input.within("count", count, 1, MAX_SIZE)
+  input.within("count", count, 1, M.MAX_SIZE)
   for i = 1, count do
     local element = {}
     for name, value in pairs(field) do element[name] = value end

@@ -332,6 +332,15 @@ function M.new_reader(message)
   return read(message.fields, byte, fast_band, M.value, is_invalid)
 end
 
+local NUMBERS = {
+  uint = true, int = true, scaled = true, float = true, ieee = true, derived = true,
+}
+
+--- Return whether a field, or an item of message.generated, has numbers that are no codes.
+function M.is_number(field)
+  return NUMBERS[field.kind] and not field.values
+end
+
 -- Flags ------------------------------------------------------------------------------------------
 
 --- Return the filter names of the flags that are set, undefined bits as one number:

@@ -2,7 +2,6 @@
 -- What a statistic gathers: of each source counts, times, gaps and values; of all sources of one
 -- message, how far their values lie apart.  Pure Lua, 5.2 to 5.5.
 
-local input = require "yapp.base.input"
 local decode = require "yapp.message.decode"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
@@ -13,7 +12,6 @@ local M = {}
 local span = kinds.span
 local INFINITE = math.huge
 local NO_NUMBER = 0 / 0
-local NUMERIC = input.set("uint int scaled float ieee derived")
 
 -- Return a value as a number: in its unit, a time in seconds, flags and codes as they are sent; NaN
 -- for a reserved value, nil where the message does not have the field.
@@ -175,7 +173,7 @@ function Groups:wants(message)
   local list = {}
   for _, fields in ipairs { message.fields, message.generated } do
     for _, field in ipairs(fields) do
-      if NUMERIC[field.kind] and not field.values then
+      if decode.is_number(field) then
         list[#list + 1] = { field = field, is_spread = self.compares }
       end
     end
