@@ -40,8 +40,8 @@ local function finished(frame, payload)
 end
 
 local function new_history()
-  local function yes() return true end
-  return history.new { late = 2.5, catalogue = catalogue, has_times = yes, has_clock = yes }
+  local function no() return false end
+  return history.new { late = 2.5, catalogue = catalogue, buses = { lacks_times = no, lacks_clock = no } }
 end
 
 -- How many good messages a capture has, by the steps up to one.

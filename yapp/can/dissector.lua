@@ -234,7 +234,7 @@ local function show_other(self, frame)
   return ctrl ~= START and text .. " without a Start" or text
 end
 
-local SHOW = { -- by kind, see can.reassembly
+local SHOW = { -- by kind, see can.reassembly: what returns the text of the Info column
   single = show_last, last = show_last, fragment = show_fragment, other = show_other,
 }
 

@@ -9,7 +9,7 @@
 --   finish(ending, notes)     ends: ending = see Queue:finish, notes = texts, what its answer
 --                             leaves out; returns the exit code and a text, each nil for none
 --   follows_changes           whether it says what changed since the message before
---   wants_messages_only       whether events that are derived from messages are of no use to it
+--   wants_messages_only       whether it needs no events but good messages and those with a bad CRC
 
 local band = require "yapp.base.bits".band
 local joined = require "yapp.base.joined"
