@@ -250,7 +250,7 @@ def decode(ident, payload, divisor=MAPPING):
         elif is_number(kind):
             shown[path] = str(count)
         else:
-            shown[path] = f"0x{count:02x}" if kind <= {0, 1, 0xA5, 0x5A} else str(count)
+            shown[path] = f"0x{count:02x}" if isinstance(kind, set) else str(count)
             if count not in kind:
                 experts.append("taurus.command.key.invalid" if field == "key" else "taurus.value.invalid")
     return shown, experts

@@ -140,8 +140,8 @@ end
 local Groups = {}
 
 --- Make a class of statistics that gather by source.
--- class    its own methods, see stat.derive; wants, unless it wants the fields that can be
---          averaged; compares = whether it wants their spreads, too
+-- class    its own methods, see stat.derive; wants, if it gathers other fields than all that are
+--          numbers; compares = whether it gathers their spreads, too
 -- returns  it, with class.new(options, context), which makes a statistic:
 --   options  of stat.options
 --   context  { clock = function(rel) -> seconds since 1970, nanoseconds; settings = see stat.taps;
