@@ -54,8 +54,8 @@ function Dissector:reset(history)
     return memo(function(id) return self.reader:new_source(id, bus, self.buses:name(bus)) end)
   end)
   self.newest_key = 0 -- a frame above it is new, which saves asking Wireshark
-  -- Of the latest frame of ours.  A tap reports only frames that were not accepted, but Decode As may
-  -- accept a frame that was noted when the table of ids refused it.
+  -- Of the latest frame of ours.  A tap reports only frames that were not accepted, but Decode As
+  -- may accept a frame that was noted when the table of ids refused it.
   self.accepted_key = 0
   self.expects_taps, self.has_taps = false, false -- see Dissector:expect_taps
   self.lost_bus = false -- whether a frame came whose bus is not known
