@@ -417,22 +417,21 @@ function Dissector:skipped(tvb, pinfo, tree)
   return size
 end
 
--- Report a finding in bytes that wait when the capture ends.  Wireshark may capture on: list only
--- the message that is not complete there.
+-- Report a finding in bytes that wait when the capture ends.  Wireshark may capture on: there every
+-- message that waits is one that the capture ends before.
 local function report_waiting(self, list, packet, finding, i)
   local id, _, _, seq = frame.parse(finding.bytes, finding.offset + 1)
   local length = finding.to - finding.from
-  if finding.missing then
+  if finding.status == "skipped" then
+    local is_sure = length >= HEADER -- else it may be a part of one
+    if is_sure then self.reader.intake:skipped(new_report(packet, packet.line), length) end
+  elseif finding.missing or gui_enabled() then
     list[#list + 1] = new_report(packet, packet.line.sources[id], seq)
     self.reader.intake:fragment(list[#list])
-  elseif gui_enabled() then
-    return
-  elseif finding.status ~= "skipped" then
+  else
     -- The key of no other message: packets have fewer findings than bytes.
     local m = new_message(packet, finding, packet.length + i)
     self.reader:read(m, self.history, packet.wants)
-  elseif length >= HEADER then -- else it may be a part of one
-    self.reader.intake:skipped(new_report(packet, packet.line), length)
   end
 end
 

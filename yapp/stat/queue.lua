@@ -13,8 +13,8 @@ local output = require "yapp.stat.output"
 local M = {}
 
 local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, see hand_on_losses
-local SEARCH_PREFERENCES =
-  "yapp.search_all, yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first"
+local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first, " ..
+  "in Wireshark also yapp.search_all" -- tshark searches all of a file for a statistic
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
 
 local floor = math.floor
