@@ -33,7 +33,12 @@ os.setlocale("C", "numeric")
 pcall(collectgarbage, "setpause", 150)
 pcall(collectgarbage, "setstepmul", 1000)
 
-package.path = here .. "?.lua;" .. package.path
+-- Find modules beside this file: in package.path a folder cannot have ";" or "?" in its name.
+table.insert(package.searchers, 2, function(name)
+  if not name:find("^yapp%.") then return nil end
+  local chunk, why = loadfile(here .. name:gsub("%.", "/") .. ".lua")
+  return chunk or "\n\t" .. why
+end)
 
 local bus_finder = require "yapp.host.buses"
 local can_dissector = require "yapp.can.dissector"

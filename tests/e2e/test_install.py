@@ -134,14 +134,52 @@ def test_a_leak_is_seen(home):
     assert "globals: leaked" in done.stderr and "globals: string.rep" in done.stderr
 
 
-def test_a_clone_in_a_plugin_folder(home):
-    """Wireshark runs all of its modules, which complain; the last line says what is wrong."""
-    tshark.copy_plugin(home / PLUGINS / "clone")
+def put_copy(place):
+    tshark.copy_plugin(place)
+
+
+def put_clone(place):
+    """With all that is in the repository: the tests, too, are Lua files."""
+    known = subprocess.run(["git", "-c", "safe.directory=*", "ls-files", "-co", "--exclude-standard"], cwd=tshark.ROOT,
+                           capture_output=True, text=True, check=False)
+    if known.returncode:
+        pytest.skip("no git repository")
+    for name in known.stdout.splitlines():
+        if (tshark.ROOT / name).exists():
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(tshark.ROOT / name, place / name)
+
+
+def put_link(place):
+    tshark.copy_plugin(place.parents[5] / "elsewhere")
+    place.symlink_to(place.parents[5] / "elsewhere")
+
+
+@pytest.mark.parametrize("put", [put_copy, put_clone, put_link])
+def test_a_clone_in_a_plugin_folder(home, put):
+    """Wireshark runs all of its modules, which complain.  The first line says what is wrong, and the last one."""
+    place = home / PLUGINS / "clone"
+    place.parent.mkdir(parents=True, exist_ok=True)
+    put(place)
     for path in [home, *home.rglob("*")]:
         path.chmod(0o755 if path.is_dir() else 0o644)
     done = tshark.run("-r", CAPTURE, plugin=False, env={"HOME": str(home)}, cwd="/", lua_errors=True)
-    assert "Lua" in done.stderr and "Motor Data" in done.stdout
-    assert re.search(f"^yapp: {home / PLUGINS / 'clone'}/ is a clone in a plugin folder, .* make install", done.stderr.splitlines()[-1])
+    assert "Motor Data" in done.stdout
+    said = [line for line in done.stderr.splitlines() if not line.startswith("Running as user")]
+    for line in (said[0], said[-1]):
+        assert re.search(r"^yapp: \S*/ is a clone in a plugin folder, .* make install", line), said[:3]
+    assert said[0].split()[1].endswith(f"{PLUGINS}/clone/")
+    assert len([line for line in said if "is a clone" in line]) == 2
+
+
+@pytest.mark.parametrize("name", ["one;two", "one?two", "a ?.lua;b", "per%cent", "a+b-c.d"])
+def test_any_folder_name(folder, name):
+    """Lua's package.path takes ";" and "?" for its own."""
+    plugin = tshark.copy_plugin(folder / name)
+    for path in [folder, *folder.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    done = tshark.run(*script(plugin), "-r", CAPTURE, plugin=False)
+    assert "Motor Data" in done.stdout
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")

@@ -1,0 +1,11 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Nobody requires this module.  Wireshark runs it if the folder yapp/ is below a plugin folder,
+-- where Wireshark runs every Lua file: in folders first, by name.  Each other module then fails to
+-- find the modules that it requires.  So say first, ahead of a thousand errors, what is wrong.
+-- In a clone ci/clone.lua runs it still earlier.
+if package.loaded["yapp.base.alone"] then return end
+package.loaded["yapp.base.alone"] = true
+
+local folder = debug.getinfo(1, "S").source:match("^@(.*[/\\])yapp[/\\]base[/\\]") or "./"
+io.stderr:write(("yapp: %s is a clone in a plugin folder, where Wireshark runs every file: " ..
+  "move it elsewhere, and run make install or tools/install.py there\n"):format(folder))
