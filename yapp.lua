@@ -34,7 +34,7 @@ pcall(collectgarbage, "setpause", 150)
 pcall(collectgarbage, "setstepmul", 1000)
 
 -- Find modules beside this file: in package.path a folder cannot have ";" or "?" in its name.
-table.insert(package.searchers, 2, function(name)
+table.insert(rawget(package, "searchers"), 2, function(name)
   if not name:find("^yapp%.") then return nil end
   local chunk, why = loadfile(here .. name:gsub("%.", "/") .. ".lua")
   return chunk or "\n\t" .. why

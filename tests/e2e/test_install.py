@@ -140,14 +140,7 @@ def put_copy(place):
 
 def put_clone(place):
     """With all that is in the repository: the tests, too, are Lua files."""
-    known = subprocess.run(["git", "-c", "safe.directory=*", "ls-files", "-co", "--exclude-standard"], cwd=tshark.ROOT,
-                           capture_output=True, text=True, check=False)
-    if known.returncode:
-        pytest.skip("no git repository")
-    for name in known.stdout.splitlines():
-        if (tshark.ROOT / name).exists():
-            (place / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(tshark.ROOT / name, place / name)
+    shutil.copytree(tshark.ROOT, place, ignore=shutil.ignore_patterns(".git", "__pycache__", "test_captures", "dist"))
 
 
 def put_link(place):

@@ -3,9 +3,12 @@
 -- where Wireshark runs every Lua file: in folders first, by name.  Each other module then fails to
 -- find the modules that it requires.  So say first, ahead of a thousand errors, what is wrong.
 -- In a clone ci/clone.lua runs it still earlier.
-if package.loaded["yapp.base.alone"] then return end
-package.loaded["yapp.base.alone"] = true
 
-local folder = debug.getinfo(1, "S").source:match("^@(.*[/\\])yapp[/\\]base[/\\]") or "./"
-io.stderr:write(("yapp: %s is a clone in a plugin folder, where Wireshark runs every file: " ..
-  "move it elsewhere, and run make install or tools/install.py there\n"):format(folder))
+local function say()
+  local folder = debug.getinfo(1, "S").source:match("^@(.*[/\\])yapp[/\\]base[/\\]") or "./"
+  io.stderr:write(("yapp: %s is a clone in a plugin folder, where Wireshark runs every file: " ..
+    "move it elsewhere, and run make install or tools/install.py there\n"):format(folder))
+end
+
+if not package.loaded["yapp.base.alone"] then say() end
+package.loaded["yapp.base.alone"] = true
