@@ -10,6 +10,8 @@
 
 The same commit gives the same bytes on every machine: times are the commit's (SOURCE_DATE_EPOCH), and nothing is compressed,
 since each zlib packs in its own way: the wheel is packed anew. The same version of hatchling is needed on all of them. Of docs and tools what git does not know is left out.
+
+YAPP_OWNER is the account that publishes the release: its name takes the place of the word OWNER in pages and jobs.
 """
 import hashlib
 import os
@@ -45,7 +47,9 @@ def documents():
     """{ place beside install.py: bytes } of what is not installed."""
     known = set(git("ls-files", "-z").split("\0")[:-1])
     found = {path.relative_to(TOP).as_posix(): path for pattern in DOCUMENTS for path in TOP.glob(pattern)}
-    return {name: path.read_bytes() for name, path in found.items() if path.is_file() and (not known or name in known)}
+    owner = os.environ.get("YAPP_OWNER", "").encode() or b"OWNER"
+    return {name: re.sub(rb"\bOWNER\b", owner, path.read_bytes()) if path.suffix in (".md", ".yml") else path.read_bytes()
+            for name, path in found.items() if path.is_file() and (not known or name in known)}
 
 
 def whole():

@@ -4,6 +4,7 @@ import hashlib
 import re
 import shutil
 import subprocess
+import zipfile
 
 import pytest
 import tshark
@@ -53,7 +54,7 @@ def test_a_release(folder, repository):
     assert built["notes.md"].decode().strip() in (tshark.ROOT / "CHANGELOG.md").read_text()
     assert "## [" not in built["notes.md"].decode() and len(built["notes.md"]) > 200
 
-    check, again = re.findall(r"```sh\n(sha256sum .*)\n(tools/.*)\n```", (tshark.ROOT / "docs/ci.md").read_text())[0]
+    check, again = re.findall(r"```sh\n(sha256sum .*)\n(\w+=\S+ tools/.*)\n```", (tshark.ROOT / "docs/ci.md").read_text())[0]
     (repository / "dist" / f"yapp-profile-{TAG[1:]}.zip").unlink()  # not everything was downloaded
     assert run(repository / "dist", "bash", "-c", check).returncode == 0
     (repository / "SHA256SUMS").write_bytes(built["SHA256SUMS"])
@@ -80,6 +81,21 @@ def test_builds_that_differ(repository):
     git(repository, ["commit", "-qam", "x"], ["tag", "-f", TAG])
     done = run(repository, "tools/release.sh", TAG)
     assert done.returncode == 1 and "two builds differ" in done.stderr
+
+
+def test_a_release_names_its_owner(folder):
+    """Every page and job has the word from one variable; no other word of the repository is the same."""
+    listed = {}
+    for owner in ("", "acme-1"):
+        done = run(tshark.ROOT, PYTHON, "tools/dist.py", folder / f"dist{owner}", SOURCE_DATE_EPOCH="1700000000", YAPP_OWNER=owner)
+        assert done.returncode == 0, done.stderr
+        with zipfile.ZipFile(folder / f"dist{owner}/yapp-{TAG[1:]}.zip") as archive:
+            listed[owner] = {name: archive.read(name).decode("utf-8", "replace") for name in archive.namelist()}
+    named = [name for name, text in listed[""].items() if re.search(r"\bOWNER\b", text) and not name.endswith(".py")]
+    assert {"yapp/action.yml", "yapp/docs/ci.md", "yapp/ci/gitlab-yapp.yml", "yapp/SECURITY.md"} <= set(named)
+    for name in named:
+        assert listed["acme-1"][name] == re.sub(r"\bOWNER\b", "acme-1", listed[""][name]), name
+    assert "uses: acme-1/yapp@v" in listed["acme-1"]["yapp/docs/ci.md"]
 
 
 def test_the_workflow_calls_it():
