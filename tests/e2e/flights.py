@@ -29,6 +29,7 @@ FIRST_ID = {"command": 0x000, "motor": 0x210, "health": 0x200}
 KIND = {name: ident for ident, (name, _, _) in model.MESSAGES.items()}
 OPERATORS = {"*": operator.mul, "-": operator.sub, "+": operator.add}
 FORMS = ["pcapng", "sll2", "candump"]
+LINKS = "links"  # each bus in a link type of its own
 LATE_PCAPNG = "late pcapng"  # the interfaces but the first one behind what the plugin looks at when it opens a file
 
 
@@ -499,6 +500,10 @@ class Flight:
         truth = Truth(self, form)
         return {"events": truth.events, "faults": truth.faults, "summary": truth.summary, "room": truth.room}
 
+    def link_of(self, bus):
+        """The link type in which the form "links" has a bus, and what makes a packet of a frame."""
+        return LINK_TYPES[(self.begin + bus) % len(LINK_TYPES)]
+
     def rows(self, form):
         """Of each known message the good ones in the order of the capture: (frame, bus, source, message)."""
         found = {name: [] for name in KIND}
@@ -523,17 +528,36 @@ class Flight:
         blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))]
         for name in [None] if sll2 else self.names:
             options = option(2, name.encode()) if name else b""
+            if form == LINKS:
+                linktype = self.link_of(len(blocks) - 1)[0]
             blocks.append(block(1, struct.pack("<HHI", linktype, 0, 0) + options + option(9, b"\x09") + option(0, b"")))
             if form == LATE_PCAPNG and len(blocks) == 2:
                 blocks.append(LONG_BLOCK)
         for frame in self.frames:
             record = frame.record(little=sll2)
-            if sll2:
+            if form == LINKS:
+                record = self.link_of(frame.bus)[1](frame)
+            elif sll2:
                 record = struct.pack(">HHIHBB8x", 0x0C, 0, frame.bus + 1, 280, 0, 0) + record
             head = struct.pack("<IIIII", 0 if sll2 else frame.bus, frame.at >> 32, frame.at & 0xFFFFFFFF, len(record),
                                len(record))
             blocks.append(block(6, head + pad(record)))
         return b"".join(blocks)
+
+
+def acf_can(frame, tags=b""):
+    """IEEE 1722: a CAN frame in an Ethernet packet, an ACF-CAN message in NTSCF; behind tags of VLANs."""
+    padding = -len(frame.data) % 4
+    body = bytes([padding << 6 | 8, 1]) + bytes(8) + struct.pack(">I", frame.can_id) + frame.data + bytes(padding)
+    body = struct.pack(">H", 1 << 9 | (2 + len(body)) // 4) + body
+    return bytes(12) + tags + b"\x22\xf0" + struct.pack(">BBBB8x", 0x82, 0x80, len(body), 0) + body
+
+
+LINK_TYPES = [(1, acf_can),
+              (227, Frame.record),
+              (192, lambda frame: struct.pack("<BBHI", 0, 0, 8, 227) + frame.record()),  # PPI
+              (1, lambda frame: acf_can(frame, b"\x81\x00\x00\x07")),
+              (113, lambda frame: struct.pack(">HHH8xH", 0, 280, 0, 0x0C) + frame.record(little=True))]  # Linux cooked
 
 
 def pad(data):

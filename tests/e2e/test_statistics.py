@@ -23,6 +23,7 @@ SEEDS = range(1, int(os.environ.get("YAPP_FLIGHTS", levels.size(3, 4))) + 1)
 PASSES = {"one pass": (), "two passes": ("-2",)}
 CASES = [(seed, flights.FORMS[seed % 3], passes) for seed in SEEDS for passes in PASSES]
 CASES += [(1, flights.LATE_PCAPNG, passes) for passes in PASSES]
+CASES += [(seed, flights.LINKS, passes) for seed in (SEEDS[0], SEEDS[-1]) for passes in PASSES]
 # A first pass has the fields that a filter names, and here not all that tell the bus.
 PASSES["half told"] = ("-2", "-Y", "frame.interface_id == 0")
 CASES += [(1, "sll2", "half told")]

@@ -14,7 +14,7 @@ local T = {}
 local function be(value, size) return le(value, size):reverse() end
 
 local SECTION, INTERFACE, OBSOLETE, SIMPLE, STATISTICS, ENHANCED = 0x0A0D0D0A, 1, 2, 3, 5, 6
-local CAN, ETHERNET, RTAC, SLL, SLL2, EXPORTED = 227, 1, 250, 113, 276, 252
+local CAN, ETHERNET, PPI, RTAC, SLL, SLL2, EXPORTED = 227, 1, 192, 250, 113, 276, 252
 
 local function pcap(linktype, packets, number, magic)
   local text = { magic or number(0xA1B2C3D4, 4), number(2, 2), number(4, 2), ("\0"):rep(8),
@@ -380,6 +380,35 @@ function T.test_interfaces_behind_the_head()
   end
   lu.assertEquals(found(70), { true, false, "-", "eth0" })
   lu.assertEquals(found(10), { false, true, "can0", "-" })
+end
+
+-- Interfaces whose packets have CAN frames inside: Ethernet with IEEE 1722, behind tags of VLANs too,
+-- and PPI.  Without such a packet an interface is no bus.
+function T.test_can_inside_other_packets()
+  local function ether(tags, subtype) return ("x"):rep(12) .. tags .. "\34\240" .. subtype .. ("\0"):rep(60) end
+  local function ppi(linktype) return "\0\0\8\0" .. le(linktype, 4) .. ("\0"):rep(16) end
+  local tags, can = "\136\168\0\1\129\0\0\2", ("\0"):rep(16)
+  for _, number in ipairs { le, be } do
+    lu.assertEquals(buses(read(pcapng({ CAN, ETHERNET, PPI }, { { 1, ether("", "\130") }, { 0, can },
+      { 2, ppi(CAN) }, { 1, ether(tags, "\5") }, { 1, ether("", "\2") }, { 1, "\8\0" }, { 2, ppi(105) },
+      { 2, "" } }, number))), "2 1 3 2 0 0 0 0")
+    lu.assertEquals(buses(read(pcapng({ ETHERNET, ETHERNET, PPI }, { { 1, ether(tags, "\130") }, { 0, ("x"):rep(60) },
+      { 2, ppi(CAN) } }, number))), "1 0 2")
+    lu.assertFalse(read(pcapng({ CAN, ETHERNET }, { { 0, can }, { 1, ("x"):rep(60) } }, number)).has_several)
+    lu.assertFalse(read(pcapng({ ETHERNET }, { { 0, ether("", "\130") } }, number)).has_several)
+  end
+end
+
+-- The rest of a file with Ethernet alone is read only if its head has CAN frames.
+function T.test_ethernet_alone_is_not_read()
+  local other, acf = ("x"):rep(1000), ("x"):rep(12) .. "\34\240\130" .. ("\0"):rep(60)
+  local function found(first)
+    local packets = { { 0, first } }
+    for i = 2, 200 do packets[i] = { i % 2, other } end
+    return read(pcapng({ ETHERNET, ETHERNET }, packets, le))
+  end
+  lu.assertEquals({ found(acf).count, found(acf).is_unknown }, { 200, false })
+  lu.assertTrue(found(other).count < 70 and found(other).is_unknown)
 end
 
 function T.test_buses_by_fields()

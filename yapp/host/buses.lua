@@ -133,7 +133,8 @@ local function find_later(self, number)
   return bus, bus ~= nil
 end
 
--- The least offset of CAN data inside an Ethernet frame (IEEE 1722): it is of that one's interface.
+-- The least offset of CAN data inside an Ethernet frame (IEEE 1722): it is of that one's interface,
+-- which is known if it is the only one.
 local IN_ETHERNET = 42
 
 --- Return where the current packet was captured.
@@ -151,7 +152,10 @@ function Buses:of(pinfo, number, offset)
   if number > found.count and (self.tap or found.has_several) then
     return find_later(self, number)
   end
-  if not found.has_several then return nil, not found.is_unknown or offset >= IN_ETHERNET end
+  if not found.has_several then
+    local is_inside = offset >= IN_ETHERNET and found.carriers < 2
+    return nil, not found.is_unknown or is_inside
+  end
   bus = not self.is_shifted and found:bus(number, IS_TSHARK and pinfo.abs_ts or nil)
   self.is_shifted = not bus
   return bus or nil, not self.is_shifted

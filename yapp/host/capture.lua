@@ -6,8 +6,9 @@
 -- the headers of the blocks of pcapng and of the records of pcap.
 --
 -- A bus is an interface, an index in it (Linux cooked v2), or a direction in it (RTAC).  An
--- interface of another section with the same name and link type is the same.  Buses that may carry
--- YAPP are numbered from 1 in the order in which they show.
+-- interface whose packets may have CAN frames inside (Ethernet, PPI) is a bus once one of them has.
+-- An interface of another section with the same name and link type is the same.  Buses that may
+-- carry YAPP are numbered from 1 in the order in which they show.
 
 local frame = require "yapp.wire.frame"
 local utf8 = require "yapp.base.utf8"
@@ -33,8 +34,15 @@ local RTAC, COOKED, COOKED_2 = 250, 113, 276
 local IS_CAN = { ["\0\12"] = true, ["\0\13"] = true } -- protocols: CAN and CAN FD
 local DIRECTIONS = { "tx", "rx", "tx", "rx" } -- of an RTAC packet by its event
 
+-- Link types whose packets may have a CAN frame inside: Ethernet (IEEE 1722) and PPI.
+local ETHERNET, PPI = 1, 192
+local IS_CARRIER = { [ETHERNET] = true, [PPI] = true }
+local IS_TAG = { ["\129\0"] = true, ["\136\168"] = true, ["\145\0"] = true } -- of a VLAN
+local IS_ACF = { ["\34\240\130"] = true, ["\34\240\5"] = true } -- IEEE 1722: NTSCF, TSCF
+
 -- By link type: function(head) -> what tells a packet's bus from others of its interface; nil for a
--- packet that carries no YAPP.  head: the first 16 bytes of the packet.
+-- packet that carries no YAPP.  head: the first HEADER bytes of the packet.
+local HEADER = 24
 local INDEX_OF = {
   [RTAC] = function(head) return DIRECTIONS[byte(head, 9)] or "tx" end,
   [COOKED] = function(head)
@@ -44,6 +52,14 @@ local INDEX_OF = {
     if not IS_CAN[sub(head, 1, 2)] or #head < 16 then return nil end
     local a, b, c, d = byte(head, 5, 8)
     return a * 0x1000000 + b * 0x10000 + c * 0x100 + d
+  end,
+  [ETHERNET] = function(head)
+    local at = 13
+    while IS_TAG[sub(head, at, at + 1)] do at = at + 4 end
+    if IS_ACF[sub(head, at, at + 2)] then return 0 end
+  end,
+  [PPI] = function(head)
+    if sub(head, 5, 8) == "\227\0\0\0" then return 0 end
   end,
 }
 
@@ -137,7 +153,7 @@ end
 local function keep_bus(self, window, interface, offset, seconds)
   local bus = interface.bus
   if not bus then
-    local index = INDEX_OF[interface.linktype](window:bytes(offset, 16))
+    local index = INDEX_OF[interface.linktype](window:bytes(offset, HEADER))
     bus = index and bus_number(self, interface, index) or 0
   end
   self.entries[self.count] = bus * TIMES + floor(seconds * 1e6) % TIMES
@@ -194,6 +210,18 @@ local function new_interface(self, linktype, name)
   return interface
 end
 
+-- Note an interface that may carry YAPP.
+local function note_interface(self, interface)
+  local linktype = interface.linktype
+  local is_mixed, is_carrier = INDEX_OF[linktype] ~= nil, IS_CARRIER[linktype]
+  local kind = is_carrier and "carriers" or "yapp_interfaces"
+  self[kind] = self[kind] + 1
+  interface.bus = not is_mixed and bus_number(self, interface, 0) or nil
+  if not self.keeps then self.early = self.count end
+  self.keeps = is_mixed and not is_carrier or self.carriers + self.yapp_interfaces > 1
+  self.has_indexes = self.has_indexes or linktype == COOKED_2
+end
+
 -- The functions in BLOCKS, below, read a block, whose first CHUNK bytes are available.  They return
 -- true to read no further.
 
@@ -204,16 +232,11 @@ local function read_interface(self, window, offset, length)
   local interface = new_interface(self, linktype, (options[2] or ""):match("^[^\0]+"))
   interface.per_second = units_per_second(options[9])
   interface.shift = window:value(options[14] or "")
-  local is_mixed = INDEX_OF[linktype] ~= nil
-  if not (is_mixed or YAPP_LINKTYPES[linktype]) then
+  if INDEX_OF[linktype] or YAPP_LINKTYPES[linktype] then
+    note_interface(self, interface)
+  else
     interface.bus = 0
-    return
   end
-  self.yapp_interfaces = self.yapp_interfaces + 1
-  interface.bus = not is_mixed and bus_number(self, interface, 0) or nil
-  if not self.keeps then self.early = self.count end
-  self.keeps = is_mixed or self.yapp_interfaces > 1
-  self.has_indexes = self.has_indexes or linktype == COOKED_2
 end
 
 -- Read the options of an enhanced block: how many packets were dropped in front of its own.
@@ -417,6 +440,7 @@ end
 local function new_capture()
   return setmetatable({
     yapp_interfaces = 0,
+    carriers = 0,
     count = 0,
     early = 0, -- packets before the second interface: all that may be YAPP are of bus 1
     keeps = false, -- whether the buses of packets are wanted
@@ -437,12 +461,14 @@ local function new_capture()
   }, Capture)
 end
 
---- Read what a file says of its buses.  Of a file without YAPP only the first bytes are read.
+--- Read what a file says of its buses.  Of a file without YAPP only the first bytes are read.  One
+-- whose interfaces are all Ethernet or PPI is read if a packet in these bytes has a CAN frame.
 -- head  its first bytes, M.HEAD at most
 -- more  function(skip, count) -> the next bytes behind so many that are skipped, at most `count`;
 --       nil at the end, and where a pipe must be left alone
 -- returns a capture: {
 --   yapp_interfaces      number of interfaces that may carry YAPP
+--   carriers      number of others, whose packets may have CAN frames inside
 --   has_several   whether it tells several buses apart, or will do so in a live capture
 --   is_live       whether it is pcapng without a packet yet, as when a capture begins
 --   is_told       whether it is of a format that this module reads
@@ -461,7 +487,7 @@ function M.read(head, more)
   local self, has_frame = new_capture(), has_header(head)
   local window = setmetatable({ text = head, start = 0, stop = #head, is_little = true }, Window)
   function window.more(skip, count)
-    if self.yapp_interfaces > 0 or has_frame then return more(skip, count) end
+    if self.yapp_interfaces > 0 or self.buses[1] or has_frame then return more(skip, count) end
     self.is_unknown = #head >= M.HEAD
   end
   local magic = sub(head, 1, 4)
