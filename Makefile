@@ -4,7 +4,7 @@
 SHELL := bash
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 CAPTURE ?=
-DEMO := docs/flight.pcapng
+DEMO := docs/first.pcapng
 # As root, Wireshark 4.4 and later ignore Lua plugins without a word.
 ORDINARY := $(if $(filter 0,$(shell id -u)),setpriv --reuid=65534 --regid=65534 --clear-groups env HOME=/tmp,)
 
@@ -40,7 +40,7 @@ needs-tests: needs-tshark
 	  python3-pytest-xdist python3-can python3-serial python3-hatchling can-utils zip,\
 	  /usr/bin/python3 -c 'import xdist; import can; import serial; import hatchling' 2>/dev/null)
 
-## The faults of a flight, and the first one decoded: docs/flight.pcapng, or CAPTURE=file
+## The faults of a flight, and the first one decoded: docs/first.pcapng, or CAPTURE=file
 demo: needs-tshark
 	@tests/demo "$(or $(CAPTURE),$(DEMO))"
 

@@ -77,8 +77,9 @@ def test_all_examples_are_tried():
     assert len(EXAMPLES) == 1 + 6
 
 
-def test_the_flight_is_made_by_its_script():
-    assert flight_capture.TARGET.read_bytes() == flight_capture.flight()
+@pytest.mark.parametrize("plan", flight_capture.PLANS, ids=lambda plan: plan.name)
+def test_a_flight_is_made_by_its_script(plan):
+    assert plan.target.read_bytes() == flight_capture.flight(plan)
 
 
 @pytest.mark.parametrize("command", QUESTIONS)
