@@ -10,8 +10,9 @@ local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 -- loads.
 local loaded = package.loaded["yapp.plugin"]
 if loaded then
-  io.stderr:write(("yapp: %syapp.lua (%s) is not loaded: %s (%s) is already there\n")
-    :format(here, VERSION, loaded.path, loaded.version))
+  local text = "yapp: %syapp.lua (%s) is not loaded: %s (%s) is already there"
+  if loaded.version ~= VERSION then text = text .. "; remove or update one of the two" end
+  io.stderr:write(text:format(here, VERSION, loaded.path, loaded.version), "\n")
   return loaded
 end
 -- An installed plugin has all modules in this file (package.preload); a clone has them in a folder.

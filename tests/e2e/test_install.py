@@ -91,12 +91,13 @@ def test_plugin_folder_and_script_load_once(home):
     install(home / PLUGINS / "yapp", version="1")
     refused, loaded = the_one_line(load(home, *script(install(home / "new", version="2"))))
     assert str(home / "new") in refused and "2-" in refused
-    assert PLUGINS in loaded and "1-" in loaded
+    assert PLUGINS in loaded and "1-" in loaded and loaded.endswith("is already there; remove or update one of the two")
 
 
 def test_the_same_script_twice(home):
     arguments = script(install(home / "plugin"))
-    the_one_line(load(home, *arguments, *arguments))
+    _, loaded = the_one_line(load(home, *arguments, *arguments))
+    assert loaded.endswith("is already there")
 
 
 def test_about_plugins(home):
