@@ -186,7 +186,7 @@ function taurus.dissector() return 0 end
 
 -- A conversation becomes YAPP's with its first packet that is YAPP.
 local function found_by_content(tvb, pinfo, root)
-  if not streams:accepts(tvb, pinfo) then return false end
+  if not streams:accepts(tvb, pinfo, root) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true
@@ -281,7 +281,7 @@ function yapp.init()
   frames:reset(new_history())
   streams:reset(new_history)
   local found = buses.found
-  if found.head and streams:is_yapp(found.head) then streams:watch_tcp() end
+  if found.head then streams:scan(found.head) end
   if yapp.prefs.search_all or found.may_have_frames then search_streams() end
 end
 
@@ -294,6 +294,7 @@ if register_packet_menu and gui_enabled() then packet_menu.register(yapp.prefs, 
 for name, proto in pairs {
   ["can.subdissector"] = all,
   ["tcp.port"] = serial,
+  ["tls.port"] = serial,
   ["udp.port"] = serial,
   ["rtacser.data"] = serial,
 } do

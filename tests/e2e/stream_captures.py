@@ -323,14 +323,56 @@ def joined_by_us(rng, data, origin):
     return joined(data, origin, in_order(rng, data))
 
 
-def datagrams(rng, data, origin):
-    """Each complete in itself; the first one has a whole frame and so tells what the conversation is."""
-    packets = []
-    for piece in [good(rng), *cuts(rng, data)]:
-        packet = Packet(piece, origin)
-        packet.events, _ = Oracle(piece).events(len(piece), ended=True)
-        packets.append(packet)
-    return packets
+class Datagrams:
+    """One direction of a conversation in UDP.  A datagram of whole frames is complete in itself; the others are a byte
+    stream, up to one of those.  Where the conversation was found by content, a datagram without a frame is others', unless
+    it goes on with a frame or begins one."""
+
+    def __init__(self, origin, by_content):
+        self.origin, self.by_content, self.is_cut = origin, by_content, False
+        self.run, self.came, self.done = [], 0, 0  # the packets of the byte stream
+
+    def oracle(self):
+        return Oracle(b"".join(packet.data for packet in self.run))
+
+    def end(self, packet=None):
+        """The byte stream ends; the packet shows what is left of it."""
+        rest, _ = self.oracle().events(self.came, self.done, ended=True)
+        if packet:
+            packet.events = rest
+            note_parts(self.run, packet, rest)
+        self.run, self.came, self.done = [], 0, 0
+
+    def next(self, data):
+        packet = Packet(data, self.origin)
+        alone, _ = Oracle(data).events(len(data), ended=True)
+        waited = self.came - self.done
+        if alone and all(event.kind == "good" for event in alone):
+            if waited:
+                self.end(packet)
+            packet.events += alone
+            return packet
+        packet.start, packet.end = self.came, self.came + len(data)
+        self.run.append(packet)
+        self.came = packet.end
+        packet.events, self.done = self.oracle().events(self.came, self.done)
+        packet.pending = data[max(self.done - packet.start, 0):]
+        note_parts(self.run, packet)
+        self.is_cut = self.is_cut or any(set(event.parts) - {packet} for event in packet.events)
+        is_begun = len(packet.pending) > 1 or len(packet.pending) == 1 and (self.is_cut or len(data) == 1)
+        if self.by_content and not (waited or is_begun or any(event.kind != "skipped" for event in packet.events)):
+            packet.events, packet.pending = [], b""
+            self.end()
+        return packet
+
+
+def datagrams(by_content, lost=0.0):
+    """Each direction's first one has a whole frame and so tells what the conversation is."""
+    def arrive(rng, data, origin):
+        direction = Datagrams(origin, by_content)
+        pieces = [good(rng), *(piece for piece in cuts(rng, data) if rng.random() >= lost)]
+        return [direction.next(piece) for piece in pieces]
+    return arrive
 
 
 def with_first(rng, data, change):
@@ -498,8 +540,8 @@ TRANSPORTS = {
     "exported PDU, by address": (on_one(EXPORTED_PDU), joined_by_us, exported_pdu, []),
     "RTAC": (in_pairs(RTAC), joined_by_us, rtac, AS_SERIAL),
     "several kinds of link": (mixed, joined_by_us, None, [*UAT, *AS_SERIAL]),
-    "UDP": (on_one(ETHERNET), datagrams, udp, []),
-    "UDP, Decode As": (on_one(ETHERNET), datagrams, udp, ["-d", "udp.port==20001,yapp_serial"]),
+    "UDP": (on_one(ETHERNET), datagrams(True), udp, []),
+    "UDP, Decode As": (on_one(ETHERNET), datagrams(False), udp, ["-d", "udp.port==20001,yapp_serial"]),
     "TCP": (on_one(ETHERNET), segments, tcp, []),
     "TCP, Decode As": (on_one(ETHERNET), segments, tcp, ["-d", "tcp.port==20001,yapp_serial"]),
     "TCP, segments missing": (on_one(ETHERNET), segments_lost, tcp, []),
@@ -510,6 +552,7 @@ TRANSPORTS = {
     "TCP, out of order": (on_one(ETHERNET), segments_disordered, tcp, []),
     "TCP, out of order, Wireshark reassembles": (on_one(ETHERNET), segments_disordered, tcp, OUT_OF_ORDER),
     "TCP that joins nothing": (on_one(ETHERNET), segments_disordered, tcp, ["-o", "tcp.desegment_tcp_streams:FALSE"]),
+    "UDP, datagrams missing": (on_one(ETHERNET), datagrams(True, 0.1), udp, []),
 }
 
 
@@ -565,10 +608,13 @@ def interleaved(rng, streams):
 
 
 def note_deltas(packets):
-    """The times since the previous good message with the same ID in the same stream."""
+    """The times since the previous good message with the same ID of the same sender."""
     previous = {}
     for packet in packets:
-        stream_key = (packet.origin.interface, packet.origin.pair, packet.origin.direction)
+        origin = packet.origin
+        # In UDP and TCP a sender is one source, whoever receives it.
+        sender = addresses(origin)[::2] if origin.linktype == ETHERNET else (origin.pair, origin.direction)
+        stream_key = (origin.interface, *sender)
         for event in packet.events:
             if event.kind == "good":
                 key = (*stream_key, event.ident)

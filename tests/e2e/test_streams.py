@@ -293,16 +293,24 @@ SITUATIONS = {
         (CLAIM, [], CLAIM), (SHELL, [], SHELL), (ONE, [("skipped", CLAIM + SHELL), ("good", ONE)])]),
     "a bad frame in a claim": (SERIAL, [
         (CLAIM + BAD, [], CLAIM + BAD), (ONE, [("skipped", CLAIM), ("bad", BAD), ("good", ONE)])]),
-    "a datagram ends in a frame": (UDP, [
-        (ONE + TWO[:30], [("good", ONE), ("incomplete", TWO[:30])]), (TWO[30:], [("skipped", TWO[30:])])]),
-    "a datagram ends in a header": (UDP, [(b"ok" + ONE[:11], [("skipped", b"ok" + ONE[:11])])]),
+    "a frame over two datagrams": (UDP, [
+        (ONE + TWO[:30], [("good", ONE)], TWO[:30]), (TWO[30:], [("good", TWO)])]),
+    "the next datagram is lost": (UDP, [
+        (ONE + MOTOR[:30], [("good", ONE)], MOTOR[:30]), (TWO, [("incomplete", MOTOR[:30]), ("good", TWO)]),
+        (ONE[:11], [], ONE[:11]), (THREE, [("skipped", ONE[:11]), ("good", THREE)])]),
+    "a datagram ends in a header": (UDP, [(b"ok" + ONE[:11], [("skipped", b"ok")], ONE[:11])]),
+    "a bridge that sends byte by byte": (UDP_SEARCHED, [
+        (ONE, [("good", ONE)]), *[(TWO[at:at + 1], [], TWO[at:at + 1]) for at in range(len(TWO) - 1)], (TWO[-1:], [("good", TWO)])]),
+    "datagrams of others": (UDP_FOUND, [
+        (ONE, [("good", ONE)]), (b"MAVLink", []), (b"MAVLINKY", []), (b"x" + TWO[:20], [("skipped", b"x")], TWO[:20]),
+        (TWO[20:], [("good", TWO)]), (b"MAVLink", []), (b"text" + THREE, [("skipped", b"text"), ("good", THREE)])]),
     "a conversation is known by its first whole frame": (UDP_FOUND, [
-        (b"text YP text", []), (ONE[:30], []), (ONE, [("good", ONE)]), (b"text", [("skipped", b"text")])]),
+        (b"text YP text", []), (ONE[:30], []), (ONE, [("good", ONE)]), (b"text", [])]),
     "a conversation is known by its first whole frame, TCP": (TCP_FOUND, [
-        (b"text YP text", []), (ONE[:30], []), (ONE[30:], []), (TWO + THREE[:5], [("good", TWO)], THREE[:5]),
+        (b"text YP text" * 11, []), (b"text", []), (TWO + THREE[:5], [("good", TWO)], THREE[:5]),
         (THREE[5:], [("good", THREE)])]),
     "a conversation is known by damaged messages": (UDP_FOUND, [
-        (DAMAGED * 2, [("bad", DAMAGED)] * 2), (LOST_BYTE, [("incomplete", LOST_BYTE)]), (MOTOR, [("good", MOTOR)])]),
+        (DAMAGED * 2, [("bad", DAMAGED)] * 2), (LOST_BYTE, [], LOST_BYTE), (MOTOR, [("incomplete", LOST_BYTE), ("good", MOTOR)])]),
     "a conversation is known by what the capture has of a message": (UDP_FOUND, [
         ((MOTOR, 30), [("incomplete", MOTOR[:30])]), (DAMAGED, [("bad", DAMAGED)])]),
     "a conversation is known by damaged messages, TCP": (TCP_FOUND, [
@@ -310,8 +318,9 @@ SITUATIONS = {
     "noise around damaged messages": (UDP_FOUND, [
         (b"x" + DAMAGED, [("skipped", b"x"), ("bad", DAMAGED)]), (DAMAGED + b"x", [("bad", DAMAGED), ("skipped", b"x")])]),
     "a conversation is known by a message that lost bytes": (UDP_FOUND, [
-        (LOST_BYTE, [("incomplete", LOST_BYTE)]), (MOTOR[:12], [("incomplete", MOTOR[:12])]), (BAD, [("bad", BAD)])]),
-    "a conversation is known by a header": (UDP_FOUND, [(MOTOR[:12], [("incomplete", MOTOR[:12])])]),
+        (LOST_BYTE, [], LOST_BYTE), (MOTOR[:12], [], MOTOR[:12]),
+        (MOTOR, [("incomplete", LOST_BYTE), ("incomplete", MOTOR[:12]), ("good", MOTOR)])]),
+    "a conversation is known by a header": (UDP_FOUND, [(MOTOR[:12], [], MOTOR[:12])]),
     "a conversation is known by a header, TCP": (TCP_FOUND, [(MOTOR[:12], [], MOTOR[:12]), (MOTOR[12:], [("good", MOTOR)])]),
     **{f"a conversation is known by a good CRC: {what}": (UDP_SEARCHED, [(data, [("good", data)])])
        for what, data in {"another size": GROWN, "no known size": SHORT, "another ID": ODD, "reserved bytes": RESERVED}.items()},
@@ -329,7 +338,7 @@ SITUATIONS = {
         (LOST_BYTE + ONE, [("incomplete", LOST_BYTE), ("incomplete", LOST_BYTE), ("good", ONE)]),
         (DAMAGED + MOTOR, [("bad", DAMAGED), ("good", MOTOR)])]),
     "messages that lost bytes, UDP": (UDP, [
-        (LOST_BYTE + MOTOR, [("incomplete", LOST_BYTE), ("good", MOTOR)]), (LOST_BYTE, [("incomplete", LOST_BYTE)])]),
+        (LOST_BYTE + MOTOR, [("incomplete", LOST_BYTE), ("good", MOTOR)]), (LOST_BYTE, [], LOST_BYTE)]),
     "a firmware that grew, IDs and reserved bytes of nobody": (SERIAL, [
         (GROWN, [("good", GROWN)]), (GROWN[:20], [], GROWN[:20]), (GROWN[20:] + ODD, [("good", GROWN), ("good", ODD)]),
         (RESERVED, [("good", RESERVED)])]),

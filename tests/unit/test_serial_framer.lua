@@ -695,4 +695,72 @@ function T.test_nothing_is_kept_of_what_was_given_out()
   lu.assertTrue(collectgarbage("count") - before < 100)
 end
 
+-- Telnet ----------------------------------------------------------------------------------------------------------
+
+-- A frame with many bytes 0xFF, of which any may stand anywhere: also as Seq No and as last byte of the CRC.
+local function full_of_ff(random)
+  local id = ({ 0x000, 0x200, 0x210 })[random(3)]
+  local payload = ("."):rep(generator.known[id]):gsub(".", function()
+    return string.char(random(4) == 1 and random(256) - 1 or 255)
+  end)
+  local seq = string.char(random(3) == 1 and 255 or random(256) - 1)
+  return generator.sealed("YP" .. seq .. frame(id, payload):sub(4, -5))
+end
+
+local function doubled(bytes) return (bytes:gsub("\255", "\255\255")) end
+
+-- The bytes of all good findings; and how many bytes others have.
+local function good_ones(findings, bytes, others)
+  bytes, others = bytes or {}, others or 0
+  for _, finding in ipairs(findings) do
+    if finding.status == "good" then
+      bytes[#bytes + 1] = finding.bytes
+    else
+      others = others + finding.to - finding.from
+    end
+  end
+  return bytes, others
+end
+
+function T.test_telnet()
+  for seed = 1, levels.size(30, 300) do
+    local random, frames = generator.random(seed), {}
+    for i = 1, 40 do frames[i] = full_of_ff(random) end
+    local stream, s, found, others = doubled(table.concat(frames)), new(), nil, 0
+    s:expect_telnet()
+    local longest = ({ 1, 8, 60, 500 })[random(4)]
+    while stream ~= "" do
+      local length = random(longest)
+      found, others = good_ones(s:add(stream:sub(1, length)), found, others)
+      stream = stream:sub(length + 1)
+    end
+    found, others = good_ones(s:add("", true), found, others)
+    lu.assertEquals(found, frames, "seed " .. seed)
+    lu.assertEquals(others, 0, "seed " .. seed)
+  end
+end
+
+function T.test_telnet_is_proved_by_a_crc()
+  local twice = frame(0x210, ("\255\255"):rep(16)) -- values that are not numbers: no telnet
+  local bad = twice:sub(1, -2) .. "?"
+  for _, rest in ipairs { twice, bad .. twice, bad .. bad .. GOOD, bad .. "text" .. twice, bad } do
+    local plain, s = new(), new()
+    s:expect_telnet()
+    local wanted = in_words(plain:add(rest, true))
+    lu.assertEquals(in_words(s:add(rest, true)), wanted)
+    s = new()
+    s:expect_telnet()
+    local findings = s:add(rest)
+    lu.assertEquals(in_words(s:add("", true, findings)), wanted)
+  end
+end
+
+function T.test_negotiation_of_telnet_is_skipped()
+  local s, negotiation = new(), "\255\251\1\255\253\3"
+  s:expect_telnet()
+  local with_ff = frame(0x210, ("\255"):rep(32))
+  local first = doubled(with_ff)
+  feeds(s, negotiation .. first, ("skipped 0-6, good 6-%d"):format(6 + #first))
+end
+
 return T

@@ -165,4 +165,24 @@ function T.test_several_ids_of_which_one_is_known_or_wrong()
   lu.assertNil(s:name(nil, 0x212))
 end
 
+-- Senders, and lines with two directions.
+function T.test_names_that_a_bus_has_with_others()
+  local found, problems = sources.parse("192.168.1.12/0x210=motor:right, 192.168.1.13:40000/0x210=left, " ..
+    "[fe80::1]/0x210=six, fe80::2/0x210=seven, [fe80::3]:14550/0x210=eight, uart0/0x210=both, " ..
+    "eth0/0x300=by_interface, uart1#rx/0x210=one, 0x210=health:any", CATALOGUE)
+  lu.assertEquals(problems, {})
+  for _, row in ipairs {
+    { "192.168.1.12:40000", "right", "motor" }, { "192.168.1.12", "right", "motor" }, { "192.168.1.13:40000", "left" },
+    { "192.168.1.13:40001", "any", "health" }, { "192.168.1.1", "any", "health" }, { "[fe80::1]:14550", "six" },
+    { "[fe80::2]:1", "seven" }, { "[fe80::3]:14550", "eight" }, { "[fe80::3]:14551", "any", "health" },
+    { "uart0#rx", "both" }, { "uart0#tx", "both" }, { "uart0", "both" }, { "uart1#rx", "one" },
+    { "uart1#tx", "any", "health" },
+  } do
+    local message = found:message(row[1], 0x210, "eth0")
+    lu.assertEquals({ found:name(row[1], 0x210, "eth0"), message and message.name }, { row[2], row[3] }, row[1])
+  end
+  lu.assertEquals(found:name("192.168.1.13:40000", 0x300, "eth0"), "by_interface")
+  lu.assertNil(found:name("192.168.1.13:40000", 0x300, nil))
+end
+
 return T

@@ -56,9 +56,10 @@ function Reader:use(by_id, sources, hides_source, visit)
 end
 
 --- Return the message of the catalogue that an ID carries on a bus, nil for none.
--- bus  name, nil where the capture has none
-function Reader:message_of(id, bus)
-  return self.sources and self.sources:message(bus, id) or self.by_id[id]
+-- bus        name, nil where the capture has none
+-- interface  of a sender in UDP or TCP, or nil
+function Reader:message_of(id, bus, interface)
+  return self.sources and self.sources:message(bus, id, interface) or self.by_id[id]
 end
 
 --- Return the payload size of that message and the smallest that it may have, nil for none.
@@ -92,7 +93,9 @@ end
 --   text      for the column Source: the name, else what tells the source from others, and the ID
 --   texts     of the fragments of its messages, see can.dissector }
 function Reader:new_source(id, bus_key, bus, line)
-  local message, name = self:message_of(id, bus), self.sources:name(bus, id)
+  local interface = line and line.interface or nil
+  local message = self:message_of(id, bus, interface)
+  local name = self.sources:name(bus, id, interface)
   local before = line and line.label or not line and self.has_several and bus
   return {
     id = id,

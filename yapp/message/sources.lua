@@ -11,6 +11,8 @@
 -- A bus stands in quotes if its name has a comma, "=" or a quote, or if it begins with a digit and
 -- no ID follows.  Its own quotes are doubled: "USB, left"/0x210=motor:a.
 -- The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
+-- A sender in UDP or TCP is a bus, 192.168.1.12:40000 or [fe80::1]:14550.  Without its port the
+-- part holds for all ports.  Without its direction, #rx or #tx, a line's name holds for both.
 
 local input = require "yapp.base.input"
 local memo = require "yapp.base.memo"
@@ -139,24 +141,47 @@ function M.parse(text, catalogue)
   return self, input.few(problems)
 end
 
+-- Return a name that a bus has together with others, nil for none.
+local function wider(bus)
+  return bus:match("^(.+)#[rt]x$") or bus:match("^(%d+%.%d+%.%d+%.%d+):%d+$") or
+    bus:match("^(%[.+%]):%d+$") or bus:match("^%[(.+)%]$")
+end
+
+-- Return the rows by ID that hold for a bus: a list, those of its own name first.
+local function rows_of(self, bus, interface)
+  local list = {}
+  while bus do
+    list[#list + 1], bus = self.by_bus[bus], wider(bus)
+  end
+  if interface then list[#list + 1] = self.by_bus[interface] end
+  return list
+end
+
 --- Return the name of a source, nil where the user gave none: that of its ID on its bus, of its
 -- bus, or of its ID anywhere.
--- bus  the name that the capture gives it, or nil
--- id   message ID
-function Sources:name(bus, id)
-  local of_bus = bus and self.by_bus[bus] or {}
-  local own, of_every_id = of_bus[id], of_bus.every
-  if own and own.name then return own.name end
-  if of_every_id then return of_every_id.name end
-  local anywhere = not own and self.by_bus[false][id]
+-- bus        the name that the capture gives it, or nil
+-- id         message ID
+-- interface  of a sender in UDP or TCP: the name of the interface, or nil
+function Sources:name(bus, id, interface)
+  local has_own = false
+  for _, of_bus in ipairs(rows_of(self, bus, interface)) do
+    local own, of_every_id = of_bus[id], of_bus.every
+    if own and own.name then return own.name end
+    if of_every_id then return of_every_id.name end
+    has_own = has_own or own ~= nil
+  end
+  local anywhere = not has_own and self.by_bus[false][id]
   return anywhere and anywhere.name or nil
 end
 
 --- Return the compiled message that the user said an ID carries on a bus; nil where the preference
 -- says nothing of it.
--- bus, id  as of Sources:name
-function Sources:message(bus, id)
-  local row = bus and self.by_bus[bus][id] or self.by_bus[false][id]
+-- bus, id, interface  as of Sources:name
+function Sources:message(bus, id, interface)
+  for _, of_bus in ipairs(bus and rows_of(self, bus, interface) or {}) do
+    if of_bus[id] then return of_bus[id].message end
+  end
+  local row = self.by_bus[false][id]
   return row and row.message
 end
 

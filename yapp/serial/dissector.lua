@@ -7,6 +7,7 @@ local frame = require "yapp.wire.frame"
 local frame_key = require "yapp.base.frame_key"
 local framer = require "yapp.serial.framer"
 local memo = require "yapp.base.memo"
+local senders = require "yapp.serial.senders"
 local show_fields = require "yapp.show.fields"
 local streams = require "yapp.serial.streams"
 local tcp = require "yapp.serial.tcp"
@@ -47,7 +48,16 @@ function Dissector:reset(new_history)
   self.streams = streams.new(function() return self:new_framer() end)
   self.history = new_history()
   self.lines = {} -- by key, see line_of
+  self.senders = senders.new()
+  self.sources = memo(function() return {} end) -- by sender, by ID: whoever receives it
+  self.found = {} -- [bus_key of a line] = true: conversations that were found by content
   tcp.stop()
+end
+
+--- Look at the first bytes of the capture file, which may have frames.
+function Dissector:scan(head)
+  self.senders:scan(head)
+  if self:is_yapp(head) then self:watch_tcp() end
 end
 
 --- Make a framer.
@@ -58,7 +68,7 @@ end
 
 -- Packets ----------------------------------------------------------------------------------------
 
--- Return the line of a packet, one direction of a conversation or of a UART: {
+-- Make the line of a packet, one direction of a conversation or of a UART: {
 --   key          of its stream
 --   opposite     key of the other direction
 --   bus_key      what a Command and its answers have in common: one key for both directions of a
@@ -66,34 +76,59 @@ end
 --   bus          name or nil
 --   label        text that tells its sources apart, nil if nothing does
 --   has_address  whether its packets have a sender
---   sources      [ID] = a source, see message.reader }
--- and whether it is known where the packet was captured.
-local function line_of(self, pinfo)
-  local kind, bus, is_bus_known = pinfo.port_type, nil, true
-  local is_ip = kind == UDP or kind == TCP
-  if not is_ip then bus, is_bus_known = self.buses:of(pinfo, pinfo.number, 0) end
-  local address = tostring(pinfo.src)
-  local here = address .. ":" .. pinfo.src_port
+--   is_ip, interface  whether it is in UDP or TCP; then the name of its interface, or nil
+--   sources      [ID] = a source, see source_of; all lines of a sender share them }
+local function new_line(self, pinfo, bus, is_ip)
+  local kind, address, port = pinfo.port_type, tostring(pinfo.src), pinfo.src_port
+  local here = address .. ":" .. port
   local there = tostring(pinfo.dst) .. ":" .. pinfo.dst_port
   local before = (bus or "") .. "|" .. kind .. "|"
-  local key = before .. here .. "|" .. there
-  local line = self.lines[key]
-  if line then return line, is_bus_known end
   local name, has_address = self.buses:name(bus, is_ip), not NO_ADDRESS[address]
-  line = {
-    key = key,
+  local line = {
+    key = before .. here .. "|" .. there,
     opposite = before .. there .. "|" .. here,
     bus_key = "serial",
     bus = name,
     label = has_address and here or bus and name,
     has_address = has_address,
+    is_ip = is_ip,
+    interface = is_ip and name,
+    sources = {},
   }
-  if is_ip then line.bus_key = here < there and here .. there or there .. here end
-  line.sources = memo(function(id)
-    return self.reader:new_source(id, line.bus_key, line.bus, line)
-  end)
-  self.lines[key] = line
+  if is_ip then
+    line.bus_key = here < there and here .. there or there .. here
+    line.bus = kind == UDP and self.senders:name_of(address, port) or senders.name(address, port)
+    line.sources = self.sources[kind .. line.bus]
+  end
+  return line
+end
+
+-- Return the line of a packet, and whether it is known where it was captured.
+local function line_of(self, pinfo)
+  local kind, bus, is_bus_known = pinfo.port_type, nil, true
+  local is_ip = kind == UDP or kind == TCP
+  if not is_ip then bus, is_bus_known = self.buses:of(pinfo, pinfo.number, 0) end
+  local address, port = tostring(pinfo.src), pinfo.src_port
+  if kind == UDP and not pinfo.visited then self.senders:note(address, port) end
+  local here, there = address .. ":" .. port, tostring(pinfo.dst) .. ":" .. pinfo.dst_port
+  local key = (bus or "") .. "|" .. kind .. "|" .. here .. "|" .. there
+  local line = self.lines[key]
+  if not line then
+    line = new_line(self, pinfo, bus, is_ip)
+    self.lines[key] = line
+  end
   return line, is_bus_known
+end
+
+-- Return the source of a message.
+local function source_of(self, line, id)
+  local source = line.sources[id]
+  if not source then
+    if line.is_ip then line.label = self.senders:short(line.bus) end
+    source = self.reader:new_source(id, line.bus_key, line.bus, line)
+    line.sources[id] = source
+  end
+  return source
 end
 
 -- Return what is known of a packet, as serial.streams takes it, and
@@ -122,6 +157,8 @@ local function new_packet(self, tvb, pinfo, tree, segment)
     epoch = epoch,
     visited = visited,
     is_datagram = pinfo.port_type == UDP,
+    is_tcp = pinfo.port_type == TCP,
+    is_found = self.found[line.bus_key],
     stream = line.key,
     seq = segment and segment.seq,
     bus_name = line.bus,
@@ -146,9 +183,24 @@ function Dissector:is_yapp(bytes)
   return false
 end
 
---- Return whether a packet of an unknown conversation is YAPP.
-function Dissector:accepts(tvb, pinfo)
-  return not pinfo.in_error_pkt and tvb:len() > 0 and self:is_yapp(tvb:raw())
+-- Longer packets of an unknown conversation are YAPP if one by itself is.
+local MAX_SHORT = 128
+
+--- Return whether a packet of an unknown conversation is YAPP, alone or with what came before.
+function Dissector:accepts(tvb, pinfo, tree)
+  if pinfo.in_error_pkt or tvb:len() == 0 then return false end
+  if pinfo.visited then
+    return self.streams:is_stored(pinfo.number * frame_key.PACKET + tvb:offset())
+  end
+  local bytes, streams_of = tvb:raw(), self.streams
+  local is_yapp = self:is_yapp(bytes)
+  local is_on_trial = not is_yapp and #bytes <= MAX_SHORT and streams_of:may_begin(bytes)
+  if not (is_yapp or is_on_trial) then return false end
+  local packet = new_packet(self, tvb, pinfo, tree)
+  if packet.is_found then return false end -- dissect has left it to others
+  is_yapp = streams_of:try(packet, not packet.wants.is_only_pass, is_yapp)
+  self.found[packet.line.bus_key] = is_yapp or nil
+  return is_yapp
 end
 
 -- Return what the statistics take of something that is no message.
@@ -173,12 +225,13 @@ end
 -- and the fields of its view, see Tree:show_message.  The n-th finding of a packet has the frame
 -- key of the packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not
 -- even in a tunnel that puts several packets into one.
-local function new_message(packet, finding, index)
-  local length, key = finding.to - finding.from, packet.key + index - 1
+local function new_message(self, packet, finding, index)
+  local length = finding.is_telnet and #finding.bytes or finding.to - finding.from
+  local key = packet.key + index - 1
   local bytes, offset = finding.bytes or packet.bytes, finding.offset or 0
   local id, size, reserved, seq = frame.parse(bytes, offset + 1)
   local m = {
-    source = packet.line.sources[id],
+    source = source_of(self, packet.line, id),
     seq = seq,
     key = key,
     time = packet.time,
@@ -336,7 +389,7 @@ local function show_finding(self, packet, finding, index)
     tvb = ByteArray.new(finding.bytes, true):tvb("Reassembled YAPP")
   end
   if finding.status == "skipped" then return show_skipped(self, packet, tvb, finding) end
-  local m = new_message(packet, finding, index)
+  local m = new_message(self, packet, finding, index)
   return show_message(self, m, tvb), m.source.text
 end
 
@@ -366,6 +419,7 @@ local function dissect(self, packet, pinfo)
     if not contents then return false end
   else
     contents = self.streams:take(packet, not packet.wants.is_only_pass)
+    if contents.is_others then return false end
   end
   show(self, packet, pinfo, contents)
   local last = contents.findings[#contents.findings]
@@ -426,11 +480,11 @@ local function report_waiting(self, list, packet, finding, i)
     local is_sure = length >= HEADER -- else it may be a part of one
     if is_sure then self.reader.intake:skipped(new_report(packet, packet.line), length) end
   elseif finding.missing or gui_enabled() then
-    list[#list + 1] = new_report(packet, packet.line.sources[id], seq)
+    list[#list + 1] = new_report(packet, source_of(self, packet.line, id), seq)
     self.reader.intake:fragment(list[#list])
   else
     -- The key of no other message: packets have fewer findings than bytes.
-    local m = new_message(packet, finding, packet.length + i)
+    local m = new_message(self, packet, finding, packet.length + i)
     self.reader:read(m, self.history, packet.wants)
   end
 end

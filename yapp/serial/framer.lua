@@ -17,16 +17,22 @@
 -- The header decides what a candidate without a good CRC is.  A message of the catalogue is that
 -- message, damaged, up to where the next one begins.  Another plausible ID is a bad frame if all
 -- its bytes came and no message of the catalogue begins in them.  Everything else is noise.
+--
+-- A serial server in telnet mode (RFC 854) sends each byte 0xFF twice.  If that makes a CRC good,
+-- the stream is telnet from there on:
+--
+--   59 50 00 00 .. FF FF 12 .. CRC   49 bytes in the stream, a frame of 48
 
 local crc = require "yapp.wire.crc"
 local frame = require "yapp.wire.frame"
 
 local M = {}
 
-local byte, sub = string.byte, string.sub
+local byte, find, sub = string.byte, string.find, string.sub
 
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local Y = byte(frame.SYNC)
+local TWICE = "\255\255" -- a byte 0xFF in telnet
 
 -- The longest open candidates that good frames inside them wait for: 7 s of a controller's
 -- messages, or two messages.
@@ -53,12 +59,14 @@ function M.new(size_of, patience)
     size_of = size_of,
     patience = patience or PATIENCE,
     noise_patience = patience or NOISE_PATIENCE,
+    telnet = false, -- "may" be telnet, see Framer:expect_telnet, or "is"
     spent = {},    -- [logarithm of a candidate's length] = bytes that CRCs were computed over
     text = "",     -- the latest bytes
     text_from = 0, -- their offset in the stream
     to = 0,        -- the end of the stream so far; serial.streams also reads `to` and `from`
     from = 0,      -- the first byte that is in no finding yet
     searched = 0,  -- every candidate that begins before this is known
+    is_ending = false, -- whether no more bytes come
     found = false, -- the open candidate that the search waited at last
   }, Framer)
   self:forget()
@@ -74,20 +82,58 @@ function Framer:forget()
   self.known = {}       -- the starts of those that are messages of the catalogue
 end
 
+--- Expect that each byte 0xFF may come twice.
+function Framer:expect_telnet()
+  self.telnet = self.telnet or "may"
+end
+
+-- Return bytes of telnet as they were before it.
+-- index, count  of the first one in the text; how many are wanted
+-- returns  them, and how many bytes of the text they are; or nil, and how many are to come
+local function undouble(text, index, count)
+  local parts, start = {}, index
+  while count > 0 do
+    local twice = find(text, TWICE, index, true)
+    local part = sub(text, index, math.min(twice or #text, index + count - 1))
+    parts[#parts + 1], count, index = part, count - #part, index + #part
+    local is_half = count == 0 and index > #text and byte(text, -1) == 255
+    if is_half or count > 0 and not twice then return nil, math.max(count, 1) end
+    if twice == index - 1 then index = index + 1 end
+  end
+  return table.concat(parts), index - start
+end
+
+-- Whether a header is that of a message that there may be; its ID and size; whether it is known.
+local function read_header(self, text, index)
+  local id, size, reserved = frame.parse(text, index)
+  if not id then return false end
+  local known, smallest = self.size_of(id)
+  local fits = not known or size <= known and size >= (smallest or known)
+  return reserved == 0 and id <= frame.MAX_ID and fits, size, known ~= nil
+end
+
 -- Return the candidate of a "YP", nil if its header has not come.
 -- index  in the text, 1-based
 local function candidate_at(self, index)
-  local id, size, reserved = frame.parse(self.text, index)
-  if not id then return nil end
-  local known, smallest = self.size_of(id)
-  local fits = not known or size <= known and size >= (smallest or known)
-  local is_plausible = reserved == 0 and id <= frame.MAX_ID and fits
-  local from = self.text_from + index - 1
+  local is_plausible, size, is_known = read_header(self, self.text, index)
+  local is_twice = self.telnet and find(self.text, TWICE, index, true) or math.huge
+  if is_twice < index + HEADER and (self.telnet == "is" or not is_plausible) then
+    local header = undouble(self.text, index, HEADER)
+    if not (header or self.is_ending) then return nil end
+    local is_better, its_size, its_known = read_header(self, header or "", 1)
+    if is_better or self.telnet == "is" then
+      is_plausible, size, is_known = is_better, its_size, its_known
+    end
+  end
+  if not size then return nil end
+  local from, length = self.text_from + index - 1, HEADER + size + CRC_SIZE
   return {
     from = from,
-    to = from + HEADER + size + CRC_SIZE,
+    to = from + length,
+    length = length, -- before telnet
+    bytes = nil,     -- of a frame in telnet: those before it
     is_plausible = is_plausible,
-    is_known = is_plausible and known ~= nil,
+    is_known = is_plausible and is_known,
     has_failed = false, -- whether its CRC is bad; false while it is open
   }
 end
@@ -105,19 +151,57 @@ function Framer:find()
   return candidate_at(self, index)
 end
 
--- Whether the CRC of a candidate is good.
-function Framer:is_good(candidate)
-  local length = candidate.to - candidate.from
+-- Whether the CRC of a frame is good.
+-- text, index  its bytes, from there on; length = of it
+function Framer:is_good(text, index, length)
   local class, earned = math.floor(math.log(length, 2)), MAX_CREDIT + CREDIT * self.to
   local spent = math.max(self.spent[class] or 0, earned - MAX_CREDIT) + length
   if spent > earned then return false end
   self.spent[class] = spent
-  local index, to = candidate.from - self.text_from + 1, candidate.to - self.text_from
-  return crc.update(crc.INITIAL, self.text, index, to - CRC_SIZE) == frame.crc(self.text, to)
+  local to = index + length - 1
+  return crc.update(crc.INITIAL, text, index, to - CRC_SIZE) == frame.crc(text, to)
+end
+
+-- Whether a candidate is a frame of telnet.  If more bytes have to come, its end moves.
+function Framer:is_telnet(candidate, index)
+  local bytes, count = undouble(self.text, index, candidate.length)
+  local is_sure = self.telnet == "is"
+  if bytes and self:is_good(bytes, 1, candidate.length) then
+    candidate.to, candidate.bytes, self.telnet = candidate.from + count, bytes, "is"
+    return true
+  end
+  if bytes and is_sure then
+    candidate.to = candidate.from + count
+  elseif not bytes and not self.is_ending then
+    candidate.to = self.to + count
+  end
+  return false
+end
+
+-- Whether a candidate whose end has come is a frame; the end of one of telnet may move.
+function Framer:judge(candidate)
+  local index, is_sure = candidate.from - self.text_from + 1, self.telnet == "is"
+  local last = index + candidate.length - 1
+  local twice = self.telnet and find(self.text, TWICE, index, true)
+  local may_be_telnet = twice and twice <= last or is_sure and byte(self.text, last) == 255
+  if not (may_be_telnet and is_sure) then
+    candidate.to = candidate.from + candidate.length
+    if self:is_good(self.text, index, candidate.length) then return true end
+  end
+  return may_be_telnet and self:is_telnet(candidate, index)
+end
+
+-- Expect no more bytes of telnet, as the stream ends.
+function Framer:end_telnet()
+  for i = self.first, self.last + 1 do
+    local candidate = self.candidates[i] or self.found
+    if candidate then candidate.to = candidate.from + candidate.length end
+  end
 end
 
 -- Append the bytes up to an offset as a finding.
-function Framer:give(to, status, missing)
+-- bytes  nil for those in the text
+function Framer:give(to, status, missing, bytes)
   local from, offset = self.from, self.from - self.text_from
   self.from = to
   table.insert(self.findings, {
@@ -125,7 +209,8 @@ function Framer:give(to, status, missing)
     missing = missing,
     from = from,
     to = to,
-    bytes = sub(self.text, offset + 1, offset + to - from),
+    is_telnet = bytes and true,
+    bytes = bytes or sub(self.text, offset + 1, offset + to - from),
   })
 end
 
@@ -171,29 +256,32 @@ end
 
 -- Append a candidate as a finding if its CRC is good; return whether it is good.
 function Framer:accept(candidate)
-  if not self:is_good(candidate) then
-    candidate.has_failed = true
+  if not self:judge(candidate) then
+    candidate.has_failed = candidate.to <= self.to -- else its end is still to come
     return false
   end
   self:settle(candidate.from, "good")
-  self:give(candidate.to, "good")
+  self:give(candidate.to, "good", nil, candidate.bytes)
   if self.last > 0 then self:forget() end
   self.searched = candidate.to
   return true
 end
 
+-- Judge an open candidate when its end comes.  It gets
+--   same_end    another open candidate that ends where this one does, or nil
+function Framer:expect_end(candidate)
+  candidate.same_end = self.open_by_end[candidate.to]
+  self.open_by_end[candidate.to] = candidate
+end
+
 -- Keep a candidate that failed or is open.  It gets
 --   next_known  index in `known`: the first one behind it
---   same_end    another open candidate that ends where this one does, or nil
 function Framer:keep(candidate)
   self.last = self.last + 1
   self.candidates[self.last] = candidate
   if candidate.is_known then self.known[#self.known + 1] = candidate.from end
   candidate.next_known = #self.known + 1
-  if not candidate.has_failed then
-    candidate.same_end = self.open_by_end[candidate.to]
-    self.open_by_end[candidate.to] = candidate
-  end
+  if not candidate.has_failed then self:expect_end(candidate) end
 end
 
 local function by_start(a, b) return a.from < b.from end
@@ -213,21 +301,22 @@ function Framer:close(before)
   table.sort(due, by_start)
   for _, candidate in ipairs(due) do
     if self:accept(candidate) then return end -- it overlaps the others
+    if not candidate.has_failed then self:expect_end(candidate) end
   end
 end
 
 -- Judge the candidates that begin in bytes that have not been searched.
--- is_end  whether no more bytes come
-function Framer:search(is_end)
+function Framer:search()
   local candidate = self:find()
   while candidate do
-    local is_open, length = candidate.to > self.to, candidate.to - candidate.from
     local patience = candidate.is_plausible and self.patience or self.noise_patience
-    if is_open and not is_end and length <= patience then
+    local is_frame = candidate.to <= self.to and self:accept(candidate)
+    local is_open = candidate.to > self.to
+    if is_open and not self.is_ending and candidate.length <= patience then
       self.found = candidate
       return
     end
-    if is_open or not self:accept(candidate) then
+    if not is_frame then
       self:keep(candidate)
       self.searched = candidate.from + #frame.SYNC
     end
@@ -257,17 +346,19 @@ end
 --            missing  number of bytes, of an incomplete frame
 --            from     offset in the stream
 --            to       offset behind the last byte
+--            is_telnet  true if its bytes are not those of the stream, but as before telnet
 --            bytes    string }
 -- Document: "UART Stream Framing".
 function Framer:add(bytes, is_end, findings)
   local before = self.to
-  self.findings = findings or {}
+  self.findings, self.is_ending = findings or {}, is_end
   if self.from > self.text_from then
     self.text, self.text_from = sub(self.text, self.from - self.text_from + 1), self.from
   end
   self.text, self.to = self.text .. bytes, before + #bytes
+  if is_end and self.telnet == "may" then self:end_telnet() end
   self:close(before)
-  self:search(is_end)
+  self:search()
   if is_end then
     self:settle(self.to, "end")
     self:forget()
@@ -278,6 +369,15 @@ function Framer:add(bytes, is_end, findings)
     if self.last > 0 and self.first > self.last then self:forget() end
   end
   return self.findings
+end
+
+--- Return whether bytes in no finding yet begin with the header of a message of the catalogue.
+function Framer:has_known()
+  for i = self.first, self.last + 1 do
+    local candidate = self.candidates[i] or self:find()
+    if candidate and candidate.is_known and candidate.from >= self.from then return true end
+  end
+  return false
 end
 
 --- Return the bytes that are in no finding yet.

@@ -8,6 +8,11 @@
 --
 -- TCP segments bring their sequence numbers.  Bytes that came before are left out.  A segment
 -- behind a gap waits for the missing one, until it is clear that the capture does not have it.
+--
+-- A datagram of whole frames is complete in itself.  Other datagrams are a byte stream, as of a
+-- bridge from a serial line, which cuts where it likes.  A lost one costs the frames it cut.
+--
+-- A conversation may be unknown when its first bytes come: they are on trial.
 
 local memo = require "yapp.base.memo"
 
@@ -20,6 +25,8 @@ local sub = string.sub
 local MAX_WAIT, MAX_AHEAD = 1, 65535
 -- A sequence number that differs by more is of a new connection.
 local MAX_DISTANCE = 2 ^ 20
+-- How many bytes of an unknown conversation are kept, and of how many conversations.
+local MAX_TRIAL, MAX_TRIALS = 4096, 64
 
 -- Stands for the contents of a packet of good frames alone: Streams:find reads its bytes anew.
 local PLAIN = { findings = {}, pending = 0 }
@@ -41,6 +48,7 @@ local function new_stream(framer)
     first = 1,
     last = 0,
     is_ended = false, -- whether a new TCP connection has begun
+    is_cut = false,   -- whether a frame went on in another packet
     held = {},        -- contents of the segments behind a gap, by sequence number
   }
 end
@@ -49,8 +57,11 @@ end
 -- new_framer  function() -> a serial.framer
 function M.new(new_framer)
   return setmetatable({
-    datagrams = new_stream(new_framer()), -- each is complete in itself, so all share one stream
+    new_framer = new_framer,
+    reader = new_framer(), -- of bytes that are complete in themselves, see Streams:read
     by_key = memo(function() return new_stream(new_framer()) end),
+    trials = {}, -- by key, of unknown conversations: { framer, packets }
+    trial_count = 0,
     contents_by_key = {}, -- by frame key: what Streams:take returned
     seqs = {},     -- by key, of TCP: the sequence number that follows others' bytes
     gaps = {},     -- those that were not filled, see Streams:drops
@@ -64,7 +75,8 @@ end
 local function add_bytes(stream, contents, overlap)
   local framer, packet, findings = stream.framer, contents.packet, stream.findings
   contents.packet, contents.overlap, contents.from = nil, overlap, framer.to
-  framer:add(packet.bytes:sub(overlap + 1), packet.is_datagram or packet.truncated, findings)
+  if packet.is_tcp then framer:expect_telnet() end
+  framer:add(packet.bytes:sub(overlap + 1), packet.truncated, findings)
   contents.to = framer.to
   local last = findings[#findings]
   if packet.truncated and last and last.missing then last.status = "truncated" end
@@ -77,11 +89,12 @@ end
 local function locate(stream, finding, contents)
   local from = contents.from
   if finding.from >= from and finding.to <= contents.to then
+    if finding.is_telnet then return end
     finding.offset, finding.bytes = contents.overlap + finding.from - from, nil
     return
   end
   if finding.status == "skipped" then return end
-  finding.packet_keys = {}
+  stream.is_cut, finding.packet_keys = true, {}
   for i = stream.first, stream.last do
     local piece = stream.pieces[i]
     if piece.from < finding.to and piece.to > finding.from then
@@ -210,7 +223,7 @@ end
 
 -- Packets ----------------------------------------------------------------------------------------
 
--- Whether a packet holds good frames and nothing else.
+-- Whether bytes hold good frames and nothing else.
 local function is_plain(findings, bytes)
   local length = 0
   for _, finding in ipairs(findings) do
@@ -220,39 +233,59 @@ local function is_plain(findings, bytes)
   return length == #bytes
 end
 
---- Take the next packet of the capture.
--- packet  {
---   key          frame key; a second frame with this key replaces the first
---   number       of the packet; bus_name = or nil
---   epoch        of a segment, or if it is truncated: seconds since 1970
---   bytes        string: those that were captured
---   truncated    whether the packet had more
---   is_datagram  whether it is complete in itself
---   stream       key of the stream
---   seq          of TCP, if it is known: sequence number of the first byte
---   length       number of bytes that it had }
--- is_stored  whether Streams:find may ask for it
--- returns  {
---   findings  as from serial.framer, or with the status "truncated": the capture has only a part
---             of the frame; and offset = in the packet.  If not all its bytes are in this packet:
---             bytes = string, and packet_keys = of the packets they came in (none of skipped bytes)
---   pending   number of bytes at the end that are in no finding yet
---   is_held   whether it is a segment that waits for a missing one: then all are pending
---   missing   number of bytes to come of the frame that the pending ones begin, or nil
---   leads_to  key of the packet that shows the pending bytes, nil until it has come }
-function Streams:take(packet, is_stored)
-  local stream = packet.is_datagram and self.datagrams or self.by_key[packet.stream]
-  local findings, framer = {}, stream.framer
-  local contents = {
+--- Return the findings of bytes that are complete in themselves; each has its offset in them.
+-- bytes  string
+function Streams:read(bytes)
+  local framer = self.reader
+  local from = framer.to
+  local findings = framer:add(bytes, true)
+  for _, finding in ipairs(findings) do
+    finding.offset, finding.bytes = finding.from - from, nil
+  end
+  return findings
+end
+
+-- Return the findings of a datagram that is complete in itself, nil for any other packet.
+local function read_alone(self, packet)
+  if not packet.is_datagram or packet.truncated then return nil end
+  local findings = self:read(packet.bytes)
+  return is_plain(findings, packet.bytes) and findings or nil
+end
+
+-- Return how many bytes wait in a stream.
+local function count_waiting(stream)
+  return stream and stream.framer.to - stream.framer.from or 0
+end
+
+-- Whether a datagram is of others: it holds no frame, goes on with none and begins none.  A single
+-- "Y" at the end of other bytes is chance, unless the datagrams are known to cut frames.
+-- waited  number of bytes that waited for it
+local function is_of_others(stream, contents, waited)
+  for _, finding in ipairs(contents.findings) do
+    if finding.status ~= "skipped" then return false end
+  end
+  local pending, length = contents.pending, contents.to - contents.from
+  local is_begun = pending > 1 or pending == 1 and (stream.is_cut or length == 1)
+  return waited == 0 and not is_begun
+end
+
+local function new_contents(packet, findings)
+  return {
     key = packet.key,
     findings = findings,
     pending = 0,
     is_held = false,
+    is_others = false,
     packet = packet, -- nil once its bytes are added
     overlap = 0,     -- number of its bytes that had come before
     from = 0,        -- offset in the stream of the others, once they are added
     to = 0,
   }
+end
+
+-- Add a packet to its stream, and find out what it holds.
+local function take_bytes(self, stream, contents)
+  local packet, findings, framer = contents.packet, contents.findings, stream.framer
   stream.latest, stream.findings = packet, findings
   if packet.seq then
     take_segment(self, stream, contents)
@@ -270,27 +303,127 @@ function Streams:take(packet, is_stored)
     contents.pending = contents.to - math.max(contents.from, framer.from)
     contents.missing = select(2, framer:open_frame())
   end
-  local last_finding = findings[#findings]
-  if packet.truncated and not (last_finding and last_finding.missing) then
-    self.gaps[#self.gaps + 1] = new_gap(stream, packet) -- whole frames may be missing
-  end
-  if is_stored then
-    self.contents_by_key[packet.key] = is_plain(findings, packet.bytes) and PLAIN or contents
-  end
-  return contents
 end
 
---- Return the findings of a packet that is complete in itself.
--- bytes  string
-function Streams:read(bytes)
-  return self:take({ bytes = bytes, is_datagram = true }, false).findings
+-- Note that the capture does not have the end of a packet: whole frames may be missing.
+local function note_truncated(self, stream, packet, findings)
+  local last = findings[#findings]
+  if packet.truncated and not (last and last.missing) then
+    table.insert(self.gaps, new_gap(stream, packet))
+  end
+end
+
+--- Take the next packet of the capture.
+-- packet  {
+--   key          frame key; a second frame with this key replaces the first
+--   number       of the packet; bus_name = or nil
+--   epoch        of a segment, or if it is truncated: seconds since 1970
+--   bytes        string: those that were captured
+--   truncated    whether the packet had more
+--   is_datagram, is_tcp  whether it is of UDP, of TCP
+--   is_found     whether its conversation was found by content: it may have datagrams of others
+--   stream       key of the stream
+--   seq          of TCP, if it is known: sequence number of the first byte
+--   length       number of bytes that it had }
+-- is_stored  whether Streams:find may ask for it
+-- returns  {
+--   findings  as from serial.framer, or with the status "truncated": the capture has only a part
+--             of the frame; and offset = in the packet.  If not all its bytes are in this packet:
+--             bytes = string, and packet_keys = of the packets they came in (none of skipped
+--             bytes).  Of a frame of telnet: bytes = those before telnet
+--   pending   number of bytes at the end that are in no finding yet
+--   is_held   whether it is a segment that waits for a missing one: then all are pending
+--   missing   number of bytes to come of the frame that the pending ones begin, or nil
+--   is_others whether it is a datagram of others: nothing else of it holds
+--   leads_to  key of the packet that shows the pending bytes, nil until it has come }
+function Streams:take(packet, is_stored)
+  local alone, stream = read_alone(self, packet), rawget(self.by_key, packet.stream)
+  local waited = count_waiting(stream)
+  if alone and waited == 0 then
+    if is_stored then self.contents_by_key[packet.key] = PLAIN end
+    return new_contents(packet, alone)
+  end
+  stream = self.by_key[packet.stream]
+  local findings = {}
+  local contents = new_contents(packet, findings)
+  -- What waits was cut by a lost datagram if the next one is complete in itself.
+  if alone then stream.framer:add("", true, findings) end
+  take_bytes(self, stream, contents)
+  if packet.is_found and packet.is_datagram and is_of_others(stream, contents, waited) then
+    stream.framer:add("", true)
+    drop_pieces(stream, stream.framer.from)
+    contents.is_others = true
+    return contents
+  end
+  note_truncated(self, stream, packet, findings)
+  if is_stored then
+    local is_again = not packet.is_datagram and is_plain(findings, packet.bytes)
+    self.contents_by_key[packet.key] = is_again and PLAIN or contents
+  end
+  return contents
 end
 
 --- Return the contents of a packet that was taken before, nil if it was not.
 function Streams:find(packet)
   local contents = self.contents_by_key[packet.key]
   if contents ~= PLAIN then return contents end
-  return { findings = self:read(packet.bytes), pending = 0 }
+  return new_contents(packet, self:read(packet.bytes))
+end
+
+--- Return whether a packet was taken before, and stored.
+function Streams:is_stored(key)
+  return self.contents_by_key[key] ~= nil
+end
+
+-- Whether a frame may begin in bytes of an unknown conversation.
+local function has_start(bytes)
+  return bytes:find("YP", 1, true) or sub(bytes, -1) == "Y"
+end
+
+--- Return whether a packet of an unknown conversation may begin a frame, or go on with one.
+function Streams:may_begin(bytes)
+  return self.trial_count > 0 or has_start(bytes)
+end
+
+-- Begin the trial of a conversation, if a frame may begin in its bytes.
+local function new_trial(self, packet)
+  if not has_start(packet.bytes) then return nil end
+  if self.trial_count >= MAX_TRIALS then self.trials, self.trial_count = {}, 0 end
+  local trial = { framer = self.new_framer(), packets = {} }
+  if packet.is_tcp then trial.framer:expect_telnet() end
+  self.trials[packet.stream], self.trial_count = trial, self.trial_count + 1
+  return trial
+end
+
+-- Whether bytes of a trial show that it is YAPP.
+local function is_proof(framer, findings)
+  for _, finding in ipairs(findings) do
+    if finding.status == "good" then return true end
+  end
+  return framer:has_known()
+end
+
+--- Take a packet of an unknown conversation on trial.
+-- packet     as of Streams:take
+-- is_proved  whether the packet alone shows that it is YAPP
+-- returns    whether the bytes that came so far have a frame, or the header of a message of the
+--            catalogue.  Then those of earlier packets are in the stream, and Streams:take can take
+--            this one
+function Streams:try(packet, is_stored, is_proved)
+  local key = packet.stream
+  local trial = self.trials[key] or not is_proved and new_trial(self, packet)
+  if not trial then return is_proved end
+  local framer = trial.framer
+  local is_found = is_proved or is_proof(framer, framer:add(packet.bytes, packet.truncated))
+  local pending = framer.to - framer.from
+  if not is_found and pending > 0 and pending <= MAX_TRIAL then
+    table.insert(trial.packets, packet)
+    return false
+  end
+  self.trials[key], self.trial_count = nil, self.trial_count - 1
+  if not is_found or packet.is_datagram and is_proved then return is_found end
+  for _, earlier in ipairs(trial.packets) do self:take(earlier, is_stored) end
+  return true
 end
 
 --- Whether the capture ends before the frame that a packet's pending bytes begin.

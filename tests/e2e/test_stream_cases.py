@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""What people record of YAPP in streams: captures that showed a defect of 2.2, and relatives of each."""
+import json
+import struct
+
+import pytest
+
+import levels
+import stream_captures
+import tshark
+from stream_captures import ETHERNET, Origin, Packet, frame
+
+CASES = tshark.CAPTURES / "cases"
+MOTOR_DATA, HEALTH = 0x210, 0x200
+PASSES = pytest.mark.parametrize("passes", [[], ["-2"]], ids=["one pass", "two"])
+
+
+def statistics(path, *arguments):
+    """What tshark answers to faults, summary and events: for each source (bus, id) its count, and all events."""
+    done = tshark.run("-q", "-r", path, *arguments, "-z", "yapp,summary,json", "-z", "yapp,events,json")
+    rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    counts = {(row["bus"], row["id"]): row["count"] for row in rows if row.get("count") and "kind" not in row}
+    return counts, [row for row in rows if "kind" in row]
+
+
+def raised(events):
+    """The sources of which a message raised a fault, once for each such message."""
+    found = {(row["frame"], row["bus"], row["source"]): None for row in events if row["kind"] == "fault" and row["event"] == "raised"}
+    return [source for _, *source in found]
+
+
+def kinds(events):
+    return {row["kind"] for row in events}
+
+
+def flight(count=20, fault=10):
+    """The Motor Data of a controller at 10 Hz, each with its time in seconds, and a fault of two messages."""
+    messages = []
+    for number in range(count):
+        flags = 2 if fault is not None and fault <= number < fault + 2 else 0
+        payload = struct.pack("<6HBBIIqBB", *[32765] * 6, 70, 1, 0x40010000, flags, number * 100_000_000, 2, 80)
+        messages.append((number * 0.1, frame(MOTOR_DATA, payload, seq=number)))
+    return messages
+
+
+def written(folder, packets, link, name="run.pcapng"):
+    """A capture of packets, (seconds, sender's number, bytes) each."""
+    made = []
+    for seconds, packet in packets:
+        packet.time = stream_captures.EPOCH + round(seconds * 1e6)
+        made.append(packet)
+    made.sort(key=lambda packet: packet.time)
+    stream_captures.Capture("", made, link, []).write(folder / name)
+    return folder / name
+
+
+# Names -----------------------------------------------------------------------------------------------------------
+
+@PASSES
+def test_three_controllers(passes):
+    counts, events = statistics(CASES / "udp_three_controllers.pcap", *passes)
+    assert counts == {(f"192.168.1.{last}:40000", MOTOR_DATA): 20 for last in (11, 12, 13)}
+    assert raised(events) == [["192.168.1.12:40000", None]]
+    found = tshark.fields(CASES / "udp_three_controllers.pcap", ["yapp.bus", "yapp.source"], "-c", "3", *passes)
+    assert found == [[f"192.168.1.{last}:40000", f"…{last}:40000 0x210"] for last in (11, 12, 13)]
+
+
+NAMED = {
+    "with its port": "192.168.1.12:40000/0x210=motor:right", "without": "192.168.1.12/0x210=motor:right",
+    "all IDs": '"192.168.1.12"=right',
+}
+
+
+@pytest.mark.parametrize("how", NAMED)
+def test_names_of_controllers(how):
+    option = ["-o", f"yapp.sources:{NAMED[how]}"]
+    _, events = statistics(CASES / "udp_three_controllers.pcap", *option)
+    assert raised(events) == [["192.168.1.12:40000", "right"]]
+    found = tshark.fields(CASES / "udp_three_controllers.pcap", ["yapp.source"], "-c", "3", *option)
+    assert found == [["…11:40000 0x210"], ["right"], ["…13:40000 0x210"]]
+
+
+@PASSES
+def test_a_sender_with_a_new_port_for_each_datagram(passes):
+    counts, events = statistics(CASES / "udp_new_source_port.pcap", *passes)
+    assert counts == {("192.168.1.10", MOTOR_DATA): 20, ("192.168.1.10", HEALTH): 4}
+    assert kinds(events) == {"fault"} and len(raised(events)) == 1
+
+
+@PASSES
+def test_controllers_behind_one_address(folder, passes):
+    """Ports that come back are controllers of their own, as many as there are."""
+    packets = []
+    for number in range(5):
+        packets += [(seconds + number / 1000, Packet(data, Origin(ETHERNET, 0, 2 * number)))
+                    for seconds, data in flight(fault=10 if number == 3 else None)]
+    path = written(folder, packets, stream_captures.udp)
+    counts, events = statistics(path, *passes)
+    assert counts == {(f"192.0.2.1:{50000 + number}", MOTOR_DATA): 20 for number in range(5)}
+    assert raised(events) == [["192.0.2.1:50003", None]]
+    names = "yapp.sources:192.0.2.1/0x210=motor:any, 192.0.2.1:50003/0x210=motor:third"
+    assert raised(statistics(path, "-o", names)[1]) == [["192.0.2.1:50003", "third"]]
+
+
+def ipv6_udp(packet):
+    source = bytes.fromhex("fe80") + bytes(13) + bytes([packet.origin.number])
+    data = struct.pack(">HHHH", 14550, 20001, 8 + len(packet.data), 0) + packet.data
+    return bytes(12) + b"\x86\xdd" + struct.pack(">IHBB", 6 << 28, len(data), 17, 64) + source + bytes(15) + b"\2" + data
+
+
+def test_controllers_in_ipv6(folder):
+    packets = [(seconds + number / 1000, Packet(data, Origin(ETHERNET, 0, number)))
+               for number in (1, 2) for seconds, data in flight(fault=number - 1 and 10 or None)]
+    path = written(folder, packets, ipv6_udp)
+    counts, events = statistics(path, "-o", "yapp.sources:fe80::2/0x210=motor:two, [fe80::1]:14550/0x210=motor:one")
+    assert counts == {(f"[fe80::{number}]:14550", MOTOR_DATA): 20 for number in (1, 2)}
+    assert raised(events) == [["[fe80::2]:14550", "two"]]
+    found = tshark.fields(path, ["yapp.source"], "-c", "2")
+    assert found == [["…1]:14550 0x210"], ["…2]:14550 0x210"]]
+
+
+# Byte streams in UDP ---------------------------------------------------------------------------------------------
+
+@levels.by_version
+@PASSES
+@pytest.mark.parametrize("arguments", [[], ["-d", "udp.port==14550,yapp_serial"]], ids=["found", "Decode As"])
+def test_a_bridge_that_cuts_frames(passes, arguments):
+    counts, events = statistics(CASES / "udp_bridge_40.pcap", *passes, *arguments)
+    assert counts == {("192.168.1.10:40000", MOTOR_DATA): 20, ("192.168.1.10:40000", HEALTH): 4}
+    assert len(raised(events)) == 1 and not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
+
+
+@pytest.mark.parametrize("length", [1, 7, 48, 100])
+def test_a_bridge_that_cuts_frames_anywhere(folder, length):
+    data = b"".join(data for _, data in flight())
+    packets = [(0.1 * at / 48, Packet(data[at:at + length], Origin(ETHERNET, 0, 0))) for at in range(0, len(data), length)]
+    counts, events = statistics(written(folder, packets, stream_captures.udp))
+    assert counts == {("192.0.2.1:50000", MOTOR_DATA): 20}
+    assert len(raised(events)) == 1 and not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
+
+
+def test_a_datagram_of_a_bridge_is_lost(folder):
+    """It costs the frames that it cut."""
+    data = b"".join(data for _, data in flight())
+    pieces = [data[at:at + 40] for at in range(0, len(data), 40)]
+    packets = [(0.08 * index, Packet(piece, Origin(ETHERNET, 0, 0))) for index, piece in enumerate(pieces) if index != 13]
+    counts, events = statistics(written(folder, packets, stream_captures.udp))
+    assert counts == {("192.0.2.1:50000", MOTOR_DATA): 18}  # bytes 520 to 559 are of the messages 10 and 11
+    assert [row["frame"] for row in events if row["kind"] == "crc"] == [14]
+
+
+@levels.by_version
+@PASSES
+def test_datagrams_of_others_in_a_conversation(passes):
+    """MAVLink and YAPP: what holds no frame is left to its own dissector."""
+    stub = ["-X", f"lua_script:{CASES / 'mavstub.lua'}"]
+    rows = tshark.fields(CASES / "udp_mixed_mavlink.pcap", ["mavstub.len", "yapp.id", "yapp.skipped"], *passes, *stub)
+    assert sum(bool(row[0]) for row in rows) == 24 and sum(bool(row[1]) for row in rows) == 24
+    assert not any(row[2] or row[0] and row[1] for row in rows)
+    counts, events = statistics(CASES / "udp_mixed_mavlink.pcap", *passes, *stub)
+    assert sum(counts.values()) == 24 and len(raised(events)) == 1 and "skipped" not in kinds(events)
+
+
+# Small segments --------------------------------------------------------------------------------------------------
+
+TCP_PORT = ["-d", "tcp.port==4001,yapp_serial"]
+
+
+@levels.by_version
+@PASSES
+@pytest.mark.parametrize("arguments", [[], TCP_PORT], ids=["found", "Decode As"])
+def test_segments_of_8_bytes(passes, arguments):
+    counts, events = statistics(CASES / "tcp_8_byte_segments.pcap", *passes, *arguments)
+    assert counts == {("192.168.1.10:4001", MOTOR_DATA): 20, ("192.168.1.10:4001", HEALTH): 4}
+    assert len(raised(events)) == 1 and not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
+
+
+def tcp_pieces(data, length, start=0):
+    packets = []
+    for at in range(start, len(data), length):
+        packet = Packet(data[at:at + length], Origin(ETHERNET, 0, 0))
+        packet.sequence = at + 1
+        packets.append((at / 480, packet))
+    return packets
+
+
+@PASSES
+@pytest.mark.parametrize("length, start", [(1, 0), (3, 17), (11, 30), (20, 1)])
+def test_small_segments_that_begin_within_a_message(folder, passes, length, start):
+    data = b"".join(data for _, data in flight())
+    path = written(folder, tcp_pieces(data, length, start), stream_captures.tcp)
+    counts, events = statistics(path, *passes)
+    assert counts == {("192.0.2.1:50000", MOTOR_DATA): 20 if start == 0 else 19}
+    assert len(raised(events)) == 1 and not kinds(events) & {"crc", "incomplete", "unfinished"}
+
+
+def test_segments_before_the_first_header_in_two_passes(folder):
+    """They show that they are of the message which they begin, although it was not known when they came."""
+    path = written(folder, tcp_pieces(flight()[0][1], 5), stream_captures.tcp)
+    shown = [row[0] for row in tshark.fields(path, ["yapp.reassembled.in"], "-2", "-o", "yapp.search_all:TRUE")]
+    assert shown == ["10"] * 10
+
+
+# Telnet ----------------------------------------------------------------------------------------------------------
+
+@levels.by_version
+@PASSES
+@pytest.mark.parametrize("arguments", [[], TCP_PORT], ids=["found", "Decode As"])
+def test_telnet(passes, arguments):
+    """Every byte 0xFF is there twice; the CRC proves it."""
+    counts, events = statistics(CASES / "telnet_iac_4001.pcap", *passes, *arguments)
+    assert counts == {("192.168.1.10:4001", MOTOR_DATA): 20}
+    assert len(raised(events)) == 1 and not kinds(events) & {"crc", "incomplete", "unfinished"}
+
+
+@pytest.mark.parametrize("length", [1, 10, 49, 500])
+def test_telnet_in_segments_of_any_length(folder, length):
+    messages = [frame(MOTOR_DATA, bytes([255]) * number + bytes(32 - number), seq=255 - number % 2) for number in range(30)]
+    data = b"".join(messages).replace(b"\xff", b"\xff\xff")
+    path = written(folder, tcp_pieces(data, length), stream_captures.tcp)
+    for passes in [], ["-2"]:
+        counts, events = statistics(path, *passes)
+        assert counts == {("192.0.2.1:50000", MOTOR_DATA): 30} and not kinds(events) & {"crc", "incomplete", "skipped"}
+        rows = tshark.fields(path, ["yapp.payload", "yapp.crc.status"], *passes, "-o", "yapp.search_all:TRUE")
+        assert ",".join(row[1] for row in rows if row[1]) == ",".join(["1"] * 30)

@@ -1,0 +1,98 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Names of senders, and senders that take a new port for each datagram.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local generator = require("stream_generator")
+local senders = require("yapp.serial.senders")
+
+local T = {}
+
+local V4, V6 = "192.168.1.10", "fe80::1"
+local FRAME = generator.frame(0x210, ("x"):rep(32))
+
+function T.test_names()
+  lu.assertEquals(senders.name(V4, 40000), "192.168.1.10:40000")
+  lu.assertEquals(senders.name(V6, 14550), "[fe80::1]:14550")
+  lu.assertEquals(senders.name(V6, nil), V6)
+end
+
+-- What differs comes first, and no two senders have one short name.
+function T.test_short_names()
+  local self = senders.new()
+  for _, row in ipairs {
+    { "192.168.1.12:40000", "…12:40000" }, { "192.168.1.13:40000", "…13:40000" },
+    { "192.168.1.12:40001", "…12:40001" }, { "192.168.2.12:40000", "…2.12:40000" },
+    { "10.0.2.12:40000", "…0.2.12:40000" }, { "11.0.2.12:40000", "11.0.2.12:40000" },
+    { "192.168.1.12:40000", "…12:40000" }, { "192.168.1.10", "…10" },
+    { "[fe80::1]:14550", "…1]:14550" }, { "[fe80::2:1]:14550", "…2:1]:14550" }, { "host", "host" },
+  } do
+    lu.assertEquals(self:short(row[1]), row[2])
+  end
+end
+
+-- The names of the senders of a list of ports, after all of them.
+local function name_after(ports)
+  local self = senders.new()
+  for _, port in ipairs(ports) do self:note(V4, port) end
+  return self:name_of(V4, ports[#ports])
+end
+
+local function numbers(first, last)
+  local list = {}
+  for i = first, last do list[#list + 1] = i end
+  return list
+end
+
+function T.test_new_ports_in_a_live_capture()
+  lu.assertEquals(name_after(numbers(1, 15)), V4 .. ":15") -- so many controllers may be behind it
+  lu.assertEquals(name_after(numbers(1, 16)), V4)
+  lu.assertEquals(name_after { 5 }, V4 .. ":5")
+  local two = {}
+  for i = 1, 100 do two[i] = i % 2 end
+  lu.assertEquals(name_after(two), V4 .. ":0")
+end
+
+-- A datagram in the bytes of a file, behind something of a link.
+local function in_ip(ip, port)
+  local ports = string.char((port - port % 256) / 256, port % 256) .. "\56\214"
+  return "any link" .. ip .. ports .. "\0\56\0\0" .. FRAME .. FRAME
+end
+
+local function ipv4(port, last)
+  return in_ip("\69\0\0\76\0\0\0\0\64\17\0\0\192\168\1" .. string.char(last or 10) .. "\192\168\1\20", port)
+end
+
+local function ipv6(port, address)
+  return in_ip("\96\0\0\0\0\56\17\64" .. address .. address, port)
+end
+
+function T.test_new_ports_in_the_first_bytes_of_a_file()
+  local fe80, all = "\254\128" .. ("\0"):rep(13) .. "\1", "\32\1\13\184" .. ("\0\1"):rep(6)
+  for make, address in pairs {
+    [ipv4] = V4,
+    [function(port) return ipv6(port, fe80) end] = V6,
+    [function(port) return ipv6(port, all) end] = "2001:db8:1:1:1:1:1:1",
+  } do
+    for _, row in ipairs { -- ports, and whether they change
+      { { 5, 6, 7, 9 }, true }, { { 5, 6, 7 }, false }, { { 5, 6, 7, 9, 5 }, false }, { { 5, 5, 6, 6, 7, 7, 9, 9 }, true },
+      { { 5, 5, 5, 5, 5, 5, 6, 6, 6, 6, 6, 6, 7, 9 }, false }, { {}, false },
+    } do
+      local self, parts = senders.new(), {}
+      for i, port in ipairs(row[1]) do parts[i] = make(port) end
+      self:scan(table.concat(parts))
+      local wanted = row[2] and address or senders.name(address, 8)
+      lu.assertEquals(self:name_of(address, 8), wanted, table.concat(row[1], " "))
+    end
+  end
+end
+
+function T.test_what_is_no_datagram()
+  local self = senders.new()
+  self:scan(FRAME .. ("x"):rep(60) .. FRAME .. "YP" .. ("\0"):rep(30))
+  self:scan("")
+  lu.assertEquals(next(self.is_changing), nil)
+  self:scan(ipv4(1, 11) .. ipv4(2, 12) .. ipv4(3, 13) .. ipv4(4, 11))
+  lu.assertEquals(next(self.is_changing), nil)
+end
+
+return T

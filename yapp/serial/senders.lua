@@ -1,0 +1,141 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Who sends in UDP and TCP: names of senders, and which of them take a new port for each datagram.
+-- Pure Lua.
+--
+--   192.168.1.12:40000   [fe80::1]:14550   192.168.1.10, with a new port for each datagram
+
+local frame = require "yapp.wire.frame"
+local memo = require "yapp.base.memo"
+
+local M = {}
+
+local byte, sub = string.byte, string.sub
+
+local UDP, UDP_HEADER = 17, 8
+-- A sender changes its port if it has so many ports, each with few datagrams in a row, and hardly
+-- one comes back.  While a capture goes on, more of them are needed: several controllers behind one
+-- address may send for the first time.
+local MIN_PORTS, MIN_PORTS_LIVE, MAX_RUN, MAX_BACK = 4, 16, 4, 1 / 32
+
+local Senders = {}
+Senders.__index = Senders
+
+local function new_sender()
+  return {
+    latest = nil, -- its latest port
+    run = 0,      -- how many datagrams came from that in a row
+    ports = {},   -- [port] = true
+    count = 0,    -- how many ports
+    back = 0,     -- how often a port came back, or had sent many datagrams
+  }
+end
+
+-- Whether a sender takes new ports.
+local function takes_new_ports(sender, count)
+  return sender.count >= count and sender.back <= sender.count * MAX_BACK
+end
+
+--- Make the list of a capture's senders.
+function M.new()
+  return setmetatable({
+    by_address = memo(new_sender),
+    is_changing = {}, -- [address] = true: those of which it is known
+    short_names = {}, -- by name
+    is_taken = {},    -- by short name
+  }, Senders)
+end
+
+--- Return what a sender is called.
+-- port  nil for any
+function M.name(address, port)
+  if not port then return address end
+  local shape = address:find(":", 1, true) and "[%s]:%d" or "%s:%d"
+  return shape:format(address, port)
+end
+
+--- Return a name whose first part is what differs from others: "…12:40000".
+-- name  of M.name
+function Senders:short(name)
+  local short = self.short_names[name]
+  if short then return short end
+  short = name
+  local address = name:match("^%[.*%]") or name:match("^[^:]*") -- the port stays
+  for at = #address - 1, 2, -1 do
+    local shorter = "…" .. sub(name, at + 1)
+    local is_border = sub(name, at, at):find("[.:]")
+    if is_border and not self.is_taken[shorter] then
+      short = shorter
+      break
+    end
+  end
+  self.short_names[name], self.is_taken[short] = short, true
+  return short
+end
+
+--- Note a datagram of YAPP.
+-- address, port  of its sender
+function Senders:note(address, port)
+  local sender = self.by_address[address]
+  if sender.latest == port then
+    sender.run = sender.run + 1
+    return
+  end
+  if sender.ports[port] or sender.run > MAX_RUN then
+    sender.back = sender.back + 1
+  else
+    sender.ports[port], sender.count = true, sender.count + 1
+    if takes_new_ports(sender, MIN_PORTS_LIVE) then self.is_changing[address] = true end
+  end
+  sender.latest, sender.run = port, 1
+end
+
+--- Return what the sender of a datagram is called: its address alone if it takes new ports.
+function Senders:name_of(address, port)
+  return M.name(address, not self.is_changing[address] and port)
+end
+
+-- Datagrams in the bytes of a file ----------------------------------------------------------------
+
+-- Return an IPv6 address as Wireshark writes it.
+local function ipv6_text(bytes)
+  local groups, best, length = {}, nil, 1
+  for i = 1, 8 do groups[i] = ("%x"):format(byte(bytes, 2 * i - 1) * 256 + byte(bytes, 2 * i)) end
+  for i = 1, 8 do
+    local stop = i
+    while groups[stop] == "0" do stop = stop + 1 end
+    if stop - i > length then best, length = i, stop - i end
+  end
+  if not best then return table.concat(groups, ":") end
+  return table.concat(groups, ":", 1, best - 1) .. "::" ..
+    table.concat(groups, ":", best + length)
+end
+
+-- Return the address of the IP header in front of an UDP header, nil if there is none.
+-- index  of the UDP header
+local function address_before(bytes, index)
+  local v4, v6 = index - 20, index - 40
+  if v4 > 0 and byte(bytes, v4) == 0x45 and byte(bytes, v4 + 9) == UDP then
+    return ("%d.%d.%d.%d"):format(byte(bytes, v4 + 12, v4 + 15))
+  end
+  if v6 > 0 and byte(bytes, v6) - byte(bytes, v6) % 16 == 0x60 and byte(bytes, v6 + 6) == UDP then
+    return ipv6_text(sub(bytes, v6 + 8, v6 + 23))
+  end
+end
+
+--- Note the datagrams in the first bytes of a file, whatever carries them: those that begin with a
+-- frame.  So a sender has its name from its first message on.
+function Senders:scan(bytes)
+  local start = frame.find(bytes, 1)
+  while start do
+    local index = start - UDP_HEADER
+    local address = frame.is_plausible(bytes, start) and address_before(bytes, index)
+    if address then self:note(address, byte(bytes, index) * 256 + byte(bytes, index + 1)) end
+    start = frame.find(bytes, start + 1)
+  end
+  for address, sender in pairs(self.by_address) do
+    self.is_changing[address] = takes_new_ports(sender, MIN_PORTS) or nil
+    self.by_address[address] = nil
+  end
+end
+
+return M
