@@ -223,3 +223,28 @@ def test_telnet_in_segments_of_any_length(folder, length):
         assert counts == {("192.0.2.1:50000", MOTOR_DATA): 30} and not kinds(events) & {"crc", "incomplete", "skipped"}
         rows = tshark.fields(path, ["yapp.payload", "yapp.crc.status"], *passes, "-o", "yapp.search_all:TRUE")
         assert ",".join(row[1] for row in rows if row[1]) == ",".join(["1"] * 30)
+
+
+# Directions ------------------------------------------------------------------------------------------------------
+
+USER_DLT = ["-o", "yapp.user_dlt:147"]
+
+
+@levels.by_version
+@PASSES
+def test_directions_by_packet_flags(passes):
+    """Both directions of a UART in one interface of a pcapng file: two lines."""
+    counts, events = statistics(CASES / "two_uarts_directions.pcapng", *USER_DLT, *passes)
+    assert counts == {("ttyS0#rx", MOTOR_DATA): 20, ("ttyS0#rx", HEALTH): 4, ("ttyS0#tx", 0): 40}
+    assert kinds(events) == {"fault"} and raised(events) == [["ttyS0#rx", None]]
+    names = "yapp.sources:ttyS0/0x210=motor:left,ttyS0#tx=ground"
+    found = tshark.fields(CASES / "two_uarts_directions.pcapng", ["yapp.source"], *USER_DLT, "-o", names, *passes)
+    assert {row[0] for row in found} - {""} >= {"left", "ground"}
+
+
+def test_directions_in_a_pipe():
+    """The file cannot be read there beyond its first bytes, but those are all."""
+    data = (CASES / "two_uarts_directions.pcapng").open("rb")
+    rows = tshark.run(*USER_DLT, "-r", "-", "-q", "-z", "yapp,summary,json", stdin=data).stdout.splitlines()
+    assert {(row["bus"], row["id"], row["crc_bad"]) for row in map(json.loads, rows)} == {
+        ("ttyS0#rx", MOTOR_DATA, 0), ("ttyS0#rx", HEALTH, 0), ("ttyS0#tx", 0, 0)}

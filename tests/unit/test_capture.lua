@@ -156,6 +156,57 @@ end
 
 -- Each section has its own order of bytes, and numbers its interfaces from 0; some come behind
 -- packets.
+-- The names of the buses of a file's packets.
+local function bus_names(blocks)
+  local found, names = read(table.concat(blocks)), {}
+  for number = 1, found.count do
+    local bus = found.has_several and found:bus(number) or nil
+    names[number] = found:name(bus, false)
+  end
+  return names
+end
+
+-- The flags of packets, of serial lines alone, tell the direction: 1 inbound, 2 outbound.
+function T.test_directions()
+  for _, number in ipairs { le, be } do
+    local function sent(of, flags)
+      return packet(of, "bytes", number, 0, flags and option(2, number(flags, 4), number) .. option(0, "", number))
+    end
+    local tty, other = option(2, "ttyS0", number), option(2, "ttyS1", number)
+    for _, linktype in ipairs { 147, 162, EXPORTED } do
+      local head = { section(number), interface(linktype, number, tty) }
+      local function names(...) return bus_names { table.concat(head), ... } end
+      lu.assertEquals(names(sent(0, 1), sent(0, 2), sent(0, 1)), { "ttyS0#rx", "ttyS0#tx", "ttyS0#rx" })
+      lu.assertEquals(names(sent(0, 2), sent(0, 2), sent(0, 0x21)), { "ttyS0#tx", "ttyS0#tx", "ttyS0#rx" })
+      lu.assertEquals(names(sent(0, 1), sent(0, 1)), { "ttyS0", "ttyS0" })
+      lu.assertEquals(names(sent(0), sent(0, 0)), { "ttyS0", "ttyS0" })
+      lu.assertEquals(names(sent(0), sent(0, 1)), { "ttyS0#0", "ttyS0#rx" })
+      head[3] = interface(linktype, number, other)
+      lu.assertEquals(names(sent(1, 1), sent(0, 1), sent(0, 2)), { "ttyS1", "ttyS0#rx", "ttyS0#tx" })
+      head = { section(number), interface(linktype, number, tty), sent(0, 2), sent(0, 1), section(number),
+        interface(linktype, number, tty) }
+      lu.assertEquals(names(sent(0, 1), sent(0, 2)), { "ttyS0#tx", "ttyS0#rx", "ttyS0#rx", "ttyS0#tx" })
+    end
+    local can = { section(number), interface(CAN, number, tty), sent(0, 1), sent(0, 2) }
+    lu.assertEquals(bus_names(can), { "ttyS0", "ttyS0" })
+  end
+end
+
+-- A live capture: fields tell the direction of a packet.  The first one has the interface's name.
+function T.test_directions_by_fields()
+  local number = le
+  local tty = option(2, "ttyS0", number)
+  for _, row in ipairs {
+    { 147, { "ttyS0", "ttyS0#rx", "ttyS0", "ttyS0" } }, { CAN, { "ttyS0", "ttyS0", "ttyS0", "ttyS0" } },
+  } do
+    local found = read(section(number) .. interface(row[1], number, tty))
+    for i, direction in ipairs { 2, 1, 2, 0 } do
+      local bus = found:bus_by_fields(1, 0, 0, nil, "ttyS0", direction)
+      lu.assertEquals(found:name(bus, false), row[2][i])
+    end
+  end
+end
+
 function T.test_sections_and_interfaces_that_come_late()
   local first = section(le) .. interface(CAN, le, option(2, "can0", le)) .. packet(0, "x", le)
   local found = read(first .. interface(CAN, le, option(2, "can1", le)) .. packet(1, "x", le) ..

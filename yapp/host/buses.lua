@@ -13,7 +13,7 @@ local socketcan = require "yapp.host.socketcan"
 local M = {}
 
 local FIELDS = "frame.interface_id || frame.interface_name || frame.section_number || " ..
-  "sll.ifindex || rtacser.eventtype"
+  "sll.ifindex || rtacser.eventtype || frame.packet_flags_direction"
 local NAMES = {}
 for name in FIELDS:gmatch("[%w_.]+") do NAMES[name] = true end
 local IS_TSHARK = not gui_enabled()
@@ -120,7 +120,8 @@ local function bus_by_fields(found)
   if not (interface or index or event) then return nil end
   if name == "unknown" then name = nil end
   local section = fields["frame.section_number"] or 1
-  return found:bus_by_fields(section, interface or 0, index or 0, event, name)
+  local direction = fields["frame.packet_flags_direction"]
+  return found:bus_by_fields(section, interface or 0, index or 0, event, name, direction)
 end
 
 -- Find the bus of a packet behind those that were read when the file was opened.

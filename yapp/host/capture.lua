@@ -5,7 +5,8 @@
 -- Wireshark does not tell a dissector the interface of a packet.  The file does: this module reads
 -- the headers of the blocks of pcapng and of the records of pcap.
 --
--- A bus is an interface, an index in it (Linux cooked v2), or a direction in it (RTAC).  An
+-- A bus is an interface, an index in it (Linux cooked v2), or a direction in it (RTAC; packet flags
+-- of serial lines).  An
 -- interface whose packets may have CAN frames inside (Ethernet, PPI) is a bus once one of them has.
 -- An interface of another section with the same name and link type is the same.  Buses that may
 -- carry YAPP are numbered from 1 in the order in which they show.
@@ -24,10 +25,12 @@ local CHUNK = 1048576 -- bytes that are read at once, and the most that are held
 local MAX_BLOCK = 2 ^ 28 -- bytes; Wireshark refuses longer ones
 local MAX_OPTIONS = 64 -- of a block
 
--- Link types whose packets may carry YAPP: SocketCAN, exported PDUs, DLT_USER 0 .. 15.
+-- Link types whose packets may carry YAPP: SocketCAN; of serial lines exported PDUs and DLT_USER
+-- 0 .. 15, whose packets may have a direction.
 local SOCKETCAN = 227
-local YAPP_LINKTYPES = { [SOCKETCAN] = true, [252] = true }
-for linktype = 147, 162 do YAPP_LINKTYPES[linktype] = true end
+local IS_SERIAL = { [252] = true }
+for linktype = 147, 162 do IS_SERIAL[linktype] = true end
+local FLAG_DIRECTIONS = { [0] = 0, "rx", "tx" } -- by the lowest two bits of a packet's flags
 
 -- Link types whose packets each tell their bus: RTAC serial, Linux cooked captures.
 local RTAC, COOKED, COOKED_2 = 250, 113, 276
@@ -150,8 +153,9 @@ end
 -- Keep the bus of the latest packet, and when it was captured.
 -- offset   of its data
 -- seconds  since 1970
-local function keep_bus(self, window, interface, offset, seconds)
-  local bus = interface.bus
+-- bus      nil for that of its interface
+local function keep_bus(self, window, interface, offset, seconds, bus)
+  bus = bus or interface.bus
   if not bus then
     local index = INDEX_OF[interface.linktype](window:bytes(offset, HEADER))
     bus = index and bus_number(self, interface, index) or 0
@@ -203,6 +207,7 @@ local function new_interface(self, linktype, name)
     shift = 0, -- seconds to add to its times
     buses = {}, -- by index
     bus = nil, -- of its packets, 0 if they carry no YAPP; nil if each tells it
+    direction = nil, -- of a serial line: the first one that came; that is `bus`
     dropped = 0, -- packets, as the statistics say
     accounted = 0, -- dropped packets, as options of packets say
   }
@@ -220,6 +225,7 @@ local function note_interface(self, interface)
   if not self.keeps then self.early = self.count end
   self.keeps = is_mixed and not is_carrier or self.carriers + self.yapp_interfaces > 1
   self.has_indexes = self.has_indexes or linktype == COOKED_2
+  self.has_serial = self.has_serial or IS_SERIAL[linktype]
 end
 
 -- The functions in BLOCKS, below, read a block, whose first CHUNK bytes are available.  They return
@@ -232,43 +238,79 @@ local function read_interface(self, window, offset, length)
   local interface = new_interface(self, linktype, (options[2] or ""):match("^[^\0]+"))
   interface.per_second = units_per_second(options[9])
   interface.shift = window:value(options[14] or "")
-  if INDEX_OF[linktype] or YAPP_LINKTYPES[linktype] then
+  if INDEX_OF[linktype] or linktype == SOCKETCAN or IS_SERIAL[linktype] then
     note_interface(self, interface)
   else
     interface.bus = 0
   end
 end
 
--- Read the options of an enhanced block: how many packets were dropped in front of its own.
-local function read_drops(self, window, offset, length)
+-- Return the bus of a packet of a serial line.
+-- direction  "rx", "tx" or 0; that which comes first has the bus of the interface
+local function bus_of_direction(self, interface, direction)
+  interface.direction = interface.direction or direction
+  if direction == interface.direction then return interface.bus end
+  return bus_number(self, interface, direction)
+end
+
+-- Return the options of an enhanced block.
+local function packet_options(window, offset, length)
   local captured = three_numbers(window, offset + 20)
   local start, stop = offset + 28 + captured + -captured % 4, offset + length - 4
-  if start >= stop then return end
-  local number, high, low = three_numbers(window, offset + 8)
-  local interface = interface_of(self, number)
-  local count = window:value(read_options(window, start, stop)[4] or "")
-  if not interface or count == 0 then return end
+  return start < stop and read_options(window, start, stop) or {}
+end
+
+-- Note how many packets were dropped in front of the latest one.
+-- seconds  since 1970 at which that was captured
+local function note_drops(self, window, interface, seconds, options)
+  local count = window:value(options[4] or "")
+  if count == 0 then return end
   interface.accounted = interface.accounted + count
-  local seconds = seconds_of(interface, high, low)
   self.drops[#self.drops + 1] =
     { time = seconds, frame = self.count, interface = interface, count = count }
 end
 
 local OBSOLETE, ENHANCED = 2, 6
 
+-- Return the bus of the latest packet, which is of a serial line, by its options.
+local function bus_by_flags(self, window, interface, options)
+  local flags = window:value(options[2] or "")
+  local bus = bus_of_direction(self, interface, FLAG_DIRECTIONS[flags % 4] or 0)
+  if bus ~= interface.bus and not self.keeps then
+    self.keeps, self.early = true, self.count - 1
+  end
+  return bus
+end
+
+-- Read an enhanced block with a packet of an interface.
+local function read_enhanced(self, window, offset, length, interface, seconds)
+  local is_serial, options, bus = IS_SERIAL[interface.linktype], nil, nil
+  if is_serial then
+    options = packet_options(window, offset, length)
+    bus = bus_by_flags(self, window, interface, options)
+  end
+  if self.keeps then keep_bus(self, window, interface, offset + 28, seconds, bus) end
+  if not window.may_have_drops then return end
+  options = options or packet_options(window, offset, length)
+  note_drops(self, window, interface, seconds, options)
+end
+
 -- Read a block with a packet, of the enhanced or of the obsolete kind.
 local function read_packet(self, window, offset, length, kind)
   self.count = self.count + 1
-  if not (self.keeps or window.may_have_drops) then return end -- the usual case
+  local is_wanted = self.keeps or self.has_serial or window.may_have_drops
+  if not is_wanted then return end -- the usual case
   if length < 32 then return true end
-  if self.keeps then
-    local number, high, low = three_numbers(window, offset + 8)
-    if kind == OBSOLETE then number = window:number(offset + 8, 2) end
-    local interface = interface_of(self, number)
-    if not interface then return true end
-    keep_bus(self, window, interface, offset + 28, seconds_of(interface, high, low))
+  local number, high, low = three_numbers(window, offset + 8)
+  if kind == OBSOLETE then number = window:number(offset + 8, 2) end
+  local interface = interface_of(self, number)
+  if not interface then return self.keeps end
+  local seconds = seconds_of(interface, high, low)
+  if kind == ENHANCED then
+    read_enhanced(self, window, offset, length, interface, seconds)
+  elseif self.keeps then
+    keep_bus(self, window, interface, offset + 28, seconds)
   end
-  if window.may_have_drops and kind == ENHANCED then read_drops(self, window, offset, length) end
 end
 
 -- A simple block has a packet of the section's first interface, without a time.
@@ -419,8 +461,20 @@ local function merge_sections(self)
   end
 end
 
+-- Let the first direction of a serial line have its name, now that it is known.
+local function name_directions(self)
+  for _, interface in ipairs(self.interfaces) do
+    local direction, bus = interface.direction or 0, interface.bus
+    if direction ~= 0 then
+      self.buses[bus].index = direction
+      interface.buses[0], interface.buses[direction] = nil, bus
+    end
+  end
+end
+
 -- Set what is known once all packets have been read.
 local function conclude(self)
+  name_directions(self)
   merge_sections(self)
   self.has_packets = self.has_packets or self.count > 0
   local may_have_more = self.yapp_interfaces > 0 or #self.interfaces == 0
@@ -444,6 +498,7 @@ local function new_capture()
     count = 0,
     early = 0, -- packets before the second interface: all that may be YAPP are of bus 1
     keeps = false, -- whether the buses of packets are wanted
+    has_serial = false, -- whether a serial line, whose packets may have a direction, is among them
     has_indexes = false, -- whether Linux cooked v2 is among the interfaces
     entries = {}, -- [number of a packet] = its bus * TIMES + when it was captured
     interfaces = {}, -- of the file
@@ -516,21 +571,29 @@ function Capture:bus(number, captured)
   return self.merged[bus] or bus
 end
 
+-- Return a bus of an interface; the parameters are those of Capture:bus_by_fields.
+local function bus_in(self, interface, index, event, direction)
+  if direction and IS_SERIAL[interface.linktype] then
+    return bus_of_direction(self, interface, FLAG_DIRECTIONS[direction] or 0)
+  end
+  return bus_number(self, interface, event and (DIRECTIONS[event] or "tx") or index)
+end
+
 --- Return the bus of a packet that was not read, by what Wireshark's fields say.
 -- section    its number, from 1
 -- interface  its number in the section
 -- index      of Linux cooked v2, 0 for none; event: of RTAC, or nil
 -- name       of the interface, or nil
+-- direction  of its flags, or nil
 -- returns    a bus; nil where the section was not read
-function Capture:bus_by_fields(section, interface, index, event, name)
+function Capture:bus_by_fields(section, interface, index, event, name, direction)
   local first = self.firsts[section] or section == 1 and 0
   if not first then return nil end
   local number = first + interface
   local record = self.interfaces[number + 1] or
     { number = number, name = name and utf8.name(name), buses = {} }
   self.interfaces[number + 1] = record
-  if event then index = DIRECTIONS[event] or "tx" end
-  local bus = bus_number(self, record, index)
+  local bus = bus_in(self, record, index, event, direction)
   if not self.names[bus] then name_bus(self, bus) end
   -- In a live capture further indexes may follow, so a bus with an index is one of several at once.
   local is_first = self.is_live and bus == 1 and index ~= 0 and not event
