@@ -668,7 +668,8 @@ def test_what_no_message_is_found_in(folder):
 
 
 def test_a_display_filter_narrows_no_statistic(folder):
-    for options, is_said in (([], False), (["-Y", "yapp"], True), (["-Yyapp"], True)):
+    for options, is_said in (([], False), (["-Y", "yapp"], True), (["-Yyapp"], True), (["-qY", "yapp"], True),
+                               (["-n2Yyapp"], True), (["-rY.pcap"], False)):
         done = tshark.run("-q", *options, "-r", CASES_FOLDER / "g0_clean.pcapng", "-z", "yapp,summary", "-z",
                           "yapp,faults,filter=yapp")
         assert [line.startswith("-Y does not narrow") for line in done.stdout.splitlines()].count(True) == is_said

@@ -111,6 +111,8 @@ def test_nonsense_is_refused(setting):
     ("sources:0x210=moter:left", 'yapp.sources: no message "moter" in "0x210=moter:left"; known messages: ' +
      ", ".join(message[0] for message in model.MESSAGES.values())),
     ("late:soon", 'yapp.late: no number above 0 in "soon"; it is 2.5 until you change it'),
+    ("late:0x10", 'yapp.late: no number above 0 in "0x10"; it is 2.5 until you change it'),
+    ("late:1e999", 'yapp.late: no number above 0 in "1e999"; it is 2.5 until you change it'),
     ("user_dlt:1,147", "yapp.user_dlt: link type 1 is no DLT_USER; those are 147 to 162"),
     ("command_ids:0x210", "ID 0x210 is given to Command and to Motor Data: it stays with Command")])
 def test_what_cannot_be_read_is_said_and_is_never_well(setting, said):

@@ -1145,7 +1145,7 @@ function T.test_wrong_options_are_named()
     ["csv"] = "csv: it is csv,FOLDER or csv,-,MESSAGE",
     ["csv,-"] = "csv: it is csv,FOLDER or csv,-,MESSAGE",
     ["csv,-,motor,json"] = "csv: csv,- prints a table; json is for csv,FOLDER",
-    ["csv,-,moter"] = "moter: there is no such message in the catalogue",
+    ["csv,-,moter"] = "moter: no such message; known messages: motor, note, health",
     ["csv,x,over"] = "over: the options of csv are replace, all, json, filter=EXPRESSION",
     ["check,crc=-1"] = 'crc=-1: "-1" is not a number of messages',
     ["check,crc=1.5"] = 'crc=1.5: "1.5" is not a number of messages',
@@ -1174,6 +1174,21 @@ function T.test_wrong_options_are_named()
     lu.assertEquals(options_of.read("yapp," .. text, CATALOGUE).problems[1], problem)
   end
   lu.assertStrContains(options_of.read("yapp,check,fault", CATALOGUE).problems[1], "a rule is one of fault=N")
+end
+
+-- A line of many blanks takes as long as one of other bytes: not 400,000 steps for each blank.
+function T.test_a_file_of_blanks_is_read_at_once()
+  local path, blanks = os.tmpname(), (" "):rep(400000)
+  for _, line in ipairs { blanks, "fault=0" .. blanks .. "# none", "fault" .. blanks .. "= 0", blanks .. "x" .. blanks .. "y" } do
+    local file = assert(io.open(path, "wb"))
+    file:write(line)
+    file:close()
+    local before = os.clock()
+    local options = options_of.read("yapp,check,crc=0,rules=" .. path, CATALOGUE)
+    lu.assertTrue(#options.rules + #options.problems >= 2)
+    lu.assertTrue(os.clock() - before < 5)
+  end
+  os.remove(path)
 end
 
 -- One a line; a # begins a comment, but for one in the name of a source.

@@ -46,6 +46,11 @@ function T.test_invisible_characters()
     ["\226\129\160\226\129\169"] = "\\xE2\\x81\\xA0\\xE2\\x81\\xA9", -- U+2060, U+2069
     ["\216\156"] = "\\xD8\\x9C",                              -- U+061C, Arabic letter mark
     ["\239\187\191x"] = "\\xEF\\xBB\\xBFx",                  -- U+FEFF
+    ["ro\194\173tor"] = "ro\\xC2\\xADtor",                  -- U+00AD, soft hyphen
+    ["\243\160\128\161\243\160\129\191"] = "\\xF3\\xA0\\x80\\xA1\\xF3\\xA0\\x81\\xBF", -- U+E0021, U+E007F, tags
+    ["\239\191\189\239\191\190\239\191\191"] = "\239\191\189\\xEF\\xBF\\xBE\\xEF\\xBF\\xBF", -- U+FFFD is seen; U+FFFE
+    ["\227\133\164\225\160\142"] = "\\xE3\\x85\\xA4\\xE1\\xA0\\x8E", -- U+3164, U+180E
+    ["\243\161\128\128\239\191\188"] = "\243\161\128\128\239\191\188", -- U+E1000, U+FFFC stay
     ["\226\128\138\226\128\144"] = "\226\128\138\226\128\144", -- U+200A, U+2010 are seen
   } do
     lu.assertEquals(utf8.printable(text), expected)

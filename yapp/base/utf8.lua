@@ -12,10 +12,26 @@ local CHARACTERS = {
 }
 for i, character in ipairs(CHARACTERS) do CHARACTERS[i] = character:gsub("C", "[\128-\191]") end
 
--- Characters that are invisible or change the direction of the text around them: U+061C, U+200B to
--- U+200F, U+2028 to U+202E, U+2060 to U+206F, U+FEFF
+-- Characters that nobody sees, or that change the text around them: Unicode's
+-- Default_Ignorable_Code_Point, the separators U+2028 and U+2029, annotations; and U+FFFE, U+FFFF,
+-- which XML does not allow.
 local INVISIBLE = {
-  "\216\156", "\226\128[\139-\143]", "\226\128[\168-\174]", "\226\129[\160-\175]", "\239\187\191",
+  "\194\173",                     -- U+00AD, soft hyphen
+  "\205\143", "\216\156",         -- U+034F, U+061C
+  "\225\133[\159\160]",           -- U+115F, U+1160
+  "\225\158[\180\181]",           -- U+17B4, U+17B5
+  "\225\160[\139-\143]",          -- U+180B to U+180F
+  "\226\128[\139-\143]",          -- U+200B to U+200F
+  "\226\128[\168-\174]",          -- U+2028 to U+202E
+  "\226\129[\160-\175]",          -- U+2060 to U+206F
+  "\227\133\164",                 -- U+3164
+  "\239\184[\128-\143]",          -- U+FE00 to U+FE0F
+  "\239\187\191", "\239\190\160", -- U+FEFF, U+FFA0
+  "\239\191[\176-\187]",          -- U+FFF0 to U+FFFB
+  "\239\191[\190\191]",           -- U+FFFE, U+FFFF
+  "\240\155\178[\160-\163]",      -- U+1BCA0 to U+1BCA3
+  "\240\157\133[\179-\186]",      -- U+1D173 to U+1D17A
+  "\243\160",                     -- U+E0000 to U+E0FFF: tags and variations
 }
 
 --- Return the text with a "?" for each character beyond ASCII.  Bytes that are not UTF-8 stay, as

@@ -1,6 +1,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- The preferences: their names and texts, and what their values mean.  Wireshark's API.
 
+local input = require "yapp.base.input"
+
 local M = {}
 
 local FIRST_DLT, LAST_DLT = 147, 162 -- DLT_USER0 .. DLT_USER15
@@ -97,8 +99,8 @@ end
 --- Return how many periods a gap may last, a number above 0; and a list of what is wrong.
 -- text  of the preference; if it is not a number above 0, use 2.5
 function M.late(text)
-  local late = tonumber(text)
-  if late and late > 0 and late < math.huge then return late, {} end
+  local late = input.decimal(input.trim(text))
+  if late and late > 0 then return late, {} end
   local problem = 'yapp.late: no number above 0 in "%s"; it is 2.5 until you change it'
   return 2.5, { problem:format(text) }
 end

@@ -14,7 +14,7 @@ local summary = require "yapp.stat.summary"
 
 local M = {}
 
-local demand, find, trim = input.demand, input.find, input.trim
+local demand, decimal, find, trim = input.demand, input.decimal, input.find, input.trim
 
 local RULES = table.concat(kinds.RULES, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=A..B, " ..
   "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X"
@@ -23,19 +23,13 @@ local RANGE = "a range is A..B, A.. or ..B"
 local INFINITE = math.huge
 local MAX_FILE = 2 ^ 20 -- bytes of a file of rules
 
--- Return a decimal number; nil for hexadecimal, nan, inf and other texts.
-local function number(text)
-  local value = text:find("^[+-]?[%d.]+[eE]?[+-]?%d*$") and tonumber(text)
-  return input.is_finite(value) and value or nil
-end
-
 -- Rules -------------------------------------------------------------------------------------------
 --
 -- Functions from here to the rows of the statistics raise what is wrong.
 
 -- Return a number that is not below 0; for a count one without a fraction.
 local function limit_of(text, what, is_count)
-  local value = number(text)
+  local value = decimal(text)
   local is_good = value and value >= 0 and not (is_count and text:find("%D"))
   return demand(is_good and value, "%q is not a %s", text, what)
 end
@@ -43,7 +37,7 @@ end
 -- An end of a range, which may be left out.
 local function end_of(text, none)
   if text == "" then return none end
-  return demand(number(text), RANGE)
+  return demand(decimal(text), RANGE)
 end
 
 -- Return the ends of A..B, A.. or ..B.
@@ -127,6 +121,12 @@ local function try(options, part, call, catalogue)
   table.insert(options.problems, ("%s%s: %s"):format(options.line, part, why))
 end
 
+-- Return a part without the blanks around the first of these signs.
+local function without_blanks(part, sign)
+  local from, to = part:find(sign, 1, true)
+  return from and trim(part:sub(1, from - 1)) .. sign .. trim(part:sub(to + 1)) or part
+end
+
 local read_check
 
 -- The rules of a file, one a line.  A # begins a comment, unless it stands in the name of a source.
@@ -154,7 +154,7 @@ local function read_file(options, path, catalogue)
 end
 
 function read_check(options, part, catalogue)
-  part = part:gsub("%s*=%s*", "=", 1):gsub("%s*%.%.%s*", "..")
+  part = without_blanks(without_blanks(part, "="), "..")
   local name, value = part:match("^(%w+)=(.*)$")
   if name == "junit" or name == "source" or name == "rules" then
     demand(value ~= "", "it is empty")
@@ -201,8 +201,8 @@ local function read_csv(options, part, catalogue)
     return
   end
   if options.folder ~= "-" or options.chosen then refuse(options) end
-  options.chosen = find(catalogue.messages, part)
-  demand(options.chosen, "there is no such message in the catalogue")
+  local message, names = find(catalogue.messages, part)
+  options.chosen = demand(message, "no such message; known messages: %s", names or "none")
 end
 
 local function finish_csv(options)

@@ -41,7 +41,8 @@ local function hint()
   if not file then return nil end
   local words = file:read("*a")
   file:close()
-  local is_there = words:find("\0-Y", 1, true) or words:find("\0--display-filter", 1, true)
+  -- Options without a value may stand in front: -qY.
+  local is_there = words:find("\0%-[2DgIlLnpPqQvVx]*Y") or words:find("\0--display-filter", 1, true)
   return is_there and "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
 end
 
