@@ -952,7 +952,7 @@ function T.test_nothing_to_judge_by()
   lu.assertStrContains(note(",source=who,crc=0", { record(1, 0) }), "no message of a source that yapp.sources calls who came")
   lu.assertStrContains(note(",absent=0", { record(1, 0) }), "no source is named with a message: see yapp.sources")
   lu.assertStrContains(note(",motor.volts.spread=1", { record(1, 0) }), "no two sources of it have a value at one time")
-  lu.assertStrContains(note(",motor.rate=1", { record(1, 0), record(2, 0) }), "no two messages at different times")
+  lu.assertStrContains(note(",motor.rate=1", { record(1, 0), record(2, 0) }, { last = 1 }), "no two messages at different times")
   lu.assertStrContains(run({ "check" }, { record(1, 0) }, { matches = {} }), "no message matches the filter\n")
 end
 
@@ -1064,6 +1064,33 @@ function T.test_packets_that_were_dropped()
   lu.assertEquals(verdicts("dropped=41,dropped=42", { record(1, 0) }, { drops = drops }), { "dropped=41 null false 42 3",
     "dropped=42 null true 42 3", "unknown=0 null true 0 null" })
   lu.assertEquals(lines((run({ "faults,json" }, { record(1, 0) }, { drops = drops }))), {})
+end
+
+-- An adapter without a clock of its own gives all packets one time, not always 0.
+function T.test_stamps_that_are_all_equal_are_none()
+  local why = "all packets of this capture have the same time stamp"
+  for _, time in ipairs { 0, 7.5 } do
+    local records = { record(1, time, { change = raised(1, 1) }), record(2, time, { change = raised(0, 0, 1) }),
+      record(3, time, { change = raised(2, 2) }) }
+    for _, what in ipairs(IN_TEXT) do lu.assertStrContains(run({ what }, records), why, what) end
+    for _, what in ipairs(AS_DATA) do
+      local _, _, texts = run({ what }, records)
+      lu.assertStrContains(table.concat(texts, "\n"), why, what)
+    end
+    local faults = lines((run({ "faults,json" }, records)))
+    lu.assertEquals(#faults, 4) -- raised, cleared, raised, still active
+    for _, line in ipairs(faults) do lu.assertStrContains(line, '"active":null') end
+    lu.assertNotStrContains(run({ "events" }, records), "after 0")
+    for _, rule in ipairs { "silence=0", "motor.gap=0.3", "motor.rate=1" } do
+      local printed, code = run({ "check," .. rule }, records)
+      lu.assertEquals(code, 21, rule)
+      lu.assertStrContains(printed, why)
+    end
+    lu.assertStrContains(run({ "summary,json" }, records), '"rate":null,"gap_min":null,"gap_mean":null,"gap_max":null')
+    records[4] = record(4, time + 0.001)
+    for _, what in ipairs(IN_TEXT) do lu.assertNotStrContains(run({ what }, records), why, what) end
+  end
+  lu.assertNotStrContains(run({ "check" }, { record(1, 0) }), why) -- a single packet has one time by nature
 end
 
 -- Rules about time cannot be judged where packets have no time stamps.

@@ -168,7 +168,7 @@ end
 -- ok  FAILED if it does not seem to hold
 local function reason_of(kind, group, ending, ok)
   if kind.needs_time and ending.lacks_times then
-    return "packets of this capture have no time stamps"
+    return ending.lacks_times
   end
   if ok == FAILED then return nil end
   if kind.needs_past and group.is_unreliable then

@@ -22,6 +22,7 @@ local M = {}
 
 local new_event, span, NOTHING = kinds.event, kinds.span, kinds.NOTHING
 local MAX_GAP = 1.5 -- periods; a longer gap has room for another message
+local NO_SPANS = "how long faults, gaps and silences lasted is not known"
 local LEFT_OUT = "changes of faults, reboots and gaps are unreliable and left out"
 local UNRELIABLE = "nothing tells the buses of %s apart: " .. LEFT_OUT
 local SHARED = "two controllers appear to send %s: from frame %d on " .. LEFT_OUT
@@ -296,7 +297,8 @@ local function notes_of(self, ending)
   local reason, matched, options = ending.reason, self.matched, self.options
   if matched and not next(self.came) then reason = reason or "no message matches the filter" end
   local doubts = self.statistic.follows_changes and self.doubts or NOTHING
-  local notes = joined({ reason }, self.undecoded:texts(), doubts)
+  local no_times = ending.lacks_times and ending.lacks_times .. ": " .. NO_SPANS
+  local notes = joined({ reason }, { no_times }, self.undecoded:texts(), doubts)
   if options.looks_for_faults or options.row.looks_for_faults then
     notes[#notes + 1] = hiding(self, ending.now)
   end

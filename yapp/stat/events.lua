@@ -46,7 +46,7 @@ function Events:event(event)
   end
 end
 
-local function row_of(self, event)
+local function row_of(self, event, ending)
   local values, time = event.values, event.time
   local row = {
     kind = event.kind,
@@ -59,7 +59,8 @@ local function row_of(self, event)
   for key, value in pairs(values) do
     row[key] = value
   end
-  local function fill(key) return output.text(values[key], true) end
+  if ending.lacks_times then row.active, row.after = nil, nil end
+  local function fill(key) return output.text(row[key], true) end
   row.details = kinds.BY_NAME[event.kind].text:gsub("{(%w+)}", fill)
   return output.row(event.source, row)
 end
@@ -79,7 +80,7 @@ function Events:finish(ending, notes)
   if what == "events" then output.sort(list, order_of) end
   local title = ("YAPP %s: %d"):format(what, #list)
   output.print(self.context, title, KEYS[what], list, notes, function(event)
-    return row_of(self, event)
+    return row_of(self, event, ending)
   end)
 end
 

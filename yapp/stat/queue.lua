@@ -16,6 +16,9 @@ local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, s
 local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first, " ..
   "in Wireshark also yapp.search_all" -- tshark searches all of a file for a statistic
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
+local NO_TIMES = "packets of this capture have no time stamps"
+-- As candump -H writes them for an adapter that has no clock.
+local EQUAL_TIMES = "all packets of this capture have the same time stamp"
 
 local floor = math.floor
 
@@ -36,6 +39,7 @@ function Queue:reset()
   self.offered, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
   self.waiting = {}
   self.last = nil -- time of the latest packet
+  self.has_progress = false -- whether it differs from the packet's before
   self.packets = 0
   self.stepped_back = 0 -- sum of the seconds that the capture's clock went back, see time_of
   self.latest = {} -- [bus] = when its latest message came
@@ -177,6 +181,7 @@ function Queue:packet(number, rel, lacks_clock)
   flush(self)
   local step = self.last and kinds.span(self.last, rel) or 0
   self.last, self.packets = rel, self.packets + 1
+  self.has_progress = self.has_progress or step ~= 0
   if step < -MAX_STEP and not lacks_clock then
     self.fallen = self.fallen - step
     local values = { length = output.seconds(step), back = output.seconds(-step) }
@@ -206,6 +211,12 @@ local function nothing_found(self, capture)
   return ("no YAPP message found in %s: see %s"):format(packets, SEARCH_PREFERENCES)
 end
 
+-- Return why times of packets mean nothing; nil if they mean something.
+local function lacks_times(self, capture)
+  if capture.lacks_times then return NO_TIMES end
+  return self.packets > 1 and not self.has_progress and EQUAL_TIMES or nil
+end
+
 --- Say that all packets have come: events are handed on at once.
 function Queue:end_packets()
   flush(self)
@@ -230,7 +241,7 @@ function Queue:finish(capture)
     now = self.last and self.last + math.max(self.stepped_back, self.fallen),
     begin = seconds + nanoseconds / 1e9, -- of the first packet
     reason = nothing_found(self, capture), -- why no message was found, nil if one was
-    lacks_times = capture.lacks_times,
+    lacks_times = lacks_times(self, capture),
     drops = capture.drops,
     undissected = self.undissected,
     hint = self.hint,

@@ -39,16 +39,14 @@ local Summary = groups.class { follows_changes = true }
 --- See groups.class.
 M.new = Summary.new
 
-local function row_of(group)
-  local rate, gap_mean = groups.pace(group)
-  local row = output.row(group.source, {
-    count = group.count,
-    rate = rate,
-    gap_min = output.seconds(group.gap_min),
-    gap_mean = output.seconds(gap_mean),
-    gap_max = output.seconds(group.gap_max),
-    gap_max_frame = group.gap_max_frame,
-  })
+local function row_of(group, ending)
+  local row = output.row(group.source, { count = group.count })
+  if not ending.lacks_times then
+    local rate, gap_mean = groups.pace(group)
+    row.rate, row.gap_mean = rate, output.seconds(gap_mean)
+    row.gap_min, row.gap_max = output.seconds(group.gap_min), output.seconds(group.gap_max)
+    row.gap_max_frame = group.gap_max_frame
+  end
   for key, kind in pairs(COUNTS) do
     row[key] = group.counts[kind].seen
   end
@@ -65,7 +63,7 @@ function Summary:finish(ending, notes)
       names[j], ranges[row.field] = row.field, output.object(RANGE, row)
       if row.min then shown[#shown + 1] = row end
     end
-    rows[i] = row_of(group)
+    rows[i] = row_of(group, ending)
     rows[i].values = output.object(names, ranges)
   end
   local sources = output.count(#rows, "source")

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""What recorders do to time stamps: they give all packets the same one."""
+import json
+import re
+
+import pytest
+
+import flights
+import tshark
+
+CASES = tshark.CAPTURES / "cases"
+EQUAL = "all packets of this capture have the same time stamp: how long faults, gaps and silences lasted is not known"
+FLIGHT = flights.make(3)
+
+
+def z(path, what, *arguments):
+    done = tshark.run("-q", "-r", path, *arguments, "-z", f"yapp,{what}", check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_c01_hw_stamps_zero_motor_dead():
+    """candump -H on an adapter without a hardware clock; Motor Data stops after 16 messages."""
+    code, printed, _ = z(CASES / "c01_hw_stamps_zero_motor_dead.log", "check,silence=0,motor.gap=0.3")
+    assert code == 21 and EQUAL in printed
+    assert len(re.findall("NOT JUDGED  (?:silence=0|motor.gap=0.3)", printed)) == 4
+
+
+def test_c01_hw_stamps_zero():
+    """The same as screen text, with a fault of one second."""
+    code, printed, said = z(CASES / "c01_hw_stamps_zero.txt", "faults,json")
+    rows = [json.loads(line) for line in printed.splitlines()]
+    assert code == 0 and [(row["event"], row["active"]) for row in rows] == [("raised", None), ("cleared", None)]
+    assert EQUAL in said
+
+
+@pytest.mark.parametrize("stamp", ["0000000000.000000", "1700000000.250000"])
+def test_no_fault_is_missed(folder, stamp):
+    """A flight with many faults: their order stays, how long they lasted is not known."""
+    path = folder / "flight.log"
+    FLIGHT.write(path, "candump")
+    text, count = re.subn(r"(?m)^\(\d+\.\d+\)", f"({stamp})", path.read_text())
+    assert count > 1000
+    path.write_text(text)
+    _, printed, said = z(path, "faults,json", *FLIGHT.arguments("candump"))
+    rows = [json.loads(line) for line in printed.splitlines()]
+    truth = FLIGHT.truth("candump")["faults"]
+    keys = ("frame", "bus", "id", "field", "flag", "event")
+    assert truth and [[row[key] for key in keys] for row in rows] == [[fault[key] for key in keys] for fault in truth]
+    assert {row["active"] for row in rows} == {None} and EQUAL in said
+    code, printed, _ = z(path, "check,silence=0,stale=0,jump=0", *FLIGHT.arguments("candump"))
+    assert code == 21 and not re.search("(?m)^(FAILED|ok) +(silence|stale|jump)", printed)
