@@ -134,6 +134,19 @@ local settings = { version = VERSION, catalogue = catalogue }
 
 -- Dissectors --------------------------------------------------------------------------------------
 
+-- A call that began and did not end failed: with a Lua error, which Wireshark shows in the packet
+-- alone.
+local begun, ended = 0, 0
+
+local function counted(call)
+  return function(...)
+    begun = begun + 1
+    local result = call(...)
+    ended = ended + 1
+    return result
+  end
+end
+
 -- Return the CAN id of a frame that did not come through the table of ids, as socketcan.find_id
 -- does.
 local function find_id(pinfo)
@@ -143,11 +156,13 @@ local function find_id(pinfo)
 end
 
 -- Decode As on CAN: every extended data frame is YAPP's.
-function all.dissector(tvb, pinfo, root)
+local function dissect_any(tvb, pinfo, root)
   local can_id, is_unknown = find_id(pinfo)
   if can_id then return frames:dissect(tvb, pinfo, root, can_id, true) end
   return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
 end
+
+all.dissector = counted(dissect_any)
 
 -- The heuristic sees every frame that no other dissector accepts.  With the preference
 -- yapp.all_extended it accepts them; for a statistic it notes them.  It costs time for each such
@@ -155,7 +170,7 @@ end
 local accepts_all, is_heuristic = false, false -- accepts_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
-  if accepts_all then return all.dissector(tvb, pinfo, root) > 0 end
+  if accepts_all then return dissect_any(tvb, pinfo, root) > 0 end
   note_frame(tvb, pinfo)
   return false
 end
@@ -164,33 +179,36 @@ local function watch_unclaimed()
   socketcan.wrap(header)
   if is_heuristic then return end
   is_heuristic = true
-  all:register_heuristic("can", unclaimed)
+  all:register_heuristic("can", counted(unclaimed))
 end
 
 -- Called from the table of ids, where match_uint is the CAN id.
-function yapp.dissector(tvb, pinfo, root)
-  return frames:dissect(tvb, pinfo, root, pinfo.match_uint, accepts_all)
+function yapp.dissector(tvb, pinfo, root) -- counted, without the call that this costs
+  begun = begun + 1
+  local length = frames:dissect(tvb, pinfo, root, pinfo.match_uint, accepts_all)
+  ended = ended + 1
+  return length
 end
 
-function serial.dissector(tvb, pinfo, root)
+serial.dissector = counted(function(tvb, pinfo, root)
   return streams:dissect(tvb, pinfo, root)
-end
+end)
 
-function skipped.dissector(tvb, pinfo, root)
+skipped.dissector = counted(function(tvb, pinfo, root)
   return streams:skipped(tvb, pinfo, root)
-end
+end)
 
 -- Nothing calls this dissector, as YAPP shows the Taurus messages.  It must exist, because the API
 -- asks by dissector whether a protocol is wanted (see show.tree).
 function taurus.dissector() return 0 end
 
 -- A conversation becomes YAPP's with its first packet that is YAPP.
-local function found_by_content(tvb, pinfo, root)
+local found_by_content = counted(function(tvb, pinfo, root)
   if not streams:accepts(tvb, pinfo, root) then return false end
   pinfo.conversation = serial
   streams:dissect(tvb, pinfo, root)
   return true
-end
+end)
 
 -- Each call of a heuristic costs time, and most captures are full of other TCP and UDP.  So search
 -- only if the first bytes of a file may have a YAPP frame, if there are no packets yet (a live
@@ -224,6 +242,8 @@ stat = stat_taps.new {
   unfinished = unfinished,
   drops = drops,
   frames = frames,
+  counted = counted,
+  failures = function() return begun - ended end,
   watch = function()
     watch_unclaimed()
     if not gui_enabled() then search_streams() end
@@ -269,6 +289,8 @@ end
 yapp.prefs_changed = read_preferences
 
 function yapp.init()
+  begun, ended = 1, 0
+  stat:reset()
   read_preferences()
   buses:init()
   socketcan.init()
@@ -283,6 +305,7 @@ function yapp.init()
   local found = buses.found
   if found.head then streams:scan(found.head) end
   if yapp.prefs.search_all or found.may_have_frames then search_streams() end
+  ended = 1
 end
 
 -- Registration ------------------------------------------------------------------------------------

@@ -100,6 +100,7 @@ local function run(arguments, records, with)
   end
   if with.last then queue:packet(9999, with.last, with.lacks_clock) end
   local code, texts = queue:finish { unfinished = with.unfinished or {}, drops = with.drops or {},
+    problems = { with.unread }, unread = with.unread,
     lacks_times = with.lacks_times, extended = with.extended or 0, can = with.can or 0 }
   return table.concat(printed), code, texts
 end

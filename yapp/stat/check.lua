@@ -49,7 +49,7 @@ local SAME_SEQ = {
   short = "Seq No never changes",
 }
 
-local Check = groups.class {}
+local Check = groups.class { lists_problems = true }
 
 --- See groups.class.
 M.new = Check.new
@@ -165,11 +165,13 @@ local function measure_none(_, rule, check)
 end
 
 -- Why a rule cannot be judged, whatever was seen; nil for no reason.
--- ok  FAILED if it does not seem to hold
-local function reason_of(kind, group, ending, ok)
+-- ok           FAILED if it does not seem to hold
+-- is_exceeded  whether more packets cannot make it hold
+local function reason_of(kind, group, ending, ok, is_exceeded)
   if kind.needs_time and ending.lacks_times then
     return ending.lacks_times
   end
+  if ending.unread and not is_exceeded then return ending.unread end
   if ok == FAILED then return nil end
   if kind.needs_past and group.is_unreliable then
     return "what came before its messages is not known: see -z yapp,events"
@@ -182,7 +184,9 @@ end
 local function add_row(self, rule, group, seen, frame, note, worst)
   local shown = seen and tonumber(("%.12g"):format(seen)) -- 10, not 9.9999999999999982
   local ok = seen and shown >= rule.low and shown <= rule.high and OK or FAILED
-  local reason, limit = reason_of(rule.kind, group, self.ending, ok), rule.text:match("=(.*)$")
+  local is_exceeded = seen and shown > rule.high
+  local reason = reason_of(rule.kind, group, self.ending, ok, is_exceeded)
+  local limit = rule.text:match("=(.*)$")
   if reason or not seen then ok = UNJUDGED end
   self.counts[ok] = self.counts[ok] + 1
   self.rows[#self.rows + 1] = output.row(group.source or { name = rule.source }, {
@@ -266,7 +270,7 @@ end
 -- returns  the exit code, and a text that says what is wrong besides rules, nil for nothing
 function Check:finish(ending, notes)
   local options, context, rows = self.options, self.context, {}
-  local problems = joined(context.settings.problems, options.problems)
+  local problems = joined(ending.problems, options.problems)
   self.ending, self.rows, self.counts = ending, rows, { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
   for _, rule in ipairs(options.rules) do
     judge(self, rule)

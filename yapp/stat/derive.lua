@@ -9,6 +9,7 @@
 --   finish(ending, notes)     ends: ending = see Queue:finish, notes = texts, what its answer
 --                             leaves out; returns the exit code and a text, each nil for none
 --   follows_changes           whether it says what changed since the message before
+--   lists_problems            whether it lists ending.problems itself
 --   wants_messages_only       whether it needs no events but good messages and those with a bad CRC
 
 local band = require "yapp.base.bits".band
@@ -297,13 +298,14 @@ local function notes_of(self, ending)
   local reason, matched, options = ending.reason, self.matched, self.options
   if matched and not next(self.came) then reason = reason or "no message matches the filter" end
   local doubts = self.statistic.follows_changes and self.doubts or NOTHING
+  local problems = self.statistic.lists_problems and NOTHING or ending.problems
   local no_times = ending.lacks_times and ending.lacks_times .. ": " .. NO_SPANS
-  local notes = joined({ reason }, { no_times }, self.undecoded:texts(), doubts)
+  local notes = joined(problems, { reason }, { no_times }, self.undecoded:texts(), doubts)
   if options.looks_for_faults or options.row.looks_for_faults then
     notes[#notes + 1] = hiding(self, ending.now)
   end
   if not matched then notes[#notes + 1] = ending.hint end
-  return notes, doubts[1] ~= nil
+  return notes, ending.problems[1] ~= nil or doubts[1] ~= nil
 end
 
 --- End: all events have come.

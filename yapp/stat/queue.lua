@@ -7,6 +7,7 @@
 -- order, so the events of a packet are handed on when the next packet comes.
 
 local derive = require "yapp.stat.derive"
+local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local output = require "yapp.stat.output"
 
@@ -226,7 +227,9 @@ end
 --- End: all packets have come.
 -- capture  { unfinished = events of the messages that it ends before, drops = of host.buses,
 --          lacks_times = whether packets have no time stamps, extended = number of extended CAN
---          frames that were not dissected, can = number of all such CAN frames }
+--          frames that were not dissected, can = number of all such CAN frames, problems = list of
+--          texts: why not all was read, unread = the same in short if
+--          packets were left out, nil if none }
 -- returns  the exit code, and a list of texts to say
 function Queue:finish(capture)
   flush(self)
@@ -242,6 +245,9 @@ function Queue:finish(capture)
     begin = seconds + nanoseconds / 1e9, -- of the first packet
     reason = nothing_found(self, capture), -- why no message was found, nil if one was
     lacks_times = lacks_times(self, capture),
+    -- What the user asked for and did not get, and why not all was read: texts.
+    problems = joined(self.settings.problems, capture.problems),
+    unread = capture.unread, -- the same in short if packets were left out
     drops = capture.drops,
     undissected = self.undissected,
     hint = self.hint,

@@ -2,6 +2,8 @@
 -- Statistics in tshark (-z yapp,...): taps, output, exit codes.  Wireshark's windows are
 -- stat.menu's.  Wireshark's API.
 
+local command = require "yapp.host.command"
+local joined = require "yapp.base.joined"
 local menu = require "yapp.stat.menu"
 local options_of = require "yapp.stat.options"
 local output = require "yapp.stat.output"
@@ -12,6 +14,12 @@ local M = {}
 -- While this is asked for, trees have the exact time, and what dissectors need of CAN headers.
 local CLOCK = "frame.time_epoch || can.id || can.flags.xtd == 1 || can.flags.rtr == 1"
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
+local FAILED = "the plugin failed, so the answer is incomplete: %s, see the filter _ws.lua.error"
+local UNREAD = "only %d of %d packets were read, as the reading was stopped, or another window " ..
+  "read: press Refresh"
+local GOES_ON = "only %s were read: the live capture (-b) went on in %s, which tshark " ..
+  "does not analyse: read each file with tshark -r"
+local BUSY = "YAPP: another window is still reading the packets: press Refresh when it is done\n"
 
 local Stat = {}
 Stat.__index = Stat
@@ -28,21 +36,19 @@ Stat.__index = Stat
 --   drops      function() -> what the capture does not have, see host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
 --              key }
---   watch      function(), called when statistics begin: from then on Stat:note_frame is called }
+--   watch      function(), called when statistics begin: from then on Stat:note_frame is called
+--   counted    function(f) -> f, whose calls are counted
+--   failures   function() -> number of such calls that failed since the capture was opened }
 function M.new(parts)
+  parts.total = 0 -- in Wireshark: number of packets in the capture, see count_packets
   return setmetatable(parts, Stat)
 end
 
 -- Output ----------------------------------------------------------------------------------------
 
--- Return what to say if tshark has a display filter.  The API does not say it; Linux does.
-local function hint()
-  local file = IS_TSHARK and io.open("/proc/self/cmdline", "rb")
-  if not file then return nil end
-  local words = file:read("*a")
-  file:close()
-  -- Options without a value may stand in front: -qY.
-  local is_there = words:find("\0%-[2DgIlLnpPqQvVx]*Y") or words:find("\0--display-filter", 1, true)
+-- Return what to say if tshark has a display filter.
+local function hint_of(options)
+  local is_there = options.Y or options["display-filter"]
   return is_there and "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
 end
 
@@ -71,7 +77,7 @@ end
 -- 0.24 microseconds).
 local function tap_clock(self)
   local clock = listen(self, CLOCK)
-  function clock.packet(pinfo)
+  clock.packet = self.counted(function(pinfo)
     if self.is_exact then return end
     for _, info in ipairs { all_field_infos() } do
       if info.name == "frame.time_epoch" then
@@ -79,7 +85,7 @@ local function tap_clock(self)
         self.is_exact = true
       end
     end
-  end
+  end)
   return clock
 end
 
@@ -95,7 +101,7 @@ end
 
 local function tap_noted(self)
   local tap = listen(self)
-  function tap.packet(pinfo, tvb) read_noted(self, pinfo, tvb) end
+  tap.packet = self.counted(function(pinfo, tvb) read_noted(self, pinfo, tvb) end)
   return tap
 end
 
@@ -124,7 +130,7 @@ local function tap_packets(self)
   local tap, clock = listen(self), tap_clock(self)
   local is_waiting = IS_TSHARK
 
-  function tap.packet(pinfo, tvb)
+  tap.packet = self.counted(function(pinfo, tvb)
     read_noted(self, pinfo, tvb)
     if is_waiting and self.is_exact then
       is_waiting = false
@@ -132,16 +138,20 @@ local function tap_packets(self)
     end
     self.frames:decide_on_taps(self.builder.wanted)
     self.queue:packet(pinfo.number, pinfo.rel_ts, self.buses:lacks_clock())
-  end
+  end)
 
+  -- All packets will be revisited.  In Wireshark another window that wants to read while this
+  -- statistic reads resets all taps, too, although Wireshark then goes on with this reading.
   function tap.reset()
+    if not IS_TSHARK and self.queue.packets > 0 then return end
     self.queue:reset()
     self.is_exact, self.extended, self.can = false, 0, 0
   end
 end
 
 local function open(self)
-  self.queue, self.taps = queue.new(self.settings, hint()), {}
+  self.command, self.began = command.options(), os.time()
+  self.queue, self.taps = queue.new(self.settings, hint_of(self.command)), {}
   self.is_exact, self.extended, self.can = false, 0, 0
   self.noted, self.has_filter = nil, false
   self.intake:open(self.queue)
@@ -154,8 +164,24 @@ local function close(self)
   self.intake:close()
 end
 
+-- Return why packets of the capture were not read, nil if all were.
+local function unread_of(self)
+  local packets = self.queue.packets
+  if not IS_TSHARK then
+    return packets < self.total and UNREAD:format(packets, self.total) or nil
+  end
+  local files = command.count_later_files(self.command, self.began)
+  if files == 0 then return nil end
+  -- Where events are handed on at once, no tap counts the packets.
+  local read = self.queue.is_direct and "those of the first file" or
+    output.count(packets, "packet")
+  return GOES_ON:format(read, files and output.count(files, "more file") or "more files")
+end
+
 -- End all statistics; return the exit code, and a list of texts to say.
 local function finish(self)
+  local failures, unread = self.failures(), unread_of(self)
+  local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
   self.queue:end_packets()
   return self.queue:finish {
     unfinished = self.intake:unfinished(self.unfinished()),
@@ -163,6 +189,8 @@ local function finish(self)
     lacks_times = self.buses:lacks_times(),
     extended = self.extended,
     can = self.can,
+    problems = joined({ failed }, { unread }),
+    unread = unread and "not all packets were read",
   }
 end
 
@@ -191,7 +219,7 @@ local function begin(self, text, context)
   local deriver = events:add(statistic, options)
   if filter then
     self.has_filter = true
-    function filter.packet(pinfo) deriver.matched[pinfo.number] = true end
+    filter.packet = self.counted(function(pinfo) deriver.matched[pinfo.number] = true end)
   end
 end
 
@@ -199,6 +227,8 @@ end
 -- text     as behind -z
 -- returns  its output and the problems, as one text; a list of the frames in it
 function Stat:run(text)
+  if self.is_reading then return BUSY, {} end
+  self.is_reading = true
   local said, frames = {}, {}
   local function out(chunk) said[#said + 1] = chunk end
   open(self)
@@ -208,6 +238,7 @@ function Stat:run(text)
     return select(2, finish(self))
   end)
   close(self)
+  self.is_reading = false
   for _, problem in ipairs(ok and texts or { tostring(texts) }) do
     out(problem .. "\n")
   end
@@ -247,9 +278,24 @@ local function read_argument(self, text)
   end })
 end
 
+-- Count the packets of a capture in Wireshark, where somebody may stop a statistic's reading.
+local function count_packets(self)
+  local tap = Listener.new("frame")
+  function tap.packet(pinfo)
+    local number = pinfo.number
+    if number > self.total then self.total = number end
+  end
+end
+
+--- Forget the capture file.
+function Stat:reset()
+  self.total = 0
+end
+
 --- Register -z yapp,... and, in Wireshark, the menus.
 function Stat:register()
   local show = gui_enabled() and menu.register(self)
+  if show then count_packets(self) end
   -- Wireshark swallows an error here, so all that can fail ends with a message and a code.
   local function run(text)
     if show then return show(text) end

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Where not all was read, or the plugin itself failed, no statistic says that all is well."""
+import subprocess
+
+import pytest
+
+import levels
+import make
+import model
+import tshark
+
+# One statistic in each form of its output; csv prints one table.
+FORMS = [name if name != "csv" else "csv,-,motor" for name in model.STATISTICS]
+FORMS += [name + ",json" for name in model.STATISTICS if name != "csv"]
+CLEAN = tshark.CAPTURES / "cases/g0_clean.pcapng"
+RING = tshark.CAPTURES / "cases/ring_fault_in_third_file.pcapng"
+
+
+def told(done, what, text):
+    """Whether a statistic says it: on stderr, and above its table."""
+    has_room = what in model.STATISTICS
+    return text in done.stderr and (not has_room or text in done.stdout)
+
+
+@pytest.mark.parametrize("what", levels.few(FORMS, ["faults", "csv,-,motor", "summary,json", "check"]))
+def test_a_preference_that_cannot_be_read(what):
+    done = tshark.run("-q", "-r", CLEAN, "-o", "yapp.late:often", "-z", f"yapp,{what}", check=False)
+    assert done.returncode == 21 and told(done, what, 'yapp.late: no number above 0 in "often"')
+    assert tshark.run("-q", "-r", CLEAN, "-z", f"yapp,{what}", check=False).returncode == 0
+
+
+@pytest.mark.parametrize("options, said", [
+    (["-o", "yapp.sources:can0/0x210=motr:left"], 'no message "motr"'),
+    (["-o", "yapp.user_dlt:9"], "no DLT_USER"),
+    (["-o", "yapp.messages:not_there.lua"], "not_there.lua")])
+def test_another_that_cannot(options, said):
+    done = tshark.run("-q", "-r", CLEAN, *options, "-z", "yapp,faults", check=False)
+    assert done.returncode == 21 and told(done, "faults", said)
+
+
+# The plugin fails --------------------------------------------------------------------------------------------------------
+
+# Where an error is planted: behind the first line of a function.
+PLACES = [("yapp/stat/derive.lua", "function Deriver:take(event, now)"),  # in taps of packets
+          ("yapp/stat/queue.lua", "function Queue:packet(number, rel, lacks_clock)")]
+
+
+def planted(folder, path, line, code):
+    plugin = tshark.copy_plugin(folder)
+    lines = (plugin / path).read_text().split("\n")
+    at = next(index for index, text in enumerate(lines) if text.startswith(line))
+    lines.insert(at + 1, code)
+    (plugin / path).write_text("\n".join(lines))
+    return plugin / "yapp.lua"
+
+
+FAILING_DISSECTOR = """
+  local dissect = frames.dissect
+  function frames.dissect(self, tvb, pinfo, ...)
+    if pinfo.number == 25 then error('planted') end
+    return dissect(self, tvb, pinfo, ...)
+  end"""
+FAILING = "YAPP_CALLS = (YAPP_CALLS or 0) + 1; if YAPP_CALLS % 7 == 3 then error('planted') end"
+
+
+@pytest.mark.parametrize("what", levels.few(FORMS, ["faults", "events,json"]))
+@pytest.mark.parametrize("path, line", PLACES)
+def test_a_lua_error_in_a_tap(folder, path, line, what):
+    script = planted(folder, path, line, FAILING)
+    done = tshark.run("-X", f"lua_script:{script}", "-q", "-r", CLEAN, "-z", f"yapp,{what}", check=False, plugin=False,
+                      lua_errors=True)
+    assert done.returncode == 21 and told(done, what, "the plugin failed")
+
+
+@pytest.mark.parametrize("what", ["check", "faults", "csv,-,motor"])
+def test_a_lua_error_in_a_dissector(folder, what):
+    """In the frame that ends a message: with it the message is lost."""
+    script = planted(folder, "yapp.lua", "function yapp.init()", FAILING_DISSECTOR)
+    done = tshark.run("-X", f"lua_script:{script}", "-q", "-r", CLEAN, "-z", f"yapp,{what}", check=False, plugin=False,
+                      lua_errors=True)
+    assert done.returncode in (20, 21) and told(done, what, "the plugin failed")
+
+
+# A ring of files ---------------------------------------------------------------------------------------------------------
+
+def capture(folder, ring, *arguments, ending="pcapng"):
+    """tshark captures what comes by its standard input."""
+    with open(RING, "rb") as stdin:
+        command = ["tshark", *tshark.load(), "-i", "-", *ring, "-w", folder / f"run.{ending}", *arguments]
+        done = subprocess.run([*map(str, command)], stdin=stdin, capture_output=True, text=True, timeout=60, check=False,
+                              **tshark._user())
+    return done, sorted(folder.glob("run*"))
+
+
+@pytest.mark.parametrize("what", ["check", "faults", "events,json", "csv,-,motor"])
+def test_a_live_capture_that_goes_on_in_new_files(folder, what):
+    done, files = capture(folder, ["-b", "packets:25"], "-q", "-z", f"yapp,{what}")
+    assert len(files) == 5 and done.returncode == 21
+    read = "those of the first file" if what.startswith("csv") else "25 packets"
+    assert told(done, what, f"only {read} were read: the live capture (-b) went on in 4 more files")
+
+
+def test_a_live_capture_that_needs_one_file(folder):
+    done, files = capture(folder, ["-bpackets:1000"], "-q", "-z", "yapp,faults")
+    assert len(files) == 1 and done.returncode == 0 and "YAPP faults: " in done.stdout and "only" not in done.stdout
+
+
+def test_files_of_an_earlier_capture_do_not_count(folder):
+    for name in ("run_00002_20200101000000.pcapng", "run_00003_x.pcapng", "other_00002_29991231235959.pcapng"):
+        (folder / name).write_bytes(b"")
+    done, _ = capture(folder, ["--ring-buffer", "packets:1000"], "-qz", "yapp,faults")
+    assert done.returncode == 0, done.stdout
+
+
+def test_a_failed_rule_stays_failed_where_more_packets_cannot_mend_it(folder):
+    done, _ = capture(folder, ["-b", "packets:75"], "-q", "-z", "yapp,check,fault=0,motor.count=1000")
+    assert done.returncode == 20 and "FAILED      fault=0" in done.stdout and "NOT JUDGED  motor.count=1000" in done.stdout

@@ -1,0 +1,40 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The options of tshark's command line.  Pure Lua, 5.2 to 5.5.
+
+local M = {}
+
+local HAS_VALUE = {} -- the letters of tshark 4.0 to 4.6 that a value follows
+for letter in ("aAbBcCdeEfFHijJkKmMNoOrRsStTuUwWXyYz"):gmatch(".") do HAS_VALUE[letter] = true end
+
+-- Note the letters of a word such as -qYyapp.
+-- returns  the letter whose value is the next word; nil if the word is complete
+local function note_letters(found, letters)
+  for i = 1, #letters do
+    local letter = letters:sub(i, i)
+    local rest = letters:sub(i + 1)
+    found[letter] = HAS_VALUE[letter] and rest or ""
+    if HAS_VALUE[letter] then return rest == "" and letter or nil end
+  end
+end
+
+--- Return the options of a command line: their values by letter or long name, "" for none.
+-- text  the words, each with a zero byte behind it, as /proc/self/cmdline has them; the first is
+--       the program
+function M.options(text)
+  local found, open, is_program = {}, nil, true
+  for word in text:gmatch("([^\0]*)\0") do
+    local name, value = word:match("^%-%-([%w-]+)=?(.*)$")
+    if is_program then
+      is_program = false
+    elseif open then
+      found[open], open = word, nil
+    elseif name then
+      found[name] = value
+    elseif word:find("^%-.") then
+      open = note_letters(found, word:sub(2))
+    end
+  end
+  return found
+end
+
+return M
