@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Flights with known truth: four controllers on two buses; faults, a reboot, a silence, lost frames, reserved counts.
+"""Flights with known truth: controllers on two buses; faults, a reboot, a silence, lost frames, reserved counts.
 
-flights.py SEED SECONDS FILE.pcapng
+flights.py SEED SECONDS FILE.pcapng [eight]
 """
 
 from __future__ import annotations
@@ -21,6 +21,13 @@ START = 1_700_000_000_000_000_000  # nanoseconds since 1970
 OPTIONS = ("yapp.motor_ids:0x210,0x211", "yapp.health_ids:0x200,0x201")
 BUSES = ("can0", "can1")
 OVERCURRENT, STALL = 0x1_0000, 0x80_0000
+# Of eight controllers one has an overcurrent of 0.3 s, one falls silent for good, one gets hot.
+EIGHT = ((), (), ("silent",), (), (), ("overcurrent",), (), ("hot",))
+EIGHT_OPTIONS = tuple(
+    f"yapp.{message}_ids:{','.join(f'can{n // 4}/{first + n % 4:#x}' for n in range(8))}"
+    for message, first in (("motor", 0x210), ("health", 0x200))
+)
+SHORT = 300_000_000  # nanoseconds of an overcurrent, and of the current before it
 FLAGS = {OVERCURRENT: "motor_overcurrent", STALL: "motor_stall"}
 NAN16, NAN8, ABOVE8 = 65535, 255, 252
 
@@ -86,8 +93,9 @@ def frames(message, payload):
 class Controller:
     """One controller and what happens to it."""
 
-    def __init__(self, rng, seconds, bus, number, plan):
-        self.rng, self.bus, self.number = rng, bus, number
+    def __init__(self, rng, seconds, number, of_a_bus, plan):
+        self.rng, self.number = rng, number
+        self.bus, self.on_bus = divmod(number, of_a_bus)
         self.boot = START - rng.randrange(10**10)
         self.fault = self.reboot = self.silence = None
         at = START + int(seconds * 1e9 * rng.uniform(0.2, 0.4))
@@ -99,20 +107,30 @@ class Controller:
             self.reboot = at
         if "silence" in plan:
             self.silence = at, at + int(seconds * 1e9 * 0.1)
+        if "silent" in plan:
+            self.silence = at, math.inf
+        if "overcurrent" in plan:
+            self.fault = at, at + SHORT, OVERCURRENT
+        self.surge = (at - SHORT, at + SHORT) if "overcurrent" in plan else (math.inf, 0)
+        self.hot = at if "hot" in plan else math.inf
 
     def motor(self, time):
         phase = (time - START) / 1e9
-        speed = 4000 + 500 * math.sin(phase / 7 + self.number) + self.rng.gauss(0, 5)
+        heat = max(0, min((time - self.hot) / 1e9 / 4, 60))
+        command = 4000 + 500 * math.sin(phase / 7) + 40 * math.sin(phase / 3 + self.number)
+        speed = command + self.rng.gauss(0, 5)
         raw_speed = NAN16 if self.rng.random() < 0.002 else count(speed, -60000, 60000, 65530)
         raw_temperature = (
-            self.rng.choice([NAN8, ABOVE8]) if self.number == 3 and phase % 20 < 1 else count(45, -40, 210, 250)
+            self.rng.choice([NAN8, ABOVE8]) if self.number == 3 and phase % 20 < 1 else count(45 + heat, -40, 210, 250)
         )
         begin, end, flag = self.fault or (math.inf, None, 0)
         faults = flag if begin <= time < (end or math.inf) else 0
-        current = count(12 + self.rng.gauss(0, 0.3), -128, 128, 65530)
+        surge = 2.6 if self.surge[0] <= time < self.surge[1] else 1
+        amperes = (12 * (speed / 4000) ** 2 + self.rng.gauss(0, 0.3)) * surge
+        current, voltage = (count(one, -128, 128, 65530) for one in (amperes, 50 - 0.15 * amperes))
         payload = struct.pack(
-            "<6HBBIIqBB", current, current, count(4000, -60000, 60000, 65530), raw_speed, count(48, -128, 128, 65530),
-            current, count(50 + min(phase / 60, 100), -40, 210, 250), 1, 0x0012_0000, faults, time - self.boot,
+            "<6HBBIIqBB", current, current, count(command, -60000, 60000, 65530), raw_speed, voltage,
+            current, count(50 + min(phase / 60, 100) + heat, -40, 210, 250), 1, 0x0012_0000, faults, time - self.boot,
             0x20 if faults else 0x2, raw_temperature,
         )  # fmt: skip
         return payload, raw_speed, raw_temperature, faults
@@ -124,12 +142,13 @@ class Controller:
 def write(path, seed, seconds, plans=(("fault",), ("reboot",), ("silence",), ("last fault",))):
     """Write a flight; plans: what happens to each controller. Returns its Truth."""
     rng, truth, pcap = random.Random(seed), Truth(), Pcapng(path)
-    controllers = [Controller(rng, seconds, n // 2, n, plan) for n, plan in enumerate(plans)]
+    of_a_bus = max(2, len(plans) // len(BUSES))
+    controllers = [Controller(rng, seconds, n, of_a_bus, plan) for n, plan in enumerate(plans)]
     state = [{"faults": 0, "last": None, "since": None} for _ in plans]
     for tick in range(int(seconds * 10)):
         for n, controller in enumerate(controllers):
             time = START + tick * 100_000_000 + n * 7_000_000 + rng.randrange(1_000_000)
-            if n % 2 == 0:
+            if controller.on_bus == 0:
                 truth.command += 1
                 send(pcap, time - 1_000_000, controller.bus, 0, struct.pack("<BBBHH", 1, 0xA5, 1, 32765, 34000))
             if controller.silence and controller.silence[0] <= time < controller.silence[1]:
@@ -137,10 +156,10 @@ def write(path, seed, seconds, plans=(("fault",), ("reboot",), ("silence",), ("l
             _motor(pcap, truth, controller, state[n], time)
             if tick % 5 == 0:
                 truth.health += 1
-                send(pcap, time + 3_000_000, controller.bus, 0x200 + n % 2, controller.health(time))
-    for n, known in enumerate(state):
+                send(pcap, time + 3_000_000, controller.bus, 0x200 + controller.on_bus, controller.health(time))
+    for one, known in zip(controllers, state, strict=True):
         if known["faults"]:
-            truth.faults.append((known["since"], None, BUSES[n // 2], 0x210 + n % 2, FLAGS[known["faults"]]))
+            truth.faults.append((known["since"], None, BUSES[one.bus], 0x210 + one.on_bus, FLAGS[known["faults"]]))
     truth.begin = pcap.begin
     truth.faults.sort(key=lambda row: row[0])
     pcap.file.close()
@@ -149,7 +168,7 @@ def write(path, seed, seconds, plans=(("fault",), ("reboot",), ("silence",), ("l
 
 def _motor(pcap, truth, controller, known, time):
     """Send Motor Data, or lose a frame of it, and note what that means."""
-    bus, message = BUSES[controller.bus], 0x210 + controller.number % 2
+    bus, message = BUSES[controller.bus], 0x210 + controller.on_bus
     if controller.reboot and time >= controller.reboot:
         controller.boot, controller.reboot, rebooted = time - 10_000_000, None, True
     else:
@@ -180,4 +199,5 @@ def send(pcap, time, bus, message, payload, lose=None):
 
 
 if __name__ == "__main__":
-    write(sys.argv[3], int(sys.argv[1]), float(sys.argv[2]))
+    given = {"plans": EIGHT} if sys.argv[4:] == ["eight"] else {}
+    write(sys.argv[3], int(sys.argv[1]), float(sys.argv[2]), **given)

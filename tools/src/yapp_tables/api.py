@@ -114,13 +114,19 @@ def convert(
 
 
 def report(
-    captures: StrPath | Iterable[StrPath], out: StrPath | None = None, *, overlay: bool = False, **how: Any
+    captures: StrPath | Iterable[StrPath],
+    out: StrPath | None = None,
+    *,
+    overlay: bool = False,
+    rules: StrPath | None = None,
+    **how: Any,
 ) -> Path:
     """Write the page of a capture, or a folder of pages with an index.html.
 
     out: the page or the folder, None for one named as the capture; overlay: lay several flights over each other, on one
-    page. Returns the page. Raises YappError.
+    page; rules: a file of rules, whose ranges are limits in the pictures. Returns the page. Raises YappError.
     """
     write = need(f"{__package__}.report", "report")
-    page: Path = write.write_reports(fleet.find(captures), Config("", tshark=tshark_of(**how)), out, overlay)[0]
+    config = Config("", tshark=tshark_of(**how))
+    page: Path = write.write_reports(fleet.find(captures), config, out, overlay, rules)[0]
     return page

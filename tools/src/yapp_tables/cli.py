@@ -70,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
 
     report = commands.add_parser("report", parents=[common], help="a page of a capture, pages of several")
     report.add_argument("--out", metavar="PAGE.html", help="the page; of several captures the folder")
+    report.add_argument("--rules", metavar="flight.rules", help="rules: their ranges are limits in the pictures")
     report.add_argument("--overlay", action="store_true", help="lay several flights over each other, on one page")
     report.set_defaults(run=_report)
 
@@ -156,7 +157,8 @@ def _prune(given: argparse.Namespace) -> int:
 
 def _report(given: argparse.Namespace) -> int:
     write_reports = need(f"{__package__}.report", "report").write_reports
-    _, pages = write_reports(fleet.find(_captures(given.captures)), _config(given), given.out, given.overlay)
+    captures = fleet.find(_captures(given.captures))
+    _, pages = write_reports(captures, _config(given), given.out, given.overlay, given.rules)
     for page in pages:
         _say(f"{page['name']}: {text}" for text in page["left_out"])
     if any(page["partial"] for page in pages):

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from .series import Array, Source, numbers
-from .tables import Message
+from .tables import Column, Message
 
 Record = dict[str, Any]
 DEGREES, SECONDS = 10.0, 20  # a temperature apart from the others, for so long
 FOLLOWS, SHARE = 2.0, 0.002  # times worse than the others, and of the largest command
 LOAD, SPREADS = 1.25, 4.0  # times the others' level, and further away than they lie apart
+SURGE, STEPS = 1.8, 2  # times the others' value at the same moment, for so many messages
+APART = 0.1  # and by this share of the largest value of a flight
 ABSENT = 0.95  # of all samples
 AROUND = 10.0  # seconds before and after a fault
 
@@ -69,11 +71,11 @@ def _temperature(found: list[Source], values: list[Array], title: str) -> list[R
     return said
 
 
-def _runs(holds: Array) -> list[tuple[int, int]]:
-    """Return begin and end of each stretch of SECONDS or more, the longest first."""
+def _runs(holds: Array, least: int = SECONDS) -> list[tuple[int, int]]:
+    """Return begin and end of each stretch of so many or more, the longest first."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], holds.astype(np.int8), [0]])))
     found = [(int(begin), int(end)) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
-    return sorted((run for run in found if run[1] - run[0] >= SECONDS), key=lambda run: run[0] - run[1])
+    return sorted((run for run in found if run[1] - run[0] >= least), key=lambda run: run[0] - run[1])
 
 
 def _commands(source: Source, name: str, alarms: set[str]) -> Array:
@@ -117,6 +119,35 @@ def _level(found: list[Source], values: list[Array], title: str, unit: str) -> l
             word = "higher" if away > 0 else "lower"
             text = f"{title} {abs(away):.3g} {unit} {word} than the median of the others"
             said.append(_said(source, text, source.times[0]))
+    return said
+
+
+def surges(found: list[Source], values: list[Array], column: Column) -> list[Record]:
+    """Return {source, text, at, end, times} of who had a multiple of what the others had at the same moment."""
+    if len(found) < 3:
+        return []
+    every = max(source.every for source in found)
+    size = int(max(source.times[-1] for source in found) / every) + 2
+    grid = np.full((len(found), size), np.nan)
+    for row, source, own in zip(grid, found, values, strict=True):
+        row[np.maximum(0, np.rint(source.times / every)).astype(int)] = own
+    # A message that comes a bit late leaves a step without a value: the one before stands there.
+    grid[:, 1:] = np.where(np.isnan(grid[:, 1:]), grid[:, :-1], grid[:, 1:])
+    largest = np.nanmax(np.abs(grid), initial=0.0)
+    said = []
+    for number, source in enumerate(found):
+        others = _typical(np.delete(grid, number, axis=0), 1)
+        away = np.abs(grid[number] - others)
+        usual = float(np.nanquantile(away, 0.95)) if np.isfinite(away).any() else 0.0
+        far = (grid[number] > SURGE * np.abs(others)) & (grid[number] - others > max(APART * largest, 2 * usual))
+        runs = _runs(far, STEPS)
+        if runs:
+            begin, end = runs[0]
+            times = float(np.median(grid[number][begin:end] / np.maximum(others[begin:end], 1e-9)))
+            text = f"{column.title} {times:.1f} times the others' for {(end - begin) * every:.2g} s"
+            more = f", and {len(runs) - 1} times more" if len(runs) > 1 else ""
+            about = {"times": times, "end": end * every, "length": (end - begin) * every}
+            said.append(_said(source, text + more, begin * every) | about)
     return said
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The pictures of a page: panels of values, bars of states, small pictures of each controller, what did not change."""
+"""The pictures of a page: figures of values, lanes of states, what one value does over another, what never changed."""
 
 from __future__ import annotations
 
@@ -12,15 +12,19 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from .differs import differing
+from .differs import differing, surges
+from .limits import Limits, beyond
+from .matrix import DEGREES, Part
 from .series import Array, Source, numbers, sources, spans, thin
 from .tables import Column, Message
 
-# What the page keeps of a signal of one source; the page itself thins that to what its window has room for.
-SAMPLES = 100_000
+# What the page keeps of a signal of one source, and of all together; it thins that to what its window has room for.
+SAMPLES, ALL_SAMPLES = 100_000, 3_500_000
 MARKS = SPANS = 2_000
-# A panel has no more fields than there are dashes to tell them apart.
-FIELDS = 6
+CLOUD = 500  # points of one source, and of its largest values
+CLOUD_ENDS = 20
+ODD, ODD_ONCE = 1.25, 1.5  # times the others' current at the same speed, over the flight and once
+APART = 0.1  # and by this share of the largest
 # Shades of one source from another's: (bus, ID) of a controller, not its place in a list, says its colour.
 COLOURS, IDS_OF_A_BUS = 16, 8
 Record = dict[str, Any]
@@ -29,82 +33,184 @@ Record = dict[str, Any]
 class Pictures:
     """What report.js draws, as JSON.
 
-    sources: {name, label, colour, flight} of each; times: the x axes that traces share; small: [{source, title, unit,
-    x, command, measured}]; panels: [{unit, message, fields, traces, marks}]; bars: [{title, message, kind, rows}];
-    differs: who is different from the others.
+    sources: {name, label, colour, flight, controller} of each; times: the x axes that lines share; figures, clouds:
+    [{title, unit, message, key, lines, marks, limits}]; lanes: [{title, message, kind, rows}]; level: sentences on what
+    never changed; differs: who is different from the others; parts: the messages, for tables that are made elsewhere.
     """
 
-    def __init__(self, start: int) -> None:
-        """start: nanoseconds since 1970."""
-        self.start = start
+    def __init__(self, start: int, limits: Limits, signals: int = 1) -> None:
+        """start: nanoseconds since 1970; signals: about how many there are, of all sources."""
+        self.start, self.limits, self.flight = start, limits, 0
+        self.samples = max(2_000, min(SAMPLES, ALL_SAMPLES // max(1, signals)))
         self.sources: list[Record] = []
+        self.parts: list[Part] = []
         self.times: list[Record] = []
-        self.panels: list[Record] = []
-        self.bars: list[Record] = []
-        self.small: list[Record] = []
+        self.figures: list[Record] = []
+        self.clouds: list[Record] = []
+        self.lanes: list[Record] = []
+        self.level: list[str] = []
         self.differs: list[Record] = []
         self.bytes = bytearray()
-        self.flight = 0
+        self._leads: dict[object, Record] = {}  # the first source of each controller
 
     def add(self, message: Message, table: pa.Table, alarms: set[str], prefix: str = "") -> None:
         """Draw a message.  alarms: the flags of it that were faults, each by its column; prefix: of sources' names."""
         found = list(sources(table, message.every, self.start))
-        whose = [self.source(prefix + source.name, first_of(source)) for source in found]
-        self.differs += [row | {"source": prefix + row["source"]} for row in differing(message, found, alarms)]
+        # A message without a clock of the controller, such as a command, may be for all of a bus.
+        is_own = any(column.role == "clock" for column in message.columns.values())
+        whose = [self.source(prefix + source.name, first_of(source), message.title, is_own) for source in found]
         known = (column for column in message.columns.values() if column.name in table.schema.names)
         columns = [column for column in known if column.role in ("value", "enum", "flag")]
-        fields = [column for column in columns if column.role == "value"]
         values = {column.name: [numbers(source.rows[column.name]) for source in found] for column in columns}
-        marks = {column.name: [_marks(source, column) for source in found] for column in fields}
-        drawn = [each for each in fields if any(map(_varies, values[each.name])) or _partly(each, values, marks)]
-        self._lines(message, found, whose, drawn, values, marks)
+        part = Part(message, found, whose, values)
+        self.parts.append(part)
+        said = differing(message, found, alarms) + self._limited(part)
+        if pair := part.supply():
+            said += surges(found, values[pair[1].name], pair[1])
+        self.differs += [row | {"source": prefix + row["source"]} for row in said]
+        self._clouds(part)
+        self._figures(part)
         for column in columns:
             if column.role != "value":
-                self._bars(message, found, whose, column, values[column.name], column.name in alarms)
+                self._lane(part, column, column.name in alarms)
 
-    def source(self, name: str, row: Record) -> int:
-        """Return the number of a source."""
+    def source(self, name: str, row: Record, title: str = "", is_own: bool = True) -> int:
+        """Return the number of a source. title: of its message; is_own: whether only this controller sends that."""
         known = [source["name"] for source in self.sources]
-        number = known.index(name) if name in known else len(known)
-        if number == len(known):
-            bus = row.get("bus") or ""
-            label = f"{name} ({bus})" if bus and not name.rpartition(": ")[2].startswith(bus) else name
-            self.sources.append(
-                {"name": name, "label": label, "colour": _colour(bus, row.get("id")), "flight": self.flight}
-            )
+        if name in known:
+            return known.index(name)
+        bus, of_bus = row.get("bus") or "", row.get("id")
+        is_one = is_own and of_bus is not None
+        key = (self.flight, bus, of_bus & 0xF) if is_one and of_bus is not None else (self.flight, name)
+        lead = self._leads.get(key)
+        label = f"{name} ({bus})" if bus and not name.rpartition(": ")[2].startswith(bus) else name
+        # A source that has no name of the user's is called by the controller's, if that has one.
+        if lead and lead["label"] not in (lead["name"], name) and label == name:
+            label = f"{lead['label']}, {title or name}"
+        number = len(self.sources)
+        about = {"name": name, "label": label, "colour": _colour(bus, of_bus), "flight": self.flight}
+        self.sources.append(about | {"controller": lead["controller"] if lead else len(self._leads)})
+        self._leads.setdefault(key, self.sources[-1])
         return number
 
     def blob(self) -> str:
         """Return all samples, packed."""
         return packed(bytes(self.bytes))
 
-    def _lines(
-        self,
-        message: Message,
-        found: list[Source],
-        whose: list[int],
-        drawn: list[Column],
-        values: dict[str, list[Array]],
-        marks: dict[str, list[Record | None]],
-    ) -> None:
-        """The values of all sources: a panel for each unit, times once, marks where there was a reserved count."""
-        places = self._places(message, drawn)
-        for number, source in enumerate(found if drawn else ()):
-            times, lines = thin(source, [values[column.name][number] for column in drawn], SAMPLES)
-            self.times.append(self._keep(np.diff(np.round(times * 1e6), prepend=0), "<i4"))
-            stored = {}
-            for column, (panel, place), line in zip(drawn, places, lines, strict=True):
-                stored[column.name] = self._keep(line, "<f4")
-                trace = {"source": whose[number], "field": place, "x": len(self.times) - 1}
-                panel["traces"].append(trace | {"y": stored[column.name]})
+    def _limited(self, part: Part) -> list[Record]:
+        """Say which values were outside the limits of the rules."""
+        said = []
+        for column in (part.message.columns[name] for name in part.values):
+            for source, values in zip(part.found, part.values[column.name], strict=True):
+                said += beyond(source, values, self.limits.of(source.name, part.message.name, column.name), column)
+        return said
+
+    def _figures(self, part: Part) -> None:
+        """A figure for each value of all sources, with its command; marks where there was a reserved count."""
+        fields = [part.message.columns[name] for name in part.values if part.message.columns[name].role == "value"]
+        marks = {column.name: [_marks(source, column) for source in part.found] for column in fields}
+        drawn = [one for one in fields if any(map(_varies, part.values[one.name])) or _partly(one, part.values, marks)]
+        figures = {column.name: self._figure(part, column) for column in drawn}
+        for number, source in enumerate(part.found if drawn else ()):
+            times, lines = thin(source, [part.values[column.name][number] for column in drawn], self.samples)
+            line = {"source": part.whose[number], "x": self._times(times)}
+            for column, own in zip(drawn, lines, strict=True):
+                figures[column.name]["lines"].append(line | {"name": column.title, "y": self._keep(own, "<f4")})
                 if mark := marks[column.name][number]:
-                    panel["marks"].append({"source": whose[number], "field": place} | mark)
-            for column in drawn:
-                command = column.name.replace("_measured", "_commanded")
-                if command != column.name and command in stored:
-                    about = {"source": whose[number], "title": column.title, "unit": column.unit}
-                    about |= {"x": len(self.times) - 1, "measured": stored[column.name], "command": stored[command]}
-                    self.small.append(about)
+                    figures[column.name]["marks"].append({"source": part.whose[number], "name": column.title} | mark)
+        for column in drawn:
+            figure = figures[column.name]
+            command = column.name.replace("_measured", "_commanded")
+            told = figures.get(command, figure)
+            both = zip(part.values[column.name], part.values.get(command, ()), strict=False)
+            if told is not figure and any(_varies(own - asked) for own, asked in both):
+                pairs = list(zip(figure["lines"], told["lines"], strict=True))
+                title = f"{column.title} less commanded"
+                error = self._figure(part, column) | {"title": title, "key": "", "limits": [None, None]}
+                self.figures[-1] = error
+                error["lines"] = [own | {"name": title, "minus": asked["y"]} for own, asked in pairs]
+                self._behind(figure, error)
+            if told is not figure:
+                figure["lines"] = [asked | {"dash": "dot"} for asked in told["lines"]] + figure["lines"]
+                figure["marks"] += told["marks"]
+                self.figures.remove(told)
+            if column.unit in DEGREES and figure["limits"][1] is not None:
+                self._behind(figure, self._margin(part, column, figure))
+        self._intervals(part)
+
+    def _behind(self, figure: Record, one: Record) -> None:
+        self.figures.remove(one)
+        self.figures.insert(self.figures.index(figure) + 1, one)
+
+    def _margin(self, part: Part, column: Column, figure: Record) -> Record:
+        """How far a temperature is from its limit."""
+        title = f"{column.title}, below its limit"
+        margin = self._figure(part, column) | {"title": title, "key": "", "limits": [0, None]}
+        self.figures[-1] = margin
+        highs = [self.limits.of(source.name, part.message.name, column.name)[1] for source in part.found]
+        pairs = zip(figure["lines"], highs, strict=True)
+        margin["lines"] = [line | {"name": title, "from": high} for line, high in pairs if np.isfinite(high)]
+        return margin
+
+    def _figure(self, part: Part, column: Column) -> Record:
+        """A figure, still without lines, with the narrowest limits of all sources."""
+        limits = [self.limits.of(source.name, part.message.name, column.name) for source in part.found]
+        low, high = max(one[0] for one in limits), min(one[1] for one in limits)
+        about: Record = {"title": column.title, "unit": column.unit, "message": part.message.title}
+        about |= {"lines": [], "marks": []}
+        about["key"] = f"{part.message.name}.{column.name}"
+        about["limits"] = [one if np.isfinite(one) else None for one in (low, high)]
+        self.figures.append(about)
+        return about
+
+    def _intervals(self, part: Part) -> None:
+        """How long it was between two messages of a source."""
+        figure: Record = {"title": "Interval between messages", "unit": "s", "message": part.message.title}
+        figure |= {"key": "", "lines": [], "marks": [], "limits": [None, None]}
+        for source, who in zip(part.found, part.whose, strict=True):
+            if len(source.times) < 3:
+                continue
+            unbroken = Source(source.name, source.rows, source.times[1:], np.inf)
+            times, (own,) = thin(unbroken, [np.diff(source.times)], self.samples // 4)
+            figure["lines"].append(
+                {"source": who, "name": figure["title"], "x": self._times(times), "y": self._keep(own, "<f4")}
+            )
+        if figure["lines"]:
+            self.figures.append(figure)
+
+    def _clouds(self, part: Part) -> None:
+        """Current over speed and voltage over all current, a cloud a source; what is odd at its speed is marked."""
+        pair, speeds = part.supply(), part.speed()
+        if not pair:
+            return
+        volts, amperes = pair
+        current = part.values[amperes.name]
+        odd = [np.zeros(len(own), bool) for own in current]
+        if speeds:
+            speed = part.values[speeds[0].name]
+            odd = _apart(speed, current)
+            self._cloud(part, (speeds[0], amperes), speed, current, odd)
+        every = Column("total", amperes.type, "value", "Current of all", amperes.unit)
+        self._cloud(part, (every, volts), _total(part.found, current), part.values[volts.name], odd)
+
+    def _cloud(self, part: Part, axes: tuple[Column, Column], x: list[Array], y: list[Array], odd: list[Array]) -> None:
+        title, lines = f"{axes[1].title} over {axes[0].title}", []
+        for who, across, up, is_odd in zip(part.whose, x, y, odd, strict=True):
+            good = np.flatnonzero(np.isfinite(across) & np.isfinite(up))
+            if len(good):
+                order = good[np.argsort(up[good])]
+                marked = good[is_odd[good]][: CLOUD // 2]
+                ends = np.concatenate([order[:CLOUD_ENDS], order[-CLOUD_ENDS:], marked])
+                kept = np.unique(np.concatenate([good[:: -(-len(good) // CLOUD)], ends]))
+                points = {"x": self._keep(across[kept], "<f4"), "y": self._keep(up[kept], "<f4")}
+                lines.append({"source": who, "name": title, "odd": np.flatnonzero(is_odd[kept]).tolist()} | points)
+        about = {"title": title, "message": part.message.title, "lines": lines, "marks": [], "unit": axes[1].unit}
+        self.clouds.append(about | {"across": f"{axes[0].title}/{axes[0].unit}"})
+
+    def _times(self, times: Array) -> int:
+        """Keep an x axis; returns its number."""
+        self.times.append(self._keep(np.diff(np.round(times * 1e6), prepend=0), "<i4"))
+        return len(self.times) - 1
 
     def _keep(self, values: Array, kind: str) -> Record:
         """Keep samples, all first bytes, then all second ones: so they pack well."""
@@ -112,45 +218,71 @@ class Pictures:
         self.bytes += data
         return {"at": len(self.bytes) - len(data), "count": len(values)}
 
-    def _places(self, message: Message, drawn: list[Column]) -> list[tuple[Record, int]]:
-        """The panel of each field, and its place there."""
-        panels: dict[str, Record] = {}
-        places = []
-        for column in drawn:
-            if column.unit not in panels or len(panels[column.unit]["fields"]) == FIELDS:
-                panels[column.unit] = {"unit": column.unit, "message": message.title}
-                panels[column.unit] |= {"fields": [], "traces": [], "marks": [], "every": message.every}
-                self.panels.append(panels[column.unit])
-            panels[column.unit]["fields"].append(column.title)
-            places.append((panels[column.unit], len(panels[column.unit]["fields"]) - 1))
-        return places
-
-    def _bars(
-        self,
-        message: Message,
-        found: list[Source],
-        whose: list[int],
-        column: Column,
-        values: list[Array],
-        is_alarm: bool,
-    ) -> None:
-        """What an enum said when, or when a flag was set."""
-        is_flag = column.role == "flag"
+    def _lane(self, part: Part, column: Column, is_alarm: bool) -> None:
+        """What an enum said when, or when a flag was set; a sentence where that never changed."""
+        is_flag, values = column.role == "flag", part.values[column.name]
         if is_flag and not any(np.nanmax(each, initial=0) for each in values):
             return
+        if not is_alarm and not any(map(_varies, values)):
+            self._fold(part, column)
+            return
         rows = []
-        for source, who, each in zip(found, whose, values, strict=True):
+        for source, who, each in zip(part.found, part.whose, values, strict=True):
             held = [span for span in spans(source, each, SPANS) if span[2] == span[2] and (span[2] or not is_flag)]
             texts = [] if is_flag else [_text(column, value) for _, _, value in held]
-            row = {
-                "source": who,
-                "texts": texts,
-                "begins": [each[0] for each in held],
-                "ends": [each[1] for each in held],
-            }
-            rows += [row] if held else []
+            row = {"begins": [each[0] for each in held], "ends": [each[1] for each in held]}
+            rows += [row | {"source": who, "texts": texts}] if held else []
         kind = "fault" if is_alarm else column.role
-        self.bars.append({"title": column.title, "message": message.title, "kind": kind, "rows": rows})
+        self.lanes.append({"title": column.title, "message": part.message.title, "kind": kind, "rows": rows})
+
+    def _fold(self, part: Part, column: Column) -> None:
+        """Say what a state was all the time."""
+        groups: dict[str, list[str]] = {}
+        for who, each in zip(part.whose, part.values[column.name], strict=True):
+            for value in each[np.isfinite(each)][:1]:
+                text = ("set" if value else "not set") if column.role == "flag" else _text(column, value)
+                groups.setdefault(text, []).append(self.sources[who]["label"])
+        texts = list(groups) if len(groups) == 1 else [f"{text} ({', '.join(who)})" for text, who in groups.items()]
+        self.level.append(f"{column.title}: {', '.join(texts)}")
+
+
+def _apart(speed: list[Array], current: list[Array]) -> list[Array]:
+    """Return which samples are far from the others' median at the same speed; all of who is so all the time."""
+    odd = [np.zeros(len(own), bool) for own in current]
+    finite = [own[np.isfinite(own)] for own in speed]
+    if len(speed) < 3 or not any(map(len, finite)):
+        return odd
+    edges = np.quantile(np.concatenate(finite), np.linspace(0, 1, 21)[1:-1])
+    bins = [np.searchsorted(edges, own) for own in speed]
+    grid = np.full((len(speed), len(edges) + 1), np.nan)
+    for row, own, up in zip(grid, bins, current, strict=True):
+        for at in np.unique(own[np.isfinite(up)]):
+            row[at] = np.nanmedian(up[own == at])
+    largest = max(np.nanmax(np.abs(up), initial=0.0) for up in current)
+    for number, (own, up) in enumerate(zip(bins, current, strict=True)):
+        others = np.delete(grid, number, axis=0)
+        known = (np.isfinite(others).sum(axis=0) > 1) & np.isfinite(grid[number])
+        usual = np.full(len(edges) + 1, np.nan)
+        usual[known] = np.nanmedian(others[:, known], axis=0)
+        away, least = np.abs(up - usual[own]), APART * largest
+        odd[number] = (away > (ODD_ONCE - 1) * np.abs(usual[own])) & (away > least)
+        all_away = np.abs(grid[number] - usual)[known]
+        if len(all_away) and (all_away > np.maximum((ODD - 1) * np.abs(usual[known]), least / 2)).mean() > 0.5:
+            odd[number][:] = True
+    return odd
+
+
+def _total(found: list[Source], values: list[Array]) -> list[Array]:
+    """Return the sum of the latest value of all, at the times of each."""
+    sums = [np.zeros(len(source.times)) for source in found]
+    for own, each in zip(found, values, strict=True):
+        good = np.isfinite(each)
+        times, known = own.times[good], np.append(0.0, each[good])
+        for source, total in zip(found, sums, strict=True):
+            at = np.searchsorted(times, source.times, side="right")
+            late = source.times - np.append(-np.inf, times)[at] > 5 * own.every
+            total += np.where(late, 0.0, known[at])
+    return sums
 
 
 def packed(data: bytes) -> str:

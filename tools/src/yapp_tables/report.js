@@ -1,24 +1,17 @@
-// The page of a flight: tables, and pictures on one time axis that hold as many samples as the window has room for.
+// The page of a flight: what went wrong at once; then pictures on one time axis, each drawn when it comes into sight.
 "use strict";
 (async () => {
   const byId = (id) => document.getElementById(id);
   const data = JSON.parse(byId("data").textContent);
-  // Plotly's names of dashes, and the lengths that it draws: a dash is a field, a colour a controller.
-  const DASHES = [["solid", ""], ["dot", "3"], ["dash", "9"], ["dashdot", "9 3 3 3"], ["longdash", "15"],
-    ["longdashdot", "15 6 6 6"]];
-  // Of a controller, on a light and on a dark background: at least 3:1 on either.
-  const COLOURS = {
-    light: ["#3086e8", "#e16219", "#119c34", "#a18412", "#9c30e8", "#e8307d", "#1297a5", "#e83030",
-      "#972684", "#18625c", "#a32933", "#5d37cd", "#376218", "#76511e", "#545a16", "#324bc8"],
-    dark: ["#3589e9", "#e16219", "#17cf45", "#cfaa17", "#b463ee", "#eb4c8e", "#17bccf", "#ec5151",
-      "#ecb1e2", "#58d5cb", "#edb6ba", "#cabeef", "#8cd558", "#e1bc89", "#bfcc33", "#bac2ee"],
-  };
-  const PANEL = 150, SPREAD = 56, ROW = 18, SPACE = 14, AXIS = 50, LATE = 2.5;
+  const HEIGHT = 190, CLOUD = 340, ROW = 18, HEAD = 18, AXIS = 24; // pixels
   const LETTER = 6.5, LEAST = 3; // pixels: of a letter in a bar, of the shortest bar
-  const NARROW = innerWidth < 700, TOP = NARROW ? 24 : 44;
+  const POINTS = 8000, ROWS = 40, MORE = 4; // of all lines of a picture, of a table, incidents that are told at the top
+  const AMBER = 0.1; // of the way between limits
+  const PRINTED = 1000; // pixels: the width of a printed picture
+  const NARROW = innerWidth < 700;
   // These buttons and no others: one of plotly's own uploads the chart to a server.
-  const BUTTONS = [["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"]];
-  const CONFIG = { responsive: true, displaylogo: false, scrollZoom: false, displayModeBar: !NARROW,
+  const BUTTONS = [["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d"]];
+  const CONFIG = { responsive: true, displaylogo: false, scrollZoom: false, displayModeBar: NARROW ? false : "hover", doubleClick: false,
     modeBarButtons: BUTTONS, plotlyServerURL: "", showLink: false, showSendToCloud: false };
 
   const unpack = async (text) => {
@@ -32,12 +25,22 @@
     return made;
   };
   const count = (n, one) => `${n} ${one}${n === 1 ? "" : "s"}`;
-
-  const isDark = () => {
-    const chosen = document.documentElement.dataset.theme;
-    return chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+  const pale = (textContent) => make("span", { className: "pale", textContent });
+  function patch(source) {
+    const made = make("i", { className: "patch" });
+    made.dataset.colour = data.sources[source].colour;
+    return made;
+  }
+  // A colour of the style sheet, as it is in this theme.
+  const styled = (about, property = "color") => {
+    const probe = make("i", { className: "patch" });
+    Object.assign(probe.dataset, about);
+    document.body.append(probe);
+    const found = getComputedStyle(probe)[property];
+    probe.remove();
+    return found;
   };
-  const colour = (source) => COLOURS[isDark() ? "dark" : "light"][data.sources[source].colour];
+  const colour = (source) => styled({ colour: data.sources[source].colour }, "backgroundColor");
 
   // ---- numbers as text
 
@@ -61,7 +64,7 @@
 
   function zoomTo(begin, end) {
     const room = Math.max(1, (end - begin) * 0.25);
-    Plotly.relayout(plot, { "xaxis.range": [begin - room, end + room], "xaxis.autorange": false });
+    show([begin - room, end + room]);
     byId("sources").scrollIntoView({ block: "start" });
   }
   const zooms = (textContent, begin, end) => make("button", { type: "button", className: "row", textContent,
@@ -125,7 +128,11 @@
       said.push(data.left_out.length ? "Nothing in what was decoded." : "Nothing.");
     }
     byId("verdict").append(...said);
-    byId("differs").append(...data.differs.map(({ label, text, at }) => make("li", {}, zooms(`${label}: ${text}`, at, data.length))));
+const more = data.incidents.filter((each) => each !== first && each.is_serious).slice(0, MORE).map((each) => {
+      const until = each.until === null || each.until >= data.length - 1 ? "until the end" : `for ${duration(each.until - each.begin)}`;
+      return make("li", { className: "bad" }, zooms(`${each.label}: ${each.what} at ${clock(each.begin)}, ${until}`, each.begin, each.until));
+    });
+    byId("differs").append(...more, ...data.differs.map(({ label, text, at, end }) => make("li", {}, zooms(`${label}: ${text}`, at, end ?? data.length))));
   }
 
   // ---- samples
@@ -153,9 +160,9 @@
 
   // The samples from a to b: all of them where there is room, else the smallest and the largest of each stretch, in
   // the order they came; a gap (NaN) stays one.
-  function thin(times, values, [a, b]) {
+  function thin(times, values, [a, b], room) {
     const first = Math.max(0, indexOf(times, a) - 1), last = Math.min(times.length, indexOf(times, b) + 1);
-    const size = Math.ceil((last - first) / room());
+    const size = Math.ceil((last - first) / room);
     if (size <= 2) return [times.subarray(first, last), values.subarray(first, last)];
     const x = [], y = [];
     for (let from = first; from < last; from += size) {
@@ -174,124 +181,35 @@
     return [x, y];
   }
 
-  // What lies between the largest and the smallest latest value of several lines, as long as these are not late.
-  function spreadOf(found, every) {
-    const all = Float64Array.from(found.flatMap((one) => Array.from(one.times))).sort();
-    const next = found.map(() => 0), latest = found.map(() => -1);
-    const out = new Float32Array(all.length).fill(NaN);
-    all.forEach((t, at) => {
-      let low = -1, high = -1, known = 0;
-      found.forEach(({ times, values: own }, i) => {
-        while (next[i] < times.length && times[next[i]] <= t) latest[i] = next[i]++;
-        const value = latest[i] < 0 || t - times[latest[i]] > LATE * every ? NaN : own[latest[i]];
-        if (value !== value) return;
-        known++;
-        if (low < 0 || value < found[low].values[latest[low]]) low = i;
-        if (high < 0 || value > found[high].values[latest[high]]) high = i;
-      });
-      if (known < 2) return;
-      out[at] = found[high].values[latest[high]] - found[low].values[latest[low]];
-    });
-    return { times: all, values: out };
-  }
-
   // ---- pictures
 
-  const blob = await unpack(data.blob);
-  const times = data.times.map(unfoldTimes);
   const whole = [0, Math.max(data.length, 0.001)];
-  const plot = byId("plot");
-  const HOVER_TIME = "%{customdata}";
-  // From the top: {head, height, axis}, a heading above a picture with a y axis of its own.
-  const stack = [], lines = [], others = [];
-  const room = () => Math.max(300, plot.clientWidth || innerWidth);
+  const figures = [], hidden = new Set(), known = [];
+  let blob, seen = whole, isPrinting = false;
+  const timesOf = (number) => (known[number] ??= unfoldTimes(data.times[number]));
+  const width = () => isPrinting ? PRINTED : byId("pictures").clientWidth || innerWidth;
 
-  // Puts a heading and a picture below the others; returns the name of its y axis.
-  function place(height, axis, ...about) {
-    const head = make("div", { className: "head" }, ...about), readout = make("div", { className: "readout" });
-    byId("heads").append(head, readout);
-    stack.push({ head, readout, height, axis: { zeroline: false, automargin: true, ...axis } });
-    return stack.length === 1 ? "y" : `y${stack.length}`;
+  // Times and values of a line, unpacked when it is drawn first.
+  function samples(line) {
+    if (line.values) return line;
+    line.values = unfold(line.y, Float32Array);
+    line.times = typeof line.x === "number" ? timesOf(line.x) : unfold(line.x, Float32Array);
+    if (line.minus) { const other = unfold(line.minus, Float32Array); line.values = line.values.map((value, i) => value - other[i]); }
+    if (line.from !== undefined) line.values = line.values.map((value) => line.from - value);
+    return line;
   }
 
-  const pale = (textContent) => make("span", { className: "pale", textContent });
-  const dash = (field) => `<svg><line x2="42" y1="4" y2="4" stroke-dasharray="${DASHES[field][1]}"/></svg>`;
-  function patch(source) {
-    const made = make("i", { className: "patch" });
-    made.dataset.source = source;
-    made.style.background = colour(source);
-    return made;
-  }
-
-  function line(axis, field, about) {
-    const own = { part: stack.at(-1), field, ...about };
-    own.trace = { type: "scatter", mode: "lines", yaxis: axis, connectgaps: false, name: about.name, source: about.source,
-      opacity: data.sources[about.source]?.flight ? 0.55 : 1, hoverinfo: "none", line: { dash: DASHES[field][0], width: 1.5 } };
-    lines.push(own);
-    return own;
-  }
-
-  function panel(about) {
-    const fields = about.fields.map((title, field) => {
-      const made = make("span", { innerHTML: dash(field) });
-      made.append(title);
-      return made;
-    });
-    const axis = place(PANEL, {}, make("b", { textContent: about.unit || about.message }), ...about.unit ? [pale(about.message)] : [], ...fields);
-    const own = about.traces.map((trace) => line(axis, trace.field, { source: trace.source, unit: about.unit, title: about.fields[trace.field],
-      name: `${about.fields[trace.field]}, ${data.names[trace.source]}`, times: times[trace.x], values: unfold(trace.y, Float32Array) }));
-    const bottom = own.reduce((least, { values: each }) => each.reduce((low, value) => value < low ? value : low, least), Infinity);
-    for (const marks of about.marks) {
-      others.push({ type: "scatter", mode: "markers", yaxis: axis, source: marks.source, x: marks.x, text: marks.what, customdata: marks.x.map(when),
-        y: marks.x.map(() => Number.isFinite(bottom) ? bottom : 0), name: `${about.fields[marks.field]}, ${data.names[marks.source]}`,
-        marker: { symbol: "x-thin-open", size: 9, line: { width: 2 } }, hovertemplate: `%{text}<br>${HOVER_TIME}<extra>%{fullData.name}</extra>` });
-    }
-    const found = about.fields.map((title, field) => ({ title, field, own: own.filter((one) => one.field === field) }))
-      .filter((each) => each.own.length > 1).map((each) => ({ ...each, ...spreadOf(each.own, about.every ?? 1) }))
-      .filter((each) => each.values.some((spread) => spread > 0));
-    if (!found.length) return;
-    const below = place(SPREAD, { rangemode: "tozero", nticks: 3 }, pale(`spread between the sources${about.unit ? `, ${about.unit}` : ""}`));
-    for (const { title, field, times: x, values: y } of found) {
-      line(below, field, { name: `${title}, spread`, title, unit: about.unit, times: x, values: y });
-    }
-  }
-
-  // A row for each source: when a flag was set, what a state was, when something happened.
-  function bars({ title, message, kind, rows }) {
-    const head = make("b", { textContent: title, className: kind === "fault" ? "bad" : "" });
-    const axis = place(rows.length * ROW, { range: [rows.length - 0.5, -0.5], showticklabels: false, fixedrange: true, showgrid: false }, head, pale(message));
-    rows.forEach(({ source, begins, ends, texts: said }, row) => {
-      const about = { yaxis: axis, source, name: `${title}, ${data.names[source]}` };
-      const texts = begins.map((_, i) => said[i] ?? data.names[source]);
-      const times = begins.map((begin, i) => when(begin) + (ends[i] > begin ? `<br>for ${duration(ends[i] - begin)}` : ""));
-      others.push({ ...about, type: "bar", orientation: "h", begins, ends, said: texts, y: begins.map(() => row), width: 0.88,
-        isWide: kind === "fault" || kind === "event", customdata: texts.map((text, i) => [text, times[i]]),
-        marker: { line: { width: 1 } }, textposition: "auto", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
-        hovertemplate: "%{customdata[0]}<br>%{customdata[1]}<extra>%{fullData.name}</extra>" });
-    });
-  }
-
-  // Where bars are in this window: nothing is too short to be seen; texts stand where there is room.
-  function shown(bar, [from, to]) {
-    const pixel = (to - from) / room(), { begins, ends } = bar;
-    const text = bar.said.map((said, i) => {
-      const seen = Math.min(to, ends[i]) - Math.max(from, begins[i]);
-      return seen > (said.length * LETTER + 8) * pixel || (bar.isWide && i === begins.length - 1) ? said : "";
-    });
-    return { base: begins, x: begins.map((begin, i) => Math.max(ends[i] - begin, (LEAST + 1) * pixel)), text };
-  }
-
-  // Where each picture is, from the top in pixels, with the headings as tall as they are at this width.
-  function arrange() {
-    let y = TOP;
-    for (const part of stack) {
-      part.head.style.top = `${y}px`;
-      part.from = y + part.head.offsetHeight + 2;
-      part.readout.style.top = `${part.from}px`;
-      part.to = part.from + part.height;
-      y = part.to + SPACE;
-    }
-    return y - SPACE;
+  // Bands of a value that has limits: red outside, amber near them, green within.
+  function bands([low, high], [bottom, top]) {
+    if (low === null && high === null) return [];
+    const style = getComputedStyle(document.documentElement), edge = AMBER * ((high ?? top) - (low ?? bottom));
+    const band = (name, from, to) => ({ type: "rect", name, xref: "paper", x0: 0, x1: 1, y0: Math.max(from, bottom), y1: Math.min(to, top),
+      fillcolor: style.getPropertyValue(`--${name}`), opacity: 0.13, line: { width: 0 }, layer: "below" });
+    const least = low === null ? -Infinity : low + edge, most = high === null ? Infinity : high - edge;
+    const made = [band("good", least, most)];
+    if (low !== null) made.push(band("warn", low, least), band("bad", -Infinity, low));
+    if (high !== null) made.push(band("warn", most, high), band("bad", high, Infinity));
+    return made.filter(({ y0, y1 }) => y1 > y0);
   }
 
   // The stretches in which there was a fault, of whatever kind.
@@ -302,151 +220,246 @@
       const last = found.at(-1), end = until ?? data.length;
       if (last && begin <= last[1]) last[1] = Math.max(last[1], end); else found.push([begin, end]);
     }
-    return found;
+    return found.map(([x0, x1]) => ({ type: "rect", yref: "paper", x0, x1, y0: 0, y1: 1, line: { width: 0 }, opacity: 0.12, layer: "below",
+      fillcolor: styled({ kind: "bad" }, "backgroundColor") }));
   }
 
-  function layout() {
-    const style = getComputedStyle(document.body), ink = style.color, paper = style.backgroundColor;
-    const grid = isDark() ? "#363c42" : "#d5d9dd", bottom = arrange(), inner = bottom - TOP;
-    const x = { range: whole, gridcolor: grid, zeroline: false, ticksuffix: NARROW ? "" : " s" };
-    const made = { height: bottom + AXIS, autosize: true, showlegend: false, barmode: "overlay",
-      hovermode: "closest", dragmode: NARROW ? false : "zoom", uirevision: "kept",
-      paper_bgcolor: paper, plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink, family: style.fontFamily, size: 12 },
-      margin: { l: 36, r: 14, t: TOP, b: AXIS },
-      xaxis: { ...x, anchor: stack.length > 1 ? `y${stack.length}` : "y", title: { text: `seconds since ${NARROW ? "the beginning" : `${utc(0)} UTC`}` } },
-      xaxis2: { ...x, anchor: "free", position: 1, side: "top", matches: "x", showgrid: false },
-      shapes: faulty().map(([x0, x1]) => ({ type: "rect", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, line: { width: 0 },
-        fillcolor: isDark() ? "#ff8a80" : "#b3261e", opacity: 0.12, layer: "below" })) };
-    stack.forEach(({ axis, from, to }, at) => {
-      made[at ? `yaxis${at + 1}` : "yaxis"] = { gridcolor: grid, ...axis, domain: [(bottom - to) / inner, (bottom - from) / inner] };
+  function layout(height, x, y, more) {
+    const style = getComputedStyle(document.body), grid = styled({ kind: "line" }, "backgroundColor");
+    const axis = { gridcolor: grid, zeroline: false };
+    return { height, autosize: !isPrinting, ...isPrinting ? { width: PRINTED } : {}, showlegend: false, dragmode: NARROW ? false : "zoom",
+      paper_bgcolor: style.backgroundColor, plot_bgcolor: "rgba(0,0,0,0)", font: { color: style.color, family: style.fontFamily, size: 12 },
+      hoverlabel: { bgcolor: style.backgroundColor, font: { size: 11 } }, margin: { l: 46, r: 12, t: 4, b: AXIS },
+      xaxis: { ...axis, ...x }, yaxis: { ...axis, ...y }, ...more };
+  }
+  const overTime = () => ({ range: seen, ticksuffix: NARROW ? "" : " s", showspikes: true, spikemode: "across", spikethickness: 1, spikedash: "solid" });
+
+  // Lines over time, marks where a value is reserved, limits as bands.
+  function lines(about) {
+    const room = Math.max(100, Math.min(width(), POINTS / about.lines.length));
+    const drawn = about.lines.map((line) => [line, ...thin(samples(line).times, line.values, seen, room)]);
+    let bottom = Infinity, top = -Infinity;
+    for (const [line, , y] of drawn) {
+      if (hidden.has(line.source)) continue;
+      for (const value of y) { if (value < bottom) bottom = value; if (value > top) top = value; }
+    }
+    if (bottom > top) [bottom, top] = [0, 1];
+    for (const limit of about.limits) { // a limit that is not far away is in sight
+      if (limit !== null && limit < top + (top - bottom) && limit > bottom - (top - bottom)) [bottom, top] = [Math.min(bottom, limit), Math.max(top, limit)];
+    }
+    const space = (top - bottom) * 0.06 || Math.abs(top) * 0.05 || 1, span = [bottom - space, top + space];
+    const traces = drawn.map(([{ source, name, dash }, x, y]) => ({ type: "scatter", mode: "lines", name: `${name}, ${data.names[source]}`, x, y,
+      opacity: data.sources[source].flight ? 0.55 : 1, visible: !hidden.has(source), connectgaps: false,
+      line: { color: colour(source), dash: dash ?? "solid", width: dash ? 1 : 1.5 },
+      hovertemplate: `%{y:.5~g} ${about.unit}<extra>${data.sources[source].label}${dash ? ", commanded" : ""}</extra>` }));
+    for (const { source, name, x, what } of about.marks) {
+      traces.push({ type: "scatter", mode: "markers", name: `${name}, ${data.names[source]}`, x, y: x.map(() => span[0] + space), text: what,
+        visible: !hidden.has(source), marker: { symbol: "x-thin-open", size: 9, color: colour(source), line: { width: 2, color: colour(source) } },
+        hovertemplate: `%{text}<extra>${data.sources[source].label}</extra>` });
+    }
+    return [traces, layout(HEIGHT, overTime(), { range: span, fixedrange: true, nticks: 6 },
+      { hovermode: "x unified", shapes: [...faulty(), ...bands(about.limits, span)] })];
+  }
+
+  // One value over another, a cloud a source; odd points stand out.
+  function cloud(about) {
+    const ink = getComputedStyle(document.body).color;
+    const traces = about.lines.map((line) => {
+      const { times: x, values: y } = samples(line), odd = new Set(line.odd), each = (isOdd, not) => Array.from(y, (_, i) => odd.has(i) ? isOdd : not);
+      return { type: "scatter", mode: "markers", name: data.sources[line.source].label, x, y, visible: !hidden.has(line.source),
+        marker: { color: colour(line.source), opacity: each(1, 0.35), size: each(8, 4), symbol: each("diamond", "circle"), line: { color: ink, width: each(1, 0) } },
+        hovertemplate: `%{y:.5~g} ${about.unit} at %{x:.5~g}<extra>${data.sources[line.source].label}</extra>` };
     });
-    return made;
+    traces.sort((p, q) => p.marker.size.includes(8) - q.marker.size.includes(8));
+    return [traces, layout(CLOUD, { title: { text: about.across } }, { nticks: 8 }, { hovermode: "closest", margin: { l: 46, r: 12, t: 4, b: 44 } })];
+  }
+
+  // Lanes: a heading, and a row for each source: when a flag was set, what a state was, when something happened.
+  function lanes(all) {
+    const pixel = (seen[1] - seen[0]) / width(), bars = new Map(), titles = [];
+    let y = 0;
+    for (const { title, message, kind, rows } of all) {
+      titles.push({ text: `<b>${title}</b> ${message}`, xref: "paper", x: 0, xanchor: "left", y, yanchor: "middle", showarrow: false, bgcolor: getComputedStyle(document.body).backgroundColor });
+      for (const { source, begins, ends, texts } of rows) {
+        y++;
+        const bar = bars.get(source) ?? { base: [], x: [], y: [], text: [], customdata: [] };
+        bars.set(source, bar);
+        let last = -Infinity;
+        for (let i = 0; i < begins.length; i++) {
+          const begin = begins[i], end = ends[i], said = texts[i] ?? data.names[source];
+          if (end < seen[0] || begin > seen[1] || end < last + pixel) continue;
+          last = end;
+          const visible = Math.min(seen[1], end) - Math.max(seen[0], begin), isWide = (kind === "fault" || kind === "event") && i === begins.length - 1;
+          bar.base.push(begin);
+          bar.x.push(Math.max(end - begin, (LEAST + 1) * pixel)); // nothing is too short to be seen
+          bar.y.push(y);
+          bar.text.push(isWide || visible > (said.length * LETTER + 8) * pixel ? said : "");
+          bar.customdata.push([title, said, when(begin) + (end > begin ? `<br>for ${duration(end - begin)}` : "")]);
+        }
+      }
+      y++;
+    }
+    const traces = [...bars].map(([source, bar]) => ({ type: "bar", orientation: "h", width: 0.88, name: data.names[source], visible: !hidden.has(source), ...bar,
+      marker: { color: colour(source), line: { width: 1, color: getComputedStyle(document.body).backgroundColor } },
+      textposition: "auto", insidetextanchor: "start", textangle: 0, constraintext: "none", textfont: { size: 11 },
+      hovertemplate: "%{customdata[0]}: %{customdata[1]}<br>%{customdata[2]}<extra>%{fullData.name}</extra>" }));
+    const height = y * ROW + AXIS + 4;
+    return [traces, layout(height, overTime(), { range: [y - 0.5, -0.5], showticklabels: false, fixedrange: true, showgrid: false },
+      { hovermode: "closest", barmode: "overlay", annotations: titles, shapes: faulty() })];
+  }
+
+  // Adds a picture with its heading and its table. drawn: returns traces and layout; time: whether x is the time.
+  function picture(box, head, height, key, isTime, drawn) {
+    const div = make("div", { className: "plot" }), details = make("details", {}, make("summary", { textContent: "table" }));
+    div.style.height = `${height}px`;
+    const figure = { div, drawn, isTime, isNear: false, isStale: true, details };
+    div.dataset.stale = "";
+    details.ontoggle = () => tabulate(figure);
+    box.append(make("figure", { className: isTime ? "" : "cloud" }, make("figcaption", {}, ...head), div, details));
+    div.parentNode.dataset.key = key;
+    figures.push(figure);
+    watcher.observe(div);
+    byDiv.set(div, figure);
+  }
+  const byDiv = new Map();
+  const watcher = new IntersectionObserver((entries) => {
+    for (const { target, isIntersecting } of entries) {
+      const figure = byDiv.get(target);
+      figure.isNear = isIntersecting;
+      if (isIntersecting && figure.isStale) paint(figure);
+    }
+  }, { rootMargin: "40px" });
+
+  function paint(figure) {
+    const { div } = figure, isNew = !div.layout, [traces, made] = figure.drawn();
+    figure.isStale = false;
+    Plotly.react(div, traces, made, CONFIG);
+    delete div.dataset.stale;
+    if (figure.details.open) tabulate(figure);
+    if (!isNew || !figure.isTime) return;
+    div.on("plotly_relayout", (change) => {
+      const from = change["xaxis.range[0]"] ?? change["xaxis.range"]?.[0], to = change["xaxis.range[1]"] ?? change["xaxis.range"]?.[1];
+      if (from !== undefined) show([Number(from), Number(to)], figure);
+    });
+    div.on("plotly_doubleclick", () => show(whole));
+    div.on("plotly_hover", ({ xvals, points }) => point(figure, Number(xvals?.[0] ?? points[0].x)));
+    div.on("plotly_unhover", () => { byId("cursor").textContent = ""; others(figure).forEach((other) => Plotly.Fx.unhover(other.div)); });
+  }
+  const others = (figure) => figures.filter((one) => one !== figure && one.isNear && one.isTime && one.div.layout?.hovermode === "x unified");
+
+  // One cursor over all pictures in sight.
+  function point(figure, t) {
+    byId("cursor").textContent = when(t);
+    for (const other of others(figure)) Plotly.Fx.hover(other.div, { xval: t }, "xy", true);
+  }
+
+  // Shows a stretch of time in all pictures: those in sight move at once, and get the samples of that stretch then.
+  let waiting = 0;
+  function outdate(figure) {
+    figure.isStale = true;
+    figure.div.dataset.stale = "";
+  }
+  function show(range, from) {
+    if (range.every((t, i) => t === seen[i])) return;
+    seen = range;
+    document.documentElement.dataset.seen = seen.join();
+    history.replaceState(null, "", seen.every((t, i) => t === whole[i]) ? "#" : `#t=${seen.map((t) => t.toFixed(3)).join(",")}`);
+    for (const figure of figures) {
+      if (figure.isTime) outdate(figure);
+      if (figure.isNear && figure.isTime && figure !== from && figure.div.layout) Plotly.relayout(figure.div, { "xaxis.range": [...seen] });
+    }
+    refine();
+  }
+  function refine() {
+    clearTimeout(waiting);
+    waiting = setTimeout(() => {
+      const next = figures.find((figure) => figure.isNear && figure.isStale);
+      if (next) { paint(next); refine(); }
+    });
+  }
+  function redraw() {
+    figures.forEach(outdate);
+    refine();
+  }
+
+  // The table of a picture, of what it shows now.
+  function tabulate({ div, details }) {
+    details.querySelector("table")?.remove();
+    if (!details.open) return;
+    const shown = div.data.filter(({ visible, x }) => visible !== false && x.length);
+    const table = make("table"), head = table.createTHead().insertRow(), body = table.createTBody();
+    const row = (cells) => { const line = body.insertRow(); cells.forEach((text) => { line.insertCell().textContent = text; }); };
+    const rows = (names, found) => { head.append(...names.map((textContent) => make("th", { textContent }))); found.forEach(row); };
+    if (shown[0]?.type === "bar") {
+      rows(["what", "source", "value", "when"], shown.flatMap(({ name, customdata }) => customdata.map(([title, said, at]) => [title, name, said, at.replace("<br>", " ")])));
+    } else if (shown[0]?.mode === "markers") {
+      rows(["source", "x", "y"], shown.flatMap(({ name, x, y }) => Array.from(x, (value, i) => [name, brief(value), brief(y[i])])));
+    } else {
+      const own = shown.filter(({ mode }) => mode === "lines");
+      const at = (times, values, t) => { const i = indexOf(times, t + 1e-6) - 1; return i < 0 || values[i] !== values[i] ? "" : brief(values[i]); };
+      const times = Array.from({ length: ROWS }, (_, i) => seen[0] + i / (ROWS - 1) * (seen[1] - seen[0]));
+      rows(["time/s", ...own.map(({ name }) => name)], times.map((t) => [plain(t, 7), ...own.map(({ x, y }) => at(x, y, t))]));
+    }
+    details.append(table);
   }
 
   function build() {
+    const box = byId("pictures"), height = (all) => all.reduce((sum, { rows }) => sum + (rows.length + 1) * ROW, AXIS + 4);
     const first = ({ kind }) => kind === "fault" || kind === "event";
-    data.bars.filter(first).forEach(bars);
-    data.panels.forEach(panel);
-    data.bars.filter((each) => !first(each)).forEach(bars);
-  }
-
-  const hidden = new Set();
-
-  function traces(window) {
-    const { backgroundColor: paper, color: ink } = getComputedStyle(document.body);
-    // A bar has an edge, so that one state can be told from the next; a mark is all edge.
-    const coloured = (trace) => ({ ...trace, ...trace.type === "bar" ? shown(trace, window) : {}, visible: !hidden.has(trace.source),
-      marker: { ...trace.marker, color: colour(trace.source),
-        line: { ...trace.marker.line, color: trace.marker.symbol === "x-thin-open" || trace.isWide ? colour(trace.source) : paper } } });
-    const drawn = lines.map(({ times: x, values: own, trace }) => {
-      const [shownX, shownY] = thin(x, own, window);
-      return { ...trace, x: shownX, y: shownY, visible: !hidden.has(trace.source),
-        line: { ...trace.line, color: trace.source === undefined ? ink : colour(trace.source) } };
-    });
-    // The axis at the top is drawn where something is on it.
-    return [...drawn, ...others.map(coloured), { type: "scatter", name: "", mode: "markers", x: [0], y: [null], xaxis: "x2", hoverinfo: "skip" }];
-  }
-
-  const range = () => plot.layout?.xaxis?.range?.map(Number) ?? whole;
-
-  function draw() {
-    const made = layout();
-    if (plot.layout) made.xaxis.range = range();
-    small();
-    return Plotly.react(plot, traces(made.xaxis.range), made, CONFIG);
-  }
-
-  // After a zoom: other samples of the same lines, and a link to what is seen.
-  let waiting = false;
-  function refine(change) {
-    if (waiting || !Object.keys(change).some((key) => key.startsWith("xaxis"))) return;
-    waiting = true;
-    requestAnimationFrame(() => {
-      const seen = change["xaxis.autorange"] ? whole : range();
-      history.replaceState(null, "", seen.every((t, i) => t === whole[i]) ? "#" : `#t=${seen.map((t) => t.toFixed(3)).join(",")}`);
-      const found = lines.map(({ times: x, values: own }) => thin(x, own, seen));
-      const held = others.map((_, i) => i).filter((i) => others[i].type === "bar"), now = held.map((i) => shown(others[i], seen));
-      const pick = (key) => now.map((each) => each[key]);
-      Plotly.restyle(plot, { x: found.map((pair) => pair[0]), y: found.map((pair) => pair[1]) }, lines.map((_, i) => i))
-        .then(() => held.length && Plotly.restyle(plot, { base: pick("base"), x: pick("x"), text: pick("text") }, held.map((i) => lines.length + i)))
-        .finally(() => { waiting = false; });
-    });
+    const wrong = data.lanes.filter(first), states = data.lanes.filter((each) => !first(each));
+    const head = ({ title, unit, message, limits }) => {
+      const said = (limits ?? []).map((limit, at) => limit === null ? "" : `${at ? "at most" : "at least"} ${brief(limit)} ${unit}`).filter(Boolean);
+      return [make("b", { textContent: `${title}${unit ? `/${unit}` : ""}` }), pale(message), ...said.length ? [pale(`limit: ${said.join(", ")}`)] : []];
+    };
+    if (wrong.length) picture(box, [make("b", { className: "bad", textContent: "Faults and events" })], height(wrong), "wrong", true, () => lanes(wrong));
+    for (const about of data.figures) picture(box, head(about), HEIGHT, about.key, true, () => lines(about));
+    if (states.length) picture(box, [make("b", { textContent: "States and flags" })], height(states), "states", true, () => lanes(states));
+    for (const about of data.clouds) {
+      const odd = about.lines.filter((line) => line.odd.length).map(({ source }) => data.sources[source].label).join(", ");
+      picture(byId("clouds"), [...head(about), ...odd ? [make("b", { className: "bad", textContent: `odd: ${odd}` })] : []], CLOUD, about.title, false, () => cloud(about));
+    }
+    byId("level").textContent = data.level.length ? `Never changed: ${data.level.join("; ")}.` : "";
+    byId("job").hidden = !data.clouds.length;
   }
 
   // #t=600,630 or #t=612.4 in the address.
   function linked() {
     const [from, to] = (/^#t=([\d.,-]+)$/.exec(location.hash)?.[1] ?? "").split(",").map(Number);
-    if (from || to) Plotly.relayout(plot, { "xaxis.range": to > from ? [from, to] : [from - 5, from + 5] });
-  }
-
-  // One cursor over all pictures, and in each what its lines were at that time.
-  function cursor(event) {
-    const { _offset: left, _length: width } = plot._fullLayout.xaxis, [from, to] = range();
-    const x = event.clientX - plot.getBoundingClientRect().left, t = from + (x - left) / width * (to - from);
-    const out = x < left || x > left + width || event.type === "mouseleave";
-    byId("cursor").hidden = out;
-    byId("cursor").style.left = `${x}px`;
-    byId("cursor").dataset.when = out ? "" : when(t);
-    for (const { readout } of stack) readout.replaceChildren();
-    const rows = new Map();
-    for (const { part, source, title, unit, times: own, values: held } of out ? [] : lines) {
-      const at = indexOf(own, t + 1e-6) - 1, value = held[at];
-      if (hidden.has(source) || at < 0 || value !== value) continue;
-      const key = `${title} ${stack.indexOf(part)}`;
-      if (!rows.has(key)) {
-        rows.set(key, make("div", {}, `${title}${unit ? `/${unit}` : ""} `));
-        part.readout.append(rows.get(key));
-      }
-      if (source !== undefined) rows.get(key).append(patch(source));
-      rows.get(key).append(` ${brief(value)} `);
-    }
-  }
-
-  // A small picture of each controller: what it was told, pale, and what it did.
-  function small() {
-    byId("small").replaceChildren(...data.small.map((about) => {
-      const x = times[about.x], both = [about.command, about.measured].map((one) => unfold(one, Float32Array));
-      const finite = both.flatMap((each) => Array.from(each).filter(Number.isFinite));
-      const low = finite.reduce((a, b) => Math.min(a, b), Infinity), high = finite.reduce((a, b) => Math.max(a, b), -Infinity);
-      const canvas = make("canvas", { width: 480, height: 160 }), pen = canvas.getContext("2d");
-      both.forEach((each, at) => {
-        const [px, py] = thin(x, each, whole);
-        pen.strokeStyle = at ? colour(about.source) : isDark() ? "#9aa3ab" : "#5b636b";
-        pen.lineWidth = at ? 2 : 5;
-        pen.globalAlpha = at ? 1 : 0.5;
-        pen.beginPath();
-        let isUp = true;
-        for (let i = 0; i < px.length; i++) {
-          if (py[i] !== py[i]) { isUp = true; continue; }
-          pen[isUp ? "moveTo" : "lineTo"](px[i] / whole[1] * 480, 154 - (py[i] - low) / (high - low || 1) * 148);
-          isUp = false;
-        }
-        pen.stroke();
-      });
-      const label = `${data.sources[about.source].label}, ${about.title}`;
-      const text = `${brief(low)} to ${brief(high)} ${about.unit}`;
-      canvas.setAttribute("role", "img");
-      canvas.setAttribute("aria-label", `${label}, commanded and measured: ${text}`);
-      return make("figure", {}, make("figcaption", {}, patch(about.source), ` ${label} `, pale(text)), canvas);
-    }));
-    byId("multiples").hidden = !data.small.length;
+    if (from || to) show(to > from ? [from, to] : [from - 5, from + 5]);
   }
 
   // The sources by name and colour; they stay in sight while the pictures pass.
+  const ticks = [];
   function chips() {
     const box = byId("sources");
     data.sources.forEach(({ label }, source) => {
       const tick = make("input", { type: "checkbox", checked: true });
-      tick.onchange = () => { if (tick.checked) hidden.delete(source); else hidden.add(source); draw(); };
+      tick.onchange = () => { if (tick.checked) hidden.delete(source); else hidden.add(source); redraw(); };
+      ticks.push(tick);
       box.append(make("label", {}, tick, " ", patch(source), ` ${label}`));
     });
-    box.append(make("button", { type: "button", textContent: "whole flight", onclick: () => Plotly.relayout(plot, { "xaxis.range": whole }) }));
+    box.append(make("button", { type: "button", textContent: "all", onclick: () => only(null) }),
+      make("button", { type: "button", textContent: "whole flight", onclick: () => show(whole) }), make("span", { id: "cursor", className: "pale" }));
   }
 
-  function repaint() {
-    document.querySelectorAll("i.patch").forEach((made) => { made.style.background = colour(Number(made.dataset.source)); });
-    return draw();
+  // Shows the lines of one controller, or of all.
+  let single = null;
+  function only(controller) {
+    single = controller;
+    data.sources.forEach((source, at) => {
+      ticks[at].checked = controller === null || source.controller === controller;
+      if (ticks[at].checked) hidden.delete(at); else hidden.add(at);
+    });
+    document.querySelectorAll("tr[data-controller]").forEach((row) => row.classList.toggle("single", Number(row.dataset.controller) === controller));
+    redraw();
   }
+  document.addEventListener("click", ({ target }) => {
+    const row = target.closest("tr[data-controller]");
+    if (!row) return;
+    const who = Number(row.dataset.controller), key = target.closest("[data-figure]")?.dataset.figure;
+    only(who === single && !key ? null : who);
+    if (single !== null) (document.querySelector(`figure[data-key="${key}"]`) ?? byId("sources")).scrollIntoView({ block: "start" });
+  });
 
   document.title = `${data.name}: YAPP report`;
   byId("name").textContent = data.name;
@@ -455,21 +468,28 @@
   const doubts = data.left_out.filter((text) => text !== data.undecoded);
   byId("partial").hidden = !doubts.length;
   byId("partial").textContent = doubts.join(" · ");
-  const script = make("script", { textContent: new TextDecoder().decode(await unpack(byId("plotly").textContent)) });
-  document.head.append(script);
-  build();
+  byId("axis").textContent = `seconds since ${utc(0)} UTC`;
   verdict();
   incidents();
   chips();
-  draw().then(() => {
-    plot.on("plotly_relayout", refine);
-    plot.on("plotly_doubleclick", () => { Plotly.relayout(plot, { "xaxis.range": whole }); return false; });
-    for (const name of ["mousemove", "mouseleave", "click"]) byId("picture").addEventListener(name, cursor);
-    addEventListener("hashchange", linked);
-    linked();
-    document.documentElement.dataset.ready = "yes";
-  });
-  byId("theme").onclick = () => { document.documentElement.dataset.theme = isDark() ? "light" : "dark"; repaint(); };
-  addEventListener("resize", draw);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
+  await new Promise((done) => document.addEventListener("DOMContentLoaded", done));
+  await new Promise((done) => requestAnimationFrame(() => setTimeout(done))); // the text is seen first
+  const [samplesOf, plotly] = await Promise.all(["samples", "plotly"].map((id) => unpack(byId(id).textContent)));
+  blob = samplesOf;
+  document.head.append(make("script", { textContent: new TextDecoder().decode(plotly) }));
+  build();
+  linked();
+  addEventListener("hashchange", linked);
+  const darkness = matchMedia("(prefers-color-scheme: dark)"), root = document.documentElement;
+  const isDark = () => root.dataset.theme ? root.dataset.theme === "dark" : darkness.matches;
+  byId("theme").onclick = () => { root.dataset.theme = isDark() ? "light" : "dark"; redraw(); };
+  darkness.addEventListener("change", redraw);
+  const printing = (isOn) => () => {
+    isPrinting = isOn;
+    root.classList.toggle("printing", isOn);
+    if (isOn) figures.forEach(paint); else redraw();
+  };
+  addEventListener("beforeprint", printing(true));
+  addEventListener("afterprint", printing(false));
+  Object.assign(root.dataset, { ready: "yes", seen: seen.join() });
 })();

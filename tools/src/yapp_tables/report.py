@@ -22,6 +22,9 @@ from .dataset import plain_name
 from .errors import SetupError
 from .flight import SOURCES, Flight
 from .html_table import html_table
+from .limits import Limits
+from .matrix import Matrix
+from .multiples import Multiples
 from .pictures import MARKS, Pictures, Record, packed
 from .tables import Column
 from .undecoded import source_name
@@ -52,28 +55,35 @@ ELSEWHERE = ("fault", "unknown")  # these have rows of their own
 # Events of one controller that are no further apart than this, in seconds, are one incident.
 TOGETHER = 2.0
 INCIDENT = ("fault", "reboot", "silence", "stale")
+SERIOUS = ("fault", "reboot", "silence", "absent", "shared")  # these come first
 
 
 def write_reports(
-    captures: Sequence[Path], config: Config, out: StrPath | None = None, overlay: bool = False
+    captures: Sequence[Path],
+    config: Config,
+    out: StrPath | None = None,
+    overlay: bool = False,
+    rules: StrPath | None = None,
 ) -> tuple[Path, list[Record]]:
     """Write the page of a flight, one page of several laid over each other, or a folder of pages with an index.
 
-    Returns the page, and what each page says. Raises YappError.
+    rules: a file of rules for -z yapp,check, whose ranges are limits. Returns the page, and what each page says.
+    Raises YappError.
     """
     page = captures[0].with_suffix(".html") if out is None else Path(out)
+    limits = Limits(Path(rules) if rules else None)
     is_one = len(captures) == 1 or overlay
     folder = page.parent if is_one else Path("report" if out is None else out)
     try:
         if is_one:
             if not folder.is_dir():
                 raise SetupError(f"{page} cannot be written: no folder {folder}")
-            return page, [write_report([_read(capture, config) for capture in captures], page)]
+            return page, [write_report([_read(capture, config) for capture in captures], page, limits)]
         folder.mkdir(parents=True, exist_ok=True)
         rows = []
         for flight in (_read(capture, config) for capture in captures):
             name = f"{plain_name(Path(flight.name))}-{flight.flight_id[:8]}.html"
-            rows.append(write_report([flight], folder / name) | {"page": name})
+            rows.append(write_report([flight], folder / name, limits) | {"page": name})
         write_whole(folder / "index.html", _index(rows))
         return folder / "index.html", rows
     except OSError as error:
@@ -87,16 +97,19 @@ def _read(capture: Path, config: Config) -> Flight:
     return flight
 
 
-def write_report(flights: Sequence[Flight], path: Path) -> Record:
+def write_report(flights: Sequence[Flight], path: Path, limits: Limits | None = None) -> Record:
     """Write the page of a flight, or of several laid over each other, to path. Returns what it says. Raises OSError."""
     package = files(__package__)
     page = package.joinpath("report.html").read_text(encoding="utf-8")
-    found = Report(flights).data()
-    data = json.dumps(found, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
-    parts = {"/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8")}
-    parts |= {"/*PLOTLY*/": packed(get_plotlyjs().encode()), "/*DATA*/": data}
+    report = Report(flights, limits)
+    found = report.data()
+    blob = found.pop("blob")
+    parts = {"/*MATRIX*/": report.matrix.html(), "/*MULTIPLES*/": report.multiples.html(report.matrix.labels)}
     parts |= {"/*VALUES*/": html_table(VALUES, [row for flight in flights for row in _values(flight)])}
     parts |= {"/*SUMMARY*/": html_table(SOURCES, [row for flight in flights for row in flight.sources()])}
+    parts |= {"/*DATA*/": json.dumps(found, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")}
+    parts |= {"/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8")}
+    parts |= {"/*BLOB*/": blob, "/*PLOTLY*/": packed(get_plotlyjs().encode())}
     for name, text in parts.items():
         head, _, tail = page.partition(name)
         page = head + text + tail
@@ -105,25 +118,32 @@ def write_report(flights: Sequence[Flight], path: Path) -> Record:
 
 
 class Report:
-    """What the page shows, as JSON that report.js reads. Of several flights, each begins at 0 s."""
+    """What the page shows, as JSON that report.js reads, and as tables. Of several flights, each begins at 0 s."""
 
-    def __init__(self, flights: Sequence[Flight]) -> None:
+    def __init__(self, flights: Sequence[Flight], limits: Limits | None = None) -> None:
         """flights: with `begin`, seconds count from the first packet as in Wireshark, else from the first message."""
-        self.flights, self.end = flights, 0.0
+        self.flights, self.end, self.limits = flights, 0.0, limits or Limits()
         self.starts = [_start(flight) for flight in flights]
-        self.pictures = Pictures(0)
+        self.pictures = Pictures(0, self.limits, sum(map(_signals, flights)))
 
     def data(self) -> Record:
         """Return it."""
+        rows: list[Record] = []
         incidents: list[Record] = []
         for flight, start in zip(self.flights, self.starts, strict=True):
-            incidents += self._add(flight, start, f"{flight.name}: " if len(self.flights) > 1 else "")
+            found = self._add(flight, start, f"{flight.name}: " if len(self.flights) > 1 else "")
+            incidents += _incidents(found)
+            rows += found
             self.pictures.flight += 1
         first, pictures = self.flights[0], self.pictures
-        names = [source["name"] for source in pictures.sources]
-        labels = {source["name"]: source["label"] for source in pictures.sources}
-        for row in [*incidents, *(part for incident in incidents for part in incident["rows"]), *pictures.differs]:
-            row["label"] = labels.get(row["source"], row["source"])
+        numbers = {source["name"]: number for number, source in enumerate(pictures.sources)}
+        for row in [*incidents, *rows, *pictures.differs]:
+            row["number"] = numbers.get(row["source"])
+            row["label"] = row["source"] if row["number"] is None else pictures.sources[row["number"]]["label"]
+        for row in incidents:
+            self._lead(row)
+        self._before(incidents)
+        self._tables(rows)
         left_out = [text for flight in self.flights for text in flight.left_out]
         return {
             "name": " and ".join(flight.name for flight in self.flights),
@@ -133,16 +153,51 @@ class Report:
             "left_out": left_out,
             "partial": any(flight.partial for flight in self.flights),
             "about": [["plugin", first.plugin], ["yapp-tables", version("yapp-tables")], *self._about()],
-            "incidents": sorted(incidents, key=lambda row: float(row["begin"])),
+            "incidents": sorted(incidents, key=lambda row: (not row["is_serious"], float(row["begin"]))),
             "differs": pictures.differs,
             "sources": pictures.sources,
-            "names": names,
+            "names": list(numbers),
             "times": pictures.times,
-            "panels": pictures.panels,
-            "small": pictures.small,
-            "bars": sorted(pictures.bars, key=lambda bars: ("fault", "event", "enum", "flag").index(bars["kind"])),
+            "figures": pictures.figures,
+            "clouds": pictures.clouds,
+            "lanes": sorted(pictures.lanes, key=lambda lane: ("fault", "event", "enum", "flag").index(lane["kind"])),
+            "level": pictures.level,
             "blob": pictures.blob(),
         }
+
+    def _lead(self, incident: Record) -> None:
+        """Call an incident without a fault by that source of its controller that came first, the one with a name."""
+        numbers = [row["number"] for row in incident["rows"] if row["number"] is not None]
+        if numbers and not incident["is_fault"]:
+            incident["number"] = min(numbers)
+            source = self.pictures.sources[incident["number"]]
+            incident |= {"source": source["name"], "label": source["label"]}
+
+    def _before(self, incidents: list[Record]) -> None:
+        """Say of what was a multiple of the others' which fault came with it."""
+        for row in self.pictures.differs:
+            faults = (one for one in incidents if one["is_fault"] and one["source"] == row["source"])
+            near = (one for one in faults if -0.2 <= one["begin"] - row["at"] <= row.get("length", -1) + TOGETHER)
+            if fault := next(near, None):
+                row["text"] += f", from {fault['begin'] - row['at']:.2g} s before {fault['rows'][0]['what']}"
+
+    def _tables(self, rows: list[Record]) -> None:
+        """The matrix and the small multiples."""
+        sources, faults = self.pictures.sources, [row for row in rows if row["kind"] == "fault"]
+        self.matrix = Matrix(self.pictures.parts, sources, self.limits)
+        known = [row for row in rows if row["number"] is not None]
+        for title, kind in (("Faults", "fault"), ("Silences", "silence"), ("Reboots", "reboot")):
+            self.matrix.count(title, [row for row in known if row["kind"] == kind])
+        self.matrix.measure()
+        bands: dict[int, list[tuple[float, float]]] = {}
+        for row in faults:
+            end = self.end if row["end"] is None else row["end"]
+            bands.setdefault(sources[row["number"]]["controller"], []).append((row["begin"], end))
+        self.multiples = Multiples(sources, self.end, bands)
+        for part in self.pictures.parts:
+            titles = {column.title for column in part.message.columns.values() if column.title}
+            said = {title for title in titles for row in self.pictures.differs if row["text"].startswith(title)}
+            self.multiples.add(part, said)
 
     def _about(self) -> list[list[str]]:
         """Return board revisions and the like: fields of a message that name a revision or a version."""
@@ -152,7 +207,7 @@ class Report:
         return [*found, ["catalogue", first.catalogue], *([["aircraft", first.aircraft]] if first.aircraft else [])]
 
     def _add(self, flight: Flight, start: int, prefix: str) -> list[Record]:
-        """Draw a flight; returns its incidents."""
+        """Draw a flight; returns what went wrong."""
         self.pictures.start = start
         self.end = max(self.end, max(pc.max(flight[name]["time"]).value - start for name in flight) / 1e9)
         table = flight.events.set_column(0, "at", flight.events["time"].cast(pa.int64()))
@@ -167,23 +222,32 @@ class Report:
             self.pictures.add(message, flight[message.name], {flag.name for flag in flags if flag}, prefix)
         rows = _faults(flight, events, self.end) + _others(flight, events)
         self._marks([row for row in rows if row["kind"] != "fault"])
-        return _incidents(rows)
+        return rows
 
     def _marks(self, others: list[Record]) -> None:
-        """The events on the time axis: a line for each kind and source; one that does not last is a mark."""
-        bars: dict[str, Record] = {}
+        """The events on the time axis: a lane for each kind and source; one that does not last is a mark."""
+        lanes: dict[str, Record] = {}
         for row in others:
-            bar = bars.setdefault(row["what"], {"title": row["what"], "message": "", "kind": "event", "rows": {}})
+            lane = lanes.setdefault(row["what"], {"title": row["what"], "message": "", "kind": "event", "rows": {}})
             source = self.pictures.source(row["source"], row)
-            marks = bar["rows"].setdefault(source, {"source": source, "texts": [], "begins": [], "ends": []})
+            marks = lane["rows"].setdefault(source, {"source": source, "texts": [], "begins": [], "ends": []})
             at = row["at"][:: -(-len(row["at"]) // MARKS)]
             marks["begins"] += at
             marks["ends"] += [row["end"]] if row["length"] else at
-        self.pictures.bars += [bar | {"rows": list(bar["rows"].values())} for bar in bars.values()]
+        self.pictures.lanes += [lane | {"rows": list(lane["rows"].values())} for lane in lanes.values()]
 
 
 def _start(flight: Flight) -> int:
     return flight.begin or min(pc.min(flight[name]["time"]).value for name in flight)
+
+
+def _signals(flight: Flight) -> int:
+    """About how many lines there are: values, of each source."""
+    return sum(
+        sum(column.role == "value" for column in message.columns.values())
+        * flight[name].group_by(["bus", "id"]).aggregate([]).num_rows
+        for name, message in flight.messages.items()
+    )
 
 
 def _flag(flight: Flight, event: Record) -> Column | None:
@@ -258,7 +322,7 @@ def _value(flight: Flight, event: Record) -> str:
 
 
 def _incidents(rows: list[Record]) -> list[Record]:
-    """Faults, silence and reboot of one controller that belong together, as one row with its details.
+    """Join faults, silence and reboot of one controller that belong together to one row with its details.
 
     A controller's messages have IDs with the same last digit, on the same bus.
     """
@@ -279,6 +343,7 @@ def _incidents(rows: list[Record]) -> list[Record]:
         whats = dict.fromkeys(row["what"] for row in incident["rows"])
         incident["what"] = ", ".join(whats)
         incident["is_fault"] = any(row["kind"] == "fault" for row in incident["rows"])
+        incident["is_serious"] = any(row["kind"] in SERIOUS for row in incident["rows"])
         fault = next((row for row in incident["rows"] if row["kind"] == "fault"), incident["rows"][0])
         incident["source"] = fault["source"]
     return found
