@@ -3,8 +3,10 @@
 
 YAPP_FLIGHTS=100: more seeds.
 """
+import collections
 import csv
 import functools
+import itertools
 import json
 import os
 import re
@@ -124,6 +126,27 @@ def test_events(results, seed, form, passes):
 def test_faults(results, seed, form, passes):
     found = results(seed, form, passes)[0]["faults"]
     assert found == with_times(flight_of(seed).truth(form)["faults"])
+
+
+def incidents(faults):
+    """How often a source had a fault: the lines of one message are one step."""
+    active, count = collections.defaultdict(set), 0
+    for (_, bus, ident), lines in itertools.groupby(faults, lambda line: (line["frame"], line["bus"], line["id"])):
+        lines, before = list(lines), set(active[bus, ident])
+        flags = active[bus, ident]
+        flags |= {(line["field"], line["flag"]) for line in lines if line["event"] == "raised"}
+        flags -= {(line["field"], line["flag"]) for line in lines if line["event"] == "cleared"}
+        count += not before and any(line["event"] == "raised" for line in lines)
+    return count
+
+
+@CHECKED
+def test_the_title_of_faults(results, seed, form, passes):
+    flight = flight_of(seed)
+    done = tshark.run(*PASSES[passes], *flight.arguments(form), "-q", "-r", results(seed, form, passes)[2], "-z", "yapp,faults",
+                      check=False)
+    faults, expected = flight.truth(form)["faults"], incidents(flight.truth(form)["faults"])
+    assert done.stdout.splitlines()[0] == f"YAPP faults: {expected}" and 0 < expected < len(faults)
 
 
 @CHECKED

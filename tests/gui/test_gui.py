@@ -219,7 +219,7 @@ def test_statistics_in_the_menu(captures):
         wireshark.wait_for_window("first.pcapng")
         choose(wireshark, "Faults")
         text = text_of(wireshark, "YAPP Faults")
-        assert "YAPP faults: 4" in text and "motor_overcurrent" in text
+        assert "YAPP faults: 1" in text and "motor_overcurrent" in text
 
         wireshark.clipboard("-i")
         wireshark.click("Copy")

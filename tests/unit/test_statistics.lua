@@ -229,13 +229,32 @@ end
 
 function T.test_faults_in_words()
   lu.assertEquals(run({ "faults" }, { FAULTY[1], record(2, 1.1, { change = raised(0, 0, 1) }) }), [[
-YAPP faults: 2
+YAPP faults: 1
 
 time (UTC)                  since start/s  frame  bus   ID     source  message     field        flag  event    active/s
 2023-11-14 22:13:21.000000       1.000000      1  can0  0x210  left    Motor Data  fault_flags  hot   raised
 2023-11-14 22:13:21.100000       1.100000      2  can0  0x210  left    Motor Data  fault_flags  hot   cleared  0.100000
 ]])
   lu.assertEquals(run({ "faults" }, {}), "YAPP faults: 0\n" .. NOTHING_CAME)
+end
+
+-- The title counts the times in which a source has a fault, not flags: `faulted` beside a flag is the same one.
+function T.test_the_title_counts_incidents()
+  local function title(records, with) return (run({ "faults" }, records, with):match("^[^\n]+")) end
+  local function at(frame, value, up, down, with)
+    with = with or {}
+    with.change = raised(value, up, down)
+    return record(frame, frame / 10, with)
+  end
+  lu.assertEquals(title { at(1, 7, 7), at(2, 0, 0, 7) }, "YAPP faults: 1")
+  lu.assertEquals(title { at(1, 1, 1), at(2, 7, 6), at(3, 6, 0, 1), at(4, 0, 0, 6) }, "YAPP faults: 1") -- without a break
+  lu.assertEquals(title { at(1, 1, 1), at(2, 6, 6, 1) }, "YAPP faults: 1") -- one falls, one rises
+  lu.assertEquals(title { at(1, 1, 1), at(2, 0, 0, 1), at(3, 1, 1), record(4, 0.4) }, "YAPP faults: 2")
+  lu.assertEquals(title { at(1, 1, 1), at(2, 1, 1, 0, { source = RIGHT }) }, "YAPP faults: 2") -- each source has its own
+  local several = { at(1, 1, 1), at(2, 0, 0, 1), at(3, 1, 1), at(4, 0, 0, 1) }
+  lu.assertEquals(title(several, { matches = { [4] = true } }), "YAPP faults: 1") -- the end of it alone counts
+  lu.assertStrContains(run({ "faults,json" }, several), '"event":"cleared"')
+  lu.assertEquals(#lines((run({ "faults,json" }, several))), 4)
 end
 
 local function kinds(printed)

@@ -38,9 +38,11 @@ local function new_state()
     last_at = nil, -- when that came
     is_counted = false, -- whether that counts
     faults = NOTHING, -- list of { field, flag, since } of those that are set, as they rose
+    incident = nil, -- a table for the time in which a fault is set without a break
     counted = { frame = 0 }, -- the latest reliable message that counts
     counted_at = nil,
     counted_faults = NOTHING, -- those that were set then
+    counted_incident = nil,
     is_numbered = false, -- whether Seq No changed
     room = 0, -- number of messages that the gaps between its messages have room for
   }
@@ -97,14 +99,16 @@ end
 
 -- Faults ------------------------------------------------------------------------------------------
 
--- till  when it fell, or was still set; nil if it rises
-local function emit_fault(self, cause, fault, name, till)
+-- incident  of the fault, see new_state
+-- till      when it fell, or was still set; nil if it rises
+local function emit_fault(self, cause, fault, incident, name, till)
   local active = till and output.seconds(span(fault.since, till))
   emit(self, "fault", cause, {
     field = fault.field,
     flag = fault.flag.name,
     help = fault.flag.help,
     event = name,
+    incident = incident,
     active = active,
     after = active and (" after %s s"):format(active.short),
   })
@@ -128,7 +132,7 @@ end)
 
 -- Note the faults that rise or fall with a change of a flags field.  Make a new list for each:
 -- state.counted_faults may be the old one.
-local function note_faults(self, state, cause, change)
+local function note_flags(self, state, cause, change)
   local before = change.value - change.raised + change.cleared
   for _, flag in ipairs(faults_of[change.field]) do
     local is_set = band(change.value, flag.mask) ~= 0
@@ -144,9 +148,16 @@ local function note_faults(self, state, cause, change)
       if is_set then faults[#faults + 1] = fault end
       state.faults = faults
       local name, till = is_set and "raised" or "cleared", not is_set and self.now
-      if state.is_counted then emit_fault(self, cause, fault, name, till) end
+      if state.is_counted then emit_fault(self, cause, fault, state.incident, name, till) end
     end
   end
+end
+
+-- Note the changes of a message's flags fields.
+local function note_faults(self, state, cause, changes)
+  -- An incident goes on if one field falls and another rises in the same message.
+  if not state.faults[1] then state.incident = {} end
+  for _, change in ipairs(changes) do note_flags(self, state, cause, change) end
 end
 
 -- Messages ----------------------------------------------------------------------------------------
@@ -190,11 +201,10 @@ local function note_message(self, event, is_counted)
   end
   state.last, state.last_at, state.is_counted = event, self.now, is_counted
   if is_counted and values ~= NOTHING then note_events(self, event, change) end
-  for _, flags in ipairs(change.flags or NOTHING) do
-    note_faults(self, state, event, flags)
-  end
+  if change.flags then note_faults(self, state, event, change.flags) end
   if is_counted and not values.is_unreliable then
     state.counted, state.counted_at, state.counted_faults = event, self.now, state.faults
+    state.counted_incident = state.incident
   end
 end
 
@@ -248,7 +258,7 @@ local function end_faults(self)
   output.sort(self.states, function(state) return state.counted.frame end)
   for _, state in ipairs(self.states) do
     for _, fault in ipairs(state.counted_faults) do
-      emit_fault(self, state.counted, fault, "active", state.counted_at)
+      emit_fault(self, state.counted, fault, state.counted_incident, "active", state.counted_at)
     end
   end
 end

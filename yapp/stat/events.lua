@@ -70,6 +70,16 @@ local function order_of(event)
   return event.time or math.huge, event.frame or math.huge
 end
 
+-- Return how many times a source had faults: one for all flags that are set without a break.
+local function count_incidents(list)
+  local seen, count = {}, 0
+  for _, event in ipairs(list) do
+    local incident = event.values.incident
+    if not seen[incident] then seen[incident], count = true, count + 1 end
+  end
+  return count
+end
+
 --- End, see stat.derive.  It always ends well.
 function Events:finish(ending, notes)
   local what, list = self.what, {}
@@ -78,7 +88,8 @@ function Events:finish(ending, notes)
     if is_sure then list[#list + 1] = event end
   end
   if what == "events" then output.sort(list, order_of) end
-  local title = ("YAPP %s: %d"):format(what, #list)
+  local count = what == "faults" and count_incidents(list) or #list
+  local title = ("YAPP %s: %d"):format(what, count)
   output.print(self.context, title, KEYS[what], list, notes, function(event)
     return row_of(self, event, ending)
   end)
