@@ -106,7 +106,7 @@ valgrind: needs-tests
 	$(call install-missing,valgrind,valgrind)
 	/usr/bin/env python3 tests/valgrind.py
 
-## Beside its peers, into BENCH.md: RUNS=5; LONG=1 long captures too, so often; BASE=folder another version.  Never fails
+## Beside its peers, into docs/BENCH.md: RUNS=5; LONG=1 long captures too, so often; BASE=folder another version.  Never fails
 bench:
 	-@$(MAKE) --no-print-directory needs-bench
 	-/usr/bin/env python3 tests/bench/bench.py $(if $(RUNS),--runs $(RUNS)) $(if $(LONG),--long $(LONG)) $(if $(BASE),--base "$(BASE)")

@@ -96,7 +96,7 @@ def without_forward_links(text):
 
 def comparison(name, passes, frames):
     """What these passes have to show of a capture, and what is shown, as texts to compare."""
-    wanted, text = (FOLDER / f"{name}.expected").read_text(), as_text(frames)
+    wanted, text = make.texts()[name].with_suffix(".expected").read_text(), as_text(frames)
     if passes == "one pass":
         wanted, text = without_forward_links(wanted), without_forward_links(text)
         if name in KNOWN_LATER:

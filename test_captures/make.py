@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Makes the captures of this folder: the text NAME.frames becomes NAME.pcap, or NAME.pcapng.
+"""Makes the captures of can/ and serial/: the text NAME.frames becomes NAME.pcap, or NAME.pcapng.
 
     make.py             makes all of them
     make.py NAME ...    makes these
@@ -36,6 +36,7 @@ import struct
 import sys
 
 FOLDER = pathlib.Path(__file__).resolve().parent
+KINDS = ("can", "serial")  # folders
 EPOCH = 1700000000
 LINKTYPES = {"can": 227, "sll": 113, "sll2": 276, "user0": 147, "rtac": 250, "pdu": 252, "udp": 1, "tcp": 1}
 CAN_LINKS = ("can", "sll", "sll2")
@@ -278,19 +279,24 @@ def pcapng(*sources):
 
 
 @functools.lru_cache(None)
-def read(name):
-    return Source((FOLDER / f"{name}.frames").read_text())
+def texts():
+    """The texts of the captures: { name: path }."""
+    return {path.stem: path for kind in KINDS for path in sorted((FOLDER / kind).glob("*.frames"))}
 
 
 @functools.lru_cache(None)
+def read(name):
+    return Source(texts()[name].read_text())
+
+
 def names():
-    return sorted(path.stem for path in FOLDER.glob("*.frames"))
+    return sorted(texts())
 
 
 def capture(name):
     """The capture of a text: where it belongs, and its bytes."""
     source = read(name)
-    return FOLDER / f"{name}.{source.format}", {"pcap": pcap, "pcapng": pcapng}[source.format](source)
+    return texts()[name].with_suffix(f".{source.format}"), {"pcap": pcap, "pcapng": pcapng}[source.format](source)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@
 Makes YAPP traffic on every carrier and text and dumps for every file reader, takes the captures of test_captures too,
 damages them, and shows each file to tshark and sharkd in several ways: one pass, two passes, all of the tree, fields,
 filters, statistics, frames at random.  A way fails on a Lua error, a crash, more than its time or its memory.
-What fails is made small, kept as test_captures/fuzz_* and replayed by tests/e2e/test_fuzz_findings.py.
+What fails is made small, kept in test_captures/fuzz and replayed by tests/e2e/test_fuzz_findings.py.
 
 The same seed makes the same files and calls on each Wireshark, as long as test_captures has the same files; what editcap
 damages depends on its version.  Only the frames that tshark read count, and each once, however often it was shown.
@@ -35,7 +35,7 @@ import tshark  # noqa: E402
 
 import fuzz_files  # noqa: E402
 import model  # noqa: E402
-from fuzz_files import CAPTURES, Capture  # noqa: E402
+from fuzz_files import FINDINGS, Capture  # noqa: E402
 
 # What a run may take: more is a failure.
 CPU_SECONDS, CPU_SECONDS_A_FRAME = 20, 0.01
@@ -379,7 +379,7 @@ def keep(seed, number, problem, way, where):
     """Makes a finding small and keeps it: its file, the call that shows it, the number of units left."""
     capture, _, installed = make(seed, number)
     units, arguments = reduce(capture, way, installed, signature(problem))
-    name = "fuzz_" + hashlib.sha1(signature(problem).encode()).hexdigest()[:8]
+    name = hashlib.sha1(signature(problem).encode()).hexdigest()[:8]
     path = where / f"{name}{capture.suffix}"
     capture.write(path, units)
     words = [word for group in arguments for word in group]
@@ -437,7 +437,7 @@ def main():
     parser.add_argument("--file", type=int, help="look at this file of the seed only")
     parser.add_argument("--replay", type=pathlib.Path, help="look at this capture only")
     parser.add_argument("--plugin", type=pathlib.Path, default=ROOT, help="folder of the plugin")
-    parser.add_argument("--keep", type=pathlib.Path, default=CAPTURES, help="where findings go")
+    parser.add_argument("--keep", type=pathlib.Path, default=FINDINGS, help="where findings go")
     options = parser.parse_args()
     PLUGIN, LONGEST, ONCE = options.plugin.resolve(), options.longest, options.once
     homes()  # before the workers start, for all of them

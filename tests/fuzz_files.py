@@ -16,6 +16,7 @@ import model
 from crc32k import crc32k
 
 CAPTURES = pathlib.Path(__file__).resolve().parents[1] / "test_captures"
+FINDINGS = CAPTURES / "fuzz"
 MESSAGES = [(ident, message.size) for ident, message in model.MESSAGES.items()]
 OTHER_IDS = [0x001, 0x100, 0x211, 0x300, 0x301, 0x7FF]
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -475,7 +476,7 @@ def split(suffix, data):
 @functools.lru_cache(None)
 def corpus():
     kinds = (".pcap", ".pcapng", ".log", ".txt", ".yapp", ".bin")
-    return sorted(path for path in CAPTURES.iterdir() if path.suffix in kinds and not path.name.startswith("fuzz_"))
+    return sorted(path for kind in ("can", "serial", "candump") for path in (CAPTURES / kind).iterdir() if path.suffix in kinds)
 
 
 def known_arguments(path):

@@ -16,16 +16,16 @@ sys.path.insert(0, str(ROOT / "tests/e2e"))
 import tshark  # noqa: E402
 
 CAPTURES = {  # what it is of: the file and how it is decoded
-    "CAN": ["document_motor.pcap"],
-    "CAN FD": ["fd_multi_frame.pcap"],
-    "serial, split": ["document_uart_split.pcap"],
-    "TCP, split": ["document_tcp_split.pcap", "-d", "tcp.port==20001,yapp_serial"],
-    "UDP": ["document_udp.pcap"],
-    "RTAC": ["document_uart_rtac.pcap", "-d", "rtacser.data,yapp_serial"],
-    "candump -L": ["candump_log_two_buses.log"],
+    "CAN": ["can/document_motor.pcap"],
+    "CAN FD": ["can/fd_multi_frame.pcap"],
+    "serial, split": ["serial/document_uart_split.pcap"],
+    "TCP, split": ["serial/document_tcp_split.pcap", "-d", "tcp.port==20001,yapp_serial"],
+    "UDP": ["serial/document_udp.pcap"],
+    "RTAC": ["serial/document_uart_rtac.pcap", "-d", "rtacser.data,yapp_serial"],
+    "candump -L": ["candump/candump_log_two_buses.log"],
     "ASC": ["other/motor.asc"],
-    "dump": ["dump_document.yapp"],
-    "a finding of the fuzzer": ["fuzz_tcp_notes_without_bytes.pcapng", "-d", "tcp.port==20001,yapp_serial"],
+    "dump": ["serial/dump_document.yapp"],
+    "a finding of the fuzzer": ["fuzz/tcp_notes_without_bytes.pcapng", "-d", "tcp.port==20001,yapp_serial"],
 }
 WAY = ["-2", "-V", "-z", "yapp,summary", "-z", "yapp,events", "-z", "expert"]
 ALONE = {"WIRESHARK_DEBUG_WMEM_OVERRIDE": "simple", "G_SLICE": "always-malloc"}

@@ -30,7 +30,7 @@ import bundle  # noqa: E402
 
 OLDEST = "946684800"  # the year 2000: a zip knows no time before 1980
 TOP = pathlib.Path(__file__).resolve().parents[1]
-DOCUMENTS = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "SECURITY.md", "docs/*", "tests/RUNS.md", "ci/*", "action.yml",
+DOCUMENTS = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "SECURITY.md", "docs/*", "ci/*", "action.yml",
              "tools/*.py", "tools/pyproject.toml", "tools/README.md", "tools/LICENSE", "tools/src/*/*")
 
 
@@ -63,7 +63,7 @@ def whole():
 def samples():
     text = (TOP / "docs/samples.md").read_text(encoding="utf-8")
     names = re.findall(r"^\| `(.+?)` \|", text, re.MULTILINE)
-    paths = [next(TOP / folder / name for folder in ("test_captures", "docs") if (TOP / folder / name).exists())
+    paths = [next(TOP / folder / name for folder in ("test_captures/can", "test_captures/serial", "test_captures/candump", "docs") if (TOP / folder / name).exists())
              for name in names]
     return {"yapp-samples/README.md": text.encode(), **{f"yapp-samples/{path.name}": path.read_bytes() for path in paths}}
 

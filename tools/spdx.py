@@ -9,7 +9,7 @@ TOP = pathlib.Path(__file__).resolve().parents[1]
 TEXT = "SPDX-License-Identifier: GPL-2.0-or-later"
 # REUSE-IgnoreEnd
 NAMES = ("Makefile", ".luacheckrc")
-NOT_OURS = ("test_captures/fuzz_",)
+NOT_OURS = ("test_captures/fuzz/",)
 
 
 def sources():

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Measures the plugin beside its peers and writes BENCH.md: make bench, make bench RUNS=5 LONG=1 BASE=folder
+"""Measures the plugin beside its peers and writes docs/BENCH.md: make bench, make bench RUNS=5 LONG=1 BASE=folder
 
 Each work of works.py is done by each of its peers in turns, RUNS times; what counts is the CPU time of the whole process,
 user and system, and the most memory it had.  A peer that cannot be had is a row that says so, never a failure.
@@ -248,7 +248,7 @@ def main():
     parser.add_argument("--base", type=lambda path: pathlib.Path(path).resolve(), help="a checkout of another version")
     parser.add_argument("--messages", type=int, default=40_000)
     parser.add_argument("--only", default="", metavar="WORD", help="only works with this in their title; writes no file")
-    parser.add_argument("--out", type=pathlib.Path, default=TOP / "BENCH.md")
+    parser.add_argument("--out", type=pathlib.Path, default=TOP / "docs/BENCH.md")
     options = parser.parse_args()
     load, (python, says) = os.getloadavg(), python_with_can()
     folder = tshark.writable_folder()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What was measured, as text: BENCH.md.  Results are { title of a work: { peer: list of Usage, or why it has none } }."""
+"""What was measured, as text: docs/BENCH.md.  Results are { title of a work: { peer: list of Usage, or why it has none } }."""
 import statistics
 import typing
 

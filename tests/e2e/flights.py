@@ -472,6 +472,8 @@ class Flight:
 
     def bus_name(self, bus, form):
         """The name of a bus: its interface's; one that stands for several has an index behind it.  The only one has none."""
+        if form == "asc":
+            return f"CAN-{bus + 1}"
         if form == "sll2":
             return f"if0#{bus + 1}" if len(self.names) > 1 else None
         return self.names[bus]

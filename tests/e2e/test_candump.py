@@ -44,8 +44,7 @@ def run(tmp_path, arguments, lua=REGISTER % ROOT, stdin=None):
     script = tmp_path / "register.lua"
     script.write_text(lua)
     command = [TSHARK, "-X", f"lua_script:{script}", *map(str, arguments)]
-    done = subprocess.run(command, stdin=stdin or subprocess.DEVNULL, capture_output=True, check=False,
-                          env=dict(os.environ, TZ="UTC"))
+    done = subprocess.run(command, stdin=stdin or subprocess.DEVNULL, capture_output=True, check=False)
     errors = done.stderr.decode()
     assert "Lua:" not in errors
     assert not lua or "reader registered" in errors
@@ -175,7 +174,7 @@ def assert_frames(shown, frames, times):
 @pytest.mark.parametrize("form", FILES, ids=lambda row: row[0])
 def test_form(tmp_path, form, way):
     name, frames, start = form
-    path, written = CAPTURES / f"candump_{name}", tmp_path / "out.pcapng"
+    path, written = CAPTURES / f"candump/candump_{name}", tmp_path / "out.pcapng"
     no_time = [""] * len(frames)
     times = stamps(start, len(frames)) if start is not None else no_time
     if way == "written":
@@ -187,7 +186,7 @@ def test_form(tmp_path, form, way):
 
 def test_nanoseconds(tmp_path):
     times = [f"{int(time[:10])}.{int(time[11:]) + i * 111 + 1:09d}" for i, time in enumerate(stamps(ABSOLUTE, 5))]
-    path, written = CAPTURES / "candump_log_nanoseconds.log", tmp_path / "out.pcapng"  # by hand
+    path, written = CAPTURES / "candump/candump_log_nanoseconds.log", tmp_path / "out.pcapng"  # by hand
     assert_frames(rows(tmp_path, ["-r", path]), MESSAGE, times)
     assert run(tmp_path, ["-r", path, "-w", written])[0] == 0
     assert_frames(rows(tmp_path, ["-r", written]), MESSAGE, times)
@@ -195,7 +194,7 @@ def test_nanoseconds(tmp_path):
 
 @pytest.mark.parametrize("name, frames", [("plain", MESSAGE), ("plain_fd", FD)])
 def test_plain_logs_stay_with_the_builtin_reader(tmp_path, name, frames):
-    path = CAPTURES / f"candump_log_{name}.log"
+    path = CAPTURES / f"candump/candump_log_{name}.log"
     shown = rows(tmp_path, ["-r", path])
     assert [row["data"] for row in shown] == [one["data"] for one in frames]
     assert not any("sll" in row["frame.protocols"] for row in shown)
@@ -203,7 +202,7 @@ def test_plain_logs_stay_with_the_builtin_reader(tmp_path, name, frames):
 
 def test_ids_in_a_plain_log(tmp_path):
     """The reader of 4.6 goes by an id's value: the Command of the document, ID 0, would be no extended frame to it."""
-    path = CAPTURES / "candump_log_low_ids.log"  # by hand
+    path = CAPTURES / "candump/candump_log_low_ids.log"  # by hand
     shown = rows(tmp_path, ["-r", path])
     assert [(row["can.id"], row["can.flags.xtd"], row["can.flags.err"]) for row in shown] == [
         ("0", "1", "0"), ("", "", "1"), (str(0x123), "1", "0"), (str(0x123), "0", "0")]
@@ -212,12 +211,12 @@ def test_ids_in_a_plain_log(tmp_path):
 
 
 def test_a_named_reader_takes_plain_logs_too(tmp_path):
-    shown = rows(tmp_path, ["-X", "read_format:yapp_candump", "-r", CAPTURES / "candump_log_plain.log"])
+    shown = rows(tmp_path, ["-X", "read_format:yapp_candump", "-r", CAPTURES / "candump/candump_log_plain.log"])
     assert_frames(shown, MESSAGE, stamps(ABSOLUTE, 5))
 
 
 def test_broken_lines_are_told(tmp_path):
-    path = CAPTURES / "candump_log_broken_lines.log"
+    path = CAPTURES / "candump/candump_log_broken_lines.log"
     errors = run(tmp_path, ["-r", path])[2]
     for text in ("line 2: an empty line", "line 4: a comment", "line 5: not a candump line, skipped: \"(170",
                  "line 7: not a candump line, skipped: \"can0  interface down\"",
@@ -229,7 +228,7 @@ def test_broken_lines_are_told(tmp_path):
 
 def test_names_of_buses_are_shown_once(tmp_path):
     for extra in ([], ["-2"]):
-        path = CAPTURES / "candump_log_bus_names.log"
+        path = CAPTURES / "candump/candump_log_bus_names.log"
         comments = run(tmp_path, [*extra, "-r", path, "-T", "fields", "-e", "frame.comment"])[1].splitlines()
         assert comments[:2] == ["Interface index 0 is can0", "Interface index 1 is vcan0"]
         assert not any(comments[2:])
@@ -245,7 +244,7 @@ def test_names_of_buses_are_text(tmp_path):
 
 
 def test_lost_frames_are_shown(tmp_path):
-    comments = run(tmp_path, ["-r", CAPTURES / "candump_screen_drops.txt", "-T", "fields", "-e", "frame.comment"])[1]
+    comments = run(tmp_path, ["-r", CAPTURES / "candump/candump_screen_drops.txt", "-T", "fields", "-e", "frame.comment"])[1]
     assert "dropped 3 CAN frames on 'can0'" in comments.splitlines()[4]
 
 
@@ -284,20 +283,20 @@ def test_what_a_capture_says_that_it_lacks(tmp_path, extra):
 
 
 def test_other_captures_lack_nothing(tmp_path):
-    for name in ("candump_log_plain.log", "candump_screen_zero.txt", "other/motor.asc", "cases/g0_clean.pcapng"):
+    for name in ("candump/candump_log_plain.log", "candump/candump_screen_zero.txt", "other/motor.asc", "cases/g0_clean.pcapng"):
         assert what_is_lacking(tmp_path, "-r", CAPTURES / name) == ["lacks times: false"], name
 
 
 @pytest.mark.parametrize("extra", [[], ["-2"], ["-2", "-R", "sll.ifindex == 1"]])
 def test_bus_of_the_record_without_a_tree(tmp_path, extra):
-    arguments = [*extra, "-r", CAPTURES / "candump_log_two_buses.log", "-T", "fields", "-e", "candumptest.bus",
+    arguments = [*extra, "-r", CAPTURES / "candump/candump_log_two_buses.log", "-T", "fields", "-e", "candumptest.bus",
                  "-e", "sll.ifindex"]
     lines = run(tmp_path, arguments, lua=REGISTER % ROOT + SHOW_BUS)[1].splitlines()
     assert lines == (["1\t1"] * 5 if "-R" in extra else ["0\t0", "1\t1"] * 5)
 
 
 def test_no_bus_in_files_of_others(tmp_path):
-    arguments = ["-r", CAPTURES / "candump_log_plain.log", "-T", "fields", "-e", "candumptest.bus"]
+    arguments = ["-r", CAPTURES / "candump/candump_log_plain.log", "-T", "fields", "-e", "candumptest.bus"]
     assert run(tmp_path, arguments, lua=REGISTER % ROOT + SHOW_BUS)[1].splitlines() == ["-1"] * 5
 
 
@@ -344,7 +343,7 @@ def test_deltas_of_a_long_file(tmp_path):
         assert shown == (times[2::3] if "-R" in extra else times)
 
 
-LOG = (CAPTURES / "candump_log_two_buses.log").read_bytes()
+LOG = (CAPTURES / "candump/candump_log_two_buses.log").read_bytes()
 FOREIGN = {
     "empty": b"",
     "binary": bytes(range(256)) * 100,
@@ -362,7 +361,7 @@ def test_files_of_others_are_not_taken(tmp_path, name):
     path = tmp_path / "foreign.txt"
     path.write_bytes(FOREIGN.get(name, b""))
     if name == "asc":
-        log2asc = ["log2asc", "-I", CAPTURES / "candump_log_two_buses.log", "-O", path, "can0", "can1"]
+        log2asc = ["log2asc", "-I", CAPTURES / "candump/candump_log_two_buses.log", "-O", path, "can0", "can1"]
         if subprocess.run(["which", "log2asc"], check=False, stdout=subprocess.DEVNULL).returncode:
             pytest.skip("log2asc of can-utils is not installed")
         subprocess.run(log2asc, check=True)

@@ -87,11 +87,24 @@ def test_a_bad_crc_of_a_message_without_one():
 
 
 def test_nothing_else_lies_there():
-    others = {"make.py", "expected.py", "flight.py"}
-    for path in tshark.CAPTURES.iterdir():
-        if path.is_file() and path.name not in others and not path.name.startswith(("candump_", "dump_", "fuzz_")):
-            assert path.stem in NAMES, f"{path.name} has no {path.stem}.frames"
-            assert path.suffix in (".frames", ".expected", f".{make.read(path.stem).format}")
+    top = {path.name for path in tshark.CAPTURES.iterdir() if path.is_file()}
+    assert top == {"README.md", "make.py", "expected.py", "flight.py"}
+    paths = [path for kind in make.KINDS for path in (tshark.CAPTURES / kind).iterdir() if not path.name.startswith("dump_")]
+    assert len(paths) >= 2 * len(NAMES)
+    for path in paths:
+        assert path.stem in NAMES, f"{path.name} has no {path.stem}.frames"
+        assert path.suffix in (".frames", ".expected", f".{make.read(path.stem).format}")
+        assert (make.read(path.stem).link in make.CAN_LINKS) == (path.parent.name == "can"), path
+
+
+def test_the_page_of_the_captures_names_each():
+    page = (tshark.CAPTURES / "README.md").read_text()
+    named = re.findall(r"(?m)^\| `([^`]+)` \|", page)
+    files = {path.stem for folder in ("can", "serial", "candump", "own_messages") for path in (tshark.CAPTURES / folder).iterdir()}
+    files |= {path.stem for path in (tshark.CAPTURES / "fuzz").iterdir()}
+    folders = {name for name in named if name.endswith("/")}
+    assert set(named) - folders == files and len(named) == len(set(named))
+    assert folders == {f"{path.name}/" for path in tshark.CAPTURES.iterdir() if path.is_dir() and path.name != "__pycache__"}
 
 
 # What is shown ---------------------------------------------------------------------------------------------------
@@ -288,7 +301,7 @@ def test_length_of_what_was_put_together():
 
 
 def test_one_filter_finds_all_frames_of_a_message():
-    done = tshark.run("-2", "-r", tshark.CAPTURES / "other_traffic.pcap", "-Y", "yapp.reassembled.in == 9", "-T",
+    done = tshark.run("-2", "-r", tshark.CAPTURES / "can/other_traffic.pcap", "-Y", "yapp.reassembled.in == 9", "-T",
                       "fields", "-e", "frame.number")
     assert done.stdout.split() == ["1", "3", "5", "7", "9"]
 
@@ -362,13 +375,13 @@ SHOWN = {"document_motor": {"Protocol": "YAPP", "Source": "0x210", "Info": "Moto
 def test_every_column_wherever_it_is_printed(name, arguments):
     """tshark has no columns with -V, -q and in a first pass of two; then no text is made for them."""
     for title, text in SHOWN[name].items():
-        printed = tshark.run("-r", tshark.CAPTURES / f"{name}.pcap", *arguments, "-o",
+        printed = tshark.run("-r", make.capture(name)[0], *arguments, "-o",
                              f'gui.column.format:"{title}","{COLUMNS[title]}"').stdout
         assert re.search(rf"(?m)^ *(<section>)?{re.escape(text)} *(</section>)?$", printed), (title, printed)
 
 
 @levels.by_version
-@pytest.mark.parametrize("name", ["dump_document.yapp", "document_uart_split.pcap"])
+@pytest.mark.parametrize("name", ["serial/dump_document.yapp", "serial/document_uart_split.pcap"])
 def test_protocols_are_counted_whatever_else_is_wanted(name):
     """Packets of skipped bytes, and of bytes that wait, are YAPP's where a filter names fields of Taurus alone."""
     counted = [re.search(r"\n +yapp +frames:(\d+)", tshark.run("-q", "-r", tshark.CAPTURES / name, "-z", "io,phs", *filters).stdout)[1]
@@ -379,7 +392,7 @@ def test_protocols_are_counted_whatever_else_is_wanted(name):
 @levels.by_version
 def test_bytes_of_a_message_in_filters():
     """They are asked of the tree's bytes, where nothing else is wanted of it and no tree is shown."""
-    path = tshark.CAPTURES / "document_motor.pcap"
+    path = tshark.CAPTURES / "can/document_motor.pcap"
     raw = [] if tshark.version() < (4, 2) else [("@taurus.motor.dc_voltage == f5:af", [5]), ("@taurus.motor.dc_voltage == f5:ae", [])]
     rows = [("taurus contains 18:01:00:00", [5]), ("taurus contains 18:01:00:02", []), (r'taurus[12:1] == "\x18"', [5]),
             (r'taurus[12:1] == "\x19"', []), ("taurus[30:2] == 05:ff", [5]), ("len(taurus) == 32", [5]), ("len(taurus) == 31", []), *raw]

@@ -328,7 +328,7 @@ def test_the_capture_of_the_repository(folder):
     bad[20] ^= 0x40
     data = b"".join([b"\r\nTaurus\r\n> ", frame(0x210, MOTOR), command, b"ps\r\n", frame(0x200, at(HEALTH, 0.1)),
                      bytes(bad), frame(0x210, at(MOTOR, 0.3)), frame(0x210, at(MOTOR, 0.4))[:40]])
-    path = CAPTURES / "dump_document.yapp"
+    path = CAPTURES / "serial/dump_document.yapp"
     assert path.read_bytes() == data
     assert [event.kind for event in records(data)] == ["skipped", "good", "good", "skipped", "good", "bad", "good", "incomplete"]
     assert_shown(path, folder, data, levels.size(["one pass", "-2", "written"], WAYS))
@@ -359,15 +359,15 @@ NO_DUMPS = {
            b"   0.000130 1  8404000x       Rx   d 8 BB BE 6F C7 20 00 00 00\n" * 10,
     "syslog": b"Nov 14 22:13:20 host kernel: [ 1.000000] can0: bus-off\n" * 100,
     "hex dump": b"00000000  59 50 00 00 10 02 00 00  20 00 00 00 00 00 00 00  |YP...... .......|\n" * 100,
-    "candump log": (CAPTURES / "candump_log_plain.log").read_bytes(),
-    "candump screen": (CAPTURES / "candump_screen_absolute.txt").read_bytes(),
+    "candump log": (CAPTURES / "candump/candump_log_plain.log").read_bytes(),
+    "candump screen": (CAPTURES / "candump/candump_screen_absolute.txt").read_bytes(),
 }
 
 # Files of others in which YAPP frames are, as they are on the line.
 WITH_FRAMES = {
-    "pcap": (CAPTURES / "document_uart.pcap").read_bytes(),
-    "pcapng": (CAPTURES / "two_interfaces.pcapng").read_bytes(),
-    "tar": b"run.pcap".ljust(512, b"\0") + (CAPTURES / "document_uart.pcap").read_bytes(),
+    "pcap": (CAPTURES / "serial/document_uart.pcap").read_bytes(),
+    "pcapng": (CAPTURES / "can/two_interfaces.pcapng").read_bytes(),
+    "tar": b"run.pcap".ljust(512, b"\0") + (CAPTURES / "serial/document_uart.pcap").read_bytes(),
     "other logger": b"LOG1" + (b"\x00\x01\x02\x03" + ONE) * 100,
     "dump": ONE * 10,
 }

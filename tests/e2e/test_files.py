@@ -162,7 +162,7 @@ def test_readers_hold_what_wireshark_hands_them():
 def test_every_bus_of_a_log(folder, passes):
     """Of the third and fourth the first frame begins a message."""
     buses = ["can1", "can2", "can0", "vcan7"]
-    lines = [line.split(" ", 2)[2] for line in (tshark.CAPTURES / "candump_log_plain.log").read_text().splitlines()]
+    lines = [line.split(" ", 2)[2] for line in (tshark.CAPTURES / "candump/candump_log_plain.log").read_text().splitlines()]
     text = "".join(f"(1700000000.{at:06d}) {bus} {line}\n" for at, (bus, line) in
                    enumerate((bus, line) for bus in buses for line in lines))
     (folder / "four.log").write_text(text)

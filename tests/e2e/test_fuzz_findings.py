@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What `make fuzz` found stays found: test_captures/fuzz_*, each with the arguments it failed with; and the fuzzer sees
+"""What `make fuzz` found stays found: test_captures/fuzz/, each with the arguments it failed with; and the fuzzer sees
 what goes wrong, tried with faults planted into copies of the plugin."""
 import importlib
 import shlex
@@ -19,7 +19,7 @@ def short(way):
     return shlex.join(way)[:30]
 
 
-FINDINGS = sorted(path for path in tshark.CAPTURES.glob("fuzz_*") if path.suffix != ".args")
+FINDINGS = sorted(path for path in (tshark.CAPTURES / "fuzz").iterdir() if path.suffix != ".args")
 
 
 @pytest.mark.parametrize("path", FINDINGS, ids=lambda path: path.stem)
@@ -80,7 +80,7 @@ def test_there_is_something_to_plant_behind():
 def test_every_way_sees_an_error(planted, way, installed):
     if way[0] == "sharkd" and not shutil.which("sharkd"):
         pytest.skip("sharkd is not installed")
-    assert "planted" in (planted(*DISSECTOR, 'error("planted")', "document_udp.pcap", way, installed) or "nothing")
+    assert "planted" in (planted(*DISSECTOR, 'error("planted")', "serial/document_udp.pcap", way, installed) or "nothing")
 
 
 @levels.deep
@@ -89,25 +89,25 @@ def test_an_error_of_the_first_pass_alone_is_seen(planted, way):
     if way[0] == "sharkd" and not shutil.which("sharkd"):
         pytest.skip("sharkd is not installed")
     line = 'if not pinfo.visited then error("planted") end'
-    assert "planted" in (planted("yapp.lua", "function serial.dissector", line, "document_uart.pcap", way) or "nothing")
+    assert "planted" in (planted("yapp.lua", "function serial.dissector", line, "serial/document_uart.pcap", way) or "nothing")
 
 
 # What is planted, into which capture's decoding, and what the fuzzer is to say; limits are lower, to see them soon.
 PLANTED = {
-    "reader": ("yapp/file/readers.lua", "local function fill", 'error("planted")', "candump_log2long.txt",
+    "reader": ("yapp/file/readers.lua", "local function fill", 'error("planted")', "candump/candump_log2long.txt",
                "FileHandler"),
     "dump reader": ("yapp/file/readers.lua", "local function fill", 'error("planted")',
-                    "fuzz_dump_of_another_size.yapp", "FileHandler"),
-    "load": ("yapp/wire/crc.lua", "local M", 'error("planted")', "document_udp.pcap", "Lua:"),
-    "init": (*INIT, 'error("planted")', "document_udp.pcap", "planted"),
-    "exit": (*INIT, "os.exit(7)", "document_udp.pcap", "exit code 7"),
-    "crash": (*INIT, 'os.execute("kill -SEGV $PPID")', "document_udp.pcap", "crash: signal 11"),
-    "abort": (*INIT, 'os.execute("kill -ABRT $PPID")', "document_udp.pcap", "crash: signal 6"),
-    "too many items": (*LOADED, OTHER % "for _ = 1, 1.1e6 do tree:add(other.fields[1], buffer(0, 1)) end", "document_udp.pcap",
+                    "fuzz/dump_of_another_size.yapp", "FileHandler"),
+    "load": ("yapp/wire/crc.lua", "local M", 'error("planted")', "serial/document_udp.pcap", "Lua:"),
+    "init": (*INIT, 'error("planted")', "serial/document_udp.pcap", "planted"),
+    "exit": (*INIT, "os.exit(7)", "serial/document_udp.pcap", "exit code 7"),
+    "crash": (*INIT, 'os.execute("kill -SEGV $PPID")', "serial/document_udp.pcap", "crash: signal 11"),
+    "abort": (*INIT, 'os.execute("kill -ABRT $PPID")', "serial/document_udp.pcap", "crash: signal 6"),
+    "too many items": (*LOADED, OTHER % "for _ = 1, 1.1e6 do tree:add(other.fields[1], buffer(0, 1)) end", "serial/document_udp.pcap",
                        "crash: signal 6"),
-    "memory": (*INIT, 'planted = ("x"):rep(2^29)', "document_udp.pcap", "memory"),
-    "busy": (*DISSECTOR, "while true do end", "document_udp.pcap", "hang"),
-    "asleep": (*INIT, 'os.execute("sleep 20")', "document_udp.pcap", "hang"),
+    "memory": (*INIT, 'planted = ("x"):rep(2^29)', "serial/document_udp.pcap", "memory"),
+    "busy": (*DISSECTOR, "while true do end", "serial/document_udp.pcap", "hang"),
+    "asleep": (*INIT, 'os.execute("sleep 20")', "serial/document_udp.pcap", "hang"),
 }
 
 
@@ -152,5 +152,5 @@ os.getenv("WIRESHARK_DEBUG_WMEM_OVERRIDE") ~= "strict" then error("not checked")
 def test_memory_is_checked(planted, way, setting):
     if way[0] == "sharkd" and not shutil.which("sharkd"):
         pytest.skip("sharkd is not installed")
-    problem = planted(*INIT, CHECKED.replace("strict", setting), "document_udp.pcap", way)
+    problem = planted(*INIT, CHECKED.replace("strict", setting), "serial/document_udp.pcap", way)
     assert problem is None if setting == "strict" else "not checked" in problem

@@ -628,7 +628,7 @@ def test_remote_frames_beside_data_of_zeros(folder):
         lines = tshark.run(output, "-r", folder / "run.pcapng", "-z", "yapp,events,json").stdout.splitlines()
         events = [json.loads(line) for line in lines if line.startswith('{"kind"')]
         assert [(one["kind"], one["id"]) for one in events] == [("silence", 0x200)]  # of the one message of Health
-    for capture in folder / "run.pcapng", tshark.ROOT / "test_captures/remote_frames.pcap":
+    for capture in folder / "run.pcapng", tshark.ROOT / "test_captures/can/remote_frames.pcap":
         assert tshark.run("-q", "-r", capture, "-z", "yapp,check,incomplete=0,crc=0,invalid=0").returncode == 0
 
 

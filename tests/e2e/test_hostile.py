@@ -157,7 +157,7 @@ ALL_IDS = ("motor", "command", "health")
 @levels.deep
 def test_each_id_is_given_to_each_message():
     """It is said, but not 4,096 times."""
-    path = tshark.CAPTURES / "document_command.pcap"
+    path = tshark.CAPTURES / "can/document_command.pcap"
     lines = said(*(word for name in ALL_IDS for word in ("-o", f"yapp.{name}_ids:0-2047")), "-r", path)
     assert lines[0] == "yapp: preferences: ID 0x0 is given to Command and to Motor Data: it stays with Command"
     assert lines[-1] == "yapp: preferences: and so on: 4096 problems in all"
@@ -169,7 +169,7 @@ def test_each_id_is_given_to_each_message():
                          ids=["all", "one", "backward", "open", "dash"])
 def test_ranges_without_end(text):
     """Wireshark takes all of these for ranges; each ID counts once."""
-    lines = said("-o", f"yapp.motor_ids:{text}", "-r", tshark.CAPTURES / "document_command.pcap", check=False)
+    lines = said("-o", f"yapp.motor_ids:{text}", "-r", tshark.CAPTURES / "can/document_command.pcap", check=False)
     assert len(lines) <= 2
 
 
@@ -178,7 +178,7 @@ def test_ranges_without_end(text):
     "yapp.motor_ids:1e3", "yapp.user_dlt:0-4294967295", "yapp.motor_ids:" + "9" * 100000],
     ["yapp.motor_ids:0-4294967295", "yapp.user_dlt:0-4294967295"]), ids=lambda text: text[:30])
 def test_ranges_beyond_the_ids_are_refused(setting):
-    done = tshark.run("-o", setting, "-r", tshark.CAPTURES / "document_command.pcap", check=False, limits=limits)
+    done = tshark.run("-o", setting, "-r", tshark.CAPTURES / "can/document_command.pcap", check=False, limits=limits)
     assert done.returncode != 0 and setting[:20] in done.stderr
 
 
@@ -186,13 +186,13 @@ def test_ranges_beyond_the_ids_are_refused(setting):
     ["yapp.divisor:", "yapp.divisor:7", "yapp.divisor:" + "x" * 100000, "yapp.all_extended:maybe", "yapp.search_all:" + "x" * 100000],
     ["yapp.divisor:7", "yapp.all_extended:maybe"]), ids=lambda text: text[:30])
 def test_garbage_leaves_a_choice_as_it_is(setting):
-    path = tshark.CAPTURES / "document_command.pcap"
+    path = tshark.CAPTURES / "can/document_command.pcap"
     done = tshark.run("-o", setting, "-r", path, "-T", "fields", "-e", "taurus.command.rpm", check=False, limits=limits)
     assert done.returncode or done.stdout == "750.8012\n"
 
 
 def test_link_types_of_others():
-    lines = said("-o", "yapp.user_dlt:0-162", "-r", tshark.CAPTURES / "document_command.pcap")
+    lines = said("-o", "yapp.user_dlt:0-162", "-r", tshark.CAPTURES / "can/document_command.pcap")
     assert lines == ["yapp: preferences: yapp.user_dlt: link type 0 is no DLT_USER; those are 147 to 162"]
 
 
@@ -315,7 +315,7 @@ def test_as_many_messages_as_there_are_ids(folder):
 
 # Wireshark's own memory ----------------------------------------------------------------------------------------------
 
-@pytest.mark.parametrize("name", ["document_motor.pcap", "two_interfaces.pcapng", "dump_document.yapp", "candump_log_two_buses.log",
+@pytest.mark.parametrize("name", ["can/document_motor.pcap", "can/two_interfaces.pcapng", "serial/dump_document.yapp", "candump/candump_log_two_buses.log",
                                   "other/motor.asc"])
 def test_a_collector_that_is_always_at_work(name):
     """Wireshark 4.4 writes to the arguments of a reader's function after it has returned: if one was collected meanwhile, into

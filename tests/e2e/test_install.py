@@ -11,7 +11,7 @@ import pytest
 import tshark
 
 pytestmark = levels.by_route
-CAPTURE = tshark.CAPTURES / "document_motor.pcap"
+CAPTURE = tshark.CAPTURES / "can/document_motor.pcap"
 GLOBALS = pathlib.Path(__file__).with_name("globals.lua")
 PLUGINS = ".local/lib/wireshark/plugins"
 

@@ -115,7 +115,7 @@ def test_an_extcap_of_an_earlier_wireshark(home, folder, source):
 
 def test_it_decodes_when_installed(home):
     run(home)
-    done = tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-T", "fields", "-e", "taurus.motor.dc_voltage",
+    done = tshark.run("-r", tshark.CAPTURES / "can/document_motor.pcap", "-T", "fields", "-e", "taurus.motor.dc_voltage",
                       plugin=False, env={"HOME": str(home)})
     assert done.stdout.strip() == "47.97314" and "yapp" not in done.stderr
 
@@ -602,7 +602,7 @@ def repository(top):
     for name in names:
         if (tshark.ROOT / name).is_dir():
             shutil.copytree(tshark.ROOT / name, top / name)
-        elif (tshark.ROOT / name).exists() and (not name.startswith("tests/") or name == "tests/RUNS.md"):
+        elif (tshark.ROOT / name).exists() and not name.startswith("tests/"):
             (top / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(tshark.ROOT / name, top / name)
     return top
@@ -679,7 +679,7 @@ def test_the_readme_of_the_zip(home, folder, zips):
 
 def test_the_zip_unpacked_in_the_plugin_folder(home, zips):
     zipfile.ZipFile(zips[0]).extractall(home / PLUGINS)
-    done = tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-T", "fields", "-e", "taurus.motor.dc_voltage",
+    done = tshark.run("-r", tshark.CAPTURES / "can/document_motor.pcap", "-T", "fields", "-e", "taurus.motor.dc_voltage",
                       plugin=False, env={"HOME": str(home)})
     assert done.stdout.strip() == "47.97314" and "yapp" not in done.stderr
 
@@ -743,14 +743,14 @@ def test_one_version():
 
 @pytest.mark.parametrize("capture, shown", [
     ("docs/flight.pcapng", "motor_overcurrent +raised"),
-    ("test_captures/document_command.pcap", r"750\.8\d* RPM"),
+    ("test_captures/can/document_command.pcap", r"750\.8\d* RPM"),
     (None, "No Taurus message"),
 ])
 def test_demo(folder, capture, shown):
     """The fault, a screen long, what to do next; and nothing stays behind."""
     if capture is None:  # a capture without a packet
         capture = folder / "empty.pcap"
-        capture.write_bytes((tshark.CAPTURES / "document_command.pcap").read_bytes()[:24])
+        capture.write_bytes((tshark.CAPTURES / "can/document_command.pcap").read_bytes()[:24])
     (folder / "tmp").mkdir()
     done = subprocess.run([tshark.ROOT / "tests/demo", capture], capture_output=True, text=True, check=True, cwd=tshark.ROOT,
                           env={**os.environ, "TMPDIR": str(folder / "tmp"), "HOME": str(folder)})

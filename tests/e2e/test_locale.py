@@ -9,8 +9,8 @@ import tshark
 
 OWN = tshark.CAPTURES / "own_messages"
 # Fractions in the tree and in the code that makes it; in times, catalogue, preferences, and texts that are read.
-CAPTURES = ["health.pcap", "info_column.pcap", "events.pcap", "own_messages/scaled.pcap", "own_messages/cells.pcap",
-            "candump_log_nanoseconds.log", "candump_screen_delta.txt", "candump_screen_date.txt", "other/motor.asc"]
+CAPTURES = ["can/health.pcap", "can/info_column.pcap", "can/events.pcap", "own_messages/scaled.pcap", "own_messages/cells.pcap",
+            "candump/candump_log_nanoseconds.log", "candump/candump_screen_delta.txt", "candump/candump_screen_date.txt", "other/motor.asc"]
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def shown(name, environment, *arguments):
     return done.stdout, errors, done.returncode
 
 
-@pytest.mark.parametrize("name", levels.few(CAPTURES, ["events.pcap", "own_messages/scaled.pcap", "candump_screen_delta.txt"]))
+@pytest.mark.parametrize("name", levels.few(CAPTURES, ["can/events.pcap", "own_messages/scaled.pcap", "candump/candump_screen_delta.txt"]))
 def test_what_is_shown(german, name):
     """Times, the Info column, trees, expert items; and that a preference was understood."""
     arguments = ["-P", "-t", "e", "-O", "yapp,taurus"]
@@ -58,6 +58,6 @@ STATISTICS = ["summary", "csv,-,motor", "check,json,motor.rate=0.5,motor.dc_volt
 @pytest.mark.parametrize("statistic", levels.few(STATISTICS, STATISTICS[:3]))
 def test_statistics(german, statistic):
     arguments = ["-q", "-z", f"yapp,{statistic}"]
-    wanted = shown("events.pcap", {}, *arguments)
+    wanted = shown("can/events.pcap", {}, *arguments)
     assert wanted[1] == [] and "." in wanted[0]
-    assert shown("events.pcap", german, *arguments) == wanted
+    assert shown("can/events.pcap", german, *arguments) == wanted

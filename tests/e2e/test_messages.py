@@ -171,7 +171,7 @@ def test_every_type_is_in_the_captures():
 
 ENTRY = ('return {{ {{ name = "{name}", title = "{title}", id = {ident}, size = 7, {{ "one", "uint8", "One" }}, '
          '{{ "rest", "bytes", "Rest", length = 6 }} }} }}')
-COMMAND = tshark.CAPTURES / "document_command.pcap"
+COMMAND = tshark.CAPTURES / "can/document_command.pcap"
 
 
 def home_with(folder, files):
@@ -268,7 +268,7 @@ def test_generated_values(folder):
 
 def test_derived_values_are_like_fields():
     """In a table, in fields.json, in summary, and in a rule."""
-    path = tshark.CAPTURES / "info_column.pcap"
+    path = tshark.CAPTURES / "can/info_column.pcap"
     power = model.generated(model.MOTOR, make.read("info_column").messages[0]["payload"])["taurus.motor.dc_power"]
     header, row = [line.split(",") for line in tshark.run("-q", "-r", path, "-z", "yapp,csv,-,motor").stdout.splitlines()]
     assert header[-1] == "dc_power" and float(row[-1]) == pytest.approx(power, rel=1e-6)

@@ -38,7 +38,7 @@ def test_copy_as_candump(tmp_path):
     path.write_text(LOG)
     copy = "-z", "yappmenu,copy"
     assert menu(path, *copy, "-X", "read_format:yapp_candump") == LOG
-    lines = menu(tshark.CAPTURES / "remote_frames.pcap", *copy).splitlines()
+    lines = menu(tshark.CAPTURES / "can/remote_frames.pcap", *copy).splitlines()
     assert [line.split()[2] for line in lines] == [
         "08404000#BBBE6FC720000000", "08404000#R", "08408000#FD7FFD7FFD7FFD7F", "08408000#R8", "08408000#F5AFFD7F18010000",
         "08408000#R8", "08408000#014000000000E38C", "0840C000#R8", "00000000#R7", "0840C000#D23CE04E000005FF"]
@@ -47,5 +47,5 @@ def test_copy_as_candump(tmp_path):
 def test_name_this_controller():
     """A part that names the controller stays; otherwise one is added."""
     asked = "\n".join(f"{bus}|{sources}" for bus, sources, _ in NAMES)
-    shown = menu(tshark.CAPTURES / "document_motor.pcap", asked=asked)
+    shown = menu(tshark.CAPTURES / "can/document_motor.pcap", asked=asked)
     assert shown.splitlines() == [expected for _, _, expected in NAMES]

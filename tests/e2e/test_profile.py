@@ -79,7 +79,7 @@ def test_shape_of_the_tables():
 
 
 def test_columns(home):
-    done = run(home, "-r", tshark.CAPTURES / "document_uart.pcap", "-T", "psml")
+    done = run(home, "-r", tshark.CAPTURES / "serial/document_uart.pcap", "-T", "psml")
     titles = re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[0])
     assert titles == ["No.", "Time", "Source", "RPM", "Voltage", "Current", "Power", "State", "Faults", "Protocol", "Info"]
     values = dict(zip(titles, re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[1])))
@@ -97,7 +97,7 @@ def columns(home, *arguments):
 
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
 def test_names_of_state_and_faults(home, passes):
-    rows = columns(home, *passes, "-r", tshark.CAPTURES / "events.pcap")
+    rows = columns(home, *passes, "-r", tshark.CAPTURES / "can/events.pcap")
     assert [faults for _, _, faults in rows[:6]] == [
         "", "motor_overcurrent", "motor_overcurrent, hall_timeout", "hall_timeout", "hall_timeout", ""]
     assert all(source.endswith("0x210") for source, _, _ in rows)
@@ -105,7 +105,7 @@ def test_names_of_state_and_faults(home, passes):
 
 def test_info_does_not_repeat_the_column(home):
     info = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
-    done = run(home, "-o", "yapp.sources:0x210=motor:nose", "-r", tshark.CAPTURES / "document_motor.pcap", "-T", "fields", "-e",
+    done = run(home, "-o", "yapp.sources:0x210=motor:nose", "-r", tshark.CAPTURES / "can/document_motor.pcap", "-T", "fields", "-e",
                "yapp.source", "-e", info)
     rows = [line.split("\t") for line in done.stdout.splitlines()]
     assert {source for source, _ in rows} == {"nose"}
@@ -130,7 +130,7 @@ def test_names_that_are_set_in_the_profile(home):
     try:
         path.write_text(before + "\nyapp.sources: 0x210=motor:nose\n")
         for profile, name in (["-C", "YAPP"], "nose"), ([], "0x210"):
-            done = tshark.run(*profile, *tshark.load(), "-r", tshark.CAPTURES / "document_uart.pcap", "-T", "fields", "-e",
+            done = tshark.run(*profile, *tshark.load(), "-r", tshark.CAPTURES / "serial/document_uart.pcap", "-T", "fields", "-e",
                               "yapp.source", plugin=False, env={"HOME": str(home)})
             assert done.stdout.strip().endswith(name)
     finally:
@@ -157,9 +157,9 @@ def test_several_controllers_are_no_average_and_no_zigzag():
 
 
 @pytest.mark.parametrize("capture, rule", [
-    ("bad_crc_can.pcap", "YAPP bad CRC"), ("lost_middle.pcap", "YAPP incomplete or stray"),
-    ("end_without_start.pcap", "YAPP incomplete or stray"), ("middle_without_start.pcap", "YAPP incomplete or stray"),
-    ("invalid_key.pcap", "YAPP command ignored"), ("fault_flags.pcap", "YAPP fault raised"),
+    ("can/bad_crc_can.pcap", "YAPP bad CRC"), ("can/lost_middle.pcap", "YAPP incomplete or stray"),
+    ("can/end_without_start.pcap", "YAPP incomplete or stray"), ("can/middle_without_start.pcap", "YAPP incomplete or stray"),
+    ("can/invalid_key.pcap", "YAPP command ignored"), ("can/fault_flags.pcap", "YAPP fault raised"),
 ])
 def test_colours(home, capture, rule):
     done = run(home, "--color", "-r", tshark.CAPTURES / capture, "-T", "fields", "-e", "frame.coloring_rule.name")
@@ -168,7 +168,7 @@ def test_colours(home, capture, rule):
 
 
 def test_what_is_well_has_no_colour(home):
-    done = run(home, "--color", "-r", tshark.CAPTURES / "document_command.pcap", "-T", "fields", "-e",
+    done = run(home, "--color", "-r", tshark.CAPTURES / "can/document_command.pcap", "-T", "fields", "-e",
                "frame.coloring_rule.name")
     assert done.stdout.strip() == ""
 

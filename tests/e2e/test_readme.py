@@ -132,14 +132,14 @@ def test_its_filters_are_filters():
     cells = [row[1] for row in table("Filters")]
     filters = [text.replace("\\|", "|") for cell in cells for text in re.findall(r"`([^`]+)`", cell)]
     assert len(filters) >= 8
-    tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
+    tshark.run("-r", tshark.CAPTURES / "can/document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
 
 
 def test_the_filters_of_the_help():
     text = (tshark.ROOT / "yapp/stat/menu.lua").read_text()
     filters = [part for line in re.findall(r"^.{32}((?:yapp|taurus)\..*)$", text, re.M) for part in re.split(r", or ", line)]
     assert len(filters) >= 9
-    tshark.run("-r", tshark.CAPTURES / "document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
+    tshark.run("-r", tshark.CAPTURES / "can/document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
 
 
 # What they name ----------------------------------------------------------------------------------------------------

@@ -267,7 +267,7 @@ def test_a_command_of_another_length_at_the_end(passes, folder):
 
 
 @pytest.mark.skipif(tshark.version() < (4, 2), reason="no filter names a column")
-@pytest.mark.parametrize("name", ["document_motor.pcap", "document_uart_split.pcap"])
+@pytest.mark.parametrize("name", ["can/document_motor.pcap", "serial/document_uart_split.pcap"])
 def test_a_first_pass_that_has_columns(name):
     """They are there for a filter that names one."""
     def found(*options):
@@ -374,5 +374,5 @@ def test_ids_in_the_byte_order_of_the_machine(arguments, passes, folder):
 
 @levels.by_route
 def test_the_document_as_text_in_a_tree(folder):
-    shutil.copy(tshark.CAPTURES / "candump_document.txt", folder / "document.txt")
+    shutil.copy(tshark.CAPTURES / "candump/candump_document.txt", folder / "document.txt")
     assert shown(folder / "document.txt", "yapp.crc.status") == [[""], [""], [""], [""], ["1"]]

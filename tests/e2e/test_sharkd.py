@@ -113,7 +113,7 @@ def test_details_and_packet_list_in_turns(folder, home):
 
 def test_another_file(home):
     """A log names its bus; the pcap that is opened behind it names none, and a log behind that one its own."""
-    log, pcap = tshark.CAPTURES / "candump_log_plain.log", tshark.CAPTURES / "document_motor.pcap"
+    log, pcap = tshark.CAPTURES / "candump/candump_log_plain.log", tshark.CAPTURES / "can/document_motor.pcap"
     answers = answers_of(home, log, details(1), load(pcap), details(5), load(log), details(1))
     found = [filters_in(answers[at]) for at in (0, 2, 4)]
     assert ['yapp.bus == "can0"' in one for one in found] == [True, False, True]
@@ -122,7 +122,7 @@ def test_another_file(home):
 
 def test_one_filter_after_another(home):
     """What is wanted of a tree changes while the file is open: of these messages each has other flags."""
-    path = tshark.CAPTURES / "fault_flags.pcap"
+    path = tshark.CAPTURES / "can/fault_flags.pcap"
     asked = ["taurus.motor.fault.motor_overcurrent == 1", "taurus.motor.torque_iq_error", "taurus.motor.fault_flags == 0",
              "taurus.motor.fault.raised", "taurus.motor.fault.motor_overcurrent == 1"]
     answers = answers_of(home, path, *(("frames", {"filter": text}) for text in asked))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What people record of YAPP in streams: captures that showed a defect of 2.2, and relatives of each."""
 import json
+import ssl
 import struct
 
 import pytest
@@ -248,3 +249,83 @@ def test_directions_in_a_pipe():
     rows = tshark.run(*USER_DLT, "-r", "-", "-q", "-z", "yapp,summary,json", stdin=data).stdout.splitlines()
     assert {(row["bus"], row["id"], row["crc_bad"]) for row in map(json.loads, rows)} == {
         ("ttyS0#rx", MOTOR_DATA, 0), ("ttyS0#rx", HEALTH, 0), ("ttyS0#tx", 0, 0)}
+
+
+# TLS -------------------------------------------------------------------------------------------------------------
+
+TLS_PORT = ["-d", "tls.port==4433,yapp_serial"]
+
+
+@levels.by_version
+@PASSES
+def test_tls(passes):
+    counts, events = statistics(CASES / "tls12_4433.pcapng", *TLS_PORT, *passes)
+    assert counts == {("192.168.1.20:4433", MOTOR_DATA): 20, ("192.168.1.20:4433", HEALTH): 4}
+    assert len(raised(events)) == 1 and kinds(events) == {"fault"}
+
+
+def in_tls(keys, records):
+    """The segments of a TLS connection, (is the server's, bytes) each: the handshake, and the server's records, of which
+    those of a list come in one segment."""
+    def context(side):
+        made = ssl.SSLContext(side)
+        made.check_hostname, made.verify_mode = False, ssl.CERT_NONE
+        made.maximum_version = ssl.TLSVersion.TLSv1_2
+        made.set_ciphers("AECDH-AES128-SHA:@SECLEVEL=0")  # needs no certificate
+        made.keylog_filename = str(keys)
+        return made
+
+    to_client, from_client, to_server, from_server = (ssl.MemoryBIO() for _ in range(4))
+    client = context(ssl.PROTOCOL_TLS_CLIENT).wrap_bio(to_client, from_client)
+    server = context(ssl.PROTOCOL_TLS_SERVER).wrap_bio(to_server, from_server, server_side=True)
+    segments = []
+    for _ in range(3):
+        for number, (side, sent, received) in enumerate([(client, from_client, to_server), (server, from_server, to_client)]):
+            try:
+                side.do_handshake()
+            except ssl.SSLWantReadError:
+                pass
+            data = sent.read()
+            received.write(data)
+            segments += [(number, data)] if data else []
+    for group in records:
+        for record in group:
+            server.write(record)
+        segments.append((1, from_server.read()))
+    return segments
+
+
+def tls_packet(packet):
+    sequence, acknowledged = packet.sequence
+    ports = (4433, 50000) if packet.origin.number else (50000, 4433)
+    data = struct.pack(">HHIIHHHH", *ports, sequence, acknowledged, 0x5018, 65535, 0, 0) + packet.data
+    return stream_captures.ethernet(packet, 6, data)
+
+
+@levels.by_version
+@PASSES
+@pytest.mark.parametrize("how", ["two records in a segment", "frames cut over records", "records cut over segments"])
+def test_records_of_tls(folder, passes, how):
+    messages = [data for _, data in flight()]
+    data = b"".join(messages)
+    records = {
+        "two records in a segment": [messages[at:at + 2] for at in range(0, 20, 2)],
+        "frames cut over records": [[data[at:at + 31]] for at in range(0, len(data), 31)],
+        "records cut over segments": [[message] for message in messages],
+    }[how]
+    segments = in_tls(folder / "keys", records)
+    if how == "records cut over segments":
+        segments = segments[:-20] + [(1, part) for _, whole in segments[-20:] for part in (whole[:30], whole[30:])]
+    packets, sent = [], [1, 1]
+    for index, (side, piece) in enumerate(segments):
+        packet = Packet(piece, Origin(ETHERNET, 0, side))
+        packet.sequence = sent[side], sent[1 - side]
+        sent[side] += len(piece)
+        packets.append((index / 20, packet))
+    path = written(folder, packets, tls_packet)
+    keys = ["-o", f"tls.keylog_file:{folder / 'keys'}"]
+    counts, events = statistics(path, *keys, *TLS_PORT, *passes)
+    assert counts == {("198.51.100.1:4433", MOTOR_DATA): 20}
+    assert len(raised(events)) == 1 and not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
+    found = tshark.fields(path, ["yapp.id"], *keys, *TLS_PORT, *passes)
+    assert sum(len(row[0].split(",")) for row in found if row[0]) == 20

@@ -5,7 +5,7 @@ import pytest
 import tshark
 
 pytestmark = levels.by_route
-CAPTURE = tshark.CAPTURES / "document_motor.pcap"
+CAPTURE = tshark.CAPTURES / "can/document_motor.pcap"
 PLANTED = """
 local planted = Proto("planted", "Planted")
 function planted.dissector(_, pinfo) if pinfo.number == 3 then error("planted") end end

@@ -67,7 +67,7 @@ def assert_quiet(wireshark, title):
 def captures():
     folder = gui.tshark.writable_folder()
     shutil.copy(gui.FLIGHT, folder / "first.pcapng")
-    shutil.copy(gui.tshark.CAPTURES / "document_udp.pcap", folder / "second.pcap")
+    shutil.copy(gui.tshark.CAPTURES / "serial/document_udp.pcap", folder / "second.pcap")
     yield folder
     shutil.rmtree(folder, ignore_errors=True)
 

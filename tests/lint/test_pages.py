@@ -7,7 +7,9 @@ import pytest
 
 TOP = pathlib.Path(__file__).resolve().parents[2]
 README = (TOP / "README.md").read_text()
-PAGES = [path.relative_to(TOP) for path in (TOP / "README.md", TOP / "CONTRIBUTING.md", *sorted((TOP / "docs").glob("*.md")))]
+RECORDS = ("BENCH", "RUNS")  # of measurements: tables that a program writes, lists of long runs
+PAGES = [path.relative_to(TOP) for path in (TOP / "README.md", TOP / "CONTRIBUTING.md", *sorted((TOP / "docs").glob("*.md")))
+         if not path.name.startswith(RECORDS)]
 
 # Lines that no reader has to scroll, sentences that nobody has to read twice.
 MAX_COLUMNS, MAX_CELL, MAX_WORDS = 100, 120, 25

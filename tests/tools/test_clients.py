@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
     """The captures that the recipes name, and a home with the plugin in it."""
     folder = tmp_path_factory.mktemp("clients")
     shutil.copy(TOP / "docs/flight.pcapng", folder)
-    shutil.copy(TOP / "test_captures/udp_several.pcap", folder / "several.pcap")
+    shutil.copy(TOP / "test_captures/serial/udp_several.pcap", folder / "several.pcap")
     install_plugin(folder / "home")
     message = bytes.fromhex(
         "595000001002000020000000fd7ffd7ffd7ffd7ff5affd7f18010000014000000000e38cd23ce04e000005ffbbbe6fc7"

@@ -34,6 +34,16 @@ function T.test_lines()
     ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2"] = "100000 1 00000123 fd 2 4 0102",
     ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2 130000 130 0 0 0 0 0 0"] = "100000 1 00000123 2 0 0102",
     ["0.1 CANFD 1 Rx 123 0 0 2 2 1 2 130000 130 202000 0 0 0 0 0"] = "100000 1 00000123 2 0 0102",
+    ["-1.000000 1  8404000x        Rx   d 1 A2"] = "-1000000 1 88404000 1 0 A2",
+    ["-0.25 1 123 rx d 1 a2"] = "-250000 1 00000123 1 0 A2",
+    ["0,125 1 8404000x TX D 1 a2"] = "125000 1 88404000 tx 1 0 A2",
+    ["0.0118\t2\t208X\trX\td\t1 18"] = "11800 2 80000208 1 0 18",
+    ["0.1 1 123 tx R 2"] = "100000 1 40000123 tx 2 0 ",
+    ["0.1 CanFd 1 tx 123 1 0 8 1 12"] = "100000 1 00000123 fd tx 1 5 12",
+    ["0.1 1 rx errorframe"] = "100000 1 20000080 8 0 0000000000000000",
+    ["0.311250987 1  C0           Rx   d   2 38 FF "] = "311250 1 000000C0 2 0 38FF",
+    ["594680.670895  5  1af    Rx    d 1 d3"] = "594680670895 5 000001AF 1 0 D3",
+    ["1700000000.670895 1 1af Rx d 0"] = "1700000000670895 1 000001AF 0 0 ",
     ["4999999.999999 1 1 Rx d 0"] = "4999999999999 1 00000001 0 0 ",
     ["0.1 1 0000000123 Rx d 0"] = "100000 1 00000123 0 0 ",
     ["0.1 CANFD 1 Rx 123 0 0 f 64" .. (" 1"):rep(64)] = "100000 1 00000123 fd 64 4 " .. ("01"):rep(64),
@@ -55,7 +65,7 @@ function T.test_lines_without_a_frame()
   for _, line in ipairs { "", " ", "// comment", "0.000000 Start of measurement", "End TriggerBlock",
     "1.0 1 Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.01%", "0.1 1 EngineData Rx d 1 00", "0.1 1 8404000x Rx d 8 BB BE",
     "0.1 1 800 Rx d 0", "0.1 1 20000000x Rx d 0", "0.1 1 123 Rx d 1 100", "0.1 1 123 Rx x 1 00",
-    "12345678 1 123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 f 65" .. (" 1"):rep(65),
+    "12345678901 1 123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 f 65" .. (" 1"):rep(65),
     "0.1 1 00000000123 Rx d 0", "0.1 CANFD 1 Rx 123 0 0 9 12 1 2 3", "x 1 123 Rx d 0",
     "0.1 1 123456789ABx Rx d 0", "0.1 1", "0.1", "5", ".5 1 123 Rx d 0",
     "0.1 " .. ("9"):rep(400) .. " 123 Rx d 0", "0.1 " .. ("9"):rep(400) .. " ErrorFrame" } do
@@ -63,16 +73,34 @@ function T.test_lines_without_a_frame()
   end
 end
 
--- With a time and an id, but data bytes that do not fit, a line may have been a frame.
+-- A line that was not understood may have been a frame.
 function T.test_lines_that_may_have_been_frames()
   for _, rest in ipairs { "1 8404000x Rx d 8 BB BE", "1 8404000x Rx d 2 BB G", "1 123 Rx d", "1 123 Rx x 1 00",
     "CANFD 1 Rx 123 0 0 9 12 1 2 3", "CANFD 1 Rx 123 1 0" } do
     local record, stamp, why = asc.parse("0.1 " .. rest, 16)
     lu.assertEquals({ record, stamp, why }, { nil, 100000, "the data bytes do not fit, line skipped" }, rest)
   end
-  for _, line in ipairs { "", "// 0.1 1 123 Rx d 1", "0.000000 Start of measurement", "0.1 1 EngineData Rx d 1",
-    "1.0 1 Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.01%", "0.1 1 123 TxRq d 1", "0.1 Log Trigger Event" } do
-    lu.assertNil((select(3, asc.parse(line, 16))), line)
+  for _, line in ipairs { "0.1 1 EngineData Rx d 1", "0.1 1 800 Rx d 0", "0.1 1 20000000x Rx d 0" } do
+    lu.assertEquals((select(3, asc.parse(line, 16))), "no such CAN id, line skipped", line)
+  end
+  for _, line in ipairs { "0.1 1 8404000x", "0.1 1", "0.1 1 8404000x Xx d 8 BB", "8404000x Rx d 8 BB BE", "0.1 CANFD",
+    "x", "0.1 Timestamp: 17.0 ID: 18ff3127 X Rx DL: 1 12", "0.1 CANFD 1 8404000x Rx 1 0 8 8", "0x" } do
+    lu.assertEquals((select(3, asc.parse(line, 16))), "not an ASC line, skipped", line)
+  end
+end
+
+-- Lines of known kinds that are no data frames, and events of the recorder.
+function T.test_lines_that_are_known()
+  for _, line in ipairs { "", " \t", "// 0.1 1 123 Rx d 1", "// version 7.1.0", "; remark", "date Tue Nov 14 2023",
+    "Date", "base hex  no internal events logged", "internal events logged", "no internal events logged",
+    "Begin Triggerblock", "Begin TriggerBlock Tue", "End TriggerBlock", "0.000000 Start of measurement",
+    "0.000000 Start der Messung", "-0.5 Log Trigger Event (type=0x2)", "0.1 Log Trigger Event",
+    "1.0 1 Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.01%", "1.0 1  Statistic: D 0", "0.1 1 123 TxRq d 1",
+    "0.1 CANFD 1 TxRq 123 1 0 8 8", "0.1 CAN 1 Status:chip status error active", "0.1 1 OverloadFrame",
+    "59.1 CANXL   2 Rx   XLFF   984438 4656 432 name", "0.1 1 J1939TP FEE3p 6 0 0 - Rx d 39", "0.1 L1 3C Rx 8 01 02",
+    "0.1 Li 3C Tx 8", "0.1 ETH 1 Rx 60:01", "0.1 SV: 3 0 1 ::x = 1", "0.1 Fr RMSG 0 0 1 Rx" } do
+    local record, _, why = asc.parse(line, 16)
+    lu.assertEquals({ record, why }, {}, line)
   end
 end
 
@@ -116,8 +144,18 @@ function T.test_what_is_asc()
   lu.assertEquals(frames(HEAD), {})
   lu.assertEquals(#frames(HEAD .. "0.1 1 123 Rx d 0"), 1)
   lu.assertEquals(#frames(HEAD:gsub("hex", "dec") .. "0.1 1 123 Rx d 0\n"), 1)
-  for _, text in ipairs { "", "date", "date Tue Nov 14 22:13:20 2023\n", "base hex timestamps absolute\n",
-    "date 2023\nbase oct timestamps absolute\n", "(0.1) can0 123#00\n" } do
+  for _, text in ipairs { "base hex timestamps absolute\n", "// remark\nbase dec\n",
+    "date Mon Dec 6 11:21:13 am 2021\nbase hex  no internal events logged\n// version 7.1.0\n" } do
+    lu.assertEquals(#frames(text .. "0.1 1 123 Rx d 0"), 1, text)
+  end
+  for _, text in ipairs { "0.1 1 123 Rx d 0",
+    "\n// remark\n0.1 1 123 Rx d 0\n", "0.1 1 123 Rx d 0\nx\n0.2 1 1 Rx d 0\n",
+    "0,1\t1\t123\trx\td\t0\n", "date today\n0.1 1 123 Rx d 0\n", "0.0 Start of measurement\n0.1 1 123 Rx d 0\n" } do
+    lu.assertEquals(#frames(text), text:find("\nx") and 2 or 1, text)
+  end
+  for _, text in ipairs { "", "date", "date Tue Nov 14 22:13:20 2023\n", "baseball\n", "0.1\n", "0.1 1\n",
+    "date 2023\nbase oct timestamps absolute\n", "(0.1) can0 123#00\n", "x\n0.1 1 123 Rx d 0\n0.2 1 1 Rx d 0\n",
+    "0.1 1 123 Rx d 0\n0.2 1 5 6 7\n", "1 2 3\n4 5 6\n", "0.5,1,2\n", "0.0 Start of measurement\n" } do
     lu.assertNil(frames(text), text)
   end
 end
@@ -188,6 +226,32 @@ function T.test_several_channels_in_the_first_lines()
   lu.assertFalse(asc.open(file_of(HEAD .. fd:format(3, 2) .. fd:format(4, 2)), print).has_several)
 end
 
+-- Negative stamps, in front of a trigger; without a date the first one must not be in front of 1970;
+-- a stamp of ten digits is the time since 1970.
+function T.test_stamps_without_a_date()
+  local function whole(text)
+    local list = {}
+    for i, record in ipairs(frames(text)) do list[i] = ("%d.%09d"):format(record.seconds, record.nanoseconds) end
+    return table.concat(list, " ")
+  end
+  local lines = "-1.5 1 123 Rx d 0\n-0.000001 1 123 Rx d 0\n0.25 1 123 Rx d 0\n"
+  lu.assertEquals(whole(lines), "0.500000000 1.999999000 2.250000000")
+  lu.assertEquals(times(HEAD .. lines), "-2.501000000 0.000999000 0.251000000")
+  lu.assertEquals(whole("0.25 1 123 Rx d 0\n3 1 123 Rx d 0\n"), "0.250000000 3.000000000")
+  for _, head in ipairs { "", HEAD } do
+    lu.assertEquals(whole(head .. "1700000000.25 1 123 Rx d 0\n"), "1700000000.250000000")
+  end
+  lu.assertEquals(whole("base hex timestamps relative\n0.5 1 1 Rx d 0\n0.5 1 1 Rx d 0\n"), "0.500000000 1.000000000")
+end
+
+-- Without a base, that in which more lines are frames.
+function T.test_base_without_a_head()
+  for line, data in pairs { ["Rx d 2 10 11"] = "\16\17",
+    ["Rx d 2 160 11"] = "\160\11", ["Rx d 2 a0 11"] = "\160\17" } do
+    lu.assertEquals(frames("0.1 1 8404000x " .. line .. "\n")[1].bytes:sub(-2), data, line)
+  end
+end
+
 -- The base of a file's ids and data; a clock of twelve hours, of which 12 am is the first.
 function T.test_bases_and_halves_of_the_day()
   for base, line in pairs { hex = "0.5 1 8404000x Rx d 2 10 ff", dec = "0.5 1 138428416x Rx d 2 16 255" } do
@@ -202,7 +266,7 @@ function T.test_bases_and_halves_of_the_day()
   end
 end
 
--- They are lost packets if they stand between two frames.
+-- They are lost packets, wherever they stand.
 function T.test_damaged_lines_are_lost_packets()
   local frame, cut = "0.5 1 123 Rx d 0\n", "0.6 1 8404000x Rx d 8 BB B\n"
   local found, said, log = frames(HEAD .. cut .. frame .. cut .. "// remark\n" .. cut .. frame:rep(2) .. cut)
@@ -211,7 +275,8 @@ function T.test_damaged_lines_are_lost_packets()
     "; further ones are not reported" })
   lu.assertEquals({ found[1].comment, found[2].comment, found[3].comment },
     { said[1], said[2] .. "\n" .. said[3], nil })
-  lu.assertEquals(log.drops, { { count = 2, frame = 2, time = found[2].seconds + 0.501 } })
+  lu.assertEquals(log.drops, { { count = 1, frame = 1, time = found[1].seconds + 0.501 },
+    { count = 2, frame = 2, time = found[2].seconds + 0.501 }, { count = 1 } })
 end
 
 -- A line longer than 4096 bytes is skipped and named; no part of it is a frame.

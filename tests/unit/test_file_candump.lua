@@ -184,11 +184,12 @@ function T.test_drops()
   while log:read(file) do end
   lu.assertEquals(log.drops, {
     { count = 3, bus = "can0", frame = 3, time = 1700000000.5 }, { count = 1, frame = 3, time = 1700000000.5 },
+    { count = 1, frame = 3, time = 1700000000.5 }, -- a line that is too long
     { count = 4294967295, bus = "can1", frame = 5, time = 1700000000 + 2 / 1000000 },
     { count = 7 }, { count = 4294967295, bus = "v\\xFF" },
   })
   for _ = 1, 2 do log:seek_read(file, 0) end
-  lu.assertEquals(#log.drops, 5)
+  lu.assertEquals(#log.drops, 6)
 end
 
 -- A line between two frames that cannot be read may have been a frame.

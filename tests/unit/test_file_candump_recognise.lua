@@ -101,7 +101,7 @@ end
 -- Cut anywhere in front of the data in the first line of every capture: the rest of that line is no frame, or one
 -- without its time.  What has neither id nor length any more is not always known.
 function T.test_every_form_cut_at_its_start()
-  local names = assert(io.popen("ls test_captures/candump_*"))
+  local names = assert(io.popen("ls test_captures/candump/*"))
   for name in names:lines() do
     local file = assert(io.open(name, "rb"))
     local text = file:read("*a")

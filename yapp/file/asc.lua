@@ -1,19 +1,23 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Vector's ASC, the text log of CANoe, CANalyzer and python-can, as packets.  Pure Lua.
+-- Vector's ASC, the text log of CANoe, CANalyzer, BUSMASTER, python-can, log2asc and loggers, as
+-- packets.  Pure Lua.
 --
 --   date Tue Nov 14 22:13:20.001 2023
 --   base hex  timestamps absolute
 --   Begin Triggerblock Tue Nov 14 22:13:20.001 2023
 --    0.001000 1  8408000x        Rx   d 8 FD 7F FD 7F FD 7F FD 7F
 --    0.002000 CANFD   1 Rx   840C000x                          1 0 d 32 FD 7F ...
+--
+-- The programs differ: BUSMASTER leaves out "timestamps", others all of the head; some write "rx",
+-- "D", a decimal comma, tabs.  Stamps in front of a trigger are negative.
 local text = require "yapp.file.text"
 
 local M = {}
 
 local HEAD = 4096 -- bytes by which a file is known
 local MAX_DATE = 64 -- characters
-local BASES = { hex = 16, dec = 10 } -- of ids and data
 local SECOND = 1000000 -- times are in microseconds: that many are exact in every Lua
+local EPOCH = 1000000000 * SECOND -- a stamp from here on is the time since 1970
 
 local MONTHS = {}
 for name, number in ([[jan 1 jän 1 feb 2 mar 3 mär 3 mrz 3 apr 4 may 5 mai 5 jun 6
@@ -40,18 +44,53 @@ local function read_date(text_of_date)
   return seconds and seconds * SECOND + ("0" .. milliseconds) * 1000
 end
 
--- Return the time in front of a line, "12.000123", in microseconds, and what follows; nil without.
+-- Return the time in front of a line, "-12.000123", in microseconds, and what follows; nil without.
 local function read_stamp(line)
-  local whole, fraction, rest = line:match("^%s*(%d+)%f[%D]%.?(%d*)%s+(.*)$")
-  if not rest or #whole > 7 then return nil end -- 115 days
-  return whole * SECOND + tonumber((fraction .. "000000"):sub(1, 6)), rest
+  local sign, whole, fraction, rest = line:match("^%s*(%-?)(%d+)%f[%D][.,]?(%d*)%s+(.*)$")
+  if not rest or #whole > 10 then return nil end
+  local time = whole * SECOND + tonumber((fraction .. "000000"):sub(1, 6))
+  return sign == "-" and -time or time, rest
 end
 
 -- A line ------------------------------------------------------------------------------------------
 
+local UNKNOWN = "not an ASC line, skipped"
+local ID = text.ID
+local DATA = text.DATA
+
+-- Lines without a time.
+local PLAIN = {
+  "^%s*$", "^%s*//", "^%s*;", "^%s*date%f[^%a]", "^%s*base%f[^%a]", "internal events logged",
+  "^%s*begin trigger", "^%s*end trigger",
+}
+-- What follows a time in a line without a frame: of a channel, of another network, of J1939 (whose
+-- frames have lines of their own), and a request to send (the frame has a line of its own).
+local EVENTS = {
+  "^%d+%s+statistic:", "^%d+%s+overloadframe", "^%d+%s+j1939%a*%s", "^%d+%s+%w+%s+txrq%s",
+  "^canfd%s+%d+%s+txrq%s", "^canxl%s", "^can%s+%d+%s+status:", "^l%d*%s", "^li?n?%d*%s", "^eth%s",
+  "^fr%w*%s", "^most%d*%s", "^j%d+%a*%s", "^sv:", "^a429%a*%s",
+}
+-- With one of these behind the time, a line may have been a frame.
+local LIKE_FRAMES = { "^%d+%s", "^%d+$", "^canfd%f[^%a]", "%f[%a][rt]x%f[^%a]" }
+
+local function has_one_of(lower, patterns)
+  for _, pattern in ipairs(patterns) do
+    if lower:find(pattern) then return true end
+  end
+  return false
+end
+
+-- Return why a line without a frame was not understood, nil if it is known.
+-- rest  what follows its time, nil without a time
+local function reason_of(line, rest)
+  if not rest then return not has_one_of(line:lower(), PLAIN) and UNKNOWN or nil end
+  local lower = rest:lower()
+  return has_one_of(lower, LIKE_FRAMES) and not has_one_of(lower, EVENTS) and UNKNOWN or nil
+end
+
 -- Return the id in "8404000x", with SocketCAN's flag of an extended one; nil for another text.
 local function read_id(id, base)
-  local digits, extended = id:match("^(%x+)(x?)$")
+  local digits, extended = id:match("^(%x+)([xX]?)$")
   local value = digits and #digits <= 10 and tonumber(digits, base)
   if not value then return nil end
   if extended == "" then return value < 0x800 and value or nil end
@@ -60,24 +99,24 @@ end
 
 local BYTE = "^%s*(%x%x?%x?)%f[%X]()"
 local BYTES = {}
-for _, base in pairs(BASES) do
+for _, base in ipairs { 10, 16 } do
   BYTES[base] = text.byte_table(function(digits) return tonumber(digits, base) end)
 end
 
 -- Fill in "d 8 FD 7F ...", "r 8": a length of 9 to 15 means 8.
 local function read_classic(record, rest, base)
-  local kind, code, data = rest:match("^([dr])%s*(%x?)%s*(.*)$")
+  local kind, code, data = rest:match("^([dDrR])%s*(%x?)%s*(.*)$")
   record.length = math.min(tonumber(code or "", 16) or 0, 8)
-  if kind == "r" then
+  if kind == "r" or kind == "R" then
     record.id = record.id + text.REMOTE
     record.data = ""
-  elseif kind == "d" and code ~= "" then
+  elseif kind and code ~= "" then
     record.data = text.read_bytes(data, record.length, BYTE, BYTES[base])
   end
 end
 
 -- BRS, ESI, DLC, length, then data, duration, bits, flags
-local FLEXIBLE = "([01])%s+([01])%s+%x%s+(%d+)(.*)$"
+local FLEXIBLE = "([01])%s+([01])%s+%x%d?%s+(%d+)(.*)$"
 
 -- Fill in a CAN FD frame, with or without a name in front.
 local function read_flexible(record, rest, base)
@@ -94,42 +133,44 @@ local function read_flexible(record, rest, base)
   end
 end
 
--- By the word in front of the channel: what reads the text behind the id.
-local FORMS = { [""] = read_classic, CANFD = read_flexible }
+-- By the word in front of the channel: what reads the text behind the id; the pattern of id and
+-- direction, and whether the direction is in front.
+local FORMS = {
+  [""] = { read = read_classic, pattern = "^(%w+)%s+([RrTt])[Xx]%s+(.*)$" },
+  CANFD = { read = read_flexible, pattern = "^([RrTt])[Xx]%s+(%w+)%s+(.*)$", is_turned = true },
+}
 
 --- Read one line.
 -- line     without its end
 -- base     10 or 16: of the file's ids and data
 -- returns  a record { bus = channel, id = with SocketCAN's flags, fd, sent, length, flags,
 --          raw_dlc = 0, data }, or nil for a line that is no frame; the time in front of the line
---          in microseconds, or nil; and a reason if the line may have been a frame
+--          in microseconds, or nil; and a reason if the line was not understood
 function M.parse(line, base)
   local stamp, rest = read_stamp(line)
-  if not stamp then return nil end
+  if not stamp then return nil, nil, reason_of(line) end
   local kind, channel, behind = rest:match("^(%a*)%s*(%d%d?%d?)%s+(%S.*)$")
-  local read = FORMS[kind]
-  if not read then return nil, stamp end
+  local form = FORMS[(kind or "none"):upper()]
+  if not form then return nil, stamp, reason_of(line, rest) end
   local record = { bus = tonumber(channel), flags = 0, raw_dlc = 0 }
-  if behind:find("^[RTx]*%s*ErrorFrame") then
+  if behind:find("^[RrTtXx]*%s*[Ee]rror[Ff]rame") then
     record.id = text.ERROR + 0x80 -- a bus error
     record.length = 8
     record.data = ("\0"):rep(8)
     return record, stamp
   end
-  local id, direction, data = behind:match("^(%w+)%s+([RT]x)%s+(.*)$")
-  if kind == "CANFD" then direction, id, data = behind:match("^([RT]x)%s+(%w+)%s+(.*)$") end
-  record.id = id and read_id(id, base)
-  if not record.id then return nil, stamp end
-  record.sent = direction == "Tx"
-  read(record, data, base)
-  if not record.data then return nil, stamp, text.DATA end
+  local id, direction, data = behind:match(form.pattern)
+  if form.is_turned then id, direction = direction, id end
+  if not id then return nil, stamp, reason_of(line, rest) end
+  record.id = read_id(id, base)
+  if not record.id then return nil, stamp, ID end
+  record.sent = direction == "T" or direction == "t"
+  form.read(record, data, base)
+  if not record.data then return nil, stamp, DATA end
   return record, stamp
 end
 
 -- A file ------------------------------------------------------------------------------------------
-
--- The channel of an extended frame, classic or CAN FD.
-local CHANNEL = "\n[ \t]*[%d.]+[ \tCANFD]+(%d+)[ \tRxT]+%x+x%s"
 
 -- Patterns of lines with a date, by the field of the log that gets the date.
 local DATES = {
@@ -148,27 +189,87 @@ local function take_date(log, line)
   end
 end
 
--- Return the frame in a line, as text.open says.  A block of a log says when it began: python-can
--- counts from there, CANoe from the date of the file.
+-- Take the time in front of a line: log.clock is the time of its frame.  A block of a log says when
+-- it began: python-can counts from there, CANoe from the date of the file.
+local function take_stamp(log, stamp)
+  if log.began then
+    local date = log.date or 0
+    local is_since_date = math.abs(date + stamp - log.began) < 2 * SECOND
+    log.start, log.began = is_since_date and date or log.began, nil
+  end
+  log.sum = log.is_relative and log.sum + stamp or stamp
+  -- Without a date, times count from 0; from a whole second later if the first is below 0.
+  log.start = log.start or log.date or math.max(0, math.ceil(-stamp / SECOND)) * SECOND
+  log.clock = log.sum + (log.sum < EPOCH and log.start or 0)
+end
+
+-- Return the frame in a line, as text.open says.
 local function read_record(log, line, offset)
   local record, stamp, why = M.parse(line, log.base)
   if not offset then return record end
+  if why then log:lose(line, why) end
   if not stamp then return take_date(log, line) end
-  if log.began then
-    local is_since_date = math.abs(log.date + stamp - log.began) < 2 * SECOND
-    log.start = is_since_date and log.date or log.began
-    log.began = nil
-  end
-  log.clock = log.is_relative and log.clock + stamp or stamp
+  take_stamp(log, stamp)
   if record then
     local number = record.bus
     log.buses[number] = log.buses[number] or { number = number, name = "CAN-" .. number }
-    log.times[offset] = (log.start or log.date) + log.clock
-  elseif why then
-    log:count_unread()
-    log:skip(line, why)
+    log.times[offset] = log.clock
   end
   return record
+end
+
+-- Return how many lines are frames, and how many may be damaged ones or another format's; and
+-- whether the extended frames are of several channels.
+local function count_lines(lines, base)
+  local frames, others, channel, has_several = 0, 0, nil, false
+  for line in lines:gmatch("[^\r\n]+") do
+    local record, _, why = M.parse(line, base)
+    if record then
+      frames = frames + 1
+      local its_channel = record.id >= text.EXTENDED and record.bus or channel
+      channel = channel or its_channel
+      has_several = has_several or its_channel ~= channel
+    elseif why then
+      others = others + 1
+    end
+  end
+  return frames, others, has_several
+end
+
+-- Return whether lines begin as ASC does, with a date, a base, a comment or a time; and what they
+-- say of the base, "hex" and "timestamps relative", or nil.
+local function read_head(lines)
+  local is_asc, base, rest
+  for line in lines:gmatch("[^\r\n]+") do
+    local word, value, more = line:match("^%s*(%a+)%f[%s]%s*(%S*)(.*)$")
+    if word == "base" then base, rest = value, more end
+    if is_asc == nil and line:find("%S") and not line:find("^%s*//") then
+      is_asc = word == "date" or word == "base" or read_stamp(line) ~= nil
+    end
+  end
+  return is_asc, base, rest
+end
+
+local BASES = { hex = 16, dec = 10 } -- of ids and data
+
+-- Return what the first lines of a file say, nil if it is not ASC: { base = of its ids and data,
+-- is_relative = whether times are those since the line before, has_several = channels }.  A file
+-- whose head says no base needs more frames than other lines.  Its base is that in which more lines
+-- are frames: "160 107" is not hexadecimal.
+local function recognise(head)
+  local lines = #head < HEAD and head or head:match("^.*\n") or ""
+  local is_asc, said, rest = read_head(lines)
+  if not is_asc or said and not BASES[said] then return nil end
+  local found = { base = BASES[said or "hex"] }
+  found.is_relative = (rest or ""):find("^%s*timestamps%s+relative") ~= nil
+  local frames, others
+  frames, others, found.has_several = count_lines(lines, found.base)
+  if said then return found end
+  local in_dec, others_in_dec, has_several = count_lines(lines, BASES.dec)
+  if in_dec > frames then
+    frames, others, found.base, found.has_several = in_dec, others_in_dec, BASES.dec, has_several
+  end
+  return frames > others and found or nil
 end
 
 --- Open a file if it is ASC.
@@ -179,22 +280,15 @@ end
 --          returns them }; nil for another file
 function M.open(file, report)
   local head = file:read(HEAD) or ""
-  if not head:find("^%s*date%s") then return nil end
-  local base, stamps = head:match("\n[ \t]*base[ \t]+(%a+)[ \t]+timestamps[ \t]+(%a+)")
-  if not BASES[base] then return nil end
-  local first, has_several = head:match(CHANNEL), false
-  for channel in head:gmatch(CHANNEL) do has_several = has_several or channel ~= first end
-  return text.open(head, report, {
-    record = read_record,
-    per_second = SECOND,
-    has_several = has_several,
-    base = BASES[base],
-    is_relative = stamps == "relative",
-    date = 0, -- of the file
-    began = nil, -- the date of a block until its first stamp comes
-    start = nil, -- what stamps count from, if not from the date
-    clock = 0, -- the last stamp; if they are relative, the sum of all
-  })
+  local log = recognise(head)
+  if not log then return nil end
+  log.record, log.per_second = read_record, SECOND
+  log.date = nil -- of the file
+  log.began = nil -- the date of a block until its first stamp comes
+  log.start = nil -- what stamps count from, if not from the date
+  log.sum = 0 -- the last stamp; if they are relative, the sum of all
+  log.clock = 0 -- the time of the last line
+  return text.open(head, report, log)
 end
 
 return M

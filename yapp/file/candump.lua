@@ -16,7 +16,7 @@ local M = {}
 -- Why a line gives no frame.
 local UNKNOWN = "not a candump line, skipped"
 local TIME = "no such time, line skipped"
-local ID = "no such CAN id, line skipped"
+local ID = text.ID
 local DATA = text.DATA
 -- Notes about a line with a frame.
 local BEHIND = "text behind the frame, ignored"
@@ -30,6 +30,8 @@ local OTHERS = {
   { "^Enabling Logfile '", "a message of candump's, skipped", true },
   { "while logging[.!]?%s*$", "a message of candump's, skipped", true },
   { "^DROPCOUNT: ", "candump lost frames" },
+  { "#%x%x:%x%x:%x+#%x*%s*[RT]?%s*$", "a CAN XL frame, skipped", true }, -- of a log
+  { "%[%d%d%d%d%]%s+%(%x%x|", "a CAN XL frame, skipped", true }, -- on the screen
   { "^\t%l+%-[%l-]+%f[{%s\0]" },
 }
 
@@ -57,13 +59,16 @@ local function read_date(date)
 end
 
 -- Fill in the time in the parentheses, or return why not.  An absolute time has ten digits at
--- least: candump pads it.
+-- least: candump pads it.  Old versions of asc2log write "1.1000000" for two seconds.
 local function read_stamp(record, stamp)
   local whole, fraction = stamp:match("^%f[%d]([%d%-: ]*%d)%.(%d+)$")
   if not whole then return TIME end
   record.seconds = #whole <= 12 and tonumber(whole) or read_date(whole)
   record.nanoseconds = tonumber((fraction .. "00000000"):sub(1, 9))
   record.is_relative = #whole < 10
+  if fraction == "1000000" and record.seconds then
+    record.seconds, record.nanoseconds = record.seconds + 1, 0
+  end
   return not record.seconds and TIME or nil
 end
 
@@ -75,8 +80,13 @@ local function fill_remote(record, length)
   record.data = ("\0"):rep(length)
 end
 
+-- Lengths that only a CAN FD frame has.
+local FD_LENGTHS = {
+  [12] = true, [16] = true, [20] = true, [24] = true, [32] = true, [48] = true, [64] = true,
+}
+
 -- Fill in the data that a log has behind "#": ##<flags><data> of CAN FD, R<length>_<DLC>,
--- <data>_<DLC>.
+-- <data>_<DLC>.  Some converters write CAN FD behind one "#", without flags.
 local function read_log(record, data, way, stop, line)
   local has_more = stop <= #line
   if has_more then record.note = BEHIND end
@@ -94,6 +104,7 @@ local function read_log(record, data, way, stop, line)
   if length then return fill_remote(record, tonumber(length) or 0) end
   if not hex or #hex % 2 ~= 0 then return DATA end
   record.data, record.length = hex:gsub("%x%x", text.BYTES)
+  record.fd = record.fd or FD_LENGTHS[record.length] or false
 end
 
 -- Fill in what the screen has behind the id: [8] classic, [08] CAN FD, {E} classic with the raw DLC
@@ -350,13 +361,24 @@ local function add_bus(log, name)
   log.pending[#log.pending + 1] = ("Interface index %d is %s"):format(number, shown)
 end
 
--- Note the packets that candump says it lost.  Any other line between two frames may have been one.
-local function add_drop(log, line, is_harmless)
+-- A line that has one of these, and was not understood, was a frame.
+local LIKE_FRAMES = { "^%s*%([%d-]", "%x#", "%[%x+%]%s", "{%x}%s" }
+
+local function has_one_of(line, patterns)
+  for _, pattern in ipairs(patterns) do
+    if line:find(pattern) then return true end
+  end
+  return false
+end
+
+-- Account for a line without a frame: note the packets that candump says it lost.
+local function add_drop(log, line, why, is_harmless)
   local count, bus = line:match("^DROPCOUNT: dropped (%d+)[^']*'?([^',]*)")
   if not count then
-    if not is_harmless then log:count_unread() end
-    return
+    if is_harmless then return log:skip(line, why, true) end
+    return log:lose(line, why, not has_one_of(line, LIKE_FRAMES))
   end
+  log:skip(line, why)
   log.drops[#log.drops + 1] = {
     count = math.min(tonumber(count), MAX_DROPPED),
     bus = not NO_BUS[bus] and utf8.name(bus) or nil,
@@ -367,10 +389,7 @@ end
 local function read_record(log, line, offset)
   local record, why, is_harmless = M.parse(line)
   if not offset then return record end
-  if why then
-    add_drop(log, line, is_harmless)
-    log:skip(line, why, is_harmless)
-  end
+  if why then add_drop(log, line, why, is_harmless) end
   if not record then return nil end
   if not log.buses[record.bus] then add_bus(log, record.bus) end
   if log.deltas then

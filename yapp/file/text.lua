@@ -13,9 +13,11 @@ local BLOCK = 65536 -- bytes read at once
 local MAX_LINE = 4096
 local MAX_REPORTED = 3 -- lines for each reason
 local TOO_LONG = "a line longer than 4096 bytes, skipped"
+local COMMENT = "^%s*[#;/]"
 local SECOND = 1000000000 -- nanoseconds
 
---- Why a line with an id gives no frame.
+--- Why a line gives no frame.
+M.ID = "no such CAN id, line skipped"
 M.DATA = "the data bytes do not fit, line skipped"
 
 -- Lines -------------------------------------------------------------------------------------------
@@ -185,7 +187,8 @@ function M.open(head, report, log)
   log.buses = {} -- { number, name = fit to be printed }, by the record's bus
   log.times = {} -- by the frame's offset, if its record has none
   log.drops = {} -- as readers.log returns them
-  log.unread = nil -- lines since the latest frame that may have been frames; nil before the first
+  log.unread, log.doubtful = 0, 0 -- number of lines since the latest frame: not understood
+  log.has_frame = false -- whether one was read
   return setmetatable(log, Log)
 end
 
@@ -204,20 +207,23 @@ function Log:skip(line, why, is_harmless)
   if not is_harmless then self.pending[#self.pending + 1] = message end
 end
 
---- Count a line that may have been a frame: a lost packet, if it stands between two frames.
-function Log:count_unread()
-  if self.unread then self.unread = self.unread + 1 end
+--- Report a line that was not understood.  It counts as a lost packet.
+-- is_doubtful  true if it may be no frame: then it counts only if it stands between two frames
+function Log:lose(line, why, is_doubtful)
+  local kind = is_doubtful and "doubtful" or "unread"
+  self[kind] = self[kind] + 1
+  self:skip(line, why)
 end
 
--- Note which frame is behind the latest drops.
-local function end_drops(self, seconds, nanoseconds)
-  if (self.unread or 0) > 0 then self.drops[#self.drops + 1] = { count = self.unread } end
-  self.unread = 0
+-- Note which frame is behind the latest drops, and when it came: nothing at the end of the file.
+local function end_drops(self, frame, time)
+  local count = self.unread + (frame and self.has_frame and self.doubtful or 0)
+  self.unread, self.doubtful, self.has_frame = 0, 0, true
+  if count > 0 then self.drops[#self.drops + 1] = { count = count } end
   for i = #self.drops, 1, -1 do
     local drop = self.drops[i]
     if drop.frame then break end
-    drop.frame = self.lines.number - self.others
-    drop.time = seconds and seconds + nanoseconds / SECOND
+    drop.frame, drop.time = frame, time
   end
 end
 
@@ -234,10 +240,10 @@ end
 -- returns  as read
 function M.next(self, lines, file)
   local line, offset = lines:next(file)
-  if not line then return nil end
+  if not line then return lines == self.lines and end_drops(self) or nil end
   local record
   if #line > MAX_LINE then
-    self:skip(line, TOO_LONG)
+    self:lose(line, TOO_LONG, line:find(COMMENT) ~= nil)
   else
     record = self:record(line, lines == self.lines and offset)
   end
@@ -250,7 +256,10 @@ function M.next(self, lines, file)
     self.pending = {}
   end
   local bus, seconds, nanoseconds = self.buses[record.bus], time_of(self, record, offset)
-  if lines == self.lines then end_drops(self, seconds, nanoseconds) end
+  if lines == self.lines then
+    local time = seconds and seconds + nanoseconds / SECOND
+    end_drops(self, self.lines.number - self.others, time)
+  end
   return offset, M.packet(bus.number, record), seconds, nanoseconds, bus, self.comments[offset]
 end
 

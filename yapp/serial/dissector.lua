@@ -24,6 +24,7 @@ local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 local TCP, UDP = 2, 3 -- pinfo.port_type
 local NO_ADDRESS = { [""] = true, NONE = true } -- pinfo.src of a packet without one
 local MAX_IN_INFO = 10 -- frames of a packet
+local INSIDE = frame_key.PACKET / 2 -- offset of what TLS found in a packet
 
 local Dissector = {}
 Dissector.__index = Dissector
@@ -50,6 +51,7 @@ function Dissector:reset(new_history)
   self.lines = {} -- by key, see line_of
   self.senders = senders.new()
   self.sources = memo(function() return {} end) -- by sender, by ID: whoever receives it
+  self.inside = nil -- see put_inside
   self.found = {} -- [bus_key of a line] = true: conversations that were found by content
   tcp.stop()
 end
@@ -77,6 +79,7 @@ end
 --   label        text that tells its sources apart, nil if nothing does
 --   has_address  whether its packets have a sender
 --   is_ip, interface  whether it is in UDP or TCP; then the name of its interface, or nil
+--   is_direct    whether TCP hands its bytes to YAPP; nil where TLS does
 --   sources      [ID] = a source, see source_of; all lines of a sender share them }
 local function new_line(self, pinfo, bus, is_ip)
   local kind, address, port = pinfo.port_type, tostring(pinfo.src), pinfo.src_port
@@ -430,10 +433,26 @@ local function dissect(self, packet, pinfo)
   return true
 end
 
+-- Let a packet be what TLS found in a segment: a stream beside that of TCP.  Several records of a
+-- segment have keys behind each other, behind those of TCP; they come anew on each revisit.
+local function put_inside(self, packet)
+  local before, bytes, number = self.inside, packet.bytes, packet.number
+  local is_next = before and before.number == number and
+    not (packet.visited and before.first == bytes)
+  local offset = is_next and before.offset or INSIDE
+  self.inside = {
+    number = number,
+    offset = offset + #bytes,
+    first = is_next and before.first or bytes,
+  }
+  packet.stream, packet.key = "tls|" .. packet.stream, number * frame_key.PACKET + offset
+end
+
 -- Dissect a segment that TCP has shown.
 local function dissect_segment(self, segment, tvb, pinfo, tree)
   local line = line_of(self, pinfo)
   local has_order = pinfo.visited or self.streams:note_header(line.key, line.opposite, segment)
+  line.is_direct = line.is_direct or segment.is_ours
   if segment.length == 0 or not (segment.is_ours or has_order) then return end
   dissect(self, new_packet(self, tvb, pinfo, tree, segment), pinfo)
 end
@@ -443,20 +462,33 @@ function Dissector:watch_tcp()
   tcp.watch(self.tcp_header, function(...) dissect_segment(self, ...) end)
 end
 
+-- Dissect bytes in TCP.  Those of a segment are shown when TCP has shown the segment.  Others are
+-- what TLS found in one, unless TCP has joined segments: but then others of the line came alone.
+-- returns  whether they are YAPP's
+local function dissect_in_tcp(self, tvb, pinfo, tree)
+  local segment, offset = tcp.current(pinfo.number), tvb:offset()
+  local is_direct = segment and offset == segment.offset or not segment and offset > 0
+  is_direct = is_direct or line_of(self, pinfo).is_direct
+  if segment and is_direct then
+    segment.is_ours = true -- these bytes may be of several: dissect_segment shows it
+    return true
+  end
+  local packet = new_packet(self, tvb, pinfo, tree)
+  if is_direct then
+    self:watch_tcp()
+  else
+    put_inside(self, packet) -- TLS needs no watch, and would lose the records that came before
+  end
+  return dissect(self, packet, pinfo)
+end
+
 --- Dissect the bytes of a packet.
 -- returns  the number of bytes that are ours
 function Dissector:dissect(tvb, pinfo, tree)
   local size = tvb:len()
   -- An ICMP error only quotes what was sent before.
   if size == 0 or pinfo.in_error_pkt then return 0 end
-  if pinfo.port_type == TCP then
-    local segment = tcp.current(pinfo.number)
-    if segment then
-      segment.is_ours = true -- these bytes may be of several: dissect_segment shows it
-      return size
-    end
-    self:watch_tcp()
-  end
+  if pinfo.port_type == TCP then return dissect_in_tcp(self, tvb, pinfo, tree) and size or 0 end
   return dissect(self, new_packet(self, tvb, pinfo, tree), pinfo) and size or 0
 end
 

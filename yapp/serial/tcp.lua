@@ -29,6 +29,7 @@ local function read(tvb, pinfo)
   local start, is_syn = band(size, 0xF0) / 4, band(flags, SYN) ~= 0
   if start < HEADER or start > tvb:len() then return nil end
   return {
+    offset = tvb:offset() + start,
     start = start,
     length = band(flags, RST) == 0 and tvb:reported_len() - start or 0,
     seq = (seq + (is_syn and 1 or 0)) % 0x100000000,
@@ -70,7 +71,7 @@ end
 --- Return the segment that TCP is dissecting, nil for none.
 -- number   of the packet that is dissected
 -- returns  {
---   start    offset of its bytes, behind TCP's header
+--   start    offset of its bytes, behind TCP's header; offset = in the packet
 --   length   number of data bytes that were sent; 0 for a reset
 --   seq      sequence number of the first one
 --   ack      sequence number that it acknowledges, or nil
