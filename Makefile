@@ -159,3 +159,23 @@ test-tools: needs-tools
 	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider tests/tools
 
 .PHONY: test-tools needs-tools
+
+# The viewer in the browser, docs/viewer.md.  Its packages stay in web/node_modules.
+needs-viewer: needs-python
+	$(call install-missing,node npm,nodejs npm)
+	@[ web/node_modules/.package-lock.json -nt web/package-lock.json ] || \
+	  (cd web && npm ci --ignore-scripts --silent && touch node_modules/.package-lock.json)
+
+## The page that opens captures in any browser: dist/viewer for a web server, dist/viewer-offline for a double click
+viewer: needs-viewer
+	@node web/build.mjs
+
+## The same on http://127.0.0.1:8000, PORT=8000
+viewer-serve: viewer
+	@python3 -m http.server --bind 127.0.0.1 --directory dist/viewer $(or $(PORT),8000)
+
+## The viewer beside tshark, twenty captures; LEVEL=all CHROOT=folder of a Debian with tshark: all of them, that tshark
+parity-viewer: needs-viewer needs-tshark
+	@YAPP_VIEWER_LEVEL=$(LEVEL) YAPP_VIEWER_CHROOT=$(CHROOT) node --test --test-reporter=dot tests/viewer/parity.test.mjs
+
+.PHONY: viewer viewer-serve parity-viewer needs-viewer

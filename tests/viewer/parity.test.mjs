@@ -1,0 +1,167 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The page answers as tshark does: rows of the packet list, trees, statistics, filters, forwards and backwards.
+//
+// With tshark 4.4, of which Wireshark in the page is, everything is compared but the tree of the frame itself (its
+// times are local, its colours not tshark's).  With another version what does not differ between them: YAPP's rows,
+// YAPP's and Taurus' trees, statistics, filters.  YAPP_VIEWER_LEVEL=all: every capture; else twenty.
+import assert from "node:assert/strict";
+import { existsSync, mkdtempSync, readFileSync, truncateSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { basename, dirname, join } from "node:path";
+import { after, test } from "node:test";
+import { TOP } from "../../web/build.mjs";
+import { read as readAnswer } from "../../web/statistics.js";
+import { open, start } from "./harness.mjs";
+import { captures, list, trees, tshark, unreadable, version } from "./tshark.mjs";
+
+const IS_ALL = process.env.YAPP_VIEWER_LEVEL === "all";
+const IS_SAME = version === "4.4";
+const FLIGHT = join(TOP, "docs/flight.pcapng");
+const OURS = /^(Yet Another Packet Protocol|Taurus|YAPP)/;
+const STATISTICS = ["faults", "events", "summary", "compare", "check"];
+const counted = { rows: 0, lines: 0, statistics: 0, filters: 0 };
+
+// Twenty of them: each kind of file, and every so many.
+function few() {
+  const kinds = new Map(captures.map((path) => [path.split(".").slice(1).join("."), path]));
+  const chosen = new Set([FLIGHT, ...kinds.values()]);
+  for (let i = 0; chosen.size < 20; i += 7) chosen.add(captures[i % captures.length]);
+  return [...chosen];
+}
+
+const chosen = IS_ALL ? [FLIGHT, ...captures] : few();
+assert.ok(chosen.length >= 20, "there are captures to compare");
+
+// The user's own messages, if a folder of captures has some.
+function messagesOf(path) {
+  const file = join(dirname(path), "messages.lua");
+  return existsSync(file) ? readFileSync(file, "utf8") : undefined;
+}
+
+const engines = new Map();
+async function engineFor(messages = "") {
+  if (!engines.has(messages)) engines.set(messages, await start(messages ? { "CONFIGURATION/yapp_messages.lua": messages } : {}));
+  return engines.get(messages);
+}
+
+function linesOf(tree, depth = 0) {
+  return tree.flatMap(({ label, children }) => [" ".repeat(4 * depth) + label, ...linesOf(children, depth + 1)]);
+}
+
+// What of a tree is compared.
+function compared(lines) {
+  const parts = [];
+  for (const line of lines) if (line.startsWith(" ")) parts.at(-1)?.push(line); else parts.push([line]);
+  return parts.filter(([head]) => IS_SAME ? !/^(Frame \d+: |Packet comments)/.test(head) : OURS.test(head)).flat()
+    .filter((line) => IS_SAME || !line.includes("…")); // long values are cut elsewhere
+}
+
+const isOurs = (row) => row.split("\t").at(-2) === "YAPP";
+// tshark puts generated items into brackets.
+const tidy = (text) => text.replace(/[ \t]+/g, " ").trim().replace(/^\[(.*)\]$/, "$1");
+
+for (const path of chosen) {
+  test(`${basename(path)}: rows, trees, statistics`, async () => {
+    const messages = messagesOf(path), engine = await engineFor(messages);
+    const there = list(path, messages);
+    if (there.code !== 0 && !there.lines.length) return assert.throws(() => open(engine, path), /does not know/);
+    const opened = open(engine, path);
+    assert.equal(opened.damage !== "", there.code !== 0, `damage: ${opened.damage}, tshark: ${there.said}`);
+    const rows = engine.rows("", 0, 0).rows.map(({ cells }) => cells.join("\t"));
+    assert.equal(rows.length, there.lines.length);
+    const wanted = there.lines.map((line) => line.replace(/^ +/, "")), keep = (row) => IS_SAME || isOurs(row);
+    assert.deepEqual(rows.filter(keep).map(tidy), wanted.filter(keep).map(tidy));
+    counted.rows += rows.filter(keep).length;
+    const numbers = rows.map((_, i) => i + 1), of = (number) => linesOf(engine.frame(number).tree);
+    const shown = numbers.map(of);
+    const expected = trees(path, messages);
+    assert.equal(shown.length, expected.length);
+    shown.forEach((lines, i) => {
+      assert.deepEqual(compared(lines).map(tidy), compared(expected[i]).map(tidy), `frame ${i + 1}`);
+      counted.lines += compared(lines).length;
+    });
+    assert.deepEqual(numbers.toReversed().map(of), shown.toReversed(), "backwards");
+    const statistics = tshark(path, ["-q", ...STATISTICS.flatMap((name) => ["-z", `yapp,${name},json`])], messages);
+    const answers = STATISTICS.map((name) => readAnswer(engine.statistic(`yapp,${name},json`)));
+    assert.deepEqual(answers.flatMap(({ lines }) => lines), statistics.lines.map((line) => JSON.parse(line)));
+    const notes = new Set(statistics.said.filter((line) => line.startsWith("yapp: ")).map((line) => line.slice(6)));
+    assert.deepEqual(new Set(answers.flatMap((one) => one.notes)), notes);
+    counted.statistics += STATISTICS.length;
+    const said = statistics.said.join("\n");
+    assert.deepEqual(engine.said.splice(0).filter((line) => !said.includes(line)), [], "nothing else went wrong in Wireshark");
+  });
+}
+
+// Each field of docs/filters.md, and some values.
+test("filters find the frames that tshark finds", async () => {
+  const engine = await engineFor();
+  open(engine, FLIGHT);
+  const reference = readFileSync(join(TOP, "docs/filters.md"), "utf8");
+  const fields = [...reference.matchAll(/`((?:yapp|taurus)\.[a-z][\w.]+)`/g)].map(([, name]) => name)
+    .filter((name) => engine.checkFilter(name) === ""); // the page names preferences, too
+  assert.ok(fields.length > 100);
+  const values = ["taurus.motor.rpm_measured > 3000", "taurus.motor.dc_voltage == 48.39896", "yapp.source == \"can1 0x210\"",
+    "taurus.fault.raised || taurus.fault.cleared", "!(yapp.crc.status == 1)", "yapp.id == 0x210", "frame.number >= 700 && taurus.health",
+    "yapp.time_delta > 0.2", "taurus.motor.rpm_measured - taurus.motor.rpm_commanded > 100", "frame.len == 16", "can.len < 8"];
+  const ofItems = (tree) => tree.flatMap(({ filter, children }) => [filter, ...ofItems(children)]);
+  const items = [30, 719, 846].flatMap((number) => ofItems(engine.frame(number).tree)).filter((one) => /^(yapp|taurus)[^,|]+==/.test(one));
+  const all = [...new Set([...values, ...items, ...fields])], filters = IS_ALL ? all : all.filter((_, i) => i % 4 === 0);
+  assert.ok(filters.length >= (IS_ALL ? 200 : 50), String(filters.length));
+  const row = tshark(FLIGHT, ["-2", "-q", "-z", ["io,stat,0", ...filters].join(",")]).lines.find((line) => line.includes("<>"));
+  assert.ok(row, "io,stat answers");
+  const counts = row.split("|").slice(2, -1).filter((_, i) => i % 2 === 0).map(Number);
+  assert.equal(counts.length, filters.length);
+  const found = filters.map((filter) => [filter, engine.rows(filter, 0, 1).matched]);
+  assert.deepEqual(found.filter(([, count], i) => count !== counts[i]), []);
+  assert.ok(found.filter(([, count]) => count > 0).length > filters.length / 3, "many of them find something");
+  counted.filters += filters.length;
+});
+
+test("a filter that is none says why; fields complete; faults before and after a frame", async () => {
+  const engine = await engineFor();
+  open(engine, FLIGHT);
+  assert.match(engine.checkFilter("taurus.motor.rpm_measured >"), /./);
+  assert.match(engine.checkFilter("taurus.moter"), /not a valid protocol or protocol field/);
+  assert.equal(engine.checkFilter("taurus.motor && frame.number < 10"), "");
+  assert.ok(engine.complete("taurus.motor.rpm").some(({ filter }) => filter === "taurus.motor.rpm_measured"));
+  const fault = "taurus.fault.raised || taurus.fault.cleared";
+  assert.deepEqual([[0, 1], [719, 1], [908, 1], [908, -1], [719, -1]].map(([from, step]) => engine.neighbour(fault, from, step)),
+    [719, 908, undefined, 719, undefined]);
+});
+
+// Buses behind the first 64 KB: without gui_enabled they would be lost.
+test("two buses in more than 64 KB keep their faults apart", async () => {
+  const path = captures.find((one) => basename(one) === "g5_two_escs_one_id.pcapng") ?? FLIGHT;
+  const engine = await engineFor();
+  open(engine, FLIGHT);
+  assert.ok(readFileSync(FLIGHT).length > 65536 && path);
+  const buses = new Set(readAnswer(engine.statistic("yapp,events,json")).lines.filter(({ frame }) => frame > 1365).map(({ bus }) => bus));
+  const wanted = tshark(FLIGHT, ["-q", "-z", "yapp,events,json"]).lines.map((line) => JSON.parse(line));
+  assert.deepEqual(buses, new Set(wanted.filter(({ frame }) => frame > 1365).map(({ bus }) => bus)));
+});
+
+test("a capture that is cut opens as far as it goes, and says so", async () => {
+  const folder = mkdtempSync(join(tmpdir(), "viewer-")), cut = join(folder, "cut.pcapng");
+  writeFileSync(cut, readFileSync(FLIGHT));
+  truncateSync(cut, 40001);
+  const engine = await engineFor(), opened = open(engine, cut);
+  assert.match(opened.damage, /in the middle of a packet/);
+  assert.equal(engine.rows("", 0, 1).matched, opened.count);
+  assert.ok(opened.count > 500 && opened.count < 1483);
+});
+
+test("what is no capture is refused with a reason", async () => {
+  const folder = mkdtempSync(join(tmpdir(), "viewer-"));
+  const make = (name, content) => { writeFileSync(join(folder, name), content); return join(folder, name); };
+  for (const [name, content, why] of [["text.bin", "no capture", /does not know/], ["empty.pcap", "", /is empty/]]) {
+    const engine = await start(), path = make(name, content);
+    assert.throws(() => open(engine, path), why);
+  }
+  assert.ok(unreadable.length > 0);
+  for (const path of unreadable) assert.throws(() => open(engines.get(""), path), /compressed by (zstd|lz4)/);
+});
+
+after(() => {
+  console.log(`compared with tshark ${version}: ${chosen.length} captures, ${counted.rows} rows, ${counted.lines} lines of trees, ` +
+    `${counted.statistics} statistics, ${counted.filters} filters`);
+});

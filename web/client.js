@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The page's side of the worker, and the files that belong to the page.
+
+// Of a page that was opened from a disk, a file NAME is a script NAME.js that calls asset(NAME, base64): such a
+// page may not read files.
+const isOnDisk = location.protocol === "file:";
+const arrived = new Map();
+window.asset = (name, base64) => arrived.set(name, base64);
+
+const bytesOf = (base64) => Uint8Array.fromBase64?.(base64) ?? Uint8Array.from(atob(base64), (one) => one.charCodeAt(0));
+
+function script(name) {
+  return new Promise((resolve, reject) => {
+    const element = document.createElement("script");
+    element.src = `${name}.js`;
+    element.onload = () => {
+      element.remove();
+      const key = name.split("/").pop();
+      if (!arrived.has(key)) return reject(new Error(`${name}.js has no ${key} in it`));
+      const blob = new Blob([bytesOf(arrived.get(key))]);
+      arrived.delete(key);
+      resolve(blob);
+    };
+    element.onerror = () => reject(new Error(`there is no ${name}.js beside this page`));
+    document.head.append(element);
+  });
+}
+
+// Get a file of the page's folder as a Blob.
+// name: a path in this folder; progress: function(done, total)
+export async function getFile(name, progress = () => {}) {
+  const url = new URL(name, location.href);
+  const folder = new URL(".", location.href).href.split(/[?#]/)[0];
+  if (!url.href.startsWith(folder)) throw new Error(`${name} is not in the folder of this page`);
+  if (isOnDisk) return script(url.href.slice(folder.length));
+  const response = await fetch(url).catch((error) => { throw new Error(`${name}: ${error.message}`); });
+  if (!response.ok) throw new Error(`${name}: ${response.status} ${response.statusText}`);
+  const total = Number(response.headers.get("Content-Length"));
+  let done = 0;
+  const counted = new TransformStream({ transform(chunk, controller) {
+    progress(done += chunk.length, total);
+    controller.enqueue(chunk);
+  } });
+  return new Response(response.body.pipeThrough(counted)).blob();
+}
+
+const unpacked = (blob) => blob.stream().pipeThrough(new DecompressionStream("gzip"));
+
+export class Cancelled extends Error {}
+
+export class Client {
+  // say: function(text); progress: function(done, total)
+  constructor(say, progress) {
+    Object.assign(this, { say, progress, waiting: new Map(), calls: 0 });
+  }
+
+  // Load what every start of the worker needs.
+  async load() {
+    const [wasm, data, worker, plugin] = await Promise.all([
+      getFile("wiregasm.wasm.gz", this.progress), getFile("wiregasm.data.gz"), getFile("worker.js"), getFile("plugin.json")]);
+    const type = { headers: { "Content-Type": "application/wasm" } };
+    this.module = await WebAssembly.compileStreaming(new Response(unpacked(wasm), type));
+    this.data = await new Response(unpacked(data)).arrayBuffer();
+    // A worker of a blob has the page's Content Security Policy; one of a URL would have none.
+    this.worker = URL.createObjectURL(new Blob([worker], { type: "text/javascript" }));
+    this.plugin = JSON.parse(await plugin.text());
+  }
+
+  // Start Wireshark, or end the one that runs and start anew.
+  // files: more files, by path; returns what Engine.about does
+  start(files) {
+    this.stop();
+    this.running = new Worker(this.worker);
+    this.running.onmessage = ({ data }) => this.hear(data);
+    this.running.onerror = (event) => this.fail(`the worker failed: ${event.message}`);
+    const { module, data } = this;
+    return this.call("start", { module, data, files: { ...this.plugin.files, ...files } });
+  }
+
+  stop() {
+    this.running?.terminate();
+    for (const { reject } of this.waiting.values()) reject(new Cancelled("cancelled"));
+    this.waiting.clear();
+  }
+
+  fail(text) {
+    for (const { reject } of this.waiting.values()) reject(new Error(text));
+    this.waiting.clear();
+    this.say(text);
+  }
+
+  // Call a method of the engine.
+  call(name, ...values) {
+    const id = this.calls += 1;
+    return new Promise((resolve, reject) => {
+      this.waiting.set(id, { resolve, reject });
+      this.running.postMessage({ id, name, values });
+    });
+  }
+
+  hear({ id, result, error, isFatal, text, done, total }) {
+    if (text !== undefined) return this.say(text);
+    if (done !== undefined) return this.progress(done, total);
+    const { resolve, reject } = this.waiting.get(id) ?? {};
+    this.waiting.delete(id);
+    if (error === undefined) return resolve?.(result);
+    const failure = new Error(error);
+    failure.isFatal = isFatal;
+    reject?.(failure);
+  }
+}

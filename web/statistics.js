@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The answers of the plugin's statistics: tables of its JSON lines, and what it says besides.
+
+const KNOWN = ["kind", "ok", "rule", "time", "frame", "bus", "id", "source", "message"]; // columns that come first
+const IDENTITY = ["bus", "id", "source", "message", "field", "unit"]; // of a row, repeated for what is in it
+const VERDICTS = { true: "ok", false: "FAILED", null: "NOT JUDGED" };
+const HELP = { check: "Rules, such as fault=0,motor.rate=9..11; empty: check everything" };
+
+function make(kind, className, ...content) {
+  const element = document.createElement(kind);
+  if (className) element.className = className;
+  element.append(...content);
+  return element;
+}
+
+const utc = (seconds) => new Date(Math.floor(seconds * 1000)).toISOString().slice(0, 19).replace("T", " ") +
+  (seconds % 1).toFixed(6).slice(1);
+
+function text(key, value) {
+  if (key === "ok") return VERDICTS[value];
+  if (value === null || value === undefined) return "";
+  if (key === "id") return `0x${value.toString(16)}`;
+  if (key === "time") return utc(value);
+  if (typeof value === "number" && !Number.isInteger(value)) return String(Number(value.toPrecision(6)));
+  return String(value);
+}
+
+// The lines of a table: { keys, rows }; of those inside rows (a summary's values, compare's sources) a second one.
+export function tablesOf(lines) {
+  const tables = [{ keys: [], rows: [] }, { keys: [], rows: [] }];
+  function add(table, row) {
+    for (const key of Object.keys(row)) if (!table.keys.includes(key)) table.keys.push(key);
+    table.rows.push(row);
+  }
+  for (const line of lines) {
+    const row = {}, inner = [];
+    for (const [key, value] of Object.entries(line)) {
+      if (value === null || typeof value !== "object") row[key] = value;
+      else if (Array.isArray(value)) inner.push(...value);
+      else inner.push(...Object.entries(value).map(([field, values]) => ({ field, ...values })));
+    }
+    add(tables[0], row);
+    const identity = Object.fromEntries(IDENTITY.filter((key) => key in row).map((key) => [key, row[key]]));
+    for (const one of inner) add(tables[1], { ...identity, ...one });
+  }
+  return tables.filter(({ rows }) => rows.length);
+}
+
+// Split what a statistic answers with json: { lines: objects, notes: texts }.
+export function read(answer) {
+  const lines = [], notes = [];
+  for (const line of answer.split("\n").filter(Boolean)) {
+    if (line.startsWith("{")) lines.push(JSON.parse(line)); else notes.push(line);
+  }
+  return { lines, notes };
+}
+
+function headline(name, lines) {
+  const count = (verdict) => lines.filter(({ ok }) => ok === verdict).length;
+  if (name !== "check") return lines.length ? `${lines.length} ${lines.length === 1 ? "line" : "lines"}` : "nothing found";
+  if (!lines.length) return "NOT JUDGED";
+  if (count(false)) return `FAILED: ${count(false)} of ${lines.length} rules`;
+  return count(null) ? `NOT JUDGED: ${count(null)} of ${lines.length} rules` : `all ${lines.length} rules hold`;
+}
+
+export class Statistics {
+  // element: of the panel; run: async function(request) -> answer; go: function(frame);
+  // changed: function(), another statistic is shown; partial: function() -> what the capture lacks, or ""
+  constructor(element, parts) {
+    Object.assign(this, { element, ...parts, name: "", options: "" });
+    const part = (name) => element.querySelector(`[data-part=${name}]`);
+    this.parts = { title: part("title"), options: part("options"), notes: part("notes"), tables: part("tables") };
+    element.querySelector("form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.show(this.name, this.parts.options.value, event.submitter?.value === "text");
+    });
+    part("close").addEventListener("click", () => this.close());
+  }
+
+  close() {
+    this.element.hidden = true;
+    this.name = "";
+    this.changed();
+  }
+
+  // Run a statistic and show its answer: as tables, or as the text of Wireshark's window.
+  async show(name, options = "", isText = false) {
+    Object.assign(this, { name, options });
+    const { title, notes, tables } = this.parts;
+    this.parts.options.value = options;
+    this.parts.options.placeholder = HELP[name] ?? 'Options, such as filter=yapp.source == "left"';
+    this.element.hidden = false;
+    title.textContent = `${name}: ...`;
+    notes.replaceChildren();
+    tables.replaceChildren();
+    this.changed();
+    const answer = await this.run(["yapp", name, ...(isText ? [] : ["json"]), ...(options ? [options] : [])].join(","));
+    if (name !== this.name) return;
+    const { lines, notes: texts } = isText ? { lines: [], notes: [] } : read(answer);
+    const partial = this.partial();
+    title.textContent = isText ? `${name}, as in Wireshark` : `${name}: ${headline(name, lines)}`;
+    title.className = /FAILED|NOT/.test(title.textContent) ? "bad" : "";
+    notes.replaceChildren(...[...(partial ? [partial] : []), ...texts].map((one) => make("p", "note", one)));
+    tables.replaceChildren(...(isText ? [make("pre", "", answer)] : tablesOf(lines).map((table) => this.table(table))));
+  }
+
+  table({ keys, rows }) {
+    const columns = [...KNOWN.filter((key) => keys.includes(key)), ...keys.filter((key) => !KNOWN.includes(key))]
+      .filter((key) => rows.some((row) => text(key, row[key]) !== ""));
+    const head = make("tr", "", ...columns.map((key) => make("th", "", key.replaceAll("_", " "))));
+    const order = (row) => row.ok === false ? 0 : row.ok === null ? 1 : 2;
+    const body = [...rows].sort((a, b) => order(a) - order(b)).map((row) => make("tr", row.ok === false ? "bad" : "",
+      ...columns.map((key) => this.cell(key, row[key]))));
+    return make("table", "", make("thead", "", head), make("tbody", "", ...body));
+  }
+
+  cell(key, value) {
+    const content = text(key, value);
+    if (!/frame$/.test(key) || !content) return make("td", typeof value === "number" ? "number" : "", content);
+    const link = make("button", "link", content);
+    link.title = `Go to frame ${content}`;
+    link.addEventListener("click", () => this.go(value));
+    return make("td", "number", link);
+  }
+}
