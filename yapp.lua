@@ -59,6 +59,7 @@ local socketcan = require "yapp.host.socketcan"
 local source_names = require "yapp.message.sources"
 local stat_intake = require "yapp.stat.intake"
 local stat_taps = require "yapp.stat.taps"
+local usb = require "yapp.host.usb"
 local show_tree = require "yapp.show.tree"
 
 -- The user's own messages follow the plugin's.  They come from yapp_messages.lua in Wireshark's
@@ -89,6 +90,7 @@ local skipped = Proto("yapp_skipped", "YAPP, bytes between the frames of a seria
 local taurus = Proto("taurus", "Taurus motor controller")
 local header = Proto("yapp_socketcan", "YAPP reads CAN headers")
 local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
+local usb_header = Proto("yapp_usb", "YAPP reads USB headers")
 preferences.define(yapp, catalogue, decode, frame.MAX_ID)
 
 local buses = bus_finder.watch()
@@ -220,6 +222,7 @@ local function search_streams()
   is_searching = true
   serial:register_heuristic("tcp", found_by_content)
   serial:register_heuristic("udp", found_by_content)
+  usb.watch(usb_header, function(...) streams:dissect_usb(...) end)
 end
 
 -- Return the controller's own time of a frame in a raw dump ("Nanoseconds since boot"), nil for

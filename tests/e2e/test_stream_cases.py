@@ -329,3 +329,74 @@ def test_records_of_tls(folder, passes, how):
     assert len(raised(events)) == 1 and not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
     found = tshark.fields(path, ["yapp.id"], *keys, *TLS_PORT, *passes)
     assert sum(len(row[0].split(",")) for row in found if row[0]) == 20
+
+
+# USB adapters ----------------------------------------------------------------------------------------------------
+
+@levels.by_version
+@PASSES
+@pytest.mark.parametrize("name, bus", [("usbmon_cdc", "usb1.6.1#rx"), ("usbmon_ftdi", "usb1.5.1#rx")])
+def test_uart_at_its_usb_adapter(name, bus, passes):
+    counts, events = statistics(CASES / f"{name}.pcap", *passes)
+    assert counts == {(bus, MOTOR_DATA): 20, (bus, HEALTH): 4}
+    assert raised(events) == [[bus, None]] and kinds(events) <= {"fault", "clock"}  # its transfers are asked for before
+    found = tshark.fields(CASES / f"{name}.pcap", ["yapp.bus"], "-Y", "yapp", *passes)
+    assert found == [[bus]] * 24
+
+
+def usbmon(transfer, endpoint, data, device=7):
+    event = b"C" if endpoint >= 0x80 else b"S"
+    return (bytes(8) + event + bytes([transfer, endpoint, device]) + struct.pack("<HBBqiiII", 2, 0x2D, 0, 0, 0, 0, len(data), len(data)) +
+            bytes(24) + data)
+
+
+def usbpcap(transfer, endpoint, data, device=7):
+    return struct.pack("<HQIHBHHBBI", 27, 0, 0, 9, int(endpoint >= 0x80), 2, device, endpoint, transfer, len(data)) + data
+
+
+def with_status(data, size):
+    return b"".join((b"\x01\x60" if size == 64 else b"\x02\x60") + data[at:at + size - 2] for at in range(0, len(data), size - 2))
+
+
+ADAPTERS = {  # how the bytes come, and how many in a transfer
+    "CP210x": (lambda data: data, 64), "CH340, few bytes": (lambda data: data, 7), "byte by byte": (lambda data: data, 1),
+    "FTDI, full speed": (lambda data: with_status(data, 64), 150), "FTDI, high speed": (lambda data: with_status(data, 512), 900),
+    "FTDI, few bytes": (lambda data: with_status(data, 64), 5),
+}
+
+
+@levels.by_version
+@pytest.mark.parametrize("how, linktype", [(usbmon, 220), (usbpcap, 249)], ids=["usbmon", "USBPcap"])
+@pytest.mark.parametrize("adapter", ADAPTERS)
+def test_usb_adapters(folder, adapter, how, linktype):
+    """Both directions, without the adapter's descriptors; a mouse beside it."""
+    carry, length = ADAPTERS[adapter]
+    data = b"".join(data for _, data in flight())
+    commands = b"".join(frame(0, struct.pack("<BBBHH", 1, 0xA5, 0, 40000, 30000), seq=number) for number in range(9))
+    sent = [(3, 0x81, carry(data[at:at + length])) for at in range(0, len(data), length)]
+    sent += [(3, 0x02, commands[at:at + 64]) for at in range(0, len(commands), 64)] + [(1, 0x83, b"YP\0\1")]
+    packets = []
+    for index, one in enumerate(sent):
+        packet = Packet(one[2], Origin(linktype, 0, 0))
+        packet.sequence = one
+        packets.append((index / 500, packet))
+    path = written(folder, packets, lambda packet: how(*packet.sequence))
+    for passes in [], ["-2"]:
+        counts, events = statistics(path, *passes)
+        rx, tx = ("usb2.7.1#rx", "usb2.7.2#tx")
+        assert counts == {(rx, MOTOR_DATA): 20, (tx, 0): 9}
+        assert raised(events) == [[rx, None]] and not kinds(events) & {"crc", "incomplete", "skipped", "unfinished"}
+    names = "yapp.sources:usb2.7.1/0x210=motor:left"
+    assert raised(statistics(path, "-o", names)[1]) == [[rx, "left"]]
+    tshark.assert_no_lua_errors(path, "-V")
+
+
+def test_foreign_usb_is_left_alone(folder):
+    """A disk that sends what looks like YAPP here and there."""
+    packets = []
+    for index in range(50):
+        packet = Packet(b"YP and more" * index + b"Y", Origin(220, 0, 0))
+        packets.append((index / 500, packet))
+    path = written(folder, packets, lambda packet: usbmon(3, 0x81, packet.data))
+    assert statistics(path) == ({}, [])
+    assert tshark.fields(path, ["frame.number"], "-Y", "yapp", "-o", "yapp.search_all:TRUE", "-2") == []

@@ -11,6 +11,7 @@ local senders = require "yapp.serial.senders"
 local show_fields = require "yapp.show.fields"
 local streams = require "yapp.serial.streams"
 local tcp = require "yapp.serial.tcp"
+local usb = require "yapp.serial.usb"
 local utf8 = require "yapp.base.utf8"
 
 local M = {}
@@ -52,6 +53,7 @@ function Dissector:reset(new_history)
   self.senders = senders.new()
   self.sources = memo(function() return {} end) -- by sender, by ID: whoever receives it
   self.inside = nil -- see put_inside
+  self.usb = usb.new()
   self.found = {} -- [bus_key of a line] = true: conversations that were found by content
   tcp.stop()
 end
@@ -134,6 +136,26 @@ local function source_of(self, line, id)
   return source
 end
 
+-- Return the line of an adapter.
+-- part  of serial.usb
+local function line_of_adapter(self, part)
+  local line = self.lines[part.name]
+  if not line then
+    line = {
+      key = part.name,
+      opposite = part.opposite,
+      bus_key = part.device,
+      bus = part.name,
+      label = part.name,
+      has_address = true,
+      is_ip = false,
+      sources = {},
+    }
+    self.lines[part.name] = line
+  end
+  return line
+end
+
 -- Return what is known of a packet, as serial.streams takes it, and
 --   line          of line_of
 --   is_bus_known  whether it is known where it was captured
@@ -167,6 +189,34 @@ local function new_packet(self, tvb, pinfo, tree, segment)
     bus_name = line.bus,
     line = line,
     is_bus_known = is_bus_known,
+    tvb = tvb,
+    tree = tree,
+    wants = wants,
+  }
+end
+
+-- Return the same of what an adapter carries.
+-- part  of serial.usb
+local function new_part(self, part, tvb, pinfo, tree)
+  local bytes, line, number = part.bytes, line_of_adapter(self, part), pinfo.number
+  local wants = self.builder:wants(tree, pinfo, pinfo.visited)
+  if wants.tree then
+    local own = part.has_status and ByteArray.new(bytes, true):tvb("Serial line")
+    tvb = own or tvb(part.offset):tvb()
+  end
+  return {
+    key = number * frame_key.PACKET + part.offset,
+    number = number,
+    bytes = bytes,
+    length = part.truncated and #bytes + 1 or #bytes,
+    truncated = part.truncated,
+    time = pinfo.rel_ts,
+    epoch = part.truncated and pinfo.abs_ts,
+    visited = pinfo.visited,
+    stream = line.key,
+    bus_name = line.bus,
+    line = line,
+    is_bus_known = true,
     tvb = tvb,
     tree = tree,
     wants = wants,
@@ -490,6 +540,22 @@ function Dissector:dissect(tvb, pinfo, tree)
   if size == 0 or pinfo.in_error_pkt then return 0 end
   if pinfo.port_type == TCP then return dissect_in_tcp(self, tvb, pinfo, tree) and size or 0 end
   return dissect(self, new_packet(self, tvb, pinfo, tree), pinfo) and size or 0
+end
+
+--- Dissect a packet of USB that Wireshark has shown, if it has bytes of a serial line with YAPP.
+-- kind  of serial.usb
+function Dissector:dissect_usb(kind, tvb, pinfo, tree)
+  local part = self.usb:read(kind, tvb:raw())
+  if not part or part.bytes == "" then return end
+  local is_found, streams_of, bytes = self.found[part.name], self.streams, part.bytes
+  local may_be = is_found or self:is_yapp(bytes) or streams_of:may_begin(bytes)
+  if not may_be then return end
+  local packet = new_part(self, part, tvb, pinfo, tree)
+  if not (is_found or packet.visited) then
+    is_found = streams_of:try(packet, not packet.wants.is_only_pass, self:is_yapp(bytes))
+    self.found[part.name] = is_found or nil
+  end
+  if is_found then dissect(self, packet, pinfo) end
 end
 
 --- Dissect bytes of a raw dump that are of no frame.

@@ -1,0 +1,160 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Serial lines at their USB adapter: CDC-ACM, CP210x, CH340, FTDI and others, in packets of usbmon
+-- (Linux) and USBPcap (Windows).  Pure Lua.
+--
+-- Their bulk endpoints carry the bytes of the line as they are.  FTDI's adapters put two bytes of
+-- status in front of each packet of the bus, of which a transfer may have several:
+--
+--   01 60 59 50 ...   62 bytes of the line behind 2 of status, then again 2 and up to 62
+
+local M = {}
+
+local byte, floor, sub = string.byte, math.floor, string.sub
+
+local CONTROL, BULK = 2, 3 -- transfers
+local SUBMIT, COMPLETE = byte("S"), byte("C") -- events of usbmon
+local DEVICE, CONFIGURATION, ENDPOINT = 1, 2, 5 -- descriptors
+local FTDI = 0x0403 -- vendor
+local STATUS = 2 -- bytes
+local FULL_SPEED, HIGH_SPEED = 64, 512 -- the largest packet of a bulk endpoint
+
+local function u16(bytes, offset)
+  local a, b = byte(bytes, offset + 1, offset + 2)
+  return a + b * 0x100
+end
+
+local function u32(bytes, offset)
+  return u16(bytes, offset) + u16(bytes, offset + 2) * 0x10000
+end
+
+-- Headers -----------------------------------------------------------------------------------------
+
+-- By kind of packet: function(bytes) -> { bus, device, endpoint, transfer; offset, length = of its
+-- data }; nil for a packet without data that came in or went out.
+local HEADERS = {}
+
+local function usbmon(size)
+  return function(bytes)
+    if #bytes < size then return nil end
+    local event, transfer, endpoint, device = byte(bytes, 9, 12)
+    local has_data = byte(bytes, 16) == 0
+    if not has_data or event ~= (endpoint >= 0x80 and COMPLETE or SUBMIT) then return nil end
+    return {
+      bus = u16(bytes, 12),
+      device = device,
+      endpoint = endpoint,
+      transfer = transfer,
+      offset = size,
+      length = u32(bytes, 32),
+    }
+  end
+end
+
+HEADERS.usbmon = usbmon(48)
+HEADERS.usbmon_mapped = usbmon(64)
+
+function HEADERS.usbpcap(bytes)
+  if #bytes < 27 then return nil end
+  local endpoint, is_complete = byte(bytes, 22), byte(bytes, 17) % 2 == 1
+  if is_complete ~= (endpoint >= 0x80) then return nil end
+  return {
+    bus = u16(bytes, 17),
+    device = u16(bytes, 19),
+    endpoint = endpoint,
+    transfer = byte(bytes, 23),
+    offset = u16(bytes, 0),
+    length = u32(bytes, 23),
+  }
+end
+
+-- Devices -----------------------------------------------------------------------------------------
+
+local Usb = {}
+Usb.__index = Usb
+
+--- Make what is known of a capture's devices.
+function M.new()
+  return setmetatable({
+    devices = {}, -- by bus and address
+  }, Usb)
+end
+
+-- Read what a device says of itself.
+local function read_descriptors(device, data)
+  local offset = 0
+  while offset + 2 <= #data do
+    local length, kind = byte(data, offset + 1, offset + 2)
+    if length < 2 or offset + length > #data then return end
+    if kind == DEVICE and length == 18 then
+      device.vendor, device.sizes = u16(data, offset + 8), {}
+    elseif kind == ENDPOINT and length >= 7 then
+      device.sizes[byte(data, offset + 3)] = u16(data, offset + 4) % 0x800
+    elseif offset == 0 and kind ~= CONFIGURATION then
+      return
+    end
+    offset = offset + length
+  end
+end
+
+-- Return the size of FTDI's packets, by the status in front of the first one; nil for no status.
+local function size_by_status(data)
+  local modem, line = byte(data, 1, STATUS)
+  if not line or floor(line / 2) % 16 ~= 0 or line >= 128 then return nil end
+  return modem % 16 == 1 and FULL_SPEED or modem % 16 == 2 and HIGH_SPEED or nil
+end
+
+-- Return the size of the packets with a status in front, nil if the data is as on the line.  If the
+-- capture does not have the device's descriptors, all that it sends must begin with a status.
+local function status_size(device, endpoint, data)
+  if endpoint < 0x80 or device.vendor and device.vendor ~= FTDI then return nil end
+  local size = size_by_status(data)
+  if device.vendor then return device.sizes[endpoint] or size or FULL_SPEED end
+  device.has_status = device.has_status ~= false and size ~= nil
+  return device.has_status and size or nil
+end
+
+-- Return data without the status in front of each packet.
+local function without_status(data, size)
+  local parts = {}
+  for offset = 0, #data - 1, size do
+    parts[#parts + 1] = sub(data, offset + STATUS + 1, offset + size)
+  end
+  return table.concat(parts)
+end
+
+--- Read a packet.
+-- kind   of HEADERS: "usbmon", "usbmon_mapped", "usbpcap"
+-- bytes  those that were captured
+-- returns  nil if it has no bytes of a line, else {
+--   opposite   name of the other direction of its endpoint
+--   device     name of the adapter: usb1.6, of bus 1 and address 6
+--   name       of the line: usb1.6.1#rx, of endpoint 1; rx is from the adapter to the host
+--   bytes      of the line
+--   offset     of its data in the packet
+--   has_status  whether there is more than the bytes of the line
+--   truncated  whether the packet had more }
+function Usb:read(kind, bytes)
+  local header = HEADERS[kind](bytes)
+  if not header then return nil end
+  local address = ("usb%d.%d"):format(header.bus, header.device)
+  local data, endpoint = sub(bytes, header.offset + 1), header.endpoint
+  local device = self.devices[address] or { sizes = {} }
+  self.devices[address] = device
+  if header.transfer == CONTROL then read_descriptors(device, data) end
+  if header.transfer ~= BULK or data == "" then return nil end
+  local size, length = status_size(device, endpoint, data), #data
+  if size then data = without_status(data, size) end
+  local is_in = endpoint >= 0x80
+  local name = ("%s.%d"):format(address, endpoint % 0x80)
+  return {
+    opposite = name .. (is_in and "#tx" or "#rx"),
+    device = address,
+    name = name .. (is_in and "#rx" or "#tx"),
+    bytes = data,
+    offset = header.offset,
+    has_status = size ~= nil,
+    truncated = length < header.length,
+  }
+end
+
+return M
