@@ -23,7 +23,8 @@ local append_text = show_fields.append_text
 local HEADER, CRC_SIZE = frame.HEADER, frame.CRC_SIZE
 
 local TCP, UDP = 2, 3 -- pinfo.port_type
-local NO_ADDRESS = { [""] = true, NONE = true } -- pinfo.src of a packet without one
+-- pinfo.src of a packet without one: of a serial line, or of a raw dump, whose packets are like UDP
+local NO_ADDRESS = { [""] = true, NONE = true }
 local MAX_IN_INFO = 10 -- frames of a packet
 local INSIDE = frame_key.PACKET / 2 -- offset of what TLS found in a packet
 
@@ -97,6 +98,9 @@ local function new_line(self, pinfo, bus, is_ip)
     label = has_address and here or bus and name,
     has_address = has_address,
     is_ip = is_ip,
+    is_tcp = kind == TCP,
+    is_datagram = kind == UDP and is_ip,
+    is_complete = kind == UDP and not is_ip, -- of a raw dump
     interface = is_ip and name,
     sources = {},
   }
@@ -111,10 +115,10 @@ end
 -- Return the line of a packet, and whether it is known where it was captured.
 local function line_of(self, pinfo)
   local kind, bus, is_bus_known = pinfo.port_type, nil, true
-  local is_ip = kind == UDP or kind == TCP
-  if not is_ip then bus, is_bus_known = self.buses:of(pinfo, pinfo.number, 0) end
   local address, port = tostring(pinfo.src), pinfo.src_port
-  if kind == UDP and not pinfo.visited then self.senders:note(address, port) end
+  local is_ip = (kind == UDP or kind == TCP) and not NO_ADDRESS[address]
+  if not is_ip then bus, is_bus_known = self.buses:of(pinfo, pinfo.number, 0) end
+  if is_ip and kind == UDP and not pinfo.visited then self.senders:note(address, port) end
   local here, there = address .. ":" .. port, tostring(pinfo.dst) .. ":" .. pinfo.dst_port
   local key = (bus or "") .. "|" .. kind .. "|" .. here .. "|" .. there
   local line = self.lines[key]
@@ -181,8 +185,9 @@ local function new_packet(self, tvb, pinfo, tree, segment)
     time = pinfo.rel_ts,
     epoch = epoch,
     visited = visited,
-    is_datagram = pinfo.port_type == UDP,
-    is_tcp = pinfo.port_type == TCP,
+    is_datagram = line.is_datagram,
+    is_complete = line.is_complete,
+    is_tcp = line.is_tcp,
     is_found = self.found[line.bus_key],
     stream = line.key,
     seq = segment and segment.seq,

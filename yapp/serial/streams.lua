@@ -247,9 +247,10 @@ end
 
 -- Return the findings of a datagram that is complete in itself, nil for any other packet.
 local function read_alone(self, packet)
-  if not packet.is_datagram or packet.truncated then return nil end
+  local is_complete = packet.is_complete
+  if not (packet.is_datagram or is_complete) or packet.truncated then return nil end
   local findings = self:read(packet.bytes)
-  return is_plain(findings, packet.bytes) and findings or nil
+  return (is_complete or is_plain(findings, packet.bytes)) and findings or nil
 end
 
 -- Return how many bytes wait in a stream.
@@ -321,6 +322,7 @@ end
 --   bytes        string: those that were captured
 --   truncated    whether the packet had more
 --   is_datagram, is_tcp  whether it is of UDP, of TCP
+--   is_complete  whether it is what the framing of a raw dump found
 --   is_found     whether its conversation was found by content: it may have datagrams of others
 --   stream       key of the stream
 --   seq          of TCP, if it is known: sequence number of the first byte
