@@ -132,6 +132,52 @@ function T.test_several_ids_have_one_name()
   lu.assertEquals(rows, { "can0 210 left", "can0 200 left", "can0 0 left", "- 210 right", "- 211 right" })
 end
 
+function T.test_ranges_have_a_name_for_each_id()
+  local s, problems = parse("can0/0x210-0x213=motor:M1..M4, 0x200 - 0x203+ 0x000-0x003=M08..M11, " ..
+    "0x300-0x302=tail, 5-5=x1..x1")
+  lu.assertEquals(problems, {})
+  lu.assertEquals({ s:name("can0", 0x210), s:name("can0", 0x213), message_name(s, "can0", 0x212) },
+    { "M1", "M4", "motor" })
+  lu.assertEquals({ s:name(nil, 0x200), s:name(nil, 0x203), s:name(nil, 0), s:name(nil, 3) },
+    { "M08", "M11", "M08", "M11" })
+  lu.assertEquals({ s:name(nil, 0x300), s:name(nil, 0x302), s:name(nil, 5) }, { "tail", "tail", "x1" })
+  lu.assertEquals(#s:list(), 4 + 8 + 3 + 1)
+end
+
+function T.test_ranges_that_do_not_fit()
+  local names = "write one name for each ID: 0x210-0x213=M1..M4"
+  local s, problems = parse("0x210-0x213=M1..M3, 0x213-0x210=a, 0x100=M1..M2, 0x7FE-0x800=b, " ..
+    "0x1-0x2-0x3=c, 0x20-=d, 0x5-0x6=M2..M1, 0x30-0x31+0x40-0x42=M1..M2")
+  lu.assertEquals(problems, {
+    'yapp.sources: number of names is 3, of IDs 4 in "0x210-0x213=M1..M3"; ' .. names,
+    'yapp.sources: no ID in "0x213-0x210" in "0x213-0x210=a"; write the lower ID first',
+    'yapp.sources: number of names is 2, of IDs 1 in "0x100=M1..M2"; ' .. names,
+    'yapp.sources: no ID "0x800" in "0x7FE-0x800=b"; IDs are 0 to 0x7FF',
+    'yapp.sources: no ID "0x1-0x2-0x3" in "0x1-0x2-0x3=c"; IDs are 0 to 0x7FF',
+    'yapp.sources: no ID "0x20-" in "0x20-=d"; IDs are 0 to 0x7FF',
+    'yapp.sources: number of names is 0, of IDs 2 in "0x5-0x6=M2..M1"; ' .. names,
+    'yapp.sources: number of names is 2, of IDs 3 in "0x30-0x31+0x40-0x42=M1..M2"; ' .. names,
+  })
+  lu.assertEquals(s:list(), {})
+  s, problems = parse("0x1=M1..N2, 0x2=..3, 0x3=a..b") -- names as they are
+  lu.assertEquals({ problems, s:name(nil, 1), s:name(nil, 2), s:name(nil, 3) }, { {}, "M1..N2", "..3", "a..b" })
+end
+
+-- A part that nothing can match is an error.
+function T.test_addresses_that_no_sender_has()
+  local advice = "write 192.168.1.12:40000 or [fe80::1]:14550"
+  for _, bus in ipairs { "192.168.1.256", "192.168.1.12:70000", "[fe80::1]:65536", "999.1.1.1:1" } do
+    for _, part in ipairs { bus .. "/0x210=motor:x", '"' .. bus .. '"=x' } do
+      local s, problems = parse(part)
+      local problem = ('yapp.sources: no address "%s" in "%s"; %s'):format(bus, part, advice)
+      lu.assertEquals({ #s:list(), problems }, { 0, { problem } })
+    end
+  end
+  local _, problems = parse("192.168.1.12/1=a, 192.168.1.12:65535/1=b, [fe80::1]/1=c, [fe80::1]:1/1=d, " ..
+    "eth0.12/1=e, a:99999/1=f")
+  lu.assertEquals(problems, {})
+end
+
 function T.test_a_bus_alone_names_every_id()
   local s, problems = parse('can0=left, "2"=right, "a, b" = c, can0/0x200=other, 0x210=motor:x, 0x300=health:')
   lu.assertEquals(problems, {})

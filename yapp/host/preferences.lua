@@ -61,7 +61,8 @@ function M.define(proto, catalogue, decode, max_id)
   prefs.sources = Pref.string("Names of sources", "",
     "What to call an ID, everywhere or on one bus, and which message it carries: " ..
     "0x210=motor:left_fore, can1/0x210=motor:right_fore, 0x212=left_tail. Several IDs have " ..
-    "one name with a plus between them: can0/0x000+0x200+0x210=left. A bus alone names all of " ..
+    "one name with a plus between them: can0/0x000+0x200+0x210=left. A range names each of its " ..
+    "IDs: can0/0x210-0x213=motor:M1..M4. A bus alone names all of " ..
     "its IDs: can2=tail. An interface without a name is if0 or if1, its number in the file.")
   prefs.hide_source = Pref.bool("Leave the source out of Info", false,
     "Switch it on if a column shows yapp.source, as in the profile YAPP: Info and the tree then " ..

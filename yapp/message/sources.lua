@@ -2,12 +2,13 @@
 -- The preference yapp.sources: which names the user gave to sources.  Pure Lua.
 --
 --   0x210=motor:left_fore, can1/0x210=motor:right_fore, can0/0x210+0x200+0x000=left, can2=tail
---   0x213=motor:
+--   0x213=motor:, can0/0x210-0x213=motor:M1..M4
 --
--- A part is [BUS/]ID[+ID...]=[MESSAGE:]NAME, or BUS=NAME for every ID of a bus.  BUS is the name
--- that the capture gives a bus.  ID is decimal, or 0x and hexadecimal.  MESSAGE is the catalogue's
--- short name of what the ID carries.  A part without BUS is for each bus without a part of its own.
--- Spaces around each do not count.
+-- A part is [BUS/]ID[+ID...]=[MESSAGE:]NAME, or BUS=NAME for every ID of a bus.  A range of IDs may
+-- stand for an ID, 0x210-0x213; its names count up, M1..M4.  BUS is the name that the capture gives
+-- a bus.  ID is decimal, or 0x and hexadecimal.  MESSAGE is the catalogue's short name of what the
+-- ID carries.  A part without BUS is for each bus without a part of its own.  Spaces around each do
+-- not count.
 -- A bus stands in quotes if its name has a comma, "=" or a quote, or if it begins with a digit and
 -- no ID follows.  Its own quotes are doubled: "USB, left"/0x210=motor:a.
 -- The last "/" ends the bus: vcan/0/0x210 is ID 0x210 on vcan/0.
@@ -24,7 +25,6 @@ local trim = input.trim
 
 local MAX_NAME = 64 -- bytes
 local SHAPE = "write [BUS/]ID=[MESSAGE:]NAME or BUS=NAME"
-local EVERY = { "every" } -- ID of a bus
 
 local Sources = {}
 Sources.__index = Sources
@@ -64,19 +64,52 @@ local function take_address(part)
   return bus, ids, value
 end
 
+local function read_id(text)
+  local digits = trim(text)
+  local id = (digits:find("^%d+$") or digits:find("^0[xX]%x+$")) and tonumber(digits)
+  demand(id and id <= input.MAX_ID, ('no ID "%s"'):format(digits), "IDs are 0 to 0x7FF")
+  return id
+end
+
+-- Return a list of ranges { first, last }; of a single ID both are the same.
 local function read_ids(text)
-  local ids = {}
+  local ranges = {}
   for part in (text .. "+"):gmatch("([^+]*)%+") do
-    local digits = trim(part)
-    local id = (digits:find("^%d+$") or digits:find("^0[xX]%x+$")) and tonumber(digits)
-    demand(id and id <= input.MAX_ID, ('no ID "%s"'):format(digits), "IDs are 0 to 0x7FF")
-    ids[#ids + 1] = id
+    local first, last = part:match("^([^-]+)%-([^-]+)$")
+    local range = { read_id(first or part), read_id(last or part) }
+    demand(range[1] <= range[2], ('no ID in "%s"'):format(trim(part)), "write the lower ID first")
+    ranges[#ranges + 1] = range
   end
-  return ids
+  return ranges
+end
+
+-- Return the names of the IDs of each range, M1..M4 for four; nil for a name without "..".
+local function take_names(name, ranges)
+  local stem, first, other, last = name:match("^(.-)(%d+)%.%.(.-)(%d+)$")
+  if not stem or stem ~= other or #last > 4 then return nil end
+  local names, shape = {}, "%s%0" .. #first .. "d" -- M08..M11 are M08, M09, M10, M11
+  for number = tonumber(first), tonumber(last) do names[#names + 1] = shape:format(stem, number) end
+  for _, range in ipairs(ranges) do
+    local count = range[2] - range[1] + 1
+    demand(#names == count, ("number of names is %d, of IDs %d"):format(#names, count),
+      "write one name for each ID: 0x210-0x213=M1..M4")
+  end
+  return names
+end
+
+-- Raise that no sender has such an address: a byte above 255, or a port above 65,535.
+local function check_address(bus)
+  local a, b, c, d, port = bus:match("^(%d+)%.(%d+)%.(%d+)%.(%d+):?(%d*)$")
+  port = port or bus:match("^%[.*:.*%]:(%d+)$")
+  local is_possible = (tonumber(port) or 0) < 65536
+  for _, byte in ipairs { a, b, c, d } do is_possible = is_possible and tonumber(byte) < 256 end
+  local advice = "write 192.168.1.12:40000 or [fe80::1]:14550"
+  demand(is_possible, ('no address "%s"'):format(bus), advice)
 end
 
 -- Read a part.
--- returns  the bus, the IDs, the compiled message and the name: nil for each that it does not say
+-- returns  the bus, the ranges of IDs, the compiled message and the name: nil for each that it does
+--          not say
 local function read_part(part, catalogue)
   local bus, id_text, value = take_address(part)
   local ids = id_text and read_ids(id_text)
@@ -96,17 +129,25 @@ local function read_part(part, catalogue)
   return bus, ids, message, name ~= "" and name or nil
 end
 
--- Add a row for each ID of a part; raise if an earlier part has one.
+-- Add a row for an ID, or for all of a bus; return whether an earlier part has it.
+local function add_row(self, bus, id, message, name)
+  local of_bus = self.by_bus[bus or false]
+  if of_bus[id or "every"] then return true end
+  local row = { bus = bus, id = id, message = message, name = name }
+  of_bus[id or "every"] = row
+  self.rows[#self.rows + 1] = row
+end
+
+-- Add the rows of a part; raise if an earlier part has one.
 local function add_part(self, part, catalogue)
-  local bus, ids, message, name = read_part(part, catalogue)
-  local of_bus, is_repeated = self.by_bus[bus or false], false
-  for _, id in ipairs(ids or EVERY) do
-    if of_bus[id] then
-      is_repeated = true
-    else
-      local row = { bus = bus, id = ids and id, message = message, name = name }
-      of_bus[id] = row
-      self.rows[#self.rows + 1] = row
+  local bus, ranges, message, name = read_part(part, catalogue)
+  local names, is_repeated = ranges and take_names(name or "", ranges), false
+  if bus then check_address(bus) end
+  if not ranges then is_repeated = add_row(self, bus, nil, nil, name) end
+  for _, range in ipairs(ranges or {}) do
+    for id = range[1], range[2] do
+      local own = names and names[id - range[1] + 1] or name
+      is_repeated = add_row(self, bus, id, message, own) or is_repeated
     end
   end
   demand(not is_repeated, "a bus and ID once more", "the first part that names them holds")
