@@ -556,6 +556,228 @@ def test_several_flights_on_one_page_and_an_index(make_capture, yapp_tables, tmp
     assert all((tmp_path / "pages" / link).is_file() for link in links)
 
 
+# ---- eight controllers on two buses: M3 falls silent, M6 has an overcurrent of 0.3 s, M8 gets hot
+
+RULES = "motor.esc_temperature=..80\nmotor.motor_temperature=..200\nmotor.dc_voltage=40..55\nsource=M1\nmotor.dc_current=..60\n"
+
+
+@pytest.fixture(scope="module")
+def eight(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("eight")
+    truth = flights.write(folder / "flight.pcapng", 23, 300, flights.EIGHT)
+    (folder / "flight.rules").write_text(RULES)
+    names = ",".join(f"can{n // 4}/{0x210 + n % 4:#x}=motor:M{n + 1}" for n in range(8))
+    options = ["-o", f"yapp.sources:{names}", "-o", "yapp.health_ids:0x200-0x203", "--plugin", PLUGIN]
+    done = run_tables(folder, "report", "flight.pcapng", "--out", "page.html", "--rules", "flight.rules", *options)
+    assert done.returncode == 0, done.stderr
+    return folder / "page.html", truth
+
+
+@pytest.fixture(scope="module")
+def eight_browser(eight):
+    browser = open_browser(eight[0], width=1300)
+    yield browser
+    browser.quit()
+
+
+def cells(browser, table):
+    """{row heading: {column heading: (text, class)}} of a table."""
+    script = """const [head, ...rows] = document.querySelectorAll(`#${arguments[0]} tr`);
+      return rows.map(row => [row.cells[0].textContent, [...row.cells].slice(1).map((cell, at) =>
+        [head.cells[at + 1].textContent, cell.textContent, cell.className])])"""
+    return {
+        row: {head: (text, kind) for head, text, kind in found} for row, found in browser.execute_script(script, table)
+    }
+
+
+def test_the_first_lines_name_who_what_and_when(eight_browser, eight):
+    ((begin, *_),) = eight[1].faults
+    said = eight_browser.execute_script("return document.getElementById('verdict').innerText")
+    assert said.startswith(f"Motor overcurrent, Faulted on M6 (can1) at {int((begin - eight[1].begin) / 60e9)}:")
+    more = eight_browser.execute_script(
+        "return [...document.querySelectorAll('#differs li')].map(one => one.textContent)"
+    )
+    assert more[0].startswith("M3 (can0): silence at ")
+    assert more[0].endswith("until the end")
+    assert any(
+        re.match(
+            r"M6 \(can1\): DC Current 2\.[4-8] times the others' for 0\.[4-8] s, from 0\.[2-4]\d* s before Motor overcurrent",
+            text,
+        )
+        for text in more
+    )
+    assert any(re.match(r"M8 \(can1\): ESC Temperature \d+ °C hotter than", text) for text in more)
+    assert any(re.match(r"M8 \(can1\): ESC Temperature 9\d.*, above its limit of 80 °C for ", text) for text in more)
+    assert {text[:2] for text in more} == {"M3", "M6", "M8"}
+
+
+def test_the_matrix_shades_who_is_far_from_the_others(eight_browser):
+    matrix = cells(eight_browser, "matrix")
+    assert list(matrix) == [f"M{n + 1} (can{n // 4})" for n in range(8)]
+    far = {(row[:2], head) for row, found in matrix.items() for head, (_, kind) in found.items() if "far" in kind}
+    assert ("M6", "DC Current peak/A") in far
+    assert ("M6", "Power peak/W") in far
+    assert ("M6", "DC Voltage sag/V") in far
+    assert ("M6", "Faults") in far
+    assert ("M8", "ESC Temperature max/°C") in far
+    assert ("M3", "Energy/Wh") in far
+    assert ("M3", "Silences") in far
+    assert {row for row, _ in far} == {"M3", "M6", "M8"}
+    assert matrix["M1 (can0)"]["Faults"][0] == "0"
+
+
+def test_the_matrix_against_the_truth(eight_browser, eight):
+    """Highest temperature, and charge by hand: the mean current over the time."""
+    matrix = cells(eight_browser, "matrix")
+    own = [row for row in eight[1].motor if row[1:3] == ("can1", 0x213) and row[4] < 250]
+    highest = max(flights.value(row[4], -40, 210, 250) for row in own)
+    assert matrix["M8 (can1)"]["ESC Temperature max/°C"][0] == f"▲ {highest:g}"
+    mean, charge = (float(matrix["M1 (can0)"][head][0]) for head in ("DC Current mean/A", "Charge/Ah"))
+    assert charge == pytest.approx(mean * 300 / 3600, rel=0.02)
+    assert float(matrix["M1 (can0)"]["Energy/Wh"][0]) == pytest.approx(charge * 48.2, rel=0.02)
+
+
+def test_a_click_on_the_matrix_shows_one_controller(eight_browser):
+    try:
+        eight_browser.execute_script(
+            "document.querySelectorAll('#matrix tbody tr button, #matrix tr button')[5].click()"
+        )
+        shown = {one["name"].rpartition(", ")[2] for one in traces(eight_browser, ", ") if one["visible"]}
+        assert shown == {"M6", "can1 0x201"}
+        checked = "return [...document.querySelectorAll('#sources input:checked')].map(one => one.parentNode.textContent.trim())"
+        assert eight_browser.execute_script(checked) == ["M6 (can1)", "M6 (can1), Health"]
+        eight_browser.execute_script("document.querySelector('#matrix td[data-figure=\"motor.dc_current\"]').click()")
+        top = "return document.querySelector('figure[data-key=\"motor.dc_current\"]').getBoundingClientRect().top"
+        assert 0 <= eight_browser.execute_script(top) < 120
+    finally:
+        eight_browser.execute_script(
+            "[...document.querySelectorAll('#sources button')].find(one => one.textContent === 'all').click()"
+        )
+    assert len({one["name"] for one in traces(eight_browser, "RPM Measured, ") if one["visible"]}) == 8
+
+
+def test_small_multiples_share_an_axis_and_have_a_row_each(eight_browser):
+    """The hottest reaches the top of its column, the others' heat stays where it is in degrees."""
+    rows = eight_browser.execute_script(
+        """return [...document.querySelectorAll("#multiples tr[data-controller]")].map(row => [row.cells[0].textContent,
+        [...row.querySelectorAll("svg")].map(svg => [svg.querySelector("title").textContent, svg.querySelector("path.own").getAttribute("d")])])"""
+    )
+    assert [name[:2] for name, _ in rows] == [f"M{n + 1}" for n in range(8)]
+    heat = {
+        name[:2]: dict(found)[next(title for title, _ in found if "ESC Temperature" in title)] for name, found in rows
+    }
+    lowest_y = {who: min(int(y) for y in re.findall(r"[ML]\d+ (\d+)", path)) for who, path in heat.items()}
+    assert lowest_y.pop("M8") == 3  # the top
+    assert min(lowest_y.values()) > 80
+    for title in ("RPM Measured", "DC Current", "DC Voltage", "Motor Temperature", "ESC Temperature"):
+        assert any(title in text for text, _ in rows[0][1]), title
+    assert eight_browser.execute_script("return document.querySelectorAll('#multiples rect.band').length") > 0
+
+
+def test_the_odd_one_is_marked_in_the_clouds(eight_browser):
+    draw(eight_browser)
+    clouds = eight_browser.execute_script(
+        """return [...document.querySelectorAll("#clouds figure")].map(one => [one.querySelector("figcaption").textContent,
+          one.querySelector(".plot").data.map(({name, x, y, marker}) => [name, Array.from(x), Array.from(y), marker.symbol])])"""
+    )
+    assert [text.partition("Motor Data")[0] for text, _ in clouds] == [
+        "DC Current over RPM Measured/A",
+        "DC Voltage over Current of all/V",
+    ]
+    for text, found in clouds:
+        assert text.endswith("odd: M6 (can1)")
+        assert len(found) == 8
+        odd = [
+            (name, up)
+            for name, _, y, symbols in found
+            for up, symbol in zip(y, symbols, strict=True)
+            if symbol == "diamond"
+        ]
+        assert 4 <= len(odd) <= 8
+        assert {name for name, _ in odd} == {"M6 (can1)"}
+    assert all(
+        value > 20
+        for _, _, y, symbols in clouds[0][1]
+        for value, symbol in zip(y, symbols, strict=True)
+        if symbol == "diamond"
+    )
+
+
+def test_following_error_margin_and_interval_are_pictures(eight_browser):
+    (error,) = traces(eight_browser, "RPM Measured less commanded, M1")
+    values = [value for value in error["y"] if value is not None]
+    assert 5 < max(values) < 60
+    (margin,) = traces(eight_browser, "ESC Temperature, below its limit, M8")
+    (heat,) = traces(eight_browser, "ESC Temperature, M8")
+    assert margin["y"][0] == pytest.approx(80 - heat["y"][0])
+    (interval,) = traces(eight_browser, "Interval between messages, M1")
+    assert 0.09 < min(interval["y"]) < 0.11
+    assert 0.19 < max(interval["y"]) < 0.25  # where a frame was lost
+
+
+def test_limits_are_bands(eight_browser):
+    draw(eight_browser)
+    script = """const plot = document.querySelector(`figure[data-key="motor.${arguments[0]}"] .plot`);
+      return plot.layout.shapes.filter(({name}) => name).map(({name, y0, y1}) => [name, y0, y1])"""
+    bands = {name: (low, high) for name, low, high in eight_browser.execute_script(script, "esc_temperature")}
+    assert bands["bad"][0] == 80
+    assert bands["warn"][1] == 80
+    assert bands["good"][1] == bands["warn"][0] < 80
+    assert eight_browser.execute_script(script, "rpm_measured") == []
+    said = "return document.querySelector('figure[data-key=\"motor.dc_voltage\"] figcaption').textContent"
+    assert "limit: at least 40 V, at most 55 V" in eight_browser.execute_script(said)
+
+
+def test_minutes_left_stand_in_the_matrix(eight_browser):
+    """M8 gets hotter by 0.25 °C a second until it is 60 °C hotter; the limit of its motor is 200 °C."""
+    left = cells(eight_browser, "matrix")["M8 (can1)"].get("Motor Temperature minutes left/min", ("", ""))[0]
+    heat = cells(eight_browser, "matrix")["M8 (can1)"]["Motor Temperature max/°C"][0].split()[-1]
+    assert float(left.split()[-1]) == pytest.approx((200 - float(heat)) / 0.25 / 60, rel=0.15)
+
+
+def test_each_picture_has_a_table(eight_browser):
+    draw(eight_browser)
+    found = eight_browser.execute_async_script(
+        """const done = arguments[0]; document.querySelectorAll("figure details").forEach(one => { one.open = true; });
+        setTimeout(() => { done([...document.querySelectorAll("figure details")].map(one => [one.querySelectorAll("tr").length, one.querySelectorAll("th").length]));
+          document.querySelectorAll("figure details").forEach(one => { one.open = false; }); }, 1500)"""
+    )
+    assert len(found) > 12
+    assert all(rows > 1 and heads > 2 for rows, heads in found), found
+
+
+def test_on_paper_nothing_is_cut_and_no_picture_is_split(eight):
+    browser = open_browser(eight[0], width=1300)
+    try:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+        browser.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride",
+            {"width": 1062, "height": 750, "deviceScaleFactor": 1, "mobile": False},
+        )
+        browser.execute_script("dispatchEvent(new Event('beforeprint'))")
+        assert browser.execute_script(
+            "return document.querySelectorAll('.plot svg').length > 12 && !document.querySelector('.plot[data-stale]')"
+        )
+        script = """return [...document.querySelectorAll("table, svg, figure, p, li, figcaption > *")].filter(one => one.offsetParent !== null || one.ownerSVGElement === null)
+          .map(one => one.getBoundingClientRect().right).reduce((a, b) => Math.max(a, b))"""
+        assert browser.execute_script(script) <= 1062
+        cut = "return [...document.querySelectorAll('.scroll')].filter(one => one.scrollHeight > one.clientHeight + 1 && getComputedStyle(one).overflow !== 'visible').length"
+        assert browser.execute_script(cut) == 0
+        whole = "return [...document.querySelectorAll('figure, tr')].every(one => getComputedStyle(one).breakInside === 'avoid')"
+        assert browser.execute_script(whole)
+        pdf = browser.execute_cdp_cmd("Page.printToPDF", {"landscape": True, "preferCSSPageSize": True})
+        assert len(base64.b64decode(pdf["data"])) > 50_000
+    finally:
+        browser.quit()
+
+
+def test_rules_that_cannot_be_read_are_an_error(make_capture, yapp_tables):
+    make_capture("flight.pcapng", motor=[motor_row(0)])
+    done = yapp_tables("report", "flight.pcapng", "--rules", "no.rules")
+    assert done.returncode == 2
+    assert "the rules in no.rules cannot be read: No such file or directory" in done.stderr
+
+
 def test_without_plotly_the_error_names_the_command(tmp_path):
     (tmp_path / "plotly.py").write_text("raise ImportError('not here')")
     done = run_tables(tmp_path, "report", "flight.pcapng")

@@ -5,7 +5,7 @@
   const data = JSON.parse(byId("data").textContent);
   const HEIGHT = 190, CLOUD = 340, ROW = 18, HEAD = 18, AXIS = 24; // pixels
   const LETTER = 6.5, LEAST = 3; // pixels: of a letter in a bar, of the shortest bar
-  const POINTS = 8000, ROWS = 40, MORE = 4; // of all lines of a picture, of a table, incidents that are told at the top
+  const POINTS = 6000, ROWS = 40, MORE = 4; // of all lines of a picture, of a table, incidents that are told at the top
   const AMBER = 0.1; // of the way between limits
   const PRINTED = 1000; // pixels: the width of a printed picture
   const NARROW = innerWidth < 700;
