@@ -53,6 +53,7 @@ local joined = require "yapp.base.joined"
 local message_reader = require "yapp.message.reader"
 local packet_menu = require "yapp.show.packet_menu"
 local preferences = require "yapp.host.preferences"
+local senders = require "yapp.serial.senders"
 local serial_dissector = require "yapp.serial.dissector"
 local show_fields = require "yapp.show.fields"
 local socketcan = require "yapp.host.socketcan"
@@ -130,6 +131,15 @@ local streams = serial_dissector.new(builder, reader, buses, tcp_header)
 -- messages that the capture ends before.
 local function drops() return joined(buses:drops(), streams:drops()) end
 local function unfinished() return joined(frames:unfinished(), streams:unfinished()) end
+
+-- Options of tshark that may decode what was not found.
+local function find_options()
+  local found = buses.found
+  return joined(found:serial_options(), senders.options(found.head or ""))
+end
+
+-- What statistics say of streams: a packet list looks for YAPP only if the first bytes may have it.
+local function notes() return buses.found.may_have_frames and {} or streams:notes() end
 
 -- What statistics and the history need of the preferences; read_preferences fills it.
 local settings = { version = VERSION, catalogue = catalogue }
@@ -244,6 +254,8 @@ stat = stat_taps.new {
   buses = buses,
   unfinished = unfinished,
   drops = drops,
+  find_options = find_options,
+  notes = notes,
   frames = frames,
   counted = counted,
   failures = function() return begun - ended end,

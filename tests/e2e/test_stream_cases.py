@@ -400,3 +400,30 @@ def test_foreign_usb_is_left_alone(folder):
     path = written(folder, packets, lambda packet: usbmon(3, 0x81, packet.data))
     assert statistics(path) == ({}, [])
     assert tshark.fields(path, ["frame.number"], "-Y", "yapp", "-o", "yapp.search_all:TRUE", "-2") == []
+
+
+# What is not found by content -------------------------------------------------------------------------------------
+
+def advice(path, *arguments):
+    done = tshark.run("-q", "-r", path, "-z", "yapp,faults", *arguments, check=False)
+    return done.stdout + done.stderr
+
+
+def test_what_is_not_found_is_named_with_the_command(folder):
+    assert "try -o yapp.user_dlt:147" in advice(CASES / "two_uarts_directions.pcapng")
+    assert "-d tcp.port==4001,yapp_serial" in advice(CASES / "tcp_8_byte_segments.pcap")
+    packets = [(seconds, Packet(data, Origin(stream_captures.RTAC, 0, 0))) for seconds, data in flight()]
+    path = written(folder, packets, stream_captures.rtac)
+    assert "try -d rtacser.data,yapp_serial" in advice(path)
+    assert statistics(path, "-d", "rtacser.data,yapp_serial")[0] == {(None, MOTOR_DATA): 20}
+
+
+@pytest.mark.parametrize("kind", ["tcp", "udp"])
+def test_a_port_that_another_protocol_takes(folder, kind):
+    """The first bytes of the file say which."""
+    packets = tcp_pieces(b"".join(data for _, data in flight()), 48) if kind == "tcp" else [
+        (seconds, Packet(data, Origin(ETHERNET, 0, 0))) for seconds, data in flight()]
+    path = written(folder, packets, getattr(stream_captures, kind))
+    taken = ["-d", f"{kind}.port==20001,echo"]
+    found = advice(path, *taken)
+    assert f"try -d {kind}.port==20001,yapp_serial" in found, found

@@ -120,7 +120,7 @@ for _, row in ipairs(options_of.LIST) do
 end
 
 local NOTHING_CAME = "no YAPP message found in 0 packets: see yapp.user_dlt, tcp.try_heuristic_first, " ..
-  "udp.try_heuristic_first, in Wireshark also yapp.search_all\n"
+  "udp.try_heuristic_first, -d tcp.port==PORT,yapp_serial, in Wireshark also yapp.search_all\n"
 
 -- summary -------------------------------------------------------------------------------------------------------
 

@@ -211,7 +211,7 @@ local function new_interface(self, linktype, name)
     dropped = 0, -- packets, as the statistics say
     accounted = 0, -- dropped packets, as options of packets say
   }
-  self.interfaces[#self.interfaces + 1] = interface
+  self.interfaces[#self.interfaces + 1], self.linktypes[linktype] = interface, true
   return interface
 end
 
@@ -384,6 +384,7 @@ local function read_pcap(self, window, is_little, fractions)
   window.is_little = is_little
   if not window:has(0, 24) then return end
   local linktype = window:number(20, 4) % 0x10000 -- above it: the length of check sequences
+  self.linktypes[linktype] = true
   self.offset = linktype == SOCKETCAN and 8 or nil
   self.has_packets = window:has(24, 16)
   if linktype ~= COOKED_2 and linktype ~= RTAC then return end
@@ -502,6 +503,7 @@ local function new_capture()
     has_indexes = false, -- whether Linux cooked v2 is among the interfaces
     entries = {}, -- [number of a packet] = its bus * TIMES + when it was captured
     interfaces = {}, -- of the file
+    linktypes = {}, -- [number] = true
     first = 0, -- number of interfaces in the sections before
     firsts = {}, -- by section
     buses = {}, -- list of { interface, index, name = of the interface }
@@ -554,6 +556,18 @@ function M.read(head, more)
   self.head = has_frame and self.has_packets and head or nil
   self.may_have_frames = has_frame or not self.has_packets
   return self
+end
+
+--- Return the options of tshark that may decode YAPP in the capture's serial lines: a list.
+function Capture:serial_options()
+  local user, list = {}, {}
+  for linktype in pairs(self.linktypes) do
+    if IS_SERIAL[linktype] and linktype <= 162 then user[#user + 1] = linktype end
+  end
+  table.sort(user)
+  if user[1] then list[1] = "-o yapp.user_dlt:" .. table.concat(user, ",") end
+  if self.linktypes[RTAC] then list[#list + 1] = "-d rtacser.data,yapp_serial" end
+  return list
 end
 
 --- Return the bus of a packet that was read.

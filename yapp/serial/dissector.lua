@@ -53,6 +53,7 @@ function Dissector:reset(new_history)
   self.lines = {} -- by key, see line_of
   self.senders = senders.new()
   self.sources = memo(function() return {} end) -- by sender, by ID: whoever receives it
+  self.in_pieces = {} -- see Dissector:notes
   self.inside = nil -- see put_inside
   self.usb = usb.new()
   self.found = {} -- [bus_key of a line] = true: conversations that were found by content
@@ -256,9 +257,12 @@ function Dissector:accepts(tvb, pinfo, tree)
   if not (is_yapp or is_on_trial) then return false end
   local packet = new_packet(self, tvb, pinfo, tree)
   if packet.is_found then return false end -- dissect has left it to others
-  is_yapp = streams_of:try(packet, not packet.wants.is_only_pass, is_yapp)
-  self.found[packet.line.bus_key] = is_yapp or nil
-  return is_yapp
+  local is_found = streams_of:try(packet, not packet.wants.is_only_pass, is_yapp)
+  self.found[packet.line.bus_key] = is_found or nil
+  if is_found and not is_yapp then
+    table.insert(self.in_pieces, senders.option(packet.is_tcp, pinfo.src_port, pinfo.dst_port))
+  end
+  return is_found
 end
 
 -- Return what the statistics take of something that is no message.
@@ -603,6 +607,13 @@ function Dissector:unfinished()
     end
   end
   return list
+end
+
+--- Return what to say of conversations whose packets hold no whole header: a list of texts.
+function Dissector:notes()
+  if not self.in_pieces[1] then return {} end
+  local text = "YAPP came in pieces without a whole header: to list its packets, add %s"
+  return { text:format(table.concat(self.in_pieces, " ")) }
 end
 
 --- Return the gaps in TCP connections, in the form of Buses:drops.

@@ -11,7 +11,7 @@ local M = {}
 
 local byte, sub = string.byte, string.sub
 
-local UDP, UDP_HEADER = 17, 8
+local UDP, UDP_HEADER, TCP = 17, 8, 6
 -- A sender changes its port if it has so many ports, each with few datagrams in a row, and hardly
 -- one comes back.  While a capture goes on, more of them are needed: several controllers behind one
 -- address may send for the first time.
@@ -110,32 +110,69 @@ local function ipv6_text(bytes)
     table.concat(groups, ":", best + length)
 end
 
--- Return the address of the IP header in front of an UDP header, nil if there is none.
--- index  of the UDP header
-local function address_before(bytes, index)
+-- Return the address of the IP header in front of an UDP or TCP header, nil if there is none.
+-- index  of the UDP or TCP header
+local function address_before(bytes, index, protocol)
   local v4, v6 = index - 20, index - 40
-  if v4 > 0 and byte(bytes, v4) == 0x45 and byte(bytes, v4 + 9) == UDP then
+  if v4 > 0 and byte(bytes, v4) == 0x45 and byte(bytes, v4 + 9) == protocol then
     return ("%d.%d.%d.%d"):format(byte(bytes, v4 + 12, v4 + 15))
   end
-  if v6 > 0 and byte(bytes, v6) - byte(bytes, v6) % 16 == 0x60 and byte(bytes, v6 + 6) == UDP then
+  local version = v6 > 0 and byte(bytes, v6) or 0
+  if version - version % 16 == 0x60 and byte(bytes, v6 + 6) == protocol then
     return ipv6_text(sub(bytes, v6 + 8, v6 + 23))
+  end
+end
+
+-- Return an iterator over the starts of what may be frames.
+local function frames_in(bytes)
+  local start = 0
+  return function()
+    repeat
+      start = frame.find(bytes, start + 1)
+    until not start or frame.is_plausible(bytes, start)
+    return start
   end
 end
 
 --- Note the datagrams in the first bytes of a file, whatever carries them: those that begin with a
 -- frame.  So a sender has its name from its first message on.
 function Senders:scan(bytes)
-  local start = frame.find(bytes, 1)
-  while start do
+  for start in frames_in(bytes) do
     local index = start - UDP_HEADER
-    local address = frame.is_plausible(bytes, start) and address_before(bytes, index)
+    local address = address_before(bytes, index, UDP)
     if address then self:note(address, byte(bytes, index) * 256 + byte(bytes, index + 1)) end
-    start = frame.find(bytes, start + 1)
   end
   for address, sender in pairs(self.by_address) do
     self.is_changing[address] = takes_new_ports(sender, MIN_PORTS) or nil
     self.by_address[address] = nil
   end
+end
+
+-- Headers in front of a frame: without and with TCP's usual option.
+local BEFORE = { { UDP, UDP_HEADER }, { TCP, 20 }, { TCP, 32 } }
+
+--- Return the options of tshark that decode the frames in the first bytes of a file: a list of
+-- "-d tcp.port==4001,yapp_serial".
+function M.options(bytes)
+  local list, is_there = {}, {}
+  for start in frames_in(bytes) do
+    for _, row in ipairs(BEFORE) do
+      local index = start - row[2]
+      if address_before(bytes, index, row[1]) then
+        local a, b, c, d = byte(bytes, index, index + 3)
+        local option = M.option(row[1] == TCP, a * 256 + b, c * 256 + d)
+        if not is_there[option] then list[#list + 1] = option end
+        is_there[option] = true
+      end
+    end
+  end
+  return list
+end
+
+--- Return the option of tshark that decodes a conversation: the lower port is the server's.
+function M.option(is_tcp, port, other)
+  local kind = is_tcp and "tcp" or "udp"
+  return ("-d %s.port==%d,yapp_serial"):format(kind, math.min(port, other))
 end
 
 return M

@@ -15,7 +15,7 @@ local M = {}
 
 local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, see hand_on_losses
 local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first, " ..
-  "in Wireshark also yapp.search_all" -- tshark searches all of a file for a statistic
+  "-d tcp.port==PORT,yapp_serial, in Wireshark also yapp.search_all" -- tshark searches all
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
 local NO_TIMES = "packets of this capture have no time stamps"
 -- As candump -H writes them for an adapter that has no clock.
@@ -209,7 +209,9 @@ local function nothing_found(self, capture)
   if capture.can > 0 and capture.can == self.packets then
     return ("no YAPP message found in %s: no CAN data frame has a 29-bit id"):format(packets)
   end
-  return ("no YAPP message found in %s: see %s"):format(packets, SEARCH_PREFERENCES)
+  local options = table.concat(capture.options or {}, " or ")
+  local advice = options ~= "" and "try " .. options or "see " .. SEARCH_PREFERENCES
+  return ("no YAPP message found in %s: %s"):format(packets, advice)
 end
 
 -- Return why times of packets mean nothing; nil if they mean something.
@@ -226,6 +228,8 @@ end
 
 --- End: all packets have come.
 -- capture  { unfinished = events of the messages that it ends before, drops = of host.buses,
+--          options = list of tshark's options that may decode what was not found, or nil; notes =
+--          list of texts to say besides, or nil;
 --          lacks_times = whether packets have no time stamps, extended = number of extended CAN
 --          frames that were not dissected, can = number of all such CAN frames, problems = list of
 --          texts: why not all was read, unread = the same in short if
@@ -264,6 +268,7 @@ function Queue:finish(capture)
     say(text)
     for _, note in ipairs(notes) do say(note) end
   end
+  for _, note in ipairs(capture.notes or {}) do say(note) end
   return code, texts
 end
 

@@ -36,6 +36,8 @@ Stat.__index = Stat
 --   drops      function() -> what the capture does not have, see host.buses
 --   unfinished function() -> the messages that the capture ends before: list of { source, seq,
 --              key }
+--   find_options  function() -> list of tshark's options that may decode what was not found
+--   notes      function() -> list of texts to say of streams
 --   watch      function(), called when statistics begin: from then on Stat:note_frame is called
 --   counted    function(f) -> f, whose calls are counted
 --   failures   function() -> number of such calls that failed since the capture was opened }
@@ -187,6 +189,8 @@ local function finish(self)
     unfinished = self.intake:unfinished(self.unfinished()),
     drops = self.drops(),
     lacks_times = self.buses:lacks_times(),
+    options = self.find_options(),
+    notes = self.notes(),
     extended = self.extended,
     can = self.can,
     problems = joined({ failed }, { unread }),
