@@ -54,11 +54,29 @@ def records(data):
             size = LONGEST if event.kind == "skipped" else len(event.data)
             events.append(Event(event.kind, event.data[at:at + size], event.start + at))
     times = [stamp(event) for event in events]
-    now = next((time for time in times if time is not None), None)
+    line = Line(next((time for time in times if time is not None), None))
     for event, time in zip(events, times):
-        now = now if time is None else time
-        event.time = now
+        event.time = line.now if time is None else line.go_on(event.ident, time)
     return events
+
+
+class Line:
+    """The time of a dump, which never goes back.  Each ID has clocks: that of a controller, a new one if it reboots."""
+
+    def __init__(self, now):
+        self.now, self.clocks, self.latest = now, {}, 0
+
+    def go_on(self, ident, time):
+        clocks = self.clocks.setdefault(ident, [])  # [the last stamp, how far the dump's time is ahead of it]
+        clock = max((clock for clock in clocks if clock[0] <= time), key=lambda clock: clock[0], default=None)
+        if clock is None:
+            shares = 0 <= time + self.latest - self.now < 10**9
+            clock = [time, self.latest if shares else self.now - time]
+            clocks.append(clock)
+            del clocks[:-4]
+        clock[0], self.latest = time, clock[1]
+        self.now = max(self.now, time + clock[1])
+        return self.now
 
 
 def message(ident, nanoseconds, rng):
@@ -214,15 +232,16 @@ def times(path, *arguments):
 
 
 def test_times(folder):
-    """A restart sets the clock back; a bad frame has no time; nothing has one before the first message that has."""
+    """A clock that is far from the others is another controller's; a bad frame has no time; nothing has one before the
+    first message that has."""
     rng = random.Random(SEED)
     command, bad = message(0, 0, rng), bytearray(message(0x210, 10**18, rng))
     bad[-1] ^= 1
-    largest = 2**63 - 1
+    largest, other = 2**63 - 1, 86_400_000_000_001
     pieces = [(b"boot\r\n", 7), (command, 7), (message(0x210, 7, rng), 7), (bytes(bad), 7), (command, 7),
-              (message(0x200, 86_400_000_000_001, rng), 86_400_000_000_001), (b"\r\nreboot\r\n", 86_400_000_000_001),
+              (message(0x200, other, rng), 7), (b"\r\nreboot\r\n", 7),
               (message(0x210, 4_000_000_000, rng), 4_000_000_000), (message(0x210, -1, rng), 4_000_000_000),
-              (message(0x200, largest, rng), largest), (command[:-1], largest)]
+              (message(0x200, largest, rng), largest - other + 7), (command[:-1], largest - other + 7)]
     path = dump(folder, b"".join(data for data, _ in pieces))
     wanted = [f"{time // 10**9}.{time % 10**9:09d}" for _, time in pieces]
     for passes in ([], ["-2"]):
@@ -459,3 +478,53 @@ def test_one_file_after_another(folder):
     assert "Lua:" not in errors, errors
     assert opened == [taken for *_, taken in files]
     assert opened_grown == [False, True]
+
+
+# Reboots: the time goes on --------------------------------------------------------------------------------------
+
+def statistic(path, what):
+    done = tshark.run("-r", path, "-q", "-z", f"yapp,{what},json")
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+@pytest.mark.parametrize("name, length, reboots", [("reboot.yapp", 3.8, 1), ("dump_reboot.yapp", 19.794414, 2)])
+def test_time_goes_on_over_a_reboot(name, length, reboots):
+    """Events and packets are in the order of the file; the length is that of the flight."""
+    path = CAPTURES / "cases" / name
+    times = [float(row[0]) for row in tshark.fields(path, ["frame.time_relative"])]
+    assert times == sorted(times) and times[0] == 0 and times[-1] == pytest.approx(length, abs=1e-6)
+    found = statistic(path, "events")
+    frames = [event["frame"] for event in found]
+    assert frames == sorted(frames) and [event["time"] for event in found] == sorted(event["time"] for event in found)
+    assert [event["kind"] for event in found].count("reboot") == reboots
+    faults = statistic(path, "faults")
+    assert [fault["time"] for fault in faults] == [event["time"] for event in found if event["kind"] == "fault"]
+    assert all(0 < fault["active"] < 1 for fault in faults if fault["event"] == "cleared")
+
+
+def written(folder, sent):
+    """A dump of messages [(ID, seconds of its clock)]."""
+    path, rng = folder / "run.yapp", random.Random(SEED)
+    path.write_bytes(b"".join(message(ident, round(at * 10**9), rng) for ident, at in sent))
+    return [float(row[0]) for row in tshark.fields(path, ["frame.time_relative"])]
+
+
+def test_three_reboots(folder):
+    sent = [(0x210, boot + at / 10) for boot in (4000, 900, 90, 0.5) for at in range(5)]
+    assert written(folder, sent) == pytest.approx([0.4 * boot + at / 10 for boot in range(4) for at in range(5)], abs=1e-6)
+
+
+def test_a_reboot_of_one_of_two_controllers(folder):
+    """Motor Data of one, Health of the other: each has its clock."""
+    motor = [(0x210, (50 if at < 5 else -0.4) + at / 10) for at in range(10)]
+    health = [(0x200, 7000 + at / 10) for at in range(10)]
+    sent = [one for pair in zip(motor, health) for one in pair]
+    times = written(folder, sent)
+    assert times[::2] == pytest.approx([at / 10 for at in range(10)], abs=0.11)
+    assert times == sorted(times) and times[1::2] == pytest.approx([at / 10 for at in range(10)], abs=1e-6)
+
+
+def test_two_controllers_with_one_id(folder):
+    """Their clocks alternate: the time goes on as both do, after the step to the clock that is ahead."""
+    sent = [(0x210, boot + at / 10) for at in range(20) for boot in (9000, 100)]
+    assert written(folder, sent) == pytest.approx([at / 10 for at in range(20) for _ in range(2)], abs=1e-6)

@@ -6,6 +6,7 @@ local M = {}
 local CHUNK = 65536
 local MAX_AHEAD = 1048576 -- bytes to search for a time stamp; they are kept
 local MAX_SKIPPED = 65536 -- bytes of no frame in a record; Wireshark takes four times that
+local ID_FROM, ID_TO = 5, 8 -- bytes of a frame that are its ID
 
 -- A record is an exported PDU: it names its dissector, and a UDP port type says that it is complete
 -- in itself.  Bytes between frames may look like the start of a frame.  Only the bytes behind them
@@ -14,7 +15,40 @@ local DISSECTOR, UDP = "\0\12\0\12", "\0\24\0\4\0\0\0\3\0\0\0\0" -- tags, each w
 local FRAME = DISSECTOR .. "yapp_serial\0" .. UDP
 local SKIPPED = DISSECTOR .. "yapp_skipped" .. UDP
 
-local UNKNOWN = {} -- a time: { seconds, nanoseconds }
+-- Times ------------------------------------------------------------------------------------------
+
+-- A time is { seconds, nanoseconds = 0 to 999999999 }: 2^63 ns are too many for one number.
+local UNKNOWN = {}
+local ZERO = { 0, 0 }
+local SECOND = 1000000000
+local MAX_CLOCKS = 4 -- of an ID
+local MAX_STEP = 1 -- seconds
+
+local function sum(a, b)
+  local seconds, nanoseconds = a[1] + b[1], a[2] + b[2]
+  if nanoseconds >= SECOND then return { seconds + 1, nanoseconds - SECOND } end
+  return { seconds, nanoseconds }
+end
+
+local function difference(a, b)
+  local seconds, nanoseconds = a[1] - b[1], a[2] - b[2]
+  if nanoseconds < 0 then return { seconds - 1, nanoseconds + SECOND } end
+  return { seconds, nanoseconds }
+end
+
+local function is_before(a, b)
+  return a[1] < b[1] or a[1] == b[1] and a[2] < b[2]
+end
+
+-- Return the clock of an ID that goes on with a stamp: the one that advances least.
+local function clock_of(clocks, stamp)
+  local found
+  for _, clock in ipairs(clocks) do
+    local may_be = not is_before(stamp, clock.last)
+    if may_be and not (found and is_before(clock.last, found.last)) then found = clock end
+  end
+  return found
+end
 
 local Dump = {}
 Dump.__index = Dump
@@ -31,6 +65,33 @@ function Dump:stamp(finding)
   if finding.status ~= "good" then return nil end
   local seconds, nanoseconds = self.time_of(finding.bytes)
   return seconds and { seconds, nanoseconds }
+end
+
+-- Return how far the time of the dump is ahead of a clock that begins with this stamp.  Messages of
+-- one controller have one clock.  So use the clock of the latest message if that makes a small step
+-- forward; else time goes on from the latest record.
+--   latest record at 102.9 s, its clock 2.9 s: 3.0 s of another ID is 103.0 s, 0.05 s is 102.9 s
+local function shift_of(self, stamp)
+  local ahead = difference(sum(stamp, self.shift), self.time)
+  return ahead[1] >= 0 and ahead[1] < MAX_STEP and self.shift or difference(self.time, stamp)
+end
+
+-- Let the time of the dump go on with a stamp.  It never goes back: a controller that rebooted has
+-- a new clock, and so has another controller with the same ID.
+-- id  of the message
+local function advance(self, id, stamp)
+  self.time = self.time or stamp
+  self.clocks[id] = self.clocks[id] or {}
+  local clocks = self.clocks[id]
+  local clock = clock_of(clocks, stamp)
+  if not clock then
+    clock = { shift = shift_of(self, stamp) }
+    table.insert(clocks, clock)
+    if #clocks > MAX_CLOCKS then table.remove(clocks, 1) end
+  end
+  clock.last, self.shift = stamp, clock.shift
+  local time = sum(stamp, clock.shift)
+  if is_before(self.time, time) then self.time = time end
 end
 
 --- Open a dump.
@@ -50,7 +111,9 @@ function M.open(file, options, head)
     findings = {}, -- of the file; false once it is a record
     next = 1, -- index of the first one that is no record yet
     is_over = false,
-    time = nil,   -- of the latest record; before that, the first time stamp of the file
+    time = nil, -- of the latest record; before that, the first time stamp of the file
+    clocks = {}, -- by ID: list of { last = stamp, shift = of the dump's time from it }
+    shift = ZERO, -- of the clock of the latest message that has one
     records = {}, -- [offset] = { length = bytes, tags = FRAME or SKIPPED, time }
   }, Dump)
   local has_frame, index = false, 1
@@ -96,12 +159,13 @@ end
 --- Read the next record: a frame, or bytes of no frame.
 -- returns  its offset, the packet's bytes (an exported PDU), seconds and nanoseconds; nil at the
 --          end.  The time is the controller's own if the message has a time stamp, else that of the
---          record before.  Records before the first time stamp get that one if it comes within
---          MAX_AHEAD bytes, else nil
+--          record before.  It never goes back: if the controller reboots, it goes on.  Records
+--          before the first time stamp get that one if it comes within MAX_AHEAD bytes, else nil
 function Dump:read(file)
   local finding = self:next_finding(file)
   if not finding then return nil end
-  self.time = self:stamp(finding) or self.time
+  local stamp = self:stamp(finding)
+  if stamp then advance(self, finding.bytes:sub(ID_FROM, ID_TO), stamp) end
   local record = {
     length = #finding.bytes,
     time = self.time or UNKNOWN,
