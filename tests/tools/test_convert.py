@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from running import motor_row, result
 
-TABLES = ["events", "faults", "flights", "motor", "summary"]
+TABLES = ["events", "faults", "flights", "motor", "statistics", "summary"]
 
 
 def files(folder):

@@ -24,6 +24,7 @@ from running import FAKE, motor_row, result, run_tables
 FAULT = {"time": 1700000000.000000001, "frame": 3, "bus": "can0", "source": None, "id": 528, "message": "motor"}
 FAULT |= {"kind": "fault", "field": "fault_flags", "flag": "motor_overcurrent", "event": "raised", "active": None}
 SUMMARY = {"bus": "can0", "id": 528, "source": None, "message": "motor", "count": 3}
+SUMMARY |= {"values": {"rpm_measured": {"min": 1000.5, "mean": 1001.5, "max": 1002.5}}, "new_key": [1]}
 # A catalogue that grew: another field of Motor Data.
 GROWN = {"name": "added", "type": "integer", "kind": "uint", "bits": 16}
 
@@ -48,11 +49,14 @@ def test_every_reader_opens_the_folder(make_capture, tmp_path):
     flight(make_capture), flight(make_capture, "other.pcapng", 9), make_capture("empty.pcapng")
     convert(tmp_path, "*.pcapng", code=1)
     data = tmp_path / "data"
-    assert len(pd.read_parquet(data)) == ds.dataset(data, partitioning="hive").count_rows() == 14
-    lenient = {"missing_columns": "insert", "extra_columns": "ignore"}
-    assert len(pl.scan_parquet(data, **lenient).collect()) == 14
+    assert len(pd.read_parquet(data)) == ds.dataset(data, partitioning="hive").count_rows() == 16
+    tables = (pl.scan_parquet(folder / "*.parquet", hive_partitioning=True) for folder in data.iterdir())
+    every = pl.concat(tables, how="diagonal_relaxed").collect()
+    assert len(every) == 16
+    names = [set(pq.read_schema(next(folder.glob("*"))).names) for folder in data.iterdir()]
+    assert set(every.columns) == set.union(*names, {"message"})
     query = f"SELECT message, count(*) FROM read_parquet('{data}/**/*.parquet', union_by_name=true) GROUP BY 1"
-    counts = {"motor": 6, "events": 2, "faults": 2, "summary": 2, "flights": 2}
+    counts = {"motor": 6, "events": 2, "faults": 2, "summary": 2, "statistics": 2, "flights": 2}
     assert dict(duckdb.sql(query).fetchall()) == counts
     for name, count in counts.items():
         table = pl.read_parquet(data / f"message={name}")
@@ -64,7 +68,7 @@ def test_every_reader_opens_the_folder(make_capture, tmp_path):
 def test_every_format_has_the_tables(make_capture, tmp_path, to):
     flight(make_capture)
     convert(tmp_path, "flight.pcapng", to=to)
-    names = {"motor", "events", "faults", "summary", "flights"}
+    names = {"motor", "events", "faults", "summary", "statistics", "flights"}
     if to in ("csv", "delta"):
         assert {path.name for path in (tmp_path / "data").iterdir()} == {f"message={name}" for name in names}
     else:
@@ -78,6 +82,7 @@ def test_the_flights(make_capture, tmp_path):
     (row,) = pl.read_parquet(tmp_path / "data/message=flights").to_dicts()
     assert row["capture"] == str(capture)
     assert (row["messages"], row["faults"], row["plugin"]) == (3, 1, "1.0")
+    assert (row["is_absolute"], row["clock_resets"], row["left_out"]) == (True, 0, None)
     assert row["length"] == pytest.approx(0.2)
     assert row["undecoded"] is None
     assert len(row["flight_id"]) == 16

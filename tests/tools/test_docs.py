@@ -61,3 +61,8 @@ def test_all_brings_what_the_recipes_use():
 def test_the_api_page_is_that_of_the_docstrings():
     done = subprocess.run([sys.executable, TOP / "tools/api_page.py"], capture_output=True, text=True, check=True)
     assert (TOP / "docs/api.md").read_text() == done.stdout
+
+
+def test_the_columns_page_is_that_of_the_code():
+    done = subprocess.run([sys.executable, TOP / "tools/columns_page.py"], capture_output=True, text=True, check=True)
+    assert (TOP / "docs/columns.md").read_text() == done.stdout

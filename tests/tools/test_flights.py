@@ -10,7 +10,6 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.dataset as ds
-import pyarrow.parquet as pq
 import pytest
 import yapp_tables as yt
 from asammdf import MDF
@@ -52,11 +51,13 @@ def assert_speeds(found, truth):
 
 def test_types_and_what_the_metadata_says(flight):
     motor = yt.read(flight[0], options=flights.OPTIONS, plugin=PLUGIN)["motor"].schema
-    assert motor.names[:7] == ["time", "source_file", "bus", "frame", "source", "id", "seq"]
+    assert motor.names[:8] == ["time", "source_file", "bus", "frame", "source", "controller", "id", "seq"]
     assert motor.field("time").type == pa.timestamp("ns", tz="UTC")
-    assert (motor.metadata[b"title"], motor.metadata[b"every"]) == (b"Motor Data", b"0.1")
-    types = {"rpm_measured": pa.float64(), "motor_mode": pa.uint8(), "motor_mode_text": pa.string()}
-    types |= {"fault_flags": pa.uint32(), "fault_motor_stall": pa.bool_(), "esc_temperature_special": pa.string()}
+    assert [motor.metadata[key] for key in (b"title", b"every", b"schema")] == [b"Motor Data", b"0.1", b"4"]
+    kind = pa.dictionary(pa.int32(), pa.string())
+    types = {"rpm_measured": pa.float64(), "motor_mode": pa.uint8(), "motor_mode_text": kind, "bus": kind}
+    types |= {"fault_flags": pa.uint32(), "fault_motor_stall": pa.bool_(), "esc_temperature_special": kind}
+    types |= {"timestamp": pa.duration("ns"), "rpm_error": pa.float64(), "command_lag": pa.duration("ns")}
     assert {name: motor.field(name).type for name in types} == types
     assert motor.field("rpm_measured").metadata[b"unit"] == b"RPM"
     assert json.loads(motor.field("motor_mode").metadata[b"values"]) == {"0": "Torque Mode", "1": "Speed Mode"}
@@ -89,10 +90,6 @@ def test_read_has_every_value_and_every_event(flight):
 def test_parquet(flight):
     path, truth = flight
     folder = convert(path, "parquet") / "message=motor"
-    # PlotJuggler reads no dictionary columns.
-    assert not [
-        field for field in pq.read_schema(result(folder, "flight", ".parquet")) if pa.types.is_dictionary(field.type)
-    ]
     motor = ds.dataset(folder).to_table()
     columns = (motor[name].to_pylist() for name in ("bus", "id", "rpm_measured"))
     assert_speeds(zip(motor["time"].cast("int64").to_pylist(), *columns, strict=True), truth)
@@ -115,11 +112,13 @@ def test_mf4(flight):
             if message == "motor":
                 bus, number = source
                 speed = mdf.get("rpm_measured", group=index, ignore_invalidation_bits=True)
+                absent = np.asarray(speed.invalidation_bits)
                 assert speed.unit == "RPM"
                 assert set(mdf.get("motor_mode", group=index).samples) == {b"Speed Mode"}
                 times = [start + round(time * 1e9) for time in speed.timestamps]
-                found += [(time, bus, int(number, 16), value) for time, value in zip(times, speed.samples, strict=True)]
-                assert np.isnan(speed.samples).sum() == sum(
+                values = [None if gone else value for gone, value in zip(absent, speed.samples, strict=True)]
+                found += [(time, bus, int(number, 16), value) for time, value in zip(times, values, strict=True)]
+                assert absent.sum() == sum(
                     row[3] == flights.NAN16 for row in truth.motor if row[1:3] == (bus, int(number, 16))
                 )
     assert_speeds(found, truth)

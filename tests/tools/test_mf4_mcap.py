@@ -45,8 +45,9 @@ def test_mf4(converted):
         speed = mdf.get("rpm_measured", group=0, ignore_invalidation_bits=True)
         assert speed.unit == "RPM"
         assert speed.timestamps.tolist() == pytest.approx([1e-9, 0.100000001, 0.200000001, 0.300000001], abs=1e-12)
-        assert speed.samples[[0, 1, 3]].tolist() == [1000.5, np.inf, 1003.5]
-        assert np.asarray(speed.invalidation_bits).tolist() == [False, False, True, False]
+        assert speed.samples[[0, 3]].tolist() == [1000.5, 1003.5]
+        assert np.asarray(speed.invalidation_bits).tolist() == [False, True, True, False]
+        assert mdf.get("timestamp", group=0).samples.tolist() == pytest.approx([0, 0.1, 0.2, 0.3], abs=1e-9)
         assert mdf.get("motor_mode", group=0).samples.tolist() == [b"Speed Mode"] * 3
         assert mdf.get("motor_mode", group=0, raw=True).samples.tolist() == [1, 1, 1]
         assert mdf.get("rpm_measured_special", group=0).samples.tolist() == [b"inf", b"above"]
@@ -74,6 +75,7 @@ def test_mcap(converted):
         schemas = {
             schema.name: (schema.encoding, json.loads(schema.data)) for schema in reader.get_summary().schemas.values()
         }
+        metadata = {each.name: each.metadata for each in reader.iter_metadata()}
         assert all(channel.schema_id for channel in reader.get_summary().channels.values())
     motor = [row for row in found if row[0].startswith("/motor")]
     assert [row[0] for row in motor] == ["/motor/can0/0x210"] * 4 + [
@@ -92,7 +94,12 @@ def test_mcap(converted):
     assert motor[5][2]["source"] == 'left, "aft"'
     encoding, schema = schemas["motor"]
     assert encoding == "jsonschema"
-    assert schema["properties"]["rpm_measured"] == {"type": "number", "description": "Measured speed [RPM]"}
+    assert schema["properties"]["rpm_measured"] == {
+        "type": "number", "description": "Measured speed [RPM]", "unit": "RPM", "filter": "taurus.motor.rpm",
+    }  # fmt: skip
+    assert schema["properties"]["motor_mode"]["oneOf"][1] == {"title": "Speed Mode", "const": 1}
+    assert metadata["flight"]["messages"] == "10"
+    assert metadata["flight"]["start"] == "2023-11-14 22:13:20.000000001Z"
     assert [row[2].get("text") for row in found if row[0].startswith("/note")] == [
         "short",
         None,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """yt.read: types, reserved counts, events, refusals; with a stand-in for tshark."""
 
-import math
+import json
 
 import pyarrow as pa
 import pytest
@@ -16,7 +16,7 @@ def read(path, **options):
 def test_a_message_is_a_table_with_the_promised_types(make_capture):
     motor = read(make_capture("flight.pcapng", motor=[motor_row(0), motor_row(1)]))["motor"]
     assert motor.schema.names == [
-        "time", "source_file", "bus", "frame", "source", "id", "seq", "flight_id",
+        "time", "source_file", "bus", "frame", "source", "controller", "id", "seq", "flight_id",
         "rpm_measured", "rpm_measured_special",
         "motor_mode", "motor_mode_text", "fault_flags", "fault_motor_overcurrent", "timestamp", "serial", "revision",
     ]  # fmt: skip
@@ -35,13 +35,11 @@ def test_a_message_is_a_table_with_the_promised_types(make_capture):
     }  # fmt: skip
 
 
-def test_reserved_counts_are_numbers_where_there_is_one(make_capture):
+def test_reserved_values_are_null_and_named(make_capture):
     names = ["nan", "inf", "-inf", "above", "below", ""]
     rows = [motor_row(n, rpm_measured="" if name else "7.5", rpm_measured_special=name) for n, name in enumerate(names)]
     motor = read(make_capture("flight.pcapng", motor=rows))["motor"]
-    values = motor["rpm_measured"].to_pylist()
-    assert math.isnan(values[0])
-    assert values[1:] == [math.inf, -math.inf, None, None, 7.5]
+    assert motor["rpm_measured"].to_pylist() == [None] * 5 + [7.5]
     assert motor["rpm_measured_special"].to_pylist() == [*names[:5], None]
 
 
@@ -62,14 +60,49 @@ def test_events_faults_and_summary(make_capture):
     head = {"time": 1700000001.500000001, "frame": 80, "bus": "can0", "id": 528, "source": None}
     fault = head | {"kind": "fault", "message": "motor", "field": "fault_flags", "flag": "motor_overcurrent"}
     events = [fault | {"event": "raised", "active": None}, head | {"kind": "silence", "length": 3.25}]
-    source = {"bus": "can0", "id": 528, "source": None, "message": "motor", "count": 2, "rate": 10.0}
+    source = {
+        "bus": "can0",
+        "id": 528,
+        "source": "left",
+        "message": "motor",
+        "count": 2,
+        "rate": 10.0,
+        "new_key": [1.5],
+    }
     summary = [source | {"values": {"rpm_measured": {"min": 1.0, "mean": 2.0, "max": 3.0}}}]
     flight = read(make_capture("flight.pcapng", motor=[motor_row(0)], events=events, summary=summary))
     assert flight.events["kind"].to_pylist() == ["fault", "silence"]
     assert flight.events["length"].to_pylist() == [None, 3.25]
     assert flight.faults["flag"].to_pylist() == ["motor_overcurrent"]
     assert flight.summary["rate"].to_pylist() == [10.0]
+    assert flight.summary["controller"].to_pylist() == ["left"]
+    assert json.loads(flight.summary["other"][0].as_py()) == {"new_key": [1.5]}
     assert flight.statistics.to_pylist()[0]["max"] == 3.0
+
+
+def test_words_that_do_not_exist_are_answered_by_those_that_do(make_capture):
+    capture = make_capture("flight.pcapng", motor=[motor_row(0)])
+    with pytest.raises(yt.MessageError, match="no message 'motr'; known messages: motor, note"):
+        read(capture, messages=["motr"])
+    with pytest.raises(yt.MessageError, match=r"no column 'nope' in motor; known columns: time, .*rpm_measured"):
+        read(capture, messages=["motor"], columns=["nope"])
+    with pytest.raises(TypeError, match="no keyword 'optionz'; known keywords: options, sources"):
+        read(capture, optionz=["x"])
+    with pytest.raises(yt.SetupError, match="no kind 'parket'; known kinds: parquet"):
+        yt.convert(capture, "out", to="parket", tshark=FAKE)
+    assert "options: preferences for tshark" in yt.read.__doc__
+    # A message that the catalogue has, and this capture has not.
+    with pytest.raises(yt.MessageError, match="has no decoded Note"):
+        read(capture, messages=["motor", "note"])["note"]
+
+
+def test_the_hint_names_controllers_where_nobody_did(make_capture):
+    rows = [{"bus": "can0", "id": number, "source": None, "message": "motor", "count": 2} for number in (0x210, 0x211)]
+    rows.append(rows[0] | {"id": 0x200})
+    flight = read(make_capture("flight.pcapng", motor=[motor_row(0)], summary=rows))
+    assert flight.hint.endswith("yapp.sources:can0/0x210+0x200=esc1, can0/0x211=esc2")
+    rows[0]["source"] = "left"
+    assert not read(make_capture("named.pcapng", motor=[motor_row(0)], summary=rows)).hint
 
 
 def test_a_damaged_capture_is_read_with_a_warning(make_capture):

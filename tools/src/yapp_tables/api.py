@@ -1,40 +1,53 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""What a program calls: read, read_many, convert, report. Each takes these keywords (`**how`):
-
-options: preferences for tshark, ["yapp.motor_ids:0x210,0x211"]; sources: names of controllers,
-{"can0/0x210": "motor:left"}; filter: a display filter, only these messages are taken; profile: one of Wireshark;
-plugin: yapp.lua where it is not installed; tshark: the program where it is not in PATH.
-"""
+"""What a program calls: read, read_many, convert, report."""
 
 from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypeVar, Unpack
 
 from tqdm import tqdm
 
 from . import fleet
-from .config import Config, StrPath, read_fleet, tshark_of
+from .config import Config, How, Kind, StrPath, read_fleet, tshark_of
 from .convert import made_by
 from .dataset import Result, flight_id
 from .errors import YappError, need
 from .flight import Flight
+from .scratch import scratch
 from .tshark import Tshark, check_file
 
+HOW = """
 
+    How it is decoded:
+
+    options: preferences for tshark, ["yapp.motor_ids:0x210,0x211"]; sources: names of controllers, one for all IDs of
+    a controller, {"can0/0x210+0x200": "left"}; filter: a display filter, only these messages are taken; profile: one
+    of Wireshark; plugin: yapp.lua where it is not installed; tshark: the program where it is not in PATH.
+    """
+Function = TypeVar("Function")
+
+
+def _with_how(function: Function) -> Function:
+    """Add what all functions have in common to a docstring: help() shows it."""
+    function.__doc__ = (function.__doc__ or "").rstrip() + HOW
+    return function
+
+
+@_with_how
 def read(
-    capture: StrPath, *, messages: Sequence[str] | None = None, columns: Sequence[str] | None = None, **how: Any
+    capture: StrPath, *, messages: Sequence[str] | None = None, columns: Sequence[str] | None = None, **how: Unpack[How]
 ) -> Flight:
     """Read a capture with tshark and the plugin.
 
     messages: of these only; columns: these only, besides the time. They are narrowed before they are read.
+
     What is left out is a warning: the rest of a damaged capture, messages that were not decoded.
-    Returns a Flight. Raises YappError.
+    Returns a Flight. Raises YappError; MessageError, with the words that exist, for an unknown message or column.
     """
     flight = read_flight(Path(capture), tshark_of(**how), messages, columns)
     for text in flight.left_out:
@@ -55,7 +68,7 @@ def read_flight(
     cache: a folder that keeps, or has, what tshark wrote; has_begin: whether the first packet's time is wanted, for
     which tshark runs once more.
     """
-    with tempfile.TemporaryDirectory(prefix="yapp-tables-", dir=cache and cache.parent) as folder:
+    with scratch(cache and cache.parent) as folder:
         export = tshark.export(capture, cache if cache and cache.is_dir() else Path(folder, "export"))
         flight = Flight(capture, export, messages, columns, tshark.begin(capture) if has_begin else None)
         if cache and not cache.is_dir():
@@ -63,13 +76,14 @@ def read_flight(
         return flight
 
 
+@_with_how
 def read_many(
     captures: StrPath | Iterable[StrPath],
     *,
     cache: StrPath | None = None,
     messages: Sequence[str] | None = None,
     columns: Sequence[str] | None = None,
-    **how: Any,
+    **how: Unpack[How],
 ) -> Iterator[Flight]:
     """Read captures one after the other, each when it is asked for, with a progress bar on a terminal.
 
@@ -93,15 +107,16 @@ def read_many(
         yield flight
 
 
+@_with_how
 def convert(
     captures: StrPath | Iterable[StrPath],
     out: StrPath,
     *,
-    to: str = "parquet",
+    to: Kind = "parquet",
     fleet_file: StrPath | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
-    **how: Any,
+    **how: Unpack[How],
 ) -> list[Result]:
     """Convert captures to a data set; what is up to date is not converted again.
 
@@ -113,13 +128,14 @@ def convert(
     return fleet.convert(captures, Config(str(out), to, tshark_of(**how), aircraft), jobs=jobs, scheduler=scheduler)
 
 
+@_with_how
 def report(
     captures: StrPath | Iterable[StrPath],
     out: StrPath | None = None,
     *,
     overlay: bool = False,
     rules: StrPath | None = None,
-    **how: Any,
+    **how: Unpack[How],
 ) -> Path:
     """Write the page of a capture, or a folder of pages with an index.html.
 

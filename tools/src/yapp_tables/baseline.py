@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,7 @@ from statistics import median
 from . import __version__
 from .config import Config
 from .errors import CaptureError
+from .scratch import scratch
 from .tshark import Record
 
 # A range that is narrow for its value counts as this share of the value: what never changed may do so a little.
@@ -45,10 +45,10 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
     """
     folder = os.path.commonpath([capture.parent for capture in captures])
     names = [os.path.relpath(capture, folder) for capture in captures]
-    with ThreadPoolExecutor(os.cpu_count()) as pool, tempfile.TemporaryDirectory(prefix="yapp-tables-") as scratch:
+    with ThreadPoolExecutor(os.cpu_count()) as pool, scratch() as aside:
 
         def ask(*statistics: str) -> list[tuple[list[Record], list[str]]]:
-            return list(pool.map(lambda path: config.of(path)[0].ask(path, scratch, statistics), captures))
+            return list(pool.map(lambda path: config.of(path)[0].ask(path, str(aside), statistics), captures))
 
         told = ask("summary,json", "compare,json")
         extremes = _extremes({name: records for name, (records, _) in zip(names, told, strict=True)})
@@ -58,7 +58,7 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
         rules.append(Rule("", "absent=0", "all that yapp.sources names with a message came"))
         head = HEAD.format(version=__version__, flights=len(captures), margin=f"{(margin * 100).normalize():f}")
         # The gate itself says which rules these flights keep: a reserved value, for one, lies in no range.
-        Path(scratch, "rules").write_text(_text(head, rules), encoding="utf-8")
+        Path(aside, "rules").write_text(_text(head, rules), encoding="utf-8")
         for name, (verdicts, _) in zip(names, ask("check,rules=rules,json"), strict=True):
             _mark_lost(rules, name, verdicts)
     said = [f"{name}: {text}" for name, (_, texts) in zip(names, told, strict=True) for text in texts]

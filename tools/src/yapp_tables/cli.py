@@ -140,6 +140,7 @@ def _convert(given: argparse.Namespace) -> int:
         _say(f"{result.capture}: {text}" for text in ([result.failure] if result.failure else lacks))
         failed += bool(result.failure or result.partial)
         lacking += bool(result.lacks)
+    _say(sorted({result.hint for result in results if result.hint})[:1])
     rows = sum(sum(result.messages.values()) for result in results)
     _say([f"{len(results)} captures, {rows:,} rows in {given.out}"])
     if failed:

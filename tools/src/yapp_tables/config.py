@@ -9,13 +9,25 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypedDict, Unpack
 
 from .errors import SetupError
 from .tshark import Tshark
 
 KEYS = {"name", "captures", "profile", "catalogue", "ids", "sources", "preferences"}
 StrPath = str | PathLike[str]
+Kind = Literal["parquet", "csv", "delta", "mf4", "mcap"]
+
+
+class How(TypedDict, total=False):
+    """How captures are decoded: keywords of `read`, `read_many`, `convert` and `report`."""
+
+    options: Sequence[str]
+    sources: Mapping[str, str] | None
+    filter: str | None
+    profile: str | None
+    plugin: StrPath | None
+    tshark: StrPath | None
 
 
 @dataclass(frozen=True)
@@ -58,20 +70,15 @@ class Config:
         return self.tshark, None
 
 
-def tshark_of(
-    options: Sequence[str] = (),
-    sources: Mapping[str, str] | None = None,
-    filter: str | None = None,  # noqa: A002
-    plugin: StrPath | None = None,
-    tshark: StrPath | None = None,
-    profile: str | None = None,
-) -> Tshark:
-    """Return a Tshark of what a user gave; see `yapp_tables.read`."""
-    named = f"yapp.sources:{', '.join(f'{key}={name}' for key, name in (sources or {}).items())}"
-    options = (*options, *((named,) if sources else ()))
-    return Tshark(
-        None if tshark is None else str(tshark), None if plugin is None else str(plugin), options, filter, profile
-    )
+def tshark_of(**how: Unpack[How]) -> Tshark:
+    """Return a Tshark of what a user gave; see `yapp_tables.read`. Raises TypeError for another keyword."""
+    if strange := how.keys() - How.__annotations__.keys():
+        raise TypeError(f"no keyword {sorted(strange)[0]!r}; known keywords: {', '.join(How.__annotations__)}")
+    options, names = tuple(how.get("options") or ()), how.get("sources")
+    if names:
+        options += (f"yapp.sources:{', '.join(f'{key}={name}' for key, name in names.items())}",)
+    program, plugin = (None if path is None else str(path) for path in (how.get("tshark"), how.get("plugin")))
+    return Tshark(program, plugin, options, how.get("filter"), how.get("profile"))
 
 
 def read_fleet(path: StrPath) -> tuple[Aircraft, ...]:

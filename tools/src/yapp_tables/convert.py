@@ -11,7 +11,9 @@ from pathlib import Path
 from .config import Config, StrPath
 from .dataset import DataSet, MadeBy, Result, plain_name
 from .errors import CaptureError, SetupError, YappError, need
-from .tables import Origin, all_tables, digests, nothing_in, present
+from .records import SUMMARY, all_tables, name_hint, table
+from .scratch import disk_full
+from .tables import Origin, digests, nothing_in, present
 from .tshark import Export, Tshark, check_file
 from .undecoded import left_out
 from .writers import Target, Writer
@@ -83,8 +85,9 @@ def convert_one(capture: StrPath, config: Config, made: MadeBy | None = None, tr
     except SetupError:
         raise
     except OSError as error:
-        full = error.errno == errno.ENOSPC
-        raise (SetupError if full else YappError)(f"{config.out}: {'the disk is full' if full else error}") from error
+        if error.errno == errno.ENOSPC:
+            raise disk_full(config.out) from error
+        raise YappError(f"{config.out}: {error}") from error
     except YappError as error:
         if tries > 1 and not isinstance(error, CaptureError):
             return convert_one(capture, config, made, tries - 1)
@@ -107,7 +110,8 @@ def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, ma
         files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
         counts = {table.name: table.count for table in tables}
         lacks = tuple(left_out(None, export.undecoded, export.complaints))
-        result = Result(origin.flight_id, str(capture), made, tuple(files), counts, export.partial, lacks)
+        hint = name_hint(table(export.records["summary"], SUMMARY))
+        result = Result(origin.flight_id, str(capture), made, tuple(files), counts, export.partial, lacks, hint=hint)
         dataset.place(folder, result)
         if before and config.to == "delta" and (gone := before.messages.keys() - counts.keys()):
             need(f"{__package__}.delta", "delta").delete(dataset.url, origin.flight_id, gone)

@@ -6,9 +6,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-import shutil
-import tempfile
-import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -21,10 +18,9 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from .errors import SetupError, need
+from .scratch import clean, scratch
+from .tables import SCHEMA
 
-# Raised when files get other names, columns or types.
-LAYOUT = 3
-LEFTOVER_SECONDS = 86400
 NOTES = ".yapp-tables"
 SUFFIXES = (".gz", ".zst", ".lz4", ".pcapng", ".pcap", ".cap", ".log", ".txt", ".yapp", ".candump")
 
@@ -37,7 +33,7 @@ class MadeBy:
     catalogue: dict[str, str]
     options: tuple[str, ...] = ()
     filter: str | None = None
-    layout: int = LAYOUT
+    layout: int = SCHEMA
 
 
 @dataclass(frozen=True)
@@ -46,7 +42,7 @@ class Result:
 
     flight_id: of the capture's content; capture: its absolute path; files: relative to the data set;
     messages: {message: rows}; partial: why only a part could be read; lacks: sentences on what was not decoded;
-    failure: why there are no files.
+    failure: why there are no files; hint: what to set so that controllers have names.
     """
 
     flight_id: str
@@ -57,6 +53,7 @@ class Result:
     partial: str | None = None
     lacks: tuple[str, ...] = ()
     failure: str | None = None
+    hint: str = ""
 
     def is_current(self, made_by: MadeBy) -> bool:
         """Return whether it needs no other try: made by the same, but for messages that it does not have."""
@@ -152,10 +149,8 @@ class DataSet:
     @contextmanager
     def aside(self) -> Iterator[Path]:
         """A local folder to write to, of this task alone; on the file system of the data where that is local."""
-        with tempfile.TemporaryDirectory(
-            prefix=f"work-{self.run}-", dir=self.beside if self.is_local else None
-        ) as folder:
-            yield Path(folder)
+        with scratch(self.beside if self.is_local else None, self.run) as folder:
+            yield folder
 
     def place(self, folder: Path, result: Result) -> None:
         """Move all files in folder to their place, remove what an older result left, and note the result last."""
@@ -229,10 +224,8 @@ class DataSet:
             return None
 
     def clean(self) -> None:
-        """Remove what this run, or one that was killed more than a day ago, left aside."""
-        for work in Path(self.beside).glob("work-*") if self.is_local else ():
-            if work.name.startswith(f"work-{self.run}-") or time.time() - work.stat().st_mtime > LEFTOVER_SECONDS:
-                shutil.rmtree(work, ignore_errors=True)
+        """Remove what this run, or one that was killed, left aside."""
+        clean(self.beside if self.is_local else None, self.run)
 
 
 def _extended_parquet(paths: dict[str, str], new: Path) -> Iterator[str]:

@@ -12,13 +12,16 @@ from deltalake import DeltaTable, write_deltalake
 from deltalake.exceptions import DeltaError, TableNotFoundError
 
 from .errors import YappError
-from .tables import Table
+from .tables import DURATION, KIND, Table
 from .writers import Target
 
 # Several writers of one table: a transaction that another one overtook is tried again.
 TRIES = 50
-# Delta knows no unsigned integers, and microseconds only: time_ns has the nanoseconds.
+# Delta knows no unsigned integers, no durations (they are integers of nanoseconds), and times of microseconds only:
+# time_ns has the nanoseconds.
 TYPES = {
+    KIND: pa.string(),
+    DURATION: pa.int64(),
     pa.uint8(): pa.int16(),
     pa.uint16(): pa.int32(),
     pa.uint32(): pa.int64(),

@@ -42,6 +42,7 @@ def convert(
     dataset = DataSet(config.out, config.to, config.run)
     made = _made(found, config)
     dataset.open()
+    dataset.clean()
     try:
         done = _current(found, config, dataset, made)
         waiting = {capture: made[config.of(capture)[0]] for capture in found if capture not in done}

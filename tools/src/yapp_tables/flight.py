@@ -13,19 +13,9 @@ import pyarrow as pa
 from .dataset import flight_id
 from .errors import CaptureError, MessageError, need
 from .html_table import html_table
-from .tables import (
-    EVENTS,
-    SUMMARY,
-    Message,
-    Origin,
-    Rows,
-    catalogue_version,
-    faults,
-    nothing_in,
-    present,
-    statistics,
-    table,
-)
+from .records import EVENTS, SUMMARY, faults, name_hint, statistics, table
+from .tables import HEAD, Message, Origin, Rows, catalogue_version, nothing_in, present
+from .tables import messages as catalogue
 from .tshark import Export
 from .undecoded import left_out, source_name
 
@@ -67,12 +57,18 @@ class Flight(Mapping[str, pa.Table]):
         found = present(export)
         if not found:
             raise CaptureError(nothing_in(capture, export))
+        _check_words(catalogue(export.fields), messages, columns)
         self.messages: dict[str, Message] = {each.name: each for each in found if not messages or each.name in messages}
         self._titles = {name: str(entry["title"] or name) for name, entry in export.fields["messages"].items()}
         origin, self._tables = Origin(self.flight_id, capture), {}
         for message in self.messages.values():
             rows = Rows(export, message, origin, columns)
-            self._tables[message.name] = pa.Table.from_batches(rows, rows.schema)
+            self._tables[message.name] = pa.Table.from_batches(rows, rows.schema).unify_dictionaries()
+
+    @property
+    def hint(self) -> str:
+        """What to set so that `controller` ties the messages of a controller; empty where one has a name."""
+        return name_hint(self.summary)
 
     @property
     def left_out(self) -> list[str]:
@@ -139,3 +135,16 @@ class Flight(Mapping[str, pa.Table]):
         """Return what is in it, on one line."""
         rows = ", ".join(f"{name}: {len(rows)}" for name, rows in self._tables.items())
         return f"<Flight {self.name} ({rows}; {len(self.events)} events)>"
+
+
+def _check_words(known: Mapping[str, Message], messages: Sequence[str] | None, columns: Sequence[str] | None) -> None:
+    """Raise MessageError for a message or a column that does not exist."""
+    for name in messages or ():
+        if name not in known:
+            raise MessageError(f"no message {name!r}; known messages: {', '.join(known)}")
+    wanted = [message for name, message in known.items() if not messages or name in messages]
+    words = dict.fromkeys([*HEAD, *(name for message in wanted for name in message.columns)])
+    for name in columns or ():
+        if name not in words:
+            where = " and ".join(message.name for message in wanted)
+            raise MessageError(f"no column {name!r} in {where}; known columns: {', '.join(words)}")

@@ -4,25 +4,24 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 from mcap.writer import Writer
 
 from .sources import begin, by_source, times_of
-from .tables import TIME, Table
+from .tables import DURATION, TIME, Column, Table
 from .writers import Target
 
-# MCAP has the time itself; the rest stands once, in /flights.
+# MCAP has the time itself; the rest stands once, in the metadata `flight`.
 LEFT_OUT = ("time", "source_file", "flight_id")
-NO_JSON = (None, math.inf, -math.inf)
 
 
 def write_mcap(tables: Sequence[Table], target: Target) -> None:
-    """Write a capture. A value that is absent, or no number that JSON has, is left out; `_special` says which."""
+    """Write a capture. A value that is absent or reserved is left out; `_special` says which. Lengths are seconds."""
     start = begin(tables)
     with (target.folder / f"{target.name}.mcap").open("wb") as file:
         writer: Any = Writer(file)
@@ -35,29 +34,45 @@ def write_mcap(tables: Sequence[Table], target: Target) -> None:
 def _write(writer: Any, table: Table, start: int) -> None:
     names = [name for name in table.schema.names if name not in LEFT_OUT or table.name == "flights"]
     schema = writer.register_schema(table.name, "jsonschema", json.dumps(_schema(table, names)).encode())
-    fields = map(table.schema.field, names)
-    plain = pa.schema([field.with_type(pa.string()) if field.type == TIME else field for field in fields])
     channels: dict[str, int] = {}
     for source, rows in by_source(table):
         topic = "/".join(("", table.name, *source))
         if topic not in channels:
-            channels[topic] = writer.register_channel(topic, "json", schema)
-        for time, row in zip(
-            times_of(rows, start).to_pylist(), rows.select(names).cast(plain).to_pylist(), strict=True
-        ):
-            there = {name: value for name, value in row.items() if value == value and value not in NO_JSON}
-            text = json.dumps(there, ensure_ascii=False)
-            writer.add_message(channels[topic], time, text.encode(), time)
+            about = {"controller": source[0]} if len(source) == 1 and source[0] else {}
+            channels[topic] = writer.register_channel(topic, "json", schema, about)
+        for time, row in zip(times_of(rows, start).to_pylist(), _plain(rows.select(names)).to_pylist(), strict=True):
+            there = {name: value for name, value in row.items() if value is not None}
+            writer.add_message(channels[topic], time, json.dumps(there, ensure_ascii=False).encode(), time)
+            if table.name == "flights":
+                writer.add_metadata("flight", {name: str(value) for name, value in there.items()})
 
 
-def _schema(table: Table, names: list[str]) -> dict[str, Any]:
-    """A JSON schema; each property names its title, with its unit."""
-    properties = {}
-    for field in map(table.schema.field, names):
-        about = {key.decode(): text.decode() for key, text in (field.metadata or {}).items()}
-        unit = f" [{about['unit']}]" if "unit" in about else ""
-        properties[field.name] = {"type": _type(field.type), "description": about.get("title", field.name) + unit}
+def _plain(rows: pa.Table) -> pa.Table:
+    """Return rows whose cells JSON knows: times as text, lengths in seconds."""
+    for number, field in enumerate(rows.schema):
+        if field.type == TIME:
+            rows = rows.set_column(number, field.name, rows[number].cast(pa.string()))
+        if field.type == DURATION:
+            rows = rows.set_column(number, field.name, pc.divide(rows[number].cast(pa.int64()).cast(pa.float64()), 1e9))
+    return rows
+
+
+def _schema(table: Table, names: Sequence[str]) -> dict[str, Any]:
+    """A JSON schema as Foxglove reads it: an enum is a `oneOf` of constants with titles."""
+    known = {column.name: column for column in table.columns}
+    properties = {name: _property(known.get(name) or Column(name, table.schema.field(name).type, "")) for name in names}
     return {"title": table.message.name, "type": "object", "properties": properties}
+
+
+def _property(column: Column) -> dict[str, Any]:
+    """Its title is the field's with its unit; `unit` and `filter` stand by themselves, too."""
+    unit = "s" if column.type == DURATION else column.unit
+    about: dict[str, Any] = {"type": _type(column.type)}
+    about["description"] = (column.title or column.name) + (f" [{unit}]" if unit else "")
+    about |= {key: text for key, text in (("unit", unit), ("filter", column.filter)) if text}
+    if column.values:
+        about["oneOf"] = [{"title": text, "const": number} for number, text in column.values.items()]
+    return about
 
 
 def _type(type_: pa.DataType) -> str:
@@ -65,4 +80,4 @@ def _type(type_: pa.DataType) -> str:
         return "boolean"
     if pa.types.is_integer(type_):
         return "integer"
-    return "number" if pa.types.is_floating(type_) else "string"
+    return "number" if pa.types.is_floating(type_) or type_ == DURATION else "string"

@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 from asammdf import MDF, Signal
 
 from .sources import begin, by_source, times_of
-from .tables import TIME, Column, Rows, Table
+from .tables import DURATION, TIME, Column, Rows, Table
 from .writers import Target
 
 # As the plugin numbers the reserved counts in `<field>.special`.
@@ -78,7 +78,7 @@ class _Groups:
             samples,
             times,
             name=column.name,
-            unit=column.unit,
+            unit="s" if column.type == DURATION else column.unit,
             comment=column.title,
             conversion=conversion or None,
             invalidation_bits=absent,
@@ -98,6 +98,8 @@ def _samples(values: pa.Array, column: Column) -> tuple[Any, Any]:
         values = pc.index_in(values, pa.array(SPECIAL)).cast(pa.uint8())
     if pa.types.is_string(values.type):
         return np.char.encode(pc.fill_null(values, "").to_numpy(zero_copy_only=False).astype("U"), "utf-8"), absent
+    if values.type == DURATION:
+        return pc.fill_null(values.cast(pa.int64()), 0).to_numpy(zero_copy_only=False) / NANOSECONDS, absent
     if pa.types.is_boolean(values.type):
         values = values.cast(pa.uint8())
     return pc.fill_null(values, 0).to_numpy(zero_copy_only=False), absent

@@ -41,7 +41,9 @@ def sources(table: pa.Table, every: float | None, start: int) -> Iterator[Source
 
 
 def numbers(column: pa.ChunkedArray) -> Array:
-    """A column as float64; absent values and all that is not finite are NaN: nothing is drawn there."""
+    """A column as float64, durations in seconds; where there is no value it is NaN: nothing is drawn there."""
+    if pa.types.is_duration(column.type):
+        return numbers(column.cast(pa.int64())) / 1e9
     values = column.cast(pa.float64(), safe=False).to_numpy()
     return np.where(np.isfinite(values), values, np.nan)
 

@@ -8,11 +8,12 @@ from collections.abc import Iterator, Sequence
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from .tables import Rows, Table
+from .tables import Rows, Table, plain
 
 
 def split(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
-    """Return the rows of each source, by its name: the user's, or its bus and ID, "can0 0x210"."""
+    """Return the rows of each source, without dictionaries, by its name: the user's, or bus and ID, "can0 0x210"."""
+    rows = plain(rows)
     coded = rows["id"].combine_chunks().dictionary_encode()
     texts = pa.array([f"0x{number:03x}" for number in coded.dictionary.to_pylist()], pa.string()).take(coded.indices)
     number = pc.binary_join_element_wise(pc.fill_null(rows["bus"], ""), texts, " ")
@@ -27,7 +28,7 @@ def by_source(table: Table) -> Iterator[tuple[tuple[str, ...], pa.Table]]:
     Events, faults, the summary and the flight stay together, and are called nothing.
     """
     for rows in (pa.Table.from_batches([batch]) for batch in table):
-        for name, own in split(rows) if isinstance(table, Rows) else [("", rows)]:
+        for name, own in split(rows) if isinstance(table, Rows) else [("", plain(rows))]:
             is_named = isinstance(table, Rows) and own["source"][0].is_valid
             yield (name,) if is_named else tuple(name.split()), own.combine_chunks()
 

@@ -7,10 +7,8 @@ import csv
 import hashlib
 import json
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from decimal import Decimal
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,41 +16,50 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
+from .clock import Stretches
 from .errors import SetupError
+from .lag import LAG, Lags, steps
 from .tshark import Export, Record, Tshark
 from .undecoded import left_out
 
+# The version of a data set, `schema` in the metadata of each table: raised when a column gets another name, type or
+# meaning.
+SCHEMA = 4
 TIME = pa.timestamp("ns", tz="UTC")
-# Every message's first columns.  The CSV has no source_file, the capture's name, and no flight_id.
-HEAD = {
-    "time": TIME,
-    "source_file": pa.string(),
-    "bus": pa.string(),
-    "frame": pa.int64(),
-    "source": pa.string(),
-    "id": pa.uint32(),
-    "seq": pa.uint8(),
-    "flight_id": pa.string(),
+DURATION = pa.duration("ns")
+# A text of few kinds.  All tables have the same type for the same column: they are joined by it.
+KIND = pa.dictionary(pa.int32(), pa.string())
+# Every message's first columns: type and meaning.  The CSV has no source_file, controller and flight_id.
+ABOUT_HEAD = {
+    "time": (TIME, "when the message was complete, UTC, by the clock of the recorder"),
+    "source_file": (KIND, "the name of the capture"),
+    "bus": (KIND, "the name of the bus or line; null where the capture names none"),
+    "frame": (pa.int64(), "the number of the message's last packet in the capture"),
+    "source": (KIND, "the name that `yapp.sources` gives to the ID; null without a name"),
+    "controller": (KIND, "the same name: Motor Data, Health and Command of a controller have it in common"),
+    "id": (pa.uint32(), "the message ID"),
+    "seq": (pa.uint8(), "the sequence number"),
+    "flight_id": (KIND, "of the capture's content: the first 16 digits of its SHA-256"),
 }
-# The types of fields.json that need no second look, and their roles.  A time is the controller's own, in seconds.
+HEAD = {name: type_ for name, (type_, _) in ABOUT_HEAD.items()}
+# The types of fields.json that need no second look, and their roles.  A time is the controller's own clock.
 ROLES = {
     "float": (pa.float64(), "value"),
-    "time": (pa.float64(), "clock"),
+    "time": (DURATION, "clock"),
     "bool": (pa.bool_(), "flag"),
     "string": (pa.string(), "text"),
 }
 CRC_GOOD = "crc_good"
-# The reserved counts that are numbers; `above` and `below` the range are none.
-SPECIAL = ("nan", "inf", "-inf")
 # Arrow reads up to 32 blocks ahead.
 BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the CSV: its type, and what Parquet, MF4 and the report tell about it.
+    """A column of a table: its type, and what Parquet, MF4 and the report tell about it.
 
-    role: "value", "clock", "enum", "flags", "flag" or "text" (also an enum's meaning, a reserved count's name).
+    role: "value", "clock", "enum", "flags", "flag" or "text" (also an enum's meaning, a reserved value's name);
+    difference: the two columns whose difference it is.
     """
 
     name: str
@@ -62,10 +69,12 @@ class Column:
     unit: str = ""
     filter: str = ""
     values: dict[int, str] = field(default_factory=dict)
+    difference: tuple[str, str] | None = None
 
     def arrow(self) -> pa.Field:
         """The Arrow field; its metadata name title, unit, display filter and the meanings of an enum's numbers."""
-        about = {"title": self.title, "unit": self.unit, "filter": self.filter}
+        unit = "ns" if self.type == DURATION else self.unit
+        about = {"title": self.title, "unit": unit, "filter": self.filter}
         if self.values:
             about["values"] = json.dumps(self.values, ensure_ascii=False)
         return pa.field(self.name, self.type, metadata={key: text for key, text in about.items() if text})
@@ -73,17 +82,28 @@ class Column:
 
 @dataclass(frozen=True)
 class Message:
-    """A message of the catalogue as fields.json describes it. every: its period in seconds, where it has one."""
+    """A message of the catalogue as fields.json describes it. every: its period in seconds, where it has one.
+
+    commands: where another message commands it, that message's name and {its field: the measured field here}.
+    """
 
     name: str
     title: str
     every: float | None
     columns: dict[str, Column]
+    commands: tuple[str, dict[str, str]] | None = None
 
 
 def messages(fields: Record) -> dict[str, Message]:
     """The catalogue in fields.json, by message name."""
-    return {name: _message(name, entry) for name, entry in fields["messages"].items()}
+    columns = {name: _columns(entry) for name, entry in fields["messages"].items()}
+    found = {}
+    for name, entry in fields["messages"].items():
+        commands = _commands(name, columns)
+        lag = [Column(LAG, DURATION, "clock", "Command Lag", "s")] if commands else []
+        own = {column.name: column for column in [*columns[name], *lag]}
+        found[name] = Message(name, entry["title"] or name, entry.get("every"), own, commands)
+    return found
 
 
 def digests(fields: Record) -> dict[str, str]:
@@ -98,25 +118,41 @@ def catalogue_version(fields: Record) -> str:
     return f"{', '.join(fields['messages'])} ({whole})"
 
 
-def _message(name: str, entry: Record) -> Message:
-    own = [column for column in entry["columns"] if column["name"] not in HEAD and column["name"] != CRC_GOOD]
-    return Message(
-        name, entry["title"] or name, entry.get("every"), {column["name"]: _column(column) for column in own}
-    )
+def _columns(entry: Record) -> list[Column]:
+    given = {each["name"]: each for each in entry["columns"] if each["name"] not in HEAD and each["name"] != CRC_GOOD}
+    columns = [_column(each, given) for each in given.values()]
+    for name, each in given.items():
+        command, error = name.replace("_measured", "_commanded"), name.replace("_measured", "_error")
+        if name.endswith("_measured") and command in given and error not in given and each["type"] == "float":
+            title = (each.get("title") or name).replace("Measured", "Error")
+            filter_ = (each.get("filter") or "").replace("_measured", "_error")
+            about = {"title": title, "unit": each.get("unit") or "", "filter": filter_}
+            columns.append(Column(error, pa.float64(), "value", difference=(name, command), **about))
+    return columns
 
 
-def _column(entry: Record) -> Column:
+def _commands(name: str, columns: Mapping[str, Sequence[Column]]) -> tuple[str, dict[str, str]] | None:
+    """Return the message that has a field x where this one has x_commanded and x_measured."""
+    names = {column.name for column in columns[name]}
+    for other, theirs in columns.items():
+        fields = {column.name: f"{column.name}_measured" for column in theirs if f"{column.name}_commanded" in names}
+        fields = {field: measured for field, measured in fields.items() if measured in names}
+        if other != name and fields:
+            return other, fields
+    return None
+
+
+def _column(entry: Record, given: Mapping[str, Record]) -> Column:
     name, kind = entry["name"], entry["type"]
     about = {"title": entry.get("title") or name, "unit": entry.get("unit") or "", "filter": entry.get("filter") or ""}
     if kind in ROLES:
         type_, role = ROLES[kind]
-        return Column(name, type_, role, **about)
+        is_kind = kind == "string" and name.removesuffix("_text").removesuffix("_special") in given.keys() - {name}
+        return Column(name, KIND if is_kind else type_, role, **about)
     if entry.get("values") is not None:
         values = {int(number): text for number, text in entry["values"].items()}
         return Column(name, _integer(entry), "enum", values=values, **about)
-    if entry["kind"] == "flags":
-        return Column(name, _integer(entry), "flags", **about)
-    return Column(name, _integer(entry), "value", **about)
+    return Column(name, _integer(entry), "flags" if entry["kind"] == "flags" else "value", **about)
 
 
 def _integer(entry: Record) -> pa.DataType:
@@ -140,7 +176,8 @@ class Table:
 
     def __init__(self, message: Message, schema: pa.Schema, columns: list[Column]) -> None:
         """Keep the description."""
-        self.message, self.schema, self.columns = message, schema, columns
+        about = (schema.metadata or {}) | {b"schema": str(SCHEMA).encode()}
+        self.message, self.schema, self.columns = message, schema.with_metadata(about), columns
         self.name, self.count = message.name, 0
 
     def __iter__(self) -> Iterator[pa.RecordBatch]:
@@ -148,51 +185,26 @@ class Table:
         raise NotImplementedError
 
 
-class Records(Table):
-    """A table of events, faults, the summary or the flight itself. rows: what makes it, once it is wanted."""
-
-    def __init__(self, name: str, rows: Callable[[], pa.Table], origin: Origin, schema: pa.Schema) -> None:
-        """Add flight_id and source_file; a column `message` would be taken for the folder's: it is `message_name`."""
-        self.rows, self.origin = rows, origin
-        names = ["message_name" if each == "message" else each for each in schema.names]
-        fields = [pa.field(each, type_) for each, type_ in zip(names, schema.types, strict=True)]
-        head = [pa.field(each, pa.string()) for each in ("flight_id", "source_file")]
-        columns = [Column(each.name, each.type, _role(each.type)) for each in (*head, *fields)]
-        super().__init__(Message(name, name.title(), None, {}), pa.schema(head + fields), columns)
-
-    def __iter__(self) -> Iterator[pa.RecordBatch]:
-        """Return all rows at once: they are few."""
-        rows = self.rows()
-        self.count = len(rows)
-        same = [[text] * len(rows) for text in (self.origin.flight_id, self.origin.capture.name)]
-        yield from pa.table([*same, *rows.columns], schema=self.schema).combine_chunks().to_batches()
-
-
-def _role(type_: pa.DataType) -> str:
-    return "text" if pa.types.is_string(type_) else "value"
-
-
 class Rows(Table):
     """The rows of one message in an export: their schema, and typed record batches, a few megabytes at a time.
 
-    span: the first and the last time in the batches that were read, in nanoseconds since 1970.
+    stretches: of the times in the batches that were read.
     """
 
     def __init__(self, export: Export, message: Message, origin: Origin, wanted: Sequence[str] | None = None) -> None:
         """wanted: the columns to read besides the time, None for all."""
-        self.origin, self.wanted = origin, wanted
-        self.span: tuple[int, int] | None = None
+        self.origin, self.export = origin, export
+        self.stretches = Stretches()
         self._path = export.csv(message.name)
         with self._path.open(encoding="utf-8", newline="") as file:
             self._header = next(csv.reader(file), [])
         strange = set(self._header) - message.columns.keys() - HEAD.keys() - {CRC_GOOD}
-        head_names = [name for name in HEAD if wanted is None or name in wanted or name == "time"]
         if strange or "time" not in self._header:
             raise SetupError(
                 f"{self._path.name} has columns that the plugin's fields.json does not tell: {strange or 'none'}"
             )
-        given = [name for name in self._header if name in message.columns]
-        columns = [message.columns[name] for name in given if wanted is None or name in wanted]
+        head_names = [name for name in HEAD if wanted is None or name in wanted or name == "time"]
+        columns = [column for name, column in message.columns.items() if wanted is None or name in wanted]
         about = {"message": message.name, "title": message.title, "every": str(message.every or "")}
         head = [pa.field(name, HEAD[name]) for name in head_names]
         schema = pa.schema(head + [column.arrow() for column in columns], metadata=about)
@@ -200,78 +212,102 @@ class Rows(Table):
 
     def __iter__(self) -> Iterator[pa.RecordBatch]:
         """Read the file once more from its beginning."""
-        self.count = 0
-        special = [f"{name}_special" for name in self.schema.names]
-        included = [name for name in self._header if name in self.schema.names or name in special]
-        types = {column.name: column.type for column in self.columns} | {
-            name: t for name, t in HEAD.items() if t != TIME
-        }
-        reader = arrow_csv.open_csv(
-            self._path,
-            # One thread: a fleet has a capture for every core.
-            read_options=arrow_csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES),
-            parse_options=arrow_csv.ParseOptions(newlines_in_values=any(c.role == "text" for c in self.columns)),
-            convert_options=arrow_csv.ConvertOptions(
-                column_types=types | {"time": pa.string()},
-                include_columns=included,
-                null_values=[""],
-                strings_can_be_null=True,
-                quoted_strings_can_be_null=False,
-            ),
-        )
-        for batch in reader:
+        self.count, self.stretches = 0, Stretches()
+        lags = self._lags()
+        for batch in self._read():
             if batch.num_rows:
-                typed = self._typed(batch)
-                self.count += len(typed)
-                times = pc.min_max(typed.column("time").cast(pa.int64()))
-                low, high = times["min"].as_py(), times["max"].as_py()
-                self.span = min(low, (self.span or (low,))[0]), max(high, (self.span or (high,))[-1])
-                yield typed
+                given = dict(zip(batch.schema.names, batch.columns, strict=True))
+                given["time"] = _nanoseconds(given["time"]).cast(TIME)
+                self.stretches.add(given["time"], given["frame"])
+                yield self._typed(given, batch.num_rows, lags)
+                self.count += batch.num_rows
 
     def first_time(self) -> int:
         """The first row's time in nanoseconds since 1970."""
         first: pa.RecordBatch = next(iter(self))
         return int(first.column("time")[0].value)
 
-    def _typed(self, batch: pa.RecordBatch) -> pa.RecordBatch:
-        given = dict(zip(batch.schema.names, batch.columns, strict=True))
-        given["time"] = _nanoseconds(given["time"])
-        given["source_file"] = _repeated(self.origin.capture.name, batch.num_rows)
-        given["flight_id"] = _repeated(self.origin.flight_id, batch.num_rows)
+    def _read(self) -> Iterator[pa.RecordBatch]:
+        wanted = {*self.schema.names, "time", "frame"}
         for column in self.columns:
-            special = given.get(f"{column.name}_special")
-            if special is not None and special.null_count < len(special):
-                given[column.name] = _with_special(given[column.name], special)
-        absent = (name for name in HEAD if name not in given)
-        given |= {name: pa.nulls(batch.num_rows, HEAD[name]) for name in absent}
-        return pa.RecordBatch.from_arrays([given[name] for name in self.schema.names], schema=self.schema)
+            wanted |= set(column.difference or ())
+        if LAG in wanted and self.message.commands:
+            wanted |= {"bus", "id", "source", *self.message.commands[1].values()}
+        if "controller" in wanted:
+            wanted.add("source")
+        types = {column.name: column.type for column in self.message.columns.values()} | HEAD
+        types = {name: pa.string() if type_ in (TIME, DURATION) else type_ for name, type_ in types.items()}
+        return read_csv(self._path, [name for name in self._header if name in wanted], types)
+
+    def _lags(self) -> Lags | None:
+        """Return what measures the lags of this message behind its Command, where both are there."""
+        if LAG not in self.schema.names or self.message.commands is None:
+            return None
+        name, fields = self.message.commands
+        path = self.export.csv(name)
+        if not has_rows(path):
+            return None
+        types = {field: pa.float64() for field in fields} | {"time": pa.string(), "bus": KIND, "source": KIND}
+        with path.open(encoding="utf-8", newline="") as file:
+            names = [each for each in next(csv.reader(file)) if each in types]
+        given = pa.Table.from_batches(read_csv(path, names, types)).unify_dictionaries()
+        times = _nanoseconds(given["time"])
+        found = steps(given.set_column(given.schema.get_field_index("time"), "time", times), fields)
+        return Lags(found) if found else None
+
+    def _typed(self, given: dict[str, pa.Array], count: int, lags: Lags | None) -> pa.RecordBatch:
+        given["source_file"] = _repeated(self.origin.capture.name, count)
+        given["flight_id"] = _repeated(self.origin.flight_id, count)
+        given["controller"] = given.get("source")
+        for column in self.columns:
+            if column.difference:
+                given[column.name] = pc.subtract(*(given[name] for name in column.difference))
+            elif column.name == LAG and lags:
+                given[LAG] = lags.measure(given)
+            elif column.type == DURATION and column.name in given:
+                given[column.name] = _nanoseconds(given[column.name]).cast(DURATION)
+        columns = [
+            pa.nulls(count, field.type) if given.get(field.name) is None else given[field.name] for field in self.schema
+        ]
+        return pa.RecordBatch.from_arrays(columns, schema=self.schema)
 
 
-def _nanoseconds(seconds: pa.Array) -> pa.Array:
+def read_csv(path: Path, names: Sequence[str], types: Mapping[str, pa.DataType]) -> Iterator[pa.RecordBatch]:
+    """Read these columns of a table of the plugin, a block at a time. An empty cell is null."""
+    has_text = any(types[name] == pa.string() and name != "time" for name in names)
+    reader: Iterator[pa.RecordBatch] = arrow_csv.open_csv(
+        path,
+        # One thread: a fleet has a capture for every core.
+        read_options=arrow_csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES),
+        parse_options=arrow_csv.ParseOptions(newlines_in_values=has_text),
+        convert_options=arrow_csv.ConvertOptions(
+            column_types={name: types[name] for name in names},
+            include_columns=names,
+            null_values=[""],
+            strings_can_be_null=True,
+            quoted_strings_can_be_null=False,
+        ),
+    )
+    return reader
+
+
+def _nanoseconds(seconds: pa.Array | pa.ChunkedArray) -> Any:
     """Seconds as text with nine digits are nanoseconds once the point is gone."""
-    return pc.replace_substring(seconds, ".", "").cast(pa.int64()).cast(TIME)
+    return pc.replace_substring(seconds, ".", "").cast(pa.int64())
 
 
-# From here to `present` no Python value becomes Arrow's by pa.scalar or pa.array: these import pandas where it is
-# installed, and that takes as long as to write a flight of half an hour.
+# No Python value becomes Arrow's by pa.scalar or pa.array in what reads rows: see scalars.py.
 def _repeated(text: str, count: int) -> pa.Array:
     """A column of strings that are all this one, which is not empty."""
     data = text.encode()
-    offsets = array("i", range(0, (count + 1) * len(data), len(data)))
-    return pa.StringArray.from_buffers(count, pa.py_buffer(offsets), pa.py_buffer(data * count))
-
-
-def _with_special(values: pa.Array, special: pa.Array) -> pa.Array:
-    for name in SPECIAL:
-        names = _repeated(name, 1)
-        number = names.cast(pa.float64())[0]
-        values = pc.if_else(pc.is_in(special, value_set=names), number, values)
-    return values
+    words = pa.StringArray.from_buffers(1, pa.py_buffer(array("i", (0, len(data)))), pa.py_buffer(data))
+    indices = pa.Array.from_buffers(pa.int32(), count, [None, pa.py_buffer(bytes(4 * count))])
+    return pa.DictionaryArray.from_arrays(indices, words)
 
 
 def present(export: Export) -> list[Message]:
     """The messages that the export has rows of, in the catalogue's order."""
-    return [message for message in messages(export.fields).values() if _has_rows(export.csv(message.name))]
+    return [message for message in messages(export.fields).values() if has_rows(export.csv(message.name))]
 
 
 def nothing_in(capture: Path, export: Export, filter_: str | None = None) -> str:
@@ -281,84 +317,15 @@ def nothing_in(capture: Path, export: Export, filter_: str | None = None) -> str
     return f"{capture}: no YAPP messages in it{narrowed}{': ' * bool(why)}{why}"
 
 
-def _has_rows(path: Path) -> bool:
+def has_rows(path: Path) -> bool:
+    """Return whether a table of the plugin is there and has more than its header."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
         return len(list(zip(range(2), file, strict=False))) == 2
 
 
-def _schema(columns: str) -> pa.Schema:
-    """Return a schema of "name:type" words; a name alone is text."""
-    pairs = (word.partition(":") for word in columns.split())
-    return pa.schema([(name, TIME if kind == "time" else getattr(pa, kind or "string")()) for name, _, kind in pairs])
-
-
-EVENTS = _schema(
-    "time:time kind frame:int64 bus id:uint32 source message field flag event active:float64 "
-    "length:float64 what value size:int64 count:int64 like help"
-)
-FAULT = ("time", "frame", "bus", "id", "source", "message", "field", "flag", "event", "active", "help")
-SUMMARY = _schema(
-    "bus id:uint32 source message count:int64 rate:float64 gap_min:float64 gap_mean:float64 "
-    "gap_max:float64 gap_max_frame:int64 crc_bad:int64 incomplete:int64 late:int64 reboots:int64 "
-    "invalid:int64 skipped:int64"
-)
-STATISTICS = _schema("bus id:uint32 source message field min:float64 mean:float64 max:float64")
-FLIGHTS = _schema(
-    "capture start:time length:float64 aircraft plugin tools options messages:int64 faults:int64 partial "
-    "undecoded left_out"
-)
-
-
-def faults(events: pa.Table) -> pa.Table:
-    """Return the flags that were raised and cleared, of all events."""
-    columns = [name for name in FAULT if name in events.schema.names]
-    return events.filter(pc.equal(events["kind"], "fault")).select(columns)
-
-
-def all_tables(export: Export, origin: Origin) -> list[Table]:
-    """Return the messages of an export, and its events, faults, summary and the flight itself."""
-    rows = [Rows(export, message, origin) for message in present(export)]
-    events = table(export.records["events"], EVENTS)
-
-    def flight() -> pa.Table:
-        """Asked last: the times are known then."""
-        spans = [each.span for each in rows if each.span]
-        start, end = min(span[0] for span in spans), max(span[1] for span in spans)
-        about = {"capture": str(origin.capture), "start": start, "length": (end - start) / 1e9}
-        about |= {"aircraft": origin.aircraft, "plugin": export.fields["plugin"], "tools": version("yapp-tables")}
-        about |= {"options": " ".join(origin.tshark.options), "messages": sum(each.count for each in rows)}
-        about |= {"faults": pc.sum(pc.equal(events["event"], "raised")).as_py() or 0, "partial": export.partial}
-        about |= {"undecoded": export.undecoded or None, "left_out": "; ".join(export.complaints) or None}
-        return pa.Table.from_pylist([about], FLIGHTS)
-
-    parts = {
-        "events": (lambda: events, EVENTS),
-        "faults": (lambda: faults(events), faults(EVENTS.empty_table()).schema),
-    }
-    parts |= {"summary": (lambda: table(export.records["summary"], SUMMARY), SUMMARY), "flights": (flight, FLIGHTS)}
-    return [*rows, *(Records(name, make, origin, schema) for name, (make, schema) in parts.items())]
-
-
-def table(records: list[Record], schema: pa.Schema) -> pa.Table:
-    """JSON lines of a statistic as a table; keys that the schema does not name are left out."""
-    return pa.Table.from_pylist(
-        [{key: _cell(key, record.get(key)) for key in schema.names} for record in records], schema
-    )
-
-
-def _cell(key: str, value: Any) -> Any:
-    if isinstance(value, Decimal):
-        return int(value.scaleb(9)) if key == "time" else float(value)
-    if key == "value" and value is not None:
-        return str(value)
-    return value * 10**9 if key == "time" and isinstance(value, int) else value
-
-
-def statistics(summary: list[Record]) -> pa.Table:
-    """The summary's `values`: a row for each source and field."""
-    rows = [
-        record | {"field": name} | values for record in summary for name, values in (record.get("values") or {}).items()
-    ]
-    return table(rows, STATISTICS)
+def plain(table: pa.Table) -> pa.Table:
+    """Return a table without dictionaries, for formats and functions that know none."""
+    fields = [field.with_type(pa.string()) if pa.types.is_dictionary(field.type) else field for field in table.schema]
+    return table.cast(pa.schema(fields, metadata=table.schema.metadata))

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -17,6 +17,7 @@ from typing import Any
 
 from .errors import CaptureError, SetupError, YappError
 from .install import NOT_AS_ROOT, ask, find_tshark, version_of
+from .scratch import disk_full, scratch
 from .undecoded import undecoded
 
 INSTALL_TSHARK = "install Wireshark (Debian, Ubuntu: apt-get install tshark) or name the program with --tshark PATH"
@@ -25,6 +26,7 @@ INSTALL_PLUGIN = "install it (yapp-tables install) or name it with --plugin PATH
 EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e3000000")
 PLUGIN_SAYS = "yapp: "
 SAME_PLUGIN = re.compile(r"\((.*)\) is not loaded: .* \(\1\) is already there$")  # --plugin, and it is installed
+UNDECODED = re.compile(r"^\d+ messages? (was|were) (not decoded|decoded in part)")
 STATISTICS = ("events", "summary")
 # Exit codes: a rule does not hold; a statistic leaves something out.
 BROKEN, UNDECIDED = 20, 21
@@ -86,6 +88,8 @@ class Tshark:
             folder.mkdir(parents=True)
             done = _run(self._command(capture, wanted), folder, self._environment())
             said.write_text(json.dumps(vars(done)), encoding="utf-8")
+        if os.strerror(errno.ENOSPC) in done.stderr:
+            raise disk_full(folder)
         partial = self._refusal(capture, done, written=(csv / "fields.json").is_file())
         fields: Record = json.loads((csv / "fields.json").read_text(encoding="utf-8"))
         if "plugin" not in fields:
@@ -112,7 +116,7 @@ class Tshark:
 
         Asked with an empty capture, it proves tshark and plugin.
         """
-        with tempfile.TemporaryDirectory(prefix="yapp-tables-") as folder:
+        with scratch() as folder:
             empty = Path(folder, "empty.pcap")
             empty.write_bytes(EMPTY_PCAP)
             try:
@@ -218,7 +222,7 @@ def _complaint(stderr: str) -> str:
 
 def _complaints(done: subprocess.CompletedProcess[str]) -> tuple[str, ...]:
     """Return what the plugin says it leaves out, but for undecoded messages, which are events."""
-    found = dict.fromkeys(line for line in _said(done) if "not decoded" not in line and "decoded in part" not in line)
+    found = dict.fromkeys(line for line in _said(done) if not UNDECODED.search(line))
     return tuple(found) or (UNRELIABLE,) * (done.returncode == UNDECIDED)
 
 

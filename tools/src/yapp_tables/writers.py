@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
 
-from .tables import Table
+from .tables import DURATION, KIND, Table
 
 ROW_GROUP = 100_000
+CSV_TYPES = {KIND: pa.string(), DURATION: pa.decimal128(19, 9)}
 
 
 @dataclass(frozen=True)
@@ -39,18 +39,20 @@ def write_parquet(tables: Sequence[Table], target: Target) -> None:
 
 
 def write_csv(tables: Sequence[Table], target: Target) -> None:
-    """Write CSV with one header row; time as UTC with nine digits; absent values and reserved counts are empty."""
+    """Write CSV with one header row; time as UTC and lengths in seconds, with nine digits; absent values are empty."""
     for table in tables:
-        with pa.csv.CSVWriter(_path(target, table, "csv"), table.schema) as file:
+        schema = pa.schema([field.with_type(CSV_TYPES.get(field.type, field.type)) for field in table.schema])
+        with pa.csv.CSVWriter(_path(target, table, "csv"), schema) as file:
             for batch in table:
-                file.write_batch(_finite(batch))
+                columns = [_cells(column, field.type) for column, field in zip(batch.columns, schema, strict=True)]
+                file.write_batch(pa.RecordBatch.from_arrays(columns, schema=schema))
 
 
-def _finite(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """Return it without NaN and infinities: many a reader would take the whole column for text."""
-    floating = (pa.types.is_floating(field.type) for field in batch.schema)
-    columns = [pc.if_else(pc.is_finite(c), c, None) if f else c for c, f in zip(batch.columns, floating, strict=True)]
-    return pa.RecordBatch.from_arrays(columns, schema=batch.schema)
+def _cells(column: pa.Array, type_: pa.DataType) -> pa.Array:
+    if column.type != DURATION:
+        return column.cast(type_)
+    # A count of nanoseconds, read as a number with nine decimals.
+    return column.cast(pa.int64()).cast(pa.decimal128(19, 0)).view(type_)
 
 
 def _path(target: Target, table: Table, suffix: str) -> Path:
@@ -64,7 +66,7 @@ def _row_groups(table: Table) -> Iterator[pa.Table]:
     for batch in table:
         held.append(batch)
         if sum(map(len, held)) >= ROW_GROUP:
-            yield pa.Table.from_batches(held)
+            yield pa.Table.from_batches(held).unify_dictionaries()
             held = []
     if held:
-        yield pa.Table.from_batches(held)
+        yield pa.Table.from_batches(held).unify_dictionaries()

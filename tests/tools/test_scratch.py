@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""What a killed run left is cleaned by the next; a full disk is said with its path and what to do."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+import yapp_tables as yt
+from running import FAKE, motor_row
+from yapp_tables import scratch
+
+
+def test_a_killed_run_is_cleaned_by_the_next_and_one_that_lives_is_not(tmp_path):
+    dead = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+    names = {int(dead.stdout): False, os.getpid(): True}
+    for pid in names:
+        (tmp_path / f"work-abc-{scratch.HOST}-{pid}-xyz").mkdir()
+    old = tmp_path / f"work-abc-another_{scratch.HOST}-1-xyz"
+    old.mkdir()
+    (tmp_path / "work-of-mine").mkdir()
+    scratch.clean(tmp_path)
+    for pid, lives in names.items():
+        assert (tmp_path / f"work-abc-{scratch.HOST}-{pid}-xyz").exists() == lives
+    assert old.exists()
+    os.utime(old, (0, 0))
+    scratch.clean(tmp_path)
+    assert not old.exists()
+    assert (tmp_path / "work-of-mine").exists()
+    scratch.clean(tmp_path, "abc")
+    assert [path.name for path in tmp_path.iterdir()] == ["work-of-mine"]
+
+
+def test_a_full_disk_is_a_path_and_what_to_do(make_capture, monkeypatch):
+    capture = make_capture("flight.pcapng", motor=[motor_row(0)])
+
+    def write(*_arguments, **_options):
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr("yapp_tables.tshark._run", write)
+    with pytest.raises(yt.SetupError, match=r"the disk is full: .+; free some space there, or set TMPDIR"):
+        yt.read(capture, tshark=FAKE)
+
+
+def test_a_plugin_that_cannot_write_is_the_same(make_capture):
+    says = "yapp: csv: csv/fields.json: No space left on device"
+    with pytest.raises(yt.SetupError, match=r"the disk is full: .+; free some space there, or set TMPDIR"):
+        yt.read(make_capture("flight.pcapng", motor=[motor_row(0)], says=says), tshark=FAKE)

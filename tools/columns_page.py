@@ -1,0 +1,80 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Print docs/columns.md: every column of every table, from the code and the catalogue: columns_page.py >docs/columns.md"""
+from pathlib import Path
+
+from yapp_tables import Tshark
+from yapp_tables.records import TABLES
+from yapp_tables.tables import ABOUT_HEAD, DURATION, KIND, SCHEMA, TIME, messages
+
+NAMES = {TIME: "time", DURATION: "duration", KIND: "text"}
+ABOUT = {
+    "events": "What happened, in the order of time.",
+    "faults": "The events of kind `fault`.",
+    "summary": "A row for each bus and ID. Good messages have a good CRC, or need none.",
+    "statistics": "A row for each field of each source.",
+    "flights": "A row for each flight.",
+}
+HEAD = f"""\
+# Every column of every table
+
+Made by `tools/columns_page.py`. How to use the tables: [tables.md](tables.md).
+
+This is version {SCHEMA} of the data set: `schema` in the metadata of every Parquet file and Delta table.
+What is absent is null. A reserved value is null, too; `<field>_special` has its name.
+
+| type here | Parquet, notebook | Delta | CSV | MF4 | MCAP |
+|---|---|---|---|---|---|
+| time | timestamp(ns, UTC) | timestamp(us, UTC); `time_ns` has nanoseconds | UTC, nine digits | the time axis | the log time, else text |
+| duration | duration(ns) | int64, nanoseconds | seconds, nine digits | seconds | seconds |
+| text | dictionary of strings | string | text | text | text |
+| uint8, uint16, uint32 | the same | int16, int32, int64 | number | the same | integer |
+| uint64 | the same | decimal(20, 0) | number | the same | integer |
+
+duckdb and Spark show a duration of Parquet as an integer of nanoseconds.
+"""
+
+
+def table(rows):
+    """Lines of a table."""
+    lines = ["| column | type | unit | meaning |", "|---|---|---|---|"]
+    return "\n".join(lines + [f"| {' | '.join(row)} |" for row in rows])
+
+
+def name_of(type_):
+    """How the page names a type."""
+    return NAMES.get(type_) or {"double": "float64"}.get(str(type_), str(type_))
+
+
+def meaning(name, column, columns):
+    """What a field is."""
+    if column.difference:
+        return f"{column.title}: `{column.difference[0]}` less `{column.difference[1]}`"
+    if name == "command_lag":
+        return "Time from a change of the Command to 63 % of it, in the row that reached it; null elsewhere"
+    if name.endswith("_special") and name.removesuffix("_special") in columns:
+        return "the reserved value: `nan`, `inf`, `-inf`, `above`, `below`"
+    if name.endswith("_text") and name.removesuffix("_text") in columns:
+        return f"the meaning of `{name.removesuffix('_text')}`"
+    values = ", ".join(f"{number} {text}" for number, text in column.values.items())
+    return f"{column.title}: {values}" if values and len(values) < 80 else column.title
+
+
+def unit(column):
+    """The unit of a column; a duration has its own."""
+    return "" if column.type == DURATION else column.unit
+
+
+print(HEAD)
+print("## Every message\n")
+print(table((f"`{name}`", name_of(type_), "", text) for name, (type_, text) in ABOUT_HEAD.items()))
+fields = Tshark(plugin=str(Path(__file__).parents[1] / "yapp.lua")).fields()[0]
+for name, message in messages(fields).items():
+    print(f"\n## {name}: {message.title}\n\nThe columns of every message, then:\n")
+    columns = message.columns
+    print(table((f"`{each}`", name_of(c.type), unit(c), meaning(each, c, columns)) for each, c in columns.items()))
+for name, columns in TABLES.items():
+    print(f"\n## {name}\n\n{ABOUT[name]}\nThe first columns are `flight_id` and `source_file`, then:\n")
+    names = {"message": "message_name"}
+    print(table((f"`{names.get(c.name, c.name)}`", name_of(c.type), c.unit, c.title) for c in columns.values()))
+print("\nIn a notebook, `message_name` is called `message`: `flight.events` and the others have no folder.")

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Folders to work in: removed when the work is done, and by the next run where a run was killed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import platform
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from .errors import SetupError
+
+LEFTOVER_SECONDS = 86400
+HOST = re.sub(r"\W", "_", platform.node()) or "host"
+NAME = re.compile(r"work-(?P<run>\w*)-(?P<host>\w+)-(?P<pid>\d+)-")
+
+
+@contextmanager
+def scratch(parent: str | os.PathLike[str] | None = None, run: str = "") -> Iterator[Path]:
+    """Make a folder of this task alone, in parent or where temporary files are. Raises SetupError on a full disk."""
+    where = str(parent or tempfile.gettempdir())
+    try:
+        with tempfile.TemporaryDirectory(prefix=f"work-{run}-{HOST}-{os.getpid()}-", dir=where) as folder:
+            yield Path(folder)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        raise disk_full(error.filename or where) from error
+
+
+def disk_full(path: object) -> SetupError:
+    """Return what to raise: the path, and what to do."""
+    what = "free some space there"
+    if Path(str(path)).is_relative_to(tempfile.gettempdir()):
+        what += ", or set TMPDIR to a folder with more"
+    return SetupError(f"the disk is full: {path}; {what}")
+
+
+def clean(parent: str | os.PathLike[str] | None = None, run: str = "") -> None:
+    """Remove what this run left, and every run of this machine that is dead, or of another one a day ago."""
+    for folder in Path(parent or tempfile.gettempdir()).glob("work-*-*-*-*"):
+        match = NAME.match(folder.name)
+        if match and ((run and match["run"] == run) or _is_dead(match, folder)):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_dead(match: re.Match[str], folder: Path) -> bool:
+    if match["host"] == HOST and os.name == "posix":
+        try:
+            os.kill(int(match["pid"]), 0)
+        except ProcessLookupError:
+            return True
+        except OSError:  # of another user: it lives
+            pass
+    try:
+        return time.time() - folder.stat().st_mtime > LEFTOVER_SECONDS
+    except OSError:
+        return False
