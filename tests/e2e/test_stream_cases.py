@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What people record of YAPP in streams: captures that showed a defect of 2.2, and relatives of each."""
 import json
+import re
+import shutil
 import ssl
 import struct
 
@@ -8,6 +10,7 @@ import pytest
 
 import levels
 import stream_captures
+import test_readme
 import tshark
 from stream_captures import ETHERNET, Origin, Packet, frame
 
@@ -427,3 +430,37 @@ def test_a_port_that_another_protocol_takes(folder, kind):
     taken = ["-d", f"{kind}.port==20001,echo"]
     found = advice(path, *taken)
     assert f"try -d {kind}.port==20001,yapp_serial" in found, found
+
+
+# docs/streams.md -------------------------------------------------------------------------------------------------
+
+PAGE = (tshark.ROOT / "docs/streams.md").read_text()
+COMMANDS = [line.strip() for line in re.findall(r"(?m)^    (.*)", PAGE) if not line.startswith(("sudo", "tshark -i"))]
+# The page's files, and how many messages of Motor Data each has.
+FILES = {"uart.pcapng": "two_uarts_directions.pcapng", "usb.pcap": "usbmon_ftdi.pcap", "udp.pcap": "udp_bridge_40.pcap",
+         "tcp.pcap": "tcp_8_byte_segments.pcap", "tls.pcapng": "tls12_4433.pcapng", "async.csv": "saleae_async.csv"}
+
+
+def test_commands_of_the_page(folder):
+    """Each command finds the messages; those that do not are the two that record."""
+    for name, case in FILES.items():
+        shutil.copy(CASES / case, folder / name)
+    (folder / "uart.yapp").write_bytes(b"".join(data for _, data in flight()))
+    log = (tshark.CAPTURES / "candump/candump_log_plain.log").read_text()
+    (folder / "candump.log").write_text(log)
+    for path in folder.iterdir():
+        path.chmod(0o666)
+    assert len(COMMANDS) == 14
+    for command in COMMANDS:
+        done = test_readme.shell(folder, command)
+        assert done.returncode == 0, (command, done.stderr)
+        if command.startswith("text2pcap"):
+            continue
+        assert "no YAPP message found" not in done.stdout + done.stderr, command
+        counted = test_readme.shell(folder, re.sub(r"-q -z .*|-Y yapp$", "", command) + " -q -z yapp,summary,json -Y yapp")
+        rows = [json.loads(line) for line in counted.stdout.splitlines() if line.startswith("{")]
+        messages = sum(row["count"] for row in rows if row["id"] == MOTOR_DATA)
+        wanted = 6 if "async" in command else log.count("08404000#") if "candump" in command else 20
+        assert messages == wanted and messages, (command, rows)
+    names = test_readme.shell(folder, COMMANDS[2]).stdout
+    assert "left" in names
