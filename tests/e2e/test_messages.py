@@ -395,3 +395,23 @@ if __name__ == "__main__":
     for one in NAMES:
         (OWN / f"{one}.pcap").write_bytes(pcap(one))
         (OWN / f"{one}.expected").write_text(shown(one))
+
+
+def test_an_undefined_negative_value():
+    """The message with it has a fault, too: neither is lost, on any Lua."""
+    folder = tshark.CAPTURES / "cases"
+    done = tshark.run("-q", "-r", folder / "c1_negative_enum.pcap", "-z", "yapp,check", "-z", "yapp,summary,json", check=False,
+                      env={"YAPP_MESSAGES": str(folder / "c1_negative_enum.lua")})
+    assert done.returncode == 20 and "the plugin failed" not in done.stderr, done.stderr
+    assert "FAILED  fault=0" in done.stdout and "FAILED  invalid=0" in done.stdout
+    row = json.loads(done.stdout.splitlines()[-1])
+    assert (row["count"], row["invalid"]) == (20, 1)
+
+
+@pytest.mark.parametrize("wanted, frames", [('contains "größe°"', [4]), ('== "2.1.0-rc1"', [1]), ('contains "é"', [])])
+def test_utf_8_in_strings(wanted, frames):
+    """Shown as text and found by a filter, although what cannot be shown stands in the same string."""
+    folder = tshark.CAPTURES / "cases"
+    done = tshark.run("-r", folder / "strings_udp.pcap", "-Y", f"taurus.version.text {wanted}", "-T", "fields", "-e",
+                      "frame.number", env={"YAPP_MESSAGES": str(folder / "strings_messages.lua")})
+    assert [int(line) for line in done.stdout.split()] == frames

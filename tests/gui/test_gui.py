@@ -305,3 +305,45 @@ def test_what_stays_and_what_goes(captures, buses):
         assert alive.read_text() == "0"
         wireshark.wait_for_window("YAPP Help")
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+def test_a_statistic_after_lua_plugins_were_reloaded(captures):
+    """The buses stay, by Wireshark's fields; a fault on each of the two is found; what the file says of losses is gone."""
+    probe = Probe(captures)
+    with gui.Wireshark("-X", f"lua_script:{probe.script}", "-r", gui.FLIGHT) as wireshark:
+        wireshark.wait_for_window("flight.pcapng")
+        choose(wireshark, "Faults")
+        before = text_of(wireshark, "YAPP Faults", "YAPP faults")
+        wireshark.keys("Escape")
+        wireshark.wait_for_window("flight.pcapng")
+        probe.forget()
+        wireshark.press("ctrl+shift+l", until=probe.path.exists)
+        wireshark.wait_for_window("flight.pcapng")
+        choose(wireshark, "Faults")
+        after = text_of(wireshark, "YAPP Faults", "YAPP faults")
+        said = "Lua plugins were reloaded"
+        assert said not in before and said in after, after
+        assert [line for line in after.splitlines() if said not in line] == before.splitlines(), after
+        assert "can1" in after
+        assert "Lua" not in wireshark.stderr(), wireshark.stderr()
+
+
+def test_another_reading_in_the_middle(captures):
+    """Wireshark resets all taps for the second one, and refuses it: the first one's answer has all packets."""
+    script = captures / "second.lua"
+    script.write_text("""
+local tap, count, is_busy = Listener.new("frame"), 0, false
+function tap.packet(pinfo)
+  count = count + 1
+  if count > 1500 and pinfo.number == 500 and not is_busy then
+    is_busy = true
+    retap_packets()
+    is_busy = false
+  end
+end
+""")
+    with gui.Wireshark("-X", f"lua_script:{script}", "-r", gui.FLIGHT) as wireshark:
+        wireshark.wait_for_window("flight.pcapng")
+        choose(wireshark, "Faults")
+        text = text_of(wireshark, "YAPP Faults", "YAPP faults")
+        assert "YAPP faults: 4" in text and "motor_overcurrent" in text and "only" not in text

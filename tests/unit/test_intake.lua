@@ -118,16 +118,20 @@ function T.test_what_the_catalogue_does_not_define()
 end
 
 function T.test_values_that_are_not_defined()
-  local own = catalogue_of.compile { { name = "own", title = "Own", id = 1, size = 2,
+  local own = catalogue_of.compile { { name = "own", title = "Own", id = 1, size = 7,
     { "key", "uint8", "Key", values = { [0] = "off" }, invalid = "command.key.invalid" },
-    { "mode", "uint8", "Mode", values = { [0] = "off" } } } }
+    { "mode", "uint8", "Mode", values = { [0] = "off" } },
+    { "gear", "int8", "Gear", values = { [-1] = "back", [0] = "none" } },
+    { "deep", "int32", "Deep", values = { [0] = "none" } } } }
   local intake, offered = new_intake()
   local m = message { source = { id = 1, message = own.messages[1] } }
-  m.raws, m.is_remarkable = own.messages[1].read("\10\255")
+  m.raws, m.is_remarkable = own.messages[1].read("\10\255\254\0\0\0\128")
   intake:message(m)
   lu.assertEquals(offered[1][1].values.invalid, {
     { field = "key", value = 10, code = "0x0a", effect = " (the controller ignores this command)" },
-    { field = "mode", value = 255, code = "0xff", effect = false } })
+    { field = "mode", value = 255, code = "0xff", effect = false },
+    { field = "gear", value = -2, code = "-2", effect = false }, -- in Lua 5.2 "%x" takes no negative number
+    { field = "deep", value = -2 ^ 31, code = "-2147483648", effect = false } })
 end
 
 local function fragment(with)

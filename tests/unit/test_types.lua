@@ -103,6 +103,9 @@ local LIMITS = {
   { "string", { length = 4 }, "00616263", "" }, { "string", { length = 3 }, "c2b043", "\194\176C" },
   { "string", { length = 3 }, "61ff0a", "a\\xff\\x0a" }, { "string", { length = 3 }, "612c62", '"a,b"' },
   { "string", { length = 3 }, "612262", '"a""b"' },
+  -- UTF-8 stays text beside what cannot be shown: U+2028, a control character, a byte that is no UTF-8.
+  { "string", { length = 8 }, "67c3b6c39fe280a8", "g\195\182\195\159\\xe2\\x80\\xa8" },
+  { "string", { length = 5 }, "c3b61bffb0", "\195\182\\x1b\\xff\\xb0" },
   { "bytes", { length = 4 }, "00ff7f80", "00ff7f80" },
   { "int64_ns", {}, "ffffffffffffffff", "-0.000000001" },
   { "int64_ns", {}, "ffffffffffffff7f", "9223372036.854775807" },

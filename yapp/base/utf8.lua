@@ -34,6 +34,9 @@ local INVISIBLE = {
   "\243\160",                     -- U+E0000 to U+E0FFF: tags and variations
 }
 
+-- A control character, or a byte beyond ASCII, and the continuation bytes behind it.
+local UNSURE = "[%c\128-\255][\128-\191]*"
+
 --- Return the text with a "?" for each character beyond ASCII.  Bytes that are not UTF-8 stay, as
 -- do those of control characters.
 function M.ascii(text)
@@ -56,17 +59,22 @@ end
 
 -- Return a control character, or a byte beyond ASCII and the continuation bytes behind it, fit to
 -- be printed.
-local function shown(bytes)
+local function shown(bytes, shape)
   local character = printable_start(bytes)
   return character .. bytes:sub(#character + 1):gsub(".", function(byte)
-    return ("\\x%02X"):format(byte:byte())
+    return (shape or "\\x%02X"):format(byte:byte())
   end)
 end
 
 --- Return the text fit to be printed, with "\xNN" for each byte of a control or invisible
 -- character, and for bytes that are not UTF-8.
 function M.printable(text)
-  return (text:gsub("[%c\128-\255][\128-\191]*", shown))
+  return (text:gsub(UNSURE, shown))
+end
+
+--- The same with "\xnn", as values of fields have it.
+function M.value(text)
+  return (text:gsub(UNSURE, function(bytes) return shown(bytes, "\\x%02x") end))
 end
 
 --- Whether the text is UTF-8 without control characters and without invisible ones.

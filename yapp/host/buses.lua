@@ -52,6 +52,7 @@ function M.watch()
   local handler = FileHandler.new("YAPP reads heads of files (opens none)", "yapp_head",
     "Looks at the headers", "rms")
   function handler.read_open(file, _)
+    self.has_seen_file = true
     local head, is_file = read_head(file)
     local function more(skip, count)
       if not is_file then return nil end
@@ -81,6 +82,7 @@ function Buses:init()
   -- A short file may be of a live capture that already had packets when it was opened.
   local may_go_on = self.is_short and found.has_several or found.is_live
   local needs_fields = may_go_on or self.is_long_pipe and found.yapp_interfaces > 0
+    or self:missed_file()
   self.asks = needs_fields or found.has_several or not (found.is_told or self.plain_bus)
   if needs_fields then
     self.tap = self.tap or Listener.new("frame", FIELDS)
@@ -88,6 +90,12 @@ function Buses:init()
     self.tap:remove()
     self.tap = nil
   end
+end
+
+--- Whether the capture was opened before the plugin was loaded: Wireshark loaded its Lua plugins
+-- again.  Then fields tell the bus, and nothing tells what the file says of dropped packets.
+function Buses:missed_file()
+  return not (IS_TSHARK or self.has_seen_file)
 end
 
 --- Return whether the capture is known to have several buses.

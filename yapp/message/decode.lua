@@ -129,10 +129,6 @@ end
 
 -- Values -----------------------------------------------------------------------------------------
 
-local function escape(char)
-  return format("\\x%02x", byte(char))
-end
-
 local function hex_digits(char)
   return format("%02x", byte(char))
 end
@@ -162,12 +158,9 @@ function VALUES.bytes(_, raw)
   return (raw:gsub(".", hex_digits))
 end
 
--- A text ends at its first NUL.  If that is not UTF-8 or has control characters, each byte that is
--- not printable ASCII is \xNN.
+-- A text ends at its first NUL.  What cannot be shown in it is \xnn.
 function VALUES.string(_, raw)
-  local text = raw:match("^%Z*")
-  if utf8.is_printable(text) then return text end
-  return (text:gsub("[%c\128-\255]", escape))
+  return utf8.value(raw:match("^%Z*"))
 end
 
 --- Return the value of a field in its unit, unrounded.

@@ -105,12 +105,14 @@ local function invalid_of(m)
   for _, remark in ipairs(decode.remarks(message, m.raws)) do
     local index, is_undefined = remark[1], remark[3]
     if is_undefined then
-      local raw = m.raws[index]
+      local field, raw = message.fields[index], m.raws[index]
+      -- As the vendor's document writes codes.  COMPAT 5.2: a negative number has no such text.
+      local shape = field.kind == "int" and "%d" or "0x%02x"
       list = list or {}
       list[#list + 1] = {
-        field = message.fields[index].name,
+        field = field.name,
         value = raw,
-        code = ("0x%02x"):format(raw), -- as the vendor's document writes codes
+        code = shape:format(raw),
         effect = remark[2] == "command.key.invalid" and " (the controller ignores this command)",
       }
     end

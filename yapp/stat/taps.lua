@@ -19,6 +19,8 @@ local UNREAD = "only %d of %d packets were read, as the reading was stopped, or 
   "read: press Refresh"
 local GOES_ON = "only %s were read: the live capture (-b) went on in %s, which tshark " ..
   "does not analyse: read each file with tshark -r"
+local RELOADED = "Lua plugins were reloaded while the capture was open, so lost packets are not " ..
+  "known: reload the capture (Ctrl+R)"
 local BUSY = "YAPP: another window is still reading the packets: press Refresh when it is done\n"
 
 local Stat = {}
@@ -184,6 +186,7 @@ end
 local function finish(self)
   local failures, unread = self.failures(), unread_of(self)
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
+  local reloaded = self.total > 0 and self.buses:missed_file() and RELOADED or nil
   self.queue:end_packets()
   return self.queue:finish {
     unfinished = self.intake:unfinished(self.unfinished()),
@@ -193,7 +196,7 @@ local function finish(self)
     notes = self.notes(),
     extended = self.extended,
     can = self.can,
-    problems = joined({ failed }, { unread }),
+    problems = joined({ failed }, { unread }, { reloaded }),
     unread = unread and "not all packets were read",
   }
 end
@@ -243,8 +246,9 @@ function Stat:run(text)
   end)
   close(self)
   self.is_reading = false
+  local answer = table.concat(said)
   for _, problem in ipairs(ok and texts or { tostring(texts) }) do
-    out(problem .. "\n")
+    if not answer:find(problem, 1, true) then out(problem .. "\n") end
   end
   return table.concat(said), frames
 end
