@@ -263,6 +263,10 @@ stat = stat_taps.new {
     watch_unclaimed()
     if not gui_enabled() then search_streams() end
   end,
+  -- A wrapper that is there when Wireshark reloads its Lua plugins takes SocketCAN away with it.
+  unwatch = function()
+    if not accepts_all then socketcan.unwrap() end
+  end,
 }
 
 -- Preferences and files ---------------------------------------------------------------------------

@@ -1,11 +1,14 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: GPL-2.0-or-later
-# Judges a capture in a CI job: yapp-gate.sh [--rules R] [--sources S] [--messages FILE] [--junit FILE] CAPTURE
+# Judges a capture in a CI job: yapp-gate.sh [OPTION...] CAPTURE
 #
-#   --rules     as after -z yapp,check, such as fault=0,motor.rate=9, or a file of rules; without them everything is checked
-#   --sources   the preference yapp.sources: "can0/0x210=motor:left,can1/0x210=motor:right"
-#   --messages  a file of your own messages
-#   --junit     where a test report is to be written
+#   --rules R           as after -z yapp,check, such as fault=0,motor.rate=9, or a file of rules; without them all is checked
+#   --sources S         the preference yapp.sources: "can0/0x210=motor:left,can1/0x210=motor:right"
+#   --messages FILE     a file of your own messages
+#   --junit FILE        where a test report is to be written
+#   --preferences FILE  a file of Wireshark's preferences, as in its configuration folder
+#   -o NAME:VALUE       a preference; may be given again
+#   -d TABLE==VALUE,PROTOCOL  Decode As, such as tcp.port==4001,yapp_serial; may be given again
 #
 # It ends with tshark's exit code: 0 all rules hold, 20 one does not, 21 one could not be judged, others: no capture, or a
 # damaged one, no tshark, no plugin.  An empty value is none.  tshark is installed where there is none (Debian, Ubuntu);
@@ -28,20 +31,24 @@ install_tshark() {
     apt-get install -y -qq --no-install-recommends tshark; } >/dev/null || refuse "tshark could not be installed"
 }
 
-rules='' sources='' messages='' junit='' capture=''
+OPTIONS="--rules, --sources, --messages, --junit, --preferences, -o and -d"
+rules='' sources='' messages='' junit='' preferences='' capture='' options=()
 while [ $# -gt 0 ]; do
+  [[ $1 != -* || $# -gt 1 ]] || refuse "$1: its value is missing; options are $OPTIONS"
   case $1 in
     --rules) rules=$2; shift ;;
     --sources) sources=$2; shift ;;
     --messages) messages=$2; shift ;;
     --junit) junit=$2; shift ;;
-    -*) refuse "$1 is no option" ;;
+    --preferences) preferences=$2; shift ;;
+    -o|-d) options+=("$1" "$2"); shift ;;
+    -*) refuse "$1 is no option; options are $OPTIONS" ;;
     *) [ -z "$capture" ] || refuse "one capture at a time: $capture, $1"; capture=$1 ;;
   esac
   shift
 done
 [ -n "$capture" ] || refuse "no capture is named"
-for file in "$capture" ${messages:+"$messages"}; do
+for file in "$capture" ${messages:+"$messages"} ${preferences:+"$preferences"}; do
   [ -f "$file" ] && [ -r "$file" ] || refuse "$file is no file that can be read"
 done
 command -v tshark >/dev/null || install_tshark
@@ -57,6 +64,12 @@ cp "$capture" "$work/capture/"
 if [ -f "$rules" ]; then
   cp "$rules" "$work/rules.txt"
   rules=rules=rules.txt
+elif [ -n "$rules" ] && [[ $rules != *=* && $rules != json ]]; then
+  refuse "--rules $rules: no such file, and no rule, which is NAME=LIMIT such as fault=0"
+fi
+if [ -n "$preferences" ]; then
+  mkdir -p "$work/home/.config/wireshark"
+  cp "$preferences" "$work/home/.config/wireshark/preferences"
 fi
 user=()
 if [ "$(id -u)" = 0 ]; then
@@ -69,6 +82,7 @@ statistic=yapp,check${rules:+,$rules}${junit:+,junit=report.xml}
 command=(tshark -q -X "lua_script:$work/plugin/yapp.lua" -o tcp.reassemble_out_of_order:TRUE
   -r "$work/capture/$(basename "$capture")" -z "$statistic")
 [ -z "$sources" ] || command+=(-o "yapp.sources:$sources")
+command+=(${options[@]+"${options[@]}"}) # behind it: a hint that names sources has those that there are, too
 code=0
 (
   cd "$work"

@@ -3,11 +3,13 @@
 import os
 import pathlib
 import re
+import shlex
 import shutil
 import subprocess
 
 import levels
 import pytest
+import test_gate
 import tshark
 
 RULES = "fault=0,crc=0,incomplete=0"
@@ -119,6 +121,37 @@ def test_sources_and_messages(folder, project, flights):
 
 
 # What it installs ------------------------------------------------------------------------------------------------------
+
+def gate(project, folder, *words):
+    return run([project / "ci/yapp-gate.sh", *words], folder)
+
+
+def test_preferences_and_decode_as(folder, project, flights):
+    """-o, -d and --preferences reach tshark, and a hint that the script prints can be pasted into it."""
+    other = folder / "other.pcapng"
+    other.write_bytes(test_gate.pcapng(test_gate.flight(ident=0x310)))
+    first = gate(project, folder, other)
+    assert first.returncode == 20, first.stdout + first.stderr
+    hint = shlex.split(re.search(r"Try (-o \S+)", first.stdout)[1])
+    second = gate(project, folder, "--rules", "motor.count=30", *hint, other)
+    assert second.returncode == 0, second.stdout + second.stderr
+    assert gate(project, folder, "-o", "yapp.late:often", flights / "clean.pcapng").returncode == 21
+    (folder / "mine").write_text("yapp.motor_ids: 0x310\n")
+    assert gate(project, folder, "--preferences", "mine", "--rules", "motor.count=30", other).returncode == 0
+    segments = tshark.CAPTURES / "cases/tcp_8_byte_segments.pcap"
+    decoded = gate(project, folder, "--rules", "motor.count=1", "-d", "tcp.port==4001,yapp_serial", "-o",
+                   "yapp.late:9", segments)
+    assert decoded.returncode == 0, decoded.stdout + decoded.stderr
+
+
+@pytest.mark.parametrize("words, said", [
+    (["--rules"], "--rules: its value is missing"), (["--rules", "flight.rules"], "--rules flight.rules: no such file"),
+    (["--rules", "fault"], "--rules fault: no such file"), (["--preferences", "no"], "no is no file that can be read"),
+    (["-x", "1"], "-x is no option; options are --rules,"), (["-o"], "-o: its value is missing")])
+def test_options_that_are_none(folder, project, flights, words, said):
+    done = gate(project, folder, flights / "clean.pcapng", *words)
+    assert done.returncode == 2 and f"yapp-gate: {said}" in done.stderr, done.stderr
+
 
 def programs(folder, *names):
     """A folder with these programs of the machine's, and no others."""

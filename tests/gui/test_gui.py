@@ -346,4 +346,4 @@ end
         wireshark.wait_for_window("flight.pcapng")
         choose(wireshark, "Faults")
         text = text_of(wireshark, "YAPP Faults", "YAPP faults")
-        assert "YAPP faults: 4" in text and "motor_overcurrent" in text and "only" not in text
+        assert "YAPP faults: 1" in text and "motor_overcurrent" in text and "only" not in text

@@ -19,6 +19,8 @@ local SYN, RST, ACK = 2, 4, 16 -- flags
 local MAX_THROWN = 24
 
 local protocols, tcp = DissectorTable.get("ip.proto"), Dissector.get("tcp")
+-- When Wireshark reloads its Lua plugins, the watch that was there takes TCP away with it.
+if not protocols:get_dissector(TCP) then protocols:add(TCP, tcp) end
 local is_watching, thrown = false, 0
 local segment, inside -- that TCP is dissecting, nil for none; number of the packet that TCP has
 

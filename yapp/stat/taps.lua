@@ -19,8 +19,8 @@ local UNREAD = "only %d of %d packets were read, as the reading was stopped, or 
   "read: press Refresh"
 local GOES_ON = "only %s were read: the live capture (-b) went on in %s, which tshark " ..
   "does not analyse: read each file with tshark -r"
-local RELOADED = "Lua plugins were reloaded while the capture was open, so lost packets are not " ..
-  "known: reload the capture (Ctrl+R)"
+local RELOADED = "Lua plugins were reloaded while the capture was open, so not all of it is " ..
+  "known: reload the capture, too (Ctrl+R)"
 local BUSY = "YAPP: another window is still reading the packets: press Refresh when it is done\n"
 
 local Stat = {}
@@ -41,6 +41,7 @@ Stat.__index = Stat
 --   find_options  function() -> list of tshark's options that may decode what was not found
 --   notes      function() -> list of texts to say of streams
 --   watch      function(), called when statistics begin: from then on Stat:note_frame is called
+--   unwatch    function(), called in Wireshark when one has ended
 --   counted    function(f) -> f, whose calls are counted
 --   failures   function() -> number of such calls that failed since the capture was opened }
 function M.new(parts)
@@ -245,6 +246,7 @@ function Stat:run(text)
     return select(2, finish(self))
   end)
   close(self)
+  self.unwatch()
   self.is_reading = false
   local answer = table.concat(said)
   for _, problem in ipairs(ok and texts or { tostring(texts) }) do
