@@ -101,8 +101,9 @@ end end """.replace("\n", " ")
 def trace(path):
     text = path.read_text()
     for pattern, new, least in (
-            (r"(?ms)^function (\w+\.(?:dissector|init))\(([^)]*)\)$(.*?)^end$", r"\1 = traced(function(\2)\3end)", 4),
-            (r'(:register_heuristic\("\w+", )(\w+)\)', r"\1traced(\2))", 3),
+            (r"(?ms)^function (\w+\.(?:dissector|init))\(([^)]*)\)((?: --[^\n]*)?\n.*?)^end$",
+             r"\1 = traced(function(\2)\3end)", 2),
+            (r"(?m)^(    local result = )call\(", r"\1traced(call)(", 1),  # counted: all others, heuristics too
             (r"(?m)^(\w+\.prefs_changed = )(\w+)$", r"\1traced(\2)", 1)):
         text, count = re.subn(pattern, new, text)
         assert count >= least, f"{path}: what Wireshark calls is not written as {pattern} any more"
