@@ -29,9 +29,32 @@ register_stat_cmd_arg("yappmenu,copy", function()
   end
 end)
 
+-- -z yappmenu,decode: all unknown IDs that have the size of Motor Data
+register_stat_cmd_arg("yappmenu,decode", function()
+  local fault = { filter = "taurus.motor.fault_flags" }
+  local message = { name = "motor", title = "Motor Data", alarms = {}, fault_field = fault }
+  packet_menu.register({ motor_ids = "0x300" }, { messages = { message } })
+  _G.Listener = { new = new_tap }
+  _G.set_preference = function(name, value) io.write(name, ":", value, "\n") end
+  _G.apply_preferences, _G.redissect_packets = function() end, function() end
+  local decode = coroutine.wrap(items["Decode all IDs of this size as Motor Data"])
+  decode()
+  local last = new_listener("frame")
+  function last.draw() decode() end
+end)
+
+-- -z yappmenu,needs: which field each item that filters needs
+register_stat_cmd_arg("yappmenu,needs", function()
+  local needs = {}
+  _G.register_packet_menu = function(title, _, field) needs[#needs + 1] = title .. "=" .. field end
+  local message = { name = "motor", title = "Motor Data", alarms = { { filter = "taurus.motor.fault_flags" } } }
+  packet_menu.register({}, { messages = { message } })
+  io.write(table.concat(needs, "\n"), "\n")
+end)
+
 -- The controller 0x210 of a bus, and the preference yapp.sources, of each line of a text
 for bus, sources in (os.getenv("YAPP_MENU")):gmatch("([^\n]*)|([^\n]*)") do
-  packet_menu.register({ sources = sources }, { messages = { { name = "motor", title = "Motor Data" } } })
+  packet_menu.register({ sources = sources }, { messages = { { name = "motor", title = "Motor Data", alarms = {} } } })
   local name = items["Name this controller ..."]
   if bus == "" then
     name({ name = "yapp.id", value = 0x210 })

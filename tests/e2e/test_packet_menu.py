@@ -44,6 +44,24 @@ def test_copy_as_candump(tmp_path):
         "08408000#R8", "08408000#014000000000E38C", "0840C000#R8", "00000000#R7", "0840C000#D23CE04E000005FF"]
 
 
+def test_decode_all_ids_of_this_size():
+    """In one step; the flight has two controllers with the same ID, on two buses, and Health of another size."""
+    shown = menu(tshark.ROOT / "docs/flight.pcapng", "-o", "yapp.motor_ids:0x300", "-z", "yappmenu,decode")
+    assert shown.splitlines() == ["yapp.motor_ids:0x300,528"]
+    several = tshark.run("-q", "-r", tshark.ROOT / "docs/flight.pcapng", "-o", "yapp.motor_ids:0x300", "-o", "yapp.health_ids:0x300",
+                         "-X", f"lua_script:{SCRIPT}", "-z", "yappmenu,decode", env={"YAPP_MENU": "-"})
+    assert several.stdout.splitlines() == ["yapp.motor_ids:0x300,528"]
+
+
+def test_items_on_faults_need_a_message_with_faults():
+    """On an ID that is not decoded they would filter to nothing."""
+    needs = dict(line.rsplit("=", 1) for line in menu(tshark.CAPTURES / "can/document_motor.pcap", "-z", "yappmenu,needs").splitlines())
+    faults = {title for title in needs if "fault" in title.lower()}
+    assert len(faults) == 3
+    assert {needs[title] for title in faults} == {"taurus.motor.fault_flags"}
+    assert needs["YAPP/Only this controller"] == "yapp.source"
+
+
 def test_name_this_controller():
     """A part that names the controller stays; otherwise one is added."""
     asked = "\n".join(f"{bus}|{sources}" for bus, sources, _ in NAMES)

@@ -81,7 +81,8 @@ def test_shape_of_the_tables():
 def test_columns(home):
     done = run(home, "-r", tshark.CAPTURES / "serial/document_uart.pcap", "-T", "psml")
     titles = re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[0])
-    assert titles == ["No.", "Time", "Source", "RPM", "Voltage", "Current", "Power", "State", "Faults", "Protocol", "Info"]
+    assert titles == ["No.", "Time", "Source", "Faults", "RPM", "Commanded", "Voltage", "Current", "Power", "Motor °C", "State",
+                      "Protocol", "Info"]
     values = dict(zip(titles, re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[1])))
     assert (values["Voltage"], values["RPM"], values["Protocol"]) == ("47.97314", "0", "YAPP")
     assert float(values["Power"]) == pytest.approx(float(values["Voltage"]) * float(values["Current"]), rel=1e-5)
@@ -92,7 +93,7 @@ def columns(home, *arguments):
     """The columns Source, State and Faults of each packet that has a state."""
     done = run(home, *arguments, "-T", "psml")
     rows = [re.findall(r"<section>(.*?)</section>", row) for row in done.stdout.split("<packet>")[1:]]
-    return [(row[2], row[7], row[8]) for row in rows if row[7]]
+    return [(row[2], row[10], row[3]) for row in rows if row[10]]
 
 
 @pytest.mark.parametrize("passes", [(), ("-2",)], ids=["one pass", "two passes"])
@@ -152,13 +153,14 @@ def test_a_motor_that_stops_is_seen():
 
 def test_several_controllers_are_no_average_and_no_zigzag():
     for row in uat("io_graphs"):
-        assert row[4] in ("Dot", "Impulse") and not row[5].startswith("AVG"), row
-    assert {row[5] for row in uat("plots")} == {"Dot"}
+        assert row[4] in ("Dot", "Square", "Impulse") and not row[5].startswith("AVG"), row
+    assert {row[5] for row in uat("plots")} == {"Dot", "Square"}
 
 
 @pytest.mark.parametrize("capture, rule", [
     ("can/bad_crc_can.pcap", "YAPP bad CRC"), ("can/lost_middle.pcap", "YAPP incomplete or stray"),
     ("can/end_without_start.pcap", "YAPP incomplete or stray"), ("can/middle_without_start.pcap", "YAPP incomplete or stray"),
+    ("can/unknown_id.pcap", "YAPP not decoded"), ("can/document_motor.pcap", "YAPP fragment"),
     ("can/invalid_key.pcap", "YAPP command ignored"), ("can/fault_flags.pcap", "YAPP fault raised"),
 ])
 def test_colours(home, capture, rule):

@@ -53,7 +53,7 @@ def test_columns_buttons_colours(capture):
         width = 120
         wait_for_words(wireshark, ["YAPP"], f"{width}x30+{gui.WIDTH - width}+43")
         wireshark.xdotool("mousemove", gui.WIDTH - 60, 57, "click", "1")
-        wait_for_words(wireshark, ["Faults", "Wire", "Controllers", "Commands", "Messages"])
+        wait_for_words(wireshark, ["Messages only", "Not decoded", "Faults", "Wire", "Controllers", "Commands"])
 
 
 def test_graphs(capture):
@@ -131,7 +131,8 @@ def test_an_unknown_id_is_decoded_by_its_menu(capture):
     with gui.Wireshark("-C", "YAPP", "-o", "yapp.motor_ids:0x300", "-r", capture, profile=PROFILE) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
         preferences = wireshark.home / ".config/wireshark/profiles/YAPP/preferences"
-        choose(wireshark, 719, 5, lambda: "yapp.motor_ids: 768,528\n" in preferences.read_text())  # behind "Whole message"
+        # An ID that is not decoded has no items on faults: these are Only this controller, Whole message, Decode this ID.
+        choose(wireshark, 719, 2, lambda: "yapp.motor_ids: 768,528\n" in preferences.read_text())
         wireshark.tree("Frame 719:", "Taurus Motor Data")
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
 

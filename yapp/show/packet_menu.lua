@@ -7,14 +7,16 @@ local M = {}
 
 local EXTENDED, REMOTE, ID_END = 0x80000000, 0x40000000, 0x20000000 -- in the word that has the id
 
+-- Stands for a message with fault flags: neither an unknown ID nor another message has some.
+local HAS_FAULTS = {}
 local FAULTS = "yapp.source in {%s} && (taurus.fault.raised || taurus.fault.cleared)"
 -- Title, a field that the packet must have, and the display filter that its values and the packet's
 -- number make.  Wireshark selects the packet that is nearest to the one that was.
 local FILTERS = {
   { "Only this controller", "yapp.source", "yapp.source in {%s}" },
-  { "Faults of this controller", "yapp.source", FAULTS },
-  { "Previous fault of this controller", "yapp.source", FAULTS .. " && frame.number < %d" },
-  { "Next fault of this controller", "yapp.source", FAULTS .. " && frame.number > %d" },
+  { "Faults of this controller", HAS_FAULTS, FAULTS },
+  { "Previous fault of this controller", HAS_FAULTS, FAULTS .. " && frame.number < %d" },
+  { "Next fault of this controller", HAS_FAULTS, FAULTS .. " && frame.number > %d" },
   { "Whole message", "yapp.reassembled.in", "yapp.reassembled.in in {%s}" },
 }
 
@@ -94,20 +96,57 @@ local function ask_name(values, sources, catalogue)
   end, { name = "Names of sources", value = sources })
 end
 
+-- Return all unknown IDs of the capture that have the size of a message, as a preference has them.
+-- like  the field that has such an ID
+local function ids_like(like)
+  local found, is_known = {}, {}
+  local tap = Listener.new("frame", like)
+  function tap.packet()
+    for _, info in ipairs { all_field_infos() } do
+      local id = info.name == like and info.value
+      if id and not is_known[id] then
+        is_known[id] = true
+        found[#found + 1] = id
+      end
+    end
+  end
+  retap_packets()
+  tap:remove()
+  table.sort(found)
+  return table.concat(found, ",")
+end
+
+-- Add an item that filters.
+-- row  of FILTERS; field: that the packet must have; of: whose values are in the filter
+local function add_filter(row, field, of)
+  add(row[1], field, function(values)
+    set_filter(row[3]:format(values[of], values["frame.number"]))
+    apply_filter()
+  end)
+end
+
 --- Make the menu.
 -- prefs      of yapp
 -- catalogue  compiled
 function M.register(prefs, catalogue)
   for _, row in ipairs(FILTERS) do
-    add(row[1], row[2], function(values)
-      set_filter(row[3]:format(values[row[2]], values["frame.number"]))
-      apply_filter()
-    end)
+    if row[2] == HAS_FAULTS then
+      for _, message in ipairs(catalogue.messages) do
+        local field = message.fault_field or message.alarms[1]
+        if field then add_filter(row, field.filter, "yapp.source") end
+      end
+    else
+      add_filter(row, row[2], row[2])
+    end
   end
   for _, message in ipairs(catalogue.messages) do
     local ids, like = message.name .. "_ids", "yapp.like." .. message.name
     add("Decode this ID as " .. message.title, like, function(values)
       set(ids, prefs[ids] .. "," .. values[like])
+    end)
+    add("Decode all IDs of this size as " .. message.title, like, function()
+      local found = ids_like(like)
+      if found ~= "" then set(ids, prefs[ids] .. "," .. found) end
     end)
   end
   add("Name this controller ...", "yapp.id", function(values)
