@@ -120,14 +120,14 @@ class Comparison:
         used = set()
         for number, new in self.new_number.items():
             verdict, row = self.capture.verdicts[number], self.rows.get(new, collections.defaultdict(str))
-            if self.strict and not (self.capture.layout in can_generator.ONE_BUS and verdict.blurred):
+            if self.strict and not verdict.blurred:
                 self.strictly(number, verdict, row)
             else:
                 self.merged(number, verdict, row, used)
         return self.problems
 
     def strictly(self, number, verdict, row):
-        """The bus is known: everything is."""
+        """No message is broken whose frames may still come: everything is known."""
         frame = self.capture.frames[number - 1]
         self.expect(number, "is YAPP", verdict.ours, row["yapp.id"] != "")
         if not verdict.ours:

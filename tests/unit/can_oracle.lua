@@ -169,8 +169,8 @@ end
 -- known    { [message ID] = size }; KNOWN if left out
 -- returns  list of { what = in the words of can_words, anomalies = list, text = of both; in_number =
 --          of the frame that shows its message; at the last frame of a message with all its bytes
---          members = numbers of its frames, padding; may_mix = whether, on a bus that nobody tells, a
---          broken message may still wait for frames of this key }
+--          members = numbers of its frames, padding; may_mix = whether a broken message may still wait
+--          for frames of this key }
 function M.verdicts(frames, known)
   local self = { open = {}, accepted = {}, broken = {}, verdicts = {}, known = known or M.KNOWN }
   local verdicts = self.verdicts
@@ -199,6 +199,8 @@ function M.verdicts(frames, known)
     end
   end
   for _, verdict in ipairs(verdicts) do
+    -- A fragment of a message that does not end may turn out to be another's.
+    verdict.may_mix = verdict.may_mix or verdict.what == "." and not verdict.in_number
     table.sort(verdict.anomalies)
     verdict.text = table.concat({ verdict.what, unpack(verdict.anomalies) }, "+")
   end

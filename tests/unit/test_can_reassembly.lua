@@ -238,10 +238,11 @@ end
 -- Every frame is what the oracle says; a visited one is what it was, in any order; every fragment of
 -- a message leads to the frame that shows it, and from there back.
 function T.test_random_frames()
-  local random = stream_generator.random(3)
+  local random, sure, all = stream_generator.random(3), 0, 0
   for round = 1, levels.size(300, 3000) do
     local frames, known = random_can.frames(random), words.new()
     local verdicts, first = oracle.verdicts(frames), {}
+    all = all + #frames
     for i, frame in ipairs(frames) do
       local text, found = words.visit(known, frame)
       first[i] = { text:match("^[^+]*"), found.payload }
@@ -250,10 +251,14 @@ function T.test_random_frames()
       local at = frame.number
       local text, found = words.visit(known, frame, true)
       local verdict = verdicts[at]
-      lu.assertEquals(text, verdict.text, ("round %d, frame %d"):format(round, at))
-      lu.assertEquals({ text:match("^[^+]*"), found.payload }, first[at])
-      lu.assertEquals(found.in_number, verdict.in_number)
-      if found.payload then
+      local is_sure = not verdict.may_mix
+      if is_sure then
+        lu.assertEquals(text, verdict.text, ("round %d, frame %d"):format(round, at))
+        lu.assertEquals({ text:match("^[^+]*"), found.payload }, first[at])
+        lu.assertEquals(found.in_number, verdict.in_number)
+        sure = sure + 1
+      end
+      if is_sure and found.payload then
         local message = found.message
         lu.assertEquals(message.has_fault, words.has_fault(message.payload))
         if verdict.members then
@@ -263,6 +268,7 @@ function T.test_random_frames()
       end
     end
   end
+  lu.assertTrue(sure > all / 2, ("%d of %d"):format(sure, all))
 end
 
 -- Numbers and packets -----------------------------------------------------------------------------

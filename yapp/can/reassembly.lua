@@ -149,8 +149,8 @@ local function make_room(self)
     "%d messages are open: the oldest %d are given up", #list, count)
 end
 
--- A Start came while a message is open in its slot.  On a known bus it supersedes that message.
--- Else the Start may be of another bus, and later frames decide.
+-- A Start came while a message is open in its slot.  It may supersede that message, or be of
+-- another bus: where no bus is known, or a converter lost the buses.  Later frames decide.
 -- returns  a pool of can.interleaved if the message stays open, else nil
 local function supersede(self, frame)
   local open, list = self.open[frame.slot], open_in(self, frame.slot)
@@ -162,7 +162,7 @@ local function supersede(self, frame)
       frame_key.number(newest[1]), chunks and chunks.received or open.since, newest.size)
   end
   if open == newest then
-    if frame.bus or chunks.is_truncated then
+    if chunks.is_truncated then
       self:give_up(open)
       return close(self, frame.slot)
     end
