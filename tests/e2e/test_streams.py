@@ -21,6 +21,7 @@ import levels
 import model
 import stream_captures
 import tshark
+from expected import plain
 from stream_captures import ETHERNET, EXPORTED_PDU, RTAC, USER0, Event, Packet, Origin, frame, header
 
 STREAMS = int(os.environ.get("YAPP_SOAK_STREAMS", levels.size("70", "240")))
@@ -32,7 +33,8 @@ FILES = -(-STREAMS // PER_FILE)
 INFO = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
 EXPERTS = ["crc.bad", "id.unknown", "stream.skipped", "fragment.incomplete", "truncated", "size.mismatch",
            "reserved.nonzero"]
-TAURUS = [name for name, kind in model.filters().items() if kind in ("uint", "flags", "time")]
+TAURUS = [name for name in model.filters() if name.count(".") > 1]  # the values
+assert {kind.rstrip("0123456789") for kind in map(model.filters().get, TAURUS)} == {"UINT", "DOUBLE", "RELATIVE_TIME", "BOOLEAN"}
 FIELDS = ["frame.number", INFO, "_ws.lua.error", "yapp", *(f"yapp.{name}" for name in [
     "id", "seq", "ctl", "size", "sync", "crc", "crc.status", "payload", "undecoded", "skipped", "fragment.data", "fragment",
     "fragment.count", "reassembled.in", "reassembled.length", "time_delta", *EXPERTS]), *TAURUS]
@@ -48,7 +50,7 @@ def shown(path, *arguments):
     packets = {}
     for line in done.stdout.splitlines():
         values = dict(zip(FIELDS, line.split("\t")))
-        packet = {name: value.split(";") for name, value in values.items() if value}
+        packet = {name: [plain(name, one) for one in value.split(";")] for name, value in values.items() if value}
         packet["info"] = values[INFO] if tshark.version() < (4, 2) else values[INFO].replace(r"\\", "\\")
         packets[int(values["frame.number"])] = packet
     return packets
