@@ -26,6 +26,19 @@ HISTORY = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": 
            "yapp.reassembled.data": "BYTES"}
 EXPERTS = [f"yapp.{name}" for name in YAPP_EXPERTS] + [f"taurus.{name}" for name in TAURUS_EXPERTS]
 
+# Group and severity of each: Wireshark's colours, `-z expert` and filters on _ws.expert go by them.
+SEVERITIES = {
+    "yapp.crc.bad": "CHECKSUM ERROR", "yapp.fragment.orphan": "SEQUENCE WARN", "yapp.fragment.incomplete": "REASSEMBLE WARN",
+    "yapp.fragment.overrun": "REASSEMBLE WARN", "yapp.fragment.duplicate": "SEQUENCE NOTE", "yapp.unfinished": "REASSEMBLE WARN",
+    "yapp.late": "SEQUENCE WARN", "yapp.size.mismatch": "PROTOCOL WARN", "yapp.id.unknown": "UNDECODED NOTE",
+    "yapp.reserved.nonzero": "PROTOCOL WARN", "yapp.can.ctrl.invalid": "PROTOCOL WARN", "yapp.can.id.missing": "UNDECODED WARN",
+    "yapp.stream.skipped": "SEQUENCE NOTE", "yapp.truncated": "MALFORMED WARN", "yapp.source.shared": "SEQUENCE WARN",
+    "taurus.fault.active": "RESPONSE_CODE ERROR", "taurus.fault.raised": "RESPONSE_CODE ERROR",
+    "taurus.fault.cleared": "RESPONSE_CODE NOTE", "taurus.reboot": "SEQUENCE WARN", "taurus.stale": "SEQUENCE WARN",
+    "taurus.jump": "SEQUENCE WARN", "taurus.command.key.invalid": "PROTOCOL WARN", "taurus.value.special": "PROTOCOL NOTE",
+    "taurus.flags.undefined": "PROTOCOL NOTE", "taurus.value.invalid": "PROTOCOL WARN",
+}
+
 # By the name behind -z yapp, in the order of the errors that list them: the title in menus.
 STATISTICS = {"summary": "Summary", "faults": "Faults", "events": "Events", "compare": "Compare", "csv": "Export tables",
               "check": "Check"}

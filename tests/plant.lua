@@ -1,0 +1,186 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Stands in front of a copy of the plugin, see plant.py: gives one thing that the plugin tells Wireshark a wrong value, by its
+-- name.  It knows Wireshark's API alone, nothing of the plugin's modules.
+--
+-- PLANT = { kind, name }: what is planted.  PLANT = nil: prints the rows "kind<tab>name" of all that can be.
+local unpack_all = table.unpack or unpack -- 5.2 has both
+local kind, name = PLANT and PLANT[1], PLANT and PLANT[2]
+
+local function is_planted(what, title) return kind == what and name == title end
+
+local listed = {}
+local function list(what, title)
+  if PLANT or listed[what .. title] then return end
+  listed[what .. title] = true
+  io.stderr:write("plant\t", what, "\t", title, "\n")
+end
+
+-- Values ------------------------------------------------------------------------------------------
+
+local types, new_field = {}, ProtoField.new -- types: by ProtoField, of those planted
+function ProtoField.new(title, filter, field_type, ...)
+  local field = new_field(title, filter, field_type, ...)
+  list("field", filter)
+  if is_planted("field", filter) or kind == "carrier" and filter:find("^taurus") and field_type == ftypes.DOUBLE then
+    types[field] = field_type
+  end
+  return field
+end
+
+local function is_range(value) return type(value) == "userdata" and typeof(value) == "TvbRange" end
+
+-- Another value of a type: a range of the packet's bytes gives what it would show.
+local function other(field_type, value, range, is_little)
+  local length = is_range(range) and range:len() or 0
+  if field_type == ftypes.BOOLEAN then
+    if type(value) == "boolean" then return not value end
+    return value == nil and (length > 4 and range:le_uint64():bxor(-1) or 0xFFFFFFFF - range:le_uint()) or 1
+  elseif field_type == ftypes.STRING then
+    return tostring(value) .. "?"
+  elseif field_type == ftypes.RELATIVE_TIME then
+    return value and NSTime.new(value.secs + 1, value.nsecs) or NSTime.new(1, 1)
+  elseif field_type == ftypes.BYTES then
+    return value and (type(value) == "string" and value .. "?" or ByteArray.new("00")) or nil
+  elseif field_type == ftypes.UINT64 or field_type == ftypes.INT64 then
+    return (value or is_little and range:le_uint64() or range:uint64()) + 1
+  elseif type(value) == "number" then
+    return value + 1
+  end
+  return length > 0 and length <= 4 and (is_little and range:le_uint() or range:uint()) + 1 or nil
+end
+
+local carrier -- of the packet that is being dissected
+
+-- The arguments behind a field, with a wrong value: without a range, with one, or a range alone.
+local function spoil_arguments(field_type, is_little, count, range, value, ...)
+  if not is_range(range) then return other(field_type, range), value, ... end
+  if field_type == ftypes.BYTES and count == 1 then return range(0, range:len() - 1) end
+  local wrong = other(field_type, value, range, is_little)
+  if wrong == nil then return range(0, range:len() - 1), value, ... end
+  return range, wrong, ...
+end
+
+for _, method in ipairs { "add", "add_le" } do
+  local add = TreeItem[method]
+  TreeItem[method] = function(item, field, ...)
+    local field_type = types[field]
+    if not field_type or kind == "carrier" and carrier ~= name then return add(item, field, ...) end
+    if field_type == ftypes.NONE then return item end
+    return add(item, field, spoil_arguments(field_type, method == "add_le", select("#", ...), ...))
+  end
+end
+
+-- Expert items ------------------------------------------------------------------------------------
+
+local new_expert, missing = ProtoExpert.new, {}
+function ProtoExpert.new(filter, text, group, severity)
+  list("severity", filter)
+  list("expert", filter)
+  if is_planted("severity", filter) then
+    severity = severity == expert.severity.WARN and expert.severity.NOTE or expert.severity.WARN
+  end
+  local made = new_expert(filter, text, group, severity)
+  missing[made] = is_planted("expert", filter) or nil
+  return made
+end
+local add_expert = TreeItem.add_proto_expert_info
+function TreeItem.add_proto_expert_info(item, made, ...)
+  if missing[made] then return item end
+  return add_expert(item, made, ...)
+end
+
+-- Preferences -------------------------------------------------------------------------------------
+
+-- The preferences of YAPP by their titles: another value by default.
+for _, constructor in ipairs { "bool", "string", "range", "enum", "uint" } do
+  local make = Pref[constructor]
+  Pref[constructor] = function(title, value, ...)
+    list("preference", title)
+    if is_planted("preference", title) then
+      if type(value) == "boolean" then
+        value = not value
+      elseif constructor == "enum" then
+        value = value == 5 and 6 or 5
+      elseif type(value) == "number" then
+        value = value + 1
+      else
+        value = constructor == "range" and "148" or tonumber(value) and tostring(value + 1) or "0x7=nobody"
+      end
+    end
+    return make(title, value, ...)
+  end
+end
+
+-- Statistics --------------------------------------------------------------------------------------
+
+-- Of -z: the name of a statistic, and the keys of its JSON: a wrong value behind one.
+local register = register_stat_cmd_arg
+function _G.register_stat_cmd_arg(argument, ...)
+  list("statistic", argument)
+  if is_planted("statistic", argument) then return end
+  return register(argument, ...)
+end
+
+local function spoil(text)
+  if kind ~= "key" then
+    if not PLANT then
+      for key in text:gmatch('"([%a_][%w_.]*)":') do list("key", key) end
+    end
+    return text
+  end
+  local key = '("' .. name:gsub("%p", "%%%0") .. '":)'
+  text = text:gsub(key .. '"', '%1"?')
+  return (text:gsub(key .. "(%-?[%d.]+)", function(before, number) return before .. number + 1 end)
+    :gsub(key .. "true", "%1false"))
+end
+
+local function spoiled(...)
+  local texts = { ... }
+  for i, text in ipairs(texts) do texts[i] = type(text) == "string" and spoil(text) or text end
+  return unpack_all(texts)
+end
+
+if kind == "key" or not PLANT then
+  local print_all, write, lines = print, io.write, getmetatable(io.stdout).__index
+  local write_file = lines.write
+  function _G.print(...) return print_all(spoiled(...)) end
+  function io.write(...) return write(spoiled(...)) end
+  if type(lines) == "table" then
+    lines.write = function(file, ...)
+      if file == io.stderr then return write_file(file, ...) end
+      return write_file(file, spoiled(...))
+    end
+  end
+end
+
+-- Kinds of source ---------------------------------------------------------------------------------
+
+-- What carries a packet, as one dissector is called and its packet says.
+local TRANSPORTS = { [2] = "TCP", [3] = "UDP" }
+local CAN = { yapp = true, yapp_all = true }
+for _, title in ipairs { "CAN", "CAN FD", "TCP", "UDP", "serial" } do list("carrier", title) end
+
+if kind == "carrier" then
+  local proto_class = getmetatable(Proto("plant", "Plant"))
+  local set = proto_class.__newindex
+  proto_class.__newindex = function(proto, key, value)
+    if key == "dissector" then
+      local dissect, is_can = value, CAN[tostring(proto):match("[%w_]+$")] or CAN[proto.name:lower()]
+      value = function(tvb, pinfo, root)
+        carrier = is_can and (tvb:reported_len() > 8 and "CAN FD" or "CAN") or TRANSPORTS[pinfo.port_type] or "serial"
+        return dissect(tvb, pinfo, root)
+      end
+    end
+    return set(proto, key, value)
+  end
+end
+
+-- Menus -------------------------------------------------------------------------------------------
+
+local register_menu_item, first = register_menu, nil
+function _G.register_menu(title, action, ...)
+  list("menu", title)
+  if is_planted("menu", title) then action = first or function() end end
+  first = first or action
+  return register_menu_item(title, action, ...)
+end
