@@ -393,7 +393,7 @@ EVERY_WAY = [TREE, TWO_PASSES, ("-2", *FILTER), ("sharkd",)]
 
 
 def replay(path, ways=EVERY_WAY):
-    """What goes wrong with a kept capture: as it was found, and in other ways."""
+    """What goes wrong with a kept capture: as it was found, and in other ways; also that nothing of it was read."""
     sidecar = path.with_suffix(".args")
     lines = [line for line in sidecar.read_text().splitlines() if not line.startswith("#")] if sidecar.exists() else []
     arguments, found = (shlex.split(line) for line in (lines + ["", ""])[:2])
@@ -402,7 +402,8 @@ def replay(path, ways=EVERY_WAY):
     try:
         for way in dict.fromkeys([tuple(found) or TREE, *ways]):
             if way[0] != "sharkd" or shutil.which("sharkd"):
-                problem = show_file(capture, way, folder, tshark.ROUTE == "plugin").problem
+                run = show_file(capture, way, folder, tshark.ROUTE == "plugin")
+                problem = run.problem or (None if run.out.strip() else "it printed nothing")
                 if problem:
                     yield f"{shlex.join(way)}: {problem}"
     finally:

@@ -1,16 +1,18 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- Stands in front of a copy of the plugin, see plant.py: gives one thing that the plugin tells Wireshark a wrong value, by its
--- name.  It knows Wireshark's API alone, nothing of the plugin's modules.
+-- Runs in front of a copy of the plugin, see plant.py: gives one thing that the plugin tells Wireshark a wrong value,
+-- by its name.  It knows Wireshark's API alone, nothing of the plugin's modules.
 --
--- PLANT = { kind, name }: what is planted.  PLANT = nil: prints the rows "kind<tab>name" of all that can be.
+-- PLANT = { kind, name }: what is planted.  PLANT = {}: prints the rows "kind<tab>name" of all that can be.
+if not PLANT then return end -- run by Wireshark, in a plugin folder
+
 local unpack_all = table.unpack or unpack -- 5.2 has both
-local kind, name = PLANT and PLANT[1], PLANT and PLANT[2]
+local kind, name = PLANT[1], PLANT[2]
 
 local function is_planted(what, title) return kind == what and name == title end
 
 local listed = {}
 local function list(what, title)
-  if PLANT or listed[what .. title] then return end
+  if kind or listed[what .. title] then return end
   listed[what .. title] = true
   io.stderr:write("plant\t", what, "\t", title, "\n")
 end
@@ -123,7 +125,7 @@ end
 
 local function spoil(text)
   if kind ~= "key" then
-    if not PLANT then
+    if not kind then
       for key in text:gmatch('"([%a_][%w_.]*)":') do list("key", key) end
     end
     return text
@@ -140,7 +142,7 @@ local function spoiled(...)
   return unpack_all(texts)
 end
 
-if kind == "key" or not PLANT then
+if kind == "key" or not kind then
   local print_all, write, lines = print, io.write, getmetatable(io.stdout).__index
   local write_file = lines.write
   function _G.print(...) return print_all(spoiled(...)) end

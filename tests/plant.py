@@ -45,9 +45,9 @@ STATISTICS = [argument for name in ("summary", "faults", "events", "check,fault=
 def copy(folder, row):
     """A copy of the plugin with a row planted; None lists the rows."""
     tshark.copy_plugin(folder, ROOT)
-    plant = f'{{ "{row[0]}", "{row[1]}" }}' if row else "nil"
-    lines = [f"PLANT = {plant}", (ROOT / "tests/plant.lua").read_text(), (ROOT / "yapp.lua").read_text()]
-    (folder / "yapp.lua").write_text("\n".join(lines))
+    plant = f'{{ "{row[0]}", "{row[1]}" }}' if row else "{}"
+    script = shutil.copy(ROOT / "tests/plant.lua", folder)
+    (folder / "yapp.lua").write_text(f'PLANT = {plant} dofile("{script}") PLANT = nil\n' + (ROOT / "yapp.lua").read_text())
     subprocess.run(["chmod", "-R", "a+rX", folder], check=True)
     return folder
 

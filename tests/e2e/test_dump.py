@@ -411,7 +411,7 @@ def test_files_of_others(name, extension, folder):
     if name in OPENED:
         assert done[0] == 0 and "Motor Data" in done[1]
     else:
-        assert done == outcome(path, plugin=False)[0]
+        assert done == outcome(path, plugin=False)[0] and (done[1] or errors)
 
 
 @levels.by_version

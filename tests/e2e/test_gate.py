@@ -424,6 +424,7 @@ def test_what_the_gate_let_through(row, passes):
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     found = {line["rule"].split("=")[0] for line in lines if line.get("ok") is False}
     assert (done.returncode, found) == (code, failed), done.stdout
+    assert [line["rule"] for line in lines if "rule" in line]
     kinds = {line["kind"] for line in lines if "kind" in line}
     assert failed - {"motor.rate"} <= kinds
 
@@ -777,7 +778,8 @@ def test_filter_decides_what_counts(folder, home):
 
 def test_limits_that_are_just_kept(folder, home):
     returned, output, _ = z(folder, "check,json,motor.rate=10,motor.gap=0.1,motor.count=30")
-    assert returned == 0, output
+    rules = [json.loads(line)["rule"] for line in output.splitlines()]
+    assert returned == 0 and set(rules) >= {"motor.rate=10", "motor.gap=0.1", "motor.count=30"}, output
 
 
 def test_several_statistics_in_one_run(folder, home):

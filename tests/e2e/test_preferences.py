@@ -95,6 +95,7 @@ def test_all_extended():
 @pytest.mark.parametrize("passes", expected.PASSES)
 def test_user_dlt(choice, passes):
     path = make.capture("document_uart_dlt_user0")[0]
+    passes = passes if "147" in choice else passes.removesuffix(" -Y")  # with a filter nothing is what is to be shown
     assert messages(expected.shown(path, *expected.PASSES[passes], "-o", f"yapp.user_dlt:{choice}")) == (
         {1: "Motor Data"} if "147" in choice else {})
 

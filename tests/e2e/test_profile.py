@@ -171,8 +171,8 @@ def test_colours(home, capture, rule):
 
 def test_what_is_well_has_no_colour(home):
     done = run(home, "--color", "-r", tshark.CAPTURES / "can/document_command.pcap", "-T", "fields", "-e",
-               "frame.coloring_rule.name")
-    assert done.stdout.strip() == ""
+               "yapp.id", "-e", "frame.coloring_rule.name")
+    assert done.stdout == "0x00000000\t\n"
 
 
 # Colours ---------------------------------------------------------------------------------------------------------------

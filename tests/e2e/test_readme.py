@@ -101,6 +101,8 @@ def test_a_question_is_answered(flight, command):
     elif what == "compare":
         assert done.stdout.startswith("YAPP compare: ") and "spread" in done.stdout
     elif what == "csv":
+        if "csv,-" in command:
+            assert done.stdout.count("\n") == len(rows["motor"]) + 1
         for name, messages in () if "csv,-" in command else rows.items():
             assert (flight / f"tables/{name}.csv").read_text().count("\n") == len(messages) + 1
     elif what == "fault":
@@ -128,18 +130,24 @@ def test_several_controllers(flight):
     assert "Motor Data right_fore" in by_name.stdout and "left_fore" not in by_name.stdout  # can1 alone has this ID
 
 
+def assert_are_filters(filters):
+    filters = ["frame.number == 1", *filters]
+    done = tshark.run("-r", tshark.CAPTURES / "can/document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
+    assert done.stdout.split()[0] == "1"
+
+
 def test_its_filters_are_filters():
     cells = [row[1] for row in table("Filters")]
     filters = [text.replace("\\|", "|") for cell in cells for text in re.findall(r"`([^`]+)`", cell)]
     assert len(filters) >= 8
-    tshark.run("-r", tshark.CAPTURES / "can/document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
+    assert_are_filters(filters)
 
 
 def test_the_filters_of_the_help():
     text = (tshark.ROOT / "yapp/stat/menu.lua").read_text()
     filters = [part for line in re.findall(r"^.{32}((?:yapp|taurus)\..*)$", text, re.M) for part in re.split(r", or ", line)]
     assert len(filters) >= 9
-    tshark.run("-r", tshark.CAPTURES / "can/document_motor.pcap", "-Y", " || ".join(f"({one})" for one in filters))
+    assert_are_filters(filters)
 
 
 # What they name ----------------------------------------------------------------------------------------------------

@@ -125,13 +125,15 @@ def fields(capture, names, *arguments, occurrence="a", separator="\t"):
     """The fields of each frame: a list of lists, as -T fields prints them; several values are joined by commas.
 
     No dissector may have failed in Lua: that is a field of the packet, and asked for with the others; where a display
-    filter chooses among the frames, such a frame is chosen too."""
+    filter chooses among the frames, such a frame is chosen too.  Without a filter each packet has a row, so that no row
+    means that nothing was read, and nothing can be compared."""
     wanted = [argument for name in [*names, LUA_ERROR] for argument in ("-e", name)]
     arguments = [f"({after}) || {LUA_ERROR}" if before == "-Y" else after
                  for before, after in zip(["", *arguments], arguments)]
     done = run(*arguments, "-r", capture, "-T", "fields", "-E", f"occurrence={occurrence}", "-E",
                f"separator={separator}", *wanted)
     rows = [line.split(separator) for line in done.stdout.splitlines()]
+    assert rows or {"-Y", "-R"} & set(arguments), f"tshark read no packet of {capture}: {done.stderr}"
     assert not any(row[-1] for row in rows), f"Lua error: {[row for row in rows if row[-1]][:3]}"
     return [row[:-1] for row in rows]
 
