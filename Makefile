@@ -54,6 +54,7 @@ test-all:
 	YAPP_STRICT=1 YAPP_LEVEL=all $(MAKE) test
 	YAPP_LEVEL=route YAPP_ROUTE=plugin $(MAKE) e2e
 	tests/matrix --rest
+	$(MAKE) parity-viewer LEVEL=all CHROOT=$(wildcard $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/yapp-matrix/trixie)
 	$(MAKE) fuzz FRAMES=$(or $(FRAMES),20000)
 
 ## The code, and the pages: lengths, plain words, links
@@ -168,14 +169,20 @@ needs-viewer: needs-python
 
 ## The page that opens captures in any browser: dist/viewer for a web server, dist/viewer-offline for a double click
 viewer: needs-viewer
-	@node web/build.mjs
+	@node tools/viewer.mjs
 
 ## The same on http://127.0.0.1:8000, PORT=8000
 viewer-serve: viewer
 	@python3 -m http.server --bind 127.0.0.1 --directory dist/viewer $(or $(PORT),8000)
 
+## The viewer beside tshark (see parity-viewer), and its page in Chromium
+test-viewer: parity-viewer viewer
+	$(call install-missing,$(or $(CHROMIUM),chromium),chromium)
+	@node --test --test-reporter=dot tests/viewer/browser.test.mjs
+
 ## The viewer beside tshark, twenty captures; LEVEL=all CHROOT=folder of a Debian with tshark: all of them, that tshark
 parity-viewer: needs-viewer needs-tshark
 	@YAPP_VIEWER_LEVEL=$(LEVEL) YAPP_VIEWER_CHROOT=$(CHROOT) node --test --test-reporter=dot tests/viewer/parity.test.mjs
 
-.PHONY: viewer viewer-serve parity-viewer needs-viewer
+
+.PHONY: viewer viewer-serve test-viewer parity-viewer needs-viewer

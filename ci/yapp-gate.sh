@@ -9,10 +9,12 @@
 #   --preferences FILE  a file of Wireshark's preferences, as in its configuration folder
 #   -o NAME:VALUE       a preference; may be given again
 #   -d TABLE==VALUE,PROTOCOL  Decode As, such as tcp.port==4001,yapp_serial; may be given again
+#   --report FOLDER     a folder for FOLDER/report.html, which opens in any browser: the rules, and the capture at each that
+#                       failed.  It takes dist/viewer-offline, or runs `make viewer`, which installs what it needs.
 #
 # It ends with tshark's exit code: 0 all rules hold, 20 one does not, 21 one could not be judged, others: no capture, or a
 # damaged one, no tshark, no plugin.  An empty value is none.  tshark is installed where there is none (Debian, Ubuntu);
-# nothing else is, and no setting of the user's has a say.  The plugin is the one beside this script's folder.
+# nothing else is without --report, and no setting of the user's has a say.  The plugin is the one beside this script's folder.
 set -euo pipefail
 
 TOP=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
@@ -31,8 +33,49 @@ install_tshark() {
     apt-get install -y -qq --no-install-recommends tshark; } >/dev/null || refuse "tshark could not be installed"
 }
 
-OPTIONS="--rules, --sources, --messages, --junit, --preferences, -o and -d"
-rules='' sources='' messages='' junit='' preferences='' capture='' options=()
+# Write a file as a script that the viewer can load from a disk: embed FILE NAME
+embed() {
+  { printf 'asset("%s", "' "$2"; base64 -w 0 "$1"; printf '");\n'; } >"$report/$2.js"
+}
+
+# Encode a text for a link.
+encode() {
+  local LC_ALL=C text=$1 one i
+  for ((i = 0; i < ${#text}; i++)); do
+    one=${text:i:1}
+    case $one in [A-Za-z0-9._-]) printf %s "$one" ;; *) printf '%%%02X' "'$one" ;; esac
+  done | sed 's/%FFFFFFFFFFFFFF/%/g' # of a byte above 127
+}
+
+# Make the page: the viewer, the capture, and a link to both.
+write_report() {
+  local viewer=$TOP/dist/viewer-offline name link text
+  if ! { [ -d "$viewer" ] || make -s -C "$TOP" viewer >&2; }; then
+    echo "yapp-gate: no report: the viewer could not be made; run make viewer in $TOP, which says why" >&2
+    [ "$code" != 0 ] || code=21
+    return
+  fi
+  mkdir -p "$report"
+  cp -r "$viewer/." "$report/"
+  name=$(basename "$capture" | tr -c 'A-Za-z0-9._\n-' _)
+  embed "$capture" "$name"
+  text=$rules
+  [ ! -f "$work/rules.txt" ] || text=$(sed 's/#.*//' "$work/rules.txt" | tr '\n' ,)
+  link="index.html#file=$name&statistic=check$(encode "${text:+,$text}")"
+  # What it has no link for is Decode As, and preferences that are not YAPP's.
+  while read -r text; do
+    case $text in yapp.*:*) link+="&$(encode "${text%%:*}")=$(encode "$(sed 's/^[^:]*: *//' <<<"$text")")" ;; esac
+  done < <([ -z "$preferences" ] || cat "$preferences"; printf '%s\n' "${options[@]}" ${sources:+"yapp.sources:$sources"})
+  if [ -n "$messages" ]; then
+    embed "$messages" yapp_messages.lua
+    link+="&messages=yapp_messages.lua"
+  fi
+  printf '<!DOCTYPE html>\n<meta charset="utf-8">\n<meta http-equiv="refresh" content="0; url=%s">\n<a href="%s">%s</a>\n' \
+    "$link" "$link" "The report of $name" | sed 's/&\([a-z]\)/\&amp;\1/g' >"$report/report.html"
+}
+
+OPTIONS="--rules, --sources, --messages, --junit, --report, --preferences, -o and -d"
+rules='' sources='' messages='' junit='' report='' preferences='' capture='' options=()
 while [ $# -gt 0 ]; do
   [[ $1 != -* || $# -gt 1 ]] || refuse "$1: its value is missing; options are $OPTIONS"
   case $1 in
@@ -40,6 +83,7 @@ while [ $# -gt 0 ]; do
     --sources) sources=$2; shift ;;
     --messages) messages=$2; shift ;;
     --junit) junit=$2; shift ;;
+    --report) report=$2; shift ;;
     --preferences) preferences=$2; shift ;;
     -o|-d) options+=("$1" "$2"); shift ;;
     -*) refuse "$1 is no option; options are $OPTIONS" ;;
@@ -95,4 +139,5 @@ if [ -f "$work/report.xml" ]; then
   mkdir -p "$(dirname "$junit")"
   cat "$work/report.xml" >"$junit"
 fi
+[ -z "$report" ] || write_report
 exit "$code"

@@ -9,7 +9,7 @@ import { Statistics } from "./statistics.js";
 
 const SAMPLE = "flight.pcapng";
 const FAULT = "taurus.fault.raised || taurus.fault.cleared";
-const MOST_BYTES = 250e6; // of a capture: more may not fit into the 2 GB that WebAssembly has here
+const MOST_BYTES = 400e6; // of a capture: more may not fit into the 2 GB that WebAssembly has here
 const FIRST_ROWS = 100;
 
 const $ = (id) => document.getElementById(id);
@@ -90,19 +90,23 @@ async function followLink() {
   await filter.use(get("filter"));
   if (get("frame")) await go(Number(get("frame")));
   const [statistic, ...options] = get("statistic").split(",");
-  if (statistic) await statistics.show(statistic, options.join(","));
+  if (!statistic) return;
+  const lines = await statistics.show(statistic, options.join(","));
+  const failed = lines?.find(({ ok, frame }) => ok === false && frame);
+  if (failed && !state.frame) await go(failed.frame);
 }
 
 // Wireshark and the capture ---------------------------------------------------------------------------------------
 
 const client = new Client(notice, progress);
+window.viewer = client; // for tests and the console
 
 async function start() {
   const files = { "CONFIGURATION/preferences": client.plugin.files["CONFIGURATION/preferences"] + linesOf(state.preferences) };
   if (state.messages) files["CONFIGURATION/yapp_messages.lua"] = state.messages;
   const about = await busy("Starting Wireshark", client.start(files));
   if (!about) return;
-  state.about = about;
+  Object.assign(state, { about, hasOpened: false });
   list.columns(about.columns.map((title, i) => ({ title, width: client.plugin.widths[i] ?? 100 })));
   $("status").textContent = `Wireshark ${about.version}, YAPP ${client.plugin.version}`;
 }
@@ -125,6 +129,8 @@ async function open(file) {
   $("notices").replaceChildren();
   Object.assign(state, { file, opened: null, frame: 0, filter: "" });
   statistics.close();
+  if (state.hasOpened) await start(); // what a capture was says nothing of the next one
+  state.hasOpened = true;
   const opened = await busy(`Opening ${name}`, client.call("open", name, blob));
   for (const id of ["list", "tree", "bytes"]) $(id).hidden = !opened;
   $("welcome").hidden = Boolean(opened);
@@ -135,6 +141,7 @@ async function open(file) {
   $("name").title = opened.type;
   document.title = `${name} - YAPP capture viewer`;
   if (opened.damage) notice(`${name}: ${opened.damage}. Wireshark read ${opened.count} frames before that.`);
+  if (!opened.count) notice(`${name} has no packets that Wireshark can read`);
   await apply("");
   return true;
 }

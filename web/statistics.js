@@ -83,7 +83,7 @@ export class Statistics {
     this.changed();
   }
 
-  // Run a statistic and show its answer: as tables, or as the text of Wireshark's window.
+  // Run a statistic and show its answer: as tables, or as the text of Wireshark's window.  Returns its lines.
   async show(name, options = "", isText = false) {
     Object.assign(this, { name, options });
     const { title, notes, tables } = this.parts;
@@ -102,6 +102,7 @@ export class Statistics {
     title.className = /FAILED|NOT/.test(title.textContent) ? "bad" : "";
     notes.replaceChildren(...[...(partial ? [partial] : []), ...texts].map((one) => make("p", "note", one)));
     tables.replaceChildren(...(isText ? [make("pre", "", answer)] : tablesOf(lines).map((table) => this.table(table))));
+    return lines;
   }
 
   table({ keys, rows }) {

@@ -3,7 +3,7 @@
 import { closeSync, openSync, readFileSync, readSync, statSync } from "node:fs";
 import { basename, join } from "node:path";
 import { Engine } from "../../web/engine.js";
-import { pluginFiles, WIREGASM } from "../../web/build.mjs";
+import { pluginFiles, WIREGASM } from "../../tools/viewer.mjs";
 
 let wasm;
 

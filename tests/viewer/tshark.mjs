@@ -5,7 +5,7 @@ import { execFileSync, spawnSync } from "node:child_process";
 import { chmodSync, cpSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, statSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { basename, join } from "node:path";
-import { pluginFiles, TOP } from "../../web/build.mjs";
+import { pluginFiles, TOP } from "../../tools/viewer.mjs";
 
 const ROOT = process.env.YAPP_VIEWER_CHROOT ?? "";
 const KINDS = /\.(pcap|pcapng|gz|log|txt|asc|blf|yapp|trc)$/; // of captures
@@ -35,7 +35,7 @@ export function tshark(path, args, messages) {
   if (messages) writeFileSync(join(work, "messages.lua"), messages);
   const command = ["env", "-i", "PATH=/usr/bin:/bin", `HOME=${inside}/home`, "TZ=UTC", "LC_ALL=C.UTF-8",
     ...(messages ? [`YAPP_MESSAGES=${inside}/messages.lua`] : []),
-    "tshark", "-X", `lua_script:${inside}/yapp.lua`, "-r", `${inside}/${name}`, ...args];
+    "tshark", "-X", `lua_script:${inside}/yapp.lua`, "-o", "yapp.search_all:TRUE", "-r", `${inside}/${name}`, ...args];
   const user = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"];
   // With /proc: without it tshark has no bus of packets behind the first 64 KB.
   const enter = ["unshare", "--mount", "--pid", "--fork", "sh", "-c", 'mount -t proc proc "$0/proc"; exec chroot "$0" "$@"', ROOT];
@@ -51,15 +51,17 @@ export const version = (() => {
   return execFileSync(command[0], command.slice(1), { encoding: "utf8", stdio: ["ignore", "pipe", "ignore"] }).match(/(\d+\.\d+)\.\d+/)[1];
 })();
 
+// -2 -Y: a first pass with trees, so that remote frames are told.
+
 // The packet list with the profile's columns: a text for each frame, cells with tabs between.
 export const list = (path, messages) =>
-  tshark(path, ["-2", "-T", "tabs", "-o", `gui.column.format:${COLUMNS}`, "-o", "yapp.hide_source:TRUE"], messages);
+  tshark(path, ["-2", "-Y", "frame", "-T", "tabs", "-o", `gui.column.format:${COLUMNS}`, "-o", "yapp.hide_source:TRUE"], messages);
 
 // The tree of each frame: lists of lines, indented by 4 blanks a level.
 export function trees(path, messages) {
   const frames = [];
-  for (const line of tshark(path, ["-2", "-V", "-o", "yapp.hide_source:TRUE"], messages).lines) {
-    if (/^Frame \d+: /.test(line)) frames.push([]);
+  for (const line of tshark(path, ["-2", "-Y", "frame", "-V", "-o", "yapp.hide_source:TRUE"], messages).lines) {
+    if (/^(Frame|PCAPNG Custom Block) \d+: /.test(line)) frames.push([]);
     else if (/^[0-9a-f]{4}  /.test(line)) continue; // a dump of the bytes of "Data"
     frames.at(-1)?.push(line);
   }

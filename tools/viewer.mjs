@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// node web/build.mjs: makes dist/viewer (for a web server) and dist/viewer-offline (opens by a double click).
+// node tools/viewer.mjs: makes dist/viewer (for a web server) and dist/viewer-offline (opens by a double click).
 import { execFileSync } from "node:child_process";
 import { cpSync, mkdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 
-export const WEB = dirname(fileURLToPath(import.meta.url));
-export const TOP = dirname(WEB);
+export const TOP = dirname(dirname(fileURLToPath(import.meta.url)));
+export const WEB = join(TOP, "web");
 export const WIREGASM = join(WEB, "node_modules/@goodtools/wiregasm");
 
 const read = (...path) => readFileSync(join(...path), "utf8");
@@ -17,7 +17,8 @@ export function pluginFiles() {
     "/yapp/yapp.lua": execFileSync("python3", [join(TOP, "tools/bundle.py")], { encoding: "utf8", maxBuffer: 1 << 26 }),
     "/yapp/taurus_fields.lua": read(TOP, "taurus_fields.lua"),
     "/plugins/page.lua": read(WEB, "glue.lua"),
-    "CONFIGURATION/preferences": read(TOP, "profiles/YAPP/preferences"),
+    // A statistic of tshark looks for YAPP in all streams, so the page does, too.
+    "CONFIGURATION/preferences": `${read(TOP, "profiles/YAPP/preferences")}yapp.search_all: TRUE\n`,
     "CONFIGURATION/colorfilters": read(TOP, "profiles/YAPP/colorfilters"),
   };
 }
@@ -42,7 +43,7 @@ function plugin() {
 export const asScript = (name, bytes) => `asset(${JSON.stringify(name)}, "${Buffer.from(bytes).toString("base64")}");\n`;
 
 async function build() {
-  const { build: bundle } = await import("esbuild");
+  const { build: bundle } = await import(join(WEB, "node_modules/esbuild/lib/main.js"));
   const scripts = (await bundle({ entryPoints: ["page.js", "worker.js"].map((name) => join(WEB, name)), bundle: true, write: false,
     minify: true, legalComments: "inline", format: "iife", target: "es2022", outdir: "out", logLevel: "warning",
     external: ["fs", "path", "crypto", "ws", "child_process", "perf_hooks", "url", "os", "util", "worker_threads"] })).outputFiles;
@@ -55,6 +56,7 @@ async function build() {
     rmSync(folder, { recursive: true, force: true });
     mkdirSync(folder, { recursive: true });
     for (const name of ["index.html", "style.css", "SOURCE.txt"]) cpSync(join(WEB, name), join(folder, name));
+    cpSync(join(WEB, "node_modules/@tanstack/virtual-core/LICENSE"), join(folder, "LICENSE-virtual-core.txt"));
     cpSync(join(TOP, "LICENSE"), join(folder, "LICENSE.txt"));
     writeFileSync(join(folder, "page.js"), own("page.js"));
     for (const [name, bytes] of Object.entries(assets)) {
