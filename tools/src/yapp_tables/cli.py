@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The command: yapp-tables convert, report, baseline, prune; install, check, uninstall."""
+"""The command: yapp-tables convert, report, baseline; prune, compact, vacuum, upgrade; install, check, uninstall."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from pathlib import Path
 
-from . import __version__, baseline, fleet, install
+from . import __version__, baseline, fleet, install, upkeep
 from .config import Config, read_fleet
 from .convert import KINDS
 from .errors import SetupError, YappError, need
@@ -67,6 +67,22 @@ def _parser() -> argparse.ArgumentParser:
     for command in (convert, prune):
         command.add_argument("--to", choices=KINDS, default="parquet")
         command.add_argument("--out", required=True, metavar="FOLDER", help="or a URL, s3://bucket/folder")
+
+    merge = commands.add_parser("compact", help="few large files of many small ones")
+    merge.add_argument("--flights", type=_positive, default=100, metavar="N", help="in one file")
+    merge.add_argument("--megabytes", type=_positive, default=256, metavar="M", help="of one file")
+    merge.set_defaults(run=_compact)
+    sweep = commands.add_parser("vacuum", help="files of Delta tables that no recent version needs")
+    sweep.add_argument("--hours", type=_positive, default=168, metavar="N", help="that stay readable as they were")
+    sweep.set_defaults(run=_vacuum)
+    renew = commands.add_parser("upgrade", help="a data set of an older version to this one, without its captures")
+    renew.add_argument("--plugin", metavar="PATH", help="yapp.lua, where the plugin is not installed")
+    renew.add_argument("--tshark", metavar="PATH", help="the program, where it is not in PATH")
+    renew.set_defaults(run=_upgrade)
+    for command in (merge, sweep, renew):
+        command.add_argument("--out", required=True, metavar="FOLDER", help="or a URL, s3://bucket/folder")
+    for command in (merge, renew):
+        command.add_argument("--to", choices=KINDS, default="parquet")
 
     report = commands.add_parser("report", parents=[common], help="a page of a capture, pages of several")
     report.add_argument("--out", metavar="PAGE.html", help="the page; of several captures the folder")
@@ -153,6 +169,23 @@ def _convert(given: argparse.Namespace) -> int:
 def _prune(given: argparse.Namespace) -> int:
     for result in fleet.prune(given.out, given.to):
         print(f"removed   {result.capture}")
+    return 0
+
+
+def _compact(given: argparse.Namespace) -> int:
+    less = upkeep.compact(given.out, given.to, given.flights, given.megabytes)
+    _say([f"{less} files less in {given.out}"])
+    return 0
+
+
+def _vacuum(given: argparse.Namespace) -> int:
+    _say([f"{upkeep.vacuum(given.out, given.hours)} files removed from {given.out}"])
+    return 0
+
+
+def _upgrade(given: argparse.Namespace) -> int:
+    done = upkeep.upgrade(given.out, given.to, Tshark(given.tshark, given.plugin))
+    _say([f"{len(done)} flights upgraded in {given.out}"])
     return 0
 
 

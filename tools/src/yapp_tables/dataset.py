@@ -6,14 +6,15 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import fsspec
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
@@ -22,6 +23,14 @@ from .scratch import clean, scratch
 from .tables import SCHEMA
 
 NOTES = ".yapp-tables"
+# Files of several flights begin so.
+PART = "part-"
+# The plan of such a file, while it is put in the place of others.
+MERGE = "merge.json"
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 SUFFIXES = (".gz", ".zst", ".lz4", ".pcapng", ".pcap", ".cap", ".log", ".txt", ".yapp", ".candump")
 
 
@@ -156,8 +165,8 @@ class DataSet:
         """Move all files in folder to their place, remove what an older result left, and note the result last."""
         before = self.find(result.flight_id)
         for file in result.files:
-            self._move(folder / file, f"{self.path}/{file}")
-        self._remove(set(before.files if before else ()) - set(result.files))
+            self.move(folder / file, f"{self.path}/{file}")
+        self._remove(set(before.files if before else ()) - set(result.files), result.flight_id)
         # A result that was cut off half-way is not known, and is made again.
         self.note(result)
 
@@ -169,7 +178,7 @@ class DataSet:
         """Remove a flight."""
         if self.to == "delta":
             need(f"{__package__}.delta", "delta").delete(self.url, result.flight_id, result.messages)
-        self._remove(result.files)
+        self._remove(result.files, result.flight_id)
         self.fs.rm(f"{self.notes}/{result.flight_id}.json")
 
     def extend(self) -> None:
@@ -184,34 +193,84 @@ class DataSet:
         for message, files in found.items():
             if len(made[message]) > 1:
                 with self.aside() as folder:
-                    paths = {file: self._local(file, folder / f"{number}") for number, file in enumerate(files)}
+                    paths = {file: self.local(file, folder / f"{number}") for number, file in enumerate(files)}
                     extended = _extended_parquet if self.to == "parquet" else _extended_csv
                     for file in extended(paths, folder / "new"):
-                        self._move(folder / "new", f"{self.path}/{file}")
+                        self.move(folder / "new", f"{self.path}/{file}")
 
-    def _local(self, file: str, copy: Path) -> str:
-        if self.is_local:
+    def local(self, file: str, copy: Path | None = None) -> str:
+        """Return the path of a file on this machine, of which copy is a copy where it is in a cloud."""
+        if self.is_local or copy is None:
             return f"{self.path}/{file}"
         self.fs.get_file(f"{self.path}/{file}", str(copy))
         return str(copy)
 
-    def _move(self, file: Path, target: str) -> None:
+    def move(self, file: Path, target: str) -> None:
+        """Give a file its place at once."""
         if self.is_local:
             Path(target).parent.mkdir(parents=True, exist_ok=True)
             file.replace(target)
         else:
             self.fs.put_file(str(file), target)
 
-    def _remove(self, files: Iterable[str]) -> None:
+    def _remove(self, files: Iterable[str], flight: str) -> None:
+        """Remove the files of a flight; out of those of several flights its rows."""
         for path in (f"{self.path}/{file}" for file in files):
-            if self.fs.exists(path):
+            if path.rpartition("/")[2].startswith(PART):
+                self._remove_rows(path, flight)
+            elif self.fs.exists(path):
                 self.fs.rm(path)
+
+    def _remove_rows(self, path: str, flight: str) -> None:
+        with self.lock(), self.aside() as folder:
+            if not self.fs.exists(path):
+                return
+            left = 0
+            with (
+                pq.ParquetFile(path) as old,
+                pq.ParquetWriter(folder / "new", old.schema_arrow, compression="zstd") as new,
+            ):
+                for batch in old.iter_batches(100_000):
+                    kept = pc.not_equal(batch.column("flight_id").cast(pa.string()), flight)
+                    rows = pa.Table.from_batches([batch.filter(kept)])
+                    new.write_table(rows.unify_dictionaries())
+                    left += len(rows)
+            if left:
+                self.move(folder / "new", path)
+            else:
+                self.fs.rm(path)
+
+    def replace_files(self, new: Path, name: str, group: Sequence[str], owners: Sequence[str]) -> None:
+        """Put one file in the place of several, of these flights. If this is killed, `clean` does the rest."""
+        plan = {"name": name, "group": list(group), "owners": list(owners)}
+        self.write(MERGE, json.dumps(plan))
+        # A reader sees the rows twice only from here until the old files are gone.
+        self.move(new, f"{self.path}/{name}")
+        self._finish_merge(plan)
+
+    def _finish_merge(self, plan: dict[str, Any]) -> None:
+        if self.fs.exists(f"{self.path}/{plan['name']}"):
+            for file in plan["group"]:
+                Path(self.path, file).unlink(missing_ok=True)
+            for flight in plan["owners"]:
+                if result := self.find(flight):
+                    kept = [file for file in result.files if file not in (*plan["group"], plan["name"])]
+                    self.note(replace(result, files=(*kept, plan["name"])))
+        Path(self.beside, MERGE).unlink()
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Hold the files of several flights, which one writer at a time may change. They are local."""
+        with Path(self.beside, "lock").open("w") as file:
+            if fcntl:
+                fcntl.flock(file, fcntl.LOCK_EX)
+            yield
 
     def write(self, path: str, text: str) -> None:
         """Write a small file whole or not at all. path: in the folder beside the data."""
         with self.aside() as folder:
             (folder / "file").write_text(text, encoding="utf-8", newline="")
-            self._move(folder / "file", f"{self.beside}/{path}")
+            self.move(folder / "file", f"{self.beside}/{path}")
 
     def _write(self, name: str, record: dict[str, Any]) -> None:
         self.write(f"{self.notes.rpartition('/')[2]}/{name}.json", json.dumps(record, indent=1))
@@ -226,6 +285,11 @@ class DataSet:
     def clean(self) -> None:
         """Remove what this run, or one that was killed, left aside."""
         clean(self.beside if self.is_local else None, self.run)
+        merge = Path(self.beside, MERGE)
+        if self.is_local and merge.is_file():
+            with self.lock():
+                if merge.is_file():
+                    self._finish_merge(json.loads(merge.read_text(encoding="utf-8")))
 
 
 def _extended_parquet(paths: dict[str, str], new: Path) -> Iterator[str]:

@@ -59,6 +59,18 @@ def compact(url: str, messages: Iterable[str]) -> None:
         _again(lambda message=message: DeltaTable(_url(url, message)).optimize.compact())  # type: ignore[misc]
 
 
+def vacuum(url: str, message: str, hours: int) -> list[str]:
+    """Remove the files that no version of the latest hours needs. Returns them."""
+    gone: list[str] = DeltaTable(_url(url, message)).vacuum(hours, dry_run=False, enforce_retention_duration=False)
+    return gone
+
+
+def files(url: str, message: str) -> list[str]:
+    """Return the files of the present version of a table."""
+    found: list[str] = DeltaTable(_url(url, message)).file_uris()
+    return found
+
+
 def _again(work: Callable[[], object]) -> None:
     for number in range(TRIES):
         try:
