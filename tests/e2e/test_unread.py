@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Where not all was read, or the plugin itself failed, no statistic says that all is well."""
+import json
 import subprocess
 
 import pytest
@@ -79,6 +80,17 @@ def test_a_lua_error_in_a_dissector(folder, what):
     done = tshark.run("-X", f"lua_script:{script}", "-q", "-r", CLEAN, "-z", f"yapp,{what}", check=False, plugin=False,
                       lua_errors=True)
     assert done.returncode in (20, 21) and told(done, what, "the plugin failed")
+
+
+# Stamps ------------------------------------------------------------------------------------------------------------------
+
+def test_stamps_of_two_recorders_that_alternate():
+    """A fault of 1 s lasts 1 s, where received frames are stamped 6.2 s ahead of sent ones; nothing is silent."""
+    path = tshark.CAPTURES / "cases/c07_received_ahead.log"
+    rows = [json.loads(line) for line in tshark.run("-q", "-r", path, "-z", "yapp,faults,json").stdout.splitlines()]
+    assert [(row["event"], row["active"]) for row in rows] == [("raised", None), ("cleared", 1.0)]
+    done = tshark.run("-q", "-r", path, "-z", "yapp,check,silence=0,motor.gap=0.11", "-z", "yapp,events", check=False)
+    assert done.returncode == 0 and " -" not in done.stdout.replace("-11-", ""), done.stdout
 
 
 # A ring of files ---------------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ local options_of = require("yapp.stat.options")
 local output = require("yapp.stat.output")
 local queue_of = require("yapp.stat.queue")
 local sources_of = require("yapp.message.sources")
+local text_of = require("yapp.message.text")
 
 local T = {}
 
@@ -724,14 +725,14 @@ function T.test_compare_of_several_messages()
   lu.assertEquals(titles, { "YAPP compare: 2 sources of Health\nsaid once", "YAPP compare: 2 sources of Motor Data" })
 end
 
--- In time, also where the capture's goes back; at one time by frame, and what has no frame is last.
+-- In time, which goes on where the capture's goes back; at one time by frame, and what has no frame is last.
 function T.test_events_at_one_time()
   local records = { bad(2, 1), bad(3, 0.5), bad(4, 2), bad(6, 2) }
   local printed = run({ "events,json" }, records, { last = 2, named = NAMED_RIGHT,
     unfinished = { record(5, 2, { kind = "unfinished" }) } })
   local frames = {}
   for i, line in ipairs(lines(printed)) do frames[i] = line:match('"frame":(%w+)') end
-  lu.assertEquals(frames, { "3", "3", "2", "4", "5", "6", "null" }) -- the clock's step and the message at frame 3
+  lu.assertEquals(frames, { "2", "3", "3", "4", "5", "6", "null" }) -- the clock's step and the message at frame 3
 end
 
 function T.test_what_is_no_event_of_a_list()
@@ -1029,6 +1030,75 @@ function T.test_a_source_that_two_controllers_share()
   lu.assertEquals(verdicts("shared=0,fault=0,motor.gap=9,motor.rate=1,crc=0", records), { "shared=0 left false 1 2",
     "fault=0 left null 0 null", "motor.gap=9 left null 0.1 2", "motor.rate=1 left null 10 3", "crc=0 left true 0 null",
     "unknown=0 null true 0 null" })
+end
+
+-- Words ----------------------------------------------------------------------------------------------------------
+
+-- A catalogue whose message and fields are called as rules, options and columns are: no rule is about another thing than
+-- it says, and no two columns have one name.
+function T.test_names_cannot_collide()
+  local names = { "count", "gap", "rate", "spread", "value", "messages", "json", "all", "replace", "filter", "source", "rules",
+    "junit", "time", "frame", "bus", "id", "seq", "crc_good" }
+  for _, row in ipairs(kinds_of.LIST) do names[#names + 1] = row.name end
+  for _, name in ipairs(names) do
+    local catalogue, problems = catalogue_of.compile { { name = name, title = "Own", id = 1, size = 1,
+      { name, "uint8", "Own" } } }
+    lu.assertEquals(problems, {})
+    local function rule_of(text)
+      local options = options_of.read("yapp,check," .. text, catalogue)
+      return options.rules[1], options.problems[1]
+    end
+    local is_measure = name == "count" or name == "gap" or name == "rate"
+    local field, rule, problem = catalogue.messages[1].by_name[name], rule_of(("%s.%s=3..4"):format(name, name))
+    if is_measure then
+      lu.assertStrContains(problem, ("%s has a field %s: write %s.value for it, %s.messages"):format(name, name, name, name))
+      lu.assertEquals(rule_of(("%s.%s.messages=3"):format(name, name)).kind.name, name)
+    else
+      lu.assertEquals({ rule.want.field, rule.kind.name }, { field, "range" })
+    end
+    lu.assertEquals(rule_of(("%s.%s.value=3..4"):format(name, name)).want.field, field)
+    lu.assertEquals(rule_of(("%s.%s.spread=3"):format(name, name)).kind.name, "spread")
+    if kinds_of.BY_NAME[name] and not kinds_of.BY_NAME[name].counts_as then
+      lu.assertEquals(rule_of(name .. "=0").kind.name, name) -- the kind of event, whatever messages are called
+    end
+    lu.assertEquals(options_of.read("yapp,csv,-," .. name, catalogue).chosen, catalogue.messages[1])
+    local taken = {}
+    for _, column in ipairs(text_of.columns(catalogue.messages[1])) do
+      lu.assertNil(taken[column.name])
+      taken[column.name] = true
+    end
+    for _, common in ipairs { "time", "frame", "bus", "source", "id", "seq", "crc_good" } do
+      lu.assertNil(taken[common], name)
+    end
+  end
+end
+
+-- Two recorders: the stamps of LEFT are 6.2 s ahead of those of RIGHT.  A fault of 0.2 s lasts 0.2 s, no gap is
+-- longer than 0.1 s, and no time since the start is negative.
+function T.test_stamps_of_two_recorders_that_alternate()
+  local records = {}
+  for i = 0, 9 do
+    local bits = (i == 3 or i == 4) and 1 or 0
+    local change = i == 3 and raised(1, 1) or i == 5 and raised(0, 0, 1) or nil
+    records[#records + 1] = record(#records + 1, i * 0.1, { payload = payload(10, bits), change = change })
+    records[#records + 1] = record(#records + 1, i * 0.1 - 6.2, { source = RIGHT })
+  end
+  lu.assertEquals(found("faults,json", "fault", records, {})[2]:match('"active":([%d.]+)'), "0.200000000")
+  for _, where in ipairs { "left", "null" } do
+    for _, row in ipairs(verdicts("motor.gap=0.11,silence=0", records)) do
+      lu.assertFalse(row:find("false", 1, true) and row:find(where, 1, true) or false, row)
+    end
+  end
+  lu.assertNil(run({ "events" }, records):find(" %-%d"))
+  lu.assertEquals(#found("events,json", "clock", records, {}), 10)
+end
+
+-- A step back for good: what is silent from then on is silent to the capture's true end.
+function T.test_a_clock_that_goes_back_for_good()
+  local records = { record(1, 0), record(2, 0.1), record(3, 0.2) }
+  for i = 0, 10 do records[i + 4] = record(i + 4, -5 + i / 10, { source = RIGHT }) end
+  local found_rules = verdicts("silence=0", records, { last = -4 })
+  lu.assertEquals({ found_rules[1], found_rules[2] }, { "silence=0 left false 1 3", "silence=0 null true 0 null" })
 end
 
 function T.test_the_clock_of_the_capture()

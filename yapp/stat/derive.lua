@@ -89,7 +89,9 @@ function Deriver:add(event, cause)
 end
 
 local function emit(self, kind, cause, values)
-  self:add(new_event(kind, cause.frame, cause.time, cause.source, values), cause)
+  local event = new_event(kind, cause.frame, cause.time, cause.source, values)
+  event.rel = cause.rel
+  self:add(event, cause)
 end
 
 -- Whether the filter lets an event count.
@@ -272,7 +274,11 @@ local function end_absences(self, ending)
         is_absent = false
       end
     end
-    if is_absent then self:add(new_event("absent", nil, ending.rel, row)) end
+    if is_absent then
+      local event = new_event("absent", nil, ending.rel, row)
+      event.rel = ending.now
+      self:add(event)
+    end
   end
 end
 

@@ -52,7 +52,7 @@ local function row_of(self, event, ending)
     kind = event.kind,
     frame = event.frame,
     time = time and output.time(self.context.clock(time)),
-    rel = output.seconds(time),
+    rel = output.seconds(event.rel),
     details = nil,
     keys = KEYS_OF_KIND[event.kind],
   }
@@ -65,9 +65,10 @@ local function row_of(self, event, ending)
   return output.row(event.source, row)
 end
 
--- By time, then by frame; events without a time come last.
+-- By time, also where the capture's clock went back; then by frame.  Events without a time come
+-- last.
 local function order_of(event)
-  return event.time or math.huge, event.frame or math.huge
+  return event.rel or math.huge, event.frame or math.huge
 end
 
 -- Return how many times a source had faults: one for all flags that are set without a break.

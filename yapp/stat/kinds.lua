@@ -155,6 +155,7 @@ function M.event(kind, frame, time, source, values, m)
   return {
     kind = kind,
     time = time,
+    rel = time, -- the same without the steps back of the capture's clock: see stat.queue
     frame = frame,
     source = source,
     values = values or M.NOTHING,

@@ -80,6 +80,19 @@ local function add_field(rule, name, value)
   end
 end
 
+-- Return the name of a rule MESSAGE.NAME=..., and its measure, nil for a field.  A field of the
+-- user's may have the name of a measure: then NAME.value is the field, NAME.messages the measure.
+local function tell_apart(message, name)
+  local short, kind = name:match("^(.*)%.(%l+)$")
+  if kind == "value" then return short end
+  if kind == "messages" and MEASURES[short] then return short, MEASURES[short] end
+  local measure = MEASURES[name]
+  demand(not measure or not find(joined(message.fields, message.generated), name),
+    "%s has a field %s: write %s.value for it, %s.messages for the messages", message.name, name,
+    name, name)
+  return name, measure
+end
+
 -- "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55": { text, source,
 --   kind       a row of kinds, or one of the above
 --   low, high  the limits of what is seen
@@ -99,7 +112,8 @@ local function read_rule(text, catalogue, source)
     M.BY_NAME.check.options)
   local message, names = find(catalogue.messages, message_name)
   rule.message = demand(message, "there is no message %q, but %s", message_name, names)
-  local measure = MEASURES[rest]
+  local measure
+  rest, measure = tell_apart(message, rest)
   rule.kind = measure
   if not measure then
     add_field(rule, rest, value)
@@ -282,6 +296,18 @@ M.LIST = {
 M.BY_NAME = {}
 for _, row in ipairs(M.LIST) do M.BY_NAME[row.name] = row end
 
+-- words  the options without "="
+local function read_part(options, part, words, catalogue)
+  -- A message may have the name of an option: csv,-,all prints the message all.
+  local is_message = options.folder == "-" and not options.chosen and
+    find(catalogue.messages, part)
+  if words[part] and not is_message then
+    options[part] = true
+  else
+    try(options, part, options.row.read or refuse, catalogue)
+  end
+end
+
 --- Read the argument of -z.
 -- text       "yapp,check,fault=0,motor.rate=9,filter=can.bus_id == 1, or so"
 -- catalogue  compiled
@@ -309,12 +335,7 @@ function M.read(text, catalogue)
   end
   local words = input.set((row.options:gsub("%w+=%w+", ""):gsub(",", "")))
   for part in rest:gmatch(",([^,]*)") do
-    part = trim(part)
-    if words[part] then
-      options[part] = true
-    else
-      try(options, part, row.read or refuse, catalogue)
-    end
+    read_part(options, trim(part), words, catalogue)
   end
   if row.finish then try(options, options.unused or what, row.finish, catalogue) end
   if filter and not filter:find("%S") then

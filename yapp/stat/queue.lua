@@ -17,6 +17,7 @@ local MAX_LOSSES = 1000 -- look through the waiting losses when they are more, s
 local SEARCH_PREFERENCES = "yapp.user_dlt, tcp.try_heuristic_first, udp.try_heuristic_first, " ..
   "-d tcp.port==PORT,yapp_serial, in Wireshark also yapp.search_all" -- tshark searches all
 local MAX_STEP = 0.001 -- seconds; several interfaces make the clock go back by up to this
+local MAX_FALLS = 4 -- of as many recorders, and one more, the stamps may alternate
 local NO_TIMES = "packets of this capture have no time stamps"
 -- As candump -H writes them for an adapter that has no clock.
 local EQUAL_TIMES = "all packets of this capture have the same time stamp"
@@ -42,9 +43,9 @@ function Queue:reset()
   self.last = nil -- time of the latest packet
   self.has_progress = false -- whether it differs from the packet's before
   self.packets = 0
-  self.stepped_back = 0 -- sum of the seconds that the capture's clock went back, see time_of
-  self.latest = {} -- [bus] = when its latest message came
-  self.fallen = 0 -- seconds that the clock went back since the latest message of all
+  self.fallen = 0 -- sum of the seconds that the capture's clock went back, see note_step
+  self.falls = {} -- these steps, but those from which it returned; the latest first
+  self.clocks = {} -- by source, see time_of
   self.lacks_clock = false -- whether times are those of controllers
   self:begins(0, 0, 0) -- until a time is known, if ever
   self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see hand_on_losses
@@ -63,22 +64,47 @@ function Queue:add(statistic, options)
   return deriver
 end
 
--- Return the time of an event without the steps back of the capture's clock.  Such a step shows in
--- the messages of a bus.  Several buses, or the clocks of controllers, may take turns in any order.
+-- Return the time of an event without the steps back of its source's own stamps: the stamps of
+-- other sources may be those of another recorder.
 local function time_of(self, event)
-  local now, source = event.time + self.stepped_back, event.source
-  if event.kind ~= "message" then return now end
-  local bus = self.lacks_clock and source or source.bus_key or false
-  local step = kinds.span(now, self.latest[bus] or now)
-  if step > MAX_STEP then
-    self.stepped_back, now = self.stepped_back + step, now + step
+  local clock = self.clocks[event.source]
+  if not clock then
+    clock = { fallen = self.fallen, latest = nil } -- seconds its stamps went back, its latest time
+    self.clocks[event.source] = clock
   end
-  self.latest[bus], self.fallen = now, 0
+  local now = event.time + clock.fallen
+  if event.kind ~= "message" and event.kind ~= "crc" then return now end -- a loss may come late
+  local step = kinds.span(now, clock.latest or now)
+  if step > MAX_STEP then clock.fallen, now = clock.fallen + step, now + step end
+  clock.latest = now
   return now
+end
+
+-- Note a step of the capture's clock.  If the stamps of several recorders alternate, it returns
+-- from where it fell:
+--   10.0, 3.8, 10.1, 3.9        falls by 6.2, returns, falls: 6.2 s in all, not 12.4
+--   10.0, 3.8, 3.9 ... 9.9      fell by 6.2 for good
+local function note_step(self, step)
+  local falls, total = self.falls, 0
+  if step < -MAX_STEP then
+    self.fallen = self.fallen - step
+    table.insert(falls, 1, -step)
+    falls[MAX_FALLS + 1] = nil
+    return
+  end
+  for i = 1, step > MAX_STEP and #falls or 0 do
+    total = total + falls[i]
+    if math.abs(step - total) <= total / 4 then
+      self.fallen = self.fallen - total
+      for _ = 1, i do table.remove(falls, 1) end
+      return
+    end
+  end
 end
 
 local function hand_on(self, event)
   local now = time_of(self, event)
+  event.rel = now
   if event.source.id then self.has_messages = true end
   for _, deriver in ipairs(self.derivers) do
     deriver:take(event, now)
@@ -183,10 +209,11 @@ function Queue:packet(number, rel, lacks_clock)
   local step = self.last and kinds.span(self.last, rel) or 0
   self.last, self.packets = rel, self.packets + 1
   self.has_progress = self.has_progress or step ~= 0
+  if not lacks_clock then note_step(self, step) end
   if step < -MAX_STEP and not lacks_clock then
-    self.fallen = self.fallen - step
     local values = { length = output.seconds(step), back = output.seconds(-step) }
     local event = kinds.event("clock", number, rel, {}, values)
+    event.rel = rel + self.fallen
     for _, deriver in ipairs(self.derivers) do deriver:add(event) end
   end
   if number == self.number and self.offered[#self.offered].time == rel then
@@ -244,8 +271,7 @@ function Queue:finish(capture)
   local seconds, nanoseconds = self:clock(0)
   local ending = {
     rel = self.last, -- of the last packet of any kind, nil where there was none
-    -- If no message came since the clock went back, none shows that.
-    now = self.last and self.last + math.max(self.stepped_back, self.fallen),
+    now = self.last and self.last + self.fallen,
     begin = seconds + nanoseconds / 1e9, -- of the first packet
     reason = nothing_found(self, capture), -- why no message was found, nil if one was
     lacks_times = lacks_times(self, capture),
