@@ -209,7 +209,7 @@ def action(project, given, folder):
     """A step of the action, as GitHub's runner does it; returns the exit code and its outputs."""
     text = (project / "action.yml").read_text()
     inputs = re.findall(r"^  (\w+):$", text.split("\noutputs:")[0], re.MULTILINE)
-    assert sorted(inputs) == ["capture", "junit", "messages", "rules", "sources"]
+    assert sorted(inputs) == ["capture", "junit", "messages", "report", "rules", "sources"]
     values = {name: re.sub(r"\$\{\{ inputs\.(\w+) \}\}", lambda found: given.get(found[1], ""), value)
               for name, value in variables(block(text, "env")).items()}
     (folder / "step.sh").write_text("\n".join(block(text, "run")))
