@@ -42,20 +42,22 @@ table.insert(rawget(package, "searchers"), 2, function(name)
 end)
 
 local bus_finder = require "yapp.host.buses"
-local can_dissector = require "yapp.can.dissector"
+local can_dissector = require "yapp.host.can"
 local catalogue_files = require "yapp.message.catalogue_files"
 local compiler = require "yapp.message.catalogue"
 local decode = require "yapp.message.decode"
 local file_readers = require "yapp.file.readers"
 local frame = require "yapp.wire.frame"
-local history = require "yapp.message.history"
 local joined = require "yapp.base.joined"
-local message_reader = require "yapp.message.reader"
+local message_types = require "yapp.message.types"
 local packet_menu = require "yapp.show.packet_menu"
 local preferences = require "yapp.host.preferences"
+local reading_of = require "yapp.reading.reading"
 local senders = require "yapp.serial.senders"
-local serial_dissector = require "yapp.serial.dissector"
+local serial_dissector = require "yapp.host.serial"
 local show_fields = require "yapp.show.fields"
+local show_frame = require "yapp.show.frame"
+local show_packet = require "yapp.show.packet"
 local socketcan = require "yapp.host.socketcan"
 local source_names = require "yapp.message.sources"
 local stat_intake = require "yapp.stat.intake"
@@ -96,12 +98,13 @@ preferences.define(yapp, catalogue, decode, frame.MAX_ID)
 
 local buses = bus_finder.watch()
 local intake = stat_intake.new(catalogue)
-local reader = message_reader.new(catalogue, intake)
+local types = message_types.new(catalogue)
+local reading = reading_of.new(types, buses)
 local builder = show_tree.new {
   yapp = yapp,
   taurus = taurus,
   catalogue = catalogue,
-  reader = reader,
+  reading = reading,
 }
 
 -- SocketCAN's table of ids calls YAPP for the ids registered in it alone, so other frames cost
@@ -118,19 +121,10 @@ local function register_id(id)
   end
 end
 
-local stat -- of stat.taps
-local function note_frame(tvb, pinfo)
-  local is_read = intake.wanted and socketcan.is_record(tvb, pinfo)
-  if is_read then stat:note_frame(tvb, pinfo) end
-  return is_read
-end
-local frames = can_dissector.new(builder, reader, buses, register_id, note_frame)
-local streams = serial_dissector.new(builder, reader, buses, tcp_header)
-
--- drops: packets that the file says were dropped, and TCP segments that it lacks.  unfinished:
--- messages that the capture ends before.
-local function drops() return joined(buses:drops(), streams:drops()) end
-local function unfinished() return joined(frames:unfinished(), streams:unfinished()) end
+local frames =
+  can_dissector.new(reading, show_frame.new(builder), builder, buses, register_id)
+local streams =
+  serial_dissector.new(reading, show_packet.new(builder), builder, buses, tcp_header)
 
 -- Options of tshark that may decode what was not found.
 local function find_options()
@@ -183,7 +177,7 @@ local accepts_all, is_heuristic = false, false -- accepts_all: the preference
 
 local function unclaimed(tvb, pinfo, root)
   if accepts_all then return dissect_any(tvb, pinfo, root) > 0 end
-  note_frame(tvb, pinfo)
+  frames.deferral:note(tvb, pinfo)
   return false
 end
 
@@ -239,7 +233,7 @@ end
 -- none.
 local function controller_time(bytes)
   local id, size = frame.parse(bytes, 1)
-  local message = reader:message_of(id)
+  local message = types:message_of(id)
   local time = message and message.time
   if not time or size < math.max(message.min_size, time.offset + 8) then return nil end
   if #bytes < frame.HEADER + size then return nil end
@@ -247,16 +241,16 @@ local function controller_time(bytes)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 
-stat = stat_taps.new {
+local stat = stat_taps.new {
   settings = settings,
   intake = intake,
   builder = builder,
   buses = buses,
-  unfinished = unfinished,
-  drops = drops,
+  reading = reading,
   find_options = find_options,
   notes = notes,
   frames = frames,
+  deferral = frames.deferral,
   counted = counted,
   failures = function() return begun - ended end,
   watch = function()
@@ -298,7 +292,7 @@ local function read_preferences()
   local link_types = preferences.take_link_types(prefs.user_dlt, serial)
   local wrong = joined(clashes, unread, no_number, link_types)
   preferences.complain_once(wrong)
-  reader:use(by_id, sources, prefs.hide_source, register_id)
+  types:use(by_id, sources, prefs.hide_source, register_id)
   accepts_all = prefs.all_extended
   if accepts_all then watch_unclaimed() end
   settings.late, settings.ids = late, chosen
@@ -313,14 +307,12 @@ function yapp.init()
   read_preferences()
   buses:init()
   socketcan.init()
-  local function new_history()
-    return history.new { late = settings.late, catalogue = catalogue, buses = buses }
-  end
-  reader:reset(buses:are_several())
+  types:reset(buses:are_several())
+  reading:reset { late = settings.late, catalogue = catalogue, buses = buses }
   intake:reset()
   builder:reset()
-  frames:reset(new_history())
-  streams:reset(new_history)
+  frames:reset()
+  streams:reset()
   local found = buses.found
   if found.head then streams:scan(found.head) end
   if yapp.prefs.search_all or found.may_have_frames then search_streams() end
@@ -343,7 +335,7 @@ for name, proto in pairs {
   DissectorTable.get(name):add_for_decode_as(proto)
 end
 file_readers.register {
-  new_framer = function() return streams:new_framer(frame.LARGEST) end,
+  new_framer = function() return reading:new_framer(frame.LARGEST) end,
   time_of = controller_time,
 }
 

@@ -78,7 +78,7 @@ function M.new(reassembly, message, fields)
 end
 
 --- Open the message of a Start.
-function Pool:add(message)
+function Pool:open_message(message)
   open_message(self, message, false)
   self.since = 0
 end
@@ -261,9 +261,9 @@ local function is_full(self)
   return self.bytes > limit
 end
 
---- Take a Middle or End.
--- returns  as can.reassembly's take
-function Pool:take(frame)
+--- Add a Middle or End.
+-- returns  as Reassembly:add
+function Pool:add_fragment(frame)
   local ctrl, newest, kind = frame.can_id.ctrl, self.open[#self.open].message, "fragment"
   local is_end = ctrl == can_id.END
   local pooled = new_frame(frame.key, frame.data, frame.reported, is_end)
@@ -275,7 +275,7 @@ function Pool:take(frame)
     kind, pooled.orphan = "other", self.reassembly:orphan(ctrl)
     pooled.orphan.is_open = true
   else
-    newest[#newest + 1] = frame.key -- as it seems
+    newest[#newest + 1], newest.time = frame.key, frame.time -- as it seems
     if is_end then
       end_newest(self)
       kind = "last"

@@ -5,8 +5,9 @@
 -- A slot is ID, CTL and Seq on one bus: usually one message at a time is open there.  A message of
 -- several frames is
 --   1 .. n     frame keys of its fragments (base.frame_key)
---   slot, source; size, crc, reserved (nil for 0) as its Start says.  The stored record of a good
---              message may lack its crc
+--   slot, source; time = of its latest frame
+--   size, crc, reserved (nil for 0)  as its Start says.  The stored record of a good message may
+--              lack its crc and its time
 --   chunks     while it is open and in no pool of can.interleaved: the bytes of the fragments
 --              behind the Start, none of an overrun; received = their sum; repeated = bytes of
 --              chunks that equal the one before, or nil; is_truncated = true if the payload goes on
@@ -221,6 +222,7 @@ local function start(self, frame)
     frame.key, nil, nil, nil, nil, -- with room for the usual message of five frames
     slot = slot,
     source = frame.source,
+    time = frame.time,
     size = size,
     crc = sum,
     reserved = reserved ~= 0 and reserved or nil,
@@ -229,7 +231,7 @@ local function start(self, frame)
     payload = nil,
   }
   if several then
-    several:add(message)
+    several:open_message(message)
     return "fragment", message
   end
   if self.open_count >= self.max_open then make_room(self) end
@@ -283,11 +285,11 @@ local function finish_last(self, message, frame)
   self:finish(message, frame.can_id, concat(chunks), padding, status)
 end
 
--- Take a Middle or End whose slot has no message, or several that interleave.
+-- Add a Middle or End whose slot has no message, or several that interleave.
 local function continue_other(self, frame, pool)
   local fields = frame.can_id
   if pool then
-    local kind, message = pool:take(frame)
+    local kind, message = pool:add_fragment(frame)
     if #pool:messages() == 0 then close(self, frame.slot) end
     return kind, message
   end
@@ -303,6 +305,7 @@ local function continue(self, frame)
   local data, reported, index = frame.data, frame.reported, #message
   local received = chunks.received + reported
   message[index + 1] = frame.key
+  message.time = frame.time
   chunks.received = received
   if not chunks.is_truncated then
     if data == chunks[index - 1] then chunks.repeated = (chunks.repeated or 0) + reported end
@@ -346,21 +349,20 @@ local function undefined(self, frame)
 end
 
 -- By CAN CTRL: (reassembly, frame) -> kind, message.
-local TAKERS = { [0] = single, start, continue, continue }
-for ctrl = #TAKERS + 1, 15 do TAKERS[ctrl] = undefined end
+local ADDERS = { [0] = single, start, continue, continue }
+for ctrl = #ADDERS + 1, 15 do ADDERS[ctrl] = undefined end
 
 -- What a frame is ---------------------------------------------------------------------------------
 
---- Take the next frame of the capture.
--- frame    of can.dissector: { key, can_id, bus, source, slot, data, reported, accepts_all,
---          is_only_pass }
+--- Add the next frame of the capture.
+-- frame    see reading.records
 -- returns  nil for a frame that is not YAPP's, else its kind: "single"; "fragment", of a message;
 --          "last", with which its message ends; "other", which has no message, as the anomalies say
 --          the message of a fragment or single frame, else nil
 --          its list of anomalies, or false
-function Reassembly:take(frame)
+function Reassembly:add(frame)
   self.anomalies, self.keeps = false, not frame.is_only_pass
-  local kind, message = TAKERS[frame.can_id.ctrl](self, frame)
+  local kind, message = ADDERS[frame.can_id.ctrl](self, frame)
   if self.keeps then
     self.message = message or false
     -- It is not known yet which message an interleaved fragment belongs to, if any.
@@ -405,8 +407,8 @@ local function find(self, frame)
   return message, index
 end
 
---- Say what a frame is that Reassembly:take took before.
--- returns  as Reassembly:take, and the index of the frame in its message; of a fragment that came
+--- Say what a frame is that was added before.
+-- returns  as Reassembly:add, and the index of the frame in its message; of a fragment that came
 --          twice, the index of the one before
 function Reassembly:recall(frame)
   local message, index = find(self, frame)

@@ -259,9 +259,9 @@ local function update(source, m, delta)
   return change
 end
 
---- Take the next message, in the order of the capture.
+--- Add the next message, in the order of the capture.
 -- is_only_pass  whether it is sure that it is not revisited
--- m        { source = of message.reader; raws = by index of field, nil if the payload does not fit;
+-- m        { source = of message.types; raws = by index of field, nil if the payload does not fit;
 --          payload, seq, status; key = frame key: never falls; an equal one replaces a message;
 --          time = seconds of the capture }
 -- returns  what changes with it, nil if it is not good or nothing does: {
@@ -275,7 +275,7 @@ end
 --   shared   true at the message that proves that several controllers share the source
 --   unreliable  true at the messages behind that one, which get nothing else }
 --          and the seconds since the source's previous good message, false for the first
-function History:note(m, is_only_pass)
+function History:add(m, is_only_pass)
   local source = self.by_source[m.source]
   if not source then
     source = new_source(self, m)
@@ -290,9 +290,9 @@ function History:note(m, is_only_pass)
   return update(source, m, delta), delta
 end
 
---- Return what History:note returned, at any later time and in any order; nil and nil for a message
--- that it did not take.
--- m  as it was given to note
+--- Return what History:add returned, at any later time and in any order; nil and nil for a message
+-- that was not added.
+-- m  as it was added
 function History:change(m)
   local source, key = self.by_source[m.source], m.key
   local delta = self.deltas[key]
@@ -301,7 +301,7 @@ function History:change(m)
 end
 
 --- Return the state at a message, whether the message changes it or not.
--- m        as it was given to note
+-- m        as it was added
 -- returns  nil if m is not good, or its source is not known or unreliable, else {
 --   drift         seconds: controller's clock less the capture's, since the source's first message
 --                 or reboot

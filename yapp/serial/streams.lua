@@ -1,7 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 -- What the packets of byte streams and datagrams hold: frames, and bytes of none.  Pure Lua.
 --
--- Packets are taken once, in the order of the capture.  Revisits ask by frame key.
+-- Packets are added once, in the order of the capture.  Revisits ask by frame key.
 --
 --   packet 7   |end of A|good frame B|start of C|   findings A (of packets 6 and 7) and B, and the
 --   packet 8   |end of C|                           pending bytes of C, which packet 8 shows
@@ -62,7 +62,7 @@ function M.new(new_framer)
     by_key = memo(function() return new_stream(new_framer()) end),
     trials = {}, -- by key, of unknown conversations: { framer, packets }
     trial_count = 0,
-    contents_by_key = {}, -- by frame key: what Streams:take returned
+    contents_by_key = {}, -- by frame key: what Streams:add returned
     seqs = {},     -- by key, of TCP: the sequence number that follows others' bytes
     gaps = {},     -- those that were not filled, see Streams:drops
   }, Streams)
@@ -182,7 +182,7 @@ local function note_sent(stream, seq, segment)
 end
 
 -- Take a segment, and those that waited for it.
-local function take_segment(self, stream, contents)
+local function add_segment(self, stream, contents)
   local packet = contents.packet
   local next_seq = stream.next_seq or self.seqs[packet.stream] or packet.seq
   if stream.is_ended or math.abs(distance(packet.seq, next_seq)) > MAX_DISTANCE then
@@ -199,7 +199,7 @@ end
 --- Note what the header of a TCP segment says.
 -- key       of its stream
 -- opposite  key of the stream of the other direction
--- segment   of serial.tcp
+-- segment   of host.tcp
 -- returns   whether the segment can be put in order: its stream and its next sequence number are
 --           known
 function Streams:note_header(key, opposite, segment)
@@ -285,11 +285,11 @@ local function new_contents(packet, findings)
 end
 
 -- Add a packet to its stream, and find out what it holds.
-local function take_bytes(self, stream, contents)
+local function split_bytes(self, stream, contents)
   local packet, findings, framer = contents.packet, contents.findings, stream.framer
   stream.latest, stream.findings = packet, findings
   if packet.seq then
-    take_segment(self, stream, contents)
+    add_segment(self, stream, contents)
   else
     add_bytes(stream, contents, 0)
   end
@@ -338,7 +338,7 @@ end
 --   missing   number of bytes to come of the frame that the pending ones begin, or nil
 --   is_others whether it is a datagram of others: nothing else of it holds
 --   leads_to  key of the packet that shows the pending bytes, nil until it has come }
-function Streams:take(packet, is_stored)
+function Streams:add(packet, is_stored)
   local alone, stream = read_alone(self, packet), rawget(self.by_key, packet.stream)
   local waited = count_waiting(stream)
   if alone and waited == 0 then
@@ -350,7 +350,7 @@ function Streams:take(packet, is_stored)
   local contents = new_contents(packet, findings)
   -- What waits was cut by a lost datagram if the next one is complete in itself.
   if alone then stream.framer:add("", true, findings) end
-  take_bytes(self, stream, contents)
+  split_bytes(self, stream, contents)
   if packet.is_found and packet.is_datagram and is_of_others(stream, contents, waited) then
     stream.framer:add("", true)
     drop_pieces(stream, stream.framer.from)
@@ -365,14 +365,14 @@ function Streams:take(packet, is_stored)
   return contents
 end
 
---- Return the contents of a packet that was taken before, nil if it was not.
+--- Return the contents of a packet that was added before, nil if it was not.
 function Streams:find(packet)
   local contents = self.contents_by_key[packet.key]
   if contents ~= PLAIN then return contents end
   return new_contents(packet, self:read(packet.bytes))
 end
 
---- Return whether a packet was taken before, and stored.
+--- Return whether a packet was added before, and stored.
 function Streams:is_stored(key)
   return self.contents_by_key[key] ~= nil
 end
@@ -406,10 +406,10 @@ local function is_proof(framer, findings)
 end
 
 --- Take a packet of an unknown conversation on trial.
--- packet     as of Streams:take
+-- packet     as of Streams:add
 -- is_proved  whether the packet alone shows that it is YAPP
 -- returns    whether the bytes that came so far have a frame, or the header of a message of the
---            catalogue.  Then those of earlier packets are in the stream, and Streams:take can take
+--            catalogue.  Then those of earlier packets are in the stream, and Streams:add can add
 --            this one
 function Streams:try(packet, is_stored, is_proved)
   local key = packet.stream
@@ -424,7 +424,7 @@ function Streams:try(packet, is_stored, is_proved)
   end
   self.trials[key], self.trial_count = nil, self.trial_count - 1
   if not is_found or packet.is_datagram and is_proved then return is_found end
-  for _, earlier in ipairs(trial.packets) do self:take(earlier, is_stored) end
+  for _, earlier in ipairs(trial.packets) do self:add(earlier, is_stored) end
   return true
 end
 
@@ -456,7 +456,7 @@ local function waiting(stream)
 end
 
 --- Return what the streams hold beside the contents of packets, if the capture ends here.
--- returns  list of { packet = see above, findings = as from Streams:take, each with its bytes, and
+-- returns  list of { packet = see above, findings = as from Streams:add, each with its bytes, and
 --          offset = in these }
 function Streams:unfinished()
   local list = {}

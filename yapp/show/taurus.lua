@@ -211,7 +211,7 @@ function Taurus:show(m, view)
   local top, items, source = nil, NONE, m.source
   local message = source.message
   if view.payload_tvb and m.payload ~= "" then top, items = build(self, m, view) end
-  for _, remark in ipairs(m.is_remarkable and decode.remarks(message, m.raws) or NONE) do
+  for _, remark in ipairs(m.remarks or NONE) do
     local index, name = remark[1], remark[2]
     local item = items[index]
     if item and name == "fault.active" then
@@ -275,7 +275,7 @@ local function add_flags_changes(self, item, changes, is_tree)
 end
 
 --- Add what the history says of a message, all of it generated, with its expert items.
--- m        a message of message.reader
+-- m        a message of reading.messages
 -- top      the Taurus item; nil if no tree is wanted: then add expert items only
 -- other    the item for these if top is nil
 -- returns  what the Info column says of it: "  cleared motor_overcurrent, hall_timeout  REBOOT"

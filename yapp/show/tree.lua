@@ -1,6 +1,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a user sees of YAPP: the tree, the expert items, the Info column.  show.taurus shows the
--- messages.  Wireshark's API; the reassembly or the framing has finished what is shown.
+-- What a user sees of YAPP's messages, however they came: parts of the tree, expert items, the Info
+-- column.  show.frame and show.packet show what carries them, show.taurus their values.
+-- Wireshark's API.
 
 local show_fields = require "yapp.show.fields"
 local text_of = require "yapp.message.text"
@@ -33,12 +34,12 @@ Tree.MARKS = {
 }
 
 --- Make fields and expert items and hand them to the two protocols.
--- options  { yapp =, taurus = Proto, catalogue = compiled, reader = a message.reader }
+-- options  { yapp =, taurus = Proto, catalogue = compiled, reading = a reading.reading }
 function M.new(options)
   local self = setmetatable({
     yapp = options.yapp,
     taurus = options.taurus,
-    reader = options.reader,
+    reading = options.reading,
     messages = messages_of.new(options.taurus, options.catalogue.messages),
     fields = nil,
     default_names = {}, -- titles by ID
@@ -86,7 +87,7 @@ local function ask(self, tree)
   wants.taurus = tree:referenced(Dissector.get("taurus"))
   wants.tree = wants.yapp or wants.taurus
   wants.state = wants.taurus
-  wants.names = not SAYS_PROTOCOLS and not self.reader.intake.wanted
+  wants.names = not SAYS_PROTOCOLS and not self.reading.listener
   return wants
 end
 
@@ -143,29 +144,23 @@ function Tree.expert(_, item, name, text)
   show_fields.add_expert(item, "yapp." .. name, text)
 end
 
---- Add a generated field of YAPP's if it has a value.
--- name     its filter without "yapp."
--- value    nil or false for none
--- returns  the item; nil or false without one
-function Tree:generated(item, name, value)
-  return value and add_generated(item, self.fields[name], value)
-end
-
 --- Add the id, with the name that the user's mapping gives it.
 -- range   TvbRange, nil where the CAN id has it
--- source  of message.reader
+-- source  of message.types
 function Tree:add_id(item, range, source)
   local id, title = source.id, source.message and source.message.title
-  local added = range and add(item, self.fields.id, range, id) or self:generated(item, "id", id)
+  local pf = self.fields.id
+  local added = range and add(item, pf, range, id) or add_generated(item, pf, id)
   if title == self.default_names[id] then return end
   added:set_text(("Message ID: %s (0x%08x)"):format(title or "Unknown", id))
 end
 
 --- Add the bus, where there is one, and the source.
--- source  of message.reader
+-- source  of message.types
 function Tree:add_source(item, source)
-  self:generated(item, "bus", source.bus)
-  add_generated(item, self.fields.source, source.text)
+  local fields = self.fields
+  if source.bus then add_generated(item, fields.bus, source.bus) end
+  add_generated(item, fields.source, source.text)
 end
 
 --- Add the frames that a message was put together from.
@@ -174,43 +169,54 @@ end
 -- length   in bytes
 -- payload  TvbRange of the message's payload, nil where it has none
 function Tree:add_fragments(item, whole, keys, length, payload)
-  local list = self:generated(item, "fragments", whole)
+  local fields = self.fields
+  local list = add_generated(item, fields.fragments, whole)
   list:set_text(("%d fragments (%d bytes)"):format(#keys, length))
   for _, key in ipairs(keys) do
-    if key % 1 == 0 then add_generated(list, self.fields.fragment, number_of(key)) end
+    if key % 1 == 0 then add_generated(list, fields.fragment, number_of(key)) end
   end
-  self:generated(list, "fragment.count", #keys)
-  self:generated(list, "reassembled.length", length)
-  self:generated(list, "reassembled.data", payload)
+  add_generated(list, fields["fragment.count"], #keys)
+  add_generated(list, fields["reassembled.length"], length)
+  if payload then add_generated(list, fields["reassembled.data"], payload) end
 end
 
 --- Add a CRC with its status, and append the status to the item's text.
--- range    TvbRange of the CRC or nil where it was sent in another frame
--- message  { crc, status, calculated }
-function Tree:add_crc(item, range, message)
-  local shown, calculated = CRC[message.status] or UNVERIFIED, message.calculated
-  local crc = range and show_fields.add_le(item, self.fields.crc, range)
-    or self:generated(item, "crc", message.crc)
-  append_text(crc, shown[2]:format(calculated))
-  self:generated(item, "crc.status", shown[1])
-  self:generated(item, "crc.calculated", shown == CRC.bad and calculated)
+-- range     TvbRange of the CRC or nil where it was sent in another frame
+-- transfer  { status, calculated }
+-- sent      the CRC, where there is no range
+function Tree:add_crc(item, range, transfer, sent)
+  local shown, fields = CRC[transfer.status] or UNVERIFIED, self.fields
+  local crc = range and show_fields.add_le(item, fields.crc, range)
+    or add_generated(item, fields.crc, sent)
+  append_text(crc, shown[2]:format(transfer.calculated))
+  add_generated(item, fields["crc.status"], shown[1])
+  if shown == CRC.bad then
+    add_generated(item, fields["crc.calculated"], transfer.calculated)
+  end
   append_text(item, shown[3])
 end
 
 --- Say that a CRC is bad, with what was received and expected.
-function Tree:bad_crc(item, message)
-  local text = ("Received 0x%08x, expected 0x%08x"):format(message.crc, message.calculated)
+function Tree:bad_crc(item, transfer)
+  local text = ("Received 0x%08x, expected 0x%08x"):format(transfer.crc, transfer.calculated)
   self:expert(item, "crc.bad", text)
+end
+
+--- Add whether a message has a fault, in each of its frames.
+function Tree:add_has_fault(item, has_fault)
+  if has_fault then add_generated(item, self.fields["message.fault"], true) end
 end
 
 --- Add what YAPP's own item says of a message's history: the time since the previous one, messages
 -- that are missing, whether a fault is set.
--- message  of message.reader
+-- message  of reading.messages
 function Tree:add_delta(item, message)
-  local delta, change = message.delta, message.change
-  self:generated(item, "time_delta", delta and show_fields.relative_time(delta))
-  self:generated(item, "seq.missing", change and change.missing)
-  self:generated(item, "message.fault", message.has_fault)
+  local delta, change, fields = message.delta, message.change, self.fields
+  if delta then add_generated(item, fields.time_delta, show_fields.relative_time(delta)) end
+  if change and change.missing then
+    add_generated(item, fields["seq.missing"], change.missing)
+  end
+  self:add_has_fault(item, message.has_fault)
 end
 
 --- Return a number of bytes in words: "1 byte", "2 bytes".
@@ -239,18 +245,34 @@ local function add_mismatch(self, m, view)
   return ("%s, %s"):format(source.label, text)
 end
 
+-- Return what to say of a message that is not in the catalogue; if a type has its size, also which
+-- preference decodes it.
+-- returns  a text for the packet, and what the Info column adds
+local function unknown_texts(m)
+  local like = m.like
+  local text = ("Message ID 0x%x is not in the catalogue"):format(m.source.id)
+  if not like then return text, "" end
+  local size = "the size of " .. like.title
+  local advice = (': see the preference "%s message IDs"'):format(like.title)
+  text = ("%s; %d bytes, %s%s"):format(text, m.size, size, advice)
+  return text, ", " .. size .. (m.is_advised and advice or "")
+end
+
 -- Show a message that is not in the catalogue, or not as it is there: bytes.
 local function show_bytes(self, m, view)
   add_bytes(self, m, view, "payload", 0)
   if m.source.message then return add_mismatch(self, m, view) end
-  local text, info, like = self.reader:hint(m)
-  if like and view.wants.yapp then self:generated(view.item, "like." .. like, m.source.id) end
+  local id, like = m.source.id, m.like
+  local text, info = unknown_texts(m)
+  if like and view.wants.yapp then
+    add_generated(view.item, self.fields["like." .. like.name], id)
+  end
   self:expert(view.item, "id.unknown", text)
-  return ("%s  %s%s"):format(m.source.label, Tree.bytes(#m.payload), info or "")
+  return ("%s  %s%s"):format(m.source.label, Tree.bytes(#m.payload), info)
 end
 
 --- Show a finished message: the message of the catalogue, or bytes.
--- m        of message.reader, as read
+-- m        of reading.messages
 -- view     { wants = of Tree:wants; tree = where the Taurus tree goes; item = YAPP's own item, or
 --          the tree; payload_tvb and payload_offset = where the payload lies, payload_tvb false if
 --          no tree is wanted }
@@ -261,9 +283,9 @@ function Tree:show_message(m, view)
   if not m.raws then
     info = show_bytes(self, m, view)
   else
-    top = (view.payload_tvb or m.is_remarkable) and self.messages:show(m, view)
+    top = (view.payload_tvb or m.remarks) and self.messages:show(m, view)
     if view.wants.columns then
-      info = text_of.info(source.message, m.raws, source.label, m.is_remarkable)
+      info = text_of.info(source.message, m.raws, source.label, m.remarks)
     end
   end
   if m.change or top and m.state then

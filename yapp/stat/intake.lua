@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What dissectors report to the statistics, made into events.  Pure Lua, 5.2 to 5.5.
+-- The statistics' ear: makes events of the results of the reading.  Pure Lua, 5.2 to 5.5.
 --
 -- The values of a good message's event are kinds.NOTHING for most messages, else {
 --   change         of message.history, or nil
@@ -12,14 +12,15 @@
 --   anomaly  { is_withdrawn = whether nothing is lost after all, is_open = whether that may
 --            change } }
 
+local can_id = require "yapp.wire.can_id"
 local compiler = require "yapp.message.catalogue"
-local decode = require "yapp.message.decode"
 local frame_key = require "yapp.base.frame_key"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
 
 local M = {}
 
+local END = can_id.END
 local number_of = frame_key.number
 
 local LOSSES = {
@@ -37,42 +38,39 @@ Intake.__index = Intake
 -- The state of a source.
 local function new_state()
   return {
-    fragments = {}, -- by Seq: see Intake:fragment
     orphan = false, -- or { seq }: the message that lost its Start, while its frames come
-    unknown_seq = nil, -- the latest, see Intake:unknown
+    unknown_seq = nil, -- the latest, see report_undissected
   }
 end
 
---- Make an intake, which is closed.  `wanted` says whether anyone wants events: ask it before
--- reporting.  `wants_fragments` is the same for fragments of messages.
+--- Make an intake, which is closed.
 -- catalogue  compiled
 function M.new(catalogue)
   local self = setmetatable({
     catalogue = catalogue,
-    wanted = false,
-    wants_fragments = false,
     queue = nil, -- a stat.queue, while it is open
     leaving = {}, -- taps, see Intake:remove_later
     states = nil, -- by source
+    has_orphans = false, -- whether a state has had an orphan
     stretches = nil, -- by line: skipped bytes, while nothing else comes
   }, Intake)
   self:reset()
   return self
 end
 
---- Begin to take reports.
+--- Begin to hand on events.
 function Intake:open(queue)
-  self.queue, self.wanted = queue, true
+  self.queue = queue
 end
 
---- Take no more reports.
+--- Hand on no more events.
 function Intake:close()
-  self.queue, self.wanted, self.wants_fragments = nil, false, false
+  self.queue = nil
 end
 
 --- Forget the capture file.
 function Intake:reset()
-  self.states, self.stretches = memo(new_state), {}
+  self.states, self.stretches, self.has_orphans = memo(new_state), {}, false
 end
 
 --- Remove a tap when the next event of a message comes: a tap cannot go while it is called.
@@ -81,8 +79,7 @@ function Intake:remove_later(tap)
 end
 
 -- Return the event of a message or frame.
--- m  as all reports have it: a message of message.reader, or of that { source, seq, key, time,
---    visited }
+-- m  a message of reading.messages, or a frame of reading.records
 local function new_event(kind, m, values)
   return kinds.event(kind, number_of(m.key), m.time, m.source, values, m)
 end
@@ -102,7 +99,7 @@ end
 -- The values of a message that the catalogue does not define; nil for none.
 local function invalid_of(m)
   local message, list = m.source.message, nil
-  for _, remark in ipairs(decode.remarks(message, m.raws)) do
+  for _, remark in ipairs(m.remarks) do
     local index, is_undefined = remark[1], remark[3]
     if is_undefined then
       local field, raw = message.fields[index], m.raws[index]
@@ -121,23 +118,23 @@ local function invalid_of(m)
 end
 
 local function values_of(m)
-  local invalid = m.is_remarkable and invalid_of(m)
+  local invalid = m.remarks and invalid_of(m)
   if not (m.change or invalid or m.undecoded or m.is_unreliable) then
     return kinds.NOTHING
   end
   return {
     change = m.change or nil,
     invalid = invalid or nil,
-    undecoded = m.undecoded,
+    undecoded = m.undecoded or nil,
     is_unreliable = m.is_unreliable,
   }
 end
 
---- Report a message that has ended.
-function Intake:message(m)
+-- Report a message that has ended.
+local function report_message(self, m)
   local kind, values = KIND_OF[m.status], nil
   if not kind then return end
-  if self.wants_fragments then self.states[m.source].orphan = false end
+  if self.has_orphans then self.states[m.source].orphan = false end
   if kind == "message" then
     values = values_of(m)
   elseif kind == "incomplete" then
@@ -159,67 +156,78 @@ local function orphaned(state, seq, is_end)
   return orphan
 end
 
---- Report the anomalies of a frame.  Those that lose a message, or a part of one, are events.
+-- Report the anomalies of a frame.  Those that lose a message, or a part of one, are events.
 -- anomalies  list of { expert, lost = frame key of the Start of the message that is lost or nil,
 --            is_withdrawn = whether nothing is wrong after all, is_open = whether that may change }
--- is_end     whether it is an End
-function Intake:anomalies(m, anomalies, is_end)
-  local state = self.states[m.source]
+local function report_anomalies(self, frame, anomalies)
+  local state, fields = self.states[frame.source], frame.can_id
   for _, anomaly in ipairs(anomalies) do
     local shown, lost = LOSSES[anomaly.expert], anomaly.lost
     if shown then
       if shown.what == "orphan" then
-        lost = orphaned(state, m.seq, is_end)
+        lost, self.has_orphans = orphaned(state, frame.seq, fields.ctrl == END), true
       else
         state.orphan = false
       end
-      offer(self, "incomplete", m, { shown = shown, lost = lost, anomaly = anomaly })
+      offer(self, "incomplete", frame, { shown = shown, lost = lost, anomaly = anomaly })
     end
   end
 end
 
---- Report bytes of a stream that belong to no frame.  Over several packets in a row they are one
+-- Report bytes of a stream that belong to no frame.  Over several packets in a row they are one
 -- stretch, and one event, whose length grows.
--- m  its source is the line
-function Intake:skipped(m, length)
-  local stretch, key = self.stretches[m.source], m.key
+-- frame  its source is the line
+local function report_skipped(self, frame, length)
+  local line, key = frame.source, frame.key
+  local stretch = self.stretches[line]
   if stretch and key > stretch.last_key then -- else the capture is read anew
     stretch.last_key = key
     stretch.values.length = stretch.values.length + length
     return
   end
   local values = { length = length }
-  self.stretches[m.source] = { last_key = key, values = values }
-  self.queue:offer(new_event("skipped", m, values), m.visited)
+  self.stretches[line] = { last_key = key, values = values }
+  self.queue:offer(new_event("skipped", frame, values), frame.visited)
 end
 
---- Report a frame of a message that has not ended, in case the capture ends before the message
--- does.  Only the latest frame of a message counts.
-function Intake:fragment(m)
-  self.states[m.source].fragments[m.seq] = m
-end
-
---- Report a frame that may be a message that is not dissected, or the Start of one.  It counts as
+-- Report a frame that may be a message that is not dissected, or the Start of one.  It counts as
 -- one if its ID is known, if a message of the catalogue has its size, or if its Seq No follows that
 -- of the source's previous such frame.
--- m  with size
-function Intake:unknown(m)
-  local state = self.states[m.source]
-  local seq, is_message = state.unknown_seq, m.source.message
-  if seq and (seq + 1) % 256 == m.seq then is_message = true end
-  is_message = is_message or compiler.of_size(self.catalogue.messages, m.size)[1]
-  state.unknown_seq = m.seq
-  if is_message then self.queue:add_undissected(new_event("undissected", m, { size = m.size })) end
+local function report_undissected(self, frame, size)
+  local state = self.states[frame.source]
+  local seq, is_message = state.unknown_seq, frame.source.message
+  if seq and (seq + 1) % 256 == frame.seq then is_message = true end
+  is_message = is_message or compiler.of_size(self.catalogue.messages, size)[1]
+  state.unknown_seq = frame.seq
+  if is_message then
+    self.queue:add_undissected(new_event("undissected", frame, { size = size }))
+  end
 end
 
---- Return the events of the messages that the capture ends before, in the order of their frames.
--- messages  list of { source, seq, key = frame key of their last frame }
-function Intake:unfinished(messages)
+--- Take a result of the reading.
+-- result  see reading.records
+function Intake:report(result)
+  local kind, message, anomalies = result.kind, result.message, result.anomalies
+  if message then
+    report_message(self, message)
+  elseif kind == "skipped" then
+    report_skipped(self, result.frame, result.length)
+  elseif kind == "undissected" then
+    report_undissected(self, result.frame, result.length)
+  end
+  if anomalies then report_anomalies(self, result.frame, anomalies) end
+end
+
+--- Take the results of what waits when all packets have come.
+-- results  of Reading:finish
+-- returns  the events of the messages that the capture ends before, in the order of their frames
+function Intake:finish(results)
   local events = {}
-  for _, message in ipairs(messages) do
-    local fragment = self.states[message.source].fragments[message.seq]
-    if fragment and number_of(fragment.key) == number_of(message.key) then
-      events[#events + 1] = new_event("unfinished", fragment)
+  for _, result in ipairs(results) do
+    if result.kind == "unfinished" then
+      events[#events + 1] = new_event("unfinished", result.frame)
+    else
+      self:report(result)
     end
   end
   table.sort(events, function(a, b) return a.frame < b.frame end)

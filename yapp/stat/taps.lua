@@ -34,13 +34,11 @@ Stat.__index = Stat
 --     sources       a message.sources; sources_text = the preference that it was read from
 --     ids           [message name] = list of the IDs that its preference has
 --     problems      list of texts: what the user asked for and did not get }
---   intake     a stat.intake, builder = a show.tree, buses = a host.buses, frames = a can.dissector
---   drops      function() -> what the capture does not have, see host.buses
---   unfinished function() -> the messages that the capture ends before: list of { source, seq,
---              key }
+--   intake     a stat.intake, builder = a show.tree, buses = a host.buses
+--   reading    a reading.reading, frames = a host.can, deferral = its host.deferral
 --   find_options  function() -> list of tshark's options that may decode what was not found
 --   notes      function() -> list of texts to say of streams
---   watch      function(), called when statistics begin: from then on Stat:note_frame is called
+--   watch      function(), called when statistics begin
 --   unwatch    function(), called in Wireshark when one has ended
 --   counted    function(f) -> f, whose calls are counted
 --   failures   function() -> number of such calls that failed since the capture was opened }
@@ -94,28 +92,11 @@ local function tap_clock(self)
   return clock
 end
 
--- Read the CAN header of the frame that was noted, if it is of this packet.
-local function read_noted(self, pinfo, tvb)
-  local number = self.number
-  self.number = nil
-  if number ~= pinfo.number then return end
-  local is_extended = self.frames:read_noted(tvb, pinfo, self.offset, self.captured, self.length)
-  self.can = self.can + 1
-  if is_extended then self.extended = self.extended + 1 end
-end
-
-local function tap_noted(self)
-  local tap = listen(self)
-  tap.packet = self.counted(function(pinfo, tvb) read_noted(self, pinfo, tvb) end)
+-- Make the tap that reads CAN headers once tap_packets has removed its own.
+local function tap_headers(self)
+  local tap, deferral = listen(self), self.deferral
+  tap.packet = self.counted(function(pinfo, tvb) deferral:on_header(pinfo, tvb) end)
   return tap
-end
-
---- Note a CAN frame whose header is needed: dissectors see only its data, a tap all of its packet.
--- Call it while a statistic runs.
-function Stat:note_frame(tvb, pinfo)
-  self.number, self.offset = pinfo.number, tvb:offset()
-  self.captured, self.length = tvb:len(), tvb:reported_len()
-  if self.queue.is_direct then self.noted = self.noted or tap_noted(self) end
 end
 
 -- The exact time is known: remove the tap of the clock, which builds trees.  If a filter has trees
@@ -124,7 +105,7 @@ local function end_trees(self, tap, clock)
   self.builder:only_pass()
   if not self.has_filter then
     clock:remove()
-    self.frames:expect_taps()
+    self.deferral:allow()
   end
   if self.queue:go_direct() then self.intake:remove_later(tap) end
 end
@@ -136,12 +117,12 @@ local function tap_packets(self)
   local is_waiting = IS_TSHARK
 
   tap.packet = self.counted(function(pinfo, tvb)
-    read_noted(self, pinfo, tvb)
+    self.deferral:on_header(pinfo, tvb)
     if is_waiting and self.is_exact then
       is_waiting = false
       if not self.frames:is_second_pass(pinfo.number) then end_trees(self, tap, clock) end
     end
-    self.frames:decide_on_taps(self.builder.wanted)
+    self.deferral:decide(self.builder.wanted)
     self.queue:packet(pinfo.number, pinfo.rel_ts, self.buses:lacks_clock())
   end)
 
@@ -150,22 +131,28 @@ local function tap_packets(self)
   function tap.reset()
     if not IS_TSHARK and self.queue.packets > 0 then return end
     self.queue:reset()
-    self.is_exact, self.extended, self.can = false, 0, 0
+    self.is_exact = false
+    self.deferral:reset_counts()
   end
 end
 
 local function open(self)
   self.command, self.began = command.options(), os.time()
   self.queue, self.taps = queue.new(self.settings, hint_of(self.command)), {}
-  self.is_exact, self.extended, self.can = false, 0, 0
-  self.noted, self.has_filter = nil, false
+  self.is_exact, self.has_filter, self.headers = false, false, nil
   self.intake:open(self.queue)
+  self.reading:listen(self.intake)
+  self.deferral:open(function()
+    if self.queue.is_direct then self.headers = self.headers or tap_headers(self) end
+  end)
   self.watch()
   tap_packets(self)
 end
 
 local function close(self)
   for _, tap in ipairs(self.taps) do tap:remove() end -- a tap that stays would build trees for ever
+  self.reading:listen(false)
+  self.deferral:close()
   self.intake:close()
 end
 
@@ -187,16 +174,17 @@ end
 local function finish(self)
   local failures, unread = self.failures(), unread_of(self)
   local failed = failures > 0 and FAILED:format(output.count(failures, "Lua error")) or nil
-  local reloaded = self.total > 0 and self.buses:missed_file() and RELOADED or nil
+  local reading, buses, deferral = self.reading, self.buses, self.deferral
+  local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
   self.queue:end_packets()
   return self.queue:finish {
-    unfinished = self.intake:unfinished(self.unfinished()),
-    drops = self.drops(),
-    lacks_times = self.buses:lacks_times(),
+    unfinished = self.intake:finish(reading:finish(not IS_TSHARK)),
+    drops = joined(buses:drops(), reading:drops()),
+    lacks_times = buses:lacks_times(),
     options = self.find_options(),
     notes = self.notes(),
-    extended = self.extended,
-    can = self.can,
+    extended = deferral.extended,
+    can = deferral.can,
     problems = joined({ failed }, { unread }, { reloaded }),
     unread = unread and "not all packets were read",
   }
@@ -223,7 +211,6 @@ local function begin(self, text, context)
   function context.clock(rel) return events:clock(rel) end
   context.json, context.make_folder, context.settings = options.json, make_folder, self.settings
   local statistic = options.row.new(options, context)
-  if not statistic.wants_messages_only then self.intake.wants_fragments = true end
   local deriver = events:add(statistic, options)
   if filter then
     self.has_filter = true

@@ -1,0 +1,243 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The dissector of YAPP in byte streams and datagrams: UART captures, raw dumps, TCP and UDP.  It
+-- hands each packet to the reading, and the result to the view.  Wireshark's API.
+
+local frame_key = require "yapp.base.frame_key"
+local lines = require "yapp.serial.lines"
+local senders = require "yapp.serial.senders"
+local tcp = require "yapp.host.tcp"
+local usb = require "yapp.serial.usb"
+
+local M = {}
+
+local PACKET = frame_key.PACKET
+local INSIDE = PACKET / 2 -- offset of what TLS found in a packet
+
+local Dissector = {}
+Dissector.__index = Dissector
+
+--- Make the dissector.
+-- reading     a reading.reading
+-- view        a show.packet
+-- builder     a show.tree
+-- buses       a host.buses
+-- tcp_header  Proto that reads TCP's headers
+function M.new(reading, view, builder, buses, tcp_header)
+  return setmetatable({
+    reading = reading,
+    view = view,
+    builder = builder,
+    buses = buses,
+    tcp_header = tcp_header,
+    in_pieces = {}, -- see Dissector:notes
+    inside = false, -- what TLS found in the current packet, see put_inside
+    usb = false, -- of serial.usb
+  }, Dissector)
+end
+
+--- Forget the capture file.
+function Dissector:reset()
+  self.in_pieces, self.inside, self.usb = {}, false, usb.new()
+  tcp.stop()
+end
+
+--- Look at the first bytes of the capture file, which may have frames.
+function Dissector:scan(head)
+  self.reading.lines.senders:scan(head)
+  if self.reading:is_yapp(head) then self:watch_tcp() end
+end
+
+-- Return the line of a packet, and whether it is known where the packet was captured.
+local function line_of(self, pinfo)
+  local kind, address, bus, is_bus_known = pinfo.port_type, tostring(pinfo.src), nil, true
+  if not lines.is_ip(kind, address) then
+    bus, is_bus_known = self.buses:of(pinfo, pinfo.number, 0)
+  end
+  local to = tostring(pinfo.dst) .. ":" .. pinfo.dst_port
+  local line = self.reading.lines:of(kind, bus, address, pinfo.src_port, to, not pinfo.visited)
+  return line, is_bus_known
+end
+
+-- Make the record of a packet, or of a part of one.
+-- line    see serial.lines
+-- offset  of its bytes in the packet
+-- length  number of bytes that it had
+-- wants   of Tree:wants
+local function new_packet(self, line, pinfo, offset, bytes, length, wants)
+  local number, is_truncated = pinfo.number, length > #bytes
+  return {
+    key = number * PACKET + offset,
+    number = number,
+    time = pinfo.rel_ts, -- seconds since the first packet
+    epoch = is_truncated and pinfo.abs_ts, -- since 1970, or false
+    visited = pinfo.visited,
+    bytes = bytes, -- those that were captured
+    length = length,
+    truncated = is_truncated,
+    is_datagram = line.is_datagram, -- whether it is of UDP
+    is_complete = line.is_complete, -- whether it is what the framing of a raw dump found
+    is_tcp = line.is_tcp,
+    is_found = self.reading.found[line.trial_key], -- whether its conversation was found by content
+    line = line,
+    stream = line.key,
+    bus_name = line.bus,
+    seq = nil, -- of TCP, if it is known: of the first byte
+    is_bus_known = true, -- whether the capture tells where it was captured
+    is_only_pass = wants.is_only_pass, -- whether it is never dissected again
+    wants_state = wants.state, -- whether the state of its messages is wanted
+  }
+end
+
+-- Return the record of all bytes that a dissector gets.
+local function whole_packet(self, tvb, pinfo, wants)
+  local line, is_bus_known = line_of(self, pinfo)
+  local bytes = tvb:len() > 0 and tvb:raw() or ""
+  local packet = new_packet(self, line, pinfo, tvb:offset(), bytes, tvb:reported_len(), wants)
+  packet.is_bus_known = is_bus_known
+  return packet
+end
+
+--- Return whether a packet of an unknown conversation is YAPP.
+function Dissector:accepts(tvb, pinfo, tree)
+  local reading = self.reading
+  if pinfo.in_error_pkt or tvb:len() == 0 then return false end
+  if pinfo.visited then
+    return reading.streams:is_stored(pinfo.number * PACKET + tvb:offset())
+  end
+  if not reading:may_be_yapp(tvb:raw()) then return false end
+  local packet = whole_packet(self, tvb, pinfo, self.builder:wants(tree, pinfo, false))
+  local is_found = reading:try_packet(packet)
+  if is_found and not reading:is_yapp(packet.bytes) then
+    local option = senders.option(packet.is_tcp, pinfo.src_port, pinfo.dst_port)
+    table.insert(self.in_pieces, option)
+  end
+  return is_found
+end
+
+--- Return what to say of conversations whose packets hold no whole header: a list of texts.
+function Dissector:notes()
+  if not self.in_pieces[1] then return {} end
+  local text = "YAPP came in pieces without a whole header: to list its packets, add %s"
+  return { text:format(table.concat(self.in_pieces, " ")) }
+end
+
+-- Dissect a packet; return whether it is YAPP's.
+-- tvb  where its bytes are
+local function dissect(self, packet, wants, tvb, pinfo, tree)
+  local reading, visited = self.reading, packet.visited
+  local contents = visited and reading:recall_packet(packet)
+  if not visited then contents = reading:add_packet(packet) end
+  if not contents then return false end
+  self.view:show(packet, contents, wants, tvb, pinfo, tree)
+  return true
+end
+
+-- Dissect a segment that TCP has shown.
+-- tvb  with the header of TCP
+local function dissect_segment(self, segment, tvb, pinfo, tree)
+  local line, start = line_of(self, pinfo), segment.start
+  local has_order = pinfo.visited or
+    self.reading.streams:note_header(line.key, line.opposite, segment)
+  line.is_direct = line.is_direct or segment.is_ours
+  if segment.length == 0 or not (segment.is_ours or has_order) then return end
+  local bytes, wants = "", self.builder:wants(tree, pinfo, pinfo.visited)
+  if tvb:len() > start then bytes = tvb:raw(start) end
+  local packet = new_packet(self, line, pinfo, tvb:offset() + start, bytes,
+    tvb:reported_len() - start, wants)
+  packet.seq, packet.epoch = segment.seq, segment.epoch
+  if wants.tree and bytes ~= "" then tvb = tvb(start):tvb() end
+  dissect(self, packet, wants, tvb, pinfo, tree)
+end
+
+-- Let a packet be what TLS found in a segment: a stream beside that of TCP.  Several records of a
+-- segment have keys behind each other, behind those of TCP; they come anew on each revisit.
+local function put_inside(self, packet)
+  local before, bytes, number = self.inside, packet.bytes, packet.number
+  local is_next = before and before.number == number and
+    not (packet.visited and before.first == bytes)
+  local offset = is_next and before.offset or INSIDE
+  self.inside = {
+    number = number,
+    offset = offset + #bytes,
+    first = is_next and before.first or bytes,
+  }
+  packet.stream, packet.key = "tls|" .. packet.stream, number * PACKET + offset
+end
+
+-- Dissect bytes in TCP.  Those of a segment are shown when TCP has shown the segment.  Others are
+-- what TLS found in one, unless TCP has joined segments: but then others of the line came alone.
+-- returns  whether they are YAPP's
+local function dissect_in_tcp(self, tvb, pinfo, tree)
+  local segment, offset = tcp.current(pinfo.number), tvb:offset()
+  local is_direct = segment and offset == segment.offset or not segment and offset > 0
+  is_direct = is_direct or line_of(self, pinfo).is_direct
+  if segment and is_direct then
+    segment.is_ours = true -- these bytes may be of several: dissect_segment shows it
+    return true
+  end
+  local wants = self.builder:wants(tree, pinfo, pinfo.visited)
+  local packet = whole_packet(self, tvb, pinfo, wants)
+  if is_direct then
+    self:watch_tcp()
+  else
+    put_inside(self, packet) -- TLS needs no watch, and would lose the records that came before
+  end
+  return dissect(self, packet, wants, tvb, pinfo, tree)
+end
+
+--- Watch TCP, to know the sequence numbers from the first segment on.
+function Dissector:watch_tcp()
+  tcp.watch(self.tcp_header, function(...) dissect_segment(self, ...) end)
+end
+
+--- Dissect the bytes of a packet.
+-- returns  the number of bytes that are ours
+function Dissector:dissect(tvb, pinfo, tree)
+  local size = tvb:len()
+  -- An ICMP error only quotes what was sent before.
+  if size == 0 or pinfo.in_error_pkt then return 0 end
+  if pinfo.port_type == lines.TCP then
+    return dissect_in_tcp(self, tvb, pinfo, tree) and size or 0
+  end
+  local wants = self.builder:wants(tree, pinfo, pinfo.visited)
+  local packet = whole_packet(self, tvb, pinfo, wants)
+  return dissect(self, packet, wants, tvb, pinfo, tree) and size or 0
+end
+
+-- Return where the bytes are that an adapter carries, less its status.
+local function part_tvb(part, tvb)
+  if part.has_status then return ByteArray.new(part.bytes, true):tvb("Serial line") end
+  return tvb(part.offset):tvb()
+end
+
+--- Dissect a packet of USB that Wireshark has shown, if it has bytes of a serial line with YAPP.
+-- kind  of serial.usb
+function Dissector:dissect_usb(kind, tvb, pinfo, tree)
+  local part, reading = self.usb:read(kind, tvb:raw()), self.reading
+  local bytes = part and part.bytes or ""
+  if bytes == "" then return end
+  local line = reading.lines:of_adapter(part)
+  local is_found = reading.found[line.trial_key]
+  if not (is_found or reading:is_yapp(bytes) or reading.streams:may_begin(bytes)) then return end
+  local wants = self.builder:wants(tree, pinfo, pinfo.visited)
+  local length = part.truncated and #bytes + 1 or #bytes
+  local packet = new_packet(self, line, pinfo, part.offset, bytes, length, wants)
+  is_found = is_found or not packet.visited and reading:try_packet(packet)
+  if is_found then
+    dissect(self, packet, wants, wants.tree and part_tvb(part, tvb), pinfo, tree)
+  end
+end
+
+--- Dissect bytes of a raw dump that are of no frame.
+-- returns  the number of bytes that are ours
+function Dissector:skipped(tvb, pinfo, tree)
+  local size = tvb:len()
+  if size > 0 then
+    local wants = self.builder:wants(tree, pinfo, pinfo.visited)
+    local packet = whole_packet(self, tvb, pinfo, wants)
+    self.view:show(packet, self.reading:add_skipped(packet), wants, tvb, pinfo, tree)
+  end
+  return size
+end
+
+return M

@@ -1,0 +1,110 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- From a transfer to the message that it carries: its values, and what changed since the source's
+-- previous message.  Pure Lua.
+
+local compiler = require "yapp.message.catalogue"
+local decode = require "yapp.message.decode"
+
+local M = {}
+
+-- A transfer that lacks bytes, or has too many, at an unknown offset.
+local IS_BROKEN = { incomplete = true, overrun = true }
+
+local Messages = {}
+Messages.__index = Messages
+
+--- Make what reads the messages of one capture.
+-- types    a message.types
+-- history  a message.history
+function M.new(types, history)
+  return setmetatable({
+    types = types,
+    history = history,
+    advised = {}, -- [id of an unknown message] = the frame key whose Info has the whole advice
+  }, Messages)
+end
+
+-- The record of a message.  Nothing adds a field to it, and nothing changes it once it is read.
+local function new_message(frame, transfer)
+  return {
+    transfer = transfer,
+    source = frame.source,
+    seq = frame.seq,
+    key = frame.key,
+    time = frame.time, -- seconds since the first packet
+    visited = frame.visited,
+    status = transfer.status,
+    size = transfer.size, -- as its header has it
+    payload = transfer.payload, -- the bytes of it that came
+    raws = false, -- the values by index of field (message.decode); false if the size does not fit
+    remarks = false, -- of message.decode: the remarkable values, false for none
+    has_fault = false, -- whether a fault flag is set
+    undecoded = false, -- number of payload bytes behind the type's size, false for none
+    like = false, -- of an unknown message: the type that has its size, false for none
+    is_advised = false, -- whether Info says in full which preference decodes it
+    -- Of message.history:
+    change = false, -- what changes with it, or false
+    delta = false, -- seconds since the source's previous good message, or false
+    state = false, -- the state at the message, or false if it is not known or not wanted
+    -- Whether nothing is known of what came before: nothing tells its bus, or controllers share its
+    -- source.
+    is_unreliable = not (frame.visited or frame.is_bus_known),
+  }
+end
+
+-- Decode the values.  The payload has min_size bytes of its type at least.  Only a good message may
+-- have more than the type's size.
+local function decode_values(message, of_type)
+  local size, is_good = message.size, message.status == "good"
+  local is_longer = size > of_type.size
+  if size < of_type.min_size or is_longer and not is_good then return end
+  local raws, is_remarkable = of_type.read(message.payload)
+  message.raws = raws
+  if is_longer then message.undecoded = size - of_type.size end
+  if is_remarkable then
+    message.remarks = decode.remarks(of_type, raws)
+    message.has_fault = decode.has_alarm(of_type, raws)
+  end
+end
+
+-- Find the type that an unknown message could be of by its size.
+local function find_like(self, message)
+  local same = message.status == "good" and compiler.of_size(self.types.messages, message.size)[1]
+  if not same then return end
+  local advised, id = self.advised, message.source.id
+  advised[id] = advised[id] or message.key
+  message.like, message.is_advised = same, advised[id] == message.key
+end
+
+-- Set what the history knows of a message.
+local function add_history(self, message, frame)
+  local change, delta
+  if message.visited then
+    change, delta = self.history:change(message)
+  else
+    change, delta = self.history:add(message, frame.is_only_pass)
+  end
+  message.change, message.delta = change or false, delta or false
+  if delta == nil or change and change.unreliable then message.is_unreliable = true end
+  message.state = frame.wants_state and self.history:state(message) or false
+  -- In a stream, the ID of a damaged frame may be damaged, too.
+  if message.source.line and message.status ~= "good" then message.delta = false end
+end
+
+--- Read the message of a transfer.
+-- frame     that ends it, see reading.records
+-- transfer  { status, size, payload }; status = "good" if it is proved complete; "bad" (CRC);
+--           "truncated" by the capture; "incomplete"; "overrun"
+-- returns   see new_message
+function Messages:read(frame, transfer)
+  local message, of_type = new_message(frame, transfer), frame.source.message
+  if not of_type then
+    find_like(self, message)
+  elseif not IS_BROKEN[message.status] then
+    decode_values(message, of_type)
+  end
+  if not message.is_unreliable then add_history(self, message, frame) end
+  return message
+end
+
+return M

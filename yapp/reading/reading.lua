@@ -1,0 +1,307 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The reading of a capture: takes each frame and packet once, in the order of the capture, and says
+-- what it turned out to be.  Pure Lua.
+--
+--   frame ──► can.reassembly ─┐
+--                             ├─► transfer ─► reading.messages ─► result ─► listener
+--   packet ─► serial.streams ─┘              (values, history)
+--
+-- On a revisit, recall_frame and recall_packet return what they found then.
+
+local can_id = require "yapp.wire.can_id"
+local decode = require "yapp.message.decode"
+local frame = require "yapp.wire.frame"
+local framer = require "yapp.serial.framer"
+local history = require "yapp.message.history"
+local lines = require "yapp.serial.lines"
+local memo = require "yapp.base.memo"
+local messages = require "yapp.reading.messages"
+local reassembly = require "yapp.can.reassembly"
+local records = require "yapp.reading.records"
+local streams = require "yapp.serial.streams"
+local transfers = require "yapp.serial.transfers"
+
+local M = {}
+
+local BUS, START = can_id.BUS, can_id.START
+local sub = string.sub
+local MAX_SHORT = 128 -- bytes; a longer packet of an unknown conversation is YAPP if it is alone
+
+local Reading = {}
+Reading.__index = Reading
+
+--- Make the reading.
+-- types  a message.types
+-- buses  a host.buses: what the capture file says
+function M.new(types, buses)
+  return setmetatable({
+    types = types,
+    buses = buses,
+    listener = false, -- while a statistic runs, see Reading:listen
+  }, Reading)
+end
+
+--- Report results from now on.
+-- listener  gets each result, as listener:report(result); false for nobody
+function Reading:listen(listener)
+  self.listener = listener
+end
+
+--- Forget the capture file.
+-- options  of message.history
+function Reading:reset(options)
+  self.messages = messages.new(self.types, history.new(options))
+  -- CAN:
+  self.reassembly = reassembly.new()
+  self.sources = memo(function(bus) -- [bus or false][ID] = a source
+    return memo(function(id) return self.types:new_source(id, bus, self.buses:name(bus)) end)
+  end)
+  self.newest_key = 0 -- of the newest frame: one above it is new
+  self.accepted_key = 0 -- of the latest frame that is YAPP's
+  self.saw_unknown_bus = false -- whether a frame came whose bus is not known
+  -- The result of the current frame, which is used again as the frame is.
+  self.result = records.new_result("other", false)
+  -- Streams:
+  self.streams = streams.new(function() return self:new_framer() end)
+  self.lines = lines.new(self.types, self.buses)
+  self.found = {} -- [trial_key of a line] = true: conversations that were found by content
+end
+
+-- Report a result, and return it.
+local function report(self, result)
+  local listener = self.listener
+  if listener then listener:report(result) end
+  return result
+end
+
+-- CAN ---------------------------------------------------------------------------------------------
+
+-- Return the result of a frame.
+-- kind ...  of can.reassembly
+local function new_frame_result(self, of_frame, kind, transfer, anomalies, index)
+  local result, message = self.result, false
+  if kind == "last" or kind == "single" then
+    message = self.messages:read(of_frame, transfer)
+    local is_kept = kind == "single" or of_frame.visited or of_frame.is_only_pass
+    if not is_kept then self.reassembly:keep(transfer, message.has_fault) end
+  end
+  self.accepted_key = of_frame.key
+  result.kind = kind
+  result.frame = of_frame
+  result.transfer = transfer or false
+  result.message = message
+  result.anomalies = anomalies or false
+  result.index = index or false
+  return report(self, result)
+end
+
+--- Add the next frame of the capture.
+-- of_frame  see reading.records
+-- returns   its result; nil for a frame that is not YAPP's
+function Reading:add_frame(of_frame)
+  local fields, bus, key = of_frame.can_id, of_frame.bus, of_frame.key
+  of_frame.source = self.sources[bus][fields.id]
+  of_frame.slot = fields.message_key + (bus or 0) * BUS
+  if not of_frame.is_bus_known then self.saw_unknown_bus = true end
+  if key > self.newest_key then
+    self.newest_key = key
+  else -- a read filter (-R) dropped the packet before, and this one has its number
+    self.reassembly:forget(key)
+  end
+  local kind, transfer, anomalies = self.reassembly:add(of_frame)
+  return kind and new_frame_result(self, of_frame, kind, transfer, anomalies)
+end
+
+--- Return what Reading:add_frame returned.
+function Reading:recall_frame(of_frame)
+  local fields, bus = of_frame.can_id, of_frame.bus
+  of_frame.source = self.sources[bus][fields.id]
+  of_frame.slot = fields.message_key + (bus or 0) * BUS
+  local kind, transfer, anomalies, index = self.reassembly:recall(of_frame)
+  if transfer then of_frame.source = transfer.source end
+  return kind and new_frame_result(self, of_frame, kind, transfer, anomalies, index)
+end
+
+-- Return what a frame may be by its data, as { [CAN CTRL] = payload size of the message }: a Start,
+-- or a message of the catalogue that fits into a single frame.
+local function possible_sizes(self, data)
+  local sizes, _, size, reserved = {}, can_id.start(data)
+  if #data == 8 and reserved == 0 and size > 8 then sizes[START] = size end
+  for _, message in ipairs(self.types.messages) do
+    size = can_id.single_size(data, #data, message.min_size, message.size)
+    if size and decode.is_plausible(message, sub(data, 1, size)) then sizes[0] = size end
+  end
+  return sizes
+end
+
+-- Return the payload size that a frame has as a message that is not dissected; nil for none.
+local function undissected_size(self, fields, source, data)
+  local message, size = source.message, possible_sizes(self, data)[fields.ctrl]
+  if fields.ctl ~= 0 then return message and size or nil end
+  local is_longer = fields.ctrl == 0 and message and #data > message.size
+  if is_longer and decode.is_plausible(message, sub(data, 1, message.size)) then return #data end
+  return size
+end
+
+--- Report a frame that is not dissected, if it may be a message or begin one:
+--   of an unknown ID
+--   of a known ID, with a YAPP CTL other than 0
+--   of a known ID, with bytes behind its values
+-- of_frame  see reading.records
+function Reading:report_undissected(of_frame)
+  local fields = of_frame.can_id
+  local source = self.sources[of_frame.bus][fields.id]
+  local size = undissected_size(self, fields, source, of_frame.data)
+  if not size then return end
+  of_frame.source = source
+  local result = records.new_result("undissected", of_frame)
+  result.length = size
+  report(self, result)
+end
+
+-- Streams -----------------------------------------------------------------------------------------
+
+--- Make a framer for bytes of a capture.
+-- patience  of serial.framer; nil for the usual
+function Reading:new_framer(patience)
+  return framer.new(function(id) return self.types:size_of(id) end, patience)
+end
+
+--- Return whether bytes are YAPP: they hold a good frame, or a message of the catalogue with a bad
+-- CRC or bytes missing.  Ten bytes of its header are given, so chance does not make one.
+function Reading:is_yapp(bytes)
+  if not frame.find(bytes, 1) then return false end
+  for _, finding in ipairs(self.streams:read(bytes)) do
+    local id = finding.status ~= "skipped" and frame.parse(bytes, finding.offset + 1)
+    if finding.status == "good" or id and self.types:size_of(id) then return true end
+  end
+  return false
+end
+
+--- Return whether bytes of an unknown conversation may be YAPP, alone or with those of others.
+function Reading:may_be_yapp(bytes)
+  return self:is_yapp(bytes) or #bytes <= MAX_SHORT and self.streams:may_begin(bytes)
+end
+
+--- Return whether a packet of an unknown conversation is YAPP, alone or with those before it.
+-- packet  see host.serial
+function Reading:try_packet(packet)
+  local key = packet.line.trial_key
+  if self.found[key] then return false end -- add_packet has left it to others
+  local is_found =
+    self.streams:try(packet, not packet.is_only_pass, self:is_yapp(packet.bytes))
+  self.found[key] = is_found or nil
+  return is_found
+end
+
+-- Return the result of a finding, with the message that it holds.
+-- index  of the finding in its packet
+local function finding_result(self, packet, finding, index)
+  if finding.status == "skipped" then
+    local of_bytes = records.new_serial_frame(packet, 1, packet.line)
+    local result = records.new_result("skipped", of_bytes)
+    result.transfer, result.length = finding, finding.to - finding.from
+    return result
+  end
+  local transfer, id, seq, anomalies = transfers.new(finding, finding.bytes or packet.bytes)
+  local source = self.lines:source(packet.line, id)
+  local of_frame = records.new_serial_frame(packet, index, source, seq)
+  local result = records.new_result("single", of_frame)
+  result.transfer, result.anomalies = transfer, anomalies
+  result.message = self.messages:read(of_frame, transfer)
+  return result
+end
+
+-- Return what a packet turned out to be: its contents, as serial.streams has them, with the results
+-- of its findings.
+local function new_packet_result(self, packet, contents)
+  local results = {}
+  for i, finding in ipairs(contents.findings) do
+    results[i] = report(self, finding_result(self, packet, finding, i))
+  end
+  return {
+    results = results,
+    pending = contents.pending,
+    is_held = contents.is_held,
+    missing = contents.missing,
+    leads_to = contents.leads_to,
+    is_unfinished = packet.visited and self.streams:is_unfinished(contents, packet),
+  }
+end
+
+--- Add the next packet of the capture.
+-- packet   see host.serial
+-- returns  { results = list of a result for each frame, and for each stretch of bytes of no frame;
+--          pending, is_held, missing, leads_to = see serial.streams; is_unfinished = on a revisit:
+--          whether the capture ends before the frame that the pending bytes begin }; false for a
+--          datagram of others in a conversation that was found by content
+function Reading:add_packet(packet)
+  local contents = self.streams:add(packet, not packet.is_only_pass)
+  return not contents.is_others and new_packet_result(self, packet, contents)
+end
+
+--- Return what Reading:add_packet returned; nil for a packet that was not added.
+function Reading:recall_packet(packet)
+  local contents = self.streams:find(packet)
+  return contents and new_packet_result(self, packet, contents)
+end
+
+--- Add a packet of a raw dump whose bytes are of no frame.
+-- returns  as of Reading:add_packet
+function Reading:add_skipped(packet)
+  local finding = { status = "skipped", from = 0, to = #packet.bytes, offset = 0 }
+  return new_packet_result(self, packet, { findings = { finding }, pending = 0 })
+end
+
+-- The end -----------------------------------------------------------------------------------------
+
+-- The CAN messages that the capture ends before.
+local function finish_frames(self, list)
+  for _, transfer in ipairs(self.reassembly:unfinished()) do
+    local key, source = transfer[#transfer], transfer.source
+    -- Where buses are not known any more, a message of a known bus may have gone on unseen.  A
+    -- fraction marks a frame that a read filter dropped.
+    if key % 1 == 0 and not (self.saw_unknown_bus and source.bus_key) then
+      local of_frame = records.new_can_frame()
+      of_frame.key, of_frame.time = key, transfer.time
+      of_frame.source, of_frame.seq = source, transfer.slot % 0x100
+      list[#list + 1] = records.new_result("unfinished", of_frame)
+    end
+  end
+end
+
+-- Return the result of a finding in bytes that wait when the capture ends; nil for bytes that may
+-- be a part of a frame.
+local function waiting_result(self, packet, finding, index, may_go_on)
+  local is_skipped = finding.status == "skipped"
+  if is_skipped and finding.to - finding.from < frame.HEADER then return nil end
+  if is_skipped or not (finding.missing or may_go_on) then
+    -- The key of no other message: packets have fewer findings than bytes.
+    return finding_result(self, packet, finding, is_skipped and 1 or packet.length + index)
+  end
+  local id, _, _, seq = frame.parse(finding.bytes, finding.offset + 1)
+  local of_frame = records.new_serial_frame(packet, 1, self.lines:source(packet.line, id), seq)
+  return records.new_result("unfinished", of_frame)
+end
+
+--- Return the results of what waits when all packets have come: messages that the capture ends
+-- before, and others behind a frame that seems to be open, or behind a gap in a TCP connection.
+-- may_go_on  whether more packets may come, as in Wireshark: there every message that waits is one
+--            that the capture ends before
+function Reading:finish(may_go_on)
+  local list = {}
+  finish_frames(self, list)
+  for _, open in ipairs(self.streams:unfinished()) do
+    for i, finding in ipairs(open.findings) do
+      list[#list + 1] = waiting_result(self, open.packet, finding, i, may_go_on)
+    end
+  end
+  return list
+end
+
+--- Return the gaps in TCP connections, in the form of Buses:drops.
+function Reading:drops()
+  return self.streams:drops()
+end
+
+return M

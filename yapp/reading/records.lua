@@ -1,0 +1,65 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The records that go into the reading of a capture and come out of it.  Pure Lua.  Each has one
+-- constructor, which names every field.  host.serial has that of a packet, reading.messages that of
+-- a message, can.reassembly and serial.transfers those of transfers.
+
+local M = {}
+
+--- Make the record of a CAN frame.  It is used again for the next frame, which saves a tenth of a
+-- packet list: nobody keeps it.
+function M.new_can_frame()
+  return {
+    -- host.can fills in:
+    key = 0, -- see base.frame_key
+    time = 0, -- seconds since the first packet
+    visited = false, -- whether it is a revisit
+    can_id = false, -- the fields of its CAN id (wire.can_id)
+    seq = 0, -- of can_id
+    data = "", -- the captured bytes
+    reported = 0, -- number of bytes on the bus
+    bus = false, -- its number, or false
+    is_bus_known = true, -- whether the capture tells where it was captured
+    accepts_all = false, -- whether the user says that every extended frame is YAPP
+    is_only_pass = false, -- whether it is never dissected again
+    wants_state = false, -- whether the state of its message is wanted
+    -- The reading fills in:
+    source = false, -- see message.types
+    slot = 0, -- see can_id.slot
+  }
+end
+
+--- Make the record of a frame in a packet.  The n-th finding of a packet has the frame key of the
+-- packet + n - 1.  As a frame has at least 16 bytes, no other packet has that key, not even in a
+-- tunnel that puts several packets into one.
+function M.new_serial_frame(packet, index, source, seq)
+  return {
+    key = packet.key + index - 1,
+    time = packet.time,
+    visited = packet.visited,
+    seq = seq,
+    is_bus_known = packet.is_bus_known,
+    is_only_pass = packet.is_only_pass,
+    wants_state = packet.wants_state,
+    source = source, -- the line, of skipped bytes
+  }
+end
+
+--- Make the record of what a frame, or a part of a packet, turned out to be.
+-- kind     "single", a message in one frame; "last", which ends a message of several; "fragment";
+--          "other", which has no message; "skipped", bytes of no frame; "unfinished", what the
+--          capture ends before; "undissected", which may be a message that is not decoded
+-- frame    see above
+-- returns  all that the view and the statistics see
+function M.new_result(kind, frame)
+  return {
+    kind = kind,
+    frame = frame,
+    transfer = false, -- that the frame belongs to, or false
+    message = false, -- that it ends, or false
+    anomalies = false, -- list of { expert, text, ... }, see can.reassembly; or false
+    index = false, -- of the frame in its transfer, on a revisit; or false
+    length = 0, -- number of bytes: of skipped ones; size of an undissected message
+  }
+end
+
+return M
