@@ -7,7 +7,7 @@ import re
 TOP = pathlib.Path(__file__).resolve().parent.parent
 
 # An arrow leads down this list, or stays in a folder.  Folders of one row know nothing of each other.
-ORDER = [["yapp.lua"], ["can", "serial"], ["stat"], ["show"], ["host"], ["file"], ["message"], ["wire"], ["base"]]
+ORDER = [["yapp.lua"], ["stat", "show"], ["host"], ["reading"], ["can", "serial"], ["file", "message"], ["wire"], ["base"]]
 REQUIRE = re.compile(r'\brequire\b\s*\(?\s*"([\w.]+)"')
 
 

@@ -57,7 +57,7 @@ local function run(path, step)
     sources[fields.id] = sources[fields.id] or reader:new_source(fields.id, false)
     frame.source = sources[fields.id]
     frame.data, frame.reported = data, #data
-    local kind, message = known:take(frame)
+    local kind, message = known:add(frame)
     if kind ~= "last" then return end
     if message.status == "good" then count = count + 1 end
     local m = finished(frame, message.payload)

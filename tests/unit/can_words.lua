@@ -77,8 +77,8 @@ function M.visit(known, frame, visited)
     slot = can_id.slot(fields, frame.bus or 0), source = known.source_of(fields.id, bus), bus = bus,
     data = frame.data, reported = frame.reported or #frame.data,
     accepts_all = frame.accepts_all or false, is_only_pass = frame.is_only_pass or false }
-  local take = visited and known.reassembly.recall or known.reassembly.take
-  local kind, message, anomalies, index = take(known.reassembly, record)
+  local look = visited and known.reassembly.recall or known.reassembly.add
+  local kind, message, anomalies, index = look(known.reassembly, record)
   if not kind then return "-", {} end
   local text = kind == "last" and message.status or kind == "fragment" and "." or kind
   if kind == "other" then text = OTHER[fields.ctrl] or "invalid" end

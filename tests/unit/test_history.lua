@@ -63,7 +63,7 @@ end
 local function run(messages, key, options)
   local h, found = new(options), {}
   for i, m in ipairs(messages) do
-    local change, delta = h:note(m)
+    local change, delta = h:add(m)
     local all = { delta = delta }
     for name, value in pairs(change or {}) do all[name] = value end
     for name, value in pairs(h:state(m) or {}) do all[name] = value end
@@ -75,10 +75,10 @@ end
 
 function T.test_the_first_message_has_nothing_but_its_clock()
   local h = new()
-  lu.assertNil(h:note(motor(1, 0)))
+  lu.assertNil(h:add(motor(1, 0)))
   lu.assertEquals(h:state(motor(1, 0)), { drift = 0 })
-  lu.assertNil(h:note { source = {}, seq = 0, key = 2, time = 1, status = "good", payload = "" })
-  lu.assertNil(h:note { source = {}, seq = 0, key = 3, time = 1, status = "bad", payload = "" })
+  lu.assertNil(h:add { source = {}, seq = 0, key = 2, time = 1, status = "good", payload = "" })
+  lu.assertNil(h:add { source = {}, seq = 0, key = 3, time = 1, status = "bad", payload = "" })
 end
 
 -- What changed in a field.
@@ -228,7 +228,7 @@ function T.test_a_clock_at_the_end_of_a_message()
   local message, h, found = own.by_id[1], new(), {}
   for i, clock in ipairs { int64(5e9), int64(5e9):sub(1, 7), int64(4e9) } do
     local payload = "a" .. clock
-    local new_change = h:note { source = source_of("clock", message), seq = 0, key = i, time = i, status = "good",
+    local new_change = h:add { source = source_of("clock", message), seq = 0, key = i, time = i, status = "good",
       raws = message.read(payload), payload = payload }
     found[i] = new_change or "-"
   end
@@ -315,7 +315,7 @@ function T.test_the_catalogue_says_which_messages_others_answer()
   local function note(number, message)
     local m = { source = source_of("", message), seq = 0, key = number,
       time = number, status = "good", raws = {}, payload = "" }
-    h:note(m)
+    h:add(m)
     return h:state(m).command_in
   end
   for i, message in ipairs(answering.messages) do
@@ -359,7 +359,7 @@ function T.test_a_part_of_bits_beside_alarms()
     alarm = "ALARM", flags = { { "hot", 0x80, "Hot" } }, bits = { { "gear", 0x7, "Gear" } } } } }
   local message, h, found = own.by_id[1], new(), {}
   for i, raw in ipairs { 0x01, 0x02, 0x82, 0x83, 0x03 } do
-    found[i] = h:note { source = source_of("", message), seq = 0, key = i, time = i, status = "good", raws = { raw },
+    found[i] = h:add { source = source_of("", message), seq = 0, key = i, time = i, status = "good", raws = { raw },
       payload = "" }
   end
   for _, i in ipairs { 1, 2, 4 } do lu.assertNil(found[i] and found[i].flags) end
@@ -403,7 +403,7 @@ function T.test_a_revisit_gets_the_same_in_any_order()
     local messages, random = random_messages(seed * 7919, 300)
     local h, noted = new(), {}
     for i, m in ipairs(messages) do
-      local new_change, delta = h:note(m)
+      local new_change, delta = h:add(m)
       noted[i] = { new_change or false, delta }
       local before = 1 + random(i) -- some are asked for while the first pass goes on
       lu.assertEquals(looked_up(h, messages[before]), noted[before])
@@ -418,19 +418,19 @@ end
 -- With -2 -R, a frame that was rejected and the next one have the same number: the later one counts.
 function T.test_a_number_that_comes_again()
   local h = new()
-  h:note(motor(7, 1, { seq = 1 }))
-  lu.assertEquals(h:note(motor(8, 1.1, { seq = 3 })).missing, 1)
-  lu.assertNil(h:note(motor(8, 1.2, { seq = 4 })))
+  h:add(motor(7, 1, { seq = 1 }))
+  lu.assertEquals(h:add(motor(8, 1.1, { seq = 3 })).missing, 1)
+  lu.assertNil(h:add(motor(8, 1.2, { seq = 4 })))
   lu.assertNil(h:change(motor(8, 1.2, { seq = 4 })))
 end
 
 -- A delta is false at the first message of a source, and nil where the history was not asked.
 function T.test_deltas_of_revisits()
   local h, bad = new { late = 100 }, motor(3, 2.5, { ends = "bad" })
-  h:note(motor(1, 1))
-  h:note(motor(2, 2))
-  h:note(bad)
-  h:note(motor(4, 4), true)
+  h:add(motor(1, 1))
+  h:add(motor(2, 2))
+  h:add(bad)
+  h:add(motor(4, 4), true)
   lu.assertEquals({ looked_up(h, motor(1, 1)), looked_up(h, motor(2, 2)), looked_up(h, bad),
     looked_up(h, motor(4, 4)), looked_up(h, motor(5, 5, { source = "nobody" })) },
     { { false, false }, { false, 1 }, { false, 0.5 }, { false }, { false } })
@@ -443,7 +443,7 @@ function T.test_nothing_is_kept_of_messages_that_change_nothing()
   local function note(first, last)
     for i = first, last do
       m.key, m.time, m.seq, m.payload = i, i * 0.1, i % 256, around(int64(i * 1e8))
-      h:note(m, true)
+      h:add(m, true)
     end
   end
   local function kilobytes()

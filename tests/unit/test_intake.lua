@@ -1,11 +1,13 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What dissectors report to the statistics: events of messages and of losses, and their kinds.
+-- What statistics hear of the results of the reading: events of messages and of losses, and their kinds.
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue_of = require("yapp.message.catalogue")
+local decode = require("yapp.message.decode")
 local frame_key = require("yapp.base.frame_key")
 local intake_of = require("yapp.stat.intake")
 local kinds = require("yapp.stat.kinds")
+local records = require("yapp.reading.records")
 
 local T = {}
 
@@ -23,23 +25,45 @@ local function new_intake()
   local queue = { offer = function(_, event, visited) offered[#offered + 1] = { event, visited } end,
     add_undissected = function(_, event) offered[#offered + 1] = { event } end }
   intake:open(queue)
-  intake.wants_fragments = true
   return intake, offered
 end
 
--- A finished message, as the reader reads it; with.frame: the number of its packet.
+-- A message, as reading.messages reads it; with.frame: the number of its packet; with.of: its message type.
 local function message(with)
-  local m = { seq = 0, source = SOURCE, time = 0.5, visited = false, status = "good", payload = "\0\0\0" }
+  local m = { seq = 0, source = SOURCE, time = 0.5, visited = false, status = "good", payload = "\0\0\0",
+    change = false, undecoded = false, is_unreliable = false }
   for key, value in pairs(with or {}) do m[key] = value end
   m.key = (m.frame or 1) * frame_key.PACKET + 16
-  if m.payload then m.raws, m.is_remarkable = MESSAGE.read(m.payload) end
+  local of_type = m.of or MESSAGE
+  local raws, is_remarkable = of_type.read(m.payload)
+  m.raws, m.remarks = raws, is_remarkable and decode.remarks(of_type, raws)
   return m
+end
+
+-- The result of a frame; with: of message(), and length.
+local function result(kind, with)
+  local one = records.new_result(kind, message(with))
+  one.length = with and with.length or 0
+  return one
+end
+
+local function report_message(intake, m)
+  local one = records.new_result("single", m)
+  one.message = m
+  intake:report(one)
+end
+
+local function report_anomalies(intake, with, anomalies)
+  local one = result("other", with)
+  one.frame.can_id = { ctrl = with and with.is_end and 3 or 2 }
+  one.anomalies = anomalies
+  intake:report(one)
 end
 
 function T.test_kinds_of_finished_messages()
   local intake, offered = new_intake()
   for _, status in ipairs { "good", "bad", "truncated", "incomplete", "overrun" } do
-    intake:message(message { status = status })
+    report_message(intake, message { status = status })
   end
   local found = {}
   for i, one in ipairs(offered) do
@@ -53,7 +77,7 @@ function T.test_frames_that_may_be_messages()
   local intake, offered = new_intake()
   local function reported(source, seq, size)
     local count = #offered
-    intake:unknown { source = source, seq = seq, size = size, key = 0, time = 0 }
+    intake:report(result("undissected", { source = source, seq = seq, length = size }))
     return #offered > count
   end
   local other = { id = 7, bus = "can0" }
@@ -70,44 +94,33 @@ function T.test_a_tap_leaves_with_the_next_message()
   local intake, removed = new_intake(), 0
   intake:remove_later { remove = function() removed = removed + 1 end }
   lu.assertEquals(removed, 0)
-  intake:message(message())
-  intake:message(message())
+  report_message(intake, message())
+  report_message(intake, message())
   lu.assertEquals(removed, 1)
 end
 
 function T.test_a_message()
   local intake, offered = new_intake()
   local change = { missing = 1 }
-  intake:message(message { visited = true, change = change, is_unreliable = true })
+  report_message(intake, message { visited = true, change = change, is_unreliable = true })
   local event = offered[1][1]
   lu.assertEquals({ event.frame, event.time, event.seq, event.payload, event.raws ~= nil, offered[1][2] },
     { 1, 0.5, 0, "\0\0\0", true, true })
   lu.assertEquals(event.values, { change = change, is_unreliable = true })
-  intake:message(message())
+  report_message(intake, message())
   lu.assertIs(table.remove(offered)[1].values, kinds.NOTHING) -- as of most messages
   lu.assertIs(event.values.change, change)
   lu.assertIs(event.source, SOURCE)
   for i, with in ipairs { { is_unreliable = true }, { undecoded = 2 }, { change = change } } do
-    intake:message(message(with))
+    report_message(intake, message(with))
     lu.assertEquals(offered[i + 1][1].values, with)
-  end
-end
-
-function T.test_an_intake_that_is_closed()
-  local intake = intake_of.new(CATALOGUE)
-  for _ = 1, 2 do
-    lu.assertEquals({ intake.wanted, intake.wants_fragments }, { false, false })
-    intake:open {}
-    intake.wants_fragments = true
-    lu.assertTrue(intake.wanted)
-    intake:close()
   end
 end
 
 function T.test_what_the_catalogue_does_not_define()
   local intake, offered = new_intake()
   for _, payload in ipairs { "\0\1\0", "\5\1\0", "\0\3\0", "\9\255\255" } do
-    intake:message(message { payload = payload })
+    report_message(intake, message { payload = payload })
   end
   local fields = {}
   for i, one in ipairs(offered) do
@@ -124,9 +137,8 @@ function T.test_values_that_are_not_defined()
     { "gear", "int8", "Gear", values = { [-1] = "back", [0] = "none" } },
     { "deep", "int32", "Deep", values = { [0] = "none" } } } }
   local intake, offered = new_intake()
-  local m = message { source = { id = 1, message = own.messages[1] } }
-  m.raws, m.is_remarkable = own.messages[1].read("\10\255\254\0\0\0\128")
-  intake:message(m)
+  local source, payload = { id = 1, message = own.messages[1] }, "\10\255\254\0\0\0\128"
+  report_message(intake, message { source = source, of = own.messages[1], payload = payload })
   lu.assertEquals(offered[1][1].values.invalid, {
     { field = "key", value = 10, code = "0x0a", effect = " (the controller ignores this command)" },
     { field = "mode", value = 255, code = "0xff", effect = false },
@@ -134,21 +146,15 @@ function T.test_values_that_are_not_defined()
     { field = "deep", value = -2 ^ 31, code = "-2147483648", effect = false } })
 end
 
-local function fragment(with)
-  local m = message(with)
-  m.status, m.payload, m.raws, m.is_remarkable = nil, nil, nil, nil
-  return m
-end
-
 -- A message with too many bytes has a fault at each further frame; all of them are of that message.
 function T.test_losses_carry_their_message()
   local intake, offered = new_intake()
   local lost = {}
   for frame = 1, 3 do
-    intake:anomalies(fragment { frame = frame },
+    report_anomalies(intake, { frame = frame },
       { { expert = "fragment.overrun", lost = lost }, { expert = "size.mismatch" } })
   end
-  intake:anomalies(fragment { frame = 4 },
+  report_anomalies(intake, { frame = 4 },
     { { expert = "fragment.incomplete", lost = {} }, { expert = "fragment.incomplete" }, { expert = "truncated" } })
   local whats = {}
   for i, one in ipairs(offered) do
@@ -164,26 +170,26 @@ function T.test_orphans_of_one_message()
   local intake, offered = new_intake()
   local names = {} -- [what is lost] = the first frame that shows it
   local function orphan(name, with)
-    intake:anomalies(fragment(with), { { expert = "fragment.orphan" } }, with and with.is_end)
+    report_anomalies(intake, with, { { expert = "fragment.orphan" } })
     local lost = offered[#offered][1].values.lost
     names[lost] = names[lost] or name
     return names[lost]
   end
   lu.assertEquals({ orphan "a1", orphan "a2", orphan("other's", { source = {} }), orphan("a3", { is_end = true }),
     orphan "b1" }, { "a1", "a1", "other's", "a1", "b1" })
-  intake:message(message())
+  report_message(intake, message())
   lu.assertEquals({ orphan("d1", { is_end = true }), orphan("e1", { is_end = true }), orphan("f1", { seq = 7 }),
     orphan("g1", { seq = 8 }), orphan("g2", { seq = 8, is_end = true }), orphan("h1", { seq = 8 }) },
     { "d1", "e1", "f1", "g1", "g1", "h1" })
   orphan "i1"
-  intake:anomalies(fragment(), { { expert = "fragment.incomplete", lost = {} } }) -- of another message
+  report_anomalies(intake, nil, { { expert = "fragment.incomplete", lost = {} } }) -- of another message
   lu.assertEquals({ orphan "j1", orphan "j2" }, { "j1", "j1" })
 end
 
 function T.test_bytes_of_no_frame()
   local intake, offered = new_intake()
   local line = { bus_key = "serial", bus = "ttyA" }
-  intake:skipped({ key = 3 * frame_key.PACKET, time = 2, visited = false, source = line }, 9)
+  intake:report(result("skipped", { frame = 3, time = 2, source = line, length = 9 }))
   local event = offered[1][1]
   lu.assertEquals({ event.kind, event.values.length, event.frame, event.time }, { "skipped", 9, 3, 2 })
   lu.assertIs(event.source, line)
@@ -194,15 +200,15 @@ function T.test_bytes_of_several_packets()
   local intake, offered = new_intake()
   local stream, other = {}, {}
   local function skipped(line, frame)
-    intake:skipped({ key = frame * frame_key.PACKET, time = frame, visited = true, source = line }, 9)
+    intake:report(result("skipped", { frame = frame, time = frame, visited = true, source = line, length = 9 }))
   end
   for run = 1, 2 do
     skipped(stream, 3)
     skipped(other, 4)
     skipped(stream, 5)
-    intake:message(message { source = { line = other, message = MESSAGE }, frame = 6 })
+    report_message(intake, message { source = { line = other, message = MESSAGE }, frame = 6 })
     skipped(stream, 7)
-    intake:anomalies(fragment { source = { line = stream }, frame = 8 }, { { expert = "fragment.incomplete" } })
+    report_anomalies(intake, { source = { line = stream }, frame = 8 }, { { expert = "fragment.incomplete" } })
     skipped(stream, 9)
     lu.assertEquals(#offered, run * 5)
   end
@@ -213,16 +219,14 @@ function T.test_bytes_of_several_packets()
   lu.assertEquals({ #offered, offered[10][1].values.length, offered[11][1].frame }, { 11, 18, 11 })
 end
 
-function T.test_messages_that_the_capture_ends_before()
-  local intake = new_intake()
-  intake:fragment(fragment { frame = 5 })
-  intake:fragment(fragment { frame = 4, seq = 3 })
-  intake:fragment(fragment { frame = 7 }) -- its next fragment
-  local function open(seq, frame, source)
-    return { source = source or SOURCE, seq = seq, key = frame * frame_key.PACKET }
-  end
-  local records = intake:unfinished { open(0, 7), open(3, 4), open(9, 4), open(0, 7, {}), open(0, 5) }
-  lu.assertEquals({ #records, records[1].frame, records[2].frame, records[2].kind }, { 2, 4, 7, "unfinished" })
+function T.test_what_waits_when_the_capture_ends()
+  local intake, offered = new_intake()
+  local whole = result("single", { frame = 6 })
+  whole.message = whole.frame
+  local later, earlier = result("unfinished", { frame = 7 }), result("unfinished", { frame = 4, seq = 3 })
+  local events = intake:finish { later, whole, earlier }
+  lu.assertEquals({ #events, events[1].frame, events[2].frame, events[2].kind }, { 2, 4, 7, "unfinished" })
+  lu.assertEquals({ #offered, offered[1][1].kind, offered[1][1].frame }, { 1, "message", 6 })
 end
 
 return T

@@ -49,7 +49,7 @@ end
 local function take(self, rows, other)
   for i, row in ipairs(rows) do
     local packet = packet_of(row, other)
-    lu.assertEquals(in_words(self:take(packet, true), row[2]), row[3], "packet " .. i)
+    lu.assertEquals(in_words(self:add(packet, true), row[2]), row[3], "packet " .. i)
   end
 end
 
@@ -119,7 +119,7 @@ end
 
 function T.test_what_the_capture_cut()
   holds { { 1, A:sub(1, 20), "truncated 5 @0 -5", truncated = true }, { 2, A, "good 5 @0" } }
-  local finding = new():take(packet_of { 1, "ok" .. A:sub(1, 20), truncated = true }, true).findings[2]
+  local finding = new():add(packet_of { 1, "ok" .. A:sub(1, 20), truncated = true }, true).findings[2]
   lu.assertEquals(finding.status, "truncated")
 end
 
@@ -140,7 +140,7 @@ function T.test_the_capture_ends_before_a_frame()
   local rows, found, self = { { 1, A:sub(1, 20), stream = "a" }, { 2, B, stream = "b" }, { 3, A:sub(21), stream = "a" },
     { 4, "x" .. A:sub(1, 14), stream = "a" }, { 5, A:sub(15, 17), stream = "a" }, { 6, B:sub(1, 11), stream = "c" } },
     {}, new()
-  for i, row in ipairs(rows) do self:take(packet_of(row), true) rows[i].packet = packet_of(row) end
+  for i, row in ipairs(rows) do self:add(packet_of(row), true) rows[i].packet = packet_of(row) end
   lu.assertEquals(unfinished(self), "a incomplete 5 of 5, c skipped 11 of 6")
   for i, row in ipairs(rows) do found[i] = self:is_unfinished(self:find(row.packet), row.packet) end
   lu.assertEquals(found, { false, false, false, false, true, false })
@@ -161,7 +161,7 @@ end
 function T.test_the_end_of_a_packet_that_was_not_captured()
   for _, row in ipairs { { A, 1 }, { "text", 1 }, { A .. B:sub(1, 12), 0 }, { A .. B:sub(1, 11), 1 } } do
     local self = new()
-    self:take(packet_of { 1, row[1], truncated = true, is_datagram = true, epoch = 1000, bus_name = "eth0" }, true)
+    self:add(packet_of { 1, row[1], truncated = true, is_datagram = true, epoch = 1000, bus_name = "eth0" }, true)
     lu.assertEquals(#self:drops(), row[2])
   end
 end
@@ -194,7 +194,7 @@ function T.test_datagrams_of_a_byte_stream()
     local self, good = new(), 0
     for at = 1, #all, length do
       local bytes = all:sub(at, at + length - 1)
-      local contents = self:take(packet_of { at, bytes, is_datagram = true, is_found = true }, true)
+      local contents = self:add(packet_of { at, bytes, is_datagram = true, is_found = true }, true)
       for _, finding in ipairs(contents.findings) do
         lu.assertEquals(finding.status, "good", length)
         good = good + 1
@@ -214,7 +214,7 @@ end
 function T.test_datagrams_of_others()
   local self = new()
   local function is_others(key, bytes, words)
-    local contents = self:take(packet_of { key, bytes, is_datagram = true, is_found = true }, true)
+    local contents = self:add(packet_of { key, bytes, is_datagram = true, is_found = true }, true)
     lu.assertEquals(in_words(contents, bytes), words)
     lu.assertEquals(self:find(packet_of { key, bytes }) == nil, contents.is_others)
     return contents.is_others
@@ -241,7 +241,7 @@ function T.test_a_conversation_on_trial()
       for at = 1, 3 * #frame, length do
         local packet = packet_of { at, (frame .. frame .. frame):sub(at, at + length - 1) }
         found = found or self:try(packet, true) and at
-        local contents = found and self:take(packet, true)
+        local contents = found and self:add(packet, true)
         shown = shown or contents and contents.findings[1] and in_words(contents, packet.bytes):match("^%a+ %d")
       end
       local needed = frame == A and 12 or #frame
@@ -304,7 +304,7 @@ end
 function T.test_packets_that_are_not_stored()
   local self = new()
   for _, row in ipairs { { 1, A, "good 5 @0" }, { 2, B:sub(1, 5), "5 wait" }, { 3, B:sub(6), "good 6 in 2,3" } } do
-    lu.assertEquals(in_words(self:take(packet_of(row), false), row[2]), row[3])
+    lu.assertEquals(in_words(self:add(packet_of(row), false), row[2]), row[3])
     lu.assertNil(self:find(packet_of(row)))
   end
 end
@@ -325,7 +325,7 @@ local function segments(rows, first_seq)
       local epoch = 1000 + (row.time or row[1] / 100)
       local packet = packet_of({ row[1], bytes, seq = (first_seq + row[2]) % 0x100000000, epoch = epoch,
         bus_name = "eth0" })
-      lu.assertEquals(in_words(self:take(packet, true), bytes), row[4], "packet " .. i)
+      lu.assertEquals(in_words(self:add(packet, true), bytes), row[4], "packet " .. i)
     else
       local ack = row.acknowledges and (first_seq + row.acknowledges) % 0x100000000
       local header = { ack = ack, is_syn = row.is_syn, seq = (first_seq + (row.is_sent or 1)) % 0x100000000, length = 0,
@@ -415,7 +415,7 @@ function T.test_a_segment_far_ahead()
   local self, payload = new(), ("x"):rep(1000)
   local function says(key, seq, bytes, expected)
     local packet = packet_of { key, bytes, seq = seq }
-    lu.assertEquals(in_words(self:take(packet, true), bytes), expected)
+    lu.assertEquals(in_words(self:add(packet, true), bytes), expected)
   end
   says(1, 1, A, "good 5 @0")
   says(2, 1000, B, "17 held")
@@ -443,9 +443,9 @@ function T.test_what_a_header_says_of_its_stream()
   local header = { seq = 5, length = 0 }
   local function follows() return self:note_header("", "other", header) and true or false end
   lu.assertFalse(follows())
-  self:take(packet_of { 1, A }, true)
+  self:add(packet_of { 1, A }, true)
   lu.assertFalse(follows()) -- TCP told no sequence number
-  self:take(packet_of { 2, A, seq = 5 }, true)
+  self:add(packet_of { 2, A, seq = 5 }, true)
   lu.assertTrue(follows())
 end
 
@@ -485,11 +485,11 @@ function T.test_random_segments()
     for i = 1, #pieces do order[i] = { pieces[i], i + (random(4) == 1 and random(6) or 0) + i / 1000 } end
     table.sort(order, function(a, b) return a[2] < b[2] end)
     local first_seq, shown = 0x100000000 - random(2000), {}
-    self:take(packet_of { 0, "", seq = first_seq }, true)
+    self:add(packet_of { 0, "", seq = first_seq }, true)
     for i, one in ipairs(order) do
       local from, to = one[1][1], one[1][2]
       local packet = packet_of { i, bytes:sub(from + 1, to), seq = (first_seq + from) % 0x100000000 }
-      for _, finding in ipairs(self:take(packet, true).findings) do shown[#shown + 1] = finding end
+      for _, finding in ipairs(self:add(packet, true).findings) do shown[#shown + 1] = finding end
     end
     local whole = new_framer()
     local wanted = whole:add(bytes)
@@ -520,7 +520,7 @@ end
 
 function T.test_one_frame_a_packet_costs_little()
   local before, self = kilobytes(), new()
-  for i = 1, 10000 do self:take(packet_of({ i, A, is_datagram = i % 2 == 0 }), true) end
+  for i = 1, 10000 do self:add(packet_of({ i, A, is_datagram = i % 2 == 0 }), true) end
   lu.assertTrue(kilobytes() - before < 600) -- less than 60 bytes a packet
   find(self, { { 5000, A, "good 5 @0" } })
 end
@@ -533,7 +533,7 @@ function T.test_parts_of_frames_cost_little()
   for at = 1, #stream, 64 do pieces[#pieces + 1] = stream:sub(at, at + 63) end
   local before, self = kilobytes(), new()
   local function packet(number) return packet_of { number, pieces[(number - 1) % #pieces + 1] } end
-  for i = 1, 200 * #pieces do self:take(packet(i), true) end
+  for i = 1, 200 * #pieces do self:add(packet(i), true) end
   lu.assertTrue((kilobytes() - before) * 1024 / (200 * #pieces) < 1500) -- bytes a packet
   for _, number in ipairs { 2, 3002, 1502, 5999 } do
     local expected = ("good 5 in %d,%d"):format(number - 1, number)
@@ -544,9 +544,9 @@ end
 -- A gap holds no more than what a sender may send ahead.
 function T.test_a_gap_holds_little()
   local before, self, most = kilobytes(), new(), 0
-  self:take(packet_of { 1, A, seq = 0 }, true)
+  self:add(packet_of { 1, A, seq = 0 }, true)
   for i = 2, 2000 do
-    self:take(packet_of { i, ("x"):rep(1000), seq = 2000 * i }, false)
+    self:add(packet_of { i, ("x"):rep(1000), seq = 2000 * i }, false)
     most = math.max(most, i % 50 == 0 and kilobytes() - before or 0)
   end
   lu.assertTrue(most < 200 + 2000 / 4) -- a gap is kept, to be told
@@ -600,7 +600,7 @@ function T.test_random_packets_in_any_order()
       local found = { findings, contents.pending, contents.leads_to }
       lu.assertEquals(found, { said[i].findings, said[i].pending, leads_to }, "seed " .. seed .. " " .. i)
     end
-    for i, row in ipairs(rows) do holds_what_it_should(i, self:take(packet_of(row), true)) end
+    for i, row in ipairs(rows) do holds_what_it_should(i, self:add(packet_of(row), true)) end
     for _ = 1, 500 do
       local i = random(#rows)
       holds_what_it_should(i, self:find(packet_of(rows[i])), said[i].leads_to)

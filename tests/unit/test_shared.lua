@@ -59,7 +59,7 @@ end
 local function shared_at(messages, options)
   local h = new(options)
   for i, m in ipairs(messages) do
-    local change = h:note(m)
+    local change = h:add(m)
     if change and change.shared then return i end
   end
 end
@@ -136,7 +136,7 @@ end
 function T.test_the_history_is_silent_from_there_on()
   local h, seen, number = new(), {}, 0
   local function note(m)
-    local change, delta = h:note(m)
+    local change, delta = h:add(m)
     seen[#seen + 1] = { m, change or "none" }
     return change, delta
   end
@@ -182,7 +182,7 @@ function T.test_the_history_is_silent_from_there_on()
     ["other flags"] = 1,
     ["commands missing"] = 1,
   })
-  local _, delta = h:note(message(next_number(), 9, 7))
+  local _, delta = h:add(message(next_number(), 9, 7))
   lu.assertAlmostEquals(delta, 9 - 4.05, 1e-9) -- a fact of the bus, whoever sent
 end
 
@@ -254,7 +254,7 @@ local function fly(seed, controllers, with)
   end
   local h, said = new(with.options), { reboot = 0, jump = 0, stale = 0 }
   for _, m in ipairs(captured(random, sent, with)) do
-    local change = h:note(m) or {}
+    local change = h:add(m) or {}
     if change.shared then return true, said end
     for name, count in pairs(said) do said[name] = count + (change[name] and 1 or 0) end
   end

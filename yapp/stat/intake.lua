@@ -126,7 +126,7 @@ local function values_of(m)
     change = m.change or nil,
     invalid = invalid or nil,
     undecoded = m.undecoded or nil,
-    is_unreliable = m.is_unreliable,
+    is_unreliable = m.is_unreliable or nil,
   }
 end
 

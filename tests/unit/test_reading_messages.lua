@@ -1,0 +1,155 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- What a transfer means: its values, and what the history knows.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local catalogue = require("yapp.message.catalogue")
+local frame_key = require("yapp.base.frame_key")
+local messages_of = require("yapp.reading.messages")
+local sources = require("yapp.message.sources")
+local types_of = require("yapp.message.types")
+
+local T = {}
+
+local TAURUS = catalogue.compile(dofile("taurus_fields.lua"))
+local COMMAND, MOTOR, HEALTH = TAURUS.by_id[0], TAURUS.by_id[0x210], TAURUS.by_id[0x200]
+
+local function new_types(compiled)
+  local types = types_of.new(compiled or TAURUS)
+  types:use(catalogue.assign(compiled or TAURUS, {}), (sources.parse("", compiled or TAURUS)), false, function() end)
+  return types
+end
+
+-- A history that answers this, and writes what it was asked into a list.
+local function history_of(answer, asked)
+  local history = {}
+  for _, method in ipairs { "add", "change", "state" } do
+    history[method] = function()
+      asked[#asked + 1] = method
+      return answer[method], answer.delta
+    end
+  end
+  return history
+end
+
+-- Read a message of a payload of zeros with some bytes changed.
+-- bytes   { [offset] = value }
+-- with    of the transfer: status, size; of the frame: id, key, visited, is_bus_known, wants_state; answer = of the
+--         history; messages = a reading.messages
+-- returns the message, and what the history was asked
+local function read(of_type, bytes, with)
+  with = with or {}
+  local payload, asked, types = ("\0"):rep(of_type.size), {}, new_types()
+  for offset, byte in pairs(bytes or {}) do
+    payload = payload:sub(1, offset) .. string.char(byte) .. payload:sub(offset + 2)
+  end
+  local messages = with.messages or messages_of.new(types, history_of(with.answer or { delta = 1 }, asked))
+  local frame = { source = types:new_source(with.id or of_type.id, false), seq = 0,
+    key = with.key or 7 * frame_key.PACKET, time = 1, visited = with.visited or false,
+    is_bus_known = with.is_bus_known ~= false, is_only_pass = false, wants_state = with.wants_state or false }
+  local transfer = { status = with.status or "good", size = with.size or of_type.size, payload = payload }
+  return messages:read(frame, transfer), table.concat(asked, " ")
+end
+
+local function at(message, field) return message.by_name[field].offset end
+
+function T.test_what_a_message_gets()
+  local m = read(HEALTH, { [at(HEALTH, "board_revision")] = 9 }, { answer = { add = { missing = 1 }, delta = 1 } })
+  local revision = m.raws[HEALTH.by_name.board_revision.index]
+  lu.assertEquals({ m.source.message, revision, m.remarks, m.has_fault, m.change, m.delta },
+    { HEALTH, 9, false, false, { missing = 1 }, 1 })
+  for _, with in ipairs { { id = 0x123 }, { size = 16 }, { status = "incomplete" }, { status = "overrun" },
+    { size = 18, status = "bad" } } do
+    m = read(HEALTH, {}, with)
+    lu.assertEquals({ m.raws, m.remarks, m.has_fault, m.undecoded }, { false, false, false, false })
+  end
+end
+
+-- Nothing adds a field to a message: what it may have is there from the start.
+function T.test_a_message_has_all_its_fields()
+  local full, keys = read(MOTOR, { [at(MOTOR, "fault_flags")] = 1 }, { size = 36, wants_state = true,
+    answer = { add = { late = 1 }, delta = 1, state = {} } }), {}
+  for key in pairs(full) do keys[#keys + 1] = key end
+  local plain = read(HEALTH, {}, { id = 0x123 })
+  for _, key in ipairs(keys) do lu.assertNotNil(plain[key], key) end
+  lu.assertTrue(#keys > 15)
+end
+
+-- A firmware that appended something: what the catalogue knows counts, the next message is clean.
+function T.test_a_longer_payload()
+  local m = read(MOTOR, { [at(MOTOR, "fault_flags")] = 1 }, { size = 36 })
+  lu.assertEquals({ m.raws[MOTOR.by_name.fault_flags.index], m.has_fault, m.undecoded }, { 1, true, 4 })
+  lu.assertFalse(read(MOTOR).undecoded)
+end
+
+-- One entry for two firmwares.
+function T.test_a_shorter_payload()
+  local entries, found = dofile("taurus_fields.lua"), {}
+  for _, entry in ipairs(entries) do
+    if entry.name == "motor" then entry.min_size = 30 end
+  end
+  local types = new_types(catalogue.compile(entries))
+  for size = 29, 33 do
+    local messages = messages_of.new(types, history_of({ delta = 1 }, {}))
+    local m = messages:read({ source = types:new_source(0x210, false), key = 1, visited = false, is_bus_known = true },
+      { size = size, payload = ("\1"):rep(size), status = size == 31 and "bad" or "good" })
+    found[#found + 1] = ("%d %s %s"):format(size, m.raws and "read" or "bytes", m.undecoded or "-")
+  end
+  lu.assertEquals(found, { "29 bytes -", "30 read -", "31 read -", "32 read -", "33 read 1" })
+end
+
+function T.test_what_the_history_is_asked()
+  local m, asked = read(HEALTH, {}, { answer = { add = { reboot = 3 }, delta = 0.5 }, wants_state = true })
+  lu.assertEquals({ m.change, m.delta, m.state, asked }, { { reboot = 3 }, 0.5, false, "add state" })
+  m, asked = read(HEALTH, {}, { answer = { delta = false } })
+  lu.assertEquals({ m.change, m.delta, m.state, m.is_unreliable, asked }, { false, false, false, false, "add" })
+  m, asked = read(HEALTH, {}, { answer = { change = { late = 1 }, delta = 0.5 }, visited = true, wants_state = true })
+  lu.assertEquals({ m.change, m.delta, m.state, m.is_unreliable, asked },
+    { { late = 1 }, 0.5, false, false, "change state" })
+  m = read(HEALTH, {}, { answer = {}, visited = true }) -- the first pass did not ask the history
+  lu.assertEquals({ m.delta, m.is_unreliable }, { false, true })
+  m, asked = read(HEALTH, {}, { answer = { add = { late = 1 } }, is_bus_known = false }) -- nothing tells its bus
+  lu.assertEquals({ m.change, m.delta, m.state, m.is_unreliable, asked }, { false, false, false, true, "" })
+  m = read(HEALTH, {}, { answer = { delta = 1, state = { drift = 1, command_in = 5 } }, wants_state = true })
+  lu.assertEquals(m.state, { drift = 1, command_in = 5 })
+end
+
+-- Several controllers share its source: the history says so, in order and on a revisit.
+function T.test_an_unreliable_source()
+  for _, visited in ipairs { false, true } do
+    local function is_unreliable(change)
+      local answer = { add = change, change = change, delta = 1 }
+      return read(HEALTH, {}, { answer = answer, visited = visited }).is_unreliable
+    end
+    lu.assertTrue(is_unreliable { shared = true, unreliable = true })
+    lu.assertTrue(is_unreliable { unreliable = true })
+    lu.assertFalse(is_unreliable { reboot = 3 })
+    lu.assertFalse(is_unreliable(nil))
+  end
+end
+
+function T.test_what_is_a_fault()
+  local fault, status, state = at(MOTOR, "fault_flags"), at(MOTOR, "status_flags"), at(MOTOR, "motor_state")
+  for _, row in ipairs { { {}, false }, { { [fault] = 1 }, true }, { { [fault + 2] = 0x08 }, true }, -- undefined
+    { { [status] = 2 }, false }, { { [state] = 0x1F }, false }, { { [state] = 0x20 }, true } } do
+    lu.assertEquals(read(MOTOR, row[1]).has_fault, row[2])
+  end
+  lu.assertFalse(read(COMMAND).has_fault) -- a key that is none
+end
+
+-- The first unknown message of an ID with a known size gets the whole advice, also on a revisit.
+function T.test_what_an_unknown_message_is_like()
+  local messages = messages_of.new(new_types(), history_of({ delta = 1 }, {}))
+  local function like(with)
+    with.messages = messages
+    local m = read(MOTOR, {}, with)
+    return { m.like and m.like.name, m.is_advised }
+  end
+  lu.assertEquals(like { id = 0x123, key = 7 }, { "motor", true })
+  lu.assertEquals(like { id = 0x123, key = 7, visited = true }, { "motor", true })
+  lu.assertEquals(like { id = 0x123, key = 8 }, { "motor", false })
+  lu.assertEquals(like { id = 0x124, size = 5 }, { false, false })
+  lu.assertEquals(like { id = 0x124, status = "bad" }, { false, false })
+  lu.assertEquals(like {}, { false, false }) -- it is known
+end
+
+return T
