@@ -226,7 +226,7 @@ local function search_streams()
   is_searching = true
   serial:register_heuristic("tcp", found_by_content)
   serial:register_heuristic("udp", found_by_content)
-  usb.watch(usb_header, function(...) streams:dissect_usb(...) end)
+  usb.watch(usb_header, counted(function(...) streams:dissect_usb(...) end))
 end
 
 -- Return the controller's own time of a frame in a raw dump ("Nanoseconds since boot"), nil for

@@ -13,7 +13,9 @@ import subprocess
 import tempfile
 
 import model
+import stream_captures
 from crc32k import crc32k
+from stream_captures import USBMON, USBPCAP, usbmon
 
 CAPTURES = pathlib.Path(__file__).resolve().parents[1] / "test_captures"
 FINDINGS = CAPTURES / "fuzz"
@@ -22,6 +24,7 @@ OTHER_IDS = [0x001, 0x100, 0x211, 0x300, 0x301, 0x7FF]
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
 ETHERNET, RAW_IP, SLL, SOCKETCAN, USER0, RTAC, PDU, SLL2 = 1, 101, 113, 227, 147, 250, 252, 276
+USBMON_48 = 189
 
 
 # YAPP ------------------------------------------------------------------------------------------------------------
@@ -223,20 +226,24 @@ def decode_as(rng, table, ports):
 
 
 def udp(rng, count):
-    packets = []
-    for data in pieces(rng, count):
+    """A conversation, now and then with a new port for each datagram; some datagrams are others'."""
+    packets, changes, others = [], rng.random() < 0.2, rng.choice((0, 0, 0.3))
+    for number, data in enumerate(pieces(rng, count)):
         a, b = (1, 2) if rng.random() < 0.7 else (2, 1)
-        packets.append(ip(rng, 17, a, b, struct.pack(">HHHH", 50000 + a, 50000 + b, 8 + len(data), 0) + data))
+        port = 40000 + number % 20000 if changes else 50000 + a
+        data = rng.randbytes(rng.randrange(1, 30)) if rng.random() < others else data
+        packets.append(ip(rng, 17, a, b, struct.pack(">HHHH", port, 50000 + b, 8 + len(data), 0) + data))
     return in_ethernet(packets), decode_as(rng, "udp.port", (50001, 50002))
 
 
 def tcp(rng, count):
-    """Several conversations; segments come twice, late, overlap or never."""
-    packets = []
+    """Several conversations; segments come twice, late, overlap or never.  Some servers are in telnet mode."""
+    packets, is_telnet = [], rng.random() < 0.2
     while len(packets) < count:
         sequence, port = {1: rng.getrandbits(32), 2: rng.getrandbits(32)}, 50000 + rng.randrange(3)
         for data in pieces(rng, min(count, 200)):
             side = 1 if rng.random() < 0.8 else 2
+            data = data.replace(b"\xff", b"\xff\xff") if is_telnet else data
             number = sequence[side]
             sequence[side] = number + len(data) & 0xFFFFFFFF
             kind = rng.random()
@@ -254,11 +261,28 @@ def tcp(rng, count):
     return in_ethernet(packets), decode_as(rng, "tcp.port", (50000, 20001))
 
 
+def usb(rng, count):
+    """Adapters of several kinds, in usbmon or USBPcap; with or without their descriptors."""
+    link, header = rng.choice(((USBMON_48, usbmon), (USBMON, usbmon), (USBPCAP, stream_captures.usbpcap)))
+    size, packets = rng.choice((0, 0, 64, 512)), []
+    vendor = rng.choice((None, 0x0403, 0x10C4, rng.randrange(65536)))
+    if vendor is not None:
+        descriptor = b"\x12\x01\0\x02\0\0\0\x40" + struct.pack("<H", vendor) + bytes(8)
+        endpoint = b"\x07\x05\x81\x02" + struct.pack("<H", rng.choice((64, 512, 0, 1, 2, 65535))) + b"\0"
+        packets = [header(2, 0x80, data, 7) for data in (descriptor, b"\x09\x02\x20\0\x01\x01\0\xa0\x2d" + endpoint)]
+    for data in pieces(rng, count):
+        inward = rng.random() < 0.7
+        data = stream_captures.with_status(data, size) if size and inward else data
+        packets.append(header(rng.choice((3,) * 9 + (1,)), 0x81 if inward else 2, data, 7))
+    packets = [packet[:48] + packet[64:] for packet in packets] if link == USBMON_48 else packets
+    return [(0, link, data) for data in packets], []
+
+
 def mixed(rng, count):
     """All of them in one file, each on an interface of its own."""
     packets, arguments = [], []
-    for maker in (can, cooked_can, user_dlt, rtac, exported_pdu, udp, tcp):
-        more, how = maker(rng, count // 7 + 1)
+    for maker in (can, cooked_can, user_dlt, rtac, exported_pdu, udp, tcp, usb):
+        more, how = maker(rng, count // 8 + 1)
         packets += more
         arguments += how
     if rng.random() < 0.5:
@@ -336,14 +360,20 @@ def pcapng(rng, packets, arguments):
     head = block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))
     head += b"".join(block(1, struct.pack("<HHI", link, 0, 262144)) for link, _ in interfaces)
     number = {key: at for at, key in enumerate(interfaces)}
+    flagged = rng.random() < 0.3  # with a direction
+
+    def flags(data):
+        value = struct.pack("<HHIHH", 2, 4, rng.choice((1, 1, 2, 2, 0, 3, rng.getrandbits(32))), 0, 0)
+        return bytes(-len(data) % 4) + value if flagged else b""
+
     units = [block(6, struct.pack("<IIIII", number[link, interface], now >> 32, now & 0xFFFFFFFF, len(data), length)
-                   + data)
+                   + data + flags(data))
              for (interface, link, data, length), now in zip(packets, times(rng, len(packets)))]
     return Capture(".pcapng", head, units, arguments)
 
 
 def packet_file(rng, count):
-    maker = rng.choice((can, can, can, cooked_can, cooked_can, user_dlt, rtac, exported_pdu, udp, tcp, mixed))
+    maker = rng.choice((can, can, can, cooked_can, cooked_can, user_dlt, rtac, exported_pdu, udp, tcp, usb, mixed))
     packets, arguments = maker(rng, count)
     packets = damaged(rng, packets)
     links = {link for _, link, _, _ in packets}

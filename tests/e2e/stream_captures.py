@@ -454,7 +454,7 @@ def segments_lost(rng, data, origin):
 
 # Carriers -------------------------------------------------------------------------------------------------------------
 
-USER0, ETHERNET, RTAC, EXPORTED_PDU = 147, 1, 250, 252
+USER0, ETHERNET, RTAC, EXPORTED_PDU, USBMON, USBPCAP = 147, 1, 250, 252, 220, 249
 
 
 class Origin:
@@ -505,6 +505,33 @@ def tcp(packet):
     return ethernet(packet, 6, struct.pack(">HHIIHHHH", *ports, packet.sequence, packet.acknowledged, 0x5018, 65535, 0, 0) + packet.data)
 
 
+BULK = 3  # a transfer of USB
+
+
+def usbmon(transfer, endpoint, data, device):
+    event = b"C" if endpoint >= 0x80 else b"S"
+    return (bytes(8) + event + bytes([transfer, endpoint, device]) + struct.pack("<HBBqiiII", 2, 0x2D, 0, 0, 0, 0, len(data), len(data)) +
+            bytes(24) + data)
+
+
+def usbpcap(transfer, endpoint, data, device):
+    return struct.pack("<HQIHBHHBBI", 27, 0, 0, 9, int(endpoint >= 0x80), 2, device, endpoint, transfer, len(data)) + data
+
+
+def with_status(data, size):
+    """As FTDI's adapters send it: two bytes of status in front of each packet of the bus."""
+    status = b"\x01\x60" if size == 64 else b"\x02\x60"
+    return b"".join(status + data[at:at + size - 2] for at in range(0, len(data), size - 2))
+
+
+def adapter(header, carry=lambda data: data):
+    """Both directions of an adapter, whose endpoints have one number; the device tells the pair."""
+    def link(packet):
+        endpoint, data = 0x81 if packet.origin.direction == 0 else 0x01, packet.data
+        return header(BULK, endpoint, carry(data) if endpoint >= 0x80 else data, 1 + packet.origin.pair)
+    return link
+
+
 LINKS = {USER0: raw, RTAC: rtac, EXPORTED_PDU: exported_pdu}
 UAT = ["-o", 'uat:user_dlts:"User 0 (DLT=147)","yapp_serial","0","","0",""']
 OUT_OF_ORDER = ["-o", "tcp.reassemble_out_of_order:TRUE"]
@@ -552,6 +579,9 @@ TRANSPORTS = {
     "TCP, out of order": (on_one(ETHERNET), segments_disordered, tcp, []),
     "TCP, out of order, Wireshark reassembles": (on_one(ETHERNET), segments_disordered, tcp, OUT_OF_ORDER),
     "TCP that joins nothing": (on_one(ETHERNET), segments_disordered, tcp, ["-o", "tcp.desegment_tcp_streams:FALSE"]),
+    "USB, usbmon": (on_one(USBMON), segments, adapter(usbmon), []),
+    "USB, FTDI in usbmon": (on_one(USBMON), segments, adapter(usbmon, lambda data: with_status(data, 64)), []),
+    "USB, USBPcap": (on_one(USBPCAP), segments, adapter(usbpcap), []),
     "UDP, datagrams missing": (on_one(ETHERNET), datagrams(True, 0.1), udp, []),
 }
 

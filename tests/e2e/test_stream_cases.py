@@ -12,7 +12,7 @@ import levels
 import stream_captures
 import test_readme
 import tshark
-from stream_captures import ETHERNET, Origin, Packet, frame
+from stream_captures import ETHERNET, USBMON, USBPCAP, Origin, Packet, frame, usbmon, usbpcap, with_status
 
 CASES = tshark.CAPTURES / "cases"
 MOTOR_DATA, HEALTH = 0x210, 0x200
@@ -347,20 +347,6 @@ def test_uart_at_its_usb_adapter(name, bus, passes):
     assert found == [[bus]] * 24
 
 
-def usbmon(transfer, endpoint, data, device=7):
-    event = b"C" if endpoint >= 0x80 else b"S"
-    return (bytes(8) + event + bytes([transfer, endpoint, device]) + struct.pack("<HBBqiiII", 2, 0x2D, 0, 0, 0, 0, len(data), len(data)) +
-            bytes(24) + data)
-
-
-def usbpcap(transfer, endpoint, data, device=7):
-    return struct.pack("<HQIHBHHBBI", 27, 0, 0, 9, int(endpoint >= 0x80), 2, device, endpoint, transfer, len(data)) + data
-
-
-def with_status(data, size):
-    return b"".join((b"\x01\x60" if size == 64 else b"\x02\x60") + data[at:at + size - 2] for at in range(0, len(data), size - 2))
-
-
 ADAPTERS = {  # how the bytes come, and how many in a transfer
     "CP210x": (lambda data: data, 64), "CH340, few bytes": (lambda data: data, 7), "byte by byte": (lambda data: data, 1),
     "FTDI, full speed": (lambda data: with_status(data, 64), 150), "FTDI, high speed": (lambda data: with_status(data, 512), 900),
@@ -369,7 +355,7 @@ ADAPTERS = {  # how the bytes come, and how many in a transfer
 
 
 @levels.by_version
-@pytest.mark.parametrize("how, linktype", [(usbmon, 220), (usbpcap, 249)], ids=["usbmon", "USBPcap"])
+@pytest.mark.parametrize("how, linktype", [(usbmon, USBMON), (usbpcap, USBPCAP)], ids=["usbmon", "USBPcap"])
 @pytest.mark.parametrize("adapter", ADAPTERS)
 def test_usb_adapters(folder, adapter, how, linktype):
     """Both directions, without the adapter's descriptors; a mouse beside it."""
@@ -383,7 +369,7 @@ def test_usb_adapters(folder, adapter, how, linktype):
         packet = Packet(one[2], Origin(linktype, 0, 0))
         packet.sequence = one
         packets.append((index / 500, packet))
-    path = written(folder, packets, lambda packet: how(*packet.sequence))
+    path = written(folder, packets, lambda packet: how(*packet.sequence, 7))
     for passes in [], ["-2"]:
         counts, events = statistics(path, *passes)
         rx, tx = ("usb2.7.1#rx", "usb2.7.2#tx")
@@ -398,9 +384,9 @@ def test_foreign_usb_is_left_alone(folder):
     """A disk that sends what looks like YAPP here and there."""
     packets = []
     for index in range(50):
-        packet = Packet(b"YP and more" * index + b"Y", Origin(220, 0, 0))
+        packet = Packet(b"YP and more" * index + b"Y", Origin(USBMON, 0, 0))
         packets.append((index / 500, packet))
-    path = written(folder, packets, lambda packet: usbmon(3, 0x81, packet.data))
+    path = written(folder, packets, lambda packet: usbmon(3, 0x81, packet.data, 7))
     assert statistics(path) == ({}, [])
     assert tshark.fields(path, ["frame.number"], "-Y", "yapp", "-o", "yapp.search_all:TRUE", "-2") == []
 

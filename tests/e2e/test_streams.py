@@ -24,7 +24,7 @@ import tshark
 from expected import plain
 from stream_captures import ETHERNET, EXPORTED_PDU, RTAC, USER0, Event, Packet, Origin, frame, header
 
-STREAMS = int(os.environ.get("YAPP_SOAK_STREAMS", levels.size("70", "240")))
+STREAMS = int(os.environ.get("YAPP_SOAK_STREAMS", levels.size("105", "315")))
 SEED = os.environ.get("YAPP_SEED", "1")
 TRANSPORTS = list(stream_captures.TRANSPORTS)
 PER_FILE = levels.size(5, 15)
