@@ -133,7 +133,9 @@ local function find_options()
 end
 
 -- What statistics say of streams: a packet list looks for YAPP only if the first bytes may have it.
-local function notes() return buses.found.may_have_frames and {} or streams:notes() end
+local function notes()
+  return joined(buses.found.may_have_frames and {} or streams:notes(), usb.notes())
+end
 
 -- What statistics and the history need of the preferences; read_preferences fills it.
 local settings = { version = VERSION, catalogue = catalogue }

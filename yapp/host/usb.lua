@@ -15,7 +15,34 @@ local KINDS = {
   { wtap.USBPCAP, "usbpcap" },
 }
 
-local is_watching = false
+-- A dissector of Wireshark's may throw past Lua at damaged or truncated packets.  Each time Lua
+-- loses one of its 200 nested calls for good.  So the watch ends after this many.
+local MAX_THROWN = 24
+
+local encapsulations = DissectorTable.get("wtap_encap")
+local inner, kind_of = {}, {} -- by encapsulation: its dissector, its kind
+local is_watching, is_ended, thrown = false, false, 0
+
+local function stop()
+  is_ended = true
+  for encapsulation, dissector in pairs(inner) do encapsulations:add(encapsulation, dissector) end
+end
+
+-- Let Wireshark dissect a packet.
+local function show(dissector, tvb, pinfo, tree)
+  thrown = thrown + 1
+  if thrown == MAX_THROWN and not is_ended then stop() end
+  local ok, length = pcall(dissector.call, dissector, tvb, pinfo, tree)
+  thrown = thrown - 1
+  return ok and length or tvb:len()
+end
+
+--- Return what to say of packets that were not looked at: a list of texts.
+function M.notes()
+  if not is_ended then return {} end
+  local text = "Wireshark failed at %d USB packets: those behind them were not searched"
+  return { text:format(MAX_THROWN) }
+end
 
 --- Hand on each packet of USB from now on.  Call it once or more.
 -- proto    Proto for the watch
@@ -23,18 +50,17 @@ local is_watching = false
 function M.watch(proto, hand_on)
   if is_watching then return end
   is_watching = true
-  local encapsulations, inner, kind_of = DissectorTable.get("wtap_encap"), {}, {}
   function proto.dissector(tvb, pinfo, tree)
     local encapsulation = pinfo.match_uint
-    local ok, length = pcall(inner[encapsulation].call, inner[encapsulation], tvb, pinfo, tree)
+    local length = show(inner[encapsulation], tvb, pinfo, tree)
     hand_on(kind_of[encapsulation], tvb, pinfo, tree)
-    return ok and length or tvb:len()
+    return length
   end
   for _, row in ipairs(KINDS) do
-    local encapsulation = row[1]
-    inner[encapsulation] = encapsulation and encapsulations:get_dissector(encapsulation)
-    if inner[encapsulation] then
-      kind_of[encapsulation] = row[2]
+    local encapsulation, kind = row[1], row[2]
+    local dissector = encapsulation and encapsulations:get_dissector(encapsulation)
+    if dissector then
+      inner[encapsulation], kind_of[encapsulation] = dissector, kind
       encapsulations:add(encapsulation, proto)
     end
   end
