@@ -607,7 +607,9 @@ def test_the_first_lines_name_who_what_and_when(eight_browser, eight):
         for text in more
     )
     assert any(re.match(r"M8 \(can1\): ESC Temperature \d+ °C hotter than", text) for text in more)
-    assert any(re.match(r"M8 \(can1\): ESC Temperature [\d.]+ °C, above its limit of 80 °C for ", text) for text in more)
+    assert any(
+        re.match(r"M8 \(can1\): ESC Temperature [\d.]+ °C, above its limit of 80 °C for ", text) for text in more
+    )
     assert {text[:2] for text in more} == {"M3", "M6", "M8"}
 
 
