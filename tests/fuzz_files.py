@@ -384,7 +384,8 @@ def candump_line(rng, style, now, bus, can_id, data, fd):
     name = f"can{bus}"
     ident = f"{can_id & 0x1FFFFFFF:08X}" if can_id & EXTENDED else f"{can_id & 0x7FF:03X}"
     if style < 2:
-        body = f"##{rng.randrange(16):X}{data.hex().upper()}" if fd else \
+        body = f"#{rng.choice(('', f'#{rng.randrange(16):X}'))}{data.hex().upper()}" if fd else \
+            "#81:00:12345678#112233" if rng.random() < 0.01 else \
             "#R" if can_id & REMOTE else f"#{data.hex().upper()}"
         return f"({now // 10**6}.{now % 10**6:06d}) {name} {ident}{body}" + (rng.choice((" R", " T")) if style else "")
     stamp = "" if style == 2 else f" ({now // 10**6}.{now % 10**6:06d})"
@@ -434,14 +435,17 @@ def candump_file(rng, count):
 def asc_line(rng, now, bus, can_id, data, fd, dec):
     name = (f"{can_id & 0x1FFFFFFF:{'d' if dec else 'X'}}x" if can_id & EXTENDED else f"{can_id & 0x7FF:{'d' if dec else 'X'}}")
     words = " ".join(f"{byte:d}" if dec else f"{byte:02X}" for byte in data)
-    stamp, direction = f"{now // 10**6:4d}.{now % 10**6:06d}", rng.choice(("Rx", "Rx", "Tx"))
+    stamp = f"{rng.choice(('', '', '-'))}{now // 10**6:4d}{rng.choice('..,')}{now % 10**6:06d}"
+    direction = rng.choice(("Rx", "Rx", "Tx", "rx", "TX", "TxRq"))
     if can_id & ERROR:
         return f"{stamp} {bus + 1}  ErrorFrame"
     if fd:
         code = FD_LENGTHS.index(len(data)) if len(data) in FD_LENGTHS else 15
         return (f"{stamp} CANFD {bus + 1:3d} {direction} {name:>11} {rng.choice(('', 'a name'))} {rng.randrange(2)} "
                 f"{rng.randrange(2)} {code:x} {len(data):2d} {words} 0 0 {rng.choice(('1000', '3000', '200010', 'x'))} 0 0 0 0 0")
-    body = f"r {len(data):x}" if can_id & REMOTE else f"d {len(data):x} {words}"
+    body = f"r {len(data):x}" if can_id & REMOTE else f"{rng.choice('ddD')} {len(data):x} {words}"
+    if rng.random() < 0.02:
+        return stamp + rng.choice((" 1  Statistic: D 1 R 0", " CAN 1 Status:chip status", " Start of measurement", " CANXL 2 Rx XLFF", " 1 J1939TP FEE3p"))
     return f"{stamp} {bus + 1}  {name:15} {direction}   {body}"
 
 
@@ -449,7 +453,9 @@ def asc_file(rng, count):
     """Vector's ASC, in hex or decimal, with absolute times or relative ones, in blocks."""
     dec, begin = rng.random() < 0.2, "Begin Triggerblock Tue Nov 14 22:13:20.001 2023"
     head = ["date " + rng.choice(("Tue Nov 14 10:13:20.001 pm 2023", "Die Nov 14 22:13:20 2023", "today", "")),
-            f"base {'dec' if dec else 'hex'}  timestamps {rng.choice(('absolute', 'relative'))}", "internal events logged", begin]
+            f"base {'dec' if dec else 'hex'}  {rng.choice(('timestamps absolute', 'timestamps relative', 'no internal events logged'))}",
+            "// version 7.1.0", begin]
+    head = head[rng.choice((0, 0, 0, 1, 2, 4)):]  # some programs leave out parts of it, or all
     lines, now = [], 0
     for frame in can_traffic(rng, count):
         now += rng.randrange(1000)
@@ -457,7 +463,7 @@ def asc_file(rng, count):
         if rng.random() < 0.001:
             lines += [b"End TriggerBlock", begin.encode()]
     end = rng.choice((b"\n", b"\r\n"))
-    return Capture(".asc", (end.decode().join(head)).encode() + end, [line + end for line in damaged_lines(rng, lines)], [])
+    return Capture(".asc", end.decode().join([*head, ""]).encode(), [line + end for line in damaged_lines(rng, lines)], [])
 
 
 def dump_file(rng, count):
