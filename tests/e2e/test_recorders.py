@@ -95,3 +95,19 @@ def test_every_dialect_of_asc(folder, seed, passes):
             assert abs(behind - (shift or 0)) < Decimal("0.000002"), (log.head, row["time"], seconds(frame.at))
             row["time"] = f"{frame.at // flights.SECOND}.{frame.at % flights.SECOND:09d}"
             check_row(row, frame, bus, source, message)
+
+
+@pytest.mark.parametrize("zone", ["UTC", "Europe/Berlin", "America/New_York"])
+@pytest.mark.parametrize("passes", PASSES, ids=len)
+def test_the_hour_that_summer_time_repeats(folder, zone, passes):
+    """candump -tA prints local times: 02:59:59 is followed by 02:00:00.  The time goes on, whatever zone reads it."""
+    lines = []
+    for minute in range(0, 180, 5):
+        hours, minutes = divmod(120 + minute - (60 if minute >= 60 else 0), 60)
+        lines.append(f" (2023-10-29 {hours:02d}:{minutes:02d}:00.{minute:06d})  can0  00000000   [7]  01 A5 01 FD 7F A1 80")
+    path = folder / "run.txt"
+    path.write_text("\n".join(lines) + "\n")
+    done = tshark.run("-r", path, *passes, "-T", "fields", "-e", "frame.time_relative", env={"TZ": zone})
+    times = [Decimal(line) for line in done.stdout.split()]
+    assert times == [minute * 60 + Decimal(minute) / 10**6 for minute in range(0, 180, 5)]
+    assert not [event for event in events(path) if event["kind"] == "clock"]

@@ -63,7 +63,9 @@ end
 local function read_stamp(record, stamp)
   local whole, fraction = stamp:match("^%f[%d]([%d%-: ]*%d)%.(%d+)$")
   if not whole then return TIME end
-  record.seconds = #whole <= 12 and tonumber(whole) or read_date(whole)
+  record.is_date = #whole > 12
+  local read = record.is_date and read_date or tonumber
+  record.seconds = read(whole)
   record.nanoseconds = tonumber((fraction .. "00000000"):sub(1, 9))
   record.is_relative = #whole < 10
   if fraction == "1000000" and record.seconds then
@@ -385,6 +387,22 @@ local function add_drop(log, line, why, is_harmless)
   }
 end
 
+local HOUR = 3600 -- seconds
+
+-- Local times (candump -t A) go back by an hour when summer time ends.  Let the time go on: add an
+-- hour, until the reader's own time zone does so, too, if it has the same summer time.
+--   02:59:59, 02:00:00, 02:30:00: the last two are 03:00:00 and 03:30:00
+local function go_on_over_hour(log, record, offset)
+  local step = record.seconds - (log.latest_date or record.seconds)
+  log.latest_date = record.seconds
+  if step >= -HOUR and step < -HOUR / 2 then
+    log.hour = log.hour + HOUR
+  elseif log.hour > 0 and step >= HOUR then
+    log.hour = log.hour - HOUR
+  end
+  log.shifts[offset] = log.hour > 0 and log.hour or nil
+end
+
 -- Return the frame in a line, as text.open says.
 local function read_record(log, line, offset)
   local record, why, is_harmless = M.parse(line)
@@ -396,6 +414,7 @@ local function read_record(log, line, offset)
     log.clock = log.clock + relative_time(record)
     log.times[offset] = record.is_relative and log.clock or nil
   end
+  if record.is_date then go_on_over_hour(log, record, offset) end
   if record.note then log:skip(line, record.note) end
   return record
 end
@@ -438,6 +457,8 @@ function M.open(file, options)
   log.record, log.next = read_record, next_frame
   log.per_second = SECOND
   log.clock = 0 -- sum of the deltas in nanoseconds
+  log.latest_date = nil -- seconds of the latest time that was a date
+  log.hour = 0 -- seconds to add to dates
   log.taken = {} -- by number: whether a bus has it
   log.free = 0 -- all numbers below are taken
   return text.open(head, options.report, log)

@@ -186,6 +186,7 @@ function M.open(head, report, log)
   log.comments = {} -- texts of the packet list, by the frame's offset
   log.buses = {} -- { number, name = fit to be printed }, by the record's bus
   log.times = {} -- by the frame's offset, if its record has none
+  log.shifts = {} -- by the frame's offset: seconds to add to the time of its record
   log.drops = {} -- as readers.log returns them
   log.unread, log.doubtful = 0, 0 -- number of lines since the latest frame: not understood
   log.has_frame = false -- whether one was read
@@ -230,7 +231,10 @@ end
 -- Return the seconds and nanoseconds of a frame, nil without a time.
 local function time_of(self, record, offset)
   local time = self.times[offset]
-  if not time then return record.seconds, record.nanoseconds end
+  if not time then
+    local shift = self.shifts[offset]
+    return shift and record.seconds + shift or record.seconds, record.nanoseconds
+  end
   local rest = time % self.per_second
   return math.floor((time - rest) / self.per_second), rest * (SECOND / self.per_second)
 end
