@@ -27,21 +27,15 @@ function script(name) {
 }
 
 // Get a file of the page's folder as a Blob.
-// name: a path in this folder; progress: function(done, total)
-export async function getFile(name, progress = () => {}) {
+// name: a path in this folder
+export async function getFile(name) {
   const url = new URL(name, location.href);
   const folder = new URL(".", location.href).href.split(/[?#]/)[0];
   if (!url.href.startsWith(folder)) throw new Error(`${name} is not in the folder of this page`);
   if (isOnDisk) return script(url.href.slice(folder.length));
   const response = await fetch(url).catch((error) => { throw new Error(`${name}: ${error.message}`); });
   if (!response.ok) throw new Error(`${name}: ${response.status} ${response.statusText}`);
-  const total = Number(response.headers.get("Content-Length"));
-  let done = 0;
-  const counted = new TransformStream({ transform(chunk, controller) {
-    progress(done += chunk.length, total);
-    controller.enqueue(chunk);
-  } });
-  return new Response(response.body.pipeThrough(counted)).blob();
+  return response.blob();
 }
 
 const unpacked = (blob) => blob.stream().pipeThrough(new DecompressionStream("gzip"));
@@ -57,7 +51,7 @@ export class Client {
   // Load what every start of the worker needs.
   async load() {
     const [wasm, data, worker, plugin] = await Promise.all([
-      getFile("wiregasm.wasm.gz", this.progress), getFile("wiregasm.data.gz"), getFile("worker.js"), getFile("plugin.json")]);
+      getFile("wiregasm.wasm.gz"), getFile("wiregasm.data.gz"), getFile("worker.js"), getFile("plugin.json")]);
     const type = { headers: { "Content-Type": "application/wasm" } };
     this.module = await WebAssembly.compileStreaming(new Response(unpacked(wasm), type));
     this.data = await new Response(unpacked(data)).arrayBuffer();
@@ -69,24 +63,19 @@ export class Client {
   // Start Wireshark, or end the one that runs and start anew.
   // files: more files, by path; returns what Engine.about does
   start(files) {
-    this.stop();
+    this.running?.terminate();
+    this.end(new Cancelled("cancelled"));
     this.running = new Worker(this.worker);
     this.running.onmessage = ({ data }) => this.hear(data);
-    this.running.onerror = (event) => this.fail(`the worker failed: ${event.message}`);
+    this.running.onerror = ({ message }) => this.end(new Error(`the worker failed: ${message}`));
     const { module, data } = this;
     return this.call("start", { module, data, files: { ...this.plugin.files, ...files } });
   }
 
-  stop() {
-    this.running?.terminate();
-    for (const { reject } of this.waiting.values()) reject(new Cancelled("cancelled"));
+  // End what waits for an answer.
+  end(error) {
+    for (const { reject } of this.waiting.values()) reject(error);
     this.waiting.clear();
-  }
-
-  fail(text) {
-    for (const { reject } of this.waiting.values()) reject(new Error(text));
-    this.waiting.clear();
-    this.say(text);
   }
 
   // Call a method of the engine.

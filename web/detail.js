@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// One frame: its tree and its bytes.  A selected item shows which bytes it is, and the other way round.
+// One frame: its tree and its bytes.  A selected item shows which bytes it is.
 
 const WIDTH = 16; // bytes in a line
 const OPEN = /^(Yet Another|Taurus|YAPP)/; // trees that are open at first
@@ -17,14 +17,12 @@ export class Detail {
   // tree, bytes: elements; go: function(number of a frame); selected: function(node or nothing)
   constructor(tree, bytes, { go, selected }) {
     Object.assign(this, { tree, bytes, go, selected, open: new Map() });
-    bytes.addEventListener("click", (event) => this.pick(event));
   }
 
-  show({ tree, sources, number }) {
+  show({ tree, sources }) {
     this.sources = sources;
     this.items = []; // [{ node, element }], parents first
     this.tree.replaceChildren(...tree.map((node) => this.item(node, "")));
-    this.number = number;
     this.choose();
   }
 
@@ -65,34 +63,11 @@ export class Detail {
       const first = Math.min(Math.max(from - start, 0), row.length), last = Math.min(Math.max(to - start, 0), row.length);
       const digits = Array.from(row, (one) => hex(one, 2));
       const letters = Array.from(row, (one) => one > 31 && one < 127 ? String.fromCharCode(one) : ".");
-      line.dataset.source = index;
-      line.dataset.start = start;
       line.append(`${hex(start, 4)}  `, ...marked(digits, first, last, " "), " ".repeat((WIDTH - row.length) * 3 + 2),
         ...marked(letters, first, last, ""));
       block.append(line);
     }
     return [make("h3", "", name), block];
-  }
-
-  // Select the smallest item that has the byte at a click.
-  pick({ clientX, clientY }) {
-    const caret = document.caretPositionFromPoint?.(clientX, clientY);
-    const line = caret?.offsetNode.parentElement?.closest("[data-start]");
-    if (!line) return;
-    const range = document.createRange();
-    range.setStart(line, 0);
-    range.setEnd(caret.offsetNode, caret.offset);
-    const column = range.toString().length - 6, digits = WIDTH * 3 + 1;
-    const offset = Number(line.dataset.start) + (column < digits ? Math.floor(Math.max(column, 0) / 3) : column - digits);
-    let best;
-    for (const { node, element } of this.items) {
-      const has = node.source === Number(line.dataset.source) && node.start <= offset && offset < node.start + node.length;
-      if (has && !(best && best.node.length < node.length)) best = { node, element };
-    }
-    if (!best) return;
-    for (let one = best.element.parentElement; one !== this.tree; one = one.parentElement) one.open = true;
-    this.choose(best.node);
-    best.element.scrollIntoView({ block: "nearest" });
   }
 }
 

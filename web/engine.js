@@ -180,7 +180,7 @@ export class Engine {
 
   // The text of a statistic, "yapp,faults,json" for example.
   statistic(request) {
-    this.lib.FS.writeFile("/page/request", request);
+    this.lib.FS.writeFile("/page/request", request.replace(/[\r\n]+/g, " "));
     this.requests += 1;
     this.lib.setPref("yapp_page", "request", String(this.requests));
     this.lib.applyPreferences();

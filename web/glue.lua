@@ -9,17 +9,10 @@ local statistics = {} -- [name behind -z] = function(text)
 local names = {} -- these names in the order of the plugin
 local content -- what the plugin shows in the window that it opened last
 
-local function write(path, text)
-  local file = assert(io.open(path, "wb"))
+local function answer(text)
+  local file = assert(io.open(ANSWER, "wb"))
   file:write(text)
   file:close()
-end
-
-local function read(path)
-  local file = assert(io.open(path, "rb"))
-  local text = file:read("*a")
-  file:close()
-  return text
 end
 
 local function ignore() end
@@ -53,7 +46,7 @@ function os.exit(code) error(("os.exit(%s)"):format(tostring(code)), 0) end
 
 local ok, problem = pcall(dofile, "/yapp/yapp.lua")
 if not ok then report_failure(tostring(problem)) end
-write(ANSWER, table.concat(names, "\n"))
+answer(table.concat(names, "\n"))
 
 local page = Proto("yapp_page", "YAPP, the page")
 page.prefs.request = Pref.string("Request", "", "Written by the page")
@@ -63,8 +56,8 @@ function page.prefs_changed()
   if page.prefs.request == answered then return end
   answered = page.prefs.request
   content = ""
-  local text = read(REQUEST)
-  local run = statistics[text:match("^yapp,%w+")] or error("no such statistic: " .. text)
+  local text = io.lines(REQUEST)()
+  local run = statistics[text:match("^yapp,%w+")] or statistics.yapp
   local is_done, why = pcall(run, text)
-  write(ANSWER, is_done and content or tostring(why))
+  answer(is_done and content or tostring(why))
 end

@@ -83,7 +83,7 @@ async function followLink() {
   }
   const name = get("file");
   if (name && (isNew || name !== state.file?.link)) {
-    const blob = await busy(`Loading ${name}`, getFile(name, progress));
+    const blob = await busy(`Loading ${name}`, getFile(name));
     if (!blob || !await open({ name: name.split("/").pop(), blob, link: name })) return;
   }
   if (!state.opened) return;

@@ -3,6 +3,7 @@
 
 const KNOWN = ["kind", "ok", "rule", "time", "frame", "bus", "id", "source", "message"]; // columns that come first
 const IDENTITY = ["bus", "id", "source", "message", "field", "unit"]; // of a row, repeated for what is in it
+const MOST_ROWS = 5000; // of a table: more make the page slow
 const VERDICTS = { true: "ok", false: "FAILED", null: "NOT JUDGED" };
 const HELP = { check: "Rules, such as fault=0,motor.rate=9..11; empty: check everything" };
 
@@ -110,9 +111,10 @@ export class Statistics {
       .filter((key) => rows.some((row) => text(key, row[key]) !== ""));
     const head = make("tr", "", ...columns.map((key) => make("th", "", key.replaceAll("_", " "))));
     const order = (row) => row.ok === false ? 0 : row.ok === null ? 1 : 2;
-    const body = [...rows].sort((a, b) => order(a) - order(b)).map((row) => make("tr", row.ok === false ? "bad" : "",
+    const body = [...rows].sort((a, b) => order(a) - order(b)).slice(0, MOST_ROWS).map((row) => make("tr", row.ok === false ? "bad" : "",
       ...columns.map((key) => this.cell(key, row[key]))));
-    return make("table", "", make("thead", "", head), make("tbody", "", ...body));
+    const rest = rows.length > MOST_ROWS ? `The first ${MOST_ROWS} of ${rows.length} lines; a filter= shows others` : "";
+    return make("table", "", make("caption", "", rest), make("thead", "", head), make("tbody", "", ...body));
   }
 
   cell(key, value) {
