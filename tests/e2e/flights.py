@@ -225,7 +225,7 @@ class Truth:
         counts["reboots"] += 0
         self.summary.append({**self.who(sender), "crc_bad": crc, "incomplete": lost, "late": counts["late"],
                              "reboots": counts["reboots"], **rates(good), "values": ranges(sender, good),
-                             "invalid": counts["invalid"], "skipped": 0, "missing": counts["missing"]})
+                             "invalid": counts["invalid"], "skipped": 0, "missing": counts["missing"], "copies": 0})
         self.counted = counts
 
     def good(self, sender, message, before, state, counts):

@@ -374,7 +374,7 @@ local function list(rows, keys)
   end
 end
 if arg[2] == "kinds" then
-  list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_optional", "counts_as", "scope" })
+  list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_optional", "counts_as", "scope", "is_counted_only" })
 else
   list(require("yapp.stat.options").LIST, { "name" })
 end
@@ -400,10 +400,11 @@ def test_the_document_has_every_kind_of_event():
     alone = re.search(r"it judges these rules: (.*?), each 0", gate, re.S)[1]
     kinds = rows_of("kinds")
     assert {name: more.strip("` ") for name, more in keys.items() if name in [row[0] for row in kinds]} == \
-        {name: more for name, more, *_ in kinds}
-    assert rules == {name for name, _, _, counts_as, _ in kinds if not counts_as}
-    assert re.findall(r"\w+", alone) == [name for name, _, is_optional, counts_as, _ in kinds if not (is_optional or counts_as)] == RULES
-    assert OF_CAPTURE == [name for name, *_, scope in kinds if scope == "capture"]
+        {name: more for name, more, *_, is_counted_only in kinds if not is_counted_only}
+    assert rules == {name for name, _, _, counts_as, *_ in kinds if not counts_as}
+    assert re.findall(r"\w+", alone) == \
+        [name for name, _, is_optional, counts_as, *_ in kinds if not (is_optional or counts_as)] == RULES
+    assert OF_CAPTURE == [name for name, *_, scope, _ in kinds if scope == "capture"]
 
 
 @pytest.mark.parametrize("what", WHATS)

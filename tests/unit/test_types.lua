@@ -4,6 +4,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local csv = require("yapp.stat.csv")
+local summary = require("yapp.stat.summary")
 local decode = require("yapp.message.decode")
 local text_of = require("yapp.message.text")
 
@@ -372,7 +373,9 @@ function T.test_columns_are_described()
       column("volts_special", "string", "Volts", { filter = "volts" }),
       column("serial", "integer", "Serial", { '"kind":"uint","bits":64,"values":null' }),
       column("plain", "integer", "Plain", { '"kind":"uint","bits":24,"values":{}' }),
-      column("plain_text", "string", "Plain", { filter = "plain" }) }, ",") .. "]}}}")
+      column("plain_text", "string", "Plain", { filter = "plain" }) }, ",") ..
+      '],"differences":[]}},"statistics":{"summary":{"columns":' .. summary.describe().json .. "}}}")
+  lu.assertStrContains(summary.describe().json, '{"name":"rate","type":"number","unit":"Hz","title":"rate/Hz"}')
 end
 
 -- A function has not room for any number of values.

@@ -8,6 +8,7 @@
 local joined = require "yapp.base.joined"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
+local summary = require "yapp.stat.summary"
 local text_of = require "yapp.message.text"
 
 local M = {}
@@ -136,11 +137,32 @@ local function describe_column(column)
   return output.object(COLUMN_KEYS, row)
 end
 
+-- What is worked out from two fields and is no column: "name" = "of" - "less".
+local DIFFERENCE_KEYS = words("name of less unit title")
+
+local function describe_differences(message)
+  local list, is_column = {}, {}
+  for _, item in ipairs(message.derived) do is_column[item] = true end
+  for _, item in ipairs(message.generated) do
+    if not is_column[item] then
+      list[#list + 1] = output.object(DIFFERENCE_KEYS, {
+        name = item.name,
+        of = message.fields[item.a].name,
+        less = message.fields[item.b].name,
+        unit = item.unit,
+        title = item.title,
+      })
+    end
+  end
+  return output.list(list)
+end
+
 --- What the columns of all messages are.
 -- catalogue  compiled; version: the plugin's own, a text
 -- list_of    function(message) -> its columns: message.text's and what comes before them
 -- returns    JSON: { version = 1, plugin =, messages = { NAME = { title =, every = in seconds or
---            null, columns = list of { those of COLUMN_KEYS } } } }
+--            null, columns = list of { those of COLUMN_KEYS }, differences = list of { those of
+--            DIFFERENCE_KEYS } } }, statistics = { summary = { columns = list } } }
 function M.describe(catalogue, version, list_of)
   local names, messages = {}, {}
   for i, message in ipairs(catalogue.messages) do
@@ -149,16 +171,19 @@ function M.describe(catalogue, version, list_of)
       list[j] = describe_column(column)
     end
     names[i] = message.name
-    messages[message.name] = output.object(words("title every columns"), {
+    messages[message.name] = output.object(words("title every columns differences"), {
       title = message.title,
       every = message.every,
       columns = output.list(list),
+      differences = describe_differences(message),
     })
   end
-  return output.object(words("version plugin messages"), {
+  local of_summary = output.object({ "columns" }, { columns = summary.describe() })
+  return output.object(words("version plugin messages statistics"), {
     version = 1,
     plugin = version,
     messages = output.object(names, messages),
+    statistics = output.object({ "summary" }, { summary = of_summary }),
   }).json
 end
 

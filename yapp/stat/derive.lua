@@ -64,6 +64,7 @@ function M.new(settings, statistic, options)
     states = states, -- of sources with good messages, in their order, and by source
     by_source = memo(new_state, states),
     came = {}, -- sources with an event that counts
+    copies = 0, -- number of messages that were recorded once more
     counts = {}, -- of events, by kind, where a fault may be hidden
     doubts = {}, -- texts: why the history of a source is unreliable; and by source
     now = nil, -- seconds of the capture, see above
@@ -218,6 +219,7 @@ function Deriver:take(event, now)
   self.now = now
   if is_counted then
     self.came[event.source] = true
+    if event.kind == "copies" then self.copies = self.copies + 1 end
     local rest = event.values.undecoded
     if is_message and (rest or not event.raws) then
       emit(self, "unknown", event, self.undecoded:note(event.source, #event.payload, rest))
@@ -309,6 +311,13 @@ local function hiding(self, now)
   return texts[1] and "damaged or lost messages may hide faults: " .. table.concat(texts, ", ")
 end
 
+-- Return how many messages were recorded twice, a text; nil for none.
+local function copies_text(count)
+  local shape = count == 1 and "%s was recorded twice; it counts once" or
+    "%s were recorded twice; each counts once"
+  return count > 0 and shape:format(output.count(count, "message")) or nil
+end
+
 -- Return what the answer of the statistic leaves out, and whether that makes it undecided.
 local function notes_of(self, ending)
   local reason, matched, options = ending.reason, self.matched, self.options
@@ -317,6 +326,7 @@ local function notes_of(self, ending)
   local problems = self.statistic.lists_problems and NOTHING or ending.problems
   local no_times = ending.lacks_times and ending.lacks_times .. ": " .. NO_SPANS
   local notes = joined(problems, { reason }, { no_times }, self.undecoded:texts(), doubts)
+  notes[#notes + 1] = copies_text(self.copies)
   if options.looks_for_faults or options.row.looks_for_faults then
     notes[#notes + 1] = hiding(self, ending.now)
   end

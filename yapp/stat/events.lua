@@ -39,7 +39,9 @@ end
 --- Take an event, see stat.derive.  Of messages that were not decoded, keep the first event of each
 -- source and size alone.
 function Events:event(event)
-  local is_wanted = self.what == "events" and kinds.BY_NAME[event.kind] or event.kind == "fault"
+  local row = kinds.BY_NAME[event.kind]
+  local is_listed = self.what == "events" and row and not row.is_counted_only
+  local is_wanted = is_listed or event.kind == "fault"
   local is_repeated = event.kind == "unknown" and event.values.count > 1
   if is_wanted and not is_repeated then
     self.list[#self.list + 1] = event

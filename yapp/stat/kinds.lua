@@ -12,6 +12,7 @@ local M = {}
 -- text        the second one, for people: {key} is a value of the event
 -- keys        in JSON, besides those of every event
 -- is_optional whether `check` without rules does not judge it (others as NAME=0)
+-- is_counted_only  whether `events` does not list it, as it is nothing that happened
 -- counts_as   the kind whose rule counts it; nil if it has a rule NAME=N of its own
 -- amount      the key whose values the rule adds up; nil: each message counts once
 -- change      the key for the value of message.history's change of this name
@@ -114,6 +115,7 @@ M.LIST = {
     scope = "capture",
   },
   { "absent", "no message of it came", scope = "capture" },
+  { "copies", "recorded twice", is_optional = true, is_counted_only = true },
   {
     "unknown",
     "{size} bytes, {count} times: {note}",

@@ -146,6 +146,21 @@ function M.words(text)
   return list
 end
 
+--- Return what people read above the column of a key.
+function M.title(key)
+  return TITLES[key] or key
+end
+
+--- Return the keys of rows that say where they are shown: see M.table and M.print.
+-- columns  list of { key, where = "json text window", or some of these }
+function M.keys(columns)
+  local keys = { json = {}, text = {}, window = {} }
+  for _, column in ipairs(columns) do
+    for place in column.where:gmatch("%l+") do table.insert(keys[place], column[1]) end
+  end
+  return keys
+end
+
 -- Return the width of a text: in characters, not bytes.
 local function width_of(text)
   return select(2, text:gsub("[^\128-\191]", ""))
@@ -207,7 +222,7 @@ function M.table(context, keys, rows, row_of)
   local frames, columns, titles = context.frames, {}, {}
   row_of = row_of or itself
   for i, key in ipairs(frames and keys.window or keys.text) do
-    titles[i] = frames and SHORT_TITLES[key] or TITLES[key] or key
+    titles[i] = frames and SHORT_TITLES[key] or M.title(key)
     columns[i] = { key = key, width = width_of(titles[i]), is_number = true, is_empty = true }
   end
   for _, one in ipairs(rows) do

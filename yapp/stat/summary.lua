@@ -11,23 +11,53 @@ local output = require "yapp.stat.output"
 local M = {}
 
 local words = output.words
-local KEYS = {
-  json = words("bus id source message count rate gap_min gap_mean gap_max gap_max_frame " ..
-    "crc_bad incomplete late reboots values invalid skipped missing"),
-  text = words("bus id source message count rate gap_min gap_mean gap_max gap_max_frame " ..
-    "crc_bad incomplete late reboots invalid skipped missing"),
-  window = words("who message count rate gap_max crc_bad incomplete late"),
+
+-- The columns, a row each: { key in JSON,
+--   type   "integer", "number", "seconds", "string" or "values" (an object by field)
+--   unit   of a number
+--   kind   the kind of event that it counts
+--   where  it is shown, one after the other: "json", "text" and "window" }
+-- A new column is a row here; fields.json has all of them, and yapp-tables follows.
+local COLUMNS = {
+  { "who", where = "window" },
+  { "bus", type = "string", where = "json text" },
+  { "id", type = "integer", where = "json text" },
+  { "source", type = "string", where = "json text" },
+  { "message", type = "string", where = "json text window" },
+  { "count", type = "integer", where = "json text window" },
+  { "rate", type = "number", unit = "Hz", where = "json text window" },
+  { "gap_min", type = "seconds", unit = "s", where = "json text" },
+  { "gap_mean", type = "seconds", unit = "s", where = "json text" },
+  { "gap_max", type = "seconds", unit = "s", where = "json text window" },
+  { "gap_max_frame", type = "integer", where = "json text" },
+  { "crc_bad", type = "integer", kind = "crc", where = "json text window" },
+  { "incomplete", type = "integer", kind = "incomplete", where = "json text window" },
+  { "late", type = "integer", kind = "late", where = "json text window" },
+  { "reboots", type = "integer", kind = "reboot", where = "json text" },
+  { "values", type = "values", where = "json" },
+  { "invalid", type = "integer", kind = "invalid", where = "json text" },
+  { "skipped", type = "integer", kind = "skipped", where = "json text" },
+  { "missing", type = "integer", kind = "missing", where = "json text" },
+  { "copies", type = "integer", kind = "copies", where = "json text" },
 }
--- The kinds of events that are counted, by key.
-local COUNTS = {
-  crc_bad = "crc",
-  incomplete = "incomplete",
-  late = "late",
-  reboots = "reboot",
-  invalid = "invalid",
-  skipped = "skipped",
-  missing = "missing",
-}
+local KEYS = output.keys(COLUMNS)
+
+--- The columns of its JSON, as fields.json has them.
+function M.describe()
+  local list = {}
+  for _, column in ipairs(COLUMNS) do
+    if column.type then
+      list[#list + 1] = output.object(words("name type unit title"), {
+        name = column[1],
+        type = column.type,
+        unit = column.unit,
+        title = output.title(column[1]),
+      })
+    end
+  end
+  return output.list(list)
+end
+
 local RANGE = words("min mean max")
 local VALUES = {
   text = words("bus id source message field unit min mean max count"),
@@ -47,8 +77,8 @@ local function row_of(group, ending)
     row.gap_min, row.gap_max = output.seconds(group.gap_min), output.seconds(group.gap_max)
     row.gap_max_frame = group.gap_max_frame
   end
-  for key, kind in pairs(COUNTS) do
-    row[key] = group.counts[kind].seen
+  for _, column in ipairs(COLUMNS) do
+    if column.kind then row[column[1]] = group.counts[column.kind].seen end
   end
   return row
 end
