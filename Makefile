@@ -36,9 +36,15 @@ needs-hatchling: needs-python
 	$(call install-missing,python3,python3-hatchling,python3 -c 'import hatchling' 2>/dev/null)
 
 needs-tests: needs-tshark
-	$(call install-missing,lua5.2 lua5.4 luacheck pytest-3 candump zip,lua5.2 lua5.4 lua-check lua-unit python3-pytest \
-	  python3-pytest-xdist python3-can python3-serial python3-hatchling can-utils zip,\
+	$(call install-missing,lua5.2 lua5.4 luacheck pytest-3 candump zip localedef strace pip3 git,lua5.2 lua5.4 lua-check lua-unit \
+	  python3-pytest python3-pytest-xdist python3-can python3-serial python3-hatchling can-utils zip locales strace python3-pip git,\
 	  /usr/bin/python3 -c 'import xdist; import can; import serial; import hatchling' 2>/dev/null)
+
+needs-gui: needs-tests
+	$(call install-missing,wireshark Xvfb xdotool import tesseract,wireshark xvfb xdotool imagemagick tesseract-ocr)
+
+## What all tests need, installed once as root: then `make test` asks for nothing, as whom it may run (the workflows)
+needs-all: needs-tests needs-bench needs-gui needs-tools-packages
 
 ## The faults of a flight, and the first one decoded: docs/first.pcapng, or CAPTURE=file
 demo: needs-tshark
@@ -51,16 +57,16 @@ test: lint unit e2e
 ## 4.4 and 4.6, each by both loading routes, and some fuzzing: in twenty minutes.  What takes a night has targets of its own:
 ## soak, fuzz, mutate, valgrind, YAPP_LEVEL=all tests/matrix
 test-all:
+	tests/anyone
 	YAPP_STRICT=1 YAPP_LEVEL=all $(MAKE) test
 	YAPP_LEVEL=route YAPP_ROUTE=plugin $(MAKE) e2e
 	tests/matrix --rest
 	$(MAKE) parity-viewer LEVEL=all CHROOT=$(wildcard $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/yapp-matrix/trixie)
 	$(MAKE) fuzz FRAMES=$(or $(FRAMES),20000)
 
-## The code, and the pages: lengths, plain words, links
+## The code, and the pages: lengths, plain words, links.  All of its parts run, then it fails
 lint: needs-tests
-	luacheck -q .
-	pytest-3 -q -p no:cacheprovider tests/lint
+	@failed=0; luacheck -q . || failed=1; pytest-3 -q -p no:cacheprovider tests/lint || failed=1; exit $$failed
 
 # Wireshark has Lua 5.2 or 5.4; 5.5, which will come, is tried where it is.
 unit: needs-tests
@@ -83,7 +89,22 @@ map: needs-python
 
 # YAPP_LEVEL=all: everything, see tests/e2e/levels.py.  One more than there are cores: some tests wait for a port.
 e2e: needs-tests
-	pytest-3 -q -n $$(($$(nproc) + 1)) --dist loadgroup -p no:cacheprovider tests/e2e
+	pytest-3 -q -rs -n $$(($$(nproc) + 1)) --dist loadgroup -p no:cacheprovider tests/e2e
+
+## One test in the real Wireshark, under Xvfb
+gui-smoke: needs-gui
+	pytest-3 -q -rs -p no:cacheprovider tests/gui/test_gui.py -k "test_a_statistic_in_a_window"
+
+## All of them
+gui: needs-gui
+	pytest-3 -q -rs -p no:cacheprovider tests/gui
+
+## Tests the tests: a wrong value in each thing that the plugin tells Wireshark, EACH=5 of each kind; and where nothing can be right
+plant: needs-tests
+	/usr/bin/env python3 tests/plant.py $(if $(EACH),--each $(EACH)) --seed $(or $(SEED),1)
+
+blind: needs-tests
+	/usr/bin/env python3 tests/blind.py
 
 ## The same generators, many more captures: 1,000 CAN captures and 1,000 streams
 soak: needs-tests
@@ -146,9 +167,11 @@ release: needs-hatchling
 TOOLS_VENV := $(HOME)/.cache/yapp-tools
 TOOLS := $(TOOLS_VENV)/bin
 
-needs-tools: needs-tshark
+needs-tools-packages: needs-tshark
 	$(call install-missing,python3 chromium chromedriver termshark,python3 python3-venv chromium chromium-driver termshark,\
 	  python3 -c 'import ensurepip' 2>/dev/null)
+
+needs-tools: needs-tools-packages
 	@[ -x $(TOOLS)/python ] || python3 -m venv $(TOOLS_VENV)
 	@$(TOOLS)/pip install -q -e './tools[test]'
 
@@ -159,7 +182,7 @@ test-tools: needs-tools
 	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src
 	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider tests/tools
 
-.PHONY: test-tools needs-tools
+.PHONY: test-tools needs-tools needs-tools-packages needs-gui needs-all gui gui-smoke plant blind
 
 # The viewer in the browser, docs/viewer.md.  Its packages stay in web/node_modules.
 needs-viewer: needs-python

@@ -38,7 +38,7 @@ end
 register_postdissector(proto)
 """
 
-def run(tmp_path, arguments, lua=REGISTER % ROOT, stdin=None):
+def run(tmp_path, arguments, lua=REGISTER % tshark.PLUGIN, stdin=None):
     """Runs tshark with the reader. Nothing may go wrong in Lua, and it must have been loaded: as root, tshark 4.4
     leaves it out without a word. Returns (exit code, stdout, stderr)."""
     script = tmp_path / "register.lua"
@@ -262,7 +262,7 @@ end
 
 
 def what_is_lacking(tmp_path, *arguments):
-    errors = run(tmp_path, ["-q", *arguments], lua=REGISTER % ROOT + SHOW_WHAT_IS_LACKING)[2]
+    errors = run(tmp_path, ["-q", *arguments], lua=REGISTER % tshark.PLUGIN + SHOW_WHAT_IS_LACKING)[2]
     return [line for line in errors.splitlines() if line.startswith(("drop ", "lacks "))]
 
 
@@ -291,13 +291,13 @@ def test_other_captures_lack_nothing(tmp_path):
 def test_bus_of_the_record_without_a_tree(tmp_path, extra):
     arguments = [*extra, "-r", CAPTURES / "candump/candump_log_two_buses.log", "-T", "fields", "-e", "candumptest.bus",
                  "-e", "sll.ifindex"]
-    lines = run(tmp_path, arguments, lua=REGISTER % ROOT + SHOW_BUS)[1].splitlines()
+    lines = run(tmp_path, arguments, lua=REGISTER % tshark.PLUGIN + SHOW_BUS)[1].splitlines()
     assert lines == (["1\t1"] * 5 if "-R" in extra else ["0\t0", "1\t1"] * 5)
 
 
 def test_no_bus_in_files_of_others(tmp_path):
     arguments = ["-r", CAPTURES / "candump/candump_log_plain.log", "-T", "fields", "-e", "candumptest.bus"]
-    assert run(tmp_path, arguments, lua=REGISTER % ROOT + SHOW_BUS)[1].splitlines() == ["-1"] * 5
+    assert run(tmp_path, arguments, lua=REGISTER % tshark.PLUGIN + SHOW_BUS)[1].splitlines() == ["-1"] * 5
 
 
 def log_text(count, buses):
@@ -373,6 +373,6 @@ def test_the_reader_of_another_plugin_keeps_its_files(tmp_path):
     path = tmp_path / "other.txt"
     path.write_bytes(b"OTHER\n" + LOG)
     other = OTHER_READER % "rs"
-    for lua in (other + REGISTER % ROOT, REGISTER % ROOT + other):
+    for lua in (other + REGISTER % tshark.PLUGIN, REGISTER % tshark.PLUGIN + other):
         _, out, _ = run(tmp_path, ["-r", path, "-T", "fields", "-e", "frame.protocols"], lua=lua)
         assert "sll" not in out and len(out.splitlines()) == -(-len(LOG) // 23)

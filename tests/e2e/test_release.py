@@ -155,3 +155,19 @@ def test_workflows_are_pinned_and_may_only_read(path):
     assert re.search(r"^permissions:\n  contents: read\n", text, re.M)
     writing = re.findall(r"^ +(\S+): write", text, re.M)
     assert writing == (["contents", "id-token", "attestations"] if path.stem == "release" else [])
+
+
+def test_workflows_install_what_the_makefile_names():
+    """A workflow installs what it needs to run make; all else a target of the Makefile does, and make then asks for nothing."""
+    bare = {"git", "ca-certificates", "make"}
+    makefile, found = (tshark.ROOT / "Makefile").read_text(), 0
+    for path in WORKFLOWS:
+        text = path.read_text()
+        for packages in re.findall(r"apt-get install -y --no-install-recommends (.*)", text):
+            found += 1
+            assert set(packages.split()) == bare, path.name
+            needs = re.search(r"- run: make (needs-[a-z-]+)", text)[1]
+            assert re.search(rf"(?m)^(?:[\w-]+ )*{needs}[ :]", makefile) and text.index(needs) < text.index("setpriv"), path.name
+        for target in re.findall(r"make -C /home/tester/yapp ([a-z][a-z0-9-]*)", text):
+            assert re.search(rf"(?m)^(?:[\w-]+ )*{target}[ :]", makefile), target
+    assert found >= 5
