@@ -169,8 +169,8 @@ function M.parse(text, catalogue)
   local by_bus, problems = memo(function() return {} end), {} -- [bus or false][ID] = a row
   local self = setmetatable({ by_bus = by_bus, rows = {} }, Sources)
   local hidden = text:gsub('"[^"]*"', hide)
-  for part in hidden:gmatch("[^,]+") do
-    part = trim(part)
+  for piece in hidden:gmatch("[^,]+") do
+    local part = trim(piece)
     local ok, wrong = true, nil
     if part ~= "" then ok, wrong = pcall(add_part, self, part, catalogue) end
     if not ok then
