@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Tests the tests: puts one fault at a time into a module that needs no Wireshark, and sees whether a unit test fails.
+"""Tests the tests: puts one fault at a time into a module, and sees whether a test fails.
 
-    mutate.py --each 30 --seed 1           30 faults in each module
+    mutate.py --each 30 --seed 1           30 faults in each module that a unit test loads
     mutate.py --each 5 yapp/wire/crc.lua   in one
+    mutate.py --each 5 --other             in each of the others: those that call Wireshark's API, extcap/ and tools/src
 
 A fault is another operator, another constant, a condition the other way round or a line left out; what does not compile is
-none.  The unit tests that load the module run, those that name it first, in Lua 5.4 and 5.2, in a copy of the tree.  A mutant
+none.  The unit tests that load the module run, those that name it first, in Lua 5.4 and 5.2, in a copy of the tree; of a
+module that none loads, the tests of SUITES.  A mutant
 that no test fails on is shown with its line before and after; one that cannot be told from the module stands in
 tests/equivalent_mutants.txt with the reason.
 """
@@ -32,6 +34,27 @@ OTHERS = {"+": "-", "-": "+", "*": "/", "/": "*", "%": "*", "<": "<=", "<=": "<"
           "~=": "==", "and": "or", "or": "and", "not": "", "true": "false", "false": "true"}
 TOKEN = re.compile(r"""--\[(=*)\[.*?\]\1\]|--[^\n]*|\[(=*)\[.*?\]\2\]|"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|0[xX][\da-fA-F]+|"""
                    r"""\d+(?:\.\d+)?(?:[eE][+-]?\d+)?|[A-Za-z_]\w*|\.\.\.?|[=~<>]=|\S""", re.S)
+# In Python: the same without what is Lua's.
+PYTHON_OTHERS = {"+": "-", "-": "+", "*": "/", "%": "*", "<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==",
+                 "and": "or", "or": "and", "not": "", "True": "False", "False": "True"}
+PYTHON_TOKEN = re.compile(r'''#[^\n]*|[rbf]*"""[\s\S]*?"""|[rbf]*"(?:\\.|[^"\\\n])*"|[rbf]*'(?:\\.|[^'\\\n])*'|0[xX][\da-fA-F]+|'''
+                          r"\d+(?:\.\d+)?(?:[eE][+-]?\d+)?|[A-Za-z_]\w*|->|\*\*|//|[=!<>]=|[-+*/]=|\S")
+PYTHON_NO_STATEMENT = re.compile(r"\s*(?:$|#|def\b|class\b|else\b|try\b|except\b|finally\b|with\b|for\b|while\b|if\b|elif\b|import\b|from\b|@|"
+                                 r'"""|[\])}{]|.*[,({\[:]\s*$)')
+# The quickest tests of what no unit test loads: the longest beginning counts.
+SUITES = {
+    "yapp.lua": ["tests/e2e/test_captures.py", "tests/e2e/test_preferences.py", "tests/e2e/test_install.py"],
+    "yapp/": ["tests/e2e/test_captures.py", "tests/e2e/test_experts.py", "tests/e2e/test_statistics.py"],
+    "yapp/show/": ["tests/e2e/test_captures.py", "tests/e2e/test_experts.py", "tests/e2e/test_flight_fields.py"],
+    "yapp/show/packet_menu.lua": ["tests/e2e/test_packet_menu.py"],
+    "yapp/host/": ["tests/e2e/test_captures.py", "tests/e2e/test_buses.py", "tests/e2e/test_streams.py"],
+    "yapp/host/preferences.lua": ["tests/e2e/test_preferences.py"],
+    "yapp/serial/": ["tests/e2e/test_captures.py", "tests/e2e/test_streams.py"],
+    "yapp/file/": ["tests/e2e/test_candump.py", "tests/e2e/test_dump.py", "tests/e2e/test_files.py"],
+    "yapp/stat/": ["tests/e2e/test_statistics.py", "tests/e2e/test_gate.py"],
+    "extcap/": ["tests/e2e/test_live.py"],
+    "tools/src/": ["tests/tools"],
+}
 ENDS = {"if": "then", "elseif": "then", "while": "do"}
 # A line that is no statement of its own, or without which a local variable is nil: the first test sees that.  A field that is
 # nil in a constructor documents itself: without it nothing changes.
@@ -49,14 +72,16 @@ def lua(*arguments, folder=ROOT):
     return subprocess.run(["lua5.4", *map(str, arguments)], cwd=folder, capture_output=True, text=True, check=False)
 
 
-def pure_modules():
-    """The modules that load without Wireshark and use nothing of it, as .luacheckrc lists it."""
-    wireshark = set(re.findall(r'"(\w+)"', re.search(r"(?s)read_globals = \{(.*?)\n\}", (ROOT / ".luacheckrc").read_text())[1]))
-    for path in sorted(ROOT.glob("yapp/**/*.lua")):
-        listing = subprocess.run(["luac5.4", "-l", "-p", path], capture_output=True, text=True, check=True).stdout
-        loads = lua("-e", f"package.path = './?.lua' dofile('{path}')").returncode == 0
-        if loads and not wireshark & set(re.findall(r'_ENV "(\w+)"', listing)):
-            yield path.relative_to(ROOT)
+def loaded_modules(loads):
+    """The modules of the plugin that a unit test loads."""
+    return [path.relative_to(ROOT) for path in sorted(ROOT.glob("yapp/**/*.lua")) if any(path.relative_to(ROOT) in one for one in loads.values())]
+
+
+def other_modules(loads):
+    """All others: those that call Wireshark's API, the live ports, the Python package."""
+    paths = [ROOT / "yapp.lua", *sorted(ROOT.glob("yapp/**/*.lua")), *sorted(ROOT.glob("extcap/*.py")), *sorted(ROOT.glob("tools/src/**/*.py"))]
+    loaded = loaded_modules(loads)
+    return [path.relative_to(ROOT) for path in paths if path.relative_to(ROOT) not in loaded]
 
 
 def loaded_by(test):
@@ -73,8 +98,37 @@ def other_number(word):
     return str((float(word) if "." in word else int(word, 0)) + 1)
 
 
-def mutants(text):
+def is_python(path):
+    return path.suffix == ".py"
+
+
+def python_mutants(text):
+    for token in PYTHON_TOKEN.finditer(text):
+        word = token[0]
+        if word in PYTHON_OTHERS:
+            yield (*token.span(), PYTHON_OTHERS[word])
+        elif word[0].isdigit():
+            yield (*token.span(), other_number(word))
+    for line in re.finditer(r"[^\n]+", text):
+        if not PYTHON_NO_STATEMENT.match(line[0]):
+            yield (*line.span(), re.match(r"\s*", line[0])[0] + "pass")
+
+
+def compiles(path, mutant):
+    if not is_python(path):
+        return subprocess.run(["luac5.4", "-p", "-"], input=mutant, text=True, capture_output=True, check=False).returncode == 0
+    try:
+        compile(mutant, path, "exec")
+    except (SyntaxError, ValueError):
+        return False
+    return True
+
+
+def mutants(path, text):
     """All mutants of a module: (first character, the one behind the last, what stands there instead)."""
+    if is_python(path):
+        yield from python_mutants(text)
+        return
     tokens = [one for one in TOKEN.finditer(text) if not one[0].startswith("--")]
     for at, token in enumerate(tokens):
         word = token[0]
@@ -105,13 +159,13 @@ def line_at(text, place):
 def sample(path, each, seed):
     """So many mutants of a module that compile: [(number of the line, before, after, text)]."""
     text, chosen = (ROOT / path).read_text(), []
-    every = list(mutants(text))
+    every = list(mutants(path, text))
     random.Random(f"{seed} {path}").shuffle(every)
     for start, end, new in every:
         if len(chosen) == each:
             break
         mutant = text[:start] + new + text[end:]
-        if subprocess.run(["luac5.4", "-p", "-"], input=mutant, text=True, capture_output=True, check=False).returncode == 0:
+        if compiles(path, mutant):
             chosen.append((text.count("\n", 0, start) + 1, line_at(text, start), line_at(mutant, start) or "(left out)", mutant))
     return chosen
 
@@ -128,11 +182,26 @@ def passes(folder, test, most):
     return True
 
 
-def survives(folder, path, mutant, tests, seconds):
+def suite_of(path):
+    return SUITES[max((begin for begin in SUITES if str(path).startswith(begin)), key=len)]
+
+
+def passes_suite(folder, path, python, most=600):
+    """Whether the tests of SUITES pass in a copy of the tree: a mutant may make them wait without end."""
+    run = subprocess.run([python if str(path).startswith("tools/") else "/usr/bin/python3", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider",
+                          *suite_of(path)], cwd=folder, capture_output=True, text=True, check=False, timeout=most,
+                         env={**os.environ, "YAPP_PLUGIN_ROOT": str(folder)}, **USER)
+    assert run.returncode in (0, 1, 2), run.stdout[-500:] + run.stderr[-500:]
+    return run.returncode == 0
+
+
+def survives(folder, path, mutant, tests, seconds, python):
     """Whether all tests pass with a mutant in a copy of the tree: each in the CPU seconds that it needs, and more."""
     whole = (folder / path).read_text()
     (folder / path).write_text(mutant)
     try:
+        if not tests:
+            return passes_suite(folder, path, python)
         return all(passes(folder, test, math.ceil(2 + 5 * seconds[test])) for test in tests)
     except subprocess.TimeoutExpired:
         return False
@@ -141,12 +210,10 @@ def survives(folder, path, mutant, tests, seconds):
 
 
 def copies(count, folder):
-    """Copies of what the unit tests need."""
+    """Copies of what the tests need."""
     found = queue.Queue()
     for number in range(count):
-        for name in ("yapp", "tests/unit", "test_captures", "docs"):
-            shutil.copytree(ROOT / name, folder / str(number) / name)
-        shutil.copy(ROOT / "taurus_fields.lua", folder / str(number))
+        shutil.copytree(ROOT, folder / str(number), ignore=shutil.ignore_patterns(".git", "dist", "node_modules", "__pycache__"))
         subprocess.run(["chmod", "-R", "a+rX", folder], check=True)
         found.put(folder / str(number))
     return found
@@ -157,7 +224,9 @@ def main():
     parser.add_argument("--each", type=int, default=30, help="mutants of a module")
     parser.add_argument("--seed", default="1")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
-    parser.add_argument("--least", type=float, default=90, help="per cent that have to be killed")
+    parser.add_argument("--least", type=float, default=95, help="per cent that have to be killed")
+    parser.add_argument("--other", action="store_true", help="those that no unit test loads")
+    parser.add_argument("--python", default=sys.executable, help="that has what tests/tools needs")
     parser.add_argument("modules", nargs="*", type=pathlib.Path, help="all that need no Wireshark by default")
     options = parser.parse_args()
     seconds, loads = {}, {test: loaded_by(test) for test in TESTS}
@@ -174,29 +243,31 @@ def main():
             concurrent.futures.ThreadPoolExecutor(options.jobs) as pool:
         free = copies(options.jobs, pathlib.Path(folder))
         whole = free.get()
-        for test in TESTS:  # in a copy, where a file may be missing; what takes long may fail once
+        for test in [] if options.other else TESTS:  # in a copy, where a file may be missing; what takes long may fail once
             before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
             assert passes(whole, test, 600) or passes(whole, test, 600), f"{test} fails without a mutant"
             seconds[test] = (resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before) / 2
+        for path in options.modules if options.other else []:
+            assert passes_suite(whole, path, options.python), f"{suite_of(path)} fails without a mutant"
         free.put(whole)
 
         def judge(path, line, before, after, mutant):
-            tests, copy = tests_of(path), free.get()
+            tests, copy = [] if options.other else tests_of(path), free.get()
             try:
-                return path, line, before, after, survives(copy, path, mutant, tests, seconds)
+                return path, line, before, after, survives(copy, path, mutant, tests, seconds, options.python)
             finally:
                 free.put(copy)
 
-        running = [pool.submit(judge, path, *one) for path in options.modules or pure_modules()
+        running = [pool.submit(judge, path, *one) for path in options.modules or (other_modules(loads) if options.other else loaded_modules(loads))
                    for one in sample(path, options.each, options.seed) if (str(path), *one[1:3]) not in equivalent]
         for one in running:
             path, line, before, after, survived = one.result()
             killed, every = score.get(path, (0, 0))
             score[path] = killed + (not survived), every + 1
-            if survived and tests_of(path):
+            if survived:
                 print(f"{path}:{line}:\n  - {before}\n  + {after}", flush=True)
     for path, (killed, every) in score.items():
-        print(f"{path}: {killed} of {every} killed{'' if tests_of(path) else ', no unit test loads it'}")
+        print(f"{path}: {killed} of {every} killed")
     killed, every = map(sum, zip(*score.values()))
     print(f"mutate: seed {options.seed}, {killed} of {every} killed, {100 * killed / every:.1f} %, "
           f"{time.monotonic() - start:.0f} s")

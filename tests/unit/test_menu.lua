@@ -1,0 +1,154 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The menus Tools > YAPP and Statistics: which entry opens which statistic, and what the buttons of its window do.
+-- Wireshark's windows are stand-ins here; tests/gui has the real ones.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+
+local T = {}
+
+local NAMES = { "register_menu", "new_dialog", "TextWindow", "report_failure", "set_filter", "apply_filter",
+  "copy_to_clipboard", "MENU_TOOLS_UNSORTED", "MENU_STAT_UNSORTED" }
+-- The entries of Tools > YAPP in their order, and what each opens: typed once more.
+local OPENS = { { "Summary", "yapp,summary" }, { "Faults", "yapp,faults" }, { "Events", "yapp,events" },
+  { "Compare", "yapp,compare" }, { "Export tables", "yapp,csv" }, { "Check", "yapp,check" } }
+
+local seen -- what the plugin asked of the windows
+
+-- A menu with stand-ins for Wireshark's windows.
+local function menu()
+  seen = { items = {}, order = {}, windows = {}, dialogs = {}, runs = {}, failures = {}, filters = {}, applied = 0 }
+  _G.MENU_TOOLS_UNSORTED, _G.MENU_STAT_UNSORTED = "tools", "statistics"
+  function _G.register_menu(title, act, group)
+    seen.items[title] = { act = act, group = group }
+    seen.order[#seen.order + 1] = title
+  end
+  function _G.new_dialog(title, act, row) seen.dialogs[#seen.dialogs + 1] = { title = title, act = act, row = row } end
+  function _G.report_failure(text) seen.failures[#seen.failures + 1] = text end
+  function _G.set_filter(text) seen.filters[#seen.filters + 1] = text end
+  function _G.apply_filter() seen.applied = seen.applied + 1 end
+  function _G.copy_to_clipboard(text) seen.copied = text end
+  _G.TextWindow = { new = function(title)
+    local window = { title = title, buttons = {}, names = {} }
+    function window.set(self, text) self.text = text end
+    function window.add_button(self, name, act)
+      self.buttons[name] = act
+      self.names[#self.names + 1] = name
+    end
+    seen.windows[#seen.windows + 1] = window
+    return window
+  end }
+  local stat = { frames = { 7, 9, 7 } }
+  function stat.run(self, argument)
+    seen.runs[#seen.runs + 1] = argument
+    return ("%s, run %d"):format(argument, #seen.runs), self.frames
+  end
+  package.loaded["yapp.stat.menu"] = nil
+  return require("yapp.stat.menu").register(stat), stat
+end
+
+function T.tearDown()
+  for _, name in ipairs(NAMES) do _G[name] = nil end
+  package.loaded["yapp.stat.menu"] = nil
+end
+
+local function last(list) return list[#list] end
+
+function T.test_each_entry_opens_its_statistic()
+  menu()
+  for _, row in ipairs(OPENS) do
+    local title, argument = row[1], row[2]
+    local item = seen.items["YAPP/" .. title]
+    lu.assertNotNil(item, title)
+    lu.assertEquals(item.group, "tools")
+    local dialogs = #seen.dialogs
+    item.act()
+    if #seen.dialogs > dialogs then
+      lu.assertEquals(last(seen.dialogs).title, "YAPP " .. title)
+      last(seen.dialogs).act("")
+    end
+    lu.assertEquals(last(seen.runs), argument)
+    lu.assertEquals(last(seen.windows).title, "YAPP " .. title)
+    lu.assertEquals(last(seen.windows).text, ("%s, run %d"):format(argument, #seen.runs))
+  end
+  lu.assertEquals(#seen.order, #OPENS + 2) -- Help, and the one in Statistics
+end
+
+function T.test_what_an_entry_asks_for()
+  menu()
+  seen.items["YAPP/Check"].act()
+  lu.assertEquals(last(seen.dialogs).row.value, "")
+  lu.assertStrContains(last(seen.dialogs).row.name, "Rules")
+  last(seen.dialogs).act("fault=0")
+  lu.assertEquals(last(seen.runs), "yapp,check,fault=0")
+  local runs = #seen.runs
+  last(seen.dialogs).act(nil) -- Cancel
+  lu.assertEquals(#seen.runs, runs)
+  seen.items["YAPP/Export tables"].act()
+  lu.assertStrContains(last(seen.dialogs).row.value, "/yapp-tables")
+  last(seen.dialogs).act("/tmp/here")
+  lu.assertEquals(last(seen.runs), "yapp,csv,/tmp/here")
+end
+
+function T.test_the_entry_in_statistics()
+  menu()
+  local title = last(seen.order)
+  lu.assertStrContains(title, "Summary")
+  lu.assertEquals(seen.items[title].group, "statistics")
+  seen.items[title].act()
+  lu.assertEquals(seen.runs, { "yapp,summary" })
+end
+
+function T.test_help()
+  menu()
+  seen.items["YAPP/Help"].act()
+  lu.assertEquals(last(seen.windows).title, "YAPP Help")
+  for _, row in ipairs(OPENS) do lu.assertStrContains(last(seen.windows).text, "\n" .. row[1]) end
+end
+
+function T.test_refresh_and_copy()
+  local show = menu()
+  show("yapp,events")
+  local window = last(seen.windows)
+  lu.assertEquals(window.names, { "Refresh", "Copy", "Save", "Show frames" })
+  window.buttons.Refresh()
+  lu.assertEquals(seen.runs, { "yapp,events", "yapp,events" })
+  lu.assertEquals(window.text, "yapp,events, run 2")
+  window.buttons.Copy()
+  lu.assertEquals(seen.copied, "yapp,events, run 2")
+end
+
+function T.test_show_frames()
+  local show, stat = menu()
+  show("yapp,events")
+  last(seen.windows).buttons["Show frames"]()
+  lu.assertEquals({ seen.filters, seen.applied }, { { "frame.number in {7, 9}" }, 1 })
+  stat.frames = {}
+  show("yapp,events")
+  last(seen.windows).buttons["Show frames"]()
+  lu.assertEquals({ #seen.filters, seen.applied, #seen.failures }, { 1, 1, 1 })
+  stat.frames = {}
+  for number = 1, 1001 do stat.frames[number] = number end
+  show("yapp,events")
+  last(seen.windows).buttons["Show frames"]()
+  lu.assertStrContains(last(seen.filters), " 1000}")
+end
+
+function T.test_save()
+  local show = menu()
+  show("yapp,events")
+  local path = os.tmpname()
+  os.remove(path)
+  last(seen.windows).buttons.Save()
+  lu.assertStrContains(last(seen.dialogs).row.value, "/yapp-events.txt")
+  last(seen.dialogs).act("")
+  lu.assertEquals(seen.failures, {})
+  last(seen.dialogs).act(path)
+  local file = assert(io.open(path))
+  lu.assertEquals(file:read("*a"), "yapp,events, run 1")
+  file:close()
+  last(seen.dialogs).act(path) -- what is there stays
+  lu.assertStrContains(last(seen.failures), "not written")
+  os.remove(path)
+end
+
+return T
