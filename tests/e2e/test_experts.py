@@ -253,3 +253,15 @@ def test_help_of_a_flag(folder):
     assert texts[1] == ["Fault Flags: 0x00010000 (motor_overcurrent); motor_overcurrent: look at the phases",
                         "Fault Flags raised: 0x00010000 (motor_overcurrent); motor_overcurrent: look at the phases"]
     assert "look at" not in "".join(texts[0] + texts[3])
+
+
+def test_one_message_has_one_item_that_faults_are_set():
+    """Its label names the flags of all fields; of thirty flags the one that is set comes first."""
+    flight = tshark.ROOT / "docs/flight.pcapng"
+    rows = tshark.fields(flight, ["taurus.fault.active"], "-Y", "taurus.fault.active")
+    assert len(rows) == 15
+    assert {row if isinstance(row, str) else row[0] for row in rows} == {"1"}
+    text = tshark.run("-r", flight, "-Y", "frame.number == 719", "-O", "taurus").stdout
+    label, first = re.search(r"(Fault Flags: 0x.*)\n(.*)", text).groups()
+    assert label.endswith(", faulted")
+    assert first.endswith("Motor overcurrent: True")

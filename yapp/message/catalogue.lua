@@ -98,7 +98,7 @@ local function add_state(message, add)
   end
   if not fault then return end
   states.active_time = add(fault.group .. ".active_time", "RELATIVE_TIME",
-    "Time since the oldest of them was raised",
+    "Time since the oldest fault was raised",
     "Since the oldest fault that is still set was raised")
   for _, way in ipairs { "previous", "next" } do
     states[way .. "_change"] = add(("%s.%s_change"):format(fault.group, way), "FRAMENUM",

@@ -91,14 +91,37 @@ function ADD.time(field, fields)
   end
 end
 
+-- Return a function(raw) -> the ProtoFields of flags, those that are set first: of thirty faults
+-- the one that is there is seen at once.  It keeps the latest order.
+-- flags  { { pf, mask }, ... }
+local function ordered(flags)
+  local order, latest = {}, nil
+  return function(raw)
+    if raw == latest then return order end
+    local unset = {}
+    order, latest = {}, raw
+    for _, flag in ipairs(flags) do
+      local list = bits.band(raw, flag[2]) ~= 0 and order or unset
+      list[#list + 1] = flag[1]
+    end
+    for _, pf in ipairs(unset) do order[#order + 1] = pf end
+    return order
+  end
+end
+
 -- Flags, with those of their ProtoFields that are wanted.
 function ADD.flags(field, fields)
   local pf, names_pf = fields[field.filter], fields[field.filter .. ".names"]
   local undefined_pf, flags = fields[field.group .. ".undefined"], {}
-  for _, flag in ipairs(field.flags) do flags[#flags + 1] = fields[flag.filter] end
+  for _, flag in ipairs(field.flags) do
+    local own = fields[flag.filter]
+    if own then flags[#flags + 1] = { own, flag.mask } end
+  end
+  local order_of = ordered(flags)
   return function(parent, range, raw)
     local item = pf and add_le(parent, pf, range) or parent
-    for i = 1, #flags do add_le(item, flags[i], range) end
+    local order = order_of(raw)
+    for i = 1, #order do add_le(item, order[i], range) end
     if raw == 0 then return item end
     local undefined, names = bits.band(raw, field.undefined), flag_names(field, raw)
     if undefined_pf and undefined ~= 0 then add(item, undefined_pf, range, undefined) end
@@ -204,21 +227,37 @@ local function append_help(item, field, raw)
   end
 end
 
+-- Say that faults are set: one expert item a message, on the first field that has some; its label
+-- names those of the other fields, too.
+-- active  the item that says so already, nil for none
+-- returns  the item that says so
+local function add_active(m, index, item, active, other)
+  local source, field, raw = m.source, m.source.message.fields[index], m.raws[index]
+  if active then
+    local names = flag_names(field, decode.faults(field, raw))
+    if item then append_text(active, ", " .. names) end
+  elseif item and source.label ~= source.message.title then
+    append_text(item, " of " .. source.label)
+  end
+  if item then append_help(active or item, field, raw) end
+  if not active then add_expert(item or other, "taurus.fault.active") end
+  return active or item or other
+end
+
 --- Show a message, and its expert items.
 -- m, view  as Tree:show_message takes them
 -- returns  the Taurus item; nil without a tree
 function Taurus:show(m, view)
-  local top, items, source = nil, NONE, m.source
-  local message = source.message
+  local top, items, active = nil, NONE, nil
   if view.payload_tvb and m.payload ~= "" then top, items = build(self, m, view) end
   for _, remark in ipairs(m.remarks or NONE) do
     local index, name = remark[1], remark[2]
-    local item = items[index]
-    if item and name == "fault.active" then
-      if source.label ~= message.title then append_text(item, " of " .. source.label) end
-      append_help(item, message.fields[index], m.raws[index])
+    local item, other = items[index], top or view.item
+    if name == "fault.active" then
+      active = add_active(m, index, item, active, other)
+    else
+      add_expert(item or other, "taurus." .. name)
     end
-    add_expert(item or top or view.item, "taurus." .. name)
   end
   return top
 end
