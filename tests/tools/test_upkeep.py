@@ -217,3 +217,25 @@ def test_an_older_version_is_upgraded_without_its_captures(make_capture, tmp_pat
 def test_a_kind_that_cannot_be_upgraded_is_said(tmp_path):
     with pytest.raises(yt.SetupError, match="convert the captures again for mf4"):
         upkeep.upgrade(str(tmp_path), "mf4", yt.Tshark())
+
+
+def test_partitions_by_day_and_by_vehicle(make_capture, tmp_path):
+    old = {"time": "12.000000000"}
+    flight(make_capture, "a.pcapng"), flight(make_capture, "b.pcapng", 5), flight(make_capture, "dump.pcapng", **old)
+    convert(tmp_path, "?.pcapng", "dump.pcapng", more=["--partition", "day"])
+    folders = sorted(path.name for path in (tmp_path / "data/message=motor").iterdir())
+    assert folders == ["day=2023-11-14", "day=__HIVE_DEFAULT_PARTITION__"]
+    table = ds.dataset(tmp_path / "data/message=motor", partitioning="hive").to_table(
+        filter=ds.field("day") == "2023-11-14"
+    )
+    assert len(table) == 6
+    compact(tmp_path)
+    assert len(list((tmp_path / "data/message=motor/day=2023-11-14").iterdir())) == 1
+    assert len(rows(tmp_path)) == 9
+    (tmp_path / "fleet.toml").write_text('[[aircraft]]\nname = "N 1/a"\ncaptures = "a.pcapng"\n')
+    more = ["--partition", "vehicle", "--fleet", "fleet.toml"]
+    convert(tmp_path, "?.pcapng", out="other", more=more)
+    found = ds.dataset(tmp_path / "other/message=motor", partitioning="hive").to_table()
+    vehicles = dict(zip(found["source_file"].to_pylist(), found["vehicle"].to_pylist(), strict=True))
+    assert vehicles == {"a.pcapng": "N 1/a", "b.pcapng": None}
+    assert "mcap has no partitions" in convert(tmp_path, "a.pcapng", to="mcap", out="third", code=2, more=more)

@@ -13,7 +13,7 @@ from typing import TypeVar, Unpack
 from tqdm import tqdm
 
 from . import fleet
-from .config import Config, How, Kind, StrPath, read_fleet, tshark_of
+from .config import Config, How, Kind, Partition, StrPath, read_fleet, tshark_of
 from .convert import made_by
 from .dataset import Result, flight_id
 from .errors import YappError, need
@@ -116,16 +116,19 @@ def convert(
     fleet_file: StrPath | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
+    partition: Partition | None = None,
     **how: Unpack[How],
 ) -> list[Result]:
     """Convert captures to a data set; what is up to date is not converted again.
 
     captures: paths or patterns; out: a folder or a URL of fsspec, "s3://bucket/data"; to: "parquet", "csv", "delta",
     "mf4" or "mcap"; fleet_file: fleet.toml, with the settings of each aircraft; jobs: captures at a time, None for a
-    core each; scheduler: of a Dask cluster, "tcp://HOST:PORT". Returns a Result for each capture. Raises SetupError.
+    core each; scheduler: of a Dask cluster, "tcp://HOST:PORT"; partition: "day" or "vehicle" (the aircraft of the
+    fleet file), folders below each table of Parquet and CSV. Returns a Result for each capture. Raises SetupError.
     """
     aircraft = read_fleet(fleet_file) if fleet_file else ()
-    return fleet.convert(captures, Config(str(out), to, tshark_of(**how), aircraft), jobs=jobs, scheduler=scheduler)
+    config = Config(str(out), to, tshark_of(**how), aircraft, partition=partition)
+    return fleet.convert(captures, config, jobs=jobs, scheduler=scheduler)
 
 
 @_with_how

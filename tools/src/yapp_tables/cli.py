@@ -61,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     convert = commands.add_parser("convert", parents=[common], help="captures to a data set")
     convert.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="work on this Dask cluster")
     convert.add_argument("--jobs", type=_positive, metavar="N", help="captures at a time on this machine")
+    convert.add_argument("--partition", choices=("day", "vehicle"), help="folders below each table of Parquet and CSV")
     convert.set_defaults(run=_convert)
     prune = commands.add_parser("prune", help="flights out of a data set whose captures are gone")
     prune.set_defaults(run=_prune)
@@ -143,7 +144,9 @@ def _captures(patterns: list[str]) -> list[str]:
 
 def _config(given: argparse.Namespace) -> Config:
     tshark = Tshark(given.tshark, given.plugin, tuple(given.options), given.filter, given.profile)
-    return Config(str(given.out), getattr(given, "to", ""), tshark, read_fleet(given.fleet) if given.fleet else ())
+    aircraft = read_fleet(given.fleet) if given.fleet else ()
+    partition = getattr(given, "partition", None)
+    return Config(str(given.out), getattr(given, "to", ""), tshark, aircraft, partition=partition)
 
 
 def _convert(given: argparse.Namespace) -> int:

@@ -16,6 +16,7 @@ from .tshark import Tshark
 
 KEYS = {"name", "captures", "profile", "catalogue", "ids", "sources", "preferences"}
 StrPath = str | PathLike[str]
+Partition = Literal["day", "vehicle"]
 Kind = Literal["parquet", "csv", "delta", "mf4", "mcap"]
 
 
@@ -50,7 +51,8 @@ class Config:
 
     out: a folder, or a URL of fsspec such as s3://bucket/folder; to: "parquet", "csv", "mf4", "mcap" or "delta";
     tshark: how captures are decoded; fleet: whose captures are decoded in another way, see read_fleet;
-    run: a name of this run, by which it removes what a killed worker left.
+    run: a name of this run, by which it removes what a killed worker left;
+    partition: "day" or "vehicle", the folders below each table of Parquet and CSV, None for none.
     """
 
     out: str
@@ -58,6 +60,12 @@ class Config:
     tshark: Tshark = field(default_factory=Tshark)
     fleet: tuple[Aircraft, ...] = ()
     run: str = ""
+    partition: Partition | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what does not go together."""
+        if self.partition and self.to not in ("parquet", "csv"):
+            raise SetupError(f"{self.to} has no partitions: --partition is for parquet and csv")
 
     def of(self, capture: Path) -> tuple[Tshark, str | None]:
         """Return how this capture is decoded, and the name of its aircraft."""

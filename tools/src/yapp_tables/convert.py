@@ -5,19 +5,26 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
+from urllib.parse import quote
 
+from .clock import YEAR_2000
 from .config import Config, StrPath
 from .dataset import DataSet, MadeBy, Result, plain_name
 from .errors import CaptureError, SetupError, YappError, need
 from .records import SUMMARY, all_tables, name_hint, table
 from .scratch import disk_full
-from .tables import Origin, digests, nothing_in, present
+from .sources import begin
+from .tables import Origin, Table, digests, nothing_in, present
 from .tshark import Export, Tshark, check_file
 from .undecoded import left_out
 from .writers import Target, Writer
 
+# How readers of such folders call an unknown value.
+NO_PARTITION = "__HIVE_DEFAULT_PARTITION__"
 # The module and the function that write a kind, and the extra that it needs: imported only when it is asked for.
 KINDS = {
     "parquet": ("writers", "write_parquet", ""),
@@ -106,7 +113,9 @@ def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, ma
         folder = aside / "result"
         folder.mkdir()
         before = dataset.find(origin.flight_id)
-        writer(config.to)(tables, Target(folder, name, dataset.url, origin.flight_id))
+        writer(config.to)(
+            tables, Target(folder, name, dataset.url, origin.flight_id, _partition(config, origin, tables))
+        )
         files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
         counts = {table.name: table.count for table in tables}
         lacks = tuple(left_out(None, export.undecoded, export.complaints))
@@ -116,6 +125,17 @@ def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, ma
         if before and config.to == "delta" and (gone := before.messages.keys() - counts.keys()):
             need(f"{__package__}.delta", "delta").delete(dataset.url, origin.flight_id, gone)
         return result
+
+
+def _partition(config: Config, origin: Origin, tables: Sequence[Table]) -> str:
+    """Return the folder of a flight below each table: its day in UTC, or its aircraft."""
+    if config.partition is None:
+        return ""
+    value = origin.aircraft
+    if config.partition == "day":
+        start = begin(tables)
+        value = str(datetime.fromtimestamp(start // 10**9, UTC).date()) if start >= YEAR_2000 else None
+    return f"{config.partition}={quote(value, safe='') if value else NO_PARTITION}"
 
 
 def _check(capture: Path, tshark: Tshark, export: Export, made: MadeBy) -> None:

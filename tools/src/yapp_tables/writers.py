@@ -19,12 +19,16 @@ CSV_TYPES = {KIND: pa.string(), DURATION: pa.decimal128(19, 9)}
 
 @dataclass(frozen=True)
 class Target:
-    """Where a writer writes. folder: for its files; name: of the files; url: of the whole data set."""
+    """Where a writer writes. folder: for its files; name: of the files; url: of the whole data set.
+
+    partition: a folder below that of each table, "day=2023-11-14", empty for none.
+    """
 
     folder: Path
     name: str
     url: str
     flight_id: str
+    partition: str = ""
 
 
 Writer = Callable[[Sequence[Table], Target], None]
@@ -56,7 +60,7 @@ def _cells(column: pa.Array, type_: pa.DataType) -> pa.Array:
 
 
 def _path(target: Target, table: Table, suffix: str) -> Path:
-    path = target.folder / f"message={table.name}" / f"{target.name}.{suffix}"
+    path = target.folder / f"message={table.name}" / target.partition / f"{target.name}.{suffix}"
     path.parent.mkdir(parents=True)
     return path
 
