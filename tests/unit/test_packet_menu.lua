@@ -1,0 +1,69 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The submenu YAPP of a packet: the display filter of each item, and the preferences that two of them set.
+-- Wireshark's windows are stand-ins; tests/e2e/test_packet_menu.py has what needs a capture.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+
+local T = {}
+
+local FAULTS = "yapp.source in {\"left\"} && (taurus.fault.raised || taurus.fault.cleared)"
+-- Title, the field that the packet must have, the filter of frame 7 of the source left whose message ends in frame 9.
+local FILTERS = {
+  { "Only this controller", "yapp.source", "yapp.source in {\"left\"}" },
+  { "Faults of this controller", "taurus.motor.fault_flags", FAULTS },
+  { "Previous fault of this controller", "taurus.motor.fault_flags", FAULTS .. " && frame.number < 7" },
+  { "Next fault of this controller", "taurus.motor.fault_flags", FAULTS .. " && frame.number > 7" },
+  { "Whole message", "yapp.reassembled.in", "yapp.reassembled.in in {9}" },
+}
+local VALUES = { { name = "frame.number", value = 7 }, { name = "yapp.source", value = "left" },
+  { name = "yapp.reassembled.in", value = 9 }, { name = "yapp.id", value = 0x210 },
+  { name = "yapp.like.motor", value = 0x215 }, { name = "can.id", value = 1 } }
+
+local seen
+local function menu(prefs)
+  seen = { items = {}, fields = {}, done = {} }
+  local function note(name) return function(...) table.insert(seen.done, table.concat({ name, ... }, " ")) end end
+  function _G.register_packet_menu(title, act, field) seen.items[title], seen.fields[title] = act, field end
+  for _, name in ipairs { "set_filter", "apply_filter", "set_preference", "apply_preferences", "redissect_packets" } do
+    _G[name] = note(name)
+  end
+  function _G.new_dialog(title, act, row) seen.dialog = { title = title, act = act, row = row } end
+  package.loaded["yapp.show.packet_menu"] = nil
+  local motor = { name = "motor", title = "Motor Data", alarms = { { filter = "taurus.motor.fault_flags" } } }
+  local health = { name = "health", title = "Health", alarms = {} } -- without a fault flag
+  require("yapp.show.packet_menu").register(prefs, { messages = { motor, health }, by_name = {} })
+end
+
+local function choose(title)
+  local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+  seen.items["YAPP/" .. title](unpack(VALUES))
+  return seen.done
+end
+
+function T.test_filters()
+  for _, row in ipairs(FILTERS) do
+    menu({ sources = "" })
+    lu.assertEquals(seen.fields["YAPP/" .. row[1]], row[2])
+    lu.assertEquals(choose(row[1]), { "set_filter " .. row[3], "apply_filter" })
+  end
+end
+
+function T.test_decode_this_id_as()
+  menu({ sources = "", motor_ids = "0x210" })
+  lu.assertEquals(seen.fields["YAPP/Decode this ID as Motor Data"], "yapp.like.motor")
+  lu.assertEquals(choose("Decode this ID as Motor Data"),
+    { "set_preference yapp.motor_ids 0x210,533", "apply_preferences", "redissect_packets" })
+end
+
+function T.test_name_this_controller()
+  menu({ sources = "" })
+  lu.assertEquals(seen.fields["YAPP/Name this controller ..."], "yapp.id")
+  choose("Name this controller ...")
+  lu.assertEquals(seen.dialog.row.value, "0x210=")
+  seen.dialog.act("0x210=")
+  lu.assertEquals(seen.done, {}) -- no name was given
+  seen.dialog.act("0x210=nose")
+  lu.assertEquals(seen.done, { "set_preference yapp.sources 0x210=nose", "apply_preferences", "redissect_packets" })
+end
+
+return T
