@@ -43,6 +43,7 @@ end)
 
 local bus_finder = require "yapp.host.buses"
 local can_dissector = require "yapp.host.can"
+local can_id = require "yapp.wire.can_id"
 local catalogue_files = require "yapp.message.catalogue_files"
 local compiler = require "yapp.message.catalogue"
 local decode = require "yapp.message.decode"
@@ -109,11 +110,14 @@ local builder = show_tree.new {
 
 -- SocketCAN's table of ids calls YAPP for the ids registered in it alone, so other frames cost
 -- nothing.
-local by_can_id, is_registered = DissectorTable.get("can.extended_id"), {}
+local START = can_id.START
+local by_can_id = DissectorTable.get("can.extended_id")
+local is_registered = {} -- [ID] = true; of an unknown ID { [Seq No] = "all" or "start" }
 
--- Register the CAN ids of a message ID: CAN CTRL 0 to 3 and every Seq No, with YAPP CTL 0.
+-- Register the CAN ids of an ID that carries a message: CAN CTRL 0 to 3 and every Seq No, with YAPP
+-- CTL 0.
 local function register_id(id)
-  if is_registered[id] then return end
+  if is_registered[id] == true then return end
   is_registered[id] = true
   for ctrl = 0, 3 do
     local first = id * 0x40000 + ctrl * 0x4000
@@ -121,8 +125,30 @@ local function register_id(id)
   end
 end
 
+local STARTS_AHEAD = 32 -- fewer messages of an unknown ID may be missing in a row
+
+-- Register those of an unknown ID as its Seq Nos come: all 1,024 of each of 2,000 IDs take three
+-- times as long as 40,000 frames.  A Start with Seq No 7 registers the frames of 7, and the Starts
+-- of 8 to 39.
+local function register_start(id, seq)
+  local known = is_registered[id]
+  if known == true or known and known[seq] == "all" then return end
+  known = known or {}
+  is_registered[id] = known
+  local first = id * 0x40000 + seq
+  for ctrl = 0, 3 do by_can_id:add(first + ctrl * 0x4000, yapp) end
+  for ahead = seq + 1, seq + STARTS_AHEAD do
+    local next_seq = ahead % 0x100
+    if not known[next_seq] then
+      known[next_seq] = "start"
+      by_can_id:add(id * 0x40000 + START * 0x4000 + next_seq, yapp)
+    end
+  end
+  known[seq] = "all"
+end
+
 local frames =
-  can_dissector.new(reading, show_frame.new(builder), builder, buses, register_id)
+  can_dissector.new(reading, show_frame.new(builder), builder, buses, register_start)
 local streams =
   serial_dissector.new(reading, show_packet.new(builder), builder, buses, tcp_header)
 
@@ -158,15 +184,15 @@ end
 -- Return the CAN id of a frame that did not come through the table of ids, as socketcan.find_id
 -- does.
 local function find_id(pinfo)
-  local can_id, is_unknown = socketcan.find_id(pinfo)
+  local id, is_unknown = socketcan.find_id(pinfo)
   socketcan.wrap(header) -- from the next frame on the id is known
-  return can_id, is_unknown
+  return id, is_unknown
 end
 
 -- Decode As on CAN: every extended data frame is YAPP's.
 local function dissect_any(tvb, pinfo, root)
-  local can_id, is_unknown = find_id(pinfo)
-  if can_id then return frames:dissect(tvb, pinfo, root, can_id, true) end
+  local id, is_unknown = find_id(pinfo)
+  if id then return frames:dissect(tvb, pinfo, root, id, true) end
   return is_unknown and tvb:reported_len() > 0 and frames:without_id(tvb, pinfo, root) or 0
 end
 
@@ -324,7 +350,7 @@ end
 -- Registration ------------------------------------------------------------------------------------
 
 -- Register the Starts with Seq No 0 of all IDs: so begin unknown messages that are not numbered.
-for id = 0, frame.MAX_ID do by_can_id:add(id * 0x40000 + 0x4000, yapp) end
+for id = 0, frame.MAX_ID do by_can_id:add(id * 0x40000 + START * 0x4000, yapp) end
 stat:register()
 if register_packet_menu and gui_enabled() then packet_menu.register(yapp.prefs, catalogue) end
 for name, proto in pairs {

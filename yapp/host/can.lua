@@ -28,14 +28,14 @@ Dissector.__index = Dissector
 -- view         a show.frame
 -- builder      a show.tree
 -- buses        a host.buses
--- register_id  function(id, seq), which makes Wireshark call YAPP for this message ID
-function M.new(reading, view, builder, buses, register_id)
+-- register_start  function(id, seq), which makes Wireshark call YAPP for the frames behind a Start
+function M.new(reading, view, builder, buses, register_start)
   local self = setmetatable({
     reading = reading,
     view = view,
     builder = builder,
     buses = buses,
-    register_id = register_id,
+    register_start = register_start,
     frame = records.new_can_frame(),
   }, Dissector)
   self.deferral = deferral.new(reading, builder, buses, function(...) self:dissect(...) end)
@@ -105,7 +105,7 @@ function Dissector:dissect(tvb, pinfo, tree, id, accepts_all, length)
     self.deferral:note(tvb, pinfo)
     return 0
   end
-  if ctrl == START then self.register_id(frame.can_id.id, frame.seq) end
+  if ctrl == START then self.register_start(frame.can_id.id, frame.seq) end
   self.view:show(result, wants, tvb, pinfo, tree)
   return reported
 end

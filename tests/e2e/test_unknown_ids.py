@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""IDs that are not in the catalogue: the plugin registers their CAN ids as their Seq Nos come."""
+import struct
+
+import pytest
+
+import can_generator
+import tshark
+
+SOCKETCAN = 227
+
+
+def write(path, messages):
+    """A capture of messages of 32 bytes: [(ID, Seq No)]."""
+    packets = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, SOCKETCAN)]
+    for number, (ident, seq) in enumerate(messages):
+        payload = struct.pack("<I", number) * 8
+        start = struct.pack("<IHH", can_generator.message_crc(ident, 0, seq, payload), len(payload), 0)
+        chunks = [start, *(payload[at:at + 8] for at in range(0, 32, 8))]
+        for place, (ctrl, data) in enumerate(zip((1, 2, 2, 2, 3), chunks)):
+            record = struct.pack(">IB3x", 0x80000000 | ident << 18 | ctrl << 14 | seq, 8) + data
+            packets.append(struct.pack("<IIII", number // 100, number % 100 * 10000 + place, len(record), len(record)) + record)
+    path.write_bytes(b"".join(packets))
+    return path
+
+
+def shown(path, *arguments):
+    """[(ID, Seq No)] of the messages that tshark shows whole."""
+    rows = tshark.fields(path, ["yapp.id", "yapp.seq"], "-Y", "yapp.reassembled.data", *arguments)
+    return [(int(ident, 0), int(seq)) for ident, seq in rows]
+
+
+@pytest.mark.parametrize("two", [(), ("-2",)], ids=["one pass", "two passes"])
+@pytest.mark.parametrize("sequence", [
+    list(range(256)) + [0, 1],       # all, and round
+    [0] * 5,                         # not numbered
+    [0, 1, 33, 65, 97, 129, 161, 193, 225, 1],  # 31 missing in a row, also where the number wraps
+    [0, 32, 5, 31, 64],              # late ones
+], ids=["all", "none", "gaps", "late"])
+def test_seq_nos(tmp_path, sequence, two):
+    messages = [(ident, seq) for seq in sequence for ident in (0x123, 0x456)]
+    assert shown(write(tmp_path / "unknown.pcap", messages), *two) == messages
+
+
+def test_an_id_that_does_not_begin_with_0_waits_for_it(tmp_path):
+    messages = [(0x123, seq) for seq in (254, 255, 0, 1)]
+    assert shown(write(tmp_path / "unknown.pcap", messages)) == messages[2:]
