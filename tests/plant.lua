@@ -2,11 +2,12 @@
 -- Runs in front of a copy of the plugin, see plant.py: gives one thing that the plugin tells Wireshark a wrong value,
 -- by its name.  It knows Wireshark's API alone, nothing of the plugin's modules.
 --
--- PLANT = { kind, name }: what is planted.  PLANT = {}: prints the rows "kind<tab>name" of all that can be.
-if not PLANT then return end -- run by Wireshark, in a plugin folder
+-- Its argument is { kind, name }: what is planted; or {}: print the rows "kind<tab>name" of all that can be.
+local row = ...
+if type(row) ~= "table" then return end -- run by Wireshark, in a plugin folder
 
 local unpack_all = table.unpack or unpack -- 5.2 has both
-local kind, name = PLANT[1], PLANT[2]
+local kind, name = row[1], row[2]
 
 local function is_planted(what, title) return kind == what and name == title end
 

@@ -47,7 +47,7 @@ def copy(folder, row):
     tshark.copy_plugin(folder, ROOT)
     plant = f'{{ "{row[0]}", "{row[1]}" }}' if row else "{}"
     script = shutil.copy(ROOT / "tests/plant.lua", folder)
-    (folder / "yapp.lua").write_text(f'PLANT = {plant} dofile("{script}") PLANT = nil\n' + (ROOT / "yapp.lua").read_text())
+    (folder / "yapp.lua").write_text(f'assert(loadfile("{script}"))({plant})\n' + (ROOT / "yapp.lua").read_text())
     subprocess.run(["chmod", "-R", "a+rX", folder], check=True)
     return folder
 
