@@ -22,7 +22,8 @@ from .undecoded import left_out, source_name
 # The headings of the table of sources.
 SOURCES = {"source": "source", "bus": "bus", "message": "message", "count": "count", "rate": "rate/Hz"}
 SOURCES |= {"gap_min": "gap min/s", "gap_mean": "gap mean/s", "gap_max": "gap max/s", "gap_max_frame": "at frame"}
-SOURCES |= {"crc_bad": "crc bad"} | {name: name for name in ("incomplete", "late", "reboots", "invalid", "skipped")}
+SOURCES |= {"crc_bad": "crc bad"} | {name: name for name in ("incomplete", "late", "reboots")}
+SOURCES |= {name: name for name in ("invalid", "skipped", "missing", "copies")}
 
 
 class Flight(Mapping[str, pa.Table]):

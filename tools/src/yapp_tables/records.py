@@ -79,6 +79,7 @@ reboots       int64   how often the controller's clock went back
 invalid       int64   messages with a value that the catalogue does not define
 skipped       int64   stretches of bytes in a stream that belong to no frame
 missing       int64   messages missing by Seq No
+copies        int64   messages that were recorded a second time
 {OTHER}
 """)
 STATISTICS = _columns(f"""
