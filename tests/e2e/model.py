@@ -20,16 +20,16 @@ YAPP_EXPERTS = ["crc.bad", "fragment.orphan", "fragment.incomplete", "fragment.o
 TAURUS_EXPERTS = ["fault.active", "command.key.invalid", "value.special", "flags.undefined", "value.invalid"]
 # Worked out from more than one message: what test_flight_fields.py is about.  Those of a change, and the others.
 CHANGE_EXPERTS = ["yapp.late", "taurus.reboot", "taurus.stale", "taurus.fault.raised", "taurus.fault.cleared", "taurus.jump"]
-EVENT_EXPERTS = [*CHANGE_EXPERTS, "yapp.source.shared", "yapp.unfinished"]
+EVENT_EXPERTS = [*CHANGE_EXPERTS, "yapp.source.shared", "yapp.unfinished", "yapp.copy"]
 # Of YAPP's own, in no .expected file: what is worked out from more than one message.
-HISTORY = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8",
+HISTORY = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8", "yapp.copy_of": "FRAMENUM",
            "yapp.reassembled.data": "BYTES"}
 EXPERTS = [f"yapp.{name}" for name in YAPP_EXPERTS] + [f"taurus.{name}" for name in TAURUS_EXPERTS]
 
 # Group and severity of each: Wireshark's colours, `-z expert` and filters on _ws.expert go by them.
 SEVERITIES = {
     "yapp.crc.bad": "CHECKSUM ERROR", "yapp.fragment.orphan": "SEQUENCE WARN", "yapp.fragment.incomplete": "REASSEMBLE WARN",
-    "yapp.fragment.overrun": "REASSEMBLE WARN", "yapp.fragment.duplicate": "SEQUENCE NOTE", "yapp.unfinished": "REASSEMBLE WARN",
+    "yapp.fragment.overrun": "REASSEMBLE WARN", "yapp.fragment.duplicate": "SEQUENCE NOTE", "yapp.unfinished": "REASSEMBLE WARN", "yapp.copy": "SEQUENCE NOTE",
     "yapp.late": "SEQUENCE WARN", "yapp.size.mismatch": "PROTOCOL WARN", "yapp.id.unknown": "UNDECODED NOTE",
     "yapp.reserved.nonzero": "PROTOCOL WARN", "yapp.can.ctrl.invalid": "PROTOCOL WARN", "yapp.can.id.missing": "UNDECODED WARN",
     "yapp.stream.skipped": "SEQUENCE NOTE", "yapp.truncated": "MALFORMED WARN", "yapp.source.shared": "SEQUENCE WARN",

@@ -117,6 +117,13 @@ function T.test_a_message()
   end
 end
 
+function T.test_a_copy_is_no_message()
+  local intake, offered = new_intake()
+  report_message(intake, message { copy_of = 7 * frame_key.PACKET, change = { missing = 1 } })
+  local event = offered[1][1]
+  lu.assertEquals({ #offered, event.kind, event.values }, { 1, "copies", { of = 7 * frame_key.PACKET } })
+end
+
 function T.test_what_the_catalogue_does_not_define()
   local intake, offered = new_intake()
   for _, payload in ipairs { "\0\1\0", "\5\1\0", "\0\3\0", "\9\255\255" } do

@@ -31,6 +31,11 @@ local function history_of(answer, asked)
   return history
 end
 
+-- What finds each message to be a copy of this one, or of none.
+local function copies_of(key)
+  return { find = function() return key end }
+end
+
 -- Read a message of a payload of zeros with some bytes changed.
 -- bytes   { [offset] = value }
 -- with    of the transfer: status, size; of the frame: id, key, visited, is_bus_known, wants_state; answer = of the
@@ -42,7 +47,8 @@ local function read(of_type, bytes, with)
   for offset, byte in pairs(bytes or {}) do
     payload = payload:sub(1, offset) .. string.char(byte) .. payload:sub(offset + 2)
   end
-  local messages = with.messages or messages_of.new(types, history_of(with.answer or { delta = 1 }, asked))
+  local messages = with.messages or messages_of.new(types, history_of(with.answer or { delta = 1 }, asked),
+    copies_of(with.copy_of))
   local frame = { source = types:new_source(with.id or of_type.id, false), seq = 0,
     key = with.key or 7 * frame_key.PACKET, time = 1, visited = with.visited or false,
     is_bus_known = with.is_bus_known ~= false, is_only_pass = false, wants_state = with.wants_state or false }
@@ -89,7 +95,7 @@ function T.test_a_shorter_payload()
   end
   local types = new_types(catalogue.compile(entries))
   for size = 29, 33 do
-    local messages = messages_of.new(types, history_of({ delta = 1 }, {}))
+    local messages = messages_of.new(types, history_of({ delta = 1 }, {}), copies_of())
     local m = messages:read({ source = types:new_source(0x210, false), key = 1, visited = false, is_bus_known = true },
       { size = size, payload = ("\1"):rep(size), status = size == 31 and "bad" or "good" })
     found[#found + 1] = ("%d %s %s"):format(size, m.raws and "read" or "bytes", m.undecoded or "-")
@@ -111,6 +117,16 @@ function T.test_what_the_history_is_asked()
   lu.assertEquals({ m.change, m.delta, m.state, m.is_unreliable, asked }, { false, false, false, true, "" })
   m = read(HEALTH, {}, { answer = { delta = 1, state = { drift = 1, command_in = 5 } }, wants_state = true })
   lu.assertEquals(m.state, { drift = 1, command_in = 5 })
+end
+
+-- A copy changes no history.
+function T.test_a_copy()
+  local m, asked = read(MOTOR, { [at(MOTOR, "fault_flags")] = 1 }, { copy_of = 5, wants_state = true,
+    answer = { add = { late = 1 }, delta = 1 } })
+  lu.assertEquals({ m.copy_of, m.change, m.delta, m.state, asked }, { 5, false, false, false, "" })
+  lu.assertTrue(m.has_fault) -- it is decoded
+  m = read(MOTOR, {}, { copy_of = 5, status = "incomplete" }) -- its bytes prove nothing
+  lu.assertFalse(m.copy_of)
 end
 
 -- Several controllers share its source: the history says so, in order and on a revisit.
@@ -138,7 +154,7 @@ end
 
 -- The first unknown message of an ID with a known size gets the whole advice, also on a revisit.
 function T.test_what_an_unknown_message_is_like()
-  local messages = messages_of.new(new_types(), history_of({ delta = 1 }, {}))
+  local messages = messages_of.new(new_types(), history_of({ delta = 1 }, {}), copies_of())
   local function like(with)
     with.messages = messages
     local m = read(MOTOR, {}, with)

@@ -16,10 +16,12 @@ Messages.__index = Messages
 --- Make what reads the messages of one capture.
 -- types    a message.types
 -- history  a message.history
-function M.new(types, history)
+-- copies   a reading.copies
+function M.new(types, history, copies)
   return setmetatable({
     types = types,
     history = history,
+    copies = copies,
     advised = {}, -- [id of an unknown message] = the frame key whose Info has the whole advice
   }, Messages)
 end
@@ -41,6 +43,7 @@ local function new_message(frame, transfer)
     has_fault = false, -- whether a fault flag is set
     undecoded = false, -- number of payload bytes behind the type's size, false for none
     like = false, -- of an unknown message: the type that has its size, false for none
+    copy_of = false, -- frame key of the message that it is a copy of, or false
     is_advised = false, -- whether Info says in full which preference decodes it
     -- Of message.history:
     change = false, -- what changes with it, or false
@@ -103,7 +106,10 @@ function Messages:read(frame, transfer)
   elseif not IS_BROKEN[message.status] then
     decode_values(message, of_type)
   end
-  if not message.is_unreliable then add_history(self, message, frame) end
+  if not IS_BROKEN[message.status] then
+    message.copy_of = self.copies:find(message, frame.is_only_pass) or false
+  end
+  if not (message.is_unreliable or message.copy_of) then add_history(self, message, frame) end
   return message
 end
 

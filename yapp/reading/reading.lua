@@ -9,6 +9,7 @@
 -- On a revisit, recall_frame and recall_packet return what they found then.
 
 local can_id = require "yapp.wire.can_id"
+local copies = require "yapp.reading.copies"
 local decode = require "yapp.message.decode"
 local frame = require "yapp.wire.frame"
 local framer = require "yapp.serial.framer"
@@ -50,7 +51,7 @@ end
 --- Forget the capture file.
 -- options  of message.history
 function Reading:reset(options)
-  self.messages = messages.new(self.types, history.new(options))
+  self.messages = messages.new(self.types, history.new(options), copies.new(self.buses))
   -- CAN:
   self.reassembly = reassembly.new()
   self.sources = memo(function(bus) -- [bus or false][ID] = a source

@@ -62,6 +62,8 @@ local YAPP = {
     "The name from yapp.sources, or without one the bus and ID, such as can1 0x210" },
   { "message.fault", "BOOLEAN", "Message has a fault flag set",
     "Set in every frame of a message that has a fault" },
+  { "copy_of", "FRAMENUM", "Copy of the message in",
+    "The frame of the same message that was recorded before" },
   { "seq.missing", "UINT8", "Messages missing before this one",
     "How many messages are missing before this one, by sequence number" },
 }
@@ -74,6 +76,7 @@ local EXPERTS = {
   { "yapp.fragment.incomplete", "Message with bytes missing", "REASSEMBLE", "WARN" },
   { "yapp.fragment.overrun", "More bytes than the message's size", "REASSEMBLE", "WARN" },
   { "yapp.fragment.duplicate", "Frame delivered twice", "SEQUENCE", "NOTE" },
+  { "yapp.copy", "Message that was recorded twice", "SEQUENCE", "NOTE" },
   { "yapp.unfinished", "Message cut off by the end of the capture", "REASSEMBLE", "WARN" },
   { "yapp.late", "A long gap before this message", "SEQUENCE", "WARN" },
   { "yapp.size.mismatch", "Payload length is not the catalogue's", "PROTOCOL", "WARN" },

@@ -216,6 +216,9 @@ function Tree:add_delta(item, message)
   if change and change.missing then
     add_generated(item, fields["seq.missing"], change.missing)
   end
+  if message.copy_of then
+    add_generated(item, fields.copy_of, number_of(message.copy_of))
+  end
   self:add_has_fault(item, message.has_fault)
 end
 
@@ -287,6 +290,10 @@ function Tree:show_message(m, view)
     if view.wants.columns then
       info = text_of.info(source.message, m.raws, source.label, m.remarks)
     end
+  end
+  if m.copy_of then
+    self:expert(view.item, "copy")
+    info = ("%s  [copy of #%d]"):format(info, number_of(m.copy_of))
   end
   if m.change or top and m.state then
     info = info .. self.messages:add_change(m, top or nil, view.item)

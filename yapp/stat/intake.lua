@@ -135,6 +135,7 @@ local function report_message(self, m)
   local kind, values = KIND_OF[m.status], nil
   if not kind then return end
   if self.has_orphans then self.states[m.source].orphan = false end
+  if m.copy_of then return offer(self, "copies", m, { of = m.copy_of }) end
   if kind == "message" then
     values = values_of(m)
   elseif kind == "incomplete" then

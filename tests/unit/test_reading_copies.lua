@@ -1,0 +1,78 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Messages that the recorder holds twice.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local copies_of = require("yapp.reading.copies")
+
+local T = {}
+
+local MOTOR = { id = 0x210, message = { every = 0.1 } }
+
+local function new(lacks_clock)
+  local copies = copies_of.new { lacks_clock = function() return lacks_clock or false end }
+  copies:find({ key = 0, time = -1, seq = 0, payload = "", source = {} }, true) -- so that the time has advanced
+  return copies
+end
+
+-- Find what rows { time, payload, source, seq } are copies of: their keys are 1, 2, ...; "-" for none.
+local function found(rows, lacks_clock)
+  local copies, list = new(lacks_clock), {}
+  for key, row in ipairs(rows) do
+    local message = { key = key, time = row[1], payload = row[2], source = row[3] or MOTOR, seq = row[4] or 0,
+      visited = false }
+    list[key] = copies:find(message, false) or "-"
+    message.visited = true
+    lu.assertEquals(copies:find(message, false) or "-", list[key]) -- a revisit finds the same
+  end
+  return list
+end
+
+function T.test_a_message_twice_and_three_times()
+  lu.assertEquals(found { { 0, "a" }, { 0.0003, "a" }, { 0.1, "b" }, { 0.1, "b" }, { 0.1199, "b" } },
+    { "-", 1, "-", 3, 3 })
+end
+
+-- Another message of the source may come in between, and a recorder may stamp the copy earlier.
+function T.test_in_any_order()
+  lu.assertEquals(found { { 0, "a" }, { 0.002, "b" }, { 0.004, "a" }, { 0.005, "b" } }, { "-", "-", 1, 2 })
+  lu.assertEquals(found { { 0.010, "a" }, { 0.002, "a" } }, { "-", 1 })
+end
+
+-- A controller that hangs repeats its bytes after a period; two clocks are two messages.
+function T.test_what_is_no_copy()
+  lu.assertEquals(found { { 0, "a" }, { 0.1, "a" }, { 0.2, "a" } }, { "-", "-", "-" })
+  lu.assertEquals(found { { 0, "a" }, { 0.02, "a" }, { 0.0401, "a" } }, { "-", "-", "-" })
+  lu.assertEquals(found { { 0, "a" }, { 0.001, "b" } }, { "-", "-" })
+  lu.assertEquals(found { { 0, "a" }, { 0.001, "a", MOTOR, 1 } }, { "-", "-" })
+  local other_bus = { id = 0x210, message = MOTOR.message }
+  lu.assertEquals(found { { 0, "a" }, { 0.001, "a", other_bus } }, { "-", "-" })
+end
+
+-- Half the period of a fast message is less than 20 ms; a message of no known type has 20 ms.
+function T.test_how_far_a_copy_may_be()
+  local fast, unknown = { message = { every = 0.01 } }, {}
+  lu.assertEquals(found { { 0, "a", fast }, { 0.0049, "a", fast }, { 0.0051, "a", fast } }, { "-", 1, "-" })
+  lu.assertEquals(found { { 0, "a", unknown }, { 0.0199, "a", unknown }, { 0.0201, "a", unknown } }, { "-", 1, "-" })
+end
+
+-- Many messages of a source within 20 ms: the oldest are forgotten, none is found twice.
+function T.test_a_fast_source()
+  local rows, expected, source = {}, {}, {}
+  for i = 1, 40 do
+    rows[2 * i - 1], rows[2 * i] = { i / 10000, "m" .. i, source }, { i / 10000, "m" .. i, source }
+    expected[2 * i - 1], expected[2 * i] = "-", 2 * i - 1
+  end
+  lu.assertEquals(found(rows), expected)
+end
+
+-- Without times of packets, all messages come at once; so do they until the time advances.
+function T.test_captures_without_times()
+  lu.assertEquals(found({ { 0, "a" }, { 0, "a" } }, true), { "-", "-" })
+  local copies, list = copies_of.new { lacks_clock = function() return false end }, {}
+  for key, time in ipairs { 0, 0, 0, 5, 5 } do
+    list[key] = copies:find({ key = key, time = time, payload = "a", source = MOTOR, seq = 0 }, true) or "-"
+  end
+  lu.assertEquals(list, { "-", "-", "-", "-", 4 })
+end
+
+return T

@@ -1,0 +1,72 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- Finds messages that the recorder holds twice: its own sends and what it hears, `-i any`, a mirror
+-- port, a radio that repeats.  Pure Lua.
+--
+-- A copy has the bytes of an earlier message of its source, and comes less than 20 ms and less than
+-- half a period after it: a controller that hangs repeats its bytes after a whole period.  Without
+-- times of packets nothing is a copy.
+
+local M = {}
+
+local abs, min = math.abs, math.min
+local MAX_DISTANCE = 0.02 -- seconds
+local MAX_KEPT = 16 -- messages of a source within this time
+
+local Copies = {}
+Copies.__index = Copies
+
+--- Make the finder of one capture.
+-- buses  a host.buses, asked whether the capture lacks times or a clock
+function M.new(buses)
+  return setmetatable({
+    is_timed = not buses:lacks_clock(),
+    start = nil, -- when the first message came; until the time advances, there may be none
+    by_source = {}, -- [source] = list of its latest messages that are no copies, see new_entry
+    originals = {}, -- [frame key of a copy] = that of its original, for revisits
+  }, Copies)
+end
+
+-- Entries are used again for later messages: most sources need one.
+local function fill(entry, message)
+  entry.key, entry.time, entry.seq = message.key, message.time, message.seq
+  entry.payload = message.payload
+end
+
+-- Keep a message that is no copy, in the entry of one that is too old.
+local function keep(list, message, distance)
+  for _, entry in ipairs(list) do
+    if abs(message.time - entry.time) >= distance then return fill(entry, message) end
+  end
+  local entry = #list < MAX_KEPT and {} or table.remove(list, 1)
+  fill(entry, message)
+  list[#list + 1] = entry
+end
+
+--- Find the original of a message, in the order of the capture.
+-- message       of reading.messages; on a revisit, return what was found before
+-- is_only_pass  whether it is never asked for again
+-- returns       frame key of the message that it is a copy of; nil if it is none
+function Copies:find(message, is_only_pass)
+  if message.visited then return self.originals[message.key] end
+  if not self.is_timed then return nil end
+  local source, time = message.source, message.time
+  local of_type = source.message
+  local distance = of_type and of_type.every or 1
+  distance = min(MAX_DISTANCE, distance / 2)
+  self.start = self.start or time
+  local list = self.by_source[source]
+  if not list then
+    list = {}
+    self.by_source[source] = list
+  end
+  for _, entry in ipairs(list) do
+    local is_near = abs(time - entry.time) < distance and time ~= self.start
+    if is_near and entry.payload == message.payload and entry.seq == message.seq then
+      if not is_only_pass then self.originals[message.key] = entry.key end
+      return entry.key
+    end
+  end
+  keep(list, message, distance)
+end
+
+return M
