@@ -1075,9 +1075,10 @@ end
 
 -- A message that was recorded twice counts once, everywhere; the answer says it.
 function T.test_copies()
-  local function copy(frame, rel, source) return record(frame, rel, { kind = "copies", source = source, values = {} }) end
-  local records = { record(1, 0), copy(2, 0.001), record(3, 0.1), copy(4, 0.101), copy(5, 0.102), record(6, 0.2, { source = RIGHT }) }
-  local twice = "3 messages were recorded twice; each counts once"
+  local function copy(frame, rel, of) return record(frame, rel, { kind = "copies", values = { of = of } }) end
+  local records = { record(1, 0), copy(2, 0.001, 1), record(3, 0.1), copy(4, 0.101, 3), copy(5, 0.102, 3),
+    record(6, 0.2, { source = RIGHT }) }
+  local twice = "2 messages were recorded twice; each counts once" -- the second one three times
   for _, what in ipairs(IN_TEXT) do lu.assertStrContains(run({ what }, records), twice) end
   local printed, code, texts = run({ "summary,json" }, records)
   lu.assertEquals({ code, texts }, { 0, { twice } })

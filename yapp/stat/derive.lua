@@ -64,7 +64,8 @@ function M.new(settings, statistic, options)
     states = states, -- of sources with good messages, in their order, and by source
     by_source = memo(new_state, states),
     came = {}, -- sources with an event that counts
-    copies = 0, -- number of messages that were recorded once more
+    copies = 0, -- number of messages that were recorded once more, or several times
+    originals = {}, -- [source] = frame key of the latest of them
     counts = {}, -- of events, by kind, where a fault may be hidden
     doubts = {}, -- texts: why the history of a source is unreliable; and by source
     now = nil, -- seconds of the capture, see above
@@ -211,6 +212,13 @@ local function note_message(self, event, is_counted)
   end
 end
 
+-- Count a message that has copies, once for all of them.
+local function note_copy(self, event)
+  local source, original = event.source, event.values.of
+  if self.originals[source] ~= original then self.copies = self.copies + 1 end
+  self.originals[source] = original
+end
+
 --- Take an event, in the order of the capture.  If the filter does not let it count, it still
 -- updates the states.
 -- now  seconds of the capture, see above
@@ -219,7 +227,7 @@ function Deriver:take(event, now)
   self.now = now
   if is_counted then
     self.came[event.source] = true
-    if event.kind == "copies" then self.copies = self.copies + 1 end
+    if event.kind == "copies" then note_copy(self, event) end
     local rest = event.values.undecoded
     if is_message and (rest or not event.raws) then
       emit(self, "unknown", event, self.undecoded:note(event.source, #event.payload, rest))

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Recorders that hold messages twice: each counts once, and so does its fault."""
+import json
+import random
+import re
+
+import pytest
+
+import flights
+import levels
+import tshark
+
+CASES = tshark.CAPTURES / "cases"
+FLIGHT = flights.make(5, True)  # a clean one
+FAULTY = flights.make(3)
+
+
+def z(path, what, *arguments):
+    done = tshark.run("-q", "-r", path, *arguments, "-z", f"yapp,{what}", check=False)
+    return done.returncode, [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")], done.stderr
+
+
+# file, good Motor Data, their copies, messages that have some
+FILES = [("c05_twice_TR.log", 12, 12, 21), ("c05_twice.pcapng", 12, 12, 21), ("can_each_twice.pcap", 20, 20, 34),
+         ("udp_each_twice.pcap", 20, 20, 24), ("any_udp_three_interfaces.pcap", 20, 40, 24),
+         ("wifi_monitor_retries.pcap", 20, 4, 4), ("tcp_two_clients.pcap", 20, 20, 24)]
+
+
+@levels.by_version
+@pytest.mark.parametrize("name, motor, copies, messages", FILES, ids=lambda value: str(value))
+def test_each_message_counts_once(name, motor, copies, messages):
+    """The fault, too; nobody seems to share the ID, and no clock stands still."""
+    path = CASES / name
+    _, rows, said = z(path, "summary,json")
+    assert [(row["count"], row["copies"], row["incomplete"]) for row in rows if row["message"] == "motor"] == [(motor, copies, 0)]
+    assert f"{messages} messages were recorded twice; each counts once" in said
+    code, faults, _ = z(path, "faults,json")
+    assert code == 0 and [fault["event"] for fault in faults] == ["raised", "cleared"]
+    code, rules, _ = z(path, f"check,json,copies={copies},fault=0,shared=0,stale=0,incomplete=0,silence=0")
+    assert code == 20 and [row["rule"] for row in rules if not row["ok"]] == ["fault=0"]
+    shown = tshark.fields(path, ["frame.number", "yapp.copy_of"], "-Y", "yapp.copy")
+    assert sum(row[1].count(",") + 1 for row in shown) >= copies
+    assert all(int(of) < int(number) or name.startswith("udp") for number, of in shown for of in of.split(","))
+    tshark.assert_no_lua_errors(path)
+
+
+def doubled(text, seed, how, share):
+    """Lines of a candump log with copies: of each frame at once or 0.25 ms later, of each message behind its last frame, or of a
+    share of them."""
+    chance, lines, message = random.Random(seed), [], {}
+    for line in text.splitlines():
+        stamp, bus, data = line.split()[:3]
+        delay = 2.5e-4 if how == "later frames" else chance.uniform(0, 9e-5)
+        later = f"({float(stamp[1:-1]) + delay:.6f}) {bus} {data}"
+        lines.append((float(stamp[1:-1]), line))
+        ident = int(data.split("#")[0], 16)
+        key, ctrl = (bus, ident >> 18, ident & 0xFF), ident >> 14 & 15
+        message.setdefault(key, []).append(later)
+        if "frames" in how:
+            lines += [(float(one.split()[0][1:-1]), one) for one in [later] if chance.random() < share]
+        elif ctrl in (0, 3):
+            stamps = [float(stamp[1:-1]) + 0.001 + index * 1e-5 for index in range(len(message[key]))]
+            if chance.random() < share:
+                lines += [(at, f"({at:.6f}) {' '.join(one.split()[1:])}") for at, one in zip(stamps, message[key])]
+            message[key] = []
+    return "".join(line + "\n" for _, line in sorted(lines, key=lambda row: row[0]))
+
+
+@pytest.mark.parametrize("how, share", [("frames", 1), ("later frames", 1), ("messages", 1), ("messages", 0.2)])
+def test_a_flight_that_was_recorded_twice(folder, how, share):
+    """The summary is that of the flight, copies apart, and so are the faults of one with faults."""
+    for flight, seed in ((FLIGHT, 1), (FAULTY, 2))[:1 if "frames" in how else 2]:
+        single, path = folder / "single.log", folder / "twice.log"
+        flight.write(single, "candump")
+        path.write_text(doubled(single.read_text(), seed, how, share))
+        arguments = flight.arguments("candump")
+        keys = ("bus", "id", "count", "crc_bad", "incomplete") if flight is FLIGHT else ("bus", "id", "count", "reboots", "late")
+
+        def rows(capture):
+            return [[row[key] for key in keys] for row in z(capture, "summary,json", *arguments)[1]]
+        assert rows(single) and rows(path) == rows(single)
+        copies = sum(row["copies"] for row in z(path, "summary,json", *arguments)[1])
+        total = sum(row["count"] for row in z(single, "summary,json", *arguments)[1])
+        assert copies >= total if share == 1 else 0.1 * total < copies < 0.4 * total
+        assert sum(row["copies"] for row in z(single, "summary,json", *arguments)[1]) == 0
+        events = [[(line["bus"], line["id"], line["flag"], line["event"]) for line in z(capture, "faults,json", *arguments)[1]]
+                  for capture in (path, single)]
+        assert events[0] == events[1] and (events[0] != []) == (flight is FAULTY)
+
+
+def test_a_controller_that_hangs_is_stale(folder):
+    """It repeats its bytes each period: no copy.  And two buses that the capture tells apart have no copies of each other."""
+    path = folder / "hung.log"
+    line = re.compile(r"^\(([\d.]+)\) (\S+) (\S+)")
+    with (tshark.CAPTURES / "cases/c05_twice_TR.log").open() as file:
+        first = [line.match(row).groups() for row in list(file)[:40] if " T" not in row and line.match(row)]
+    motor = [row for row in first if int(row[2].split("#")[0], 16) >> 18 == 0x210][:5]
+    assert len(motor) == 5
+    path.write_text("".join(f"({1700000000 + period / 10 + index * 1e-4 + bus * 1e-3:.6f}) can{bus} {row[2]}\n"
+                            for period in range(9) for bus in (0, 1) for index, row in enumerate(motor)))
+    _, rows, said = z(path, "summary,json")
+    assert [(row["bus"], row["count"], row["copies"]) for row in rows] == [("can0", 9, 0), ("can1", 9, 0)]
+    assert "recorded twice" not in said
+    events = z(path, "events,json")[1]
+    assert {line["kind"] for line in events} == {"stale"} and len(events) == 16
