@@ -3,7 +3,7 @@
 -- The entry point: makes the protocols, preferences and dissectors and registers them.  README.md
 -- says how to use the plugin.
 
-local VERSION = "2.2.0"
+local VERSION = "2.3.0"
 local here = debug.getinfo(1, "S").source:match("^@(.*[/\\])") or "./"
 
 -- If there are two copies, in the plugin folder and by -X, or by -X twice, only the first one

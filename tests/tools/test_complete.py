@@ -73,9 +73,9 @@ def test_a_capture_without_a_decoded_message(make_capture, yapp_tables):
         assert "set yapp.motor_ids:0x210-0x213" in done.stderr
 
 
-@pytest.mark.parametrize(("version", "code"), [("2.2.0", 0), ("2.1.0", 3)])
+@pytest.mark.parametrize(("version", "code"), [("2.3.0", 0), ("2.1.0", 3)])
 def test_a_plugin_that_is_installed_and_named_leaves_nothing_out(make_capture, yapp_tables, version, code):
-    said = f"yapp: ./yapp.lua (2.2.0) is not loaded: /home/me/yapp.lua ({version}) is already there"
+    said = f"yapp: ./yapp.lua (2.3.0) is not loaded: /home/me/yapp.lua ({version}) is already there"
     if code:
         said += "; remove or update one of the two"
     done = yapp_tables("report", make_capture("flight.pcapng", motor=[motor_row(0)], summary=SUMMARY[:1], says=said))
