@@ -112,7 +112,7 @@ local builder = show_tree.new {
 -- nothing.
 local START = can_id.START
 local by_can_id = DissectorTable.get("can.extended_id")
-local is_registered = {} -- [ID] = true; of an unknown ID { [Seq No] = "all" or "start" }
+local is_registered = {} -- [ID] = true; of an unknown ID { [Seq No] = true }
 
 -- Register the CAN ids of an ID that carries a message: CAN CTRL 0 to 3 and every Seq No, with YAPP
 -- CTL 0.
@@ -125,26 +125,21 @@ local function register_id(id)
   end
 end
 
-local STARTS_AHEAD = 32 -- fewer messages of an unknown ID may be missing in a row
-
--- Register those of an unknown ID as its Seq Nos come: all 1,024 of each of 2,000 IDs take three
--- times as long as 40,000 frames.  A Start with Seq No 7 registers the frames of 7, and the Starts
--- of 8 to 39.
+-- Register those of an unknown ID: all Starts once one came, the other frames as Seq Nos come.  To
+-- register all 1,024 of each of 2,000 IDs takes three times as long as 40,000 frames.
 local function register_start(id, seq)
   local known = is_registered[id]
-  if known == true or known and known[seq] == "all" then return end
-  known = known or {}
-  is_registered[id] = known
-  local first = id * 0x40000 + seq
-  for ctrl = 0, 3 do by_can_id:add(first + ctrl * 0x4000, yapp) end
-  for ahead = seq + 1, seq + STARTS_AHEAD do
-    local next_seq = ahead % 0x100
-    if not known[next_seq] then
-      known[next_seq] = "start"
-      by_can_id:add(id * 0x40000 + START * 0x4000 + next_seq, yapp)
-    end
+  if known == true or known and known[seq] then return end
+  local first = id * 0x40000
+  if not known then
+    known = {}
+    is_registered[id] = known
+    by_can_id:add(("%d-%d"):format(first + START * 0x4000, first + START * 0x4000 + 0xFF), yapp)
   end
-  known[seq] = "all"
+  known[seq] = true
+  for ctrl = 0, 3 do
+    if ctrl ~= START then by_can_id:add(first + ctrl * 0x4000 + seq, yapp) end
+  end
 end
 
 local frames =

@@ -34,7 +34,7 @@ def shown(path, *arguments):
 @pytest.mark.parametrize("sequence", [
     list(range(256)) + [0, 1],       # all, and round
     [0] * 5,                         # not numbered
-    [0, 1, 33, 65, 97, 129, 161, 193, 225, 1],  # 31 missing in a row, also where the number wraps
+    [0, 1, 200, 90, 7, 255],         # many missing
     [0, 32, 5, 31, 64],              # late ones
 ], ids=["all", "none", "gaps", "late"])
 def test_seq_nos(tmp_path, sequence, two):
