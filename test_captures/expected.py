@@ -162,4 +162,4 @@ def capture_shown(name, passes):
 if __name__ == "__main__":
     for one in sys.argv[1:] or set(make.names()) - BY_HAND - SWEPT:
         options = make.read(one).options
-        (FOLDER / f"{one}.expected").write_text(as_text(shown(make.capture(one)[0], "-2", *options)))
+        make.texts()[one].with_suffix(".expected").write_text(as_text(shown(make.capture(one)[0], "-2", *options)))

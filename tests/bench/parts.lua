@@ -11,12 +11,15 @@ local can_id = require "yapp.wire.can_id"
 local catalogue_compiler = require "yapp.message.catalogue"
 local history = require "yapp.message.history"
 local text_of = require "yapp.message.text"
-local message_reader = require "yapp.message.reader"
 local reassembly = require "yapp.can.reassembly"
+local records = require "yapp.reading.records"
+local messages_of = require "yapp.reading.messages"
 local source_names = require "yapp.message.sources"
+local types_of = require "yapp.message.types"
 
 local catalogue = catalogue_compiler.compile(dofile(top .. "taurus_fields.lua"))
-local NO_HISTORY = { note = function() end }
+local NO_HISTORY = { add = function() end }
+local NO_COPIES = { find = function() end }
 local FILE_HEADER, RECORD, DATA = 24, 32, 24 -- bytes: of a pcap, of a CAN frame, before its data
 
 -- Calls see(number, data, 29-bit id) for each frame.
@@ -33,12 +36,6 @@ local function each_frame(path, see)
   file:close()
 end
 
--- A finished message, as can.dissector gives it to the reader.
-local function finished(frame, payload)
-  return { source = frame.source, seq = frame.can_id.seq, key = frame.key, time = frame.key / 5000,
-    payload = payload, size = #payload, status = "good", is_unreliable = false }
-end
-
 local function new_history()
   local function no() return false end
   return history.new { late = 2.5, catalogue = catalogue, buses = { lacks_times = no, lacks_clock = no } }
@@ -46,24 +43,23 @@ end
 
 -- How many good messages a capture has, by the steps up to one.
 local function run(path, step)
-  local known, reader = reassembly.new(), message_reader.new(catalogue, { wanted = false })
-  local of_capture = step == "values" and NO_HISTORY or new_history()
-  local frame, count, sources = { bus = false, accepts_all = false }, 0, {}
-  reader:use(catalogue.by_id, (source_names.parse("", catalogue)), false, function() end)
+  local known, types = reassembly.new(), types_of.new(catalogue)
+  local messages = messages_of.new(types, step == "values" and NO_HISTORY or new_history(), NO_COPIES)
+  local frame, count, sources = records.new_can_frame(), 0, {}
+  types:use(catalogue.by_id, (source_names.parse("", catalogue)), false, function() end)
   each_frame(path, function(number, data, id)
     if step == "file" then return end
     local fields = can_id.fields[id]
     frame.can_id, frame.key, frame.slot = fields, number, fields.message_key
-    sources[fields.id] = sources[fields.id] or reader:new_source(fields.id, false)
-    frame.source = sources[fields.id]
+    sources[fields.id] = sources[fields.id] or types:new_source(fields.id, false)
+    frame.source, frame.seq, frame.time = sources[fields.id], fields.seq, number / 5000
     frame.data, frame.reported = data, #data
     local kind, message = known:add(frame)
     if kind ~= "last" then return end
     if message.status == "good" then count = count + 1 end
-    local m = finished(frame, message.payload)
     if step == "reassembly" then return end
-    reader:read(m, of_capture, {})
-    if step == "info" then text_of.info(m.source.message, m.raws, m.source.label, m.is_remarkable) end
+    local m = messages:read(frame, message)
+    if step == "info" then text_of.info(m.source.message, m.raws, m.source.label, m.remarks) end
   end)
   return count
 end

@@ -555,9 +555,11 @@ def test_a_wireshark_of_snap(home, folder):
     loaded = f"yapp.lua\t2\tlua script\t{home / YAPP / 'yapp.lua'}"
     path = other_tshark(folder, about, protocols="Yet Another\tYAPP\tyapp\tT", plugins=loaded)
     snap = program(folder / "snap/bin/wireshark")
-    line_of(run(home, "check", path=f"{path}:{snap.parent}"), "note", "the Wireshark of Snap")
+    # Ahead of the folders in which this machine may have a Wireshark.
+    own = folder / "bin"
+    line_of(run(home, "check", path=f"{own}:{snap.parent}:{path}"), "note", "the Wireshark of Snap")
     snap.unlink()
-    shutil.move(str(folder / "bin/tshark"), snap.parent / "tshark")
+    shutil.move(str(own / "tshark"), snap.parent / "tshark")
     line_of(run(home, "check", code=1, path=str(snap.parent)), "problem", "the Wireshark of Snap")
 
 
@@ -707,7 +709,7 @@ def test_the_wheel_is_one(zips):
     about = email.message_from_bytes(archive.read(f"{own}/METADATA"))
     assert (about["Name"], about["Version"]) == ("yapp-tables", tshark.plugin_version())
     assert "asammdf>=8.1; extra == 'mdf'" in about.get_all("Requires-Dist") and "all" in about.get_all("Provides-Extra")
-    assert about["Author"] and about.get_all("Project-URL") and f"{own}/licenses/LICENSE" in archive.namelist()
+    assert about["Author"] and f"{own}/licenses/LICENSE" in archive.namelist()
 
 
 def test_what_is_in_the_wheel_installs(home, folder, zips):

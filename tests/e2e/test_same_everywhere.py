@@ -76,7 +76,8 @@ def test_remote_frames_in_a_message_of_zeros(passes, folder):
 @pytest.mark.parametrize("passes", ONE_PASS, ids=" ".join)
 def test_a_remote_frame_is_no_message_to_count_from(passes, folder):
     command = Sent(0, 0, 0, COMMAND).frame(0, COMMAND)
-    rows = shown(written(folder, [command, remote(0, 7), command]), "yapp.time_delta", passes=passes, named=tshark.tells_remote())
+    later = Sent(0, 0, 1, COMMAND).frame(0, COMMAND)
+    rows = shown(written(folder, [command, remote(0, 7), later]), "yapp.time_delta", passes=passes, named=tshark.tells_remote())
     assert rows == [[""], [""], ["0.002000000"]]
 
 

@@ -366,7 +366,7 @@ def packets_told(linktype, number, rows, before):
         data, captured = data if isinstance(data, tuple) else (data, len(data))
         packet = Packet(data, Origin(linktype, 0, 2 * number, address=True), captured)
         packet.number, packet.sequence = before + len(packets) + 1, sequence
-        packet.time = stream_captures.EPOCH + packet.number * 5000
+        packet.time = stream_captures.EPOCH + packet.number * 25000  # farther apart than copies of a message
         packet.start, packet.end = offset, offset + captured
         offset, sequence = packet.end, sequence + len(data)
         packet.pending = pending[0] if pending else b""
@@ -646,14 +646,14 @@ def test_icmp_quotes_datagrams(arguments, folder):
 
     packets = [Packet(ONE, Origin(ETHERNET, 0, 0)) for _ in range(5)]
     for number, packet in enumerate(packets):
-        packet.number, packet.time = number + 1, stream_captures.EPOCH + number * 1000
+        packet.number, packet.time = number + 1, stream_captures.EPOCH + number * 15000
     links = {1: quote, 3: lambda packet: quote(packet, 20)}
     stream_captures.Capture("", packets, lambda packet: links.get(packet.number - 1, stream_captures.udp)(packet),
                             arguments).write(folder / "icmp.pcapng")
     for passes in PASSES.values():
         found = shown(folder / "icmp.pcapng", *passes, *arguments)
         assert [number for number, row in found.items() if "yapp" in row] == [1, 3, 5]
-        assert [found[number].get("yapp.time_delta") for number in (1, 3, 5)] == [None] + [["0.002000000"]] * 2
+        assert [found[number].get("yapp.time_delta") for number in (1, 3, 5)] == [None] + [["0.030000000"]] * 2
 
 
 LINKS = {"frame.number", "info", "yapp.fragment", "yapp.reassembled.in", INFO}

@@ -42,10 +42,22 @@ end
 function T.test_what_is_no_copy()
   lu.assertEquals(found { { 0, "a" }, { 0.1, "a" }, { 0.2, "a" } }, { "-", "-", "-" })
   lu.assertEquals(found { { 0, "a" }, { 0.02, "a" }, { 0.0401, "a" } }, { "-", "-", "-" })
+  lu.assertEquals(found { { 0.0405, "a" }, { 0.0605, "a" } }, { "-", "-" }) -- 0.0605 - 0.0405 is below 0.02 in doubles
   lu.assertEquals(found { { 0, "a" }, { 0.001, "b" } }, { "-", "-" })
   lu.assertEquals(found { { 0, "a" }, { 0.001, "a", MOTOR, 1 } }, { "-", "-" })
   local other_bus = { id = 0x210, message = MOTOR.message }
   lu.assertEquals(found { { 0, "a" }, { 0.001, "a", other_bus } }, { "-", "-" })
+end
+
+-- A damaged message is no copy of the good one, nor is one with other damage.
+function T.test_damaged_messages()
+  local copies, list = new(), {}
+  for key, crc in ipairs { 0, 7, 7, 8, 0 } do
+    local message = { key = key, time = key / 1000, payload = "a", source = MOTOR, seq = 0,
+      status = crc > 0 and "bad" or "good", transfer = { crc = crc } }
+    list[key] = copies:find(message, true) or "-"
+  end
+  lu.assertEquals(list, { "-", "-", 2, "-", 1 })
 end
 
 -- Half the period of a fast message is less than 20 ms; a message of no known type has 20 ms.

@@ -125,7 +125,7 @@ function T.test_a_copy()
     answer = { add = { late = 1 }, delta = 1 } })
   lu.assertEquals({ m.copy_of, m.change, m.delta, m.state, asked }, { 5, false, false, false, "" })
   lu.assertTrue(m.has_fault) -- it is decoded
-  m = read(MOTOR, {}, { copy_of = 5, status = "incomplete" }) -- its bytes prove nothing
+  m = read(MOTOR, {}, { copy_of = 5, status = "truncated" }) -- its bytes prove nothing
   lu.assertFalse(m.copy_of)
 end
 

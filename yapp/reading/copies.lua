@@ -10,6 +10,7 @@ local M = {}
 
 local abs, min = math.abs, math.min
 local MAX_DISTANCE = 0.02 -- seconds
+local HALF_NANOSECOND = 5e-10 -- rounding error of a difference of two times
 local MAX_KEPT = 16 -- messages of a source within this time
 
 local Copies = {}
@@ -26,10 +27,15 @@ function M.new(buses)
   }, Copies)
 end
 
+-- The CRC as it was sent is equal if the bytes are, unless it is bad.
+local function bad_crc_of(message)
+  return message.status == "bad" and message.transfer.crc
+end
+
 -- Entries are used again for later messages: most sources need one.
 local function fill(entry, message)
   entry.key, entry.time, entry.seq = message.key, message.time, message.seq
-  entry.payload = message.payload
+  entry.payload, entry.bad_crc = message.payload, bad_crc_of(message)
 end
 
 -- Keep a message that is no copy, in the entry of one that is too old.
@@ -42,6 +48,17 @@ local function keep(list, message, distance)
   list[#list + 1] = entry
 end
 
+-- Return the frame key of an equal message that is near, nil for none.
+local function find_in(list, message, distance)
+  local bad_crc = bad_crc_of(message)
+  for _, entry in ipairs(list) do
+    local is_equal = entry.payload == message.payload and entry.seq == message.seq
+    if is_equal and entry.bad_crc == bad_crc and abs(message.time - entry.time) < distance then
+      return entry.key
+    end
+  end
+end
+
 --- Find the original of a message, in the order of the capture.
 -- message       of reading.messages; on a revisit, return what was found before
 -- is_only_pass  whether it is never asked for again
@@ -52,21 +69,17 @@ function Copies:find(message, is_only_pass)
   local source, time = message.source, message.time
   local of_type = source.message
   local distance = of_type and of_type.every or 1
-  distance = min(MAX_DISTANCE, distance / 2)
+  distance = min(MAX_DISTANCE, distance / 2) - HALF_NANOSECOND
   self.start = self.start or time
   local list = self.by_source[source]
   if not list then
     list = {}
     self.by_source[source] = list
   end
-  for _, entry in ipairs(list) do
-    local is_near = abs(time - entry.time) < distance and time ~= self.start
-    if is_near and entry.payload == message.payload and entry.seq == message.seq then
-      if not is_only_pass then self.originals[message.key] = entry.key end
-      return entry.key
-    end
-  end
-  keep(list, message, distance)
+  local original = time ~= self.start and find_in(list, message, distance)
+  if not original then return keep(list, message, distance) end
+  if not is_only_pass then self.originals[message.key] = original end
+  return original
 end
 
 return M

@@ -106,7 +106,7 @@ function Messages:read(frame, transfer)
   elseif not IS_BROKEN[message.status] then
     decode_values(message, of_type)
   end
-  if not IS_BROKEN[message.status] then
+  if message.status == "good" or message.status == "bad" then
     message.copy_of = self.copies:find(message, frame.is_only_pass) or false
   end
   if not (message.is_unreliable or message.copy_of) then add_history(self, message, frame) end

@@ -71,7 +71,7 @@ local function new_ip_line(self, kind, key, address, port, to)
   local is_udp = kind == M.UDP
   local bus = is_udp and self.senders:name_of(address, port) or senders.name(address, port)
   local line = new_line(key, opposite, here < to and here .. to or to .. here, bus)
-  line.trial_key = line.bus_key
+  line.trial_key = kind .. line.bus_key -- UDP and TCP may have the same ports
   line.has_address, line.is_ip = true, true
   line.is_tcp, line.is_datagram = not is_udp, is_udp
   line.interface = self.buses:name(nil, true)
