@@ -180,7 +180,7 @@ test-tools: needs-tools
 	$(TOOLS)/ruff check --config tools/pyproject.toml tools/src tests/tools
 	$(TOOLS)/ruff format --check --config tools/pyproject.toml tools/src tests/tools
 	$(TOOLS)/mypy --config-file tools/pyproject.toml tools/src
-	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider tests/tools
+	$(TOOLS)/python -m pytest -q -n auto --dist loadfile -p no:cacheprovider $(TOOLS_ONLY) tests/tools
 
 .PHONY: test-tools needs-tools needs-tools-packages needs-gui needs-all gui gui-smoke plant blind
 

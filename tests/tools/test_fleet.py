@@ -105,6 +105,7 @@ def test_a_scheduler_that_dies_is_a_sentence_and_what_was_done_is_kept(fleet):
             killer.start()
             done = convert(fleet, "--scheduler", address)
             at_work.kill()
+        scheduler.kill()  # else a run that ended too early would wait for it for ever
     assert done.returncode == 2
     assert "the Dask scheduler went away" in done.stderr
     assert "Traceback" not in done.stderr
