@@ -60,6 +60,18 @@ function T.test_damaged_messages()
   lu.assertEquals(list, { "-", "-", 2, "-", 1 })
 end
 
+-- A read filter (-R) drops a copy; the next packet has its number, and is none.
+function T.test_a_number_that_is_used_again()
+  local copies = new()
+  local function look(key, time, payload, visited)
+    return copies:find({ key = key, time = time, payload = payload, source = MOTOR, seq = 0, visited = visited }, false)
+  end
+  look(1, 0, "a", false)
+  lu.assertEquals(look(2, 0.001, "a", false), 1)
+  lu.assertNil(look(2, 0.1, "b", false))
+  lu.assertNil(look(2, 0.1, "b", true))
+end
+
 -- Half the period of a fast message is less than 20 ms; a message of no known type has 20 ms.
 function T.test_how_far_a_copy_may_be()
   local fast, unknown = { message = { every = 0.01 } }, {}

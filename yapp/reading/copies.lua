@@ -76,9 +76,12 @@ function Copies:find(message, is_only_pass)
     list = {}
     self.by_source[source] = list
   end
-  local original = time ~= self.start and find_in(list, message, distance)
-  if not original then return keep(list, message, distance) end
-  if not is_only_pass then self.originals[message.key] = original end
+  local original = time ~= self.start and find_in(list, message, distance) or nil
+  -- A read filter may have dropped a copy whose number this packet has.
+  if not is_only_pass and original ~= self.originals[message.key] then
+    self.originals[message.key] = original
+  end
+  if not original then keep(list, message, distance) end
   return original
 end
 

@@ -359,8 +359,8 @@ function Streams:add(packet, is_stored)
   end
   note_truncated(self, stream, packet, findings)
   if is_stored then
-    local is_again = not packet.is_datagram and is_plain(findings, packet.bytes)
-    self.contents_by_key[packet.key] = is_again and PLAIN or contents
+    local can_be_read_anew = not packet.is_datagram and is_plain(findings, packet.bytes)
+    self.contents_by_key[packet.key] = can_be_read_anew and PLAIN or contents
   end
   return contents
 end
