@@ -256,6 +256,28 @@ function T.test_flags_that_rise_and_fall()
   lu.assertEquals(changes[4].flags, { change(FAULT, 0x10, 0x10, 0x80000001) })
 end
 
+-- A fault is one table from its rise to its fall.  A flag of two bits is one fault: it stays set from 1 to 2.
+-- An incident goes on if one falls and another rises in one message.
+function T.test_faults_from_rise_to_fall()
+  local flags = { { "low", 3, "Low" }, { "hot", 4, "Hot" } }
+  local message = catalogue.compile({ { name = "m", title = "M", id = 1, size = 1,
+    { "f", "uint8", "F", group = "f", alarm = "A", flags = flags } } }).messages[1]
+  local of_m, messages = { message = message }, {}
+  for i, raw in ipairs { 1, 2, 4, 0, 0x81 } do
+    messages[i] = { source = of_m, seq = 0, key = i, time = i, status = "good", raws = { raw }, payload = "" }
+  end
+  local found = run(messages, "faults")
+  local low, hot = found[1][1].fault, found[3][2].fault
+  lu.assertEquals({ low.field, low.flag.name, low.time, found[1][1].is_raised }, { "f", "low", 1, true })
+  lu.assertEquals({ #found[2], found[2].set[1] == low }, { 0, true })
+  lu.assertEquals({ #found[3], found[3][1].fault == low, found[3][1].is_raised }, { 2, true, false })
+  lu.assertEquals({ hot.flag.name, hot.time, hot.incident == low.incident, #found[3].set }, { "hot", 3, true, 1 })
+  lu.assertEquals({ found[4][1].fault == hot, found[4][1].is_raised, #found[4].set }, { true, false, 0 })
+  lu.assertEquals({ #found[5], found[5][1].fault.time, found[5][2].fault.flag.name }, { 2, 5, "undefined_0x80" })
+  lu.assertTrue(found[5][1].fault ~= low and found[5][1].fault.incident ~= low.incident)
+  lu.assertEquals(run(messages, "active_time"), { 0, 1, 0, "-", 0 })
+end
+
 function T.test_alarms_of_the_first_message_are_raised()
   local first = run({ motor(1, 1, { fault = 6, status = 1, state = 0x21 }) })[1]
   lu.assertEquals(first.flags, { change(FAULT, 6, 6, 0), change(STATE, 0x21, 0x20, 0) })

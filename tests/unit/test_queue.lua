@@ -62,7 +62,7 @@ end
 function T.test_messages_that_do_not_wait()
   local queue, one = new_queue(), notes()
   one.wants_messages_only = true
-  add(queue, one, nil, { is_data = true })
+  add(queue, one, nil, { table_only = true })
   offer(queue, 1, "a")
   lu.assertTrue(queue:go_direct())
   local compare = new_queue()

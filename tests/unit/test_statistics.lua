@@ -9,6 +9,7 @@ local options_of = require("yapp.stat.options")
 local output = require("yapp.stat.output")
 local queue_of = require("yapp.stat.queue")
 local sources_of = require("yapp.message.sources")
+local faults_of = require("yapp.message.faults")
 local text_of = require("yapp.message.text")
 
 local T = {}
@@ -66,6 +67,18 @@ local function raised(value, bits, cleared)
   return { flags = { { field = FAULT, value = value, raised = bits, cleared = cleared or 0 } } }
 end
 
+-- Adds to changes of flags the faults that rise and fall, as the history does.
+local function add_faults(records)
+  local by_source = {}
+  for _, one in ipairs(records) do
+    local change = one.values.change
+    if change and change.flags then
+      by_source[one.source] = by_source[one.source] or faults_of.new()
+      change.faults = by_source[one.source]:update(change.flags, one.time or 0)
+    end
+  end
+end
+
 local function settings_of(with)
   local rows, catalogue = with.named or { { id = 0x210, name = "left" } }, with.catalogue or CATALOGUE
   local sources = { list = function() return rows end }
@@ -94,6 +107,7 @@ local function run(arguments, records, with)
     matched = queue:add(statistic, options).matched
   end
   queue:begins(with.epoch or 1700000000, 5, 0)
+  add_faults(records)
   for _, one in ipairs(records) do
     if one.kind == "undissected" then queue:add_undissected(one) else queue:offer(one, false) end
     if with.matches and with.matches[one.frame] then rawset(matched, one.frame, true) end
@@ -116,8 +130,8 @@ end
 -- alone: { "summary,json", ..., "csv,-,motor" }, without a verdict.
 local IN_TEXT, AS_DATA = {}, {}
 for _, row in ipairs(options_of.LIST) do
-  if not row.is_data then IN_TEXT[#IN_TEXT + 1] = row.name end
-  if row.name ~= "check" then AS_DATA[#AS_DATA + 1] = row.is_data and row.name .. ",-,motor" or row.name .. ",json" end
+  if not row.table_only then IN_TEXT[#IN_TEXT + 1] = row.name end
+  if row.name ~= "check" then AS_DATA[#AS_DATA + 1] = row.table_only and row.name .. ",-,motor" or row.name .. ",json" end
 end
 
 local NOTHING_CAME = "no YAPP message found in 0 packets: see yapp.user_dlt, tcp.try_heuristic_first, " ..

@@ -8,6 +8,7 @@
 local band = require "yapp.base.bits".band
 local last_until = require "yapp.base.frame_key".last_until
 local decode = require "yapp.message.decode"
+local faults_of = require "yapp.message.faults"
 local memo = require "yapp.base.memo"
 
 local M = {}
@@ -26,7 +27,7 @@ local LARGE_RETURN = 50 -- evidence of a return from a large fall; from a small 
 local FADE = 0.85 -- what a message leaves of it: evidence of 50 stays above ENOUGH for 22 messages
 local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 
-local NO_MESSAGE = { flag_fields = {} }
+local NO_TYPE = { flag_fields = {} }
 -- Changes that many messages have in common: to be read only.
 local SHARED = { shared = true, unreliable = true }
 local UNRELIABLE = { unreliable = true }
@@ -45,22 +46,22 @@ function M.new(options)
     commands = {}, -- [name of a message that others answer][bus or false] = frame keys, ascending
     deltas = {}, -- [frame key] = seconds since the source's previous good message, or false
   }, History)
-  for _, message in ipairs(options.catalogue.messages) do
-    if message.answers then self.commands[message.answers] = memo(function() return {} end) end
+  for _, of_type in ipairs(options.catalogue.messages) do
+    if of_type.answers then self.commands[of_type.answers] = memo(function() return {} end) end
   end
   return self
 end
 
-local function new_source(self, m)
-  local message, bus = m.source.message or NO_MESSAGE, m.source.bus_key or false
-  local options, answered = self.options, self.commands[message.answers]
+local function new_source(self, message)
+  local of_type, bus = message.source.message or NO_TYPE, message.source.bus_key or false
+  local options, answered = self.options, self.commands[of_type.answers]
   local has_times = not options.buses:lacks_times()
-  local answering = self.commands[message.name]
+  local answering = self.commands[of_type.name]
   return {
-    -- Its kind of message:
-    flag_fields = message.flag_fields,
-    period = message.every or 0,
-    longest = has_times and options.late * (message.every or huge) + HALF_NANOSECOND or huge,
+    -- Its message type:
+    flag_fields = of_type.flag_fields,
+    period = of_type.every or 0,
+    longest = has_times and options.late * (of_type.every or huge) + HALF_NANOSECOND or huge,
     has_times = has_times,
     has_clock = not options.buses:lacks_clock(),
     -- The previous good message:
@@ -72,7 +73,7 @@ local function new_source(self, m)
     clock_time = nil, -- seconds of the capture
     payload = nil,
     -- Since then:
-    raised_at = {}, -- [index of its field * 2^32 + its bit] = when a fault that is set was raised
+    faults = faults_of.new(),
     -- See is_shared.  The controller's clock falls when it goes back or stops.  Later it may return
     -- to the lead over the capture's clock that it had before the fall.
     lead = 0, -- seconds that it gained on the capture's clock since its first fall
@@ -94,10 +95,10 @@ end
 
 -- Return the controller's clock in nanoseconds, exact up to 104 days (2^53 ns); nil for a message
 -- without one.
-local function clock_of(m)
-  local field = m.raws and m.source.message.time
-  if not field or #m.payload < field.offset + 8 then return nil end
-  local seconds, nanoseconds = decode.time(m.payload, field.offset)
+local function clock_of(message)
+  local field = message.raws and message.source.message.time
+  if not field or #message.payload < field.offset + 8 then return nil end
+  local seconds, nanoseconds = decode.time(message.payload, field.offset)
   return seconds * 1e9 + nanoseconds
 end
 
@@ -119,7 +120,7 @@ end
 --                               large one, or a small one if the whole message is the same
 -- After a reboot, the clock does not return.  A clock that stops is the same after a whole period.
 -- advance, elapsed  seconds of the controller's and of the capture's clock since source.clock
-local function is_shared(source, m, advance, elapsed)
+local function is_shared(source, message, advance, elapsed)
   local lead, falls, size = source.lead, source.falls, elapsed - advance
   source.lead = lead - size
   source.evidence = source.evidence * FADE
@@ -128,7 +129,7 @@ local function is_shared(source, m, advance, elapsed)
     return false
   elseif advance == 0 then
     if elapsed >= source.period / 3 then return false end
-    size = m.payload == source.payload and source.period or LARGE_FALL
+    size = message.payload == source.payload and source.period or LARGE_FALL
   end
   insert(falls, 1, { lead = lead, size = size })
   falls[5] = nil -- up to four controllers fall from one to the next before they return
@@ -137,35 +138,24 @@ end
 
 -- Return the seconds of the capture's clock since source.clock.  If it has none, trust the
 -- controller's clock unless that jumps: then take the message to come after a period.
-local function elapsed_since(source, m, advance)
-  if source.has_clock then return m.time - source.clock_time end
+local function elapsed_since(source, message, advance)
+  if source.has_clock then return message.time - source.clock_time end
   return advance > 0 and advance <= MAX_JUMP and advance or source.period
 end
 
 -- Return what the clock of a message shows: its name in a change and its value; nil for nothing.
-local function clock_change(source, m, clock)
+local function clock_change(source, message, clock)
   local advance = (clock - source.clock) / 1e9
-  local elapsed = elapsed_since(source, m, advance)
+  local elapsed = elapsed_since(source, message, advance)
   local may_be_shared = advance <= 0 or source.lead ~= 0
-  if may_be_shared and is_shared(source, m, advance, math.max(elapsed, 0)) then return "shared" end
+  if may_be_shared and is_shared(source, message, advance, math.max(elapsed, 0)) then
+    return "shared", true
+  end
   if advance < 0 then return "reboot", -advance end
   if advance == 0 then return "stale", true end
   local jump = advance - elapsed
   -- If the capture's own clock went back, it is no measure of the controller's.
   if jump > MAX_JUMP and elapsed >= 0 and source.has_clock then return "jump", jump end
-end
-
--- Keep the clock of a message; return what it shows, as clock_change.
-local function note_clock(source, m)
-  local clock, name, value = clock_of(m), nil, nil
-  if not clock then return nil end
-  if source.clock then name, value = clock_change(source, m, clock) end
-  if source.has_times and (name == "reboot" or not source.clock) then
-    insert(source.base_keys, m.key)
-    insert(source.bases, clock / 1e9 - m.time)
-  end
-  source.clock, source.clock_time, source.payload = clock, m.time, m.payload
-  return name, value
 end
 
 -- Flags ------------------------------------------------------------------------------------------
@@ -185,29 +175,29 @@ local function flag_change(field, before, now)
   }
 end
 
--- Keep when faults were raised, and since when the oldest that is still set has been set.
-local function note_faults(source, m, index, change)
-  local alarms, bit = change.field.alarm_bits, 1
-  local raised, bits = band(change.raised, alarms), band(change.raised + change.cleared, alarms)
-  if bits == 0 then return end
-  while bit <= bits do
-    if bits % (2 * bit) >= bit then
-      local is_raised = band(raised, bit) ~= 0
-      source.raised_at[index * 2 ^ 32 + bit] = is_raised and m.time or nil
-    end
-    bit = bit * 2
+-- What changes with a message -------------------------------------------------------------------
+--
+-- A detector is a function(source, message, delta, change), which returns the name of a change and
+-- its value, nil for nothing:
+--   delta   seconds since the source's previous good message, false for the first
+--   change  of the detectors before it, nil for nothing
+
+-- "shared", "reboot", "stale" or "jump": the controller's clock.
+local function detect_clock(source, message)
+  local clock, name, value = clock_of(message), nil, nil
+  if not clock then return nil end
+  if source.clock then name, value = clock_change(source, message, clock) end
+  if source.has_times and (name == "reboot" or not source.clock) then
+    insert(source.base_keys, message.key)
+    insert(source.bases, clock / 1e9 - message.time)
   end
-  local keys, oldest = source.fault_keys, false
-  for _, time in pairs(source.raised_at) do
-    if not oldest or time < oldest then oldest = time end
-  end
-  if keys[#keys] ~= m.key then insert(keys, m.key) end
-  source.active_since[#keys] = oldest
+  source.clock, source.clock_time, source.payload = clock, message.time, message.payload
+  return name, value
 end
 
--- Return what changed in the flags of a message, nil for nothing.
-local function flag_changes(source, m)
-  local raws, flags, fields, changes = m.raws, source.flags, source.flag_fields, nil
+-- "flags": the fields whose flags change.
+local function detect_flags(source, message)
+  local raws, flags, fields, changes = message.raws, source.flags, source.flag_fields, nil
   if not raws then return nil end
   for i = 1, #fields do
     local field = fields[i]
@@ -219,49 +209,63 @@ local function flag_changes(source, m)
       if change then
         changes = changes or {}
         insert(changes, change)
-        note_faults(source, m, index, change)
       end
     end
   end
-  return changes
+  return changes and "flags", changes
 end
 
--- Messages ---------------------------------------------------------------------------------------
+-- "faults": those among these flags that rise or fall.
+local function detect_faults(source, message, _, change)
+  local flags = change and change.flags
+  local steps = flags and source.faults:update(flags, message.time)
+  if not steps then return nil end
+  local keys = source.fault_keys
+  if keys[#keys] ~= message.key then insert(keys, message.key) end
+  source.active_since[#keys] = source.faults:oldest_time()
+  return "faults", steps
+end
 
--- Return how many messages Seq says are missing before one, nil for none: 7, 9 is one.  A source
--- that does not number its messages repeats its Seq.  7, 9, 8, 10 is one, at 9: 8 came late.  After
--- a reboot, numbers begin anew.
--- delta        seconds since the previous one
--- name, value  of the change of the controller's clock
-local function missing_before(source, seq, delta, name, value)
-  local ahead, fall = (seq - (source.seq or seq)) % 256, name == "reboot" and value or 0
-  local is_late = ahead >= 256 - MAX_BEHIND and fall < LARGE_FALL and delta <= MAX_LATE
+-- "missing": how many messages Seq No says are missing: 7, 9 is one.  A source that does not number
+-- its messages repeats its Seq.  7, 9, 8, 10 is one, at 9: 8 came late.  After a reboot, numbers
+-- begin anew.
+local function detect_missing(source, message, delta, change)
+  local seq, fall = message.seq, change and change.reboot or 0
+  local ahead = (seq - (source.seq or seq)) % 256
+  local is_late = ahead >= 256 - MAX_BEHIND and fall < LARGE_FALL and (delta or 0) <= MAX_LATE
   if is_late then return nil end
   source.seq = seq
-  return ahead > 1 and fall == 0 and ahead - 1 or nil
+  if ahead > 1 and fall == 0 then return "missing", ahead - 1 end
 end
 
--- Return what changes with a good message, nil for nothing.
-local function update(source, m, delta)
-  local name, value = note_clock(source, m)
-  if name == "shared" then
-    source.shared_key, source.changes[m.key] = m.key, SHARED
-    return SHARED
+-- "late": the length of a gap that is longer than it may be.
+local function detect_late(source, _, delta)
+  if delta and delta > source.longest then return "late", delta end
+end
+
+-- The detectors, in the order in which they need each other.  A new change is one of them, a row of
+-- stat.kinds (its event) and a row of show.fields (its expert item).
+local DETECTORS = { detect_clock, detect_flags, detect_faults, detect_missing, detect_late }
+
+-- Return the change of a good message, nil for none.
+local function update(source, message, delta)
+  local change = nil
+  for i = 1, #DETECTORS do
+    local name, value = DETECTORS[i](source, message, delta, change)
+    if name then
+      change = change or {}
+      change[name] = value
+    end
   end
-  local flags = flag_changes(source, m)
-  local missing = missing_before(source, m.seq, delta or 0, name, value)
-  local late, change = delta and delta > source.longest and delta or nil, nil
-  if name or flags or missing or late then
-    change = { flags = flags, missing = missing, late = late }
-    if name then change[name] = value end
-  end
-  if change or source.changes[m.key] then source.changes[m.key] = change end
+  local key = message.key
+  if change and change.shared then source.shared_key, change = key, SHARED end
+  if change or source.changes[key] then source.changes[key] = change end
   return change
 end
 
 --- Add the next message, in the order of the capture.
 -- is_only_pass  whether it is sure that it is not revisited
--- m        { source = of message.types; raws = by index of field, nil if the payload does not fit;
+-- message  { source = of message.types; raws = by index of field, nil if the payload does not fit;
 --          payload, seq, status; key = frame key: never falls; an equal one replaces a message;
 --          time = seconds of the capture }
 -- returns  what changes with it, nil if it is not good or nothing does: {
@@ -272,54 +276,55 @@ end
 --   stale    true if it did not advance
 --   flags    list of { field, value, raised = mask, cleared = mask } of the fields whose flags
 --            changed
+--   faults   of these flags the faults that rise or fall, see message.faults
 --   shared   true at the message that proves that several controllers share the source
 --   unreliable  true at the messages behind that one, which get nothing else }
 --          and the seconds since the source's previous good message, false for the first
-function History:add(m, is_only_pass)
-  local source = self.by_source[m.source]
+function History:add(message, is_only_pass)
+  local source = self.by_source[message.source]
   if not source then
-    source = new_source(self, m)
-    self.by_source[m.source] = source
+    source = new_source(self, message)
+    self.by_source[message.source] = source
   end
-  local delta = source.time and m.time - source.time or false
-  if not is_only_pass then self.deltas[m.key] = delta end
-  if m.status ~= "good" then return nil, delta end
-  source.time = m.time
-  if source.own then insert(source.own, m.key) end
-  if m.key > source.shared_key then return UNRELIABLE, delta end
-  return update(source, m, delta), delta
+  local delta = source.time and message.time - source.time or false
+  if not is_only_pass then self.deltas[message.key] = delta end
+  if message.status ~= "good" then return nil, delta end
+  source.time = message.time
+  if source.own then insert(source.own, message.key) end
+  if message.key > source.shared_key then return UNRELIABLE, delta end
+  return update(source, message, delta), delta
 end
 
 --- Return what History:add returned, at any later time and in any order; nil and nil for a message
 -- that was not added.
--- m  as it was added
-function History:change(m)
-  local source, key = self.by_source[m.source], m.key
+-- message  as it was added
+function History:change(message)
+  local source, key = self.by_source[message.source], message.key
   local delta = self.deltas[key]
-  if not source or m.status ~= "good" then return nil, delta end
+  if not source or message.status ~= "good" then return nil, delta end
   return key > source.shared_key and UNRELIABLE or source.changes[key], delta
 end
 
 --- Return the state at a message, whether the message changes it or not.
--- m        as it was added
--- returns  nil if m is not good, or its source is not known or unreliable, else {
+-- message        as it was added
+-- returns  nil if message is not good, or its source is not known or unreliable, else {
 --   drift         seconds: controller's clock less the capture's, since the source's first message
 --                 or reboot
 --   command_in    frame key of the latest good message on the bus that it answers: a Command
 --   active_time   seconds since the oldest fault that is still set was raised
 --   previous_change, next_change  frame keys of the messages before and behind it that changed a
 --                 fault, if one is set or changes }
-function History:state(m)
-  local source, key = self.by_source[m.source], m.key
-  if not source or m.status ~= "good" or key >= source.shared_key then return nil end
+function History:state(message)
+  local source, key = self.by_source[message.source], message.key
+  if not source or message.status ~= "good" or key >= source.shared_key then return nil end
   local base = source.bases[last_until(source.base_keys, key)]
-  local clock, commands, faults = base and clock_of(m), source.commands, source.fault_keys
+  local clock, commands, faults = base and clock_of(message), source.commands, source.fault_keys
   local last = last_until(faults, key)
   local since, is_change = source.active_since[last], faults[last] == key
   local state = {
-    drift = clock and clock / 1e9 - m.time - base,
+    drift = clock and clock / 1e9 - message.time - base,
     command_in = commands and commands[last_until(commands, key - 1)],
-    active_time = since and m.time - since or nil,
+    active_time = since and message.time - since or nil,
   }
   if since or is_change then
     state.previous_change = faults[is_change and last - 1 or last]

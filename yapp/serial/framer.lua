@@ -226,7 +226,7 @@ end
 -- Return what a candidate without a good CRC is, if nothing before `limit` is open.
 -- behind   what begins at the limit: "open", "good" (a frame) or "end" (nothing)
 -- returns  "bad" or "incomplete" and its end; nil for noise; "open" if that is not decided yet
-local function fate_of(self, candidate, limit, behind)
+local function class_of(self, candidate, limit, behind)
   if candidate.from < self.from or not candidate.is_plausible then return nil end
   local stop = math.min(limit, self.known[candidate.next_known] or limit)
   if candidate.to <= stop then return "bad", candidate.to end
@@ -239,7 +239,7 @@ end
 function Framer:settle(limit, behind)
   while self.first <= self.last and self.candidates[self.first].from < limit do
     local candidate = self.candidates[self.first]
-    local status, stop = fate_of(self, candidate, limit, behind)
+    local status, stop = class_of(self, candidate, limit, behind)
     if status == "open" then
       limit = candidate.from
       break

@@ -69,7 +69,10 @@ local YAPP = {
 }
 
 -- Expert items: filter, text, group, severity.  The text is the same each time, so that `-z expert`
--- counts it; numbers stand in the item's label, see M.add_expert.
+-- counts it; numbers stand in the item's label, see M.add_expert.  Of a change:
+--   change  its name in message.history
+--   label   of the item, with the number of the change; nil for the text
+--   word    in the Info column, or nil
 local EXPERTS = {
   { "yapp.crc.bad", "Bad CRC", "CHECKSUM", "ERROR" },
   { "yapp.fragment.orphan", "Middle or End without a Start", "SEQUENCE", "WARN" },
@@ -78,7 +81,8 @@ local EXPERTS = {
   { "yapp.fragment.duplicate", "Frame delivered twice", "SEQUENCE", "NOTE" },
   { "yapp.copy", "Message that was recorded twice", "SEQUENCE", "NOTE" },
   { "yapp.unfinished", "Message cut off by the end of the capture", "REASSEMBLE", "WARN" },
-  { "yapp.late", "A long gap before this message", "SEQUENCE", "WARN" },
+  { "yapp.late", "A long gap before this message", "SEQUENCE", "WARN",
+    change = "late", label = "Silent for %.3f s" },
   { "yapp.size.mismatch", "Payload length is not the catalogue's", "PROTOCOL", "WARN" },
   { "yapp.id.unknown", "Message ID is not in the catalogue", "UNDECODED", "NOTE" },
   { "yapp.reserved.nonzero", "Reserved bytes are not 0", "PROTOCOL", "WARN" },
@@ -87,13 +91,17 @@ local EXPERTS = {
   { "yapp.stream.skipped", "Bytes that belong to no frame", "SEQUENCE", "NOTE" },
   { "yapp.truncated", "The capture cut the packet short", "MALFORMED", "WARN" },
   { "yapp.source.shared", "Two controllers send this ID on one bus: their clocks alternate",
-    "SEQUENCE", "WARN" },
+    "SEQUENCE", "WARN", change = "shared" },
   { "taurus.fault.active", "Fault flags are set", "RESPONSE_CODE", "ERROR" },
   { "taurus.fault.raised", "A fault was raised", "RESPONSE_CODE", "ERROR" },
   { "taurus.fault.cleared", "A fault was cleared", "RESPONSE_CODE", "NOTE" },
-  { "taurus.reboot", "Controller rebooted (its clock went back)", "SEQUENCE", "WARN" },
-  { "taurus.stale", "Controller clock did not advance", "SEQUENCE", "WARN" },
-  { "taurus.jump", "Controller's clock jumped ahead", "SEQUENCE", "WARN" },
+  { "taurus.reboot", "Controller rebooted (its clock went back)", "SEQUENCE", "WARN",
+    change = "reboot", label = "Controller rebooted (its clock went back by %.1f s)",
+    word = "REBOOT" },
+  { "taurus.stale", "Controller clock did not advance", "SEQUENCE", "WARN",
+    change = "stale", word = "STALE" },
+  { "taurus.jump", "Controller's clock jumped ahead", "SEQUENCE", "WARN",
+    change = "jump", label = "Controller's clock jumped ahead by %.1f s", word = "JUMP" },
   { "taurus.command.key.invalid", "Key is not defined (the controller ignores this command)",
     "PROTOCOL", "WARN" },
   { "taurus.value.special", "Reserved value: not a number, infinite or out of range",
@@ -104,7 +112,12 @@ local EXPERTS = {
 
 --- The filter names of all expert items: { [name] = true }.
 M.EXPERT_NAMES = {}
-for _, row in ipairs(EXPERTS) do M.EXPERT_NAMES[row[1]] = true end
+--- The rows of the expert items of changes.
+M.CHANGES = {}
+for _, row in ipairs(EXPERTS) do
+  M.EXPERT_NAMES[row[1]] = true
+  if row.change then table.insert(M.CHANGES, row) end
+end
 
 -- Make a field of the columns of a row behind its filter: type, title, description, base, values,
 -- mask.

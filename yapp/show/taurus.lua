@@ -264,16 +264,6 @@ end
 
 -- Changes -----------------------------------------------------------------------------------------
 
--- What a user sees of a change: its name, the expert item, its label with the change's number, and
--- the word in the Info column.
-local CHANGES = {
-  { "late", "yapp.late", "Silent for %.3f s" },
-  { "shared", "yapp.source.shared" },
-  { "reboot", "taurus.reboot", "Controller rebooted (its clock went back by %.1f s)", "  REBOOT" },
-  { "stale", "taurus.stale", nil, "  STALE" },
-  { "jump", "taurus.jump", "Controller's clock jumped ahead by %.1f s", "  JUMP" },
-}
-
 -- What message.history says of a state, in the order of the tree, and how it is shown.
 local STATES = {
   { "drift", show_fields.relative_time },
@@ -325,11 +315,11 @@ function Taurus:add_change(m, top, other)
     local value, pf = m.state[row[1]], self.fields[m.source.message.states[row[1]]]
     add_wanted(item, pf, value and row[2](value))
   end
-  for _, row in ipairs(CHANGES) do
-    local value, name, label, word = change[row[1]], row[2], row[3], row[4]
+  for _, row in ipairs(show_fields.CHANGES) do
+    local value, label, word = change[row.change], row.label, row.word
     if value then
-      add_expert(item, name, label and label:format(value))
-      info = info .. (word or "")
+      add_expert(item, row[1], label and label:format(value))
+      if word then info = info .. "  " .. word end
     end
   end
   return info

@@ -129,9 +129,9 @@ local function count_events(group, rule)
   return count.seen, count.frame, count.values.note
 end
 
-function measures.missing(group, rule)
+function measures.missing(group, rule, check)
   local seen, frame, note = count_events(group, rule)
-  if group.count > 1 and not group.is_numbered then note = SAME_SEQ end
+  if group.count > 1 and not check.states[group.source].is_numbered then note = SAME_SEQ end
   return seen, frame, note
 end
 
@@ -268,10 +268,11 @@ end
 
 --- End, see stat.derive.
 -- returns  the exit code, and a text that says what is wrong besides rules, nil for nothing
-function Check:finish(ending, notes)
+function Check:finish(ending, notes, states)
   local options, context, rows = self.options, self.context, {}
   local problems = joined(ending.problems, options.problems)
-  self.ending, self.rows, self.counts = ending, rows, { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
+  self.ending, self.states, self.rows = ending, states, rows
+  self.counts = { [FAILED] = 0, [UNJUDGED] = 0, [OK] = 0 }
   for _, rule in ipairs(options.rules) do
     judge(self, rule)
   end

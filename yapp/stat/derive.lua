@@ -6,13 +6,13 @@
 -- A statistic has
 --   event(event, now, cause)  takes an event that counts: now = seconds without the steps back of
 --                             the capture's clock; cause = the event of the message that shows it
---   finish(ending, notes)     ends: ending = see Queue:finish, notes = texts, what its answer
---                             leaves out; returns the exit code and a text, each nil for none
+--   finish(ending, notes, states)  ends: ending = see Queue:finish, notes = texts, what its answer
+--                             leaves out, states = by source: see new_state; returns the exit code
+--                             and a text, each nil for none
 --   follows_changes           whether it says what changed since the message before
 --   lists_problems            whether it lists ending.problems itself
 --   wants_messages_only       whether it needs no events but good messages and those with a bad CRC
 
-local band = require "yapp.base.bits".band
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
@@ -37,14 +37,12 @@ local function new_state()
     last = nil, -- its latest message
     last_at = nil, -- when that came
     is_counted = false, -- whether that counts
-    faults = NOTHING, -- list of { field, flag, since } of those that are set, as they rose
-    incident = nil, -- a table for the time in which a fault is set without a break
+    faults = NOTHING, -- list of those that are set, as they rose, see message.faults
     counted = { frame = 0 }, -- the latest reliable message that counts
     counted_at = nil,
     counted_faults = NOTHING, -- those that were set then
-    counted_incident = nil,
-    is_numbered = false, -- whether Seq No changed
-    room = 0, -- number of messages that the gaps between its messages have room for
+    is_numbered = false, -- whether Seq No numbers its messages: it changed
+    missing_by_period = 0, -- number of messages that fit into the gaps between its messages
   }
 end
 
@@ -63,11 +61,12 @@ function M.new(settings, statistic, options)
     undecoded = undecoded.new(settings),
     states = states, -- of sources with good messages, in their order, and by source
     by_source = memo(new_state, states),
+    raised_at = {}, -- [fault] = when it rose, see above: until the message counts that clears it
     came = {}, -- sources with an event that counts
     copies = 0, -- number of messages that were recorded once more, or several times
     originals = {}, -- [source] = frame key of the latest of them
     counts = {}, -- of events, by kind, where a fault may be hidden
-    doubts = {}, -- texts: why the history of a source is unreliable; and by source
+    unreliable_notes = {}, -- texts: why the history of a source is unreliable; and by source
     now = nil, -- seconds of the capture, see above
   }, Deriver)
 end
@@ -103,65 +102,35 @@ end
 
 -- Faults ------------------------------------------------------------------------------------------
 
--- incident  of the fault, see new_state
--- till      when it fell, or was still set; nil if it rises
-local function emit_fault(self, cause, fault, incident, name, till)
-  local active = till and output.seconds(span(fault.since, till))
+-- event  "raised", "cleared", or "active" at the end
+local function emit_fault(self, cause, fault, event)
+  local flag, active = fault.flag, nil
+  if event ~= "raised" then
+    local till = event == "cleared" and self.now or self.by_source[cause.source].counted_at
+    active = output.seconds(span(self.raised_at[fault] or till, till))
+  end
   emit(self, "fault", cause, {
     field = fault.field,
-    flag = fault.flag.name,
-    help = fault.flag.help,
-    event = name,
-    incident = incident,
+    flag = flag.name,
+    help = flag.help,
+    event = event,
+    incident = fault.incident,
     active = active,
     after = active and (" after %s s"):format(active.short),
   })
 end
 
--- By field: the flags that are faults, with the bits that no table defines.
-local faults_of = memo(function(field)
-  local list = {}
-  for _, flag in ipairs(field.flags) do
-    if band(flag.mask, field.alarm_bits) ~= 0 then list[#list + 1] = flag end
-  end
-  local undefined = band(field.undefined, field.alarm_bits)
-  for bit = 0, 31 do
-    local mask = 2 ^ bit
-    if band(undefined, mask) ~= 0 then
-      list[#list + 1] = { name = ("undefined_0x%x"):format(mask), mask = mask }
+-- Note the faults that rise or fall with a message.
+local function note_faults(self, state, cause, faults)
+  state.faults = faults.set
+  for _, step in ipairs(faults) do
+    local fault, is_raised = step.fault, step.is_raised
+    if is_raised then self.raised_at[fault] = self.now end
+    if state.is_counted then
+      emit_fault(self, cause, fault, is_raised and "raised" or "cleared")
+      if not is_raised then self.raised_at[fault] = nil end
     end
   end
-  return list
-end)
-
--- Note the faults that rise or fall with a change of a flags field.  Make a new list for each:
--- state.counted_faults may be the old one.
-local function note_flags(self, state, cause, change)
-  local before = change.value - change.raised + change.cleared
-  for _, flag in ipairs(faults_of[change.field]) do
-    local is_set = band(change.value, flag.mask) ~= 0
-    if is_set ~= (band(before, flag.mask) ~= 0) then
-      local faults, fault = {}, { field = change.field.name, flag = flag, since = self.now }
-      for _, one in ipairs(state.faults) do
-        if one.flag ~= flag then
-          faults[#faults + 1] = one
-        elseif not is_set then
-          fault = one
-        end
-      end
-      if is_set then faults[#faults + 1] = fault end
-      state.faults = faults
-      local name, till = is_set and "raised" or "cleared", not is_set and self.now
-      if state.is_counted then emit_fault(self, cause, fault, state.incident, name, till) end
-    end
-  end
-end
-
--- Note the changes of a message's flags fields.
-local function note_faults(self, state, cause, changes)
-  -- An incident goes on if one field falls and another rises in the same message.
-  if not state.faults[1] then state.incident = {} end
-  for _, change in ipairs(changes) do note_flags(self, state, cause, change) end
 end
 
 -- Messages ----------------------------------------------------------------------------------------
@@ -178,15 +147,16 @@ local function note_events(self, event, change)
   for _, values in ipairs(event.values.invalid or NOTHING) do
     emit(self, "invalid", event, values)
   end
-  local source, doubts = event.source, self.doubts
-  if event.values.is_unreliable and not doubts[source] then
+  local source, notes = event.source, self.unreliable_notes
+  if event.values.is_unreliable and not notes[source] then
     local shape = change.shared and SHARED or UNRELIABLE
-    doubts[source], doubts[#doubts + 1] = true, shape:format(output.bus_and_id(source), event.frame)
+    notes[source] = true
+    notes[#notes + 1] = shape:format(output.bus_and_id(source), event.frame)
   end
 end
 
 -- Return how many messages of a source fit between its latest one and a time.
-local function room_until(state, now)
+local function missing_until(state, now)
   local message = state.last.source.message
   if not (message and message.every) then return 0 end
   local periods = span(state.last_at, now) / message.every
@@ -197,18 +167,17 @@ local function note_message(self, event, is_counted)
   local state, values = self.by_source[event.source], event.values
   local change = values.change or NOTHING
   if state.is_counted and not values.is_unreliable then
-    state.room = state.room + room_until(state, self.now)
-    state.is_numbered = state.is_numbered or event.seq ~= state.last.seq
+    state.missing_by_period = state.missing_by_period + missing_until(state, self.now)
   end
   if change.late and state.is_counted then
     emit(self, "silence", state.last, { length = output.seconds(change.late) })
   end
   state.last, state.last_at, state.is_counted = event, self.now, is_counted
   if is_counted and values ~= NOTHING then note_events(self, event, change) end
-  if change.flags then note_faults(self, state, event, change.flags) end
+  if change.faults then note_faults(self, state, event, change.faults) end
   if is_counted and not values.is_unreliable then
+    state.is_numbered = state.is_numbered or event.seq ~= (state.counted.seq or event.seq)
     state.counted, state.counted_at, state.counted_faults = event, self.now, state.faults
-    state.counted_incident = state.incident
   end
 end
 
@@ -270,7 +239,7 @@ local function end_faults(self)
   output.sort(self.states, function(state) return state.counted.frame end)
   for _, state in ipairs(self.states) do
     for _, fault in ipairs(state.counted_faults) do
-      emit_fault(self, state.counted, fault, state.counted_incident, "active", state.counted_at)
+      emit_fault(self, state.counted, fault, "active")
     end
   end
 end
@@ -303,19 +272,19 @@ end
 
 -- Return a text: how many damaged or lost messages may have had a fault; nil for none.
 local function hiding(self, now)
-  local texts, room = {}, 0
+  local texts, missing = {}, 0
   for _, state in ipairs(self.states) do
     if may_have_faults(state.last.source) then
-      if not state.is_numbered then room = room + state.room end
+      if not state.is_numbered then missing = missing + state.missing_by_period end
       local has_end = state.is_counted and not state.last.values.is_unreliable
-      if has_end then room = room + room_until(state, now) end
+      if has_end then missing = missing + missing_until(state, now) end
     end
   end
   for _, row in ipairs(kinds.LIST) do
     local count = row.hides and self.counts[row.name]
     if count then texts[#texts + 1] = ("%d %s"):format(count, row.hides) end
   end
-  if room > 0 then texts[#texts + 1] = ("%d missing by their period"):format(room) end
+  if missing > 0 then texts[#texts + 1] = ("%d missing by their period"):format(missing) end
   return texts[1] and "damaged or lost messages may hide faults: " .. table.concat(texts, ", ")
 end
 
@@ -330,16 +299,16 @@ end
 local function notes_of(self, ending)
   local reason, matched, options = ending.reason, self.matched, self.options
   if matched and not next(self.came) then reason = reason or "no message matches the filter" end
-  local doubts = self.statistic.follows_changes and self.doubts or NOTHING
+  local unreliable = self.statistic.follows_changes and self.unreliable_notes or NOTHING
   local problems = self.statistic.lists_problems and NOTHING or ending.problems
   local no_times = ending.lacks_times and ending.lacks_times .. ": " .. NO_SPANS
-  local notes = joined(problems, { reason }, { no_times }, self.undecoded:texts(), doubts)
+  local notes = joined(problems, { reason }, { no_times }, self.undecoded:texts(), unreliable)
   notes[#notes + 1] = copies_text(self.copies)
   if options.looks_for_faults or options.row.looks_for_faults then
     notes[#notes + 1] = hiding(self, ending.now)
   end
   if not matched then notes[#notes + 1] = ending.hint end
-  return notes, ending.problems[1] ~= nil or doubts[1] ~= nil
+  return notes, ending.problems[1] ~= nil or unreliable[1] ~= nil
 end
 
 --- End: all events have come.
@@ -352,9 +321,9 @@ function Deriver:finish(ending)
   end_absences(self, ending)
   end_drops(self, ending)
   local notes, is_undecided = notes_of(self, ending)
-  local code, text = self.statistic:finish(ending, notes)
+  local code, text = self.statistic:finish(ending, notes, self.by_source)
   if is_undecided then return code or output.EXIT_UNDECIDED, text, notes end
-  local has_no_notes = self.options.json or self.options.row.is_data
+  local has_no_notes = self.options.json or self.options.row.table_only
   return code, text, has_no_notes and notes or NOTHING
 end
 

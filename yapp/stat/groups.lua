@@ -114,7 +114,6 @@ end
 --   count = of good messages, decoded = of those that were decoded; first, last = their times,
 --   last_frame
 --   gap_min, gap_max = seconds, gap_max_frame
---   seq = of the latest, is_numbered = whether Seq No changed
 --   is_unreliable = whether one of them had an unreliable history
 --   values = a list, also by entry of Groups:wants
 --   bus_order = number of groups before the first one of its bus }
@@ -209,10 +208,9 @@ local function note_message(self, event, now)
     local gap = span(group.last, now)
     if gap > (group.gap_max or -INFINITE) then group.gap_max, group.gap_max_frame = gap, frame end
     group.gap_min = math.min(gap, group.gap_min or gap)
-    group.is_numbered = group.is_numbered or event.seq ~= group.seq
   end
   group.first = group.first or now
-  group.last, group.last_frame, group.seq = now, frame, event.seq
+  group.last, group.last_frame = now, frame
   group.count = group.count + 1
   group.is_unreliable = group.is_unreliable or event.values.is_unreliable
   if not event.raws then return end

@@ -236,7 +236,7 @@ end
 -- help     what it says, for people
 -- ask      what a menu asks for; the answer follows the name
 -- file     the name of a new file that a menu suggests
--- is_data  whether its output has no room for notes
+-- table_only  whether its output has no room for notes
 -- looks_for_faults  whether it must say which messages may hide a fault, as it does not list them
 M.LIST = {
   {
@@ -278,7 +278,7 @@ M.LIST = {
     help = "a CSV for each message, in a new folder",
     ask = "New folder",
     file = "tables",
-    is_data = true,
+    table_only = true,
   },
   {
     name = "check",

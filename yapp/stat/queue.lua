@@ -191,7 +191,7 @@ end
 -- returns  whether events are handed on at once
 function Queue:go_direct()
   for _, deriver in ipairs(self.derivers) do
-    if deriver.matched or not deriver.options.row.is_data then
+    if deriver.matched or not deriver.options.row.table_only then
       return false
     end
   end
