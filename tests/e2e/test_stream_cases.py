@@ -205,6 +205,35 @@ def test_segments_before_the_first_header_in_two_passes(folder):
     assert shown == ["10"] * 10
 
 
+@PASSES
+@pytest.mark.parametrize("link", ["udp", "tcp"])
+def test_a_piece_before_packets_that_show_yapp(folder, passes, link):
+    """The first piece of a message alone is unknown: its rest comes with whole messages, or the other side's come before."""
+    messages = [data for _, data in flight()]
+    data = b"".join(messages)
+    pieces, command = [data[:5], data[5:60], *(data[at:at + 150] for at in range(60, len(data), 150))], frame(0, bytes(7))
+    for others in False, True:
+        packets, at = [], 0
+        for index, piece in enumerate(pieces):
+            packets.append((0.2 * index, Packet(piece, Origin(ETHERNET, 0, 0))))
+            packets[-1][1].sequence = at + 1
+            at += len(piece)
+        if others:
+            packets.insert(1, (0.1, Packet(command, Origin(ETHERNET, 0, 1))))
+            packets[1][1].sequence = 1
+        path = written(folder, packets, getattr(stream_captures, link))
+        counts, events = statistics(path, *passes)
+        assert counts["192.0.2.1:50000", MOTOR_DATA] == 20 and not kinds(events) & {"crc", "incomplete", "skipped"}
+
+
+def test_one_pass_tells_what_two_tell_of_the_first_pieces(folder):
+    """What was found of them was known only when later ones came."""
+    data = b"".join(data for _, data in flight())
+    path = written(folder, tcp_pieces(data, 2, 35), stream_captures.tcp)
+    one, two = (statistics(path, *passes) for passes in ([], ["-2"]))
+    assert one == two and [row["length"] for row in one[1] if row["kind"] == "skipped"] == [1]
+
+
 # Telnet ----------------------------------------------------------------------------------------------------------
 
 @levels.by_version

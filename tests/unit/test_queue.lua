@@ -43,6 +43,21 @@ local function offer(queue, frame, name, values, visited)
   queue:offer(event_of(frame, name, "message", values), visited or false)
 end
 
+-- Packets of a conversation that was unknown when they came.
+function T.test_events_of_earlier_packets()
+  local queue, one = new_queue(), notes()
+  add(queue, one)
+  queue:packet(1, 1)
+  queue:packet(2, 2)
+  offer(queue, 3, "b")
+  queue:packet(3, 3)
+  offer(queue, 2, "c")
+  offer(queue, 4, "d")
+  queue:packet(4, 4)
+  finish(queue)
+  lu.assertEquals(one.got, { "b", "c", "d" })
+end
+
 function T.test_messages_in_the_order_of_the_capture()
   local queue, one = new_queue(), notes()
   add(queue, one)

@@ -240,7 +240,9 @@ function T.test_a_conversation_on_trial()
       local self, found, shown = new_trial(), nil, nil
       for at = 1, 3 * #frame, length do
         local packet = packet_of { at, (frame .. frame .. frame):sub(at, at + length - 1) }
-        found = found or self:try(packet, true) and at
+        local earlier = not found and self:try(packet)
+        found = found or earlier and at
+        for _, one in ipairs(earlier or {}) do self:add(one, true) end
         local contents = found and self:add(packet, true)
         shown = shown or contents and contents.findings[1] and in_words(contents, packet.bytes):match("^%a+ %d")
       end
@@ -252,12 +254,24 @@ function T.test_a_conversation_on_trial()
   end
 end
 
+-- A packet that proves itself may end what came before: then that is no packet of others.
+function T.test_a_trial_that_a_whole_frame_ends()
+  for bytes, is_of_others in pairs { [B:sub(8) .. A] = false, [A] = true } do
+    local self = new()
+    lu.assertNil(self:try(packet_of { 1, B:sub(1, 7), is_datagram = true }))
+    local earlier = self:try(packet_of { 2, bytes, is_datagram = true }, true)
+    lu.assertEquals(#earlier, 1)
+    lu.assertEquals(earlier[1].is_found, is_of_others)
+    lu.assertEquals(self.trial_count, 0)
+  end
+end
+
 function T.test_a_trial_ends()
   local self = new()
-  for i = 1, 1000 do lu.assertFalse(self:try(packet_of { i, "textY", stream = "a" .. i }, true)) end
+  for i = 1, 1000 do lu.assertNil(self:try(packet_of { i, "textY", stream = "a" .. i })) end
   lu.assertTrue(self.trial_count <= 64)
   local claim = generator.header(5, 60000) .. ("x"):rep(100)
-  for i = 1, 200 do lu.assertFalse(self:try(packet_of { i, claim, stream = "b" }, true)) end
+  for i = 1, 200 do lu.assertNil(self:try(packet_of { i, claim, stream = "b" })) end
   lu.assertTrue(self.trial_count <= 65)
   lu.assertTrue(not self.trials.b or #self.trials.b.packets < 60)
   lu.assertEquals(self:unfinished(), {})

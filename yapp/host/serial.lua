@@ -106,8 +106,8 @@ function Dissector:accepts(tvb, pinfo, tree)
   end
   if not reading:may_be_yapp(tvb:raw()) then return false end
   local packet = whole_packet(self, tvb, pinfo, self.builder:wants(tree, pinfo, false))
-  local is_found = reading:try_packet(packet)
-  if is_found and not reading:is_yapp(packet.bytes) then
+  local is_found, is_in_pieces = reading:try_packet(packet)
+  if is_in_pieces then
     local option = senders.option(packet.is_tcp, pinfo.src_port, pinfo.dst_port)
     table.insert(self.in_pieces, option)
   end

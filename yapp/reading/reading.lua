@@ -184,17 +184,6 @@ function Reading:may_be_yapp(bytes)
   return self:is_yapp(bytes) or #bytes <= MAX_SHORT and self.streams:may_begin(bytes)
 end
 
---- Return whether a packet of an unknown conversation is YAPP, alone or with those before it.
--- packet  see host.serial
-function Reading:try_packet(packet)
-  local key = packet.line.trial_key
-  if self.found[key] then return false end -- add_packet has left it to others
-  local is_found =
-    self.streams:try(packet, not packet.is_only_pass, self:is_yapp(packet.bytes))
-  self.found[key] = is_found or nil
-  return is_found
-end
-
 -- Return the result of a finding, with the message that it holds.
 -- index  of the finding in its packet
 local function finding_result(self, packet, finding, index)
@@ -239,6 +228,24 @@ end
 function Reading:add_packet(packet)
   local contents = self.streams:add(packet, not packet.is_only_pass)
   return not contents.is_others and new_packet_result(self, packet, contents)
+end
+
+--- Return whether a packet of an unknown conversation is YAPP, alone or with those before it, which
+-- are added then.
+-- packet   see host.serial
+-- returns  that, and whether some came before it
+function Reading:try_packet(packet)
+  local line = packet.line
+  if self.found[line.trial_key] then return false end -- add_packet has left it to others
+  local earlier = self.streams:try(packet, self:is_yapp(packet.bytes))
+  if not earlier then return false end
+  self.found[line.trial_key] = true
+  for _, one in ipairs(earlier) do self:add_packet(one) end
+  for _, one in ipairs(self.streams:end_trial(line.opposite)) do
+    one.is_found = true
+    self:add_packet(one)
+  end
+  return true, earlier[1] ~= nil
 end
 
 --- Return what Reading:add_packet returned; nil for a packet that was not added.

@@ -405,27 +405,47 @@ local function is_proof(framer, findings)
   return framer:has_known()
 end
 
+--- End the trial of a conversation.
+-- key      of its stream
+-- returns  list of the packets that came so far; empty if it has none
+function Streams:end_trial(key)
+  local trial = self.trials[key]
+  if not trial then return {} end
+  self.trials[key], self.trial_count = nil, self.trial_count - 1
+  return trial.packets
+end
+
+-- Whether a good frame begins before an offset.
+local function is_good_before(findings, offset)
+  for _, finding in ipairs(findings) do
+    if finding.status == "good" then return finding.from < offset end
+  end
+  return false
+end
+
 --- Take a packet of an unknown conversation on trial.
 -- packet     as of Streams:add
 -- is_proved  whether the packet alone shows that it is YAPP
--- returns    whether the bytes that came so far have a frame, or the header of a message of the
---            catalogue.  Then those of earlier packets are in the stream, and Streams:add can add
---            this one
-function Streams:try(packet, is_stored, is_proved)
-  local key = packet.stream
-  local trial = self.trials[key] or not is_proved and new_trial(self, packet)
-  if not trial then return is_proved end
+-- returns    nil, unless the bytes that came so far have a frame, or the header of a message of the
+--            catalogue.  Then the list of the earlier packets, for Streams:add.  If they do not
+--            belong to the packet's first frame, they may be of others: is_found is set
+function Streams:try(packet, is_proved)
+  local trial = self.trials[packet.stream] or not is_proved and new_trial(self, packet)
+  if not trial then return is_proved and {} or nil end
   local framer = trial.framer
-  local is_found = is_proved or is_proof(framer, framer:add(packet.bytes, packet.truncated))
+  local from = framer.to
+  local findings = framer:add(packet.bytes, packet.truncated)
+  local is_found = is_proved or is_proof(framer, findings)
   local pending = framer.to - framer.from
   if not is_found and pending > 0 and pending <= MAX_TRIAL then
     table.insert(trial.packets, packet)
-    return false
+    return nil
   end
-  self.trials[key], self.trial_count = nil, self.trial_count - 1
-  if not is_found or packet.is_datagram and is_proved then return is_found end
-  for _, earlier in ipairs(trial.packets) do self:add(earlier, is_stored) end
-  return true
+  local packets = self:end_trial(packet.stream)
+  if not is_found then return nil end
+  local is_joined = not is_proved or is_good_before(findings, from)
+  for _, earlier in ipairs(packets) do earlier.is_found = not is_joined end
+  return packets
 end
 
 --- Whether the capture ends before the frame that a packet's pending bytes begin.

@@ -41,6 +41,7 @@ function Queue:reset()
   self.offered, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
   self.waiting = {}
   self.last = nil -- time of the latest packet
+  self.latest = 0 -- its number
   self.has_progress = false -- whether it differs from the packet's before
   self.packets = 0
   self.fallen = 0 -- sum of the seconds that the capture's clock went back, see note_step
@@ -149,10 +150,11 @@ local function flush(self)
   end
 end
 
---- Take an event of the packet that is dissected.
+--- Take an event of the packet that is dissected, or of an earlier one.
 -- visited  of the packet: tshark -2 dissects all packets before the first tap runs
 function Queue:offer(event, visited)
-  if self.is_direct then
+  -- An event of an earlier packet is of a conversation that was unknown when that came.
+  if self.is_direct or event.frame <= self.latest then
     flush(self)
     return take(self, event)
   end
@@ -207,7 +209,7 @@ function Queue:packet(number, rel, lacks_clock)
   self.lacks_clock = lacks_clock
   flush(self)
   local step = self.last and kinds.span(self.last, rel) or 0
-  self.last, self.packets = rel, self.packets + 1
+  self.last, self.latest, self.packets = rel, number, self.packets + 1
   self.has_progress = self.has_progress or step ~= 0
   if not lacks_clock then note_step(self, step) end
   if step < -MAX_STEP and not lacks_clock then
