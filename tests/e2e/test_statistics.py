@@ -376,7 +376,7 @@ end
 if arg[2] == "kinds" then
   list(require("yapp.stat.kinds").LIST, { "name", "keys", "is_optional", "counts_as", "scope", "is_counted_only" })
 else
-  list(require("yapp.stat.options").LIST, { "name" })
+  list(require(arg[2] == "measures" and "yapp.stat.measures" or "yapp.stat.options").LIST, { "name", "text", "help" })
 end
 """
 
@@ -405,6 +405,18 @@ def test_the_document_has_every_kind_of_event():
     assert re.findall(r"\w+", alone) == \
         [name for name, _, is_optional, counts_as, *_ in kinds if not (is_optional or counts_as)] == RULES
     assert OF_CAPTURE == [name for name, *_, scope, _ in kinds if scope == "capture"]
+
+
+def test_the_document_has_every_rule_about_a_message():
+    """motor.gap=S for MESSAGE.gap=S; the first words of its row are the plugin's own."""
+    rows = dict(re.findall(r"^\| `(motor\.[^`]*)` \| (.*?) \|$", PAGE.partition("| rule |")[2], re.M))
+    measures = rows_of("measures")
+    assert len(measures) > 4
+    for name, text, help_ in measures:
+        limit = text.partition("=")[2]
+        rule = {"range": "motor.dc_voltage=40..55"}.get(name, text.replace("MESSAGE", "motor").replace("FIELD", "dc_voltage"))
+        assert rule.endswith(limit) or name == "range"
+        assert re.sub(r"\[(\w+)\]\(.*?\)", r"\1", rows[rule]).startswith(help_)
 
 
 @pytest.mark.parametrize("what", WHATS)

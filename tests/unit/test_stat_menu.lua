@@ -14,9 +14,11 @@ end
 
 function T.test_frames_that_stand_in_a_window()
   local context = new_context({})
-  output.print(context, "YAPP events: 3", { window = { "frame", "kind" } },
+  local columns = output.columns { { "frame", where = "window" }, { "kind", where = "window" } }
+  output.print(context, "YAPP events: 3", columns,
     { { frame = 7 }, { kind = "absent" }, { frame = 9 } }, {})
-  output.print(context, "YAPP summary", { window = { "gap_max_frame" } }, { { gap_max_frame = 165 } }, {})
+  columns = output.columns { { "gap_max_frame", where = "window" } }
+  output.print(context, "YAPP summary", columns, { { gap_max_frame = 165 } }, {})
   lu.assertEquals(context.frames, { 7, 9, 165 })
 end
 
@@ -24,13 +26,15 @@ end
 function T.test_a_table_of_a_window()
   lu.assertEquals({ output.text(-0.1015723, true), output.text(5200.671, true) }, { "-0.10157", "5200.7" })
   lu.assertEquals(output.text(-0.1015723), "-0.101572")
-  local keys = { text = { "bus", "frame", "source", "kind", "help" }, window = { "rel", "who", "kind" } }
+  local columns = output.columns { { "rel", where = "window" }, { "who", where = "window" }, { "bus", where = "text" },
+    { "frame", where = "text" }, { "source", where = "text" }, { "kind", where = "text window", title = "event" },
+    { "help", where = "text" } }
   local rows = { { bus = "can0", frame = 7, source = "left", who = "left", kind = "what it says at length", help = "",
     rel = output.seconds(0.5) }, { bus = "can1", frame = 12, source = "ö", who = "ö", id = { json = "1", text = "" },
     rel = output.seconds(1) } }
   local function table_of(frames)
     local context, said = new_context(frames)
-    output.table(context, keys, rows)
+    output.table(context, columns, rows)
     return table.concat(said)
   end
   lu.assertEquals(table_of(),
@@ -41,11 +45,12 @@ end
 
 function T.test_rows_are_printed()
   local context, said = new_context()
-  local keys = { text = { "rel", "id", "frame" }, json = { "id", "frame" } }
+  local columns = output.columns { { "rel", where = "text" }, { "id", where = "json text" },
+    { "frame", where = "json text" } }
   local rows = { { rel = output.seconds(0.5), frame = 3, id = { json = "9", text = "0x9" } } }
-  output.print(context, "YAPP", keys, rows, { "what is left out" })
+  output.print(context, "YAPP", columns, rows, { "what is left out" })
   context.json = true
-  output.print(context, "YAPP", keys, rows, { "what is left out" })
+  output.print(context, "YAPP", columns, rows, { "what is left out" })
   lu.assertEquals(table.concat(said), "YAPP\nwhat is left out\n\n" ..
     "since start/s  ID   frame\n     0.500000  0x9      3\n" ..
     '{"id":9,"frame":3}\n')

@@ -1006,6 +1006,26 @@ local CHANGED = { missing = { 3, '"count":3', "messages missing by Seq No: 3" },
   jump = { 3.25, '"length":3.250000000', "controller clock jumped ahead by 3.250 s" },
   shared = { true, "", "two controllers appear to send this ID" } }
 
+-- fields.json describes each key of JSON, once.
+function T.test_each_value_of_a_kind_is_a_column()
+  local described = {}
+  for _, column in ipairs(options_of.BY_NAME.events.columns.all) do
+    if column.type then
+      lu.assertNil(described[column.key])
+      lu.assertStrContains(column.help, " ")
+      described[column.key] = true
+    end
+  end
+  for _, row in ipairs(kinds_of.LIST) do
+    for key in (row.keys or ""):gmatch("%S+") do lu.assertTrue(described[key], key) end
+  end
+  for _, row in ipairs(options_of.LIST) do
+    for _, column in ipairs(row.columns.all) do
+      lu.assertTrue(column.type ~= nil or not column.where:find("json"), column.key)
+    end
+  end
+end
+
 function T.test_kinds_that_are_changes()
   for _, row in ipairs(kinds_of.LIST) do
     local expected = CHANGED[row.name]

@@ -4,7 +4,7 @@ if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local csv = require("yapp.stat.csv")
-local summary = require("yapp.stat.summary")
+local output = require("yapp.stat.output")
 local decode = require("yapp.message.decode")
 local text_of = require("yapp.message.text")
 
@@ -352,6 +352,11 @@ function T.test_types_of_columns()
     "j_x bool -" })
 end
 
+-- JSON has no line with "who".
+local NOTE = output.columns { { "who", where = "window" },
+  { "rate", type = "number", unit = "Hz", where = "json", help = "how often" },
+  { "gap", type = "seconds", unit = "s", title = "longest", short = "gap/s", where = "window" } }
+
 -- fields.json: what a reader needs for the type of a column, and what its numbers mean.
 function T.test_columns_are_described()
   local compiled = catalogue.compile { { name = "m", title = "M", id = 1, size = 16, every = 0.5,
@@ -363,7 +368,7 @@ function T.test_columns_are_described()
     local json = '{"name":"%s","unit":null,"type":"%s","filter":"taurus.m.%s","title":"%s",%s}'
     return json:format(name, type, rest.filter or name, title, rest[1] or '"kind":null,"bits":null,"values":null')
   end
-  lu.assertEquals(csv.describe(compiled, "9.8.7", text_of.columns),
+  lu.assertEquals(csv.describe(compiled, "9.8.7", text_of.columns, { { name = "note", columns = NOTE } }),
     '{"version":1,"plugin":"9.8.7","messages":{"m":{"title":"M","every":0.5,"columns":[' .. table.concat({
       column("mode", "integer", "Mode", { '"kind":"int","bits":8,"values":{"-1":"lost","2":"a \\"b\\"","10":"ten"}' }),
       column("mode_text", "string", "Mode", { filter = "mode" }),
@@ -374,8 +379,9 @@ function T.test_columns_are_described()
       column("serial", "integer", "Serial", { '"kind":"uint","bits":64,"values":null' }),
       column("plain", "integer", "Plain", { '"kind":"uint","bits":24,"values":{}' }),
       column("plain_text", "string", "Plain", { filter = "plain" }) }, ",") ..
-      '],"differences":[]}},"statistics":{"summary":{"columns":' .. summary.describe().json .. "}}}")
-  lu.assertStrContains(summary.describe().json, '{"name":"rate","type":"number","unit":"Hz","title":"rate/Hz"}')
+      '],"differences":[]}},"statistics":{"note":{"columns":[' ..
+      '{"name":"rate","type":"number","unit":"Hz","title":"rate/Hz","help":"how often"},' ..
+      '{"name":"gap","type":"seconds","unit":"s","title":"longest","help":null}]}}}')
 end
 
 -- A function has not room for any number of values.

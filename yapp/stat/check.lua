@@ -4,7 +4,7 @@
 
 local groups = require "yapp.stat.groups"
 local joined = require "yapp.base.joined"
-local kinds = require "yapp.stat.kinds"
+local measures = require "yapp.stat.measures"
 local output = require "yapp.stat.output"
 local utf8 = require "yapp.base.utf8"
 
@@ -36,18 +36,26 @@ local OK = {
   case = "<system-out>%s</system-out>",
   code = output.EXIT_OK,
 }
-local KEYS = {
-  json = words("ok rule bus id source message frame seen limit worst note"),
-  text = words("ok rule bus id source message frame seen worst note"),
-  window = words("ok rule who message seen worst note"),
+local COLUMNS = output.columns {
+  { "ok", type = "boolean", where = "json text window", title = "check",
+    help = "whether the rule holds; null if it could not be judged" },
+  { "rule", type = "string", where = "json text window", help = "the rule" },
+  { "who", where = "window" },
+  { "bus", where = "json text" },
+  { "id", where = "json text" },
+  { "source", where = "json text" },
+  { "message", where = "json text window" },
+  { "frame", where = "json text" },
+  { "seen", type = "number", where = "json text window", help = "what was seen" },
+  { "limit", type = "text", where = "json", help = "a number, or a text such as `9..11`" },
+  { "worst", type = "number", where = "json text window",
+    help = "the value that is farthest outside" },
+  { "note", type = "text", where = "json text window", help = "why, or what else to know" },
 }
-local NO_VALUE = "no good message of it was decoded"
+--- The columns, see output.columns.
+M.COLUMNS = COLUMNS
+
 local NONE = "no message came that this rule applies to"
-local SAME_SEQ = {
-  json = '"Seq No never changes: lost messages do not show"',
-  text = "Seq No never changes: lost messages do not show",
-  short = "Seq No never changes",
-}
 
 local Check = groups.class { lists_problems = true }
 
@@ -63,84 +71,12 @@ function Check:wants(message)
   return list
 end
 
--- Measures ----------------------------------------------------------------------------------------
---
--- By the name of a rule's kind: function(group, rule, check) -> what is seen, its frame, a note,
--- and the value that is farthest outside.  Where nothing can be seen: nil, nil, why.
-
-local measures = {}
-
-local function is_its(rule, source)
-  return not rule.source or source.name == rule.source
-end
-
-function measures.count(group)
-  return group.count, group.last_frame
-end
-
-function measures.rate(group)
-  local rate = groups.pace(group) or group.count == 1 and 0 or nil
-  if not rate then return nil, nil, "no two messages at different times" end
-  return rate, group.last_frame
-end
-
-function measures.gap(group, _, check)
-  if group.count == 0 then return nil, nil, NO_VALUE end
-  local gap, frame = group.gap_max or 0, group.gap_max_frame
-  local to_end = kinds.span(group.last, check.ending.now)
-  if to_end > gap then gap, frame = to_end, nil end
-  return gap, frame or group.last_frame
-end
-
-function measures.range(group, rule)
-  local values = group.values[rule.want]
-  if values.seen == 0 then return nil, nil, NO_VALUE end
-  return values.outside, values.frame, ("of %d values"):format(values.seen), values.worst
-end
-
-function measures.spread(_, rule, check)
-  local spread = check.spreads[rule.want]
-  if not spread.worst then return nil, nil, "no two sources of it have a value at one time" end
-  return spread.worst, spread.frame
-end
-
-function measures.absent(_, rule, check)
-  local names, is_named, others = {}, rule.is_default, 0
-  for _, row in ipairs(check.context.settings.sources:list()) do
-    if is_its(rule, row) and row.message then
-      is_named = true
-      if check.absent[row] then names[#names + 1] = row.name or output.bus_and_id(row) end
-    elseif is_its(rule, row) then
-      others = others + 1
-    end
-  end
-  if not is_named then return nil, nil, "no source is named with a message: see yapp.sources" end
-  local count, more = #names, output.count(others, "name") .. " without a message not judged"
-  if others > 0 then names[count + 1] = more end
-  return count, nil, table.concat(names, ", ")
-end
-
--- How many events of a kind there are.
-local function count_events(group, rule)
-  local kind = rule.kind
-  local count = group.counts[kind.name]
-  local needed = kind.needs_values and group.decoded or kind.needs_past and group.count
-  if needed == 0 then return nil, nil, NO_VALUE end
-  return count.seen, count.frame, count.values.note
-end
-
-function measures.missing(group, rule, check)
-  local seen, frame, note = count_events(group, rule)
-  if group.count > 1 and not check.states[group.source].is_numbered then note = SAME_SEQ end
-  return seen, frame, note
-end
-
 -- Judging -----------------------------------------------------------------------------------------
 
 -- Whether a rule is about a source.
 local function is_about(rule, group)
   local kind, message = rule.kind, group.message
-  if not is_its(rule, group.source) then return false end
+  if not measures.is_of(rule, group.source) then return false end
   if rule.message then return message == rule.message end
   if kind.scope == "rare" then return group.counts[kind.name].seen > 0 end
   if not kind.about then return group.source.id ~= nil end
@@ -155,7 +91,8 @@ local function measure_none(_, rule, check)
   if rule.is_default or is_rare then
     for _, group in ipairs(check.list) do
       local has_come = group.count > 0 or group.counts.crc.seen > 0
-      if has_come and is_its(rule, group.source) then return 0, nil, not is_rare and NONE end
+      local is_seen = has_come and measures.is_of(rule, group.source)
+      if is_seen then return 0, nil, not is_rare and NONE end
     end
   end
   local why = NONE
@@ -202,7 +139,7 @@ end
 
 -- Add the rows of a rule: one for each of its sources, or one in all.
 local function judge(self, rule)
-  local measure, about = measures[rule.kind.name] or count_events, {}
+  local measure, about = measures.measure, {}
   if rule.kind.scope == "capture" then
     about[1] = self.capture
   else
@@ -286,7 +223,7 @@ function Check:finish(ending, notes, states)
     for _, text in ipairs(problems) do rows[#rows + 1] = { ok = UNJUDGED, note = text } end
     output.sort(rows, function(row) return row.ok.order end)
   end
-  output.print(context, "YAPP check: " .. verdict.title, KEYS, rows, notes)
+  output.print(context, "YAPP check: " .. verdict.title, COLUMNS, rows, notes)
   if not options.json then
     context.out(("\n%d of %d rules failed, %d not judged\n"):format(failed, #rows, unjudged))
   end

@@ -8,14 +8,17 @@
 local joined = require "yapp.base.joined"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
-local summary = require "yapp.stat.summary"
 local text_of = require "yapp.message.text"
 
 local M = {}
 
 local words = output.words
-local WRITTEN = words("file rows")
-local KEYS = { json = WRITTEN, text = WRITTEN, window = WRITTEN }
+local COLUMNS = output.columns {
+  { "file", type = "text", where = "json text window", help = "the path of a table" },
+  { "rows", type = "integer", where = "json text window", help = "how many rows it has" },
+}
+--- The columns of what it prints, see output.columns.
+M.COLUMNS = COLUMNS
 -- The columns in front of a message's own.
 local COMMON = {
   { name = "time", type = "time", unit = "s" },
@@ -66,7 +69,7 @@ local function create(self, name)
 end
 
 --- options  { folder = path or "-", chosen = compiled message where it is printed, replace =,
---          all = booleans }
+--          all = booleans, statistics = see M.describe }
 -- context  { clock = function(rel) -> seconds since 1970, nanoseconds; settings = see stat.taps;
 --          make_folder = function(path) -> whether it is there; and what output.print takes }
 -- It raises why a file cannot be written.
@@ -160,10 +163,11 @@ end
 --- What the columns of all messages are.
 -- catalogue  compiled; version: the plugin's own, a text
 -- list_of    function(message) -> its columns: message.text's and what comes before them
+-- statistics list of { name, columns }, see stat.options
 -- returns    JSON: { version = 1, plugin =, messages = { NAME = { title =, every = in seconds or
 --            null, columns = list of { those of COLUMN_KEYS }, differences = list of { those of
---            DIFFERENCE_KEYS } } }, statistics = { summary = { columns = list } } }
-function M.describe(catalogue, version, list_of)
+--            DIFFERENCE_KEYS } } }, statistics = { NAME = { columns = see output.describe } } }
+function M.describe(catalogue, version, list_of, statistics)
   local names, messages = {}, {}
   for i, message in ipairs(catalogue.messages) do
     local list = list_of(message)
@@ -178,12 +182,16 @@ function M.describe(catalogue, version, list_of)
       differences = describe_differences(message),
     })
   end
-  local of_summary = output.object({ "columns" }, { columns = summary.describe() })
+  local whats, described = {}, {}
+  for i, row in ipairs(statistics) do
+    whats[i] = row.name
+    described[row.name] = output.object({ "columns" }, { columns = output.describe(row.columns) })
+  end
   return output.object(words("version plugin messages statistics"), {
     version = 1,
     plugin = version,
     messages = output.object(names, messages),
-    statistics = output.object({ "summary" }, { summary = of_summary }),
+    statistics = output.object(whats, described),
   }).json
 end
 
@@ -192,14 +200,15 @@ function Csv:finish(_, notes)
   if self.options.chosen then return end
   local context, settings, rows = self.context, self.context.settings, {}
   local function list_of(message) return columns_of(self, message) end
-  self.fields:write(M.describe(settings.catalogue, settings.version, list_of) .. "\n")
+  local statistics = self.options.statistics
+  self.fields:write(M.describe(settings.catalogue, settings.version, list_of, statistics) .. "\n")
   local problem = output.finish(self.files)
   if problem then return output.EXIT_UNDECIDED, "csv: " .. problem end
   for i, message in ipairs(settings.catalogue.messages) do
     rows[i] = { file = path_of(self, message.name .. ".csv"), rows = self.tables[message].rows }
   end
   local title = "YAPP csv: " .. output.count(#rows, "table")
-  output.print(context, title, KEYS, rows, notes)
+  output.print(context, title, COLUMNS, rows, notes)
 end
 
 return M

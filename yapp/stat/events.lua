@@ -2,27 +2,61 @@
 -- -z yapp,events: what happened, in the order of time; and -z yapp,faults: the faults among these,
 -- when each flag rose and fell, on which source, for how long.  Pure Lua, 5.2 to 5.5.
 
+local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
 local output = require "yapp.stat.output"
 
 local M = {}
 
-local words = output.words
-local KEYS = {
-  faults = {
-    json = words("time frame bus id source message field flag event active help"),
-    text = words("time rel frame bus id source message field flag event active help"),
-    window = words("rel who flag event active"),
-  },
-  events = {
-    text = words("time rel frame bus id source message kind details"),
-    window = words("rel who message details"),
-  },
+-- A line of JSON has the keys of its kind alone, see stat.kinds.
+local EVENTS = output.columns {
+  { "kind", type = "string", where = "json",
+    help = "what happened: `fault`, `reboot`, `silence` and others, see statistics.md" },
+  { "time", where = "json text" },
+  { "rel", where = "text window" },
+  { "frame", where = "json text" },
+  { "who", where = "window" },
+  { "bus", where = "json text" },
+  { "id", where = "json text" },
+  { "source", where = "json text" },
+  { "message", where = "json text window" },
+  { "kind", where = "text", title = "event" },
+  { "details", where = "text window" },
+  -- The values of the kinds:
+  { "field", where = "" },
+  { "flag", where = "" },
+  { "event", where = "" },
+  { "active", where = "" },
+  { "length", type = "seconds", unit = "s", where = "",
+    help = "of a silence, a jump or a step of the clock; of `skipped`: bytes" },
+  { "what", type = "string", where = "", help = "of `incomplete`: what was wrong with it" },
+  { "value", type = "text", where = "", help = "of `invalid`: what the field had" },
+  { "size", type = "integer", where = "", help = "of `unknown`: bytes of each message" },
+  { "count", type = "integer", where = "", help = "how many messages or packets; null for one" },
+  { "like", type = "string", where = "", help = "of `unknown`: the message that has this size" },
 }
--- Of a line of events in JSON, by kind.
+local FAULTS = output.columns {
+  { "time", where = "json text" },
+  { "rel", where = "text window" },
+  { "frame", where = "json text" },
+  { "who", where = "window" },
+  { "bus", where = "json text" },
+  { "id", where = "json text" },
+  { "source", where = "json text" },
+  { "message", where = "json text" },
+  { "field", where = "json text" },
+  { "flag", where = "json text window" },
+  { "event", where = "json text window" },
+  { "active", where = "json text window" },
+  { "help", type = "string", where = "json text", help = "what the catalogue says of the flag" },
+}
+--- The columns of both, see output.columns.
+M.COLUMNS = { events = EVENTS, faults = FAULTS }
+
+-- The keys of a line of JSON, by kind.
 local KEYS_OF_KIND = {}
 for _, row in ipairs(kinds.LIST) do
-  KEYS_OF_KIND[row.name] = words("kind time frame bus id source message " .. (row.keys or ""))
+  KEYS_OF_KIND[row.name] = joined(EVENTS.json, output.words(row.keys or ""))
 end
 
 local Events = { follows_changes = true }
@@ -56,7 +90,7 @@ local function row_of(self, event, ending)
     time = time and output.time(self.context.clock(time)),
     rel = output.seconds(event.rel),
     details = nil,
-    keys = KEYS_OF_KIND[event.kind],
+    keys = self.what == "events" and KEYS_OF_KIND[event.kind] or nil,
   }
   for key, value in pairs(values) do
     row[key] = value
@@ -93,7 +127,7 @@ function Events:finish(ending, notes)
   if what == "events" then output.sort(list, order_of) end
   local count = what == "faults" and count_incidents(list) or #list
   local title = ("YAPP %s: %d"):format(what, count)
-  output.print(self.context, title, KEYS[what], list, notes, function(event)
+  output.print(self.context, title, M.COLUMNS[what], list, notes, function(event)
     return row_of(self, event, ending)
   end)
 end

@@ -2,6 +2,7 @@
 -- Wireshark's menus Tools > YAPP and Statistics: the texts of -z yapp,... in windows, and help.
 -- Wireshark's API.
 
+local measures = require "yapp.stat.measures"
 local options_of = require "yapp.stat.options"
 local output = require "yapp.stat.output"
 
@@ -28,9 +29,10 @@ no sensor, or out of range      taurus.value.special
 one controller                  yapp.source == "left"
 
 Tools > YAPP
-%sA rule is fault=0, motor.rate=9..11 or motor.dc_voltage=40..55; several
-have commas between.
-
+%s
+A rule is fault=0, motor.rate=9..11 or motor.dc_voltage=40..55; several
+have commas between. Rules about a message:
+%s
 In a window, Show frames makes a display filter of the frames that
 stand in it: a click on one in the packet list leads to it.  On the
 command line, without a limit to the width, the same is
@@ -101,12 +103,15 @@ end
 local help
 
 local function open_help()
-  local lines = ""
+  local lines, rules = "", ""
   for _, row in ipairs(options_of.LIST) do
     lines = lines .. ("%-15s%s\n"):format(row.title, row.help)
   end
+  for _, row in ipairs(measures.LIST) do
+    rules = rules .. ("%-25s%s\n"):format(row.text, row.help)
+  end
   help = TextWindow.new("YAPP Help")
-  help:set(HELP:format(lines))
+  help:set(HELP:format(lines, rules))
 end
 
 --- Make the menus.

@@ -10,14 +10,15 @@ local events = require "yapp.stat.events"
 local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
+local measures = require "yapp.stat.measures"
 local summary = require "yapp.stat.summary"
 
 local M = {}
 
 local demand, decimal, find, trim = input.demand, input.decimal, input.find, input.trim
 
-local RULES = table.concat(kinds.RULES, "=N, ") .. "=N, MESSAGE.count=N, MESSAGE.rate=A..B, " ..
-  "MESSAGE.gap=S, MESSAGE.FIELD=A..B, MESSAGE.FIELD.spread=X"
+local RULES = table.concat(kinds.RULES, "=N, ") .. "=N"
+for _, measure in ipairs(measures.LIST) do RULES = RULES .. ", " .. measure.text end
 local NO_RULE = "no rule follows %s: it is for those behind it"
 local RANGE = "a range is A..B, A.. or ..B"
 local INFINITE = math.huge
@@ -49,35 +50,30 @@ local function range_of(text)
   return low, high
 end
 
--- What rules MESSAGE.NAME=... measure, in rows as those of kinds; bound = which of its limits a
--- single number is.
-local MEASURES = {
-  count = { name = "count", bound = "low" },
-  gap = { name = "gap", bound = "high", needs_past = true, needs_time = true },
-  rate = { name = "rate", bound = "low", needs_past = true, needs_time = true },
-}
--- The same of rules about a field.
-local IN_RANGE = { name = "range" }
-local SPREAD = { name = "spread", scope = "capture", needs_time = true }
+-- Set the limits of a rule by its measure.
+local function set_limits(rule, value)
+  local measure = rule.kind
+  if measure.takes_range and (not measure.bound or value:find("..", 1, true)) then
+    rule.low, rule.high = range_of(value)
+  else
+    rule[measure.bound] = limit_of(value, measure.name, measure.is_count)
+  end
+end
 
 -- MESSAGE.FIELD=A..B and MESSAGE.FIELD.spread=X
 local function add_field(rule, name, value)
-  local message = rule.message
-  local spread_of = name:match("^(.*)%.spread$")
-  name = spread_of or name
+  local message, start, suffix = rule.message, name:match("^(.*)%.(%l+)$")
+  local plain = measures.OF_FIELD[1]
+  rule.kind = suffix ~= plain.name and find(measures.OF_FIELD, suffix) or plain
+  if rule.kind ~= plain then name = start end
   local field, names = find(joined(message.fields, message.generated), name)
   demand(field, "%s has no field %q, but %s", message.name, name, names)
   demand(field.kind ~= "string" and field.kind ~= "bytes",
     "%s.%s is a text, which has no range", message.name, field.name)
-  if spread_of then
-    demand(not rule.source, "a spread is of all sources, not of one")
-    rule.kind, rule.high = SPREAD, limit_of(value, "spread")
-    rule.want = { field = field, is_spread = true }
-  else
-    local low, high = range_of(value)
-    rule.kind, rule.high = IN_RANGE, 0
-    rule.want = { field = field, low = low, high = high }
-  end
+  demand(not (rule.source and rule.kind.scope == "capture"),
+    "a %s is of all sources, not of one", rule.kind.name)
+  set_limits(rule, value)
+  rule.want = rule.kind.want(rule, field)
 end
 
 -- Return the name of a rule MESSAGE.NAME=..., and its measure, nil for a field.  A field of the
@@ -85,8 +81,9 @@ end
 local function tell_apart(message, name)
   local short, kind = name:match("^(.*)%.(%l+)$")
   if kind == "value" then return short end
-  if kind == "messages" and MEASURES[short] then return short, MEASURES[short] end
-  local measure = MEASURES[name]
+  local measure = find(measures.OF_MESSAGE, short)
+  if kind == "messages" and measure then return short, measure end
+  measure = find(measures.OF_MESSAGE, name)
   demand(not measure or not find(joined(message.fields, message.generated), name),
     "%s has a field %s: write %s.value for it, %s.messages for the messages", message.name, name,
     name, name)
@@ -94,7 +91,7 @@ local function tell_apart(message, name)
 end
 
 -- "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55": { text, source,
---   kind       a row of kinds, or one of the above
+--   kind       a row of kinds or of measures
 --   low, high  the limits of what is seen
 --   message    compiled, of MESSAGE.
 --   want       what it needs of the values, see groups: of a range the limits of a value, of which
@@ -112,16 +109,8 @@ local function read_rule(text, catalogue, source)
     M.BY_NAME.check.options)
   local message, names = find(catalogue.messages, message_name)
   rule.message = demand(message, "there is no message %q, but %s", message_name, names)
-  local measure
-  rest, measure = tell_apart(message, rest)
-  rule.kind = measure
-  if not measure then
-    add_field(rule, rest, value)
-  elseif rest == "rate" and value:find("..", 1, true) then
-    rule.low, rule.high = range_of(value)
-  else
-    rule[measure.bound] = limit_of(value, rest, rest == "count")
-  end
+  rest, rule.kind = tell_apart(message, rest)
+  if rule.kind then set_limits(rule, value) else add_field(rule, rest, value) end
   return rule
 end
 
@@ -230,6 +219,7 @@ end
 -- name     behind -z yapp,
 -- title    in menus
 -- new      function(options, context), makes it: see stat.derive
+-- columns  of output.columns
 -- options  what it takes besides filter=EXPRESSION: M.read knows the words without "=" by this text
 -- read     function(options, part, catalogue), reads other options; nil if there are none
 -- finish   the same, checks all options at the end; nil for no check
@@ -243,6 +233,7 @@ M.LIST = {
     name = "summary",
     title = "Summary",
     new = summary.new,
+    columns = summary.COLUMNS,
     options = "json",
     help = "of each controller: rate, gaps, losses, its values",
   },
@@ -250,6 +241,7 @@ M.LIST = {
     name = "faults",
     title = "Faults",
     new = events.new,
+    columns = events.COLUMNS.faults,
     options = "json",
     help = "when each fault rose and fell",
     looks_for_faults = true,
@@ -258,6 +250,7 @@ M.LIST = {
     name = "events",
     title = "Events",
     new = events.new,
+    columns = events.COLUMNS.events,
     options = "json",
     help = "these, reboots, silences, bad CRCs, losses, in order",
   },
@@ -265,6 +258,7 @@ M.LIST = {
     name = "compare",
     title = "Compare",
     new = summary.compare,
+    columns = summary.COMPARED,
     options = "json",
     help = "the values of all controllers beside each other",
   },
@@ -272,6 +266,7 @@ M.LIST = {
     name = "csv",
     title = "Export tables",
     new = csv.new,
+    columns = csv.COLUMNS,
     options = "replace, all, json",
     read = read_csv,
     finish = finish_csv,
@@ -284,6 +279,7 @@ M.LIST = {
     name = "check",
     title = "Check",
     new = check.new,
+    columns = check.COLUMNS,
     options = "json, junit=FILE, source=NAME, rules=FILE",
     read = read_check,
     finish = finish_check,
@@ -313,8 +309,9 @@ end
 -- catalogue  compiled
 -- returns    { what =, row = of LIST, filter = or nil,
 --            json = true and other words of the row's options, if they were given,
---            folder, chosen = of csv; rules, junit = of check; looks_for_faults = whether a rule is
---            about faults; problems = list of texts, each names its option }
+--            statistics = LIST; folder, chosen = of csv; rules, junit = of check;
+--            looks_for_faults = whether a rule is about faults; problems = list of texts, each
+--            names its option }
 function M.read(text, catalogue)
   local head, filter = text:match("^(.-),%s*filter%s*=(.*)$") -- a display filter, commas and all
   local what, rest = (head or text):match("^yapp%s*,([^,]*)(.*)$")
@@ -323,6 +320,7 @@ function M.read(text, catalogue)
   local options = {
     what = what,
     row = row,
+    statistics = M.LIST,
     filter = filter,
     rules = {},
     problems = {},

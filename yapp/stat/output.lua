@@ -130,13 +130,6 @@ end
 
 -- Rows ------------------------------------------------------------------------------------------
 
-local TITLES = {
-  time = "time (UTC)", rel = "since start/s", id = "ID", active = "active/s", rate = "rate/Hz",
-  gap_min = "gap/s min", gap_mean = "mean", gap_max = "max", gap_max_frame = "in frame",
-  crc_bad = "bad CRC", ok = "check", kind = "event", who = "source",
-}
-local SHORT_TITLES = { rel = "at/s", gap_max = "max gap/s", incomplete = "lost" }
-
 --- A list of the words of a text.
 function M.words(text)
   local list = {}
@@ -146,19 +139,94 @@ function M.words(text)
   return list
 end
 
---- Return what people read above the column of a key.
-function M.title(key)
-  return TITLES[key] or key
+-- Columns of several statistics: their rows name them by the key.
+local COMMON = {
+  time = {
+    type = "time",
+    title = "time (UTC)",
+    help = "when it happened, UTC; null where nothing came",
+  },
+  rel = { title = "since start/s", short = "at/s" },
+  frame = { type = "integer", help = "the packet that shows it" },
+  who = { title = "source" },
+  bus = {
+    type = "string",
+    help = "the bus or line; null where the capture names none",
+  },
+  id = {
+    type = "id",
+    title = "ID",
+    help = "the message ID; null where the event is of the whole capture",
+  },
+  source = {
+    type = "string",
+    help = "the name that `yapp.sources` gives to the ID; null without a name",
+  },
+  message = {
+    type = "string",
+    help = "the message's name in the catalogue; null if the catalogue has none",
+  },
+  field = { type = "string", help = "the flags or the enum concerned" },
+  flag = { type = "string", help = "of a fault: the flag" },
+  event = {
+    type = "string",
+    help = "of a fault: `raised`, `cleared`, or `active` at the end",
+  },
+  active = {
+    type = "seconds",
+    unit = "s",
+    help = "of a fault: how long it was there; null for `raised`",
+  },
+}
+
+-- Return what people read above a column.
+local function title_of(column)
+  local key, unit = column.key, column.unit
+  return column.title or unit and key .. "/" .. unit or key
 end
 
---- Return the keys of rows that say where they are shown: see M.table and M.print.
--- columns  list of { key, where = "json text window", or some of these }
-function M.keys(columns)
-  local keys = { json = {}, text = {}, window = {} }
-  for _, column in ipairs(columns) do
-    for place in column.where:gmatch("%l+") do table.insert(keys[place], column[1]) end
+--- Read the columns of a table, a row each, in their order.
+-- rows     list of { key,
+--            where  the places that show it: "json", "text", "window", or several of them
+--            type   in JSON: "integer", "id", "number", "seconds", "time" (seconds since 1970),
+--                   "boolean", "string" (one of a few), "text", "values" (an object by field) or
+--                   "list"; nil if JSON has it in no line
+--            unit   of a number, or nil
+--            title  above it, nil for the key and the unit; short = the same in a window
+--            help   what it means: for fields.json and the pages that follow it };
+--          what a row does not have is that of COMMON
+-- returns  { json = list of keys, text, window = lists of { key, title }, all = list of all rows }
+function M.columns(rows)
+  local columns = { json = {}, text = {}, window = {}, all = {} }
+  for i, row in ipairs(rows) do
+    local column = { key = row[1] }
+    for name, value in pairs(COMMON[column.key] or {}) do column[name] = value end
+    for name, value in pairs(row) do column[name] = value end
+    column.title = title_of(column)
+    columns.all[i] = column
+    for place in column.where:gmatch("%l+") do
+      local is_short = place == "window" and column.short
+      local shown = { key = column.key, title = is_short and column.short or column.title }
+      table.insert(columns[place], place == "json" and column.key or shown)
+    end
   end
-  return keys
+  return columns
+end
+
+local DESCRIBED = M.words("name type unit title help")
+
+--- Return the columns of JSON as fields.json has them.
+-- columns  of M.columns
+function M.describe(columns)
+  local list = {}
+  for _, column in ipairs(columns.all) do
+    if column.type then
+      local about = { name = column.key, unit = column.unit, help = column.help }
+      about.type, about.title = column.type, column.title
+      list[#list + 1] = M.object(DESCRIBED, about)
+    end
+  end
+  return M.list(list)
 end
 
 -- Return the width of a text: in characters, not bytes.
@@ -216,39 +284,43 @@ local function texts_of(columns, row, is_short)
 end
 
 --- Print a table with aligned columns, a line a row.
--- context, keys, rows, row_of  see M.print; keys.text = list of the columns, keys.window = those
---                              that a window has room for
-function M.table(context, keys, rows, row_of)
-  local frames, columns, titles = context.frames, {}, {}
+-- context, columns, rows, row_of  see M.print
+function M.table(context, columns, rows, row_of)
+  local frames, cells, titles = context.frames, {}, {}
   row_of = row_of or itself
-  for i, key in ipairs(frames and keys.window or keys.text) do
-    titles[i] = frames and SHORT_TITLES[key] or M.title(key)
-    columns[i] = { key = key, width = width_of(titles[i]), is_number = true, is_empty = true }
+  for i, column in ipairs(frames and columns.window or columns.text) do
+    titles[i] = column.title
+    cells[i] = {
+      key = column.key,
+      width = width_of(column.title),
+      is_number = true,
+      is_empty = true,
+    }
   end
   for _, one in ipairs(rows) do
     local row = row_of(one)
-    for i, text in ipairs(texts_of(columns, row, frames)) do fit(columns[i], text) end
+    for i, text in ipairs(texts_of(cells, row, frames)) do fit(cells[i], text) end
     if frames then frames[#frames + 1] = row.frame or row.gap_max_frame end
   end
-  context.out(line_of(columns, titles))
+  context.out(line_of(cells, titles))
   for _, one in ipairs(rows) do
-    context.out(line_of(columns, texts_of(columns, row_of(one), frames)))
+    context.out(line_of(cells, texts_of(cells, row_of(one), frames)))
   end
 end
 
 --- Print rows: for people under a title and what the answer leaves out, or as a JSON object a line.
 -- context  { out = function(text), json = whether so, frames = in a window a list that gets the
 --          frames of the rows, else nil }
--- keys     see M.table; json = those of a JSON line, if these are not row.keys
+-- columns  of M.columns; a row may have keys of its own for its line of JSON, row.keys
 -- rows     tables by key
 -- notes    a list of texts
 -- row_of   function(one) -> a row, if rows are made only when they are printed: many take memory
-function M.print(context, title, keys, rows, notes, row_of)
+function M.print(context, title, columns, rows, notes, row_of)
   local out = context.out
   if context.json then
     for _, one in ipairs(rows) do
       local row = (row_of or itself)(one)
-      out(M.object(keys.json or row.keys, row).json .. "\n")
+      out(M.object(row.keys or columns.json, row).json .. "\n")
     end
     return
   end
@@ -258,7 +330,7 @@ function M.print(context, title, keys, rows, notes, row_of)
   end
   if not rows[1] then return end
   out("\n")
-  M.table(context, keys, rows, row_of)
+  M.table(context, columns, rows, row_of)
 end
 
 -- Files ---------------------------------------------------------------------------------------

@@ -10,58 +10,60 @@ local output = require "yapp.stat.output"
 
 local M = {}
 
-local words = output.words
-
--- The columns, a row each: { key in JSON,
---   type   "integer", "number", "seconds", "string" or "values" (an object by field)
---   unit   of a number
---   kind   the kind of event that it counts
---   where  it is shown, one after the other: "json", "text" and "window" }
--- A new column is a row here; fields.json has all of them, and yapp-tables follows.
-local COLUMNS = {
+-- Besides, `kind` is the kind of event that a column counts.
+local COLUMNS = output.columns {
   { "who", where = "window" },
-  { "bus", type = "string", where = "json text" },
-  { "id", type = "integer", where = "json text" },
-  { "source", type = "string", where = "json text" },
-  { "message", type = "string", where = "json text window" },
-  { "count", type = "integer", where = "json text window" },
-  { "rate", type = "number", unit = "Hz", where = "json text window" },
-  { "gap_min", type = "seconds", unit = "s", where = "json text" },
-  { "gap_mean", type = "seconds", unit = "s", where = "json text" },
-  { "gap_max", type = "seconds", unit = "s", where = "json text window" },
-  { "gap_max_frame", type = "integer", where = "json text" },
-  { "crc_bad", type = "integer", kind = "crc", where = "json text window" },
-  { "incomplete", type = "integer", kind = "incomplete", where = "json text window" },
-  { "late", type = "integer", kind = "late", where = "json text window" },
-  { "reboots", type = "integer", kind = "reboot", where = "json text" },
-  { "values", type = "values", where = "json" },
-  { "invalid", type = "integer", kind = "invalid", where = "json text" },
-  { "skipped", type = "integer", kind = "skipped", where = "json text" },
-  { "missing", type = "integer", kind = "missing", where = "json text" },
-  { "copies", type = "integer", kind = "copies", where = "json text" },
+  { "bus", where = "json text" },
+  { "id", where = "json text" },
+  { "source", where = "json text" },
+  { "message", where = "json text window" },
+  { "count", type = "integer", where = "json text window", help = "good messages" },
+  { "rate", type = "number", unit = "Hz", where = "json text window",
+    help = "(count - 1) / (last - first)" },
+  { "gap_min", type = "seconds", unit = "s", where = "json text", title = "gap/s min",
+    help = "the shortest time between two messages" },
+  { "gap_mean", type = "seconds", unit = "s", where = "json text", title = "mean",
+    help = "the mean" },
+  { "gap_max", type = "seconds", unit = "s", where = "json text window", title = "max",
+    short = "max gap/s", help = "the longest" },
+  { "gap_max_frame", type = "integer", where = "json text", title = "in frame",
+    help = "the message behind the longest gap" },
+  { "crc_bad", type = "integer", kind = "crc", where = "json text window", title = "bad CRC",
+    help = "messages with a bad CRC" },
+  { "incomplete", type = "integer", kind = "incomplete", where = "json text window",
+    short = "lost",
+    help = "messages without their beginning, with bytes missing, truncated or unfinished" },
+  { "late", type = "integer", kind = "late", where = "json text window",
+    help = "silences between two messages" },
+  { "reboots", type = "integer", kind = "reboot", where = "json text",
+    help = "how often the controller's clock went back" },
+  { "values", type = "values", where = "json",
+    help = "of each field of numbers `min`, `mean` and `max`" },
+  { "invalid", type = "integer", kind = "invalid", where = "json text",
+    help = "messages with a value that the catalogue does not define" },
+  { "skipped", type = "integer", kind = "skipped", where = "json text",
+    help = "stretches of bytes in a stream that belong to no frame" },
+  { "missing", type = "integer", kind = "missing", where = "json text",
+    help = "messages missing by Seq No" },
+  { "copies", type = "integer", kind = "copies", where = "json text",
+    help = "messages that were recorded a second time" },
 }
-local KEYS = output.keys(COLUMNS)
+--- The columns, see output.columns.
+M.COLUMNS = COLUMNS
 
---- The columns of its JSON, as fields.json has them.
-function M.describe()
-  local list = {}
-  for _, column in ipairs(COLUMNS) do
-    if column.type then
-      list[#list + 1] = output.object(words("name type unit title"), {
-        name = column[1],
-        type = column.type,
-        unit = column.unit,
-        title = output.title(column[1]),
-      })
-    end
-  end
-  return output.list(list)
-end
-
-local RANGE = words("min mean max")
-local VALUES = {
-  text = words("bus id source message field unit min mean max count"),
-  window = words("who field unit min mean max"),
+local RANGE = output.words("min mean max")
+local VALUES = output.columns {
+  { "who", where = "window" },
+  { "bus", where = "text" },
+  { "id", where = "text" },
+  { "source", where = "text" },
+  { "message", where = "text" },
+  { "field", where = "text window" },
+  { "unit", where = "text window" },
+  { "min", where = "text window" },
+  { "mean", where = "text window" },
+  { "max", where = "text window" },
+  { "count", where = "text" },
 }
 
 local Summary = groups.class { follows_changes = true }
@@ -77,8 +79,8 @@ local function row_of(group, ending)
     row.gap_min, row.gap_max = output.seconds(group.gap_min), output.seconds(group.gap_max)
     row.gap_max_frame = group.gap_max_frame
   end
-  for _, column in ipairs(COLUMNS) do
-    if column.kind then row[column[1]] = group.counts[column.kind].seen end
+  for _, column in ipairs(COLUMNS.all) do
+    if column.kind then row[column.key] = group.counts[column.kind].seen end
   end
   return row
 end
@@ -98,7 +100,7 @@ function Summary:finish(ending, notes)
   end
   local sources = output.count(#rows, "source")
   local title = ("YAPP summary: %s in %.3f s"):format(sources, ending.rel or 0)
-  output.print(context, title, KEYS, rows, notes)
+  output.print(context, title, COLUMNS, rows, notes)
   if shown[1] and not context.json then
     context.out("\n")
     output.table(context, VALUES, shown)
@@ -107,12 +109,25 @@ end
 
 -- compare -----------------------------------------------------------------------------------------
 
-local OF_SOURCE = words("bus id source count min mean max")
-local COMPARED = {
-  json = words("message field unit spread time frame sources"),
-  text = words("field unit who min mean max spread rel frame"), -- a line for each field and source
-  window = words("field unit who min max spread"), -- the mean is in the window of Summary
+local OF_SOURCE = output.words("bus id source count min mean max")
+-- People read a line for each field and source.
+local COMPARED = output.columns {
+  { "message", where = "json" },
+  { "field", where = "json text window", help = "the field" },
+  { "unit", type = "string", where = "json text window", help = "its unit" },
+  { "who", where = "text window" },
+  { "min", where = "text window" },
+  { "mean", where = "text" }, -- the window of Summary has it
+  { "max", where = "text window" },
+  { "spread", type = "number", where = "json text window",
+    help = "the largest difference of the sources at one time" },
+  { "time", where = "json", help = "when they differ by it" },
+  { "rel", where = "text" },
+  { "frame", where = "json text" },
+  { "sources", type = "list", where = "json", help = "`" .. table.concat(OF_SOURCE, " ") .. "`" },
 }
+--- The columns of compare, see output.columns.
+M.COMPARED = COMPARED
 
 local Compare = groups.class { compares = true, wants_messages_only = true }
 

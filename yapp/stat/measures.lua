@@ -1,0 +1,170 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- What rules of `check` measure, a row each.  The syntax of rules, the list of rules in errors and
+-- the verdicts follow.  Pure Lua, 5.2 to 5.5.
+--
+-- A measure is a function(group, rule, check), which returns what is seen, its frame, a note, and
+-- the value that is farthest outside.  Where nothing can be seen: nil, nil, why.
+
+local groups = require "yapp.stat.groups"
+local joined = require "yapp.base.joined"
+local kinds = require "yapp.stat.kinds"
+local output = require "yapp.stat.output"
+
+local M = {}
+
+local INFINITE = math.huge
+local NO_VALUE = "no good message of it was decoded"
+local SAME_SEQ = {
+  json = '"Seq No never changes: lost messages do not show"',
+  text = "Seq No never changes: lost messages do not show",
+  short = "Seq No never changes",
+}
+
+local function measure_rate(group)
+  local rate = groups.pace(group) or group.count == 1 and 0 or nil
+  if not rate then return nil, nil, "no two messages at different times" end
+  return rate, group.last_frame
+end
+
+local function measure_gap(group, _, check)
+  if group.count == 0 then return nil, nil, NO_VALUE end
+  local gap, frame = group.gap_max or 0, group.gap_max_frame
+  local to_end = kinds.span(group.last, check.ending.now)
+  if to_end > gap then gap, frame = to_end, nil end
+  return gap, frame or group.last_frame
+end
+
+local function measure_range(group, rule)
+  local values = group.values[rule.want]
+  if values.seen == 0 then return nil, nil, NO_VALUE end
+  return values.outside, values.frame, ("of %d values"):format(values.seen), values.worst
+end
+
+-- What is seen are the values outside of the range: none may be.
+local function want_range(rule, field)
+  local want = { field = field, low = rule.low, high = rule.high }
+  rule.low, rule.high = -INFINITE, 0
+  return want
+end
+
+local function measure_spread(_, rule, check)
+  local spread = check.spreads[rule.want]
+  if not spread.worst then return nil, nil, "no two sources of it have a value at one time" end
+  return spread.worst, spread.frame
+end
+
+-- name     of the measure
+-- text     a rule of it, as errors and docs/statistics.md name it
+-- help     what it is, for people
+-- measure  see above
+-- bound    the limit that a number is: "low" or "high"; is_count = whether it has no fraction
+-- takes_range  whether the limit may be A..B, A.. or ..B; nothing else if there is no bound
+-- want     of a field: function(rule, field) -> what groups gather of it, see Groups:wants
+-- needs_past, needs_time, scope  as in rows of kinds
+
+--- MESSAGE.NAME=LIMIT
+M.OF_MESSAGE = {
+  {
+    name = "count",
+    text = "MESSAGE.count=N",
+    help = "at least N messages came",
+    measure = function(group) return group.count, group.last_frame end,
+    bound = "low",
+    is_count = true,
+  },
+  {
+    name = "rate",
+    text = "MESSAGE.rate=A..B",
+    help = "the mean rate lies within these Hz",
+    measure = measure_rate,
+    bound = "low",
+    takes_range = true,
+    needs_past = true,
+    needs_time = true,
+  },
+  {
+    name = "gap",
+    text = "MESSAGE.gap=S",
+    help = "no gap between two messages is longer than S seconds",
+    measure = measure_gap,
+    bound = "high",
+    needs_past = true,
+    needs_time = true,
+  },
+}
+
+--- MESSAGE.FIELD=LIMIT of the first row, MESSAGE.FIELD.NAME=LIMIT of the others.
+M.OF_FIELD = {
+  {
+    name = "range",
+    text = "MESSAGE.FIELD=A..B",
+    help = "all values lie within",
+    measure = measure_range,
+    takes_range = true,
+    want = want_range,
+  },
+  {
+    name = "spread",
+    text = "MESSAGE.FIELD.spread=X",
+    help = "the spread of all sources is never more than X",
+    measure = measure_spread,
+    bound = "high",
+    scope = "capture",
+    needs_time = true,
+    want = function(_, field) return { field = field, is_spread = true } end,
+  },
+}
+
+--- All of these rows.
+M.LIST = joined(M.OF_MESSAGE, M.OF_FIELD)
+
+-- Kinds of event ----------------------------------------------------------------------------------
+
+-- How many events of a kind there are.
+local function count_events(group, rule)
+  local kind = rule.kind
+  local count = group.counts[kind.name]
+  local needed = kind.needs_values and group.decoded or kind.needs_past and group.count
+  if needed == 0 then return nil, nil, NO_VALUE end
+  return count.seen, count.frame, count.values.note
+end
+
+-- Those that count in another way, by name.
+local of_kind = {}
+
+function of_kind.absent(_, rule, check)
+  local names, is_named, others = {}, rule.is_default, 0
+  for _, row in ipairs(check.context.settings.sources:list()) do
+    if M.is_of(rule, row) and row.message then
+      is_named = true
+      if check.absent[row] then names[#names + 1] = row.name or output.bus_and_id(row) end
+    elseif M.is_of(rule, row) then
+      others = others + 1
+    end
+  end
+  if not is_named then return nil, nil, "no source is named with a message: see yapp.sources" end
+  local count, more = #names, output.count(others, "name") .. " without a message not judged"
+  if others > 0 then names[count + 1] = more end
+  return count, nil, table.concat(names, ", ")
+end
+
+function of_kind.missing(group, rule, check)
+  local seen, frame, note = count_events(group, rule)
+  if group.count > 1 and not check.states[group.source].is_numbered then note = SAME_SEQ end
+  return seen, frame, note
+end
+
+-- Rules -------------------------------------------------------------------------------------------
+
+--- Return whether a rule is about a source, by the name that it gives.
+function M.is_of(rule, source)
+  return not rule.source or source.name == rule.source
+end
+
+--- Measure what a rule is about; see above.
+function M.measure(group, rule, check)
+  local kind = rule.kind
+  return (kind.measure or of_kind[kind.name] or count_events)(group, rule, check)
+end
+
+return M
