@@ -52,9 +52,9 @@ local frame = require "yapp.wire.frame"
 local joined = require "yapp.base.joined"
 local message_types = require "yapp.message.types"
 local packet_menu = require "yapp.show.packet_menu"
+local ports = require "yapp.host.ports"
 local preferences = require "yapp.host.preferences"
 local reading_of = require "yapp.reading.reading"
-local senders = require "yapp.serial.senders"
 local serial_dissector = require "yapp.host.serial"
 local show_fields = require "yapp.show.fields"
 local show_frame = require "yapp.show.frame"
@@ -95,6 +95,7 @@ local taurus = Proto("taurus", "Taurus motor controller")
 local header = Proto("yapp_socketcan", "YAPP reads CAN headers")
 local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
 local usb_header = Proto("yapp_usb", "YAPP reads USB headers")
+local server = Proto("yapp_port", "YAPP looks for YAPP on a server's port")
 preferences.define(yapp, catalogue, decode, frame.MAX_ID)
 
 local buses = bus_finder.watch()
@@ -147,10 +148,13 @@ local frames =
 local streams =
   serial_dissector.new(reading, show_packet.new(builder), builder, buses, tcp_header)
 
--- Options of tshark that may decode what was not found.
+-- Return the options of tshark that may decode what was not found, and those of them that certainly
+-- decode YAPP: two lists.
 local function find_options()
-  local found = buses.found
-  return joined(found:serial_options(), senders.options(found.head or ""))
+  local found, options = buses.found, streams:options()
+  local serial_options = streams:has_serial() and {} or found:serial_options()
+  local certain = joined(found.has_serial_frames and serial_options or {}, options)
+  return joined(serial_options, options), certain
 end
 
 -- What statistics say of streams: a packet list looks for YAPP only if the first bytes may have it.
@@ -238,6 +242,15 @@ local found_by_content = counted(function(tvb, pinfo, root)
   streams:dissect(tvb, pinfo, root)
   return true
 end)
+
+-- Called for a port of host.ports.
+local to_serial = Dissector.get("yapp_serial")
+server.dissector = counted(function(tvb, pinfo, root)
+  if not streams:accepts(tvb, pinfo, root) then return 0 end
+  pinfo.conversation = serial
+  return to_serial:call(tvb, pinfo, root)
+end)
+ports.use(server)
 
 -- Each call of a heuristic costs time, and most captures are full of other TCP and UDP.  So search
 -- only if the first bytes of a file may have a YAPP frame, if there are no packets yet (a live

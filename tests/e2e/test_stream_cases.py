@@ -447,6 +447,63 @@ def test_a_port_that_another_protocol_takes(folder, kind):
     assert f"try -d {kind}.port==20001,yapp_serial" in found, found
 
 
+def ported(packet):
+    """A datagram or a segment: its ports are in `ports`, the kind in `kind`."""
+    if packet.kind == "udp":
+        return stream_captures.ethernet(packet, 17, struct.pack(">HHHH", *packet.ports, 8 + len(packet.data), 0) + packet.data)
+    return stream_captures.ethernet(packet, 6, struct.pack(
+        ">HHIIHHHH", *packet.ports, packet.sequence, 1, 0x5018, 65535, 0, 0) + packet.data)
+
+
+def with_ports(kind, ports, fault=10):
+    """A flight for each pair of ports; the last one has the fault."""
+    packets = []
+    for number, pair in enumerate(ports):
+        for index, (seconds, data) in enumerate(flight(fault=fault if number == len(ports) - 1 else None)):
+            packet = Packet(data, Origin(ETHERNET, 0, 2 * number))
+            packet.ports, packet.kind, packet.sequence = pair, kind, 1 + 48 * index
+            packets.append((seconds + number / 1000, packet))
+    return packets
+
+
+OF_OTHERS = {"udp": 44818, "tcp": 44818}  # EtherNet/IP
+
+
+@levels.by_version
+@PASSES
+@pytest.mark.parametrize("kind", OF_OTHERS)
+def test_a_client_whose_port_is_another_protocols(folder, passes, kind):
+    """Its system picked the port; the server's port is nobody's."""
+    path = written(folder, with_ports(kind, [(40000, 14550), (OF_OTHERS[kind], 14550)]), ported)
+    counts, events = statistics(path, *passes)
+    assert counts == {(f"192.0.2.1:{port}", MOTOR_DATA): 20 for port in (40000, OF_OTHERS[kind])}
+    assert raised(events) == [[f"192.0.2.1:{OF_OTHERS[kind]}", None]]
+    assert len(tshark.fields(path, ["yapp.id"], "-Y", "yapp", *passes)) == 40
+    tshark.assert_no_lua_errors(path, "-V")
+
+
+@PASSES
+def test_a_conversation_that_another_protocol_takes_is_no_all_clear(folder, passes):
+    """HTTP has the server's port: what was decoded is well, but the fault is in the other one."""
+    path = written(folder, with_ports("tcp", [(4001, 50000), (8080, 50000)]), ported)
+    for what in "faults", "check", "summary", "events", "compare", "csv,-,motor":
+        done = tshark.run("-q", "-r", path, *passes, "-z", f"yapp,{what}", check=False)
+        assert done.returncode == 21 and "try -d tcp.port==8080,yapp_serial" in done.stdout + done.stderr, what
+    done = tshark.run("-q", "-r", path, *passes, "-d", "tcp.port==8080,yapp_serial", "-z", "yapp,check", check=False)
+    assert done.returncode == 20 and "was not decoded" not in done.stdout + done.stderr
+
+
+def test_a_serial_interface_beside_ethernet_is_no_all_clear(folder):
+    """Nobody said that its link type carries YAPP."""
+    for data, code in (flight()[0][1], 21), (b"other bytes", 0):
+        packets = with_ports("udp", [(40000, 14550)], fault=None)
+        uart = Packet(data, Origin(stream_captures.USER0, 1, 0))
+        path = written(folder, [*packets, (3, uart)],
+                       lambda packet: packet.data if packet.origin.linktype == stream_captures.USER0 else ported(packet))
+        done = tshark.run("-q", "-r", path, "-z", "yapp,faults", check=False)
+        assert done.returncode == code and ("try -o yapp.user_dlt:147" in done.stderr) == (code == 21)
+
+
 # docs/streams.md -------------------------------------------------------------------------------------------------
 
 PAGE = (tshark.ROOT / "docs/streams.md").read_text()

@@ -97,13 +97,14 @@ function T.test_what_is_no_datagram()
 end
 
 function T.test_options()
+  local function options_of(bytes) return senders.options(senders.conversations(bytes)) end
   local function tcp(ports, rest)
     return "any" .. "\69\0\0\76\0\0\0\0\64\6\0\0\192\168\1\10\192\168\1\20" .. ports .. ("\0"):rep(16) .. rest .. FRAME
   end
-  lu.assertEquals(senders.options(ipv4(40000) .. ipv4(40001) .. FRAME), { "-d udp.port==14550,yapp_serial" })
-  lu.assertEquals(senders.options(tcp("\15\161\195\80", "") .. tcp("\195\80\15\162", ("\1"):rep(12))),
+  lu.assertEquals(options_of(ipv4(40000) .. ipv4(40001) .. FRAME), { "-d udp.port==14550,yapp_serial" })
+  lu.assertEquals(options_of(tcp("\15\161\195\80", "") .. tcp("\195\80\15\162", ("\1"):rep(12))),
     { "-d tcp.port==4001,yapp_serial", "-d tcp.port==4002,yapp_serial" })
-  lu.assertEquals(senders.options("any" .. FRAME), {})
+  lu.assertEquals(options_of("any" .. FRAME), {})
 end
 
 return T

@@ -120,6 +120,16 @@ function Window:has(offset, count)
   return offset + count <= self.stop
 end
 
+-- Whether bytes have what may be the header of a YAPP frame.
+local function has_header(bytes)
+  local start = frame.find(bytes, 1)
+  while start do
+    if frame.is_plausible(bytes, start) then return true end
+    start = frame.find(bytes, start + 1)
+  end
+  return false
+end
+
 -- Buses -------------------------------------------------------------------------------------------
 
 local Capture = {}
@@ -286,6 +296,7 @@ end
 local function read_enhanced(self, window, offset, length, interface, seconds)
   local is_serial, options, bus = IS_SERIAL[interface.linktype], nil, nil
   if is_serial then
+    self.has_serial_frames = self.has_serial_frames or has_header(window:bytes(offset + 28, length))
     options = packet_options(window, offset, length)
     bus = bus_by_flags(self, window, interface, options)
   end
@@ -413,16 +424,6 @@ local FORMATS = {
 
 -- What is known of a capture ----------------------------------------------------------------------
 
--- Whether bytes have what may be the header of a YAPP frame.
-local function has_header(bytes)
-  local start = frame.find(bytes, 1)
-  while start do
-    if frame.is_plausible(bytes, start) then return true end
-    start = frame.find(bytes, start + 1)
-  end
-  return false
-end
-
 -- Complete the list of drops: add drops that only statistics say, and set the names of buses.
 local function complete_drops(self)
   local drops = self.drops
@@ -500,6 +501,7 @@ local function new_capture()
     early = 0, -- packets before the second interface: all that may be YAPP are of bus 1
     keeps = false, -- whether the buses of packets are wanted
     has_serial = false, -- whether a serial line, whose packets may have a direction, is among them
+    has_serial_frames = false, -- whether one of its packets may have a YAPP frame
     has_indexes = false, -- whether Linux cooked v2 is among the interfaces
     entries = {}, -- [number of a packet] = its bus * TIMES + when it was captured
     interfaces = {}, -- of the file
@@ -539,6 +541,7 @@ end
 --   offset        of the CAN frame's data in each packet; nil where it is not always the same
 --   head          its first bytes, if it has packets and these may have YAPP frames, in TCP, UDP or
 --                 others
+--   has_serial_frames  whether a packet of a serial line in pcapng may have a YAPP frame
 --   may_have_frames  whether its first bytes may have YAPP frames, or it has no packets yet }
 function M.read(head, more)
   local self, has_frame = new_capture(), has_header(head)

@@ -4,6 +4,7 @@
 
 local frame_key = require "yapp.base.frame_key"
 local lines = require "yapp.serial.lines"
+local ports = require "yapp.host.ports"
 local senders = require "yapp.serial.senders"
 local tcp = require "yapp.host.tcp"
 local usb = require "yapp.serial.usb"
@@ -29,7 +30,8 @@ function M.new(reading, view, builder, buses, tcp_header)
     builder = builder,
     buses = buses,
     tcp_header = tcp_header,
-    in_pieces = {}, -- see Dissector:notes
+    in_pieces = {}, -- conversations, see Dissector:notes
+    conversations = {}, -- those that the first bytes of the file have, see Dissector:scan
     inside = false, -- what TLS found in the current packet, see put_inside
     usb = false, -- of serial.usb
   }, Dissector)
@@ -37,13 +39,16 @@ end
 
 --- Forget the capture file.
 function Dissector:reset()
-  self.in_pieces, self.inside, self.usb = {}, false, usb.new()
+  self.in_pieces, self.inside, self.usb, self.conversations = {}, false, usb.new(), {}
   tcp.stop()
+  ports.give_back()
 end
 
 --- Look at the first bytes of the capture file, which may have frames.
 function Dissector:scan(head)
   self.reading.lines.senders:scan(head)
+  self.conversations = senders.conversations(head)
+  for _, one in ipairs(self.conversations) do ports.take(one.is_tcp, one.port) end
   if self.reading:is_yapp(head) then self:watch_tcp() end
 end
 
@@ -107,10 +112,9 @@ function Dissector:accepts(tvb, pinfo, tree)
   if not reading:may_be_yapp(tvb:raw()) then return false end
   local packet = whole_packet(self, tvb, pinfo, self.builder:wants(tree, pinfo, false))
   local is_found, is_in_pieces = reading:try_packet(packet)
-  if is_in_pieces then
-    local option = senders.option(packet.is_tcp, pinfo.src_port, pinfo.dst_port)
-    table.insert(self.in_pieces, option)
-  end
+  local is_tcp, port = packet.is_tcp, math.min(pinfo.src_port, pinfo.dst_port)
+  if is_in_pieces then table.insert(self.in_pieces, { is_tcp = is_tcp, port = port }) end
+  if is_found then ports.take(is_tcp, port) end
   return is_found
 end
 
@@ -118,7 +122,18 @@ end
 function Dissector:notes()
   if not self.in_pieces[1] then return {} end
   local text = "YAPP came in pieces without a whole header: to list its packets, add %s"
-  return { text:format(table.concat(self.in_pieces, " ")) }
+  return { text:format(table.concat(senders.options(self.in_pieces), " ")) }
+end
+
+--- Return the options of tshark that decode the conversations that another protocol took, of those
+-- in the first bytes of the file: a list.
+function Dissector:options()
+  return senders.options(self.reading.lines:unread(self.conversations))
+end
+
+--- Whether packets of a serial line came.
+function Dissector:has_serial()
+  return self.reading.lines.has_serial
 end
 
 -- Dissect a packet; return whether it is YAPP's.

@@ -22,6 +22,7 @@ function M.new(types, buses)
     buses = buses,
     senders = senders.new(),
     by_key = {},
+    has_serial = false, -- whether a line is neither of UDP or TCP nor of an adapter
     sources = memo(function() return {} end), -- [sender in UDP or TCP][ID]
   }, Lines)
 end
@@ -97,10 +98,23 @@ function Lines:of(kind, bus, address, port, to, is_new)
     local opposite = (bus or "") .. "|" .. kind .. "|" .. to .. "|" .. here
     line = new_line(key, opposite, "serial", self.buses:name(bus, false))
     line.label = bus and line.bus
+    self.has_serial = true
     line.is_complete = kind == M.UDP
   end
   self.by_key[key] = line
   return line
+end
+
+--- Return those of a list of conversations that no message was read of.
+-- conversations  of serial.senders
+function Lines:unread(conversations)
+  local list = {}
+  for _, one in ipairs(conversations) do
+    local kind = one.is_tcp and M.TCP or M.UDP
+    local line = self.by_key["|" .. kind .. "|" .. one.from .. "|" .. one.to]
+    if not (line and next(line.sources)) then list[#list + 1] = one end
+  end
+  return list
 end
 
 --- Return the line of a USB adapter.

@@ -110,16 +110,21 @@ local function ipv6_text(bytes)
     table.concat(groups, ":", best + length)
 end
 
--- Return the address of the IP header in front of an UDP or TCP header, nil if there is none.
+local function ipv4_text(bytes, index)
+  return ("%d.%d.%d.%d"):format(byte(bytes, index, index + 3))
+end
+
+-- Return the addresses of the IP header in front of an UDP or TCP header: of the sender and of the
+-- receiver; nil if there is none.
 -- index  of the UDP or TCP header
-local function address_before(bytes, index, protocol)
+local function addresses_before(bytes, index, protocol)
   local v4, v6 = index - 20, index - 40
   if v4 > 0 and byte(bytes, v4) == 0x45 and byte(bytes, v4 + 9) == protocol then
-    return ("%d.%d.%d.%d"):format(byte(bytes, v4 + 12, v4 + 15))
+    return ipv4_text(bytes, v4 + 12), ipv4_text(bytes, v4 + 16)
   end
   local version = v6 > 0 and byte(bytes, v6) or 0
   if version - version % 16 == 0x60 and byte(bytes, v6 + 6) == protocol then
-    return ipv6_text(sub(bytes, v6 + 8, v6 + 23))
+    return ipv6_text(sub(bytes, v6 + 8, v6 + 23)), ipv6_text(sub(bytes, v6 + 24, v6 + 39))
   end
 end
 
@@ -139,7 +144,7 @@ end
 function Senders:scan(bytes)
   for start in frames_in(bytes) do
     local index = start - UDP_HEADER
-    local address = address_before(bytes, index, UDP)
+    local address = addresses_before(bytes, index, UDP)
     if address then self:note(address, byte(bytes, index) * 256 + byte(bytes, index + 1)) end
   end
   for address, sender in pairs(self.by_address) do
@@ -151,28 +156,45 @@ end
 -- Headers in front of a frame: without and with TCP's usual option.
 local BEFORE = { { UDP, UDP_HEADER }, { TCP, 20 }, { TCP, 32 } }
 
---- Return the options of tshark that decode the frames in the first bytes of a file: a list of
--- "-d tcp.port==4001,yapp_serial".
-function M.options(bytes)
+--- Return the conversations that have frames in the first bytes of a file.
+-- returns  list of {
+--   is_tcp
+--   from, to  the sender and the receiver of the first frame, "address:port" each
+--   port      the lower one, which is the server's }
+function M.conversations(bytes)
   local list, is_there = {}, {}
   for start in frames_in(bytes) do
     for _, row in ipairs(BEFORE) do
       local index = start - row[2]
-      if address_before(bytes, index, row[1]) then
-        local a, b, c, d = byte(bytes, index, index + 3)
-        local option = M.option(row[1] == TCP, a * 256 + b, c * 256 + d)
-        if not is_there[option] then list[#list + 1] = option end
-        is_there[option] = true
+      local from, to = addresses_before(bytes, index, row[1])
+      local a, b, c, d = byte(bytes, index, index + 3)
+      local port, other = from and a * 256 + b, from and c * 256 + d
+      local key = from and table.concat({ row[1], from, port, to, other }, " ")
+      if key and not is_there[key] then
+        is_there[key] = true
+        list[#list + 1] = {
+          is_tcp = row[1] == TCP,
+          from = from .. ":" .. port,
+          to = to .. ":" .. other,
+          port = math.min(port, other),
+        }
       end
     end
   end
   return list
 end
 
---- Return the option of tshark that decodes a conversation: the lower port is the server's.
-function M.option(is_tcp, port, other)
-  local kind = is_tcp and "tcp" or "udp"
-  return ("-d %s.port==%d,yapp_serial"):format(kind, math.min(port, other))
+--- Return the options of tshark that decode conversations: a list of
+-- "-d tcp.port==4001,yapp_serial".
+function M.options(conversations)
+  local list, is_there = {}, {}
+  for _, conversation in ipairs(conversations) do
+    local kind = conversation.is_tcp and "tcp" or "udp"
+    local option = ("-d %s.port==%d,yapp_serial"):format(kind, conversation.port)
+    if not is_there[option] then list[#list + 1] = option end
+    is_there[option] = true
+  end
+  return list
 end
 
 return M

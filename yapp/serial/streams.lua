@@ -415,6 +415,21 @@ function Streams:end_trial(key)
   return trial.packets
 end
 
+-- Keep a packet of a trial, if bytes of it may go on.
+local function goes_on(trial, packet)
+  local framer = trial.framer
+  local pending = framer.to - framer.from
+  if pending == 0 or pending > MAX_TRIAL then return false end
+  table.insert(trial.packets, packet)
+  return true
+end
+
+-- Whether a trial has had a packet: by its port, and then by the heuristics.
+local function has_had(trial, packet)
+  local latest = trial.packets[#trial.packets]
+  return latest and latest.key == packet.key
+end
+
 -- Whether a good frame begins before an offset.
 local function is_good_before(findings, offset)
   for _, finding in ipairs(findings) do
@@ -432,15 +447,12 @@ end
 function Streams:try(packet, is_proved)
   local trial = self.trials[packet.stream] or not is_proved and new_trial(self, packet)
   if not trial then return is_proved and {} or nil end
+  if has_had(trial, packet) then return nil end
   local framer = trial.framer
   local from = framer.to
   local findings = framer:add(packet.bytes, packet.truncated)
   local is_found = is_proved or is_proof(framer, findings)
-  local pending = framer.to - framer.from
-  if not is_found and pending > 0 and pending <= MAX_TRIAL then
-    table.insert(trial.packets, packet)
-    return nil
-  end
+  if not is_found and goes_on(trial, packet) then return nil end
   local packets = self:end_trial(packet.stream)
   if not is_found then return nil end
   local is_joined = not is_proved or is_good_before(findings, from)

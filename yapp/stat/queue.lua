@@ -243,6 +243,12 @@ local function nothing_found(self, capture)
   return ("no YAPP message found in %s: %s"):format(packets, advice)
 end
 
+-- Return what other packets have of YAPP: a list of texts.
+local function unread_packets(self, capture)
+  if not (self.has_messages and capture.certain and capture.certain[1]) then return {} end
+  return { "YAPP in other packets was not decoded: try " .. table.concat(capture.certain, " ") }
+end
+
 -- Return why times of packets mean nothing; nil if they mean something.
 local function lacks_times(self, capture)
   if capture.lacks_times then return NO_TIMES end
@@ -257,8 +263,8 @@ end
 
 --- End: all packets have come.
 -- capture  { unfinished = events of the messages that it ends before, drops = of host.buses,
---          options = list of tshark's options that may decode what was not found, or nil; notes =
---          list of texts to say besides, or nil;
+--          options = list of tshark's options that may decode what was not found, or nil; certain =
+--          those of them that certainly decode YAPP; notes = list of texts to say besides, or nil;
 --          lacks_times = whether packets have no time stamps, extended = number of extended CAN
 --          frames that were not dissected, can = number of all such CAN frames, problems = list of
 --          texts: why not all was read, unread = the same in short if
@@ -278,7 +284,7 @@ function Queue:finish(capture)
     reason = nothing_found(self, capture), -- why no message was found, nil if one was
     lacks_times = lacks_times(self, capture),
     -- What the user asked for and did not get, and why not all was read: texts.
-    problems = joined(self.settings.problems, capture.problems),
+    problems = joined(self.settings.problems, capture.problems, unread_packets(self, capture)),
     unread = capture.unread, -- the same in short if packets were left out
     drops = capture.drops,
     undissected = self.undissected,

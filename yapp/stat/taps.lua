@@ -36,7 +36,8 @@ Stat.__index = Stat
 --     problems      list of texts: what the user asked for and did not get }
 --   intake     a stat.intake, builder = a show.tree, buses = a host.buses
 --   reading    a reading.reading, frames = a host.can, deferral = its host.deferral
---   find_options  function() -> list of tshark's options that may decode what was not found
+--   find_options  function() -> list of tshark's options that may decode what was not found, and
+--              those of them that certainly decode YAPP
 --   notes      function() -> list of texts to say of streams
 --   watch      function(), called when statistics begin
 --   unwatch    function(), called in Wireshark when one has ended
@@ -177,11 +178,13 @@ local function finish(self)
   local reading, buses, deferral = self.reading, self.buses, self.deferral
   local reloaded = self.total > 0 and buses:missed_file() and RELOADED or nil
   self.queue:end_packets()
+  local options, certain = self.find_options()
   return self.queue:finish {
     unfinished = self.intake:finish(reading:finish(not IS_TSHARK)),
     drops = joined(buses:drops(), reading:drops()),
     lacks_times = buses:lacks_times(),
-    options = self.find_options(),
+    options = options,
+    certain = certain,
     notes = self.notes(),
     extended = deferral.extended,
     can = deferral.can,

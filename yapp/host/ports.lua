@@ -1,0 +1,42 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The ports of servers of YAPP.  Wireshark's API.
+--
+-- A client sends from a port that its system picks.  If another protocol has that port, Wireshark
+-- hands it the packets, and the heuristics never see them:
+--
+--   10.0.0.2:44818 -> 10.0.0.9:14550   EtherNet/IP has 44818; Wireshark asks who has 14550 first
+--
+-- So once YAPP is found in a conversation, the lower port looks for YAPP, too, unless another
+-- protocol has it.
+
+local M = {}
+
+local TABLES = { [true] = DissectorTable.get("tcp.port"), [false] = DissectorTable.get("udp.port") }
+
+local taken = {} -- list of { table of dissectors, port }
+local own -- Proto
+
+--- Use a protocol from now on.
+-- proto  that looks for YAPP, and leaves what is none
+function M.use(proto)
+  own = proto
+end
+
+--- Take the server's port of a conversation.
+function M.take(is_tcp, port)
+  local ports = TABLES[is_tcp]
+  if ports:get_dissector(port) then return end -- it may be ours already
+  ports:add(port, own)
+  taken[#taken + 1] = { ports, port }
+end
+
+--- Give back all ports, but those that the user has given to another protocol since.
+function M.give_back()
+  for _, row in ipairs(taken) do
+    local ports, port = row[1], row[2]
+    if tostring(ports:get_dissector(port)) == own.name then ports:remove(port, own) end
+  end
+  taken = {}
+end
+
+return M
