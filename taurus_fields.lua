@@ -118,6 +118,7 @@ return {
     every = 0.1,
     answers = "command",
     info = "{rpm_commanded:%.1f}/{rpm_measured:%.1f} RPM  {dc_voltage:%.2f} V  {dc_current:%.2f} A",
+    info_rest = "ESC {esc_temperature:%.0f} °C  {torque_iq_measured:%.2f} A torque",
     differences = {
       { "torque_iq_error", "torque_iq_measured", "torque_iq_commanded", "Torque IQ Error" },
       { "rpm_error", "rpm_measured", "rpm_commanded", "RPM Error" },

@@ -328,7 +328,8 @@ local function read_preferences()
   local link_types = preferences.take_link_types(prefs.user_dlt, serial)
   local wrong = joined(clashes, unread, no_number, link_types)
   preferences.complain_once(wrong)
-  types:use(by_id, sources, prefs.hide_source, register_id)
+  local hidden = { source = prefs.hide_source, values = prefs.hide_values }
+  types:use(by_id, sources, hidden, register_id)
   accepts_all = prefs.all_extended
   if accepts_all then watch_unclaimed() end
   settings.late, settings.ids = late, chosen

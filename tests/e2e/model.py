@@ -173,6 +173,9 @@ def generated_filters():
     for message in MESSAGES.values():
         path, flags = f"taurus.{message[0]}", [(field, size, kind) for field, size, kind in message[2] if is_flags(kind)]
         names |= {f"{path}.{one}": "DOUBLE" for one in message.generated}
+        # Each has a unit whose digits in a column are known.
+        real = [*message.generated, *(field for field, _, kind in message[2] if is_float(kind))]
+        names |= {f"{path}.{one}.rounded": "DOUBLE" for one in real}
         names |= {f"{path}.{field}.names": "STRING" for field, _, _ in flags}
         names |= {f"{path}.{kind[0]}.{way}": f"UINT{8 * size}" for _, size, kind in flags for way in ("raised", "cleared")}
         if any(kind is None for _, _, kind in message[2]):
@@ -183,7 +186,8 @@ def generated_filters():
         whole = [kind[0] for _, size, kind in flags if kind.faults == 2 ** (8 * size) - 1]
         for group in (whole or [kind[0] for _, _, kind in flags if kind.faults])[:1]:
             names |= {f"{path}.{group}.active_time": "RELATIVE_TIME", f"{path}.{group}.previous_change": "FRAMENUM",
-                      f"{path}.{group}.next_change": "FRAMENUM"}
+                      f"{path}.{group}.next_change": "FRAMENUM", f"{path}.{group}.raised_in": "FRAMENUM",
+                      f"{path}.{group}.cleared_in": "FRAMENUM", f"{path}.{group}.active_names": "STRING"}
     return names
 
 

@@ -333,7 +333,7 @@ def test_time_since_the_previous_message_with_the_same_id():
 # What a user sees ------------------------------------------------------------------------------------------------
 
 INFO = [
-    ("info_column", 5, "Motor Data  750.8/749.0 RPM  47.97 V  0.50 A  FAULT motor_overcurrent, hall_timeout"),
+    ("info_column", 5, "FAULT motor_overcurrent, hall_timeout  Motor Data  750.8/749.0 RPM  47.97 V  0.50 A"),
     ("document_motor", 1, "Motor Data  Start of 32 bytes  [Reassembled in #5]"),
     ("document_motor", 3, "Motor Data  fragment 3 of 5  [Reassembled in #5]"),
     ("fd_multi_frame", 2, "Health  fragment 2 of 3  [Reassembled in #3]"),
@@ -348,9 +348,9 @@ INFO = [
     ("end_without_start", 1, "Motor Data  End without a Start"),
     ("unknown_id", 1, "ID 0x123  3 bytes"),
     ("wrong_size", 1, "Command, 6 bytes, the catalogue says 7"),
-    ("events", 6, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  FAULT hall_timeout  STALE"),
-    ("events", 5, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  FAULT hall_timeout  cleared motor_overcurrent"),
-    ("events", 7, "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  cleared hall_timeout  REBOOT"),
+    ("events", 6, "FAULT hall_timeout  Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  STALE"),
+    ("events", 5, "FAULT hall_timeout  cleared motor_overcurrent  Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"),
+    ("events", 7, "cleared hall_timeout  Motor Data  0.0/0.0 RPM  47.97 V  0.00 A  REBOOT"),
     ("uart_shell", 1, 'Skipped 7 bytes "login: " | Motor Data  0.0/0.0 RPM  47.97 V  0.00 A | Skipped 6 bytes '
      '"\\r\\nOK\\r\\n" | Health  control 50 %, Taurus 20 %  CPU 50 °C, FET 40 °C | Skipped 3 bytes "bye"'),
 ]

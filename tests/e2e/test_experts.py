@@ -251,19 +251,28 @@ def test_help_of_a_flag(folder):
     (plugin / "taurus_fields.lua").write_text(HELP)
     done = tshark.run(*tshark.load(plugin / "yapp.lua"), "-r", make.capture("events")[0], "-O", "taurus", plugin=False)
     trees = [tree for tree in re.split(r"(?m)^Frame \d+:", done.stdout)[1:] if "Taurus Motor Data" in tree]
-    texts = [re.findall(r"(?m)^ +\[?(Fault Flags.*?)\]?$", tree) for tree in trees]
+    texts = [re.findall(r"(?m)^ +\[?(Fault Flags(?: raised)?: 0x.*?)\]?$", tree) for tree in trees]
     assert texts[1] == ["Fault Flags: 0x00010000 (motor_overcurrent); motor_overcurrent: look at the phases",
                         "Fault Flags raised: 0x00010000 (motor_overcurrent); motor_overcurrent: look at the phases"]
     assert "look at" not in "".join(texts[0] + texts[3])
 
 
-def test_one_message_has_one_item_that_faults_are_set():
-    """Its label names the flags of all fields; of thirty flags the one that is set comes first."""
+def test_one_message_has_one_item_of_each_kind_about_faults():
+    """That they are set, raised, cleared; the item names the flags of all fields, above the values, with links to where that
+    began and ends.  Of thirty flags the one that is set comes first."""
     flight = tshark.ROOT / "docs/flight.pcapng"
-    rows = tshark.fields(flight, ["taurus.fault.active"], "-Y", "taurus.fault.active")
-    assert len(rows) == 15
-    assert {row if isinstance(row, str) else row[0] for row in rows} == {"1"}
-    text = tshark.run("-r", flight, "-Y", "frame.number == 719", "-O", "taurus").stdout
-    label, first = re.search(r"(Fault Flags: 0x.*)\n(.*)", text).groups()
-    assert label.endswith(", faulted")
-    assert first.endswith("Motor overcurrent: True")
+    for name, count in (("active", 15), ("raised", 1), ("cleared", 1)):
+        rows = tshark.fields(flight, [f"taurus.fault.{name}"], "-Y", f"taurus.fault.{name}")
+        assert len(rows) == count
+        assert {row if isinstance(row, str) else row[0] for row in rows} == {"1"}
+    text = tshark.run("-2", "-r", flight, "-Y", "frame.number in {719, 745, 908}", "-O", "taurus").stdout
+    raised, between, cleared = text.split("Taurus Motor Data\n")[1:]
+    lines = [line.strip() for line in raised.splitlines() if "Severity" not in line and "Group" not in line]
+    assert lines[:5] == ["[Faults: motor_overcurrent, faulted, raised here]", "[Fault Flags: raised in: 719]",
+                         "[Fault Flags: cleared in: 908]", "[Fault Flags: next change in: 908]",
+                         "[Time since the oldest fault was raised: 0.000000000 seconds]"]
+    assert lines[5].startswith("[Expert Info") and lines[5].endswith("Fault flags are set]")
+    assert lines[lines.index("Fault Flags: 0x00010000 (motor_overcurrent)") + 1].endswith("Motor overcurrent: True")
+    assert between.startswith("    [Faults: motor_overcurrent, faulted, for 0.") and "[Fault Flags: previous change in: 719]" in between
+    assert cleared.startswith("    [Faults: none; motor_overcurrent, faulted cleared here]")
+    assert "[Fault Flags: raised in: 719]" in cleared

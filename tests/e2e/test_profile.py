@@ -84,8 +84,8 @@ def test_columns(home):
     assert titles == ["No.", "Time", "Source", "Faults", "RPM", "Commanded", "Voltage", "Current", "Power", "Motor °C", "State",
                       "Protocol", "Info"]
     values = dict(zip(titles, re.findall(r"<section>(.*?)</section>", done.stdout.split("</structure>")[1])))
-    assert (values["Voltage"], values["RPM"], values["Protocol"]) == ("47.97314", "0", "YAPP")
-    assert float(values["Power"]) == pytest.approx(float(values["Voltage"]) * float(values["Current"]), rel=1e-5)
+    assert (values["Voltage"], values["RPM"], values["Protocol"]) == ("47.97", "0", "YAPP")
+    assert float(values["Power"]) == round(float(values["Voltage"]) * float(values["Current"]))
     assert values["Source"].endswith("0x210") and (values["State"], values["Faults"]) == ("ready, stopped", "")
 
 
@@ -104,13 +104,31 @@ def test_names_of_state_and_faults(home, passes):
     assert all(source.endswith("0x210") for source, _, _ in rows)
 
 
-def test_info_does_not_repeat_the_column(home):
+def test_info_does_not_repeat_the_columns(home):
+    """But where something is wrong it names the source: Wireshark's list of expert items shows Info alone."""
     info = "_ws.col.Info" if tshark.version() < (4, 2) else "_ws.col.info"
-    done = run(home, "-o", "yapp.sources:0x210=motor:nose", "-r", tshark.CAPTURES / "can/document_motor.pcap", "-T", "fields", "-e",
-               "yapp.source", "-e", info)
+    names = "yapp.sources:can0/0x210=motor:left,can1/0x210=motor:right,can0/0x200=health:left,can1/0x200=health:right"
+    done = run(home, "-o", names, "-r", tshark.ROOT / "docs/flight.pcapng", "-Y", "taurus.motor", "-T", "fields", "-e",
+               "yapp.source", "-e", "taurus.fault.active", "-e", info)
     rows = [line.split("\t") for line in done.stdout.splitlines()]
-    assert {source for source, _ in rows} == {"nose"}
-    assert all(info.startswith("Motor Data  ") for _, info in rows), rows
+    faulty = [row for row in rows if row[1]]
+    assert len(faulty) == 15 and len(rows) > 200
+    assert all(row[2].startswith(f"FAULT motor_overcurrent, faulted  Motor Data {row[0]}  ESC ") for row in faulty), faulty
+    usual = [text for _, is_set, text in rows if not (is_set or "cleared" in text)]
+    assert sum(bool(re.fullmatch(r"Motor Data  ESC \d+ °C  -?[\d.]+ A torque", text)) for text in usual) > 200, usual[:9]
+    assert not any(" RPM" in text or " V" in text for _, _, text in rows)
+
+
+def test_values_in_columns_have_as_many_digits_as_they_need(home):
+    """And fields keep theirs."""
+    done = run(home, "-r", tshark.ROOT / "docs/flight.pcapng", "-T", "psml")
+    rows = [re.findall(r"<section>(.*?)</section>", row) for row in done.stdout.split("<packet>")[1:]]
+    values = [row[4:10] for row in rows if row[4]]
+    assert len(values) > 200
+    for shape, column in zip((r"-?\d+", r"-?\d+", r"-?\d+(\.\d\d?)?", r"-?\d+(\.\d\d?)?", r"-?\d+", r"-?\d+"), zip(*values)):
+        assert len(set(column)) > 1 and all(re.fullmatch(shape, cell) and cell != "-0" for cell in column), (shape, set(column))
+    exact = tshark.fields(tshark.ROOT / "docs/flight.pcapng", ["taurus.motor.dc_voltage"], "-Y", "taurus.motor")
+    assert any(len(row if isinstance(row, str) else row[0]) > 6 for row in exact)
 
 
 def test_a_column_for_each_controller(home):

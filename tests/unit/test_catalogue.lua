@@ -187,7 +187,25 @@ function T.test_types_of_filters()
     d = "DOUBLE", ["d.special"] = "UINT8", s = "STRING", y = "BYTES", c = "DOUBLE", w = "UINT64", g = "UINT32 HEX",
     ["g.names"] = "STRING", ["x.hot"] = "BOOLEAN 32 8", ["x.undefined"] = "UINT32 HEX", ["x.raised"] = "UINT32 HEX",
     ["x.cleared"] = "UINT32 HEX", ["x.active_time"] = "RELATIVE_TIME", ["x.previous_change"] = "FRAMENUM",
-    ["x.next_change"] = "FRAMENUM", k = "UINT8 HEX", low = "UINT8  15", ["z.undefined"] = "UINT32 HEX" })
+    ["x.next_change"] = "FRAMENUM", ["x.raised_in"] = "FRAMENUM", ["x.cleared_in"] = "FRAMENUM",
+    ["x.active_names"] = "STRING", k = "UINT8 HEX", low = "UINT8  15", ["z.undefined"] = "UINT32 HEX" })
+end
+
+-- Of values with a unit whose digits are known; not of arrays, and not of integers.
+function T.test_values_for_columns()
+  local compiled, problems = catalogue.compile { { name = "m", title = "M", id = 1, size = 11,
+    { "v", "float16", "V", min = -100, max = 100, unit = "V" }, { "t", "uint8", "T", scale = 0.5, unit = "°C" },
+    { "n", "uint8", "N", unit = "RPM" }, { "p", "float8", "P", min = 0, max = 1, unit = "bar" },
+    { "x", "float8", "X", min = 0, max = 1, unit = "A", count = 2 }, { "w", "uint32", "W", scale = 0.1, unit = "A" },
+    derived = { { "power", "v * w", "Power", unit = "W" } } } }
+  lu.assertEquals(problems, {})
+  local found = {}
+  for i, one in ipairs(compiled.messages[1].rounded) do
+    found[i] = one.filter .. " " .. one.shape .. " " .. one.field.name
+  end
+  lu.assertEquals(found, { "taurus.m.v.rounded %.2f v", "taurus.m.t.rounded %.0f t", "taurus.m.w.rounded %.2f w",
+    "taurus.m.power.rounded %.0f power" })
+  lu.assertEquals(compiled.messages[1].by_name.v.filters, { "taurus.m.v.special", "taurus.m.v" })
 end
 
 function T.test_reserved_filter_names()

@@ -145,7 +145,9 @@ function T.test_the_document_s_example()
   lu.assertEquals(raws[MOTOR.by_name.dc_voltage.index], 0xAFF5)
   lu.assertEquals(raws[MOTOR.by_name.status_flags.index], 0x40010000)
   lu.assertEquals(decode.flag_names(MOTOR.by_name.status_flags, 0x40010000), "stopped, mpos_update")
-  lu.assertEquals(text_of.info(MOTOR, raws, MOTOR.title, true), "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A")
+  lu.assertEquals(MOTOR.write_info(raws), "0.0/0.0 RPM  47.97 V  0.00 A")
+  lu.assertEquals(MOTOR.write_rest(raws), "ESC NaN °C  0.00 A torque")
+  lu.assertEquals(text_of.faults(MOTOR, raws), "")
   local remarks = decode.remarks(MOTOR, raws)
   lu.assertEquals({ #remarks, remarks[1][2] }, { 1, "value.special" }) -- no thermistor on the ESC
 end
@@ -156,7 +158,8 @@ function T.test_a_payload_that_is_cut()
     for i, f in ipairs(MOTOR.fields) do
       if f.kind ~= "time" then lu.assertEquals(raws[i] ~= nil, f.offset + f.size <= length) end
     end
-    lu.assertStrContains(text_of.info(MOTOR, raws, MOTOR.title, true), "Motor Data")
+    lu.assertStrContains(MOTOR.write_info(raws), " RPM")
+    lu.assertEquals(text_of.faults(MOTOR, raws), "")
   end
 end
 
@@ -190,30 +193,27 @@ function T.test_every_flag_bit_has_a_name_or_is_undefined()
   end
 end
 
--- Document: "Taurus Motor Data", Fault Flags and Motor State.  Faults stand behind the values, each word once.
+-- Document: "Taurus Motor Data", Fault Flags and Motor State.  Each word stands once.
 function T.test_faults_in_the_info_column()
-  local usual = "Motor Data  0.0/0.0 RPM  47.97 V  0.00 A"
-  for changed, expected in pairs { ["00000000/05"] = "", ["00000110/05"] = "  FAULT motor_overcurrent, hall_timeout",
-    ["00000000/25"] = "  FAULT faulted", ["01000000/20"] = "  FAULT oc_limit_unmeasurable, faulted",
-    ["00000800/05"] = "  FAULT undefined 0x80000" } do
+  for changed, expected in pairs { ["00000000/05"] = "", ["00000110/05"] = "FAULT motor_overcurrent, hall_timeout",
+    ["00000000/25"] = "FAULT faulted", ["01000000/20"] = "FAULT oc_limit_unmeasurable, faulted",
+    ["00000800/05"] = "FAULT undefined 0x80000" } do
     local fault, state = changed:match("(.*)/(.*)")
     local payload = EXAMPLE:sub(1, 18) .. bytes(fault) .. EXAMPLE:sub(23, 30) .. bytes(state) .. "\0"
     local raws, is_remarkable = MOTOR.read(payload)
     lu.assertEquals(is_remarkable, expected ~= "")
-    lu.assertEquals(text_of.info(MOTOR, raws, MOTOR.title, is_remarkable), usual .. expected)
-    lu.assertEquals(text_of.info(MOTOR, raws, MOTOR.title, true), usual .. expected)
+    lu.assertEquals(text_of.faults(MOTOR, raws), expected)
   end
   local own = catalogue.compile { { name = "m", title = "M", id = 1, size = 2,
     { "a", "uint8", "A", group = "a", alarm = "ALARM", flags = { { "x", 1, "X" } } },
     { "b", "uint8", "B", group = "b", alarm = "WARNING", flags = { { "y", 1, "Y" } } } } }
   local m = own.messages[1]
-  lu.assertEquals(text_of.info(m, (m.read("\1\1")), m.title, true), "M    ALARM x  WARNING y")
+  lu.assertEquals(text_of.faults(m, (m.read("\1\1"))), "ALARM x  WARNING y")
 end
 
 function T.test_special_values_in_the_info_column()
   local raws = COMMAND.read(bytes("01A501FFFFFEFF"))
-  lu.assertEquals(text_of.info(COMMAND, raws, COMMAND.title, true),
-    "Command  Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")
+  lu.assertEquals(COMMAND.write_info(raws), "Enabled, Full Operation  Speed Mode  +inf RPM  NaN A")
 end
 
 return T

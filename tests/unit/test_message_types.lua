@@ -18,7 +18,7 @@ local function new(text, ids, has_several)
   lu.assertEquals(problems, {})
   local r = types_of.new(TAURUS)
   r:reset(has_several or false)
-  r:use(catalogue.assign(TAURUS, ids or {}), parsed, false, ignore)
+  r:use(catalogue.assign(TAURUS, ids or {}), parsed, {}, ignore)
   return r
 end
 
@@ -27,7 +27,7 @@ local function name(message) return message and message.name or "none" end
 function T.test_before_the_preferences_are_known()
   local r = types_of.new(TAURUS)
   lu.assertEquals({ name(r:message_of(0x210)), r:size_of(0x210), name(r:message_of(0x211)) }, { "motor", 32, "none" })
-  r:use(catalogue.assign(TAURUS, {}), (sources.parse("", TAURUS)), false, ignore)
+  r:use(catalogue.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, ignore)
   local source = r:new_source(0x123, false, "can0") -- before a capture file is known
   lu.assertEquals(source.text, "0x123")
 end
@@ -44,7 +44,7 @@ end
 
 function T.test_every_id_that_carries_a_message_is_visited()
   local r, ids = new("can1/0x300=health:, 0x301=tail"), {}
-  r:use(catalogue.assign(TAURUS, { motor = { 0x210, 0x211 } }), r.sources, false, function(id) ids[id] = true end)
+  r:use(catalogue.assign(TAURUS, { motor = { 0x210, 0x211 } }), r.sources, {}, function(id) ids[id] = true end)
   local expected = { [0x211] = true, [0x300] = true }
   for _, message in ipairs(TAURUS.messages) do expected[message.id] = true end
   lu.assertEquals(ids, expected)
@@ -82,10 +82,17 @@ end
 
 function T.test_info_leaves_out_what_a_column_says()
   local r = new("0x210=left, 0x300=tail", { motor = { 0x210, 0x211 } }, true)
-  r:use(r.by_id, r.sources, true, ignore)
+  r:use(r.by_id, r.sources, { source = true }, ignore)
   local names = { [0x210] = "Motor Data", [0x211] = "Motor Data", [0x200] = "Health", [0x300] = "ID 0x300" }
   for id, said in pairs(names) do
-    lu.assertEquals(r:new_source(id, false, "can1").label, said)
+    local source = r:new_source(id, false, "can1")
+    lu.assertEquals(source.short, said)
+    lu.assertStrContains(source.label, source.name or "can1")
+    lu.assertTrue(source.write == (source.message and source.message.write_info))
+  end
+  r:use(r.by_id, r.sources, { values = true }, ignore)
+  for _, message in ipairs(TAURUS.messages) do
+    lu.assertTrue(r:new_source(message.id, false).write == message.write_rest)
   end
 end
 
@@ -118,7 +125,7 @@ function T.test_sizes_of_two_firmwares()
   end
   local compiled = catalogue.compile(entries)
   local r = types_of.new(compiled)
-  r:use(catalogue.assign(compiled, {}), (sources.parse("", compiled)), false, ignore)
+  r:use(catalogue.assign(compiled, {}), (sources.parse("", compiled)), {}, ignore)
   lu.assertEquals({ r:size_of(0x210) }, { 32, 30 })
   local source = r:new_source(0x210, false)
   lu.assertEquals({ source.size, source.min_size }, { 32, 30 })

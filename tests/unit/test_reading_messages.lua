@@ -15,7 +15,7 @@ local COMMAND, MOTOR, HEALTH = TAURUS.by_id[0], TAURUS.by_id[0x210], TAURUS.by_i
 
 local function new_types(compiled)
   local types = types_of.new(compiled or TAURUS)
-  types:use(catalogue.assign(compiled or TAURUS, {}), (sources.parse("", compiled or TAURUS)), false, function() end)
+  types:use(catalogue.assign(compiled or TAURUS, {}), (sources.parse("", compiled or TAURUS)), {}, function() end)
   return types
 end
 

@@ -66,7 +66,11 @@ function M.define(proto, catalogue, decode, max_id)
     "its IDs: can2=tail. An interface without a name is if0 or if1, its number in the file.")
   prefs.hide_source = Pref.bool("Leave the source out of Info", false,
     "Switch it on if a column shows yapp.source, as in the profile YAPP: Info and the tree then " ..
-    "say Motor Data instead of Motor Data left.")
+    "say Motor Data instead of Motor Data left. A message with a fault or a warning keeps its " ..
+    "source, for the expert information.")
+  prefs.hide_values = Pref.bool("Leave values out of Info that have columns", false,
+    "Switch it on if columns show speed, voltage and current, as in the profile YAPP: Info then " ..
+    "has the other values of Motor Data.")
   prefs.late = Pref.string("Report a gap longer than ... periods", "2.5",
     "A longer gap between two messages of a source is a warning, yapp.late. At 2.5 a single " ..
     "lost message causes no warning. Periods: " .. table.concat(periods, ", ") .. ".")

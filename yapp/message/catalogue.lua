@@ -15,8 +15,8 @@ local MAX_TITLE = 200
 local M = {}
 
 local DERIVED_OPTIONS = input.set("unit")
-local OPTIONS =
-  input.set("name title section id size min_size info every answers differences derived")
+local OPTIONS = input.set("name title section id size min_size info info_rest every answers " ..
+  "differences derived")
 
 -- Filters ----------------------------------------------------------------------------------------
 
@@ -29,6 +29,9 @@ local function describe(message, one)
   if one.section then text = ('%s (section "%s")'):format(text, one.section) end
   return text
 end
+
+-- Digits behind the point in a column, by unit.
+local DIGITS = { RPM = 0, V = 2, A = 2, W = 0, ["°C"] = 0, ["%"] = 0 }
 
 -- Wireshark's types of the kinds whose name is not a type.
 local TYPES = {
@@ -97,13 +100,38 @@ local function add_state(message, add)
       ("The latest %s on this bus before the message"):format(command), nil, "REQUEST")
   end
   if not fault then return end
+  message.fault_names = add(fault.group .. ".active_names", "STRING", "Faults",
+    "Names of all fault flags that are set in a message")
   states.active_time = add(fault.group .. ".active_time", "RELATIVE_TIME",
     "Time since the oldest fault was raised",
     "Since the oldest fault that is still set was raised")
+  for _, way in ipairs { "raised", "cleared" } do
+    states[way .. "_in"] = add(("%s.%s_in"):format(fault.group, way), "FRAMENUM",
+      ("%s: %s in"):format(fault.title, way),
+      ("The message in which %s"):format(way == "raised" and
+        "the first of the faults was raised" or "the last of the faults was cleared"))
+  end
   for _, way in ipairs { "previous", "next" } do
     states[way .. "_change"] = add(("%s.%s_change"):format(fault.group, way), "FRAMENUM",
       ("%s: %s change in"):format(fault.title, way),
       ("The source's %s message that changes a fault"):format(way))
+  end
+end
+
+-- Add the filters of values with as many digits as a column needs.
+local function add_rounded(message, add)
+  for _, list in ipairs { message.fields, message.generated } do
+    for _, one in ipairs(list) do
+      local digits = DIGITS[one.unit or false]
+      if digits and one.shape and not one.array then
+        table.insert(message.rounded, {
+          filter = add(one.filter .. ".rounded", "DOUBLE", one.title,
+            "Rounded for a column, not among a packet's details: " .. describe(message, one)),
+          field = one,
+          shape = ("%%.%df"):format(digits),
+        })
+      end
+    end
   end
 end
 
@@ -132,6 +160,7 @@ local function add_filters(message, reserved, context)
     field.filters = array.filters
   end
   context.field = nil
+  add_rounded(message, add)
 end
 
 -- Generated values -------------------------------------------------------------------------------
@@ -215,6 +244,7 @@ local function compile_message(entry, reserved, context)
     alarms = {},
     generated = {},
     derived = {},
+    rounded = {},
     states = {},
     filters = {},
   }
@@ -222,6 +252,7 @@ local function compile_message(entry, reserved, context)
   demand(size == entry.size, "size is %d, but the fields add up to %d bytes", entry.size, size)
   message.read = decode.new_reader(message)
   message.write_info = text_of.compile_info(message, entry.info or "")
+  message.write_rest = text_of.compile_info(message, entry.info_rest or entry.info or "")
   add_all_generated(message, entry)
   add_filters(message, reserved, context)
   return message
@@ -260,9 +291,12 @@ end
 --   name, title, filter, unit, kind = "derived", shape, operator ("*", "-", "+"), a and b (indexes
 --   of the fields) }
 --   derived: those of them that are columns of CSV, too
+--   rounded: a list of the values for columns, { filter, field (or one of generated), shape }
 --   filters: a list of { filter, type, title, description, base, values, mask }, see show.fields
 --   states: the filters of its state, { [what message.history calls it] = filter }
---   read (see decode.new_reader), write_info (see text.compile_info)
+--   fault_names: the filter of the names of all faults that are set, nil without fault flags
+--   read (see decode.new_reader), write_info and, beside columns, write_rest (see
+--   text.compile_info)
 -- A field has name, title, filter, filters (a list of it and those below it), index (in fields),
 -- offset, size in bytes, type, unit and section or nil, shape (a format with as many digits as its
 -- count can carry; nil for ieee and integers), and kind, with what its kind needs:

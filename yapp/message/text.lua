@@ -136,17 +136,16 @@ function M.compile_info(message, text)
   return new_writer(pieces)
 end
 
---- Return what the Info column says of a message.
--- raws           of its reader
--- name           what the message is called
--- is_remarkable  whether a value is remarkable: else no fault is set
-function M.info(message, raws, name, is_remarkable)
-  local text, word = name .. "  " .. message.write_info(raws), nil
-  for _, field in ipairs(is_remarkable and message.alarms or {}) do
+--- Return what the Info column says of the faults that are set: "FAULT motor_overcurrent, faulted",
+-- "" for none.
+-- raws  of the message's reader
+function M.faults(message, raws)
+  local text, word = "", nil
+  for _, field in ipairs(message.alarms) do
     local faults = decode.faults(field, raws[field.index])
     if faults ~= 0 then
       local before = ", "
-      if field.fault_word ~= word then before = "  " .. field.fault_word .. " " end
+      if field.fault_word ~= word then before = (word and "  " or "") .. field.fault_word .. " " end
       text = text .. before .. decode.flag_names(field, faults)
       word = field.fault_word
     end

@@ -4,6 +4,8 @@
 
 local M = {}
 
+local NONE = {}
+
 local Types = {}
 Types.__index = Types
 
@@ -15,7 +17,7 @@ function M.new(catalogue)
     by_id = catalogue.by_id, -- [id] = message type, see Types:use; file readers may ask before
     sources = nil, -- the names that the user gave, see Types:use
     several_ids = nil, -- [message type] = whether more than one ID carries it
-    hides_source = nil, -- see Types:use
+    hidden = {}, -- see Types:use
     has_several = false, -- see Types:reset
   }, Types)
 end
@@ -29,10 +31,10 @@ end
 --- Use the user's choice of IDs and names.
 -- by_id         { [id] = message type }
 -- sources       a message.sources
--- hides_source  whether a label leaves out the source
+-- hidden        what columns show instead of Info: { source, values = booleans }
 -- visit         function(id), called for each ID that carries a message type
-function Types:use(by_id, sources, hides_source, visit)
-  self.by_id, self.sources, self.hides_source = by_id, sources, hides_source
+function Types:use(by_id, sources, hidden, visit)
+  self.by_id, self.sources, self.hidden = by_id, sources, hidden
   local first, several = {}, {}
   local function count(message, id)
     visit(id)
@@ -59,17 +61,31 @@ function Types:size_of(id)
   if message then return message.size, message.min_size end
 end
 
+-- Return the title of an ID's message type: "Motor Data", or "ID 0x123".
+local function title_of(message, id)
+  return message and message.title or ("ID 0x%x"):format(id)
+end
+
+-- Return the function that writes what Info says of values, nil without a message type.
+local function write_of(message, hides_values)
+  return message and (hides_values and message.write_rest or message.write_info)
+end
+
 -- Return what a message is called: its title and the name of its source.  Without a name, the ID or
 -- bus follows if it tells the source from others: "Motor Data left", "Motor Data 0x212 (can1)",
--- "Motor Data", "ID 0x123".  With hides_source it is the title.
+-- "Motor Data", "ID 0x123".
 local function label_of(self, message, name, id, bus)
-  local number, needs_bus = ("0x%x"):format(id), self.has_several and bus
-  local title, suffix = "ID " .. number, ""
-  if message then title, suffix = message.title, " " .. number end
+  local title, needs_bus = title_of(message, id), self.has_several and bus
   local is_usual = not message or id == message.id and not self.several_ids[message]
-  if self.hides_source or is_usual and not (name or needs_bus) then return title end
+  if is_usual and not (name or needs_bus) then return title end
   if name then return title .. " " .. name end
-  return title .. suffix .. (bus and (" (%s)"):format(bus) or "")
+  return title .. (message and (" 0x%x"):format(id) or "") .. (bus and (" (%s)"):format(bus) or "")
+end
+
+-- Return what the column Source has without a name: "can1 0x210", "10.0.0.1:14550 0x210", "0x210".
+local function text_of(self, id, bus, line)
+  local before = line and line.label or not line and self.has_several and bus
+  return (before and before .. " " or "") .. ("0x%x"):format(id)
 end
 
 --- Make a source, which is a bus or stream, and an ID.
@@ -80,14 +96,16 @@ end
 --   id, bus, bus_key, line
 --   name      that the user gave it, or nil
 --   message   the message type that it carries, or nil; size, min_size = of its payload, or nil
---   label     what its messages are called in Info
+--   label     what its messages are called
+--   short     the same without the source, if a column shows that
+--   write     function(raws) -> what Info says of values, nil without a message type
 --   text      for the column Source: the name, else what tells the source from others, and the ID
 --   texts     of the fragments of its messages, see show.frame }
 function Types:new_source(id, bus_key, bus, line)
   local interface = line and line.interface or nil
   local message = self:message_of(id, bus, interface)
   local name = self.sources:name(bus, id, interface)
-  local before = line and line.label or not line and self.has_several and bus
+  local label = label_of(self, message, name, id, bus)
   return {
     id = id,
     bus = bus,
@@ -95,10 +113,12 @@ function Types:new_source(id, bus_key, bus, line)
     line = line,
     name = name,
     message = message,
-    size = message and message.size,
-    min_size = message and message.min_size,
-    label = label_of(self, message, name, id, bus),
-    text = name or (before and before .. " " or "") .. ("0x%x"):format(id),
+    size = (message or NONE).size,
+    min_size = (message or NONE).min_size,
+    label = label,
+    short = self.hidden.source and title_of(message, id) or label,
+    write = write_of(message, self.hidden.values),
+    text = name or text_of(self, id, bus, line),
     texts = {},
   }
 end

@@ -40,7 +40,7 @@ local function add_item(self, frame)
   local kind = CTRL_NAMES[of_id.ctrl] or "undefined frame"
   self.range = self.tvb()
   local item = add(self.tree, builder.yapp, self.range)
-  append_text(item, (", %s, %s"):format(source.label, kind))
+  append_text(item, (", %s, %s"):format(source.short, kind))
   builder:add_id(item, nil, source)
   add_generated(item, fields.ctl, of_id.ctl)
   add_generated(item, fields.seq, of_id.seq)
@@ -118,12 +118,12 @@ local function fragment_text(result)
   if transfer[index] ~= frame.key then return source.label .. "  duplicate fragment" end
   local texts = source.texts
   if texts.size ~= size or texts.count ~= count then
-    texts = { ("%s  Start of %d bytes"):format(source.label, size), size = size, count = count }
+    texts = { ("%s  Start of %d bytes"):format(source.short, size), size = size, count = count }
     source.texts = texts
   end
   if not texts[index] then
     local text = index > count and "%s  fragment %d" or "%s  fragment %d of %d"
-    texts[index] = text:format(source.label, index, count)
+    texts[index] = text:format(source.short, index, count)
   end
   return texts[index]
 end

@@ -32,7 +32,7 @@ local function add_item(self, result, tvb, tree)
   local builder, fields, transfer = self.builder, self.fields, result.transfer
   local source, offset, payload = result.frame.source, transfer.offset, transfer.payload
   local item = add(tree, builder.yapp, tvb(offset, transfer.length))
-  append_text(item, (", %s"):format(source.label))
+  append_text(item, (", %s"):format(source.short))
   add(item, fields.sync, tvb(offset, 2))
   add(item, fields.seq, tvb(offset + 2, 1))
   add(item, fields.ctl, tvb(offset + 3, 1))

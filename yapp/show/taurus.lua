@@ -144,6 +144,18 @@ local function wanted_of(self, tree, filters)
   return next(wanted) and wanted
 end
 
+-- What message.history says of a state, in the order of the tree, how it is shown, and whether it
+-- is about faults.
+local STATES = {
+  { "raised_in", frame_key.number, true },
+  { "cleared_in", frame_key.number, true },
+  { "previous_change", frame_key.number, true },
+  { "next_change", frame_key.number, true },
+  { "active_time", show_fields.relative_time, true },
+  { "drift", show_fields.relative_time, false },
+  { "command_in", frame_key.number, false },
+}
+
 --- Return whether a tree wants a field that comes from the history's state, which each message has.
 function Taurus:wants_state(tree)
   for _, message in ipairs(self.messages) do
@@ -152,11 +164,23 @@ function Taurus:wants_state(tree)
   return false
 end
 
+-- Add to a plan which names of faults and states are wanted.
+local function add_state_steps(self, message, tree, plan)
+  for _, row in ipairs(STATES) do
+    local pf = self.fields[message.states[row[1]]]
+    if pf and referenced(tree, pf) then
+      table.insert(plan.states, { name = row[1], show = row[2], is_fault = row[3], pf = pf })
+    end
+  end
+  local pf = self.fields[message.fault_names]
+  plan.names = pf and referenced(tree, pf) and pf
+end
+
 -- Return how the tree of a message is built: a list of steps { field, index, parent = index of the
--- field that it is a part of, add = see ADD }; own = whether the message's field is wanted;
--- generated = a list of the items that are wanted.
+-- field that it is a part of, add = see ADD }; own = whether the message's field is wanted; and of
+-- what is wanted: generated, rounded, states = lists; names = ProtoField of the names of faults.
 local function make_plan(self, message, tree)
-  local plan, fields = { generated = {} }, self.fields
+  local plan, fields = { generated = {}, rounded = {}, states = {} }, self.fields
   plan.own = referenced(tree, fields[message.filter])
   for index, field in ipairs(message.fields) do
     local wanted = wanted_of(self, tree, field.filters)
@@ -172,6 +196,11 @@ local function make_plan(self, message, tree)
   for _, item in ipairs(message.generated) do
     if referenced(tree, fields[item.filter]) then table.insert(plan.generated, item) end
   end
+  -- Values for columns are not among the details.
+  for _, step in ipairs(tree.visible and NONE or message.rounded) do
+    if referenced(tree, fields[step.filter]) then table.insert(plan.rounded, step) end
+  end
+  add_state_steps(self, message, tree, plan)
   return plan
 end
 
@@ -191,13 +220,104 @@ local function element_text(item, field)
   return field.title .. (item.text or ""):sub(#field.array.title + 1)
 end
 
--- Build it; return it, and the items by index of field, for the expert items.
+-- Add the names of the faults among a field's flags to a list.
+local function list_faults(names, field, raw)
+  local faults = decode.faults(field, raw)
+  if faults ~= 0 then names[#names + 1] = flag_names(field, faults) end
+end
+
+-- Return the names of the faults that are set in a message: "motor_overcurrent, faulted", "" for
+-- none.
+local function active_faults(m)
+  local names = {}
+  for _, field in ipairs(m.source.message.alarms) do
+    list_faults(names, field, m.raws[field.index])
+  end
+  return table.concat(names, ", ")
+end
+
+-- Return the names of the faults that changed.
+-- changes  of message.history
+-- way      "raised" or "cleared"
+local function changed_faults(changes, way)
+  local names = {}
+  for _, one in ipairs(changes) do list_faults(names, one.field, one[way]) end
+  return table.concat(names, ", ")
+end
+
+-- Return what changed in the faults here: ", raised here" if that is all that are set,
+-- "; hall_timeout raised here; motor_overcurrent cleared here", "" for nothing.
+local function changes_text(m, active)
+  local text = ""
+  for _, way in ipairs { "raised", "cleared" } do
+    local names = changed_faults(m.change and m.change.flags or NONE, way)
+    if names ~= "" then
+      text = text .. (names == active and ", " or "; " .. names .. " ") .. way .. " here"
+    end
+  end
+  return text
+end
+
+-- Add states.
+-- is_fault  whether those about faults, or the others
+local function add_states(m, plan, item, is_fault)
+  for _, step in ipairs(m.state and plan.states or NONE) do
+    local value = step.is_fault == is_fault and m.state[step.name]
+    if value then add_generated(item, step.pf, step.show(value)) end
+  end
+end
+
+-- Add what is wrong, which stands above the values, with links to where it began and ended:
+-- "[Faults: motor_overcurrent, raised here]".
+-- returns  its item, nil for none
+local function add_faults(m, plan, tree, top)
+  local item
+  local is_change = m.change and m.change.flags and tree.visible
+  if plan.names and (m.has_fault or is_change) then
+    local active = active_faults(m)
+    local here = changes_text(m, active)
+    if here == "" and m.state and m.state.active_time then
+      here = (", for %.3f s"):format(m.state.active_time)
+    end
+    if active ~= "" then
+      item = append_text(add_generated(top, plan.names, active), here)
+    elseif here ~= "" then
+      item = add_generated(top, "Faults: none" .. here)
+    end
+  end
+  add_states(m, plan, item or top, true)
+  return item
+end
+
+-- Add what is worked out from the values.
+local function add_generated_values(self, m, plan, top)
+  local raws, message = m.raws, m.source.message
+  for _, item in ipairs(plan.generated) do
+    local value, pf = decode.derived(message, item, raws), self.fields[item.filter]
+    if value then
+      append_unit(add_generated(top, pf, tonumber(number_text(item, value))), item)
+    end
+  end
+  for _, step in ipairs(plan.rounded) do
+    local field, value = step.field, nil
+    if field.kind == "derived" then
+      value = decode.derived(message, field, raws)
+    elseif raws[field.index] then
+      value = value_of(field, raws[field.index])
+    end
+    -- Adding 0 makes -0 a 0.
+    if value then add_generated(top, self.fields[step.filter], step.shape:format(value) + 0) end
+  end
+end
+
+-- Build it; return it, the items by index of field, for the expert items, and the one of faults.
 local function build(self, m, view)
   local raws, items, message = m.raws, {}, m.source.message
   local plan, tvb, offset = plan_of(self, message, view), view.payload_tvb, view.payload_offset
   local whole = range_of(tvb, offset, math.min(message.size, #m.payload))
   local top = add(view.tree, self.taurus, whole, "Taurus " .. message.title)
   if plan.own then set_hidden(add(top, self.fields[message.filter], whole)) end
+  local above = add_faults(m, plan, view.tree, top)
   for i = 1, #plan do
     local step = plan[i]
     local field, index = step.field, step.index
@@ -209,13 +329,9 @@ local function build(self, m, view)
       items[index] = item
     end
   end
-  for _, item in ipairs(plan.generated) do
-    local value, pf = decode.derived(message, item, raws), self.fields[item.filter]
-    if value then
-      append_unit(add_generated(top, pf, tonumber(number_text(item, value))), item)
-    end
-  end
-  return top, items
+  add_generated_values(self, m, plan, top)
+  add_states(m, plan, top, false)
+  return top, items, above
 end
 
 -- Append what the catalogue says of the flags that are set.
@@ -227,93 +343,59 @@ local function append_help(item, field, raw)
   end
 end
 
--- Say that faults are set: one expert item a message, on the first field that has some; its label
--- names those of the other fields, too.
--- active  the item that says so already, nil for none
--- returns  the item that says so
-local function add_active(m, index, item, active, other)
-  local source, field, raw = m.source, m.source.message.fields[index], m.raws[index]
-  if active then
-    local names = flag_names(field, decode.faults(field, raw))
-    if item then append_text(active, ", " .. names) end
-  elseif item and source.label ~= source.message.title then
-    append_text(item, " of " .. source.label)
-  end
-  if item then append_help(active or item, field, raw) end
-  if not active then add_expert(item or other, "taurus.fault.active") end
-  return active or item or other
-end
-
 --- Show a message, and its expert items.
 -- m, view  as Tree:show_message takes them
--- returns  the Taurus item; nil without a tree
+-- returns  the Taurus item, and the item of its faults; nil without a tree
 function Taurus:show(m, view)
-  local top, items, active = nil, NONE, nil
-  if view.payload_tvb and m.payload ~= "" then top, items = build(self, m, view) end
+  local top, items, above = nil, NONE, nil
+  if view.payload_tvb and m.payload ~= "" then top, items, above = build(self, m, view) end
   for _, remark in ipairs(m.remarks or NONE) do
     local index, name = remark[1], remark[2]
-    local item, other = items[index], top or view.item
-    if name == "fault.active" then
-      active = add_active(m, index, item, active, other)
-    else
-      add_expert(item or other, "taurus." .. name)
+    local item = items[index]
+    if name ~= "fault.active" then
+      add_expert(item or top or view.item, "taurus." .. name)
+    elseif item then
+      append_help(item, m.source.message.fields[index], m.raws[index])
     end
   end
-  return top
+  if m.has_fault then add_expert(above or top or view.item, "taurus.fault.active") end
+  return top, above
 end
 
 -- Changes -----------------------------------------------------------------------------------------
 
--- What message.history says of a state, in the order of the tree, and how it is shown.
-local STATES = {
-  { "drift", show_fields.relative_time },
-  { "command_in", frame_key.number },
-  { "active_time", show_fields.relative_time },
-  { "previous_change", frame_key.number },
-  { "next_change", frame_key.number },
-}
-
--- Add a generated field, if the value is there and wanted.
-local function add_wanted(item, pf, value)
-  return pf and value and referenced(item, pf) and add_generated(item, pf, value)
-end
-
--- Add the bits of a flags field that rose or fell; return the names of the faults among them, nil
--- for none.
--- way  "raised" or "cleared"
-local function add_flags_change(self, item, one, way, is_tree)
-  local field, raw = one.field, one[way]
-  local faults = decode.faults(field, raw)
-  if raw == 0 then return nil end
-  local added = is_tree and add_wanted(item, self.fields[field.group .. "." .. way], raw)
-  if added then append_text(added, " (" .. flag_names(field, raw) .. ")") end
-  if faults == 0 then return nil end
-  if added and way == "raised" then append_help(added, field, faults) end
-  add_expert(added or item, "taurus.fault." .. way)
-  return flag_names(field, faults)
-end
-
--- Add what changed in the flags; return what the Info column says of it.
-local function add_flags_changes(self, item, changes, is_tree)
-  local cleared = {}
-  for _, one in ipairs(changes) do
-    add_flags_change(self, item, one, "raised", is_tree)
-    cleared[#cleared + 1] = add_flags_change(self, item, one, "cleared", is_tree)
+-- Add the bits of flags fields that rose or fell, and one expert item if faults are among them.
+-- way      "raised" or "cleared"
+-- top      nil without a tree
+-- item     for the expert item
+-- returns  the names of those faults, "" for none
+local function add_flags_changes(self, changes, way, top, item)
+  for _, one in ipairs(top and changes or NONE) do
+    local field, raw = one.field, one[way]
+    local pf = self.fields[field.group .. "." .. way]
+    if raw ~= 0 and referenced(top, pf) then
+      local added = append_text(add_generated(top, pf, raw), " (" .. flag_names(field, raw) .. ")")
+      if way == "raised" then append_help(added, field, decode.faults(field, raw)) end
+    end
   end
-  return cleared[1] and "  cleared " .. table.concat(cleared, ", ") or ""
+  local faults = changed_faults(changes, way)
+  if faults ~= "" then add_expert(item, "taurus.fault." .. way) end
+  return faults
 end
 
 --- Add what the history says of a message, all of it generated, with its expert items.
 -- m        a message of reading.messages
 -- top      the Taurus item; nil if no tree is wanted: then add expert items only
 -- other    the item for these if top is nil
--- returns  what the Info column says of it: "  cleared motor_overcurrent, hall_timeout  REBOOT"
-function Taurus:add_change(m, top, other)
-  local change, item = m.change or NONE, top or other
-  local info = add_flags_changes(self, item, change.flags or NONE, top)
-  for _, row in ipairs(top and m.state and STATES or NONE) do
-    local value, pf = m.state[row[1]], self.fields[m.source.message.states[row[1]]]
-    add_wanted(item, pf, value and row[2](value))
+-- above    the item of its faults, nil for none
+-- returns  what the Info column begins and ends with because of it:
+--          "cleared motor_overcurrent, hall_timeout  ", "  REBOOT"
+function Taurus:add_change(m, top, other, above)
+  local change, item, info, cleared = m.change, top or other, "", ""
+  if change.flags then
+    add_flags_changes(self, change.flags, "raised", top, above or item)
+    cleared = add_flags_changes(self, change.flags, "cleared", top, above or item)
+    if cleared ~= "" then cleared = "cleared " .. cleared .. "  " end
   end
   for _, row in ipairs(show_fields.CHANGES) do
     local value, label, word = change[row.change], row.label, row.word
@@ -322,7 +404,7 @@ function Taurus:add_change(m, top, other)
       if word then info = info .. "  " .. word end
     end
   end
-  return info
+  return cleared, info
 end
 
 return M

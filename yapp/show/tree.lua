@@ -274,6 +274,14 @@ local function show_bytes(self, m, view)
   return ("%s  %s%s"):format(m.source.label, Tree.bytes(#m.payload), info)
 end
 
+-- Return what Info says of a message's values.  The source stands in it even if a column shows it
+-- where something is wrong: Wireshark's list of expert items has no such column.
+local function values_text(m)
+  local source = m.source
+  local is_usual = m.status == "good" and not (m.remarks or m.change or m.copy_of)
+  return (is_usual and source.short or source.label) .. "  " .. source.write(m.raws)
+end
+
 --- Show a finished message: the message of the catalogue, or bytes.
 -- m        of reading.messages
 -- view     { wants = of Tree:wants; tree = where the Taurus tree goes; item = YAPP's own item, or
@@ -281,22 +289,26 @@ end
 --          no tree is wanted }
 -- returns  what the Info column says of it; only a part of that if there are no columns
 function Tree:show_message(m, view)
-  local top, info, source = nil, "", m.source
+  local top, above, info, source = nil, nil, "", m.source
   if view.wants.yapp then self:add_delta(view.item, m) end
   if not m.raws then
     info = show_bytes(self, m, view)
   else
-    top = (view.payload_tvb or m.remarks) and self.messages:show(m, view)
+    if view.payload_tvb or m.remarks then top, above = self.messages:show(m, view) end
     if view.wants.columns then
-      info = text_of.info(source.message, m.raws, source.label, m.remarks)
+      info = values_text(m)
     end
   end
   if m.copy_of then
     self:expert(view.item, "copy")
     info = ("%s  [copy of #%d]"):format(info, number_of(m.copy_of))
   end
-  if m.change or top and m.state then
-    info = info .. self.messages:add_change(m, top or nil, view.item)
+  if m.change then
+    local cleared, words = self.messages:add_change(m, top, view.item, above)
+    info = cleared .. info .. words
+  end
+  if m.has_fault and view.wants.columns then
+    info = text_of.faults(source.message, m.raws) .. "  " .. info
   end
   if m.undecoded then
     add_bytes(self, m, view, "undecoded", source.size)
