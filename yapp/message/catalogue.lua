@@ -126,7 +126,8 @@ local function add_rounded(message, add)
       if digits and one.shape and not one.array then
         table.insert(message.rounded, {
           filter = add(one.filter .. ".rounded", "DOUBLE", one.title,
-            "Rounded for a column, not among a packet's details: " .. describe(message, one)),
+            ("%s of %s, rounded for a column: not among a packet's details")
+              :format(one.title, message.title)),
           field = one,
           shape = ("%%.%df"):format(digits),
         })
