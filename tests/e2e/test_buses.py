@@ -331,6 +331,24 @@ def one_packet(kind, bus, order, data):
             3: lambda: block(3, struct.pack(order + "I", len(data)) + data, order)}[kind]()
 
 
+def timed(path):
+    """What statistics say of times: time and duration of each event, and the line with the length of the capture."""
+    return ([(pytest.approx(one["time"], abs=1e-6), pytest.approx(one.get("active"), abs=1e-6)) for one in events(path)],
+            tshark.run("-q", "-r", path, "-z", "yapp,summary").stdout.split("\n", 1)[0])
+
+
+@pytest.mark.parametrize("kind", [0xBAD, 0x40000BAD])
+def test_time_begins_with_the_first_packet_that_has_one(kind, folder):
+    """Wireshark's own does not: if the first packet has no time, 4.0 counts from 1970, 4.4 and 4.6 say 0."""
+    path, first = folder / "custom.pcapng", tshark.ROOT / "docs/first.pcapng"
+    file = first.read_bytes()
+    head = struct.unpack_from("<I", file, 4)[0]
+    path.write_bytes(file[:head] + block(kind, b"\0\0\1\0custom", "<") + file[head:])
+    faults, title = timed(first)
+    assert len(faults) >= 4 and re.search(r" in [1-9]\d?\.\d{3} s$", title)
+    assert ([(one["time"], one.get("active")) for one in events(path)], timed(path)[1]) == (faults, title)
+
+
 # Bodies of blocks that are no packets of a bus; Wireshark gives the first of them a frame number.
 NUMBERED = [(9, b"__REALTIME_TIMESTAMP=1700000000000000\nMESSAGE=x\n"), (0xBAD, b"\0\0\1\0custom"), (0x40000BAD, b"\1\0\0\0")]
 UNNUMBERED = [(4, bytes(4)), (5, bytes(12)), (0x80000001, b"local"), (0x777, b"")]

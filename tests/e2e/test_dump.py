@@ -100,6 +100,9 @@ def clocked(rng, count):
 
 # What tshark shows -----------------------------------------------------------------------------------------------
 
+FLAGS = {"True": "1", "False": "0"}  # as -T fields of 4.2 and later has them
+
+
 def rows(path, *arguments):
     """The records, as dictionaries of what is there: {field: [values]}."""
     wanted = [argument for name in NAMES for argument in ("-e", name)]
@@ -108,7 +111,7 @@ def rows(path, *arguments):
     shown = []
     for line in done.stdout.splitlines():
         values = dict(zip(NAMES, line.split("\t")))
-        row = {name: value.split(";") for name, value in values.items() if value}
+        row = {name: [FLAGS.get(one, one) for one in value.split(";")] for name, value in values.items() if value}
         row["info"] = values[test_streams.INFO]
         if tshark.version() >= (4, 2):
             row["info"] = row["info"].replace(r"\\", "\\")
@@ -411,7 +414,8 @@ def test_files_of_others(name, extension, folder):
     if name in OPENED:
         assert done[0] == 0 and "Motor Data" in done[1]
     else:
-        assert done == outcome(path, plugin=False)[0] and (done[1] or errors)
+        assert done == outcome(path, plugin=False)[0]
+        assert done[1] or errors or name == "empty" and tshark.version() >= (4, 2)  # which says nothing of it
 
 
 @levels.by_version

@@ -553,6 +553,15 @@ function T.test_no_drop_is_missed_at_the_end_of_a_piece()
   end
 end
 
+function T.test_the_first_packet_has_no_time()
+  local head, custom = section(le) .. interface(CAN, le), block(0xBAD, "\0\0\1\0custom", le)
+  local first, next_one = packet(0, "x", le, 7250000), packet(0, "x", le, 8000000)
+  lu.assertEquals(read(head .. custom .. custom .. first .. next_one).start, 7.25)
+  lu.assertFalse(read(head .. custom).start)
+  lu.assertFalse(read(head .. first .. custom .. next_one).start)
+  lu.assertFalse(read(head .. first).start)
+end
+
 function T.test_packets_without_times()
   local head = section(le) .. interface(CAN, le)
   lu.assertTrue(read(head .. packet(0, "x", le) .. simple_packet("x", le)).lacks_times)

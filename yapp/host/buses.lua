@@ -120,6 +120,13 @@ function Buses:lacks_clock()
   return self:lacks_times() or file_readers.log().lacks_clock
 end
 
+--- Return the seconds from the first time stamp of the capture to the current packet.  If the first
+-- packet has none, pinfo.rel_ts is of no use: 4.0 counts from 1970, 4.4 and 4.6 say 0.
+function Buses:time(pinfo)
+  local start = self.found.start
+  return start and pinfo.abs_ts - start or pinfo.rel_ts
+end
+
 -- The bus by the fields of the current packet; nil where they do not tell it.
 local function bus_by_fields(found)
   local fields = socketcan.fields_of(NAMES)

@@ -63,7 +63,7 @@ local function fill_frame(self, tvb, reported, pinfo, tree, id, accepts_all, is_
   local visited = key <= self.reading.newest_key and not is_deferred and pinfo.visited
   local wants = not visited and builder.wanted or builder:wants(tree, pinfo, visited)
   frame.key = key
-  frame.time = pinfo.rel_ts
+  frame.time = self.buses:time(pinfo)
   frame.visited = visited
   frame.can_id = fields
   frame.seq = fields.seq

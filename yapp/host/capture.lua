@@ -66,6 +66,7 @@ local INDEX_OF = {
   end,
 }
 
+local NEXT = -1 -- the time stamp of the next packet is wanted
 local TIMES = 2 ^ 40 -- microseconds: times are kept modulo 12 days, see Capture:bus
 
 -- The bytes of a file -----------------------------------------------------------------------------
@@ -309,7 +310,7 @@ end
 -- Read a block with a packet, of the enhanced or of the obsolete kind.
 local function read_packet(self, window, offset, length, kind)
   self.count = self.count + 1
-  local is_wanted = self.keeps or self.has_serial or window.may_have_drops
+  local is_wanted = self.keeps or self.has_serial or window.may_have_drops or self.start == NEXT
   if not is_wanted then return end -- the usual case
   if length < 32 then return true end
   local number, high, low = three_numbers(window, offset + 8)
@@ -317,6 +318,7 @@ local function read_packet(self, window, offset, length, kind)
   local interface = interface_of(self, number)
   if not interface then return self.keeps end
   local seconds = seconds_of(interface, high, low)
+  if self.start == NEXT then self.start = seconds end
   if kind == ENHANCED then
     read_enhanced(self, window, offset, length, interface, seconds)
   elseif self.keeps then
@@ -345,6 +347,12 @@ local function count_packet(self)
   self.count = self.count + 1
 end
 
+-- A custom block is a packet without a time.
+local function read_custom(self)
+  count_packet(self)
+  if self.count == 1 then self.start = NEXT end
+end
+
 local function stop_reading()
   return true
 end
@@ -355,9 +363,11 @@ local BLOCKS = {
   [3] = read_simple_packet,
   [5] = read_statistics,
   [ENHANCED] = read_packet,
+  [0xBAD] = read_custom,
+  [0x40000BAD] = read_custom,
 }
--- Wireshark gives these a frame number, too: of the systemd journal, custom, events of sysdig.
-for _, kind in ipairs { 9, 0xBAD, 0x40000BAD, 0x204, 0x216, 0x221 } do
+-- Wireshark gives these a frame number, too: of the systemd journal, events of sysdig.
+for _, kind in ipairs { 9, 0x204, 0x216, 0x221 } do
   BLOCKS[kind] = count_packet
 end
 -- Wireshark 4.6 gives these a frame number, 4.4 does not: further events of sysdig.
@@ -515,6 +525,7 @@ local function new_capture()
     is_taken = {}, -- by name
     drops = {},
     lacks_times = false,
+    start = false,
     has_packets = false,
     is_unknown = false,
   }, Capture)
@@ -538,6 +549,7 @@ end
 --   drops         list of { time = seconds since 1970 or nil, frame = number of the packet behind
 --                 the loss or nil, bus = name or nil, count = packets that were dropped }
 --   lacks_times   whether packets have no time stamps
+--   start         if the first packet has no time stamp: that of the next one, seconds since 1970
 --   offset        of the CAN frame's data in each packet; nil where it is not always the same
 --   head          its first bytes, if it has packets and these may have YAPP frames, in TCP, UDP or
 --                 others
@@ -556,6 +568,7 @@ function M.read(head, more)
   self.is_unknown = self.is_unknown or magic == "LOGG"
   self.is_told = format ~= nil and not self.is_unknown
   conclude(self)
+  if self.start == NEXT then self.start = false end
   self.head = has_frame and self.has_packets and head or nil
   self.may_have_frames = has_frame or not self.has_packets
   return self

@@ -118,7 +118,7 @@ end
 local function new_frame(self, tvb, pinfo, id)
   local frame, number = records.new_can_frame(), pinfo.number
   frame.key = number * frame_key.PACKET + self.offset
-  frame.time = pinfo.rel_ts
+  frame.time = self.buses:time(pinfo)
   frame.can_id = can_id.fields[id]
   frame.seq = frame.can_id.seq
   frame.data, frame.reported = tvb:raw(self.offset, self.captured), self.length

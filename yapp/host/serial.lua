@@ -73,7 +73,7 @@ local function new_packet(self, line, pinfo, offset, bytes, length, wants)
   return {
     key = number * PACKET + offset,
     number = number,
-    time = pinfo.rel_ts, -- seconds since the first packet
+    time = self.buses:time(pinfo), -- seconds since the first packet
     epoch = is_truncated and pinfo.abs_ts, -- since 1970, or false
     visited = pinfo.visited,
     bytes = bytes, -- those that were captured

@@ -85,7 +85,7 @@ local function tap_clock(self)
     if self.is_exact then return end
     for _, info in ipairs { all_field_infos() } do
       if info.name == "frame.time_epoch" then
-        self.queue:begins(info.value.secs, info.value.nsecs, pinfo.rel_ts)
+        self.queue:begins(info.value.secs, info.value.nsecs, self.buses:time(pinfo))
         self.is_exact = true
       end
     end
@@ -124,7 +124,7 @@ local function tap_packets(self)
       if not self.frames:is_second_pass(pinfo.number) then end_trees(self, tap, clock) end
     end
     self.deferral:decide(self.builder.wanted)
-    self.queue:packet(pinfo.number, pinfo.rel_ts, self.buses:lacks_clock())
+    self.queue:packet(pinfo.number, self.buses:time(pinfo), self.buses:lacks_clock())
   end)
 
   -- All packets will be revisited.  In Wireshark another window that wants to read while this
