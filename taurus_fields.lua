@@ -5,7 +5,7 @@
 -- preference, Info column and CSV follow.  The tests have a list of their own, see CONTRIBUTING.md.
 --
 --   {
---     name = "battery", title = "Battery", id = 0x340, size = 3, info = "{level:%.0f} %",
+--     name = "battery", title = "Battery", id = 0x340, size = 3, info = "{level:%.0f unit}",
 --     { "level", "uint16", "Level", scale = 0.1, unit = "%" },
 --     { "mode", "uint8", "Mode", values = { [0] = "Off", [1] = "Charging" } },
 --   },
@@ -101,7 +101,7 @@ return {
     id = 0x000,
     size = 7,
     every = 0.2,
-    info = "{enabled}, {key}  {motor_mode}  {rpm:%.1f} RPM  {torque_iq:%.2f} A",
+    info = "{enabled}, {key}  {motor_mode}  {rpm:%.1f unit}  {torque_iq:%.2f unit}",
     { "enabled", "uint8", "Enabled", values = { [0] = "Disabled", [1] = "Enabled" } },
     { "key", "uint8", "Key", invalid = "command.key.invalid",
       values = { [0xA5] = "Full Operation", [0x5A] = "No Regeneration Allowed" } },
@@ -117,8 +117,9 @@ return {
     size = 32,
     every = 0.1,
     answers = "command",
-    info = "{rpm_commanded:%.1f}/{rpm_measured:%.1f} RPM  {dc_voltage:%.2f} V  {dc_current:%.2f} A",
-    info_rest = "ESC {esc_temperature:%.0f} °C  {torque_iq_measured:%.2f} A torque",
+    info = "{rpm_commanded:%.1f}/{rpm_measured:%.1f unit}  " ..
+      "{dc_voltage:%.2f unit}  {dc_current:%.2f unit}",
+    info_rest = "ESC {esc_temperature:%.0f unit}  {torque_iq_measured:%.2f unit} torque",
     differences = {
       { "torque_iq_error", "torque_iq_measured", "torque_iq_commanded", "Torque IQ Error" },
       { "rpm_error", "rpm_measured", "rpm_commanded", "RPM Error" },
@@ -145,8 +146,8 @@ return {
     id = 0x200,
     size = 17,
     every = 0.5,
-    info = "control {control_thread_cpu:%.0f} %, Taurus {taurus_thread_cpu:%.0f} %  " ..
-      "CPU {cpu_temperature:%.0f} °C, FET {fet_temperature:%.0f} °C",
+    info = "control {control_thread_cpu:%.0f unit}, Taurus {taurus_thread_cpu:%.0f unit}  " ..
+      "CPU {cpu_temperature:%.0f unit}, FET {fet_temperature:%.0f unit}",
     { "timestamp", "int64_ns", "Timestamp" },
     { "control_thread_cpu", "float8", "Control Thread CPU Usage", min = 0, max = 100, unit = "%" },
     { "taurus_thread_cpu", "float8", "Taurus Thread CPU Usage", min = 0, max = 100, unit = "%" },

@@ -41,12 +41,13 @@ table.insert(rawget(package, "searchers"), 2, function(name)
   return chunk or "\n\t" .. why
 end)
 
+local binary = require "yapp.message.binary"
 local bus_finder = require "yapp.host.buses"
 local can_dissector = require "yapp.host.can"
 local can_id = require "yapp.wire.can_id"
 local catalogue_files = require "yapp.message.catalogue_files"
 local compiler = require "yapp.message.catalogue"
-local decode = require "yapp.message.decode"
+local field_kinds = require "yapp.message.field_kinds"
 local file_readers = require "yapp.file.readers"
 local frame = require "yapp.wire.frame"
 local joined = require "yapp.base.joined"
@@ -96,7 +97,7 @@ local header = Proto("yapp_socketcan", "YAPP reads CAN headers")
 local tcp_header = Proto("yapp_tcp", "YAPP reads TCP headers")
 local usb_header = Proto("yapp_usb", "YAPP reads USB headers")
 local server = Proto("yapp_port", "YAPP looks for YAPP on a server's port")
-preferences.define(yapp, catalogue, decode, frame.MAX_ID)
+preferences.define(yapp, catalogue, field_kinds, frame.MAX_ID)
 
 local buses = bus_finder.watch()
 local intake = stat_intake.new(catalogue)
@@ -273,7 +274,7 @@ local function controller_time(bytes)
   local time = message and message.time
   if not time or size < math.max(message.min_size, time.offset + 8) then return nil end
   if #bytes < frame.HEADER + size then return nil end
-  local seconds, nanoseconds = decode.time(bytes, frame.HEADER + time.offset)
+  local seconds, nanoseconds = binary.time(bytes, frame.HEADER + time.offset)
   if seconds >= 0 and nanoseconds >= 0 then return seconds, nanoseconds end
 end
 
@@ -318,7 +319,7 @@ end
 
 local function read_preferences()
   local prefs, chosen = yapp.prefs, {}
-  decode.use_below_top(prefs.divisor)
+  field_kinds.use_below_top(prefs.divisor)
   for _, message in ipairs(catalogue.messages) do
     chosen[message.name] = preferences.range(prefs[message.name .. "_ids"])
   end

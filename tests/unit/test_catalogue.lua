@@ -42,6 +42,7 @@ function T.test_what_is_wrong_with_a_message_is_said()
     { { size = "1" }, 'message m: size "1"' },
     { { info = 5 }, "message m: info must be a text" },
     { { info = "{g}" }, 'message m: info names a field "g"' },
+    { { info = "{f unit}" }, "message m: info: f has no unit" },
     { { info = "{f:%d}" }, "message m: info: the format" }, { { info = "{f:%.1f}" }, "message m: info: the format" },
     { { info = "{f:%d}", [1] = { "f", "float8", "F", min = 0, max = 1 } }, "message m: info: the format" },
     { { info = "{f:%99.1f}", [1] = { "f", "float8", "F", min = 0, max = 1 } }, "message m: info: the format" },

@@ -3,6 +3,8 @@
 if not arg then return end -- run by Wireshark, see run.lua
 local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
+local binary = require("yapp.message.binary")
+local field_kinds = require("yapp.message.field_kinds")
 local decode = require("yapp.message.decode")
 local text_of = require("yapp.message.text")
 
@@ -12,7 +14,7 @@ local function field(kind, min, max)
   local compiled, problems = catalogue.compile {
     { name = "m", title = "M", id = 1, size = kind == "float16" and 2 or 1, { "f", kind, "F", min = min, max = max } } }
   lu.assertEquals(problems, {})
-  decode.use_below_top(decode.MAPPING)
+  field_kinds.use_below_top(field_kinds.MAPPING)
   return compiled.messages[1].fields[1]
 end
 
@@ -26,15 +28,16 @@ function T.test_floats()
     { "float16", -200, 200, 32847, 0.5005 }, { "float16", -100000, 100000, 33011, 750.80 },
   } do
     local f = field(row[1], row[2], row[3])
-    lu.assertAlmostEquals(decode.value(f, row[4]), row[5], 0.01 * math.abs(row[5]) + 1e-4)
+    lu.assertAlmostEquals(field_kinds.value(f, row[4]), row[5], 0.01 * math.abs(row[5]) + 1e-4)
   end
 end
 
 function T.test_the_ends_and_the_middle_are_exact()
   local f = field("float16", -128, 128)
-  lu.assertTrue(decode.value(f, 0) == -128 and decode.value(f, 32765) == 0 and decode.value(f, 65530) == 128)
+  local values = { [0] = -128, [32765] = 0, [65530] = 128 }
+  for raw, value in pairs(values) do lu.assertEquals(field_kinds.value(f, raw), value) end
   f = field("float16", -10, 5)
-  lu.assertTrue(decode.value(f, 0) == -10 and decode.value(f, 65530) == 5)
+  lu.assertTrue(field_kinds.value(f, 0) == -10 and field_kinds.value(f, 65530) == 5)
 end
 
 -- A message is recognised by its values only if enough of them can be wrong.
@@ -62,7 +65,7 @@ end
 function T.test_zero_is_at_43687_counts()
   local f, best = field("float16", -10, 5), nil
   for raw = 43680, 43690 do
-    if not best or math.abs(decode.value(f, raw)) < math.abs(decode.value(f, best)) then best = raw end
+    if not best or math.abs(field_kinds.value(f, raw)) < math.abs(field_kinds.value(f, best)) then best = raw end
   end
   lu.assertEquals(best, 43687)
 end
@@ -72,7 +75,7 @@ function T.test_every_count()
     local f = field(kind, -40, 210)
     local before = -math.huge
     for raw = 0, f.top do
-      local value, special = decode.value(f, raw)
+      local value, special = field_kinds.value(f, raw)
       if raw <= f.top - 5 then
         lu.assertTrue(value > before and value >= -40 and value <= 210 and special == nil)
         before = value
@@ -85,19 +88,19 @@ end
 
 function T.test_the_divisor_of_the_worked_examples()
   local f = field("float16", -200, 200)
-  decode.use_below_top(decode.WORKED_EXAMPLES)
-  lu.assertAlmostEquals(decode.value(f, 32847), 0.4975, 0.0005)
+  field_kinds.use_below_top(field_kinds.WORKED_EXAMPLES)
+  lu.assertAlmostEquals(field_kinds.value(f, 32847), 0.4975, 0.0005)
   f = field("float16", -100000, 100000)
-  decode.use_below_top(decode.WORKED_EXAMPLES)
-  lu.assertAlmostEquals(decode.value(f, 33011), 749.26, 0.005)
-  decode.use_below_top(decode.MAPPING)
+  field_kinds.use_below_top(field_kinds.WORKED_EXAMPLES)
+  lu.assertAlmostEquals(field_kinds.value(f, 33011), 749.26, 0.005)
+  field_kinds.use_below_top(field_kinds.MAPPING)
 end
 
 function T.test_rounding()
   local f = field("float16", -10, 5)
-  lu.assertTrue(tonumber(decode.number_text(f, 1.1000000001)) == 1.1)
-  lu.assertTrue(tonumber(decode.number_text(f, -0.12345678)) == -0.1234568)
-  lu.assertTrue(tonumber(decode.number_text(f, 0)) == 0)
+  lu.assertTrue(tonumber(field_kinds.number_text(f, 1.1000000001)) == 1.1)
+  lu.assertTrue(tonumber(field_kinds.number_text(f, -0.12345678)) == -0.1234568)
+  lu.assertTrue(tonumber(field_kinds.number_text(f, 0)) == 0)
 end
 
 local function bytes(hex) return (hex:gsub("%x%x", function(h) return string.char(tonumber(h, 16)) end)) end
@@ -118,7 +121,7 @@ function T.test_times()
     { "00000000000000C0", -4611686018, -427387904 },
   } do
     for offset = 0, 3 do
-      local seconds, nanoseconds = decode.time(("?"):rep(offset) .. bytes(row[1]), offset)
+      local seconds, nanoseconds = binary.time(("?"):rep(offset) .. bytes(row[1]), offset)
       lu.assertTrue(seconds == row[2] and nanoseconds == row[3],
         ("%s: %s s, %s ns"):format(row[1], tostring(seconds), tostring(nanoseconds)))
       lu.assertEquals(string.format("%d %d", seconds, nanoseconds), string.format("%d %d", row[2], row[3]))
@@ -130,7 +133,7 @@ function T.test_texts_of_times()
   for text, row in pairs { ["0.000000000"] = { 0, 0 }, ["0.500000000"] = { 0, 5e8 }, ["-0.000000001"] = { 0, -1 },
     ["12.000000001"] = { 12, 1 }, ["-1.000000000"] = { -1, 0 },
     ["-9223372036.854775808"] = { -9223372036, -854775808 } } do
-    lu.assertEquals(decode.seconds(row[1], row[2]), text)
+    lu.assertEquals(binary.seconds(row[1], row[2]), text)
   end
 end
 

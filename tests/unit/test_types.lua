@@ -5,6 +5,8 @@ local lu = require("luaunit")
 local catalogue = require("yapp.message.catalogue")
 local csv = require("yapp.stat.csv")
 local output = require("yapp.stat.output")
+local binary = require("yapp.message.binary")
+local field_kinds = require("yapp.message.field_kinds")
 local decode = require("yapp.message.decode")
 local text_of = require("yapp.message.text")
 
@@ -137,13 +139,13 @@ end
 
 -- Every value of four bytes that is a decimal of few digits is shown as that decimal.
 function T.test_the_shortest_digits_of_four_bytes()
-  local shortest = decode.shortest
+  local shortest = binary.shortest
   local m = message(4, { "f", "float32", "F" })
   local seed = 1
   for _ = 1, 20000 do
     seed = (seed * 1103515245 + 12345) % 2147483648
     local hex = ("%08x"):format(seed)
-    local value = decode.value(m.fields[1], m.read(bytes(hex))[1])
+    local value = field_kinds.value(m.fields[1], m.read(bytes(hex))[1])
     if value then
       local short = shortest(value, 4)
       lu.assertTrue(math.abs(short - value) <= math.max(math.abs(value) * 2 ^ -24, 2 ^ -150), hex)
@@ -245,7 +247,7 @@ local function generated(m, hex)
   local raws, values = m.read(bytes(hex)), {}
   for i, item in ipairs(m.generated) do
     local value = decode.derived(m, item, raws)
-    values[i] = value and tonumber(decode.number_text(item, value)) or "-"
+    values[i] = value and tonumber(field_kinds.number_text(item, value)) or "-"
   end
   return values
 end
@@ -382,6 +384,15 @@ function T.test_columns_are_described()
       '],"differences":[]}},"statistics":{"note":{"columns":[' ..
       '{"name":"rate","type":"number","unit":"Hz","title":"rate/Hz","help":"how often"},' ..
       '{"name":"gap","type":"seconds","unit":"s","title":"longest","help":null}]}}}')
+end
+
+-- A unit follows a value if its placeholder says so, also a reserved value and one that is not there.
+function T.test_info_with_units()
+  local units = catalogue.compile({ { name = "m", title = "M", id = 1, size = 3, min_size = 2,
+    info = "{a unit}, {b:%.1f unit} {b:%.0f} {c unit}", { "a", "uint8", "A", unit = "%" },
+    { "b", "float8", "B", min = 0, max = 25, unit = "V" }, { "c", "uint8", "C", unit = "°C" } } }).messages[1]
+  lu.assertEquals(units.write_info { 7, 100, 9 }, "7 %, 10.0 V 10 9 °C")
+  lu.assertEquals(units.write_info { 7, 255, nil }, "7 %, NaN V NaN - °C")
 end
 
 -- A function has not room for any number of values.

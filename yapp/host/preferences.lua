@@ -34,16 +34,16 @@ end
 --- Give a protocol its preferences.
 -- proto      Proto
 -- catalogue  compiled
--- decode     the module
+-- field_kinds  the module
 -- max_id     the highest message ID
-function M.define(proto, catalogue, decode, max_id)
+function M.define(proto, catalogue, field_kinds, max_id)
   local prefs, periods = proto.prefs, {}
-  prefs.divisor = Pref.enum("Compressed floats divide by", decode.MAPPING,
+  prefs.divisor = Pref.enum("Compressed floats divide by", field_kinds.MAPPING,
     "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed " ..
     "in the worked examples of the vendor's document (0.4975 A, 749.26 RPM).",
     {
-      { 1, "2^N - 6 (mapping)", decode.MAPPING },
-      { 2, "2^N - 5 (worked examples)", decode.WORKED_EXAMPLES },
+      { 1, "2^N - 6 (mapping)", field_kinds.MAPPING },
+      { 2, "2^N - 5 (worked examples)", field_kinds.WORKED_EXAMPLES },
     })
   for _, message in ipairs(catalogue.messages) do
     local title, id, period = message.title, ("0x%x"):format(message.id), message.every

@@ -4,6 +4,7 @@
 
 local input = require "yapp.base.input"
 local decode = require "yapp.message.decode"
+local field_kinds = require "yapp.message.field_kinds"
 local fields = require "yapp.message.catalogue_fields"
 local text_of = require "yapp.message.text"
 
@@ -33,24 +34,6 @@ end
 -- Digits behind the point in a column, by unit.
 local DIGITS = { RPM = 0, V = 2, A = 2, W = 0, ["°C"] = 0, ["%"] = 0 }
 
--- Wireshark's types of the kinds whose name is not a type.
-local TYPES = {
-  time = "RELATIVE_TIME",
-  bool = "BOOLEAN",
-  float = "DOUBLE",
-  ieee = "DOUBLE",
-  scaled = "DOUBLE",
-}
-
--- Return the type of a field's own filter, and the base.
-local function type_of(field)
-  local kind, width = field.kind, field.size * 8
-  if kind == "flags" then return "UINT" .. width, "HEX" end
-  if kind == "uint" then return "UINT" .. width, field.values and "HEX" end
-  if kind == "int" then return "INT" .. width end
-  return TYPES[kind] or kind:upper()
-end
-
 -- Add the filters of a field's flags.
 local function add_flags(message, field, add, about)
   local title, group = field.title, field.group
@@ -73,14 +56,14 @@ end
 -- Add the filters of a field.
 local function add_field(message, field, add)
   local title, about = field.title, describe(message, field)
-  local kind, base = type_of(field)
+  local kind, base = field_kinds.BY_NAME[field.kind].filter(field)
   if field.kind == "flags" then
     add_flags(message, field, add, about)
   elseif field.special then
-    add(field.special, "UINT8", title,
-      "Why there is no number, a reserved count, NaN or infinity: " .. about, nil, decode.SPECIALS)
+    local why = "Why there is no number, a reserved count, NaN or infinity: " .. about
+    add(field.special, "UINT8", title, why, nil, field_kinds.SPECIALS)
   end
-  local mask = field.kind == "uint" and field.mask or nil
+  local mask = kind:find("^UINT") and field.mask or nil
   add(field.filter, kind, title, about, base, field.values, mask)
 end
 
@@ -170,7 +153,7 @@ end
 -- what  the item that needs it: "derived dc_power"
 local function number_index(message, what, name)
   local field = message.by_name[name]
-  demand(field and decode.is_number(field), "%s: %s is no field of numbers", what, shown(name))
+  demand(field and field_kinds.is_number(field), "%s: %s is no field of numbers", what, shown(name))
   return field.index
 end
 

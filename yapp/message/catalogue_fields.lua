@@ -4,6 +4,7 @@
 -- field.
 
 local band = require "yapp.base.bits".band
+local field_kinds = require "yapp.message.field_kinds"
 local input = require "yapp.base.input"
 
 local demand, shown, set = input.demand, input.shown, input.set
@@ -241,13 +242,10 @@ end
 
 local add_rows
 
--- What may choose among variants.
-local INTEGERS = set("uint int scaled bool")
-
 -- The cases lie over one another, as in a union of C: the longest says where the message goes on.
 local function add_variants(build, row)
   local by = build.message.by_name[row.by or false]
-  demand(by and INTEGERS[by.kind] and by.size <= 4 and not by.cases,
+  demand(by and field_kinds.BY_NAME[by.kind].is_integer and by.size <= 4 and not by.cases,
     "by %s is not an earlier integer of the message, one for each row of variants", shown(row.by))
   demand(not build.when, "variants are not for a case of others")
   demand(row.cases, "cases is missing")

@@ -6,8 +6,8 @@
 -- memory grows with changes, Commands and reboots, not with messages.
 
 local band = require "yapp.base.bits".band
+local binary = require "yapp.message.binary"
 local last_until = require "yapp.base.frame_key".last_until
-local decode = require "yapp.message.decode"
 local faults_of = require "yapp.message.faults"
 local memo = require "yapp.base.memo"
 
@@ -99,7 +99,7 @@ end
 local function clock_of(message)
   local field = message.raws and message.source.message.time
   if not field or #message.payload < field.offset + 8 then return nil end
-  local seconds, nanoseconds = decode.time(message.payload, field.offset)
+  local seconds, nanoseconds = binary.time(message.payload, field.offset)
   return seconds * 1e9 + nanoseconds
 end
 

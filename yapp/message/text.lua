@@ -6,14 +6,14 @@
 -- value.
 
 local input = require "yapp.base.input"
-local bits = require "yapp.base.bits"
 local decode = require "yapp.message.decode"
+local field_kinds = require "yapp.message.field_kinds"
 local memo = require "yapp.base.memo"
 
 local M = {}
 
 local format, concat = string.format, table.concat
-local number_text, value_of = decode.number_text, decode.value
+local KINDS = field_kinds.BY_NAME
 
 -- Writers ----------------------------------------------------------------------------------------
 
@@ -32,9 +32,9 @@ return function(raws)
 return format(%s)
 end]]
 
--- Return the value of a compressed float as source, see decode.value.
+-- Return the value of a compressed float as source, see field_kinds.value.
 local function value_source(field, a)
-  local steps, span = field.top - decode.below_top, field.max - field.min
+  local steps, span = field.top - field_kinds.below_top, field.max - field.min
   return format("(%.17e + %s * %.17e) / %.17e", field.min * steps, a, span, steps)
 end
 
@@ -81,8 +81,8 @@ end
 local function new_writer(pieces)
   local below_top, write_usual
   return function(raws)
-    if below_top ~= decode.below_top then
-      below_top, write_usual = decode.below_top, new_usual(pieces)
+    if below_top ~= field_kinds.below_top then
+      below_top, write_usual = field_kinds.below_top, new_usual(pieces)
     end
     return write_usual(raws) or write_each(pieces, raws)
   end
@@ -90,47 +90,40 @@ end
 
 -- The Info column --------------------------------------------------------------------------------
 
-local SPECIALS = { [0] = "NaN", "+inf", "-inf", "above range", "below range" }
-local BOOLS = { [0] = "false", "true" }
-
--- Return what Info says of a field.
--- shape  of a number with a fraction
-local function info_of(field, shape, raw)
-  if field.kind == "time" then return decode.seconds(decode.time(raw, 0)) .. " s" end
-  local value, special = value_of(field, raw)
-  if special then return SPECIALS[special] end
-  if shape then return shape:format(value) end
-  local meanings = field.kind == "bool" and BOOLS or field.values
-  if not meanings then return number_text(field, value) end
-  local invalid = field.kind == "int" and "invalid %d" or "invalid 0x%x"
-  return meanings[raw] or invalid:format(raw)
-end
-
-local function info_piece(message, name, shape)
+-- Return the piece of a field, and " V" if its unit follows, else nil.
+-- rest  what stands behind its name: ":%.1f unit"
+local function info_piece(message, name, rest)
   local field = message.by_name[name]
   input.demand(field, "info names a field %s that is not there", input.shown(name))
+  local before = rest:match("^(.-) unit$")
+  local shape = (before or rest):gsub("^:", "")
+  input.demand(not before or field.unit, "info: %s has no unit", name)
   local is_real = field.special or field.scale
   input.demand(shape == "" or is_real and shape:find("^%%%.?%d?[fg]$"),
     "info: the format %s is not one for %s", input.shown(shape), name)
   if shape == "" then shape = is_real and "%.4g" end
+  local info = KINDS[field.kind].info
   return {
     field = field,
     index = field.index,
     shape = field.kind == "float" and shape,
-    write = function(raw) return info_of(field, shape, raw) end,
+    write = function(raw) return info(field, raw, shape) end,
     absent = "-",
-  }
+  }, before and " " .. field.unit
 end
 
 --- Compile what Info says of a message.
--- text     "{name:%.1f} V": the format of a number with a fraction may be left out
+-- text     "{name:%.1f unit}" is "47.3 V"; "{name}" is without the unit, and with as many digits as
+--          make sense
 -- returns  function(raws) -> what Info says of its values.  It raises what is wrong.
 function M.compile_info(message, text)
   local pieces, index = {}, 1
   while index do
-    local from, to, name, shape = text:find("{([%w_]+):?([^}]*)}", index)
+    local from, to, name, rest = text:find("{([%w_]+)([^}]*)}", index)
+    local unit = nil
     pieces[#pieces + 1] = text:sub(index, (from or 0) - 1)
-    pieces[#pieces + 1] = from and info_piece(message, name, shape)
+    if from then pieces[#pieces + 1], unit = info_piece(message, name, rest) end
+    pieces[#pieces + 1] = unit or nil
     index = to and to + 1
   end
   return new_writer(pieces)
@@ -157,68 +150,15 @@ end
 
 -- Names of columns that stat.csv puts in front of a message's own.
 local TAKEN = { "time", "frame", "bus", "source", "id", "seq", "crc_good" }
--- The cells of a reserved value: no number, and its name.
-local SPECIAL_CELLS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
-
--- The types of columns by kind of field.
-local TYPES = {
-  float = "float", ieee = "float", scaled = "float", derived = "float",
-  uint = "integer", int = "integer", flags = "integer",
-  bool = "bool", time = "time", string = "string", bytes = "string",
-}
-
 -- Return the columns of a field or derived value, { name, type, flag or nil } each.
 local function columns_of(field)
-  local columns = { { field.name, TYPES[field.kind] } }
+  local columns = { { field.name, KINDS[field.kind].column } }
   if field.special then columns[2] = { field.name .. "_special", "string" } end
   if field.values then columns[2] = { field.name .. "_text", "string" } end
   for i, flag in ipairs(field.flags or {}) do
     columns[i + 1] = { field.group:match("[^.]+$") .. "_" .. flag.name, "bool", flag }
   end
   return columns
-end
-
---- Return a text as a cell of CSV: in quotes where it must be.
-function M.quoted(text)
-  if text:find('[,"\r\n]') then return '"' .. text:gsub('"', '""') .. '"' end
-  return text
-end
-
--- By kind: function(field, raw) -> its cells as a text.
-local CELLS = {}
-
-function CELLS.ieee(field, raw)
-  local value, special = value_of(field, raw)
-  return SPECIAL_CELLS[special] or number_text(field, value) .. ","
-end
-
-function CELLS.uint(field, raw)
-  local text, values = number_text(field, value_of(field, raw)), field.values
-  if not values then return text end
-  return text .. "," .. M.quoted(values[raw] or "")
-end
-
-function CELLS.string(field, raw)
-  return M.quoted(value_of(field, raw))
-end
-
-CELLS.float, CELLS.bytes = CELLS.ieee, CELLS.string
-CELLS.int, CELLS.scaled = CELLS.uint, CELLS.uint
-
-function CELLS.bool(_, raw)
-  return raw == 0 and "0" or "1"
-end
-
-function CELLS.time(_, raw)
-  return decode.seconds(decode.time(raw, 0))
-end
-
-function CELLS.flags(field, raw)
-  local texts = { number_text(field, raw) }
-  for i, flag in ipairs(field.flags) do
-    texts[i + 1] = bits.fast_band(raw, flag.mask) ~= 0 and "1" or "0"
-  end
-  return concat(texts, ",")
 end
 
 -- Call visit(field, its columns) for the fields and derived values of a message.
@@ -245,7 +185,7 @@ function M.columns(message)
       taken[name] = true
       columns[#columns + 1] = {
         name = name,
-        unit = i == 1 and (field.kind == "time" and "s" or field.unit) or nil,
+        unit = i == 1 and (field.unit or KINDS[field.kind].unit) or nil,
         type = column[2],
         field = field,
         flag = column[3],
@@ -258,7 +198,7 @@ end
 -- Return a function(raw) -> the cells of a field, which keeps the latest text: flags and the like
 -- seldom change.
 local function new_cells(field)
-  local write, latest, text = CELLS[field.kind], nil, nil
+  local write, latest, text = KINDS[field.kind].cells, nil, nil
   return function(raw)
     if raw ~= latest then latest, text = raw, write(field, raw) end
     return text
@@ -268,7 +208,7 @@ end
 local function derived_cells(message, item)
   return function(raws)
     local value = decode.derived(message, item, raws)
-    return value and number_text(item, value) or ""
+    return value and field_kinds.number_text(item, value) or ""
   end
 end
 

@@ -2,8 +2,10 @@
 -- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the
 -- values come from message.decode, what changed from the history.
 
+local binary = require "yapp.message.binary"
 local bits = require "yapp.base.bits"
 local decode = require "yapp.message.decode"
+local field_kinds = require "yapp.message.field_kinds"
 local frame_key = require "yapp.base.frame_key"
 local show_fields = require "yapp.show.fields"
 
@@ -14,7 +16,8 @@ local add_expert = show_fields.add_expert
 local add_generated = show_fields.add_generated
 local add_le = show_fields.add_le
 local append_text = show_fields.append_text
-local flag_names, number_text, value_of = decode.flag_names, decode.number_text, decode.value
+local flag_names = decode.flag_names
+local number_text, value_of = field_kinds.number_text, field_kinds.value
 local format = string.format
 local range_of = Tvb.range
 local referenced = TreeItem.referenced
@@ -39,8 +42,8 @@ end
 
 -- Adding a field ----------------------------------------------------------------------------------
 
--- How a field is added, by kind: function(field, fields), which returns a function(parent, range,
--- raw) -> item.
+-- How a field is added, by `shown` of its kind, see message.field_kinds: function(field, fields),
+-- which returns a function(parent, range, raw) -> item.
 -- fields  { [filter] = ProtoField }: of flags those that are wanted
 local ADD = {}
 
@@ -49,24 +52,22 @@ local function append_unit(item, field)
 end
 
 -- What Wireshark reads itself.
-function ADD.uint(field, fields)
+function ADD.plain(field, fields)
   local pf = fields[field.filter]
   return function(parent, range)
     return append_unit(add_le(parent, pf, range), field)
   end
 end
 
-ADD.int, ADD.bool, ADD.bytes = ADD.uint, ADD.uint, ADD.uint
-
 -- A number with a fraction, or the special that is there instead.
-function ADD.float(field, fields)
+function ADD.number(field, fields)
   local pf, special_pf = fields[field.filter], fields[field.special]
   local label, unit = (field.array or field).title .. ": ", field.unit and " " .. field.unit or ""
   local bytes = " (0x%0" .. field.size * 2 .. "x)"
   return function(parent, range, raw)
     local value, special = value_of(field, raw)
     if special then
-      local text = label .. decode.SPECIALS[special]
+      local text = label .. field_kinds.SPECIALS[special]
       if field.kind == "float" and raw >= 0 then text = text .. format(bytes, raw) end
       return set_text(add(parent, special_pf, range, special), text)
     end
@@ -75,9 +76,7 @@ function ADD.float(field, fields)
   end
 end
 
-ADD.ieee, ADD.scaled = ADD.float, ADD.float
-
-function ADD.string(field, fields)
+function ADD.text(field, fields)
   local pf = fields[field.filter]
   return function(parent, range, raw)
     return add(parent, pf, range, value_of(field, raw))
@@ -87,7 +86,7 @@ end
 function ADD.time(field, fields)
   local pf = fields[field.filter]
   return function(parent, range, raw)
-    return add(parent, pf, range, NSTime.new(decode.time(raw, 0)))
+    return add(parent, pf, range, NSTime.new(binary.time(raw, 0)))
   end
 end
 
@@ -189,7 +188,7 @@ local function make_plan(self, message, tree)
         field = field,
         index = index,
         parent = field.inside and field.inside.index,
-        add = ADD[field.kind](field, field.flags and wanted or fields),
+        add = ADD[field_kinds.BY_NAME[field.kind].shown](field, field.flags and wanted or fields),
       }
     end
   end

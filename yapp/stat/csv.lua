@@ -5,6 +5,7 @@
 -- FOLDER/motor.csv ...  time, frame, bus, source, id, seq, then the columns of the message
 -- FOLDER/fields.json    what each column is
 
+local field_kinds = require "yapp.message.field_kinds"
 local joined = require "yapp.base.joined"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
@@ -35,7 +36,7 @@ Csv.__index = Csv
 
 -- Return the cells of a source, "can0,left,528".
 local function cells_of(source)
-  local bus, name = text_of.quoted(source.bus or ""), text_of.quoted(source.name or "")
+  local bus, name = field_kinds.quoted(source.bus or ""), field_kinds.quoted(source.name or "")
   return ("%s,%s,%d"):format(bus, name, source.id)
 end
 
@@ -48,7 +49,7 @@ end
 local function begin(self, message, file)
   local names = {}
   for i, column in ipairs(columns_of(self, message)) do
-    names[i] = text_of.quoted(column.name)
+    names[i] = field_kinds.quoted(column.name)
   end
   file:write(table.concat(names, ",") .. "\n")
   self.tables[message] = { file = file, rows = 0 }

@@ -3,6 +3,7 @@
 -- message, how far their values lie apart.  Pure Lua, 5.2 to 5.5.
 
 local decode = require "yapp.message.decode"
+local field_kinds = require "yapp.message.field_kinds"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
 local output = require "yapp.stat.output"
@@ -17,14 +18,8 @@ local NO_NUMBER = 0 / 0
 -- for a reserved value, nil where the message does not have the field.
 local function number_of(message, values, raws)
   local field, raw = values.field, raws[values.index]
-  if field.kind == "derived" then return decode.derived(message, field, raws) end
-  if raw == nil then return nil end
-  if field.kind == "time" then
-    local seconds, nanoseconds = decode.time(raw, 0)
-    return seconds + nanoseconds / 1e9
-  end
-  raw = decode.value(field, raw)
-  return tonumber(raw) or NO_NUMBER -- of 64 bits a text, where a double is not exact
+  if values.index then return raw and field_kinds.number(field, raw) end
+  return decode.derived(message, field, raws)
 end
 
 -- A number with the digits that people see.
@@ -172,7 +167,7 @@ function Groups:wants(message)
   local list = {}
   for _, fields in ipairs { message.fields, message.generated } do
     for _, field in ipairs(fields) do
-      if decode.is_number(field) then
+      if field_kinds.is_number(field) then
         list[#list + 1] = { field = field, is_spread = self.compares }
       end
     end

@@ -14,6 +14,7 @@
 
 local can_id = require "yapp.wire.can_id"
 local compiler = require "yapp.message.catalogue"
+local field_kinds = require "yapp.message.field_kinds"
 local frame_key = require "yapp.base.frame_key"
 local kinds = require "yapp.stat.kinds"
 local memo = require "yapp.base.memo"
@@ -103,8 +104,7 @@ local function invalid_of(m)
     local index, is_undefined = remark[1], remark[3]
     if is_undefined then
       local field, raw = message.fields[index], m.raws[index]
-      -- As the vendor's document writes codes.  COMPAT 5.2: a negative number has no such text.
-      local shape = field.kind == "int" and "%d" or "0x%02x"
+      local shape = field_kinds.BY_NAME[field.kind].code or "0x%02x" -- as the document has it
       list = list or {}
       list[#list + 1] = {
         field = field.name,

@@ -7,6 +7,7 @@
 local check = require "yapp.stat.check"
 local csv = require "yapp.stat.csv"
 local events = require "yapp.stat.events"
+local field_kinds = require "yapp.message.field_kinds"
 local input = require "yapp.base.input"
 local joined = require "yapp.base.joined"
 local kinds = require "yapp.stat.kinds"
@@ -68,7 +69,7 @@ local function add_field(rule, name, value)
   if rule.kind ~= plain then name = start end
   local field, names = find(joined(message.fields, message.generated), name)
   demand(field, "%s has no field %q, but %s", message.name, name, names)
-  demand(field.kind ~= "string" and field.kind ~= "bytes",
+  demand(not field_kinds.BY_NAME[field.kind].is_text,
     "%s.%s is a text, which has no range", message.name, field.name)
   demand(not (rule.source and rule.kind.scope == "capture"),
     "a %s is of all sources, not of one", rule.kind.name)

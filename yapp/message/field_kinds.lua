@@ -1,0 +1,410 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The kinds of field, a record each: how a kind is read, what its values are, what is remarkable,
+-- and how filters, Info and CSV show it.  Pure Lua.
+--
+-- A new kind is a record here, and the types that have it in message.catalogue_fields.
+--
+-- A raw value is the integer or the count as sent.  Exceptions: the number of ieee; the decimal
+-- digits of a 64 bit integer beyond 2^53; the bytes of times, strings and bytes; -1 - n for special
+-- n of a compressed float of seven or eight bytes.
+
+local binary = require "yapp.message.binary"
+local bits = require "yapp.base.bits"
+local utf8 = require "yapp.base.utf8"
+
+local M = {}
+
+local floor = math.floor
+local byte, find, format, sub = string.byte, string.find, string.format, string.sub
+
+--- The reserved values of compressed floats, from the highest count down ("YAPP Float
+-- Compression").  The index is the value of <field>.special.
+M.SPECIALS = {
+  [0] = "Not a Number",
+  "Positive Infinity",
+  "Negative Infinity",
+  "Out of Range High",
+  "Out of Range Low",
+}
+
+-- Compressed floats: floatN <min; max> has counts 0 .. top, top = 2^N - 1.  The five highest counts
+-- are reserved values; the others map linearly:  value = min + count * (max - min) / (top - 5).
+-- The document's worked examples divide by top - 4; its mapping table and the 0 A of the captured
+-- example prove top - 5.
+M.MAPPING = 5
+M.WORKED_EXAMPLES = 4
+
+--- Compressed floats divide by top - below_top.
+M.below_top = M.MAPPING
+
+--- Choose what every compressed float divides by.
+-- below_top  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
+function M.use_below_top(below_top)
+  M.below_top = below_top
+end
+
+-- Reading ----------------------------------------------------------------------------------------
+--
+-- function(field, payload) -> raw
+
+--- Read a count: of what has fewer than seven bytes and no sign.
+function M.read_count(field, payload)
+  return binary.count(payload, field.offset + 1, field.size)
+end
+
+local function read_signed(field, payload)
+  local count = M.read_count(field, payload)
+  return count > field.top and count - 2 * (field.top + 1) or count
+end
+
+local function read_part(field, payload)
+  return floor(M.read_count(field, payload) / field.low) % (field.top + 1)
+end
+
+local function read_integer64(field, payload)
+  return binary.integer64(payload, field.offset + 1, field.bottom < 0)
+end
+
+local function read_bytes(field, payload)
+  return sub(payload, field.offset + 1, field.offset + field.size)
+end
+
+local function read_long_float(field, payload)
+  local lowest, others = byte(payload, field.offset + 1), sub(read_bytes(field, payload), 2)
+  if lowest >= 0xFB and not find(others, "[^\255]") then return lowest - 0x100 end
+  return M.read_count(field, payload)
+end
+
+local function read_ieee(field, payload)
+  return binary.ieee(payload, field.offset + 1, field.size, field.size == 4 and 23 or 52)
+end
+
+local function choose_integer(field)
+  if field.size > 6 then return read_integer64 end
+  if field.mask then return read_part end
+  return field.bottom < 0 and read_signed or M.read_count
+end
+
+local function choose_float(field)
+  return field.size > 6 and read_long_float or M.read_count
+end
+
+-- Texts ------------------------------------------------------------------------------------------
+
+--- Return the value of a field in its unit, unrounded.
+-- raw      see above
+-- returns  a number; a string for strings, bytes (hexadecimal) and integers beyond 2^53; nil where
+--          there is none, and then which special (0 .. 4, as <field>.special has it) for a float
+--          that is no number
+function M.value(field, raw)
+  if not raw then return nil end
+  local value_of = M.BY_NAME[field.kind].value
+  if value_of then return value_of(field, raw) end
+  return raw
+end
+
+--- Return a number as a text with as many digits as its count can carry: "1.1" for
+-- 11 * 0.1 = 1.1000000000000001, so that a filter `== 1.1` matches it.
+-- field  or an item of message.generated
+-- value  of M.value or decode.derived
+function M.number_text(field, value)
+  if field.shape then return format(field.shape, value) end
+  if type(value) == "string" then return value end -- an integer beyond 2^53
+  -- COMPAT 5.2: tostring has 14 digits
+  if field.kind ~= "ieee" then return format("%.0f", value) end
+  if field.size == 4 then value = binary.shortest(value) end
+  local text = format("%.15g", value)
+  return tonumber(text) == value and text or format("%.17g", value)
+end
+
+--- Return a text as a cell of CSV: in quotes where it must be.
+function M.quoted(text)
+  if text:find('[,"\r\n]') then return '"' .. text:gsub('"', '""') .. '"' end
+  return text
+end
+
+local SPECIAL_WORDS = { [0] = "NaN", "+inf", "-inf", "above range", "below range" }
+-- The cells of a reserved value: no number, and its name.
+local SPECIAL_CELLS = { [0] = ",nan", ",inf", ",-inf", ",above", ",below" }
+local BOOLS = { [0] = "false", "true" }
+
+local function number_info(field, raw, shape)
+  local value, special = M.value(field, raw)
+  return special and SPECIAL_WORDS[special] or shape:format(value)
+end
+
+local function number_cells(field, raw)
+  local value, special = M.value(field, raw)
+  return SPECIAL_CELLS[special] or M.number_text(field, value) .. ","
+end
+
+local function code_info(field, raw)
+  if not field.values then return M.number_text(field, raw) end
+  return field.values[raw] or "invalid " .. (M.BY_NAME[field.kind].code or "0x%x"):format(raw)
+end
+
+local function code_cells(field, raw)
+  local text, values = M.number_text(field, M.value(field, raw)), field.values
+  if not values then return text end
+  return text .. "," .. M.quoted(values[raw] or "")
+end
+
+local function text_info(field, raw)
+  return M.value(field, raw)
+end
+
+local function text_cells(field, raw)
+  return M.quoted(M.value(field, raw))
+end
+
+local function time_text(_, raw)
+  return binary.seconds(binary.time(raw, 0))
+end
+
+local function flags_cells(field, raw)
+  local texts = { M.number_text(field, raw) }
+  for i, flag in ipairs(field.flags) do
+    texts[i + 1] = bits.fast_band(raw, flag.mask) ~= 0 and "1" or "0"
+  end
+  return table.concat(texts, ",")
+end
+
+-- Remarkable values ------------------------------------------------------------------------------
+
+-- Whether nothing defines a code.
+local function is_undefined(field, raw)
+  local values, cases = field.values, field.cases
+  return values and not values[raw] or cases and not cases[raw] or field.kind == "bool" and raw > 1
+end
+
+local function remark_code(field, raw, add)
+  if is_undefined(field, raw) then add(field.invalid, true) end
+end
+
+local function remark_special(field, raw, add)
+  if not M.value(field, raw) then add("value.special", false) end
+end
+
+local function remark_flags(field, raw, add)
+  if bits.fast_band(raw, field.alarm_bits) ~= 0 then add("fault.active", false) end
+  if bits.fast_band(raw, field.undefined) ~= 0 then add("flags.undefined", true) end
+end
+
+-- The condition of each as source, in which a is the raw value and FIELDS[i] the field:
+
+local function code_source(field, i)
+  return field.invalid and format("is_undefined(FIELDS[%d], a)", i) or "false"
+end
+
+local function special_source(_, i)
+  return format("not value_of(FIELDS[%d], a)", i)
+end
+
+local function float_source(field, i)
+  if field.size > 6 then return special_source(field, i) end
+  return format("a > %.0f", field.ordinary)
+end
+
+local function flags_source(field)
+  return format("a ~= 0 and fast_band(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
+end
+
+--- What the conditions call, by name.
+M.ENVIRONMENT = { fast_band = bits.fast_band, value_of = M.value, is_undefined = is_undefined }
+
+-- The kinds ---------------------------------------------------------------------------------------
+
+-- Return the kind of a filter of a field's width.
+local function sized(prefix, base_of)
+  return function(field) return prefix .. field.size * 8, base_of(field) end
+end
+
+local function decimal()
+  return nil
+end
+
+local function hexadecimal()
+  return "HEX"
+end
+
+local function hexadecimal_if_enum(field)
+  return field.values and "HEX"
+end
+
+-- Return a function that always returns this.
+local function always(name)
+  return function() return name end
+end
+
+local function hex_digits(char)
+  return format("%02x", byte(char))
+end
+
+local function float_value(field, raw)
+  if raw > field.ordinary then return nil, field.top - raw end
+  if raw < 0 then return nil, -1 - raw end -- of seven or eight bytes
+  -- One division at the end, so that the middle of a symmetric range is 0 and not nearly 0.
+  local steps = field.top - M.below_top
+  return (field.min * steps + raw * (field.max - field.min)) / steps
+end
+
+local function ieee_value(_, raw)
+  if raw ~= raw then return nil, 0 end
+  if raw - raw ~= 0 then return nil, raw > 0 and 1 or 2 end
+  return raw
+end
+
+local function time_number(_, raw)
+  local seconds, nanoseconds = binary.time(raw, 0)
+  return seconds + nanoseconds / 1e9
+end
+
+--- By the name of the kind:
+--   filter   function(field) -> Wireshark's type of its filter, and the base or nil
+--   shown    how show.taurus adds it to a tree: "plain" (Wireshark reads the bytes), "number",
+--            "text", "time" or "flags"
+--   choose   function(field) -> function(field, payload), which reads the raw value
+--   value    function(field, raw) -> see M.value; nil where the raw is the value
+--   number   function(field, raw) -> the value as a number, nil where M.value is one
+--   info     function(field, raw, shape) -> a text for Info; shape = for a fraction
+--   column   type of its column in CSV and fields.json; unit = of a column without one of its own
+--   cells    function(field, raw) -> its cells in CSV
+--   remark   function(field, raw, add), which calls add(expert item, whether the catalogue does not
+--            define the value) for what is remarkable; nil if no value can be
+--   source   the same condition as source, see above: function(field, i)
+--   code     format of a code in texts; nil: hexadecimal
+--   is_number, is_integer, is_text
+M.BY_NAME = {
+  uint = {
+    filter = sized("UINT", hexadecimal_if_enum),
+    shown = "plain",
+    choose = choose_integer,
+    info = code_info,
+    column = "integer",
+    cells = code_cells,
+    remark = remark_code,
+    source = code_source,
+    is_number = true,
+    is_integer = true,
+  },
+  int = {
+    filter = sized("INT", decimal),
+    shown = "plain",
+    choose = choose_integer,
+    info = code_info,
+    column = "integer",
+    cells = code_cells,
+    remark = remark_code,
+    source = code_source,
+    code = "%d", -- COMPAT 5.2: a negative number has no hexadecimal text
+    is_number = true,
+    is_integer = true,
+  },
+  -- value = count * scale + zero
+  scaled = {
+    filter = always("DOUBLE"),
+    shown = "number",
+    choose = choose_integer,
+    value = function(field, raw) return raw * field.scale + field.zero end,
+    info = number_info,
+    column = "float",
+    cells = code_cells,
+    remark = remark_code,
+    source = code_source,
+    is_number = true,
+    is_integer = true,
+  },
+  bool = {
+    filter = always("BOOLEAN"),
+    shown = "plain",
+    choose = choose_integer,
+    info = function(_, raw) return BOOLS[raw] or ("invalid 0x%x"):format(raw) end,
+    column = "bool",
+    cells = function(_, raw) return raw == 0 and "0" or "1" end,
+    remark = remark_code,
+    source = code_source,
+    is_integer = true,
+  },
+  -- A compressed float.
+  float = {
+    filter = always("DOUBLE"),
+    shown = "number",
+    choose = choose_float,
+    value = float_value,
+    info = number_info,
+    column = "float",
+    cells = number_cells,
+    remark = remark_special,
+    source = float_source,
+    is_number = true,
+  },
+  ieee = {
+    filter = always("DOUBLE"),
+    shown = "number",
+    choose = always(read_ieee),
+    value = ieee_value,
+    info = number_info,
+    column = "float",
+    cells = number_cells,
+    remark = remark_special,
+    source = special_source,
+    is_number = true,
+  },
+  flags = {
+    filter = sized("UINT", hexadecimal),
+    shown = "flags",
+    choose = choose_integer,
+    info = code_info,
+    column = "integer",
+    cells = flags_cells,
+    remark = remark_flags,
+    source = flags_source,
+  },
+  time = {
+    filter = always("RELATIVE_TIME"),
+    shown = "time",
+    choose = always(read_bytes),
+    number = time_number,
+    info = function(_, raw) return time_text(nil, raw) .. " s" end,
+    column = "time",
+    unit = "s",
+    cells = time_text,
+  },
+  -- A text ends at its first NUL.  What cannot be shown in it is \xnn.
+  string = {
+    filter = always("STRING"),
+    shown = "text",
+    choose = always(read_bytes),
+    value = function(_, raw) return utf8.value(raw:match("^%Z*")) end,
+    info = text_info,
+    column = "string",
+    cells = text_cells,
+    is_text = true,
+  },
+  bytes = {
+    filter = always("BYTES"),
+    shown = "plain",
+    choose = always(read_bytes),
+    value = function(_, raw) return (raw:gsub(".", hex_digits)) end,
+    info = text_info,
+    column = "string",
+    cells = text_cells,
+    is_text = true,
+  },
+  -- Worked out from two fields, see decode.derived.
+  derived = { column = "float", is_number = true },
+}
+
+--- Return whether a field, or an item of message.generated, has numbers that are no codes.
+function M.is_number(field)
+  return M.BY_NAME[field.kind].is_number and not field.values
+end
+
+--- Return the value of a field as a number: NaN where that is none, such as a reserved value.
+function M.number(field, raw)
+  local number = M.BY_NAME[field.kind].number
+  if number then return number(field, raw) end
+  return tonumber((M.value(field, raw))) or 0 / 0 -- of 64 bits a text, where a double is not exact
+end
+
+return M
