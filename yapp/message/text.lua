@@ -150,6 +150,7 @@ end
 
 -- Names of columns that stat.csv puts in front of a message's own.
 local TAKEN = { "time", "frame", "bus", "source", "id", "seq", "crc_good" }
+
 -- Return the columns of a field or derived value, { name, type, flag or nil } each.
 local function columns_of(field)
   local columns = { { field.name, KINDS[field.kind].column } }
