@@ -362,7 +362,7 @@ end
 -- Register the Starts with Seq No 0 of all IDs: so begin unknown messages that are not numbered.
 for id = 0, frame.MAX_ID do by_can_id:add(id * 0x40000 + START * 0x4000, yapp) end
 stat:register()
-if register_packet_menu and gui_enabled() then packet_menu.register(yapp.prefs, catalogue) end
+if gui_enabled() then packet_menu.register(yapp.prefs, catalogue) end
 for name, proto in pairs {
   ["can.subdissector"] = all,
   ["tcp.port"] = serial,

@@ -53,6 +53,14 @@ def test_decode_all_ids_of_this_size():
     assert several.stdout.splitlines() == ["yapp.motor_ids:0x300,528"]
 
 
+def test_decode_unknown_ids_by_size():
+    """In Tools, which 4.0 has, too: all messages at once; where there are none it says so."""
+    flight = tshark.ROOT / "docs/flight.pcapng"
+    shown = menu(flight, "-o", "yapp.motor_ids:0x300", "-o", "yapp.health_ids:0x301", "-z", "yappmenu,all")
+    assert sorted(shown.splitlines()) == ["yapp.health_ids:0x301,512", "yapp.motor_ids:0x300,528"]
+    assert menu(flight, "-z", "yappmenu,all").startswith("YAPP: no message of an unknown ID")
+
+
 def test_items_on_faults_need_a_message_with_faults():
     """On an ID that is not decoded they would filter to nothing."""
     needs = dict(line.rsplit("=", 1) for line in menu(tshark.CAPTURES / "can/document_motor.pcap", "-z", "yappmenu,needs").splitlines())

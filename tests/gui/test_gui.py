@@ -205,7 +205,7 @@ def test_a_statistic_in_a_window(captures):
 
 
 # Under Tools, the last entry is YAPP; its entries by the alphabet.
-MENU = sorted([*model.STATISTICS.values(), "Help"])
+MENU = sorted([*model.STATISTICS.values(), "Decode unknown IDs by size", "Help"])
 
 
 def choose(wireshark, entry, title=None):

@@ -46,8 +46,8 @@ def test_columns_buttons_colours(capture):
     words = [str(capture) if word == "docs/flight.pcapng" else word for word in shlex.split(command)]
     with gui.Wireshark(*words, "-Y", "taurus.motor.fault_flags > 0", profile=PROFILE) as wireshark:
         wireshark.wait_for_window("flight.pcapng")
-        wait_for_words(wireshark, ["Source", "RPM", "Voltage", "Current", "State", "Faults", "Info"],
-                       f"{gui.WIDTH}x60+0+60")
+        wait_for_words(wireshark, ["Source", "RPM", "Voltage", "Current", "State", "Info", "FAULT"],
+                       f"{gui.WIDTH}x80+0+60")
         wait_for_words(wireshark, ["right"])  # the name
         assert wireshark.pixels("#ffbe79") > 2000  # a fault is active
         width = 120
@@ -146,7 +146,7 @@ def test_a_controller_is_named_by_its_menu(capture):
         gui.wait_for(lambda: "yapp.sources: can1/0x210=right\n" in preferences.read_text())
         name(wireshark, 5, "left")
         gui.wait_for(lambda: "yapp.sources: can1/0x210=right, can0/0x210=left\n" in preferences.read_text())
-        wait_for_words(wireshark, ["left"], f"{gui.WIDTH}x60+0+60")
+        wait_for_words(wireshark, ["left"], f"{gui.WIDTH}x80+0+60")
         assert "Lua" not in wireshark.stderr(), wireshark.stderr()
 
 

@@ -30,6 +30,7 @@ local function menu()
   _G.TextWindow = { new = function(title)
     local window = { title = title, buttons = {}, names = {} }
     function window.set(self, text) self.text = text end
+    function window.set_atclose(self, act) self.close = act end
     function window.add_button(self, name, act)
       self.buttons[name] = act
       self.names[#self.names + 1] = name
@@ -37,13 +38,14 @@ local function menu()
     seen.windows[#seen.windows + 1] = window
     return window
   end }
-  local stat = { frames = { 7, 9, 7 } }
+  local stat = { frames = { 7, 9, 7 }, total = 10 }
   function stat.run(self, argument)
     seen.runs[#seen.runs + 1] = argument
     return ("%s, run %d"):format(argument, #seen.runs), self.frames
   end
   package.loaded["yapp.stat.menu"] = nil
-  return require("yapp.stat.menu").register(stat), stat
+  local show, note_packets = require("yapp.stat.menu").register(stat)
+  return show, stat, note_packets
 end
 
 function T.tearDown()
@@ -115,6 +117,31 @@ function T.test_refresh_and_copy()
   lu.assertEquals(window.text, "yapp,events, run 2")
   window.buttons.Copy()
   lu.assertEquals(seen.copied, "yapp,events, run 2")
+end
+
+-- Once, so that the window does not scroll while somebody reads; not in what is copied.
+function T.test_a_window_says_how_old_it_is()
+  local show, stat, note_packets = menu()
+  show("yapp,events")
+  local window = last(seen.windows)
+  note_packets()
+  lu.assertEquals(window.text, "yapp,events, run 1") -- nothing has come
+  stat.total = 11
+  note_packets()
+  local said = "Packets have come since this was read at %d%d:%d%d:%d%d: press Refresh\n\n"
+  lu.assertStrMatches(window.text, said .. "yapp,events, run 1")
+  window.text = "as it was"
+  stat.total = 12
+  note_packets()
+  lu.assertEquals(window.text, "as it was")
+  window.buttons.Copy()
+  lu.assertEquals(seen.copied, "yapp,events, run 1")
+  window.buttons.Refresh()
+  lu.assertEquals(window.text, "yapp,events, run 2")
+  stat.total = 13
+  window.close()
+  note_packets()
+  lu.assertEquals(window.text, "yapp,events, run 2")
 end
 
 function T.test_show_frames()

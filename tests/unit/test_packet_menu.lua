@@ -24,6 +24,8 @@ local function menu(prefs)
   seen = { items = {}, fields = {}, done = {} }
   local function note(name) return function(...) table.insert(seen.done, table.concat({ name, ... }, " ")) end end
   function _G.register_packet_menu(title, act, field) seen.items[title], seen.fields[title] = act, field end
+  function _G.register_menu(title, _, group) seen.tools = title .. " " .. group end
+  _G.MENU_TOOLS_UNSORTED = "tools"
   for _, name in ipairs { "set_filter", "apply_filter", "set_preference", "apply_preferences", "redissect_packets" } do
     _G[name] = note(name)
   end
@@ -46,6 +48,12 @@ function T.test_filters()
     lu.assertEquals(seen.fields["YAPP/" .. row[1]], row[2])
     lu.assertEquals(choose(row[1]), { "set_filter " .. row[3], "apply_filter" })
   end
+end
+
+-- In 4.0, which has no menu of a packet, too.
+function T.test_the_entry_in_tools()
+  menu({ sources = "" })
+  lu.assertEquals(seen.tools, "YAPP/Decode unknown IDs by size tools")
 end
 
 function T.test_decode_this_id_as()

@@ -161,9 +161,9 @@ function T.test_summary_in_words()
   lu.assertEquals(printed, [[
 YAPP summary: 2 sources in 2.000 s
 
-bus    ID     source  message     count  rate/Hz  gap/s min      mean       max  in frame  bad CRC  incomplete  late  reboots  invalid  skipped  missing  copies
-can0   0x210  left    Motor Data      2        4   0.250000  0.250000  0.250000         3        0           0     0        0        0        0        0       0
-can"1  0x210          Motor Data      1                                                          0           0     0        0        0        0        0       0
+bus    ID     source  message     count  rate/Hz  gap/s min      mean       max  in frame  bad CRC  incomplete  late  silent/s at the end  reboots  invalid  skipped  missing  copies
+can0   0x210  left    Motor Data      2        4   0.250000  0.250000  0.250000         3        0           0     0             1.750000        0        0        0        0       0
+can"1  0x210          Motor Data      1                                                          0           0     0             1.900000        0        0        0        0       0
 
 bus    ID     source  message     field  unit  min  mean  max  count
 can0   0x210  left    Motor Data  volts  V      10    10   10      2
@@ -720,13 +720,43 @@ function T.test_spread()
 YAPP compare: 2 sources of Motor Data
 
 field  unit  source       min     mean  max  spread  since start/s  frame
-volts  V     left          10  73.6667  200     188       0.350000      5
-             can"1 0x210   12    105.5  199
+volts  V     can"1 0x210   12    105.5  199     188       0.350000      5
+             left          10  73.6667  200
 ]])
   lu.assertEquals(run({ "compare" }, { record(1, 0) }), "YAPP compare: no message has several sources\n")
 end
 
--- A table for each message, by ID, an empty line between.
+-- Of three and more, a value that is far from the median of the others is marked; sources stand in the order of their names.
+function T.test_compare_marks_what_is_far_from_the_others()
+  local records = {}
+  for i, name in ipairs { "M10", "M2", "M1", "M3" } do
+    local source = { key = name, bus_key = 1, bus = "can0", id = 0x20F + i, name = name, message = MOTOR }
+    records[i] = record(i, i / 10, { source = source, payload = payload(100) })
+    records[i + 4] = record(i + 4, 1 + i / 10, { source = source, payload = payload(name == "M2" and 150 or 101) })
+  end
+  lu.assertEquals(run({ "compare" }, records), [[
+YAPP compare: 4 sources of Motor Data
+
+field  unit  source  min   mean  max  far from the others  spread  since start/s  frame
+volts  V     M1      100  100.5  101                           49       1.200000      6
+             M2      100    125  150  ▲ mean ▲ max
+             M3      100  100.5  101
+             M10     100  100.5  101
+]])
+  local shown = run({ "compare" }, records, { frames = {} })
+  lu.assertStrContains(shown, "volts  V     M1      100  101           49\n             M2      100  150  ▲\n")
+end
+
+-- How long a source is silent at the end.
+function T.test_summary_has_the_silence_to_the_end()
+  local records = { record(1, 0), record(2, 0.1), record(3, 0.2, { source = RIGHT }), record(4, 9, { source = RIGHT }) }
+  local printed = run({ "summary" }, records)
+  lu.assertStrContains(printed, "silent/s at the end")
+  lu.assertEquals(#lines(printed:gsub("[^\n]* 8.900000 [^\n]*\n", "")), #lines(printed) - 1)
+  lu.assertNil(run({ "summary" }, { record(1, 0), record(2, 0.1) }):find("silent", 1, true))
+end
+
+-- A table for each message, first the one with most fields, an empty line between.
 function T.test_compare_of_several_messages()
   local records = {}
   for i, source in ipairs { LEFT, RIGHT, { key = "h", bus_key = 1, bus = "can0", id = 0x200, message = HEALTH },
@@ -736,7 +766,7 @@ function T.test_compare_of_several_messages()
   local titles = {}
   local printed = run({ "compare" }, records, { hint = "said once" }) .. "\n"
   for part in printed:gmatch("(.-)\n\n") do titles[#titles + 1] = part:match("^YAPP.*") end
-  lu.assertEquals(titles, { "YAPP compare: 2 sources of Health\nsaid once", "YAPP compare: 2 sources of Motor Data" })
+  lu.assertEquals(titles, { "YAPP compare: 2 sources of Motor Data\nsaid once", "YAPP compare: 2 sources of Health" })
 end
 
 -- In time, which goes on where the capture's goes back; at one time by frame, and what has no frame is last.
@@ -801,7 +831,7 @@ function T.test_tables_fit_a_window()
     reboot = 5, late = 0.9 }
   local records = { record(1, 0), record(99999, 1, { change = change }), record(100000, 1.1, { source = RIGHT }) }
   local expected = { -- columns, frame of the first row
-    summary = { "source message count rate/Hz max gap/s bad CRC lost late", 99999 },
+    summary = { "source message count rate/Hz gap/s CRC lost late silent/s", 99999 },
     faults = { "at/s source flag event active/s", 99999 }, check = { "check rule source message seen note", 99999 },
     events = { "at/s source message details", 1 }, compare = { "field unit source min max spread", 100000 },
   }

@@ -38,32 +38,26 @@ end
 -- max_id     the highest message ID
 function M.define(proto, catalogue, field_kinds, max_id)
   local prefs, periods = proto.prefs, {}
-  prefs.divisor = Pref.enum("Compressed floats divide by", field_kinds.MAPPING,
-    "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed " ..
-    "in the worked examples of the vendor's document (0.4975 A, 749.26 RPM).",
-    {
-      { 1, "2^N - 6 (mapping)", field_kinds.MAPPING },
-      { 2, "2^N - 5 (worked examples)", field_kinds.WORKED_EXAMPLES },
-    })
   for _, message in ipairs(catalogue.messages) do
     local title, id, period = message.title, ("0x%x"):format(message.id), message.every
     local about = ("The IDs that carry %s; %s by default, which Wireshark shows as %d. Change " ..
       "it if a controller has other IDs, or if several controllers share a bus: " ..
       "0x210,0x211,0x300-0x303."):format(title, id, message.id)
-    prefs[message.name .. "_ids"] = Pref.range(title .. " message IDs", id, about, max_id)
+    local label = ("%s message IDs (%s = %d)"):format(title, id, message.id)
+    prefs[message.name .. "_ids"] = Pref.range(label, id, about, max_id)
     if period then periods[#periods + 1] = ("%s %g s"):format(title, period) end
   end
-  prefs.messages = Pref.string("File with your own messages", "",
-    "A Lua file like taurus_fields.lua. Its messages come after those of yapp_messages.lua in " ..
-    "the personal configuration folder, which needs no setting. It is read when Wireshark " ..
-    "starts, from the default profile's setting: a change takes effect at the next start. For " ..
-    "one run alone set the environment variable YAPP_MESSAGES.")
   prefs.sources = Pref.string("Names of sources", "",
     "What to call an ID, everywhere or on one bus, and which message it carries: " ..
     "0x210=motor:left_fore, can1/0x210=motor:right_fore, 0x212=left_tail. Several IDs have " ..
     "one name with a plus between them: can0/0x000+0x200+0x210=left. A range names each of its " ..
     "IDs: can0/0x210-0x213=motor:M1..M4. A bus alone names all of " ..
     "its IDs: can2=tail. An interface without a name is if0 or if1, its number in the file.")
+  prefs.messages = Pref.string("File with your own messages", "",
+    "A Lua file like taurus_fields.lua. Its messages come after those of yapp_messages.lua in " ..
+    "the personal configuration folder, which needs no setting. It is read when Wireshark " ..
+    "starts, from the default profile's setting: a change takes effect at the next start. For " ..
+    "one run alone set the environment variable YAPP_MESSAGES.")
   prefs.hide_source = Pref.bool("Leave the source out of Info", false,
     "Switch it on if a column shows yapp.source, as in the profile YAPP: Info and the tree then " ..
     "say Motor Data instead of Motor Data left. A message with a fault or a warning keeps its " ..
@@ -81,6 +75,13 @@ function M.define(proto, catalogue, field_kinds, max_id)
     "The plugin detects YAPP in TCP and UDP automatically in live captures, and if a frame is " ..
     "among the first 64 KB of a file. Switch it on if YAPP comes later in your files. It costs " ..
     "about 1 µs for each packet that no other dissector takes.")
+  prefs.divisor = Pref.enum("Compressed floats divide by", field_kinds.MAPPING,
+    "2^N - 6 is what the devices send. Choose 2^N - 5 only to reproduce the figures printed " ..
+    "in the worked examples of the vendor's document (0.4975 A, 749.26 RPM).",
+    {
+      { 1, "2^N - 6 (mapping)", field_kinds.MAPPING },
+      { 2, "2^N - 5 (worked examples)", field_kinds.WORKED_EXAMPLES },
+    })
   prefs.user_dlt = Pref.range("Link types that carry a serial stream", "",
     "147 to 162, the numbers of DLT_USER0 to DLT_USER15. Set it for serial captures with such a " ..
     "link type, if Wireshark's DLT_USER table is not convenient: it takes the link type over " ..

@@ -1,5 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The submenu YAPP in the menu of a packet, from Wireshark 4.4 on.  Wireshark's API.
+-- The submenu YAPP in the menu of a packet, from Wireshark 4.4 on, and an entry of Tools > YAPP.
+-- Wireshark's API.
 
 local source_names = require "yapp.message.sources"
 
@@ -39,8 +40,9 @@ local function add(title, name, act)
   end, name)
 end
 
-local function set(name, value)
-  set_preference("yapp." .. name, value)
+-- Set preferences: { [name without "yapp."] = value }.
+local function set(values)
+  for name, value in pairs(values) do set_preference("yapp." .. name, value) end
   apply_preferences()
   redissect_packets()
 end
@@ -92,28 +94,46 @@ local function ask_name(values, sources, catalogue)
     sources = sources .. (sources == "" and "" or ", ") .. source_names.address(bus, id) .. "="
   end
   new_dialog("YAPP Name this controller", function(answer)
-    if not answer:find("=%s*$") then set("sources", answer) end
+    if not answer:find("=%s*$") then set { sources = answer } end
   end, { name = "Names of sources", value = sources })
 end
 
--- Return all unknown IDs of the capture that have the size of a message, as a preference has them.
--- like  the field that has such an ID
-local function ids_like(like)
-  local found, is_known = {}, {}
-  local tap = Listener.new("frame", like)
+-- Return all unknown IDs of the capture that have the size of a message: { [message] = list }.
+local function find_ids(messages)
+  local found, by_field, fields = {}, {}, {}
+  for _, message in ipairs(messages) do
+    local field = "yapp.like." .. message.name
+    by_field[field], fields[#fields + 1] = message, field
+  end
+  local tap = Listener.new("frame", table.concat(fields, " || "))
   function tap.packet()
     for _, info in ipairs { all_field_infos() } do
-      local id = info.name == like and info.value
-      if id and not is_known[id] then
-        is_known[id] = true
-        found[#found + 1] = id
+      local message = by_field[info.name]
+      if message then
+        found[message] = found[message] or {}
+        found[message][info.value] = true
       end
     end
   end
   retap_packets()
   tap:remove()
-  table.sort(found)
-  return table.concat(found, ",")
+  for message, is_known in pairs(found) do
+    found[message] = {}
+    for id in pairs(is_known) do table.insert(found[message], id) end
+    table.sort(found[message])
+  end
+  return found
+end
+
+-- Decode all unknown IDs of the capture that have the size of a message as that message.
+local function decode_by_size(prefs, messages)
+  local values = {}
+  for message, ids in pairs(find_ids(messages)) do
+    local name = message.name .. "_ids"
+    values[name] = prefs[name] .. "," .. table.concat(ids, ",")
+  end
+  if next(values) then return set(values) end
+  report_failure("YAPP: no message of an unknown ID has the size of a message in the catalogue")
 end
 
 -- Add an item that filters.
@@ -125,10 +145,8 @@ local function add_filter(row, field, of)
   end)
 end
 
---- Make the menu.
--- prefs      of yapp
--- catalogue  compiled
-function M.register(prefs, catalogue)
+-- COMPAT 4.0: no register_packet_menu.
+local function register_of_packet(prefs, catalogue)
   for _, row in ipairs(FILTERS) do
     if row[2] == HAS_FAULTS then
       for _, message in ipairs(catalogue.messages) do
@@ -142,17 +160,26 @@ function M.register(prefs, catalogue)
   for _, message in ipairs(catalogue.messages) do
     local ids, like = message.name .. "_ids", "yapp.like." .. message.name
     add("Decode this ID as " .. message.title, like, function(values)
-      set(ids, prefs[ids] .. "," .. values[like])
+      set { [ids] = prefs[ids] .. "," .. values[like] }
     end)
     add("Decode all IDs of this size as " .. message.title, like, function()
-      local found = ids_like(like)
-      if found ~= "" then set(ids, prefs[ids] .. "," .. found) end
+      decode_by_size(prefs, { message })
     end)
   end
   add("Name this controller ...", "yapp.id", function(values)
     ask_name(values, prefs.sources, catalogue)
   end)
   add("Copy message as candump", "can.id", copy_as_candump)
+end
+
+--- Make the menus.
+-- prefs      of yapp
+-- catalogue  compiled
+function M.register(prefs, catalogue)
+  if register_packet_menu then register_of_packet(prefs, catalogue) end
+  register_menu("YAPP/Decode unknown IDs by size", function()
+    decode_by_size(prefs, catalogue.messages)
+  end, MENU_TOOLS_UNSORTED)
 end
 
 return M

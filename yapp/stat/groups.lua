@@ -109,6 +109,7 @@ end
 --   count = of good messages, decoded = of those that were decoded; first, last = their times,
 --   last_frame
 --   gap_min, gap_max = seconds, gap_max_frame
+--   silent = how long it has been silent at the capture's end, if that is a silence
 --   is_unreliable = whether one of them had an unreliable history
 --   values = a list, also by entry of Groups:wants
 --   bus_order = number of groups before the first one of its bus }
@@ -224,7 +225,10 @@ function Groups:event(event, now, cause)
   if kind == "absent" then self.absent[event.source] = true end
   local group = row.scope == "capture" and self.capture or self.by_source[event.source]
   add(group, row.counts_as or kind, event, cause, values[row.amount])
-  if kind == "silence" and not values.is_last then
+  if kind ~= "silence" then return end
+  if values.is_last then
+    group.silent = values.length
+  else
     add(group, "late", event, cause)
   end
 end

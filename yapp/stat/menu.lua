@@ -10,6 +10,8 @@ local M = {}
 
 local MAX_FRAMES = 1000 -- in a display filter: more make Wireshark slow
 
+local OLD = "Packets have come since this was read at %s: press Refresh\n\n"
+
 local HELP = [[
 YAPP, the packet protocol of Taurus motor controllers, on CAN, CAN FD,
 UART, TCP and UDP.
@@ -76,14 +78,27 @@ local function show_frames(frames)
   apply_filter()
 end
 
+-- [window] = function(), called when packets have come, of the windows that are open.
+local notes_of_age = {}
+
 -- A window with a text that can be made anew, copied and saved, and whose frames can be shown.
 -- make  function() -> the text, the frames
-local function open_window(title, make)
+-- stat  of stat.taps
+local function open_window(title, make, stat)
   local window, content, frames = TextWindow.new("YAPP " .. title), nil, nil
+  local total, time, is_old = 0, "", false -- of the reading
   local function refresh()
     content, frames = make()
+    total, time, is_old = stat.total, os.date("%H:%M:%S"), false
     window:set(content)
   end
+  -- Say once that the text is old: a new text makes a window scroll to its beginning.
+  notes_of_age[window] = function()
+    if is_old or stat.total <= total then return end
+    is_old = true
+    window:set(OLD:format(time) .. content)
+  end
+  window:set_atclose(function() notes_of_age[window] = nil end)
   window:add_button("Refresh", refresh)
   window:add_button("Copy", function() copy_to_clipboard(content) end)
   window:add_button("Save", function()
@@ -117,12 +132,13 @@ end
 --- Make the menus.
 -- stat     of stat.taps
 -- returns  function(text), which opens the window of an argument of -z
+--          function(), to be called when packets have come
 function M.register(stat)
   -- The statistic runs when its window opens, and again by its button: packets that have come since
   -- count too.
   local function show(argument)
     local row = options_of.BY_NAME[argument:match("^yapp,(%w+)")]
-    open_window(row and row.title or "", function() return stat:run(argument) end)
+    open_window(row and row.title or "", function() return stat:run(argument) end, stat)
   end
 
   for _, row in ipairs(options_of.LIST) do
@@ -142,7 +158,9 @@ function M.register(stat)
   -- Wireshark has submenus of plugins in Tools alone: elsewhere it shows a slash as it is.
   local function summary() show("yapp,summary") end
   register_menu("YAPP Summary (more: Tools > YAPP)", summary, MENU_STAT_UNSORTED)
-  return show
+  return show, function()
+    for _, note in pairs(notes_of_age) do note() end
+  end
 end
 
 return M

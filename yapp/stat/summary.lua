@@ -25,16 +25,19 @@ local COLUMNS = output.columns {
   { "gap_mean", type = "seconds", unit = "s", where = "json text", title = "mean",
     help = "the mean" },
   { "gap_max", type = "seconds", unit = "s", where = "json text window", title = "max",
-    short = "max gap/s", help = "the longest" },
+    short = "gap/s", help = "the longest" },
   { "gap_max_frame", type = "integer", where = "json text", title = "in frame",
     help = "the message behind the longest gap" },
   { "crc_bad", type = "integer", kind = "crc", where = "json text window", title = "bad CRC",
+    short = "CRC",
     help = "messages with a bad CRC" },
   { "incomplete", type = "integer", kind = "incomplete", where = "json text window",
     short = "lost",
     help = "messages without their beginning, with bytes missing, truncated or unfinished" },
   { "late", type = "integer", kind = "late", where = "json text window",
     help = "silences between two messages" },
+  { "silent", type = "seconds", unit = "s", where = "text window", title = "silent/s at the end",
+    short = "silent/s" }, -- JSON has it as an event
   { "reboots", type = "integer", kind = "reboot", where = "json text",
     help = "how often the controller's clock went back" },
   { "values", type = "values", where = "json",
@@ -79,6 +82,7 @@ local function row_of(group, ending)
     row.gap_min, row.gap_max = output.seconds(group.gap_min), output.seconds(group.gap_max)
     row.gap_max_frame = group.gap_max_frame
   end
+  row.silent = group.silent
   for _, column in ipairs(COLUMNS.all) do
     if column.kind then row[column.key] = group.counts[column.kind].seen end
   end
@@ -119,6 +123,7 @@ local COMPARED = output.columns {
   { "min", where = "text window" },
   { "mean", where = "text" }, -- the window of Summary has it
   { "max", where = "text window" },
+  { "far", where = "text window", title = "far from the others", short = "far" },
   { "spread", type = "number", where = "json text window",
     help = "the largest difference of the sources at one time" },
   { "time", where = "json", help = "when they differ by it" },
@@ -134,24 +139,79 @@ local Compare = groups.class { compares = true, wants_messages_only = true }
 --- See groups.class.
 M.compare = Compare.new
 
+-- A value is far from those of the others if it is so many times as far from their median as they
+-- usually are: 1.5 times the median of their distances, or a share of the median, or an amount.
+-- The page of a flight has the same numbers.
+local FAR, USUAL = 4, 0.02
+local LEAST = { ["°C"] = 1, V = 0.05, A = 0.1, W = 1, RPM = 1 }
+
+-- numbers  sorted by it
+local function median(sorted)
+  table.sort(sorted)
+  local half = #sorted / 2
+  return (sorted[math.floor(half + 0.5)] + sorted[math.floor(half + 1)]) / 2
+end
+
+-- Return "▲" or "▼" if one of several numbers is far above or below the others, else nil.
+local function far_mark(numbers, index, unit)
+  local others, distances = {}, {}
+  for i, number in ipairs(numbers) do
+    if i ~= index then others[#others + 1] = number end
+  end
+  if #others < 2 then return nil end
+  local middle = median(others)
+  for i, other in ipairs(others) do distances[i] = math.abs(other - middle) end
+  local least = LEAST[unit or ""] or 0.001
+  local usual = math.max(1.5 * median(distances), USUAL * math.abs(middle), least)
+  local away = numbers[index] - middle
+  return math.abs(away) >= FAR * usual and (away > 0 and "▲" or "▼") or nil
+end
+
+-- Say of the rows of a field which values are far from the others: "▲ mean ▲ max"; in a
+-- window, which has no mean, the arrows alone.
+local function mark_far(rows)
+  for _, key in ipairs(RANGE) do
+    local numbers, of = {}, {}
+    for _, row in ipairs(rows) do
+      if row[key] then numbers[#numbers + 1], of[#of + 1] = row[key], row end
+    end
+    for i, row in ipairs(of) do
+      local mark = far_mark(numbers, i, rows[1].unit)
+      if mark then
+        local far = row.far or { text = "", short = "" }
+        far.text = far.text .. (far.text ~= "" and " " or "") .. mark .. " " .. key
+        if far.short:sub(-#mark) ~= mark then far.short = far.short .. mark end
+        row.far = far
+      end
+    end
+  end
+end
+
 -- Append the rows of a field: one for each source, the first with the spread of all and with what
 -- JSON has, which is all that is needed there.
 local function add_rows(self, list, index, rows)
-  local spread, sources, first = list[1].values[index].spread, {}, #rows + 1
+  local spread, sources, first, all = list[1].values[index].spread, {}, #rows + 1, {}
   for i, group in ipairs(list) do
     local row = groups.row(group, group.values[index])
-    sources[i] = output.object(OF_SOURCE, row)
-    if i > 1 then row.field, row.unit = nil, nil end
+    sources[i], all[i] = output.object(OF_SOURCE, row), row
     if i == 1 or not self.context.json then rows[#rows + 1] = row end
   end
+  mark_far(all)
+  for i = 2, #all do all[i].field, all[i].unit = nil, nil end
   local row, rel = rows[first], spread.rel
   row.spread, row.frame, row.rel = spread.worst, spread.frame, output.seconds(rel)
   row.time = rel and output.time(self.context.clock(rel))
   row.sources = output.list(sources)
 end
 
--- Return the groups of each message that has several, in the order in which their second groups
--- come.
+-- Return the name of a group's source with numbers that sort as numbers: M2 before M10.
+local function sortable_name(group)
+  local name = output.row(group.source, {}).who
+  return (name:gsub("%d+", function(digits) return ("%012d"):format(digits) end))
+end
+
+-- Return the groups of each message that has several: for people by name, first the message with
+-- most fields, which says most of a controller.
 local function compared(self)
   local by_message, lists = {}, {}
   for _, group in ipairs(self:sorted()) do
@@ -162,6 +222,9 @@ local function compared(self)
       if #list == 2 then lists[#lists + 1] = list end
     end
   end
+  if self.context.json then return lists end
+  for _, list in ipairs(lists) do output.sort(list, sortable_name) end
+  output.sort(lists, function(list) return -#list[1].message.fields end)
   return lists
 end
 

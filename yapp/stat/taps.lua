@@ -279,12 +279,14 @@ local function read_argument(self, text)
 end
 
 -- Count the packets of a capture in Wireshark, where somebody may stop a statistic's reading.
-local function count_packets(self)
+-- note_packets  function(), to be called when some have come
+local function count_packets(self, note_packets)
   local tap = Listener.new("frame")
   function tap.packet(pinfo)
     local number = pinfo.number
     if number > self.total then self.total = number end
   end
+  tap.draw = note_packets
 end
 
 --- Forget the capture file.
@@ -294,8 +296,11 @@ end
 
 --- Register -z yapp,... and, in Wireshark, the menus.
 function Stat:register()
-  local show = gui_enabled() and menu.register(self)
-  if show then count_packets(self) end
+  local show, note_packets
+  if gui_enabled() then
+    show, note_packets = menu.register(self)
+    count_packets(self, note_packets)
+  end
   -- Wireshark swallows an error here, so all that can fail ends with a message and a code.
   local function run(text)
     if show then return show(text) end
