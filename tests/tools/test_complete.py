@@ -6,6 +6,7 @@ import re
 import pytest
 import yapp_tables as yt
 from running import FAKE, motor_row
+from yapp_tables.errors import count_of
 from yapp_tables.undecoded import undecoded
 
 AT = {"time": 1700000000.000000001, "frame": 3, "bus": "can0", "source": None, "message": None}
@@ -52,7 +53,7 @@ def test_convert_says_it_each_time_and_does_not_end_with_0(capture, yapp_tables)
         done = yapp_tables(*command)
         assert done.returncode == 3
         assert f"flight.pcapng: {SENTENCE}" in done.stderr
-        assert "1 of 1 captures were not decoded completely" in done.stderr.splitlines()[-1]
+        assert "1 of 1 capture was not decoded completely" in done.stderr.splitlines()[-1]
     assert yapp_tables(*command, "--strict").returncode == 1
 
 
@@ -113,3 +114,23 @@ def test_events_that_nothing_could_be_told_of_are_no_damage(make_capture):
     with pytest.warns(UserWarning, match="share an ID"):
         flight = yt.read(path, tshark=FAKE)
     assert flight.partial is None
+
+
+COPIED = "120 messages were recorded twice; each counts once"
+
+
+def test_copies_leave_nothing_out(make_capture, yapp_tables, tmp_path):
+    path = make_capture("flight.pcapng", motor=[motor_row(0)], summary=SUMMARY[:1], says=f"yapp: {COPIED}")
+    for _ in range(2):  # the second time the result is up to date
+        done = yapp_tables("convert", path, "--to", "csv", "--out", "data")
+        assert (done.returncode, f"flight.pcapng: {COPIED}" in done.stderr) == (0, True)
+    flights = (next((tmp_path / "data/message=flights").iterdir())).read_text()
+    assert COPIED in flights
+    flight = yt.read(path, tshark=FAKE)
+    assert (flight.left_out, list(flight.notes)) == ([], [COPIED])
+    assert yapp_tables("report", path).returncode == 0
+
+
+@pytest.mark.parametrize(("number", "text"), [(0, "0 rows"), (1, "1 row"), (2, "2 rows"), (12345, "12,345 rows")])
+def test_numbers_of_things(number, text):
+    assert count_of(number, "row") == text

@@ -148,4 +148,4 @@ def test_progress_is_a_bar_on_a_terminal_and_a_line_at_the_end_elsewhere(make_ca
     assert done.returncode == 0, shown
     assert re.search(r"100%.*1/1 files", shown)
     again = run_tables(tmp_path, *command)
-    assert again.stderr == "yapp-tables: 1 captures, 3,001 rows in data\n"
+    assert again.stderr == "yapp-tables: 1 capture, 3,001 rows in data\n"

@@ -14,7 +14,7 @@ from statistics import median
 
 from . import __version__
 from .config import Config
-from .errors import CaptureError
+from .errors import CaptureError, count_of
 from .scratch import scratch
 from .tshark import Record
 
@@ -22,7 +22,7 @@ from .tshark import Record
 LEAST_RANGE = Decimal("0.25")
 NOISE = Decimal("0.1")  # of the margin, beyond an extreme of 0
 HEAD = """\
-# Learnt by yapp-tables {version} from {flights} good flights, with a margin of {margin} %.
+# Learnt by yapp-tables {version} from {flights}, with a margin of {margin} %.
 # A # takes a rule out; edit the numbers as you like. Behind each: the extreme of the good flights, and whose it is.
 """
 Extreme = tuple[Decimal, Decimal, str]  # the lowest and the highest of a source in a flight, the flight
@@ -56,7 +56,11 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
             raise CaptureError(f"no message was decoded in {', '.join(names)}")
         rules = [_rule(source, what, found, margin) for (source, what), found in extremes.items()]
         rules.append(Rule("", "absent=0", "all that yapp.sources names with a message came"))
-        head = HEAD.format(version=__version__, flights=len(captures), margin=f"{(margin * 100).normalize():f}")
+        head = HEAD.format(
+            version=__version__,
+            flights=count_of(len(captures), "good flight"),
+            margin=f"{(margin * 100).normalize():f}",
+        )
         # The gate itself says which rules these flights keep: a reserved value, for one, lies in no range.
         Path(aside, "rules").write_text(_text(head, rules), encoding="utf-8")
         for name, (verdicts, _) in zip(names, ask("check,rules=rules,json"), strict=True):

@@ -14,7 +14,7 @@ from pathlib import Path
 from . import __version__, baseline, fleet, install, upkeep
 from .config import Config, read_fleet
 from .convert import KINDS
-from .errors import SetupError, YappError, need
+from .errors import SetupError, YappError, count_of, need
 from .tshark import Tshark
 from .undecoded import left_out
 
@@ -155,17 +155,23 @@ def _convert(given: argparse.Namespace) -> int:
     results = fleet.convert(_captures(given.captures), _config(given), jobs=given.jobs, scheduler=given.scheduler)
     lacking, failed = 0, 0
     for result in results:
-        lacks = left_out(result.partial, "", result.lacks)
+        lacks = left_out(result.partial, "", [*result.lacks, *result.notes])
         _say(f"{result.capture}: {text}" for text in ([result.failure] if result.failure else lacks))
         failed += bool(result.failure or result.partial)
         lacking += bool(result.lacks)
     _say(sorted({result.hint for result in results if result.hint})[:1])
     rows = sum(sum(result.messages.values()) for result in results)
-    _say([f"{len(results)} captures, {rows:,} rows in {given.out}"])
+    _say([f"{count_of(len(results), 'capture')}, {count_of(rows, 'row')} in {given.out}"])
     if failed:
-        _say([f"{failed} of {len(results)} captures failed: {given.out.rstrip('/')}.yapp-tables/failures.csv"])
+        _say(
+            [
+                f"{failed} of {count_of(len(results), 'capture')} failed: {given.out.rstrip('/')}.yapp-tables/failures.csv"
+            ]
+        )
     if lacking:
-        _say([f"{lacking} of {len(results)} captures were not decoded completely: the lines above say what to set"])
+        whole = f"{lacking} of {count_of(len(results), 'capture')}"
+        verb = "was" if lacking == 1 else "were"
+        _say([f"{whole} {verb} not decoded completely: the lines above say what to set"])
     return FAILED if failed or (lacking and given.strict) else INCOMPLETE if lacking else 0
 
 
@@ -177,18 +183,18 @@ def _prune(given: argparse.Namespace) -> int:
 
 def _compact(given: argparse.Namespace) -> int:
     less = upkeep.compact(given.out, given.to, given.flights, given.megabytes)
-    _say([f"{less} files less in {given.out}"])
+    _say([f"{count_of(less, 'file')} less in {given.out}"])
     return 0
 
 
 def _vacuum(given: argparse.Namespace) -> int:
-    _say([f"{upkeep.vacuum(given.out, given.hours)} files removed from {given.out}"])
+    _say([f"{count_of(upkeep.vacuum(given.out, given.hours), 'file')} removed from {given.out}"])
     return 0
 
 
 def _upgrade(given: argparse.Namespace) -> int:
     done = upkeep.upgrade(given.out, given.to, Tshark(given.tshark, given.plugin))
-    _say([f"{len(done)} flights upgraded in {given.out}"])
+    _say([f"{count_of(len(done), 'flight')} upgraded in {given.out}"])
     return 0
 
 
@@ -207,5 +213,5 @@ def _baseline(given: argparse.Namespace) -> int:
     captures = fleet.find(_captures(given.captures))
     text, left = baseline.learn(captures, _config(given), given.margin)
     Path(given.out).write_text(text, encoding="utf-8")
-    _say([*left, f"{len(captures)} flights in {given.out}"])
+    _say([*left, f"{count_of(len(captures), 'flight')} in {given.out}"])
     return (FAILED if given.strict else INCOMPLETE) if left else 0

@@ -51,7 +51,7 @@ class Result:
 
     flight_id: of the capture's content; capture: its absolute path; files: relative to the data set;
     messages: {message: rows}; partial: why only a part could be read; lacks: sentences on what was not decoded;
-    failure: why there are no files; hint: what to set so that controllers have names.
+    failure: why there are no files; hint: what to set so that controllers have names; notes: sentences on what it has.
     """
 
     flight_id: str
@@ -63,6 +63,7 @@ class Result:
     lacks: tuple[str, ...] = ()
     failure: str | None = None
     hint: str = ""
+    notes: tuple[str, ...] = ()
 
     def is_current(self, made_by: MadeBy) -> bool:
         """Return whether it needs no other try: made by the same, but for messages that it does not have."""
@@ -142,7 +143,7 @@ class DataSet:
             return None
         made_by = record.pop("made_by")
         made_by["options"] = tuple(made_by["options"])
-        lists = {name: tuple(record[name]) for name in ("files", "lacks")}
+        lists = {name: tuple(record.get(name, ())) for name in ("files", "lacks", "notes")}
         return Result(**{**record, **lists, "made_by": MadeBy(**made_by)})
 
     def results(self) -> Iterator[Result]:

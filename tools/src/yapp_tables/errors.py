@@ -27,6 +27,11 @@ class MessageError(CaptureError, KeyError):
         return str(self.args[0])
 
 
+def count_of(number: int, noun: str) -> str:
+    """Return "1 flight", "2,000 flights"."""
+    return f"{number:,} {noun}{'s' * (number != 1)}"
+
+
 def need(module: str, extra: str) -> ModuleType:
     """Import a module that needs an optional library.
 

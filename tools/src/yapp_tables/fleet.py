@@ -20,7 +20,7 @@ from tqdm import tqdm
 from .config import Config, StrPath
 from .convert import convert_one, look_up, made_by, writer
 from .dataset import DataSet, MadeBy, Result
-from .errors import SetupError, YappError, need
+from .errors import SetupError, YappError, count_of, need
 from .tshark import Tshark
 
 SCHEDULER_SECONDS = 10
@@ -68,7 +68,7 @@ def prune(out: str, to: str) -> list[Result]:
     results = list(dataset.results())
     gone = [result for result in results if not os.path.exists(result.capture)]
     if gone and len(gone) == len(results):
-        raise SetupError(f"none of the {len(gone)} captures of {out} is there: is their disk mounted?")
+        raise SetupError(f"of {count_of(len(gone), 'capture')} of {out} none is there: is their disk mounted?")
     for result in gone:
         dataset.forget(result)
     _write_failures(dataset, {})

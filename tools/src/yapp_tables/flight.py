@@ -11,7 +11,7 @@ from typing import Any
 import pyarrow as pa
 
 from .dataset import flight_id
-from .errors import CaptureError, MessageError, need
+from .errors import CaptureError, MessageError, count_of, need
 from .html_table import html_table
 from .records import EVENTS, SUMMARY, faults, name_hint, statistics, table
 from .tables import HEAD, Message, Origin, Rows, catalogue_version, nothing_in, present
@@ -34,7 +34,7 @@ class Flight(Mapping[str, pa.Table]):
     faults: of these the flags raised and cleared; summary: a row for each bus and ID, rates in Hz, gaps in seconds;
     statistics: minimum, mean and maximum of each field of a source, in its unit;
     messages: what the catalogue says of them; plugin: its version; left_out: sentences on all that is missing here;
-    partial: why a capture could not be read to its end; undecoded: what was not decoded.
+    partial: why a capture could not be read to its end; undecoded: what was not decoded; notes: sentences on copies.
     """
 
     def __init__(
@@ -47,7 +47,8 @@ class Flight(Mapping[str, pa.Table]):
     ) -> None:
         """Load the tables of an export of this capture; messages, columns: these only; begin: of the capture."""
         self.name, self.flight_id, self.begin = capture.name, flight_id(capture), begin
-        self.partial, self.undecoded, self.complaints = export.partial, export.undecoded, export.complaints
+        self.partial, self.undecoded = export.partial, export.undecoded
+        self.complaints, self.notes = export.complaints, export.notes
         self.plugin = str(export.fields["plugin"])
         self.events = table(export.records["events"], EVENTS)
         self.faults = faults(self.events)
@@ -128,14 +129,16 @@ class Flight(Mapping[str, pa.Table]):
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: what is missing, and a row for each source."""
-        said = "".join(f"<p><b>{html.escape(text)}</b></p>" for text in self.left_out)
+        said = "".join(f"<p><b>{html.escape(text)}</b></p>" for text in [*self.left_out, *self.notes])
         table = html_table(SOURCES, self.sources())
-        return f"<h4>{html.escape(self.name)}</h4>{said}<p>{len(self.events)} events</p><table>{table}</table>"
+        return (
+            f"<h4>{html.escape(self.name)}</h4>{said}<p>{count_of(len(self.events), 'event')}</p><table>{table}</table>"
+        )
 
     def __repr__(self) -> str:
         """Return what is in it, on one line."""
         rows = ", ".join(f"{name}: {len(rows)}" for name, rows in self._tables.items())
-        return f"<Flight {self.name} ({rows}; {len(self.events)} events)>"
+        return f"<Flight {self.name} ({rows}; {count_of(len(self.events), 'event')})>"
 
 
 def _check_words(known: Mapping[str, Message], messages: Sequence[str] | None, columns: Sequence[str] | None) -> None:

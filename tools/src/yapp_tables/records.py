@@ -13,6 +13,7 @@ from typing import Any
 import pyarrow as pa
 
 from .clock import clock_of
+from .errors import count_of
 from .tables import KIND, TIME, Column, Message, Origin, Rows, Table, present
 from .tshark import Export, Record
 
@@ -103,7 +104,7 @@ messages     int64   rows of all messages
 faults       int64   incidents with a fault; events of a controller at most 2 s apart are one incident
 partial      string  why the capture was read only in part
 undecoded    string  which messages were not decoded
-left_out     string  what else is missing, and what to know of the times
+left_out     string  what else is missing, and what to know of the times and of copies
 """)
 
 
@@ -267,9 +268,10 @@ def all_tables(export: Export, origin: Origin) -> list[Table]:
 
 def _flight(export: Export, origin: Origin, rows: Sequence[Rows], events: pa.Table) -> pa.Table:
     clock = clock_of(each.stretches for each in rows)
-    said = list(export.complaints)
+    said = [*export.complaints, *export.notes]
     if clock.resets:
-        said.append(f"the capture's clock was set {clock.resets} times: times before and after do not compare")
+        times = count_of(clock.resets, "time")
+        said.append(f"the capture's clock was set {times}: times before and after do not compare")
     if clock.start is None:
         said.append("the capture tells no absolute time: times count from 1970")
     about = {"capture": str(origin.capture), "start": clock.start, "length": clock.length / 1e9}

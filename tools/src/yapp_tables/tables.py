@@ -96,7 +96,7 @@ class Message:
 
 def messages(fields: Record) -> dict[str, Message]:
     """The catalogue in fields.json, by message name."""
-    columns = {name: _columns(entry) for name, entry in fields["messages"].items()}
+    columns = {name: _columns(name, entry) for name, entry in fields["messages"].items()}
     found = {}
     for name, entry in fields["messages"].items():
         commands = _commands(name, columns)
@@ -118,16 +118,15 @@ def catalogue_version(fields: Record) -> str:
     return f"{', '.join(fields['messages'])} ({whole})"
 
 
-def _columns(entry: Record) -> list[Column]:
+def _columns(message: str, entry: Record) -> list[Column]:
     given = {each["name"]: each for each in entry["columns"] if each["name"] not in HEAD and each["name"] != CRC_GOOD}
     columns = [_column(each, given) for each in given.values()]
-    for name, each in given.items():
-        command, error = name.replace("_measured", "_commanded"), name.replace("_measured", "_error")
-        if name.endswith("_measured") and command in given and error not in given and each["type"] == "float":
-            title = (each.get("title") or name).replace("Measured", "Error")
-            filter_ = (each.get("filter") or "").replace("_measured", "_error")
-            about = {"title": title, "unit": each.get("unit") or "", "filter": filter_}
-            columns.append(Column(error, pa.float64(), "value", difference=(name, command), **about))
+    is_number = {column.name: column.role == "value" for column in columns}
+    for each in entry.get("differences") or ():
+        name, parts = each["name"], (each["of"], each["less"])
+        if all(is_number.get(part) for part in parts) and name not in given:
+            about = {"title": each["title"], "unit": each["unit"] or "", "filter": f"taurus.{message}.{name}"}
+            columns.append(Column(name, pa.float64(), "value", difference=parts, **about))
     return columns
 
 
@@ -261,7 +260,7 @@ class Rows(Table):
         given["controller"] = given.get("source")
         for column in self.columns:
             if column.difference:
-                given[column.name] = pc.subtract(*(given[name] for name in column.difference))
+                given[column.name] = pc.subtract(*(given[name].cast(pa.float64()) for name in column.difference))
             elif column.name == LAG and lags:
                 given[LAG] = lags.measure(given)
             elif column.type == DURATION and column.name in given:

@@ -27,6 +27,8 @@ EMPTY_PCAP = bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 00000100 e30000
 PLUGIN_SAYS = "yapp: "
 SAME_PLUGIN = re.compile(r"\((.*)\) is not loaded: .* \(\1\) is already there$")  # --plugin, and it is installed
 UNDECODED = re.compile(r"^\d+ messages? (was|were) (not decoded|decoded in part)")
+# Nothing is missing then: the second message is left out.
+COPIES = re.compile(r"^\d+ messages? (was|were) recorded twice")
 STATISTICS = ("events", "summary")
 # Exit codes: a rule does not hold; a statistic leaves something out.
 BROKEN, UNDECIDED = 20, 21
@@ -42,7 +44,8 @@ class Export:
     """What one run left behind: `<message>.csv` and `fields.json` in folder, and the lines of the other statistics.
 
     partial: tshark's reason where the capture is damaged; undecoded: a sentence on the messages that were not decoded;
-    complaints: what the plugin leaves out for another reason: a preference that it cannot read, unreliable events.
+    complaints: what the plugin leaves out for another reason: a preference that it cannot read, unreliable events;
+    notes: what else it says, of copies.
     """
 
     folder: Path
@@ -51,6 +54,7 @@ class Export:
     partial: str | None = None
     complaints: tuple[str, ...] = ()
     undecoded: str = ""
+    notes: tuple[str, ...] = ()
 
     def csv(self, message: str) -> Path:
         """Where the rows of a message are, whether or not there are any."""
@@ -98,7 +102,8 @@ class Tshark:
         records = _records(done.stdout)
         titles = {name: entry["title"] or name for name, entry in fields["messages"].items()}
         lost = undecoded(records["events"], records["summary"], titles, done.stderr)
-        return Export(csv, fields, records, partial, complaints, lost)
+        notes = tuple(dict.fromkeys(line for line in _said(done) if COPIES.search(line)))
+        return Export(csv, fields, records, partial, complaints, lost, notes)
 
     def ask(self, capture: Path, folder: str, statistics: Sequence[str]) -> tuple[list[Record], list[str]]:
         """Return the JSON lines of statistics, and what the plugin says they leave out. tshark runs in folder.
@@ -109,7 +114,8 @@ class Tshark:
         done = _run(self._command(capture, statistics), Path(folder), self._environment())
         if done.returncode != BROKEN and (why := self._refusal(capture, done, written=True)):
             raise CaptureError(f"{capture}: {why}")
-        return list(_json_lines(done.stdout)), list(dict.fromkeys(_said(done)))
+        said = dict.fromkeys(line for line in _said(done) if not COPIES.search(line))
+        return list(_json_lines(done.stdout)), list(said)
 
     def fields(self) -> tuple[Record, tuple[str, ...]]:
         """fields.json of this plugin with these options, and complaints as in Export.
@@ -222,7 +228,7 @@ def _complaint(stderr: str) -> str:
 
 def _complaints(done: subprocess.CompletedProcess[str]) -> tuple[str, ...]:
     """Return what the plugin says it leaves out, but for undecoded messages, which are events."""
-    found = dict.fromkeys(line for line in _said(done) if not UNDECODED.search(line))
+    found = dict.fromkeys(line for line in _said(done) if not (UNDECODED.search(line) or COPIES.search(line)))
     return tuple(found) or (UNRELIABLE,) * (done.returncode == UNDECIDED)
 
 
