@@ -9,16 +9,15 @@ local T = {}
 local MOTOR = { id = 0x210, message = { every = 0.1 } }
 
 local function new(lacks_clock)
-  local copies = copies_of.new { lacks_clock = function() return lacks_clock or false end }
-  copies:find({ key = 0, time = -1, seq = 0, payload = "", source = {} }, true) -- so that the time has advanced
-  return copies
+  return copies_of.new { lacks_clock = function() return lacks_clock or false end }
 end
 
--- Find what rows { time, payload, source, seq } are copies of: their keys are 1, 2, ...; "-" for none.
+-- Find what rows { seconds, payload, source, seq } are copies of: their keys are 1, 2, ...; "-" for none.  The first
+-- packet of the capture came a second earlier.
 local function found(rows, lacks_clock)
   local copies, list = new(lacks_clock), {}
   for key, row in ipairs(rows) do
-    local message = { key = key, time = row[1], payload = row[2], source = row[3] or MOTOR, seq = row[4] or 0,
+    local message = { key = key, time = row[1] + 1, payload = row[2], source = row[3] or MOTOR, seq = row[4] or 0,
       visited = false }
     list[key] = copies:find(message, false) or "-"
     message.visited = true
@@ -52,7 +51,7 @@ end
 -- A damaged message is no copy of the good one, nor is one with other damage.
 function T.test_damaged_messages()
   local copies, list = new(), {}
-  for key, crc in ipairs { 0, 7, 7, 8, 0 } do
+  for key, crc in ipairs { 0, 7, 7, 8, 0 } do -- the first message comes after the first packet
     local message = { key = key, time = key / 1000, payload = "a", source = MOTOR, seq = 0,
       status = crc > 0 and "bad" or "good", transfer = { crc = crc } }
     list[key] = copies:find(message, true) or "-"
@@ -66,10 +65,20 @@ function T.test_a_number_that_is_used_again()
   local function look(key, time, payload, visited)
     return copies:find({ key = key, time = time, payload = payload, source = MOTOR, seq = 0, visited = visited }, false)
   end
-  look(1, 0, "a", false)
+  look(1, 0.0005, "a", false)
   lu.assertEquals(look(2, 0.001, "a", false), 1)
   lu.assertNil(look(2, 0.1, "b", false))
   lu.assertNil(look(2, 0.1, "b", true))
+end
+
+-- The fragments of the first message take time: it is not the first packet.
+function T.test_the_first_message()
+  local copies = new()
+  local function find(key)
+    return copies:find({ key = key, time = 0.0005, payload = "a", source = MOTOR, seq = 0 }, true)
+  end
+  lu.assertNil(find(9))
+  lu.assertEquals(find(10), 9)
 end
 
 -- Half the period of a fast message is less than 20 ms; a message of no known type has 20 ms.

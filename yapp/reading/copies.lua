@@ -21,7 +21,6 @@ Copies.__index = Copies
 function M.new(buses)
   return setmetatable({
     is_timed = not buses:lacks_clock(),
-    start = nil, -- when the first message came; until the time advances, there may be none
     by_source = {}, -- [source] = list of its latest messages that are no copies, see new_entry
     originals = {}, -- [frame key of a copy] = that of its original, for revisits
   }, Copies)
@@ -70,13 +69,13 @@ function Copies:find(message, is_only_pass)
   local of_type = source.message
   local distance = of_type and of_type.every or 1
   distance = min(MAX_DISTANCE, distance / 2) - HALF_NANOSECOND
-  self.start = self.start or time
   local list = self.by_source[source]
   if not list then
     list = {}
     self.by_source[source] = list
   end
-  local original = time ~= self.start and find_in(list, message, distance) or nil
+  -- At the time of the first packet it is not known yet whether times advance.
+  local original = time ~= 0 and find_in(list, message, distance) or nil
   -- A read filter may have dropped a copy whose number this packet has.
   if not is_only_pass and original ~= self.originals[message.key] then
     self.originals[message.key] = original

@@ -1,0 +1,363 @@
+-- SPDX-License-Identifier: GPL-2.0-or-later
+-- The whole reading of a capture: frames and packets in; results, and the events of statistics, out.
+if not arg then return end -- run by Wireshark, see run.lua
+local lu = require("luaunit")
+local can_id = require("yapp.wire.can_id")
+local catalogue_of = require("yapp.message.catalogue")
+local frame_key = require("yapp.base.frame_key")
+local generator = require("stream_generator")
+local intake_of = require("yapp.stat.intake")
+local lines = require("yapp.serial.lines")
+local reading_of = require("yapp.reading.reading")
+local records = require("yapp.reading.records")
+local sources = require("yapp.message.sources")
+local types_of = require("yapp.message.types")
+local words = require("can_words")
+
+local T = {}
+
+local TAURUS = catalogue_of.compile(dofile("taurus_fields.lua"))
+local MOTOR, HEALTH, COMMAND = 0x210, 0x200, 0
+local LENGTHS = { [MOTOR] = 32, [HEALTH] = 17, [COMMAND] = 7 } -- of payloads, as the document has them
+
+-- A capture and what comes of it: { reading, events = list of words, number = of the latest packet }.
+-- with  { several = whether it has several buses }
+local function new_capture(with)
+  local types, buses = types_of.new(TAURUS), {
+    name = function(_, bus) return bus and "can" .. bus - 1 or nil end,
+    lacks_times = function() return false end,
+    lacks_clock = function() return false end,
+  }
+  types:use(catalogue_of.assign(TAURUS, {}), (sources.parse("", TAURUS)), {}, function() end)
+  types:reset(with and with.several or false)
+  local reading, intake, events = reading_of.new(types, buses), intake_of.new(TAURUS), {}
+  reading:reset { late = 3, catalogue = TAURUS, buses = buses }
+  intake:open {
+    offer = function(_, event)
+      local source = event.source
+      events[#events + 1] = ("%s %s @%d"):format(event.kind, source.id and source.label or "line", event.frame)
+    end,
+    add_undissected = function(_, event)
+      events[#events + 1] = ("%s %s @%d"):format(event.kind, event.source.label, event.frame)
+    end,
+  }
+  reading:listen(intake)
+  return { reading = reading, intake = intake, events = events, number = 0 }
+end
+
+-- A payload of a message: its bytes count up, but for Motor Data, whose flags are 0.
+local function payload_of(id, first)
+  if id == MOTOR then return string.char(first) .. ("\0"):rep(31) end
+  local bytes = {}
+  for i = 1, LENGTHS[id] or 20 do bytes[i] = string.char((first + i) % 16 + 1) end
+  return table.concat(bytes)
+end
+
+-- The frames of a message on CAN: a list of { CAN id, data }.
+-- with  { wrong = whether its CRC is }
+local function frames_of(id, seq, payload, with)
+  if #payload <= 8 then return { { words.can_id(id, 0, 0, seq), payload } } end
+  local list = { { words.can_id(id, 1, 0, seq), words.start(id, payload, { seq = seq, wrong = with and with.wrong }) } }
+  for from = 1, #payload, 8 do
+    local is_last = from + 8 > #payload
+    list[#list + 1] = { words.can_id(id, is_last and 3 or 2, 0, seq), payload:sub(from, from + 7) }
+  end
+  return list
+end
+
+-- What a result is, in words: "fragment", "last good Motor Data", "other", "-" of a frame that is not YAPP's; behind
+-- "+" what is wrong; behind "(" what the reading knows of its message.
+local function in_words(result)
+  if not result then return "-" end
+  local text, message = result.kind, result.message
+  if message then text = ("%s %s %s"):format(text, message.status, message.source.label) end
+  if result.kind == "skipped" then text = text .. " " .. result.length end
+  for _, anomaly in ipairs(result.anomalies or {}) do text = text .. "+" .. anomaly.expert end
+  local change = message and message.change
+  for _, name in ipairs(change and { "missing", "reboot", "late" } or {}) do
+    if change[name] then text = text .. " (" .. name .. ")" end
+  end
+  return text .. (message and message.copy_of and (" (copy of %d)"):format(frame_key.number(message.copy_of)) or "")
+end
+
+-- Add a CAN frame, or recall it.
+-- with  { number, time, visited, bus, is_bus_known, accepts_all, reported, is_only_pass }; by default it is the next
+--       packet, 1 ms behind the one before
+local function visit(capture, one, with)
+  with = with or {}
+  local frame, number = records.new_can_frame(), with.number or capture.number + 1
+  capture.number = number
+  frame.key, frame.time = number * frame_key.PACKET + 16, with.time or number / 1000
+  frame.can_id = can_id.fields[one[1]]
+  frame.seq, frame.data, frame.reported = frame.can_id.seq, one[2], with.reported or #one[2]
+  for _, name in ipairs { "visited", "bus", "accepts_all", "is_only_pass", "wants_state" } do
+    frame[name] = with[name] or false
+  end
+  frame.is_bus_known = with.is_bus_known ~= false
+  if with.visited then return capture.reading:recall_frame(frame) end
+  return capture.reading:add_frame(frame)
+end
+
+-- Add frames; return what the last one is, in words.
+local function add_all(capture, list, with)
+  local text
+  for _, one in ipairs(list) do text = in_words(visit(capture, one, with)) end
+  return text
+end
+
+-- CAN ----------------------------------------------------------------------------------------------------------------
+
+function T.test_messages_on_can()
+  local capture = new_capture()
+  local single = visit(capture, frames_of(COMMAND, 7, payload_of(COMMAND, 1))[1])
+  lu.assertEquals(in_words(single), "single good Command")
+  lu.assertEquals({ single.message.seq, single.message.size, single.message.key, single.transfer.status },
+    { 7, 7, frame_key.PACKET + 16, "good" })
+  local list, kinds = frames_of(MOTOR, 9, payload_of(MOTOR, 3)), {}
+  for i, one in ipairs(list) do kinds[i] = in_words(visit(capture, one)) end
+  lu.assertEquals(kinds, { "fragment", "fragment", "fragment", "fragment", "last good Motor Data" })
+  lu.assertEquals(add_all(capture, frames_of(MOTOR, 10, payload_of(MOTOR, 4), { wrong = true })), "last bad Motor Data")
+  lu.assertEquals(add_all(capture, frames_of(0x123, 0, payload_of(0x123, 1))), "last good ID 0x123")
+  lu.assertEquals(capture.events, { "message Command @1", "message Motor Data @6", "crc Motor Data @11",
+    "message ID 0x123 @15" })
+end
+
+-- A revisit draws the same, and tells the fragments of their message; statistics hear of it again.
+function T.test_a_revisit()
+  local capture, list = new_capture(), frames_of(MOTOR, 9, payload_of(MOTOR, 3))
+  add_all(capture, frames_of(MOTOR, 8, payload_of(MOTOR, 2)), { time = 1 })
+  add_all(capture, list, { time = 1.1 })
+  for index, one in ipairs(list) do
+    local result = visit(capture, one, { number = 5 + index, time = 1.1, visited = true })
+    lu.assertEquals(in_words(result), index < 5 and "fragment" or "last good Motor Data")
+    lu.assertEquals({ result.index, #result.transfer, result.transfer.status }, { index, 5, "good" })
+    if index == 5 then lu.assertAlmostEquals(result.message.delta, 0.1, 1e-9) end
+  end
+  lu.assertEquals(capture.events, { "message Motor Data @5", "message Motor Data @10", "message Motor Data @10" })
+  lu.assertNil(visit(capture, { words.can_id(0x700, 2, 0, 1), "other" }, { number = 50, visited = true }))
+end
+
+function T.test_what_is_lost()
+  local capture, list = new_capture(), frames_of(MOTOR, 1, payload_of(MOTOR, 1))
+  lu.assertEquals(add_all(capture, { list[1], list[2], list[5] }), "last incomplete Motor Data+fragment.incomplete")
+  lu.assertEquals(add_all(capture, { list[3] }), "other+fragment.orphan")
+  lu.assertEquals(add_all(capture, { list[1], list[1] }), "fragment+fragment.incomplete")
+  lu.assertEquals(table.concat(capture.events, ", "),
+    "incomplete Motor Data @3, incomplete Motor Data @4, incomplete Motor Data @6")
+end
+
+-- What is no YAPP's is left to others; nobody hears of it.
+function T.test_frames_of_others()
+  local capture = new_capture()
+  lu.assertEquals(in_words(visit(capture, { words.can_id(0x123, 2, 0, 1), "12345678" })), "-")
+  lu.assertEquals(in_words(visit(capture, { words.can_id(MOTOR, 0, 0, 1), "1234567" })), "-")
+  lu.assertEquals(in_words(visit(capture, { words.can_id(COMMAND, 0, 1, 1), "1234567" })), "-")
+  lu.assertEquals(capture.reading.accepted_key, 0)
+  lu.assertEquals(in_words(visit(capture, { words.can_id(COMMAND, 0, 1, 1), "1234567" }, { accepts_all = true })),
+    "single good Command")
+  lu.assertEquals(capture.reading.accepted_key, 4 * frame_key.PACKET + 16)
+  lu.assertEquals(capture.events, { "message Command @4" })
+end
+
+-- Two buses have one message each under the same CAN ids: each its own source and history.
+function T.test_two_buses()
+  local capture = new_capture { several = true }
+  local first, second = frames_of(MOTOR, 5, payload_of(MOTOR, 1)), frames_of(MOTOR, 5, payload_of(MOTOR, 2))
+  local found = {}
+  for i = 1, 5 do
+    found[1] = in_words(visit(capture, first[i], { bus = 1 }))
+    found[2] = in_words(visit(capture, second[i], { bus = 2 }))
+  end
+  lu.assertEquals(found, { "last good Motor Data 0x210 (can0)", "last good Motor Data 0x210 (can1)" })
+end
+
+-- The same where nothing tells the buses apart: the CRC does.
+function T.test_two_buses_that_nothing_tells_apart()
+  local capture, found = new_capture(), {}
+  local first, second = frames_of(MOTOR, 5, payload_of(MOTOR, 1)), frames_of(MOTOR, 5, payload_of(MOTOR, 2))
+  for i = 1, 5 do
+    for _, list in ipairs { first, second } do
+      found[#found + 1] = in_words(visit(capture, list[i], { is_bus_known = false }))
+    end
+  end
+  lu.assertEquals({ found[9], found[10] }, { "last good Motor Data", "last good Motor Data" })
+  lu.assertTrue(capture.reading.saw_unknown_bus)
+end
+
+-- A recorder wrote every frame twice with equal stamps, and its first message begins the capture.
+function T.test_copies()
+  local capture, found = new_capture(), {}
+  for seq = 1, 2 do
+    for copy = 1, 2 do
+      local text
+      for i, one in ipairs(frames_of(MOTOR, seq, payload_of(MOTOR, seq))) do
+        text = in_words(visit(capture, one, { time = (seq - 1) / 10 + (i - 1) / 10000 }))
+      end
+      found[2 * seq + copy - 2] = text
+    end
+  end
+  lu.assertEquals(found, { "last good Motor Data", "last good Motor Data (copy of 5)",
+    "last good Motor Data", "last good Motor Data (copy of 15)" })
+  lu.assertEquals(capture.events, { "message Motor Data @5", "copies Motor Data @10", "message Motor Data @15",
+    "copies Motor Data @20" })
+end
+
+function T.test_what_the_history_says()
+  local capture = new_capture()
+  local found = {}
+  for i, seq in ipairs { 1, 2, 5 } do
+    found[i] = add_all(capture, frames_of(HEALTH, seq, payload_of(HEALTH, seq)), { time = seq / 2 })
+  end
+  lu.assertEquals(found[2], "last good Health")
+  lu.assertStrContains(found[3], "(missing)")
+end
+
+-- With tshark -2 -R the number of a packet that a filter dropped is the next one's: what the dropped one said is
+-- forgotten, and its fragment is of no packet.
+function T.test_a_number_that_is_used_again()
+  local capture, list = new_capture(), frames_of(MOTOR, 1, payload_of(MOTOR, 1))
+  for i, one in ipairs(list) do visit(capture, one, { number = i == 5 and 4 or i }) end
+  local result = visit(capture, list[5], { number = 4, visited = true })
+  lu.assertEquals({ in_words(result), result.index }, { "last good Motor Data", 5 })
+  local keys = {}
+  for i, key in ipairs(result.transfer) do keys[i] = frame_key.number(key) end
+  lu.assertEquals(#keys, 5)
+  lu.assertTrue(result.transfer[4] % 1 ~= 0)
+end
+
+-- Frames that are not dissected: a Start of an unknown ID, a known message with a YAPP CTL, one that is longer.
+function T.test_undissected_frames()
+  local capture = new_capture()
+  local function report(id, data)
+    local frame = records.new_can_frame()
+    capture.number = capture.number + 1
+    frame.key, frame.can_id = capture.number * frame_key.PACKET, can_id.fields[id]
+    frame.data, frame.reported = data, #data
+    frame.seq = frame.can_id.seq
+    capture.reading:report_undissected(frame)
+  end
+  report(words.can_id(0x321, 1, 0, 9), words.start(0x321, payload_of(MOTOR, 1)))
+  report(words.can_id(COMMAND, 0, 3, 9), "\1\165" .. ("\0"):rep(5))
+  report(words.can_id(0x322, 2, 0, 9), "12345678")
+  report(words.can_id(0x323, 1, 0, 9), words.start(0x323, ("x"):rep(50))) -- no message of the catalogue has its size
+  lu.assertEquals(capture.events, { "undissected ID 0x321 @1", "undissected Command @2" })
+end
+
+-- Streams ------------------------------------------------------------------------------------------------------------
+
+-- Add a packet of a line, or recall it.
+-- kind  of the line: lines.UDP, lines.TCP, 0 for a serial line
+-- with  { number, visited, seq = of TCP, truncated }
+local function visit_packet(capture, kind, bytes, with)
+  with = with or {}
+  local number = with.number or capture.number + 1
+  capture.number = number
+  local address = kind == 0 and "" or "10.0.0.1"
+  local line = capture.reading.lines:of(kind, nil, address, 5000, "10.0.0.2:14550", not with.visited)
+  local packet = { key = number * frame_key.PACKET + 42, number = number, time = number / 10, epoch = false,
+    visited = with.visited or false, bytes = bytes, length = #bytes + (with.truncated or 0),
+    truncated = with.truncated ~= nil, is_datagram = line.is_datagram, is_complete = line.is_complete,
+    is_tcp = line.is_tcp, is_found = capture.reading.found[line.trial_key], line = line, stream = line.key,
+    bus_name = line.bus, seq = with.seq, is_bus_known = true, is_only_pass = false, wants_state = false }
+  if with.try then return capture.reading:try_packet(packet) end
+  if with.visited then return capture.reading:recall_packet(packet) end
+  return capture.reading:add_packet(packet)
+end
+
+local function results_in_words(contents)
+  local list = {}
+  for i, result in ipairs(contents and contents.results or {}) do list[i] = in_words(result) end
+  if contents and contents.pending > 0 then list[#list + 1] = ("%d pending"):format(contents.pending) end
+  return table.concat(list, ", ")
+end
+
+local MOTOR_FRAME = generator.frame(MOTOR, payload_of(MOTOR, 1))
+local HEALTH_FRAME = generator.frame(HEALTH, payload_of(HEALTH, 1))
+local BAD_FRAME = MOTOR_FRAME:sub(1, -2) .. string.char((MOTOR_FRAME:byte(-1) + 1) % 256)
+
+function T.test_a_serial_line()
+  local capture = new_capture()
+  lu.assertEquals(results_in_words(visit_packet(capture, 0, "noise" .. MOTOR_FRAME .. MOTOR_FRAME:sub(1, 20))),
+    "skipped 5, single good Motor Data, 20 pending")
+  lu.assertEquals(results_in_words(visit_packet(capture, 0, MOTOR_FRAME:sub(21) .. BAD_FRAME)),
+    "single good Motor Data, single bad Motor Data")
+  lu.assertEquals(results_in_words(
+    visit_packet(capture, 0, "noise" .. MOTOR_FRAME .. MOTOR_FRAME:sub(1, 20), { number = 1, visited = true })),
+    "skipped 5, single good Motor Data, 20 pending")
+  lu.assertEquals({ capture.events[1], capture.events[2], capture.events[4] },
+    { "skipped line @1", "message Motor Data @1", "crc Motor Data @2" })
+end
+
+function T.test_datagrams_and_tcp()
+  for _, kind in ipairs { lines.UDP, lines.TCP } do
+    local capture = new_capture()
+    local text = results_in_words(visit_packet(capture, kind, MOTOR_FRAME .. HEALTH_FRAME, { seq = 100 }))
+    lu.assertEquals(text, "single good Motor Data, single good Health")
+    lu.assertEquals(#capture.events, 2)
+  end
+end
+
+-- A conversation is found by its content, with what came before it was clear.
+function T.test_a_conversation_that_is_tried()
+  local capture = new_capture()
+  lu.assertFalse((visit_packet(capture, lines.TCP, "GET / HTTP/1.1\r\n", { try = true, seq = 1 })))
+  capture = new_capture()
+  lu.assertFalse((visit_packet(capture, lines.TCP, MOTOR_FRAME:sub(1, 11), { try = true, seq = 100 })))
+  local is_found, had_earlier = visit_packet(capture, lines.TCP, MOTOR_FRAME:sub(12), { try = true, seq = 111 })
+  lu.assertEquals({ is_found, had_earlier }, { true, true })
+  lu.assertEquals(capture.events, {}) -- the packet itself is added by who asked
+  visit_packet(capture, lines.TCP, MOTOR_FRAME:sub(12), { number = 2, seq = 111 })
+  lu.assertEquals(#capture.events, 1)
+end
+
+function T.test_what_is_yapp()
+  local reading = new_capture().reading
+  lu.assertTrue(reading:is_yapp("noise" .. MOTOR_FRAME))
+  lu.assertTrue(reading:is_yapp(BAD_FRAME)) -- the catalogue has its ID and size
+  lu.assertFalse(reading:is_yapp("YP is not enough, nor are these bytes"))
+  lu.assertFalse(reading:is_yapp(""))
+  lu.assertTrue(reading:may_be_yapp(MOTOR_FRAME:sub(1, 12)))
+  lu.assertFalse(reading:may_be_yapp(("x"):rep(200)))
+end
+
+function T.test_skipped_bytes_of_a_dump()
+  local capture = new_capture()
+  local line = capture.reading.lines:of(lines.UDP, nil, "", 0, ":0", true)
+  local packet = { key = 7 * frame_key.PACKET, number = 7, time = 0, visited = false, bytes = "?????", length = 5,
+    line = line, stream = line.key, is_bus_known = true }
+  lu.assertEquals(results_in_words(capture.reading:add_skipped(packet)), "skipped 5")
+  lu.assertEquals(capture.events, { "skipped line @7" })
+end
+
+-- The end ------------------------------------------------------------------------------------------------------------
+
+local function finish(capture, may_go_on)
+  local list = {}
+  for i, event in ipairs(capture.intake:finish(capture.reading:finish(may_go_on))) do
+    list[i] = ("%s %s @%d"):format(event.kind, event.source.label, event.frame)
+  end
+  return list
+end
+
+function T.test_the_end()
+  local capture, list = new_capture(), frames_of(MOTOR, 1, payload_of(MOTOR, 1))
+  add_all(capture, { list[1], list[2] })
+  visit_packet(capture, 0, MOTOR_FRAME:sub(1, 20))
+  lu.assertEquals(finish(capture, false), { "unfinished Motor Data @2", "unfinished Motor Data @3" })
+  capture = new_capture()
+  add_all(capture, list)
+  lu.assertEquals(finish(capture, false), {})
+end
+
+-- The message of a known bus may have gone on unseen once frames come whose bus is not known.
+function T.test_the_end_where_buses_are_lost()
+  local list = frames_of(MOTOR, 1, payload_of(MOTOR, 1))
+  for _, is_bus_known in ipairs { true, false } do
+    local capture = new_capture { several = true }
+    visit(capture, list[1], { bus = 1 })
+    visit(capture, { words.can_id(COMMAND, 0, 0, 1), payload_of(COMMAND, 1) }, { is_bus_known = is_bus_known })
+    lu.assertEquals(#finish(capture, false), is_bus_known and 1 or 0)
+  end
+end
+
+return T
