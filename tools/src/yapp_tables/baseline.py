@@ -56,11 +56,8 @@ def learn(captures: Sequence[Path], config: Config, margin: Decimal) -> tuple[st
             raise CaptureError(f"no message was decoded in {', '.join(names)}")
         rules = [_rule(source, what, found, margin) for (source, what), found in extremes.items()]
         rules.append(Rule("", "absent=0", "all that yapp.sources names with a message came"))
-        head = HEAD.format(
-            version=__version__,
-            flights=count_of(len(captures), "good flight"),
-            margin=f"{(margin * 100).normalize():f}",
-        )
+        share = f"{(margin * 100).normalize():f}"
+        head = HEAD.format(version=__version__, flights=count_of(len(captures), "good flight"), margin=share)
         # The gate itself says which rules these flights keep: a reserved value, for one, lies in no range.
         Path(aside, "rules").write_text(_text(head, rules), encoding="utf-8")
         for name, (verdicts, _) in zip(names, ask("check,rules=rules,json"), strict=True):

@@ -161,17 +161,13 @@ def _convert(given: argparse.Namespace) -> int:
         lacking += bool(result.lacks)
     _say(sorted({result.hint for result in results if result.hint})[:1])
     rows = sum(sum(result.messages.values()) for result in results)
-    _say([f"{count_of(len(results), 'capture')}, {count_of(rows, 'row')} in {given.out}"])
+    whole = count_of(len(results), "capture")
+    _say([f"{whole}, {count_of(rows, 'row')} in {given.out}"])
     if failed:
-        _say(
-            [
-                f"{failed} of {count_of(len(results), 'capture')} failed: {given.out.rstrip('/')}.yapp-tables/failures.csv"
-            ]
-        )
+        _say([f"{failed} of {whole} failed: {given.out.rstrip('/')}.yapp-tables/failures.csv"])
     if lacking:
-        whole = f"{lacking} of {count_of(len(results), 'capture')}"
         verb = "was" if lacking == 1 else "were"
-        _say([f"{whole} {verb} not decoded completely: the lines above say what to set"])
+        _say([f"{lacking} of {whole} {verb} not decoded completely: the lines above say what to set"])
     return FAILED if failed or (lacking and given.strict) else INCOMPLETE if lacking else 0
 
 

@@ -120,8 +120,10 @@ def _convert(capture: Path, config: Config, dataset: DataSet, origin: Origin, ma
         counts = {table.name: table.count for table in tables}
         lacks = tuple(left_out(None, export.undecoded, export.complaints))
         hint = name_hint(table(export.records["summary"], SUMMARY))
-        about = {"lacks": lacks, "hint": hint, "notes": export.notes}
-        result = Result(origin.flight_id, str(capture), made, tuple(files), counts, export.partial, **about)
+        result = Result(
+            origin.flight_id, str(capture), made, tuple(files), counts, export.partial, lacks, hint=hint,
+            notes=export.notes,
+        )  # fmt: skip
         dataset.place(folder, result)
         if before and config.to == "delta" and (gone := before.messages.keys() - counts.keys()):
             need(f"{__package__}.delta", "delta").delete(dataset.url, origin.flight_id, gone)
