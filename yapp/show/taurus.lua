@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the
--- values come from message.decode, what changed from the history.
+-- The view of the Taurus messages: their trees and expert items.  Wireshark's API; the values come
+-- from message.decode, the changes from the history.
 
 local binary = require "yapp.message.binary"
 local bits = require "yapp.base.bits"
@@ -51,7 +51,7 @@ local function append_unit(item, field)
   return field.unit and append_text(item, " " .. field.unit) or item
 end
 
--- What Wireshark reads itself.
+-- A field whose bytes Wireshark reads itself.
 function ADD.plain(field, fields)
   local pf = fields[field.filter]
   return function(parent, range)
@@ -143,8 +143,8 @@ local function wanted_of(self, tree, filters)
   return next(wanted) and wanted
 end
 
--- What message.history says of a state, in the order of the tree, how it is shown, and whether it
--- is about faults.
+-- The parts of a state of message.history, in the order of the tree: name, form, and whether it is
+-- about faults.
 local STATES = {
   { "raised_in", frame_key.number, true },
   { "cleared_in", frame_key.number, true },
@@ -244,7 +244,7 @@ local function changed_faults(changes, way)
   return table.concat(names, ", ")
 end
 
--- Return what changed in the faults here: ", raised here" if that is all that are set,
+-- Return the change of the faults here: ", raised here" if that is all that are set,
 -- "; hall_timeout raised here; motor_overcurrent cleared here", "" for nothing.
 local function changes_text(m, active)
   local text = ""
@@ -288,7 +288,7 @@ local function add_faults(m, plan, tree, top)
   return item
 end
 
--- Add what is worked out from the values.
+-- Add the values that are worked out from others.
 local function add_generated_values(self, m, plan, top)
   local raws, message = m.raws, m.source.message
   for _, item in ipairs(plan.generated) do
@@ -333,7 +333,7 @@ local function build(self, m, view)
   return top, items, above
 end
 
--- Append what the catalogue says of the flags that are set.
+-- Append the catalogue's help on the flags that are set.
 local function append_help(item, field, raw)
   for _, flag in ipairs(field.flags) do
     if flag.help and bits.fast_band(raw, flag.mask) ~= 0 then
@@ -382,7 +382,7 @@ local function add_flags_changes(self, changes, way, top, item)
   return faults
 end
 
---- Add what the history says of a message, all of it generated, with its expert items.
+--- Add the history of a message, all of it generated, with its expert items.
 -- m        a message of reading.messages
 -- top      the Taurus item; nil if no tree is wanted: then add expert items only
 -- other    the item for these if top is nil

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a user sees of YAPP's messages, however they came: parts of the tree, expert items, the Info
--- column.  show.frame and show.packet show what carries them, show.taurus their values.
+-- The view of YAPP's messages, however they came: parts of the tree, expert items, the Info column.
+-- show.frame and show.packet show their frames and packets, show.taurus their values.
 -- Wireshark's API.
 
 local show_fields = require "yapp.show.fields"
@@ -14,7 +14,7 @@ local add = show_fields.add
 local add_generated = show_fields.add_generated
 local append_text = show_fields.append_text
 
--- By status: crc.status, what follows the CRC, and what the item's text says.
+-- By status: crc.status, the text behind the CRC, and the text of the item.
 local CRC = {
   bad = { 0, " [incorrect, should be 0x%08x]", ", CRC BAD" },
   good = { 1, " [correct]", ", CRC good" },
@@ -24,7 +24,7 @@ local UNVERIFIED = { 2, " [unverified]", ", CRC unverified" }
 local Tree = {}
 Tree.__index = Tree
 
---- What the Info column adds to a message, by its status.
+--- The last word in Info, by the status of the message.
 Tree.MARKS = {
   good = "",
   bad = "  [BAD CRC]",
@@ -79,7 +79,7 @@ end
 
 local LIST = { columns = true } -- a packet list of Wireshark, or of later passes
 
--- Ask Wireshark what is wanted of a packet.
+-- Ask Wireshark which parts of a packet are wanted.
 local function ask(self, tree)
   -- The API takes a dissector here, and ours exist only after loading.
   local wants = { columns = true }
@@ -102,7 +102,7 @@ local function ask_first(self, tree, pinfo)
   return wants
 end
 
---- Return what is wanted of a packet.
+--- Return which parts of a packet are wanted.
 -- visited   whether the packet was shown before
 -- returns   {
 --   yapp          whether YAPP's own items are shown, filtered or printed
@@ -196,7 +196,7 @@ function Tree:add_crc(item, range, transfer, sent)
   append_text(item, shown[3])
 end
 
---- Say that a CRC is bad, with what was received and expected.
+--- Say that a CRC is bad, with the received and the expected one.
 function Tree:bad_crc(item, transfer)
   local text = ("Received 0x%08x, expected 0x%08x"):format(transfer.crc, transfer.calculated)
   self:expert(item, "crc.bad", text)
@@ -207,7 +207,7 @@ function Tree:add_has_fault(item, has_fault)
   if has_fault then add_generated(item, self.fields["message.fault"], true) end
 end
 
---- Add what YAPP's own item says of a message's history: the time since the previous one, messages
+--- Add a message's history to YAPP's own item: the time since the previous one, messages
 -- that are missing, whether a fault is set.
 -- message  of reading.messages
 function Tree:add_delta(item, message)
@@ -238,7 +238,7 @@ local function add_bytes(self, m, view, name, offset)
 end
 
 -- Say that a payload does not have the catalogue's size.
--- returns  what the Info column says
+-- returns  its text for the Info column
 local function add_mismatch(self, m, view)
   local source = m.source
   local least, most = source.min_size, source.size
@@ -248,9 +248,9 @@ local function add_mismatch(self, m, view)
   return ("%s, %s"):format(source.label, text)
 end
 
--- Return what to say of a message that is not in the catalogue; if a type has its size, also which
--- preference decodes it.
--- returns  a text for the packet, and what the Info column adds
+-- Return the texts about a message that is not in the catalogue.  If a type has its size, they name
+-- the preference that decodes it.
+-- returns  a text for the packet, and one for the end of the Info column
 local function unknown_texts(m)
   local like = m.like
   local text = ("Message ID 0x%x is not in the catalogue"):format(m.source.id)
@@ -287,7 +287,7 @@ end
 -- view     { wants = of Tree:wants; tree = where the Taurus tree goes; item = YAPP's own item, or
 --          the tree; payload_tvb and payload_offset = where the payload lies, payload_tvb false if
 --          no tree is wanted }
--- returns  what the Info column says of it; only a part of that if there are no columns
+-- returns  its text for the Info column; only a part of that if there are no columns
 function Tree:show_message(m, view)
   local top, above, info, source = nil, nil, "", m.source
   if view.wants.yapp then self:add_delta(view.item, m) end

@@ -157,7 +157,7 @@ local function orphaned(state, seq, is_end)
   return orphan
 end
 
--- Report the anomalies of a frame.  Those that lose a message, or a part of one, are events.
+-- Report the anomalies of a frame.  Anomalies that lose a message, or a part of one, are events.
 -- anomalies  list of { expert, lost = frame key of the Start of the message that is lost or nil,
 --            is_withdrawn = whether nothing is wrong after all, is_open = whether that may change }
 local function report_anomalies(self, frame, anomalies)
@@ -219,7 +219,7 @@ function Intake:report(result)
   if anomalies then report_anomalies(self, result.frame, anomalies) end
 end
 
---- Take the results of what waits when all packets have come.
+--- Take the results that were still waiting when all packets had come.
 -- results  of Reading:finish
 -- returns  the events of the messages that the capture ends before, in the order of their frames
 function Intake:finish(results)

@@ -19,8 +19,7 @@ local M = {}
 -- hides       if a fault may be hidden there: the text behind its count in "may hide faults"
 -- scope       "capture": one verdict for the whole capture; "rare": one for each source that has
 --             such events; nil: one for each source that can have them
--- about       what the message of a source must have in the catalogue; nil for any source with an
---             ID
+-- about       key that the message type of a source must have; nil for any source with an ID
 -- needs_past  whether it can be judged only with a good message and a reliable history
 -- needs_values  the same with a message that was decoded
 -- needs_time  whether it can be judged only if packets have time stamps
@@ -145,7 +144,7 @@ end
 --- The values of an event that has none.
 M.NOTHING = {}
 
---- Make an event: what statistics list and count.
+--- Make an event, which statistics list and count.
 -- kind    "message" for a good message, else the name of a row
 -- frame   number of the packet; time = seconds since the first one
 -- source  of message.reader, one table for all its events; for events of a bus, or of the capture,
