@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The catalogue compiler: checks the lists of messages once, at load, and prepares the decoding.  Pure
--- Lua.
+-- The catalogue compiler: checks the lists of messages once, at load, and prepares decoding.
+-- Pure Lua.
 
 local input = require "yapp.base.input"
 local decode = require "yapp.message.decode"

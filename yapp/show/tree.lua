@@ -230,8 +230,8 @@ end
 -- Messages ----------------------------------------------------------------------------------------
 
 -- Add the bytes of a payload from an offset on.
-local function add_bytes(self, m, view, name, offset)
-  local length, tvb = #m.payload - offset, view.payload_tvb
+local function add_bytes(self, message, view, name, offset)
+  local length, tvb = #message.payload - offset, view.payload_tvb
   if view.wants.yapp and tvb and length > 0 then
     add(view.item, self.fields[name], tvb(view.payload_offset + offset, length))
   end
@@ -239,11 +239,11 @@ end
 
 -- Say that a payload does not have the catalogue's size.
 -- returns  its text for the Info column
-local function add_mismatch(self, m, view)
-  local source = m.source
+local function add_mismatch(self, message, view)
+  local source = message.source
   local least, most = source.min_size, source.size
   local known = least < most and ("%d to %d"):format(least, most) or most
-  local text = ("%s, the catalogue says %s"):format(Tree.bytes(m.size), known)
+  local text = ("%s, the catalogue says %s"):format(Tree.bytes(message.size), known)
   self:expert(view.item, "size.mismatch", ("%s has %s"):format(source.label, text))
   return ("%s, %s"):format(source.label, text)
 end
@@ -251,69 +251,70 @@ end
 -- Return the texts about a message that is not in the catalogue.  If a type has its size, they name
 -- the preference that decodes it.
 -- returns  a text for the packet, and one for the end of the Info column
-local function unknown_texts(m)
-  local like = m.like
-  local text = ("Message ID 0x%x is not in the catalogue"):format(m.source.id)
+local function unknown_texts(message)
+  local like = message.like
+  local text = ("Message ID 0x%x is not in the catalogue"):format(message.source.id)
   if not like then return text, "" end
   local size = "the size of " .. like.title
   local advice = (': see the preference "%s message IDs"'):format(like.title)
-  text = ("%s; %d bytes, %s%s"):format(text, m.size, size, advice)
-  return text, ", " .. size .. (m.is_advised and advice or "")
+  text = ("%s; %d bytes, %s%s"):format(text, message.size, size, advice)
+  return text, ", " .. size .. (message.is_advised and advice or "")
 end
 
 -- Show a message that is not in the catalogue, or not as it is there: bytes.
-local function show_bytes(self, m, view)
-  add_bytes(self, m, view, "payload", 0)
-  if m.source.message then return add_mismatch(self, m, view) end
-  local id, like = m.source.id, m.like
-  local text, info = unknown_texts(m)
+local function show_bytes(self, message, view)
+  add_bytes(self, message, view, "payload", 0)
+  if message.source.message then return add_mismatch(self, message, view) end
+  local id, like = message.source.id, message.like
+  local text, info = unknown_texts(message)
   if like and view.wants.yapp then
     add_generated(view.item, self.fields["like." .. like.name], id)
   end
   self:expert(view.item, "id.unknown", text)
-  return ("%s  %s%s"):format(m.source.label, Tree.bytes(#m.payload), info)
+  return ("%s  %s%s"):format(message.source.label, Tree.bytes(#message.payload), info)
 end
 
 -- Return what Info says of a message's values.  The source stands in it even if a column shows it
 -- where something is wrong: Wireshark's list of expert items has no such column.
-local function values_text(m)
-  local source = m.source
-  local is_usual = m.status == "good" and not (m.remarks or m.change or m.copy_of)
-  return (is_usual and source.short or source.label) .. "  " .. source.write(m.raws)
+local function values_text(message)
+  local source = message.source
+  local is_remarkable = message.remarks or message.change or message.copy_of
+  local is_usual = message.status == "good" and not is_remarkable
+  return (is_usual and source.short or source.label) .. "  " .. source.write(message.raws)
 end
 
 --- Show a finished message: the message of the catalogue, or bytes.
--- m        of reading.messages
+-- message  of reading.messages
 -- view     { wants = of Tree:wants; tree = where the Taurus tree goes; item = YAPP's own item, or
 --          the tree; payload_tvb and payload_offset = where the payload lies, payload_tvb false if
 --          no tree is wanted }
 -- returns  its text for the Info column; only a part of that if there are no columns
-function Tree:show_message(m, view)
-  local top, above, info, source = nil, nil, "", m.source
-  if view.wants.yapp then self:add_delta(view.item, m) end
-  if not m.raws then
-    info = show_bytes(self, m, view)
+function Tree:show_message(message, view)
+  local top, above, info, source = nil, nil, "", message.source
+  if view.wants.yapp then self:add_delta(view.item, message) end
+  if not message.raws then
+    info = show_bytes(self, message, view)
   else
-    if view.payload_tvb or m.remarks then top, above = self.messages:show(m, view) end
+    if view.payload_tvb or message.remarks then top, above = self.messages:show(message, view) end
     if view.wants.columns then
-      info = values_text(m)
+      info = values_text(message)
     end
   end
-  if m.copy_of then
+  if message.copy_of then
     self:expert(view.item, "copy")
-    info = ("%s  [copy of #%d]"):format(info, number_of(m.copy_of))
+    info = ("%s  [copy of #%d]"):format(info, number_of(message.copy_of))
   end
-  if m.change then
-    local cleared, words = self.messages:add_change(m, top, view.item, above)
+  if message.change then
+    local cleared, words = self.messages:add_change(message, top, view.item, above)
     info = cleared .. info .. words
   end
-  if m.has_fault and view.wants.columns then
-    info = text_of.faults(source.message, m.raws) .. "  " .. info
+  if message.has_fault and view.wants.columns then
+    info = text_of.faults(source.message, message.raws) .. "  " .. info
   end
-  if m.undecoded then
-    add_bytes(self, m, view, "undecoded", source.size)
-    add_mismatch(self, m, view)
-    info = ("%s  [%s, %d not decoded]"):format(info, Tree.bytes(m.size), m.undecoded)
+  if message.undecoded then
+    add_bytes(self, message, view, "undecoded", source.size)
+    add_mismatch(self, message, view)
+    info = ("%s  [%s, %d not decoded]"):format(info, Tree.bytes(message.size), message.undecoded)
   end
   return info
 end

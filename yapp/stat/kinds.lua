@@ -150,9 +150,9 @@ M.NOTHING = {}
 -- source  of message.reader, one table for all its events; for events of a bus, or of the capture,
 --         with its bus and name alone, or with nothing
 -- values  by the keys of its kind, and by those in its text; of a message see stat.intake
--- m       of a message: { seq, payload, raws = its raw values, nil where the catalogue does not
+-- message  of a message: { seq, payload, raws = its raw values, nil where the catalogue does not
 --         decode it }
-function M.event(kind, frame, time, source, values, m)
+function M.event(kind, frame, time, source, values, message)
   return {
     kind = kind,
     time = time,
@@ -160,9 +160,9 @@ function M.event(kind, frame, time, source, values, m)
     frame = frame,
     source = source,
     values = values or M.NOTHING,
-    seq = m and m.seq,
-    payload = m and m.payload,
-    raws = m and m.raws,
+    seq = message and message.seq,
+    payload = message and message.payload,
+    raws = message and message.raws,
   }
 end
 
