@@ -8,6 +8,7 @@ if type(row) ~= "table" then return end -- run by Wireshark, in a plugin folder
 
 local unpack_all = table.unpack or unpack -- 5.2 has both
 local kind, name = row[1], row[2]
+local is_by_carrier = kind == "carrier" or kind == "file" -- what carries a packet, or its file's reader
 
 local function is_planted(what, title) return kind == what and name == title end
 
@@ -24,9 +25,8 @@ local types, new_field = {}, ProtoField.new -- types: by ProtoField, of those pl
 function ProtoField.new(title, filter, field_type, ...)
   local field = new_field(title, filter, field_type, ...)
   list("field", filter)
-  if is_planted("field", filter) or kind == "carrier" and filter:find("^taurus") and field_type == ftypes.DOUBLE then
-    types[field] = field_type
-  end
+  local is_value = filter:find("^taurus") and field_type == ftypes.DOUBLE
+  if is_planted("field", filter) or is_by_carrier and is_value then types[field] = field_type end
   return field
 end
 
@@ -67,7 +67,7 @@ for _, method in ipairs { "add", "add_le" } do
   local add = TreeItem[method]
   TreeItem[method] = function(item, field, ...)
     local field_type = types[field]
-    if not field_type or kind == "carrier" and carrier ~= name then return add(item, field, ...) end
+    if not field_type or is_by_carrier and carrier ~= name then return add(item, field, ...) end
     if field_type == ftypes.NONE then return item end
     return add(item, field, spoil_arguments(field_type, method == "add_le", select("#", ...), ...))
   end
@@ -114,6 +114,22 @@ for _, constructor in ipairs { "bool", "string", "range", "enum", "uint" } do
   end
 end
 
+-- What the user sets, ignored: the plugin reads the default.
+local defaults = {}
+if kind == "effect" or not kind then
+  local prefs_class = getmetatable(Proto("plant_prefs", "Plant").prefs)
+  local set_pref, get_pref = prefs_class.__newindex, prefs_class.__index
+  function prefs_class.__newindex(prefs, key, value)
+    list("effect", key)
+    set_pref(prefs, key, value)
+    if is_planted("effect", key) then defaults[key] = get_pref(prefs, key) or "" end
+  end
+  function prefs_class.__index(prefs, key)
+    if defaults[key] ~= nil then return defaults[key] end
+    return get_pref(prefs, key)
+  end
+end
+
 -- Statistics --------------------------------------------------------------------------------------
 
 -- Of -z: the name of a statistic, and the keys of its JSON: a wrong value behind one.
@@ -124,14 +140,25 @@ function _G.register_stat_cmd_arg(argument, ...)
   return register(argument, ...)
 end
 
+local function literal(text) return (text:gsub("%p", "%%%0")) end
+
+-- Of the JSON a key or a kind of event, of the tables a title.
 local function spoil(text)
-  if kind ~= "key" then
-    if not kind then
-      for key in text:gmatch('"([%a_][%w_.]*)":') do list("key", key) end
+  if not kind then
+    for key in text:gmatch('"([%a_][%w_.]*)":') do list("key", key) end
+    for event in text:gmatch('"kind":"(.-)"') do list("event", event) end
+    for line in text:gmatch("[^\n]+") do
+      if line:find("source  ") and not line:find("[{}]") then
+        for title in line:gmatch("(%S+)%s*") do list("column", title) end
+      end
     end
     return text
+  elseif kind == "event" then
+    return (text:gsub('("kind":"' .. literal(name) .. ')"', '%1?"'))
+  elseif kind == "column" then
+    return (text:gsub("%f[%S]" .. literal(name) .. "%f[%s]", name .. "?"))
   end
-  local key = '("' .. name:gsub("%p", "%%%0") .. '":)'
+  local key = '("' .. literal(name) .. '":)'
   text = text:gsub(key .. '"', '%1"?')
   return (text:gsub(key .. "(%-?[%d.]+)", function(before, number) return before .. number + 1 end)
     :gsub(key .. "true", "%1false"))
@@ -143,7 +170,7 @@ local function spoiled(...)
   return unpack_all(texts)
 end
 
-if kind == "key" or not kind then
+if kind == "key" or kind == "event" or kind == "column" or not kind then
   local print_all, write, lines = print, io.write, getmetatable(io.stdout).__index
   local write_file = lines.write
   function _G.print(...) return print_all(spoiled(...)) end
@@ -158,24 +185,48 @@ end
 
 -- Kinds of source ---------------------------------------------------------------------------------
 
--- What carries a packet, as one dissector is called and its packet says.
+-- What carries a packet, as one dissector is called and its packet says; or the reader of its file.
 local TRANSPORTS = { [2] = "TCP", [3] = "UDP" }
 local CAN = { yapp = true, yapp_all = true }
 for _, title in ipairs { "CAN", "CAN FD", "TCP", "UDP", "serial" } do list("carrier", title) end
 
-if kind == "carrier" then
-  local proto_class = getmetatable(Proto("plant", "Plant"))
-  local set = proto_class.__newindex
-  proto_class.__newindex = function(proto, key, value)
-    if key == "dissector" then
-      local dissect, is_can = value, CAN[tostring(proto):match("[%w_]+$")] or CAN[proto.name:lower()]
-      value = function(tvb, pinfo, root)
-        carrier = is_can and (tvb:reported_len() > 8 and "CAN FD" or "CAN") or TRANSPORTS[pinfo.port_type] or "serial"
-        return dissect(tvb, pinfo, root)
-      end
-    end
-    return set(proto, key, value)
+-- Have a function stand in for one that is set in objects of a class.
+local function on_set(class, wanted, stand_in)
+  local set = class.__newindex
+  function class.__newindex(object, key, value)
+    return set(object, key, key == wanted and stand_in(value, object) or value)
   end
+end
+
+if is_by_carrier then
+  on_set(getmetatable(Proto("plant", "Plant")), "dissector", function(dissect, proto)
+    local is_can = CAN[proto.name:lower()]
+    return function(tvb, pinfo, root)
+      if kind == "carrier" then
+        carrier = is_can and (tvb:reported_len() > 8 and "CAN FD" or "CAN") or TRANSPORTS[pinfo.port_type] or "serial"
+      end
+      return dissect(tvb, pinfo, root)
+    end
+  end)
+end
+
+local new_handler = FileHandler.new
+local handlers = getmetatable(new_handler("plant", "plant", "plant", "r"))
+local names = {} -- by handler
+function FileHandler.new(title, short, ...)
+  list("file", short)
+  local made = new_handler(title, short, ...)
+  names[made] = short
+  return made
+end
+if kind == "file" then
+  on_set(handlers, "read_open", function(open, handler)
+    return function(...)
+      local is_open = open(...)
+      if is_open then carrier = names[handler] end
+      return is_open
+    end
+  end)
 end
 
 -- Menus -------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ The rows come from the plugin itself, as it registers them: tests/plant.lua list
 with the reason, or is a failure.
 """
 import argparse
+import concurrent.futures
 import os
 import pathlib
 import random
@@ -28,18 +29,36 @@ import tshark  # noqa: E402
 
 CAPTURES = ["tests/e2e/test_captures.py", "-k", "fields_and_info or document_says"]
 EXPERTS = ["tests/e2e/test_experts.py"]
+LIVE = ["tests/e2e/test_live.py", "-k", "test_what or unusual or directions or no_port or document or can_that"]
 # The tests that claim to hold a row of a kind, the quick ones first.
 SUITES = {
     "field": [CAPTURES, ["tests/e2e/test_flight_fields.py"], ["tests/e2e/test_streams.py", "-k", "situation"],
-              ["tests/e2e/test_buses.py", "tests/e2e/test_messages.py", "tests/e2e/test_captures.py", "tests/e2e/test_profile.py"]],
+              ["tests/e2e/test_buses.py", "tests/e2e/test_copies.py", "tests/e2e/test_messages.py", "tests/e2e/test_captures.py",
+               "tests/e2e/test_profile.py"]],
     "severity": [[*EXPERTS, "-k", "severity"]],
-    "expert": [EXPERTS, ["tests/e2e/test_flight_fields.py", "tests/e2e/test_streams.py"], ["tests/e2e/test_can_soak.py"]],
-    "preference": [["tests/e2e/test_preferences.py"], ["tests/e2e/test_profile.py"]],
+    "expert": [EXPERTS, ["tests/e2e/test_flight_fields.py", "tests/e2e/test_copies.py", "tests/e2e/test_buses.py"], ["tests/e2e/test_can_soak.py"]],
+    "preference": [["tests/e2e/test_preferences.py"]],
+    "effect": [["tests/e2e/test_preferences.py"], ["tests/e2e/test_profile.py", "tests/e2e/test_messages.py", "tests/e2e/test_buses.py"],
+               ["tests/e2e/test_streams.py"]],
     "statistic": [["tests/e2e/test_statistics.py", "tests/e2e/test_gate.py"]],
     "key": [["tests/e2e/test_statistics.py"], ["tests/e2e/test_gate.py", "tests/e2e/test_buses.py"]],
+    "event": [["tests/e2e/test_statistics.py"], ["tests/e2e/test_gate.py"]],
+    "column": [["tests/e2e/test_statistics.py"], ["tests/e2e/test_gate.py", "tests/e2e/test_readme.py"]],
     "carrier": [CAPTURES, ["tests/e2e/test_streams.py", "-k", "situation or random"]],
+    "file": [["tests/e2e/test_candump.py"], ["tests/e2e/test_files.py", "tests/e2e/test_dump.py"], CAPTURES],
+    "setting": [LIVE],
 }
-STATISTICS = [argument for name in ("summary", "faults", "events", "check,fault=0", "compare") for argument in ("-z", f"yapp,{name},json")]
+STATISTICS = [argument for name in ("summary", "faults", "events", "check,fault=0", "compare") for form in (",json", "")
+              for argument in ("-z", f"yapp,{name}{form}")]
+IGNORES = """
+def parse(arguments, whole=parse):
+    options = whole(arguments)
+    defaults = [one.get("default", "") for row in INTERFACES.values() for one in row.arguments() if one["call"] == "--{0}"]
+    setattr(options, "{0}".replace("-", "_"), defaults[0])
+    return options
+
+
+if __name__"""
 
 
 def copy(folder, row):
@@ -48,35 +67,50 @@ def copy(folder, row):
     plant = f'{{ "{row[0]}", "{row[1]}" }}' if row else "{}"
     script = shutil.copy(ROOT / "tests/plant.lua", folder)
     (folder / "yapp.lua").write_text(f'assert(loadfile("{script}"))({plant})\n' + (ROOT / "yapp.lua").read_text())
+    if row and row[0] == "setting":  # of a live port, which is ignored
+        shutil.copytree(ROOT / "extcap", folder / "extcap")
+        extcap = folder / "extcap/yapp_extcap.py"
+        extcap.write_text(extcap.read_text().replace("\nif __name__", IGNORES.format(row[1]), 1))
     subprocess.run(["chmod", "-R", "a+rX", folder], check=True)
     return folder
 
 
 def rows():
     """All rows, as the plugin registers them: [(kind, name)]."""
-    folder = tshark.writable_folder()
+    folder, said = tshark.writable_folder(), ""
     try:
-        done = tshark.run("-X", f"lua_script:{copy(folder / 'plugin', None)}/yapp.lua", "-q", "-r", ROOT / "docs/flight.pcapng",
-                          *STATISTICS, plugin=False, check=False)
+        script = copy(folder / "plugin", None) / "yapp.lua"
+        for capture in ("docs/flight.pcapng", "test_captures/can/events.pcap", "test_captures/serial/uart_shell.pcap"):
+            said += tshark.run("-X", f"lua_script:{script}", "-q", "-r", ROOT / capture, *STATISTICS, plugin=False, check=False).stderr
     finally:
         shutil.rmtree(folder)
-    found = [tuple(line.split("\t")[1:]) for line in done.stderr.splitlines() if line.startswith("plant\t")]
-    assert {kind for kind, _ in found} >= set(SUITES), f"no rows of {set(SUITES) - {kind for kind, _ in found}}: {done.stderr[-500:]}"
+    for interface in ("yapp-serial", "yapp-can"):
+        done = subprocess.run([sys.executable, ROOT / "extcap/yapp_extcap.py", "--extcap-interface", interface, "--extcap-config"],
+                              capture_output=True, text=True, check=True)
+        said += "".join(f"plant\tsetting\t{call}\n" for call in re.findall(r"{call=--(.*?)}", done.stdout))
+    found = list({tuple(line.split("\t")[1:]): True for line in said.splitlines() if line.startswith("plant\t")})
+    assert {kind for kind, _ in found} >= set(SUITES), f"no rows of {set(SUITES) - {kind for kind, _ in found}}: {said[-500:]}"
     return [row for row in found if row[0] in SUITES]
 
 
-def red(row, jobs):
-    """The first suite that turns red with a row planted; None if none does."""
+def passes(suite, plugin):
+    done = subprocess.run(["pytest-3", "-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", *suite], cwd=ROOT,
+                          env={**os.environ, "YAPP_PLUGIN_ROOT": str(plugin)}, capture_output=True, text=True, check=False)
+    has_failed = re.search(r"^\d+ failed|^[\d a-z,]*\d+ error", done.stdout, re.MULTILINE)
+    assert has_failed or done.returncode == 0, f"{suite}: {done.stdout[-1000:]}{done.stderr[-500:]}"
+    return not has_failed
+
+
+def red(row, passed):
+    """The first suite that turns red with a row planted, None if none does; those that do not are put into passed."""
     with tempfile.TemporaryDirectory(prefix="yapp-plant-") as name:
         folder = pathlib.Path(name)
         folder.chmod(0o755)
-        environment = {**os.environ, "YAPP_PLUGIN_ROOT": str(copy(folder / "plugin", row) if row[1] else ROOT)}
+        plugin = copy(folder / "plugin", row)
         for suite in SUITES[row[0]]:
-            done = subprocess.run(["pytest-3", "-q", "-x", "-n", str(jobs), "--dist", "loadgroup", "-p", "no:cacheprovider", *suite],
-                                  cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
-            if re.search(r"^\d+ failed", done.stdout, re.MULTILINE):
-                return suite[0]
-            assert done.returncode == 0, f"{row}: {done.stdout[-1000:]}"
+            if not passes(suite, plugin):
+                return suite
+            passed.add(tuple(suite))
     return None
 
 
@@ -89,20 +123,23 @@ def main():
     parser.add_argument("name", nargs="?")
     options = parser.parse_args()
     reasons = dict(line.rsplit("\t", 1) for line in (ROOT / "tests/plants.txt").read_text().splitlines() if not line.startswith("#"))
-    chosen, start, green = [], time.monotonic(), []
+    chosen, start, green, passed, were_red = [], time.monotonic(), [], set(), set()
+    every = rows()
     for kind in [options.kind] if options.kind else SUITES:
-        some = [row for row in rows() if row[0] == kind and options.name in (None, row[1])]
+        some = [row for row in every if row[0] == kind and options.name in (None, row[1])]
         random.Random(f"{options.seed} {kind}").shuffle(some)
         chosen += some[:options.each]
     assert chosen, "no such row"
-    for kind in {kind: True for kind, _ in chosen}:  # a suite that is red without a fault proves nothing
-        suite = red((kind, None), options.jobs)
-        assert not suite, f"{suite} fails without a fault"
-    for row in chosen:
-        suite = red(row, options.jobs)
-        print(f"plant: {' '.join(row)}: {suite or 'NOTHING TURNS RED'}", flush=True)
-        if not suite and "\t".join(row) not in reasons:
-            green.append(row)
+    with concurrent.futures.ThreadPoolExecutor(options.jobs) as pool:
+        for row, suite in zip(chosen, pool.map(lambda row: red(row, passed), chosen)):
+            print(f"plant: {' '.join(row)}: {suite[0] if suite else 'NOTHING TURNS RED'}", flush=True)
+            if suite:
+                were_red.add(tuple(suite))
+            elif "\t".join(row) not in reasons:
+                green.append(row)
+        # A suite that is red without a fault proves nothing.
+        for suite, is_green in zip(were_red - passed, pool.map(lambda suite: passes(suite, ROOT), were_red - passed)):
+            assert is_green, f"{suite[0]} fails without a fault"
     print(f"plant: {len(chosen)} planted, {len(green)} that nothing notices, {time.monotonic() - start:.0f} s")
     return 1 if green else 0
 

@@ -4,3 +4,5 @@ if not os.getenv("YAPP_COLLECT") then return end -- run by Wireshark, in a plugi
 collectgarbage("setpause", 1)
 collectgarbage("setstepmul", 1000)
 collectgarbage()
+local tap = Listener.new("frame")
+function tap.draw() io.stderr:write("pause ", collectgarbage("setpause", 1), "\n") end

@@ -21,9 +21,10 @@ TAURUS_EXPERTS = ["fault.active", "command.key.invalid", "value.special", "flags
 # Worked out from more than one message: what test_flight_fields.py is about.  Those of a change, and the others.
 CHANGE_EXPERTS = ["yapp.late", "taurus.reboot", "taurus.stale", "taurus.fault.raised", "taurus.fault.cleared", "taurus.jump"]
 EVENT_EXPERTS = [*CHANGE_EXPERTS, "yapp.source.shared", "yapp.unfinished", "yapp.copy"]
-# Of YAPP's own, in no .expected file: what is worked out from more than one message.
+# Of YAPP's own, in no .expected file: what is worked out from more than one message, and what a packet's menu goes by.
 HISTORY = {"yapp.bus": "STRING", "yapp.source": "STRING", "yapp.message.fault": "BOOLEAN", "yapp.seq.missing": "UINT8", "yapp.copy_of": "FRAMENUM",
-           "yapp.reassembled.data": "BYTES"}
+           "yapp.reassembled.data": "BYTES", "yapp.fragment.data": "BYTES", "yapp.like.command": "UINT32", "yapp.like.motor": "UINT32",
+           "yapp.like.health": "UINT32", "yapp.can.id.missing": "NONE"}
 EXPERTS = [f"yapp.{name}" for name in YAPP_EXPERTS] + [f"taurus.{name}" for name in TAURUS_EXPERTS]
 
 # Group and severity of each: Wireshark's colours, `-z expert` and filters on _ws.expert go by them.
@@ -42,6 +43,11 @@ SEVERITIES = {
 # By the name behind -z yapp, in the order of the errors that list them: the title in menus.
 STATISTICS = {"summary": "Summary", "faults": "Faults", "events": "Events", "compare": "Compare", "csv": "Export tables",
               "check": "Check"}
+# What each preference is by default, as Wireshark writes it.
+PREFERENCES = {
+    "divisor": "2^N - 6 (mapping)", "command_ids": "0", "motor_ids": "528", "health_ids": "512", "messages": "", "sources": "",
+    "hide_source": "FALSE", "hide_values": "FALSE", "late": "2.5", "all_extended": "FALSE", "search_all": "FALSE", "user_dlt": "",
+}
 IN_TEXT = [name for name in STATISTICS if name not in ("csv", "check")]  # a table, as text or as JSON
 ON_STDERR = [*(f"{name},json" for name in IN_TEXT), "csv,-,motor"]  # what is left out does not stand in the output
 
@@ -178,6 +184,7 @@ def generated_filters():
         names |= {f"{path}.{one}.rounded": "DOUBLE" for one in real}
         names |= {f"{path}.{field}.names": "STRING" for field, _, _ in flags}
         names |= {f"{path}.{kind[0]}.{way}": f"UINT{8 * size}" for _, size, kind in flags for way in ("raised", "cleared")}
+        names |= {f"{path}.{kind[0]}.undefined": "UINT32" for _, _, kind in flags}
         if any(kind is None for _, _, kind in message[2]):
             names[f"{path}.clock_drift"] = "RELATIVE_TIME"
         if message.answers:

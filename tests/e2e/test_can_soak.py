@@ -53,6 +53,7 @@ FIELDS = (["frame.number", "yapp.id", "yapp.can.ctrl", "yapp.crc.status", "yapp.
           [f"taurus.{kind}.{name}" for kind, names in TAURUS.items() for name in names])
 
 
+
 def taurus_values(kind, payload):
     """The values of a payload by filter name; a reserved count of a compressed float has none."""
     values, at = {}, 0
@@ -257,6 +258,24 @@ def test_random_captures(number, folder):
                              for number, verdict in capture.verdicts.items())
     for name in EXPERTS:
         TOTAL[name] += sum(name in verdict.experts for verdict in capture.verdicts.values())
+
+
+def test_the_comparison_sees_each_field(folder):
+    """A value that is left out, and another one, of each field of the frames of which all is known."""
+    layout, wide = KINDS[0]
+    capture, path, seen = make_one(SEED, layout, wide), folder / "random.pcap", set()
+    capture.write(path)
+    rows = list(show(capture, path))
+    assert layout not in can_generator.MERGED and Comparison(capture, rows).run() == []
+    for index, row in enumerate(rows):
+        verdict = capture.verdicts[index + 1]
+        if verdict.blurred or verdict.status != 1 or row["yapp.fragment"] and not verdict.members:
+            continue
+        for name in {name for name, value in row.items() if value} - seen - {"frame.number"}:
+            for wrong in ["", *([] if name.removeprefix("yapp.") in EXPERTS else ["77.0" if name.endswith("timestamp") else "77"])]:
+                assert Comparison(capture, [*rows[:index], row | {name: wrong}, *rows[index + 1:]]).run(), name
+            seen.add(name)
+    assert seen >= {"yapp.id", "yapp.crc.status", "yapp.padding", "yapp.fragment", "taurus.motor.dc_voltage"}, seen
 
 
 @pytest.mark.parametrize("layout", levels.few(can_generator.LAYOUTS, ["interfaces", "merged interface"]))

@@ -121,6 +121,25 @@ def test_fields_and_info(name, passes):
     assert text == wanted
 
 
+def test_the_comparison_sees_each_difference():
+    """A frame that is not there, another text in Info, and another value of any field."""
+    def are_equal(passes, frames):
+        wanted, text = expected.comparison("document_motor", passes, frames)
+        return wanted == text
+
+    for passes in expected.PASSES:
+        *before, last = frames = shown("document_motor", passes)
+        assert are_equal(passes, frames) and len(last) > 60
+        assert not are_equal(passes, before) and not are_equal(passes, [])
+        for name in last:
+            if expected.TAURUS.get(name) != "BOOLEAN":  # of flags those that are set have a line
+                wrong = last | {name: 7 if name == "frame" else "?" if name == "info" else ["?"]}
+                assert not are_equal(passes, [*before, wrong]), name
+        for flag in ("taurus.motor.state.ready", "taurus.motor.state.running"):
+            wrong = last | {flag: ["0" if last[flag] == ["1"] else "1"]}
+            assert not are_equal(passes, [*before, wrong]), flag
+
+
 def wanted_of_messages(name):
     """By frame, what the messages of a text have to show: [(message, fields, experts)]."""
     by_frame = {}
@@ -180,11 +199,11 @@ def test_each_flag_and_each_reserved_count(folder, ident):
 def test_public_names_and_types():
     load = tshark.load(tshark.PLUGIN / "yapp.lua")
     fields = [line.split("\t") for line in tshark.run("-G", "fields", *load, plugin=False).stdout.splitlines()]
-    types = {field[2]: field[3] for field in fields if field[0] == "F"}
+    types = {field[2]: field[3] for field in fields if field[0] == "F" and field[2].startswith(("yapp.", "taurus."))}
     wanted = {f"yapp.{name}": kind for name, kind in model.YAPP.items()} | model.filters()
     wanted |= model.HISTORY | model.generated_filters()
     wanted.update((name, "NONE") for name in model.EXPERTS + model.EVENT_EXPERTS)
-    assert {name: types.get(name) for name in wanted} == {name: f"FT_{kind}" for name, kind in wanted.items()}
+    assert types == {name: f"FT_{kind}" for name, kind in wanted.items()}
 
 
 def test_every_field_says_what_it_is():

@@ -324,4 +324,4 @@ def test_a_collector_that_is_always_at_work(name):
     script = pathlib.Path(__file__).with_name("collect.lua")
     shown = tshark.run("-X", f"lua_script:{script}", "-r", tshark.CAPTURES / name, "-T", "fields", "-e", "yapp.id",
                        env={"YAPP_COLLECT": "1"})
-    assert shown.stdout.strip()
+    assert shown.stdout.strip() and "pause 1\n" in shown.stderr

@@ -2,6 +2,7 @@
 """Live ports: extcap/yapp_extcap.py on a pseudo terminal, and CAN on python-can's virtual bus; by itself, and under the real
 tshark.  Every byte that is written comes out, in order; and whatever ends a capture is said."""
 import contextlib
+import importlib
 import os
 import pathlib
 import pty
@@ -18,12 +19,13 @@ import textwrap
 import threading
 import time
 import tty
+import types
 
 import flights
 import pytest
 import tshark
 
-EXTCAP = tshark.ROOT / "extcap/yapp_extcap.py"
+EXTCAP = next(root / "extcap/yapp_extcap.py" for root in (tshark.PLUGIN, tshark.ROOT) if (root / "extcap").exists())
 # YAPP_PYTHON: one with python-can and pyserial, where the system's has none.
 PYTHON = os.environ.get("YAPP_PYTHON") or ("/usr/bin/python3" if os.path.exists("/usr/bin/python3") else sys.executable)
 FRAME = bytes.fromhex("5950000010020000 20000000 FD7FFD7FFD7FFD7FF5AFFD7F1801 00000140 00000000 E38CD23CE04E0000 05FF BBBE6FC7")
@@ -209,6 +211,12 @@ def test_defaults_are_the_documents():
     out, _ = spoken("--extcap-config", "--extcap-interface", "yapp-serial")
     assert "{call=--baud}" in out and "{default=500000}" in out
     assert "{value=none}{display=none}{default=true}" in out and "{value=1}{display=1}{default=true}" in out
+    can, _ = spoken("--extcap-config", "--extcap-interface", "yapp-can")
+    defaults = dict(re.findall(r"{call=--([\w-]+)}.*{default=(\w+)}", can))
+    assert defaults == {"bitrate": "1000000", "fd": "false", "data-bitrate": "5000000"}
+    adapters = re.findall(r"^value {arg=0}{value=(\w+)}", can, re.MULTILINE)
+    names = pytest.importorskip("can", reason="no python-can").VALID_INTERFACES
+    assert len(adapters) >= 12 and set(adapters) <= set(names), set(adapters) - set(names)
 
 
 def test_ports_are_asked_for_again():
@@ -297,6 +305,67 @@ def test_settings_of_the_line(folder, port, baud):
     control = termios.tcgetattr(port.near)[2]
     assert control & termios.CSTOPB and control & termios.CLOCAL
     extcap.end()
+
+
+@pytest.fixture
+def extcap(monkeypatch):
+    """The program as a module: what it asks of a driver is kept by a stand-in."""
+    monkeypatch.syspath_prepend(str(EXTCAP.parent))
+    monkeypatch.delitem(sys.modules, "yapp_extcap", raising=False)
+    return importlib.import_module("yapp_extcap")
+
+
+def settings(extcap, interface, **values):
+    """As Wireshark gives them."""
+    options = extcap.parse([word for name, value in values.items() for word in (f"--{name}", value)])
+    extcap.read_settings(extcap.INTERFACES[interface], options)
+    options.stop = threading.Event()
+    return options
+
+
+EIGHT = termios.CS8 | termios.CREAD | termios.CLOCAL
+LINES = [("none", "1", 0), ("even", "1", termios.PARENB), ("odd", "1", termios.PARENB | termios.PARODD), ("none", "2", termios.CSTOPB)]
+
+
+@pytest.mark.parametrize("parity, stopbits, flags", LINES)
+def test_what_a_line_is_set_to(extcap, monkeypatch, port, parity, stopbits, flags):
+    """Raw, without flow control: a pseudo terminal forgets the parity."""
+    asked = []
+    monkeypatch.setattr(termios, "tcsetattr", lambda _, when, attributes: asked.append((when, attributes)))
+    extcap.set_line(port.near, port.name, settings(extcap, "yapp-serial", baud="115200", parity=parity, stopbits=stopbits))
+    [(when, (inputs, outputs, control, local, *rates, characters))] = asked
+    assert (when, inputs, outputs, local, rates) == (termios.TCSANOW, 0, 0, 0, [termios.B115200] * 2)
+    assert control == EIGHT | flags and characters[termios.VMIN] == 1 and characters[termios.VTIME] == 0
+
+
+BUSES = [("false", {}), ("true", {"fd": True, "data_bitrate": 2_000_000})]
+
+
+@pytest.mark.parametrize("fd, more", BUSES)
+def test_what_an_adapter_is_asked_for(extcap, monkeypatch, fd, more):
+    """And the time of a frame: the adapter's, if it counts from 1970."""
+    asked = []
+
+    class Bus:
+        def __init__(self, **arguments):
+            asked.append(arguments)
+            self.times = [1_700_000_000.25, 12.5]
+
+        def recv(self, seconds):
+            assert 0 < seconds < 1
+            return can_message(self.times.pop(0))
+
+    def can_message(seconds):
+        names = ("is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator")
+        return types.SimpleNamespace(arbitration_id=0x123, is_extended_id=True, dlc=1, data=b"A", timestamp=seconds, **dict.fromkeys(names, False))
+
+    monkeypatch.setitem(sys.modules, "can", types.SimpleNamespace(Bus=Bus))
+    options = settings(extcap, "yapp-can", adapter="pcan", channel="PCAN_USBBUS1", bitrate="250000", fd=fd, **{"data-bitrate": "2000000"})
+    frames = extcap.can_frames(options)
+    assert next(frames) is None and asked == [{"interface": "pcan", "channel": "PCAN_USBBUS1", "bitrate": 250_000, **more}]
+    at, data = next(frames)
+    assert abs(at - 1_700_000_000_250_000_000) < 1000 and data == bytes.fromhex("80000123 01 000000") + b"A"
+    assert abs(next(frames)[0] - time.time_ns()) < 60e9
 
 
 def test_an_unusual_rate(folder, port):

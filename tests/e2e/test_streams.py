@@ -87,6 +87,16 @@ def is_longer(event):
     return event.kind == "good" and len(event.payload) > stream_captures.KNOWN.get(event.ident, 65535)
 
 
+def faults(payload):
+    """What Info begins with: of each field the faults by name, and the bits without one."""
+    texts, found = [], model.alarms(payload)
+    for field in model.ALARMS:
+        names = [flag for one, flag in found if one == field]
+        undefined = sum(int(flag.removeprefix("undefined_"), 16) for flag in names if flag.startswith("undefined_"))
+        texts += [flag for flag in names if not flag.startswith("undefined_")] + [f"undefined {undefined:#x}"] * bool(undefined)
+    return f"FAULT {', '.join(texts)}  " if texts else ""
+
+
 def info(packet, event):
     bus = packet.bus
     if event.kind == "skipped":
@@ -95,6 +105,8 @@ def info(packet, event):
     known = model.MESSAGES.get(event.ident)
     if known:
         name = f"{known[1]} 0x{event.ident:x}{source}" if bus else known[1]
+        if event.ident == model.MOTOR and event.kind != "incomplete" and (fits(event) or is_longer(event)):
+            name = faults(event.payload) + name
         return name if fits(event) or is_longer(event) else f"{name}, {counted(event.payload)}, the catalogue says"
     is_truncated = event.kind == "incomplete" and event is packet.events[-1] and packet.captured < len(packet.data)
     return f"ID 0x{event.ident:x}{source}  {counted(event.payload)}{'  [TRUNCATED]' if is_truncated else ENDS[event.kind]}"
@@ -213,6 +225,7 @@ class Comparison:
         if self.packet.events:
             self.expect("parts of Info", len(texts), len(parts))
             for text, part in zip(texts, parts):
+                part = re.sub(r"cleared [\w, ]+?  (?=Motor Data)", "", part)  # by the message before: test_flight_fields.py
                 self.expect("Info", text, part[:len(text)])
 
 
@@ -242,6 +255,24 @@ def test_random_streams(number, passes, folder):
     capture.write(folder / "streams.pcapng")
     problems = compare(capture, folder / "streams.pcapng", passes)
     assert not problems, f"{transport}, seed {seed}, {passes}: {len(problems)}\n" + "\n".join(problems[:20])
+
+
+def test_the_comparison_sees_each_field(folder):
+    """A value that is left out, and another one, of each field that the packets have."""
+    capture, path, seen = stream_captures.capture(TRANSPORTS[0], f"{SEED}.0", PER_FILE), folder / "streams.pcapng", set()
+    capture.write(path)
+    rows = shown(path, *capture.options)
+    assert compare(capture, path, "one pass") == []
+    for packet in capture.packets:
+        row = rows.get(packet.number, {})
+        if any(event.kind == "incomplete" for event in packet.events):
+            continue
+        for name in set(row) - seen - {"frame.number", INFO}:
+            less, other = {one: value for one, value in row.items() if one != name}, row | {name: "?" if name == "info" else ["?"]}
+            for wrong in (less,) if name.removeprefix("yapp.") in EXPERTS else (less, other):  # an item has no value
+                assert Comparison(packet, wrong, False).run(), name
+            seen.add(name)
+    assert seen >= {"info", "yapp", "yapp.id", "yapp.crc", "yapp.payload", "yapp.skipped", "yapp.fragment", "taurus.motor.dc_voltage"}
 
 
 def test_total():

@@ -19,7 +19,8 @@ local M = {}
 -- hides       if a fault may be hidden there: the text behind its count in "may hide faults"
 -- scope       "capture": one verdict for the whole capture; "rare": one for each source that has
 --             such events; nil: one for each source that can have them
--- about       key that the message type of a source must have; nil for any source with an ID
+-- about       what the message of a source must have in the catalogue; nil for any source with an
+--             ID
 -- needs_past  whether it can be judged only with a good message and a reliable history
 -- needs_values  the same with a message that was decoded
 -- needs_time  whether it can be judged only if packets have time stamps
@@ -144,15 +145,15 @@ end
 --- The values of an event that has none.
 M.NOTHING = {}
 
---- Make an event, which statistics list and count.
+--- Make an event: what statistics list and count.
 -- kind    "message" for a good message, else the name of a row
 -- frame   number of the packet; time = seconds since the first one
 -- source  of message.reader, one table for all its events; for events of a bus, or of the capture,
 --         with its bus and name alone, or with nothing
 -- values  by the keys of its kind, and by those in its text; of a message see stat.intake
--- message  of a message: { seq, payload, raws = its raw values, nil where the catalogue does not
+-- m       of a message: { seq, payload, raws = its raw values, nil where the catalogue does not
 --         decode it }
-function M.event(kind, frame, time, source, values, message)
+function M.event(kind, frame, time, source, values, m)
   return {
     kind = kind,
     time = time,
@@ -160,9 +161,9 @@ function M.event(kind, frame, time, source, values, message)
     frame = frame,
     source = source,
     values = values or M.NOTHING,
-    seq = message and message.seq,
-    payload = message and message.payload,
-    raws = message and message.raws,
+    seq = m and m.seq,
+    payload = m and m.payload,
+    raws = m and m.raws,
   }
 end
 
