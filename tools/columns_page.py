@@ -4,7 +4,7 @@
 from pathlib import Path
 
 from yapp_tables import Tshark
-from yapp_tables.records import TABLES
+from yapp_tables.records import TABLES, columns_of
 from yapp_tables.tables import ABOUT_HEAD, DURATION, KIND, SCHEMA, TIME, messages
 
 NAMES = {TIME: "time", DURATION: "duration", KIND: "text"}
@@ -73,7 +73,8 @@ for name, message in messages(fields).items():
     print(f"\n## {name}: {message.title}\n\nThe columns of every message, then:\n")
     columns = message.columns
     print(table((f"`{each}`", name_of(c.type), unit(c), meaning(each, c, columns)) for each, c in columns.items()))
-for name, columns in TABLES.items():
+for name in TABLES:
+    columns = columns_of(fields, name)
     print(f"\n## {name}\n\n{ABOUT[name]}\nThe first columns are `flight_id` and `source_file`, then:\n")
     names = {"message": "message_name"}
     print(table((f"`{names.get(c.name, c.name)}`", name_of(c.type), c.unit, c.title) for c in columns.values()))

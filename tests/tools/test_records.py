@@ -4,7 +4,7 @@
 from decimal import Decimal
 
 import pytest
-from yapp_tables.records import EVENTS, incidents, table
+from yapp_tables.records import EVENTS, SUMMARY, columns_of, faults, incidents, table
 
 
 def event(at, kind="fault", flag="stall", **more):
@@ -40,3 +40,30 @@ def cleared(at, **more):
 )
 def test_incidents(rows, count):
     assert incidents(table(rows, EVENTS)) == count
+
+
+def described(name, type_, **more):
+    return {"name": name, "type": type_, "unit": None, "title": name} | more
+
+
+def test_columns_that_only_the_plugin_knows():
+    """They follow the known ones with type, unit and meaning; what nobody describes comes as JSON in `other`."""
+    new = [described("jitter", "seconds", unit="s", help="how the gaps differ"), described("since", "time")]
+    new += [described("count", "text"), described("values", "values"), described("word", "string")]
+    columns = columns_of({"statistics": {"summary": {"columns": new}}}, "summary")
+    assert list(columns) == [*list(SUMMARY)[:-1], "jitter", "since", "word", "other"]
+    assert columns["count"] == SUMMARY["count"]
+    assert (columns["jitter"].title, columns["jitter"].unit) == ("how the gaps differ", "s")
+    record = {"count": 3, "jitter": Decimal("0.25"), "since": Decimal("1.5"), "word": "x", "strange": 7, "values": {}}
+    (row,) = table([record], columns).to_pylist()
+    assert (row["count"], row["jitter"], row["since"].timestamp(), row["word"]) == (3, 0.25, 1.5, "x")
+    assert row["other"] == '{"strange": 7}'
+    assert columns_of({}, "summary") == SUMMARY
+
+
+def test_a_new_key_of_faults():
+    of = {name: {"columns": [described("cause", "string")]} for name in ("events", "faults")}
+    columns = {name: columns_of({"statistics": of}, name) for name in of}
+    found = faults(table([event(0, cause="heat")], columns["events"]), columns["faults"])
+    assert found["cause"].to_pylist() == ["heat"]
+    assert found.schema.names[-1] == "cause"

@@ -12,7 +12,7 @@ local CHARACTERS = {
 }
 for i, character in ipairs(CHARACTERS) do CHARACTERS[i] = character:gsub("C", "[\128-\191]") end
 
--- Characters that nobody sees, or that change the text around them: Unicode's
+-- Characters that are invisible, or that change the text around them: Unicode's
 -- Default_Ignorable_Code_Point, the separators U+2028 and U+2029, annotations; and U+FFFE, U+FFFF,
 -- which XML does not allow.
 local INVISIBLE = {

@@ -72,8 +72,8 @@ function M.time(payload, offset)
   return divide(payload, offset + 1, true)
 end
 
--- Round to a number that four bytes can hold: adding and subtracting a large number rounds off what
--- is below.
+-- Round to a number that four bytes can hold: adding and subtracting a large number rounds off the
+-- digits below it.
 local function to_float32(value)
   local large = 1.5 * 2 ^ -97
   if abs(value) >= 2 ^ -126 then large = value * (2 ^ 29 + 1) end

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The catalogue compiler: checks the lists of messages once, at load, and works out what decoding
--- needs.  Pure Lua.
+-- The catalogue compiler: checks the lists of messages once, at load, and prepares decoding.
+-- Pure Lua.
 
 local input = require "yapp.base.input"
 local decode = require "yapp.message.decode"
@@ -67,7 +67,7 @@ local function add_field(message, field, add)
   add(field.filter, kind, title, about, base, field.values, mask)
 end
 
--- Add the filters of a message's state, as message.history names what they show.
+-- Add the filters of a message's state, by the names of message.history.
 local function add_state(message, add)
   -- Prefer a field of nothing but faults: so filters keep their names if a flag of another field
   -- becomes a fault.
@@ -209,7 +209,7 @@ local function check_head(entry)
   demand(#entry > 0, "it has no fields")
 end
 
--- context  what an error is about: context.field is set to the name of the current field, or nil
+-- context  the subject of errors: context.field is set to the name of the current field, or nil
 local function compile_message(entry, reserved, context)
   check_head(entry)
   local message = {
@@ -259,7 +259,7 @@ local function add_message(catalogue, entry, reserved, context)
 end
 
 --- Check a catalogue and compile it.
--- entries   what taurus_fields.lua returns: a list of messages, described there
+-- entries   the list of messages in taurus_fields.lua, described there
 -- origins   optional list: { file, number in it } of each entry; a text about it begins with that
 -- reserved  optional { [filter name] = true } that no message may use
 -- returns   { messages = list, by_id = { [id] = message } } of the messages without a mistake, and
@@ -277,13 +277,13 @@ end
 --   derived: those of them that are columns of CSV, too
 --   rounded: a list of the values for columns, { filter, field (or one of generated), shape }
 --   filters: a list of { filter, type, title, description, base, values, mask }, see show.fields
---   states: the filters of its state, { [what message.history calls it] = filter }
+--   states: the filters of its state, { [its name in message.history] = filter }
 --   fault_names: the filter of the names of all faults that are set, nil without fault flags
 --   read (see decode.new_reader), write_info and, beside columns, write_rest (see
 --   text.compile_info)
 -- A field has name, title, filter, filters (a list of it and those below it), index (in fields),
 -- offset, size in bytes, type, unit and section or nil, shape (a format with as many digits as its
--- count can carry; nil for ieee and integers), and kind, with what its kind needs:
+-- count can carry; nil for ieee and integers), and kind, with the values that its kind needs:
 --   uint, int  bottom, top; values, invalid, cases (a set); mask, low, inside: a part of the bits
 --              of another field
 --   scaled     the same, and scale, zero: value = count * scale + zero
@@ -293,7 +293,7 @@ end
 --              their names)
 --   float      compressed: min, max, top, ordinary (the highest count that is not reserved)
 --   ieee, bool, string, bytes, time
--- An element of an array has array, what the elements have in common; a field in a case of
+-- An element of an array has array, the common part of the elements; a field in a case of
 -- variants has when = { index, value }.
 function M.compile(entries, origins, reserved)
   local catalogue, problems = { messages = {}, by_id = {}, names = {} }, {}

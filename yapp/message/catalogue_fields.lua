@@ -302,7 +302,7 @@ end
 
 --- Compile the rows of a message into its fields, by_name, time, flag_fields and alarms.
 -- message  its compiled head, with these tables, empty
--- context  what an error is about: context.field is set to the name or number of the current row
+-- context  the subject of errors: context.field is set to the name or number of the current row
 -- returns  the sum of the sizes in bytes.  It raises what is wrong.
 function M.compile(message, rows, context)
   local build = { message = message, context = context, offset = 0, when = nil }

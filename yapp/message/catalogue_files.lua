@@ -17,7 +17,7 @@ local function run(path)
   return assert(loadfile(path))()
 end
 
--- Return what a file returns, or nil and an error.
+-- Return the value of a file, or nil and an error.
 local function read(path)
   local file, problem, code = io.open(path)
   if not file then

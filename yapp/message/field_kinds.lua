@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The kinds of field, a record each: how a kind is read, what its values are, what is remarkable,
--- and how filters, Info and CSV show it.  Pure Lua.
+-- The kinds of field, a record each: the reading of its bytes, its values, its remarkable values,
+-- and its forms in filters, Info and CSV.  Pure Lua.
 --
 -- A new kind is a record here, and the types that have it in message.catalogue_fields.
 --
@@ -37,7 +37,7 @@ M.WORKED_EXAMPLES = 4
 --- Compressed floats divide by top - below_top.
 M.below_top = M.MAPPING
 
---- Choose what every compressed float divides by.
+--- Choose the divisor of all compressed floats.
 -- below_top  M.MAPPING, or M.WORKED_EXAMPLES to reproduce the printed figures
 function M.use_below_top(below_top)
   M.below_top = below_top
@@ -47,7 +47,7 @@ end
 --
 -- function(field, payload) -> raw
 
---- Read a count: of what has fewer than seven bytes and no sign.
+--- Read a count of fewer than seven bytes and without a sign.
 function M.read_count(field, payload)
   return binary.count(payload, field.offset + 1, field.size)
 end
@@ -171,7 +171,7 @@ end
 
 -- Remarkable values ------------------------------------------------------------------------------
 
--- Whether nothing defines a code.
+-- Return whether nothing defines a code.
 local function is_undefined(field, raw)
   local values, cases = field.values, field.cases
   return values and not values[raw] or cases and not cases[raw] or field.kind == "bool" and raw > 1
@@ -209,7 +209,7 @@ local function flags_source(field)
   return format("a ~= 0 and fast_band(a, %d) ~= 0", bits.bor(field.alarm_bits, field.undefined))
 end
 
---- What the conditions call, by name.
+--- The functions that the conditions call, by name.
 M.ENVIRONMENT = { fast_band = bits.fast_band, value_of = M.value, is_undefined = is_undefined }
 
 -- The kinds ---------------------------------------------------------------------------------------
@@ -270,7 +270,7 @@ end
 --   column   type of its column in CSV and fields.json; unit = of a column without one of its own
 --   cells    function(field, raw) -> its cells in CSV
 --   remark   function(field, raw, add), which calls add(expert item, whether the catalogue does not
---            define the value) for what is remarkable; nil if no value can be
+--            define the value) for a remarkable value; nil if no value can be one
 --   source   the same condition as source, see above: function(field, i)
 --   code     format of a code in texts; nil: hexadecimal
 --   is_number, is_integer, is_text
@@ -370,7 +370,7 @@ M.BY_NAME = {
     unit = "s",
     cells = time_text,
   },
-  -- A text ends at its first NUL.  What cannot be shown in it is \xnn.
+  -- A text ends at its first NUL.  A character that cannot be shown is \xnn.
   string = {
     filter = always("STRING"),
     shown = "text",

@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- The history of each source: what changes from one good message to the next.  Pure Lua.
+-- The history of each source: the changes from one good message to the next.  Pure Lua.
 --
 -- A source is a bus or stream, and an ID.  Changes are found once, in the order of the capture.
 -- They are kept by the frame key of the message, so that a revisit gets the same.  In an only pass,
@@ -24,7 +24,7 @@ local MAX_BEHIND, MAX_LATE = 8, 1
 -- the traces that the numbers tell apart: shared sources, reboots, late messages, stopped clocks.
 local LARGE_FALL = 2 -- seconds; a message that came late makes the clock fall by less
 local LARGE_RETURN = 50 -- evidence of a return from a large fall; from a small one it is 1
-local FADE = 0.85 -- what a message leaves of it: evidence of 50 stays above ENOUGH for 22 messages
+local FADE = 0.85 -- per message: evidence of 50 stays above ENOUGH for 22 messages
 local ENOUGH = 1.3 -- two small returns a few messages apart, or a large one
 
 local NO_TYPE = { flag_fields = {} }
@@ -87,7 +87,7 @@ local function new_source(self, message)
     fault_keys = {}, -- ascending: where faults change
     active_since = {}, -- of each: when the oldest fault that is still set was raised, or false
     incidents = {}, -- of each: { first, last = frame keys }, from the first fault to none
-    commands = answered and answered[bus], -- ascending: what they answer
+    commands = answered and answered[bus], -- ascending: the messages that they answer
     own = answering and answering[bus], -- ascending: if others answer them
   }
 end
@@ -114,7 +114,8 @@ local function note_return(source)
   end
 end
 
--- Whether a message proves that several controllers share its source.  Their clocks alternate:
+-- Return whether a message proves that several controllers share its source.  Their clocks
+-- alternate:
 --   100.0, 7.2, 100.1, 7.3      it falls by 92.8, returns to where it would be, falls: proved
 --   100.0, 99.8, 100.1, 99.9    small falls: a late message makes one, so a third one proves it
 --   100.0, 100.0, 100.1, 100.1  the same clock again within a third of a period is a fall, too: a
@@ -144,7 +145,7 @@ local function elapsed_since(source, message, advance)
   return advance > 0 and advance <= MAX_JUMP and advance or source.period
 end
 
--- Return what the clock of a message shows: its name in a change and its value; nil for nothing.
+-- Return the change of the controller's clock: its name and its value; nil for nothing.
 local function clock_change(source, message, clock)
   local advance = (clock - source.clock) / 1e9
   local elapsed = elapsed_since(source, message, advance)
@@ -161,7 +162,7 @@ end
 
 -- Flags ------------------------------------------------------------------------------------------
 
--- Return what changed in a flags field, nil for nothing.  In a source's first message, faults that
+-- Return the change of a flags field, nil for nothing.  In a source's first message, faults that
 -- are set count as raised.
 local function flag_change(field, before, now)
   before = before or now - band(now, field.alarm_bits)
@@ -176,7 +177,7 @@ local function flag_change(field, before, now)
   }
 end
 
--- What changes with a message -------------------------------------------------------------------
+-- Detectors --------------------------------------------------------------------------------------
 --
 -- A detector is a function(source, message, delta, change), which returns the name of a change and
 -- its value, nil for nothing:
@@ -274,7 +275,7 @@ end
 -- message  { source = of message.types; raws = by index of field, nil if the payload does not fit;
 --          payload, seq, status; key = frame key: never falls; an equal one replaces a message;
 --          time = seconds of the capture }
--- returns  what changes with it, nil if it is not good or nothing does: {
+-- returns  its change, nil if the message is not good or changes nothing: {
 --   missing  how many messages are missing before it by Seq
 --   late     seconds since the previous one, if that is more than options.late periods
 --   reboot   seconds by which the controller's clock went back
@@ -301,8 +302,8 @@ function History:add(message, is_only_pass)
   return update(source, message, delta), delta
 end
 
---- Return what History:add returned, at any later time and in any order; nil and nil for a message
--- that was not added.
+--- Return the results of History:add, at any later time and in any order; nil and nil for a
+-- message that was not added.
 -- message  as it was added
 function History:change(message)
   local source, key = self.by_source[message.source], message.key

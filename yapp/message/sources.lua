@@ -153,7 +153,7 @@ local function add_part(self, part, catalogue)
   demand(not is_repeated, "a bus and ID once more", "the first part that names them holds")
 end
 
---- Return what stands before the "=" of a part for an ID: can1/0x210, "a,b"/0x210.
+--- Return the address of an ID, the text before the "=" of a part: can1/0x210, "a,b"/0x210.
 -- bus  name, or nil; id = message ID
 function M.address(bus, id)
   if bus and bus:find('[,="%s]') then bus = '"' .. bus:gsub('"', '""') .. '"' end
@@ -163,7 +163,7 @@ end
 --- Read the preference.
 -- text       of the user
 -- catalogue  compiled
--- returns    the sources; and a list of texts of what is wrong: a part that cannot be read is left
+-- returns    the sources; and a list of errors: a part that cannot be read is left
 --            out, the others hold
 function M.parse(text, catalogue)
   local by_bus, problems = memo(function() return {} end), {} -- [bus or false][ID] = a row

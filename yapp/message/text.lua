@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- A message as a text: what the Info column says of it, and a row of CSV.  Pure Lua.
+-- A message as a text: its values in the Info column, and a row of CSV.  Pure Lua.
 --
 -- In CSV an enum is its number and, in NAME_text, its meaning; flags are the integer and, in
 -- GROUP_FLAG, 0 or 1; a float with a reserved value is an empty cell, and NAME_special names the
@@ -91,7 +91,7 @@ end
 -- The Info column --------------------------------------------------------------------------------
 
 -- Return the piece of a field, and " V" if its unit follows, else nil.
--- rest  what stands behind its name: ":%.1f unit"
+-- rest  the text behind its name: ":%.1f unit"
 local function info_piece(message, name, rest)
   local field = message.by_name[name]
   input.demand(field, "info names a field %s that is not there", input.shown(name))
@@ -112,10 +112,10 @@ local function info_piece(message, name, rest)
   }, before and " " .. field.unit
 end
 
---- Compile what Info says of a message.
+--- Compile the text of a message's values in Info.
 -- text     "{name:%.1f unit}" is "47.3 V"; "{name}" is without the unit, and with as many digits as
 --          make sense
--- returns  function(raws) -> what Info says of its values.  It raises what is wrong.
+-- returns  function(raws) -> the text.  It raises errors.
 function M.compile_info(message, text)
   local pieces, index = {}, 1
   while index do
@@ -129,8 +129,8 @@ function M.compile_info(message, text)
   return new_writer(pieces)
 end
 
---- Return what the Info column says of the faults that are set: "FAULT motor_overcurrent, faulted",
--- "" for none.
+--- Return the text of the Info column about the faults that are set:
+-- "FAULT motor_overcurrent, faulted", "" for none.
 -- raws  of the message's reader
 function M.faults(message, raws)
   local text, word = "", nil

@@ -31,7 +31,7 @@ end
 --- Use the user's choice of IDs and names.
 -- by_id         { [id] = message type }
 -- sources       a message.sources
--- hidden        what columns show instead of Info: { source, values = booleans }
+-- hidden        parts that columns show instead of Info: { source, values = booleans }
 -- visit         function(id), called for each ID that carries a message type
 function Types:use(by_id, sources, hidden, visit)
   self.by_id, self.sources, self.hidden = by_id, sources, hidden
@@ -66,7 +66,7 @@ local function title_of(message, id)
   return message and message.title or ("ID 0x%x"):format(id)
 end
 
--- Return the function that writes what Info says of values, nil without a message type.
+-- Return the function that writes the values in Info, nil without a message type.
 local function write_of(message, hides_values)
   return message and (hides_values and message.write_rest or message.write_info)
 end
@@ -96,10 +96,10 @@ end
 --   id, bus, bus_key, line
 --   name      that the user gave it, or nil
 --   message   the message type that it carries, or nil; size, min_size = of its payload, or nil
---   label     what its messages are called
+--   label     the name of its messages
 --   short     the same without the source, if a column shows that
---   write     function(raws) -> what Info says of values, nil without a message type
---   text      for the column Source: the name, else what tells the source from others, and the ID
+--   write     function(raws) -> the values in Info, nil without a message type
+--   text      for the column Source: the name, else bus and ID, where they differ from others'
 --   texts     of the fragments of its messages, see show.frame }
 function Types:new_source(id, bus_key, bus, line)
   local interface = line and line.interface or nil

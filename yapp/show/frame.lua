@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a user sees of a CAN frame: its tree, its expert items, its columns.  One function for each
+-- The view of a CAN frame: its tree, its expert items, its columns.  One function for each
 -- kind of result.  Wireshark's API.
 
 local can_id = require "yapp.wire.can_id"
@@ -49,7 +49,8 @@ local function add_item(self, frame)
   return item
 end
 
--- Add what the bytes of a fragment are.  A truncated Start has only the fields that were captured.
+-- Add the fields in the bytes of a fragment.  A truncated Start has only the fields that were
+-- captured.
 local function add_fragment(self, result)
   local fields, length, item = self.fields, #result.frame.data, self.item
   if result.frame.can_id.ctrl ~= START then
@@ -62,7 +63,8 @@ local function add_fragment(self, result)
   if result.transfer then append_text(item, (" of %d bytes"):format(result.transfer.size)) end
 end
 
--- Add what a transfer's last or only frame completes: size, CRC, fragments and padding.
+-- Add the parts that the last or only frame of a transfer completes: size, CRC, fragments and
+-- padding.
 local function add_transfer(self, result)
   local frame, transfer, item, fields = result.frame, result.transfer, self.item, self.fields
   if #transfer > 1 then

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a user sees of a packet of a byte stream or datagram: its frames, the bytes of no frame, and
--- those that wait for more.  Wireshark's API.
+-- The view of a packet of a byte stream or datagram: its frames, the bytes of no frame, and the
+-- bytes that wait for more.  Wireshark's API.
 
 local frame = require "yapp.wire.frame"
 local frame_key = require "yapp.base.frame_key"
@@ -53,7 +53,7 @@ local function add_item(self, result, tvb, tree)
   return item
 end
 
--- Show a message; return what the Info column says of it.
+-- Show a message; return its text for the Info column.
 local function show_message(self, result, tvb, wants, tree)
   local builder, transfer, message = self.builder, result.transfer, result.message
   local status, source = transfer.status, message.source
@@ -115,7 +115,7 @@ local function show_skipped(self, result, packet, tvb, wants, item)
   return ("Skipped %s%s"):format(size, text)
 end
 
--- Return what the Info column says of pending bytes.
+-- Return the text of the Info column about pending bytes.
 local function pending_text(contents, size, leads_to)
   if leads_to then return ("[Reassembled in #%d]"):format(leads_to) end
   if contents.is_held then return ("[%s behind a missing TCP segment]"):format(size) end
@@ -123,7 +123,7 @@ local function pending_text(contents, size, leads_to)
   return ("[%s wait for more]"):format(size)
 end
 
--- Show the pending bytes of a packet; return what the Info column says of them.
+-- Show the pending bytes of a packet; return their text for the Info column.
 local function show_pending(self, packet, contents, tvb, wants, item)
   local builder, fields, pending = self.builder, self.fields, contents.pending
   local leads_to = contents.leads_to and frame_key.number(contents.leads_to)
@@ -140,7 +140,7 @@ end
 
 -- Packets -----------------------------------------------------------------------------------------
 
--- Show a result; return what the Info column says of it.
+-- Show a result; return its text for the Info column.
 local function show_result(self, result, packet, tvb, wants, tree)
   local bytes = result.transfer.bytes
   if bytes and wants.tree then tvb = ByteArray.new(bytes, true):tvb("Reassembled YAPP") end
@@ -163,7 +163,7 @@ local function show_columns(packet, texts, source, columns)
   if source and not packet.line.has_address then columns.src = source end
 end
 
---- Show what a packet holds.
+--- Show the contents of a packet.
 -- packet    see host.serial
 -- contents  of Reading:add_packet
 -- wants     of Tree:wants

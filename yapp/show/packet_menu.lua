@@ -83,7 +83,7 @@ local function copy_as_candump(values)
   copy_to_clipboard(table.concat(lines))
 end
 
--- Ask for a name, in the text of the whole preference: what it says can be changed.
+-- Ask for a name, in the text of the whole preference, which can be changed.
 local function ask_name(values, sources, catalogue)
   local bus, id = bus_of(values), tonumber(values["yapp.id"]:match("%d+"))
   local is_listed = false

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a user sees of the Taurus messages: their trees and expert items.  Wireshark's API; the
--- values come from message.decode, what changed from the history.
+-- The view of the Taurus messages: their trees and expert items.  Wireshark's API; the values come
+-- from message.decode, the changes from the history.
 
 local binary = require "yapp.message.binary"
 local bits = require "yapp.base.bits"
@@ -51,7 +51,7 @@ local function append_unit(item, field)
   return field.unit and append_text(item, " " .. field.unit) or item
 end
 
--- What Wireshark reads itself.
+-- A field whose bytes Wireshark reads itself.
 function ADD.plain(field, fields)
   local pf = fields[field.filter]
   return function(parent, range)
@@ -143,8 +143,8 @@ local function wanted_of(self, tree, filters)
   return next(wanted) and wanted
 end
 
--- What message.history says of a state, in the order of the tree, how it is shown, and whether it
--- is about faults.
+-- The parts of a state of message.history, in the order of the tree: name, form, and whether it is
+-- about faults.
 local STATES = {
   { "raised_in", frame_key.number, true },
   { "cleared_in", frame_key.number, true },
@@ -227,10 +227,10 @@ end
 
 -- Return the names of the faults that are set in a message: "motor_overcurrent, faulted", "" for
 -- none.
-local function active_faults(m)
+local function active_faults(message)
   local names = {}
-  for _, field in ipairs(m.source.message.alarms) do
-    list_faults(names, field, m.raws[field.index])
+  for _, field in ipairs(message.source.message.alarms) do
+    list_faults(names, field, message.raws[field.index])
   end
   return table.concat(names, ", ")
 end
@@ -244,12 +244,12 @@ local function changed_faults(changes, way)
   return table.concat(names, ", ")
 end
 
--- Return what changed in the faults here: ", raised here" if that is all that are set,
+-- Return the change of the faults here: ", raised here" if that is all that are set,
 -- "; hall_timeout raised here; motor_overcurrent cleared here", "" for nothing.
-local function changes_text(m, active)
+local function changes_text(message, active)
   local text = ""
   for _, way in ipairs { "raised", "cleared" } do
-    local names = changed_faults(m.change and m.change.flags or NONE, way)
+    local names = changed_faults(message.change and message.change.flags or NONE, way)
     if names ~= "" then
       text = text .. (names == active and ", " or "; " .. names .. " ") .. way .. " here"
     end
@@ -259,9 +259,9 @@ end
 
 -- Add states.
 -- is_fault  whether those about faults, or the others
-local function add_states(m, plan, item, is_fault)
-  for _, step in ipairs(m.state and plan.states or NONE) do
-    local value = step.is_fault == is_fault and m.state[step.name]
+local function add_states(message, plan, item, is_fault)
+  for _, step in ipairs(message.state and plan.states or NONE) do
+    local value = step.is_fault == is_fault and message.state[step.name]
     if value then add_generated(item, step.pf, step.show(value)) end
   end
 end
@@ -269,14 +269,14 @@ end
 -- Add what is wrong, which stands above the values, with links to where it began and ended:
 -- "[Faults: motor_overcurrent, raised here]".
 -- returns  its item, nil for none
-local function add_faults(m, plan, tree, top)
+local function add_faults(message, plan, tree, top)
   local item
-  local is_change = m.change and m.change.flags and tree.visible
-  if plan.names and (m.has_fault or is_change) then
-    local active = active_faults(m)
-    local here = changes_text(m, active)
-    if here == "" and m.state and m.state.active_time then
-      here = (", for %.3f s"):format(m.state.active_time)
+  local is_change = message.change and message.change.flags and tree.visible
+  if plan.names and (message.has_fault or is_change) then
+    local active = active_faults(message)
+    local here = changes_text(message, active)
+    if here == "" and message.state and message.state.active_time then
+      here = (", for %.3f s"):format(message.state.active_time)
     end
     if active ~= "" then
       item = append_text(add_generated(top, plan.names, active), here)
@@ -284,15 +284,15 @@ local function add_faults(m, plan, tree, top)
       item = add_generated(top, "Faults: none" .. here)
     end
   end
-  add_states(m, plan, item or top, true)
+  add_states(message, plan, item or top, true)
   return item
 end
 
--- Add what is worked out from the values.
-local function add_generated_values(self, m, plan, top)
-  local raws, message = m.raws, m.source.message
+-- Add the values that are worked out from others.
+local function add_generated_values(self, message, plan, top)
+  local raws, of_type = message.raws, message.source.message
   for _, item in ipairs(plan.generated) do
-    local value, pf = decode.derived(message, item, raws), self.fields[item.filter]
+    local value, pf = decode.derived(of_type, item, raws), self.fields[item.filter]
     if value then
       append_unit(add_generated(top, pf, tonumber(number_text(item, value))), item)
     end
@@ -300,7 +300,7 @@ local function add_generated_values(self, m, plan, top)
   for _, step in ipairs(plan.rounded) do
     local field, value = step.field, nil
     if field.kind == "derived" then
-      value = decode.derived(message, field, raws)
+      value = decode.derived(of_type, field, raws)
     elseif raws[field.index] then
       value = value_of(field, raws[field.index])
     end
@@ -310,13 +310,13 @@ local function add_generated_values(self, m, plan, top)
 end
 
 -- Build it; return it, the items by index of field, for the expert items, and the one of faults.
-local function build(self, m, view)
-  local raws, items, message = m.raws, {}, m.source.message
-  local plan, tvb, offset = plan_of(self, message, view), view.payload_tvb, view.payload_offset
-  local whole = range_of(tvb, offset, math.min(message.size, #m.payload))
-  local top = add(view.tree, self.taurus, whole, "Taurus " .. message.title)
-  if plan.own then set_hidden(add(top, self.fields[message.filter], whole)) end
-  local above = add_faults(m, plan, view.tree, top)
+local function build(self, message, view)
+  local raws, items, of_type = message.raws, {}, message.source.message
+  local plan, tvb, offset = plan_of(self, of_type, view), view.payload_tvb, view.payload_offset
+  local whole = range_of(tvb, offset, math.min(of_type.size, #message.payload))
+  local top = add(view.tree, self.taurus, whole, "Taurus " .. of_type.title)
+  if plan.own then set_hidden(add(top, self.fields[of_type.filter], whole)) end
+  local above = add_faults(message, plan, view.tree, top)
   for i = 1, #plan do
     local step = plan[i]
     local field, index = step.field, step.index
@@ -328,12 +328,12 @@ local function build(self, m, view)
       items[index] = item
     end
   end
-  add_generated_values(self, m, plan, top)
-  add_states(m, plan, top, false)
+  add_generated_values(self, message, plan, top)
+  add_states(message, plan, top, false)
   return top, items, above
 end
 
--- Append what the catalogue says of the flags that are set.
+-- Append the catalogue's help on the flags that are set.
 local function append_help(item, field, raw)
   for _, flag in ipairs(field.flags) do
     if flag.help and bits.fast_band(raw, flag.mask) ~= 0 then
@@ -343,21 +343,23 @@ local function append_help(item, field, raw)
 end
 
 --- Show a message, and its expert items.
--- m, view  as Tree:show_message takes them
+-- message, view  as Tree:show_message takes them
 -- returns  the Taurus item, and the item of its faults; nil without a tree
-function Taurus:show(m, view)
+function Taurus:show(message, view)
   local top, items, above = nil, NONE, nil
-  if view.payload_tvb and m.payload ~= "" then top, items, above = build(self, m, view) end
-  for _, remark in ipairs(m.remarks or NONE) do
+  if view.payload_tvb and message.payload ~= "" then
+    top, items, above = build(self, message, view)
+  end
+  for _, remark in ipairs(message.remarks or NONE) do
     local index, name = remark[1], remark[2]
     local item = items[index]
     if name ~= "fault.active" then
       add_expert(item or top or view.item, "taurus." .. name)
     elseif item then
-      append_help(item, m.source.message.fields[index], m.raws[index])
+      append_help(item, message.source.message.fields[index], message.raws[index])
     end
   end
-  if m.has_fault then add_expert(above or top or view.item, "taurus.fault.active") end
+  if message.has_fault then add_expert(above or top or view.item, "taurus.fault.active") end
   return top, above
 end
 
@@ -382,15 +384,15 @@ local function add_flags_changes(self, changes, way, top, item)
   return faults
 end
 
---- Add what the history says of a message, all of it generated, with its expert items.
--- m        a message of reading.messages
+--- Add the history of a message, all of it generated, with its expert items.
+-- message  of reading.messages
 -- top      the Taurus item; nil if no tree is wanted: then add expert items only
 -- other    the item for these if top is nil
 -- above    the item of its faults, nil for none
 -- returns  what the Info column begins and ends with because of it:
 --          "cleared motor_overcurrent, hall_timeout  ", "  REBOOT"
-function Taurus:add_change(m, top, other, above)
-  local change, item, info, cleared = m.change, top or other, "", ""
+function Taurus:add_change(message, top, other, above)
+  local change, item, info, cleared = message.change, top or other, "", ""
   if change.flags then
     add_flags_changes(self, change.flags, "raised", top, above or item)
     cleared = add_flags_changes(self, change.flags, "cleared", top, above or item)

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a user sees of YAPP's messages, however they came: parts of the tree, expert items, the Info
--- column.  show.frame and show.packet show what carries them, show.taurus their values.
+-- The view of YAPP's messages, however they came: parts of the tree, expert items, the Info column.
+-- show.frame and show.packet show their frames and packets, show.taurus their values.
 -- Wireshark's API.
 
 local show_fields = require "yapp.show.fields"
@@ -14,7 +14,7 @@ local add = show_fields.add
 local add_generated = show_fields.add_generated
 local append_text = show_fields.append_text
 
--- By status: crc.status, what follows the CRC, and what the item's text says.
+-- By status: crc.status, the text behind the CRC, and the text of the item.
 local CRC = {
   bad = { 0, " [incorrect, should be 0x%08x]", ", CRC BAD" },
   good = { 1, " [correct]", ", CRC good" },
@@ -24,7 +24,7 @@ local UNVERIFIED = { 2, " [unverified]", ", CRC unverified" }
 local Tree = {}
 Tree.__index = Tree
 
---- What the Info column adds to a message, by its status.
+--- The last word in Info, by the status of the message.
 Tree.MARKS = {
   good = "",
   bad = "  [BAD CRC]",
@@ -79,7 +79,7 @@ end
 
 local LIST = { columns = true } -- a packet list of Wireshark, or of later passes
 
--- Ask Wireshark what is wanted of a packet.
+-- Ask Wireshark which parts of a packet are wanted.
 local function ask(self, tree)
   -- The API takes a dissector here, and ours exist only after loading.
   local wants = { columns = true }
@@ -102,7 +102,7 @@ local function ask_first(self, tree, pinfo)
   return wants
 end
 
---- Return what is wanted of a packet.
+--- Return which parts of a packet are wanted.
 -- visited   whether the packet was shown before
 -- returns   {
 --   yapp          whether YAPP's own items are shown, filtered or printed
@@ -196,7 +196,7 @@ function Tree:add_crc(item, range, transfer, sent)
   append_text(item, shown[3])
 end
 
---- Say that a CRC is bad, with what was received and expected.
+--- Say that a CRC is bad, with the received and the expected one.
 function Tree:bad_crc(item, transfer)
   local text = ("Received 0x%08x, expected 0x%08x"):format(transfer.crc, transfer.calculated)
   self:expert(item, "crc.bad", text)
@@ -207,7 +207,7 @@ function Tree:add_has_fault(item, has_fault)
   if has_fault then add_generated(item, self.fields["message.fault"], true) end
 end
 
---- Add what YAPP's own item says of a message's history: the time since the previous one, messages
+--- Add a message's history to YAPP's own item: the time since the previous one, messages
 -- that are missing, whether a fault is set.
 -- message  of reading.messages
 function Tree:add_delta(item, message)
@@ -230,90 +230,91 @@ end
 -- Messages ----------------------------------------------------------------------------------------
 
 -- Add the bytes of a payload from an offset on.
-local function add_bytes(self, m, view, name, offset)
-  local length, tvb = #m.payload - offset, view.payload_tvb
+local function add_bytes(self, message, view, name, offset)
+  local length, tvb = #message.payload - offset, view.payload_tvb
   if view.wants.yapp and tvb and length > 0 then
     add(view.item, self.fields[name], tvb(view.payload_offset + offset, length))
   end
 end
 
 -- Say that a payload does not have the catalogue's size.
--- returns  what the Info column says
-local function add_mismatch(self, m, view)
-  local source = m.source
+-- returns  its text for the Info column
+local function add_mismatch(self, message, view)
+  local source = message.source
   local least, most = source.min_size, source.size
   local known = least < most and ("%d to %d"):format(least, most) or most
-  local text = ("%s, the catalogue says %s"):format(Tree.bytes(m.size), known)
+  local text = ("%s, the catalogue says %s"):format(Tree.bytes(message.size), known)
   self:expert(view.item, "size.mismatch", ("%s has %s"):format(source.label, text))
   return ("%s, %s"):format(source.label, text)
 end
 
--- Return what to say of a message that is not in the catalogue; if a type has its size, also which
--- preference decodes it.
--- returns  a text for the packet, and what the Info column adds
-local function unknown_texts(m)
-  local like = m.like
-  local text = ("Message ID 0x%x is not in the catalogue"):format(m.source.id)
+-- Return the texts about a message that is not in the catalogue.  If a type has its size, they name
+-- the preference that decodes it.
+-- returns  a text for the packet, and one for the end of the Info column
+local function unknown_texts(message)
+  local like = message.like
+  local text = ("Message ID 0x%x is not in the catalogue"):format(message.source.id)
   if not like then return text, "" end
   local size = "the size of " .. like.title
   local advice = (': see the preference "%s message IDs"'):format(like.title)
-  text = ("%s; %d bytes, %s%s"):format(text, m.size, size, advice)
-  return text, ", " .. size .. (m.is_advised and advice or "")
+  text = ("%s; %d bytes, %s%s"):format(text, message.size, size, advice)
+  return text, ", " .. size .. (message.is_advised and advice or "")
 end
 
 -- Show a message that is not in the catalogue, or not as it is there: bytes.
-local function show_bytes(self, m, view)
-  add_bytes(self, m, view, "payload", 0)
-  if m.source.message then return add_mismatch(self, m, view) end
-  local id, like = m.source.id, m.like
-  local text, info = unknown_texts(m)
+local function show_bytes(self, message, view)
+  add_bytes(self, message, view, "payload", 0)
+  if message.source.message then return add_mismatch(self, message, view) end
+  local id, like = message.source.id, message.like
+  local text, info = unknown_texts(message)
   if like and view.wants.yapp then
     add_generated(view.item, self.fields["like." .. like.name], id)
   end
   self:expert(view.item, "id.unknown", text)
-  return ("%s  %s%s"):format(m.source.label, Tree.bytes(#m.payload), info)
+  return ("%s  %s%s"):format(message.source.label, Tree.bytes(#message.payload), info)
 end
 
 -- Return what Info says of a message's values.  The source stands in it even if a column shows it
 -- where something is wrong: Wireshark's list of expert items has no such column.
-local function values_text(m)
-  local source = m.source
-  local is_usual = m.status == "good" and not (m.remarks or m.change or m.copy_of)
-  return (is_usual and source.short or source.label) .. "  " .. source.write(m.raws)
+local function values_text(message)
+  local source = message.source
+  local is_remarkable = message.remarks or message.change or message.copy_of
+  local is_usual = message.status == "good" and not is_remarkable
+  return (is_usual and source.short or source.label) .. "  " .. source.write(message.raws)
 end
 
 --- Show a finished message: the message of the catalogue, or bytes.
--- m        of reading.messages
+-- message  of reading.messages
 -- view     { wants = of Tree:wants; tree = where the Taurus tree goes; item = YAPP's own item, or
 --          the tree; payload_tvb and payload_offset = where the payload lies, payload_tvb false if
 --          no tree is wanted }
--- returns  what the Info column says of it; only a part of that if there are no columns
-function Tree:show_message(m, view)
-  local top, above, info, source = nil, nil, "", m.source
-  if view.wants.yapp then self:add_delta(view.item, m) end
-  if not m.raws then
-    info = show_bytes(self, m, view)
+-- returns  its text for the Info column; only a part of that if there are no columns
+function Tree:show_message(message, view)
+  local top, above, info, source = nil, nil, "", message.source
+  if view.wants.yapp then self:add_delta(view.item, message) end
+  if not message.raws then
+    info = show_bytes(self, message, view)
   else
-    if view.payload_tvb or m.remarks then top, above = self.messages:show(m, view) end
+    if view.payload_tvb or message.remarks then top, above = self.messages:show(message, view) end
     if view.wants.columns then
-      info = values_text(m)
+      info = values_text(message)
     end
   end
-  if m.copy_of then
+  if message.copy_of then
     self:expert(view.item, "copy")
-    info = ("%s  [copy of #%d]"):format(info, number_of(m.copy_of))
+    info = ("%s  [copy of #%d]"):format(info, number_of(message.copy_of))
   end
-  if m.change then
-    local cleared, words = self.messages:add_change(m, top, view.item, above)
+  if message.change then
+    local cleared, words = self.messages:add_change(message, top, view.item, above)
     info = cleared .. info .. words
   end
-  if m.has_fault and view.wants.columns then
-    info = text_of.faults(source.message, m.raws) .. "  " .. info
+  if message.has_fault and view.wants.columns then
+    info = text_of.faults(source.message, message.raws) .. "  " .. info
   end
-  if m.undecoded then
-    add_bytes(self, m, view, "undecoded", source.size)
-    add_mismatch(self, m, view)
-    info = ("%s  [%s, %d not decoded]"):format(info, Tree.bytes(m.size), m.undecoded)
+  if message.undecoded then
+    add_bytes(self, message, view, "undecoded", source.size)
+    add_mismatch(self, message, view)
+    info = ("%s  [%s, %d not decoded]"):format(info, Tree.bytes(message.size), message.undecoded)
   end
   return info
 end

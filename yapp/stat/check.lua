@@ -11,7 +11,7 @@ local utf8 = require "yapp.base.utf8"
 local M = {}
 
 local words = output.words
--- Verdicts; order = theirs in the text, case = what a report in XML says.
+-- Verdicts; order = theirs in the text, case = the element of a report in XML.
 local FAILED = {
   order = 1,
   json = "false",
@@ -62,7 +62,7 @@ local Check = groups.class { lists_problems = true }
 --- See groups.class.
 M.new = Check.new
 
---- Return what the rules want of the values of a message.
+--- Return the values of a message that rules are about.
 function Check:wants(message)
   local list = {}
   for _, rule in ipairs(self.options.rules) do
@@ -73,7 +73,7 @@ end
 
 -- Judging -----------------------------------------------------------------------------------------
 
--- Whether a rule is about a source.
+-- Return whether a rule is about a source.
 local function is_about(rule, group)
   local kind, message = rule.kind, group.message
   if not measures.is_of(rule, group.source) then return false end
@@ -166,7 +166,7 @@ local function escape(text)
   return (utf8.printable(text):gsub('[<>&"]', ENTITIES))
 end
 
--- shape  what a verdict says with a text; nil for a rule that holds and has no note
+-- shape  of the element of a verdict with a text; nil for a rule that holds and has no note
 local function case_of(name, shape, text)
   local case = ('  <testcase classname="yapp.check" name="%s"'):format(escape(name))
   if text == "" then return case .. "/>\n" end
@@ -185,7 +185,7 @@ local function texts_of(row, keys, with_key, between)
   return table.concat(texts, between)
 end
 
--- Write it if it is asked for; return what went wrong, nil for nothing.
+-- Write it if it is asked for; return an error, nil for none.
 local function report(self, problems)
   local path, cases, counts = self.options.junit, {}, self.counts
   if not path then return nil end
@@ -204,7 +204,7 @@ end
 -- The end ---------------------------------------------------------------------------------------
 
 --- End, see stat.derive.
--- returns  the exit code, and a text that says what is wrong besides rules, nil for nothing
+-- returns  the exit code, and a text on errors other than rules, nil for none
 function Check:finish(ending, notes, states)
   local options, context, rows = self.options, self.context, {}
   local problems = joined(ending.problems, options.problems)

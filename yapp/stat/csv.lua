@@ -3,7 +3,7 @@
 -- Pure Lua, 5.2 to 5.5.
 --
 -- FOLDER/motor.csv ...  time, frame, bus, source, id, seq, then the columns of the message
--- FOLDER/fields.json    what each column is
+-- FOLDER/fields.json    the description of each column
 
 local field_kinds = require "yapp.message.field_kinds"
 local joined = require "yapp.base.joined"
@@ -18,7 +18,7 @@ local COLUMNS = output.columns {
   { "file", type = "text", where = "json text window", help = "the path of a table" },
   { "rows", type = "integer", where = "json text window", help = "how many rows it has" },
 }
---- The columns of what it prints, see output.columns.
+--- The columns of its own output, see output.columns.
 M.COLUMNS = COLUMNS
 -- The columns in front of a message's own.
 local COMMON = {
@@ -121,7 +121,7 @@ local function meanings(values)
   return output.object(keys, texts)
 end
 
--- kind, bits and values are for integers only: the type, and what its numbers mean.
+-- kind, bits and values are for integers only: the type, and the meaning of its numbers.
 local COLUMN_KEYS = words("name unit type filter title kind bits values")
 
 local function describe_column(column)
@@ -141,7 +141,7 @@ local function describe_column(column)
   return output.object(COLUMN_KEYS, row)
 end
 
--- What is worked out from two fields and is no column: "name" = "of" - "less".
+-- The values that are worked out from two fields and are no columns: "name" = "of" - "less".
 local DIFFERENCE_KEYS = words("name of less unit title")
 
 local function describe_differences(message)
@@ -161,9 +161,9 @@ local function describe_differences(message)
   return output.list(list)
 end
 
---- What the columns of all messages are.
+--- Describe the columns of all messages and statistics.
 -- catalogue  compiled; version: the plugin's own, a text
--- list_of    function(message) -> its columns: message.text's and what comes before them
+-- list_of    function(message) -> its columns: the common ones, then message.text's
 -- statistics list of { name, columns }, see stat.options
 -- returns    JSON: { version = 1, plugin =, messages = { NAME = { title =, every = in seconds or
 --            null, columns = list of { those of COLUMN_KEYS }, differences = list of { those of

@@ -6,10 +6,10 @@
 -- A statistic has
 --   event(event, now, cause)  takes an event that counts: now = seconds without the steps back of
 --                             the capture's clock; cause = the event of the message that shows it
---   finish(ending, notes, states)  ends: ending = see Queue:finish, notes = texts, what its answer
---                             leaves out, states = by source: see new_state; returns the exit code
---                             and a text, each nil for none
---   follows_changes           whether it says what changed since the message before
+--   finish(ending, notes, states)  ends; returns the exit code and a text, each nil for none:
+--                             ending = see Queue:finish; notes = texts on all that its answer
+--                             leaves out; states = by source, see new_state
+--   follows_changes           whether it shows changes since the message before
 --   lists_problems            whether it lists ending.problems itself
 --   wants_messages_only       whether it needs no events but good messages and those with a bad CRC
 
@@ -40,13 +40,13 @@ local function new_state()
     faults = NOTHING, -- list of those that are set, as they rose, see message.faults
     counted = { frame = 0 }, -- the latest reliable message that counts
     counted_at = nil,
-    counted_faults = NOTHING, -- those that were set then
+    counted_faults = NOTHING, -- the faults that were set then
     is_numbered = false, -- whether Seq No numbers its messages: it changed
     missing_by_period = 0, -- number of messages that fit into the gaps between its messages
   }
 end
 
---- Make what feeds a statistic.
+--- Make the deriver of a statistic.
 -- settings  see stat.taps
 -- options   of stat.options
 function M.new(settings, statistic, options)
@@ -71,7 +71,7 @@ function M.new(settings, statistic, options)
   }, Deriver)
 end
 
--- Whether a message of a source may have a fault: an unknown message may.
+-- Return whether a message of a source may have a fault: an unknown message may.
 local function may_have_faults(source)
   return not source.message or source.message.alarms[1] ~= nil
 end
@@ -95,7 +95,7 @@ local function emit(self, kind, cause, values)
   self:add(event, cause)
 end
 
--- Whether the filter lets an event count.
+-- Return whether the filter lets an event count.
 local function lets_count(self, event)
   return not self.matched or self.matched[event.frame]
 end
@@ -210,7 +210,7 @@ end
 
 -- The end -----------------------------------------------------------------------------------------
 
--- What may be messages that are not dissected.  If other messages came, they are `unknown` events.
+-- Possible messages that are not dissected.  If other messages came, they are `unknown` events.
 local function end_undissected(self, ending)
   for _, event in ipairs(ending.undissected) do
     if lets_count(self, event) then
@@ -295,7 +295,7 @@ local function copies_text(count)
   return count > 0 and shape:format(output.count(count, "message")) or nil
 end
 
--- Return what the answer of the statistic leaves out, and whether that makes it undecided.
+-- Return the texts on all that the answer leaves out, and whether they make it undecided.
 local function notes_of(self, ending)
   local reason, matched, options = ending.reason, self.matched, self.options
   if matched and not next(self.came) then reason = reason or "no message matches the filter" end

@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- -z yapp,events: what happened, in the order of time; and -z yapp,faults: the faults among these,
+-- -z yapp,events: all events, in the order of time; and -z yapp,faults: the faults among these,
 -- when each flag rose and fell, on which source, for how long.  Pure Lua, 5.2 to 5.5.
 
 local joined = require "yapp.base.joined"

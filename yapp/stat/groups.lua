@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What a statistic gathers: of each source counts, times, gaps and values; of all sources of one
--- message, how far their values lie apart.  Pure Lua, 5.2 to 5.5.
+-- The gathering of a statistic: of each source counts, times, gaps and values; of all sources of
+-- one message, how far their values lie apart.  Pure Lua, 5.2 to 5.5.
 
 local decode = require "yapp.message.decode"
 local field_kinds = require "yapp.message.field_kinds"
@@ -30,7 +30,7 @@ end
 
 -- Values ----------------------------------------------------------------------------------------
 
--- What is gathered of a field of a source.
+-- Make the record of a field of a source.
 local function new_values(want, spread)
   return {
     field = want.field,
@@ -103,7 +103,7 @@ local function new_spread()
   return { members = {}, worst = nil, frame = nil, rel = nil }
 end
 
--- What is gathered of a source: {
+-- Make the record of a source: {
 --   source, message = the source's
 --   counts = { [kind of event] = see new_count }
 --   count = of good messages, decoded = of those that were decoded; first, last = their times,
@@ -150,7 +150,7 @@ function M.class(class)
       context = context,
       list = list, -- of groups
       by_source = nil,
-      capture = { counts = memo(new_count) }, -- a group of what happened to the whole capture
+      capture = { counts = memo(new_count) }, -- a group: the events of the whole capture
       absent = {}, -- by source: whether none of its messages came
       wanted = nil, -- by message: see Groups:wants
       spreads = memo(new_spread), -- by entry of Groups:wants

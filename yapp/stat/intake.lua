@@ -80,30 +80,30 @@ function Intake:remove_later(tap)
 end
 
 -- Return the event of a message or frame.
--- m  a message of reading.messages, or a frame of reading.records
-local function new_event(kind, m, values)
-  return kinds.event(kind, number_of(m.key), m.time, m.source, values, m)
+-- message  of reading.messages, or a frame of reading.records
+local function new_event(kind, message, values)
+  return kinds.event(kind, number_of(message.key), message.time, message.source, values, message)
 end
 
-local function offer(self, kind, m, values)
-  local line, leaving = m.source.line, self.leaving
+local function offer(self, kind, message, values)
+  local line, leaving = message.source.line, self.leaving
   if self.stretches[line] then self.stretches[line] = nil end -- a needless nil costs in 5.2
   if leaving[1] then
     self.leaving = {}
     for _, tap in ipairs(leaving) do tap:remove() end
   end
-  self.queue:offer(new_event(kind, m, values), m.visited)
+  self.queue:offer(new_event(kind, message, values), message.visited)
 end
 
 -- Messages ----------------------------------------------------------------------------------------
 
 -- The values of a message that the catalogue does not define; nil for none.
-local function invalid_of(m)
-  local message, list = m.source.message, nil
-  for _, remark in ipairs(m.remarks) do
+local function invalid_of(message)
+  local of_type, list = message.source.message, nil
+  for _, remark in ipairs(message.remarks) do
     local index, is_undefined = remark[1], remark[3]
     if is_undefined then
-      local field, raw = message.fields[index], m.raws[index]
+      local field, raw = of_type.fields[index], message.raws[index]
       local shape = field_kinds.BY_NAME[field.kind].code or "0x%02x" -- as the document has it
       list = list or {}
       list[#list + 1] = {
@@ -117,31 +117,31 @@ local function invalid_of(m)
   return list
 end
 
-local function values_of(m)
-  local invalid = m.remarks and invalid_of(m)
-  if not (m.change or invalid or m.undecoded or m.is_unreliable) then
+local function values_of(message)
+  local invalid = message.remarks and invalid_of(message)
+  if not (message.change or invalid or message.undecoded or message.is_unreliable) then
     return kinds.NOTHING
   end
   return {
-    change = m.change or nil,
+    change = message.change or nil,
     invalid = invalid or nil,
-    undecoded = m.undecoded or nil,
-    is_unreliable = m.is_unreliable or nil,
+    undecoded = message.undecoded or nil,
+    is_unreliable = message.is_unreliable or nil,
   }
 end
 
 -- Report a message that has ended.
-local function report_message(self, m)
-  local kind, values = KIND_OF[m.status], nil
+local function report_message(self, message)
+  local kind, values = KIND_OF[message.status], nil
   if not kind then return end
-  if self.has_orphans then self.states[m.source].orphan = false end
-  if m.copy_of then return offer(self, "copies", m, { of = m.copy_of }) end
+  if self.has_orphans then self.states[message.source].orphan = false end
+  if message.copy_of then return offer(self, "copies", message, { of = message.copy_of }) end
   if kind == "message" then
-    values = values_of(m)
+    values = values_of(message)
   elseif kind == "incomplete" then
     values = LOSSES["fragment.incomplete"]
   end
-  offer(self, kind, m, values)
+  offer(self, kind, message, values)
 end
 
 -- Losses ------------------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ local function orphaned(state, seq, is_end)
   return orphan
 end
 
--- Report the anomalies of a frame.  Those that lose a message, or a part of one, are events.
+-- Report the anomalies of a frame.  Anomalies that lose a message, or a part of one, are events.
 -- anomalies  list of { expert, lost = frame key of the Start of the message that is lost or nil,
 --            is_withdrawn = whether nothing is wrong after all, is_open = whether that may change }
 local function report_anomalies(self, frame, anomalies)
@@ -219,7 +219,7 @@ function Intake:report(result)
   if anomalies then report_anomalies(self, result.frame, anomalies) end
 end
 
---- Take the results of what waits when all packets have come.
+--- Take the results that were still waiting when all packets had come.
 -- results  of Reading:finish
 -- returns  the events of the messages that the capture ends before, in the order of their frames
 function Intake:finish(results)

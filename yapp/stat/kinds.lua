@@ -19,8 +19,7 @@ local M = {}
 -- hides       if a fault may be hidden there: the text behind its count in "may hide faults"
 -- scope       "capture": one verdict for the whole capture; "rare": one for each source that has
 --             such events; nil: one for each source that can have them
--- about       what the message of a source must have in the catalogue; nil for any source with an
---             ID
+-- about       key that the message type of a source must have; nil for any source with an ID
 -- needs_past  whether it can be judged only with a good message and a reliable history
 -- needs_values  the same with a message that was decoded
 -- needs_time  whether it can be judged only if packets have time stamps
@@ -145,15 +144,15 @@ end
 --- The values of an event that has none.
 M.NOTHING = {}
 
---- Make an event: what statistics list and count.
+--- Make an event, which statistics list and count.
 -- kind    "message" for a good message, else the name of a row
 -- frame   number of the packet; time = seconds since the first one
 -- source  of message.reader, one table for all its events; for events of a bus, or of the capture,
 --         with its bus and name alone, or with nothing
 -- values  by the keys of its kind, and by those in its text; of a message see stat.intake
--- m       of a message: { seq, payload, raws = its raw values, nil where the catalogue does not
+-- message  of a message: { seq, payload, raws = its raw values, nil where the catalogue does not
 --         decode it }
-function M.event(kind, frame, time, source, values, m)
+function M.event(kind, frame, time, source, values, message)
   return {
     kind = kind,
     time = time,
@@ -161,9 +160,9 @@ function M.event(kind, frame, time, source, values, m)
     frame = frame,
     source = source,
     values = values or M.NOTHING,
-    seq = m and m.seq,
-    payload = m and m.payload,
-    raws = m and m.raws,
+    seq = message and message.seq,
+    payload = message and message.payload,
+    raws = message and message.raws,
   }
 end
 

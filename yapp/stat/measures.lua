@@ -1,9 +1,9 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What rules of `check` measure, a row each.  The syntax of rules, the list of rules in errors and
--- the verdicts follow.  Pure Lua, 5.2 to 5.5.
+-- The measures of the rules of `check`, a row each.  The syntax of rules, the list of rules in
+-- errors and the verdicts follow.  Pure Lua, 5.2 to 5.5.
 --
--- A measure is a function(group, rule, check), which returns what is seen, its frame, a note, and
--- the value that is farthest outside.  Where nothing can be seen: nil, nil, why.
+-- A measure is a function(group, rule, check), which returns the value to judge, its frame, a
+-- note, and the value that is farthest outside.  If there is none to judge: nil, nil, why.
 
 local groups = require "yapp.stat.groups"
 local joined = require "yapp.base.joined"
@@ -40,7 +40,7 @@ local function measure_range(group, rule)
   return values.outside, values.frame, ("of %d values"):format(values.seen), values.worst
 end
 
--- What is seen are the values outside of the range: none may be.
+-- Count the values outside of the range: none may be.
 local function want_range(rule, field)
   local want = { field = field, low = rule.low, high = rule.high }
   rule.low, rule.high = -INFINITE, 0
@@ -55,11 +55,11 @@ end
 
 -- name     of the measure
 -- text     a rule of it, as errors and docs/statistics.md name it
--- help     what it is, for people
+-- help     its meaning, for people
 -- measure  see above
 -- bound    the limit that a number is: "low" or "high"; is_count = whether it has no fraction
 -- takes_range  whether the limit may be A..B, A.. or ..B; nothing else if there is no bound
--- want     of a field: function(rule, field) -> what groups gather of it, see Groups:wants
+-- want     of a field: function(rule, field) -> an entry of Groups:wants
 -- needs_past, needs_time, scope  as in rows of kinds
 
 --- MESSAGE.NAME=LIMIT
@@ -129,7 +129,7 @@ local function count_events(group, rule)
   return count.seen, count.frame, count.values.note
 end
 
--- Those that count in another way, by name.
+-- The kinds that count in another way, by name.
 local of_kind = {}
 
 function of_kind.absent(_, rule, check)
@@ -161,7 +161,7 @@ function M.is_of(rule, source)
   return not rule.source or source.name == rule.source
 end
 
---- Measure what a rule is about; see above.
+--- Measure the subject of a rule; see above.
 function M.measure(group, rule, check)
   local kind = rule.kind
   return (kind.measure or of_kind[kind.name] or count_events)(group, rule, check)

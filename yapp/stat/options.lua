@@ -27,7 +27,7 @@ local MAX_FILE = 2 ^ 20 -- bytes of a file of rules
 
 -- Rules -------------------------------------------------------------------------------------------
 --
--- Functions from here to the rows of the statistics raise what is wrong.
+-- Functions from here to the rows of the statistics raise errors.
 
 -- Return a number that is not below 0; for a count one without a fraction.
 local function limit_of(text, what, is_count)
@@ -93,10 +93,9 @@ end
 
 -- "fault=0", "motor.rate=9.5", "motor.dc_voltage=40..55": { text, source,
 --   kind       a row of kinds or of measures
---   low, high  the limits of what is seen
+--   low, high  the limits of the value to judge
 --   message    compiled, of MESSAGE.
---   want       what it needs of the values, see groups: of a range the limits of a value, of which
---              those outside are seen }
+--   want       an entry of Groups:wants, nil for a rule about no field }
 local function read_rule(text, catalogue, source)
   local name, value = text:match("^([^=]*)=(.*)$")
   local kind = kinds.BY_NAME[name]
@@ -221,11 +220,11 @@ end
 -- title    in menus
 -- new      function(options, context), makes it: see stat.derive
 -- columns  of output.columns
--- options  what it takes besides filter=EXPRESSION: M.read knows the words without "=" by this text
+-- options  the words besides filter=EXPRESSION: M.read knows the words without "=" by this text
 -- read     function(options, part, catalogue), reads other options; nil if there are none
 -- finish   the same, checks all options at the end; nil for no check
--- help     what it says, for people
--- ask      what a menu asks for; the answer follows the name
+-- help     its meaning, for people
+-- ask      the question of a menu; the answer follows the name
 -- file     the name of a new file that a menu suggests
 -- table_only  whether its output has no room for notes
 -- looks_for_faults  whether it must say which messages may hide a fault, as it does not list them

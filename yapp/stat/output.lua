@@ -1,5 +1,5 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
--- What statistics print and write: JSON lines, tables for people, and files, which exist only if
+-- The output of statistics: JSON lines, tables for people, and files, which exist only if
 -- they are complete; and the exit codes.  Pure Lua, 5.2 to 5.5.
 
 local utf8 = require "yapp.base.utf8"
@@ -14,7 +14,7 @@ local format = string.format
 
 -- JSON ----------------------------------------------------------------------------------------
 
--- Write what is not printable as \xNN: JSON must be UTF-8.
+-- Write characters that are not printable as \xNN: JSON must be UTF-8.
 local function text_value(text)
   return '"' .. utf8.printable(text):gsub('["\\]', "\\%0") .. '"'
 end
@@ -31,7 +31,7 @@ local function number_value(value)
   return tonumber(shown) == value and shown or format("%.17g", value)
 end
 
---- The JSON of a value: string, number, nil (null), or { json = what is JSON already }.
+--- The JSON of a value: string, number, nil (null), or { json = JSON already }.
 function M.value(value)
   local kind = type(value)
   if kind == "number" then return number_value(value) end
@@ -70,8 +70,8 @@ end
 -- Values ----------------------------------------------------------------------------------------
 --
 -- A value of a row: a text, a number, nil, or { json, text, short } where people read something
--- else than JSON has, or nothing (no text); short is what a window has room for, if that is not the
--- text.
+-- else than JSON has, or nothing (no text); short is the text for a window, if that is
+-- shorter.
 
 --- Return a time of the capture; people read it in UTC, to the microsecond.
 -- seconds, nanoseconds  since 1970
@@ -94,8 +94,8 @@ function M.seconds(value)
   }
 end
 
---- Return what people read of a value: of a fraction six digits, in a window five.  What is not a
--- number stands for a reserved value.
+--- Return the text of a value for people: of a fraction six digits, in a window five.  NaN stands
+-- for a reserved value.
 -- is_short  whether in a window
 function M.text(value, is_short)
   if type(value) == "table" then value = is_short and value.short or value.text end
@@ -179,7 +179,7 @@ local COMMON = {
   },
 }
 
--- Return what people read above a column.
+-- Return the heading of a column.
 local function title_of(column)
   local key, unit = column.key, column.unit
   return column.title or unit and key .. "/" .. unit or key
@@ -193,8 +193,8 @@ end
 --                   "list"; nil if JSON has it in no line
 --            unit   of a number, or nil
 --            title  above it, nil for the key and the unit; short = the same in a window
---            help   what it means: for fields.json and the pages that follow it };
---          what a row does not have is that of COMMON
+--            help   its meaning: for fields.json and the pages that follow it };
+--          COMMON has the rest
 -- returns  { json = list of keys, text, window = lists of { key, title }, all = list of all rows }
 function M.columns(rows)
   local columns = { json = {}, text = {}, window = {}, all = {} }
@@ -274,7 +274,7 @@ local function itself(row)
   return row
 end
 
--- Return what people read in the columns of a row.
+-- Return the texts in the columns of a row.
 local function texts_of(columns, row, is_short)
   local texts = {}
   for i, column in ipairs(columns) do
@@ -308,7 +308,7 @@ function M.table(context, columns, rows, row_of)
   end
 end
 
---- Print rows: for people under a title and what the answer leaves out, or as a JSON object a line.
+--- Print rows: for people under a title and the notes, or as a JSON object a line.
 -- context  { out = function(text), json = whether so, frames = in a window a list that gets the
 --          frames of the rows, else nil }
 -- columns  of M.columns; a row may have keys of its own for its line of JSON, row.keys
@@ -340,7 +340,7 @@ File.__index = File
 
 --- Begin a file, under another name until it is complete.  A device is written directly, as a
 -- rename would replace the device by a file.
--- advice   if the file exists: the error, which says what to do; nil to overwrite it
+-- advice   the error if the file exists, which ends with the remedy; nil to overwrite it
 -- returns  the file, with File:write(text); nil and why not
 function M.create(path, advice)
   local there = advice and io.open(path, "rb")
@@ -361,8 +361,8 @@ function File:write(text)
 end
 
 --- Close files and give them their names.  If one could not be written, remove all of them.
--- problem  what went wrong before, nil for nothing
--- returns  what went wrong, nil for nothing
+-- problem  an error of before, nil for none
+-- returns  an error, nil for none
 function M.finish(list, problem)
   local function note(file, _, why)
     if why then problem = problem or file.path .. ": " .. why end
@@ -385,7 +385,7 @@ end
 
 --- Write a file that holds a text.
 -- advice   as for M.create
--- returns  what went wrong, nil for nothing
+-- returns  an error, nil for none
 function M.save(path, text, advice)
   local file, problem = M.create(path, advice)
   if not file then return problem end

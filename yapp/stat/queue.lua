@@ -36,7 +36,7 @@ function M.new(settings, hint)
   return self
 end
 
---- Forget what was offered and seen, as all packets will be revisited.
+--- Forget all events and packets, as all packets will be revisited.
 function Queue:reset()
   self.offered, self.number, self.visited = {}, nil, nil -- of the packet that is dissected
   self.waiting = {}
@@ -47,7 +47,7 @@ function Queue:reset()
   self.fallen = 0 -- sum of the seconds that the capture's clock went back, see note_step
   self.falls = {} -- these steps, but those from which it returned; the latest first
   self.clocks = {} -- by source, see time_of
-  self.lacks_clock = false -- whether times are those of controllers
+  self.lacks_clock = false -- whether times come from the controllers
   self:begins(0, 0, 0) -- until a time is known, if ever
   self.losses, self.max_losses = {}, MAX_LOSSES -- events that wait, see hand_on_losses
   self.seen = {} -- [value that all losses of one message share] = true once one was handed on
@@ -58,7 +58,7 @@ end
 
 --- Add a statistic, see stat.derive.
 -- options  of stat.options
--- returns  what feeds it, with the table `matched` if it has a filter
+-- returns  its deriver, with the table `matched` if it has a filter
 function Queue:add(statistic, options)
   local deriver = derive.new(self.settings, statistic, options)
   self.derivers[#self.derivers + 1] = deriver
@@ -243,7 +243,7 @@ local function nothing_found(self, capture)
   return ("no YAPP message found in %s: %s"):format(packets, advice)
 end
 
--- Return what other packets have of YAPP: a list of texts.
+-- Return the traces of YAPP in other packets: a list of texts.
 local function unread_packets(self, capture)
   if not (self.has_messages and capture.certain and capture.certain[1]) then return {} end
   return { "YAPP in other packets was not decoded: try " .. table.concat(capture.certain, " ") }
@@ -283,7 +283,7 @@ function Queue:finish(capture)
     begin = seconds + nanoseconds / 1e9, -- of the first packet
     reason = nothing_found(self, capture), -- why no message was found, nil if one was
     lacks_times = lacks_times(self, capture),
-    -- What the user asked for and did not get, and why not all was read: texts.
+    -- Wishes of the user that were not met, and why not all was read: texts.
     problems = joined(self.settings.problems, capture.problems, unread_packets(self, capture)),
     unread = capture.unread, -- the same in short if packets were left out
     drops = capture.drops,

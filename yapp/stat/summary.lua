@@ -36,7 +36,7 @@ local COLUMNS = output.columns {
     help = "messages without their beginning, with bytes missing, truncated or unfinished" },
   { "late", type = "integer", kind = "late", where = "json text window",
     help = "silences between two messages" },
-  { "silent", type = "seconds", unit = "s", where = "text window", title = "silent/s at the end",
+  { "silent", where = "text window", title = "silent/s at the end",
     short = "silent/s" }, -- JSON has it as an event
   { "reboots", type = "integer", kind = "reboot", where = "json text",
     help = "how often the controller's clock went back" },

@@ -11,7 +11,7 @@ local queue = require "yapp.stat.queue"
 
 local M = {}
 
--- While this is asked for, trees have the exact time, and what dissectors need of CAN headers.
+-- While this is asked for, trees have the exact time, and the fields of CAN headers.
 local CLOCK = "frame.time_epoch || can.id || can.flags.xtd == 1 || can.flags.rtr == 1"
 local IS_TSHARK = not gui_enabled() -- Wireshark may revisit all packets
 local FAILED = "the plugin failed, so the answer is incomplete: %s, see the filter _ws.lua.error"
@@ -28,12 +28,12 @@ Stat.__index = Stat
 
 --- Make the statistics of one plugin.
 -- parts  {
---   settings   what the preferences say, {
+--   settings   read from the preferences, {
 --     version       of the plugin; catalogue = compiled
 --     late          a gap of more periods is a silence
 --     sources       a message.sources; sources_text = the preference that it was read from
 --     ids           [message name] = list of the IDs that its preference has
---     problems      list of texts: what the user asked for and did not get }
+--     problems      list of texts: wishes of the user that were not met }
 --   intake     a stat.intake, builder = a show.tree, buses = a host.buses
 --   reading    a reading.reading, frames = a host.can, deferral = its host.deferral
 --   find_options  function() -> list of tshark's options that may decode what was not found, and
@@ -50,7 +50,7 @@ end
 
 -- Output ----------------------------------------------------------------------------------------
 
--- Return what to say if tshark has a display filter.
+-- Return the hint if tshark has a display filter.
 local function hint_of(options)
   local is_there = options.Y or options["display-filter"]
   return is_there and "-Y does not narrow a statistic: use filter=EXPRESSION as its last option"
@@ -193,7 +193,7 @@ local function finish(self)
   }
 end
 
--- Functions from here on raise what is wrong.
+-- Functions from here on raise errors.
 
 local function tap_filter(self, filter)
   local ok, tap = pcall(listen, self, filter)
@@ -206,7 +206,7 @@ end
 -- context  { out, frames } of output.print
 local function begin(self, text, context)
   local options, events = options_of.read(text, self.settings.catalogue), self.queue
-  -- In tshark, check says what is wrong in its report, too.
+  -- In tshark, check names errors in its report, too.
   if options.problems[1] and (context.frames or options.what ~= "check") then
     error(table.concat(options.problems, "\n"), 0)
   end
@@ -247,7 +247,7 @@ end
 
 -- tshark ----------------------------------------------------------------------------------------
 
--- All packets have come: print, say what is wrong, and exit if the code is not 0.
+-- All packets have come: print, name errors, and exit if the code is not 0.
 local function conclude(self)
   local ok, code, texts = pcall(finish, self)
   if not ok then
@@ -261,7 +261,7 @@ local function conclude(self)
   for _, text in ipairs(texts) do
     say(text)
   end
-  -- Other -z statistics of this run lose what they would still print: the exit code matters more.
+  -- Other -z statistics of this run lose the rest of their output: the exit code matters more.
   if code ~= output.EXIT_OK then os.exit(code) end
 end
 
@@ -278,7 +278,7 @@ local function read_argument(self, text)
   end })
 end
 
--- Count the packets of a capture in Wireshark, where somebody may stop a statistic's reading.
+-- Count the packets of a capture in Wireshark, where the user may stop a statistic's reading.
 -- note_packets  function(), to be called when some have come
 local function count_packets(self, note_packets)
   local tap = Listener.new("frame")

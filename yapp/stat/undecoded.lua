@@ -31,13 +31,13 @@ function M.new(settings)
     -- decode it, about = a text, values = of its events } each.
     whole = {},
     parts = {}, -- the same of those whose first bytes were decoded
-    sizes = {}, -- by ID: the size of what is decodable; false for several, or if it has a message
+    sizes = {}, -- by ID: the size of decodable messages; false for several, or if it has a message
     by_source = memo(new_list), -- by source, by size
   }, Undecoded)
 end
 
--- Return what to say of a size.
--- own     the source's message, is_own = whether that has this size
+-- Return the text about a size.
+-- own     the source's message, is_own = whether this message has the size
 -- titles  of the messages that have it
 local function describe(own, is_own, titles)
   if is_own then return ("%s with a YAPP CTL other than 0"):format(own.title) end
@@ -114,7 +114,7 @@ local function part_of(entry)
   return ("%s=%s:%s"):format(address, entry.likes[1].name, source.name or "")
 end
 
--- Return what decodes the entries: by message the IDs that can carry it on all buses, parts of
+-- Return the preferences that decode the entries: by message the IDs for all buses, parts of
 -- yapp.sources for other IDs, and a list of other options.
 local function plan(self)
   local ids, parts, options, taken = {}, {}, {}, {}
@@ -144,7 +144,7 @@ local function in_quotes(text)
   return "'" .. text:gsub("'", "'\\''") .. "'"
 end
 
--- The preferences that decode what can be decoded, complete: a text, "" for none.
+-- Return the complete preferences that decode the rest: a text, "" for none.
 local function advice_of(self)
   local settings, sizes = self.settings, {}
   local ids, parts, texts = plan(self)
@@ -204,8 +204,8 @@ local function text_of(entries, what)
   return ("%s %s %s: %s"):format(count, were, what, join(texts, "; "))
 end
 
---- Return what was not decoded, and which preference decodes it: a list of texts, empty for
--- nothing.
+--- Return the texts on undecoded messages and the preferences that decode them: a list, empty for
+-- none.
 function Undecoded:texts()
   local texts, whole = {}, text_of(self.whole, "not decoded")
   if whole then texts[1] = whole .. advice_of(self) end

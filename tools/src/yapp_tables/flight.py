@@ -13,7 +13,7 @@ import pyarrow as pa
 from .dataset import flight_id
 from .errors import CaptureError, MessageError, count_of, need
 from .html_table import html_table
-from .records import EVENTS, SUMMARY, faults, name_hint, statistics, table
+from .records import SUMMARY, columns_of, faults, name_hint, statistics, table
 from .tables import HEAD, Message, Origin, Rows, catalogue_version, nothing_in, present
 from .tables import messages as catalogue
 from .tshark import Export
@@ -50,9 +50,12 @@ class Flight(Mapping[str, pa.Table]):
         self.partial, self.undecoded = export.partial, export.undecoded
         self.complaints, self.notes = export.complaints, export.notes
         self.plugin = str(export.fields["plugin"])
-        self.events = table(export.records["events"], EVENTS)
-        self.faults = faults(self.events)
-        self.summary = table(export.records["summary"], SUMMARY)
+        self.events = table(export.records["events"], columns_of(export.fields, "events"))
+        self.faults = faults(self.events, columns_of(export.fields, "faults"))
+        of_summary = columns_of(export.fields, "summary")
+        self.summary = table(export.records["summary"], of_summary)
+        # The headings of `sources`; those of columns that only the plugin knows are their names.
+        self.heads = SOURCES | {name: name.replace("_", " ") for name in of_summary if name not in SUMMARY}
         self.statistics = statistics(export.records["summary"])
         self.aircraft: str | None = None
         self.catalogue = catalogue_version(export.fields)
@@ -130,7 +133,7 @@ class Flight(Mapping[str, pa.Table]):
     def _repr_html_(self) -> str:
         """Return what a notebook shows: what is missing, and a row for each source."""
         said = "".join(f"<p><b>{html.escape(text)}</b></p>" for text in [*self.left_out, *self.notes])
-        table = html_table(SOURCES, self.sources())
+        table = html_table(self.heads, self.sources())
         return (
             f"<h4>{html.escape(self.name)}</h4>{said}<p>{count_of(len(self.events), 'event')}</p><table>{table}</table>"
         )

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 def html_table(heads: Mapping[str, str], rows: Sequence[Mapping[str, object]]) -> str:
     """Return a table; a column without a cell is left out. heads: {key of the rows: its heading}."""
-    keys = [key for key in heads if any(row[key] is not None for row in rows)]
-    lines = ["".join(_cell("td", row[key]) for key in keys) for row in rows]
+    keys = [key for key in heads if any(row.get(key) is not None for row in rows)]
+    lines = ["".join(_cell("td", row.get(key)) for key in keys) for row in rows]
     return _rows("thead", ["".join(_cell("th", heads[key]) for key in keys)]) + _rows("tbody", lines)
 
 

@@ -144,6 +144,17 @@ def _role(type_: pa.DataType) -> str:
     return "text" if type_ in (KIND, pa.string()) else "value"
 
 
+# The types of fields.json's statistics. What has another type is an object or a list: it goes into `other`.
+TYPES = {
+    "time": TIME,
+    "id": pa.uint32(),
+    "integer": pa.int64(),
+    "number": pa.float64(),
+    "seconds": pa.float64(),
+    "boolean": pa.bool_(),
+    "string": KIND,
+    "text": pa.string(),
+}
 TABLES: dict[str, dict[str, Column]] = {
     "events": EVENTS,
     "faults": FAULTS,
@@ -151,6 +162,21 @@ TABLES: dict[str, dict[str, Column]] = {
     "statistics": STATISTICS,
     "flights": FLIGHTS,
 }
+
+
+def columns_of(fields: Record, name: str) -> dict[str, Column]:
+    """Return the columns of a statistic: those of this package, then what the plugin's fields.json has besides."""
+    known = dict(TABLES[name])
+    other = {"other": known.pop("other")} if "other" in known else {}
+    described = fields.get("statistics", {}).get(name, {}).get("columns", [])
+    new = [each for each in described if each["name"] not in known and each["type"] in TYPES]
+    return known | {each["name"]: _described(each) for each in new} | other
+
+
+def _described(entry: Record) -> Column:
+    type_ = TYPES[entry["type"]]
+    about = entry.get("help") or entry.get("title") or entry["name"]
+    return Column(entry["name"], type_, _role(type_), about, entry.get("unit") or "")
 
 
 def table(records: Sequence[Record], columns: Mapping[str, Column]) -> pa.Table:
@@ -164,7 +190,7 @@ ELSEWHERE = {"values"}
 
 
 def _cells(record: Record, columns: Mapping[str, Column]) -> Record:
-    cells = {name: _cell(name, record.get(name)) for name in columns}
+    cells = {name: _cell(column.type, record.get(name)) for name, column in columns.items()}
     if "controller" in columns:
         cells["controller"] = record.get("source")
     more = {key: value for key, value in record.items() if key not in columns.keys() | ELSEWHERE and value is not None}
@@ -173,18 +199,21 @@ def _cells(record: Record, columns: Mapping[str, Column]) -> Record:
     return cells
 
 
-def _cell(key: str, value: Any) -> Any:
-    if isinstance(value, Decimal):
-        return int(value.scaleb(9)) if key == "time" else float(value)
-    if key == "value" and value is not None:
+def _cell(type_: pa.DataType, value: Any) -> Any:
+    if value is None:
+        return None
+    if type_ == TIME:
+        return int(Decimal(value).scaleb(9))
+    if type_ in (KIND, pa.string()):
         return str(value)
-    return value * 10**9 if key == "time" and isinstance(value, int) else value
+    return float(value) if isinstance(value, Decimal) else value
 
 
-def faults(events: pa.Table) -> pa.Table:
+def faults(events: pa.Table, columns: Mapping[str, Column] = FAULTS) -> pa.Table:
     """Return the flags that were raised and cleared, of all events."""
     is_fault = [kind == "fault" for kind in events["kind"].to_pylist()]
-    return events.filter(pa.array(is_fault, pa.bool_())).select(FAULT)
+    names = [name for name in columns if name in events.schema.names]
+    return events.filter(pa.array(is_fault, pa.bool_())).select(names)
 
 
 def statistics(summary: Sequence[Record]) -> pa.Table:
@@ -254,16 +283,18 @@ def name_hint(summary: pa.Table) -> str:
 def all_tables(export: Export, origin: Origin) -> list[Table]:
     """Return the messages of an export, and its events, faults, summary, statistics and the flight itself."""
     rows = [Rows(export, message, origin) for message in present(export)]
-    events = table(export.records["events"], EVENTS)
+    columns = {name: columns_of(export.fields, name) for name in TABLES}
+    columns["faults"] = {name: each for name, each in columns["faults"].items() if name in columns["events"]}
+    events = table(export.records["events"], columns["events"])
     makers: dict[str, Callable[[], pa.Table]] = {
         "events": lambda: events,
-        "faults": lambda: faults(events),
-        "summary": lambda: table(export.records["summary"], SUMMARY),
+        "faults": lambda: faults(events, columns["faults"]),
+        "summary": lambda: table(export.records["summary"], columns["summary"]),
         "statistics": lambda: statistics(export.records["summary"]),
         # Asked last: the times are known then.
         "flights": lambda: _flight(export, origin, rows, events),
     }
-    return [*rows, *(Records(name, make, origin) for name, make in makers.items())]
+    return [*rows, *(Records(name, make, origin, columns[name]) for name, make in makers.items())]
 
 
 def _flight(export: Export, origin: Origin, rows: Sequence[Rows], events: pa.Table) -> pa.Table:

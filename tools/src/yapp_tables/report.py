@@ -20,7 +20,7 @@ from .api import read_flight
 from .config import Config, StrPath
 from .dataset import plain_name
 from .errors import SetupError
-from .flight import SOURCES, Flight
+from .flight import Flight
 from .html_table import html_table
 from .limits import Limits
 from .matrix import Matrix
@@ -106,7 +106,8 @@ def write_report(flights: Sequence[Flight], path: Path, limits: Limits | None = 
     blob = found.pop("blob")
     parts = {"/*MATRIX*/": report.matrix.html(), "/*MULTIPLES*/": report.multiples.html(report.matrix.labels)}
     parts |= {"/*VALUES*/": html_table(VALUES, [row for flight in flights for row in _values(flight)])}
-    parts |= {"/*SUMMARY*/": html_table(SOURCES, [row for flight in flights for row in flight.sources()])}
+    heads = {name: head for flight in flights for name, head in flight.heads.items()}
+    parts |= {"/*SUMMARY*/": html_table(heads, [row for flight in flights for row in flight.sources()])}
     parts |= {"/*DATA*/": json.dumps(found, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")}
     parts |= {"/*REPORT*/": package.joinpath("report.js").read_text(encoding="utf-8")}
     parts |= {"/*BLOB*/": blob, "/*PLOTLY*/": packed(get_plotlyjs().encode())}
